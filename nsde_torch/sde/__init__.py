@@ -1,0 +1,24 @@
+"""Solvers of controlled stochastic equations dz = f(t, z, u) dt + g(t, z, u) * dW with diagonal noise."""
+
+from nsde_torch.sde.derivative import diagonal_derivative, drift_correction, with_calculus
+from nsde_torch.sde.integrate import rollout
+from nsde_torch.sde.noise import brownian, coarsen
+from nsde_torch.sde.protocol import SDE, Calculus, HasDiagonalDerivative, Time
+from nsde_torch.sde.registry import STEPS, make_step
+from nsde_torch.sde.step import Step
+
+__all__ = [
+    "SDE",
+    "STEPS",
+    "Calculus",
+    "HasDiagonalDerivative",
+    "Step",
+    "Time",
+    "brownian",
+    "coarsen",
+    "diagonal_derivative",
+    "drift_correction",
+    "make_step",
+    "rollout",
+    "with_calculus",
+]

@@ -1,0 +1,90 @@
+"""What `rollout` refuses before the first step, and how it reports numbers that are not finite."""
+
+import torch
+from torch import Tensor
+
+from nsde_torch.errors import NonFiniteError, ShapeError, SolverError
+from nsde_torch.sde.noise import check_dt
+from nsde_torch.sde.protocol import SDE
+from nsde_torch.sde.step import Step
+
+
+def check_arguments(
+    sde: SDE, z0: Tensor, u: Tensor, *, dt: float, step: Step, noise: Tensor | None, t0: float | Tensor
+) -> int:
+    """Refuse what does not fit together; the number of particles otherwise.
+
+    Raises:
+        ShapeError: A tensor has the wrong axes.
+        SolverError: Calculus, noise, dtype, device or `dt` do not fit.
+    """
+    if not isinstance(step, Step):
+        raise SolverError(f"`step` must be a Step; got {step!r}. Make one with make_step(name).")
+    check_dt(dt)
+    if z0.ndim != 2:
+        raise ShapeError(f"`z0` must be (batch, nz); got {tuple(z0.shape)}. Add a batch axis.")
+    batch, nz = z0.shape
+    if u.ndim != 3 or u.shape[0] != batch:
+        raise ShapeError(
+            f"`u` must be (batch={batch}, horizon, nu); got {tuple(u.shape)}. Add the missing axis."
+        )
+    _check_like("u", u, z0)
+    if isinstance(t0, Tensor) and t0.ndim and t0.shape != (batch,):
+        raise ShapeError(f"`t0` must be one time or (batch={batch},); got {tuple(t0.shape)}.")
+    step.check(sde)
+    if step.deterministic:
+        if noise is not None:
+            raise SolverError(
+                f"`noise` must be None with {step.name!r}, which solves sigma = 0; take a stochastic step."
+            )
+        return 1
+    if noise is None:
+        raise SolverError(
+            f"`noise` must be given with {step.name!r}; draw it with brownian(), or take rk4 or midpoint."
+        )
+    if noise.ndim != 4 or noise.shape[1:] != (batch, u.shape[1], nz) or not noise.shape[0]:
+        raise ShapeError(
+            f"`noise` must be (particles, batch={batch}, horizon={u.shape[1]}, nz={nz}); "
+            f"got {tuple(noise.shape)}. Draw it with brownian()."
+        )
+    _check_like("noise", noise, z0)
+    return noise.shape[0]
+
+
+def _check_like(name: str, value: Tensor, z0: Tensor) -> None:
+    if not z0.is_floating_point():
+        raise SolverError(f"`z0` must hold floating-point numbers; got {z0.dtype}.")
+    if value.dtype != z0.dtype or value.device != z0.device:
+        raise SolverError(
+            f"`{name}` must have the dtype and device of `z0`, {z0.dtype} on {z0.device}; "
+            f"got {value.dtype} on {value.device}. Move it with .to(z0)."
+        )
+
+
+def check_finite(path: Tensor, *, dt: float, t0: float | Tensor) -> None:
+    """Report the first state of a rollout that is infinite or not a number.
+
+    Args:
+        path: Rollout (P, B, T + 1, nz).
+        dt: Length of a step [s].
+        t0: Time of the first state [s], one or (B,).
+
+    Raises:
+        NonFiniteError: With step, time, and the rows (particle, batch) hit at that step.
+    """
+    # A sum is infinite or NaN if one term is; it may also overflow, hence the exact test behind it.
+    if bool(torch.isfinite(path.detach().sum())):
+        return
+    bad = ~torch.isfinite(path.detach()).all(-1)
+    if not bool(bad.any()):
+        return
+    k = int(bad.any(0).any(0).nonzero()[0])
+    rows = bad[:, :, k].nonzero()
+    shown = ", ".join(f"({p}, {b})" for p, b in rows[:5].tolist())
+    start = t0[rows[0, 1]] if isinstance(t0, Tensor) and t0.ndim else t0
+    where = f"step {k} of {path.shape[2] - 1} (t = {float(start) + k * dt:g} s)"
+    raise NonFiniteError(
+        f"the rollout left the finite numbers at {where} in {len(rows)} of {bad[:, :, k].numel()} rows; "
+        f"(particle, batch): {shown}{', ...' if len(rows) > 5 else ''}. "
+        "Shorten dt, clip the drift, or look for bad initial states."
+    )

@@ -1,0 +1,94 @@
+"""Slopes d g_i / d z_i of a diagonal diffusion, and the drift that turns one calculus into the other.
+
+dz = f dt + g o dW (Stratonovich)  equals  dz = (f + c) dt + g dW (Ito)  with  c_i = g_i (d g_i / d z_i) / 2
+(Kloeden and Platen 1992, section 4.9), for diagonal noise, coupled or not.
+"""
+
+from typing import Literal, final
+
+import torch
+from torch import Tensor
+
+from nsde_torch.errors import SolverError
+from nsde_torch.sde.protocol import SDE, HasDiagonalDerivative, Time
+
+
+def diagonal_derivative(sde: SDE, t: Time, z: Tensor, u: Tensor) -> Tensor:
+    """Slope of each diffusion channel in its own state, exact, and differentiable in turn.
+
+    An equation with `diffusion_diagonal_derivative` answers itself. Otherwise nz forward-mode products run as
+    one batch and each gives its diagonal entry: nz times the work of one diffusion, memory O(N nz) a layer,
+    and no Jacobian (N, nz, nz) is formed.
+
+    Args:
+        sde: The equation.
+        t: Time [s], a number, 0-d, or (N,).
+        z: State (N, nz).
+        u: Input (N, nu).
+
+    Returns:
+        d g_i / d z_i, (N, nz), in 1 per square root of a second.
+    """
+    if isinstance(sde, HasDiagonalDerivative):
+        return sde.diffusion_diagonal_derivative(t, z, u)
+
+    def entry(direction: Tensor) -> Tensor:
+        tangent = direction.expand_as(z)
+        slope: Tensor = torch.func.jvp(lambda state: sde.diffusion(t, state, u), (z,), (tangent,))[1]
+        return torch.sum(slope * direction, -1)
+
+    basis = torch.eye(z.shape[-1], dtype=z.dtype, device=z.device)
+    return torch.vmap(entry, out_dims=-1)(basis)
+
+
+def drift_correction(sde: SDE, t: Time, z: Tensor, u: Tensor) -> Tensor:
+    """The drift c = g g' / 2 to add to a Stratonovich drift for the Ito equation of the same process.
+
+    Args:
+        sde: The equation.
+        t: Time [s], a number, 0-d, or (N,).
+        z: State (N, nz).
+        u: Input (N, nu).
+
+    Returns:
+        c, (N, nz), in units of z per second.
+    """
+    return 0.5 * sde.diffusion(t, z, u) * diagonal_derivative(sde, t, z, u)
+
+
+@final
+class _Converted:
+    """The same process as `source`, written in the other calculus."""
+
+    def __init__(self, source: SDE, calculus: Literal["ito", "stratonovich"]) -> None:
+        self.source = source
+        self.calculus: Literal["ito", "stratonovich", "either"] = calculus
+        self._sign = 1.0 if calculus == "ito" else -1.0
+
+    def drift(self, t: Time, z: Tensor, u: Tensor) -> Tensor:
+        return self.source.drift(t, z, u) + self._sign * drift_correction(self.source, t, z, u)
+
+    def diffusion(self, t: Time, z: Tensor, u: Tensor) -> Tensor:
+        return self.source.diffusion(t, z, u)
+
+    def project(self, z: Tensor) -> Tensor:
+        return self.source.project(z)
+
+
+def with_calculus(sde: SDE, calculus: Literal["ito", "stratonovich"]) -> SDE:
+    """The same process written in the other calculus, so that a step of that calculus may integrate it.
+
+    Args:
+        sde: An equation that declares "ito" or "stratonovich".
+        calculus: The calculus to write it in.
+
+    Returns:
+        `sde` itself if it is in that calculus already, else an equation with the drift correction added or
+        taken.
+
+    Raises:
+        SolverError: `sde.calculus` is "either", so there is no process to preserve.
+    """
+    if sde.calculus == "either":
+        raise SolverError('`sde.calculus` must be "ito" or "stratonovich" to be converted; got "either".')
+    return sde if sde.calculus == calculus else _Converted(sde, calculus)

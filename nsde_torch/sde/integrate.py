@@ -1,0 +1,87 @@
+"""Rollouts: one step after another, every particle of every row at once, on noise that the caller gives.
+
+z_0 given;   z_{k+1} = project(advance(t_k, z_k, u_k, dt, dW_k)),   t_k = t_0 + k dt.
+"""
+
+from collections.abc import Callable
+
+import torch
+from torch import Tensor
+
+from nsde_torch.sde.checks import check_arguments, check_finite
+from nsde_torch.sde.protocol import SDE, Time
+from nsde_torch.sde.step import Step
+
+Advance = Callable[[Time, Tensor, Tensor, Time, Tensor | None], Tensor]
+
+
+def rollout(
+    sde: SDE,
+    z0: Tensor,
+    u: Tensor,
+    *,
+    dt: float,
+    step: Step,
+    noise: Tensor | None,
+    t0: float | Tensor = 0.0,
+    check: bool = True,
+) -> Tensor:
+    """Sample paths of a controlled equation on a grid of equal steps.
+
+    Differentiable in `z0`, `u`, `noise` and the parameters of `sde`. Where gradients are disabled the result
+    is written into one buffer as it comes; wrap with torch.no_grad() whatever needs none. `z0` is taken as it
+    is and not projected.
+
+    Args:
+        sde: The equation.
+        z0: First state (B, nz).
+        u: Inputs (B, T, nu); u[:, k] holds from t_k to t_{k+1}.
+        dt: Length of a step [s], > 0.
+        step: The method, from make_step.
+        noise: Brownian increments (P, B, T, nz) from `brownian` with the same dt (their variance is not
+            checked); None with a deterministic step, and only then.
+        t0: Time of the first state [s], one for all or (B,).
+        check: Raise if a state is not finite. Costs one reduction, and waits for the device.
+
+    Returns:
+        States (P, B, T + 1, nz), the first of them z0; P = 1 with a deterministic step.
+
+    Raises:
+        ShapeError: A tensor has the wrong axes.
+        SolverError: Calculus, noise, dtype, device or dt do not fit together.
+        NonFiniteError: A state is infinite or not a number, and `check`.
+
+    Example:
+        >>> noise = brownian(32, 1, 100, 13, dt=0.01, generator=torch.Generator().manual_seed(0))
+        >>> paths = rollout(sde, z0, u, dt=0.01, step=make_step("milstein"), noise=noise)
+    """
+    particles = check_arguments(sde, z0, u, dt=dt, step=step, noise=noise, t0=t0)
+    (batch, nz), horizon = z0.shape, u.shape[1]
+    rows = particles * batch
+
+    def tile(x: Tensor) -> Tensor:
+        return x if particles == 1 else x.repeat(particles, *(1,) * (x.ndim - 1))
+
+    start = tile(t0) if isinstance(t0, Tensor) and t0.ndim else t0
+    inputs = u.transpose(0, 1).contiguous().unbind(0)
+    increments = (
+        [None] * horizon if noise is None else noise.permute(2, 0, 1, 3).reshape(horizon, rows, nz).unbind(0)
+    )
+    z = tile(z0)
+    keep = torch.is_grad_enabled()
+    states = [z]
+    buffer = z0.new_empty(0 if keep else horizon + 1, rows, nz)
+    if not keep:
+        buffer[0] = z
+    for k in range(horizon):
+        z = sde.project(step.advance(sde, start + k * dt, z, tile(inputs[k]), dt, increments[k]))
+        if keep:
+            states.append(z)
+        else:
+            buffer[k + 1] = z
+    path = (
+        (torch.stack(states) if keep else buffer).view(horizon + 1, particles, batch, nz).permute(1, 2, 0, 3)
+    )
+    if check:
+        check_finite(path, dt=dt, t0=t0)
+    return path

@@ -1,0 +1,45 @@
+"""What a solver asks of an equation: dz = f(t, z, u) dt + g(t, z, u) * dW with diagonal noise.
+
+`z` is the state with whatever memory the effects carry, `u` is held over a step, `W` has one independent
+Wiener process per channel of `z`, and `*` is the product of Ito or of Stratonovich (Kloeden and Platen,
+Numerical Solution of Stochastic Differential Equations, 1992, sections 3.3 and 4.9). The paper writes a star
+and leaves the choice open: such an equation declares `calculus = "either"`, and the step that integrates it
+gives the product its meaning.
+"""
+
+from typing import Literal, Protocol, runtime_checkable
+
+from torch import Tensor
+
+Calculus = Literal["ito", "stratonovich", "either"]
+CALCULI: tuple[Calculus, ...] = ("ito", "stratonovich", "either")
+Time = float | Tensor
+"""Time [s]: one number or a 0-d tensor for all rows, or a tensor (N,) with one time for each row."""
+
+
+class SDE(Protocol):
+    """A controlled equation with diagonal noise, evaluated on rows: N is particles times batch.
+
+    Each method must treat its rows independently and must not change its inputs; neither is checked.
+    """
+
+    @property
+    def calculus(self) -> Calculus:
+        """The product of g and dW: "ito", "stratonovich", or "either" (the step decides)."""
+
+    def drift(self, t: Time, z: Tensor, u: Tensor) -> Tensor:
+        """Rate f of the state, (N, nz), in units of z per second."""
+
+    def diffusion(self, t: Time, z: Tensor, u: Tensor) -> Tensor:
+        """Standard deviation density g of each channel, (N, nz), in units of z per root second."""
+
+    def project(self, z: Tensor) -> Tensor:
+        """The nearest valid state (N, nz), for example with a unit quaternion."""
+
+
+@runtime_checkable
+class HasDiagonalDerivative(Protocol):
+    """An equation that knows the slopes of its own diffusion."""
+
+    def diffusion_diagonal_derivative(self, t: Time, z: Tensor, u: Tensor) -> Tensor:
+        """The slopes d g_i / d z_i, (N, nz), in 1 per square root of a second."""

@@ -1,0 +1,122 @@
+"""Config groups, their choices and the values that a choice sets, read from the YAML files without Hydra.
+
+Help and shell completion start at every key press, so they read the few files that they need by themselves.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator, Sequence
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from .keys import Key, walk
+from .schema import CHOICES, COMMAND_SCHEMAS
+
+_CONF = "nsde_torch.conf"
+
+
+def config_dir(words: Sequence[str]) -> Path | None:
+    """The folder that `--config-dir` (or `-cd`) names, if any."""
+    for index, word in enumerate(words):
+        if word in ("--config-dir", "-cd") and index + 1 < len(words):
+            return Path(words[index + 1])
+        if word.startswith("--config-dir="):
+            return Path(word.split("=", 1)[1])
+    return None
+
+
+def defaults(command: str) -> dict[str, str]:
+    """The config groups of a command with the choice that each has by default, in order."""
+    text = resources.files(_CONF).joinpath(f"{command}.yaml").read_text(encoding="utf-8")
+    found: dict[str, str] = {}
+    for item in yaml.safe_load(text).get("defaults", []):
+        if isinstance(item, dict):
+            found.update({str(name): str(choice) for name, choice in item.items()})
+    return found
+
+
+def choices(group: str, extra: Path | None = None) -> list[str]:
+    """The choices of a group, those of the user's own config folder included."""
+    names = {Path(item.name).stem for item in _package_files(group)}
+    if extra is not None and (extra / group).is_dir():
+        names |= {path.stem for path in (extra / group).glob("*.yaml")}
+    return sorted(names)
+
+
+def selected(command: str, words: Sequence[str]) -> dict[str, str]:
+    """The choice of every group once the overrides on the command line are taken into account."""
+    chosen = defaults(command)
+    for word in words:
+        name, _, value = word.partition("=")
+        if name in chosen and value:
+            chosen[name] = value
+    return chosen
+
+
+def keys(command: str, chosen: dict[str, str], extra: Path | None = None) -> Iterator[Key]:
+    """Every key of a command for one choice of each group; defaults are what the choice's file makes of them."""
+    import dataclasses
+
+    values = {group: choice_values(group, choice, extra) for group, choice in chosen.items()}
+    done: set[str] = set()
+    for entry in walk(COMMAND_SCHEMAS[command]):
+        group = entry.path.split(".")[0]
+        if group not in chosen:
+            yield entry
+        elif group not in done:
+            done.add(group)
+            for own in walk(group_schema(command, group, chosen[group], extra), f"{group}."):
+                value = values[group].get(own.path.split(".", 1)[1], own.default)
+                yield dataclasses.replace(own, default=value)
+
+
+def group_schema(command: str, group: str, choice: str, extra: Path | None = None) -> type:
+    """The dataclass of a choice: its own, that of the choice it builds on, or that of its group."""
+    from typing import get_type_hints
+
+    own = CHOICES.get(group, {})
+    for name in [choice, *_parents(group, choice, extra)]:
+        if name in own:
+            return own[name]
+    found: type = get_type_hints(COMMAND_SCHEMAS[command])[group]
+    return found
+
+
+def choice_values(group: str, choice: str, extra: Path | None = None) -> dict[str, Any]:
+    """The values that a choice's file sets, on top of those of the choices it builds on."""
+    values: dict[str, Any] = {}
+    for parent in _parents(group, choice, extra):
+        values.update(choice_values(group, parent, extra))
+    content = _read(group, choice, extra)
+    content.pop("defaults", None)
+    return {**values, **content}
+
+
+def _parents(group: str, choice: str, extra: Path | None) -> list[str]:
+    listed = _read(group, choice, extra).get("defaults", [])
+    return [item for item in listed if isinstance(item, str) and "/" not in item and item not in ("_self_", choice)]
+
+
+def _read(group: str, choice: str, extra: Path | None) -> dict[str, Any]:
+    text = None
+    for item in _package_files(group):
+        if item.name == f"{choice}.yaml":
+            text = item.read_text(encoding="utf-8")
+    own = None if extra is None else extra / group / f"{choice}.yaml"
+    if text is None and own is not None and os.path.isfile(own):
+        text = own.read_text(encoding="utf-8")
+    try:
+        content = yaml.safe_load(text or "")
+    except yaml.YAMLError:  # Hydra will say so in its own words once the command runs
+        return {}
+    return content if isinstance(content, dict) else {}
+
+
+def _package_files(group: str) -> Iterator[Any]:
+    folder = resources.files(_CONF).joinpath(group)
+    if folder.is_dir():
+        yield from (item for item in folder.iterdir() if item.name.endswith(".yaml"))

@@ -1,0 +1,118 @@
+"""`nsde COMMAND --help`: the config groups with their choices, then every key with default, unit and meaning."""
+
+from __future__ import annotations
+
+import textwrap
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+from . import groups
+from .keys import Key
+from .schema import CHOICES
+
+WIDTH = 100
+_COLUMN = 38
+
+
+def describe(command: str, summary: str, words: Sequence[str]) -> str:
+    """The help text of a command, for the choices that are on the command line.
+
+    Args:
+        command: Name of the command, also of its primary config file.
+        summary: What the command does, one line.
+        words: The rest of the command line; `data=csv` among them shows the keys of that choice.
+    """
+    extra = groups.config_dir(words)
+    chosen = groups.selected(command, words)
+    lines = [
+        f"nsde {command}: {summary[0].lower()}{summary[1:]}",
+        "",
+        f"Usage: nsde {command} [group=choice ...] [key=value ...] [--config-dir DIR] [-m]",
+        "",
+        "Config groups (* is chosen now; `--help data=csv` shows the keys of another choice)",
+        *_group_lines(chosen, extra),
+    ]
+    section = None
+    for entry in groups.keys(command, chosen, extra):
+        name = entry.path.split(".")[0] if "." in entry.path else ""
+        if name != section:
+            lines += [*_others(section, chosen), "", f"Keys of {name}={chosen[name]}" if name else "Keys"]
+            section = name
+        lines += _key_lines(entry)
+    lines += [*_others(section, chosen), "", *_usage(command)]
+    return "\n".join(lines)
+
+
+def value_text(value: Any) -> str:
+    """A default as the user would type it."""
+    if value is None:
+        return "null"
+    if isinstance(value, bool):
+        return str(value).lower()
+    if isinstance(value, (list, tuple)):
+        return "[" + ",".join(value_text(item) for item in value) + "]"
+    return f"{value:g}" if isinstance(value, float) else str(value)
+
+
+def _group_lines(chosen: dict[str, str], extra: Path | None) -> Iterator[str]:
+    for name, choice in chosen.items():
+        options = groups.choices(name, extra)
+        text = " | ".join(f"{option}*" if option == choice else option for option in options)
+        yield from textwrap.wrap(
+            text, WIDTH, initial_indent=f"  {name:<9}", subsequent_indent=" " * 11, break_on_hyphens=False
+        )
+
+
+def _key_lines(entry: Key) -> Iterator[str]:
+    default = "(required)" if entry.default == "???" else value_text(entry.default)
+    if entry.path in ("run_dir", "sweep_dir"):
+        default = "(dated)"
+    left = f"  {entry.path}={default}" + (f" [{entry.unit}]" if entry.unit else "")
+    right = entry.help + (f" ({entry.allowed})" if entry.allowed else "")
+    if len(left) >= _COLUMN:
+        yield left
+        left = ""
+    yield from textwrap.wrap(
+        right, WIDTH, initial_indent=f"{left:<{_COLUMN}}", subsequent_indent=" " * _COLUMN, break_on_hyphens=False
+    )
+
+
+def _others(section: str | None, chosen: dict[str, str]) -> list[str]:
+    """A line on the keys that other choices of a group have and the chosen one has not."""
+    import dataclasses
+
+    own = CHOICES.get(section or "", {})
+    if section is None or chosen.get(section) not in own:
+        return []
+    shown = {field.name for field in dataclasses.fields(own[chosen[section]])}
+    lines = []
+    for choice, schema in own.items():
+        more = [field.name for field in dataclasses.fields(schema) if field.name not in shown]
+        if more:
+            lines += textwrap.wrap(
+                f"{section}={choice} has also: {', '.join(f'{section}.{name}' for name in more)}",
+                WIDTH,
+                initial_indent="  ",
+                subsequent_indent="    ",
+            )
+    return lines
+
+
+def _usage(command: str) -> list[str]:
+    rows = [
+        ("trainer.lr=0.003 'data.test=[0]'", "set keys; lists in brackets, quoted"),
+        ("system=cartpole trainer=fast", "choose from groups"),
+        ("run_dir=runs/first", "name the folder of the run"),
+        ("resume=runs/first", "continue an interrupted run"),
+        ("--config-dir DIR system=mine", "your own DIR/system/mine.yaml, modules in DIR"),
+        ("-m loss=paper,default seed=0,1,2", "a sweep, one job for each combination"),
+        ("-m hydra/launcher=joblib ...", "in parallel (also submitit_local, submitit_slurm, ray)"),
+        ("-m hydra/sweeper=optuna 'trainer.lr=tag(log,interval(0.001,0.1))'", ""),
+        ("--cfg job", "print the configuration and stop"),
+    ]
+    lines = ["How to override"]
+    for words, meaning in rows:
+        left = f"  nsde {command} {words}"
+        lines.append(f"{left:<46}{meaning}".rstrip())
+    return lines

@@ -1,0 +1,188 @@
+"""A command that is configured by Hydra: help, completion, runs, sweeps, resuming and messages, once for all of them."""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from nsde_torch.errors import CheckpointError, ConfigError, NsdeError
+
+from . import complete, groups, help, messages
+from .exit_status import CRASHED, FAILED_JOBS, INTERRUPTED, OK, USER_ERROR
+from .schema import COMMAND_SCHEMAS, register
+
+_CONFIG_PATH = "pkg://nsde_torch.conf"
+_TRACEBACK = "NSDE_TRACEBACK"
+
+
+@dataclass(frozen=True)
+class HydraCommand:
+    """A command whose configuration is composed by Hydra from `conf/NAME.yaml`.
+
+    Attributes:
+        name: Name of the command, of its config file and of its schema.
+        summary: What it does, one line.
+        task: Module-level function of the composed configuration (a launcher sends it to other processes by name).
+    """
+
+    name: str
+    summary: str
+    task: Callable[..., float | None]
+
+    def main(self, arguments: Sequence[str]) -> int:
+        """Run the command; returns the exit status."""
+        words = list(arguments)
+        if "-h" in words or "--help" in words:
+            print(help.describe(self.name, self.summary, words))
+            return OK
+        try:
+            return self._run(self._prepare(words))
+        except KeyboardInterrupt:
+            return self._interrupted()
+        except NsdeError as error:
+            return self._user_error(error, str(error))
+        except Exception as error:
+            message = messages.explain(error, self.name, words)
+            if message is None:
+                message = self._sweep_message()
+            if message is None:
+                _show_traceback(error)
+                return CRASHED
+            return self._user_error(error, message)
+
+    def complete(self, words: Sequence[str]) -> list[str]:
+        """Completions of the last of the words typed after the command's name."""
+        return complete.overrides(self.name, words)
+
+    def _prepare(self, words: list[str]) -> list[str]:
+        """The words for Hydra: open dicts opened, a resumed run's own choices put back, the config folder checked."""
+        folder = groups.config_dir(words)
+        if folder is not None:
+            if not folder.is_dir():
+                raise ConfigError(f"`--config-dir {folder}`: no such folder.")
+            sys.path.insert(0, str(folder.resolve()))
+        if _is_sweep(words):
+            _check_sweep(words)
+            if any(word.startswith("hydra/sweeper=optuna") for word in words):
+                # A failed job is a failed trial, not the end of the sweep.
+                words = _with_default(words, "hydra.sweeper.max_failure_rate", "1.0")
+        resumed = [word.split("=", 1)[1] for word in words if word.startswith("resume=")]
+        if resumed and resumed[-1] not in ("", "null"):
+            words = _resume(words, Path(resumed[-1]))
+        return [_opened(word, self.name) for word in words]
+
+    def _run(self, words: list[str]) -> int:
+        import hydra
+
+        register()
+        # Hydra prints errors and exits by itself unless told to raise them, which lets us word them.
+        os.environ["HYDRA_FULL_ERROR"] = "1"
+        old, sys.argv = sys.argv, [f"nsde {self.name}", *words]
+        try:
+            hydra.main(version_base="1.3", config_path=_CONFIG_PATH, config_name=self.name)(self.task)()
+        finally:
+            sys.argv = old
+        from .jobs import LAST
+
+        if LAST.sweep_dir is not None:
+            return self._sweep_status(LAST.sweep_dir)
+        if LAST.error is not None:
+            raise LAST.error
+        return OK
+
+    def _sweep_status(self, sweep_dir: Path) -> int:
+        from .jobs import failed_jobs
+
+        failed = failed_jobs(sweep_dir)
+        if failed:
+            names = "\n".join(f"  {path}" for path in failed)
+            print(f"nsde {self.name}: {len(failed)} job(s) failed:\n{names}", file=sys.stderr)
+        print(f"Compare the jobs with: nsde sweep-report {sweep_dir}")
+        return FAILED_JOBS if failed else OK
+
+    def _sweep_message(self) -> str | None:
+        """What to say if the sweeper gave up because no job was left."""
+        from .jobs import LAST, failed_jobs
+
+        if LAST.sweep_dir is None or not failed_jobs(LAST.sweep_dir):
+            return None
+        return f"the sweep stopped after failed jobs; see: nsde sweep-report {LAST.sweep_dir}"
+
+    def _user_error(self, error: Exception, message: str) -> int:
+        if os.environ.get(_TRACEBACK) == "1":
+            _show_traceback(error)
+        print(f"nsde {self.name}: {message}", file=sys.stderr)
+        return USER_ERROR
+
+    def _interrupted(self) -> int:
+        from .jobs import LAST
+
+        line = f"nsde {self.name}: interrupted."
+        if LAST.sweep_dir is not None:
+            line += f" Finished jobs are in {LAST.sweep_dir}; see: nsde sweep-report {LAST.sweep_dir}"
+        elif LAST.run_dir is not None:
+            line += f" Continue with: nsde {self.name} resume={LAST.run_dir}"
+        print(f"\n{line}", file=sys.stderr)
+        return INTERRUPTED
+
+
+def _is_sweep(words: Sequence[str]) -> bool:
+    return "-m" in words or "--multirun" in words
+
+
+def _check_sweep(words: Sequence[str]) -> None:
+    for word in words:
+        if word.startswith("run_dir="):
+            raise ConfigError("`run_dir` is the folder of one run; a sweep takes `sweep_dir=...`.")
+        if word.startswith("resume=") and word not in ("resume=", "resume=null"):
+            raise ConfigError("`resume` continues one run; leave out -m.")
+
+
+def _with_default(words: list[str], key: str, value: str) -> list[str]:
+    return words if any(word.startswith(f"{key}=") for word in words) else [*words, f"{key}={value}"]
+
+
+def _opened(word: str, command: str) -> str:
+    """`system.parameters.mass=1` is a new key in a dict that is open by design; Hydra wants to be told with `++`."""
+    from .keys import walk
+
+    path = word.split("=", 1)[0]
+    for entry in walk(COMMAND_SCHEMAS[command]):
+        if entry.default == {} and (path == entry.path or path.startswith(f"{entry.path}.")):
+            return f"++{word}"
+    return word
+
+
+def _resume(words: list[str], folder: Path) -> list[str]:
+    """The command line of the run in `folder`, followed by what was typed now, writing to the same folder.
+
+    Raises:
+        CheckpointError: The folder does not hold a run of this command.
+    """
+    import yaml
+
+    stored = folder / ".hydra" / "overrides.yaml"
+    if not stored.is_file():
+        raise CheckpointError(f"`resume={folder}`: there is no run to continue (no {stored}).")
+    before = [
+        str(word)
+        for word in yaml.safe_load(stored.read_text(encoding="utf-8")) or []
+        if not str(word).startswith(("resume=", "run_dir="))
+    ]
+    # Hydra's record of the first start stays as it is, so that the run can be continued again.
+    fixed = [f"run_dir='{folder}'", f"hydra.run.dir='{folder}'", "hydra.output_subdir=null"]
+    sources = yaml.safe_load((folder / ".hydra" / "hydra.yaml").read_text(encoding="utf-8"))
+    for source in sources["hydra"]["runtime"]["config_sources"]:
+        if source["provider"] == "command-line" and groups.config_dir(words) is None:
+            sys.path.insert(0, source["path"])
+            fixed = ["--config-dir", source["path"], *fixed]
+    return [*before, *words, *fixed]
+
+
+def _show_traceback(error: Exception) -> None:
+    import traceback
+
+    traceback.print_exception(type(error), error, error.__traceback__)

@@ -1,0 +1,145 @@
+"""One job of a command: a single run, or one of a sweep, whose failure must not take the others along.
+
+Hydra stops a sweep at a job that raises, and a launcher in other processes loses the reason. So a job's failure is
+written to `failed.json` in its own folder, and the command counts these files at the end.
+"""
+
+from __future__ import annotations
+
+import json
+import logging
+import re
+import sys
+import traceback
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from hydra.core.hydra_config import HydraConfig
+from hydra.experimental.callback import Callback
+from hydra.types import RunMode
+from omegaconf import DictConfig, OmegaConf
+
+from nsde_torch.errors import ConfigError
+
+from . import messages
+from .keys import check
+
+FAILED = "failed.json"
+_LONGEST_NAME = 120
+
+log = logging.getLogger(__name__)
+
+
+def folder_name(overrides: str) -> str:
+    """The overrides of a job as part of a folder's name: no slashes, quotes or brackets, and not too long."""
+    return re.sub(r"[^\w.=,+-]+", "_", overrides).strip("_")[:_LONGEST_NAME]
+
+
+# Here, because a launcher's worker process imports this module with the task before it resolves the job's folder.
+OmegaConf.register_new_resolver("nsde.folder", folder_name, replace=True)
+
+
+@dataclass
+class Outcome:
+    """What the main process knows of its last run or sweep."""
+
+    run_dir: Path | None = None
+    sweep_dir: Path | None = None
+    error: Exception | None = None
+
+
+LAST = Outcome()
+
+
+@dataclass(frozen=True)
+class Job:
+    """What a command's function is told beside its configuration.
+
+    Attributes:
+        run_dir: Folder of this job, made by Hydra.
+        sweep: Whether it is one of a sweep.
+    """
+
+    run_dir: Path
+    sweep: bool
+
+
+def guarded(run: Callable[[DictConfig, Job], float | None], command: str, config: DictConfig) -> float | None:
+    """Check a composed configuration, run a job on it, and record its failure instead of raising.
+
+    Returns:
+        The objective of the job (smaller is better, for the Optuna sweeper); None if it failed or has none.
+    """
+    hydra = HydraConfig.get()
+    job = Job(run_dir=Path(hydra.runtime.output_dir), sweep=hydra.mode == RunMode.MULTIRUN)
+    LAST.run_dir, LAST.error = job.run_dir, None
+    (job.run_dir / FAILED).unlink(missing_ok=True)
+    _see_user_modules(hydra)
+    try:
+        check_config(config, command, list(hydra.overrides.task))
+        return run(config, job)
+    except Exception as error:
+        LAST.error = error
+        _record(error, job)
+        if job.sweep:
+            log.error("job failed: %s", error)  # a single run's error is printed by the command
+        return None
+
+
+def check_config(config: DictConfig, command: str, words: list[str]) -> None:
+    """Refuse keys that no schema has (`+key=...` would smuggle them in), missing values and values out of range.
+
+    Raises:
+        ConfigError: The message names the key and the remedy.
+    """
+    values = OmegaConf.to_container(config, resolve=True)
+    assert isinstance(values, dict)
+    _check_node(config, values, "", command, words)
+
+
+def _check_node(node: DictConfig, values: dict[Any, Any], prefix: str, command: str, words: list[str]) -> None:
+    import dataclasses
+
+    schema = OmegaConf.get_type(node)
+    if not dataclasses.is_dataclass(schema):
+        return
+    assert isinstance(schema, type)
+    help_of = {field.name: field.metadata["help"] for field in dataclasses.fields(schema)}
+    for name, value in values.items():
+        path = f"{prefix}{name}"
+        if name not in help_of:
+            raise ConfigError(messages.unknown_key(path, command, words))
+        if value == "???":
+            raise ConfigError(f"`{path}` must be given: {help_of[name]}. Add {path}=... to the command.")
+        if isinstance(value, dict):
+            _check_node(node[name], value, f"{path}.", command, words)
+    check(schema, values, prefix)
+
+
+def _see_user_modules(hydra: Any) -> None:
+    """Make modules in the user's config folder importable, in a launcher's worker process too."""
+    for source in hydra.runtime.config_sources:
+        if source.provider == "command-line" and source.schema == "file" and source.path not in sys.path:
+            sys.path.insert(0, source.path)
+
+
+def _record(error: Exception, job: Job) -> None:
+    text = "".join(traceback.format_exception(type(error), error, error.__traceback__))
+    content = {"error": type(error).__name__, "message": str(error), "traceback": text}
+    job.run_dir.mkdir(parents=True, exist_ok=True)
+    (job.run_dir / FAILED).write_text(json.dumps(content, indent=2) + "\n", encoding="utf-8")
+
+
+class SweepWatch(Callback):
+    """Remembers the folder of a sweep, so that the command can say at the end what became of its jobs."""
+
+    def on_multirun_start(self, config: DictConfig, **kwargs: Any) -> None:
+        """Called by Hydra once, in the main process, before the first job."""
+        LAST.sweep_dir = Path(config.hydra.sweep.dir)
+
+
+def failed_jobs(sweep_dir: Path) -> list[Path]:
+    """The folders of the jobs of a sweep that recorded a failure."""
+    return sorted(path.parent for path in sweep_dir.glob(f"**/{FAILED}"))

@@ -1,0 +1,118 @@
+"""What went wrong with the configuration, in one message that names the key and the nearest that exists."""
+
+from __future__ import annotations
+
+import dataclasses
+import difflib
+import re
+from collections.abc import Sequence
+
+from . import groups
+from .keys import walk
+from .schema import CHOICES, COMMAND_SCHEMAS
+
+_POINTER = "`nsde {command} --help` lists groups and keys."
+
+
+def explain(error: Exception, command: str, words: Sequence[str]) -> str | None:
+    """The message for a fault that Hydra or OmegaConf found in the configuration.
+
+    Args:
+        error: What was raised.
+        command: Name of the command.
+        words: Its command line.
+
+    Returns:
+        The message, or None if the error is not about the configuration.
+    """
+    from hydra.errors import HydraException, MissingConfigException
+    from omegaconf.errors import ConfigAttributeError, ConfigKeyError, OmegaConfBaseException
+
+    cause = error.__cause__ if isinstance(error.__cause__, OmegaConfBaseException) else error
+    if isinstance(error, MissingConfigException):
+        return _unknown_choice(error, command, words)
+    if isinstance(cause, (ConfigAttributeError, ConfigKeyError)) and cause.full_key:
+        return _unknown_key(str(cause.full_key), str(error), command, words)
+    if isinstance(cause, OmegaConfBaseException) and cause.full_key:
+        reason = _first_line(cause).rstrip(".")
+        return f"`{cause.full_key}` cannot be set: {reason}.{_meaning(str(cause.full_key), command, words)}"
+    if isinstance(error, (HydraException, OmegaConfBaseException)):
+        text = re.sub(r"\n?See https?://\S+.*", "", str(error)).strip()
+        return f"{text}\n{_POINTER.format(command=command)}"
+    return None
+
+
+def unknown_key(path: str, command: str, words: Sequence[str]) -> str:
+    """The message for a key that the schema does not have."""
+    known, elsewhere = _known_keys(command, words)
+    if path in elsewhere:
+        group = path.split(".")[0]
+        now = groups.selected(command, words).get(group)
+        homes = " or ".join(f"{group}={choice}" for choice in elsewhere[path])
+        return f"`{path}` is a key of {homes}, but {group}={now} is chosen."
+    near = nearest(path, known)
+    hint = f" Did you mean `{near}`?" if near else ""
+    return f"`{path}` is not a key of `nsde {command}`.{hint} {_POINTER.format(command=command)}"
+
+
+def nearest(name: str, known: Sequence[str]) -> str | None:
+    """The known name that a mistyped one most likely stands for."""
+    close = difflib.get_close_matches(name, known, n=1, cutoff=0.6)
+    if close:
+        return close[0]
+    # A key without its group, or in the wrong one: `lr` or `model.lr` for `trainer.lr`.
+    leaf = name.split(".")[-1]
+    leaves = [key for key in known if key.split(".")[-1] == leaf]
+    if leaves:
+        return leaves[0]
+    close = difflib.get_close_matches(leaf, [key.split(".")[-1] for key in known], n=1, cutoff=0.7)
+    return next((key for key in known if close and key.split(".")[-1] == close[0]), None)
+
+
+def _unknown_key(path: str, text: str, command: str, words: Sequence[str]) -> str:
+    group = path.split(".")[0]
+    message = unknown_key(path, command, words)
+    source = re.match(r"In '([^']+)'", text)
+    if source and group in CHOICES and source.group(1).startswith(f"{group}/"):
+        message += f" A file of your own in {group}/ starts with `defaults: [CHOICE, _self_]` to have the keys of CHOICE."
+    return f"In {source.group(1)}.yaml: {message}" if source and source.group(1) != command else message
+
+
+def _unknown_choice(error: Exception, command: str, words: Sequence[str]) -> str:
+    missing = str(getattr(error, "missing_cfg_file", "") or "")
+    group, _, choice = missing.rpartition("/")
+    options = [str(option) for option in getattr(error, "options", None) or []]
+    if not group:
+        return _first_line(error)
+    near = difflib.get_close_matches(choice, options, n=1, cutoff=0.5)
+    hint = f" Did you mean `{group}={near[0]}`?" if near else ""
+    own = "" if group.startswith("hydra/") else f" (your own: {group}/{choice}.yaml in a folder given with --config-dir)"
+    extra = " Launchers and sweepers come with the extras `nsde_torch[sweeps]` and `nsde_torch[ray]`." if own == "" else ""
+    return f"`{group}={choice}`: no such choice.{hint} Choices: {', '.join(options)}{own}.{extra}"
+
+
+def _meaning(path: str, command: str, words: Sequence[str]) -> str:
+    for entry in groups.keys(command, groups.selected(command, words), groups.config_dir(words)):
+        if entry.path == path:
+            unit = f" [{entry.unit}]" if entry.unit else ""
+            brackets = f" Lists need brackets: '{path}=[...]'." if isinstance(entry.default, list) else ""
+            return f" It is the {entry.help}{unit}.{brackets}"
+    return ""
+
+
+def _known_keys(command: str, words: Sequence[str]) -> tuple[list[str], dict[str, list[str]]]:
+    """Keys and groups that exist now, and keys of other choices with the choices that have them."""
+    chosen = groups.selected(command, words)
+    known = [entry.path for entry in groups.keys(command, chosen, groups.config_dir(words))]
+    known += [field.name for field in dataclasses.fields(COMMAND_SCHEMAS[command]) if field.name not in known]
+    elsewhere: dict[str, list[str]] = {}
+    for group, options in CHOICES.items():
+        for choice, schema in options.items():
+            for entry in walk(schema, f"{group}."):
+                if group in chosen and entry.path not in known:
+                    elsewhere.setdefault(entry.path, []).append(choice)
+    return known, elsewhere
+
+
+def _first_line(error: Exception) -> str:
+    return str(error).strip().splitlines()[0] if str(error).strip() else type(error).__name__

@@ -1,0 +1,180 @@
+"""Schemas of the configuration: every key with its default, unit, range and help.
+
+The YAML files of `conf/` choose values; the names and types live here. `conf/train.yaml` starts from `TrainConfig`, and
+a choice whose keys differ from those of its neighbours (`data=csv`, `data=simulated`) starts from its own class in
+`CHOICES`. A key that is not declared here is an error that names it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+from .keys import group, key
+
+
+@dataclass
+class SystemConfig:
+    """The machine. A value of null is the system's own (its class declares the constants of the supplement)."""
+
+    name: str = key("???", "name of a system of the package, or module:Class of your own")
+    effects: list[str] = key([], "physical terms to add to the declared physics, by name")
+    parameters: dict[str, Any] = key({}, "initial values of declared parameters, by name")
+    dt: float | None = key(None, "step of the model; null: the system's own", unit="s", above=0)
+    horizon: int | None = key(None, "steps of a training window; null: the system's own", unit="steps", low=1)
+    sigma_max: list[float] | None = key(
+        None, "largest diffusion, one per state; null: the system's own", unit="state/s^0.5", low=0
+    )
+    ball_radius: list[float] | None = key(
+        None, "radius of the ball of the convexity loss, one for all features or one each; null: own", above=0
+    )
+    lambda_mu: float | None = key(
+        None, "weight of the reward on strong convexity; null: the system's own", low=0
+    )
+
+
+@dataclass
+class DataConfig:
+    """What every data set has."""
+
+    kind: str = key("???", "kind of the data set, set by data=")
+    test: list[Any] | None = key(None, "runs held out for the test, by index or name; null: the last run")
+    validation: float = key(0.15, "share of the training runs' time that early stopping looks at", low=0.01, high=0.5)
+    gap: float | None = key(
+        None, "a longer pause between samples splits a run; null: 1.5 sample intervals", unit="s", above=0
+    )
+    clock: str = key(
+        "rescale",
+        "what to do when the kinematics disagree with the clock",
+        choices=("rescale", "trust", "refuse"),
+    )
+
+
+@dataclass
+class SimulatedData(DataConfig):
+    """Runs made by a plant in the package."""
+
+    kind: str = key("simulated", "kind of the data set, set by data=")
+    durations: list[float] | None = key(None, "length of each run; null: the system's own", unit="s", above=0)
+    seed: int = key(0, "seed of the simulated flights and their noise", low=0)
+    effects: list[str] = key([], "effects that the plant has and the model is not told of")
+    process_noise: float = key(1.0, "strength of the gusts, relative to the plant's own", low=0)
+    sensor_noise: float = key(1.0, "strength of the measurement noise, relative to the plant's own", low=0)
+    cache: str | None = key(None, "folder that keeps simulated runs; null: the user's cache folder")
+
+
+@dataclass
+class FileData(DataConfig):
+    """Runs read from files."""
+
+    path: str = key("???", "file or folder to read")
+
+
+@dataclass
+class CsvData(FileData):
+    """A folder with one CSV file per run."""
+
+    kind: str = key("csv", "kind of the data set, set by data=")
+
+
+@dataclass
+class UlogData(FileData):
+    """One PX4 log or a folder of them."""
+
+    kind: str = key("ulog", "kind of the data set, set by data=")
+
+
+@dataclass
+class PublishedData(FileData):
+    """The authors' published files."""
+
+    kind: str = key("published", "kind of the data set, set by data=")
+
+
+@dataclass
+class ModelConfig:
+    """The networks of the model."""
+
+    kind: str = key("nsde", "kind of the model, set by model=")
+    distance_hidden: list[int] = key([32, 32], "widths of the distance network eta (swish)", low=1)
+    mu_hidden: list[int] = key([8, 8], "widths of the strong-convexity network mu (tanh)", low=1)
+    residual_hidden: list[int] = key([8, 16], "widths of the residual networks (tanh)", low=1)
+
+
+@dataclass
+class LossConfig:
+    """Weights and sizes of the losses."""
+
+    kind: str = key("???", "kind of the data loss, set by loss=")
+    data: float = key(1.0, "weight of the data loss", low=0)
+    gradient: float = key(0.01, "weight of the zero-gradient loss (eta flat on the data)", low=0)
+    convexity: float = key(0.01, "weight of the strong-convexity loss in a ball around the data", low=0)
+    mu: float | None = key(None, "weight of the reward on large mu; null: system.lambda_mu", low=0)
+    particles: int = key(1, "sampled paths per window", low=1)
+    ball_samples: int = key(10, "points drawn in the ball around each sample", low=1)
+
+
+@dataclass
+class TrainerConfig:
+    """Optimisation."""
+
+    steps: int = key(2000, "largest number of gradient steps", unit="steps", low=1)
+    batch: int = key(512, "windows per gradient step", low=1)
+    lr: float = key(0.01, "learning rate at the start", above=0)
+    lr_end: float = key(0.001, "learning rate after the decay", above=0)
+    decay_steps: int = key(10000, "steps over which the learning rate falls linearly", unit="steps", low=1)
+    patience: int = key(10, "validations without a better score before training stops", low=1)
+    clip: float | None = key(1.0, "largest norm of the gradient; null: no clipping", above=0)
+    validate_every: int = key(100, "steps between validations", unit="steps", low=1)
+    checkpoint_every: int = key(100, "steps between checkpoints", unit="steps", low=1)
+    compile: str = key(
+        "auto",
+        "compile the step (auto: where a C++ compiler is found)",
+        choices=("auto", "on", "off"),
+    )
+
+
+@dataclass
+class SolverConfig:
+    """The integrator."""
+
+    name: str = key("???", "name of the integrator, set by solver=")
+
+
+@dataclass
+class TrainConfig:
+    """`nsde train`."""
+
+    seed: int = key(0, "seed of initial weights, batches and noise", low=0)
+    device: str = key("cpu", "where tensors live: cpu, cuda or cuda:N")
+    dtype: str = key("float32", "precision", choices=("float32", "float64"))
+    threads: int = key(2, "CPU threads of torch; a job of a sweep always has one", low=1)
+    run_dir: str = key("???", "folder of this run")
+    sweep_dir: str = key("???", "folder of a sweep (-m); its jobs lie inside")
+    resume: str | None = key(None, "folder of an interrupted run to continue, with its configuration")
+    system: SystemConfig = group(SystemConfig, "the machine")
+    data: DataConfig = group(DataConfig, "where the runs come from")
+    model: ModelConfig = group(ModelConfig, "what is learned")
+    loss: LossConfig = group(LossConfig, "what a good model is")
+    trainer: TrainerConfig = group(TrainerConfig, "how it is optimised")
+    solver: SolverConfig = group(SolverConfig, "how paths are integrated")
+
+
+# Choices whose keys are more than those of their group's class.
+CHOICES: dict[str, dict[str, type]] = {
+    "data": {"simulated": SimulatedData, "csv": CsvData, "ulog": UlogData, "published": PublishedData},
+}
+
+COMMAND_SCHEMAS: dict[str, type] = {"train": TrainConfig}
+
+
+def register() -> None:
+    """Tell Hydra of the schemas; they stand apart from the choices, in the group `schema`."""
+    from hydra.core.config_store import ConfigStore
+
+    store = ConfigStore.instance()
+    for command, schema in COMMAND_SCHEMAS.items():
+        store.store(group="schema", name=command, node=schema)
+    for group_name, choices in CHOICES.items():
+        for choice, schema in choices.items():
+            store.store(group=f"schema/{group_name}", name=choice, node=schema)

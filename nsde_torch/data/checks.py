@@ -1,0 +1,227 @@
+"""From raw recordings to a data set: every fault is found and handled, reported or refused, in a fixed order.
+
+time order and duplicates -> quaternion norm and sign -> missing values -> gaps in time -> one uniform step ->
+hidden gaps (jumps against the kinematics) -> clock against the kinematics -> range and rank of the inputs ->
+summary
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nsde_torch.data import attitude, inputs, kinematics, missing, times
+from nsde_torch.data import clock as _clock
+from nsde_torch.data.findings import Finding
+from nsde_torch.data.raw import RawRun
+from nsde_torch.data.run import DataSet, Run, fingerprint
+from nsde_torch.data.summary import summarise
+from nsde_torch.data.system_info import SystemInfo, rate_columns
+from nsde_torch.data.times import Report
+from nsde_torch.errors import ConfigError, DataError, ShapeError
+
+Array = NDArray[np.float64]
+
+SHORT_S = 2.0 * kinematics.MIN_INTERVALS * kinematics.INTERVAL_S
+"""Runs shorter than this are measured together against the clock [s]; each alone has too few intervals."""
+MAX_RATE = 60.0
+"""Body rate above which the column cannot be rad/s [rad/s] (3400 deg/s)."""
+
+
+def _check_shapes(run: RawRun, system: SystemInfo) -> None:
+    nx, nu = len(system.state_names), len(system.input_names)
+    if run.x.ndim != 2 or run.x.shape[1] != nx:
+        raise ShapeError(f"run {run.name!r}: `x` must be (n, {nx}) {system.state_names}; got {run.x.shape}.")
+    if run.u.ndim != 2 or run.u.shape[1] != nu:
+        raise ShapeError(f"run {run.name!r}: `u` must be (n, {nu}) {system.input_names}; got {run.u.shape}.")
+    if len(run.u) == len(run.x) - 1:  # no input follows the last row; nothing reads the copy
+        run.u = np.concatenate([run.u, run.u[-1:]])
+    if len(run.t) < 2:
+        raise DataError(
+            f"{run.source or 'run'} {run.name!r} has {len(run.t)} row(s); a run needs at least two."
+        )
+    if run.t.shape != (len(run.x),) or len(run.u) != len(run.x):
+        raise ShapeError(
+            f"run {run.name!r}: `t`, `x` and `u` must have one row a sample; got {run.t.shape}, "
+            f"{run.x.shape}, "
+            f"{run.u.shape}."
+        )
+    for name in ("x", "u"):
+        array = getattr(run, name)
+        if np.isinf(array).any():
+            row = int(np.argwhere(np.isinf(array))[0][0])
+            raise DataError(f"{run.where(row)}: `{name}` is infinite; write `nan` where a value is missing.")
+    absent = [n for n in system.exogenous if n not in run.extra]
+    if absent:
+        raise DataError(
+            f"run {run.name!r}: the effects of {system.name!r} read the channels {absent}, which are not in "
+            f"the "
+            f"data (further channels: {sorted(run.extra) or 'none'}). Add the columns, or leave the effects "
+            "out."
+        )
+
+
+def _check_rates(run: RawRun, system: SystemInfo) -> None:
+    columns = rate_columns(system)
+    if columns is None:
+        return
+    high = np.nanmax(np.abs(run.x[:, columns]))
+    if high > MAX_RATE:
+        row = int(np.nanargmax(np.abs(run.x[:, columns]).max(axis=1)))
+        raise DataError(
+            f"{run.where(row)}: a body rate of {high:.4g} rad/s is beyond {MAX_RATE:.0f}; expected rad/s, "
+            "perhaps the column holds deg/s: multiply by pi / 180."
+        )
+
+
+def _unwrap_angles(run: RawRun, system: SystemInfo, report: Report) -> None:
+    """Angles logged in (-pi, pi] become continuous; a step of more than half a turn is taken for a wrap."""
+    positions = {p for p, _, _ in system.position_derivatives}
+    for k, (name, unit) in enumerate(zip(system.state_names, system.state_units, strict=True)):
+        if unit != "rad" or name not in positions:
+            continue
+        good = np.isfinite(run.x[:, k])
+        wraps = int((np.abs(np.diff(run.x[good, k])) > np.pi).sum())
+        if wraps:
+            run.x = run.x.copy()
+            run.x[good, k] = np.unwrap(run.x[good, k])
+            report(
+                Finding("angle_wrap", run.name, wraps, f"{wraps} wraps of the angle {name!r}", "unwrapped")
+            )
+
+
+def _median_step(runs: Sequence[RawRun]) -> float:
+    return float(np.median([np.median(np.diff(run.t)) for run in runs]))
+
+
+def _split_at_jumps(
+    system: SystemInfo, run: RawRun, segments: tuple[tuple[int, int], ...], dt: float, report: Report
+) -> tuple[tuple[int, int], ...]:
+    out: list[tuple[int, int]] = []
+    jumps: list[kinematics.Jump] = []
+    for start, stop in segments:
+        at = start
+        for jump in kinematics.find_jumps(system, run.x[start:stop], dt=dt):
+            row = start + jump.row
+            jumps.append(kinematics.Jump(row, jump.group, jump.size, jump.missing_s))
+            out.append((at, row + 1))
+            at = row + 1
+        out.append((at, stop))
+    if not jumps:
+        return segments
+    kept = tuple((a, b) for a, b in out if b - a >= 2)
+    shown = ", ".join(
+        f"{j.size:.3g} in {j.group} after row {j.row}, about {j.missing_s:.2g} s lost" for j in jumps[:3]
+    )
+    report(
+        Finding(
+            "hidden_gap",
+            run.name,
+            len(jumps),
+            f"{len(jumps)} jumps without a gap in the clock ({shown}{', ...' if len(jumps) > 3 else ''})",
+            "split",
+            {
+                "rows": [j.row for j in jumps],
+                "sizes": [j.size for j in jumps],
+                "groups": [j.group for j in jumps],
+                "missing_s": [j.missing_s for j in jumps],
+            },
+        )
+    )
+    return kept
+
+
+def assemble(
+    raw: Sequence[RawRun],
+    system: SystemInfo,
+    *,
+    kind: str,
+    dt: float | None = None,
+    gap: float | None = None,
+    clock: str = "rescale",
+) -> DataSet:
+    """Checks raw runs and joins them to a data set. The raw runs are used up.
+
+    Args:
+        raw: What a reader returned.
+        system: The system that the columns belong to.
+        kind: Name of the reader, for the summary.
+        dt: Step of the data set [s]; default: the median step over the runs.
+        gap: Time between rows from which on it is a gap [s]; default: 2.5 steps.
+        clock: What to do about a clock that disagrees with the kinematics: `rescale`, `trust` or `refuse`.
+
+    Returns:
+        The data set, with what was found and done in its summary.
+
+    Raises:
+        DataError: a fault that cannot be handled; the message names run, row or column and the remedy.
+        ConfigError: an option out of range.
+        ShapeError: a run of the wrong width.
+    """
+    if not raw:
+        raise DataError("the data set holds no runs.")
+    for name, value in (("dt", dt), ("gap", gap)):
+        if value is not None and not value > 0:
+            raise ConfigError(f"`{name}` must be a positive time in seconds; got {value!r}.")
+    if clock not in _clock.POLICIES:
+        raise ConfigError(f"`clock` must be one of {', '.join(_clock.POLICIES)}; got {clock!r}.")
+    findings: list[Finding] = []
+    report = findings.append
+    motors = system.quaternion is not None
+    for run in raw:
+        _check_shapes(run, system)
+        if motors:
+            inputs.check_range(run.u, system.input_names, f"{run.source or 'run'} {run.name!r}")
+        _check_rates(run, system)
+        if system.quaternion is not None:
+            attitude.check_norms(run, system.quaternion, tuple(system.state_names), report)
+        times.order(run, report)
+    own_step = _median_step(raw)
+    step = own_step if dt is None else float(dt)
+    limit = times.GAP_STEPS * max(step, own_step) if gap is None else float(gap)
+    if limit <= step:
+        raise ConfigError(f"`gap` must be longer than the step of {step:.4g} s; got {limit:.4g} s.")
+    runs: list[Run] = []
+    slopes: list[kinematics.Slope] = []
+    short: list[Array] = []
+    for run in raw:
+        missing.fill(run, gap=limit, report=report)
+        if system.quaternion is not None:
+            attitude.check_signs(run, system.quaternion, report)
+        _unwrap_angles(run, system, report)
+        cuts = times.cuts_at_gaps(run, gap=limit, report=report)
+        even, segments = times.uniform(run, cuts, dt=step, quaternion=system.quaternion, report=report)
+        segments = _split_at_jumps(system, even, segments, step, report)
+        parts = [even.x[a:b] for a, b in segments]
+        if sum(len(part) for part in parts) * step < SHORT_S:
+            short += parts
+        else:
+            slopes += kinematics.clock_slopes(system, run.name, parts, dt=step)
+        u = even.u
+        if system.exogenous:
+            u = np.column_stack([u, *(even.extra[n] for n in system.exogenous)])
+        runs.append(Run(run.name, even.t, even.x, u, segments=segments, source=run.source, extra=even.extra))
+        run.x = run.u = run.t = np.empty(0)  # used up: a long recording must not be held twice
+        run.extra = {}
+    if short:
+        slopes += kinematics.clock_slopes(system, "short runs together", short, dt=step)
+    _clock.check_units(slopes, tuple(system.state_names))
+    scale = _clock.decide(slopes, policy=clock, report=report)
+    nu = len(system.input_names)
+    rank = inputs.check_inputs([run.u[:, :nu] for run in runs], system.input_names, report)
+    summary = summarise(
+        runs, system, kind=kind, dt=step, clock_scale=scale, slopes=slopes, rank=rank, findings=findings
+    )
+    return DataSet(
+        system_name=system.name,
+        runs=runs,
+        dt=step,
+        clock_scale=scale,
+        summary=summary,
+        fingerprint=fingerprint(runs, system_name=system.name, dt=step, clock_scale=scale),
+        state_names=tuple(system.state_names),
+        input_names=(*system.input_names, *system.exogenous),
+        kind=kind,
+    )

@@ -1,0 +1,125 @@
+"""What to do about a clock that disagrees with the kinematics: `trust`, `rescale` or `refuse`."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from nsde_torch.data.findings import Finding
+from nsde_torch.data.kinematics import Pooled, Slope, pool
+from nsde_torch.data.times import Report
+from nsde_torch.errors import ConfigError, DataError
+
+POLICIES = ("rescale", "trust", "refuse")
+MIN_DEPARTURE = 0.01
+"""Departure of the clock from 1 below which it is right for all purposes."""
+SIGNIFICANT = 3.0
+"""Standard errors by which every group of axes must depart from 1, to the same side."""
+IMPLAUSIBLE = (0.5, 2.0)
+"""Slopes outside cannot be a clock: the columns hold other units, signs or frames."""
+
+_CAUSES = (
+    (57.29578, "degrees where radians are expected (the rate)", 0.15),
+    (1 / 57.29578, "degrees where radians are expected (the angle or the rate)", 0.15),
+    (-1.0, "the opposite sign or another frame (NED where ENU is expected)", 0.2),
+    (1000.0, "mm or ms where m or s are expected", 0.15),
+    (0.001, "mm or ms where m or s are expected", 0.15),
+    (1e-6, "microseconds where seconds are expected", 0.15),
+    (3.28084, "feet and metres mixed", 0.05),
+    (0.3048, "feet and metres mixed", 0.05),
+)
+
+
+def _cause(value: float) -> str:
+    for factor, text, tolerance in _CAUSES:
+        if abs(value / factor - 1.0) < tolerance:
+            return text
+    return "other units, signs or frames, or the velocity belongs to another position"
+
+
+def check_units(slopes: Sequence[Slope], names: tuple[str, ...]) -> None:
+    """Refuses pairs of columns that cannot be a position and its rate.
+
+    Raises:
+        DataError: the slope of a well-excited axis is far from 1.
+    """
+    for slope in slopes:
+        low, high = IMPLAUSIBLE
+        sure = slope.error < 0.1 * abs(slope.value) and slope.r2 > 0.5
+        if sure and not low <= slope.value <= high:
+            raise DataError(
+                f"run {slope.run!r}: {slope.axis!r} ({slope.group}) changes {slope.value:.4g} times as fast "
+                f"as its rate says "
+                f"(standard error {slope.error:.2g}, {slope.intervals} intervals). Likely cause: "
+                f"{_cause(slope.value)}. "
+                f"All columns are SI, ENU world, FLU body, radians: {', '.join(names)}."
+            )
+
+
+def by_group(slopes: Sequence[Slope]) -> dict[str, Pooled]:
+    """Slopes joined for each group of axes."""
+    groups = sorted({s.group for s in slopes})
+    return {g: pool([s for s in slopes if s.group == g]) for g in groups}
+
+
+def decide(slopes: Sequence[Slope], *, policy: str, report: Report) -> float:
+    """The clock scale of a data set: physical seconds for each logged second.
+
+    A wrong clock shows in every group of axes (positions and attitude) on the same side. Where only one group
+    disagrees, its velocity is at fault, not the clock; that is reported and nothing is scaled.
+
+    Args:
+        slopes: Slopes of all axes of all runs.
+        policy: `rescale` returns the measured scale where it differs from 1; `trust` returns 1 and reports;
+            `refuse` raises.
+        report: Takes the findings.
+
+    Raises:
+        ConfigError: an unknown policy.
+        DataError: the clock is wrong and the policy is `refuse`.
+    """
+    if policy not in POLICIES:
+        raise ConfigError(f"`clock` must be one of {', '.join(POLICIES)}; got {policy!r}.")
+    groups = by_group(slopes)
+    if not groups:
+        return 1.0
+    total = pool(slopes)
+    text = ", ".join(f"{g}: {p.value:.4f} +- {p.error:.4f}" for g, p in groups.items())
+    values = {
+        "scale": total.value,
+        "standard_error": total.error,
+        "spread": total.spread,
+        "groups": {g: p.value for g, p in groups.items()},
+    }
+    off = {g: p for g, p in groups.items() if abs(p.value - 1) > max(MIN_DEPARTURE, SIGNIFICANT * p.error)}
+    if not off:
+        return 1.0
+    sides = {p.value > 1 for p in off.values()}
+    if len(off) < len(groups) or len(sides) > 1:
+        report(
+            Finding(
+                "kinematic_mismatch",
+                "",
+                len(off),
+                f"position and velocity disagree in {', '.join(off)} but not in "
+                f"every group, so the clock is not the cause ({text})",
+                "reported",
+                values,
+            )
+        )
+        return 1.0
+    message = (
+        f"the logged clock runs wrong: one logged second holds {total.value:.4f} +- {total.error:.4f} "
+        f"physical "
+        f"seconds by the kinematics ({text})"
+    )
+    if policy == "refuse":
+        raise DataError(
+            f"{message}. Set `clock` to `rescale` (use the measured scale) or `trust` (keep the logged "
+            f"time), "
+            "or correct the time column."
+        )
+    if policy == "trust":
+        report(Finding("clock", "", 1, message, "reported", values))
+        return 1.0
+    report(Finding("clock", "", 1, message, "rescaled", values))
+    return total.value

@@ -1,0 +1,214 @@
+"""CSV data sets: a folder, one file a run, header row, SI, `t` on one clock, empty or `nan` = missing."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nsde_torch.data.raw import RawRun
+from nsde_torch.data.run import DataSet
+from nsde_torch.data.system_info import SystemInfo
+from nsde_torch.errors import DataError
+
+Array = NDArray[np.float64]
+
+TIME = "t"
+_OPTIONAL_ZERO = {"mass_spring_damper": ("force",)}
+"""Input columns that may be absent, and are then zero."""
+
+
+def _header(path: Path, system: SystemInfo) -> list[str]:
+    """Column names of a file; what is missing or wrong is named with the nearest names at hand."""
+    with path.open(encoding="utf-8-sig", errors="replace", newline="") as file:
+        line = file.readline()
+    if not line.strip():
+        raise DataError(f"{path} is empty; expected a header row with `t` and the state and input names.")
+    if "\x00" in line:
+        raise DataError(f"{path}: the first line is not text. Expected a CSV file with a header row.")
+    names = [cell.strip().strip('"') for cell in line.rstrip("\r\n").split(",")]
+    if len(names) == 1:
+        for mark, what in ((";", "semicolons"), ("\t", "tabs")):
+            if mark in line:
+                raise DataError(
+                    f"{path}:1: columns are separated by {what}; expected commas (and a decimal point). "
+                    "Export the file again with commas."
+                )
+    if all(_is_number(name) for name in names):
+        raise DataError(
+            f"{path}:1: the first row holds numbers; expected a header row such as "
+            f"`{','.join((TIME, *system.state_names, *system.input_names))}`."
+        )
+    if "" in names:
+        raise DataError(f"{path}:1: column {names.index('') + 1} of the header has no name.")
+    twice = sorted({n for n in names if names.count(n) > 1})
+    if twice:
+        raise DataError(f"{path}:1: the columns {twice} occur more than once; keep one of each.")
+    optional = _OPTIONAL_ZERO.get(system.name, ())
+    needed = (TIME, *system.state_names, *system.input_names, *system.exogenous)
+    missing = [n for n in needed if n not in names and n not in optional]
+    if missing:
+        free = [n for n in names if n not in needed]
+        hints = []
+        for name in missing:
+            close = difflib.get_close_matches(name.lower(), [n.lower() for n in free], n=1, cutoff=0.6)
+            if close:
+                spelt = next(n for n in free if n.lower() == close[0])
+                hints.append(f"is {spelt!r} meant as {name!r}?")
+        hint = (" " + " ".join(hints)) if hints else ""
+        raise DataError(
+            f"{path}:1: the columns {missing} of the system {system.name!r} are missing.{hint} "
+            f"Expected {list(needed)}; got {names}. Rename or add the columns."
+        )
+    return names
+
+
+def _is_number(cell: str) -> bool:
+    try:
+        float(cell)
+    except ValueError:
+        return False
+    return True
+
+
+def _explain(path: Path, names: Sequence[str]) -> DataError:
+    """Goes through a file that NumPy refused, cell by cell, for the place of the first fault."""
+    with path.open(encoding="utf-8-sig", errors="replace", newline="") as file:
+        file.readline()
+        for number, line in enumerate(file, start=2):
+            if not line.strip():
+                continue
+            cells = [c.strip().strip('"') for c in line.rstrip("\r\n").split(",")]
+            if len(cells) != len(names):
+                return DataError(
+                    f"{path}:{number}: the row has {len(cells)} cells, the header {len(names)}. "
+                    "The file may be cut short, or a decimal comma splits a number."
+                )
+            for name, cell in zip(names, cells, strict=True):
+                if cell and not _is_number(cell):
+                    return DataError(
+                        f"{path}:{number}: column {name!r} holds {cell!r}; expected a number or `nan`."
+                    )
+    return DataError(f"{path} could not be read as a table of numbers.")
+
+
+def _missing_as_nan(cell: str) -> float:
+    return float(cell) if cell.strip() else float("nan")
+
+
+def _table(path: Path, names: Sequence[str]) -> Array:
+    """The numbers of a file, (n, columns); an empty cell is missing."""
+    try:
+        with path.open(encoding="utf-8-sig") as file:
+            file.readline()
+            if not any(line.strip() for line in file):
+                raise DataError(f"{path} has a header and no rows; a run needs at least two rows.")
+        try:
+            table = np.loadtxt(path, delimiter=",", skiprows=1, ndmin=2, comments=None, encoding="utf-8-sig")
+        except ValueError:  # empty cells are rare: only then the slower way through Python
+            table = np.loadtxt(
+                path,
+                delimiter=",",
+                skiprows=1,
+                ndmin=2,
+                comments=None,
+                encoding="utf-8-sig",
+                quotechar='"',
+                converters=_missing_as_nan,
+            )
+    except (ValueError, IndexError) as error:
+        raise _explain(path, names) from error
+    if table.shape[1] != len(names):
+        raise _explain(path, names)
+    return np.asarray(table, dtype=np.float64)
+
+
+def read_csv_file(path: str | Path, system: SystemInfo) -> RawRun:
+    """One run from one CSV file (see the module's text for the format).
+
+    Raises:
+        DataError: wrong columns, a cell that is no number (file:line and column), fewer than two rows.
+    """
+    path = Path(path)
+    names = _header(path, system)
+    table = _table(path, names)
+    if len(table) < 2:
+        raise DataError(
+            f"{path} has {len(table)} row; a run needs at least two. Remove the file or record longer."
+        )
+    infinite = np.isinf(table)
+    if infinite.any():
+        row, column = (int(i) for i in np.argwhere(infinite)[0])
+        raise DataError(
+            f"{path}:{row + 2}: column {names[column]!r} is infinite; write `nan` where a value is missing."
+        )
+    column_of = {name: k for k, name in enumerate(names)}
+    known = (TIME, *system.state_names, *system.input_names)
+    x = table[:, [column_of[n] for n in system.state_names]]
+    u = np.zeros((len(table), len(system.input_names)))
+    for k, name in enumerate(system.input_names):
+        if name in column_of:
+            u[:, k] = table[:, column_of[name]]
+    extra = {name: table[:, k].copy() for name, k in column_of.items() if name not in known}
+    t = table[:, column_of[TIME]].copy()
+    return RawRun(path.stem, t, x, u, extra=extra, source=str(path), first_line=2)
+
+
+def read_csv(system: SystemInfo, *, path: str | Path) -> list[RawRun]:
+    """All runs of a folder of CSV files, in the order of their names.
+
+    Args:
+        system: The system whose state and input names the columns must have.
+        path: The folder.
+
+    Raises:
+        DataError: no such folder, no CSV file in it, or a file that is refused (see `read_csv_file`).
+    """
+    folder = Path(path)
+    if folder.is_file():
+        raise DataError(
+            f"`path`: {folder} is a file; a CSV data set is a folder with one file for each run. "
+            f"Give the folder, {folder.parent}."
+        )
+    if not folder.is_dir():
+        raise DataError(f"`path`: {folder} does not exist; expected a folder with one CSV file for each run.")
+    files = sorted(p for p in folder.iterdir() if p.suffix.lower() == ".csv" and not p.name.startswith("."))
+    if not files:
+        held = sorted(p.name for p in folder.iterdir())[:5]
+        raise DataError(
+            f"`path`: {folder} holds no .csv file (it holds {held or 'nothing'}); expected one for each run."
+        )
+    return [read_csv_file(file, system) for file in files]
+
+
+def write_csv(dataset: DataSet, folder: str | Path) -> list[Path]:
+    """Writes each run as `<name>.csv` with every digit, so that reading it back gives the same numbers.
+
+    Args:
+        dataset: The data set.
+        folder: Made where it is missing; files of the same names are replaced.
+
+    Returns:
+        The files, in the order of the runs.
+    """
+    folder = Path(folder)
+    folder.mkdir(parents=True, exist_ok=True)
+    files = []
+    for run in dataset.runs:
+        if Path(run.name).name != run.name:
+            raise DataError(f"run name {run.name!r} cannot be a file name; rename the run.")
+        extra = {k: v for k, v in run.extra.items() if k not in dataset.input_names}
+        names = (TIME, *dataset.state_names, *dataset.input_names, *extra)
+        file = folder / f"{run.name}.csv"
+        with file.open("w", encoding="utf-8", newline="\n") as out:
+            out.write(",".join(names) + "\n")
+            for first in range(0, len(run), 4096):  # in pieces: text is five times the size of the numbers
+                rows = slice(first, first + 4096)
+                columns = [run.t[rows], run.x[rows], run.u[rows], *(v[rows] for v in extra.values())]
+                for row in np.column_stack(columns).tolist():
+                    out.write(",".join(map(repr, row)) + "\n")
+        files.append(file)
+    return files

@@ -1,0 +1,134 @@
+"""What the inputs can tell: range, constant channels, and combinations that were never varied.
+
+The numerical rank is that of the input matrix over all runs (singular values above 1e-5 of the largest, which
+is well above float32 rounding). Directions below it are in the null space: coefficients along them are not
+identifiable.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nsde_torch.data.findings import Finding
+from nsde_torch.data.times import Report
+from nsde_torch.errors import DataError
+
+Array = NDArray[np.float64]
+
+RELATIVE_RANK = 1e-5
+
+
+@dataclass(frozen=True)
+class InputRank:
+    """Numerical rank of the inputs.
+
+    Args:
+        rank: Number of singular values above 1e-5 of the largest.
+        channels: Number of inputs.
+        singular_values: Root-mean-square of the inputs along each direction, descending (units of the input).
+        null_directions: Unit vectors along which the inputs are zero throughout, (channels - rank, channels).
+    """
+
+    rank: int
+    channels: int
+    singular_values: list[float]
+    null_directions: list[list[float]]
+
+    def as_dict(self) -> dict[str, Any]:
+        """Plain containers, for JSON."""
+        return asdict(self)
+
+
+def input_rank(inputs: Sequence[Array]) -> InputRank:
+    """Numerical rank of the inputs (n_i, nu) of all runs together."""
+    nu = inputs[0].shape[1]
+    total = sum(len(u) for u in inputs)
+    # R of a QR over pieces has the singular values of the whole without squaring them or holding it twice
+    r: Array = np.zeros((0, nu))
+    for u in inputs:
+        for first in range(0, len(u), 65536):
+            r = np.asarray(np.linalg.qr(np.concatenate([r, u[first : first + 65536]]), mode="r"))
+    _, s, vt = np.linalg.svd(r, full_matrices=True)
+    s = np.concatenate([s, np.zeros(nu - len(s))])
+    rank = int((s > RELATIVE_RANK * s[0]).sum()) if s[0] > 0 else 0
+    null = _readable(vt[rank:])
+    return InputRank(rank, nu, (s / np.sqrt(max(total, 1))).tolist(), null.round(6).tolist())
+
+
+def _readable(basis: Array) -> Array:
+    """The same space in echelon form with unit rows: as many zeros as pivoting gives."""
+    basis = basis.copy()
+    for k in range(len(basis)):
+        row, column = np.unravel_index(np.argmax(np.abs(basis[k:])), basis[k:].shape)
+        basis[[k, k + int(row)]] = basis[[k + int(row), k]]
+        basis[k] /= basis[k, column]
+        others = np.arange(len(basis)) != k
+        basis[others] -= np.outer(basis[others, column], basis[k])
+    norms = np.linalg.norm(basis, axis=1, keepdims=True)
+    unit: Array = basis / np.where(norms > 0, norms, 1.0)
+    return unit + 0.0
+
+
+def check_inputs(inputs: Sequence[Array], names: Sequence[str], report: Report) -> InputRank:
+    """Reports constant inputs and rank deficiency over all runs together."""
+    low = np.min([u.min(axis=0) for u in inputs], axis=0)
+    high = np.max([u.max(axis=0) for u in inputs], axis=0)
+    constant = [(n, float(a)) for n, a, b in zip(names, low, high, strict=True) if a == b]
+    if constant:
+        shown = ", ".join(f"{n} = {a:.4g}" for n, a in constant)
+        report(
+            Finding(
+                "constant_input",
+                "",
+                len(constant),
+                f"inputs that never change: {shown}; what they do cannot be learned",
+                "reported",
+                {"inputs": [n for n, _ in constant]},
+            )
+        )
+    rank = input_rank(inputs)
+    if rank.rank < rank.channels and len(constant) < rank.channels:
+        vectors = "; ".join(_combination(row, names) for row in rank.null_directions)
+        report(
+            Finding(
+                "rank_deficient_inputs",
+                "",
+                rank.channels - rank.rank,
+                f"the {rank.channels} inputs span {rank.rank} dimensions; always zero: {vectors}. "
+                f"Coefficients of "
+                "single inputs are not identifiable",
+                "reported",
+                rank.as_dict(),
+            )
+        )
+    return rank
+
+
+def _combination(row: Sequence[float], names: Sequence[str]) -> str:
+    terms = [f"{c:+.2f} {n}" for c, n in zip(row, names, strict=True) if abs(c) > 0.005]
+    return " ".join(terms) + " = 0"
+
+
+def check_range(inputs: Array, names: Sequence[str], where: str) -> None:
+    """Refuses motor commands far outside [0, 1].
+
+    Raises:
+        DataError: a command below -0.05 or above 1.05; the message guesses the unit.
+    """
+    for k, name in enumerate(names):
+        low, high = float(np.nanmin(inputs[:, k])), float(np.nanmax(inputs[:, k]))
+        if low < -0.05 or high > 1.05:
+            guess = "write a share of full throttle"
+            if 800 <= high <= 2300:
+                guess = "this looks like pulse widths in microseconds: write (pwm - 1000) / 1000"
+            elif 1.05 < high <= 110:
+                guess = "this looks like percent: divide by 100"
+            raise DataError(
+                f"{where}: motor command {name!r} runs from {low:.4g} to {high:.4g}; expected 0 to 1; "
+                f"{guess}."
+            )

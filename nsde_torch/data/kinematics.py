@@ -1,0 +1,235 @@
+"""Checks that need no physics: a position is the integral of its velocity, an attitude that of its body rate.
+
+    p(t + T) - p(t) = s * integral of v dt          R(t)^T R(t + dt) = exp(s * omega dt)
+
+with `s` physical seconds for each logged second: 1 where the clock is right. Two faults show here and nowhere
+else.
+
+*Hidden gaps*: rows lost without a trace in the clock. The one-step residual `p[k+1] - p[k] - dt (v[k] +
+v[k+1]) / 2` is then large once, while its neighbours are small. A row is a jump if its residual (norm over
+one group of axes) exceeds 10 robust standard deviations of all residuals, 4 times the 90 % quantile of its
+neighbourhood, and a whole step of travel at the run's 95 % speed. The middle condition keeps a manoeuvre, or
+a log whose steps alternate, from being cut.
+
+*A clock that is not what it says*: increments of position over disjoint intervals are regressed on the
+integral of velocity (with an intercept, so that a velocity bias does not count). Noise in the velocity would
+pull the slope towards zero; the integral over the even samples serves as an instrument for that over the odd
+samples and the other way round, whose noises are independent (instrumental variables; Wald 1940, Durbin
+1954). Standard errors come from leaving out a tenth of the intervals at a time (jackknife). Slopes of axes
+and runs are joined as in a random-effects meta-analysis (DerSimonian and Laird, 1986), because they differ by
+more than their own errors.
+
+Assumed and not checked: velocities are means of nothing (point samples), and white noise.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import percentile_filter
+
+from nsde_torch.data.quaternion import increments
+from nsde_torch.data.system_info import RATE_NAMES, SystemInfo, derivative_columns, rate_columns
+
+Array = NDArray[np.float64]
+
+JUMP_SIGMAS = 10.0
+JUMP_ISOLATION = 4.0
+NEIGHBOURHOOD = 25
+"""Samples on each side of a jump against which it is judged."""
+INTERVAL_S = 0.5
+"""Length of the intervals of the clock regression [s]: long against noise, short against drift of a bias."""
+MIN_INTERVALS = 20
+"""Fewest intervals from which a slope is estimated."""
+
+
+@dataclass(frozen=True)
+class Slope:
+    """Regression of measured increments on integrated rates for one axis of one run.
+
+    Args:
+        run: Name of the run.
+        axis: Name of the position, or of the body rate.
+        group: Group of axes (`position (world, m)`, `attitude`).
+        value: Physical seconds for each logged second.
+        error: Standard error of the value.
+        intervals: Number of intervals.
+        r2: Share of the variance of the increments that the integral explains at the fitted slope.
+    """
+
+    run: str
+    axis: str
+    group: str
+    value: float
+    error: float
+    intervals: int
+    r2: float
+
+    def as_dict(self) -> dict[str, Any]:
+        """Plain containers, for JSON."""
+        return asdict(self)
+
+
+@dataclass(frozen=True)
+class Pooled:
+    """Slopes joined: mean, its standard error, and the spread between the slopes beyond their errors."""
+
+    value: float
+    error: float
+    spread: float
+    slopes: int
+
+
+def _groups(system: SystemInfo, x: Array, dt: float) -> list[tuple[str, list[str], Array, Array]]:
+    """(group, axis names, increments (n-1, k), integrals of the rate (n-1, k)) over single steps."""
+    out = []
+    for group, (i, j) in derivative_columns(system).items():
+        v = x[:, j]
+        out.append(
+            (group, [system.state_names[k] for k in i], np.diff(x[:, i], axis=0), 0.5 * dt * (v[1:] + v[:-1]))
+        )
+    rates = rate_columns(system)
+    if rates is not None and system.quaternion is not None:
+        w = x[:, rates]
+        out.append(
+            ("attitude", list(RATE_NAMES), increments(x[:, system.quaternion]), 0.5 * dt * (w[1:] + w[:-1]))
+        )
+    return out
+
+
+@dataclass(frozen=True)
+class Jump:
+    """A row after which a group of axes jumps by `size` (its unit) beyond what its rate explains."""
+
+    row: int
+    group: str
+    size: float
+    missing_s: float
+
+
+def find_jumps(system: SystemInfo, x: Array, *, dt: float) -> list[Jump]:
+    """Hidden gaps inside one segment of uniform step (see the module's text for the test).
+
+    Args:
+        system: Names and derivative pairs.
+        x: States of the segment, (n, nx).
+        dt: Step [s].
+
+    Returns:
+        One entry for each row after which a jump lies (the largest of its groups), in order; `missing_s` is
+        the size of the jump over the speed there, an estimate of the lost time.
+    """
+    if len(x) < 2 * NEIGHBOURHOOD:
+        return []
+    found: dict[int, Jump] = {}
+    for group, _, increment, integral in _groups(system, x, dt):
+        size = np.linalg.norm(increment - integral, axis=1)
+        speed = np.linalg.norm(integral, axis=1)
+        sigma = 1.4826 * float(np.median(size))
+        travel = float(np.quantile(speed, 0.95))
+        candidates = np.flatnonzero(size > max(JUMP_SIGMAS * sigma, travel, 1e-12))
+        if not len(candidates):
+            continue
+        if len(candidates) > 0.01 * len(
+            size
+        ):  # a rate of another quantity; the clock check speaks about that
+            continue
+        usual = percentile_filter(size, 90, size=2 * NEIGHBOURHOOD + 1, mode="nearest")
+        for row in candidates[size[candidates] > JUMP_ISOLATION * usual[candidates]]:
+            near = slice(max(0, row - 3), row + 4)
+            missing = dt * float(size[row]) / max(float(np.median(speed[near])), 1e-12)
+            jump = Jump(int(row), group, float(size[row]), missing)
+            if int(row) not in found:
+                found[int(row)] = jump
+    return [found[k] for k in sorted(found)]
+
+
+def _slope(b: Array, even: Array, odd: Array) -> float:
+    b, even, odd = (a - a.mean() for a in (b, even, odd))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return float(((even + odd) @ b) / (2.0 * (even @ odd)))
+
+
+def clock_slopes(system: SystemInfo, name: str, segments: Sequence[Array], *, dt: float) -> list[Slope]:
+    """Slopes of all axes of one run; axes that hardly move, and records of fewer than 20 intervals, give none.
+
+    Args:
+        system: Names and derivative pairs.
+        name: Name of the run.
+        segments: States of each segment, (n_i, nx).
+        dt: Logged step [s].
+    """
+    length = max(4, 2 * round(0.5 * INTERVAL_S / dt))
+    parts: dict[str, tuple[list[str], list[Array]]] = {}
+    for x in segments:
+        if len(x) <= length:
+            continue
+        edges = np.arange(0, len(x), length)
+        edges = edges[edges < len(x)]
+        for group, axes, increment, integral in _groups(system, x, dt):
+            del integral
+            rate = _rates(system, group, x)
+            total = np.add.reduceat(increment, edges[:-1], axis=0)
+            total[-1] = increment[edges[-2] : edges[-1]].sum(axis=0)
+            # trapezoid over the even samples (ends halved), midpoint rule over the odd samples; both span the
+            # interval
+            even = rate.copy()
+            even[1::2] = 0.0
+            odd = rate.copy()
+            odd[0::2] = 0.0
+            half = 0.5 * (rate[edges[1:]] - rate[edges[:-1]])
+            a_even = 2.0 * dt * (_sums(even, edges) + half)
+            a_odd = 2.0 * dt * _sums(odd, edges)
+            parts.setdefault(group, (axes, []))[1].append(np.stack([total, a_even, a_odd]))
+    out = []
+    for group, (axes, pieces) in parts.items():
+        data = np.concatenate(pieces, axis=1)
+        n = data.shape[1]
+        if n < MIN_INTERVALS:
+            continue
+        for k, axis in enumerate(axes):
+            b, even, odd = data[:, :, k]
+            value = _slope(b, even, odd)
+            folds = np.array_split(np.arange(n), 10)
+            left_out = np.array([_slope(*np.delete(data[:, :, k], fold, axis=1)) for fold in folds])
+            if not (np.isfinite(value) and np.isfinite(left_out).all()):
+                continue
+            error = float(np.sqrt(0.9 * ((left_out - left_out.mean()) ** 2).sum()))
+            a = 0.5 * (even + odd)
+            rest = (b - b.mean()) - value * (a - a.mean())
+            r2 = 1.0 - float(rest @ rest) / max(float(((b - b.mean()) ** 2).sum()), 1e-300)
+            out.append(Slope(name, axis, group, value, error, n, r2))
+    return out
+
+
+def _sums(a: Array, edges: NDArray[np.int64]) -> Array:
+    total: Array = np.add.reduceat(a, edges, axis=0)[:-1]
+    return total
+
+
+def _rates(system: SystemInfo, group: str, x: Array) -> Array:
+    if group == "attitude":
+        rates = rate_columns(system)
+        assert rates is not None
+        return x[:, rates]
+    return x[:, derivative_columns(system)[group][1]]
+
+
+def pool(slopes: Sequence[Slope]) -> Pooled:
+    """Random-effects mean of slopes (DerSimonian and Laird); of none: 1 with an infinite error."""
+    if not slopes:
+        return Pooled(1.0, float("inf"), 0.0, 0)
+    y = np.array([s.value for s in slopes])
+    variance = np.array([max(s.error, 1e-6) for s in slopes]) ** 2
+    w = 1.0 / variance
+    fixed = (w @ y) / w.sum()
+    q = float(w @ (y - fixed) ** 2)
+    between = 0.0
+    if len(y) > 1:
+        between = max(0.0, (q - (len(y) - 1)) / (w.sum() - (w @ w) / w.sum()))
+    w = 1.0 / (variance + between)
+    return Pooled(float((w @ y) / w.sum()), float(w.sum() ** -0.5), float(np.sqrt(between)), len(y))

@@ -1,0 +1,83 @@
+"""Unit quaternions `w x y z` in NumPy: product, logarithm, interpolation (Shoemake, 1985, slerp)."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+
+def multiply(a: Array, b: Array) -> Array:
+    """Hamilton product, (..., 4) with (..., 4)."""
+    w1, x1, y1, z1 = np.moveaxis(a, -1, 0)
+    w2, x2, y2, z2 = np.moveaxis(b, -1, 0)
+    return np.stack(
+        [
+            w1 * w2 - x1 * x2 - y1 * y2 - z1 * z2,
+            w1 * x2 + x1 * w2 + y1 * z2 - z1 * y2,
+            w1 * y2 - x1 * z2 + y1 * w2 + z1 * x2,
+            w1 * z2 + x1 * y2 - y1 * x2 + z1 * w2,
+        ],
+        axis=-1,
+    )
+
+
+def conjugate(q: Array) -> Array:
+    """Inverse of a unit quaternion, (..., 4)."""
+    return q * np.array([1.0, -1.0, -1.0, -1.0])
+
+
+def rotate(q: Array, v: Array) -> Array:
+    """Vector `v` (..., 3) in the frame that `q` (..., 4) maps to."""
+    t = 2.0 * np.cross(q[..., 1:], v)
+    rotated: Array = v + q[..., :1] * t + np.cross(q[..., 1:], t)
+    return rotated
+
+
+def rotation_vector(q: Array) -> Array:
+    """Rotation vector [rad] of a unit quaternion, the shorter way round, (..., 3)."""
+    q = np.where(q[..., :1] < 0, -q, q)
+    n = np.linalg.norm(q[..., 1:], axis=-1, keepdims=True)
+    factor = np.where(n > 1e-12, 2.0 * np.arctan2(n, q[..., :1]) / np.maximum(n, 1e-300), 2.0)
+    return q[..., 1:] * factor
+
+
+def increments(q: Array) -> Array:
+    """Body-frame rotation from each row to the next as rotation vectors [rad], (n, 4) -> (n - 1, 3)."""
+    return rotation_vector(multiply(conjugate(q[:-1]), q[1:]))
+
+
+def continuous_signs(q: Array) -> tuple[Array, int]:
+    """Signs chosen so that neighbouring rows lie on one side of the sphere; and the number of flips."""
+    flip = np.einsum("ij,ij->i", q[1:], q[:-1]) < 0
+    count = int(flip.sum())
+    if count == 0:
+        return q, 0
+    sign = np.concatenate([[1.0], np.cumprod(np.where(flip, -1.0, 1.0))])
+    return q * sign[:, None], count
+
+
+def slerp(a: Array, b: Array, share: Array) -> Array:
+    """Great-circle interpolation from `a` to `b` (n, 4), `share` (n,) in [0, 1], the shorter way round."""
+    dot = np.einsum("ij,ij->i", a, b)[:, None]
+    b = np.where(dot < 0, -b, b)
+    angle = np.arccos(np.clip(np.abs(dot), 0.0, 1.0))
+    s = share[:, None]
+    sine = np.sin(angle)
+    near = sine < 1e-6
+    safe = np.where(near, 1.0, sine)
+    wa = np.where(near, 1.0 - s, np.sin((1.0 - s) * angle) / safe)
+    wb = np.where(near, s, np.sin(s * angle) / safe)
+    q = wa * a + wb * b
+    unit: Array = q / np.linalg.norm(q, axis=1, keepdims=True)
+    return unit
+
+
+def euler_zyx(q: Array) -> Array:
+    """Roll, pitch, yaw [rad] (yaw about world z, then pitch, then roll), (n, 4) -> (n, 3)."""
+    w, x, y, z = q.T
+    roll = np.arctan2(2 * (w * x + y * z), 1 - 2 * (x * x + y * y))
+    pitch = np.arcsin(np.clip(2 * (w * y - z * x), -1, 1))
+    yaw = np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
+    return np.stack([roll, pitch, yaw], axis=1)

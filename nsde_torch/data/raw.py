@@ -1,0 +1,46 @@
+"""A recording as a reader hands it over: perhaps without a clock, with holes (`nan`), before any check."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+
+@dataclass
+class RawRun:
+    """What a reader returns; `nsde_torch.data.assemble` turns it into a `Run`.
+
+    Args:
+        name: Name of the run.
+        t: Time of each row [s], (n,); any start, any order.
+        x: States, (n, nx); `nan` means missing.
+        u: Inputs, (n, nu) or (n - 1, nu) where the last row has none; `nan` means missing.
+        extra: Further columns by name, each (n,).
+        source: File, for messages.
+        first_line: Line of row 0 in a text file, so that messages can say file:line; None for other files.
+    """
+
+    name: str
+    t: Array
+    x: Array
+    u: Array
+    extra: Mapping[str, Array] = field(default_factory=dict)
+    source: str = ""
+    first_line: int | None = None
+
+    def where(self, row: int) -> str:
+        """Place of a row, for messages: file:line for a text file, otherwise run and row."""
+        if self.first_line is not None:
+            return f"{self.source}:{self.first_line + row}"
+        return f"{self.source or 'run'} {self.name!r} row {row}"
+
+    def rows(self, index: NDArray[np.int64] | NDArray[np.bool_] | slice) -> None:
+        """Keep these rows of every column, in this order (messages about lines are off from here on)."""
+        self.t, self.x, self.u = self.t[index], self.x[index], self.u[index]
+        self.extra = {k: v[index] for k, v in self.extra.items()}
+        self.first_line = None

@@ -1,0 +1,248 @@
+"""A run is one continuous recording; a data set is a list of runs of one system on one time step."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nsde_torch.errors import DataError, ShapeError
+
+if TYPE_CHECKING:
+    from nsde_torch.data.summary import DataSummary
+
+Array = NDArray[np.float64]
+
+
+def _frozen(name: str, value: object, ndim: int) -> Array:
+    """A read-only float64 view (a copy only where the type differs), with the number of axes checked."""
+    array = np.ascontiguousarray(value, dtype=np.float64)
+    if array.ndim != ndim:
+        axes = "(n,)" if ndim == 1 else "(n, columns)"
+        raise ShapeError(f"`{name}` must be {axes}; got shape {array.shape}.")
+    view = array.view()
+    view.flags.writeable = False
+    return view
+
+
+@dataclass(frozen=True, eq=False)
+class Run:
+    """One continuous recording; `u[k]` holds from `t[k]` to `t[k + 1]`.
+
+    Args:
+        name: Name of the run, unique in its data set.
+        t: Time of each row [s], (n,), strictly increasing; one step inside a segment.
+        x: States, (n, nx), SI units.
+        u: Inputs and then the exogenous channels that the system reads, (n, nu).
+        segments: Index ranges (start, stop) without a gap, in order, each of two rows or more; default: all
+            rows.
+        source: Where the run came from (file name), for messages.
+        extra: Further logged columns by name, each (n,).
+
+    Raises:
+        ShapeError: an array has the wrong number of axes or rows.
+        DataError: a value is not finite, the time does not increase, or the segments do not fit.
+    """
+
+    name: str
+    t: Array
+    x: Array
+    u: Array
+    segments: tuple[tuple[int, int], ...] = ()
+    source: str = ""
+    extra: Mapping[str, Array] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        set_field = object.__setattr__
+        set_field(self, "t", _frozen("t", self.t, 1))
+        set_field(self, "x", _frozen("x", self.x, 2))
+        set_field(self, "u", _frozen("u", self.u, 2))
+        set_field(self, "extra", {k: _frozen(f"extra[{k!r}]", v, 1) for k, v in self.extra.items()})
+        n = len(self.t)
+        for name, array in (("x", self.x), ("u", self.u), *self.extra.items()):
+            if len(array) != n:
+                raise ShapeError(
+                    f"run {self.name!r}: `{name}` must have one row for each of the {n} times; "
+                    f"got {len(array)} rows."
+                )
+        if n < 2:
+            raise DataError(
+                f"run {self.name!r} has {n} row(s); a run needs at least two. Remove it from the data set."
+            )
+        segments = tuple((int(a), int(b)) for a, b in self.segments) or ((0, n),)
+        set_field(self, "segments", segments)
+        previous = 0
+        for start, stop in segments:
+            if not previous <= start < stop <= n or stop - start < 2:
+                raise DataError(
+                    f"run {self.name!r}: segments must be increasing (start, stop) pairs of two rows or more "
+                    f"inside "
+                    f"0..{n}; got {segments}."
+                )
+            previous = stop
+        for name, array in (("t", self.t), ("x", self.x), ("u", self.u), *self.extra.items()):
+            # the sum is finite exactly when all entries are (barring overflow), and needs no mask of their
+            # size
+            if not np.isfinite(array.sum()) and not np.isfinite(array).all():
+                row = int(np.argwhere(~np.isfinite(array))[0][0])
+                raise DataError(
+                    f"run {self.name!r}: `{name}` is not finite in row {row}. "
+                    "Read it through `nsde_torch.data.read`, which treats missing values."
+                )
+        if not (np.diff(self.t) > 0).all():
+            row = int(np.argmax(np.diff(self.t) <= 0))
+            raise DataError(
+                f"run {self.name!r}: `t` must increase; it goes from {self.t[row]:.6g} s to "
+                f"{self.t[row + 1]:.6g} s after row {row}."
+            )
+
+    def __len__(self) -> int:
+        return len(self.t)
+
+    @cached_property
+    def dt(self) -> float:
+        """Time step inside the segments [s] (median)."""
+        return float(np.median(np.concatenate([np.diff(self.t[a:b]) for a, b in self.segments])))
+
+    @property
+    def duration(self) -> float:
+        """Recorded time inside the segments [s], gaps left out."""
+        return float(sum(self.t[b - 1] - self.t[a] for a, b in self.segments))
+
+    @cached_property
+    def content_hash(self) -> str:
+        """SHA-256 of states and inputs as float64 bytes; equal for equal content under any name or clock."""
+        digest = hashlib.sha256(repr((self.x.shape, self.u.shape)).encode())
+        for array in (self.x, self.u):
+            digest.update(array.data)
+        return digest.hexdigest()
+
+    def slice(self, start: int, stop: int, *, name: str | None = None) -> Run:
+        """Rows start..stop (not included) as a run; segments are cut to fit, those below two rows dropped.
+
+        Raises:
+            DataError: no segment has two rows in the range.
+        """
+        start, stop, _ = slice(start, stop).indices(len(self))
+        cut = [(max(a, start) - start, min(b, stop) - start) for a, b in self.segments]
+        segments = tuple((a, b) for a, b in cut if b - a >= 2)
+        if not segments:
+            raise DataError(
+                f"run {self.name!r}: rows {start}..{stop} hold no segment of two rows; "
+                f"the run has {len(self)} rows and segments {self.segments}."
+            )
+        rows = slice(start, stop)
+        extra = {k: v[rows] for k, v in self.extra.items()}
+        new = f"{self.name}[{start}:{stop}]" if name is None else name
+        return replace(
+            self, name=new, t=self.t[rows], x=self.x[rows], u=self.u[rows], segments=segments, extra=extra
+        )
+
+
+def fingerprint(runs: Sequence[Run], *, system_name: str, dt: float, clock_scale: float) -> str:
+    """Content hash of a data set: equal data, segments, step and clock give equal fingerprints."""
+    digest = hashlib.sha256(f"{system_name}|{dt!r}|{clock_scale!r}".encode())
+    for run in runs:
+        digest.update(f"|{run.name}|{run.segments}|{run.content_hash}|".encode())
+        digest.update(run.t.data)
+        for name in sorted(run.extra):
+            digest.update(name.encode())
+            digest.update(run.extra[name].data)
+    return digest.hexdigest()
+
+
+@dataclass(frozen=True, eq=False)
+class DataSet:
+    """Runs of one system on one step, checked and summarised.
+
+    Args:
+        system_name: Name of the system that the columns belong to.
+        runs: The runs; names are unique.
+        dt: Time step of every segment [s], as logged.
+        clock_scale: Physical seconds for each logged second; 1.0 where clock and kinematics agree or are
+            trusted.
+        summary: What was found and done, and the figures of the data.
+        fingerprint: Content hash (SHA-256).
+        state_names: Names of the columns of `x`.
+        input_names: Names of the columns of `u`: inputs, then the exogenous channels that the system reads.
+        kind: Reader that made it.
+
+    Raises:
+        DataError: no runs, runs of unequal width, or two runs of one name.
+    """
+
+    system_name: str
+    runs: Sequence[Run]
+    dt: float
+    clock_scale: float
+    summary: DataSummary
+    fingerprint: str
+    state_names: tuple[str, ...]
+    input_names: tuple[str, ...]
+    kind: str = ""
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "runs", tuple(self.runs))
+        if not self.runs:
+            raise DataError("a data set needs at least one run; got none.")
+        names = [run.name for run in self.runs]
+        twice = sorted({n for n in names if names.count(n) > 1})
+        if twice:
+            raise DataError(f"run names must be unique; {twice} occur more than once.")
+        for run in self.runs:
+            if run.x.shape[1] != len(self.state_names) or run.u.shape[1] != len(self.input_names):
+                raise ShapeError(
+                    f"run {run.name!r} has {run.x.shape[1]} states and {run.u.shape[1]} inputs; expected "
+                    f"{len(self.state_names)} {self.state_names} and {len(self.input_names)} "
+                    f"{self.input_names}."
+                )
+
+    def __len__(self) -> int:
+        return len(self.runs)
+
+    def __iter__(self) -> Iterator[Run]:
+        return iter(self.runs)
+
+    def __getitem__(self, key: int | str) -> Run:
+        """A run by index or by name."""
+        return self.runs[resolve(self.runs, [key])[0]]
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the runs, in order."""
+        return tuple(run.name for run in self.runs)
+
+    @property
+    def duration(self) -> float:
+        """Recorded time inside the segments of all runs [s]."""
+        return sum(run.duration for run in self.runs)
+
+
+def resolve(runs: Sequence[Run], keys: Sequence[int | str]) -> list[int]:
+    """Indices of the runs named by index (negative from the end), digits or name.
+
+    Raises:
+        DataError: an unknown run; the message lists the choices.
+    """
+    names = [run.name for run in runs]
+    out = []
+    for key in keys:
+        if isinstance(key, str) and key in names:
+            out.append(names.index(key))
+            continue
+        try:
+            index = int(key)
+        except ValueError:
+            index = len(runs)
+        if isinstance(key, bool) or not -len(runs) <= index < len(runs):
+            choices = ", ".join(f"{i}: {n}" for i, n in enumerate(names[:20])) + (
+                ", ..." if len(names) > 20 else ""
+            )
+            raise DataError(f"no run {key!r}; choose by index or name among the {len(runs)} runs: {choices}.")
+        out.append(index % len(runs))
+    return out

@@ -1,0 +1,267 @@
+"""The data summary: what is in a data set, what was found in it and what was done, for people and as JSON."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nsde_torch.data.findings import Finding
+from nsde_torch.data.inputs import InputRank
+from nsde_torch.data.kinematics import Slope, pool
+from nsde_torch.data.quaternion import euler_zyx
+from nsde_torch.data.run import Run
+from nsde_torch.data.system_info import SystemInfo, rate_columns
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Channel:
+    """Figures of one channel over all segments: extremes and 5, 50, 95 % quantiles, in its unit."""
+
+    name: str
+    unit: str
+    minimum: float
+    q05: float
+    median: float
+    q95: float
+    maximum: float
+
+
+@dataclass(frozen=True)
+class RunSummary:
+    """Figures of one run: rows, seconds inside segments, and the segments."""
+
+    name: str
+    rows: int
+    duration_s: float
+    segments: tuple[tuple[int, int], ...]
+
+
+@dataclass(frozen=True)
+class Envelope:
+    """Flight envelope of a multirotor (the figures of the supplement's Figure 15): 95 % quantiles and maxima.
+
+    Speed in m/s, magnitudes of roll, pitch and yaw in degrees. Yaw is relative to the mean heading of each
+    run.
+    """
+
+    speed_q95: float
+    speed_max: float
+    roll_q95: float
+    roll_max: float
+    pitch_q95: float
+    pitch_max: float
+    yaw_q95: float
+    yaw_max: float
+    heading_q95: float
+    heading_max: float
+
+
+@dataclass(frozen=True)
+class DataSummary:
+    """Summary of a data set; `as_dict` for JSON, `str` for people.
+
+    Args:
+        kind: Reader.
+        system: Name of the system.
+        dt: Step [s].
+        clock_scale: Physical seconds for each logged second that the models use.
+        runs: Figures of each run.
+        channels: Figures of each state, input and further channel.
+        envelope: Flight envelope of a multirotor, otherwise None.
+        input_rank: Numerical rank of the inputs.
+        slopes: Measured clock slopes, axis by axis.
+        findings: What was found and done.
+    """
+
+    kind: str
+    system: str
+    dt: float
+    clock_scale: float
+    runs: tuple[RunSummary, ...]
+    channels: tuple[Channel, ...]
+    envelope: Envelope | None
+    input_rank: InputRank
+    slopes: tuple[Slope, ...]
+    findings: tuple[Finding, ...]
+
+    @property
+    def duration(self) -> float:
+        """Recorded time inside segments [s]."""
+        return sum(run.duration_s for run in self.runs)
+
+    def as_dict(self) -> dict[str, Any]:
+        """Plain containers for JSON; units in the keys or beside the figures."""
+        pooled = pool(self.slopes)
+        return {
+            "kind": self.kind,
+            "system": self.system,
+            "dt_s": self.dt,
+            "rate_hz": 1.0 / self.dt,
+            "duration_s": self.duration,
+            "rows": sum(run.rows for run in self.runs),
+            "clock_scale": self.clock_scale,
+            "clock_measured": {
+                "scale": pooled.value if self.slopes else None,
+                "standard_error": pooled.error if self.slopes else None,
+                "spread": pooled.spread,
+                "axes": [s.as_dict() for s in self.slopes],
+            },
+            "runs": [vars(run) | {"segments": [list(s) for s in run.segments]} for run in self.runs],
+            "channels": [vars(channel) for channel in self.channels],
+            "envelope": None if self.envelope is None else _with_units(self.envelope),
+            "input_rank": self.input_rank.as_dict(),
+            "findings": [finding.as_dict() for finding in self.findings],
+        }
+
+    def to_json(self) -> str:
+        """The summary as a JSON text."""
+        return json.dumps(self.as_dict(), indent=1)
+
+    def __str__(self) -> str:
+        lines = [
+            f"data: {self.kind}, {self.system}, {len(self.runs)} runs, {self.duration:.1f} s at "
+            f"{1 / self.dt:.4g} Hz, "
+            f"clock scale {self.clock_scale:.4f}"
+        ]
+        table: list[tuple[str, ...]] = [("run", "rows", "seconds", "segments")]
+        shown = self.runs if len(self.runs) <= 12 else self.runs[:10]
+        for run in shown:
+            parts = " ".join(f"{a}-{b}" for a, b in run.segments[:3]) + (
+                " ..." if len(run.segments) > 3 else ""
+            )
+            table.append((run.name, str(run.rows), f"{run.duration_s:.2f}", parts))
+        lines += _columns(table)
+        if len(shown) < len(self.runs):
+            lines.append(f"  ... and {len(self.runs) - len(shown)} runs more")
+        table = [("channel", "unit", "min", "5 %", "median", "95 %", "max")]
+        table += [
+            (c.name, c.unit, *(f"{v:.4g}" for v in (c.minimum, c.q05, c.median, c.q95, c.maximum)))
+            for c in self.channels
+        ]
+        lines += _columns(table)
+        e = self.envelope
+        if e is not None:
+            table = [("envelope", "95 %", "max")]
+            table += [
+                ("speed [m/s]", f"{e.speed_q95:.2f}", f"{e.speed_max:.2f}"),
+                ("|roll| [deg]", f"{e.roll_q95:.1f}", f"{e.roll_max:.1f}"),
+                ("|pitch| [deg]", f"{e.pitch_q95:.1f}", f"{e.pitch_max:.1f}"),
+                ("|yaw| [deg]", f"{e.yaw_q95:.1f}", f"{e.yaw_max:.1f}"),
+                ("|yaw - mean| [deg]", f"{e.heading_q95:.1f}", f"{e.heading_max:.1f}"),
+            ]
+            lines += _columns(table)
+        lines.append(f"inputs span {self.input_rank.rank} of {self.input_rank.channels} dimensions")
+        if self.findings:
+            lines.append("found:")
+            lines += [f"  {text}" for text in _grouped(self.findings)]
+        else:
+            lines.append("found: nothing amiss")
+        return "\n".join(lines)
+
+
+def _with_units(envelope: Envelope) -> dict[str, float]:
+    return {f"{k}_{'m_per_s' if k.startswith('speed') else 'deg'}": v for k, v in vars(envelope).items()}
+
+
+def _grouped(findings: Sequence[Finding]) -> list[str]:
+    """One line a finding; a kind that many runs share is told once, with the first run as the example."""
+    out = []
+    kinds = list(dict.fromkeys(f.kind for f in findings))
+    for kind in kinds:
+        same = [f for f in findings if f.kind == kind]
+        out += [str(f) for f in same[:3]]
+        if len(same) > 3:
+            out.append(f"... {kind} in {len(same) - 3} runs more, {sum(f.count for f in same)} in all")
+    return out
+
+
+def _columns(table: Sequence[tuple[str, ...]]) -> list[str]:
+    """Rows as text, first column left, the others right aligned."""
+    widths = [max(len(row[k]) for row in table) for k in range(len(table[0]))]
+    return [
+        "  "
+        + "  ".join(
+            c.ljust(w) if k == 0 else c.rjust(w) for k, (c, w) in enumerate(zip(row, widths, strict=True))
+        )
+        for row in table
+    ]
+
+
+def _inside(run: Run, column: Array) -> Array:
+    """Rows of all segments of a run."""
+    if len(run.segments) == 1:
+        a, b = run.segments[0]
+        return column[a:b]
+    return np.concatenate([column[a:b] for a, b in run.segments])
+
+
+def _channel(name: str, unit: str, parts: Sequence[Array]) -> Channel:
+    values = np.concatenate(list(parts))
+    low, q05, median, q95, high = np.quantile(values, [0.0, 0.05, 0.5, 0.95, 1.0]).tolist()
+    return Channel(name, unit, low, q05, median, q95, high)
+
+
+def envelope(runs: Sequence[Run], system: SystemInfo) -> Envelope | None:
+    """Flight envelope of a multirotor; None for a system without position, velocity and attitude.
+
+    Args:
+        runs: The runs.
+        system: Names of the columns.
+    """
+    names = list(system.state_names)
+    if system.quaternion is None or rate_columns(system) is None or not {"v_x", "v_y", "v_z"} <= set(names):
+        return None
+    v = [names.index(n) for n in ("v_x", "v_y", "v_z")]
+    parts = []
+    for run in runs:
+        roll, pitch, yaw = euler_zyx(_inside(run, run.x[:, system.quaternion])).T
+        speed = np.linalg.norm(_inside(run, run.x[:, v]), axis=1)
+        mean = np.arctan2(np.sin(yaw).mean(), np.cos(yaw).mean())
+        heading = np.arctan2(np.sin(yaw - mean), np.cos(yaw - mean))
+        parts.append(np.stack([speed, *np.degrees(np.abs([roll, pitch, yaw, heading]))]))
+    values = np.concatenate(parts, axis=1)
+    q95, high = np.quantile(values, 0.95, axis=1).tolist(), values.max(axis=1).tolist()
+    return Envelope(*(number for pair in zip(q95, high, strict=True) for number in pair))
+
+
+def summarise(
+    runs: Sequence[Run],
+    system: SystemInfo,
+    *,
+    kind: str,
+    dt: float,
+    clock_scale: float,
+    slopes: Sequence[Slope],
+    rank: InputRank,
+    findings: Sequence[Finding],
+) -> DataSummary:
+    """Figures of checked runs together with what the checks found."""
+    channels = [
+        _channel(name, unit, [_inside(run, run.x[:, k]) for run in runs])
+        for k, (name, unit) in enumerate(zip(system.state_names, system.state_units, strict=True))
+    ]
+    for k, name in enumerate(system.input_names):
+        channels.append(_channel(name, "input", [_inside(run, run.u[:, k]) for run in runs]))
+    for name in dict.fromkeys(n for run in runs for n in run.extra):
+        channels.append(
+            _channel(name, "", [_inside(run, run.extra[name]) for run in runs if name in run.extra])
+        )
+    return DataSummary(
+        kind=kind,
+        system=system.name,
+        dt=dt,
+        clock_scale=clock_scale,
+        runs=tuple(RunSummary(run.name, len(run), run.duration, run.segments) for run in runs),
+        channels=tuple(channels),
+        envelope=envelope(runs, system),
+        input_rank=rank,
+        slopes=tuple(slopes),
+        findings=tuple(findings),
+    )

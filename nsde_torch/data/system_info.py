@@ -1,0 +1,69 @@
+"""What the data layer asks of a system: names, units, and which columns are derivatives of which."""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+RATE_NAMES = ("w_x", "w_y", "w_z")
+"""State names of the body rates [rad/s] that go with a quaternion `w x y z` (body to world)."""
+
+
+class SystemInfo(Protocol):
+    """The part of a system that readers and checks need; every `nsde_torch.systems.System` satisfies it.
+
+    Attributes:
+        name: Name of the system, for messages and for recognising published files.
+        state_names: One name for each state column.
+        state_units: Unit of each state column; `rad` marks an angle that may be logged wrapped.
+        input_names: One name for each input column.
+        exogenous: Further columns that effects read; appended to the inputs in this order.
+        quaternion: Columns of a unit quaternion `w x y z`, or None.
+        position_derivatives: Triples (position name, velocity name, frame) for which d position / dt =
+            velocity.
+    """
+
+    @property
+    def name(self) -> str: ...
+
+    @property
+    def state_names(self) -> tuple[str, ...]: ...
+
+    @property
+    def state_units(self) -> tuple[str, ...]: ...
+
+    @property
+    def input_names(self) -> tuple[str, ...]: ...
+
+    @property
+    def exogenous(self) -> tuple[str, ...]: ...
+
+    @property
+    def quaternion(self) -> slice | None: ...
+
+    @property
+    def position_derivatives(self) -> tuple[tuple[str, str, str], ...]: ...
+
+
+def rate_columns(system: SystemInfo) -> slice | None:
+    """Columns of the body rates that belong to the quaternion, or None where there is no such pair."""
+    names = list(system.state_names)
+    if system.quaternion is None or not set(RATE_NAMES) <= set(names):
+        return None
+    first = names.index(RATE_NAMES[0])
+    if tuple(names[first : first + 3]) != RATE_NAMES:
+        return None
+    return slice(first, first + 3)
+
+
+def derivative_columns(system: SystemInfo) -> dict[str, tuple[list[int], list[int]]]:
+    """Columns (positions, velocities) by group; a group has one frame and one unit, so that norms exist."""
+    names = list(system.state_names)
+    groups: dict[str, tuple[list[int], list[int]]] = {}
+    for position, velocity, frame in system.position_derivatives:
+        i, j = names.index(position), names.index(velocity)
+        unit = system.state_units[i]
+        kind = "angle" if unit == "rad" else "position"
+        group = groups.setdefault(f"{kind} ({frame}, {unit})", ([], []))
+        group[0].append(i)
+        group[1].append(j)
+    return groups

@@ -1,0 +1,193 @@
+"""One clock for a run: order, duplicates, gaps, dropped samples, and one uniform step in every segment."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nsde_torch.data.findings import Finding
+from nsde_torch.data.quaternion import slerp
+from nsde_torch.data.raw import RawRun
+from nsde_torch.errors import DataError
+
+Array = NDArray[np.float64]
+Report = Callable[[Finding], None]
+
+GAP_STEPS = 2.5
+"""Steps without a row from which on the time between two rows is a gap, unless the caller says how long."""
+JITTER = 0.05
+"""Share of a step by which a row may lie off the uniform grid before the segment is resampled."""
+MAX_DISORDER = 0.05
+"""Share of rows out of order that is sorted; more is refused."""
+
+
+def order(run: RawRun, report: Report) -> None:
+    """Rows with a time, each time once, in increasing order; a clock that starts again is refused.
+
+    Raises:
+        DataError: the clock goes back for good, or too many rows are out of order, or fewer than two are
+            left.
+    """
+    timed = np.isfinite(run.t)
+    if not timed.all():
+        count = int((~timed).sum())
+        report(Finding("missing_time", run.name, count, f"{count} rows without a time", "dropped"))
+        run.rows(timed)
+    back = np.flatnonzero(np.diff(run.t) < 0)
+    if len(back):
+        first = int(back[0])
+        # displaced rows: those below the greatest time before them
+        late = int((run.t < np.maximum.accumulate(run.t)).sum())
+        if late > max(1, MAX_DISORDER * len(run.t)):
+            raise DataError(
+                f"{run.where(first + 1)}: `t` goes back from {run.t[first]:.6g} s to {run.t[first + 1]:.6g} "
+                f"s and {late} "
+                f"of {len(run.t)} rows lie before an earlier row. The clock started again or the rows are "
+                f"shuffled: "
+                "split the recording into one file for each run, or sort it by time."
+            )
+        report(Finding("out_of_order", run.name, late, f"{late} rows out of order in time", "sorted"))
+        run.rows(np.argsort(run.t, kind="stable"))
+    keep = np.concatenate([[True], np.diff(run.t) > 0])
+    if not keep.all():
+        count = int((~keep).sum())
+        again = np.flatnonzero(~keep)
+        differ = int((run.x[again] != run.x[again - 1]).any(axis=1).sum())
+        report(
+            Finding(
+                "duplicate_time",
+                run.name,
+                count,
+                f"{count} rows repeat a time ({differ} with other values); the first is kept",
+                "dropped",
+                {"differing": differ},
+            )
+        )
+        run.rows(keep)
+    if len(run.t) < 2:
+        raise DataError(
+            f"{run.source or 'run'} {run.name!r} has {len(run.t)} row(s) with a time of their own; "
+            "a run needs at least two."
+        )
+
+
+def cuts_at_gaps(run: RawRun, *, gap: float, report: Report) -> NDArray[np.int64]:
+    """Rows after which more than `gap` seconds pass without a row."""
+    step = np.diff(run.t)
+    cuts = np.flatnonzero(step > gap)
+    if len(cuts):
+        shown = ", ".join(f"{step[c]:.3g} s at t = {run.t[c]:.6g} s" for c in cuts[:3])
+        report(
+            Finding(
+                "time_gap",
+                run.name,
+                len(cuts),
+                f"{len(cuts)} gaps in time longer than {gap:.3g} s ({shown}"
+                f"{', ...' if len(cuts) > 3 else ''})",
+                "split",
+                {"missing_s": float(step[cuts].sum()), "rows": [int(c) for c in cuts[:100]]},
+            )
+        )
+    return cuts
+
+
+def is_uniform(t: Array, dt: float) -> bool:
+    """Whether all rows lie within `JITTER` steps of a grid of step `dt` from the first."""
+    return bool(np.abs(t - t[0] - dt * np.arange(len(t))).max() <= JITTER * dt)
+
+
+def resample(run: RawRun, start: int, stop: int, *, dt: float, quaternion: slice | None) -> RawRun:
+    """Rows start..stop on a uniform grid: states linear (quaternion slerp), inputs held."""
+    t = run.t[start:stop]
+    count = int(np.floor((t[-1] - t[0]) / dt * (1 + 1e-12) + 1e-6)) + 1
+    grid = t[0] + dt * np.arange(count)
+    left = np.clip(np.searchsorted(t, grid + 1e-6 * dt, side="right") - 1, 0, len(t) - 2)
+    share = np.clip((grid - t[left]) / (t[left + 1] - t[left]), 0.0, 1.0)
+    x0, x1 = run.x[start:stop][left], run.x[start:stop][left + 1]
+    x = x0 + share[:, None] * (x1 - x0)
+    if quaternion is not None:
+        x[:, quaternion] = slerp(x0[:, quaternion], x1[:, quaternion], share)
+    held = np.where(share >= 1.0 - 1e-6, left + 1, left)
+    extra = {k: np.interp(grid, t, v[start:stop]) for k, v in run.extra.items()}
+    return RawRun(run.name, grid, x, run.u[start:stop][held], extra=extra, source=run.source)
+
+
+def _joined(pieces: list[RawRun]) -> RawRun:
+    first = pieces[0]
+    if len(pieces) == 1:
+        return first
+    return RawRun(
+        first.name,
+        np.concatenate([p.t for p in pieces]),
+        np.concatenate([p.x for p in pieces]),
+        np.concatenate([p.u for p in pieces]),
+        extra={k: np.concatenate([p.extra[k] for p in pieces]) for k in first.extra},
+        source=first.source,
+    )
+
+
+def uniform(
+    run: RawRun, cuts: NDArray[np.int64], *, dt: float, quaternion: slice | None, report: Report
+) -> tuple[RawRun, tuple[tuple[int, int], ...]]:
+    """The run on the step `dt` in every segment between cuts; segments below two rows are left out.
+
+    Returns:
+        The run and its segments.
+
+    Raises:
+        DataError: no segment is left.
+    """
+    edges = np.concatenate([[0], np.asarray(cuts, dtype=np.int64) + 1, [len(run.t)]])
+    bounds = [(int(a), int(b)) for a, b in itertools.pairwise(edges)]
+    whole = [(a, b) for a, b in bounds if b - a >= 2 and run.t[b - 1] - run.t[a] >= dt * (1 - JITTER)]
+    short = sum(b - a for a, b in bounds) - sum(b - a for a, b in whole)
+    if short:
+        report(
+            Finding(
+                "short_segment", run.name, short, f"{short} rows in segments shorter than one step", "dropped"
+            )
+        )
+    if not whole:
+        raise DataError(
+            f"{run.source or 'run'} {run.name!r}: no two neighbouring rows are left within the gap limit; "
+            "the recording is too sparse for the step. Raise `gap`, or set `dt` to its own step."
+        )
+    regular = [is_uniform(run.t[a:b], dt) for a, b in whole]
+    if all(regular) and not short:
+        return run, tuple(whole)
+    pieces, segments, at, changed = [], [], 0, 0
+    for (a, b), same in zip(whole, regular, strict=True):
+        if same:
+            extra = {k: v[a:b] for k, v in run.extra.items()}
+            piece = RawRun(run.name, run.t[a:b], run.x[a:b], run.u[a:b], extra=extra, source=run.source)
+        else:
+            piece = resample(run, a, b, dt=dt, quaternion=quaternion)
+            changed += 1
+        pieces.append(piece)
+        segments.append((at, at + len(piece.t)))
+        at += len(piece.t)
+    if changed:
+        inside = np.concatenate(
+            [np.diff(run.t[a:b]) for (a, b), same in zip(whole, regular, strict=True) if not same]
+        )
+        missing = int(np.maximum(np.rint(inside / dt) - 1, 0).sum())
+        report(
+            Finding(
+                "non_uniform_step",
+                run.name,
+                changed,
+                f"{changed} of {len(whole)} segments off the step of {dt * 1e3:.4g} ms (steps "
+                f"{inside.min() * 1e3:.4g} "
+                f"to {inside.max() * 1e3:.4g} ms, {missing} samples dropped)",
+                "resampled",
+                {
+                    "step_min_s": float(inside.min()),
+                    "step_max_s": float(inside.max()),
+                    "dropped_samples": missing,
+                },
+            )
+        )
+    return _joined(pieces), tuple(segments)

@@ -1,0 +1,220 @@
+"""Reads a pickle that holds NumPy arrays and plain containers, and nothing else.
+
+A pickle is a program: a `GLOBAL` names any importable object and a `REDUCE` calls it. Python's own
+documentation ("Restricting Globals") says to override `Unpickler.find_class`. Here that method knows the few
+names by which NumPy 1 and 2 rebuild arrays, scalars and dtypes, resolves them to functions of this file
+(never by import), and refuses all others by name before anything is called.
+"""
+
+from __future__ import annotations
+
+import math
+import pickle
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, BinaryIO
+
+import numpy as np
+
+from nsde_torch.errors import DataError
+
+MAX_ARRAY_BYTES = 2**31
+"""Largest array that a pickle may claim [bytes]: 2 GiB is 30 hours at 100 Hz and 25 columns."""
+
+_PLAIN = (str, int, float, bool, bytes, type(None), np.ndarray, np.generic)
+
+
+MAX_ITEMS = 1_000_000
+"""Most entries that the containers of a pickle may hold together (shared references count each time)."""
+
+
+class _Dtype:
+    """Stands for a dtype while the pickle is read; only plain numbers, and only the byte order can be set."""
+
+    def __init__(self, name: object, where: str) -> None:
+        try:
+            self.dtype = np.dtype(str(name)[:16] if isinstance(name, str) else "V")
+        except TypeError as error:
+            raise DataError(f"{where}: the pickle asks for an unknown dtype {name!r}.") from error
+        self._where = where
+        if self.dtype.kind not in "biuf" or self.dtype.fields is not None or self.dtype.subdtype is not None:
+            raise DataError(
+                f"{where}: the pickle holds values of dtype {name!r}; only plain numbers (bool, int, float) "
+                "are admitted. Save the data as float arrays."
+            )
+
+    def __setstate__(self, state: object) -> None:
+        if not (isinstance(state, tuple) and len(state) >= 5 and state[1] in ("<", ">", "|", "=")):
+            raise DataError(f"{self._where}: a dtype in the pickle is damaged.")
+        if any(part is not None for part in state[2:5]):
+            raise DataError(
+                f"{self._where}: the pickle holds a structured dtype; only plain numbers are admitted."
+            )
+        self.dtype = self.dtype.newbyteorder(state[1])
+
+
+def _dtype(value: object, where: str) -> np.dtype[Any]:
+    if not isinstance(value, _Dtype):
+        raise DataError(f"{where}: an array in the pickle is damaged (no dtype).")
+    return value.dtype
+
+
+def _array(data: object, dtype: np.dtype[Any], shape: object, order: str, where: str) -> np.ndarray[Any, Any]:
+    """An array from its bytes, once the shape has been found to fit them."""
+    axes = shape if isinstance(shape, tuple) else (shape,)
+    if len(axes) > 32 or not all(isinstance(axis, int) and axis >= 0 for axis in axes):
+        raise DataError(f"{where}: an array in the pickle claims the shape {shape!r}.")
+    size = dtype.itemsize * math.prod(axes)
+    if size > MAX_ARRAY_BYTES:
+        raise DataError(
+            f"{where}: an array in the pickle claims {size} bytes; at most {MAX_ARRAY_BYTES} are admitted. "
+            "Split the file."
+        )
+    if not isinstance(data, bytes | bytearray) or len(data) != size:
+        held = f"{len(data)} bytes" if isinstance(data, bytes | bytearray) else type(data).__name__
+        raise DataError(
+            f"{where}: an array of shape {axes} in the pickle needs {size} bytes; it holds {held}."
+        )
+    flat = np.frombuffer(data, dtype)
+    return flat.reshape(axes, order="F" if order == "F" else "C")
+
+
+class _Array:
+    """Stands for an array while the pickle is read; NumPy never sees an unchecked state."""
+
+    def __init__(self, where: str) -> None:
+        self._where = where
+        self.array: np.ndarray[Any, Any] | None = None
+
+    def __setstate__(self, state: object) -> None:
+        if not isinstance(state, tuple) or len(state) != 5:
+            raise DataError(
+                f"{self._where}: an array in the pickle is damaged (state of {type(state).__name__})."
+            )
+        _, shape, dtype, fortran, data = state
+        self.array = _array(data, _dtype(dtype, self._where), shape, "F" if fortran else "C", self._where)
+
+
+class _Unpickler(pickle.Unpickler):
+    """`find_class` is the only door of a pickle to code; it opens for the names below alone."""
+
+    def __init__(self, file: BinaryIO, where: str) -> None:
+        super().__init__(file)
+        self._where = where
+
+        def reconstruct(subtype: object, shape: object, dtype: object) -> _Array:
+            del (
+                subtype,
+                shape,
+                dtype,
+            )  # NumPy always writes ndarray, (0,), b"b" here; the state brings the rest
+            return _Array(where)
+
+        def make_dtype(name: object, align: object = False, copy: object = False) -> _Dtype:
+            del align, copy
+            return _Dtype(name, where)
+
+        def scalar(dtype: object, data: object = b"") -> np.generic:
+            number: np.generic = _array(data, _dtype(dtype, where), (1,), "C", where)[0]
+            return number
+
+        def from_buffer(data: object, dtype: object, shape: object, order: object) -> np.ndarray[Any, Any]:
+            return _array(data, _dtype(dtype, where), shape, str(order), where)
+
+        def encode(text: object, encoding: object) -> bytes:
+            # protocols 0 to 2 write bytes as text in latin1
+            if not isinstance(text, str) or encoding != "latin1":
+                raise DataError(f"{where}: the pickle asks for the text encoding {encoding!r}.")
+            return text.encode("latin1")
+
+        # `ndarray` may be named, as the first argument of _reconstruct, but not called: an inert text stands
+        # for it
+        self._admitted: dict[tuple[str, str], Callable[..., object] | str] = {
+            ("numpy", "ndarray"): "numpy.ndarray",
+            ("numpy", "dtype"): make_dtype,
+            ("_codecs", "encode"): encode,
+        }
+        for core in ("numpy.core", "numpy._core"):
+            self._admitted[f"{core}.multiarray", "_reconstruct"] = reconstruct
+            self._admitted[f"{core}.multiarray", "scalar"] = scalar
+            self._admitted[f"{core}.numeric", "_frombuffer"] = from_buffer
+
+    def find_class(self, module: str, name: str) -> Any:
+        try:
+            return self._admitted[module, name]
+        except KeyError:
+            raise DataError(
+                f"{self._where}: the pickle asks for `{module}.{name}`, which is refused: only NumPy arrays "
+                f"and plain "
+                "lists, tuples, dicts, numbers and strings are admitted. Save the data as such, or as CSV."
+            ) from None
+
+    def persistent_load(self, pid: object) -> Any:
+        raise DataError(
+            f"{self._where}: the pickle refers to an object outside itself ({pid!r}), which is refused."
+        )
+
+
+class _Unwrap:
+    """Replaces the stand-ins by what they stand for; refuses whatever is not plain data."""
+
+    def __init__(self, where: str) -> None:
+        self._where = where
+        self._left = MAX_ITEMS
+
+    def __call__(self, value: object, depth: int = 0) -> object:
+        self._left -= 1
+        if depth > 32 or self._left < 0:
+            raise DataError(
+                f"{self._where}: the pickle nests containers more than 32 deep or holds more than "
+                f"{MAX_ITEMS} entries."
+            )
+        if isinstance(value, _Array):
+            if value.array is None:
+                raise DataError(f"{self._where}: an array in the pickle has no content.")
+            return value.array
+        if isinstance(value, _Dtype):
+            return value.dtype
+        if isinstance(value, list):
+            return [self(v, depth + 1) for v in value]
+        if isinstance(value, tuple):
+            return tuple(self(v, depth + 1) for v in value)
+        if isinstance(value, dict):
+            return {self(k, depth + 1): self(v, depth + 1) for k, v in value.items()}
+        if not isinstance(value, _PLAIN):
+            raise DataError(
+                f"{self._where}: the pickle holds a {type(value).__name__}, which is refused: only NumPy "
+                "arrays and plain lists, tuples, dicts, numbers and strings are admitted."
+            )
+        return value
+
+
+def read_pickle(path: str | Path) -> object:
+    """Contents of a pickle of NumPy arrays and plain containers; nothing in the file is executed.
+
+    Args:
+        path: The file.
+
+    Returns:
+        Lists, tuples, dicts, strings, numbers, None and NumPy arrays of bool, int or float.
+
+    Raises:
+        DataError: the file is missing, not a pickle, cut short, or names anything else (the name is in the
+            message).
+    """
+    path = Path(path)
+    if not path.is_file():
+        reason = "is a folder" if path.is_dir() else "does not exist"
+        raise DataError(f"`path`: {path} {reason}; expected a pickle file (.pkl).")
+    try:
+        with path.open("rb") as file:
+            return _Unwrap(str(path))(_Unpickler(file, str(path)).load())
+    except DataError:
+        raise
+    except RecursionError as error:
+        raise DataError(f"{path}: the pickle nests containers too deep.") from error
+    except Exception as error:  # damaged opcodes raise nearly anything, also from inside NumPy
+        raise DataError(
+            f"{path} is not a readable pickle ({type(error).__name__}: {error}). "
+            "It may be cut short or of another format; copy it again."
+        ) from error

@@ -1,0 +1,311 @@
+"""Windows: `horizon` model steps cut from runs when asked for, never across a gap.
+
+A window that starts at sample `s` of a run holds the states at samples s, s + k, ..., s + horizon k (k =
+model step over data step) and, for each model step, the mean of the k inputs that were held during it:
+
+    u[j] = (U[s + j k] + ... + U[s + j k + k - 1]) / k
+
+Only the columns are stored (one float32 copy of the data); the starts are index ranges. So memory is that of
+the data.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from nsde_torch.data.run import Run
+from nsde_torch.errors import ConfigError, DataError
+
+Ranges = NDArray[np.int64]
+
+
+class Windows:
+    """All windows of some runs; cut lazily.
+
+    Args:
+        runs: The runs, all on one step.
+        dt_model: Step of the model [s], a whole multiple of the step of the data (within 1 %).
+        horizon: Model steps in a window.
+        dt: Step of the data [s]; default: that of the first run.
+        dtype: Type of the tensors.
+        device: Where the data live and the batches are cut.
+
+    Raises:
+        ConfigError: the steps do not divide, or the horizon is not positive.
+        DataError: no runs, or no segment is as long as a window.
+
+    Example:
+        >>> windows = Windows(runs, dt_model=0.05, horizon=20)  # doctest: +SKIP
+        >>> x, u, t0 = windows.batch(windows.sample(512, generator))  # doctest: +SKIP
+    """
+
+    def __init__(
+        self,
+        runs: Sequence[Run],
+        dt_model: float,
+        horizon: int,
+        *,
+        dt: float | None = None,
+        dtype: torch.dtype = torch.float32,
+        device: str | torch.device = "cpu",
+    ) -> None:
+        runs = tuple(runs)
+        if not runs:
+            raise DataError("`runs` is empty; windows need at least one run.")
+        if isinstance(horizon, bool) or horizon < 1 or int(horizon) != horizon:
+            raise ConfigError(f"`horizon` must be a whole number of steps, at least 1; got {horizon!r}.")
+        data_dt = runs[0].dt if dt is None else float(dt)
+        for run in runs:
+            if abs(run.dt / data_dt - 1) > 0.01:
+                raise DataError(
+                    f"run {run.name!r} has a step of {run.dt:.6g} s, the others {data_dt:.6g} s; read them "
+                    f"as "
+                    "one data set, which resamples them."
+                )
+        ratio = dt_model / data_dt
+        if not ratio > 0 or round(ratio) < 1 or abs(ratio / round(ratio) - 1) > 0.01:
+            low = max(1, int(ratio))
+            raise ConfigError(
+                f"`dt_model` must be a whole multiple of the data's step of {data_dt:.6g} s (within 1 %); "
+                f"got "
+                f"{dt_model:.6g} s, {ratio:.4g} steps. Take {low * data_dt:.6g} or {(low + 1) * data_dt:.6g} "
+                f"s, or read "
+                "the data with another `dt`."
+            )
+        self.dt_model = float(dt_model)
+        self.dt = data_dt
+        self.horizon = int(horizon)
+        self.stride = round(ratio)
+        self.run_names = tuple(run.name for run in runs)
+        lengths = np.array([len(run) for run in runs])
+        self._first = np.concatenate([[0], np.cumsum(lengths)])[:-1].astype(np.int64)
+        total = int(lengths.sum())
+        self._x = torch.empty(total, runs[0].x.shape[1], dtype=dtype)
+        self._u = torch.empty(total, runs[0].u.shape[1], dtype=dtype)
+        ranges = []
+        for first, run in zip(self._first.tolist(), runs, strict=True):
+            # torch.from_numpy wants a writable array; copy_ only reads it
+            self._x[first : first + len(run)].numpy()[...] = run.x
+            self._u[first : first + len(run)].numpy()[...] = run.u
+            ranges += [(first + a, first + b) for a, b in run.segments]
+        self._t = [run.t for run in runs]
+        self._x, self._u = self._x.to(device), self._u.to(device)
+        self._set_ranges(np.array(ranges, dtype=np.int64))
+        if len(self) == 0:
+            longest = int((self._ranges[:, 1] - self._ranges[:, 0]).max())
+            raise DataError(
+                f"no segment is as long as a window of {self.horizon} steps of {self.dt_model:.4g} s "
+                f"({self.span + 1} rows); the longest has {longest}. Shorten `horizon`."
+            )
+
+    @property
+    def span(self) -> int:
+        """Samples from the first to the last row of a window; a window covers `span + 1` rows."""
+        return self.horizon * self.stride
+
+    def _set_ranges(self, ranges: Ranges) -> None:
+        """Row ranges [start, stop) inside which windows must lie, and the number of starts in each."""
+        self._ranges = ranges.reshape(-1, 2)
+        self._counts = np.maximum(self._ranges[:, 1] - self._ranges[:, 0] - self.span, 0)
+        self._ends = np.cumsum(self._counts)
+
+    def _with(self, ranges: Ranges) -> Windows:
+        """The same data with other row ranges; the tensors are shared."""
+        other = type(self).__new__(type(self))
+        other.__dict__.update(self.__dict__)
+        other._set_ranges(ranges)
+        return other
+
+    def __len__(self) -> int:
+        return int(self._ends[-1]) if len(self._ends) else 0
+
+    @property
+    def nbytes(self) -> int:
+        """Memory of the stored columns [bytes]."""
+        return sum(a.numel() * a.element_size() for a in (self._x, self._u))
+
+    def rows(self, indices: Tensor | NDArray[np.int64] | Sequence[int]) -> NDArray[np.int64]:
+        """Row (of the joined runs) at which each window starts, (B,)."""
+        index = np.asarray(indices, dtype=np.int64).reshape(-1)
+        if len(index) and not (index.min() >= 0 and index.max() < len(self)):
+            raise IndexError(
+                f"window indices must lie in 0..{len(self) - 1}; got {index.min()}..{index.max()}."
+            )
+        part = np.searchsorted(self._ends, index, side="right")
+        start: NDArray[np.int64] = self._ranges[part, 1] - self.span - self._ends[part] + index
+        return start
+
+    def locate(self, indices: Tensor | NDArray[np.int64] | Sequence[int]) -> list[tuple[str, int]]:
+        """(run name, first sample in the run) of each window."""
+        rows = self.rows(indices)
+        run = np.searchsorted(self._first, rows, side="right") - 1
+        samples = rows - self._first[run]
+        return [(self.run_names[r], int(s)) for r, s in zip(run, samples, strict=True)]
+
+    def batch(self, indices: Tensor | NDArray[np.int64] | Sequence[int]) -> tuple[Tensor, Tensor, Tensor]:
+        """Cuts windows.
+
+        Args:
+            indices: Window numbers, (B,), each in 0..len - 1.
+
+        Returns:
+            x: States at the model's steps, (B, horizon + 1, nx).
+            u: Inputs, averaged over each model step, (B, horizon, nu).
+            t0: Logged time of the first row [s], float64, (B,).
+
+        Raises:
+            IndexError: a number out of range.
+        """
+        rows = self.rows(indices)
+        device = self._x.device
+        start = torch.from_numpy(rows).to(device)
+        at = start[:, None] + torch.arange(0, self.span + 1, self.stride, device=device)
+        x = self._x[at]
+        held = start[:, None] + torch.arange(self.span, device=device)
+        u = self._u[held]
+        if self.stride > 1:
+            u = u.unflatten(1, (self.horizon, self.stride)).mean(dim=2)
+        run = np.searchsorted(self._first, rows, side="right") - 1
+        t0 = np.array(
+            [self._t[r][s] for r, s in zip(run, rows - self._first[run], strict=True)], dtype=np.float64
+        )
+        return x, u, torch.from_numpy(t0).to(device)
+
+    def sample(self, size: int, generator: torch.Generator) -> Tensor:
+        """Window numbers drawn with replacement, (size,); the same generator state gives the same numbers."""
+        return torch.randint(len(self), (size,), generator=generator)
+
+    def epoch(self, size: int, generator: torch.Generator) -> Iterator[Tensor]:
+        """Every window once in random order, in batches of `size` (the last may be smaller)."""
+        yield from torch.randperm(len(self), generator=generator).split(size)
+
+    def starts(self, every_s: float) -> Tensor:
+        """Windows that start on the regular grid 0, every_s, 2 every_s, ... of their run, for evaluation.
+
+        The grid counts samples from the first row of each run, so that every model is scored from the same
+        starts; those whose window would leave its segment are left out. Give the windows the longest horizon
+        of interest.
+
+        Args:
+            every_s: Distance between starts [s], a whole number of data steps (within 1 %).
+
+        Returns:
+            Window numbers, ascending.
+        """
+        steps = every_s / self.dt
+        if round(steps) < 1 or abs(steps / round(steps) - 1) > 0.01:
+            raise ConfigError(
+                f"`every_s` must be a whole multiple of the data's step of {self.dt:.6g} s; got "
+                f"{every_s:.6g}."
+            )
+        every = round(steps)
+        out = []
+        for (a, _), count, end in zip(self._ranges, self._counts, self._ends, strict=True):
+            if count <= 0:
+                continue
+            first = self._first[np.searchsorted(self._first, a, side="right") - 1]
+            offset = -(a - first) % every
+            out.append(np.arange(offset, count, every) + (end - count))
+        return torch.from_numpy(np.concatenate(out) if out else np.empty(0, dtype=np.int64))
+
+    def held_out(
+        self, fraction: float, block_s: float, generator: torch.Generator, *, gap_s: float = 0.0
+    ) -> tuple[Windows, Windows]:
+        """Splits into training and validation windows that share no row.
+
+        Time is cut into blocks; a random share of them is held out. Windows that would cross from a training
+        block into a held-out one belong to neither (they are purged).
+
+        Args:
+            fraction: Share of the rows to hold out, in (0, 1).
+            block_s: Length of a block [s]; at least one window fits in it, else it is made as long.
+            generator: Chooses the blocks.
+            gap_s: Time on each side of a held-out block that training leaves out as well [s].
+
+        Returns:
+            Training and validation windows; both share the stored data.
+
+        Raises:
+            ConfigError: the fraction is not in (0, 1) or the block is not positive.
+            DataError: the data are too short to hold anything out.
+        """
+        if not 0 < fraction < 1:
+            raise ConfigError(
+                f"`fraction` must lie between 0 and 1; got {fraction!r}. Use no validation instead of 0."
+            )
+        if not (block_s > 0 and gap_s >= 0):
+            raise ConfigError(
+                f"`block_s` must be positive and `gap_s` not negative; got {block_s!r} and {gap_s!r}."
+            )
+        need = self.span + 1
+        block = max(round(block_s / self.dt), need)
+        gap = round(gap_s / self.dt)
+        usable = self._ranges[self._ranges[:, 1] - self._ranges[:, 0] >= need]
+        edges = [_block_edges(int(a), int(b), block) for a, b in usable]
+        if sum(len(e) - 1 for e in edges) < 2:
+            edges = [self._halves(int(a), int(b), fraction) for a, b in usable]
+        blocks = [(k, a, b) for k, e in enumerate(edges) for a, b in itertools.pairwise(e)]
+        goal = fraction * sum(b - a for _, a, b in blocks)
+        held: set[tuple[int, int]] = set()
+        taken = 0
+        for index in torch.randperm(len(blocks), generator=generator).tolist():
+            _k, a, b = blocks[index]
+            if held and taken + 0.5 * (b - a) > goal:
+                break
+            if len(held) == len(blocks) - 1:
+                break
+            held.add((a, b))
+            taken += b - a
+        train: list[tuple[int, int]] = []
+        validation: list[tuple[int, int]] = []
+        for e in edges:
+            spans = list(itertools.pairwise(e))
+            train += _merge([s for s in spans if s not in held], set(e[1:-1]), gap)
+            validation += _merge([s for s in spans if s in held], set(), 0)
+        first, second = (
+            self._with(np.array(train, dtype=np.int64)),
+            self._with(np.array(validation, dtype=np.int64)),
+        )
+        if len(first) == 0 or len(second) == 0:
+            raise DataError(
+                f"the data are too short to hold out {fraction:.0%}: {len(first)} training and {len(second)} "
+                f"validation windows of {need} rows would be left. Shorten `horizon`, or use no "
+                "validation."
+            )
+        return first, second
+
+    def _halves(self, a: int, b: int, fraction: float) -> list[int]:
+        """A single block in two: the smaller part (at least one window) last."""
+        need = self.span + 1
+        cut = b - max(need, round(fraction * (b - a)))
+        if cut - a < need:
+            raise DataError(
+                f"the only segment has {b - a} rows; a training and a validation window of {need} rows each "
+                f"do "
+                "not fit. Shorten `horizon`, or use no validation."
+            )
+        return [a, cut, b]
+
+
+def _block_edges(a: int, b: int, block: int) -> list[int]:
+    """Borders of equal blocks of at least `block` rows between a and b (at least one)."""
+    count = max(1, (b - a) // block)
+    edges: list[int] = np.linspace(a, b, count + 1).round().astype(int).tolist()
+    return edges
+
+
+def _merge(spans: Sequence[tuple[int, int]], borders: set[int], gap: int) -> list[tuple[int, int]]:
+    """Neighbouring blocks joined; `gap` rows are left out at the inner borders that remain."""
+    out: list[list[int]] = []
+    for a, b in spans:
+        if out and out[-1][1] == a:
+            out[-1][1] = b
+        else:
+            out.append([a, b])
+    return [(a + (gap if a in borders else 0), b - (gap if b in borders else 0)) for a, b in out]

@@ -1,4 +1,4 @@
-"""What the shell offers after `nsde COMMAND ...`: groups, choices, keys, words that a key allows, and files."""
+"""What the shell offers after `nsde COMMAND ...`: groups, choices, keys, allowed words, files."""
 
 from __future__ import annotations
 

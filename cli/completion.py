@@ -1,6 +1,7 @@
 """`nsde completion SHELL`: print the script that teaches a shell to complete `nsde`.
 
-The script asks `nsde completion query WORD...` at every press of the tab key; that answer needs neither Hydra nor torch.
+The script asks `nsde completion query WORD...` at every press of the tab key; the answer needs neither Hydra
+nor torch.
 """
 
 from __future__ import annotations
@@ -68,7 +69,9 @@ def main(arguments: Sequence[str]) -> int:
         print("\n".join(query(words[1:])))
         return OK
     if words[0] not in SCRIPTS or len(words) > 1:
-        print(f"nsde completion: expected one of {', '.join(SCRIPTS)}; got {' '.join(words)}.", file=sys.stderr)
+        print(
+            f"nsde completion: expected one of {', '.join(SCRIPTS)}; got {' '.join(words)}.", file=sys.stderr
+        )
         return USER_ERROR
     print(SCRIPTS[words[0]], end="")
     return OK

@@ -58,7 +58,7 @@ def selected(command: str, words: Sequence[str]) -> dict[str, str]:
 
 
 def keys(command: str, chosen: dict[str, str], extra: Path | None = None) -> Iterator[Key]:
-    """Every key of a command for one choice of each group; defaults are what the choice's file makes of them."""
+    """Every key of a command for one choice of each group; defaults are what the choice's file says."""
     import dataclasses
 
     values = {group: choice_values(group, choice, extra) for group, choice in chosen.items()}
@@ -98,7 +98,11 @@ def choice_values(group: str, choice: str, extra: Path | None = None) -> dict[st
 
 def _parents(group: str, choice: str, extra: Path | None) -> list[str]:
     listed = _read(group, choice, extra).get("defaults", [])
-    return [item for item in listed if isinstance(item, str) and "/" not in item and item not in ("_self_", choice)]
+    return [
+        item
+        for item in listed
+        if isinstance(item, str) and "/" not in item and item not in ("_self_", choice)
+    ]
 
 
 def _read(group: str, choice: str, extra: Path | None) -> dict[str, Any]:

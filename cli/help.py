@@ -1,4 +1,4 @@
-"""`nsde COMMAND --help`: the config groups with their choices, then every key with default, unit and meaning."""
+"""`nsde COMMAND --help`: the config groups and choices, then every key with default, unit and meaning."""
 
 from __future__ import annotations
 
@@ -74,7 +74,11 @@ def _key_lines(entry: Key) -> Iterator[str]:
         yield left
         left = ""
     yield from textwrap.wrap(
-        right, WIDTH, initial_indent=f"{left:<{_COLUMN}}", subsequent_indent=" " * _COLUMN, break_on_hyphens=False
+        right,
+        WIDTH,
+        initial_indent=f"{left:<{_COLUMN}}",
+        subsequent_indent=" " * _COLUMN,
+        break_on_hyphens=False,
     )
 
 

@@ -1,10 +1,11 @@
-"""A command that is configured by Hydra: help, completion, runs, sweeps, resuming and messages, once for all of them."""
+"""What all commands configured by Hydra share: help, completion, runs, sweeps, resuming and messages."""
 
 from __future__ import annotations
 
+import importlib
 import os
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -25,12 +26,13 @@ class HydraCommand:
     Attributes:
         name: Name of the command, of its config file and of its schema.
         summary: What it does, one line.
-        task: Module-level function of the composed configuration (a launcher sends it to other processes by name).
+        module: Module whose function `task(config)` does the work, imported when there is some; a launcher
+            sends the function to other processes by its name.
     """
 
     name: str
     summary: str
-    task: Callable[..., float | None]
+    module: str
 
     def main(self, arguments: Sequence[str]) -> int:
         """Run the command; returns the exit status."""
@@ -58,7 +60,7 @@ class HydraCommand:
         return complete.overrides(self.name, words)
 
     def _prepare(self, words: list[str]) -> list[str]:
-        """The words for Hydra: open dicts opened, a resumed run's own choices put back, the config folder checked."""
+        """The words for Hydra: open dicts opened, a resumed run's choices back, the config folder seen."""
         folder = groups.config_dir(words)
         if folder is not None:
             if not folder.is_dir():
@@ -77,16 +79,18 @@ class HydraCommand:
     def _run(self, words: list[str]) -> int:
         import hydra
 
+        from .jobs import LAST
+
+        LAST.reset()
         register()
         # Hydra prints errors and exits by itself unless told to raise them, which lets us word them.
         os.environ["HYDRA_FULL_ERROR"] = "1"
         old, sys.argv = sys.argv, [f"nsde {self.name}", *words]
         try:
-            hydra.main(version_base="1.3", config_path=_CONFIG_PATH, config_name=self.name)(self.task)()
+            task = importlib.import_module(self.module, package=__package__).task
+            hydra.main(version_base="1.3", config_path=_CONFIG_PATH, config_name=self.name)(task)()
         finally:
             sys.argv = old
-        from .jobs import LAST
-
         if LAST.sweep_dir is not None:
             return self._sweep_status(LAST.sweep_dir)
         if LAST.error is not None:
@@ -146,7 +150,7 @@ def _with_default(words: list[str], key: str, value: str) -> list[str]:
 
 
 def _opened(word: str, command: str) -> str:
-    """`system.parameters.mass=1` is a new key in a dict that is open by design; Hydra wants to be told with `++`."""
+    """`system.parameters.mass=1` adds to a dict that is open by design; Hydra wants that said with `++`."""
     from .keys import walk
 
     path = word.split("=", 1)[0]

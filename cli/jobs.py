@@ -1,7 +1,7 @@
 """One job of a command: a single run, or one of a sweep, whose failure must not take the others along.
 
-Hydra stops a sweep at a job that raises, and a launcher in other processes loses the reason. So a job's failure is
-written to `failed.json` in its own folder, and the command counts these files at the end.
+Hydra stops a sweep at a job that raises, and a launcher in other processes loses the reason. So a job's
+failure is written to `failed.json` in its own folder, and the command counts these files at the end.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ def folder_name(overrides: str) -> str:
     return re.sub(r"[^\w.=,+-]+", "_", overrides).strip("_")[:_LONGEST_NAME]
 
 
-# Here, because a launcher's worker process imports this module with the task before it resolves the job's folder.
+# Here, because a launcher's worker process imports this module with the task before it needs the folder.
 OmegaConf.register_new_resolver("nsde.folder", folder_name, replace=True)
 
 
@@ -48,6 +48,10 @@ class Outcome:
     run_dir: Path | None = None
     sweep_dir: Path | None = None
     error: Exception | None = None
+
+    def reset(self) -> None:
+        """Forget the run before."""
+        self.run_dir = self.sweep_dir = self.error = None
 
 
 LAST = Outcome()
@@ -89,7 +93,7 @@ def guarded(run: Callable[[DictConfig, Job], float | None], command: str, config
 
 
 def check_config(config: DictConfig, command: str, words: list[str]) -> None:
-    """Refuse keys that no schema has (`+key=...` would smuggle them in), missing values and values out of range.
+    """Refuse keys that no schema has (`+key=...` lets them in), missing values and values out of range.
 
     Raises:
         ConfigError: The message names the key and the remedy.
@@ -99,7 +103,9 @@ def check_config(config: DictConfig, command: str, words: list[str]) -> None:
     _check_node(config, values, "", command, words)
 
 
-def _check_node(node: DictConfig, values: dict[Any, Any], prefix: str, command: str, words: list[str]) -> None:
+def _check_node(
+    node: DictConfig, values: dict[Any, Any], prefix: str, command: str, words: list[str]
+) -> None:
     import dataclasses
 
     schema = OmegaConf.get_type(node)

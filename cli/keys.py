@@ -1,6 +1,6 @@
 """Keys of a configuration: dataclass fields that carry their help, unit and range.
 
-One declaration serves the check of names and types (OmegaConf), the check of ranges (`check`), `--help` and the
+One declaration serves the check of names and types (OmegaConf), that of ranges (`check`), `--help` and the
 suggestion of the nearest key when one is mistyped.
 """
 
@@ -52,6 +52,7 @@ class Key:
     """One key as `--help` shows it; `owner` is the dataclass that declares it."""
 
     path: str
+    annotation: str
     default: Any
     help: str
     unit: str
@@ -78,7 +79,7 @@ class Key:
 
 
 def walk(schema: type, prefix: str = "") -> Iterator[Key]:
-    """Every key of a schema with its dotted path, the groups' own keys included, in the order of declaration."""
+    """Every key of a schema with its dotted path, those of its groups included, in order."""
     hints = get_type_hints(schema)
     for field in dataclasses.fields(schema):
         path = f"{prefix}{field.name}"
@@ -87,10 +88,8 @@ def walk(schema: type, prefix: str = "") -> Iterator[Key]:
             continue
         if "help" not in field.metadata:
             raise AssertionError(f"{schema.__name__}.{field.name} has no help: declare it with `key(...)`")
-        default = (
-            field.default if field.default_factory is dataclasses.MISSING else field.default_factory()
-        )
-        yield Key(path=path, default=default, owner=schema, **field.metadata)
+        default = field.default if field.default_factory is dataclasses.MISSING else field.default_factory()
+        yield Key(path=path, annotation=str(field.type), default=default, owner=schema, **field.metadata)
 
 
 def check(schema: type, values: Mapping[str, Any], prefix: str = "") -> None:
@@ -102,7 +101,7 @@ def check(schema: type, values: Mapping[str, Any], prefix: str = "") -> None:
         prefix: Path of `values` within the whole configuration, with a final dot.
 
     Raises:
-        ConfigError: A value is outside what its key allows; the message names the key, the range and the value.
+        ConfigError: A value is outside what its key allows; the message names key, range and value.
     """
     for entry in walk(schema):
         if "." in entry.path:

@@ -1,7 +1,7 @@
 """`nsde COMMAND ...`: the table of commands.
 
 A command is one module with `main(arguments) -> exit status` and, if it has something to complete,
-`complete(words) -> choices`. Adding a command is adding one line to `COMMANDS`. Modules are imported when their
+`complete(words) -> choices`. Adding a command is adding one line to `COMMANDS`. A module is imported when its
 command is called, so that listing the commands costs no import of Hydra or torch.
 """
 

@@ -12,6 +12,10 @@ from .keys import walk
 from .schema import CHOICES, COMMAND_SCHEMAS
 
 _POINTER = "`nsde {command} --help` lists groups and keys."
+_IN_FILE = re.compile(
+    r"In '(?P<file>[^']+)': (?P<kind>\w+) raised while composing config:\n"
+    r"(?P<reason>.*)\n\s*full_key: (?P<key>\S+)"
+)
 
 
 def explain(error: Exception, command: str, words: Sequence[str]) -> str | None:
@@ -28,11 +32,14 @@ def explain(error: Exception, command: str, words: Sequence[str]) -> str | None:
     from hydra.errors import HydraException, MissingConfigException
     from omegaconf.errors import ConfigAttributeError, ConfigKeyError, OmegaConfBaseException
 
+    in_file = _IN_FILE.match(str(error))
+    if in_file:
+        return _in_file(in_file, command, words)
     cause = error.__cause__ if isinstance(error.__cause__, OmegaConfBaseException) else error
     if isinstance(error, MissingConfigException):
         return _unknown_choice(error, command, words)
     if isinstance(cause, (ConfigAttributeError, ConfigKeyError)) and cause.full_key:
-        return _unknown_key(str(cause.full_key), str(error), command, words)
+        return unknown_key(str(cause.full_key), command, words)
     if isinstance(cause, OmegaConfBaseException) and cause.full_key:
         reason = _first_line(cause).rstrip(".")
         return f"`{cause.full_key}` cannot be set: {reason}.{_meaning(str(cause.full_key), command, words)}"
@@ -69,13 +76,16 @@ def nearest(name: str, known: Sequence[str]) -> str | None:
     return next((key for key in known if close and key.split(".")[-1] == close[0]), None)
 
 
-def _unknown_key(path: str, text: str, command: str, words: Sequence[str]) -> str:
-    group = path.split(".")[0]
-    message = unknown_key(path, command, words)
-    source = re.match(r"In '([^']+)'", text)
-    if source and group in CHOICES and source.group(1).startswith(f"{group}/"):
-        message += f" A file of your own in {group}/ starts with `defaults: [CHOICE, _self_]` to have the keys of CHOICE."
-    return f"In {source.group(1)}.yaml: {message}" if source and source.group(1) != command else message
+def _in_file(found: re.Match[str], command: str, words: Sequence[str]) -> str:
+    """The message for a fault in a YAML file, most likely one of the user's own."""
+    file, path = found["file"], found["key"]
+    if "Key" not in found["kind"] and "Attribute" not in found["kind"]:
+        return f"In {file}.yaml: `{path}` cannot be set: {found['reason'].rstrip('.')}."
+    message = f"In {file}.yaml: {unknown_key(path, command, words)}"
+    group = file.split("/")[0]
+    if group in CHOICES:
+        message += f" A file of yours in {group}/ starts with `defaults: [CHOICE, _self_]` to have its keys."
+    return message
 
 
 def _unknown_choice(error: Exception, command: str, words: Sequence[str]) -> str:
@@ -86,8 +96,16 @@ def _unknown_choice(error: Exception, command: str, words: Sequence[str]) -> str
         return _first_line(error)
     near = difflib.get_close_matches(choice, options, n=1, cutoff=0.5)
     hint = f" Did you mean `{group}={near[0]}`?" if near else ""
-    own = "" if group.startswith("hydra/") else f" (your own: {group}/{choice}.yaml in a folder given with --config-dir)"
-    extra = " Launchers and sweepers come with the extras `nsde_torch[sweeps]` and `nsde_torch[ray]`." if own == "" else ""
+    own = (
+        ""
+        if group.startswith("hydra/")
+        else f" (your own: {group}/{choice}.yaml in a folder given with --config-dir)"
+    )
+    extra = (
+        " Launchers and sweepers come with the extras `nsde_torch[sweeps]` and `nsde_torch[ray]`."
+        if own == ""
+        else ""
+    )
     return f"`{group}={choice}`: no such choice.{hint} Choices: {', '.join(options)}{own}.{extra}"
 
 
@@ -95,8 +113,8 @@ def _meaning(path: str, command: str, words: Sequence[str]) -> str:
     for entry in groups.keys(command, groups.selected(command, words), groups.config_dir(words)):
         if entry.path == path:
             unit = f" [{entry.unit}]" if entry.unit else ""
-            brackets = f" Lists need brackets: '{path}=[...]'." if isinstance(entry.default, list) else ""
-            return f" It is the {entry.help}{unit}.{brackets}"
+            brackets = f" A list needs brackets: '{path}=[...]'." if "list" in entry.annotation else ""
+            return f" Meaning: {entry.help}{unit}.{brackets}"
     return ""
 
 

@@ -1,7 +1,7 @@
 """Schemas of the configuration: every key with its default, unit, range and help.
 
-The YAML files of `conf/` choose values; the names and types live here. `conf/train.yaml` starts from `TrainConfig`, and
-a choice whose keys differ from those of its neighbours (`data=csv`, `data=simulated`) starts from its own class in
+The YAML files of `conf/` choose values; the names and types live here. `conf/train.yaml` starts from
+`TrainConfig`; a choice whose keys are not those of its neighbours (`data=csv`, `data=simulated`) has a class in
 `CHOICES`. A key that is not declared here is an error that names it.
 """
 
@@ -15,7 +15,7 @@ from .keys import group, key
 
 @dataclass
 class SystemConfig:
-    """The machine. A value of null is the system's own (its class declares the constants of the supplement)."""
+    """The machine. A value of null is the system's own: its class has the constants of the supplement."""
 
     name: str = key("???", "name of a system of the package, or module:Class of your own")
     effects: list[str] = key([], "physical terms to add to the declared physics, by name")
@@ -39,7 +39,9 @@ class DataConfig:
 
     kind: str = key("???", "kind of the data set, set by data=")
     test: list[Any] | None = key(None, "runs held out for the test, by index or name; null: the last run")
-    validation: float = key(0.15, "share of the training runs' time that early stopping looks at", low=0.01, high=0.5)
+    validation: float = key(
+        0.15, "share of the training runs' time that early stopping looks at", low=0.01, high=0.5
+    )
     gap: float | None = key(
         None, "a longer pause between samples splits a run; null: 1.5 sample intervals", unit="s", above=0
     )

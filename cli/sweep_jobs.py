@@ -1,0 +1,125 @@
+"""The jobs of a sweep as its folders tell them: overrides, status, and the numbers of `metrics.json`."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from statistics import fmean, stdev
+from typing import Any
+
+import yaml
+
+DONE, FAILED, UNFINISHED = "done", "failed", "unfinished"
+
+
+@dataclass(frozen=True)
+class SweepJob:
+    """One job of a sweep.
+
+    Attributes:
+        folder: Folder of the job.
+        overrides: What was set for it, by key.
+        status: `done`, `failed` or `unfinished` (running, killed, or never started its work).
+        reason: Why it failed, one line.
+        metrics: Every number of its `metrics.json`, by dotted path.
+    """
+
+    folder: Path
+    overrides: dict[str, str]
+    status: str
+    reason: str = ""
+    metrics: dict[str, float] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Group:
+    """Jobs that differ in nothing but the seed, and what their numbers are together."""
+
+    label: str
+    jobs: tuple[SweepJob, ...]
+
+    def values(self, metric: str) -> list[float]:
+        """The finite values of one metric over the jobs."""
+        found = (job.metrics.get(metric, math.nan) for job in self.jobs)
+        return [value for value in found if math.isfinite(value)]
+
+    def mean(self, metric: str) -> float:
+        """Mean over the seeds; not a number if no job has the metric."""
+        values = self.values(metric)
+        return fmean(values) if values else math.nan
+
+    def spread(self, metric: str) -> float:
+        """Sample standard deviation over the seeds; not a number for a single job."""
+        values = self.values(metric)
+        return stdev(values) if len(values) > 1 else math.nan
+
+
+def read_jobs(sweep_dir: Path) -> list[SweepJob]:
+    """Every job below a folder, in the order of their numbers."""
+    records = sweep_dir.glob("**/.hydra/overrides.yaml")
+    return sorted((_read_job(record.parent.parent) for record in records), key=_number)
+
+
+def grouped(jobs: Sequence[SweepJob]) -> list[Group]:
+    """Finished jobs together with those that differ in the seed alone; labels name only what varies."""
+    varying = {
+        key
+        for job in jobs
+        for key in job.overrides
+        if len({other.overrides.get(key) for other in jobs}) > 1 and key != "seed"
+    }
+    members: dict[str, list[SweepJob]] = {}
+    for job in jobs:
+        if job.status == DONE:
+            members.setdefault(label(job, varying), []).append(job)
+    return [Group(name, tuple(group)) for name, group in members.items()]
+
+
+def label(job: SweepJob, keys: set[str]) -> str:
+    """The overrides of a job that are worth naming."""
+    return " ".join(f"{key}={value}" for key, value in job.overrides.items() if key in keys) or "all alike"
+
+
+def numbers(content: Any, prefix: str = "") -> Iterator[tuple[str, float]]:
+    """Every number of nested mappings and lists with its dotted path."""
+    if isinstance(content, bool):
+        return
+    if isinstance(content, (int, float)):
+        yield prefix, float(content)
+    elif isinstance(content, Mapping):
+        for name, value in content.items():
+            yield from numbers(value, f"{prefix}.{name}" if prefix else str(name))
+    elif isinstance(content, list):
+        for index, value in enumerate(content):
+            yield from numbers(value, f"{prefix}.{index}")
+
+
+def _read_job(folder: Path) -> SweepJob:
+    listed = yaml.safe_load((folder / ".hydra" / "overrides.yaml").read_text(encoding="utf-8")) or []
+    overrides = {key.lstrip("+"): value for key, _, value in (str(word).partition("=") for word in listed)}
+    if (folder / "failed.json").is_file():
+        return SweepJob(folder, overrides, FAILED, reason=_reason(folder / "failed.json"))
+    metrics = folder / "metrics.json"
+    if not metrics.is_file():
+        return SweepJob(folder, overrides, UNFINISHED)
+    try:
+        content = json.loads(metrics.read_text(encoding="utf-8"))
+    except json.JSONDecodeError:  # cut short: the process died while it wrote
+        return SweepJob(folder, overrides, UNFINISHED)
+    return SweepJob(folder, overrides, DONE, metrics=dict(numbers(content)))
+
+
+def _reason(path: Path) -> str:
+    try:
+        content = json.loads(path.read_text(encoding="utf-8"))
+        return " ".join(f"{content['error']}: {content['message']}".split())
+    except (json.JSONDecodeError, KeyError, TypeError):
+        return f"{path.name} is damaged"
+
+
+def _number(job: SweepJob) -> tuple[int, str]:
+    start = job.folder.name.split("_")[0]
+    return (int(start) if start.isdigit() else 10**9, str(job.folder))

@@ -1,0 +1,100 @@
+"""Shell completion."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from nsde_torch.cli import groups
+from nsde_torch.cli.completion import SCRIPTS, query
+from nsde_torch.cli.main import COMMANDS, main
+
+
+@pytest.mark.parametrize(
+    ("words", "expected"),
+    [
+        (["tr"], ["train"]),
+        (["completion", "z"], ["zsh"]),
+        (["train", "sys"], ["system.", "system="]),
+        (["train", "system=c"], ["system=cartpole"]),
+        (["train", "-m", "loss=paper,d"], ["loss=paper,default"]),
+        (["train", "trainer.lr"], ["trainer.lr=", "trainer.lr_end="]),
+        (["train", "dtype="], ["dtype=float32", "dtype=float64"]),
+        (["train", "data.pa"], []),
+        (["train", "data=csv", "data.pa"], ["data.path="]),
+        (["train", "hydra/sweeper=o"], ["hydra/sweeper=optuna"]),
+        (["train", "--conf"], ["--config-dir"]),
+        (["nothing", "x"], []),
+    ],
+)
+def test_the_last_word_is_completed(words: list[str], expected: list[str]) -> None:
+    assert query(words) == expected
+
+
+def test_commands_groups_and_keys_are_all_reachable() -> None:
+    assert set(COMMANDS) <= set(query([""]))
+    top = query(["train", ""])
+    for group in groups.defaults("train"):
+        assert f"{group}=" in top
+        assert [word.split("=")[1] for word in query(["train", f"{group}="])] == groups.choices(group)
+    for entry in groups.keys("train", groups.defaults("train")):
+        assert f"{entry.path}=" in query(["train", entry.path])
+
+
+def test_paths_are_completed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "flights").mkdir()
+    (tmp_path / "flights" / "one.csv").touch()
+    monkeypatch.chdir(tmp_path)
+    assert query(["train", "data=csv", "data.path=fl"]) == ["data.path=flights/"]
+    assert query(["train", "data=csv", "data.path=flights/o"]) == ["data.path=flights/one.csv"]
+    assert query(["train", "--config-dir", "f"]) == ["flights/"]
+
+
+@pytest.mark.parametrize("shell", list(SCRIPTS))
+def test_script_is_printed_and_parses(shell: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["completion", shell]) == 0
+    script = capsys.readouterr().out
+    assert "completion query" in script
+    found = shutil.which(shell)
+    if found is None:
+        pytest.skip(f"{shell} is not installed: its script is printed but not parsed")
+    subprocess.run([found, "-n", "/dev/stdin"], input=script, text=True, check=True)
+
+
+def test_unknown_shell_is_refused(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["completion", "tcsh"]) == 2
+    assert "bash, zsh, fish" in capsys.readouterr().err
+
+
+@pytest.mark.skipif(shutil.which("bash") is None, reason="needs bash")
+@pytest.mark.parametrize(
+    ("line", "expected"),
+    [
+        ("nsde tr", ["train "]),
+        ("nsde train system=cart", ["cartpole "]),
+        ("nsde train trainer.lr", ["trainer.lr=", "trainer.lr_end="]),
+        ("nsde train -m loss=paper,d", ["paper,default "]),
+        ("nsde train system=cartpole trainer=f", ["fast "]),
+    ],
+)
+def test_bash_completes_a_line(line: str, expected: list[str], tmp_path: Path) -> None:
+    program = tmp_path / "nsde"
+    program.write_text(f'#!/bin/sh\nexec "{sys.executable}" -m nsde_torch.cli "$@"\n')
+    program.chmod(0o755)
+    script = (
+        f'eval "$(nsde completion bash)"; COMP_LINE="{line}"; COMP_POINT=${{#COMP_LINE}}; _nsde_complete; '
+        'printf "%s\\n" "${COMPREPLY[@]}"'
+    )
+    done = subprocess.run(
+        ["bash", "-c", script],
+        capture_output=True,
+        text=True,
+        env={**os.environ, "PATH": f"{tmp_path}:{os.environ['PATH']}"},
+        check=True,
+    )
+    assert done.stdout.splitlines() == expected

@@ -1,0 +1,145 @@
+"""Configurations compose, and a mistake in one is named in one clean message."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from hydra import compose, initialize_config_module
+from omegaconf import OmegaConf
+
+from nsde_torch.cli import groups, jobs, schema
+from nsde_torch.cli.main import main
+
+CHOICES = [(group, choice) for group in groups.defaults("train") for choice in groups.choices(group)]
+
+
+@pytest.fixture
+def hydra_ready() -> Iterator[None]:
+    schema.register()
+    with initialize_config_module("nsde_torch.conf", version_base="1.3"):
+        yield
+
+
+@pytest.mark.usefixtures("hydra_ready")
+@pytest.mark.parametrize(("group", "choice"), CHOICES)
+def test_every_choice_of_every_group_composes_and_passes_its_checks(group: str, choice: str) -> None:
+    words = [f"{group}={choice}", "run_dir=r", "sweep_dir=s"]
+    if "path" in [
+        entry.path.split(".")[-1] for entry in groups.keys("train", groups.selected("train", words))
+    ]:
+        words.append("data.path=somewhere")
+    config = compose("train", overrides=words)
+    jobs.check_config(config, "train", words)
+    assert OmegaConf.get_type(config) is schema.TrainConfig
+
+
+@pytest.mark.usefixtures("hydra_ready")
+def test_help_and_hydra_agree_on_every_default() -> None:
+    config: Any = compose("train", overrides=["run_dir=r", "sweep_dir=s"])
+    for entry in groups.keys("train", groups.defaults("train")):
+        if entry.path not in ("run_dir", "sweep_dir"):
+            assert OmegaConf.select(config, entry.path) == entry.default, entry.path
+
+
+def test_solver_choices_are_the_steps_of_the_library() -> None:
+    from nsde_torch.sde.registry import STEPS
+
+    assert set(groups.choices("solver")) == set(STEPS)
+
+
+@pytest.mark.parametrize(
+    ("words", "expected"),
+    [
+        (["trainer.stps=3"], "`trainer.stps` is not a key of `nsde train`. Did you mean `trainer.steps`?"),
+        (["sytem=cartpole"], "`sytem` is not a key of `nsde train`. Did you mean `system`?"),
+        (["+trainer.stps=3"], "Did you mean `trainer.steps`?"),
+        (["lr=0.1"], "Did you mean `trainer.lr`?"),
+        (["system=cartpol"], "Did you mean `system=cartpole`?"),
+        (["hydra/launcher=joblob"], "`hydra/launcher=joblob`: no such choice."),
+        (["data.path=x"], "`data.path` is a key of data=csv or data=ulog or data=published"),
+        (["data=csv"], "`data.path` must be given: file or folder to read. Add data.path=..."),
+        (
+            ["data=csv", "data.durations=[1]"],
+            "`data.durations` is a key of data=simulated, but data=csv is chosen.",
+        ),
+        (["trainer.steps=many"], "`trainer.steps` cannot be set: Value 'many'"),
+        (["trainer.steps=-1"], "`trainer.steps` must be at least 1; got -1."),
+        (["dtype=float16"], "`dtype` must be float32 | float64; got 'float16'."),
+        (["data.test=1"], "A list needs brackets: 'data.test=[...]'."),
+        (["seed=0,1"], "To sweep over it, add --multirun"),
+        (["system=[a"], "no viable alternative"),
+        (["--config-dir", "nowhere"], "`--config-dir nowhere`: no such folder."),
+        (["resume=nowhere"], "there is no run to continue"),
+        (["-m", "run_dir=a"], "a sweep takes `sweep_dir=...`"),
+        (["-m", "resume=a"], "`resume` continues one run; leave out -m."),
+    ],
+)
+def test_a_mistake_is_one_clean_message(
+    words: list[str],
+    expected: str,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+    tmp_path: Path,
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.delenv("NSDE_TRACEBACK", raising=False)
+    assert main(["train", *words]) == 2
+    err = capsys.readouterr().err
+    assert expected in err
+    assert err.startswith("nsde train: ")
+    assert "Traceback" not in err
+    assert "https://" not in err
+
+
+def test_traceback_is_shown_on_request(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("NSDE_TRACEBACK", "1")
+    assert main(["train", "trainer.steps=-1"]) == 2
+    assert "Traceback" in capsys.readouterr().err
+
+
+def test_open_dicts_take_new_keys_without_a_plus(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["train", "--cfg", "job", "system.parameters.mass=2.5"]) == 0
+    assert "mass: 2.5" in capsys.readouterr().out
+
+
+def test_own_config_folder_adds_a_choice_that_is_checked_like_the_others(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "system").mkdir()
+    (tmp_path / "system" / "mine.yaml").write_text("name: my_module:Pendulum\ndt: 0.02\n")
+    assert main(["train", "--config-dir", str(tmp_path), "--cfg", "job", "system=mine"]) == 0
+    assert "name: my_module:Pendulum" in capsys.readouterr().out
+    (tmp_path / "system" / "wrong.yaml").write_text("nme: my_module:Pendulum\n")
+    assert main(["train", "--config-dir", str(tmp_path), "system=wrong"]) == 2
+    assert "In system/wrong.yaml: `system.nme` is not a key" in capsys.readouterr().err
+    (tmp_path / "system" / "typed.yaml").write_text("name: my_module:Pendulum\nhorizon: long\n")
+    assert main(["train", "--config-dir", str(tmp_path), "system=typed"]) == 2
+    assert "In system/typed.yaml: `system.horizon` cannot be set: Value 'long'" in capsys.readouterr().err
+
+
+def test_own_data_file_builds_on_one_of_the_packages(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "data").mkdir()
+    (tmp_path / "data" / "field.yaml").write_text("defaults: [csv, _self_]\npath: flights\ntest: [0]\n")
+    assert main(["train", "--config-dir", str(tmp_path), "--cfg", "job", "data=field"]) == 0
+    assert "path: flights" in capsys.readouterr().out
+    (tmp_path / "data" / "bare.yaml").write_text("kind: csv\npath: flights\n")
+    assert main(["train", "--config-dir", str(tmp_path), "data=bare"]) == 2
+    assert "defaults: [CHOICE, _self_]" in capsys.readouterr().err
+
+
+def test_search_path_reaches_a_folder_given_by_hydra(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "trainer").mkdir()
+    (tmp_path / "trainer" / "long.yaml").write_text("steps: 123456\n")
+    words = ["--cfg", "job", f"hydra.searchpath=[file://{tmp_path}]", "trainer=long"]
+    assert main(["train", *words]) == 0
+    assert "steps: 123456" in capsys.readouterr().out

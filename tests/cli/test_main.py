@@ -1,0 +1,51 @@
+"""The table of commands."""
+
+from __future__ import annotations
+
+import time
+
+import pytest
+
+from nsde_torch.cli.main import COMMANDS, main, unknown_command
+
+
+@pytest.mark.parametrize("words", [[], ["--help"], ["-h"], ["help"]])
+def test_alone_or_with_help_it_lists_every_command_with_a_line(
+    words: list[str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(words) == 0
+    lines = capsys.readouterr().out.splitlines()
+    for name, command in COMMANDS.items():
+        assert any(line.split() == [name, *command.summary.split()] for line in lines)
+    assert max(map(len, lines)) <= 100
+
+
+def test_every_command_of_the_table_can_be_called_for_help(capsys: pytest.CaptureFixture[str]) -> None:
+    for name in COMMANDS:
+        try:
+            status = main([name, "--help"])
+        except SystemExit as ended:  # argparse leaves by itself
+            status = int(ended.code or 0)
+        assert status == 0
+        assert f"nsde {name}" in capsys.readouterr().out
+
+
+def test_unknown_command_suggests_the_nearest(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["trian"]) == 2
+    assert "Did you mean `nsde train`?" in capsys.readouterr().err
+    assert "Did you mean" not in unknown_command("zzz")
+
+
+def test_version_is_that_of_the_package(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["--version"]) == 0
+    assert capsys.readouterr().out.split()[0] == "nsde"
+
+
+def test_help_starts_within_half_a_second(nsde) -> None:  # type: ignore[no-untyped-def]
+    nsde("--help")
+    times = []
+    for _ in range(3):
+        start = time.perf_counter()
+        assert nsde("--help").returncode == 0
+        times.append(time.perf_counter() - start)
+    assert min(times) < 0.5

@@ -1,0 +1,132 @@
+"""Imports point one way, and listing the commands imports nothing heavy."""
+
+from __future__ import annotations
+
+import ast
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+# Each part may import itself and what it names here.
+MAY_IMPORT = {
+    "errors": set(),
+    "effects": {"errors", "systems"},
+    "systems": {"errors", "effects"},
+    "data": {"errors", "systems", "effects"},
+    "sde": {"errors", "systems", "effects", "data"},
+    "plants": {"errors", "systems", "effects", "data", "sde"},
+    "models": {"errors", "systems", "effects", "data", "sde"},
+    "learning": {"errors", "systems", "effects", "data", "sde", "models", "plots"},
+    "control": {"errors", "systems", "effects", "data", "sde", "models", "plots"},
+    "diagnosis": {
+        "errors", "systems", "effects", "data", "sde", "plants", "models", "learning", "control", "plots",
+    },
+    "px4": {"errors", "systems", "effects", "data", "sde", "plants", "models", "learning", "control"},
+    "export": {"errors", "systems", "effects", "data", "sde", "models", "learning", "control"},
+    "plots": {"errors"},
+}  # fmt: skip
+FORBIDDEN = {"hydra", "omegaconf", "hydra_plugins", "cli", "conf", "tests"}
+
+
+def _modules(root: Path) -> list[Path]:
+    return sorted((root / "nsde_torch").rglob("*.py"))
+
+
+def _imports(path: Path, package: str) -> Iterator[str]:
+    """Dotted names that a file imports, at the top or inside functions, relative ones resolved."""
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Import):
+            yield from (alias.name for alias in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            parents = package.split(".")[: len(package.split(".")) - node.level + 1] if node.level else []
+            name = ".".join([*parents, *([node.module] if node.module else [])])
+            yield name
+            yield from (f"{name}.{alias.name}" for alias in node.names)
+
+
+def _package(root: Path, path: Path) -> str:
+    return ".".join(path.relative_to(root).parent.parts)
+
+
+def _part(name: str) -> str | None:
+    """`nsde_torch.sde.heun` belongs to `sde`; the package itself belongs to none."""
+    pieces = name.split(".")
+    return pieces[1] if pieces[0] == "nsde_torch" and len(pieces) > 1 else None
+
+
+def test_every_part_of_the_package_has_its_place_in_the_order(root: Path) -> None:
+    parts = {path.relative_to(root / "nsde_torch").parts[0].removesuffix(".py") for path in _modules(root)}
+    assert parts - {"__init__"} <= set(MAY_IMPORT)
+
+
+def test_imports_inside_the_package_point_one_way(root: Path) -> None:
+    wrong = []
+    for path in _modules(root):
+        part = path.relative_to(root / "nsde_torch").parts[0].removesuffix(".py")
+        if part == "__init__":
+            continue  # the public face gathers names from everywhere
+        for name in _imports(path, _package(root, path)):
+            other = _part(name)
+            if other in MAY_IMPORT and other != part and other not in MAY_IMPORT[part]:
+                wrong.append(f"{path.relative_to(root)} imports {name}")
+    assert not wrong
+
+
+def test_the_order_has_no_cycle_but_systems_and_effects() -> None:
+    cycles = {
+        frozenset((part, other))
+        for part, allowed in MAY_IMPORT.items()
+        for other in allowed
+        if part in MAY_IMPORT[other]
+    }
+    assert cycles == {frozenset(("systems", "effects"))}
+
+
+def test_nothing_in_the_package_imports_hydra_the_commands_or_the_tests(root: Path) -> None:
+    wrong = []
+    for path in _modules(root):
+        for name in _imports(path, _package(root, path)):
+            top = name.split(".")[0]
+            if top in FORBIDDEN or _part(name) in FORBIDDEN:
+                wrong.append(f"{path.relative_to(root)} imports {name}")
+    assert not wrong
+
+
+def test_third_party_imports_are_declared_dependencies(root: Path) -> None:
+    text = (root / "pyproject.toml").read_text(encoding="utf-8")
+    declared = text[text.index("dependencies = [") : text.index("[project.optional-dependencies]")].lower()
+    own_name = {"yaml": "pyyaml", "hydra": "hydra-core"}
+    missing = set()
+    for path in [*_modules(root), *sorted((root / "cli").glob("*.py"))]:
+        for name in _imports(path, "nsde_torch.cli" if path.parent.name == "cli" else _package(root, path)):
+            top = name.split(".")[0]
+            if top in sys.stdlib_module_names or top in ("nsde_torch", "__future__", ""):
+                continue
+            if f'"{own_name.get(top, top).replace("_", "-")}' not in declared.replace("_", "-"):
+                missing.add(f"{path.relative_to(root)} imports {top}")
+    assert not missing
+
+
+@pytest.mark.parametrize(
+    ("statement", "absent"),
+    [
+        ("import nsde_torch", "torch"),
+        ("from nsde_torch.cli.main import main; main([])", "torch hydra omegaconf yaml numpy"),
+        ("from nsde_torch.cli.main import main; main(['--help'])", "torch hydra omegaconf yaml numpy"),
+        ("from nsde_torch.cli.main import main; main(['train', '--help'])", "torch hydra omegaconf numpy"),
+        (
+            "from nsde_torch.cli.main import main; main(['completion', 'query', 'train', 'sys'])",
+            "torch hydra omegaconf numpy",
+        ),
+        ("from nsde_torch.cli.main import main; main(['sweep-report', '.'])", "torch hydra omegaconf numpy"),
+    ],
+)
+def test_light_things_stay_light(statement: str, absent: str, tmp_path: Path) -> None:
+    check = f"; import sys; bad = [m for m in {absent.split()} if m in sys.modules]; assert not bad, bad"
+    done = subprocess.run(
+        [sys.executable, "-c", statement + check], capture_output=True, text=True, cwd=tmp_path, check=False
+    )
+    assert done.returncode == 0, done.stderr

@@ -1,0 +1,139 @@
+"""The wheel holds all of the tree, and runs the same commands from elsewhere."""
+
+from __future__ import annotations
+
+import importlib.util
+import os
+import re
+import shutil
+import subprocess
+import sys
+import zipfile
+from pathlib import Path
+
+import pytest
+
+COPIED = ("nsde_torch", "cli", "conf", "pyproject.toml", "README.md", "LICENSE")
+
+
+def _declared_packages(root: Path) -> set[str]:
+    text = (root / "pyproject.toml").read_text(encoding="utf-8")
+    block = re.search(r"^packages = \[(.*?)^\]", text, flags=re.MULTILINE | re.DOTALL)
+    assert block is not None
+    return set(re.findall(r'"([^"]+)"', block.group(1)))
+
+
+def test_pyproject_lists_every_package_of_the_tree(root: Path) -> None:
+    found = {"nsde_torch", "nsde_torch.cli", "nsde_torch.conf"}
+    for path in (root / "nsde_torch").rglob("*.py"):
+        found.add(".".join(path.parent.relative_to(root).parts))
+    for path in (root / "cli").rglob("*.py"):
+        found.add(".".join(("nsde_torch", *path.parent.relative_to(root).parts)))
+    assert _declared_packages(root) == found
+
+
+def test_constraints_pin_every_direct_dependency(root: Path) -> None:
+    text = (root / "pyproject.toml").read_text(encoding="utf-8")
+    block = text[text.index("dependencies = [") : text.index("[project.optional-dependencies]")]
+    names = {
+        re.split(r"[~<>=]", item)[0] for item in re.findall(r'^    "([^"]+)"', block, flags=re.MULTILINE)
+    }
+    pinned = {
+        line.split("==")[0]
+        for line in (root / "constraints.txt").read_text(encoding="utf-8").splitlines()
+        if "==" in line
+    }
+    assert names <= pinned
+
+
+@pytest.fixture(scope="module")
+def wheel(root: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A wheel built from a copy of the tree, without the network."""
+    for tool in ("setuptools", "wheel", "pip"):
+        if importlib.util.find_spec(tool) is None:
+            pytest.skip(f"building a wheel without the network needs {tool}")
+    tree, out = tmp_path_factory.mktemp("tree"), tmp_path_factory.mktemp("wheel")
+    for name in COPIED:
+        source = root / name
+        if source.is_dir():
+            shutil.copytree(source, tree / name, ignore=shutil.ignore_patterns("__pycache__"))
+        elif source.is_file():
+            shutil.copy(source, tree / name)
+    command = [
+        sys.executable,
+        "-m",
+        "pip",
+        "wheel",
+        "--quiet",
+        "--no-deps",
+        "--no-build-isolation",
+        "--no-index",
+    ]
+    done = subprocess.run(
+        [*command, "--wheel-dir", str(out), str(tree)], capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0, done.stderr
+    return next(out.glob("*.whl"))
+
+
+@pytest.fixture(scope="module")
+def installed(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
+    """The environment in which Python sees the installed wheel and not the checkout."""
+    target = tmp_path_factory.mktemp("site")
+    command = [
+        sys.executable,
+        "-m",
+        "pip",
+        "install",
+        "--quiet",
+        "--no-deps",
+        "--no-index",
+        "--target",
+        str(target),
+    ]
+    done = subprocess.run([*command, str(wheel)], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    return {**os.environ, "PYTHONPATH": str(target), "NSDE_SITE": str(target)}
+
+
+def _nsde(env: dict[str, str], cwd: Path, *words: str) -> subprocess.CompletedProcess[str]:
+    script = Path(env["NSDE_SITE"]) / "bin" / "nsde"
+    return subprocess.run(
+        [sys.executable, str(script), *words], capture_output=True, text=True, cwd=cwd, env=env, check=False
+    )
+
+
+def test_wheel_holds_code_commands_and_every_config_file(wheel: Path, root: Path) -> None:
+    names = set(zipfile.ZipFile(wheel).namelist())
+    expected = {str(path.relative_to(root)) for path in (root / "nsde_torch").rglob("*.py")}
+    expected |= {f"nsde_torch/{path.relative_to(root)}" for path in (root / "cli").rglob("*.py")}
+    expected |= {f"nsde_torch/{path.relative_to(root)}" for path in (root / "conf").rglob("*.yaml")}
+    assert expected <= names
+    assert not [name for name in names if name.startswith(("cli/", "conf/", "tests/"))]
+
+
+def test_installed_wheel_is_the_one_that_runs(installed: dict[str, str], tmp_path: Path) -> None:
+    code = "import nsde_torch.cli.main as m, nsde_torch.errors as e; print(m.__file__); print(e.__file__)"
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, cwd=tmp_path, env=installed, check=True
+    )
+    assert all(line.startswith(installed["NSDE_SITE"]) for line in done.stdout.split())
+
+
+def test_installed_wheel_lists_its_commands(installed: dict[str, str], tmp_path: Path) -> None:
+    done = _nsde(installed, tmp_path, "--help")
+    assert done.returncode == 0, done.stderr
+    assert "sweep-report" in done.stdout
+
+
+def test_installed_wheel_shows_the_help_of_train(installed: dict[str, str], tmp_path: Path) -> None:
+    done = _nsde(installed, tmp_path, "train", "--help")
+    assert done.returncode == 0, done.stderr
+    assert "hexacopter*" in done.stdout
+
+
+def test_installed_wheel_composes_its_configuration(installed: dict[str, str], tmp_path: Path) -> None:
+    done = _nsde(installed, tmp_path, "train", "--cfg", "job", "system=cartpole", "solver=heun")
+    assert done.returncode == 0, done.stderr
+    assert "name: cartpole" in done.stdout
+    assert "name: heun" in done.stdout

@@ -171,6 +171,7 @@ def assemble(
     report = findings.append
     motors = system.quaternion is not None
     for run in raw:
+        findings += run.notes
         _check_shapes(run, system)
         if motors:
             inputs.check_range(run.u, system.input_names, f"{run.source or 'run'} {run.name!r}")

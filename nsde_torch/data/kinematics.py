@@ -155,7 +155,7 @@ def _slope(b: Array, even: Array, odd: Array) -> float:
 
 
 def clock_slopes(system: SystemInfo, name: str, segments: Sequence[Array], *, dt: float) -> list[Slope]:
-    """Slopes of all axes of one run; axes that hardly move, and records of fewer than 20 intervals, give none.
+    """Slopes of all axes of one run; axes that do not move, or fewer than 20 intervals, give none.
 
     Args:
         system: Names and derivative pairs.

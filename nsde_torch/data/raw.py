@@ -8,6 +8,8 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from nsde_torch.data.findings import Finding
+
 Array = NDArray[np.float64]
 
 
@@ -23,6 +25,7 @@ class RawRun:
         extra: Further columns by name, each (n,).
         source: File, for messages.
         first_line: Line of row 0 in a text file, so that messages can say file:line; None for other files.
+        notes: What the reader itself found; goes to the summary.
     """
 
     name: str
@@ -32,6 +35,7 @@ class RawRun:
     extra: Mapping[str, Array] = field(default_factory=dict)
     source: str = ""
     first_line: int | None = None
+    notes: list[Finding] = field(default_factory=list)
 
     def where(self, row: int) -> str:
         """Place of a row, for messages: file:line for a text file, otherwise run and row."""

@@ -61,7 +61,7 @@ def read(
             f"`kind` of data must be one of {', '.join(sorted(READERS))}; got {kind!r}. (Simulated data come "
             "from `nsde_torch.plants`.)"
         )
-    if kind != "csv" and dt is not None:
+    if kind == "published" and dt is not None:
         options["dt"] = dt
     if not path:
         raise ConfigError(f"`path` is empty; data of kind {kind!r} need the path of a file or folder.")

@@ -1,0 +1,336 @@
+"""PX4 flight logs (ULog) through pyulog: one log is one run, NED/FRD converted, all topics on one clock.
+
+State from `vehicle_odometry`, or from `vehicle_attitude` + `vehicle_local_position` +
+`vehicle_angular_velocity`; inputs from `actuator_motors`, else `actuator_outputs`; `battery_status` becomes
+the channel `battery_voltage`. The rows are those of the attitude; slower topics are interpolated (motor
+commands held). Where a topic pauses, is not finite, or the vehicle is landed, the row counts as missing and
+the checks cut the run there.
+
+Field meanings: PX4 message definitions (`msg/VehicleOdometry.msg` and so on, PX4 1.13 to 1.16). The velocity
+frame of `vehicle_odometry` is read from its own field, never assumed.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nsde_torch.data.findings import Finding
+from nsde_torch.data.frames import attitude_to_enu, swap_body, swap_world
+from nsde_torch.data.quaternion import continuous_signs, rotate, slerp
+from nsde_torch.data.raw import RawRun
+from nsde_torch.data.system_info import SystemInfo, rate_columns
+from nsde_torch.errors import ConfigError, DataError
+
+Array = NDArray[np.float64]
+
+STATE_NAMES = ("p_x", "p_y", "p_z", "v_x", "v_y", "v_z", "q_w", "q_x", "q_y", "q_z", "w_x", "w_y", "w_z")
+SOURCES = ("auto", "odometry", "attitude")
+TOPICS = (
+    "vehicle_odometry",
+    "vehicle_attitude",
+    "vehicle_local_position",
+    "vehicle_angular_velocity",
+    "actuator_motors",
+    "actuator_outputs",
+    "battery_status",
+    "vehicle_land_detected",
+)
+MIN_RATE = 4.0
+"""Slowest rate of a state or motor topic that is interpolated [Hz]."""
+_HIGH_RATE = "Log more with the parameter SDLOG_PROFILE (the high-rate profile)"
+_FIRST_MOTOR = 101
+"""PX4 output function of motor 1; motor k is 100 + k."""
+
+
+@dataclass
+class _Topic:
+    """One topic: times [s] and its fields."""
+
+    name: str
+    t: Array
+    fields: dict[str, Array]
+
+    def columns(self, *names: str) -> Array:
+        """Fields side by side, (n, columns)."""
+        return np.stack([self.fields[n] for n in names], axis=1)
+
+    def vector(self, name: str, size: int) -> Array:
+        """An array field, (n, size)."""
+        return self.columns(*(f"{name}[{k}]" for k in range(size)))
+
+    @property
+    def rate(self) -> float:
+        """Median rate [Hz]."""
+        return 1.0 / float(np.median(np.diff(self.t)))
+
+
+def _load(path: Path) -> tuple[Any, dict[str, list[_Topic]]]:
+    """The log, and its topics of interest by name (several where there are several instances)."""
+    from pyulog import ULog
+
+    try:
+        with path.open("rb") as file:
+            log = ULog(file, list(TOPICS))
+    except Exception as error:  # a damaged log makes the parser raise nearly anything
+        raise DataError(f"{path} is not a readable ULog file ({type(error).__name__}: {error}).") from error
+    topics: dict[str, list[_Topic]] = {}
+    for data in sorted(log.data_list, key=lambda d: int(d.multi_id)):
+        fields = {k: np.asarray(v, dtype=np.float64) for k, v in data.data.items()}
+        t = fields["timestamp"] * 1e-6
+        sample = fields.get("timestamp_sample")
+        if sample is not None and (sample > 0).all():
+            t = sample * 1e-6
+        order = np.argsort(t, kind="stable")
+        order = order[np.concatenate([[True], np.diff(t[order]) > 0])] if len(order) else order
+        if len(order) >= 2:
+            cut = {k: v[order] for k, v in fields.items()}
+            topics.setdefault(data.name, []).append(_Topic(data.name, t[order], cut))
+    return log, topics
+
+
+def _pause_mask(topic: _Topic, t: Array) -> NDArray[np.bool_]:
+    """Times that lie outside a topic or in a pause of it (longer than 0.25 s and than five of its steps)."""
+    limit = max(0.25, 5.0 / topic.rate)
+    left = np.searchsorted(topic.t, t, side="right") - 1
+    outside = (left < 0) | (t > topic.t[-1] + limit)
+    left = np.clip(left, 0, len(topic.t) - 2)
+    inside_pause = (topic.t[left + 1] - topic.t[left] > limit) & (t > topic.t[left]) & (t < topic.t[left + 1])
+    return np.asarray(outside | inside_pause)
+
+
+def _linear(topic: _Topic, values: Array, t: Array) -> Array:
+    """Columns of a topic at other times; missing in its pauses and beyond its ends."""
+    out = np.stack([np.interp(t, topic.t, column) for column in values.T], axis=1)
+    out[_pause_mask(topic, t) | (t > topic.t[-1])] = np.nan
+    return out
+
+
+def _held(topic: _Topic, values: Array, t: Array) -> Array:
+    """The last value at or before each time; missing before the first and in pauses."""
+    left = np.searchsorted(topic.t, t, side="right") - 1
+    out: Array = values[np.clip(left, 0, None)].copy()
+    out[_pause_mask(topic, t)] = np.nan
+    return out
+
+
+def _quaternions(topic: _Topic, q: Array, t: Array) -> Array:
+    """Quaternions at other times, on the great circle between neighbours."""
+    q, _ = continuous_signs(q)
+    left = np.clip(np.searchsorted(topic.t, t, side="right") - 1, 0, len(topic.t) - 2)
+    share = np.clip((t - topic.t[left]) / (topic.t[left + 1] - topic.t[left]), 0.0, 1.0)
+    out = slerp(q[left], q[left + 1], share)
+    out[_pause_mask(topic, t) | (t > topic.t[-1])] = np.nan
+    return out
+
+
+def _odometry(topic: _Topic, path: Path) -> Array:
+    """States (n, 13) in ENU/FLU from `vehicle_odometry`, old fields (to PX4 1.13) or new."""
+    f = topic.fields
+    if "position[0]" in f:
+        p, v, w = (topic.vector(name, 3) for name in ("position", "velocity", "angular_velocity"))
+        pose, frame = f["pose_frame"], f["velocity_frame"]
+        ned, frd, body = 1, 2, 3
+    else:
+        p, v = topic.columns("x", "y", "z"), topic.columns("vx", "vy", "vz")
+        w = topic.columns("rollspeed", "pitchspeed", "yawspeed")
+        pose, frame = f["local_frame"], f["velocity_frame"]
+        ned, frd, body = 0, 1, 3
+    q = topic.vector("q", 4)
+    bad = ~np.isin(pose, (ned, frd))
+    if bad.any():
+        raise DataError(
+            f"{path}: `vehicle_odometry` has the pose frame {int(pose[bad][0])}; expected NED ({ned}) or FRD "
+            f"({frd}). Read with `state=attitude`."
+        )
+    in_body = frame == body
+    odd = ~in_body & (frame != pose)
+    if odd.any():
+        raise DataError(
+            f"{path}: `vehicle_odometry` has velocities in frame {int(frame[odd][0])} and poses in frame "
+            f"{int(pose[odd][0])}; expected the same frame, or the body frame ({body}). Read with "
+            "`state=attitude`."
+        )
+    v = np.where(in_body[:, None], rotate(q, v), v)
+    return np.concatenate([swap_world(p), swap_world(v), attitude_to_enu(q), swap_body(w)], axis=1)
+
+
+def _first(topics: dict[str, list[_Topic]], name: str) -> _Topic | None:
+    return topics[name][0] if name in topics else None
+
+
+def _state(topics: dict[str, list[_Topic]], source: str, path: Path) -> tuple[Array, Array, list[_Topic]]:
+    """Times, states in ENU/FLU, and the topics that they came from."""
+    odometry = _first(topics, "vehicle_odometry")
+    parts = [
+        _first(topics, n) for n in ("vehicle_attitude", "vehicle_local_position", "vehicle_angular_velocity")
+    ]
+    attitude, position, rates = parts
+    have_parts = attitude is not None and position is not None and rates is not None
+    if source == "auto":
+        slowest = min((p.rate for p in parts if p is not None), default=0.0)
+        use_odometry = odometry is not None and not (have_parts and slowest > 1.5 * odometry.rate)
+    else:
+        use_odometry = source == "odometry"
+    if use_odometry and odometry is not None:
+        return odometry.t, _odometry(odometry, path), [odometry]
+    if source == "odometry" or attitude is None or position is None or rates is None:
+        names = ("vehicle_attitude", "vehicle_local_position", "vehicle_angular_velocity")
+        wanted = ["vehicle_odometry"] if source == "odometry" else [n for n in names if n not in topics]
+        other = "" if source != "auto" else " (or `vehicle_odometry`)"
+        raise DataError(
+            f"{path} lacks the topics {wanted}{other}; it has {sorted(topics) or 'none of those needed'}. "
+            f"{_HIGH_RATE}, or add them to etc/logging/logger_topics.txt on the SD card."
+        )
+    t = attitude.t
+    p = _linear(position, position.columns("x", "y", "z"), t)
+    v = _linear(position, position.columns("vx", "vy", "vz"), t)
+    for flag, columns in (("xy_valid", slice(0, 2)), ("z_valid", slice(2, 3))):
+        if flag in position.fields:
+            p[_held(position, position.columns(flag), t)[:, 0] < 0.5, columns] = np.nan
+    w = _linear(rates, rates.vector("xyz", 3), t)
+    x = np.concatenate(
+        [swap_world(p), swap_world(v), attitude_to_enu(attitude.vector("q", 4)), swap_body(w)], axis=1
+    )
+    return t, x, [attitude, position, rates]
+
+
+def _output_channels(parameters: dict[str, Any], motors: int) -> tuple[list[int], Array, Array]:
+    """Output channels of the motors, and their lowest and highest pulse widths [us], by the parameters."""
+    for prefix in ("PWM_MAIN", "PWM_AUX"):
+        function = {int(parameters.get(f"{prefix}_FUNC{k + 1}", 0)): k for k in range(16)}
+        channels = [function.get(_FIRST_MOTOR + k, -1) for k in range(motors)]
+        if min(channels) >= 0:
+            low = np.array([float(parameters.get(f"{prefix}_MIN{k + 1}", 1000)) for k in channels])
+            high = np.array([float(parameters.get(f"{prefix}_MAX{k + 1}", 2000)) for k in channels])
+            return channels, low, high
+    ends = [float(parameters.get(name, default)) for name, default in (("PWM_MIN", 1000), ("PWM_MAX", 2000))]
+    return list(range(motors)), np.full(motors, ends[0]), np.full(motors, ends[1])
+
+
+def _motors(log: Any, topics: dict[str, list[_Topic]], motors: int, path: Path) -> tuple[_Topic, Array]:
+    """Motor commands in [0, 1] and the topic that they came from."""
+    topic = _first(topics, "actuator_motors")
+    if topic is not None:
+        return topic, topic.vector("control", motors)
+    if "actuator_outputs" not in topics:
+        raise DataError(
+            f"{path} lacks the topics ['actuator_motors'] (or `actuator_outputs`); it has "
+            f"{sorted(topics) or 'none of those needed'}. {_HIGH_RATE}."
+        )
+    channels, low, high = _output_channels(log.initial_parameters, motors)
+    # several output drivers may log; the motors are on the one that moves
+    outputs = [(t, t.vector("output", max(channels) + 1)[:, channels]) for t in topics["actuator_outputs"]]
+    topic, raw = max(outputs, key=lambda pair: float(pair[1].std(axis=0).sum()))
+    if raw.max() <= 1.05:
+        return topic, raw
+    if raw.max() < 800:
+        raise DataError(
+            f"{path}: `actuator_outputs` of the motors reach {raw.max():.4g}; expected pulse widths in "
+            "microseconds or 0 to 1. Log `actuator_motors`."
+        )
+    share = (raw - low) / (high - low)
+    share[raw < 0.95 * low] = np.nan  # disarmed
+    return topic, np.clip(share, 0.0, 1.0)
+
+
+def read_ulog_file(
+    path: str | Path, system: SystemInfo, *, state: str = "auto", in_air: bool = True
+) -> RawRun:
+    """One run from one PX4 log.
+
+    Args:
+        path: The `.ulg` file.
+        system: A multirotor; as many motors are read as it has inputs.
+        state: `odometry`, `attitude` (three topics), or `auto`: the odometry unless the others are much
+            faster.
+        in_air: Leave out the time on the ground, where the log tells (`vehicle_land_detected`).
+
+    Raises:
+        DataError: not a ULog file, a topic is missing or too slow (the message names it and the remedy), or
+            frames that cannot be converted.
+        ConfigError: an unknown `state`, or a system that is not a multirotor.
+    """
+    path = Path(path)
+    if state not in SOURCES:
+        raise ConfigError(f"`state` must be one of {', '.join(SOURCES)}; got {state!r}.")
+    if tuple(system.state_names) != STATE_NAMES or rate_columns(system) is None:
+        raise ConfigError(
+            f"PX4 logs hold multirotor states {STATE_NAMES}; the system {system.name!r} has "
+            f"{tuple(system.state_names)}. Choose `hexacopter` or `quadrotor`, or write the data as CSV."
+        )
+    log, topics = _load(path)
+    t, x, sources = _state(topics, state, path)
+    motor_topic, commands = _motors(log, topics, len(system.input_names), path)
+    for topic in (*sources, motor_topic):
+        if topic.rate < MIN_RATE:
+            raise DataError(
+                f"{path}: the topic `{topic.name}` was logged at {topic.rate:.3g} Hz; at least {MIN_RATE:g} "
+                f"Hz are "
+                f"needed. {_HIGH_RATE}."
+            )
+    u = _held(motor_topic, commands, t)
+    run = RawRun(path.stem, t, x, u, source=str(path))
+    notes = run.notes.append
+    base = sources[0]
+    slow = [topic for topic in (*sources[1:], motor_topic) if topic.rate < 0.8 * base.rate]
+    if slow:
+        rates = ", ".join(f"{topic.name} {topic.rate:.3g} Hz" for topic in slow)
+        text = f"topics slower than {base.name} ({base.rate:.3g} Hz): {rates}"
+        notes(Finding("slow_topic", run.name, len(slow), text, "interpolated"))
+    battery = _first(topics, "battery_status")
+    if battery is not None:
+        run.extra = {"battery_voltage": np.interp(t, battery.t, battery.fields["voltage_v"])}
+    landed = _first(topics, "vehicle_land_detected")
+    if in_air and landed is not None:
+        ground = (
+            landed.fields["landed"][np.clip(np.searchsorted(landed.t, t, side="right") - 1, 0, None)] > 0.5
+        )
+        if ground.all():
+            raise DataError(
+                f"{path}: the vehicle is landed throughout. Set `in_air` to false to keep such data."
+            )
+        if ground.any():
+            x[ground] = np.nan
+            seconds = float(ground.mean() * (t[-1] - t[0]))
+            notes(
+                Finding("on_ground", run.name, int(ground.sum()), f"{seconds:.3g} s on the ground", "dropped")
+            )
+    dropouts = log.dropouts
+    if dropouts:
+        seconds = sum(d.duration for d in dropouts) * 1e-3
+        text = f"{len(dropouts)} dropouts of the logger, {seconds:.3g} s in all"
+        notes(Finding("logger_dropout", run.name, len(dropouts), text, "reported"))
+    if log.file_corruption:
+        notes(Finding("damaged_log", run.name, 1, "parts of the log are damaged and were skipped", "dropped"))
+    return run
+
+
+def read_ulog(
+    system: SystemInfo, *, path: str | Path, state: str = "auto", in_air: bool = True
+) -> list[RawRun]:
+    """Runs of one PX4 log, or of all `.ulg` files of a folder in the order of their names.
+
+    Args:
+        system: A multirotor.
+        path: File or folder.
+        state: See `read_ulog_file`.
+        in_air: See `read_ulog_file`.
+
+    Raises:
+        DataError: nothing to read, or a log that is refused (see `read_ulog_file`).
+    """
+    path = Path(path)
+    if path.is_dir():
+        files = sorted(p for p in path.iterdir() if p.suffix.lower() == ".ulg")
+        if not files:
+            raise DataError(f"`path`: {path} holds no .ulg file.")
+    elif path.is_file():
+        files = [path]
+    else:
+        raise DataError(f"`path`: {path} does not exist; expected a .ulg file or a folder of them.")
+    return [read_ulog_file(file, system, state=state, in_air=in_air) for file in files]

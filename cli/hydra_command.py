@@ -17,6 +17,19 @@ from .schema import COMMAND_SCHEMAS, register
 
 _CONFIG_PATH = "pkg://nsde_torch.conf"
 _TRACEBACK = "NSDE_TRACEBACK"
+# Hydra's options that are followed by a value.
+_WITH_VALUE = {
+    "--config-dir",
+    "-cd",
+    "--config-name",
+    "-cn",
+    "--cfg",
+    "-c",
+    "--package",
+    "-p",
+    "--info",
+    "-i",
+}
 
 
 @dataclass(frozen=True)
@@ -74,7 +87,7 @@ class HydraCommand:
         resumed = [word.split("=", 1)[1] for word in words if word.startswith("resume=")]
         if resumed and resumed[-1] not in ("", "null"):
             words = _resume(words, Path(resumed[-1]))
-        return [_opened(word, self.name) for word in words]
+        return _options_first([_opened(word, self.name) for word in words])
 
     def _run(self, words: list[str]) -> int:
         import hydra
@@ -158,6 +171,21 @@ def _opened(word: str, command: str) -> str:
         if entry.default == {} and (path == entry.path or path.startswith(f"{entry.path}.")):
             return f"++{word}"
     return word
+
+
+def _options_first(words: Sequence[str]) -> list[str]:
+    """Options before overrides: Hydra's parser does not take `seed=1 --config-dir DIR system=mine`."""
+    options: list[str] = []
+    overrides: list[str] = []
+    rest = iter(words)
+    for word in rest:
+        if not word.startswith("-"):
+            overrides.append(word)
+            continue
+        options.append(word)
+        if word in _WITH_VALUE:
+            options += [value for value in [next(rest, None)] if value is not None]
+    return [*options, *overrides]
 
 
 def _resume(words: list[str], folder: Path) -> list[str]:

@@ -1,8 +1,8 @@
 """Schemas of the configuration: every key with its default, unit, range and help.
 
 The YAML files of `conf/` choose values; the names and types live here. `conf/train.yaml` starts from
-`TrainConfig`; a choice whose keys are not those of its neighbours (`data=csv`, `data=simulated`) has a class in
-`CHOICES`. A key that is not declared here is an error that names it.
+`TrainConfig`; a choice whose keys are not those of its neighbours (`data=csv`, `data=simulated`) has a class
+in `CHOICES`. A key that is not declared here is an error that names it.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ class DataConfig:
         0.15, "share of the training runs' time that early stopping looks at", low=0.01, high=0.5
     )
     gap: float | None = key(
-        None, "a longer pause between samples splits a run; null: 1.5 sample intervals", unit="s", above=0
+        None, "a longer pause between rows splits a run; null: 2.5 steps of the data", unit="s", above=0
     )
     clock: str = key(
         "rescale",
@@ -70,6 +70,7 @@ class FileData(DataConfig):
     """Runs read from files."""
 
     path: str = key("???", "file or folder to read")
+    dt: float | None = key(None, "step to resample to; null: the step of the data", unit="s", above=0)
 
 
 @dataclass

@@ -115,6 +115,8 @@ def test_own_config_folder_adds_a_choice_that_is_checked_like_the_others(
     (tmp_path / "system" / "mine.yaml").write_text("name: my_module:Pendulum\ndt: 0.02\n")
     assert main(["train", "--config-dir", str(tmp_path), "--cfg", "job", "system=mine"]) == 0
     assert "name: my_module:Pendulum" in capsys.readouterr().out
+    assert main(["train", "seed=1", "--config-dir", str(tmp_path), "system=mine", "--cfg", "job"]) == 0
+    assert "name: my_module:Pendulum" in capsys.readouterr().out
     (tmp_path / "system" / "wrong.yaml").write_text("nme: my_module:Pendulum\n")
     assert main(["train", "--config-dir", str(tmp_path), "system=wrong"]) == 2
     assert "In system/wrong.yaml: `system.nme` is not a key" in capsys.readouterr().err

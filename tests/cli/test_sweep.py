@@ -1,0 +1,210 @@
+"""Runs and sweeps: what a job leaves behind, how a failure is told, with every launcher that is installed.
+
+The work of these jobs is a probe that writes one number, so that the machinery is tested alone.
+"""
+
+from __future__ import annotations
+
+import importlib.util
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+PROBE = """
+import json, os, time
+from nsde_torch.cli.jobs import guarded
+from nsde_torch.errors import DataError
+
+def run(config, job):
+    if config.seed == 13:
+        raise DataError("`seed` 13 has no data.")
+    if config.seed == 14:
+        raise RuntimeError("bug")
+    if config.seed == 99:
+        open("started", "w").close()
+        time.sleep(60)
+    if config.system.name == "module_of_mine:Machine":
+        import module_of_mine
+    if config.resume:
+        assert (job.run_dir / "metrics.json").is_file()
+    score = config.trainer.lr + config.seed
+    metrics = {"validation": {"score": score}, "pid": os.getpid(), "run_dir": 1.0}
+    (job.run_dir / "metrics.json").write_text(json.dumps(metrics))
+    return score
+
+def task(config):
+    return guarded(run, "train", config)
+"""
+START = """
+import sys
+from nsde_torch.cli.hydra_command import HydraCommand
+sys.exit(HydraCommand("train", "Probe", "nsde_probe").main(sys.argv[1:]))
+"""
+
+Probe = Callable[..., subprocess.CompletedProcess[str]]
+
+
+def _environment(folder: Path) -> dict[str, str]:
+    (folder / "nsde_probe.py").write_text(PROBE)
+    return {**os.environ, "PYTHONPATH": f"{folder}{os.pathsep}{os.environ.get('PYTHONPATH', '')}"}
+
+
+@pytest.fixture
+def probe(tmp_path: Path) -> Probe:
+    """Run `nsde train WORDS` with the probe for its work, in a process and folder of its own."""
+    env = _environment(tmp_path)
+
+    def run(*words: str) -> subprocess.CompletedProcess[str]:
+        return subprocess.run(
+            [sys.executable, "-c", START, *words],
+            capture_output=True,
+            text=True,
+            cwd=tmp_path,
+            env=env,
+            timeout=120,
+            check=False,
+        )
+
+    return run
+
+
+def _needs(module: str) -> None:
+    if importlib.util.find_spec(f"hydra_plugins.{module}") is None:
+        pytest.skip(f"needs {module}, from the extra nsde_torch[sweeps]")
+
+
+def _jobs(folder: Path) -> list[Path]:
+    return sorted(path for path in folder.iterdir() if path.is_dir())
+
+
+def test_a_run_writes_to_the_folder_that_the_user_names(probe: Probe, tmp_path: Path) -> None:
+    done = probe("run_dir=here/first")
+    assert done.returncode == 0, done.stderr
+    assert (tmp_path / "here" / "first" / "metrics.json").is_file()
+
+
+def test_a_run_without_a_name_goes_to_a_dated_folder(probe: Probe, tmp_path: Path) -> None:
+    assert probe("system=cartpole").returncode == 0
+    (metrics,) = tmp_path.glob("runs/*/*/metrics.json")
+    assert metrics.parent.name.endswith("_cartpole")
+
+
+def test_a_users_error_is_one_message_and_is_recorded(probe: Probe, tmp_path: Path) -> None:
+    done = probe("seed=13", "run_dir=r")
+    assert done.returncode == 2
+    assert done.stderr.strip().splitlines()[-1] == "nsde train: `seed` 13 has no data."
+    assert "Traceback" not in done.stderr
+    failed = json.loads((tmp_path / "r" / "failed.json").read_text())
+    assert failed["error"] == "DataError"
+    assert "Traceback" in failed["traceback"]
+
+
+def test_a_fault_of_ours_shows_its_traceback(probe: Probe) -> None:
+    done = probe("seed=14", "run_dir=r")
+    assert done.returncode == 70
+    assert "RuntimeError: bug" in done.stderr
+
+
+def test_a_resumed_run_keeps_its_choices_and_its_folder(probe: Probe, tmp_path: Path) -> None:
+    assert probe("run_dir=r", "trainer.lr=0.5", "seed=2").returncode == 0
+    done = probe("resume=r", "trainer.steps=77")
+    assert done.returncode == 0, done.stderr
+    assert json.loads((tmp_path / "r" / "metrics.json").read_text())["validation"]["score"] == 2.5
+    assert not (tmp_path / "runs").exists()
+    assert probe("resume=r").returncode == 0
+
+
+def test_a_module_in_the_users_folder_is_found_also_when_resuming(probe: Probe, tmp_path: Path) -> None:
+    folder = tmp_path / "own"
+    (folder / "system").mkdir(parents=True)
+    (folder / "system" / "mine.yaml").write_text("name: module_of_mine:Machine\n")
+    (folder / "module_of_mine.py").write_text("class Machine: pass\n")
+    done = probe("--config-dir", "own", "system=mine", "run_dir=r")
+    assert done.returncode == 0, done.stderr
+    done = probe("resume=r")
+    assert done.returncode == 0, done.stderr
+
+
+def test_ctrl_c_says_how_to_go_on(tmp_path: Path) -> None:
+    process = subprocess.Popen(
+        [sys.executable, "-c", START, "seed=99", "run_dir=r"],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        cwd=tmp_path,
+        env=_environment(tmp_path),
+    )
+    for _ in range(300):
+        if (tmp_path / "started").exists():
+            break
+        time.sleep(0.1)
+    process.send_signal(signal.SIGINT)
+    _, err = process.communicate(timeout=30)
+    assert process.returncode == 130
+    assert err.splitlines()[-1].endswith(f"Continue with: nsde train resume={tmp_path / 'r'}")
+
+
+@pytest.mark.parametrize("launcher", ["basic", "joblib", "submitit_local"])
+def test_a_failed_job_does_not_take_the_others_along(launcher: str, probe: Probe, tmp_path: Path) -> None:
+    if launcher != "basic":
+        _needs(f"hydra_{launcher.split('_')[0]}_launcher")
+    words = [] if launcher == "basic" else [f"hydra/launcher={launcher}"]
+    if launcher == "joblib":
+        words.append("hydra.launcher.n_jobs=2")
+    done = probe("-m", "sweep_dir=sweep", "loss=paper,default", "seed=0,13,14", *words)
+    assert done.returncode == 1, done.stderr
+    jobs = [job for job in _jobs(tmp_path / "sweep") if job.name[0].isdigit()]
+    assert [job.name for job in jobs] == [
+        f"{number}_loss={loss},seed={seed}"
+        for number, (loss, seed) in enumerate([(a, b) for a in ("paper", "default") for b in (0, 13, 14)])
+    ]
+    assert sum((job / "metrics.json").is_file() for job in jobs) == 2
+    assert sum((job / "failed.json").is_file() for job in jobs) == 4
+    assert "4 job(s) failed" in done.stderr
+    assert "nsde sweep-report sweep" in done.stdout
+
+
+def test_a_sweep_without_failures_ends_well(probe: Probe, tmp_path: Path) -> None:
+    done = probe("-m", "sweep_dir=sweep", "seed=0,1", "trainer.lr=0.1")
+    assert done.returncode == 0, done.stderr
+    assert len(list((tmp_path / "sweep").glob("*/metrics.json"))) == 2
+
+
+def test_a_value_with_slashes_and_brackets_makes_a_plain_folder(probe: Probe, tmp_path: Path) -> None:
+    done = probe("-m", "sweep_dir=sweep", "data=csv", "data.path=/some/where", "data.test=[0],[1]")
+    assert done.returncode == 0, done.stderr
+    assert all((job / "metrics.json").is_file() for job in _jobs(tmp_path / "sweep"))
+
+
+def test_optuna_minimises_the_score_and_outlives_failed_trials(probe: Probe, tmp_path: Path) -> None:
+    _needs("hydra_optuna_sweeper")
+    done = probe(
+        "-m",
+        "hydra/sweeper=optuna",
+        "sweep_dir=sweep",
+        "hydra.sweeper.n_trials=6",
+        "hydra.sweeper.n_jobs=1",
+        "hydra.sweeper.sampler.seed=1",
+        "trainer.lr=interval(0.001,0.1)",
+        "seed=choice(0,13)",
+    )
+    results = (tmp_path / "sweep" / "optimization_results.yaml").read_text()
+    assert "seed: 0" in results, done.stderr
+    jobs = _jobs(tmp_path / "sweep")
+    assert len(jobs) == 6
+    assert done.returncode == (1 if any((job / "failed.json").is_file() for job in jobs) else 0)
+
+
+def test_optuna_with_nothing_but_failures_says_so(probe: Probe) -> None:
+    _needs("hydra_optuna_sweeper")
+    words = ["-m", "hydra/sweeper=optuna", "sweep_dir=s", "hydra.sweeper.n_trials=2", "seed=choice(13,14)"]
+    done = probe(*words)
+    assert done.returncode != 0
+    assert "nsde sweep-report s" in done.stderr

@@ -1,0 +1,119 @@
+"""`nsde sweep-report` on folders made by hand."""
+
+from __future__ import annotations
+
+import csv
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from nsde_torch.cli.main import main
+from nsde_torch.cli.sweep_jobs import grouped, numbers, read_jobs
+from nsde_torch.cli.sweep_report import SCORES
+
+
+def _job(folder: Path, number: int, overrides: list[str], metrics: Any = None, failed: Any = None) -> None:
+    job = folder / f"{number}_job"
+    (job / ".hydra").mkdir(parents=True)
+    (job / ".hydra" / "overrides.yaml").write_text("".join(f"- {word}\n" for word in overrides) or "[]\n")
+    if metrics is not None:
+        (job / "metrics.json").write_text(metrics if isinstance(metrics, str) else json.dumps(metrics))
+    if failed is not None:
+        (job / "failed.json").write_text(json.dumps(failed))
+
+
+def _metrics(score: float) -> dict[str, Any]:
+    outer, _, inner = SCORES[0].partition(".")
+    return {outer: {inner: score}} if inner else {outer: score}
+
+
+@pytest.fixture
+def sweep(tmp_path: Path) -> Path:
+    """Two settings with two finished seeds each, one failed job, two unfinished."""
+    common = ["system=hexacopter"]
+    for number, (loss, seed, score) in enumerate(
+        [("paper", 0, 3.0), ("paper", 1, 5.0), ("default", 0, 1.0), ("default", 1, 2.0)]
+    ):
+        _job(tmp_path, number, [*common, f"loss={loss}", f"seed={seed}"], _metrics(score))
+    reason = {"error": "NonFiniteError", "message": "left the finite\nnumbers at step 7", "traceback": ""}
+    _job(tmp_path, 4, [*common, "loss=paper", "seed=2"], failed=reason)
+    _job(tmp_path, 5, [*common, "loss=default", "seed=2"])
+    _job(tmp_path, 10, [*common, "loss=default", "seed=3"], metrics='{"validation": {"sco')
+    return tmp_path
+
+
+def test_settings_are_ranked_by_the_mean_over_their_seeds(
+    sweep: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["sweep-report", str(sweep)]) == 0
+    text = capsys.readouterr().out
+    rows = [line.split() for line in text.splitlines()]
+    assert ["1", "2", "1.5", "+-", "0.71", "loss=default"] in rows
+    assert ["2", "2", "4", "+-", "1.4", "loss=paper"] in rows
+    assert f"Best job: {sweep / '2_job'}" in text
+
+
+def test_failed_jobs_are_named_with_the_reason_and_unfinished_ones_too(
+    sweep: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["sweep-report", str(sweep)]) == 0
+    text = capsys.readouterr().out
+    assert "7 jobs: 4 done, 1 failed, 2 unfinished" in text
+    assert "  4_job: NonFiniteError: left the finite numbers at step 7" in text
+    assert "  5_job\n  10_job" in text
+
+
+def test_report_is_written_as_json_and_csv(sweep: Path) -> None:
+    assert main(["sweep-report", str(sweep)]) == 0
+    content = json.loads((sweep / "sweep_report.json").read_text())
+    assert [row["label"] for row in content["ranking"]] == ["loss=default", "loss=paper"]
+    assert content["ranking"][0]["mean"][SCORES[0]] == 1.5
+    assert content["failed"] == [
+        {"job": "4_job", "reason": "NonFiniteError: left the finite numbers at step 7"}
+    ]
+    rows = list(csv.DictReader((sweep / "sweep_report.csv").open()))
+    assert len(rows) == 7
+    assert rows[0]["loss"] == "paper"
+    assert float(rows[0][SCORES[0]]) == 3.0
+
+
+def test_any_number_of_the_metrics_can_rank_or_be_shown(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    _job(tmp_path, 0, ["seed=0", "loss=a"], {"speed": 2.0, "test": {"size": 7}})
+    _job(tmp_path, 1, ["seed=0", "loss=b"], {"speed": 1.0, "test": {"size": 8}})
+    assert main(["sweep-report", str(tmp_path), "--by", "speed", "--columns", "test.*"]) == 0
+    rows = [line.split() for line in capsys.readouterr().out.splitlines()]
+    assert ["1", "1", "1", "8", "loss=b"] in rows
+    assert main(["sweep-report", str(tmp_path), "--by", "sped"]) == 2
+    assert "there are: speed, test.size" in capsys.readouterr().err
+
+
+def test_a_score_that_is_not_finite_ranks_last(tmp_path: Path) -> None:
+    _job(tmp_path, 0, ["loss=a"], '{"score": NaN}')
+    _job(tmp_path, 1, ["loss=b"], {"score": 9.0})
+    assert main(["sweep-report", str(tmp_path)]) == 0
+    content = json.loads((tmp_path / "sweep_report.json").read_text())
+    assert [row["label"] for row in content["ranking"]] == ["loss=b", "loss=a"]
+    assert content["ranking"][1]["mean"]["score"] is None
+
+
+def test_jobs_that_differ_in_the_seed_alone_are_one_group(tmp_path: Path) -> None:
+    _job(tmp_path, 0, ["seed=0"], _metrics(1.0))
+    _job(tmp_path, 1, ["seed=1"], _metrics(2.0))
+    (group,) = grouped(read_jobs(tmp_path))
+    assert group.label == "all alike"
+    assert len(group.jobs) == 2
+
+
+def test_a_folder_without_jobs_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["sweep-report", str(tmp_path)]) == 2
+    assert "no jobs in" in capsys.readouterr().err
+    assert main(["sweep-report", str(tmp_path / "missing")]) == 2
+    assert "is not a folder" in capsys.readouterr().err
+
+
+def test_numbers_are_found_at_any_depth() -> None:
+    assert dict(numbers({"a": {"b": [1, {"c": 2.5}]}, "d": True, "e": "x"})) == {"a.b.0": 1.0, "a.b.1.c": 2.5}

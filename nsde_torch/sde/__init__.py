@@ -1,5 +1,6 @@
 """Solvers of controlled stochastic equations dz = f(t, z, u) dt + g(t, z, u) * dW with diagonal noise."""
 
+from nsde_torch.sde.compilation import CompilationWarning, compiled
 from nsde_torch.sde.derivative import diagonal_derivative, drift_correction, with_calculus
 from nsde_torch.sde.integrate import rollout
 from nsde_torch.sde.noise import brownian, coarsen
@@ -11,11 +12,13 @@ __all__ = [
     "SDE",
     "STEPS",
     "Calculus",
+    "CompilationWarning",
     "HasDiagonalDerivative",
     "Step",
     "Time",
     "brownian",
     "coarsen",
+    "compiled",
     "diagonal_derivative",
     "drift_correction",
     "make_step",

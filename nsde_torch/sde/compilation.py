@@ -1,0 +1,119 @@
+"""The compiled path: one step of one equation as machine code, called T times by `rollout`.
+
+Measured on two cores (torch 2.13, float32, one thread; a multirotor with 13 states, two tanh 8-16 residual
+networks and a swish 32-32 distance network; derivative-free Milstein; the figures and their command are in
+benchmarks/README.md and benchmarks/bench_rollout.py):
+
+- Unrolling 4 or 5 steps into one graph takes 3 to 4 times as long to compile and gains nothing: one step it is.
+- Plain (N, nz) rows are fast enough: torch.nn.functional.linear, columns taken by slices and unbind, one stack at
+  the end. State first, (nz, N), is a tenth faster in the gradient and a fifth in the rollout, not worth a second
+  convention. Merging two small networks into one gains some 5 %.
+- What costs: a graph break (print, .item(), a data-dependent branch), Python containers that change between calls,
+  and toggling requires_grad or train()/eval(), each of which compiles anew.
+
+torch keeps the code on disk (TORCHINDUCTOR_CACHE_DIR, by default in the temporary folder), so that a second
+process only traces. The number of threads at the time of compilation is part of the code: set it before.
+"""
+
+import itertools
+import types
+import warnings
+from collections.abc import Callable
+from weakref import WeakKeyDictionary
+
+import torch
+from torch import Tensor
+
+from nsde_torch.errors import SolverError
+from nsde_torch.sde.protocol import SDE, Time
+from nsde_torch.sde.step import Step
+
+Advance = Callable[[SDE, Time, Tensor, Tensor, Time, Tensor | None], Tensor]
+
+_COMPILED: WeakKeyDictionary[SDE, dict[type[Step], Advance]] = WeakKeyDictionary()
+_COUNTER = itertools.count()
+
+
+class CompilationWarning(UserWarning):
+    """A step could not be compiled and runs eagerly: same numbers, several times slower."""
+
+
+def eager(step: Step) -> Advance:
+    """One step and its projection, as the step defines them.
+
+    Args:
+        step: The method.
+
+    Returns:
+        A function (sde, t, z, u, dt, dw) -> next state (N, nz).
+    """
+
+    def advance(sde: SDE, t: Time, z: Tensor, u: Tensor, dt: Time, dw: Tensor | None) -> Tensor:
+        return sde.project(step.advance(sde, t, z, u, dt, dw))
+
+    return advance
+
+
+def compiled(step: Step, sde: SDE) -> Advance:
+    """One step and its projection, compiled at the first call and kept as long as `sde` lives.
+
+    The first batch size is compiled as it is; a second one compiles once more, for every size. Where no code
+    can be made (there is no C++ compiler, say) one CompilationWarning says why, and the steps run eagerly.
+
+    Args:
+        step: The method.
+        sde: The equation; hashable by identity, as every torch.nn.Module is.
+
+    Returns:
+        A function (sde, t, z, u, dt, dw) -> next state (N, nz).
+
+    Raises:
+        SolverError: `sde` cannot be held weakly or hashed.
+    """
+    try:
+        steps = _COMPILED.setdefault(sde, {})
+    except TypeError as error:
+        raise SolverError(
+            f"`sde` of type {type(sde).__name__} must be hashable by identity to be compiled ({error}). "
+            "Make it a torch.nn.Module, or a class without __eq__ and __slots__."
+        ) from None
+    if type(step) not in steps:
+        steps[type(step)] = _with_fallback(eager(step))
+    return steps[type(step)]
+
+
+def _with_fallback(plain: Advance) -> Advance:
+    fast = torch.compile(_own_code(plain))
+    works = True
+
+    def advance(sde: SDE, t: Time, z: Tensor, u: Tensor, dt: Time, dw: Tensor | None) -> Tensor:
+        nonlocal works
+        if works:
+            try:
+                return fast(sde, t, z, u, dt, dw)
+            except Exception as error:
+                result = plain(sde, t, z, u, dt, dw)  # a fault of the equation itself is raised again here
+                works = False
+                _warn(error)
+                return result
+        return plain(sde, t, z, u, dt, dw)
+
+    return advance
+
+
+def _own_code(function: Advance) -> Advance:
+    # torch.compile keeps its results, and counts them against a limit, by code object: closures of one function
+    # would share both, and the ninth model of a process would run eagerly.
+    assert isinstance(function, types.FunctionType)
+    code = function.__code__.replace(co_name=f"{function.__name__}_{next(_COUNTER)}")
+    return types.FunctionType(code, function.__globals__, code.co_name, None, function.__closure__)
+
+
+def _warn(error: Exception) -> None:
+    reason = str(error).strip().splitlines() or [""]
+    warnings.warn(
+        f"the step runs without compilation, several times slower: {type(error).__name__}: {reason[0]} "
+        "Install a C++ compiler (g++ or clang++; CXX names it), or turn compilation off.",
+        CompilationWarning,
+        stacklevel=4,
+    )

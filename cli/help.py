@@ -115,7 +115,7 @@ def _usage(command: str) -> list[str]:
         ("-m hydra/sweeper=optuna 'trainer.lr=tag(log,interval(0.001,0.1))'", ""),
         ("--cfg job", "print the configuration and stop"),
     ]
-    lines = ["How to override"]
+    lines = ["How to override (NSDE_TRACEBACK=1 shows the traceback of an error)"]
     for words, meaning in rows:
         left = f"  nsde {command} {words}"
         lines.append(f"{left:<46}{meaning}".rstrip())

@@ -84,6 +84,7 @@ class HydraCommand:
             if any(word.startswith("hydra/sweeper=optuna") for word in words):
                 # A failed job is a failed trial, not the end of the sweep.
                 words = _with_default(words, "hydra.sweeper.max_failure_rate", "1.0")
+        _refuse_used_folders(words)
         resumed = [word.split("=", 1)[1] for word in words if word.startswith("resume=")]
         if resumed and resumed[-1] not in ("", "null"):
             words = _resume(words, Path(resumed[-1]))
@@ -156,6 +157,19 @@ def _check_sweep(words: Sequence[str]) -> None:
             raise ConfigError("`run_dir` is the folder of one run; a sweep takes `sweep_dir=...`.")
         if word.startswith("resume=") and word not in ("resume=", "resume=null"):
             raise ConfigError("`resume` continues one run; leave out -m.")
+
+
+def _refuse_used_folders(words: Sequence[str]) -> None:
+    """A run is never written over another; the check comes before Hydra touches the folder."""
+    for word in words:
+        key, _, value = word.partition("=")
+        folder = Path(value.strip("'\""))
+        if key == "run_dir" and (folder / ".hydra").is_dir():
+            raise ConfigError(
+                f"`run_dir={folder}` holds a run already. Continue it with resume={folder}, or name another."
+            )
+        if key == "sweep_dir" and (folder / "multirun.yaml").is_file():
+            raise ConfigError(f"`sweep_dir={folder}` holds a sweep already; name another folder.")
 
 
 def _with_default(words: list[str], key: str, value: str) -> list[str]:

@@ -83,7 +83,10 @@ def report(jobs: Sequence[SweepJob], groups: Sequence[Group], score: str, column
             key=lambda job: (math.isnan(job.metrics.get(score, math.nan)), job.metrics.get(score, 0.0)),
         )
         lines += ["", f"Best job: {best.folder}"]
-    for status, title in ((FAILED, "Failed"), (UNFINISHED, "Unfinished (running, or killed)")):
+    for status, title in (
+        (FAILED, "Failed"),
+        (UNFINISHED, "Unfinished (running, or killed; to continue one: nsde train resume=FOLDER)"),
+    ):
         found = [job for job in jobs if job.status == status]
         if found:
             lines += ["", f"{title}:"]

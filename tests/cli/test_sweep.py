@@ -90,6 +90,17 @@ def test_a_run_writes_to_the_folder_that_the_user_names(probe: Probe, tmp_path: 
     assert (tmp_path / "here" / "first" / "metrics.json").is_file()
 
 
+def test_a_folder_that_holds_a_run_or_a_sweep_is_not_written_over(probe: Probe) -> None:
+    assert probe("run_dir=r").returncode == 0
+    done = probe("run_dir=r", "seed=1")
+    assert done.returncode == 2
+    assert "`run_dir=r` holds a run already. Continue it with resume=r" in done.stderr
+    assert probe("-m", "sweep_dir=s", "seed=0,1").returncode == 0
+    done = probe("-m", "sweep_dir=s", "seed=2,3")
+    assert done.returncode == 2
+    assert "`sweep_dir=s` holds a sweep already" in done.stderr
+
+
 def test_a_run_without_a_name_goes_to_a_dated_folder(probe: Probe, tmp_path: Path) -> None:
     assert probe("system=cartpole").returncode == 0
     (metrics,) = tmp_path.glob("runs/*/*/metrics.json")

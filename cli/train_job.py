@@ -22,6 +22,28 @@ def run(config: DictConfig, job: Job) -> float:
     Returns:
         The validation score of the kept model.
     """
+    # torch is imported here, not above: a launcher's parent process needs this module, but not torch.
+    from nsde_torch import learning
+    from nsde_torch.models import make_model
+    from nsde_torch.systems import make_system
+
     from . import build
 
-    return build.train(config, job)
+    device, dtype = build.settings(config, sweep=job.sweep)
+    step = build.step(config.solver)
+    system = make_system(
+        config.system.name,
+        effects=list(config.system.effects),
+        parameters=build.options(config.system)["parameters"],
+    )
+    data = build.dataset(config.data, system)
+    runs = build.split(config.data, data)
+    model = make_model(config.model.kind, system, step=step, **build.options(config.model, "kind"))
+    return learning.train(
+        model.to(device=device, dtype=dtype),
+        data,
+        runs,
+        config=build.options(config, "run_dir", "sweep_dir", "resume"),
+        run_dir=job.run_dir,
+        resume=config.resume is not None,
+    )

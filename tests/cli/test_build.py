@@ -18,7 +18,7 @@ def test_an_unknown_device_is_refused(name: str) -> None:
 
 @pytest.mark.skipif(torch.cuda.is_available(), reason="there is a CUDA device here")
 def test_cuda_without_a_device_says_so() -> None:
-    with pytest.raises(ConfigError, match="sees no CUDA device. Use device=cpu"):
+    with pytest.raises(ConfigError, match=r"sees no CUDA device\. Use device=cpu"):
         build.make_device("cuda")
 
 

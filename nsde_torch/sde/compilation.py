@@ -2,14 +2,14 @@
 
 Measured on two cores (torch 2.13, float32, one thread; a multirotor with 13 states, two tanh 8-16 residual
 networks and a swish 32-32 distance network; derivative-free Milstein; the figures and their command are in
-benchmarks/README.md and benchmarks/bench_rollout.py):
+benchmarks/README.md, benchmarks/bench_rollout.py):
 
-- Unrolling 4 or 5 steps into one graph takes 3 to 4 times as long to compile and gains nothing: one step it is.
-- Plain (N, nz) rows are fast enough: torch.nn.functional.linear, columns taken by slices and unbind, one stack at
-  the end. State first, (nz, N), is a tenth faster in the gradient and a fifth in the rollout, not worth a second
-  convention. Merging two small networks into one gains some 5 %.
-- What costs: a graph break (print, .item(), a data-dependent branch), Python containers that change between calls,
-  and toggling requires_grad or train()/eval(), each of which compiles anew.
+- Unrolling 4 or 5 steps into one graph takes 3 to 4 times as long to compile and gains nothing: one step.
+- Plain (N, nz) rows are fast enough: torch.nn.functional.linear, columns taken by slices and unbind, one
+  stack at the end. State first, (nz, N), is a tenth faster in the gradient and a fifth in the rollout, not
+  worth a second convention. Merging two small networks into one gains some 5 %.
+- What costs: a graph break (print, .item(), a data-dependent branch), Python containers that change between
+  calls, and toggling requires_grad or train()/eval(), each of which compiles anew.
 
 torch keeps the code on disk (TORCHINDUCTOR_CACHE_DIR, by default in the temporary folder), so that a second
 process only traces. The number of threads at the time of compilation is part of the code: set it before.
@@ -102,8 +102,8 @@ def _with_fallback(plain: Advance) -> Advance:
 
 
 def _own_code(function: Advance) -> Advance:
-    # torch.compile keeps its results, and counts them against a limit, by code object: closures of one function
-    # would share both, and the ninth model of a process would run eagerly.
+    # torch.compile keeps its results, and counts them against a limit, by code object: closures of one
+    # function would share both, and the ninth model of a process would run eagerly.
     assert isinstance(function, types.FunctionType)
     code = function.__code__.replace(co_name=f"{function.__name__}_{next(_COUNTER)}")
     return types.FunctionType(code, function.__globals__, code.co_name, None, function.__closure__)

@@ -74,8 +74,8 @@ def rollout(
         times: Sequence[Time] = [start + k * dt for k in range(horizon)]
         advance = eager(step)
         if compile:
-            # Numbers would be compiled in as constants, so that every time and every dt made code of its own; and
-            # a first state that needs no gradient would make one step's code differ from that of all others.
+            # Numbers would be compiled in as constants, and every time and dt would make code of its own; a
+            # first state without gradient would make its code differ from that of all other steps.
             advance = compiled(step, sde)
             times = [torch.as_tensor(t, dtype=z0.dtype, device=z0.device) for t in times]
             length = torch.as_tensor(dt, dtype=z0.dtype, device=z0.device)
@@ -99,7 +99,7 @@ def rollout(
 
 
 def _needs_gradient(sde: SDE, *tensors: object) -> bool:
-    # An equation that is no module may hold parameters that nobody can find, so it is taken to need gradients.
+    # An equation that is no module may hold parameters out of sight: it is taken to need gradients.
     if not isinstance(sde, torch.nn.Module) or any(p.requires_grad for p in sde.parameters()):
         return True
     return any(isinstance(x, Tensor) and x.requires_grad for x in tensors)

@@ -33,9 +33,8 @@ def check_norms(run: RawRun, columns: slice, names: tuple[str, ...], report: Rep
         )
         raise DataError(
             f"{run.where(row)}: the quaternion {names[columns]} = {np.round(q[row], 4).tolist()} has the "
-            f"norm "
-            f"{norm[row]:.4g}; expected 1 (w x y z, body to world). Perhaps {cause}: write unit quaternions, "
-            "or `nan` where there is none."
+            f"norm {norm[row]:.4g}; expected 1 (w x y z, body to world). Perhaps {cause}: write unit "
+            "quaternions, or `nan` where there is none."
         )
     if worst > 1e-6:  # float32 rounding stays as it is
         run.x = run.x.copy()
@@ -56,8 +55,18 @@ def check_norms(run: RawRun, columns: slice, names: tuple[str, ...], report: Rep
 
 def check_signs(run: RawRun, columns: slice, report: Report) -> None:
     """Undoes jumps between q and -q, which are one attitude but not one number to interpolate or learn."""
-    q, flips = continuous_signs(run.x[:, columns])
+    known = np.isfinite(run.x[:, columns]).all(axis=1)
+    q, flips = continuous_signs(run.x[known, columns])
     if flips:
         run.x = run.x.copy()
-        run.x[:, columns] = q
+        run.x[known, columns] = q
         report(Finding("sign_flip", run.name, flips, f"{flips} sign flips of the quaternion", "unwrapped"))
+
+
+def back_to_sphere(run: RawRun, columns: slice) -> None:
+    """Unit norm again after holes were filled linearly, channel by channel."""
+    norm = np.linalg.norm(run.x[:, columns], axis=1)
+    off = np.abs(norm - 1.0) > 1e-6
+    if off.any():
+        run.x = run.x.copy()
+        run.x[off, columns] /= norm[off, None]

@@ -45,8 +45,7 @@ def _check_shapes(run: RawRun, system: SystemInfo) -> None:
     if run.t.shape != (len(run.x),) or len(run.u) != len(run.x):
         raise ShapeError(
             f"run {run.name!r}: `t`, `x` and `u` must have one row a sample; got {run.t.shape}, "
-            f"{run.x.shape}, "
-            f"{run.u.shape}."
+            f"{run.x.shape}, {run.u.shape}."
         )
     for name in ("x", "u"):
         array = getattr(run, name)
@@ -57,9 +56,8 @@ def _check_shapes(run: RawRun, system: SystemInfo) -> None:
     if absent:
         raise DataError(
             f"run {run.name!r}: the effects of {system.name!r} read the channels {absent}, which are not in "
-            f"the "
-            f"data (further channels: {sorted(run.extra) or 'none'}). Add the columns, or leave the effects "
-            "out."
+            f"the data (further channels: {sorted(run.extra) or 'none'}). Add the columns, or leave the "
+            "effects out."
         )
 
 
@@ -188,9 +186,11 @@ def assemble(
     slopes: list[kinematics.Slope] = []
     short: list[Array] = []
     for run in raw:
+        if system.quaternion is not None:
+            attitude.check_signs(run, system.quaternion, report)  # before holes are filled between its signs
         missing.fill(run, gap=limit, report=report)
         if system.quaternion is not None:
-            attitude.check_signs(run, system.quaternion, report)
+            attitude.back_to_sphere(run, system.quaternion)
         _unwrap_angles(run, system, report)
         cuts = times.cuts_at_gaps(run, gap=limit, report=report)
         even, segments = times.uniform(run, cuts, dt=step, quaternion=system.quaternion, report=report)

@@ -48,10 +48,9 @@ def check_units(slopes: Sequence[Slope], names: tuple[str, ...]) -> None:
         if sure and not low <= slope.value <= high:
             raise DataError(
                 f"run {slope.run!r}: {slope.axis!r} ({slope.group}) changes {slope.value:.4g} times as fast "
-                f"as its rate says "
-                f"(standard error {slope.error:.2g}, {slope.intervals} intervals). Likely cause: "
-                f"{_cause(slope.value)}. "
-                f"All columns are SI, ENU world, FLU body, radians: {', '.join(names)}."
+                f"as its rate says (standard error {slope.error:.2g}, {slope.intervals} intervals). Likely "
+                f"cause: {_cause(slope.value)}. All columns are SI, ENU world, FLU body, radians: "
+                f"{', '.join(names)}."
             )
 
 
@@ -100,8 +99,8 @@ def decide(slopes: Sequence[Slope], *, policy: str, report: Report) -> float:
                 "kinematic_mismatch",
                 "",
                 len(off),
-                f"position and velocity disagree in {', '.join(off)} but not in "
-                f"every group, so the clock is not the cause ({text})",
+                f"position and velocity disagree in {', '.join(off)} but not in every group, so the clock "
+                f"is not the cause ({text})",
                 "reported",
                 values,
             )
@@ -109,14 +108,12 @@ def decide(slopes: Sequence[Slope], *, policy: str, report: Report) -> float:
         return 1.0
     message = (
         f"the logged clock runs wrong: one logged second holds {total.value:.4f} +- {total.error:.4f} "
-        f"physical "
-        f"seconds by the kinematics ({text})"
+        f"physical seconds by the kinematics ({text})"
     )
     if policy == "refuse":
         raise DataError(
             f"{message}. Set `clock` to `rescale` (use the measured scale) or `trust` (keep the logged "
-            f"time), "
-            "or correct the time column."
+            "time), or correct the time column."
         )
     if policy == "trust":
         report(Finding("clock", "", 1, message, "reported", values))

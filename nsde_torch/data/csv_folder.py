@@ -60,8 +60,8 @@ def _header(path: Path, system: SystemInfo) -> list[str]:
                 hints.append(f"is {spelt!r} meant as {name!r}?")
         hint = (" " + " ".join(hints)) if hints else ""
         raise DataError(
-            f"{path}:1: the columns {missing} of the system {system.name!r} are missing.{hint} "
-            f"Expected {list(needed)}; got {names}. Rename or add the columns."
+            f"{path}:1: the columns {missing} of the system {system.name!r} are missing.{hint} Expected "
+            f"{list(needed)}; got {names}. Rename or add the columns."
         )
     return names
 
@@ -84,8 +84,8 @@ def _explain(path: Path, names: Sequence[str]) -> DataError:
             cells = [c.strip().strip('"') for c in line.rstrip("\r\n").split(",")]
             if len(cells) != len(names):
                 return DataError(
-                    f"{path}:{number}: the row has {len(cells)} cells, the header {len(names)}. "
-                    "The file may be cut short, or a decimal comma splits a number."
+                    f"{path}:{number}: the row has {len(cells)} cells, the header {len(names)}. The file may "
+                    "be cut short, or a decimal comma splits a number."
                 )
             for name, cell in zip(names, cells, strict=True):
                 if cell and not _is_number(cell):
@@ -119,6 +119,8 @@ def _table(path: Path, names: Sequence[str]) -> Array:
                 quotechar='"',
                 converters=_missing_as_nan,
             )
+    except DataError:
+        raise
     except (ValueError, IndexError) as error:
         raise _explain(path, names) from error
     if table.shape[1] != len(names):
@@ -170,8 +172,8 @@ def read_csv(system: SystemInfo, *, path: str | Path) -> list[RawRun]:
     folder = Path(path)
     if folder.is_file():
         raise DataError(
-            f"`path`: {folder} is a file; a CSV data set is a folder with one file for each run. "
-            f"Give the folder, {folder.parent}."
+            f"`path`: {folder} is a file; a CSV data set is a folder with one file for each run. Give the "
+            f"folder, {folder.parent}."
         )
     if not folder.is_dir():
         raise DataError(f"`path`: {folder} does not exist; expected a folder with one CSV file for each run.")

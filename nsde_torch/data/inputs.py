@@ -100,8 +100,7 @@ def check_inputs(inputs: Sequence[Array], names: Sequence[str], report: Report) 
                 "",
                 rank.channels - rank.rank,
                 f"the {rank.channels} inputs span {rank.rank} dimensions; always zero: {vectors}. "
-                f"Coefficients of "
-                "single inputs are not identifiable",
+                "Coefficients of single inputs are not identifiable",
                 "reported",
                 rank.as_dict(),
             )

@@ -103,6 +103,6 @@ def fill(run: RawRun, *, gap: float, report: Report) -> None:
         run.rows(~drop)
     if len(run.t) < 2:
         raise DataError(
-            f"{run.source or 'run'} {run.name!r}: fewer than two rows have all states and inputs. "
-            "Resample the channels onto one clock before writing them, one row a sample."
+            f"{run.source or 'run'} {run.name!r}: fewer than two rows have all states and inputs. Resample "
+            "the channels onto one clock before writing them, one row a sample."
         )

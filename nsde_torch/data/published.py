@@ -56,8 +56,8 @@ def _pairs(content: object, where: str) -> list[tuple[Array, Array]]:
         for entry in group:
             if not (isinstance(entry, list | tuple) and len(entry) == 2):
                 raise DataError(
-                    f"{where}: expected (states, inputs) pairs; entry {len(pairs)} is "
-                    f"a {type(entry).__name__}."
+                    f"{where}: expected (states, inputs) pairs; entry {len(pairs)} is a "
+                    f"{type(entry).__name__}."
                 )
             x, u = (np.asarray(part, dtype=np.float64) for part in entry)
             if x.ndim != 2 or u.ndim != 2 or len(x) - len(u) not in (0, 1):

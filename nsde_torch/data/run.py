@@ -67,8 +67,8 @@ class Run:
         for name, array in (("x", self.x), ("u", self.u), *self.extra.items()):
             if len(array) != n:
                 raise ShapeError(
-                    f"run {self.name!r}: `{name}` must have one row for each of the {n} times; "
-                    f"got {len(array)} rows."
+                    f"run {self.name!r}: `{name}` must have one row for each of the {n} times; got "
+                    f"{len(array)} rows."
                 )
         if n < 2:
             raise DataError(
@@ -81,8 +81,7 @@ class Run:
             if not previous <= start < stop <= n or stop - start < 2:
                 raise DataError(
                     f"run {self.name!r}: segments must be increasing (start, stop) pairs of two rows or more "
-                    f"inside "
-                    f"0..{n}; got {segments}."
+                    f"inside 0..{n}; got {segments}."
                 )
             previous = stop
         for name, array in (("t", self.t), ("x", self.x), ("u", self.u), *self.extra.items()):
@@ -91,8 +90,8 @@ class Run:
             if not np.isfinite(array.sum()) and not np.isfinite(array).all():
                 row = int(np.argwhere(~np.isfinite(array))[0][0])
                 raise DataError(
-                    f"run {self.name!r}: `{name}` is not finite in row {row}. "
-                    "Read it through `nsde_torch.data.read`, which treats missing values."
+                    f"run {self.name!r}: `{name}` is not finite in row {row}. Read it through "
+                    "`nsde_torch.data.read`, which treats missing values."
                 )
         if not (np.diff(self.t) > 0).all():
             row = int(np.argmax(np.diff(self.t) <= 0))
@@ -133,8 +132,8 @@ class Run:
         segments = tuple((a, b) for a, b in cut if b - a >= 2)
         if not segments:
             raise DataError(
-                f"run {self.name!r}: rows {start}..{stop} hold no segment of two rows; "
-                f"the run has {len(self)} rows and segments {self.segments}."
+                f"run {self.name!r}: rows {start}..{stop} hold no segment of two rows; the run has "
+                f"{len(self)} rows and segments {self.segments}."
             )
         rows = slice(start, stop)
         extra = {k: v[rows] for k, v in self.extra.items()}

@@ -42,8 +42,7 @@ def split(
     if len(runs) == 1 and test is None and train is None:
         raise DataError(
             f"the data set holds one run ({runs[0].name!r}), which cannot be on both sides. Record a second "
-            f"run, or set "
-            "`test` to [] to train on it and test on nothing."
+            "run, or set `test` to [] to train on it and test on nothing."
         )
     held = resolve(runs, [len(runs) - 1] if test is None else test)
     _refuse_repeats(held, runs, "test")
@@ -56,15 +55,13 @@ def split(
         names = ", ".join(run.name for run in runs)
         raise DataError(
             f"no run is left for training: all of the {len(runs)} runs ({names}) are held out in `test`. "
-            f"Hold "
-            "out fewer."
+            "Hold out fewer."
         )
     both = sorted(set(held) & set(kept))
     if both:
         raise DataError(
             f"the runs {[runs[k].name for k in both]} are in both `train` and `test`; a test on training "
-            f"data "
-            "says nothing. Remove them from one side."
+            "data says nothing. Remove them from one side."
         )
     by_content = {runs[k].content_hash: runs[k].name for k in kept}
     for k in held:

@@ -127,8 +127,7 @@ class DataSummary:
     def __str__(self) -> str:
         lines = [
             f"data: {self.kind}, {self.system}, {len(self.runs)} runs, {self.duration:.1f} s at "
-            f"{1 / self.dt:.4g} Hz, "
-            f"clock scale {self.clock_scale:.4f}"
+            f"{1 / self.dt:.4g} Hz, clock scale {self.clock_scale:.4f}"
         ]
         table: list[tuple[str, ...]] = [("run", "rows", "seconds", "segments")]
         shown = self.runs if len(self.runs) <= 12 else self.runs[:10]

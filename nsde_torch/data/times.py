@@ -44,10 +44,8 @@ def order(run: RawRun, report: Report) -> None:
         if late > max(1, MAX_DISORDER * len(run.t)):
             raise DataError(
                 f"{run.where(first + 1)}: `t` goes back from {run.t[first]:.6g} s to {run.t[first + 1]:.6g} "
-                f"s and {late} "
-                f"of {len(run.t)} rows lie before an earlier row. The clock started again or the rows are "
-                f"shuffled: "
-                "split the recording into one file for each run, or sort it by time."
+                f"s and {late} of {len(run.t)} rows lie before an earlier row. The clock started again or "
+                "the rows are shuffled: split the recording into one file for each run, or sort it by time."
             )
         report(Finding("out_of_order", run.name, late, f"{late} rows out of order in time", "sorted"))
         run.rows(np.argsort(run.t, kind="stable"))
@@ -69,8 +67,8 @@ def order(run: RawRun, report: Report) -> None:
         run.rows(keep)
     if len(run.t) < 2:
         raise DataError(
-            f"{run.source or 'run'} {run.name!r} has {len(run.t)} row(s) with a time of their own; "
-            "a run needs at least two."
+            f"{run.source or 'run'} {run.name!r} has {len(run.t)} row(s) with a time of their own; a run "
+            "needs at least two."
         )
 
 
@@ -85,8 +83,8 @@ def cuts_at_gaps(run: RawRun, *, gap: float, report: Report) -> NDArray[np.int64
                 "time_gap",
                 run.name,
                 len(cuts),
-                f"{len(cuts)} gaps in time longer than {gap:.3g} s ({shown}"
-                f"{', ...' if len(cuts) > 3 else ''})",
+                f"{len(cuts)} gaps in time longer than {gap:.3g} s "
+                f"({shown}{', ...' if len(cuts) > 3 else ''})",
                 "split",
                 {"missing_s": float(step[cuts].sum()), "rows": [int(c) for c in cuts[:100]]},
             )
@@ -180,8 +178,7 @@ def uniform(
                 run.name,
                 changed,
                 f"{changed} of {len(whole)} segments off the step of {dt * 1e3:.4g} ms (steps "
-                f"{inside.min() * 1e3:.4g} "
-                f"to {inside.max() * 1e3:.4g} ms, {missing} samples dropped)",
+                f"{inside.min() * 1e3:.4g} to {inside.max() * 1e3:.4g} ms, {missing} samples dropped)",
                 "resampled",
                 {
                     "step_min_s": float(inside.min()),

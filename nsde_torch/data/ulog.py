@@ -270,8 +270,7 @@ def read_ulog_file(
         if topic.rate < MIN_RATE:
             raise DataError(
                 f"{path}: the topic `{topic.name}` was logged at {topic.rate:.3g} Hz; at least {MIN_RATE:g} "
-                f"Hz are "
-                f"needed. {_HIGH_RATE}."
+                f"Hz are needed. {_HIGH_RATE}."
             )
     u = _held(motor_topic, commands, t)
     run = RawRun(path.stem, t, x, u, source=str(path))

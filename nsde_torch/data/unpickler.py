@@ -127,12 +127,18 @@ class _Unpickler(pickle.Unpickler):
                 raise DataError(f"{where}: the pickle asks for the text encoding {encoding!r}.")
             return text.encode("latin1")
 
+        def no_bytes(*given: object) -> bytes:
+            if given:
+                raise DataError(f"{where}: the pickle calls `bytes`, which is refused.")
+            return b""  # how protocols 0 to 2 write empty bytes
+
         # `ndarray` may be named, as the first argument of _reconstruct, but not called: an inert text stands
         # for it
         self._admitted: dict[tuple[str, str], Callable[..., object] | str] = {
             ("numpy", "ndarray"): "numpy.ndarray",
             ("numpy", "dtype"): make_dtype,
             ("_codecs", "encode"): encode,
+            ("__builtin__", "bytes"): no_bytes,
         }
         for core in ("numpy.core", "numpy._core"):
             self._admitted[f"{core}.multiarray", "_reconstruct"] = reconstruct
@@ -145,8 +151,8 @@ class _Unpickler(pickle.Unpickler):
         except KeyError:
             raise DataError(
                 f"{self._where}: the pickle asks for `{module}.{name}`, which is refused: only NumPy arrays "
-                f"and plain "
-                "lists, tuples, dicts, numbers and strings are admitted. Save the data as such, or as CSV."
+                "and plain lists, tuples, dicts, numbers and strings are admitted. Save the data as such, "
+                "or as CSV."
             ) from None
 
     def persistent_load(self, pid: object) -> Any:
@@ -215,6 +221,6 @@ def read_pickle(path: str | Path) -> object:
         raise DataError(f"{path}: the pickle nests containers too deep.") from error
     except Exception as error:  # damaged opcodes raise nearly anything, also from inside NumPy
         raise DataError(
-            f"{path} is not a readable pickle ({type(error).__name__}: {error}). "
-            "It may be cut short or of another format; copy it again."
+            f"{path} is not a readable pickle ({type(error).__name__}: {error}). It may be cut short or of "
+            "another format; copy it again."
         ) from error

@@ -65,18 +65,15 @@ class Windows:
             if abs(run.dt / data_dt - 1) > 0.01:
                 raise DataError(
                     f"run {run.name!r} has a step of {run.dt:.6g} s, the others {data_dt:.6g} s; read them "
-                    f"as "
-                    "one data set, which resamples them."
+                    "as one data set, which resamples them."
                 )
         ratio = dt_model / data_dt
         if not ratio > 0 or round(ratio) < 1 or abs(ratio / round(ratio) - 1) > 0.01:
             low = max(1, int(ratio))
             raise ConfigError(
                 f"`dt_model` must be a whole multiple of the data's step of {data_dt:.6g} s (within 1 %); "
-                f"got "
-                f"{dt_model:.6g} s, {ratio:.4g} steps. Take {low * data_dt:.6g} or {(low + 1) * data_dt:.6g} "
-                f"s, or read "
-                "the data with another `dt`."
+                f"got {dt_model:.6g} s, {ratio:.4g} steps. Take {low * data_dt:.6g} or "
+                f"{(low + 1) * data_dt:.6g} s, or read the data with another `dt`."
             )
         self.dt_model = float(dt_model)
         self.dt = data_dt
@@ -248,20 +245,11 @@ class Windows:
         gap = round(gap_s / self.dt)
         usable = self._ranges[self._ranges[:, 1] - self._ranges[:, 0] >= need]
         edges = [_block_edges(int(a), int(b), block) for a, b in usable]
-        if sum(len(e) - 1 for e in edges) < 2:
-            edges = [self._halves(int(a), int(b), fraction) for a, b in usable]
-        blocks = [(k, a, b) for k, e in enumerate(edges) for a, b in itertools.pairwise(e)]
-        goal = fraction * sum(b - a for _, a, b in blocks)
-        held: set[tuple[int, int]] = set()
-        taken = 0
-        for index in torch.randperm(len(blocks), generator=generator).tolist():
-            _k, a, b = blocks[index]
-            if held and taken + 0.5 * (b - a) > goal:
-                break
-            if len(held) == len(blocks) - 1:
-                break
-            held.add((a, b))
-            taken += b - a
+        if len(edges) == 1 and len(edges[0]) == 2:  # one block in all: its end is held out
+            edges = [self._halves(int(usable[0, 0]), int(usable[0, 1]), fraction)]
+            held = {(edges[0][1], edges[0][2])}
+        else:
+            held = _choose([pair for e in edges for pair in itertools.pairwise(e)], fraction, generator)
         train: list[tuple[int, int]] = []
         validation: list[tuple[int, int]] = []
         for e in edges:
@@ -275,8 +263,7 @@ class Windows:
         if len(first) == 0 or len(second) == 0:
             raise DataError(
                 f"the data are too short to hold out {fraction:.0%}: {len(first)} training and {len(second)} "
-                f"validation windows of {need} rows would be left. Shorten `horizon`, or use no "
-                "validation."
+                f"validation windows of {need} rows would be left. Shorten `horizon`, or use no validation."
             )
         return first, second
 
@@ -287,8 +274,7 @@ class Windows:
         if cut - a < need:
             raise DataError(
                 f"the only segment has {b - a} rows; a training and a validation window of {need} rows each "
-                f"do "
-                "not fit. Shorten `horizon`, or use no validation."
+                "do not fit. Shorten `horizon`, or use no validation."
             )
         return [a, cut, b]
 
@@ -298,6 +284,22 @@ def _block_edges(a: int, b: int, block: int) -> list[int]:
     count = max(1, (b - a) // block)
     edges: list[int] = np.linspace(a, b, count + 1).round().astype(int).tolist()
     return edges
+
+
+def _choose(
+    blocks: Sequence[tuple[int, int]], fraction: float, generator: torch.Generator
+) -> set[tuple[int, int]]:
+    """Random blocks that hold about this share of the rows: at least one, and never all."""
+    goal = fraction * sum(b - a for a, b in blocks)
+    held: set[tuple[int, int]] = set()
+    taken = 0
+    for index in torch.randperm(len(blocks), generator=generator).tolist():
+        a, b = blocks[index]
+        if held and (taken + 0.5 * (b - a) > goal or len(held) == len(blocks) - 1):
+            break
+        held.add((a, b))
+        taken += b - a
+    return held
 
 
 def _merge(spans: Sequence[tuple[int, int]], borders: set[int], gap: int) -> list[tuple[int, int]]:

@@ -1,4 +1,4 @@
-"""Writes small ULog files byte by byte (PX4 user guide, "ULog File Format"); pyulog only copies logs it has read."""
+"""Writes small ULog files byte by byte (PX4 user guide, "ULog File Format"); pyulog only copies logs."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ FORMATS: dict[str, list[tuple[str, str, int]]] = {
     ],
     "vehicle_attitude": [("uint64_t", "timestamp", 1), ("float", "q", 4)],
     "vehicle_local_position": [
-        ("uint64_t", "timestamp", 1), ("float", "x", 1), ("float", "y", 1), ("float", "z", 1), ("float", "vx", 1),
-        ("float", "vy", 1), ("float", "vz", 1),
+        ("uint64_t", "timestamp", 1), ("float", "x", 1), ("float", "y", 1), ("float", "z", 1),
+        ("float", "vx", 1), ("float", "vy", 1), ("float", "vz", 1),
     ],
     "vehicle_angular_velocity": [("uint64_t", "timestamp", 1), ("float", "xyz", 3)],
     "actuator_motors": [("uint64_t", "timestamp", 1), ("float", "control", 12)],

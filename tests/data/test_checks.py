@@ -1,0 +1,251 @@
+"""Faults of recordings are found, and handled or refused; sound recordings pass untouched."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from nsde_torch.data import DataSet, RawRun, assemble
+from nsde_torch.data.quaternion import rotation_vector, slerp
+from nsde_torch.errors import DataError
+from tests.helpers.data_systems import CARTPOLE, HEXACOPTER
+from tests.helpers.flights import flight
+
+
+def one(t: np.ndarray, x: np.ndarray, u: np.ndarray, **options: object) -> DataSet:
+    return assemble([RawRun("a", t.copy(), x.copy(), u.copy())], HEXACOPTER, kind="test", **options)  # type: ignore[arg-type]
+
+
+def kinds(data: DataSet) -> list[str]:
+    return [f.kind for f in data.summary.findings]
+
+
+def test_a_sound_flight_passes_untouched() -> None:
+    t, x, u = flight(30.0)
+    data = one(t, x, u)
+    assert kinds(data) == []
+    assert data[0].segments == ((0, len(t)),)
+    assert data.clock_scale == 1.0
+    np.testing.assert_allclose(data[0].x, x, atol=1e-12)
+
+
+def test_gaps_in_time_split_and_the_threshold_can_be_set() -> None:
+    t, x, u = flight(10.0)
+    keep = np.r_[0:400, 450:1001]
+    data = one(t[keep], x[keep], u[keep])
+    assert data[0].segments == ((0, 400), (400, 951))
+    assert kinds(data) == ["time_gap"]
+    assert data.summary.findings[0].values["missing_s"] == pytest.approx(0.51)
+    assert kinds(one(t[keep], x[keep], u[keep], gap=1.0)) == ["non_uniform_step"]
+
+
+def test_dropped_samples_are_interpolated_back_and_inputs_are_held() -> None:
+    t, x, u = flight(10.0)
+    keep = np.delete(np.arange(1001), [100, 300, 500])
+    data = one(t[keep], x[keep], u[keep])
+    assert len(data[0]) == 1001
+    assert data.summary.findings[0].values["dropped_samples"] == 3
+    np.testing.assert_allclose(data[0].x, x, atol=1e-3)
+    np.testing.assert_array_equal(data[0].u[300], u[299])
+    np.testing.assert_array_equal(data[0].u[301], u[301])
+
+
+def test_alternating_steps_are_resampled_to_one_step_without_cuts() -> None:
+    fine = flight(20.0, dt=0.001)
+    index = np.cumsum(np.tile([8, 16], 800))
+    data = one(*(a[index] for a in fine))
+    assert data.dt in (pytest.approx(0.008), pytest.approx(0.016), pytest.approx(0.012))
+    assert len(data[0].segments) == 1
+    steps = np.diff(data[0].t)
+    np.testing.assert_allclose(steps, data.dt, rtol=1e-9)
+
+
+def test_duplicates_and_rows_out_of_order_are_mended() -> None:
+    t, x, u = flight(5.0)
+    order = np.arange(501)
+    order[[200, 201]] = [201, 200]
+    order = np.insert(order, 350, 350)
+    data = one(t[order], x[order], u[order])
+    assert kinds(data) == ["out_of_order", "duplicate_time"]
+    np.testing.assert_allclose(data[0].x, x, atol=1e-12)
+
+
+def test_a_clock_that_starts_again_is_refused() -> None:
+    t, x, u = flight(5.0)
+    with pytest.raises(DataError, match=r"goes back from 4.99 s to 0 s .* split the recording"):
+        one(np.concatenate([t[:-1], t]), np.concatenate([x[:-1], x]), np.concatenate([u[:-1], u]))
+
+
+def test_short_holes_are_filled_and_long_ones_split() -> None:
+    t, x, u = flight(10.0)
+    x[0], x[100, 3], x[500:560, :3], u[700, 2] = np.nan, np.nan, np.nan, np.nan
+    data = one(t, x, u)
+    assert kinds(data) == ["missing_values", "missing_rows", "time_gap"]
+    assert data[0].segments == ((0, 499), (499, 940))
+    assert data[0].u[639, 2] == data[0].u[638, 2]
+
+
+def test_a_column_without_any_value_is_refused() -> None:
+    t, x, u = flight(2.0)
+    x[:, 4] = np.nan
+    with pytest.raises(DataError, match="state column 4 has no value"):
+        one(t, x, u)
+
+
+def test_sign_flips_are_undone_also_across_holes() -> None:
+    t, x, u = flight(5.0)
+    bad = x.copy()
+    bad[100:300, 6:10] *= -1
+    bad[299] = np.nan
+    data = one(t, bad, u)
+    assert "sign_flip" in kinds(data)
+    np.testing.assert_allclose(np.delete(data[0].x, 299, 0), np.delete(x, 299, 0), atol=1e-12)
+    np.testing.assert_allclose(data[0].x[299], x[299], atol=1e-3)
+
+
+def test_norms_a_little_off_are_mended_and_far_off_refused() -> None:
+    t, x, u = flight(5.0)
+    x[:, 6:10] *= 1.01
+    data = one(t, x, u)
+    assert kinds(data) == ["quaternion_norm"]
+    np.testing.assert_allclose(np.linalg.norm(data[0].x[:, 6:10], axis=1), 1.0, atol=1e-12)
+    x[30:, 6:10] *= 45
+    with pytest.raises(
+        DataError, match=r"'a' row 30: the quaternion .* perhaps|Perhaps the columns hold degrees"
+    ):
+        one(t, x, u)
+
+
+@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("lost", [30, 60])
+def test_a_gap_without_a_trace_in_the_clock_is_found_in_noise(seed: int, lost: int) -> None:
+    rng = np.random.default_rng(seed)
+    t, x, u = flight(40.0, seed=seed)
+    keep = np.r_[0:1500, 1500 + lost : 4001]
+    noisy = x[keep] + 1e-3 * rng.standard_normal((len(keep), 13)) * np.r_[np.ones(6), 0, 0, 0, 0, np.ones(3)]
+    data = one(t[: len(keep)], noisy, u[keep])
+    assert data[0].segments == ((0, 1500), (1500, len(keep)))
+    (finding,) = [f for f in data.summary.findings if f.kind == "hidden_gap"]
+    assert finding.values["rows"] == [1499]
+
+
+@settings(max_examples=15, deadline=None)
+@given(st.integers(0, 10_000), st.floats(0, 0.02))
+def test_noise_alone_is_never_taken_for_a_gap_or_a_wrong_clock(seed: int, noise: float) -> None:
+    t, x, u = flight(25.0, seed=seed)
+    rng = np.random.default_rng(seed)
+    x = x + noise * rng.standard_normal(x.shape) * np.r_[np.ones(6), 0, 0, 0, 0, np.ones(3)]
+    data = one(t, x, u)
+    assert kinds(data) == []
+    assert data.clock_scale == 1.0
+
+
+@pytest.mark.parametrize("scale", [0.93, 1.05])
+def test_a_wrong_clock_is_measured_within_its_error(scale: float) -> None:
+    raw = []
+    for seed in range(2):
+        t, x, u = flight(60.0, seed=seed, clock=scale)
+        x = (
+            x
+            + 0.01
+            * np.random.default_rng(seed).standard_normal(x.shape)
+            * np.r_[np.ones(6), [0] * 4, np.ones(3)]
+        )
+        raw.append(RawRun(f"{seed}", t, x, u))
+    data = assemble(raw, HEXACOPTER, kind="test", clock="rescale")
+    assert data.clock_scale == pytest.approx(scale, abs=0.005)
+    assert data.dt == pytest.approx(0.01)
+
+
+def test_noise_in_the_velocity_does_not_pull_the_clock() -> None:
+    raw = []
+    for seed in range(20):
+        t = 0.02 * np.arange(201)
+        rng = np.random.default_rng(seed)
+        a = rng.uniform(1, 2, 2)
+        clean = np.stack(
+            [a[0] * np.sin(2 * t), 2 * a[0] * np.cos(2 * t), np.cos(a[1] * t), -a[1] * np.sin(a[1] * t)], 1
+        )
+        raw.append(
+            RawRun(f"{seed}", t, clean + 0.3 * rng.standard_normal(clean.shape), rng.uniform(-1, 1, (201, 1)))
+        )
+    data = assemble(raw, CARTPOLE, kind="test", clock="refuse")
+    assert data.clock_scale == 1.0
+    assert len(data.summary.slopes) == 2
+
+
+def test_a_velocity_that_alone_disagrees_is_reported_and_not_scaled() -> None:
+    t, x, u = flight(60.0)
+    x[:, 3:6] *= 1.06
+    data = one(t, x, u, clock="refuse")
+    assert kinds(data) == ["kinematic_mismatch"]
+    assert data.clock_scale == 1.0
+
+
+@pytest.mark.parametrize(
+    ("column", "factor", "text"),
+    [
+        (slice(10, 13), 180 / np.pi, "deg/s|degrees"),
+        (slice(4, 5), -1.0, "opposite sign"),
+        (slice(0, 3), 1000.0, "mm or ms"),
+    ],
+)
+def test_columns_in_other_units_or_frames_are_refused_with_the_likely_cause(
+    column: slice, factor: float, text: str
+) -> None:
+    t, x, u = flight(30.0)
+    x[:, column] *= factor
+    with pytest.raises(DataError, match=text):
+        one(t, x, u)
+
+
+def test_motor_commands_outside_zero_to_one_are_refused_with_a_guess() -> None:
+    t, x, u = flight(3.0)
+    with pytest.raises(DataError, match=r"'u_1' runs from .* pulse widths"):
+        one(t, x, 1000 + 1000 * u)
+    with pytest.raises(DataError, match="percent"):
+        one(t, x, 100 * u)
+
+
+def test_wrapped_angles_become_continuous() -> None:
+    t = 0.02 * np.arange(600)
+    x = np.stack([np.sin(t), np.cos(t), (2 * t + np.pi) % (2 * np.pi) - np.pi, np.full(600, 2.0)], axis=1)
+    data = assemble([RawRun("a", t, x, np.sin(5 * t)[:, None])], CARTPOLE, kind="test")
+    assert kinds(data) == ["angle_wrap"]
+    np.testing.assert_allclose(data[0].x[:, 2], 2 * t, atol=1e-9)
+
+
+def test_constant_and_dependent_inputs_are_named_with_their_directions() -> None:
+    t, x, u = flight(5.0)
+    u[:, 5] = u[:, 0] + u[:, 1] - u[:, 2]
+    u[:, 3] = 0.3
+    data = one(t, x, u.astype(np.float32).astype(float))
+    assert kinds(data) == ["constant_input", "rank_deficient_inputs"]
+    rank = data.summary.input_rank
+    assert rank.rank == 5
+    np.testing.assert_allclose(np.abs(rank.null_directions[0]), [0.5, 0.5, 0.5, 0, 0, 0.5], atol=1e-4)
+
+
+def test_runs_on_other_steps_are_brought_to_one() -> None:
+    raw = [RawRun(f"{k}", *flight(6.0, dt=dt, seed=k)) for k, dt in enumerate([0.01, 0.01, 0.02])]
+    data = assemble(raw, HEXACOPTER, kind="test")
+    assert [run.dt for run in data] == pytest.approx([0.01] * 3)
+    half = assemble([RawRun("a", *flight(6.0))], HEXACOPTER, kind="test", dt=0.02)
+    assert half[0].dt == pytest.approx(0.02)
+
+
+@settings(max_examples=50, deadline=None)
+@given(
+    st.lists(st.floats(-1, 1), min_size=8, max_size=8).filter(
+        lambda v: min(np.linalg.norm(v[:4]), np.linalg.norm(v[4:])) > 0.1
+    ),
+    st.floats(0, 1),
+)
+def test_slerp_stays_on_the_sphere_and_halves_the_way(values: list[float], share: float) -> None:
+    a, b = (np.array([v]) / np.linalg.norm(v) for v in (values[:4], values[4:]))
+    q = slerp(a, b, np.array([share]))
+    assert np.linalg.norm(q) == pytest.approx(1.0)
+    assert abs(np.sum(slerp(a, b, np.array([1.0])) * b)) == pytest.approx(1.0)
+    assert np.isfinite(rotation_vector(q)).all()

@@ -1,0 +1,61 @@
+"""The summary holds the figures of the data, as JSON and as a table."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+from nsde_torch.data import RawRun, assemble
+from tests.helpers.data_systems import HEXACOPTER
+from tests.helpers.flights import flight
+
+
+def test_figures_json_and_table_say_the_same() -> None:
+    t, x, u = flight(30.0, clock=1.05)
+    keep = np.r_[0:1000, 1300:3001]
+    raw = [RawRun("flight", t[keep], x[keep], u[keep], extra={"battery_voltage": 16 - t[keep]})]
+    data = assemble(raw, HEXACOPTER, kind="test")
+    found = json.loads(data.summary.to_json())
+    assert found["rate_hz"] == pytest.approx(100)
+    assert found["duration_s"] == pytest.approx(9.99 + 17.0)
+    assert found["clock_scale"] == pytest.approx(1.05, abs=0.005)
+    assert found["runs"][0]["segments"] == [[0, 1000], [1000, 2701]]
+    channel = next(c for c in found["channels"] if c["name"] == "p_x")
+    assert channel["minimum"] == pytest.approx(x[keep, 0].min())
+    assert channel["q95"] == pytest.approx(np.quantile(x[keep, 0], 0.95))
+    assert found["channels"][-1]["name"] == "battery_voltage"
+    speed = np.linalg.norm(x[keep, 3:6], axis=1)
+    assert found["envelope"]["speed_q95_m_per_s"] == pytest.approx(np.quantile(speed, 0.95))
+    assert found["envelope"]["speed_max_m_per_s"] == pytest.approx(speed.max())
+    assert [f["kind"] for f in found["findings"]] == ["time_gap", "clock"]
+    text = str(data.summary)
+    for part in (
+        "flight",
+        "0-1000 1000-2701",
+        "p_x",
+        "|roll| [deg]",
+        "inputs span 6 of 6",
+        "clock runs wrong",
+    ):
+        assert part in text
+
+
+def test_roll_pitch_yaw_are_those_of_the_attitude() -> None:
+    t = 0.01 * np.arange(200)
+    x = np.zeros((200, 13))
+    half = np.radians(20) / 2
+    x[:, 6:10] = np.cos(half), np.sin(half), 0, 0
+    envelope = assemble([RawRun("a", t, x, np.full((200, 6), 0.4))], HEXACOPTER, kind="test").summary.envelope
+    assert envelope is not None
+    assert (envelope.roll_max, envelope.pitch_max, envelope.yaw_max) == pytest.approx(
+        (20.0, 0.0, 0.0), abs=1e-9
+    )
+
+
+def test_reading_data_needs_no_torch() -> None:
+    code = "import sys, nsde_torch.data as d; d.read, d.split; assert 'torch' not in sys.modules; d.Windows"
+    subprocess.run([sys.executable, "-c", code], check=True)

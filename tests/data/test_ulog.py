@@ -1,0 +1,179 @@
+"""PX4 logs: frames by hand-worked cases, one clock, and missing topics named with the remedy."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from nsde_torch.data import read
+from nsde_torch.data.frames import attitude_to_enu, swap_body, swap_world
+from nsde_torch.data.quaternion import rotate
+from nsde_torch.errors import ConfigError, DataError
+from tests.helpers.data_systems import CARTPOLE, QUADROTOR, multirotor
+from tests.helpers.flights import flight
+from tests.helpers.ulog_bytes import write_ulog
+
+S = np.sqrt(0.5)
+
+
+@pytest.mark.parametrize(
+    ("frd_to_ned", "flu_to_enu"),
+    [
+        ([1, 0, 0, 0], [S, 0, 0, S]),  # level, facing north: ENU yaw is 90 degrees
+        ([S, 0, 0, S], [1, 0, 0, 0]),  # level, facing east
+        ([S, 0, 0, -S], [0, 0, 0, 1]),  # facing west: yaw 180
+        ([S, S, 0, 0], [0.5, 0.5, 0.5, 0.5]),  # facing north, right wing down: yaw 90, then roll +90
+    ],
+)
+def test_attitudes_worked_by_hand(frd_to_ned: list[float], flu_to_enu: list[float]) -> None:
+    q = attitude_to_enu(np.array([frd_to_ned], dtype=float))[0]
+    assert abs(np.dot(q, flu_to_enu)) == pytest.approx(1.0)
+
+
+def test_vectors_map_the_same_by_frame_change_and_by_attitude() -> None:
+    assert swap_world(np.array([1.0, 2.0, 3.0])).tolist() == [2, 1, -3]
+    assert swap_body(np.array([1.0, 2.0, 3.0])).tolist() == [1, -2, -3]
+    rng = np.random.default_rng(0)
+    q = rng.standard_normal((50, 4))
+    q /= np.linalg.norm(q, axis=1, keepdims=True)
+    v = rng.standard_normal((50, 3))
+    np.testing.assert_allclose(rotate(attitude_to_enu(q), swap_body(v)), swap_world(rotate(q, v)), atol=1e-12)
+    same = attitude_to_enu(attitude_to_enu(q))
+    np.testing.assert_allclose(np.abs((same * q).sum(axis=1)), 1.0)
+
+
+def logged(seconds: float = 12.0) -> tuple[np.ndarray, np.ndarray, np.ndarray, dict]:
+    """A flight (ENU/FLU) and the PX4 topics that log it in NED/FRD."""
+    t, x, u = flight(seconds, motors=4)
+    p, v, w = swap_world(x[:, :3]), swap_world(x[:, 3:6]), swap_body(x[:, 10:])
+    q = attitude_to_enu(x[:, 6:10])
+    stamp = 50.0 + t
+    topics = {
+        "vehicle_odometry": {"timestamp": stamp, "position": p, "q": q, "velocity": v, "angular_velocity": w,
+                             "pose_frame": np.full(len(t), 1), "velocity_frame": np.full(len(t), 1)},
+        "actuator_motors": {"timestamp": stamp, "control": u},
+        "battery_status": {"timestamp": stamp[::100], "voltage_v": 16 - 0.01 * t[::100]},
+    }  # fmt: skip
+    return t, x, u, topics
+
+
+def same_state(run: object, x: np.ndarray, atol: float = 1e-5) -> None:
+    got = run.x * 1.0  # type: ignore[attr-defined]
+    got[:, 6:10] *= np.sign((got[:, 6:10] * x[:, 6:10]).sum(axis=1, keepdims=True))
+    np.testing.assert_allclose(got, x, atol=atol)
+
+
+def test_odometry_in_ned_comes_out_in_enu_with_battery_voltage(tmp_path: Path) -> None:
+    t, x, u, topics = logged()
+    data = read("ulog", QUADROTOR, path=str(write_ulog(tmp_path / "log.ulg", topics)))
+    same_state(data[0], x)
+    np.testing.assert_allclose(data[0].u, u, atol=1e-6)
+    np.testing.assert_allclose(data[0].t, 50 + t, atol=1e-6)
+    np.testing.assert_allclose(data[0].extra["battery_voltage"], 16 - 0.01 * t, atol=1e-5)
+    assert data.summary.findings == ()
+    system = multirotor("quadrotor", 4, exogenous=("battery_voltage",))
+    assert read("ulog", system, path=str(tmp_path))[0].u.shape[1] == 5
+
+
+def test_the_velocity_frame_field_decides(tmp_path: Path) -> None:
+    _, x, _, topics = logged()
+    q, v = topics["vehicle_odometry"]["q"], topics["vehicle_odometry"]["velocity"]
+    topics["vehicle_odometry"]["velocity"] = rotate(q * [1, -1, -1, -1], v)
+    topics["vehicle_odometry"]["velocity_frame"] = np.full(len(q), 3)
+    same_state(read("ulog", QUADROTOR, path=str(write_ulog(tmp_path / "log.ulg", topics)))[0], x)
+    topics["vehicle_odometry"]["velocity_frame"] = np.full(len(q), 2)
+    with pytest.raises(DataError, match="velocities in frame 2 and poses in frame 1"):
+        read("ulog", QUADROTOR, path=str(write_ulog(tmp_path / "log.ulg", topics)))
+
+
+def three_topics(topics: dict) -> dict:
+    odometry = topics.pop("vehicle_odometry")
+    stamp = odometry["timestamp"]
+    return topics | {
+        "vehicle_attitude": {"timestamp": stamp, "q": odometry["q"]},
+        "vehicle_local_position": {"timestamp": stamp[::5], **{
+            n: a[::5] for n, a in zip(("x", "y", "z", "vx", "vy", "vz"),
+                                      (*odometry["position"].T, *odometry["velocity"].T), strict=True)}},
+        "vehicle_angular_velocity": {"timestamp": stamp[::2], "xyz": odometry["angular_velocity"][::2]},
+    }  # fmt: skip
+
+
+def test_three_slower_topics_come_onto_the_clock_of_the_attitude(tmp_path: Path) -> None:
+    _, x, u, topics = logged()
+    data = read("ulog", QUADROTOR, path=str(write_ulog(tmp_path / "log.ulg", three_topics(topics))))
+    same_state(data[0], x, atol=5e-3)
+    np.testing.assert_allclose(data[0].u, u, atol=1e-6)
+    (finding,) = data.summary.findings
+    assert finding.kind == "slow_topic"
+    assert "vehicle_local_position 20 Hz" in finding.message
+
+
+def test_pauses_of_a_topic_cut_the_run(tmp_path: Path) -> None:
+    *_, topics = logged()
+    topics = three_topics(topics)
+    rates = topics["vehicle_angular_velocity"]
+    keep = np.r_[0:200, 300 : len(rates["timestamp"])]
+    topics["vehicle_angular_velocity"] = {k: v[keep] for k, v in rates.items()}
+    data = read("ulog", QUADROTOR, path=str(write_ulog(tmp_path / "log.ulg", topics)))
+    assert len(data[0].segments) == 2
+    assert "time_gap" in [f.kind for f in data.summary.findings]
+
+
+def test_time_on_the_ground_is_left_out_unless_asked_for(tmp_path: Path) -> None:
+    t, _, _, topics = logged()
+    topics["vehicle_land_detected"] = {"timestamp": [50.0, 52.0, 61.0], "landed": [1, 0, 1]}
+    path = str(write_ulog(tmp_path / "log.ulg", topics))
+    data = read("ulog", QUADROTOR, path=path)
+    assert (data[0].t[0], data[0].t[-1]) == (pytest.approx(52.0), pytest.approx(60.99))
+    assert len(read("ulog", QUADROTOR, path=path, in_air=False)[0]) == len(t)
+
+
+def test_outputs_are_mapped_by_the_output_functions(tmp_path: Path) -> None:
+    _, _, u, topics = logged()
+    topics.pop("actuator_motors")
+    pwm = np.full((len(u), 16), 900.0)
+    pwm[:, [3, 2, 1, 0]] = 1100 + 800 * u
+    stamp = topics["vehicle_odometry"]["timestamp"]
+    topics["actuator_outputs"] = {"timestamp": stamp, "output": pwm}
+    parameters = {f"PWM_MAIN_FUNC{4 - k}": 101 + k for k in range(4)}
+    parameters |= {f"PWM_MAIN_MIN{k + 1}": 1100 for k in range(4)} | {
+        f"PWM_MAIN_MAX{k + 1}": 1900 for k in range(4)
+    }
+    data = read("ulog", QUADROTOR, path=str(write_ulog(tmp_path / "log.ulg", topics, parameters)))
+    np.testing.assert_allclose(data[0].u, u, atol=1e-4)
+
+
+def test_missing_topics_are_named_with_the_remedy(tmp_path: Path) -> None:
+    *_, topics = logged()
+    motors = topics.pop("actuator_motors")
+    with pytest.raises(DataError, match=r"lacks the topics \['actuator_motors'\].*SDLOG_PROFILE"):
+        read("ulog", QUADROTOR, path=str(write_ulog(tmp_path / "log.ulg", topics)))
+    topics = three_topics(topics) | {"actuator_motors": motors}
+    topics.pop("vehicle_angular_velocity")
+    with pytest.raises(
+        DataError, match=r"\['vehicle_angular_velocity'\] \(or `vehicle_odometry`\).*logger_topics"
+    ):
+        read("ulog", QUADROTOR, path=str(write_ulog(tmp_path / "log.ulg", topics)))
+    with pytest.raises(DataError, match=r"lacks the topics \['vehicle_odometry'\]"):
+        read("ulog", QUADROTOR, path=str(tmp_path / "log.ulg"), state="odometry")
+
+
+def test_topics_too_slow_to_interpolate_are_refused(tmp_path: Path) -> None:
+    *_, topics = logged()
+    topics["actuator_motors"] = {k: v[::50] for k, v in topics["actuator_motors"].items()}
+    with pytest.raises(DataError, match="`actuator_motors` was logged at 2 Hz; at least 4 Hz"):
+        read("ulog", QUADROTOR, path=str(write_ulog(tmp_path / "log.ulg", topics)))
+
+
+def test_what_is_no_log_and_systems_that_are_no_multirotor_are_refused(tmp_path: Path) -> None:
+    (tmp_path / "bad.ulg").write_bytes(b"not a log at all, not at all")
+    with pytest.raises(DataError, match="is not a readable ULog file"):
+        read("ulog", QUADROTOR, path=str(tmp_path))
+    with pytest.raises(DataError, match="does not exist"):
+        read("ulog", QUADROTOR, path=str(tmp_path / "none.ulg"))
+    with pytest.raises(ConfigError, match="Choose `hexacopter` or `quadrotor`"):
+        read("ulog", CARTPOLE, path=str(tmp_path / "bad.ulg"))
+    with pytest.raises(ConfigError, match="`state` must be one of"):
+        read("ulog", QUADROTOR, path=str(tmp_path / "bad.ulg"), state="gps")

@@ -1,0 +1,137 @@
+"""Windows are cut lazily, never cross a gap, and validation shares no row with training."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from nsde_torch.data import Run, Windows
+from nsde_torch.errors import ConfigError, DataError
+
+
+def run(n: int, segments: tuple[tuple[int, int], ...] = (), offset: float = 0.0, name: str = "a") -> Run:
+    """Row k holds x = (offset + k, -k) and u = k."""
+    k = np.arange(n, dtype=float)
+    return Run(name, 100 + 0.01 * k, np.stack([offset + k, -k], 1), k[:, None], segments=segments)
+
+
+def test_rows_inputs_and_times_are_those_of_the_definition() -> None:
+    windows = Windows([run(50), run(40, offset=1000, name="b")], 0.05, 4)
+    assert len(windows) == 50 - 20 + 40 - 20
+    x, u, t0 = windows.batch([3, 30])
+    assert x.tolist()[0] == [[3 + 5 * j, -(3 + 5 * j)] for j in range(5)]
+    assert u[0, :, 0].tolist() == [5 + 5 * j for j in range(4)]
+    assert x[1, 0].tolist() == [1000, 0]
+    assert (t0.dtype, t0.tolist()) == (torch.float64, [100.03, 100.0])
+    assert windows.locate([3, 30]) == [("a", 3), ("b", 0)]
+    with pytest.raises(IndexError, match=r"0\.\.49"):
+        windows.batch([50])
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.data())
+def test_every_window_lies_in_one_segment_and_all_that_fit_are_there(data: st.DataObject) -> None:
+    runs, expected = [], []
+    span = data.draw(st.integers(1, 3)) * (stride := data.draw(st.integers(1, 4)))
+    for r in range(data.draw(st.integers(1, 3))):
+        cuts = sorted(data.draw(st.sets(st.integers(2, 58), max_size=4)))
+        edges = [0, *cuts, 60]
+        segments = tuple((a, b) for a, b in pairwise(edges) if b - a >= 2)
+        runs.append(run(60, segments, name=str(r)))
+        expected += [(str(r), s) for a, b in segments for s in range(a, b - span)]
+    try:
+        windows = Windows(runs, 0.01 * stride, span // stride)
+    except DataError:
+        assert not expected
+        return
+    assert windows.locate(range(len(windows))) == expected
+
+
+def test_the_model_step_must_be_a_multiple_of_the_data_step() -> None:
+    with pytest.raises(ConfigError, match=r"whole multiple .* Take 0.02 or 0.03 s"):
+        Windows([run(50)], 0.025, 4)
+    assert Windows([run(50)], 0.0499, 4).stride == 5
+    with pytest.raises(ConfigError, match="whole multiple"):
+        Windows([run(50)], 0.004, 4)
+    with pytest.raises(ConfigError, match="`horizon`"):
+        Windows([run(50)], 0.05, 0)
+    with pytest.raises(
+        DataError, match=r"no segment is as long as a window .* \(51 rows\); the longest has 50"
+    ):
+        Windows([run(50)], 0.05, 10)
+    with pytest.raises(DataError, match="at least one run"):
+        Windows([], 0.05, 4)
+
+
+def test_batches_repeat_under_the_same_generator() -> None:
+    windows = Windows([run(500)], 0.05, 4)
+    draws = [windows.sample(32, torch.Generator().manual_seed(3)) for _ in range(2)]
+    assert torch.equal(*draws)
+    seen = torch.cat(list(windows.epoch(64, torch.Generator().manual_seed(3))))
+    assert sorted(seen.tolist()) == list(range(len(windows)))
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.integers(0, 1000), st.floats(0.05, 0.5), st.floats(0.1, 2.0), st.floats(0, 0.1))
+def test_held_out_blocks_share_no_row_with_training(
+    seed: int, fraction: float, block: float, gap: float
+) -> None:
+    windows = Windows([run(700, ((0, 300), (300, 700))), run(400, name="b")], 0.02, 5)
+    train, held = windows.held_out(fraction, block, torch.Generator().manual_seed(seed), gap_s=gap)
+    assert len(train) > 0
+    assert len(held) > 0
+
+    def rows(part: Windows) -> np.ndarray:
+        return np.unique(part.rows(range(len(part)))[:, None] + np.arange(part.span + 1))
+
+    a, b = rows(train), rows(held)
+    assert not np.intersect1d(a, b).size
+    distance = np.abs(a[:, None] - b[None]).min()
+    assert (
+        distance > round(gap / 0.01)
+        or not np.isin(windows.rows(range(len(windows))), a).any()
+        or distance > 0
+    )
+    every = set(windows.locate(range(len(windows))))
+    assert set(train.locate(range(len(train)))) | set(held.locate(range(len(held)))) <= every
+    again = windows.held_out(fraction, block, torch.Generator().manual_seed(seed), gap_s=gap)
+    assert again[1].locate(range(len(held))) == held.locate(range(len(held)))
+    assert train.batch([0])[0].shape == (1, 6, 2)
+
+
+def test_the_share_held_out_is_close_to_the_wish() -> None:
+    windows = Windows([run(20000)], 0.05, 4)
+    for seed in range(5):
+        train, held = windows.held_out(0.15, 4.0, torch.Generator().manual_seed(seed))
+        assert 0.1 < len(held) / (len(held) + len(train)) < 0.2
+
+
+def test_a_single_short_run_still_gives_validation_and_a_shorter_one_says_why_not() -> None:
+    train, held = Windows([run(51)], 0.01, 20).held_out(0.15, 5.0, torch.Generator().manual_seed(0))
+    assert (len(train), len(held)) == (10, 1)
+    with pytest.raises(DataError, match=r"not fit\. Shorten `horizon`"):
+        Windows([run(41)], 0.01, 20).held_out(0.15, 5.0, torch.Generator().manual_seed(0))
+    with pytest.raises(ConfigError, match="`fraction`"):
+        Windows([run(51)], 0.01, 20).held_out(0.0, 5.0, torch.Generator().manual_seed(0))
+
+
+def test_evaluation_starts_lie_on_the_grid_of_the_run_and_in_one_segment() -> None:
+    runs = [run(700, ((0, 333), (333, 700))), run(226, name="b")]
+    windows = Windows(runs, 0.05, 40)
+    expected = [("a", s) for s in range(0, 500, 25) if s + 200 < 333 or s >= 333]
+    assert windows.locate(windows.starts(0.25)) == [*expected, ("b", 0), ("b", 25)]
+    with pytest.raises(ConfigError, match="`every_s`"):
+        windows.starts(0.013)
+
+
+def test_memory_is_one_float32_copy_of_the_data() -> None:
+    windows = Windows([run(100_000)], 0.05, 20)
+    assert windows.nbytes == 100_000 * 3 * 4
+    assert sum(p.nbytes for p in windows.held_out(0.2, 1.0, torch.Generator())) == 2 * windows.nbytes
+    train, _ = windows.held_out(0.2, 1.0, torch.Generator())
+    assert train._x.data_ptr() == windows._x.data_ptr()

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from nsde_torch.data.raw import RawRun
     from nsde_torch.data.registry import READERS, read
     from nsde_torch.data.run import DataSet, Run
-    from nsde_torch.data.split import Split, split
+    from nsde_torch.data.splits import Split, split
     from nsde_torch.data.summary import DataSummary
     from nsde_torch.data.system_info import SystemInfo
     from nsde_torch.data.unpickler import read_pickle
@@ -30,8 +30,8 @@ _HOME = {
     "read": "registry",
     "DataSet": "run",
     "Run": "run",
-    "Split": "split",
-    "split": "split",
+    "Split": "splits",
+    "split": "splits",
     "DataSummary": "summary",
     "SystemInfo": "system_info",
     "read_pickle": "unpickler",
@@ -60,5 +60,5 @@ def __getattr__(name: str) -> Any:
     if name not in _HOME:
         raise AttributeError(f"module 'nsde_torch.data' has no attribute {name!r}")
     value = getattr(import_module(f"nsde_torch.data.{_HOME[name]}"), name)
-    globals()[name] = value  # also keeps `split` the function once its module of the same name is loaded
+    globals()[name] = value
     return value

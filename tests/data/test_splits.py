@@ -58,3 +58,12 @@ def test_a_single_run_cannot_be_on_both_sides() -> None:
     with pytest.raises(DataError, match=r"holds one run .* set `test` to \[\]"):
         split(data(1))
     assert len(split(data(1), []).train) == 1
+
+
+def test_every_public_name_is_what_it_says_whatever_is_imported_first() -> None:
+    import nsde_torch.data as package
+
+    for name in ("Split", *package.__all__):
+        assert getattr(package, name).__class__.__name__ != "module"
+    assert callable(package.split)
+    assert package.read.__name__ == "read"

@@ -1,0 +1,94 @@
+"""Machines: states, inputs, units, frames and declared physics."""
+
+import importlib
+from collections.abc import Mapping, Sequence
+from difflib import get_close_matches
+from typing import Any
+
+from nsde_torch.effects import Effect
+from nsde_torch.errors import ConfigError
+from nsde_torch.systems.base import Defaults, ErrorGroup, ResidualPort, System
+from nsde_torch.systems.cartpole import Cartpole
+from nsde_torch.systems.multirotor import Hexacopter, Multirotor, Quadrotor
+from nsde_torch.systems.one_dof import MassSpringDamper
+
+SYSTEMS: dict[str, type[System]] = {cls.name: cls for cls in (MassSpringDamper, Cartpole, Hexacopter, Quadrotor)}
+
+
+def system_class(name: str) -> type[System]:
+    """Class of a system: a key of `SYSTEMS`, or `package.module:Class` of the user's own.
+
+    Raises:
+        ConfigError: unknown name (lists the choices), no such module or class, or not a System.
+    """
+    if name in SYSTEMS:
+        return SYSTEMS[name]
+    module, colon, attribute = name.partition(":")
+    if not colon:
+        near = get_close_matches(name, SYSTEMS, 1)
+        hint = f" Did you mean {near[0]!r}?" if near else ""
+        raise ConfigError(
+            f"system {name!r} is unknown; choose among {', '.join(SYSTEMS)}, or write `module:Class` of your own."
+            + hint
+        )
+    try:
+        found = getattr(importlib.import_module(module), attribute)
+    except ModuleNotFoundError as error:
+        raise ConfigError(
+            f"system {name!r}: no module {error.name!r}. Put its file beside your configuration "
+            "(--config-dir) or on PYTHONPATH."
+        ) from error
+    except AttributeError as error:
+        raise ConfigError(f"system {name!r}: module {module!r} has no class {attribute!r}.") from error
+    if not (isinstance(found, type) and issubclass(found, System)):
+        raise ConfigError(f"system {name!r} must be a subclass of nsde_torch.systems.System; got {found!r}.")
+    return found
+
+
+def make_system(
+    name: str,
+    *,
+    effects: Sequence[str | Effect] = (),
+    declared: Sequence[str] | None = None,
+    values: Mapping[str, float | list[float]] | None = None,
+    **options: Any,
+) -> System:
+    """Make a system by name.
+
+    Args:
+        name: Key of `SYSTEMS`, or `package.module:Class`.
+        effects: Effects to add to the declared physics.
+        declared: Effects that replace the declared ones; None keeps them.
+        values: Initial values of parameters, `name` or `effect.name`.
+        options: Further arguments of the class (`thrust_degree` of multirotors).
+
+    Raises:
+        ConfigError: unknown system, effect, parameter or option.
+
+    Example:
+        >>> make_system("hexacopter", effects=["linear_drag"]).effect_names
+        ('linear_drag',)
+    """
+    cls = system_class(name)
+    try:
+        return cls(effects, declared=declared, values=values, **options)
+    except TypeError as error:
+        if "unexpected keyword" not in str(error):
+            raise
+        raise ConfigError(f"system {name!r} does not take one of the options {sorted(options)}.") from error
+
+
+__all__ = [
+    "SYSTEMS",
+    "Cartpole",
+    "Defaults",
+    "ErrorGroup",
+    "Hexacopter",
+    "MassSpringDamper",
+    "Multirotor",
+    "Quadrotor",
+    "ResidualPort",
+    "System",
+    "make_system",
+    "system_class",
+]

@@ -1,0 +1,288 @@
+"""Systems: names, units, frames, declared physics and projection of one machine.
+
+    dx/dt = dynamics(t, x, u + sum of effects on the input, sum of effects on each force port)
+
+Kinematics are exact and belong to the system; everything that pushes is an effect on a port.
+"""
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor, nn
+
+from nsde_torch.effects import Effect, Parametrised, Port, make_effect
+from nsde_torch.errors import ConfigError, ShapeError
+
+
+@dataclass(frozen=True)
+class Defaults:
+    """Constants of the supplement for one system.
+
+    Args:
+        dt: Step of the model [s].
+        horizon: Steps of a training window.
+        sigma_max: Largest diffusion, one per state [unit of the state per root second].
+        ball_radius: Radius r of the ball of the convexity loss [standard deviations of the features].
+        lambda_mu: Weight of the reward on strong convexity.
+        step: Name of the integrator.
+    """
+
+    dt: float
+    horizon: int
+    sigma_max: tuple[float, ...]
+    ball_radius: float
+    lambda_mu: float
+    step: str
+
+
+@dataclass(frozen=True)
+class ErrorGroup:
+    """Error channels that share a unit and are reported as one norm.
+
+    Args:
+        name: For example "position".
+        channels: Indices into the error channels.
+        unit: Unit of the report.
+        factor: From the channel's unit to that of the report (180/pi for degrees).
+    """
+
+    name: str
+    channels: tuple[int, ...]
+    unit: str
+    factor: float = 1.0
+
+
+@dataclass(frozen=True)
+class ResidualPort:
+    """A port that gets a learned residual network.
+
+    Args:
+        width: Outputs.
+        scale: Size of a typical residual in the unit of the port.
+        unit: Unit of the port.
+    """
+
+    width: int
+    scale: float
+    unit: str
+
+
+class System(Parametrised, ABC):
+    """One machine. Subclasses set the class attributes and write `dynamics` and `features`.
+
+    Attributes:
+        name: Key in `SYSTEMS`, or the user's own.
+        state_names, state_units: Columns of the state.
+        input_names, input_units: Columns of the input.
+        ports: Width of each force port.
+        declared: Names of the effects that are part of the declared physics.
+        residual_ports: Ports that get a residual network.
+        defaults: Constants of the supplement.
+        error_names: Names of the error channels.
+        error_groups: How they are reported.
+        feature_names, feature_units: Columns of `features`.
+        quaternion: Columns of the unit quaternion, or None.
+        position_derivatives: (position, velocity, frame) triples that kinematics ties together.
+
+    Args:
+        effects: Effects beyond the declared ones, by name or as objects.
+        declared: Declared effects; None takes the system's own.
+        values: Initial values of parameters; `name` for the system's, `effect.name` for an effect's.
+    """
+
+    name: ClassVar[str]
+    state_names: ClassVar[tuple[str, ...]]
+    state_units: ClassVar[tuple[str, ...]]
+    input_names: ClassVar[tuple[str, ...]]
+    input_units: ClassVar[tuple[str, ...]]
+    ports: ClassVar[Mapping[Port, int]]
+    residual_ports: ClassVar[Mapping[Port, ResidualPort]]
+    defaults: ClassVar[Defaults]
+    error_names: ClassVar[tuple[str, ...]]
+    error_groups: ClassVar[tuple[ErrorGroup, ...]]
+    feature_names: ClassVar[tuple[str, ...]]
+    feature_units: ClassVar[tuple[str, ...]]
+    declared: ClassVar[tuple[str, ...]] = ()
+    quaternion: ClassVar[slice | None] = None
+    position_derivatives: ClassVar[tuple[tuple[str, str, str], ...]] = ()
+
+    def __init__(
+        self,
+        effects: Sequence[str | Effect] = (),
+        *,
+        declared: Sequence[str] | None = None,
+        values: Mapping[str, float | list[float]] | None = None,
+    ) -> None:
+        own, of_effects = _split_values(values or {})
+        super().__init__(own)
+        names = [*(self.declared if declared is None else declared), *effects]
+        made: list[Effect] = []
+        for item in names:
+            if isinstance(item, Effect):
+                made.append(item)
+                continue
+            made.append(
+                make_effect(
+                    item,
+                    system=self.name,
+                    ports={*self.ports, Port.INPUT},
+                    n_inputs=len(self.input_names),
+                    values=of_effects.pop(item, None),
+                )
+            )
+        twice = sorted({e.name for e in made if [m.name for m in made].count(e.name) > 1})
+        if twice:
+            raise ConfigError(f"effects {twice} are named twice for system {self.name!r}; name each once.")
+        if of_effects:
+            raise ConfigError(
+                f"`parameters` names effects that system {self.name!r} does not have: {sorted(of_effects)}; "
+                f"it has: {', '.join(e.name for e in made) or 'none'}."
+            )
+        self.effects = nn.ModuleList(made)
+        self._memory: list[slice] = []
+        start = self.nx
+        for effect in made:
+            self._memory.append(slice(start, start + effect.n_memory))
+            start += effect.n_memory
+        self._nz = start
+
+    @property
+    def nx(self) -> int:
+        """Number of states."""
+        return len(self.state_names)
+
+    @property
+    def nu(self) -> int:
+        """Number of inputs."""
+        return len(self.input_names)
+
+    @property
+    def nz(self) -> int:
+        """Number of states with the memory of the effects."""
+        return self._nz
+
+    @property
+    def exogenous(self) -> tuple[str, ...]:
+        """Logged columns, beside the inputs, that effects read."""
+        return tuple(dict.fromkeys(n for e in self.effects for n in e.exogenous))  # type: ignore[union-attr]
+
+    @property
+    def effect_names(self) -> tuple[str, ...]:
+        """Names of all effects, declared and added."""
+        return tuple(str(e.name) for e in self.effects)
+
+    @abstractmethod
+    def dynamics(self, t: float | Tensor, x: Tensor, u: Tensor, forces: Mapping[Port, Tensor]) -> Tensor:
+        """Rate of the state.
+
+        Args:
+            t: Time [s].
+            x: State (N, nx).
+            u: Input after the effects on it (N, nu).
+            forces: Sum of effects and residuals on each port that has any (N, width of the port).
+
+        Returns:
+            dx/dt (N, nx).
+        """
+
+    @abstractmethod
+    def features(self, x: Tensor) -> Tensor:
+        """Features (N, nf) of which the distance eta is a function."""
+
+    def residual_features(self, x: Tensor) -> Tensor:
+        """Features (N, nr) that the residual networks see; default: `features`."""
+        return self.features(x)
+
+    def error(self, predicted: Tensor, measured: Tensor) -> Tensor:
+        """Predicted minus measured state in error channels, (..., n_error); the difference by default."""
+        return predicted - measured
+
+    def project(self, z: Tensor) -> Tensor:
+        """The nearest valid state (N, nz); the identity by default."""
+        return z
+
+    def start_values(
+        self, x: NDArray[np.float64], u: NDArray[np.float64], dt: float
+    ) -> dict[str, list[float]]:
+        """First values of parameters from data (rows of one continuous stretch); nothing by default.
+
+        Args:
+            x: States (n, nx).
+            u: Inputs (n, nu).
+            dt: Step [s].
+        """
+        return {}
+
+    def drift(
+        self, t: float | Tensor, z: Tensor, u: Tensor, residual: Mapping[Port, Tensor] | None = None
+    ) -> Tensor:
+        """Rate of state and memory (N, nz).
+
+        Args:
+            t: Time [s].
+            z: State and memory (N, nz).
+            u: Input and exogenous channels (N, nu + n_exogenous).
+            residual: Learned contributions by port.
+        """
+        x = z[:, : self.nx]
+        command = u[:, : self.nu]
+        forces: dict[Port, Tensor] = dict(residual or {})
+        rates: list[Tensor] = []
+        for effect, memory in zip(self.effects, self._memory, strict=True):
+            assert isinstance(effect, Effect)
+            m = z[:, memory]
+            term = effect(t, x, u, m)
+            if effect.port is Port.INPUT:
+                command = command + term
+            else:
+                forces[effect.port] = forces[effect.port] + term if effect.port in forces else term
+            if effect.n_memory:
+                rates.append(effect.memory_rate(t, x, u, m))
+        rate = self.dynamics(t, x, command, forces)
+        return torch.cat((rate, *rates), 1) if rates else rate
+
+    def augment(self, x: Tensor, u: Tensor) -> Tensor:
+        """State with the memory of the effects (N, nz), stationary under the input `u` (N, nu)."""
+        starts = [e.memory_start(x, u) for e in self.effects if e.n_memory]  # type: ignore[operator]
+        return torch.cat((x, *starts), 1) if starts else x
+
+    def all_declared(self) -> dict[str, tuple[Tensor, str]]:
+        """Declared parameters of the system and of its effects: name -> (value (k,), unit)."""
+        out = dict(self.declared_parameters())
+        for effect in self.effects:
+            assert isinstance(effect, Effect)
+            out |= {f"{effect.name}.{k}": v for k, v in effect.declared_parameters().items()}
+        return out
+
+    def check_rows(self, name: str, tensor: Tensor, width: int) -> None:
+        """Refuse a tensor whose last axis is not `width`.
+
+        Raises:
+            ShapeError: names the argument and the columns that were expected.
+        """
+        if tensor.shape[-1] != width:
+            columns = ", ".join(self.state_names if width == self.nx else self.input_names)
+            raise ShapeError(
+                f"`{name}` must have {width} columns ({columns}); got {tensor.shape[-1]}."
+            )
+
+
+def _split_values(
+    values: Mapping[str, float | list[float]],
+) -> tuple[dict[str, float | list[float]], dict[str, dict[str, float | list[float]]]]:
+    own: dict[str, float | list[float]] = {}
+    of_effects: dict[str, dict[str, float | list[float]]] = {}
+    for key, value in values.items():
+        effect, dot, name = key.partition(".")
+        if dot:
+            of_effects.setdefault(effect, {})[name] = value
+        elif isinstance(value, Mapping):
+            of_effects.setdefault(key, {}).update(value)
+        else:
+            own[key] = value
+    return own, of_effects

@@ -1,0 +1,212 @@
+"""Multirotors: rigid body with a learned thrust map and mixing constrained by geometry (supplement eq. 4).
+
+World ENU, body FLU, q body to world. With the thrust shape s(u) = sum_k c_k u^k (c_1 = 1), motor by motor:
+
+    p' = v
+    v' = R(q) (thrust + force) + g,          thrust = thrust_gain * sum_i s(u_i) + thrust_offset   (body z)
+    q' = q (0, omega) / 2
+    omega' = gains * (mixing^T s(u)) + moment - J^-1 (omega x J omega)
+
+Mass, inertia and mixer gains enter motion only as ratios, so ratios are the parameters: thrust over mass,
+moment over inertia per unit of signed command, Jx / Jz and Jy / Jz. The signs of the mixing are the
+geometry's. The supplement leaves J^-1 off the last term; here it is in place (Euler's equation).
+"""
+
+from collections.abc import Mapping, Sequence
+from math import pi
+from typing import ClassVar, final
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from nsde_torch.effects import Effect, Parameter, Port
+from nsde_torch.errors import ConfigError
+from nsde_torch.rotation import gravity_direction, quaternion_rate, rotate, rotate_back, rotation_between
+from nsde_torch.systems.base import Defaults, ErrorGroup, ResidualPort, System
+
+GRAVITY = 9.81
+_DEGREES = 180.0 / pi
+
+
+class Multirotor(System):
+    """Common part of all multirotors; a geometry says how many motors there are and where.
+
+    Attributes:
+        mixing: Signs and relative arms, rows thrust (all ones), roll, pitch, yaw; one column per motor.
+
+    Args:
+        effects: Effects beyond the declared ones.
+        declared: Declared effects; None takes the system's own.
+        values: Initial values of parameters.
+        thrust_degree: Degree of the thrust map in the command, 1 to 3.
+    """
+
+    mixing: ClassVar[tuple[tuple[float, ...], ...]]
+    state_names = (
+        *("p_x", "p_y", "p_z", "v_x", "v_y", "v_z"),
+        *("q_w", "q_x", "q_y", "q_z", "w_x", "w_y", "w_z"),
+    )
+    state_units = (*("m",) * 3, *("m/s",) * 3, *("1",) * 4, *("rad/s",) * 3)
+    ports = {Port.BODY_FORCE: 3, Port.WORLD_FORCE: 3, Port.BODY_MOMENT: 3}
+    residual_ports = {
+        Port.BODY_FORCE: ResidualPort(3, 1.0, "m/s2"),
+        Port.BODY_MOMENT: ResidualPort(3, 10.0, "rad/s2"),
+    }
+    # supplement D: step, horizon, sigma_max; r and the weight of mu as stated there
+    defaults = Defaults(
+        0.05, 20, (*(1e-3,) * 3, *(1e-2,) * 3, *(1e-3,) * 4, *(5e-2,) * 3), 0.1, 1.0, "milstein"
+    )
+    error_names = (
+        *("p_x", "p_y", "p_z", "v_x", "v_y", "v_z"),
+        *("r_x", "r_y", "r_z", "w_x", "w_y", "w_z"),
+    )
+    error_groups = (
+        ErrorGroup("position", (0, 1, 2), "m"),
+        ErrorGroup("velocity", (3, 4, 5), "m/s"),
+        ErrorGroup("attitude", (6, 7, 8), "deg", _DEGREES),
+        ErrorGroup("rate", (9, 10, 11), "rad/s"),
+    )
+    feature_names = ("v_body_x", "v_body_y", "v_body_z", "w_x", "w_y", "w_z")
+    feature_units = (*("m/s",) * 3, *("rad/s",) * 3)
+    quaternion = slice(6, 10)
+    position_derivatives = (("p_x", "v_x", "world"), ("p_y", "v_y", "world"), ("p_z", "v_z", "world"))
+    PARAMETERS = {
+        "thrust_gain": Parameter(4.5, "m/s2", low=0.0, help="thrust over mass per unit of summed command"),
+        "thrust_offset": Parameter(0.0, "m/s2", scale=1.0, help="thrust over mass at zero command"),
+        "roll_gain": Parameter(50.0, "rad/s2", low=0.0, help="roll moment over Jx per unit of signed command"),
+        "pitch_gain": Parameter(50.0, "rad/s2", low=0.0, help="pitch moment over Jy per unit"),
+        "yaw_gain": Parameter(8.0, "rad/s2", low=0.0, help="yaw moment over Jz per unit"),
+        "inertia_x": Parameter(0.7, "1", low=0.3, high=1.5, help="Jx / Jz"),
+        "inertia_y": Parameter(0.7, "1", low=0.3, high=1.5, help="Jy / Jz"),
+    }
+
+    def __init__(
+        self,
+        effects: Sequence[str | Effect] = (),
+        *,
+        declared: Sequence[str] | None = None,
+        values: Mapping[str, float | list[float]] | None = None,
+        thrust_degree: int = 1,
+    ) -> None:
+        if thrust_degree not in (1, 2, 3):
+            raise ConfigError(f"`thrust_degree` must be 1, 2 or 3; got {thrust_degree!r}.")
+        if thrust_degree > 1:
+            curve = Parameter((0.0,) * (thrust_degree - 1), "1", scale=0.5, help="c_2, c_3 of the thrust map")
+            self.PARAMETERS = {**self.PARAMETERS, "thrust_curve": curve}  # type: ignore[misc]
+        super().__init__(effects, declared=declared, values=values)
+        self.thrust_degree = thrust_degree
+        self.mix: Tensor
+        self.gravity: Tensor
+        self.register_buffer("mix", torch.tensor(self.mixing).T.contiguous(), persistent=False)
+        self.register_buffer("gravity", torch.tensor([0.0, 0.0, -GRAVITY]), persistent=False)
+
+    def dynamics(self, t: float | Tensor, x: Tensor, u: Tensor, forces: Mapping[Port, Tensor]) -> Tensor:
+        """See `System.dynamics`."""
+        v, q, omega = x[:, 3:6], x[:, 6:10], x[:, 10:13]
+        if self.thrust_degree > 1:
+            curve = self.value("thrust_curve")
+            u = u + sum(curve[k] * u ** (k + 2) for k in range(self.thrust_degree - 1))
+        mixed = u @ self.mix
+        thrust = self.value("thrust_gain") * mixed[:, :1] + self.value("thrust_offset")
+        force = torch.cat((torch.zeros_like(v[:, :2]), thrust), 1)
+        if Port.BODY_FORCE in forces:
+            force = force + forces[Port.BODY_FORCE]
+        acceleration = rotate(q, force) + self.gravity
+        if Port.WORLD_FORCE in forces:
+            acceleration = acceleration + forces[Port.WORLD_FORCE]
+        gains = torch.cat((self.value("roll_gain"), self.value("pitch_gain"), self.value("yaw_gain")))
+        jx, jy = self.value("inertia_x"), self.value("inertia_y")
+        coupling = torch.cat(((jy - 1.0) / jx, (1.0 - jx) / jy, jx - jy))
+        wx, wy, wz = omega[:, :1], omega[:, 1:2], omega[:, 2:]
+        angular = gains * mixed[:, 1:] + coupling * torch.cat((wy * wz, wz * wx, wx * wy), 1)
+        if Port.BODY_MOMENT in forces:
+            angular = angular + forces[Port.BODY_MOMENT]
+        return torch.cat((v, acceleration, quaternion_rate(q, omega), angular), 1)
+
+    def features(self, x: Tensor) -> Tensor:
+        """Body velocity and body rates, the supplement's x_feat seen from the body."""
+        return torch.cat((rotate_back(x[:, 6:10], x[:, 3:6]), x[:, 10:13]), 1)
+
+    def residual_features(self, x: Tensor) -> Tensor:
+        """Body velocity, body rates and the direction of gravity (x and y of world's up in the body)."""
+        return torch.cat((self.features(x), gravity_direction(x[:, 6:10])[:, :2]), 1)
+
+    def error(self, predicted: Tensor, measured: Tensor) -> Tensor:
+        """Position, velocity, rotation vector from measured to predicted attitude [rad], rates."""
+        rotation = rotation_between(measured[..., 6:10], predicted[..., 6:10])
+        return torch.cat(
+            (
+                predicted[..., :6] - measured[..., :6],
+                rotation,
+                predicted[..., 10:13] - measured[..., 10:13],
+            ),
+            -1,
+        )
+
+    def project(self, z: Tensor) -> Tensor:
+        """Quaternion back on the unit sphere."""
+        q = z[:, 6:10]
+        unit = q * torch.rsqrt((q * q).sum(1, keepdim=True))
+        return torch.cat((z[:, :6], unit, z[:, 10:]), 1)
+
+    def start_values(
+        self, x: NDArray[np.float64], u: NDArray[np.float64], dt: float
+    ) -> dict[str, list[float]]:
+        """Gains by least squares on finite differences; a gain that the data cannot show keeps its default."""
+        if len(x) < 20:
+            return {}
+        u = u[:, : self.nu]
+        mixed = u @ np.asarray(self.mixing).T
+        q = torch.as_tensor(x[:, 6:10])
+        acc = np.gradient(x[:, 3:6], dt, axis=0) + np.array([0.0, 0.0, GRAVITY])
+        force = rotate_back(q, torch.as_tensor(acc)).numpy()
+        out: dict[str, list[float]] = {}
+        columns = np.stack((mixed[:, 0], np.ones(len(x))), 1)
+        if mixed[:, 0].std() > 1e-3:
+            gain, offset = np.linalg.lstsq(columns, force[:, 2], rcond=None)[0]
+            if gain > 0.1 * force[:, 2].mean() / max(mixed[:, 0].mean(), 1e-6):
+                out |= {"thrust_gain": [float(gain)], "thrust_offset": [float(offset)]}
+            else:  # hardly excited: hover gives the ratio
+                out["thrust_gain"] = [float(max(force[:, 2].mean() / max(mixed[:, 0].mean(), 1e-6), 0.1))]
+        angular = np.gradient(x[:, 10:13], dt, axis=0)
+        for axis, name in enumerate(("roll_gain", "pitch_gain", "yaw_gain")):
+            m = mixed[:, 1 + axis]
+            if m.std() < 1e-4:
+                continue
+            columns = np.stack((m, x[:, 10 + axis], np.ones(len(x))), 1)
+            gain = float(np.linalg.lstsq(columns, angular[:, axis], rcond=None)[0][0])
+            if gain > 0.05:
+                out[name] = [gain]
+        return out
+
+
+@final
+class Hexacopter(Multirotor):
+    """Hexacopter, PX4's hexa-x: 1 right, 2 left, 3 front-left, 4 rear-right, 5 front-right, 6 rear-left."""
+
+    name = "hexacopter"
+    input_names = tuple(f"u_{i}" for i in range(1, 7))
+    input_units = ("1",) * 6
+    mixing = (
+        (1.0,) * 6,
+        (-1.0, 1.0, 0.5, -0.5, -0.5, 0.5),
+        (0.0, 0.0, -0.866, 0.866, -0.866, 0.866),
+        (1.0, -1.0, 1.0, -1.0, -1.0, 1.0),
+    )
+
+
+@final
+class Quadrotor(Multirotor):
+    """Quadrotor, PX4's quad-x: 1 front-right, 2 rear-left, 3 front-left, 4 rear-right."""
+
+    name = "quadrotor"
+    input_names = tuple(f"u_{i}" for i in range(1, 5))
+    input_units = ("1",) * 4
+    mixing = (
+        (1.0,) * 4,
+        (-1.0, 1.0, 1.0, -1.0),
+        (-1.0, 1.0, -1.0, 1.0),
+        (-1.0, -1.0, 1.0, 1.0),
+    )

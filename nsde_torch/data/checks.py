@@ -91,7 +91,8 @@ def _unwrap_angles(run: RawRun, system: SystemInfo, report: Report) -> None:
 
 
 def _median_step(runs: Sequence[RawRun]) -> float:
-    return float(np.median([np.median(np.diff(run.t)) for run in runs]))
+    # times are decimal: 0.01 comes back from differences as 0.00999...
+    return round(float(np.median([np.median(np.diff(run.t)) for run in runs])), 12)
 
 
 def _split_at_jumps(

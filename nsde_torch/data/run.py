@@ -106,7 +106,8 @@ class Run:
     @cached_property
     def dt(self) -> float:
         """Time step inside the segments [s] (median)."""
-        return float(np.median(np.concatenate([np.diff(self.t[a:b]) for a, b in self.segments])))
+        steps = np.concatenate([np.diff(self.t[a:b]) for a, b in self.segments])
+        return round(float(np.median(steps)), 12)
 
     @property
     def duration(self) -> float:

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import logging
-from typing import TYPE_CHECKING, Any
+from collections.abc import Iterator, Mapping
+from typing import Any
 
 import torch
 from omegaconf import DictConfig, OmegaConf
@@ -12,11 +12,7 @@ from nsde_torch.data import DataSet, Split, read
 from nsde_torch.data import split as split_runs
 from nsde_torch.errors import ConfigError
 from nsde_torch.sde import Step, make_step
-
-if TYPE_CHECKING:
-    from nsde_torch.systems import System
-
-log = logging.getLogger(__name__)
+from nsde_torch.systems import System, make_system
 
 # Keys of a data configuration that are not options of a reader.
 _NOT_FOR_READERS = ("kind", "test", "validation")
@@ -67,18 +63,42 @@ def options(config: DictConfig, *left_out: str) -> dict[str, Any]:
     return {str(key): value for key, value in plain.items() if key not in left_out}
 
 
-def dataset(config: DictConfig, system: System) -> DataSet:
+def system(config: DictConfig) -> System:
+    """The machine of the group `system`.
+
+    Raises:
+        ConfigError: There is no such system, effect, parameter or option.
+    """
+    return make_system(
+        config.name,
+        effects=list(config.effects),
+        declared=None if config.declared is None else list(config.declared),
+        values=dict(_dotted(options(config)["parameters"])),
+        **options(config)["options"],
+    )
+
+
+def _dotted(values: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
+    """`{effect: {name: 1}}`, as an override with dots makes it, as `effect.name`."""
+    for name, value in values.items():
+        if isinstance(value, Mapping):
+            yield from _dotted(value, f"{prefix}{name}.")
+        else:
+            yield f"{prefix}{name}", value
+
+
+def dataset(config: DictConfig, machine: System) -> DataSet:
     """Read or simulate the runs.
 
     Args:
         config: The group `data`.
-        system: The machine that the runs are of.
+        machine: The system that the runs are of.
 
     Raises:
         DataError: The data cannot be used.
         ConfigError: An option is wrong.
     """
-    return read(config.kind, system, **options(config, *_NOT_FOR_READERS))
+    return read(config.kind, machine, **options(config, *_NOT_FOR_READERS))
 
 
 def split(config: DictConfig, data: DataSet) -> Split:
@@ -90,6 +110,6 @@ def split(config: DictConfig, data: DataSet) -> Split:
     return split_runs(data, None if config.test is None else list(config.test))
 
 
-def step(config: DictConfig) -> Step:
-    """The integrator of the group `solver`."""
-    return make_step(config.name)
+def step(config: DictConfig, machine: System) -> Step:
+    """The integrator of the group `solver`; null is the system's own."""
+    return make_step(config.name or machine.defaults.step)

@@ -19,14 +19,19 @@ class SystemConfig:
 
     name: str = key("???", "name of a system of the package, or module:Class of your own")
     effects: list[str] = key([], "physical terms to add to the declared physics, by name")
-    parameters: dict[str, Any] = key({}, "initial values of declared parameters, by name")
+    declared: list[str] | None = key(None, "physical terms instead of the declared ones; null: keep those")
+    parameters: dict[str, Any] = key({}, "initial values, system.parameters.NAME=1 or ...EFFECT.NAME=1")
+    options: dict[str, Any] = key({}, "further arguments of the system's class, system.options.NAME=1")
     dt: float | None = key(None, "step of the model; null: the system's own", unit="s", above=0)
     horizon: int | None = key(None, "steps of a training window; null: the system's own", unit="steps", low=1)
     sigma_max: list[float] | None = key(
         None, "largest diffusion, one per state; null: the system's own", unit="state/s^0.5", low=0
     )
-    ball_radius: list[float] | None = key(
-        None, "radius of the ball of the convexity loss, one for all features or one each; null: own", above=0
+    ball_radius: float | None = key(
+        None,
+        "radius of the ball of the convexity loss; null: the system's own",
+        unit="std of the features",
+        above=0,
     )
     lambda_mu: float | None = key(
         None, "weight of the reward on strong convexity; null: the system's own", low=0
@@ -141,7 +146,7 @@ class TrainerConfig:
 class SolverConfig:
     """The integrator."""
 
-    name: str = key("???", "name of the integrator, set by solver=")
+    name: str | None = key(None, "name of the integrator, set by solver=; null: the system's own")
 
 
 @dataclass

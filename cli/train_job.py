@@ -25,17 +25,12 @@ def run(config: DictConfig, job: Job) -> float:
     # torch is imported here, not above: a launcher's parent process needs this module, but not torch.
     from nsde_torch import learning
     from nsde_torch.models import make_model
-    from nsde_torch.systems import make_system
 
     from . import build
 
     device, dtype = build.settings(config, sweep=job.sweep)
-    step = build.step(config.solver)
-    system = make_system(
-        config.system.name,
-        effects=list(config.system.effects),
-        parameters=build.options(config.system)["parameters"],
-    )
+    system = build.system(config.system)
+    step = build.step(config.solver, system)
     data = build.dataset(config.data, system)
     runs = build.split(config.data, data)
     model = make_model(config.model.kind, system, step=step, **build.options(config.model, "kind"))

@@ -12,6 +12,7 @@ from omegaconf import OmegaConf
 
 from nsde_torch.cli import groups, jobs, schema
 from nsde_torch.cli.main import main
+from nsde_torch.errors import ConfigError
 
 CHOICES = [(group, choice) for group in groups.defaults("train") for choice in groups.choices(group)]
 
@@ -47,7 +48,33 @@ def test_help_and_hydra_agree_on_every_default() -> None:
 def test_solver_choices_are_the_steps_of_the_library() -> None:
     from nsde_torch.sde.registry import STEPS
 
-    assert set(groups.choices("solver")) == set(STEPS)
+    assert set(groups.choices("solver")) == {"default", *STEPS}
+
+
+def test_system_choices_are_the_systems_of_the_library() -> None:
+    from nsde_torch.systems import SYSTEMS
+
+    assert set(groups.choices("system")) == set(SYSTEMS)
+
+
+@pytest.mark.usefixtures("hydra_ready")
+@pytest.mark.parametrize("name", groups.choices("system"))
+def test_every_system_is_built_from_its_configuration(name: str) -> None:
+    from nsde_torch.cli import build
+
+    config = compose("train", overrides=[f"system={name}"])
+    system = build.system(config.system)
+    assert system.name == name
+    assert build.step(config.solver, system).name == system.defaults.step
+
+
+@pytest.mark.usefixtures("hydra_ready")
+def test_parameters_of_effects_are_reached_with_dots() -> None:
+    from nsde_torch.cli import build
+
+    words = ["system=hexacopter", "system.effects=[linear_drag]", "++system.parameters.linear_drag.wrong=0.2"]
+    with pytest.raises(ConfigError, match="wrong"):
+        build.system(compose("train", overrides=words).system)
 
 
 @pytest.mark.parametrize(

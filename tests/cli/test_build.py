@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
+import numpy as np
 import pytest
 import torch
 from omegaconf import OmegaConf
 
 from nsde_torch.cli import build
-from nsde_torch.errors import ConfigError
+from nsde_torch.cli.schema import CsvData
+from nsde_torch.errors import ConfigError, DataError
+from nsde_torch.systems import make_system
 
 
 @pytest.mark.parametrize("name", ["gpu", "mps", "cpu:x"])
@@ -34,3 +39,28 @@ def test_a_job_of_a_sweep_has_one_thread(monkeypatch: pytest.MonkeyPatch) -> Non
 def test_options_are_plain_keyword_arguments() -> None:
     config = OmegaConf.create({"kind": "csv", "path": "a", "test": [0], "deep": {"x": [1]}})
     assert build.options(config, "kind", "test") == {"path": "a", "deep": {"x": [1]}}
+
+
+def test_runs_are_read_and_split_as_the_configuration_says(tmp_path: Path) -> None:
+    time = np.arange(200) * 0.01
+    for number in range(3):
+        columns = np.column_stack([time, np.cos(time + number), -np.sin(time + number)])
+        np.savetxt(
+            tmp_path / f"run_{number}.csv",
+            columns,
+            delimiter=",",
+            header="t,q,q_dot",
+            comments="",
+            fmt="%.9g",
+        )
+    config = OmegaConf.structured(CsvData(path=str(tmp_path), test=["run_1"]))
+    data = build.dataset(config, make_system("mass_spring_damper"))
+    assert data.dt == pytest.approx(0.01)
+    parts = build.split(config, data)
+    assert [run.name for run in parts.train] == ["run_0", "run_2"]
+    assert [run.name for run in parts.test] == ["run_1"]
+    config.test = None
+    assert [run.name for run in build.split(config, data).test] == ["run_2"]
+    config.test = [7]
+    with pytest.raises(DataError, match="7"):
+        build.split(config, data)

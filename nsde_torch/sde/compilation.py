@@ -15,16 +15,18 @@ torch keeps the code on disk (TORCHINDUCTOR_CACHE_DIR, by default in the tempora
 process only traces. The number of threads at the time of compilation is part of the code: set it before.
 """
 
+import contextlib
 import itertools
 import types
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from weakref import WeakKeyDictionary
 
 import torch
 from torch import Tensor
 
 from nsde_torch.errors import SolverError
+from nsde_torch.sde.derivative import load_forward_mode
 from nsde_torch.sde.protocol import SDE, Time
 from nsde_torch.sde.step import Step
 
@@ -36,6 +38,15 @@ _COUNTER = itertools.count()
 
 class CompilationWarning(UserWarning):
     """A step could not be compiled and runs eagerly: same numbers, several times slower."""
+
+
+@contextlib.contextmanager
+def quiet_compiler() -> Iterator[None]:
+    """Keep back what torch's compiler says of itself: it uses TorchScript, and reads `.grad` as it traces."""
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", r"`torch\.jit\.", DeprecationWarning)
+        warnings.filterwarnings("ignore", r"The \.grad attribute of a Tensor that is not a leaf", UserWarning)
+        yield
 
 
 def eager(step: Step) -> Advance:
@@ -78,12 +89,14 @@ def compiled(step: Step, sde: SDE) -> Advance:
             "Make it a torch.nn.Module, or a class without __eq__ and __slots__."
         ) from None
     if type(step) not in steps:
+        load_forward_mode()
         steps[type(step)] = _with_fallback(eager(step))
     return steps[type(step)]
 
 
 def _with_fallback(plain: Advance) -> Advance:
-    fast = torch.compile(_own_code(plain))
+    with quiet_compiler():
+        fast = torch.compile(_own_code(plain))
     works = True
 
     def advance(sde: SDE, t: Time, z: Tensor, u: Tensor, dt: Time, dw: Tensor | None) -> Tensor:

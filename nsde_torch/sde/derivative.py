@@ -4,6 +4,8 @@ dz = f dt + g o dW (Stratonovich)  equals  dz = (f + c) dt + g dW (Ito)  with  c
 (Kloeden and Platen 1992, section 4.9), for diagonal noise, coupled or not.
 """
 
+import functools
+import warnings
 from typing import Literal, final
 
 import torch
@@ -11,6 +13,14 @@ from torch import Tensor
 
 from nsde_torch.errors import SolverError
 from nsde_torch.sde.protocol import SDE, HasDiagonalDerivative, Time
+
+
+@functools.cache
+def load_forward_mode() -> None:
+    """Let torch build its forward-mode rules, once, without the notice that it uses TorchScript itself."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", DeprecationWarning)
+        torch.func.jvp(torch.sin, (torch.zeros(()),), (torch.ones(()),))
 
 
 def diagonal_derivative(sde: SDE, t: Time, z: Tensor, u: Tensor) -> Tensor:
@@ -31,6 +41,8 @@ def diagonal_derivative(sde: SDE, t: Time, z: Tensor, u: Tensor) -> Tensor:
     """
     if isinstance(sde, HasDiagonalDerivative):
         return sde.diffusion_diagonal_derivative(t, z, u)
+    if not torch.compiler.is_compiling():
+        load_forward_mode()
 
     def entry(direction: Tensor) -> Tensor:
         tangent = direction.expand_as(z)

@@ -3,13 +3,14 @@
 z_0 given;   z_{k+1} = project(advance(t_k, z_k, u_k, dt, dW_k)),   t_k = t_0 + k dt.
 """
 
+import contextlib
 from collections.abc import Sequence
 
 import torch
 from torch import Tensor
 
 from nsde_torch.sde.checks import check_arguments, check_finite
-from nsde_torch.sde.compilation import compiled, eager
+from nsde_torch.sde.compilation import compiled, eager, quiet_compiler
 from nsde_torch.sde.protocol import SDE, Time
 from nsde_torch.sde.step import Step
 
@@ -85,12 +86,13 @@ def rollout(
         buffer = z0.new_empty(0 if keep else horizon + 1, rows, nz)
         if not keep:
             buffer[0] = z
-        for k in range(horizon):
-            z = advance(sde, times[k], z, tile(inputs[k]), length, increments[k])
-            if keep:
-                states.append(z)
-            else:
-                buffer[k + 1] = z
+        with quiet_compiler() if compile else contextlib.nullcontext():
+            for k in range(horizon):
+                z = advance(sde, times[k], z, tile(inputs[k]), length, increments[k])
+                if keep:
+                    states.append(z)
+                else:
+                    buffer[k + 1] = z
         path = torch.stack(states) if keep else buffer
     path = path.view(horizon + 1, particles, batch, nz).permute(1, 2, 0, 3)
     if check:

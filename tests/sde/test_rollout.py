@@ -1,0 +1,248 @@
+"""Rollouts: layout, gradients, what is refused, and what is reported."""
+
+from collections.abc import Callable
+
+import pytest
+import torch
+from torch import Tensor
+
+from nsde_torch.errors import ConfigError, NonFiniteError, ShapeError, SolverError
+from nsde_torch.sde import STEPS, Step, Time, brownian, make_step, rollout, with_calculus
+from tests.helpers.sde_problems import DistanceAware, GeometricBrownianMotion, SmallNetwork
+
+P, B, T, NZ, NU = 3, 4, 5, 3, 2
+STOCHASTIC = [name for name, cls in STEPS.items() if not cls.deterministic]
+
+
+def case(
+    dtype: torch.dtype = torch.float64, particles: int = P
+) -> tuple[SmallNetwork, Tensor, Tensor, Tensor]:
+    g = torch.Generator().manual_seed(0)
+    z0 = torch.randn(B, NZ, generator=g, dtype=dtype)
+    u = torch.randn(B, T, NU, generator=g, dtype=dtype)
+    return SmallNetwork().to(dtype), z0, u, brownian(particles, B, T, NZ, dt=0.1, generator=g, dtype=dtype)
+
+
+@pytest.mark.parametrize("name", list(STEPS))
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+def test_rollout_gives_particles_batch_time_state_and_keeps_the_dtype(name: str, dtype: torch.dtype) -> None:
+    sde, z0, u, noise = case(dtype)
+    step = make_step(name)
+    path = rollout(sde, z0, u, dt=0.1, step=step, noise=None if step.deterministic else noise)
+    assert path.shape == (1 if step.deterministic else P, B, T + 1, NZ)
+    assert path.dtype == dtype
+    assert torch.equal(path[0, :, 0], z0)
+    assert torch.allclose(
+        path[:, :, 1:, :2].norm(dim=-1), torch.ones((), dtype=dtype)
+    )  # projected every step
+
+
+@pytest.mark.parametrize("name", STOCHASTIC)
+def test_every_particle_and_row_is_rolled_out_as_if_alone(name: str) -> None:
+    sde, z0, u, noise = case()
+    t0 = torch.arange(B, dtype=torch.float64)
+    path = rollout(sde, z0, u, dt=0.1, step=make_step(name), noise=noise, t0=t0)
+    for p, b in ((0, 0), (2, 1), (1, 3)):
+        one = slice(b, b + 1)
+        alone = rollout(
+            sde, z0[one], u[one], dt=0.1, step=make_step(name), noise=noise[p : p + 1, one], t0=float(b)
+        )
+        assert torch.allclose(path[p, b], alone[0, 0], atol=1e-12)
+
+
+@pytest.mark.parametrize("name", list(STEPS))
+def test_disabling_gradients_changes_no_number(name: str) -> None:
+    sde, z0, u, noise = case()
+    step = make_step(name)
+    dw = None if step.deterministic else noise
+    with torch.no_grad():
+        quick = rollout(sde, z0, u, dt=0.1, step=step, noise=dw)
+    assert torch.equal(quick, rollout(sde, z0, u, dt=0.1, step=step, noise=dw))
+
+
+@pytest.mark.parametrize("name", list(STEPS))
+def test_gradients_in_state_input_noise_and_parameters_are_exact(name: str) -> None:
+    sde, z0, u, noise = case()
+    step = make_step(name)
+
+    def run(z: Tensor, v: Tensor, dw: Tensor, *weights: Tensor) -> Tensor:
+        class Bound:
+            calculus = "either"
+            project = staticmethod(sde.project)
+
+            def drift(self, t: Time, z: Tensor, u: Tensor) -> Tensor:
+                return torch.tanh(torch.cat((z, u), -1) @ weights[0].T) @ weights[1].T
+
+            def diffusion(self, t: Time, z: Tensor, u: Tensor) -> Tensor:
+                return 0.3 * torch.sigmoid(z @ weights[2].T)
+
+        return rollout(Bound(), z, v, dt=0.1, step=step, noise=None if step.deterministic else dw)
+
+    inputs = [z0[:2], u[:2, :3], noise[:2, :2, :3], *(p.detach() for p in sde.parameters())]
+    assert torch.autograd.gradcheck(run, [x.clone().requires_grad_() for x in inputs])
+
+
+def test_a_module_without_anything_to_fit_gives_paths_without_gradient() -> None:
+    sde, z0, u, noise = case()
+    sde.requires_grad_(False)
+    assert not rollout(sde, z0, u, dt=0.1, step=make_step("milstein"), noise=noise).requires_grad
+
+
+Change = Callable[[dict[str, object]], None]
+
+
+@pytest.mark.parametrize(
+    ("change", "error", "message"),
+    [
+        ({"z0": torch.zeros(3)}, ShapeError, r"`z0` must be \(batch, nz\)"),
+        ({"u": torch.zeros(4, 5)}, ShapeError, r"`u` must be \(batch=4, horizon, nu\)"),
+        ({"u": torch.zeros(3, 5, 2)}, ShapeError, r"`u` must be \(batch=4"),
+        ({"u": torch.zeros(4, 6, 2)}, ShapeError, r"`noise` must be .*horizon=6"),
+        ({"noise": torch.zeros(4, 5, 3)}, ShapeError, "`noise` must be"),
+        ({"noise": torch.zeros(0, 4, 5, 3)}, ShapeError, "`noise` must be"),
+        ({"noise": torch.zeros(1, 4, 5, 2)}, ShapeError, "nz=3"),
+        ({"t0": torch.zeros(3)}, ShapeError, r"`t0` must be one time or \(batch=4,\)"),
+        ({"noise": torch.zeros(1, 4, 5, 3, dtype=torch.float64)}, SolverError, "`noise` must have the dtype"),
+        ({"u": torch.zeros(4, 5, 2, dtype=torch.float64)}, SolverError, "`u` must have the dtype"),
+        ({"noise": torch.zeros(1, 4, 5, 3, device="meta")}, SolverError, "got torch.float32 on meta"),
+        ({"z0": torch.zeros(4, 3, dtype=torch.int64)}, SolverError, "floating-point"),
+        ({"noise": None}, SolverError, "`noise` must be given with 'milstein'"),
+        ({"step": make_step("rk4")}, SolverError, "`noise` must be None with 'rk4'"),
+        ({"step": "milstein"}, SolverError, "make_step"),
+        ({"dt": 0.0}, SolverError, "`dt`"),
+        ({"dt": -1.0}, SolverError, "`dt`"),
+    ],
+)
+def test_what_does_not_fit_is_refused_by_name(
+    change: dict[str, object], error: type[Exception], message: str
+) -> None:
+    sde, z0, u, noise = case(torch.float32)
+    arguments = {"z0": z0, "u": u, "dt": 0.1, "step": make_step("milstein"), "noise": noise, **change}
+    with pytest.raises(error, match=message):
+        rollout(sde, arguments.pop("z0"), arguments.pop("u"), **arguments)  # type: ignore[arg-type]
+
+
+def roll(sde: GeometricBrownianMotion | DistanceAware, step: Step) -> Tensor:
+    noise = brownian(1, 2, 4, 1, dt=0.1, generator=torch.Generator().manual_seed(0))
+    return rollout(sde, torch.ones(2, 1), torch.zeros(2, 4, 1), dt=0.1, step=step, noise=noise)
+
+
+@pytest.mark.parametrize("name", STOCHASTIC)
+def test_a_step_of_the_other_calculus_is_refused(name: str) -> None:
+    step = make_step(name)
+    other = {"ito": "stratonovich", "stratonovich": "ito"}[step.calculus]
+    roll(GeometricBrownianMotion(calculus=step.calculus), step)
+    with pytest.raises(SolverError, match=f"`sde.calculus` is '{other}'"):
+        roll(GeometricBrownianMotion(calculus=other), step)
+
+
+def test_an_unknown_calculus_is_refused() -> None:
+    with pytest.raises(SolverError, match="must be one of ito, stratonovich, either"):
+        roll(GeometricBrownianMotion(calculus="itoh"), make_step("milstein"))  # type: ignore[arg-type]
+
+
+def test_an_unknown_step_lists_the_choices() -> None:
+    with pytest.raises(ConfigError, match=r"euler_maruyama, heun, milstein.*got 'euler'"):
+        make_step("euler")
+
+
+@pytest.mark.parametrize("calculus", ["ito", "stratonovich"])
+def test_the_drift_correction_preserves_the_process_in_the_other_calculus(calculus: str) -> None:
+    """On coupled noise, one fine path integrated in both calculi ends in the same place."""
+    steps = 2048
+    sde = DistanceAware(calculus=calculus)  # type: ignore[arg-type]
+    noise = brownian(
+        200, 1, steps, 2, dt=1 / steps, generator=torch.Generator().manual_seed(0), dtype=torch.float64
+    )
+    z0, u = torch.ones(1, 2, dtype=torch.float64), torch.zeros(1, steps, 1, dtype=torch.float64)
+
+    def end(calculus: str) -> Tensor:
+        step = make_step({"ito": "milstein", "stratonovich": "milstein_stratonovich_free"}[calculus])
+        equation = with_calculus(sde, calculus)  # type: ignore[arg-type]
+        return rollout(equation, z0, u, dt=1 / steps, step=step, noise=noise)[:, 0, -1]
+
+    assert (end("ito") - end("stratonovich")).abs().mean() < 0.02
+    free = DistanceAware(calculus="either")
+    read_other = rollout(free, z0, u, dt=1 / steps, step=make_step("heun"), noise=noise)[:, 0, -1]
+    read_ito = rollout(free, z0, u, dt=1 / steps, step=make_step("milstein"), noise=noise)[:, 0, -1]
+    assert (read_other - read_ito).abs().mean() > 0.05
+
+
+def test_an_equation_of_either_calculus_has_no_correction() -> None:
+    with pytest.raises(SolverError, match="either"):
+        with_calculus(GeometricBrownianMotion(), "ito")
+
+
+class OwnSlope:
+    """dz = z dW that answers for its own slope, wrongly on purpose."""
+
+    calculus = "ito"
+
+    def drift(self, t: Time, z: Tensor, u: Tensor) -> Tensor:
+        return torch.zeros_like(z)
+
+    def diffusion(self, t: Time, z: Tensor, u: Tensor) -> Tensor:
+        return z
+
+    def diffusion_diagonal_derivative(self, t: Time, z: Tensor, u: Tensor) -> Tensor:
+        return torch.zeros_like(z)
+
+    def project(self, z: Tensor) -> Tensor:
+        return z
+
+
+def test_the_slope_that_an_equation_offers_is_the_one_used() -> None:
+    path = roll(OwnSlope(), make_step("milstein_ito"))  # type: ignore[arg-type]
+    assert torch.equal(path, roll(OwnSlope(), make_step("euler_maruyama")))  # type: ignore[arg-type]
+
+
+class Blows(GeometricBrownianMotion.__mro__[1]):  # type: ignore[misc]
+    """Rows that start above one leave the finite numbers once t passes 0.27 s."""
+
+    calculus = "either"
+
+    def drift(self, t: Time, z: Tensor, u: Tensor) -> Tensor:
+        late = torch.as_tensor(t) > 0.27
+        return torch.where((z > 1) & late.reshape(-1, 1), torch.inf, 0.0)
+
+    def diffusion(self, t: Time, z: Tensor, u: Tensor) -> Tensor:
+        return torch.zeros_like(z)
+
+    def solution(self, t: float, w: Tensor, calculus: str) -> Tensor:
+        raise NotImplementedError
+
+
+def test_a_rollout_that_is_not_finite_reports_step_time_and_rows() -> None:
+    z0, u = torch.tensor([[0.0], [2.0], [0.0]]), torch.zeros(3, 6, 1)
+    with pytest.raises(NonFiniteError, match=r"step 4 of 6 \(t = 0.4 s\) in 1 of 3 rows.*\(0, 1\)\."):
+        rollout(Blows(), z0, u, dt=0.1, step=make_step("midpoint"), noise=None)
+    t0 = torch.tensor([0.0, 0.2, 0.0])
+    with pytest.raises(NonFiniteError, match=r"step 2 of 6 \(t = 0.4 s\)"):
+        rollout(Blows(), z0, u, dt=0.1, step=make_step("midpoint"), noise=None, t0=t0)
+    path = rollout(Blows(), z0, u, dt=0.1, step=make_step("midpoint"), noise=None, check=False)
+    assert path.isinf().any()
+
+
+def test_large_finite_numbers_are_not_taken_for_infinite_ones() -> None:
+    z0 = torch.full((4, 1), 3e38)
+    path = rollout(Blows(), z0 * 0 - 3e38, torch.zeros(4, 2, 1), dt=0.1, step=make_step("rk4"), noise=None)
+    assert bool((path == -3e38).all())
+
+
+def test_arguments_are_left_as_they_were() -> None:
+    sde, z0, u, noise = case()
+    before = [x.clone() for x in (z0, u, noise)]
+    rollout(sde, z0, u, dt=0.1, step=make_step("heun"), noise=noise)
+    assert all(torch.equal(x, y) for x, y in zip((z0, u, noise), before, strict=True))
+
+
+@pytest.mark.parametrize("name", list(STEPS))
+def test_every_step_states_calculus_order_condition_and_a_summary(name: str) -> None:
+    step = make_step(name)
+    assert step.name == name
+    assert step.calculus in ("ito", "stratonovich", "none")
+    assert (step.calculus == "none") == step.deterministic
+    assert step.strong_order > 0
+    assert step.condition
+    assert step.summary
+    assert "\n" not in step.summary

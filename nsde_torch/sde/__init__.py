@@ -1,7 +1,7 @@
 """Solvers of controlled stochastic equations dz = f(t, z, u) dt + g(t, z, u) * dW with diagonal noise."""
 
 from nsde_torch.sde.compilation import CompilationWarning, compiled
-from nsde_torch.sde.derivative import diagonal_derivative, drift_correction, with_calculus
+from nsde_torch.sde.derivative import diffusion_and_slope, drift_correction, with_calculus
 from nsde_torch.sde.integrate import rollout
 from nsde_torch.sde.noise import brownian, coarsen
 from nsde_torch.sde.protocol import SDE, Calculus, HasDiagonalDerivative, Time
@@ -19,7 +19,7 @@ __all__ = [
     "brownian",
     "coarsen",
     "compiled",
-    "diagonal_derivative",
+    "diffusion_and_slope",
     "drift_correction",
     "make_step",
     "rollout",

@@ -26,7 +26,6 @@ import torch
 from torch import Tensor
 
 from nsde_torch.errors import SolverError
-from nsde_torch.sde.derivative import load_forward_mode
 from nsde_torch.sde.protocol import SDE, Time
 from nsde_torch.sde.step import Step
 
@@ -89,7 +88,6 @@ def compiled(step: Step, sde: SDE) -> Advance:
             "Make it a torch.nn.Module, or a class without __eq__ and __slots__."
         ) from None
     if type(step) not in steps:
-        load_forward_mode()
         steps[type(step)] = _with_fallback(eager(step))
     return steps[type(step)]
 

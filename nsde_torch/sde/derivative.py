@@ -4,8 +4,6 @@ dz = f dt + g o dW (Stratonovich)  equals  dz = (f + c) dt + g dW (Ito)  with  c
 (Kloeden and Platen 1992, section 4.9), for diagonal noise, coupled or not.
 """
 
-import functools
-import warnings
 from typing import Literal, final
 
 import torch
@@ -15,20 +13,12 @@ from nsde_torch.errors import SolverError
 from nsde_torch.sde.protocol import SDE, HasDiagonalDerivative, Time
 
 
-@functools.cache
-def load_forward_mode() -> None:
-    """Let torch build its forward-mode rules, once, without the notice that it uses TorchScript itself."""
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", DeprecationWarning)
-        torch.func.jvp(torch.sin, (torch.zeros(()),), (torch.ones(()),))
+def diffusion_and_slope(sde: SDE, t: Time, z: Tensor, u: Tensor) -> tuple[Tensor, Tensor]:
+    """The diffusion and the slope of each of its channels in its own state, exact, and differentiable in turn.
 
-
-def diagonal_derivative(sde: SDE, t: Time, z: Tensor, u: Tensor) -> Tensor:
-    """Slope of each diffusion channel in its own state, exact, and differentiable in turn.
-
-    An equation with `diffusion_diagonal_derivative` answers itself. Otherwise nz forward-mode products run as
-    one batch and each gives its diagonal entry: nz times the work of one diffusion, memory O(N nz) a layer,
-    and no Jacobian (N, nz, nz) is formed.
+    An equation with `diffusion_diagonal_derivative` answers itself. Otherwise nz reverse-mode products run as
+    one batch and each gives its diagonal entry: the work of about nz diffusions, memory O(N nz) a layer, and
+    no Jacobian (N, nz, nz) is kept. (Forward mode would do too, but torch 2.13 cannot compile its gradient.)
 
     Args:
         sde: The equation.
@@ -37,20 +27,20 @@ def diagonal_derivative(sde: SDE, t: Time, z: Tensor, u: Tensor) -> Tensor:
         u: Input (N, nu).
 
     Returns:
-        d g_i / d z_i, (N, nz), in 1 per square root of a second.
+        g and d g_i / d z_i, each (N, nz), in units of z and in 1 per square root of a second.
     """
     if isinstance(sde, HasDiagonalDerivative):
-        return sde.diffusion_diagonal_derivative(t, z, u)
-    if not torch.compiler.is_compiling():
-        load_forward_mode()
+        return sde.diffusion(t, z, u), sde.diffusion_diagonal_derivative(t, z, u)
 
-    def entry(direction: Tensor) -> Tensor:
-        tangent = direction.expand_as(z)
-        slope: Tensor = torch.func.jvp(lambda state: sde.diffusion(t, state, u), (z,), (tangent,))[1]
-        return torch.sum(slope * direction, -1)
+    result = torch.func.vjp(lambda state: sde.diffusion(t, state, u), z)
+    g: Tensor = result[0]
+    pull_back = result[1]
+
+    def entry(channel: Tensor) -> Tensor:
+        return torch.sum(pull_back(channel.expand_as(g))[0] * channel, -1)
 
     basis = torch.eye(z.shape[-1], dtype=z.dtype, device=z.device)
-    return torch.vmap(entry, out_dims=-1)(basis)
+    return g, torch.vmap(entry, out_dims=-1)(basis)
 
 
 def drift_correction(sde: SDE, t: Time, z: Tensor, u: Tensor) -> Tensor:
@@ -65,7 +55,8 @@ def drift_correction(sde: SDE, t: Time, z: Tensor, u: Tensor) -> Tensor:
     Returns:
         c, (N, nz), in units of z per second.
     """
-    return 0.5 * sde.diffusion(t, z, u) * diagonal_derivative(sde, t, z, u)
+    g, slope = diffusion_and_slope(sde, t, z, u)
+    return 0.5 * g * slope
 
 
 @final

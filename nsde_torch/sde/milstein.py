@@ -23,7 +23,7 @@ from typing import final
 
 from torch import Tensor
 
-from nsde_torch.sde.derivative import diagonal_derivative
+from nsde_torch.sde.derivative import diffusion_and_slope
 from nsde_torch.sde.protocol import SDE, Time
 from nsde_torch.sde.step import Step
 
@@ -77,7 +77,7 @@ class MilsteinStratonovichFree(Step):
 
 @final
 class MilsteinIto(Step):
-    """Ito Milstein with the exact slopes d g_i / d z_i (see `diagonal_derivative` for their cost).
+    """Ito Milstein with the exact slopes d g_i / d z_i (see `diffusion_and_slope` for their cost).
 
     Strong order 1 needs g_i to depend on z_i alone; with coupled diagonal noise it falls to 0.5.
     """
@@ -91,14 +91,13 @@ class MilsteinIto(Step):
     def advance(self, sde: SDE, t: Time, z: Tensor, u: Tensor, dt: Time, dw: Tensor | None) -> Tensor:
         """See `Step.advance`."""
         assert dw is not None
-        g = sde.diffusion(t, z, u)
-        slope = diagonal_derivative(sde, t, z, u)
+        g, slope = diffusion_and_slope(sde, t, z, u)
         return z + sde.drift(t, z, u) * dt + g * (dw + 0.5 * slope * (dw * dw - dt))
 
 
 @final
 class MilsteinStratonovich(Step):
-    """Stratonovich Milstein with the exact slopes d g_i / d z_i (see `diagonal_derivative` for their cost).
+    """Stratonovich Milstein with the exact slopes d g_i / d z_i (see `diffusion_and_slope` for their cost).
 
     Strong order 1 needs g_i to depend on z_i alone; with coupled diagonal noise it falls to 0.5.
     """
@@ -112,6 +111,5 @@ class MilsteinStratonovich(Step):
     def advance(self, sde: SDE, t: Time, z: Tensor, u: Tensor, dt: Time, dw: Tensor | None) -> Tensor:
         """See `Step.advance`."""
         assert dw is not None
-        g = sde.diffusion(t, z, u)
-        slope = diagonal_derivative(sde, t, z, u)
+        g, slope = diffusion_and_slope(sde, t, z, u)
         return z + sde.drift(t, z, u) * dt + g * (dw + 0.5 * slope * (dw * dw))

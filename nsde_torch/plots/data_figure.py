@@ -1,0 +1,246 @@
+"""What a data set holds: for multirotors speed and Euler angles (supplement, Figure 15), else all channels.
+
+Thin lines: the 95 % quantile and the largest magnitude over all runs. Gaps break the curves and are marked.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nsde_torch.plots.euler import roll_pitch_yaw
+from nsde_torch.plots.style import (
+    BLACK,
+    BLUE,
+    COLOURS,
+    GREY,
+    VERMILLION,
+    WIDTH,
+    few_ticks,
+    label,
+    legend_below,
+    panels,
+    styled,
+    thin,
+)
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+Array = NDArray[np.float64]
+COLUMNS = 4
+"""Runs that have a column of their own; of more, the first ones are drawn."""
+
+
+class RunLike(Protocol):
+    """What is read of a run; `nsde_torch.data.Run` has it."""
+
+    @property
+    def name(self) -> str: ...
+    @property
+    def t(self) -> Array: ...
+    @property
+    def x(self) -> Array: ...
+    @property
+    def u(self) -> Array: ...
+    @property
+    def segments(self) -> tuple[tuple[int, int], ...]: ...
+
+
+class DataSetLike(Protocol):
+    """What is read of a data set; `nsde_torch.data.DataSet` has it."""
+
+    @property
+    def runs(self) -> Sequence[RunLike]: ...
+    @property
+    def input_names(self) -> tuple[str, ...]: ...
+
+
+class SystemLike(Protocol):
+    """What is read of a system; `nsde_torch.systems.System` has it."""
+
+    @property
+    def name(self) -> str: ...
+    @property
+    def state_names(self) -> tuple[str, ...]: ...
+    @property
+    def state_units(self) -> tuple[str, ...]: ...
+    @property
+    def input_names(self) -> tuple[str, ...]: ...
+    @property
+    def input_units(self) -> tuple[str, ...]: ...
+    @property
+    def quaternion(self) -> slice | None: ...
+    @property
+    def position_derivatives(self) -> tuple[tuple[str, str, str], ...]: ...
+
+
+@styled
+def data_summary(dataset: DataSetLike, system: SystemLike, *, title: str | None = None) -> Figure:
+    """The data over time.
+
+    Args:
+        dataset: Runs of one system.
+        system: The system.
+        title: Title; default: the system, the number of runs and the recorded time.
+
+    Returns:
+        For a system with velocity `v_x v_y v_z` and a quaternion: panels (speed, roll, pitch, yaw) by run.
+        For others: states and inputs over time with all runs in one panel, and phase portraits.
+    """
+    runs = dataset.runs
+    seconds = sum(float(r.t[b - 1] - r.t[a]) for r in runs for a, b in r.segments)
+    if title is None:
+        title = f"{system.name}: {len(runs)} run{'s' * (len(runs) > 1)}, {seconds:.1f} s recorded"
+    if system.quaternion is not None and {"v_x", "v_y", "v_z"} <= set(system.state_names):
+        return _flights(runs, system, title)
+    return _channels(dataset, system, title)
+
+
+def _pieces(run: RunLike) -> list[tuple[Array, slice]]:
+    """Time from the start of the run [s] and rows of each segment."""
+    return [(run.t[a:b] - run.t[0], slice(a, b)) for a, b in run.segments]
+
+
+def _mark_gaps(ax: Axes, run: RunLike) -> None:
+    for (_, stop), (start, _) in zip(run.segments[:-1], run.segments[1:], strict=True):
+        a, b = float(run.t[stop - 1] - run.t[0]), float(run.t[start] - run.t[0])
+        ax.axvspan(a, b, color=VERMILLION, alpha=0.25, linewidth=0)
+        ax.axvline(0.5 * (a + b), color=VERMILLION, linestyle=":", linewidth=1.2, gid="gap")
+
+
+def _flights(runs: Sequence[RunLike], system: SystemLike, title: str) -> Figure:
+    assert system.quaternion is not None
+    v = [system.state_names.index(n) for n in ("v_x", "v_y", "v_z")]
+    curves: list[list[Array]] = []
+    for run in runs:
+        parts = []
+        for _, rows in _pieces(run):
+            angles = roll_pitch_yaw(run.x[rows, system.quaternion])
+            angles[:, ::2] -= 360.0 * np.round(angles[:1, ::2] / 360.0)
+            parts.append(np.column_stack([np.linalg.norm(run.x[rows][:, v], axis=1), angles]))
+        curves.append(parts)
+    channels = (("speed", "m/s"), ("roll", "deg"), ("pitch", "deg"), ("yaw", "deg"))
+    size = np.abs(np.concatenate([p for parts in curves for p in parts]))
+    q95, top = np.quantile(size, 0.95, axis=0), size.max(axis=0)
+    shown = min(len(runs), COLUMNS)
+    if shown < len(runs):
+        title += f"; the first {shown} drawn, lines over all"
+    figure, axes = panels(4, shown, height=7.6, title=title, sharex="col", sharey="row")
+    gaps = False
+    for c, run in enumerate(runs[:shown]):
+        for k, (name, unit) in enumerate(channels):
+            ax = axes[k, c]
+            for (t, _), values in zip(_pieces(run), curves[c], strict=True):
+                ax.plot(*thin(t, values[:, k]), color=BLUE, linewidth=0.9)
+            for level, dash in ((q95[k], "--"), (top[k], "-")):
+                for sign in (1,) if name == "speed" else (1, -1):
+                    ax.axhline(sign * level, color=BLACK, linestyle=dash, linewidth=0.9)
+            _mark_gaps(ax, run)
+            gaps = gaps or len(run.segments) > 1
+            low = 0.0 if name == "speed" else -1.15 * top[k]
+            ax.set_ylim(low, max(1.15 * top[k], 1e-9))
+            if c == 0:
+                ax.set_ylabel(label(name, unit))
+        axes[0, c].set_title(run.name)
+        axes[-1, c].set_xlabel("time [s]")
+        axes[-1, c].set_xlim(0, float(run.t[-1] - run.t[0]))
+    for k, (name, unit) in enumerate(channels):
+        digits = 2 if unit == "m/s" else 0
+        mark = "" if name == "speed" else "|"
+        axes[k, 0].annotate(
+            f"{mark}{name}{mark}: 95 % below {q95[k]:.{digits}f}, largest {top[k]:.{digits}f} "
+            f"{'m/s' if unit == 'm/s' else '°'}",
+            (0.0, 1.02),
+            xycoords="axes fraction",
+            fontsize=8.5,
+            color=BLACK,
+        )
+        if k == 0:
+            for ax in axes[0]:
+                ax.title.set_position((0.5, 1.0))
+                ax.set_title(ax.get_title(), pad=18)
+    _lines_key(figure, gaps)
+    figure.align_ylabels(list(axes[:, 0]))
+    return figure
+
+
+def _lines_key(figure: Figure, gaps: bool) -> None:
+    from matplotlib.lines import Line2D
+
+    handles = [
+        Line2D([], [], color=BLUE),
+        Line2D([], [], color=BLACK, linestyle="--", linewidth=0.9),
+        Line2D([], [], color=BLACK, linewidth=0.9),
+    ]
+    texts = ["measured", "95 % of the magnitudes", "largest magnitude"]
+    if gaps:
+        handles.append(Line2D([], [], color=VERMILLION, linestyle=":"))
+        texts.append("gap in the recording")
+    legend_below(figure, handles, texts)
+
+
+def _channels(dataset: DataSetLike, system: SystemLike, title: str) -> Figure:
+    from matplotlib.figure import Figure
+    from matplotlib.lines import Line2D
+
+    runs = dataset.runs
+    units: Mapping[str, str] = dict(zip(system.input_names, system.input_units, strict=True))
+    names = [*system.state_names, *dataset.input_names]
+    labels = [
+        *(label(n, u) for n, u in zip(system.state_names, system.state_units, strict=True)),
+        *(label(n, units.get(n, "")) for n in dataset.input_names),
+    ]
+    pairs = [(names.index(p), names.index(v)) for p, v, _ in system.position_derivatives]
+    figure = Figure(figsize=(WIDTH, 1.2 + 1.35 * max(len(names), 2 * len(pairs))), layout="constrained")
+    figure.suptitle(title)
+    parts = figure.subfigures(
+        1, 2 if pairs else 1, squeeze=False, width_ratios=(1.7, 1.0)[: 2 if pairs else 1]
+    )
+    few = len(runs) <= len(COLOURS)
+    colours = [COLOURS[k] if few else BLUE for k in range(len(runs))]
+    alpha = 0.9 if few else max(0.15, min(0.6, 12 / len(runs)))
+    axes = parts[0, 0].subplots(len(names), 1, squeeze=False, sharex=True)[:, 0]
+    mark = len(runs) <= COLUMNS
+    for run, colour in zip(runs, colours, strict=True):
+        table = np.concatenate([run.x, run.u], axis=1)
+        for k, ax in enumerate(axes):
+            for t, rows in _pieces(run):
+                ax.plot(*thin(t, table[rows, k]), color=colour, alpha=alpha, linewidth=0.9)
+            if mark:
+                _mark_gaps(ax, run)
+    for ax, text in zip(axes, labels, strict=True):
+        ax.set_ylabel(text)
+        few_ticks(ax, y=4)
+    axes[0].set_xlim(0, max(float(r.t[-1] - r.t[0]) for r in runs))
+    axes[-1].set_xlabel("time from the start of the run [s]")
+    parts[0, 0].align_ylabels(list(axes))
+    if pairs:
+        portraits = parts[0, 1].subplots(len(pairs), 1, squeeze=False)[:, 0]
+        for ax, (i, j) in zip(portraits, pairs, strict=True):
+            _portrait(ax, runs, colours, alpha, i, j)
+            ax.set(xlabel=labels[i], ylabel=labels[j])
+    handles = [Line2D([], [], color=c) for c in colours] if few else []
+    texts = [run.name for run in runs] if few else []
+    if mark and any(len(run.segments) > 1 for run in runs):
+        handles.append(Line2D([], [], color=VERMILLION, linestyle=":"))
+        texts.append("gap in the recording")
+    legend_below(figure, handles, texts)
+    return figure
+
+
+def _portrait(
+    ax: Axes, runs: Sequence[RunLike], colours: Sequence[str], alpha: float, i: int, j: int
+) -> None:
+    """Velocity against position, segment by segment; a dot marks each start."""
+    for run, colour in zip(runs, colours, strict=True):
+        for _, rows in _pieces(run):
+            x = run.x[rows.start : rows.stop : max((rows.stop - rows.start) // 3000, 1)]
+            ax.plot(x[:, i], x[:, j], color=colour, alpha=alpha, linewidth=0.8)
+        ax.plot(run.x[0, i], run.x[0, j], "o", color=colour, markersize=3.0)
+    ax.axhline(0, color=GREY, linewidth=0.6)
+    ax.set_title("phase portrait (dot: start)")

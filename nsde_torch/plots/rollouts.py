@@ -1,0 +1,90 @@
+"""Predicted rollouts against what was measured: median and central intervals of the particles."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from nsde_torch.errors import ShapeError
+from nsde_torch.plots.euler import with_angles
+from nsde_torch.plots.style import BLACK, BLUE, few_ticks, key, label, panels, styled
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+Array = NDArray[np.float64]
+BANDS = ((0.95, "#d6e6f2"), (0.90, "#a9cde6"), (0.50, "#66a9d4"))
+"""Central intervals and their colours, widest first."""
+
+
+@styled
+def rollout_bands(
+    t: ArrayLike,
+    measured: ArrayLike,
+    samples: ArrayLike,
+    *,
+    names: Sequence[str],
+    units: Sequence[str],
+    title: str,
+    quaternion: slice | None = None,
+    starts: Sequence[str] | None = None,
+) -> Figure:
+    """Bands of sampled rollouts and the measured states: one row per channel, one column per start.
+
+    Args:
+        t: Time from the start [s], (T + 1,).
+        measured: Measured states (T + 1, nx), or (E, T + 1, nx) for E starts.
+        samples: Sampled states (P, T + 1, nx), or (E, P, T + 1, nx).
+        names: Names of the states.
+        units: Units of the states.
+        title: What is shown; say here what the inputs see of the future, if anything.
+        quaternion: Columns of a quaternion, drawn as roll, pitch and yaw in degrees.
+        starts: A heading for each start, for example the run and time.
+
+    Returns:
+        A figure of (channels, starts) panels.
+
+    Raises:
+        ShapeError: the arrays do not fit together.
+    """
+    t = np.asarray(t, dtype=float)
+    true, drawn = np.asarray(measured, dtype=float), np.asarray(samples, dtype=float)
+    if true.ndim == 2 and drawn.ndim == 3:
+        true, drawn = true[None], drawn[None]
+    fits = true.ndim == 3 and drawn.ndim == 4 and true.shape == (drawn.shape[0], *drawn.shape[2:])
+    if not fits or t.shape != true.shape[1:2] or len(names) != true.shape[2] or len(units) != len(names):
+        raise ShapeError(
+            "`measured` must be (E, T+1, nx), `samples` (E, P, T+1, nx), `t` (T+1,), `names` and `units` nx; "
+            f"got {true.shape}, {drawn.shape}, {t.shape}, {len(names)} and {len(units)}."
+        )
+    headings = list(starts) if starts is not None else [f"start {k + 1}" for k in range(len(true))]
+    if len(headings) != len(true):
+        raise ShapeError(f"`starts` must hold {len(true)} headings; got {len(headings)}.")
+    parts = []
+    for m, s in zip(true, drawn, strict=True):
+        shown = (m, s, list(names), list(units))
+        parts.append(shown if quaternion is None else with_angles(m, s, names, units, quaternion))
+    rows, columns = parts[0][0].shape[1], len(parts)
+    height = 1.0 + rows * (2.0 if rows <= 2 else 1.45 if rows <= 6 else 1.05)
+    figure, axes = panels(rows, columns, height=height, title=title, sharex=True)
+    for e, (m, s, channel_names, channel_units) in enumerate(parts):
+        for k in range(rows):
+            ax = axes[k, e]
+            for level, colour in BANDS:
+                low, high = np.quantile(s[..., k], [(1 - level) / 2, (1 + level) / 2], axis=0)
+                ax.fill_between(t, low, high, color=colour, linewidth=0, label=f"{100 * level:.0f} %")
+            ax.plot(t, np.median(s[..., k], axis=0), color=BLUE, label="median")
+            ax.plot(t, m[:, k], color=BLACK, linewidth=1.2, linestyle=(0, (4, 1.5)), label="measured")
+            ax.set_xlim(t[0], t[-1])
+            few_ticks(ax, y=4)
+            if e == 0:
+                ax.set_ylabel(label(channel_names[k], channel_units[k]))
+        if columns > 1 or starts is not None:
+            axes[0, e].set_title(headings[e])
+        axes[-1, e].set_xlabel("time from the start [s]")
+    figure.align_ylabels(list(axes[:, 0]))
+    key(figure, axes[0, 0])
+    return figure

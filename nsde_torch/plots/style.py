@@ -1,0 +1,201 @@
+"""One look for all figures: 9 inches wide (read at 900 px), colours of Okabe and Ito (2008), no pyplot."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, ParamSpec, TypeVar
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+Array = NDArray[np.float64]
+
+WIDTH = 9.0
+"""Width of every figure [in]."""
+DPI = 130
+BLUE, VERMILLION, GREEN, PURPLE, ORANGE, SKY = (
+    "#0072B2",
+    "#D55E00",
+    "#009E73",
+    "#CC79A7",
+    "#E69F00",
+    "#56B4E9",
+)
+BLACK, GREY = "#1a1a1a", "#767676"
+COLOURS = (BLUE, VERMILLION, GREEN, PURPLE, ORANGE, SKY)
+DASHES = ("-", "--", "-.", ":", (0, (6, 1, 1, 1, 1, 1)), (0, (1, 1)))
+MARKS = ("o", "s", "^", "D", "v", "P")
+
+_LOOK: dict[Any, Any] = {
+    "font.size": 9.5,
+    "axes.titlesize": 10.0,
+    "axes.labelsize": 9.5,
+    "xtick.labelsize": 8.5,
+    "ytick.labelsize": 8.5,
+    "legend.fontsize": 8.5,
+    "figure.titlesize": 11.5,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.edgecolor": GREY,
+    "axes.grid": True,
+    "axes.axisbelow": True,
+    "grid.color": "#dddddd",
+    "grid.linewidth": 0.6,
+    "lines.linewidth": 1.4,
+    "legend.frameon": False,
+    "figure.facecolor": "white",
+    "axes.formatter.useoffset": False,
+    "mathtext.fontset": "dejavusans",
+}
+
+P = ParamSpec("P")
+R = TypeVar("R")
+
+
+def styled(function: Callable[P, R]) -> Callable[P, R]:
+    """Runs a function that makes a figure under the common look; matplotlib's settings return afterwards."""
+
+    @functools.wraps(function)
+    def wrapped(*args: P.args, **kwargs: P.kwargs) -> R:
+        import matplotlib
+
+        with matplotlib.rc_context(_LOOK):
+            return function(*args, **kwargs)
+
+    return wrapped
+
+
+def panels(
+    rows: int,
+    columns: int,
+    *,
+    height: float,
+    title: str,
+    sharex: bool | str = False,
+    sharey: bool | str = False,
+) -> tuple[Figure, NDArray[Any]]:
+    """A figure and its axes (rows, columns).
+
+    Args:
+        rows: Rows of panels.
+        columns: Columns of panels.
+        height: Height of the figure [in].
+        title: What is measured.
+        sharex: As in `Figure.subplots`.
+        sharey: As in `Figure.subplots`.
+    """
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(WIDTH, height), layout="constrained")
+    figure.suptitle(title)
+    axes = figure.subplots(
+        rows,
+        columns,
+        squeeze=False,
+        sharex=sharex,  # type: ignore[arg-type]
+        sharey=sharey,  # type: ignore[arg-type]
+    )
+    return figure, axes
+
+
+def key(figure: Figure, axes: Axes, *, columns: int = 5) -> None:
+    """One legend for the whole figure, under the panels, from the labels of one of them."""
+    handles, labels = axes.get_legend_handles_labels()
+    legend_below(figure, handles, labels, columns=columns)
+
+
+def legend_below(figure: Figure, handles: Sequence[Any], labels: Sequence[str], *, columns: int = 5) -> None:
+    """A legend under the panels, in as many columns as its labels leave room for."""
+    if handles:
+        room = 118 // (max(len(text) for text in labels) + 7)
+        ncols = max(1, min(columns, room, len(handles)))
+        figure.legend(list(handles), list(labels), loc="outside lower center", ncols=ncols)
+
+
+def plain_logarithm(axes: Axes) -> None:
+    """A logarithmic y axis with 0.02 instead of a power of ten, at 1, 2 and 5 of each decade."""
+    from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
+
+    axes.set_yscale("log")
+    low, high = axes.get_ylim()
+    subs = (1.0, 2.0, 5.0) if high < 1000 * low else (1.0,)
+    axes.yaxis.set_major_locator(LogLocator(subs=subs))
+    axes.yaxis.set_major_formatter(FuncFormatter(lambda v, _: f"{v:g}"))
+    axes.yaxis.set_minor_formatter(NullFormatter())
+
+
+def few_ticks(axes: Axes, *, x: int | None = None, y: int | None = None) -> None:
+    """At most so many ticks on linear axes of small panels."""
+    from matplotlib.ticker import MaxNLocator
+
+    if x is not None:
+        axes.xaxis.set_major_locator(MaxNLocator(x))
+    if y is not None:
+        axes.yaxis.set_major_locator(MaxNLocator(y, min_n_ticks=2))
+
+
+def seconds_axis(axes: Axes, horizons: ArrayLike) -> None:
+    """A logarithmic axis of horizons with a plain number at each of them."""
+    values = np.asarray(horizons, dtype=float).ravel()
+    if len(values) > 1 and (values > 0).all():
+        axes.set_xscale("log")
+    axes.set_xticks(values, [f"{v:g}" for v in values])
+    axes.set_xticks([], minor=True)
+    axes.set_xlabel("horizon [s]")
+
+
+def label(name: str, unit: str) -> str:
+    """`v_x [m/s]`; a pure number has the unit 1 and needs none."""
+    return f"{name} [{pretty(unit)}]" if unit not in ("", "1") else f"{name} [–]"
+
+
+def pretty(unit: str) -> str:
+    """Units as people write them."""
+    return unit.replace("deg", "°").replace("s2", "s²").replace("m2", "m²")
+
+
+def thin(t: Array, y: Array, limit: int = 1500) -> tuple[Array, Array]:
+    """At most about 2 `limit` points of a curve: the extremes of each bin, so that no peak is lost.
+
+    Args:
+        t: Times (n,).
+        y: Values (n,).
+        limit: Number of bins.
+    """
+    n = len(t)
+    if n <= 2 * limit:
+        return t, y
+    width = -(-n // limit)
+    starts = np.arange(0, n, width)
+    keep = {0, n - 1}
+    for a in starts:
+        block = y[a : a + width]
+        keep |= {int(a + block.argmin()), int(a + block.argmax())}
+    rows = np.array(sorted(keep))
+    return t[rows], y[rows]
+
+
+def save(figure: Figure, path: str | Path, *, dpi: int = DPI) -> Path:
+    """Write a figure; the folder is made where it is missing.
+
+    Args:
+        figure: From one of the functions of this package.
+        path: File to write; the ending says the format (`.png`, `.pdf`, `.svg`).
+        dpi: Pixels per inch of a picture; figures are 9 inches wide.
+
+    Returns:
+        The path.
+    """
+    import matplotlib
+
+    path = Path(path)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with matplotlib.rc_context(_LOOK):
+        figure.savefig(path, dpi=dpi)
+    return path

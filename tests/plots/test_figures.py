@@ -1,0 +1,398 @@
+"""Figures show what they are given: panels, labels with units, finite limits, the figures of the data."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from dataclasses import dataclass, field
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import matplotlib
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from nsde_torch.errors import ShapeError
+from nsde_torch.plots import (
+    DistanceSlice,
+    calibration_curve,
+    data_summary,
+    distance_map,
+    horizon_errors,
+    learning_curves,
+    rollout_bands,
+    save,
+    slice_grid,
+)
+from nsde_torch.plots.euler import roll_pitch_yaw, turns_nearest
+from nsde_torch.plots.style import thin
+from nsde_torch.systems import SYSTEMS
+from tests.helpers.flights import flight
+
+Array = NDArray[np.float64]
+
+
+def panels(figure: Any) -> list[Any]:
+    """Axes with a label on either side: no colour bars, no legends."""
+    return [ax for ax in figure.axes if ax.get_label() != "<colorbar>"]
+
+
+def assert_sound(figure: Any, path: Path) -> None:
+    """Drawn without a warning, with finite limits, and every panel's lowest and leftmost axes labelled."""
+    save(figure, path)
+    assert path.stat().st_size > 5000
+    for ax in panels(figure):
+        assert np.isfinite([*ax.get_xlim(), *ax.get_ylim()]).all()
+        for text in (ax.get_xlabel(), ax.get_ylabel()):
+            assert not text or "[" in text or text == "gradient step", text
+
+
+# ---- learning curves ----------------------------------------------------------------------------------
+
+
+def history(steps: int = 300) -> list[dict[str, float | None]]:
+    rows: list[dict[str, float | None]] = []
+    for k in range(steps):
+        row: dict[str, float | None] = {
+            "step": k,
+            "loss": 3 * np.exp(-k / 60) + 0.4,
+            "data": 3 * np.exp(-k / 60) + 0.3,
+            "gradient": 0.1 * np.exp(-k / 90),
+            "mu": -0.001 * k,
+            "validation": None,
+        }
+        if k % 20 == 0:
+            row["validation"] = 1.0 + (k - 140) ** 2 / 1e4
+        rows.append(row)
+    return rows
+
+
+def test_learning_curves_show_terms_and_mark_the_best_validation(tmp_path: Path) -> None:
+    figure = learning_curves(history())
+    assert_sound(figure, tmp_path / "a.png")
+    left, right = panels(figure)
+    assert left.get_yscale() == right.get_yscale() == "log"
+    assert "kept: step 140" in [line.get_label() for line in left.lines]
+    assert [line.get_label() for line in right.lines][:3] == ["data", "gradient", "−mu"]
+
+
+def test_learning_curves_take_the_kept_step_and_a_loss_below_zero(tmp_path: Path) -> None:
+    rows = [{"step": k, "loss": 1.0 - 0.1 * k} for k in range(30)]
+    figure = learning_curves(rows, kept=7)
+    assert_sound(figure, tmp_path / "a.png")
+    (only,) = panels(figure)
+    assert only.get_yscale() == "linear"
+    assert "kept: step 7" in [line.get_label() for line in only.lines]
+
+
+def test_learning_curves_survive_one_row_and_values_that_are_not_finite(tmp_path: Path) -> None:
+    assert_sound(learning_curves([{"step": 0, "loss": 1.0, "data": 1.0}]), tmp_path / "a.png")
+    rows = [*history(30), {"step": 30, "loss": float("nan"), "data": float("inf")}]
+    assert_sound(learning_curves(rows), tmp_path / "b.png")
+
+
+def test_an_empty_history_is_refused() -> None:
+    with pytest.raises(ShapeError, match="history"):
+        learning_curves([])
+
+
+# ---- rollouts -----------------------------------------------------------------------------------------
+
+
+def test_rollouts_of_a_multirotor_show_angles_instead_of_the_quaternion(tmp_path: Path) -> None:
+    system = SYSTEMS["hexacopter"]
+    _, x, _ = flight(2.0)
+    measured = np.stack([x[:21], x[50:71]])
+    samples = measured[:, None] + 0.01 * np.random.default_rng(0).normal(size=(2, 30, 21, 13))
+    figure = rollout_bands(
+        0.01 * np.arange(21),
+        measured,
+        samples,
+        names=system.state_names,
+        units=system.state_units,
+        title="two starts",
+        quaternion=system.quaternion,
+        starts=["a", "b"],
+    )
+    assert_sound(figure, tmp_path / "a.png")
+    axes = panels(figure)
+    assert len(axes) == 12 * 2
+    labels = [ax.get_ylabel() for ax in axes if ax.get_ylabel()]
+    assert labels[6:9] == ["roll [°]", "pitch [°]", "yaw [°]"]
+    assert labels[0] == "p_x [m]"
+    assert not any("q_" in text for text in labels)
+
+
+def test_bands_hold_their_share_of_the_samples() -> None:
+    rng = np.random.default_rng(0)
+    samples = rng.normal(size=(4000, 3, 1))
+    figure = rollout_bands(
+        np.arange(3.0), np.zeros((3, 1)), samples, names=["q"], units=["m"], title="normal numbers"
+    )
+    (ax,) = panels(figure)
+    widths = {}
+    for band in ax.collections:
+        y = band.get_paths()[0].vertices[:, 1]
+        widths[band.get_label()] = (y.max() - y.min()) / 2
+    assert widths["95 %"] == pytest.approx(1.96, abs=0.1)
+    assert widths["90 %"] == pytest.approx(1.645, abs=0.1)
+    assert widths["50 %"] == pytest.approx(0.674, abs=0.05)
+
+
+@pytest.mark.parametrize("shape", [(30, 20, 2), (30, 21, 3), (2, 30, 21, 2)])
+def test_rollouts_of_the_wrong_shape_are_refused(shape: tuple[int, ...]) -> None:
+    with pytest.raises(ShapeError, match="samples"):
+        rollout_bands(
+            np.arange(21.0),
+            np.zeros((21, 2)),
+            np.zeros(shape),
+            names=["q", "q_dot"],
+            units=["m", "m/s"],
+            title="",
+        )
+
+
+def test_angles_agree_with_another_library_and_do_not_jump() -> None:
+    scipy = pytest.importorskip("scipy.spatial.transform")
+    yaw = np.linspace(0, 3 * np.pi, 200)
+    made = scipy.Rotation.from_euler("ZYX", np.stack([yaw, 0.3 * np.sin(yaw), 0.5 * np.cos(yaw)], 1))
+    q = np.roll(made.as_quat(), 1, axis=1)
+    q[::2] *= -1  # q and -q are one attitude
+    angles = roll_pitch_yaw(q)
+    np.testing.assert_allclose(angles[:, 2], np.degrees(yaw), atol=1e-9)
+    np.testing.assert_allclose(angles[:, 1], np.degrees(0.3 * np.sin(yaw)), atol=1e-9)
+    np.testing.assert_allclose(angles[:, 0], np.degrees(0.5 * np.cos(yaw)), atol=1e-9)
+
+
+def test_sampled_angles_start_on_the_turn_of_the_measured_ones() -> None:
+    measured = np.full((5, 3), 179.0)
+    moved = turns_nearest(np.full((2, 5, 3), -179.0), measured)
+    np.testing.assert_allclose(moved, 181.0)
+
+
+# ---- calibration and errors ---------------------------------------------------------------------------
+
+
+def test_calibration_has_the_diagonal_the_target_and_a_curve_a_group(tmp_path: Path) -> None:
+    levels = [0.95, 0.5, 0.9]
+    figure = calibration_curve(levels, {"position": [0.9, 0.5, 0.8], "rate": [0.99, 0.6, 0.95]})
+    assert_sound(figure, tmp_path / "a.png")
+    (ax,) = panels(figure)
+    curves = {line.get_label(): line.get_xydata() for line in ax.lines}
+    np.testing.assert_allclose(curves["position"], [[0.5, 0.5], [0.9, 0.8], [0.95, 0.9]])
+    assert set(curves) == {"ideal", "position", "rate"}
+    low, high = ax.collections[0].get_paths()[0].vertices[:, 1].min(), 0.95
+    assert (low, high) == (0.85, 0.95)
+
+
+def test_calibration_per_horizon_has_a_second_panel(tmp_path: Path) -> None:
+    figure = calibration_curve(
+        [0.5, 0.9], {"position": [0.5, 0.9]}, horizons=[0.1, 1.0], per_horizon={"position": [0.9, 0.8]}
+    )
+    assert_sound(figure, tmp_path / "a.png")
+    assert len(panels(figure)) == 2
+    assert panels(figure)[1].get_xscale() == "log"
+
+
+def test_calibration_of_another_length_is_refused() -> None:
+    with pytest.raises(ShapeError, match="rate"):
+        calibration_curve([0.5, 0.9], {"rate": [0.5]})
+
+
+def test_errors_have_a_panel_a_group_and_name_the_baselines(tmp_path: Path) -> None:
+    horizons = [0.1, 0.5, 1.0]
+    errors = {
+        "neural SDE": {"position": [0.01, 0.1, 0.4], "velocity": [0.1, 0.2, 0.4], "rate": [0.1, 0.2, 0.3]},
+        "hold": {"position": [0.1, 0.5, 0.9], "velocity": [0.2, 0.7, 1.4], "rate": [0.3, 0.8, 1.1]},
+        "constant_velocity": {"position": [0.01, 0.2, 0.6]},
+    }
+    figure = horizon_errors(horizons, errors, {"position": "m", "velocity": "m/s", "rate": "rad/s"})
+    assert_sound(figure, tmp_path / "a.png")
+    first, second, third, empty = panels(figure)
+    assert first.get_ylabel() == "position error [m]"
+    assert third.get_ylabel() == "rate error [rad/s]"
+    assert not empty.axison
+    assert [line.get_label() for line in first.lines] == [
+        "neural SDE",
+        "hold the last state",
+        "constant velocity",
+    ]
+    assert len(second.lines) == 2
+    assert [tick.get_text() for tick in first.get_xticklabels()] == ["0.1", "0.5", "1"]
+
+
+def test_errors_that_are_zero_or_missing_still_have_an_axis(tmp_path: Path) -> None:
+    figure = horizon_errors([0.1, 1.0], {"m": {"position": [0.0, float("nan")]}}, {"position": "m"})
+    assert_sound(figure, tmp_path / "a.png")
+
+
+# ---- distance -----------------------------------------------------------------------------------------
+
+
+def test_the_grid_of_a_slice_keeps_the_other_features_at_their_median() -> None:
+    features = np.random.default_rng(0).normal(size=(500, 4))
+    points, x, y = slice_grid(features, (3, 1), size=20, margin=1.0)
+    assert points.shape == (400, 4)
+    np.testing.assert_allclose(points[:, [0, 2]], np.tile(np.median(features[:, [0, 2]], 0), (400, 1)))
+    assert x[-1] - x[0] == pytest.approx(3 * np.ptp(features[:, 3]))
+    np.testing.assert_allclose(points[:, 3].reshape(20, 20), np.tile(x, (20, 1)))
+    np.testing.assert_allclose(points[:, 1].reshape(20, 20), np.tile(y[:, None], (1, 20)))
+
+
+def test_a_distance_map_shows_both_kinds_of_data(tmp_path: Path) -> None:
+    rng = np.random.default_rng(0)
+    features = rng.normal(size=(5000, 3))
+    slices = []
+    for pair in ((0, 1), (1, 2)):
+        points, x, y = slice_grid(features, pair, size=30)
+        eta = 1 - np.exp(-(points**2).sum(1) / 20)
+        slices.append(
+            DistanceSlice(
+                x,
+                y,
+                eta.reshape(30, 30),
+                "v_x [m/s]",
+                "w_x [rad/s]",
+                features[:, pair],
+                rng.normal(size=(40, 2)),
+            )
+        )
+    figure = distance_map(slices)
+    assert_sound(figure, tmp_path / "a.png")
+    assert len(panels(figure)) == 2
+    labels = [c.get_label() for c in panels(figure)[0].collections]
+    assert "training" in labels
+    assert "held out" in labels
+    assert any("η" in ax.get_ylabel() for ax in figure.axes if ax.get_label() == "<colorbar>")
+
+
+def test_a_constant_feature_and_a_flat_eta_still_make_a_map(tmp_path: Path) -> None:
+    features = np.zeros((10, 2))
+    _, x, y = slice_grid(features, (0, 1), size=5)
+    part = DistanceSlice(x, y, np.full((5, 5), 0.3), "a [m]", "b [m]", features)
+    assert_sound(distance_map([part]), tmp_path / "a.png")
+
+
+def test_eta_that_does_not_fit_its_axes_is_refused() -> None:
+    part = DistanceSlice(np.arange(3.0), np.arange(4.0), np.zeros((3, 4)), "a [m]", "b [m]", np.zeros((1, 2)))
+    with pytest.raises(ShapeError, match="eta"):
+        distance_map([part])
+
+
+# ---- data ---------------------------------------------------------------------------------------------
+
+
+@dataclass
+class Recording:
+    """The part of a run that the figure reads."""
+
+    name: str
+    t: Array
+    x: Array
+    u: Array
+    segments: tuple[tuple[int, int], ...] = field(default_factory=tuple)
+
+
+def dataset(*runs: Recording, inputs: tuple[str, ...]) -> Any:
+    return SimpleNamespace(runs=runs, input_names=inputs)
+
+
+def gaps(figure: Any) -> int:
+    return sum(line.get_gid() == "gap" for ax in panels(figure) for line in ax.lines)
+
+
+def test_flights_show_speed_and_angles_with_their_95_percent_and_maximum(tmp_path: Path) -> None:
+    system = SYSTEMS["hexacopter"]
+    runs = []
+    for k in range(3):
+        t, x, u = flight(5.0, seed=k)
+        runs.append(
+            Recording(f"flight {k}", t, x, u, ((0, 200), (200, len(t))) if k == 1 else ((0, len(t)),))
+        )
+    figure = data_summary(dataset(*runs, inputs=system.input_names), system)  # type: ignore[arg-type]
+    assert_sound(figure, tmp_path / "a.png")
+    axes = panels(figure)
+    assert len(axes) == 4 * 3
+    assert [ax.get_ylabel() for ax in axes[::3]] == ["speed [m/s]", "roll [°]", "pitch [°]", "yaw [°]"]
+    speed = np.concatenate([np.linalg.norm(run.x[:, 3:6], axis=1) for run in runs])
+    text = axes[0].texts[0].get_text()
+    assert f"{np.quantile(speed, 0.95):.2f}" in text
+    assert f"{speed.max():.2f} m/s" in text
+    assert gaps(figure) == 4
+    assert "3 runs, 15.0 s" in figure.get_suptitle()
+
+
+def test_many_flights_are_cut_to_four_columns_and_the_title_says_so(tmp_path: Path) -> None:
+    system = SYSTEMS["quadrotor"]
+    t, x, u = flight(1.0, motors=4)
+    runs = [Recording(f"{k}", t, x, u, ((0, len(t)),)) for k in range(9)]
+    figure = data_summary(dataset(*runs, inputs=system.input_names), system)  # type: ignore[arg-type]
+    assert len(panels(figure)) == 16
+    assert "the first 4 drawn" in figure.get_suptitle()
+    assert_sound(figure, tmp_path / "a.png")
+
+
+@pytest.mark.parametrize("n_runs", [1, 3, 40])
+def test_other_systems_show_states_inputs_and_a_phase_portrait_a_position(
+    n_runs: int, tmp_path: Path
+) -> None:
+    system = SYSTEMS["cartpole"]
+    rng = np.random.default_rng(0)
+    t = 0.02 * np.arange(120)
+    runs = [
+        Recording(
+            f"run {k}",
+            t,
+            rng.normal(size=(120, 4)).cumsum(0),
+            rng.normal(size=(120, 1)),
+            ((0, 50), (60, 120)),
+        )
+        for k in range(n_runs)
+    ]
+    figure = data_summary(dataset(*runs, inputs=("force",)), system)  # type: ignore[arg-type]
+    assert_sound(figure, tmp_path / "a.png")
+    labels = [ax.get_ylabel() for ax in panels(figure)]
+    assert labels[:5] == ["x [m]", "x_dot [m/s]", "theta [rad]", "theta_dot [rad/s]", "force [N]"]
+    assert labels[5:] == ["x_dot [m/s]", "theta_dot [rad/s]"]
+    assert gaps(figure) == (5 * n_runs if n_runs <= 4 else 0)
+
+
+def test_columns_without_a_declared_unit_are_still_drawn(tmp_path: Path) -> None:
+    system = SYSTEMS["mass_spring_damper"]
+    t = 0.01 * np.arange(50)
+    run = Recording("a", t, np.zeros((50, 2)), np.zeros((50, 2)), ((0, 50),))
+    figure = data_summary(dataset(run, inputs=("force", "battery_voltage")), system)  # type: ignore[arg-type]
+    assert_sound(figure, tmp_path / "a.png")
+
+
+# ---- all ----------------------------------------------------------------------------------------------
+
+
+def test_thinning_keeps_ends_and_peaks() -> None:
+    t = np.arange(100_000.0)
+    y = np.zeros(100_000)
+    y[51_234], y[7] = 5.0, -3.0
+    thin_t, thin_y = thin(t, y)
+    assert len(thin_t) < 3200
+    assert (thin_y.max(), thin_y.min()) == (5.0, -3.0)
+    assert (thin_t[0], thin_t[-1]) == (0.0, 99_999.0)
+
+
+def test_a_figure_leaves_the_settings_of_matplotlib_alone(tmp_path: Path) -> None:
+    before = dict(matplotlib.rcParams)
+    save(learning_curves(history(20)), tmp_path / "deep" / "folder" / "a.png")
+    assert dict(matplotlib.rcParams) == before
+
+
+def test_the_package_imports_no_matplotlib_and_figures_no_pyplot(tmp_path: Path) -> None:
+    code = (
+        "import sys; import nsde_torch.plots as p; assert 'matplotlib' not in sys.modules; "
+        "p.save(p.learning_curves([{'step': 0, 'loss': 1.0}]), 'a.png'); "
+        "assert 'matplotlib.pyplot' not in sys.modules; assert 'torch' not in sys.modules"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, cwd=tmp_path, check=False
+    )
+    assert done.returncode == 0, done.stderr

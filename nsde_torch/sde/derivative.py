@@ -14,7 +14,7 @@ from nsde_torch.sde.protocol import SDE, HasDiagonalDerivative, Time
 
 
 def diffusion_and_slope(sde: SDE, t: Time, z: Tensor, u: Tensor) -> tuple[Tensor, Tensor]:
-    """The diffusion and the slope of each of its channels in its own state, exact, and differentiable in turn.
+    """The diffusion, and the slope of each of its channels in its own state, exact and differentiable.
 
     An equation with `diffusion_diagonal_derivative` answers itself. Otherwise nz reverse-mode products run as
     one batch and each gives its diagonal entry: the work of about nz diffusions, memory O(N nz) a layer, and

@@ -1,0 +1,28 @@
+"""Plants: simulated machines that stand for the real ones, and the built-in data sets made with them."""
+
+from nsde_torch.plants.cartpole import SwingUp, cartpole_episodes
+from nsde_torch.plants.cascade import Cascade, Gains
+from nsde_torch.plants.flights import manual_flights
+from nsde_torch.plants.machines import MACHINES, Machine, make_plant, make_plant_system
+from nsde_torch.plants.mass_spring_damper import spring_runs
+from nsde_torch.plants.noise import Gust
+from nsde_torch.plants.plant import Plant
+from nsde_torch.plants.record import record
+from nsde_torch.plants.registry import simulated
+
+__all__ = [
+    "MACHINES",
+    "Cascade",
+    "Gains",
+    "Gust",
+    "Machine",
+    "Plant",
+    "SwingUp",
+    "cartpole_episodes",
+    "make_plant",
+    "make_plant_system",
+    "manual_flights",
+    "record",
+    "simulated",
+    "spring_runs",
+]

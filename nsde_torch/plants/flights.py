@@ -1,0 +1,180 @@
+"""Manual flights: a pilot's wishes, flown by a cascade on a plant, logged as an autopilot logs them.
+
+The pilot flies many variants at once (a batch costs little more than one); the variant whose figures are
+nearest to the supplement's Figure 15 is the one that is kept. Where the nearest is still far, the aim is
+moved by what flying added to or took from the wanted figures, and all is flown once more.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from nsde_torch.data.quaternion import euler_zyx
+from nsde_torch.data.raw import RawRun
+from nsde_torch.errors import ConfigError
+from nsde_torch.plants.cascade import Cascade
+from nsde_torch.plants.machines import Effects, machine, make_plant, make_plant_system
+from nsde_torch.plants.pilot import Path, Pilot, Sticks, figures
+from nsde_torch.systems import Multirotor
+
+Array = NDArray[np.float64]
+
+DURATIONS = (73.0, 66.0, 64.0)
+"""Lengths of the flights of the supplement [s]."""
+RESPONSE = (1.16, 1.16, 1.46, 1.45, 1.40, 1.40, 1.0, 1.03)
+"""Figures flown over figures wanted, measured on the default plants (the loops overshoot)."""
+VARIANTS = 48
+NEAR = 0.07
+"""Largest relative departure from the figures with which a flight is kept at once."""
+ROUNDS = 2
+ROOM, FLOOR = 4.0, 0.2
+"""Flights stay within this distance of the middle of the room and above this height [m]."""
+
+
+def fly(
+    name: str,
+    paths: Sequence[Path],
+    *,
+    generator: torch.Generator,
+    effects: Effects = (),
+    process_noise: float = 1.0,
+    sensor_noise: float = 1.0,
+) -> tuple[Array, Array]:
+    """Fly wanted paths at once; the shorter ones hold their end.
+
+    Args:
+        name: System, `hexacopter` or `quadrotor`.
+        paths: What the pilot wants, one for each row.
+        generator: Source of the noise.
+        effects: Effects beyond those of the plant.
+        process_noise: Factor on the gusts.
+        sensor_noise: Factor on the sensor noise.
+
+    Returns:
+        Measured states (n, B, 13) and the commands given at them (n, B, nu).
+
+    Raises:
+        NonFiniteError: the flight left the finite numbers.
+    """
+    plant = make_plant(
+        name, generator=generator, effects=effects, process_noise=process_noise, sensor_noise=sensor_noise
+    )
+    pilot_knows = make_plant_system(name, declared_only=True)
+    assert isinstance(pilot_knows, Multirotor)
+    cascade = Cascade(pilot_knows, dt=plant.dt, device=generator.device)
+    n = max(len(path.p) for path in paths)
+
+    def stacked(part: str) -> torch.Tensor:
+        """One part of all paths, (n, B, ...), the last row held."""
+        rows = [getattr(path, part) for path in paths]
+        held = [np.concatenate([r, np.repeat(r[-1:], n - len(r), axis=0)]) for r in rows]
+        return torch.as_tensor(np.stack(held, axis=1), device=generator.device)
+
+    p, v, a, yaw, yaw_rate = (stacked(part) for part in ("p", "v", "a", "yaw", "yaw_rate"))
+    start = p.new_zeros(len(paths), 13)
+    start[:, :3], start[:, 3:6] = p[0], v[0]
+    start[:, 6], start[:, 9] = torch.cos(0.5 * yaw[0]), torch.sin(0.5 * yaw[0])
+    x = plant.reset(start, cascade.hover(len(paths)))
+    states, commands = [], []
+    for k in range(n):
+        u = cascade(x, p[k], v[k], a[k], yaw[k], yaw_rate[k])
+        states.append(x)
+        commands.append(u)
+        if k + 1 < n:
+            x = plant.step(u)
+    return _array(states), _array(commands)
+
+
+def _array(rows: list[torch.Tensor]) -> Array:
+    return np.asarray(torch.stack(rows).cpu().numpy(), dtype=np.float64)
+
+
+def flown(x: Array) -> Array:
+    """Speed [m/s] and |roll|, |pitch|, |yaw| [deg] of states (n, 13), as (4, n)."""
+    angles = np.degrees(np.abs(euler_zyx(x[:, 6:10]))).T
+    return np.concatenate([np.linalg.norm(x[:, 3:6], axis=1)[None], angles])
+
+
+def _miss(runs: Sequence[Array], targets: Array) -> float:
+    """Largest relative departure from the figures; infinite for flights that leave the room."""
+    x = np.concatenate(runs)
+    if np.abs(x[:, :3]).max() >= ROOM or x[:, 2].min() <= FLOOR:
+        return float("inf")
+    found = figures(np.concatenate([flown(run) for run in runs], axis=1))
+    return float(np.abs(np.log(found / targets)).max())
+
+
+def manual_flights(
+    name: str,
+    *,
+    durations: Sequence[float] | None = None,
+    seed: int,
+    effects: Effects = (),
+    process_noise: float = 1.0,
+    sensor_noise: float = 1.0,
+) -> list[RawRun]:
+    """Flights by hand whose envelope, over all runs, is that of the supplement's Figure 15.
+
+    Args:
+        name: System, `hexacopter` or `quadrotor`.
+        durations: Length of each flight [s]; default: the supplement's three.
+        seed: Seed of pilot and noise.
+        effects: Effects that the plant has beyond its own.
+        process_noise: Factor on the gusts.
+        sensor_noise: Factor on the sensor noise.
+
+    Returns:
+        Runs at 100 Hz: measured states, commands in [0, 1]. Much shorter flights than the default have a
+        narrower choice and meet the figures less well.
+
+    Raises:
+        ConfigError: an unknown system or effect, a number out of range, or effects that the cascade cannot
+            fly.
+    """
+    dt = machine(name).dt
+    pilot = Pilot(DURATIONS if durations is None else durations, dt=dt, seed=seed)
+    generator = torch.Generator().manual_seed(int(np.random.default_rng([seed, 2]).integers(2**62)))
+    aim, sticks = pilot.targets / np.array(RESPONSE), Sticks()
+    best: tuple[float, list[Array], list[Array]] = (float("inf"), [], [])
+    for _ in range(ROUNDS):
+        sticks = pilot.rehearse(sticks, aim)
+        variants = pilot.variants(sticks, VARIANTS, 0.1)
+        paths = [path for variant in variants for path in pilot.paths(variant)]
+        x, u = fly(
+            name,
+            paths,
+            generator=generator,
+            effects=effects,
+            process_noise=process_noise,
+            sensor_noise=sensor_noise,
+        )
+        count = len(pilot.rows)
+        for k in range(len(variants)):
+            runs = [x[:n, k * count + i] for i, n in enumerate(pilot.rows)]
+            miss = _miss(runs, pilot.targets)
+            if miss < best[0]:
+                best = (miss, runs, [u[:n, k * count + i] for i, n in enumerate(pilot.rows)])
+        if best[0] < NEAR:
+            break
+        got = figures(np.concatenate([flown(x[:n, i]) for i, n in enumerate(pilot.rows)], axis=1))
+        aim = np.clip(aim * pilot.targets / got, 0.4 * pilot.targets, 1.7 * pilot.targets)
+    if not best[1]:
+        raise ConfigError(
+            f"no flight of the {name} stayed in its room of {2 * ROOM:g} m and above {FLOOR:g} m: `effects` "
+            "or `process_noise` are too strong for the pilot. Make them weaker, or the flights shorter."
+        )
+    digits = len(str(len(pilot.rows) - 1))
+    return [
+        RawRun(
+            f"flight_{i:0{digits}d}",
+            dt * np.arange(len(run), dtype=np.float64),
+            run,
+            command,
+            source="simulated",
+        )
+        for i, (run, command) in enumerate(zip(best[1], best[2], strict=True))
+    ]

@@ -1,0 +1,247 @@
+"""The machines that plants stand for: constants, undeclared effects, noise and rates.
+
+Hexacopter: DJI F550 frame (550 mm motor to motor, supplement D), mass m = 2.3 kg with battery, computer and
+flight controller (take-off mass of the kit: 1.2 to 2.4 kg, DJI F550 manual); six motors with controller of
+90 g on arms of L = 0.275 m round a body of 1.76 kg, taken as a cylinder of radius 0.1 m and height 0.12 m:
+
+    Jz = 6 * 0.09 L^2 + 1.76 * 0.1^2 / 2 = 0.050 kg m2,
+    Jx = Jy = 3 * 0.09 L^2 + 1.76 (3 * 0.1^2 + 0.12^2) / 12 = 0.027 kg m2
+
+A 920KV motor with a 10 inch propeller gives about 10 N at full command on four cells (makers' tables); with a
+thrust line T = 10.6 N u - 0.38 N a motor the machine hovers at u = 0.39. Over mass and inertia:
+
+    thrust_gain = 10.6 / m = 4.6,  thrust_offset = -6 * 0.38 / m = -1.0,  roll_gain = 10.6 L / Jx = 108,
+    yaw_gain = 10.6 c / Jz = 3.4 with c = 0.016 m (drag to thrust of a 10 inch propeller)
+
+Quadrotor: the 3DR Iris of the second published set, 1.5 kg, 0.25 m arms at 45 degrees; Jx 0.029, Jz 0.055
+kg m2 (values of the PX4 simulation model), thrust 9.6 N u - 0.3 N a motor.
+
+Undeclared in both: rotor drag of 0.15 1/s sideways (measured on the published flights), motors that lag by
+50 ms, gusts. Sensor noise is that of an EKF with motion capture: 1 mm, 1 cm/s, 0.2 deg, 0.02 rad/s, taken
+as white.
+
+Cart and pole: the gym task's constants (cart 1 kg, pole 0.1 kg, half-length 0.5 m, g 9.8), force within 25
+N, 50 Hz. Mass-spring-damper: m = 1, b = 0.5, k = 1, noise [0.005, 0.01] (supplement B), 100 Hz, no process
+noise.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from math import radians
+from typing import Any
+
+import torch
+
+from nsde_torch.effects import Port
+from nsde_torch.errors import ConfigError
+from nsde_torch.plants.noise import Gust
+from nsde_torch.plants.plant import Plant
+from nsde_torch.systems import System, make_system
+
+Values = dict[str, float | list[float]]
+Effects = Sequence[str | Mapping[str, Mapping[str, float | list[float]] | None]] | Mapping[str, Any]
+"""Effects as a user names them: `name`, or `{name: {parameter: value}}`, in a list or as one mapping."""
+
+
+@dataclass(frozen=True)
+class Machine:
+    """What a plant of one system is made of.
+
+    Args:
+        values: Parameters of the declared physics, `name` or `effect.name`.
+        dt: Sample [s].
+        step: Fine step of the integration [s].
+        sensor_std: Measurement noise, one number per error channel of the system [its unit].
+        effects: Effects that the machine has beyond the declared physics, with their parameters.
+        gusts: What pushes the ports; empty: no process noise.
+        limits: Lowest and highest command, or None.
+        latency: Time from a command to its effect [s].
+    """
+
+    values: Mapping[str, float | list[float]]
+    dt: float
+    step: float
+    sensor_std: tuple[float, ...]
+    effects: Mapping[str, Mapping[str, float | list[float]]] = field(default_factory=dict)
+    gusts: Mapping[Port, Gust] = field(default_factory=dict)
+    limits: tuple[float, float] | None = None
+    latency: float = 0.0
+
+
+_MULTIROTOR: dict[str, Any] = {
+    "dt": 0.01,
+    "step": 0.01,
+    "sensor_std": (*(1e-3,) * 3, *(1e-2,) * 3, *(radians(0.2),) * 3, *(0.02,) * 3),
+    "effects": {"linear_drag": {"drag": [0.15, 0.15, 0.05]}, "motor_lag": {"time_constant": 0.05}},
+    "gusts": {
+        Port.WORLD_FORCE: Gust(std=(0.15, 0.15, 0.1), time_constant=0.7, white=(0.01,)),
+        Port.BODY_MOMENT: Gust(std=(0.6, 0.6, 0.15), time_constant=0.1, white=(0.05, 0.05, 0.02)),
+    },
+    "limits": (0.0, 1.0),
+}
+
+MACHINES: dict[str, Machine] = {
+    "hexacopter": Machine(
+        values={
+            "thrust_gain": 4.6,
+            "thrust_offset": -1.0,
+            "roll_gain": 108.0,
+            "pitch_gain": 108.0,
+            "yaw_gain": 3.4,
+            "inertia_x": 0.54,
+            "inertia_y": 0.54,
+        },
+        **_MULTIROTOR,
+    ),
+    "quadrotor": Machine(
+        values={
+            "thrust_gain": 6.4,
+            "thrust_offset": -0.8,
+            "roll_gain": 58.0,
+            "pitch_gain": 58.0,
+            "yaw_gain": 2.8,
+            "inertia_x": 0.53,
+            "inertia_y": 0.53,
+        },
+        **_MULTIROTOR,
+    ),
+    "cartpole": Machine(
+        values={"force_gain": 1.0 / 1.1, "pole_share": 0.1 / 1.1, "half_length": 0.5},
+        dt=0.02,
+        step=0.005,
+        # a tenth of the published noise, whose variances are 0.005, 0.01, 0.09 and 0.17
+        sensor_std=(0.0071, 0.01, 0.03, 0.0412),
+        gusts={Port.FORCE: Gust(white=(0.02,)), Port.TORQUE: Gust(white=(0.02,))},
+        limits=(-25.0, 25.0),
+    ),
+    "mass_spring_damper": Machine(
+        values={"linear_spring.stiffness": 1.0, "viscous_friction.damping": 0.5, "force_gain": 1.0},
+        dt=0.01,
+        step=0.005,
+        sensor_std=(0.005, 0.01),
+    ),
+}
+
+
+def machine(name: str) -> Machine:
+    """Machine of a system.
+
+    Raises:
+        ConfigError: the system has no plant; names the remedy.
+    """
+    if name not in MACHINES:
+        raise ConfigError(
+            f"system {name!r} has no plant, so there is nothing to simulate; plants exist for "
+            f"{', '.join(MACHINES)}. Use measured runs: data=csv data.path=FOLDER."
+        )
+    return MACHINES[name]
+
+
+def named_effects(effects: Effects) -> dict[str, Values]:
+    """Effects as a mapping from name to parameter values.
+
+    Raises:
+        ConfigError: an entry is neither a name nor `{name: {parameter: value}}`, or a name comes twice.
+    """
+    out: dict[str, Values] = {}
+    for entry in [effects] if isinstance(effects, str | Mapping) else effects:
+        pairs = {entry: None} if isinstance(entry, str) else entry
+        if not isinstance(pairs, Mapping):
+            raise ConfigError(f"`effects` takes names or {{name: {{parameter: value}}}}; got {entry!r}.")
+        for name, values in pairs.items():
+            if not (values is None or isinstance(values, Mapping)):
+                raise ConfigError(
+                    f"effect {name!r} takes {{parameter: value}}; got {values!r}. "
+                    f"Write {{{name}: {{parameter: {values}}}}}."
+                )
+            if name in out:
+                raise ConfigError(f"`effects` names {name!r} twice; name it once.")
+            out[str(name)] = dict(values or {})
+    return out
+
+
+def make_plant_system(name: str, *, effects: Effects = (), declared_only: bool = False) -> System:
+    """The machine of a plant as a system, with all its effects and the true parameters.
+
+    Args:
+        name: Name of the system.
+        effects: Effects beyond those that the plant has; parameters given here also replace the plant's own.
+        declared_only: Leave out what the declared physics does not have (`effects` are still added).
+
+    Raises:
+        ConfigError: no plant of that name, or an unknown effect or parameter.
+    """
+    spec = machine(name)
+    asked = named_effects(effects)
+    present = {} if declared_only else {k: dict(v) for k, v in spec.effects.items()}
+    for key, values in asked.items():
+        present.setdefault(key, {}).update(values)
+    declared = make_system(name).effect_names
+    parameters: Values = dict(spec.values)
+    for key, given in present.items():
+        parameters.update({f"{key}.{parameter}": value for parameter, value in given.items()})
+    return make_system(name, effects=[k for k in present if k not in declared], values=parameters)
+
+
+def make_plant(
+    name: str,
+    *,
+    generator: torch.Generator,
+    effects: Effects = (),
+    declared_only: bool = False,
+    process_noise: float = 1.0,
+    sensor_noise: float = 1.0,
+    latency: float | None = None,
+    dt: float | None = None,
+    step: float | None = None,
+    check: bool = True,
+    dtype: torch.dtype = torch.float64,
+) -> Plant:
+    """The plant of a system.
+
+    Args:
+        name: Name of the system.
+        generator: Source of all randomness; it also sets the device.
+        effects: Effects beyond those that the plant has: `name` or `{name: {parameter: value}}`.
+        declared_only: Leave out the effects that the declared physics does not have.
+        process_noise: Factor on the machine's gusts.
+        sensor_noise: Factor on the machine's sensor noise.
+        latency: Time from a command to its effect [s]; default: the machine's.
+        dt: Sample [s]; default: the machine's.
+        step: Fine step [s]; default: the machine's, halved where effects are added, which may be faster.
+        check: Raise when a state is not finite.
+        dtype: Precision.
+
+    Raises:
+        ConfigError: no plant of that name, an unknown effect or parameter, or a number out of range.
+
+    Example:
+        >>> plant = make_plant("hexacopter", generator=torch.Generator().manual_seed(0),
+        effects=["quadratic_drag"])
+    """
+    spec = machine(name)
+    if not spec.gusts and process_noise not in (0.0, 1.0):
+        raise ConfigError(
+            f"the plant of {name!r} has no process noise that `process_noise` could scale; got "
+            f"{process_noise!r}. Leave it at 1."
+        )
+    sample = spec.dt if dt is None else dt
+    if step is None:
+        wanted = spec.step * (0.5 if effects and spec.step == spec.dt else 1.0)
+        step = sample / max(1, -(-round(sample / wanted * 1e6) // 1000000))
+    return Plant(
+        make_plant_system(name, effects=effects, declared_only=declared_only),
+        dt=sample,
+        generator=generator,
+        step=step,
+        gusts=spec.gusts,
+        sensor_std=spec.sensor_std,
+        process_noise=process_noise,
+        sensor_noise=sensor_noise,
+        latency=spec.latency if latency is None else latency,
+        limits=spec.limits,
+        check=check,
+        dtype=dtype,
+    )

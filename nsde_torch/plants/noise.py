@@ -1,0 +1,188 @@
+"""Noise of a plant: gusts that push it and errors of what is measured.
+
+A port is pushed by g + w: g an Ornstein-Uhlenbeck process, dg = -g dt / tau + std sqrt(2 / tau) dW, sampled
+exactly,
+
+    g' = a g + std sqrt(1 - a^2) xi,   a = exp(-dt / tau),
+
+and w white, white * xi / sqrt(dt); both are held over a sample, so that the integral of w over a time T has
+the variance white^2 T whatever dt is. (Gillespie, Physical Review E 54, 1996, for the exact update.)
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from math import exp, sqrt
+from typing import final
+
+import torch
+from torch import Tensor
+
+from nsde_torch.effects import Port
+from nsde_torch.errors import ConfigError
+from nsde_torch.systems import System
+
+
+@dataclass(frozen=True)
+class Gust:
+    """What pushes one port; one number for every axis, or one for each.
+
+    Args:
+        std: Standard deviation of the coloured part [unit of the port].
+        time_constant: Its correlation time [s], > 0.
+        white: Intensity of the white part [unit of the port times root second].
+    """
+
+    std: tuple[float, ...] = (0.0,)
+    time_constant: float = 1.0
+    white: tuple[float, ...] = (0.0,)
+
+
+@final
+class Gusts:
+    """The gusts of one plant, advanced a sample at a time.
+
+    Args:
+        spec: Gust of each port that has one.
+        widths: Number of axes of each port of the system.
+        dt: Sample [s].
+        scale: Factor on everything, >= 0.
+        generator: Source of all randomness; it also sets the device.
+        dtype: Precision.
+
+    Raises:
+        ConfigError: a port that the system lacks, or a time constant or scale out of range.
+    """
+
+    def __init__(
+        self,
+        spec: Mapping[Port, Gust],
+        *,
+        widths: Mapping[Port, int],
+        dt: float,
+        scale: float,
+        generator: torch.Generator,
+        dtype: torch.dtype,
+    ) -> None:
+        if not scale >= 0:
+            raise ConfigError(f"`process_noise` must be a factor of 0 or more; got {scale!r}.")
+        self._generator, self._dtype = generator, dtype
+        self._parts: list[tuple[Port, int, float, Tensor, Tensor]] = []
+        for port, gust in spec.items():
+            if port not in widths:
+                known = ", ".join(p.value for p in widths)
+                raise ConfigError(
+                    f"gusts act on the port {port.value!r}, which the system lacks; it has: {known}."
+                )
+            if not gust.time_constant > 0:
+                raise ConfigError(f"`time_constant` of a gust must be > 0 s; got {gust.time_constant!r}.")
+            width, keep = widths[port], exp(-dt / gust.time_constant)
+            std, white = (self._row(v, width, port) * scale for v in (gust.std, gust.white))
+            if scale > 0:
+                self._parts.append((port, width, keep, std, white / sqrt(dt)))
+        self._width = sum(width for _, width, *_ in self._parts)
+        self._state: list[Tensor] = []
+
+    def _row(self, values: tuple[float, ...], width: int, port: Port) -> Tensor:
+        row = torch.tensor(values, dtype=self._dtype, device=self._generator.device)
+        if row.numel() not in (1, width):
+            raise ConfigError(f"a gust on {port.value!r} takes 1 or {width} numbers; got {row.numel()}.")
+        return row.expand(width)
+
+    def _normal(self, batch: int, columns: int) -> Tensor:
+        return torch.randn(
+            batch, columns, generator=self._generator, dtype=self._dtype, device=self._generator.device
+        )
+
+    def reset(self, batch: int) -> None:
+        """Start from the stationary distribution, for `batch` rows."""
+        draws = self._normal(batch, self._width).split([w for _, w, *_ in self._parts], 1)
+        self._state = [xi * std for xi, (_, _, _, std, _) in zip(draws, self._parts, strict=True)]
+
+    def draw(self) -> dict[Port, Tensor]:
+        """Push of each port over the next sample, (B, width of the port) [unit of the port]."""
+        if not self._parts:
+            return {}
+        xi = self._normal(self._state[0].shape[0], 2 * self._width)
+        out, at = {}, 0
+        for k, (port, width, keep, std, white) in enumerate(self._parts):
+            out[port] = self._state[k] + white * xi[:, at : at + width]
+            fresh = xi[:, at + width : at + 2 * width]
+            self._state[k] = keep * self._state[k] + sqrt(1.0 - keep * keep) * std * fresh
+            at += 2 * width
+        return out
+
+
+@final
+class Sensor:
+    """Measurement: state plus white noise, a quaternion turned by a small random rotation.
+
+    Args:
+        system: The machine.
+        std: Standard deviation of each error channel of the system (`system.error_names`) [its unit; rad
+            for the three of an attitude].
+        scale: Factor on all of them, >= 0; with 0 the state is returned as it is.
+        generator: Source of all randomness.
+        dtype: Precision.
+
+    Raises:
+        ConfigError: wrong number of channels, or a negative value.
+    """
+
+    def __init__(
+        self,
+        system: System,
+        std: tuple[float, ...],
+        *,
+        scale: float,
+        generator: torch.Generator,
+        dtype: torch.dtype,
+    ) -> None:
+        n = len(system.error_names)
+        if len(std) != n or min(std) < 0:
+            raise ConfigError(
+                f"`sensor_std` takes {n} numbers of 0 or more ({', '.join(system.error_names)}); got {std!r}."
+            )
+        if not scale >= 0:
+            raise ConfigError(f"`sensor_noise` must be a factor of 0 or more; got {scale!r}.")
+        self._quaternion = system.quaternion
+        self._generator = generator
+        self._std = torch.tensor(std, dtype=dtype, device=generator.device) * scale
+        self._silent = scale == 0 or not any(std)
+
+    def __call__(self, x: Tensor) -> Tensor:
+        """The state (B, nx) as measured, (B, nx)."""
+        if self._silent:
+            return x
+        noise = self._std * torch.randn(
+            x.shape[0],
+            len(self._std),
+            generator=self._generator,
+            dtype=self._std.dtype,
+            device=self._std.device,
+        )
+        if self._quaternion is None:
+            return x + noise
+        start = self._quaternion.start
+        before, turn, after = noise[:, :start], noise[:, start : start + 3], noise[:, start + 3 :]
+        q = turned(x[:, self._quaternion], turn)
+        return torch.cat((x[:, :start] + before, q, x[:, self._quaternion.stop :] + after), 1)
+
+
+def turned(q: Tensor, r: Tensor) -> Tensor:
+    """Attitude q (B, 4) turned by the rotation vector r (B, 3) [rad] in body axes: q exp(r / 2)."""
+    half = 0.5 * r
+    angle = torch.linalg.vector_norm(half, dim=1, keepdim=True)
+    a, b, c = (half * torch.sinc(angle / torch.pi)).unbind(1)
+    s = torch.cos(angle)[:, 0]
+    w, x, y, z = q.unbind(1)
+    return torch.stack(
+        (
+            w * s - x * a - y * b - z * c,
+            w * a + x * s + y * c - z * b,
+            w * b - x * c + y * s + z * a,
+            w * c + x * b - y * a + z * s,
+        ),
+        1,
+    )

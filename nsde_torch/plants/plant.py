@@ -1,0 +1,233 @@
+"""A plant: the simulated machine that stands for the real one, and may hold effects that no model is told of.
+
+    dz/dt = system.drift(t, z, u(t - latency)) + gusts on the ports,        measured = x + sensor noise
+
+The drift is integrated by Runge-Kutta 4 with a fine step inside each sample; gusts are held over a sample
+(see `noise`). All rows of a batch advance at once: 256 closed loops cost little more than one.
+"""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Mapping
+from typing import final
+
+import torch
+from torch import Tensor
+
+from nsde_torch.effects import Parametrised, Port
+from nsde_torch.errors import ConfigError, NonFiniteError, ShapeError
+from nsde_torch.plants.noise import Gust, Gusts, Sensor
+from nsde_torch.sde import Calculus, Time, make_step
+from nsde_torch.systems import System
+
+
+@final
+class _Forced:
+    """The drift of a system with forces added on its ports, as a solver wants it."""
+
+    calculus: Calculus = "either"
+
+    def __init__(self, system: System) -> None:
+        self.system = system
+        self.forces: Mapping[Port, Tensor] = {}
+
+    def drift(self, t: Time, z: Tensor, u: Tensor) -> Tensor:
+        return self.system.drift(t, z, u, self.forces)
+
+    def diffusion(self, t: Time, z: Tensor, u: Tensor) -> Tensor:
+        return torch.zeros_like(z)
+
+    def project(self, z: Tensor) -> Tensor:
+        return self.system.project(z)
+
+
+@final
+class Plant:
+    """A batch of simulated machines under sampled control.
+
+    Args:
+        system: The machine with all effects that act on it, memory included. It is copied; its parameters are
+            taken as they are now.
+        dt: Sample: commands are held and states are measured at this interval [s], > 0.
+        generator: Source of all randomness; it also sets the device.
+        step: Fine step of the integration [s]; `dt` must be a multiple of it. An effect with a time constant
+            below about a third of it makes the integration unstable (not checked; see `NonFiniteError`).
+        gusts: What pushes each port.
+        sensor_std: Noise of each error channel (see `Sensor`); None measures the state itself.
+        process_noise: Factor on all gusts.
+        sensor_noise: Factor on all sensor noise.
+        latency: Time from a command to its effect [s], >= 0, rounded to fine steps.
+        limits: Lowest and highest command; commands beyond are clipped. None: no limits.
+        check: Raise when a state is not finite; otherwise the caller looks after it.
+        dtype: Precision.
+
+    Raises:
+        ConfigError: a time or factor out of range.
+
+    Example:
+        >>> plant = make_plant("hexacopter", generator=torch.Generator().manual_seed(0))
+        >>> measured = plant.reset(x0, u0)
+        >>> for _ in range(100):
+        ...     measured = plant.step(controller(measured))
+    """
+
+    def __init__(
+        self,
+        system: System,
+        *,
+        dt: float,
+        generator: torch.Generator,
+        step: float = 0.005,
+        gusts: Mapping[Port, Gust] | None = None,
+        sensor_std: tuple[float, ...] | None = None,
+        process_noise: float = 1.0,
+        sensor_noise: float = 1.0,
+        latency: float = 0.0,
+        limits: tuple[float, float] | None = None,
+        check: bool = True,
+        dtype: torch.dtype = torch.float64,
+    ) -> None:
+        if not (dt > 0 and step > 0):
+            raise ConfigError(f"`dt` and `step` must be positive times in seconds; got {dt!r} and {step!r}.")
+        self._substeps = round(dt / step)
+        if self._substeps < 1 or abs(self._substeps * step - dt) > 1e-6 * dt:
+            raise ConfigError(f"`dt` must be a multiple of the fine `step`; got {dt!r} and {step!r} s.")
+        if not latency >= 0:
+            raise ConfigError(f"`latency` must be a time of 0 s or more; got {latency!r}.")
+        self.system = _frozen(system).to(device=generator.device, dtype=dtype)
+        self.dt, self._fine = float(dt), float(dt) / self._substeps
+        self._delay = round(latency / self._fine)
+        self._limits, self._check, self._dtype = limits, check, dtype
+        self._generator = generator
+        self._gusts = Gusts(
+            gusts or {}, widths=system.ports, dt=dt, scale=process_noise, generator=generator, dtype=dtype
+        )
+        std = (0.0,) * len(system.error_names) if sensor_std is None else sensor_std
+        self._sensor = Sensor(system, std, scale=sensor_noise, generator=generator, dtype=dtype)
+        self._sde, self._solver = _Forced(self.system), make_step("rk4")
+        self._z = torch.empty(0, system.nz, dtype=dtype, device=generator.device)
+        self._commands: list[Tensor] = []
+        self._samples = 0
+
+    @property
+    def time(self) -> float:
+        """Time since the reset [s]."""
+        return self._samples * self.dt
+
+    @property
+    def state(self) -> Tensor:
+        """The true state (B, nx), which no controller sees."""
+        return self._z[:, : self.system.nx]
+
+    @property
+    def latency(self) -> float:
+        """Time from a command to its effect [s], as rounded to fine steps."""
+        return self._delay * self._fine
+
+    @torch.no_grad()
+    def reset(self, x0: Tensor, u0: Tensor) -> Tensor:
+        """Put the machines into a state, at rest under a command.
+
+        Args:
+            x0: True states (B, nx).
+            u0: Commands (B, nu) given until now: they fill the latency and the memory of the effects.
+
+        Returns:
+            Measured states (B, nx).
+
+        Raises:
+            ShapeError: wrong columns, or unequal numbers of rows.
+        """
+        x, u = self._rows("x0", x0, self.system.nx), self._rows("u0", u0, self._width)
+        if len(x) != len(u):
+            raise ShapeError(f"`x0` and `u0` must have equal numbers of rows; got {len(x)} and {len(u)}.")
+        u = self._clipped(u)
+        self._z = self.system.project(self.system.augment(x, u))
+        self._commands = [u] * (1 + -(-self._delay // self._substeps))
+        self._samples = 0
+        self._gusts.reset(len(x))
+        return self._sensor(x)
+
+    @torch.no_grad()
+    def step(self, u: Tensor) -> Tensor:
+        """Advance all machines by one sample.
+
+        Args:
+            u: Commands, and exogenous channels where effects read any, (B, nu + n_exogenous); held over the
+                sample.
+
+        Returns:
+            Measured states at the end of the sample (B, nx).
+
+        Raises:
+            ShapeError: wrong columns or rows, or no reset before.
+            NonFiniteError: a state is not finite, and `check`.
+        """
+        u = self._rows("u", u, self._width)
+        if len(u) != len(self._z):
+            raise ShapeError(
+                f"`u` must have a row for each of the {len(self._z)} machines of the last reset; got "
+                f"{len(u)}."
+            )
+        self._commands = [*self._commands[1:], self._clipped(u)]
+        self._sde.forces = self._gusts.draw()
+        z, start = self._z, self.time
+        for k in range(self._substeps):
+            # the command that was given `delay` fine steps before this one
+            command = self._commands[-1 + (k - self._delay) // self._substeps]
+            z = self._sde.project(
+                self._solver.advance(self._sde, start + k * self._fine, z, command, self._fine, None)
+            )
+        self._z = z
+        self._samples += 1
+        if self._check and not bool(torch.isfinite(z).all()):
+            rows = torch.nonzero(~torch.isfinite(z).all(1))[:, 0].tolist()
+            raise NonFiniteError(
+                f"the plant left the finite numbers in step {self._samples} ({self.time:.4g} s), "
+                f"rows {rows[:8]}{', ...' if len(rows) > 8 else ''} of {len(z)}. "
+                "Gentler inputs or a smaller `step` may help."
+            )
+        return self._sensor(self.state)
+
+    @property
+    def _width(self) -> int:
+        return self.system.nu + len(self.system.exogenous)
+
+    def _rows(self, name: str, value: Tensor, width: int) -> Tensor:
+        value = torch.as_tensor(value, dtype=self._dtype, device=self._generator.device)
+        if value.ndim != 2 or value.shape[1] != width:
+            raise ShapeError(f"`{name}` must be (batch, {width}); got {tuple(value.shape)}.")
+        return value
+
+    def _clipped(self, u: Tensor) -> Tensor:
+        if self._limits is None:
+            return u
+        nu = self.system.nu
+        command = u[:, :nu].clamp(*self._limits)
+        return command if u.shape[1] == nu else torch.cat((command, u[:, nu:]), 1)
+
+
+def _frozen(system: System) -> System:
+    """A copy whose parameters are plain numbers: their bounds need not be worked out at every drift."""
+    system = copy.deepcopy(system).double().requires_grad_(False)
+    for module in system.modules():
+        if isinstance(module, Parametrised):
+            values = {name: value.clone() for name, (value, _) in module.declared_parameters().items()}
+            for name, value in values.items():
+                module.register_buffer(f"frozen_{name}", value, persistent=False)
+            module.__dict__["value"] = _Values(module)
+    return system
+
+
+@final
+class _Values:
+    """Looks up the frozen parameters of a module, wherever they have been moved to."""
+
+    def __init__(self, module: Parametrised) -> None:
+        self._buffers = module._buffers
+
+    def __call__(self, name: str) -> Tensor:
+        value = self._buffers[f"frozen_{name}"]
+        assert value is not None
+        return value

@@ -1,0 +1,134 @@
+"""Built-in data sets: `simulated("hexacopter")` makes, checks and summarises the runs of a plant.
+
+Every random number comes from `seed`. The runs pass the same checks as measured files, so that a simulated
+set is a `DataSet` like any other, of kind `simulated`.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+from nsde_torch.data import DataSet, RawRun, SystemInfo, assemble
+from nsde_torch.errors import ConfigError, DataError
+from nsde_torch.plants import cache as _cache
+from nsde_torch.plants.cartpole import cartpole_episodes
+from nsde_torch.plants.flights import manual_flights
+from nsde_torch.plants.machines import Effects, machine, make_plant_system, named_effects
+from nsde_torch.plants.mass_spring_damper import spring_runs
+from nsde_torch.systems import make_system
+
+RECORDINGS: dict[str, Callable[..., list[RawRun]]] = {
+    "hexacopter": manual_flights,
+    "quadrotor": manual_flights,
+    "cartpole": cartpole_episodes,
+    "mass_spring_damper": spring_runs,
+}
+"""System -> function (name, *, durations, seed, effects, process_noise, sensor_noise, ...) -> runs."""
+
+
+def simulated(
+    system: str | SystemInfo,
+    *,
+    durations: Sequence[float] | None = None,
+    seed: int = 0,
+    effects: Effects = (),
+    process_noise: float = 1.0,
+    sensor_noise: float = 1.0,
+    cache: str | Path | None = None,
+    use_cache: bool = True,
+    gap: float | None = None,
+    clock: str = "rescale",
+    **options: Any,
+) -> DataSet:
+    """Runs of a plant, as a checked data set.
+
+    Args:
+        system: The system, or its name.
+        durations: Length of each run [s]; default: the system's own set.
+        seed: Seed of everything random.
+        effects: Effects that the plant has and the model need not be told of: `name`, or
+            `{name: {parameter: value}}`; parameters of an effect that the plant has anyway are replaced.
+        process_noise: Factor on the machine's gusts.
+        sensor_noise: Factor on the machine's sensor noise.
+        cache: Folder that keeps the runs; default: NSDE_CACHE, else the user's cache folder.
+        use_cache: Whether to read and write the cache.
+        gap: Time between rows that counts as a gap [s] (see `nsde_torch.data.read`).
+        clock: What to do about a clock that disagrees with the kinematics.
+        options: Further options of the system's recording: `force`, `region` (mass_spring_damper), `policy`,
+            `exploration` (cartpole).
+
+    Returns:
+        The data set, of kind `simulated`.
+
+    Raises:
+        ConfigError: the system has no plant (the message names the remedy), an unknown effect, parameter or
+            option, or a number out of range.
+
+    Example:
+        >>> data = simulated("hexacopter", seed=1, effects=["quadratic_drag"])
+        >>> data.names
+        ('flight_0', 'flight_1', 'flight_2')
+    """
+    info: SystemInfo = make_system(system) if isinstance(system, str) and system in RECORDINGS else system  # type: ignore[assignment]
+    name = system if isinstance(system, str) else system.name
+    machine(name)  # refuses a system without a plant
+    own = make_plant_system(name, effects=effects)
+    if tuple(info.state_names) != own.state_names or tuple(info.input_names) != own.input_names:
+        raise ConfigError(
+            f"the system {name!r} has other columns than the plant of that name; expected states "
+            f"{own.state_names} and inputs {own.input_names}. Give your system a name of its own and use "
+            "data=csv data.path=FOLDER."
+        )
+    _check_numbers(durations, seed, process_noise=process_noise, sensor_noise=sensor_noise)
+    if info.exogenous or own.exogenous:
+        raise ConfigError(
+            f"simulated runs of {name!r} have no further channels, but effects read "
+            f"{sorted({*info.exogenous, *own.exogenous})}. Leave those effects out, or use data=csv."
+        )
+    settings: dict[str, Any] = {
+        "durations": None if durations is None else [float(d) for d in durations],
+        "seed": int(seed),
+        "effects": named_effects(effects),
+        "process_noise": float(process_noise),
+        "sensor_noise": float(sensor_noise),
+    }
+    key = _cache.key_of(_plain({"system": name, **settings, "options": options}))
+    raw = _cache.load(key, cache) if use_cache else None
+    if raw is None:
+        try:
+            raw = RECORDINGS[name](name, **settings, **options)
+        except TypeError as error:
+            if "unexpected keyword" in str(error):
+                raise ConfigError(f"simulated runs of {name!r}: {error}.") from error
+            raise
+        if use_cache:
+            _cache.store(key, raw, cache)
+    try:
+        return assemble(raw, info, kind="simulated", gap=gap, clock=clock)
+    except DataError as error:
+        raise DataError(
+            f"the simulated runs do not pass the checks of measured ones: {error} Weaker noise or "
+            "effects may help."
+        ) from error
+
+
+def _check_numbers(durations: Sequence[float] | None, seed: int, **factors: float) -> None:
+    if durations is not None and not (len(durations) and all(math.isfinite(d) and d > 0 for d in durations)):
+        raise ConfigError(f"`durations` must be one or more times above 0 s; got {list(durations)}.")
+    if isinstance(seed, bool) or int(seed) != seed or seed < 0:
+        raise ConfigError(f"`seed` must be a whole number of 0 or more; got {seed!r}.")
+    for name, value in factors.items():
+        if not (math.isfinite(value) and value >= 0):
+            raise ConfigError(f"`{name}` must be a factor of 0 or more; got {value!r}.")
+
+
+def _plain(value: Any) -> Any:
+    """Settings as containers that JSON can write."""
+    if isinstance(value, dict):
+        return {str(k): _plain(v) for k, v in value.items()}
+    if isinstance(value, str | int | float | bool) or value is None:
+        return value
+    return [_plain(v) for v in value]

@@ -11,11 +11,14 @@ from omegaconf import DictConfig, OmegaConf
 from nsde_torch.data import DataSet, Split, read
 from nsde_torch.data import split as split_runs
 from nsde_torch.errors import ConfigError
+from nsde_torch.learning.options import LossOptions, TrainerOptions
+from nsde_torch.models import ModelSpec, NeuralSDE
+from nsde_torch.plants import simulated
 from nsde_torch.sde import Step, make_step
 from nsde_torch.systems import System, make_system
 
-# Keys of a data configuration that are not options of a reader.
-_NOT_FOR_READERS = ("kind", "test", "validation")
+# Keys of a data configuration that are not arguments of the function that makes the data.
+_NOT_FOR_DATA = ("kind", "test", "validation", "options")
 
 
 def settings(config: DictConfig, *, sweep: bool) -> tuple[torch.device, torch.dtype]:
@@ -73,9 +76,14 @@ def system(config: DictConfig) -> System:
         config.name,
         effects=list(config.effects),
         declared=None if config.declared is None else list(config.declared),
-        values=dict(_dotted(options(config)["parameters"])),
+        values=parameter_values(config),
         **options(config)["options"],
     )
+
+
+def parameter_values(config: DictConfig) -> dict[str, Any]:
+    """Initial values of declared parameters, `name` or `effect.name`, from the group `system`."""
+    return dict(_dotted(options(config)["parameters"]))
 
 
 def _dotted(values: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
@@ -98,7 +106,10 @@ def dataset(config: DictConfig, machine: System) -> DataSet:
         DataError: The data cannot be used.
         ConfigError: An option is wrong.
     """
-    return read(config.kind, machine, **options(config, *_NOT_FOR_READERS))
+    given = options(config, *_NOT_FOR_DATA)
+    if config.kind == "simulated":
+        return simulated(machine, **given, **options(config.options))
+    return read(config.kind, machine, **given)
 
 
 def split(config: DictConfig, data: DataSet) -> Split:
@@ -108,6 +119,56 @@ def split(config: DictConfig, data: DataSet) -> Split:
         DataError: There is no such run, or no run is left on a side.
     """
     return split_runs(data, None if config.test is None else list(config.test))
+
+
+def model_spec(config: DictConfig, machine: System) -> ModelSpec:
+    """What the model is made of; a null of the group `system` is the system's own constant.
+
+    Args:
+        config: The whole configuration.
+        machine: The system that it names.
+    """
+    system, model, own = config.system, config.model, machine.defaults
+    learned = (model.sigma or ("declared" if config.loss.kind == "paper" else "learned")) == "learned"
+    declared = None if learned else tuple(own.sigma_max)
+    return ModelSpec(
+        system=system.name,
+        effects=tuple(system.effects),
+        declared=None if system.declared is None else tuple(system.declared),
+        system_options=options(system)["options"],
+        dt=own.dt if system.dt is None else system.dt,
+        horizon=own.horizon if system.horizon is None else system.horizon,
+        step=step(config.solver, machine).name,
+        distance_hidden=tuple(model.distance_hidden),
+        mu_hidden=tuple(model.mu_hidden),
+        residual_hidden=tuple(model.residual_hidden),
+        sigma_max=declared if system.sigma_max is None else tuple(system.sigma_max),
+        filter_reach=model.filter_reach,
+        measurement=model.measurement,
+        loss=config.loss.kind,
+    )
+
+
+def model(config: DictConfig, machine: System) -> NeuralSDE:
+    """The model with its initial weights, which the top-level seed decides."""
+    return NeuralSDE(
+        model_spec(config, machine),
+        generator=torch.Generator().manual_seed(config.seed),
+        values=parameter_values(config.system),
+    )
+
+
+def loss_options(config: DictConfig) -> LossOptions:
+    """Weights of the losses; radius and reward that belong to the machine come from the group `system`."""
+    given = options(config.loss)
+    if given["mu"] is None:
+        given["mu"] = config.system.lambda_mu
+    return LossOptions(ball_radius=config.system.ball_radius, **given)
+
+
+def trainer_options(config: DictConfig) -> TrainerOptions:
+    """Settings of the optimisation."""
+    return TrainerOptions(**options(config))
 
 
 def step(config: DictConfig, machine: System) -> Step:

@@ -64,10 +64,15 @@ class SimulatedData(DataConfig):
     kind: str = key("simulated", "kind of the data set, set by data=")
     durations: list[float] | None = key(None, "length of each run; null: the system's own", unit="s", above=0)
     seed: int = key(0, "seed of the simulated flights and their noise", low=0)
-    effects: list[str] = key([], "effects that the plant has and the model is not told of")
+    effects: Any = key(
+        [], "effects that the plant has and the model is not told of: names, or {NAME: {parameter: 1}}"
+    )
     process_noise: float = key(1.0, "strength of the gusts, relative to the plant's own", low=0)
     sensor_noise: float = key(1.0, "strength of the measurement noise, relative to the plant's own", low=0)
-    cache: str | None = key(None, "folder that keeps simulated runs; null: the user's cache folder")
+    cache: str | None = key(
+        None, "folder that keeps simulated runs; null: NSDE_CACHE or the user's cache folder"
+    )
+    options: dict[str, Any] = key({}, "further options of the system's recording, data.options.NAME=1")
 
 
 @dataclass
@@ -103,43 +108,59 @@ class PublishedData(FileData):
 class ModelConfig:
     """The networks of the model."""
 
-    kind: str = key("nsde", "kind of the model, set by model=")
+    kind: str = key("nsde", "kind of the model, set by model=", choices=("nsde",))
     distance_hidden: list[int] = key([32, 32], "widths of the distance network eta (swish)", low=1)
     mu_hidden: list[int] = key([8, 8], "widths of the strong-convexity network mu (tanh)", low=1)
     residual_hidden: list[int] = key([8, 16], "widths of the residual networks (tanh)", low=1)
+    sigma: str | None = key(
+        None,
+        "sigma_max is learned or the system's; null: declared with loss=paper, else learned",
+        choices=("learned", "declared"),
+    )
+    filter_reach: int = key(0, "taps on each side of the learned input filter; 0: no filter", low=0)
+    measurement: bool = key(False, "learn the sensor noise beside the diffusion")
 
 
 @dataclass
 class LossConfig:
-    """Weights and sizes of the losses."""
+    """Weights and sizes of the losses (`nsde_torch.learning.LossOptions`)."""
 
-    kind: str = key("???", "kind of the data loss, set by loss=")
+    kind: str = key("???", "kind of the data loss, set by loss=", choices=("default", "paper"))
     data: float = key(1.0, "weight of the data loss", low=0)
     gradient: float = key(0.01, "weight of the zero-gradient loss (eta flat on the data)", low=0)
     convexity: float = key(0.01, "weight of the strong-convexity loss in a ball around the data", low=0)
-    mu: float | None = key(None, "weight of the reward on large mu; null: system.lambda_mu", low=0)
-    particles: int = key(1, "sampled paths per window", low=1)
-    ball_samples: int = key(10, "points drawn in the ball around each sample", low=1)
+    mu: float | None = key(
+        None, "weight of the reward on large mu; null: system.lambda_mu with loss=paper, else 0.01", low=0
+    )
+    particles: int = key(2, "paths per window; loss=default needs two", low=1)
+    points: int = key(256, "states of a batch that the distance losses look at", low=1)
+    ball_samples: int = key(8, "points drawn in the ball around each", low=1)
+    far_radius: float = key(
+        16.0, "largest radius that loss=default draws up to", unit="std of the features", above=0
+    )
+    residual_decay: float = key(0.003, "weight of the squared weights of the residual networks", low=0)
+    early: float = key(0.5, "step k of a window weighs k^-early (loss=default)", low=0)
 
 
 @dataclass
 class TrainerConfig:
-    """Optimisation."""
+    """Optimisation (`nsde_torch.learning.TrainerOptions`)."""
 
-    steps: int = key(2000, "largest number of gradient steps", unit="steps", low=1)
+    steps: int = key(1000, "largest number of gradient steps", unit="steps", low=1)
     batch: int = key(512, "windows per gradient step", low=1)
     lr: float = key(0.01, "learning rate at the start", above=0)
     lr_end: float = key(0.001, "learning rate after the decay", above=0)
-    decay_steps: int = key(10000, "steps over which the learning rate falls linearly", unit="steps", low=1)
+    decay_steps: int | None = key(
+        None, "steps over which the learning rate falls linearly; null: trainer.steps", unit="steps", low=1
+    )
     patience: int = key(10, "validations without a better score before training stops", low=1)
-    clip: float | None = key(1.0, "largest norm of the gradient; null: no clipping", above=0)
-    validate_every: int = key(100, "steps between validations", unit="steps", low=1)
+    clip: float | None = key(10.0, "largest norm of the gradient; null: no clipping", above=0)
+    validate_every: int = key(50, "steps between validations", unit="steps", low=1)
     checkpoint_every: int = key(100, "steps between checkpoints", unit="steps", low=1)
     compile: str = key(
-        "auto",
-        "compile the step (auto: where a C++ compiler is found)",
-        choices=("auto", "on", "off"),
+        "auto", "compile the step (auto: where a C++ compiler is found)", choices=("auto", "on", "off")
     )
+    calibrate: bool = key(True, "scale the diffusion by errors across training runs (loss=default)")
 
 
 @dataclass

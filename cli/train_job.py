@@ -24,21 +24,21 @@ def run(config: DictConfig, job: Job) -> float:
     """
     # torch is imported here, not above: a launcher's parent process needs this module, but not torch.
     from nsde_torch import learning
-    from nsde_torch.models import make_model
 
     from . import build
 
     device, dtype = build.settings(config, sweep=job.sweep)
     system = build.system(config.system)
-    step = build.step(config.solver, system)
+    model = build.model(config, system).to(device=device, dtype=dtype)
     data = build.dataset(config.data, system)
-    runs = build.split(config.data, data)
-    model = make_model(config.model.kind, system, step=step, **build.options(config.model, "kind"))
     return learning.train(
-        model.to(device=device, dtype=dtype),
+        model,
         data,
-        runs,
-        config=build.options(config, "run_dir", "sweep_dir", "resume"),
+        build.split(config.data, data),
+        loss=build.loss_options(config),
+        options=build.trainer_options(config.trainer),
+        validation=config.data.validation,
+        seed=config.seed,
         run_dir=job.run_dir,
         resume=config.resume is not None,
     )

@@ -43,4 +43,4 @@ def published(root: Path) -> Path:
 @pytest.fixture(autouse=True)
 def _own_cache(tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch) -> None:
     """Caches of simulated data go to a folder of the test session, never to the user's."""
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path_factory.getbasetemp() / "cache"))
+    monkeypatch.setenv("NSDE_CACHE", str(tmp_path_factory.getbasetemp() / "cache"))

@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+import dataclasses
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 import torch
+from hydra import compose, initialize_config_module
 from omegaconf import OmegaConf
 
-from nsde_torch.cli import build
+from nsde_torch.cli import build, groups, schema
 from nsde_torch.cli.schema import CsvData
 from nsde_torch.errors import ConfigError, DataError
+from nsde_torch.learning.options import LossOptions, TrainerOptions
 from nsde_torch.systems import make_system
 
 
@@ -64,3 +68,71 @@ def test_runs_are_read_and_split_as_the_configuration_says(tmp_path: Path) -> No
     config.test = [7]
     with pytest.raises(DataError, match="7"):
         build.split(config, data)
+
+
+def _configuration(*words: str) -> Any:
+    schema.register()
+    with initialize_config_module("nsde_torch.conf", version_base="1.3"):
+        return compose("train", overrides=list(words))
+
+
+@pytest.mark.parametrize(
+    ("group", "declared", "known"),
+    [("loss", schema.LossConfig, LossOptions), ("trainer", schema.TrainerConfig, TrainerOptions)],
+)
+def test_keys_and_defaults_are_those_of_the_library(group: str, declared: type, known: type) -> None:
+    library = {field.name: field.default for field in dataclasses.fields(known)}
+    library.pop("ball_radius", None)  # a constant of the machine: system.ball_radius
+    keys = {field.name: field.default for field in dataclasses.fields(declared)}
+    if group == "loss":
+        keys["kind"] = groups.defaults("train")["loss"]
+    assert keys == library
+
+
+def test_constants_that_are_not_set_are_the_systems_own() -> None:
+    config = _configuration("system=cartpole", "loss=paper")
+    machine = build.system(config.system)
+    spec = build.model_spec(config, machine)
+    assert (spec.dt, spec.horizon, spec.step) == (
+        machine.defaults.dt,
+        machine.defaults.horizon,
+        machine.defaults.step,
+    )
+    assert spec.sigma_max == tuple(machine.defaults.sigma_max)
+    assert build.loss_options(config).mu is None
+    assert build.loss_options(config).ball_radius is None
+
+
+def test_constants_that_are_set_win() -> None:
+    words = ["system=mass_spring_damper", "system.dt=0.02", "system.horizon=7", "system.sigma_max=[1,2]"]
+    config = _configuration(*words, "system.lambda_mu=3", "system.ball_radius=0.5", "solver=heun")
+    spec = build.model_spec(config, build.system(config.system))
+    assert (spec.dt, spec.horizon, spec.sigma_max, spec.step) == (0.02, 7, (1.0, 2.0), "heun")
+    assert build.loss_options(config).mu == 3
+    assert build.loss_options(config).ball_radius == 0.5
+    assert build.loss_options(_configuration("system.lambda_mu=3", "loss.mu=4")).mu == 4
+
+
+@pytest.mark.parametrize("words", [[], ["loss=paper"], ["model.sigma=declared"], ["trainer=paper"]])
+def test_sigma_is_learned_unless_the_loss_or_the_user_declares_it(words: list[str]) -> None:
+    config = _configuration("system=cartpole", *words)
+    spec = build.model_spec(config, build.system(config.system))
+    assert (spec.sigma_max is None) == (words in ([], ["trainer=paper"]))
+    build.trainer_options(config.trainer)
+
+
+def test_the_seed_decides_the_initial_weights() -> None:
+    models = []
+    for seed in (0, 0, 1):
+        config = _configuration("system=mass_spring_damper", f"seed={seed}")
+        models.append(build.model(config, build.system(config.system)))
+    first, same, other = ([p.detach().clone() for p in model.parameters()] for model in models)
+    assert all(torch.equal(a, b) for a, b in zip(first, same, strict=True))
+    assert not all(torch.equal(a, b) for a, b in zip(first, other, strict=True))
+
+
+def test_simulated_runs_are_made_as_configured() -> None:
+    config = _configuration("system=mass_spring_damper", "data.durations=[2,3]", "data.seed=4").data
+    data = build.dataset(config, make_system("mass_spring_damper"))
+    assert data.kind == "simulated"
+    assert [round(run.duration) for run in data.runs] == [2, 3]

@@ -1,0 +1,171 @@
+"""What holds for every effect. A test class of an effect inherits `EffectContract` and names it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import pytest
+import torch
+from torch import Tensor
+
+from nsde_torch.effects import EFFECTS, Effect, Parameter, Port, make_effect
+from nsde_torch.systems import SYSTEMS, System, make_system
+
+
+class EffectContract:
+    """Inherit, and set `name` and a `system` that has the effect's port.
+
+    Attributes:
+        name: Key in `EFFECTS`.
+        system: System that it is tried on.
+        memory: Extra states that it is to carry.
+        size: Size of the states that it is tried on.
+    """
+
+    name: str
+    system: str
+    memory: int = 0
+    size: float = 1.0
+
+    def machine(self, **options: object) -> System:
+        """The system with this effect and no other."""
+        return make_system(self.system, declared=[], effects=[self.name], **options)  # type: ignore[arg-type]
+
+    def make(self, values: dict[str, float | list[float]] | None = None) -> Effect:
+        cls = SYSTEMS[self.system]
+        return make_effect(
+            self.name,
+            system=self.system,
+            ports={*cls.ports, Port.INPUT},
+            n_inputs=len(cls.input_names),
+            values=values,
+        )
+
+    def rows(self, n: int, *, seed: int = 0) -> tuple[Tensor, Tensor, Tensor]:
+        """States, inputs and some memory, float64."""
+        s, g = self.machine(), torch.Generator().manual_seed(seed)
+        x = self.size * torch.randn(n, s.nx, generator=g, dtype=torch.float64)
+        if s.quaternion is not None:
+            x[:, s.quaternion] /= x[:, s.quaternion].norm(dim=1, keepdim=True)
+        u = torch.rand(n, s.nu, generator=g, dtype=torch.float64)
+        return x, u, torch.rand(n, self.memory, generator=g, dtype=torch.float64)
+
+    def width(self) -> int:
+        """Columns of the effect's port."""
+        s = self.machine()
+        port = EFFECTS[self.name].port
+        return s.nu if port is Port.INPUT else s.ports[port]
+
+    def specs(self) -> Iterator[tuple[str, Parameter]]:
+        yield from EFFECTS[self.name].PARAMETERS.items()
+
+    # ---- description ----------------------------------------------------------------------------------
+
+    def test_it_says_what_it_is_and_where_it_comes_from(self) -> None:
+        cls = EFFECTS[self.name]
+        assert cls.name == self.name
+        assert cls.formula
+        assert cls.source
+        assert isinstance(cls.port, Port)
+        assert set(cls.systems) <= set(SYSTEMS)
+
+    def test_every_parameter_has_a_unit_and_a_first_value_inside_its_bounds(self) -> None:
+        declared = self.make().declared_parameters()
+        assert list(declared) == [name for name, _ in self.specs()]
+        for name, spec in self.specs():
+            value, unit = declared[name]
+            assert unit == spec.unit != ""
+            assert spec.help
+            expected = torch.as_tensor(spec.initial, dtype=value.dtype).reshape(-1)
+            torch.testing.assert_close(value, expected, rtol=1e-5, atol=1e-7)
+
+    # ---- parameters -----------------------------------------------------------------------------------
+
+    @pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+    def test_a_value_that_is_set_is_the_value_that_is_read(self, dtype: torch.dtype) -> None:
+        effect = self.make().to(dtype)
+        for name, spec in self.specs():
+            low = spec.low if spec.low is not None else -20.0
+            high = spec.high if spec.high is not None else low + 40.0
+            for share in (1e-3, 0.1, 0.5, 0.9, 0.999):
+                wanted = torch.full((effect.raw[name].numel(),), low + share * (high - low)).double()
+                effect.set_value(name, wanted)
+                torch.testing.assert_close(effect.value(name).double(), wanted, rtol=2e-4, atol=1e-6)
+
+    def test_an_optimiser_cannot_leave_the_bounds(self) -> None:
+        for name, spec in self.specs():
+            for sign in (-1.0, 1.0):
+                effect = self.make()
+                optimiser = torch.optim.Adam([effect.raw[name]], lr=1.0)
+                for _ in range(200):
+                    optimiser.zero_grad()
+                    (sign * effect.value(name)).sum().backward()
+                    optimiser.step()
+                value = effect.value(name)
+                assert bool(torch.isfinite(value).all())
+                assert spec.low is None or bool((value >= spec.low).all())
+                assert spec.high is None or bool((value <= spec.high).all())
+
+    def test_the_gradient_reaches_every_parameter(self) -> None:
+        effect = self.make().double()
+        x, u, memory = self.rows(8)
+        (effect(0.0, x, u, memory).sum() + effect.memory_rate(0.0, x, u, memory).sum()).backward()
+        for name, _ in self.specs():
+            gradient = effect.raw[name].grad
+            assert gradient is not None
+            assert bool(torch.isfinite(gradient).all())
+            assert bool((gradient != 0).any())
+
+    # ---- the term -------------------------------------------------------------------------------------
+
+    @pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+    def test_the_term_fits_its_port(self, dtype: torch.dtype) -> None:
+        effect = self.make().to(dtype)
+        x, u, memory = (v.to(dtype) for v in self.rows(5))
+        term = effect(0.0, x, u, memory)
+        assert term.shape == (5, self.width())
+        assert term.dtype == dtype
+        assert bool(torch.isfinite(term).all())
+
+    def test_rows_do_not_know_of_each_other(self) -> None:
+        effect = self.make().double()
+        x, u, memory = self.rows(6)
+        together = effect(0.0, x, u, memory)
+        for k in range(6):
+            alone = effect(0.0, x[k : k + 1], u[k : k + 1], memory[k : k + 1])
+            torch.testing.assert_close(alone[0], together[k])
+
+    def test_gradients_are_finite_at_rest(self) -> None:
+        effect = self.make().double()
+        s = self.machine()
+        x = torch.zeros(1, s.nx, dtype=torch.float64)
+        if s.quaternion is not None:
+            x[:, s.quaternion.start] = 1.0
+        x.requires_grad_()
+        u = torch.zeros(1, s.nu, dtype=torch.float64, requires_grad=True)
+        effect(0.0, x, u, torch.zeros(1, self.memory, dtype=torch.float64)).sum().backward()
+        for tensor in (x, u, *effect.parameters()):
+            assert tensor.grad is None or bool(torch.isfinite(tensor.grad).all())
+
+    def test_a_system_with_it_has_a_finite_drift(self) -> None:
+        s = self.machine().double()
+        x, u, _ = self.rows(7)
+        z = s.augment(x, u)
+        assert s.nz == s.nx + self.memory
+        assert s.drift(0.0, z, u).shape == z.shape == (7, s.nz)
+        assert bool(torch.isfinite(s.drift(0.0, z, u)).all())
+
+    # ---- memory ---------------------------------------------------------------------------------------
+
+    def test_it_carries_the_memory_that_it_states(self) -> None:
+        effect = self.make()
+        x, u, memory = self.rows(4)
+        assert effect.n_memory == self.memory
+        assert effect.memory_start(x, u).shape == (4, self.memory)
+        assert effect.double().memory_rate(0.0, x, u, memory).shape == (4, self.memory)
+
+    def test_its_memory_starts_at_rest(self) -> None:
+        effect = self.make().double()
+        x, u, _ = self.rows(4)
+        rate = effect.memory_rate(0.0, x, u, effect.memory_start(x, u))
+        torch.testing.assert_close(rate, torch.zeros_like(rate))

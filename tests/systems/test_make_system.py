@@ -1,0 +1,130 @@
+"""Systems by name: effects, values and options; every mistake is refused with the choices at hand."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+
+from nsde_torch.effects import Port
+from nsde_torch.effects.multirotor import LinearDrag
+from nsde_torch.errors import ConfigError, ShapeError
+from nsde_torch.systems import SYSTEMS, make_system, system_class
+
+
+def test_the_four_machines_are_known_by_their_names() -> None:
+    assert set(SYSTEMS) == {"mass_spring_damper", "cartpole", "hexacopter", "quadrotor"}
+    for name, cls in SYSTEMS.items():
+        assert cls.name == name
+        assert system_class(name) is cls
+
+
+def test_values_reach_the_system_and_its_effects() -> None:
+    s = make_system(
+        "hexacopter",
+        effects=["linear_drag"],
+        values={"thrust_gain": 5.5, "linear_drag.drag": [0.2, 0.3, 0.4]},
+    )
+    declared = s.all_declared()
+    assert declared["thrust_gain"][1] == "m/s2"
+    torch.testing.assert_close(declared["thrust_gain"][0], torch.tensor([5.5]))
+    torch.testing.assert_close(declared["linear_drag.drag"][0], torch.tensor([0.2, 0.3, 0.4]))
+
+
+def test_one_number_serves_all_axes() -> None:
+    s = make_system("hexacopter", effects=["linear_drag"], values={"linear_drag.drag": 0.2})
+    torch.testing.assert_close(s.all_declared()["linear_drag.drag"][0], torch.full((3,), 0.2))
+
+
+def test_an_effect_may_be_an_object() -> None:
+    s = make_system("quadrotor", effects=[LinearDrag({"drag": 0.7})])
+    assert s.effect_names == ("linear_drag",)
+    torch.testing.assert_close(s.all_declared()["linear_drag.drag"][0], torch.full((3,), 0.7))
+
+
+def test_effects_on_one_port_add_up() -> None:
+    x = torch.tensor([[0.3, 0.7]])
+    u = torch.zeros(1, 1)
+    both = make_system("mass_spring_damper", effects=["coulomb_friction"])
+    neither = make_system("mass_spring_damper", declared=[], effects=["coulomb_friction"])
+    spring = make_system("mass_spring_damper")
+    torch.testing.assert_close(
+        both.drift(0.0, x, u)[0, 1], neither.drift(0.0, x, u)[0, 1] + spring.drift(0.0, x, u)[0, 1]
+    )
+
+
+def test_an_effect_and_a_residual_on_one_port_add_up() -> None:
+    s = make_system("mass_spring_damper")
+    x, u = torch.tensor([[0.3, 0.7]]), torch.zeros(1, 1)
+    residual = {Port.FORCE: torch.tensor([[2.0]])}
+    torch.testing.assert_close(s.drift(0.0, x, u, residual), s.drift(0.0, x, u) + torch.tensor([[0.0, 2.0]]))
+    assert list(residual) == [Port.FORCE]
+    torch.testing.assert_close(residual[Port.FORCE], torch.tensor([[2.0]]))  # not written into
+
+
+@pytest.mark.parametrize(
+    ("name", "options", "words"),
+    [
+        ("hexacoptr", {}, ["unknown", "mass_spring_damper", "Did you mean 'hexacopter'", "module:Class"]),
+        ("no_such_module:Mine", {}, ["no module 'no_such_module'", "--config-dir", "PYTHONPATH"]),
+        ("nsde_torch.errors:Mine", {}, ["no class 'Mine'"]),
+        ("nsde_torch.errors:ConfigError", {}, ["subclass of nsde_torch.systems.System"]),
+        ("hexacopter", {"effects": ["linear_drg"]}, ["not in the catalogue", "Did you mean 'linear_drag'"]),
+        ("hexacopter", {"effects": ["viscous_friction"]}, ["does not act on", "hexacopter", "motor_lag"]),
+        ("mass_spring_damper", {"effects": ["linear_drag"]}, ["does not act on", "coulomb_friction"]),
+        ("cartpole", {"effects": ["motor_lag"]}, ["does not act on", "viscous_friction"]),
+        ("hexacopter", {"effects": ["linear_drag", "linear_drag"]}, ["twice", "linear_drag"]),
+        ("mass_spring_damper", {"effects": ["linear_spring"]}, ["twice", "linear_spring"]),
+        ("hexacopter", {"values": {"mass": 1.0}}, ["no parameter 'mass'", "thrust_gain"]),
+        ("hexacopter", {"values": {"linear_drag.drag": 1.0}}, ["does not have", "linear_drag", "none"]),
+        (
+            "hexacopter",
+            {"effects": ["linear_drag"], "values": {"linear_drag.size": 1.0}},
+            ["LinearDrag has no parameter 'size'", "drag"],
+        ),
+        ("hexacopter", {"values": {"thrust_gain": -1.0}}, ["thrust_gain", "m/s2", "between", "-1.0"]),
+        ("hexacopter", {"values": {"thrust_gain": 0.0}}, ["strictly"]),
+        ("cartpole", {"values": {"pole_share": 1.0}}, ["pole_share", "0.95"]),
+        ("hexacopter", {"values": {"thrust_gain": [1.0, 2.0]}}, ["takes 1 number", "got 2"]),
+        ("cartpole", {"thrust_degree": 2}, ["cartpole", "thrust_degree"]),
+    ],
+)
+def test_a_mistake_is_refused_with_its_remedy(name: str, options: dict[str, Any], words: list[str]) -> None:
+    with pytest.raises(ConfigError) as caught:
+        make_system(name, **options)
+    for word in words:
+        assert word in str(caught.value)
+
+
+@pytest.mark.parametrize("value", [float("nan"), float("inf")])
+def test_a_value_that_is_not_finite_is_refused(value: float) -> None:
+    for name in ("thrust_gain", "thrust_offset", "inertia_x"):
+        with pytest.raises(ConfigError, match=name):
+            make_system("hexacopter", values={name: value})
+
+
+def test_rows_of_the_wrong_width_are_refused_with_the_names_of_the_columns() -> None:
+    s = make_system("cartpole")
+    with pytest.raises(ShapeError, match=r"`x` must have 4 columns \(x, x_dot, theta, theta_dot\); got 3"):
+        s.check_rows("x", torch.zeros(2, 3), s.nx)
+
+
+def test_a_system_of_ones_own_is_found_by_module_and_class(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "my_machines.py").write_text(
+        "from nsde_torch.systems import MassSpringDamper\nSprings = MassSpringDamper\n", encoding="utf-8"
+    )
+    monkeypatch.syspath_prepend(tmp_path)
+    assert make_system("my_machines:Springs").name == "mass_spring_damper"
+
+
+def test_an_import_error_inside_ones_own_module_names_what_is_missing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "my_broken_machine.py").write_text("import no_such_package_at_all\n", encoding="utf-8")
+    monkeypatch.syspath_prepend(tmp_path)
+    with pytest.raises(ConfigError, match="no_such_package_at_all"):
+        make_system("my_broken_machine:Mine")

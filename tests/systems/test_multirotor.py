@@ -1,0 +1,207 @@
+"""Multirotors against their geometry and an independent rigid body in NumPy."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+from torch import Tensor
+
+from nsde_torch.errors import ConfigError
+from nsde_torch.systems import SYSTEMS, System, make_system
+from tests.helpers.system_contract import SystemContract, solve
+
+Array = NDArray[np.float64]
+
+# Motors as PX4 numbers them: place (forward, left) with the arm as unit, and the sense of the propeller seen
+# from above. A propeller that turns clockwise pushes the body the other way round, about +z.
+S, H = np.sqrt(3) / 2, 0.5
+GEOMETRY: dict[str, list[tuple[float, float, str]]] = {
+    "hexacopter": [
+        (0, -1, "cw"),
+        (0, 1, "ccw"),
+        (S, H, "cw"),
+        (-S, -H, "ccw"),
+        (S, -H, "ccw"),
+        (-S, H, "cw"),
+    ],
+    "quadrotor": [(1, -1, "ccw"), (-1, 1, "ccw"), (1, 1, "cw"), (-1, -1, "cw")],
+}
+VALUES = {
+    "thrust_gain": 5.1,
+    "thrust_offset": -0.4,
+    "roll_gain": 60.0,
+    "pitch_gain": 45.0,
+    "yaw_gain": 6.0,
+    "inertia_x": 0.6,
+    "inertia_y": 0.9,
+}
+
+
+def rigid_body(x: Array, u: Array, name: str) -> Array:
+    """Rates of one state by Newton and Euler, with an inertia matrix and moments in its own units."""
+    q, omega = x[6:10], x[10:13]
+    turn = Rotation.from_quat(np.roll(q, -1))
+    j_z = 0.02  # any value: only ratios can be seen
+    inertia = np.diag([VALUES["inertia_x"], VALUES["inertia_y"], 1.0]) * j_z
+    gains = np.diag(inertia) * [VALUES["roll_gain"], VALUES["pitch_gain"], VALUES["yaw_gain"]]
+    moment = np.zeros(3)
+    for (forward, left, sense), command in zip(GEOMETRY[name], u, strict=True):
+        arm = np.cross([forward, left, 0.0], [0.0, 0.0, 1.0])
+        drag = np.array([0.0, 0.0, 1.0 if sense == "cw" else -1.0])
+        moment += gains * (arm + drag) * command
+    thrust = np.array([0.0, 0.0, VALUES["thrust_gain"] * u.sum() + VALUES["thrust_offset"]])
+    acceleration = turn.apply(thrust) + np.array([0.0, 0.0, -9.81])
+    product = Rotation.from_quat(np.roll(q, -1)).as_matrix() @ omega  # world rates
+    w, r = q[0], q[1:]
+    q_rate = 0.5 * np.concatenate([[-product @ r], w * product + np.cross(product, r)])
+    angular = np.linalg.solve(inertia, moment - np.cross(omega, inertia @ omega))
+    return np.concatenate([x[3:6], acceleration, q_rate, angular])
+
+
+class MultirotorContract(SystemContract):
+    name: str
+
+    def make(self, **options: Any) -> System:
+        return make_system(self.name, **options)
+
+    def twin(self, x: Tensor) -> Tensor:
+        return torch.cat((x[:, :6], -x[:, 6:10], x[:, 10:]), 1)
+
+    def other_values(self) -> dict[str, float]:
+        return VALUES
+
+    def excitation(self, n: int, dt: float) -> Tensor:
+        nu = self.make().nu
+        t = dt * torch.arange(n, dtype=torch.float64)
+        hover = (9.81 - VALUES["thrust_offset"]) / VALUES["thrust_gain"] / nu
+        return torch.stack([hover + 0.02 * torch.sin((7 + 2 * k) * t + k) for k in range(nu)], 1)
+
+    def test_every_rate_is_that_of_an_independent_rigid_body(self) -> None:
+        s = self.make(values=VALUES).double()
+        x, u = self.states(40), self.inputs(40)
+        rate = s.drift(0.0, x, u).detach().numpy()
+        for k in range(40):
+            expected = rigid_body(x[k].numpy(), u[k].numpy(), self.name)
+            # the mixing is written with three decimals
+            np.testing.assert_allclose(rate[k], expected, rtol=1e-4, atol=3e-3)
+
+    def test_the_quaternion_moves_along_its_sphere(self) -> None:
+        s = self.make().double()
+        x = self.states(50)
+        rate = s.drift(0.0, x, self.inputs(50))
+        along = (rate[:, 6:10] * x[:, 6:10]).sum(1)
+        torch.testing.assert_close(along, torch.zeros_like(along), atol=1e-13, rtol=0)
+
+    @pytest.mark.parametrize("axis", [0, 1, 2])
+    def test_a_command_along_one_row_of_the_mixing_turns_about_that_axis_alone(self, axis: int) -> None:
+        s = self.make().double()
+        row = torch.tensor(SYSTEMS[self.name].mixing[1 + axis]).double()  # type: ignore[attr-defined]
+        x = torch.zeros(1, 13, dtype=torch.float64)
+        x[0, 6] = 1.0
+        angular = s.drift(0.0, x, (0.4 + 0.1 * row)[None])[0, 10:].detach()
+        assert float(angular[axis]) > 0.1
+        others = [k for k in range(3) if k != axis]
+        torch.testing.assert_close(angular[others], torch.zeros(2).double(), atol=1e-6, rtol=0)
+
+    def test_hover_is_an_equilibrium(self) -> None:
+        s = self.make(values=VALUES).double()
+        u = torch.full((1, s.nu), (9.81 + 0.4) / 5.1 / s.nu, dtype=torch.float64)
+        x = torch.zeros(1, 13, dtype=torch.float64)
+        x[0, 6] = 1.0
+        torch.testing.assert_close(s.drift(0.0, x, u), torch.zeros_like(x), atol=1e-5, rtol=0)
+
+    def test_without_thrust_it_falls_freely_at_any_attitude(self) -> None:
+        s = self.make().double()
+        x = self.states(8)
+        rate = s.drift(0.0, x, torch.zeros(8, s.nu).double())
+        expected = torch.tensor([0.0, 0.0, -9.81]).double().expand(8, 3)
+        torch.testing.assert_close(rate[:, 3:6], expected, rtol=0, atol=1e-6)
+
+    def test_rolled_right_by_a_quarter_turn_thrust_points_right(self) -> None:
+        s = self.make(values={"thrust_gain": 5.0}).double()
+        x = torch.zeros(1, 13, dtype=torch.float64)
+        x[0, 6:8] = 2**-0.5  # positive roll: the left side goes up, thrust leans to the right (-y)
+        u = torch.full((1, s.nu), 0.4, dtype=torch.float64)
+        thrust = 5.0 * 0.4 * s.nu
+        expected = torch.tensor([0.0, -thrust, -9.81]).double()
+        torch.testing.assert_close(s.drift(0.0, x, u)[0, 3:6], expected, rtol=1e-6, atol=1e-5)
+
+    def test_a_free_body_keeps_its_energy_and_its_angular_momentum(self) -> None:
+        s = self.make(values=VALUES).double()
+        x = torch.zeros(1, 13, dtype=torch.float64)
+        x[0, 6], x[0, 10:] = 1.0, torch.tensor([2.0, 0.3, -1.0])
+        path = solve(s, x, torch.zeros(1, 1000, s.nu).double(), 0.005)[0].numpy()
+        inertia, omega = np.array([VALUES["inertia_x"], VALUES["inertia_y"], 1.0]), path[:, 10:13]
+        energy = 0.5 * (inertia * omega**2).sum(1)
+        np.testing.assert_allclose(energy, energy[0], rtol=1e-7)
+        momentum = Rotation.from_quat(np.roll(path[:, 6:10], -1, axis=1)).apply(inertia * omega)
+        np.testing.assert_allclose(momentum, momentum[:1].repeat(len(path), 0), atol=1e-6)
+        assert np.ptp(omega, axis=0).min() > 0.1  # it tumbles: the coupling is at work
+        np.testing.assert_allclose(np.linalg.norm(path[:, 6:10], axis=1), 1.0, atol=1e-12)
+
+    def test_first_values_find_the_gains(self) -> None:
+        x, u, dt = self.simulated()
+        found = self.make().start_values(x.numpy(), u.numpy(), dt)
+        for name in ("thrust_gain", "roll_gain", "pitch_gain", "yaw_gain"):
+            assert found[name][0] == pytest.approx(VALUES[name], rel=0.05), name
+
+    def test_the_thrust_map_of_degree_two_and_three(self) -> None:
+        x = torch.zeros(1, 13)
+        x[0, 6] = 1.0
+        u = torch.full((1, self.make().nu), 0.5)
+        for degree, curve, shape in ((2, [0.4], 0.5 + 0.4 * 0.25), (3, [0.4, -0.2], 0.6 - 0.2 * 0.125)):
+            s = self.make(thrust_degree=degree, values={"thrust_gain": 5.0, "thrust_curve": curve})
+            lift = float(s.drift(0.0, x, u)[0, 5].detach()) + 9.81
+            assert lift == pytest.approx(5.0 * shape * s.nu, rel=1e-5)
+
+    def test_a_curved_thrust_map_starts_as_the_straight_one(self) -> None:
+        x, u = self.states(5), self.inputs(5)
+        straight, curved = self.make().double(), self.make(thrust_degree=3).double()
+        torch.testing.assert_close(straight.drift(0.0, x, u), curved.drift(0.0, x, u))
+        assert curved.declared_parameters()["thrust_curve"][0].shape == (2,)
+        assert "thrust_curve" not in self.make().declared_parameters()
+
+    @pytest.mark.parametrize("degree", [0, 4, 1.5])
+    def test_another_degree_is_refused(self, degree: float) -> None:
+        with pytest.raises(ConfigError, match=r"thrust_degree.*1, 2 or 3"):
+            self.make(thrust_degree=degree)
+
+    def test_features_do_not_change_with_heading_or_place(self) -> None:
+        s = self.make().double()
+        x = self.states(6)
+        yaw = Rotation.from_euler("z", 1.1)
+        turned = x.numpy().copy()
+        turned[:, :3] += 7.0
+        turned[:, 3:6] = yaw.apply(turned[:, 3:6])
+        attitude = yaw * Rotation.from_quat(np.roll(turned[:, 6:10], -1, axis=1))
+        turned[:, 6:10] = np.roll(attitude.as_quat(), 1, axis=1)
+        torch.testing.assert_close(s.features(torch.from_numpy(turned)), s.features(x))
+        torch.testing.assert_close(s.residual_features(torch.from_numpy(turned)), s.residual_features(x))
+
+
+class TestHexacopter(MultirotorContract):
+    name = "hexacopter"
+
+
+class TestQuadrotor(MultirotorContract):
+    name = "quadrotor"
+
+
+@pytest.mark.parametrize("name", GEOMETRY)
+def test_mixing_is_that_of_the_motors_places_and_senses(name: str) -> None:
+    mixing = np.array(SYSTEMS[name].mixing)  # type: ignore[attr-defined]
+    forward, left = (np.array([m[k] for m in GEOMETRY[name]]) for k in (0, 1))
+    sense = [1.0 if m[2] == "cw" else -1.0 for m in GEOMETRY[name]]
+    np.testing.assert_allclose(mixing, [np.ones(len(sense)), left, -forward, sense], atol=1e-3)
+
+
+@pytest.mark.parametrize("name", GEOMETRY)
+def test_neighbouring_propellers_turn_against_each_other(name: str) -> None:
+    around = sorted(GEOMETRY[name], key=lambda m: np.arctan2(m[1], m[0]))
+    senses = [m[2] for m in around]
+    assert all(a != b for a, b in zip(senses, [*senses[1:], senses[0]], strict=True))

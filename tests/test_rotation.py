@@ -1,0 +1,125 @@
+"""Rotations against SciPy's, also for the smallest angles and near half a turn; gradients stay finite."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+from torch import Tensor
+
+from nsde_torch.rotation import (
+    cross,
+    gravity_direction,
+    quaternion_rate,
+    rotate,
+    rotate_back,
+    rotation_between,
+)
+
+Array = NDArray[np.float64]
+
+
+def attitudes(n: int = 64, seed: int = 0) -> Rotation:
+    return Rotation.random(n, random_state=np.random.default_rng(seed))
+
+
+def wxyz(rotation: Rotation) -> Tensor:
+    """SciPy stores x y z w."""
+    return torch.from_numpy(np.roll(rotation.as_quat(), 1, axis=-1))
+
+
+def vectors(n: int = 64, seed: int = 1) -> Array:
+    return np.random.default_rng(seed).normal(size=(n, 3))
+
+
+def test_cross_product_is_numpys() -> None:
+    a, b = vectors(seed=2), vectors(seed=3)
+    np.testing.assert_allclose(cross(torch.from_numpy(a), torch.from_numpy(b)), np.cross(a, b), atol=1e-14)
+
+
+def test_rotating_to_the_world_and_back_is_scipys_apply() -> None:
+    made, v = attitudes(), vectors()
+    q = wxyz(made)
+    np.testing.assert_allclose(rotate(q, torch.from_numpy(v)), made.apply(v), atol=1e-13)
+    np.testing.assert_allclose(rotate_back(q, torch.from_numpy(v)), made.inv().apply(v), atol=1e-13)
+    np.testing.assert_allclose(rotate_back(q, rotate(q, torch.from_numpy(v))), v, atol=1e-13)
+
+
+def test_a_quarter_turn_about_z_takes_forward_to_left() -> None:
+    q = torch.tensor([[2**-0.5, 0.0, 0.0, 2**-0.5]], dtype=torch.float64)
+    forward = torch.tensor([[1.0, 0.0, 0.0]], dtype=torch.float64)
+    torch.testing.assert_close(rotate(q, forward), torch.tensor([[0.0, 1.0, 0.0]], dtype=torch.float64))
+
+
+def test_rotations_take_any_leading_axes() -> None:
+    q, v = wxyz(attitudes(24)).reshape(2, 3, 4, 4), torch.from_numpy(vectors(24)).reshape(2, 3, 4, 3)
+    for function in (rotate, rotate_back, quaternion_rate):
+        flat = function(q.reshape(-1, 4), v.reshape(-1, 3))
+        torch.testing.assert_close(function(q, v).reshape(flat.shape), flat)
+    assert gravity_direction(q).shape == (2, 3, 4, 3)
+    assert rotation_between(q, q).shape == (2, 3, 4, 3)
+
+
+def test_gravity_direction_is_worlds_up_seen_from_the_body() -> None:
+    made = attitudes()
+    expected = made.inv().apply([0.0, 0.0, 1.0])
+    np.testing.assert_allclose(gravity_direction(wxyz(made)), expected, atol=1e-13)
+
+
+def test_quaternion_rate_is_the_derivative_of_a_turning_body() -> None:
+    made, omega, h = attitudes(), vectors(), 1e-5
+    ahead, behind = made * Rotation.from_rotvec(h * omega), made * Rotation.from_rotvec(-h * omega)
+    q, a, b = (wxyz(r).numpy() for r in (made, ahead, behind))
+    a *= np.sign((a * q).sum(1, keepdims=True))
+    b *= np.sign((b * q).sum(1, keepdims=True))
+    rate = quaternion_rate(torch.from_numpy(q), torch.from_numpy(omega))
+    np.testing.assert_allclose(rate, (a - b) / (2 * h), atol=1e-9)
+    np.testing.assert_allclose((rate.numpy() * q).sum(1), 0, atol=1e-14)
+
+
+@pytest.mark.parametrize("angle", [0.0, 1e-9, 1e-7, 1e-6, 1e-5, 1e-3, 0.5, 3.0, np.pi - 1e-6, np.pi])
+def test_rotation_between_returns_the_rotation_vector_at_every_angle(angle: float) -> None:
+    axis = vectors(32)
+    axis /= np.linalg.norm(axis, axis=1, keepdims=True)
+    start = attitudes(32)
+    end = start * Rotation.from_rotvec(angle * axis)
+    found = rotation_between(wxyz(start), wxyz(end)).numpy()
+    if angle > np.pi - 1e-9:  # half a turn: both signs of the axis are right
+        found = found * np.sign((found * axis).sum(1, keepdims=True))
+    # relative in the large, absolute rounding of the products in the small
+    np.testing.assert_allclose(found, angle * axis, rtol=1e-6, atol=1e-14)
+
+
+def test_rotation_between_ignores_the_signs_of_the_quaternions() -> None:
+    a, b = wxyz(attitudes(seed=0)), wxyz(attitudes(seed=5))
+    expected = rotation_between(a, b)
+    for first, second in ((-a, b), (a, -b), (-a, -b)):
+        torch.testing.assert_close(rotation_between(first, second), expected)
+    assert bool((expected.norm(dim=-1) <= np.pi + 1e-12).all())
+
+
+def test_rotation_between_turns_its_sign_with_its_arguments() -> None:
+    a, b = wxyz(attitudes(seed=0)), wxyz(attitudes(seed=5))
+    torch.testing.assert_close(rotation_between(a, b), -rotation_between(b, a))
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+@pytest.mark.parametrize("angle", [0.0, 1e-8, 1e-6, 2e-6, 1e-3, 3.1, np.pi])
+def test_gradients_are_finite_at_zero_error_and_half_a_turn(dtype: torch.dtype, angle: float) -> None:
+    start = attitudes(16)
+    end = start * Rotation.from_rotvec(angle * np.eye(3)[np.arange(16) % 3])
+    a, b = (wxyz(r).to(dtype).requires_grad_() for r in (start, end))
+    rotation_between(a, b).square().sum().backward()
+    for q in (a, b):
+        assert q.grad is not None
+        assert bool(torch.isfinite(q.grad).all())
+
+
+def test_the_slope_of_the_error_at_zero_is_twice_the_vector_part() -> None:
+    identity = torch.tensor([[1.0, 0.0, 0.0, 0.0]], dtype=torch.float64)
+    jacobian = torch.autograd.functional.jacobian(lambda q: rotation_between(identity, q), identity)
+    expected = torch.zeros(3, 4, dtype=torch.float64)
+    expected[:, 1:] = 2 * torch.eye(3)
+    torch.testing.assert_close(jacobian.reshape(3, 4), expected)

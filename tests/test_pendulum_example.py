@@ -1,0 +1,146 @@
+"""The example of a machine of one's own does what its README says, as the commands that it shows."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from torch import Tensor
+
+from nsde_torch.data import read
+from nsde_torch.systems import System, make_system
+from tests.helpers.system_contract import SystemContract, solve
+
+
+@pytest.fixture(autouse=True)
+def _importable(root: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.syspath_prepend(root / "examples" / "pendulum")
+
+
+class TestPendulum(SystemContract):
+    def make(self, **options: Any) -> System:
+        return make_system("pendulum:Pendulum", **options)
+
+    def twin(self, x: Tensor) -> Tensor:
+        return x + torch.tensor([2 * math.pi, 0.0], dtype=x.dtype)
+
+    def test_it_obeys_its_equation(self) -> None:
+        s = self.make(values={"gravity": 20.0, "damping": 0.3, "torque_gain": 8.0})
+        rate = s.drift(0.0, torch.tensor([[math.pi / 6, 2.0]]), torch.tensor([[0.5]])).detach()
+        torch.testing.assert_close(rate, torch.tensor([[2.0, -10.0 - 0.6 + 4.0]]))
+
+    def test_without_damping_it_keeps_its_energy(self) -> None:
+        s = self.make(values={"gravity": 20.0, "damping": 1e-9}).double()
+        start = torch.tensor([[2.5, 0.0]], dtype=torch.float64)
+        path = solve(s, start, torch.zeros(1, 2000, 1).double(), 0.005)[0].numpy()
+        energy = 0.5 * path[:, 1] ** 2 - 20.0 * np.cos(path[:, 0])
+        assert np.ptp(path[:, 0]) > 4.5
+        np.testing.assert_allclose(energy, energy[0], atol=1e-5)
+
+
+def run(words: list[str], folder: Path) -> str:
+    """Standard output and error of a command, which must succeed."""
+    done = subprocess.run(
+        words,
+        capture_output=True,
+        text=True,
+        cwd=folder,
+        env={**os.environ, "PYTHONDONTWRITEBYTECODE": "1"},
+        timeout=280,
+        check=False,
+    )
+    assert done.returncode == 0, done.stdout + done.stderr
+    return done.stdout + done.stderr
+
+
+@pytest.fixture(scope="module")
+def data_folder(root: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("pendulum")
+    script = root / "examples" / "pendulum" / "make_data.py"
+    run([sys.executable, str(script), "data", "--seconds", "20"], folder)
+    return folder / "data"
+
+
+def test_the_data_are_read_without_a_complaint(data_folder: Path) -> None:
+    data = read("csv", make_system("pendulum:Pendulum"), path=str(data_folder))
+    assert data.names == ("run_0", "run_1", "run_2")
+    assert data.dt == pytest.approx(0.01)
+    assert data.clock_scale == 1.0
+    assert [f.kind for f in data.summary.findings] == []
+    x = np.concatenate([r.x for r in data.runs])
+    assert np.abs(x[:, 0]).max() > 1.0  # the swings are large enough to show sin theta
+
+
+def test_the_data_determine_the_declared_parameters(data_folder: Path) -> None:
+    data = read("csv", make_system("pendulum:Pendulum"), path=str(data_folder))
+    rows, targets = [], []
+    for r in data.runs:
+        theta, rate = r.x.T
+        inner = slice(5, -5)
+        slope = (rate[10:] - rate[:-10]) / (10 * data.dt)  # over a tenth of a second
+        torque = np.convolve(r.u[:, 0], np.full(10, 0.1), "valid")[: len(slope)]
+        rows.append(np.stack([-np.sin(theta[inner]), -rate[inner], torque, -np.tanh(rate[inner] / 0.05)], 1))
+        targets.append(slope)
+    found = np.linalg.lstsq(np.concatenate(rows), np.concatenate(targets), rcond=None)[0]
+    np.testing.assert_allclose(found[[0, 2]], [9.81 / 0.5, 8.0], rtol=0.05)
+
+
+def finite(value: Any) -> Iterator[float]:
+    """All numbers of a JSON tree."""
+    if isinstance(value, dict):
+        for v in value.values():
+            yield from finite(v)
+    elif isinstance(value, list):
+        for v in value:
+            yield from finite(v)
+    elif isinstance(value, float):
+        yield value
+
+
+def test_the_command_of_the_readme_trains_it_and_the_model_loads(
+    root: Path, data_folder: Path, tmp_path: Path
+) -> None:
+    example = root / "examples" / "pendulum"
+    words = ["--config-dir", str(example), "system=pendulum", "data=csv", f"data.path={data_folder}"]
+    run(
+        [sys.executable, "-m", "nsde_torch.cli", "train", *words, "trainer=fast", "threads=1", "run_dir=out"],
+        tmp_path,
+    )
+    out = tmp_path / "out"
+    for name in ("config.yaml", "model.safetensors", "metrics.json"):
+        assert (out / name).is_file(), name
+    assert list((out / "plots").glob("*.png"))
+    numbers = list(finite(json.loads((out / "metrics.json").read_text(encoding="utf-8"))))
+    assert numbers
+    assert all(math.isfinite(v) for v in numbers)
+
+    import nsde_torch
+
+    model = nsde_torch.load(out)
+    paths = model.sample(
+        torch.tensor([[0.5, 0.0]]),
+        torch.zeros(1, 25, 1),
+        dt=0.02,
+        particles=8,
+        generator=torch.Generator().manual_seed(0),
+    )
+    assert paths.shape == (8, 1, 26, 2)
+    assert bool(torch.isfinite(paths).all())
+    eta = model.distance(torch.tensor([[0.5, 0.0]]))
+    assert eta.shape == (1,)
+    assert 0 <= float(eta.detach()) <= 1
+
+
+def test_the_readme_shows_the_commands_that_are_tested(root: Path) -> None:
+    text = (root / "examples" / "pendulum" / "README.md").read_text(encoding="utf-8")
+    assert "nsde train --config-dir examples/pendulum system=pendulum data=csv data.path=" in text
+    assert "python examples/pendulum/make_data.py" in text

@@ -37,9 +37,9 @@ class Gains:
         integral_limit: Largest integral [m/s2].
     """
 
-    position: tuple[float, float, float] = (1.0, 1.0, 1.5)
-    velocity: tuple[float, float, float] = (2.2, 2.2, 3.5)
-    integral: tuple[float, float, float] = (0.4, 0.4, 0.8)
+    position: tuple[float, float, float] = (0.8, 0.8, 1.5)
+    velocity: tuple[float, float, float] = (1.6, 1.6, 3.5)
+    integral: tuple[float, float, float] = (0.25, 0.25, 0.8)
     attitude: tuple[float, float, float] = (6.0, 6.0, 2.5)
     rate: tuple[float, float, float] = (11.0, 11.0, 5.0)
     tilt: float = radians(40.0)

@@ -1,16 +1,19 @@
 """What a pilot wants: smooth random flights whose envelope is that of the supplement's Figure 15.
 
-Each horizontal axis is a slow wander through the room, with quick and quicker corrections on top,
+Each horizontal axis is a slow wander through the room, with quick and quicker corrections on top that come
+and go,
 
-    p(t) = sum over the three of A e(t) / w(t)^2 sin(phi(t)),   phi' = w,   e = exp(s n(t) - s^2 / 2)
+    slow:   p(t) = A e(t) / w(t)^2 sin(phi(t)),   phi' = w,   e = exp(s n(t) - s^2 / 2)
+    quick:  a(t) = A g(t) (e(t) sin(phi) + tremor),   0 < g < 1, integrated twice above 0.12 Hz
 
-with n smooth Gaussian noise: A is the size of the accelerations and s how uneven they are, which sets apart
-the 95 % quantile and the maximum. Height wanders about 1.4 m; heading wanders and, once in a data set,
-turns far. The sizes are found from the figures: level flight ties roll and pitch to acceleration (thrust
-along a + g + drag), so that they can be read off the wanted path without flying it.
+with n smooth noise: A is the size of the accelerations and s how uneven they are, which sets apart the 95 %
+quantile and the maximum; a negative s bounds them instead (tanh). Height wanders about 1.4 m; heading
+wanders and, once in a data set, turns far. The sizes are found from the figures: level flight ties roll and
+pitch to acceleration (thrust along a + g + drag), so that they can be read off the wanted path without
+flying it.
 
-Frequencies (slow 0.14 Hz, quick 0.5 Hz) are those at which velocity and tilt of the published flights have
-half their power.
+Frequencies (slow 0.15 Hz, quick 0.5 Hz) are about those at which velocity and tilt of the published flights
+have half their power.
 """
 
 from __future__ import annotations
@@ -21,6 +24,7 @@ from math import pi
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.fft import next_fast_len
 from scipy.ndimage import gaussian_filter1d
 
 from nsde_torch.errors import ConfigError
@@ -30,8 +34,8 @@ Array = NDArray[np.float64]
 TARGETS = (1.71, 2.7, 18.0, 23.0, 13.0, 23.0, 24.0, 80.0)
 """95 % quantile and maximum of speed [m/s] and of |roll|, |pitch|, |yaw| [deg] (supplement, Figure 15)."""
 
-SLOW_HZ, QUICK_HZ, TREMOR_HZ = 0.14, 0.5, 1.0
-TREMOR = 0.25
+SLOW_HZ, QUICK_HZ, TREMOR_HZ = 0.15, 0.5, 1.0
+TREMOR = 0.15
 """Size of the quickest corrections relative to the quick ones."""
 TRIM_S = 4.0
 """Time in which the pilot lifts off to, and comes down from, the height of the flight [s]."""
@@ -48,7 +52,7 @@ class Sticks:
         slow: Acceleration of the slow wander [m/s2].
         slow_spread: How uneven it is.
         quick: Acceleration of the quick corrections along x and y [m/s2].
-        quick_spread: How uneven they are, x and y.
+        quick_spread: How uneven they are, x and y; negative: how tightly they are bounded.
         yaw: Wander of the heading [rad].
         turn: The one far turn [rad].
     """
@@ -98,6 +102,7 @@ class _Mood:
     slow: tuple[tuple[Array, Array, Array], ...]  # x, y: sin / w^2, envelope noise
     quick: tuple[tuple[Array, Array, Array], ...]
     tremor: tuple[tuple[Array, Array, Array], ...]
+    active: tuple[Array, ...]  # x, y: how much the quick corrections are at work
     height: Array
     yaw: Array
     turn: Array
@@ -114,35 +119,52 @@ def _ramp(n: int, dt: float) -> Array:
 def _wave(rng: np.random.Generator, n: int, hertz: float, dt: float) -> tuple[Array, Array, Array]:
     w = 2.0 * pi * hertz * np.exp(0.2 * _smooth(rng, n, 1.5 / hertz, dt))
     phase = rng.uniform(0.0, 2.0 * pi) + np.cumsum(w) * dt
-    return np.sin(phase), w, _smooth(rng, n, 1.2 / hertz, dt)
+    # bounded smoothly: a kink would be a jump of the acceleration
+    return np.sin(phase), w, 2.5 * np.tanh(_smooth(rng, n, 1.2 / hertz, dt) / 2.5)
 
 
 def _mood(rng: np.random.Generator, n: int, dt: float, *, turns: bool) -> _Mood:
     slow = (_wave(rng, n, SLOW_HZ, dt), _wave(rng, n, SLOW_HZ, dt))
     quick = (_wave(rng, n, QUICK_HZ, dt), _wave(rng, n, QUICK_HZ, dt))
     tremor = (_wave(rng, n, TREMOR_HZ, dt), _wave(rng, n, TREMOR_HZ, dt))
-    height = 0.35 * _smooth(rng, n, 0.9, dt)
-    yaw = _smooth(rng, n, 2.0, dt)
+    active = tuple(0.5 + 0.5 * np.tanh(2.0 * _smooth(rng, n, 1.5, dt) + 1.0) for _ in range(2))
+    height = 0.8 * np.tanh(0.5 * _smooth(rng, n, 0.8, dt))
+    # headings are held for a while: soft rounding to multiples of 2/3 of the standard deviation
+    rough = 1.5 * _smooth(rng, n, 2.0, dt)
+    yaw = (rough - 0.85 / (2.0 * pi) * np.sin(2.0 * pi * rough)) / 1.5
     t = dt * np.arange(n)
     at, sign = rng.uniform(0.3, 0.7) * n * dt, rng.choice((-1.0, 1.0))
-    width = min(1.3, 0.06 * n * dt)
-    turn = sign * np.exp(-0.5 * ((t - at) / width) ** 2) if turns else np.zeros(n)
-    return _Mood(_ramp(n, dt), slow, quick, tremor, height, yaw, turn)
+    width = min(2.0, 0.06 * n * dt)
+    turn = sign * np.exp(-0.5 * ((t - at) / width) ** 4) if turns else np.zeros(n)
+    return _Mood(_ramp(n, dt), slow, quick, tremor, active, height, yaw, turn)
+
+
+def _uneven(noise: Array, spread: float) -> Array:
+    """Envelope exp(s n - s^2 / 2); 1 for s <= 0."""
+    return np.asarray(np.exp(spread * noise - 0.5 * spread**2)) if spread > 0 else np.ones_like(noise)
+
+
+def _twice_integrated(a: Array, dt: float) -> Array:
+    """Positions (n,) of accelerations (n,) without what is slower than about 0.12 Hz, which would drift."""
+    padded = next_fast_len(len(a) + round(20.0 / dt))
+    f2 = np.fft.rfftfreq(padded, dt) ** 2
+    # -1 / (2 pi f)^2 times (f^2 / (f^2 + f0^2))^2, written so that f = 0 needs no care
+    filtered = np.fft.rfft(a, padded) * (-f2 / (f2 + 0.12**2) ** 2 / (4.0 * pi**2))
+    return np.asarray(np.fft.irfft(filtered, padded)[: len(a)])
 
 
 def _path(mood: _Mood, sticks: Sticks, dt: float) -> Path:
     p = np.empty((len(mood.ramp), 3))
     for k in range(2):
-        p[:, k] = 0.0
-        for wave, size, spread in (
-            (mood.slow[k], sticks.slow, sticks.slow_spread),
-            (mood.quick[k], sticks.quick[k], sticks.quick_spread[k]),
-            (mood.tremor[k], TREMOR * sticks.quick[k], 0.3),
-        ):
-            sine, w, noise = wave
-            p[:, k] += size * np.exp(spread * np.clip(noise, -2.5, 2.5) - 0.5 * spread**2) / (w * w) * sine
+        sine, w, noise = mood.slow[k]
+        p[:, k] = sticks.slow * _uneven(noise, sticks.slow_spread) / (w * w) * sine
+        spread = sticks.quick_spread[k]
+        quick = mood.quick[k][0] * _uneven(mood.quick[k][2], spread) + TREMOR * mood.tremor[k][0]
+        if spread < 0:
+            quick = np.tanh(-3.0 * spread * quick) / np.tanh(-3.0 * spread)
+        p[:, k] += _twice_integrated(sticks.quick[k] * mood.ramp * mood.active[k] * quick, dt)
     p[:, :2] *= mood.ramp[:, None]
-    p[:, 2] = LOW + mood.ramp * (HEIGHT - LOW + np.clip(mood.height, -0.8, 0.9))
+    p[:, 2] = LOW + mood.ramp * (HEIGHT - LOW + mood.height)
     # the wander makes room for the far turn, so that the turn alone sets the largest heading
     yaw = mood.ramp * sticks.yaw * mood.yaw * (1.0 - np.abs(mood.turn)) + sticks.turn * mood.turn
     p, yaw = gaussian_filter1d(p, 0.08 / dt, axis=0), gaussian_filter1d(yaw, 0.08 / dt)
@@ -217,8 +239,8 @@ class Pilot:
                     float(np.clip(sticks.quick[1] * quantile[1], 0.1, 5.0)),
                 ),
                 quick_spread=(
-                    float(np.clip(sticks.quick_spread[0] + shape[2], 0.0, 1.0)),
-                    float(np.clip(sticks.quick_spread[1] + shape[1], 0.0, 1.0)),
+                    float(np.clip(sticks.quick_spread[0] + shape[2], -1.0, 1.0)),
+                    float(np.clip(sticks.quick_spread[1] + shape[1], -1.0, 1.0)),
                 ),
                 yaw=float(np.clip(sticks.yaw * quantile[3], 0.01, 0.5)),
                 turn=float(np.clip(sticks.turn * (aim[7] / now[7]) ** rate, 0.1, 2.0)),
@@ -231,5 +253,4 @@ class Pilot:
         scale = np.array([1.0, 0.0, 1.0, 1.0, 0.0, 0.0, 1.0, 0.6])
         shift = np.array([0.0, 1.0, 0.0, 0.0, 1.0, 1.0, 0.0, 0.0])
         draws = spread * self._rng.uniform(-1.0, 1.0, (count - 1, 8))
-        others = [row * np.exp(scale * d) + shift * d for d in draws]
-        return [sticks, *(Sticks.from_row(np.maximum(r, 0.0)) for r in others)]
+        return [sticks, *(Sticks.from_row(row * np.exp(scale * d) + shift * d) for d in draws)]

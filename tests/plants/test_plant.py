@@ -1,0 +1,289 @@
+"""A plant does what physics says in closed form, and adds the noise that it was told to."""
+
+from __future__ import annotations
+
+from math import exp, pi, sqrt
+
+import pytest
+import torch
+from torch import Tensor
+
+from nsde_torch.effects import Port
+from nsde_torch.errors import ConfigError, NonFiniteError, ShapeError
+from nsde_torch.plants import Gust, Plant, make_plant, make_plant_system
+from nsde_torch.plants.noise import Gusts, turned
+from nsde_torch.rotation import rotation_between
+from nsde_torch.systems import make_system
+
+
+def generator(seed: int = 0) -> torch.Generator:
+    return torch.Generator().manual_seed(seed)
+
+
+def quiet(name: str = "hexacopter", **options: object) -> Plant:
+    return make_plant(name, generator=generator(), process_noise=0.0, sensor_noise=0.0, **options)  # type: ignore[arg-type]
+
+
+def level(batch: int = 1) -> Tensor:
+    x = torch.zeros(batch, 13, dtype=torch.float64)
+    x[:, 6] = 1.0
+    return x
+
+
+def hover(batch: int = 1, motors: int = 6) -> Tensor:
+    return torch.full((batch, motors), (9.81 + 1.0) / (6 * 4.6), dtype=torch.float64)
+
+
+def test_hover_command_holds_the_hexacopter_for_ten_seconds() -> None:
+    plant = quiet()
+    plant.reset(level(), hover())
+    for _ in range(1000):
+        x = plant.step(hover())
+    torch.testing.assert_close(x, level(), rtol=0, atol=1e-4)
+
+
+def test_without_thrust_it_falls_freely() -> None:
+    plant = quiet(declared_only=True)
+    at_rest = torch.full((1, 6), 1.0 / (6 * 4.6), dtype=torch.float64)  # thrust_offset is -1 m/s2
+    plant.reset(level(), at_rest)
+    for _ in range(100):
+        x = plant.step(at_rest)
+    assert x[0, 2].item() == pytest.approx(-0.5 * 9.81, rel=1e-6)
+    assert x[0, 5].item() == pytest.approx(-9.81, rel=1e-6)
+
+
+def test_speed_under_linear_drag_decays_to_zero_as_in_closed_form() -> None:
+    plant = quiet(effects={"linear_drag": {"drag": [0.5, 0.15, 0.05]}})
+    start = level()
+    start[0, 3] = 2.0
+    plant.reset(start, hover())
+    for _ in range(300):
+        x = plant.step(hover())
+    assert x[0, 3].item() == pytest.approx(2.0 * exp(-0.5 * 3.0), rel=1e-5)
+    assert x[0, 0].item() == pytest.approx(2.0 * (1.0 - exp(-0.5 * 3.0)) / 0.5, rel=1e-5)
+
+
+def test_terminal_velocity_of_a_fall_is_gravity_over_drag() -> None:
+    plant = quiet(effects={"linear_drag": {"drag": [0.15, 0.15, 2.0]}})
+    at_rest = torch.full((1, 6), 1.0 / (6 * 4.6), dtype=torch.float64)
+    plant.reset(level(), at_rest)
+    for _ in range(1000):
+        x = plant.step(at_rest)
+    assert x[0, 5].item() == pytest.approx(-9.81 / 2.0, rel=1e-5)
+
+
+def test_thrust_follows_a_step_of_the_command_with_the_motor_lag() -> None:
+    tau, dt = 0.05, 0.01
+    plant = quiet()
+    plant.reset(level(), hover())
+    more = hover() + 0.1
+    speed = 0.0
+    for k in range(1, 31):
+        x = plant.step(more)
+        t = k * dt
+        # v' = 6 * 4.6 * 0.1 (1 - e^(-t / tau)) - 0.05 v, the drag along body z
+        d, a = 0.05, 6 * 4.6 * 0.1
+        speed = a * ((1 - exp(-d * t)) / d - (exp(-t / tau) - exp(-d * t)) / (d - 1 / tau))
+        assert x[0, 5].item() == pytest.approx(speed, rel=1e-4, abs=1e-6)
+    assert speed > 0.5
+
+
+def test_latency_delays_the_effect_of_a_command_by_exactly_its_time() -> None:
+    prompt, late = quiet(declared_only=True, step=0.005), quiet(declared_only=True, step=0.005, latency=0.025)
+    assert late.latency == pytest.approx(0.025)
+    for plant in (prompt, late):
+        plant.reset(level(), hover())
+    more = hover() + 0.1
+    for _ in range(20):
+        a, b = prompt.step(more), late.step(more)
+    push = 6 * 4.6 * 0.1
+    assert a[0, 5].item() == pytest.approx(push * 0.2, rel=1e-6)
+    assert b[0, 5].item() == pytest.approx(push * (0.2 - 0.025), rel=1e-6)
+
+
+@pytest.mark.parametrize("name", ["mass_spring_damper", "cartpole", "hexacopter", "quadrotor"])
+def test_batched_machines_are_the_single_ones(name: str) -> None:
+    system = make_system(name)
+    draw = generator(3)
+    start = 0.3 * torch.randn(4, system.nx, generator=draw, dtype=torch.float64)
+    if system.quaternion is not None:
+        start[:, 6] = 1.0
+    u = torch.rand(20, 4, system.nu, generator=draw, dtype=torch.float64)
+
+    def run(rows: slice) -> Tensor:
+        plant = quiet(name)
+        plant.reset(start[rows], u[0, rows])
+        return torch.stack([plant.step(v[rows]) for v in u])
+
+    together = run(slice(0, 4))
+    for k in range(4):
+        torch.testing.assert_close(together[:, k : k + 1], run(slice(k, k + 1)), rtol=1e-10, atol=1e-12)
+
+
+def test_the_coarse_step_of_the_flights_is_fine_enough() -> None:
+    draw = generator(1)
+    u = hover(8) + 0.1 * torch.randn(100, 8, 6, generator=draw, dtype=torch.float64)
+    ends = []
+    for step in (0.01, 0.00125):
+        plant = quiet(step=step)
+        plant.reset(level(8), hover(8))
+        for v in u:
+            x = plant.step(v)
+        ends.append(x)
+    torch.testing.assert_close(ends[0], ends[1], rtol=0, atol=2e-5)
+
+
+def test_a_spring_swings_as_in_closed_form() -> None:
+    plant = quiet("mass_spring_damper")
+    plant.reset(torch.tensor([[0.1, 0.0]]), torch.zeros(1, 1))
+    for _ in range(500):
+        x = plant.step(torch.zeros(1, 1))
+    w = sqrt(1.0 - 0.25**2)
+    t = torch.tensor(5.0, dtype=torch.float64)
+    expected = 0.1 * torch.exp(-0.25 * t) * (torch.cos(w * t) + 0.25 / w * torch.sin(w * t))
+    assert x[0, 0].item() == pytest.approx(float(expected), abs=1e-7)
+
+
+def test_a_frictionless_cartpole_keeps_its_energy() -> None:
+    plant = quiet("cartpole")
+    share, length, g = 0.1 / 1.1, 0.5, 9.8
+
+    def energy(x: Tensor) -> float:
+        v, theta, rate = x[0, 1], x[0, 2], x[0, 3]
+        kinetic = 0.5 * v**2 + share * (length * v * rate * torch.cos(theta) + 2 / 3 * length**2 * rate**2)
+        return float(kinetic + share * g * length * torch.cos(theta))
+
+    x = plant.reset(torch.tensor([[0.0, 0.5, 2.0, 1.0]]), torch.zeros(1, 1))
+    before = energy(x)
+    for _ in range(200):
+        x = plant.step(torch.zeros(1, 1))
+    assert energy(x) == pytest.approx(before, rel=1e-6)
+
+
+def test_gusts_have_the_variance_and_the_correlation_time_of_their_process() -> None:
+    spec = {Port.FORCE: Gust(std=(0.7,), time_constant=0.2)}
+    gusts = Gusts(
+        spec, widths={Port.FORCE: 1}, dt=0.02, scale=1.0, generator=generator(), dtype=torch.float64
+    )
+    gusts.reset(20000)
+    first = gusts.draw()[Port.FORCE]
+    for _ in range(9):
+        gusts.draw()
+    later = gusts.draw()[Port.FORCE]  # 10 samples, one correlation time, after the first
+    assert first.std().item() == pytest.approx(0.7, rel=0.03)
+    assert later.std().item() == pytest.approx(0.7, rel=0.03)
+    assert (first * later).mean().item() / 0.49 == pytest.approx(exp(-1.0), abs=0.03)
+
+
+@pytest.mark.parametrize("dt", [0.02, 0.005])
+def test_white_gusts_give_the_same_spread_of_velocity_at_any_sample(dt: float) -> None:
+    plant = Plant(
+        make_system("mass_spring_damper", declared=[]),
+        dt=dt,
+        generator=generator(5),
+        gusts={Port.FORCE: Gust(white=(0.3,))},
+    )
+    plant.reset(torch.zeros(20000, 2), torch.zeros(20000, 1))
+    for _ in range(round(0.4 / dt)):
+        x = plant.step(torch.zeros(20000, 1))
+    assert x[:, 1].std().item() == pytest.approx(0.3 * sqrt(0.4), rel=0.03)
+
+
+def test_sensor_noise_has_its_standard_deviation_on_every_channel_and_keeps_the_quaternion_unit() -> None:
+    plant = make_plant("hexacopter", generator=generator(2), process_noise=0.0)
+    tilted = turned(level(20000)[:, 6:10], torch.tensor([[0.3, -0.2, 1.0]], dtype=torch.float64))
+    start = torch.cat((level(20000)[:, :6], tilted, level(20000)[:, 10:]), 1)
+    x = plant.reset(start, hover(20000))
+    assert (x[:, 6:10].norm(dim=1) - 1.0).abs().max().item() < 1e-12
+    assert x[:, :3].std(0).tolist() == pytest.approx([1e-3] * 3, rel=0.03)
+    assert x[:, 3:6].std(0).tolist() == pytest.approx([1e-2] * 3, rel=0.03)
+    assert x[:, 10:].std(0).tolist() == pytest.approx([2e-2] * 3, rel=0.03)
+    angle = rotation_between(start[:, 6:10], x[:, 6:10])
+    assert (angle.std(0) * 180 / pi).tolist() == pytest.approx([0.2] * 3, rel=0.03)
+
+
+def test_the_true_state_is_free_of_sensor_noise() -> None:
+    noisy = make_plant("hexacopter", generator=generator(2), process_noise=0.0)
+    clean = quiet()
+    for plant in (noisy, clean):
+        plant.reset(level(3), hover(3))
+        plant.step(hover(3) + 0.02)
+    torch.testing.assert_close(noisy.state, clean.state)
+
+
+def test_equal_seeds_give_equal_numbers_and_unequal_seeds_others() -> None:
+    def run(seed: int) -> Tensor:
+        plant = make_plant("hexacopter", generator=generator(seed))
+        plant.reset(level(2), hover(2))
+        return torch.stack([plant.step(hover(2)) for _ in range(5)])
+
+    assert torch.equal(run(1), run(1))
+    assert not torch.equal(run(1), run(2))
+
+
+def test_commands_beyond_the_limits_are_clipped() -> None:
+    ends = []
+    for command in (1.0, 7.0):
+        plant = quiet()
+        plant.reset(level(), hover())
+        ends.append(plant.step(torch.full((1, 6), command)))
+    assert torch.equal(*ends)
+
+
+def test_the_plant_leaves_the_system_of_the_caller_alone() -> None:
+    system = make_plant_system("hexacopter")
+    before = {k: v.clone() for k, v in system.state_dict().items()}
+    Plant(system, dt=0.01, generator=generator())
+    after = system.state_dict()
+    assert before.keys() == after.keys()
+    assert all(p.requires_grad and torch.equal(after[k], before[k]) for k, p in system.named_parameters())
+
+
+def test_an_effect_with_parameters_replaces_those_that_the_plant_has_and_a_new_one_is_added() -> None:
+    system = make_plant_system("hexacopter", effects=[{"motor_lag": {"time_constant": 0.1}}, "quadratic_drag"])
+    assert system.effect_names == ("linear_drag", "motor_lag", "quadratic_drag")
+    assert system.all_declared()["motor_lag.time_constant"][0].item() == pytest.approx(0.1)
+    assert system.all_declared()["linear_drag.drag"][0].tolist() == pytest.approx([0.15, 0.15, 0.05])
+
+
+def test_faults_of_the_caller_are_named() -> None:
+    plant = quiet()
+    with pytest.raises(ShapeError, match=r"`x0` must be \(batch, 13\)"):
+        plant.reset(torch.zeros(1, 12), hover())
+    with pytest.raises(ShapeError, match="equal numbers of rows"):
+        plant.reset(level(2), hover(3))
+    plant.reset(level(2), hover(2))
+    with pytest.raises(ShapeError, match="row for each of the 2 machines"):
+        plant.step(hover(3))
+    with pytest.raises(ConfigError, match="multiple of the fine `step`"):
+        quiet(dt=0.01, step=0.004)
+    with pytest.raises(ConfigError, match="`latency`"):
+        quiet(latency=-1.0)
+    with pytest.raises(ConfigError, match="sensor_std"):
+        Plant(make_system("cartpole"), dt=0.02, generator=generator(), sensor_std=(1.0,))
+    with pytest.raises(ConfigError, match="the system lacks"):
+        Plant(
+            make_system("cartpole"),
+            dt=0.02,
+            generator=generator(),
+            gusts={Port.BODY_FORCE: Gust(white=(1.0,))},
+        )
+    with pytest.raises(ConfigError, match="did you mean|Did you mean"):
+        quiet(effects=["quadratic_drga"])
+    with pytest.raises(ConfigError, match="twice"):
+        quiet(effects=["quadratic_drag", "quadratic_drag"])
+    with pytest.raises(ConfigError, match="process noise"):
+        make_plant("mass_spring_damper", generator=generator(), process_noise=2.0)
+
+
+def test_a_state_that_leaves_the_finite_numbers_is_reported_with_its_rows() -> None:
+    plant = quiet()
+    start = level(3)
+    start[1, 3] = float("nan")
+    plant.reset(start, hover(3))
+    with pytest.raises(NonFiniteError, match=r"step 1 .*rows \[1\]"):
+        plant.step(hover(3))
+    patient = quiet(check=False)
+    patient.reset(start, hover(3))
+    x = patient.step(hover(3))
+    assert torch.isfinite(x).all(1).tolist() == [True, False, True]

@@ -29,7 +29,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from math import radians
+from math import ceil, radians
 from typing import Any
 
 import torch
@@ -210,7 +210,8 @@ def make_plant(
         sensor_noise: Factor on the machine's sensor noise.
         latency: Time from a command to its effect [s]; default: the machine's.
         dt: Sample [s]; default: the machine's.
-        step: Fine step [s]; default: the machine's, halved where effects are added, which may be faster.
+        step: Fine step [s]; default: the machine's, or less to fit into `dt`. Effects with time constants
+            below it need a shorter one.
         check: Raise when a state is not finite.
         dtype: Precision.
 
@@ -229,8 +230,7 @@ def make_plant(
         )
     sample = spec.dt if dt is None else dt
     if step is None:
-        wanted = spec.step * (0.5 if effects and spec.step == spec.dt else 1.0)
-        step = sample / max(1, -(-round(sample / wanted * 1e6) // 1000000))
+        step = sample / max(1, ceil(sample / spec.step - 1e-6))
     return Plant(
         make_plant_system(name, effects=effects, declared_only=declared_only),
         dt=sample,

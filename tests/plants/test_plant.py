@@ -240,7 +240,9 @@ def test_the_plant_leaves_the_system_of_the_caller_alone() -> None:
 
 
 def test_an_effect_with_parameters_replaces_those_that_the_plant_has_and_a_new_one_is_added() -> None:
-    system = make_plant_system("hexacopter", effects=[{"motor_lag": {"time_constant": 0.1}}, "quadratic_drag"])
+    system = make_plant_system(
+        "hexacopter", effects=[{"motor_lag": {"time_constant": 0.1}}, "quadratic_drag"]
+    )
     assert system.effect_names == ("linear_drag", "motor_lag", "quadratic_drag")
     assert system.all_declared()["motor_lag.time_constant"][0].item() == pytest.approx(0.1)
     assert system.all_declared()["linear_drag.drag"][0].tolist() == pytest.approx([0.15, 0.15, 0.05])
@@ -268,7 +270,7 @@ def test_faults_of_the_caller_are_named() -> None:
             generator=generator(),
             gusts={Port.BODY_FORCE: Gust(white=(1.0,))},
         )
-    with pytest.raises(ConfigError, match="did you mean|Did you mean"):
+    with pytest.raises(ConfigError, match="Did you mean 'quadratic_drag'"):
         quiet(effects=["quadratic_drga"])
     with pytest.raises(ConfigError, match="twice"):
         quiet(effects=["quadratic_drag", "quadratic_drag"])

@@ -1,0 +1,179 @@
+"""The built-in data sets: envelope of the flights, episodes, springs, and the checks that files pass too."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import nsde_torch.plants.registry as registry
+from nsde_torch.data import DataSet
+from nsde_torch.data.summary import Envelope
+from nsde_torch.errors import ConfigError
+from nsde_torch.plants import MACHINES, cartpole_episodes, simulated
+from nsde_torch.plants.pilot import TARGETS, Pilot, Sticks, attained, figures
+from nsde_torch.systems import Hexacopter, make_system
+
+FIGURES = ("speed_q95", "speed_max", "roll_q95", "roll_max", "pitch_q95", "pitch_max", "yaw_q95", "yaw_max")
+
+
+def off(envelope: Envelope | None) -> dict[str, float]:
+    """Figures of the envelope over those of the supplement's Figure 15."""
+    assert envelope is not None
+    return {name: getattr(envelope, name) / target for name, target in zip(FIGURES, TARGETS, strict=True)}
+
+
+@pytest.fixture(scope="module")
+def flights() -> DataSet:
+    return simulated("hexacopter", use_cache=False)
+
+
+def _is_a_manual_flight(data: DataSet) -> None:
+    assert [round(run.duration) for run in data.runs] == [73, 66, 64]
+    assert data.kind == "simulated"
+    assert data.clock_scale == 1.0
+    assert all(len(run.segments) == 1 for run in data.runs)
+    assert {f.kind for f in data.summary.findings} == {"rank_deficient_inputs"}
+    for run in data.runs:
+        assert run.u.min() >= 0.0
+        assert run.u.max() <= 1.0
+        assert np.abs(run.x[:, :3]).max() < 4.0
+        assert run.x[:, 2].min() > 0.2
+        assert np.linalg.norm(run.x[[0, -1], 3:6], axis=1).max() < 0.5
+
+
+@pytest.mark.slow
+def test_the_default_flights_have_the_envelope_of_figure_15(flights: DataSet) -> None:
+    _is_a_manual_flight(flights)
+    assert off(flights.summary.envelope) == pytest.approx(dict.fromkeys(FIGURES, 1.0), abs=0.1)
+    assert flights.summary.input_rank.rank == 4
+    hover = np.median(np.concatenate([run.u for run in flights.runs]))
+    assert 0.35 < hover < 0.45
+
+
+@pytest.mark.slow
+def test_flights_of_another_seed_have_the_same_envelope_and_are_other_flights(flights: DataSet) -> None:
+    other = simulated("hexacopter", seed=7, use_cache=False)
+    _is_a_manual_flight(other)
+    assert off(other.summary.envelope) == pytest.approx(dict.fromkeys(FIGURES, 1.0), abs=0.12)
+    assert np.abs(other[0].x - flights[0].x).max() > 0.5
+
+
+def test_a_short_flight_of_a_quadrotor_with_an_effect_stays_in_the_room_and_is_repeatable() -> None:
+    settings = {"durations": [3.0, 2.5], "seed": 3, "effects": ["quadratic_drag"], "use_cache": False}
+    a, b = (simulated("quadrotor", **settings) for _ in range(2))  # type: ignore[arg-type]
+    assert a.names == ("flight_0", "flight_1")
+    assert a.fingerprint == b.fingerprint
+    assert a[0].x.shape == (301, 13)
+    assert a[1].u.shape == (251, 4)
+    assert np.abs(a[0].x[:, :3]).max() < 4.0
+
+
+def test_the_wanted_paths_agree_with_their_own_derivatives() -> None:
+    pilot = Pilot([30.0], dt=0.01, seed=0)
+    (path,) = pilot.paths(Sticks())
+    np.testing.assert_allclose(np.cumsum(path.v, axis=0) * 0.01 + path.p[0], path.p, atol=0.02)
+    np.testing.assert_allclose(np.cumsum(path.yaw_rate) * 0.01, path.yaw - path.yaw[0], atol=0.02)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_rehearsal_reaches_the_quantiles_of_any_seed(seed: int) -> None:
+    pilot = Pilot([73.0, 66.0, 64.0], dt=0.01, seed=seed)
+    paths = pilot.paths(pilot.rehearse(Sticks(), pilot.targets))
+    found = figures(np.concatenate([attained(path) for path in paths], axis=1))
+    np.testing.assert_allclose(found[::2] / pilot.targets[::2], 1.0, atol=0.03)
+    np.testing.assert_allclose(found[1::2] / pilot.targets[1::2], 1.0, atol=0.2)
+
+
+def test_the_swing_up_brings_every_pole_upright_and_random_pushes_do_not() -> None:
+    def upright(policy: str) -> float:
+        runs = cartpole_episodes(durations=[8.0] * 12, seed=1, policy=policy)
+        return float(np.mean([np.cos(run.x[-25:, 2]).min() > 0.9 for run in runs]))
+
+    assert upright("on_policy") == 1.0
+    assert upright("random") < 0.5
+
+
+def test_episodes_start_where_the_supplement_starts_them_and_push_within_25_newtons() -> None:
+    data = simulated("cartpole", use_cache=False, sensor_noise=0.0)
+    assert len(data) == 20
+    start = np.stack([run.x[0] for run in data.runs])
+    low, high = [-1, -1, np.pi - 0.8, -0.8], [1, 1, np.pi + 0.8, 0.8]
+    assert (start >= low).all()
+    assert (start <= high).all()
+    assert max(np.abs(run.u).max() for run in data.runs) <= 25.0
+
+
+def test_sensor_noise_of_the_cartpole_grows_with_its_factor() -> None:
+    quiet = simulated("cartpole", use_cache=False, sensor_noise=0.0, process_noise=0.0, policy="random")
+    noisy = simulated("cartpole", use_cache=False, sensor_noise=10.0, process_noise=0.0, policy="random")
+    # random pushes do not see the measurement: the true paths are equal
+    difference = np.concatenate([a.x - b.x for a, b in zip(quiet.runs, noisy.runs, strict=True)])
+    assert difference.std(0).tolist() == pytest.approx([0.071, 0.1, 0.3, 0.412], rel=0.05)
+
+
+def test_springs_start_in_the_region_and_carry_the_noise_of_the_supplement() -> None:
+    clean = simulated("mass_spring_damper", use_cache=False, sensor_noise=0.0)
+    noisy = simulated("mass_spring_damper", use_cache=False)
+    assert [len(run) for run in clean.runs] == [501] * 5
+    assert max(np.abs(run.x[0]).max() for run in clean.runs) <= 0.1
+    assert all(not run.u.any() for run in clean.runs)
+    difference = np.concatenate([a.x - b.x for a, b in zip(clean.runs, noisy.runs, strict=True)])
+    assert difference.std(0).tolist() == pytest.approx([0.005, 0.01], rel=0.05)
+
+
+def test_a_multisine_force_moves_the_spring() -> None:
+    data = simulated("mass_spring_damper", use_cache=False, force="multisine", durations=[20.0] * 3)
+    u = np.concatenate([run.u for run in data.runs])
+    assert u.std() == pytest.approx(0.05, rel=0.15)
+    assert data.summary.input_rank.rank == 1
+
+
+def test_an_effect_changes_the_data_and_its_size_matters() -> None:
+    def last(effects: object) -> float:
+        settings = {"use_cache": False, "sensor_noise": 0.0, "effects": effects}
+        return float(simulated("mass_spring_damper", **settings)[0].x[-1, 0])  # type: ignore[arg-type]
+
+    nothing, some = last(()), last(["coulomb_friction"])
+    more = last([{"coulomb_friction": {"size": 0.3}}])
+    assert len({nothing, some, more}) == 3
+    assert last({"coulomb_friction": {"size": 0.3}}) == more
+
+
+def test_every_plant_has_a_recording_and_columns_of_its_system() -> None:
+    assert registry.RECORDINGS.keys() == MACHINES.keys()
+    for name, spec in MACHINES.items():
+        assert len(spec.sensor_std) == len(make_system(name).error_names)
+
+
+class Mine(Hexacopter):  # type: ignore[misc]
+    name = "mine"
+
+
+def test_a_system_of_the_users_own_has_no_plant_and_the_remedy_is_named() -> None:
+    with pytest.raises(ConfigError, match=r"'mine' has no plant.*data=csv data.path=FOLDER"):
+        simulated(Mine())
+    with pytest.raises(ConfigError, match="has no plant"):
+        simulated("package.module:Class")
+
+
+def test_faults_of_the_caller_are_named() -> None:
+    for wrong, message in (
+        ({"durations": []}, "`durations`"),
+        ({"durations": [-1.0]}, "`durations`"),
+        ({"durations": [1e-3]}, "`durations`"),
+        ({"seed": -1}, "`seed`"),
+        ({"process_noise": -1.0}, "`process_noise`"),
+        ({"sensor_noise": float("nan")}, "`sensor_noise`"),
+        ({"effects": ["linear_drag"]}, "does not act on system"),
+        ({"effects": [{"viscous_friction": 0.3}]}, "takes"),
+        ({"effects": [{"viscous_friction": {"daming": 0.3}}]}, "no parameter 'daming'"),
+        ({"policy": "random"}, "policy"),
+        ({"force": "square"}, "`force` must be one of"),
+        ({"region": [[0.1, -0.1], [0, 1]]}, "`region`"),
+    ):
+        with pytest.raises(ConfigError, match=message):
+            simulated("mass_spring_damper", use_cache=False, **wrong)  # type: ignore[arg-type]
+    with pytest.raises(ConfigError, match="`policy` must be one of"):
+        simulated("cartpole", use_cache=False, policy="drunk")
+    with pytest.raises(ConfigError, match="`durations` of flights"):
+        simulated("hexacopter", use_cache=False, durations=[1.0])

@@ -1,18 +1,19 @@
 """How fast are rollouts and their gradients, against torchsde on the same work?
 
-The equation is a neural multirotor of the size of the paper's: 13 states, 6 inputs, two tanh 8-16 residual networks
-of 6 features, and sigma_max * h(eta) with eta swish 32-32. Both libraries integrate it with the same method, on the
-same Brownian increments and inputs, and must give the same trajectories; torchsde has no projection, so the
-comparison leaves it out, and the rows "with projection" are ours alone. Times are medians over repetitions that take
-turns, so that a busy machine slows both alike.
+The equation is a neural multirotor of the size of the paper's: 13 states, 6 inputs, two tanh 8-16 residual
+networks of 6 features, and sigma_max * h(eta) with eta swish 32-32. Both libraries integrate it with the same
+method, on the same Brownian increments and inputs, and must give the same trajectories. torchsde has no
+projection, so the comparison leaves it out; the columns "with projection" are ours alone. Times are medians
+over repetitions that take turns, so that a busy machine slows both alike.
 
     python benchmarks/bench_rollout.py --threads 1 --out bench_rollout.json
 
-A second run finds the compiled code on disk: the first shows the cold compile time (--cold makes a run of its own
-cache), the second the warm one.
+A second run finds the compiled code on disk: the first shows the cold compile time (--cold gives a run its
+own cache), the second the warm one.
 """
 
 import argparse
+import itertools
 import json
 import math
 import os
@@ -39,7 +40,7 @@ TORCHSDE = {  # our step -> calculus, method and options there
 def network(*sizes: int, activation: type[nn.Module]) -> nn.Sequential:
     """A multilayer perceptron without activation at its end."""
     layers: list[nn.Module] = []
-    for wide, narrow in zip(sizes[:-1], sizes[1:], strict=True):
+    for wide, narrow in itertools.pairwise(sizes):
         layers += [nn.Linear(wide, narrow), activation()]
     return nn.Sequential(*layers[:-1])
 

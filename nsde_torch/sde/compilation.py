@@ -1,13 +1,14 @@
 """The compiled path: one step of one equation as machine code, called T times by `rollout`.
 
-Measured on two busy cores (torch 2.13, float32, one thread; a multirotor with 13 states, two tanh 8-16 residual
-networks and a swish 32-32 distance network; derivative-free Milstein; benchmarks/bench_rollout.py repeats it):
+Measured on two busy cores (torch 2.13, float32, one thread; a multirotor with 13 states, two tanh 8-16
+residual networks and a swish 32-32 distance network; derivative-free Milstein; the ratios to eager steps and
+to torchsde come from benchmarks/bench_rollout.py):
 
 - Unrolling 4 or 5 steps into one graph takes 3 to 4 times as long to compile and gains nothing: one step.
 - Calls between the kernels in C++ (cpp_wrapper) gain 10 to 20 % at 512 rows and a third at 32.
 - Plain (N, nz) rows are fast enough: torch.nn.functional.linear, columns taken by slices and unbind, one
   stack at the end. State first, (nz, N), gains some 10 to 20 %, not worth a second convention; merging two
-  small networks into one gains 5 %; tanh(x) written as 2 sigmoid(2 x) - 1 gains 3 % with gradients, 15 % without.
+  small networks into one gains 5 %; 2 sigmoid(2 x) - 1 for tanh(x) gains 3 % with gradients, 15 % without.
 - The more rows, the more the matrix products decide, which are the same compiled or not: a rollout gains a
   factor of four at 32 rows, 2.5 at 512 and 1.5 at 4096.
 - What costs: a graph break (print, .item(), a data-dependent branch), Python containers that change between

@@ -62,6 +62,7 @@ class Parametrised(nn.Module):
     def __init__(self, values: Mapping[str, float | list[float]] | None = None) -> None:
         super().__init__()
         self._specs = dict(self.PARAMETERS)
+        self._scales = {name: _scale(spec) for name, spec in self._specs.items()}
         self.raw = nn.ParameterDict()
         for name, spec in self._specs.items():
             initial = torch.as_tensor(spec.initial, dtype=torch.float64).reshape(-1)
@@ -70,18 +71,12 @@ class Parametrised(nn.Module):
         for name, value in (values or {}).items():
             self.set_value(name, torch.as_tensor(value, dtype=torch.float64).reshape(-1))
 
-    def _scale(self, name: str) -> float:
-        spec = self._specs[name]
-        if spec.scale is not None:
-            return spec.scale
-        return max(float(torch.as_tensor(spec.initial).abs().max()), 0.1)
-
     def value(self, name: str) -> Tensor:
         """Value of a declared parameter, (k,), in its unit."""
         spec, raw = self._specs[name], self.raw[name]
         if spec.low is not None and spec.high is not None:
             return spec.low + (spec.high - spec.low) * torch.sigmoid(raw)
-        scale = self._scale(name)
+        scale = self._scales[name]
         if spec.low is not None:
             return spec.low + scale * nn.functional.softplus(raw)
         if spec.high is not None:
@@ -101,8 +96,10 @@ class Parametrised(nn.Module):
         v = torch.as_tensor(value, dtype=torch.float64).reshape(-1)
         if v.numel() not in (1, raw.numel()):
             raise ConfigError(f"parameter {name!r} takes {raw.numel()} number(s); got {v.numel()}.")
+        if not bool(torch.isfinite(v).all()):
+            raise ConfigError(f"parameter {name!r} [{spec.unit}] must be finite; got {v.tolist()}.")
         v = v.expand(raw.numel())
-        low, high, scale = spec.low, spec.high, self._scale(name)
+        low, high, scale = spec.low, spec.high, self._scales[name]
         if (low is not None and bool((v <= low).any())) or (high is not None and bool((v >= high).any())):
             raise ConfigError(
                 f"parameter {name!r} [{spec.unit}] must lie strictly between {low} and {high}; got {v.tolist()}."
@@ -122,6 +119,13 @@ class Parametrised(nn.Module):
     def declared_parameters(self) -> dict[str, tuple[Tensor, str]]:
         """Declared parameters: name -> (value (k,), unit)."""
         return {name: (self.value(name).detach(), spec.unit) for name, spec in self._specs.items()}
+
+
+def _scale(spec: Parameter) -> float:
+    if spec.scale is not None:
+        return spec.scale
+    initial = spec.initial if isinstance(spec.initial, tuple) else (spec.initial,)
+    return max(*(abs(v) for v in initial), 0.1)
 
 
 def _inverse_softplus(y: Tensor) -> Tensor:

@@ -86,6 +86,8 @@ class System(Parametrised, ABC):
         error_names: Names of the error channels.
         error_groups: How they are reported.
         feature_names, feature_units: Columns of `features`.
+        disturbed_ports: Ports on which a lasting disturbance is carried (gusts).
+        sensor_noise: Whether the state is measured with noise that a model should learn.
         quaternion: Columns of the unit quaternion, or None.
         position_derivatives: (position, velocity, frame) triples that kinematics ties together.
 
@@ -108,6 +110,8 @@ class System(Parametrised, ABC):
     feature_names: ClassVar[tuple[str, ...]]
     feature_units: ClassVar[tuple[str, ...]]
     declared: ClassVar[tuple[str, ...]] = ()
+    disturbed_ports: ClassVar[tuple[Port, ...]] = ()
+    sensor_noise: ClassVar[bool] = False
     quaternion: ClassVar[slice | None] = None
     position_derivatives: ClassVar[tuple[tuple[str, str, str], ...]] = ()
 

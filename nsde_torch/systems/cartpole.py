@@ -44,6 +44,7 @@ class Cartpole(System):
     )
     feature_names = ("x_dot", "sin_theta", "cos_theta", "theta_dot")
     feature_units = ("m/s", "1", "1", "rad/s")
+    sensor_noise = True
     position_derivatives = (("x", "x_dot", "world"), ("theta", "theta_dot", "world"))
     PARAMETERS = {
         "force_gain": Parameter(0.9, "1/kg", low=0.0, help="1 / total mass"),

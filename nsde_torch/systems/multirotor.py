@@ -71,6 +71,7 @@ class Multirotor(System):
     feature_names = ("v_body_x", "v_body_y", "v_body_z", "w_x", "w_y", "w_z")
     feature_units = (*("m/s",) * 3, *("rad/s",) * 3)
     quaternion = slice(6, 10)
+    disturbed_ports = (Port.BODY_FORCE,)
     position_derivatives = (("p_x", "v_x", "world"), ("p_y", "v_y", "world"), ("p_z", "v_z", "world"))
     PARAMETERS = {
         "thrust_gain": Parameter(4.5, "m/s2", low=0.0, help="thrust over mass per unit of summed command"),
@@ -159,7 +160,7 @@ class Multirotor(System):
             return {}
         u = u[:, : self.nu]
         mixed = u @ np.asarray(self.mixing).T
-        q = torch.as_tensor(x[:, 6:10])
+        q = torch.tensor(x[:, 6:10])  # a copy: the arrays of a run are read-only
         acc = np.gradient(x[:, 3:6], dt, axis=0) + np.array([0.0, 0.0, GRAVITY])
         force = rotate_back(q, torch.as_tensor(acc)).numpy()
         out: dict[str, list[float]] = {}

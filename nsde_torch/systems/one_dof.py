@@ -30,6 +30,7 @@ class MassSpringDamper(System):
     error_groups = (ErrorGroup("position", (0,), "m"), ErrorGroup("velocity", (1,), "m/s"))
     feature_names = state_names
     feature_units = state_units
+    sensor_noise = True
     position_derivatives = (("q", "q_dot", "world"),)
     PARAMETERS = {"force_gain": Parameter(1.0, "1/kg", low=0.0, help="1 / mass")}
 

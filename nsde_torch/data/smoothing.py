@@ -1,0 +1,79 @@
+"""Finds a centred moving average in the logged inputs by the nulls that it leaves in their spectrum.
+
+An average over a time T multiplies the spectrum by sinc(f T): nothing is left at f = k / T, k = 1, 2, ...
+Raw commands have no reason to be silent at just these frequencies, so the depth of the spectrum at the first
+nulls, against the middle of the lobes between them, is a test of T.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.signal import welch
+
+from nsde_torch.data.run import Run
+
+_NULLS = 4
+_DEPTH = 3.0  # a fall of e^3 = 20 in power at each of the nulls, where noise gives less than e^1
+_SHORTEST = 6  # samples: below that too few nulls lie under half the sampling rate
+
+
+def smoothing_width(runs: Sequence[Run], n_inputs: int) -> float:
+    """Width of a moving average found in the inputs [s], 0 if there is none.
+
+    Args:
+        runs: Recordings, all on one step.
+        n_inputs: Number of input columns to look at.
+
+    Returns:
+        Width [s], the longest that explains the nulls; 0.0 without a clear finding.
+    """
+    dt = runs[0].dt
+    power = _power(runs, n_inputs, dt)
+    if power is None:
+        return 0.0
+    frequency, log_power = power
+    best, width = 0.0, 0.0
+    for n in range(_SHORTEST, int(2.0 / dt) + 1):
+        nulls = np.arange(1, _NULLS + 1) / (n * dt)
+        nulls = nulls[nulls < 0.45 / dt]
+        if len(nulls) < 2 or nulls[0] < 4 * (frequency[1] - frequency[0]):
+            continue
+        half = 0.5 / (n * dt)
+        depth = np.interp(nulls + half, frequency, log_power) - _lowest(frequency, log_power, nulls, 0.1 * half)
+        score = float(np.min(depth))
+        if score > _DEPTH and score > 1.15 * best:
+            best, width = score, n * dt
+        elif score > 0.8 * best and score > _DEPTH and n * dt > 1.8 * width:
+            best, width = max(score, best), n * dt  # a wider average has the nulls of a narrower one, and more
+    return width
+
+
+def _lowest(
+    frequency: NDArray[np.float64], values: NDArray[np.float64], at: NDArray[np.float64], tolerance: float
+) -> NDArray[np.float64]:
+    """Smallest value within a tolerance of each place."""
+    step = frequency[1] - frequency[0]
+    return np.array([values[np.abs(frequency - f) <= max(tolerance, step)].min() for f in at])
+
+
+def _power(
+    runs: Sequence[Run], n_inputs: int, dt: float
+) -> tuple[NDArray[np.float64], NDArray[np.float64]] | None:
+    """Mean log power of the changes of all inputs."""
+    spectra = []
+    for run in runs:
+        for a, b in run.segments:
+            changes = np.diff(run.u[a:b, :n_inputs], axis=0)
+            if len(changes) < 512:
+                continue
+            frequency, p = welch(changes, fs=1 / dt, nperseg=min(len(changes), 1024), axis=0)
+            active = changes.std(0) > 1e-9
+            if active.any():
+                spectra.append((b - a, np.log(p[:, active] + 1e-30).mean(1)))
+    if not spectra:
+        return None
+    length = max(len(s) for _, s in spectra)
+    kept = [(w, s) for w, s in spectra if len(s) == length]
+    total = sum(w for w, _ in kept)
+    return np.linspace(0, 0.5 / dt, length), sum((w / total) * s for w, s in kept)

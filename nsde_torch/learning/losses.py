@@ -1,0 +1,133 @@
+"""Losses: what a good prediction is, and what a good distance is.
+
+Data loss, loss=paper: squared error of sampled paths, L = E |x_pred - x|^2 / scale^2 (supplement A). Its
+minimum over sigma is sigma = 0: a spread can only add to it. That is why intervals trained with it hold a
+few per cent of the truth instead of 90.
+
+Data loss, loss=default: the fair continuous ranked probability score of P >= 2 independent paths X_p,
+
+    CRPS = mean_p |X_p - x| - sum_{p<q} |X_p - X_q| / (P (P - 1))
+
+averaged over channels and steps (Gneiting and Raftery, JASA 102 (2007); the fair form of Ferro, QJRMS 140
+(2014)). It is strictly proper for each channel at each step, its expectation does not depend on P, it is in
+the unit of the channel, and one sampled pair gives an unbiased gradient through the paths: no density is
+needed, so any integrator and any horizon will do. A transition likelihood would see one step only, where
+sensor noise and errors that are correlated in time look like diffusion, and the spread would not hold at 2 s.
+The energy score is proper for the joint law, but its single norm is ruled by the channel of largest error.
+Marginal intervals are what is read and checked here, so each channel is scored.
+
+Distance losses, for features y of the data and points y' in a ball around them:
+
+    gradient    |dE/dy|^2                                    the data are a minimum
+    convexity   max(0, E(y) + dE/dy (y' - y) + mu(y) |y' - y|^2 / 2 - E(y'))^2
+    reward      1 / mu(y)
+
+With loss=paper, E is eta itself and the ball has the supplement's radius r, as the supplement has it: eta rises steeply
+within r and is free beyond. With loss=default, E is the argument of eta (which is not bounded, so that it can be
+convex everywhere) and the radius is drawn log-uniform between r and a multiple of the data's own spread: "far" is
+taught as well as "near". There the data loss does not move eta: a distance that also had to explain noise
+inside the data would stop being a distance.
+"""
+
+import torch
+from torch import Tensor
+
+from nsde_torch.learning.options import LossOptions
+from nsde_torch.models.distance import Distance
+from nsde_torch.models.neural_sde import NeuralSDE
+
+
+def crps(errors: Tensor) -> Tensor:
+    """Fair CRPS of an ensemble, element by element.
+
+    Args:
+        errors: Ensemble minus truth (P, ...), P >= 2.
+
+    Returns:
+        Score (...), in the unit of the errors.
+    """
+    p = errors.shape[0]
+    distance = errors.abs().mean(0)
+    if p == 2:
+        return distance - (errors[0] - errors[1]).abs() / 2
+    ordered = errors.sort(0).values
+    rank = torch.arange(1, p + 1, device=errors.device, dtype=errors.dtype)
+    weight = (2 * rank - p - 1).reshape(p, *[1] * (errors.ndim - 1))
+    return distance - (weight * ordered).sum(0) / (p * (p - 1))
+
+
+def data_loss(errors: Tensor, scale: Tensor, *, kind: str, early: float) -> Tensor:
+    """Data loss of a batch.
+
+    Args:
+        errors: Predicted minus measured (P, B, T, n_error), without the first state.
+        scale: Size of the errors that matter (n_error,).
+        kind: "default" or "paper".
+        early: Exponent of the weights of the steps (default loss).
+    """
+    relative = errors / scale
+    if kind == "paper":
+        return relative.square().mean()
+    step = torch.arange(1, errors.shape[2] + 1, device=errors.device, dtype=errors.dtype)
+    weight = step**-early
+    return (crps(relative) * (weight / weight.mean())[:, None]).mean()
+
+
+def distance_losses(
+    eta: Distance,
+    features: Tensor,
+    directions: Tensor,
+    share: Tensor,
+    *,
+    kind: str,
+    near: float,
+    far: float,
+) -> tuple[Tensor, Tensor, Tensor]:
+    """The three distance losses.
+
+    Args:
+        eta: The distance.
+        features: Raw features of data (M, nf).
+        directions: Unit vectors (M, K, nf).
+        share: Uniform numbers in [0, 1) (M, K, 1).
+        kind: "default" or "paper".
+        near: Radius r of the ball [standard deviations].
+        far: Largest radius of the default loss [standard deviations].
+
+    Returns:
+        gradient, convexity and reward loss, each 0-d.
+    """
+    y = eta.standardise(features)
+    m, k, n = directions.shape
+    radius = near * share ** (1.0 / n) if kind == "paper" else near * (far / near) ** share
+    offset = directions * radius
+    value, slope = eta.energy_and_gradient(y)
+    around = eta.energy((y[:, None] + offset).reshape(m * k, n)).reshape(m, k)
+    if kind == "paper":
+        slope = slope * eta.link_slope(value)[:, None]
+        value, around = eta.link(value), eta.link(around)
+    mu = eta.mu(y)
+    bound = value[:, None] + (slope[:, None] * offset).sum(-1) + 0.5 * mu[:, None] * radius[..., 0] ** 2
+    return (
+        slope.square().sum(1).mean(),
+        torch.relu(bound - around).square().mean(),
+        (1.0 / mu).mean(),
+    )
+
+
+def draw_ball(
+    points: int, samples: int, width: int, generator: torch.Generator, like: Tensor
+) -> tuple[Tensor, Tensor]:
+    """Directions (M, K, nf) uniform on the sphere and uniform numbers (M, K, 1)."""
+    made = {"generator": generator, "device": generator.device, "dtype": like.dtype}
+    directions = torch.randn(points, samples, width, **made)  # type: ignore[call-overload]
+    directions = directions / directions.norm(dim=-1, keepdim=True).clamp_min(1e-12)
+    share = torch.rand(points, samples, 1, **made)  # type: ignore[call-overload]
+    return directions.to(like.device), share.to(like.device)
+
+
+def mu_weight(options: LossOptions, model: NeuralSDE) -> float:
+    """Weight of the reward on mu: the user's, the supplement's for "paper", that of the other two else."""
+    if options.mu is not None:
+        return options.mu
+    return model.system.defaults.lambda_mu if options.kind == "paper" else 0.01

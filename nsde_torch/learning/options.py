@@ -1,0 +1,83 @@
+"""Settings of losses and training."""
+
+from dataclasses import dataclass
+
+from nsde_torch.errors import ConfigError
+
+
+@dataclass(frozen=True)
+class LossOptions:
+    """Weights of the losses.
+
+    Args:
+        kind: "default" (CRPS) or "paper" (squared error of sampled paths).
+        data: Weight of the data loss (supplement: 1).
+        gradient: Weight of the zero-gradient loss (supplement: 0.01).
+        convexity: Weight of the strong-convexity loss (supplement: 0.01).
+        mu: Weight of the reward on large mu; None takes the system's (supplement: 1) for "paper", 0.01 else.
+        particles: Paths per window; the default loss needs at least 2.
+        points: States of a batch that the distance losses look at.
+        ball_samples: Points drawn in the ball around each.
+        ball_radius: Radius of the ball [standard deviations of the features]; None takes the system's.
+        far_radius: Largest radius that the default loss draws up to [standard deviations].
+        residual_decay: Weight of the squared weights of the residual networks.
+        early: Weight of a step k of the window is k ** -early (default loss).
+    """
+
+    kind: str = "default"
+    data: float = 1.0
+    gradient: float = 0.01
+    convexity: float = 0.01
+    mu: float | None = None
+    particles: int = 2
+    points: int = 256
+    ball_samples: int = 8
+    ball_radius: float | None = None
+    far_radius: float = 16.0
+    residual_decay: float = 0.003
+    early: float = 0.5
+
+    def __post_init__(self) -> None:
+        if self.kind not in ("default", "paper"):
+            raise ConfigError(f"`loss.kind` must be default or paper; got {self.kind!r}.")
+        if self.kind == "default" and self.particles < 2:
+            raise ConfigError(
+                f"`loss.particles` must be at least 2 with loss=default (a spread needs two paths); "
+                f"got {self.particles}."
+            )
+
+
+@dataclass(frozen=True)
+class TrainerOptions:
+    """Settings of the optimisation.
+
+    Args:
+        steps: Largest number of gradient steps.
+        batch: Windows per gradient step (supplement: 512).
+        lr: Adam's learning rate at the start (supplement: 0.01).
+        lr_end: Learning rate after the decay (supplement: 0.001).
+        decay_steps: Steps over which it falls linearly (supplement: 10,000); None takes `steps`.
+        patience: Validations without a better score before training stops.
+        clip: Largest norm of the gradient, None for no clipping.
+        validate_every: Steps between validations.
+        checkpoint_every: Steps between checkpoints.
+        compile: "auto" and "on" compile the integrator's step, "off" does not.
+        calibrate: Scale the diffusion by errors across training runs at the end (default loss only).
+    """
+
+    steps: int = 1000
+    batch: int = 512
+    lr: float = 0.01
+    lr_end: float = 0.001
+    decay_steps: int | None = None
+    patience: int = 10
+    clip: float | None = 10.0
+    validate_every: int = 50
+    checkpoint_every: int = 100
+    compile: str = "auto"
+    calibrate: bool = True
+
+    def rate(self, step: int) -> float:
+        """Learning rate of a step, counted from 0."""
+        share = min(step / max(self.decay_steps or self.steps, 1), 1.0)
+        return self.lr + (self.lr_end - self.lr) * share

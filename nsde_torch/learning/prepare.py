@@ -1,0 +1,78 @@
+"""Everything that is set from the training data before the first gradient step."""
+
+from collections.abc import Sequence
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from nsde_torch.data import Run, Windows
+from nsde_torch.errors import ConfigError
+from nsde_torch.models.neural_sde import NeuralSDE
+
+_ROWS = 20_000
+_HOLD_SHARE = 0.35  # a useful model's error, as a share of that of holding the state
+
+
+def prepare(model: NeuralSDE, runs: Sequence[Run], windows: Windows, *, clock_scale: float, start: bool) -> None:
+    """Set standardisation, first sigma, clock and first parameters of a model.
+
+    Args:
+        model: Changed in place.
+        runs: Training runs.
+        windows: Training windows.
+        clock_scale: Physical seconds per logged second.
+        start: Whether to look for first values of declared parameters in the data.
+    """
+    x, _, _ = windows.batch(_spread(len(windows), _ROWS // (windows.horizon + 1) + 1))
+    rows = x.reshape(-1, x.shape[-1])
+    with torch.no_grad():
+        model.residual_inputs.fit(model.system.residual_features(rows))
+        model.eta.standardise.fit(model.system.features(rows))
+        model.clock_scale.fill_(clock_scale)
+        bend = x[:, 2:] - 2 * x[:, 1:-1] + x[:, :-2]
+        sigma = 0.5 * bend.reshape(-1, x.shape[-1]).std(0) / windows.dt_model**0.5
+        if model.h.log_sigma_max.requires_grad:
+            model.h.log_sigma_max[: len(sigma)].copy_((4.0 * sigma).clamp_min(1e-6).log())
+        if model.spec.measurement:
+            model.log_measurement_std.copy_(sensor_std(runs).clamp_min(1e-6).log().to(x))
+    if start:
+        longest = max(runs, key=lambda run: run.duration)
+        a, b = max(longest.segments, key=lambda s: s[1] - s[0])
+        values = model.system.start_values(
+            np.asarray(longest.x[a:b]), np.asarray(longest.u[a:b]), longest.dt * clock_scale
+        )
+        for name, value in values.items():
+            try:
+                model.system.set_value(name, torch.tensor(value))
+            except ConfigError:
+                continue  # out of bounds: the data mislead, the default stays
+
+
+def _spread(n: int, count: int) -> Tensor:
+    return torch.linspace(0, n - 1, min(n, count)).round().long()
+
+
+def sensor_std(runs: Sequence[Run]) -> Tensor:
+    """Standard deviation of white sensor noise (nx,), from fourth differences, which a smooth motion lacks."""
+    squares, count = 0.0, 0
+    for run in runs:
+        for a, b in run.segments:
+            d = np.diff(run.x[a:b], 4, axis=0)
+            squares = squares + (d**2).sum(0)
+            count += len(d)
+    if count == 0:
+        return torch.full((runs[0].x.shape[1],), 1e-6, dtype=torch.float64)
+    return torch.as_tensor(np.sqrt(np.asarray(squares) / count / 70.0))  # 70 = C(8, 4)
+
+
+def error_scale(model: NeuralSDE, windows: Windows) -> Tensor:
+    """Scale of the error channels (n_error,): a share of the error of holding the state, one per group."""
+    x, _, _ = windows.batch(_spread(len(windows), 2000))
+    held = model.system.error(x[:, :1].expand_as(x[:, 1:]), x[:, 1:])
+    rms = held.reshape(-1, held.shape[-1]).square().mean(0).sqrt()
+    scale = torch.ones_like(rms)
+    for group in model.system.error_groups:
+        at = list(group.channels)
+        scale[at] = rms[at].square().mean().sqrt().clamp_min(1e-9) * _HOLD_SHARE
+    return scale

@@ -1,0 +1,55 @@
+"""What a person reads at the end of a training: tables as text."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+
+def table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    """Rows in aligned columns, the first left, the others right."""
+    widths = [max(len(row[i]) for row in (head, *rows)) for i in range(len(head))]
+
+    def line(row: Sequence[str]) -> str:
+        cells = [row[0].ljust(widths[0]), *(c.rjust(w) for c, w in zip(row[1:], widths[1:], strict=True))]
+        return "  ".join(cells).rstrip()
+
+    return "\n".join([line(head), "  ".join("-" * w for w in widths), *(line(row) for row in rows)])
+
+
+def number(value: float) -> str:
+    """Three significant digits, without an exponent where that is readable."""
+    if value == 0:
+        return "0"
+    return f"{value:.3g}" if 1e-4 <= abs(value) < 1e5 else f"{value:.2e}"
+
+
+def parameter_table(parameters: Mapping[str, Mapping[str, Any]]) -> str:
+    """Declared parameters with 90 % half-widths."""
+    rows = []
+    for name, p in parameters.items():
+        pairs = zip(p["value"], p["half_width_90"], strict=True)
+        rows.append([name, "  ".join(f"{number(v)} +- {number(h)}" for v, h in pairs), p["unit"]])
+    return table(["declared parameter", "value +- 90 %", "unit"], rows)
+
+
+def error_table(test: Mapping[str, Any]) -> str:
+    """Held-out errors of the model and the baselines at each horizon."""
+    names = {"model": "model", "constant_velocity": "constant velocity", "hold": "hold"}
+    horizons = [f"{h:g}" for h in test["horizons_s"]]
+    rows = []
+    for group, unit in test["units"].items():
+        for key, name in names.items():
+            values = test["errors"][key][group]
+            rows.append([f"{group} [{unit}]", name, *(number(values[h]) for h in horizons)])
+    return table(["rms error", "", *(f"{h} s" for h in horizons)], rows)
+
+
+def coverage_table(test: Mapping[str, Any]) -> str:
+    """Share of measurements inside the intervals, and the CRPS, at each horizon."""
+    horizons = [f"{h:g}" for h in test["horizons_s"]]
+    rows = []
+    for group, unit in test["units"].items():
+        for level, by_group in test["coverage"].items():
+            values = by_group[group]
+            rows.append([group, f"{float(level):.0%} interval", *(f"{values[h]:.0%}" for h in horizons)])
+        rows.append([group, f"CRPS [{unit}]", *(number(test["crps"][group][h]) for h in horizons)])
+    return table(["held out", "", *(f"{h} s" for h in horizons)], rows)

@@ -1,0 +1,73 @@
+"""Small fully connected networks on rows (N, n_in)."""
+
+from collections.abc import Callable, Sequence
+
+import torch
+from torch import Tensor, nn
+
+
+class MLP(nn.Module):
+    """Fully connected network with one activation after each hidden layer.
+
+    Args:
+        n_in: Inputs.
+        hidden: Widths of the hidden layers.
+        n_out: Outputs.
+        activation: torch.tanh, for example.
+        generator: Source of the initial weights (uniform, 1 / sqrt(fan in), biases zero).
+        last_gain: Factor on the weights of the last layer; small makes the network start near zero.
+    """
+
+    def __init__(
+        self,
+        n_in: int,
+        hidden: Sequence[int],
+        n_out: int,
+        *,
+        activation: Callable[[Tensor], Tensor],
+        generator: torch.Generator,
+        last_gain: float = 1.0,
+    ) -> None:
+        super().__init__()
+        widths = [n_in, *hidden, n_out]
+        self.activation = activation
+        self.layers = nn.ModuleList(nn.Linear(a, b) for a, b in zip(widths[:-1], widths[1:], strict=True))
+        for layer in self.layers:
+            assert isinstance(layer, nn.Linear)
+            bound = layer.in_features**-0.5
+            with torch.no_grad():
+                layer.weight.uniform_(-bound, bound, generator=generator)
+                layer.bias.zero_()
+                if layer is self.layers[-1]:
+                    layer.weight.mul_(last_gain)
+
+    def forward(self, x: Tensor) -> Tensor:
+        """Outputs (N, n_out) for rows (N, n_in)."""
+        for layer in self.layers[:-1]:
+            x = self.activation(layer(x))
+        return self.layers[-1](x)
+
+    def weight_norm(self) -> Tensor:
+        """Sum of squares of all weights (not of the biases)."""
+        return sum((layer.weight.square().sum() for layer in self.layers), torch.zeros(()))  # type: ignore[union-attr, operator]
+
+
+class Standardise(nn.Module):
+    """Subtracts a mean and divides by a scale, channel by channel; both are set from the training data."""
+
+    def __init__(self, width: int) -> None:
+        super().__init__()
+        self.mean: Tensor
+        self.scale: Tensor
+        self.register_buffer("mean", torch.zeros(width))
+        self.register_buffer("scale", torch.ones(width))
+
+    def fit(self, rows: Tensor, *, centre: bool = True) -> None:
+        """Set mean and standard deviation from rows (N, width); a constant channel keeps scale 1."""
+        std = rows.std(0)
+        self.scale.copy_(torch.where(std > 1e-9, std, torch.ones_like(std)))
+        self.mean.copy_(rows.mean(0) if centre else torch.zeros_like(self.mean))
+
+    def forward(self, x: Tensor) -> Tensor:
+        """Standardised rows."""
+        return (x - self.mean) / self.scale

@@ -1,0 +1,382 @@
+"""The neural SDE: declared physics plus residual networks, and a diffusion that grows away from the data.
+
+    dx = (f_declared(x, u) + f_residual(y)) c dt + sigma_max * h_phi(eta_psi(y)) * dW        (supplement, eq. 4)
+
+c is the clock scale (physical seconds per logged second), 1 where the log's clock is right. Sensor noise of
+standard deviation s on the measured state stands beside the diffusion where the system asks for it: the path
+starts at x0 + s e0, and what is predicted is a measurement, x_k + s e_k.
+
+White noise alone cannot be right at 0.1 s and at 2 s at once: gusts and thrust errors last. Where the system
+names a port for it, a disturbance d of that port (an Ornstein-Uhlenbeck process, the simplest gust model) is
+carried as further states, driven by the same distance-aware diffusion and started in its stationary law:
+
+    dd = -d / tau dt + sigma_max_d * h_d(eta(y)) * dW,    force of the port = effects + residual + d
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field
+from typing import Any
+
+import torch
+from torch import Tensor, nn
+
+from nsde_torch.effects import Port
+from nsde_torch.errors import ConfigError, NonFiniteError, ShapeError
+from nsde_torch.models.diffusion import Diffusion
+from nsde_torch.models.distance import Distance
+from nsde_torch.models.input_filter import InputFilter
+from nsde_torch.models.networks import MLP, Standardise
+from nsde_torch.sde import Calculus, brownian, make_step, rollout
+from nsde_torch.systems import System, make_system
+
+
+@dataclass(frozen=True)
+class ModelSpec:
+    """Everything that is needed to build the same model again; saved beside the weights.
+
+    Args:
+        system: Name of the system.
+        effects: Effects beyond the declared ones.
+        declared: Declared effects, None for the system's own.
+        system_options: Further arguments of the system's class.
+        dt: Step that it was trained with [s].
+        horizon: Training window [steps].
+        step: Name of the integrator.
+        distance_hidden, mu_hidden, residual_hidden: Widths of the networks.
+        sigma_max: Fixed largest diffusion, one per state; None learns it.
+        filter_reach: Taps on each side of the input filter; 0 for none.
+        measurement: Whether sensor noise is learned.
+        disturbance: Whether the system's disturbed ports carry a lasting disturbance.
+        loss: Kind of loss, for the record.
+    """
+
+    system: str
+    dt: float
+    horizon: int
+    step: str
+    effects: tuple[str, ...] = ()
+    declared: tuple[str, ...] | None = None
+    system_options: Mapping[str, Any] = field(default_factory=dict)
+    distance_hidden: tuple[int, ...] = (32, 32)
+    mu_hidden: tuple[int, ...] = (8, 8)
+    residual_hidden: tuple[int, ...] = (8, 16)
+    sigma_max: tuple[float, ...] | None = None
+    filter_reach: int = 0
+    measurement: bool = False
+    disturbance: bool = False
+    loss: str = "default"
+
+    def as_dict(self) -> dict[str, Any]:
+        """Plain containers, for YAML."""
+        return {k: list(v) if isinstance(v, tuple) else v for k, v in asdict(self).items()}
+
+    @classmethod
+    def from_dict(cls, values: Mapping[str, Any]) -> "ModelSpec":
+        """Inverse of `as_dict`; an unknown key is refused."""
+        unknown = set(values) - set(cls.__dataclass_fields__)
+        if unknown:
+            raise ConfigError(f"model specification has unknown keys {sorted(unknown)}; another version wrote it.")
+        return cls(**{k: tuple(v) if isinstance(v, list) else v for k, v in values.items()})
+
+
+class NeuralSDE(nn.Module):
+    """Neural SDE of a system.
+
+    Args:
+        spec: What to build.
+        generator: Source of the initial weights.
+        values: Initial values of declared parameters.
+
+    Example:
+        >>> spec = ModelSpec("hexacopter", dt=0.05, horizon=20, step="milstein")
+        >>> model = NeuralSDE(spec, generator=torch.Generator().manual_seed(0))
+    """
+
+    def __init__(
+        self,
+        spec: ModelSpec,
+        *,
+        generator: torch.Generator,
+        values: Mapping[str, float | list[float]] | None = None,
+    ) -> None:
+        super().__init__()
+        self.spec = spec
+        self.step = make_step(spec.step)
+        self.system: System = make_system(
+            spec.system,
+            effects=spec.effects,
+            declared=spec.declared,
+            values=values,
+            **spec.system_options,
+        )
+        s = self.system
+        probe = torch.zeros(1, s.nx)
+        if s.quaternion is not None:
+            probe[:, s.quaternion.start] = 1.0
+        n_features, n_residual = s.features(probe).shape[1], s.residual_features(probe).shape[1]
+        self.residual_inputs = Standardise(n_residual)
+        self.residuals = nn.ModuleDict(
+            {
+                port.value: MLP(
+                    n_residual,
+                    spec.residual_hidden,
+                    kind.width,
+                    activation=torch.tanh,
+                    generator=generator,
+                    last_gain=0.1,
+                )
+                for port, kind in s.residual_ports.items()
+            }
+        )
+        self._residual_scale = {port.value: kind.scale for port, kind in s.residual_ports.items()}
+        self.eta = Distance(n_features, spec.distance_hidden, spec.mu_hidden, generator=generator)
+        fixed = spec.sigma_max
+        if fixed is not None and len(fixed) != s.nx:
+            raise ConfigError(f"`sigma_max` must have one value per state ({s.nx}); got {len(fixed)}.")
+        self._disturbed: dict[Port, slice] = {}
+        self.nd = 0
+        if spec.disturbance:
+            for port in s.disturbed_ports:
+                self._disturbed[port] = slice(self.nd, self.nd + s.ports[port])
+                self.nd += s.ports[port]
+        start = [torch.full((s.nx,), 0.1) if fixed is None else torch.tensor(fixed)]
+        for port, at in self._disturbed.items():
+            start.append(torch.full((at.stop - at.start,), 0.8 * s.residual_ports[port].scale))
+        sigma = torch.cat(start)
+        self.h = Diffusion(sigma, learned=fixed is None)
+        self.filter = InputFilter(spec.filter_reach, spec.dt) if spec.filter_reach else None
+        self.clock_scale: Tensor
+        self.register_buffer("clock_scale", torch.ones(()))
+        self.log_tau = nn.Parameter(torch.zeros(self.nd), requires_grad=self.nd > 0)
+        self.log_measurement_std = nn.Parameter(torch.full((s.nx,), -7.0), requires_grad=spec.measurement)
+        self.detach_distance = spec.loss != "paper"
+
+    # ---- the equation ---------------------------------------------------------------------------------
+
+    @property
+    def calculus(self) -> Calculus:
+        """The supplement's star leaves the product open: the integrator decides."""
+        return "either"
+
+    def residual(self, x: Tensor) -> dict[Port, Tensor]:
+        """Learned contribution on each port, from the state (N, nx)."""
+        y = self.residual_inputs(self.system.residual_features(x))
+        return {Port(k): self._residual_scale[k] * network(y) for k, network in self.residuals.items()}
+
+    @property
+    def nz(self) -> int:
+        """Number of states with the memory of the effects and the disturbances."""
+        return self.system.nz + self.nd
+
+    def drift(self, t: float | Tensor, z: Tensor, u: Tensor) -> Tensor:
+        """Rate of the state (N, nz) per logged second.
+
+        Args:
+            t: Time [s].
+            z: State, memory of the effects and disturbances (N, nz).
+            u: Applied inputs (N, nu).
+        """
+        forces = self.residual(z[:, : self.system.nx])
+        if not self.nd:
+            return self.clock_scale * self.system.drift(t, z, u, forces)
+        d = z[:, self.system.nz :]
+        for port, at in self._disturbed.items():
+            forces[port] = forces[port] + d[:, at] if port in forces else d[:, at]
+        rate = self.system.drift(t, z[:, : self.system.nz], u, forces)
+        return self.clock_scale * torch.cat((rate, -d * torch.exp(-self.log_tau)), 1)
+
+    def diffusion(self, t: float | Tensor, z: Tensor, u: Tensor) -> Tensor:
+        """Standard deviation density (N, nz) [state unit per root second]; memory has none."""
+        sigma = self._sigma(z[:, : self.system.nx])
+        memory = self.system.nz - self.system.nx
+        if not memory:
+            return sigma
+        nx = self.system.nx
+        return torch.cat((sigma[:, :nx], torch.zeros_like(z[:, :memory]), sigma[:, nx:]), 1)
+
+    def _sigma(self, x: Tensor) -> Tensor:
+        eta = self.eta(self.system.features(x.detach() if self.detach_distance else x))
+        return self.h(eta.detach() if self.detach_distance else eta)
+
+    def project(self, z: Tensor) -> Tensor:
+        """The nearest valid state."""
+        return self.system.project(z)
+
+    def distance(self, x: Tensor) -> Tensor:
+        """Distance eta in [0, 1] of states (..., nx) from the training data, (...)."""
+        self.system.check_rows("x", x, self.system.nx)
+        return self.eta(self.system.features(x.reshape(-1, self.system.nx))).reshape(x.shape[:-1])
+
+    @property
+    def measurement_std(self) -> Tensor:
+        """Learned standard deviation of the sensors (nx,); zero where the model has none."""
+        std = self.log_measurement_std.exp()
+        return std if self.spec.measurement else torch.zeros_like(std)
+
+    # ---- sampling -------------------------------------------------------------------------------------
+
+    @property
+    def n_start(self) -> int:
+        """Width of the normal numbers that start a path: sensor noise and disturbances; 0 if there are none."""
+        return (self.system.nx if self.spec.measurement else 0) + self.nd
+
+    def paths(
+        self,
+        x0: Tensor,
+        u: Tensor,
+        *,
+        dt: float,
+        noise: Tensor | None,
+        start: Tensor | None = None,
+        std: Tensor | None = None,
+        compile: bool = False,
+        t0: float | Tensor = 0.0,
+        check: bool = True,
+    ) -> Tensor:
+        """Paths of the state under given noise: what training and `sample` share.
+
+        Args:
+            x0: First states (B, nx).
+            u: Applied inputs (B, T, nu).
+            dt: Step [s].
+            noise: Brownian increments (P, B, T, nz), or None for sigma = 0 (integrated by rk4).
+            start: Normal numbers that start the paths (P, B, n_start), or None to start at x0 undisturbed.
+            std: Standard deviation of the sensors (nx,), with `start`.
+            compile: Compile the step.
+            t0: Time of the first state.
+            check: Raise on a non-finite state.
+
+        Returns:
+            States (P, B, T + 1, nx).
+        """
+        nx = self.system.nx
+        step = self.step if noise is not None or self.step.deterministic else make_step("rk4")
+        if start is None:
+            z0 = self._augment(x0, u[:, 0], None)
+            path = rollout(self, z0, u, dt=dt, step=step, noise=noise, t0=t0, compile=compile, check=check)
+            return path[..., :nx]
+        assert noise is not None
+        p, b = start.shape[:2]
+        x = x0.expand(p, b, nx)
+        if self.spec.measurement:
+            assert std is not None
+            x = x + start[..., :nx] * std
+        flat_u = u.expand(p, *u.shape).reshape(p * b, *u.shape[1:])
+        disturbance = start[..., -self.nd :].reshape(p * b, self.nd) if self.nd else None
+        z0 = self._augment(self.project(x.reshape(p * b, nx)), flat_u[:, 0], disturbance)
+        path = rollout(
+            self,
+            z0,
+            flat_u,
+            dt=dt,
+            step=step,
+            noise=noise.reshape(1, p * b, *noise.shape[2:]),
+            t0=t0.repeat(p) if isinstance(t0, Tensor) and t0.ndim else t0,
+            compile=compile,
+            check=check,
+        )
+        return path.reshape(p, b, *path.shape[2:])[..., :nx]
+
+    def _augment(self, x: Tensor, u: Tensor, normal: Tensor | None) -> Tensor:
+        """State, memory and disturbance (N, nz); the disturbance is drawn from its stationary law."""
+        z = self.system.augment(x, u)
+        if not self.nd:
+            return z
+        if normal is None:
+            return torch.cat((z, z.new_zeros(len(z), self.nd)), 1)
+        spread = self._sigma(x)[:, self.system.nx :] * torch.exp(0.5 * self.log_tau) * 0.5**0.5
+        return torch.cat((z, spread * normal), 1)
+
+    def sample(
+        self,
+        x0: Tensor,
+        u: Tensor,
+        *,
+        dt: float,
+        particles: int,
+        generator: torch.Generator,
+        measurement: bool = True,
+        measurement_std: Tensor | None = None,
+        applied: bool = False,
+        compile: bool = False,
+        t0: float | Tensor = 0.0,
+    ) -> Tensor:
+        """Sample predicted trajectories.
+
+        Args:
+            x0: Measured first states (B, nx).
+            u: Inputs (B, T, nu); u[:, k] holds from k dt to (k + 1) dt.
+            dt: Step [s] on the clock of the training data.
+            particles: Paths per row.
+            generator: Source of all randomness.
+            measurement: Whether to predict measurements: add the learned sensor noise to the start and to
+                every later state. False starts exactly at x0 and predicts the state itself.
+            measurement_std: Standard deviation of other sensors than those of the training data (nx,).
+            applied: True if `u` is what acted on the machine; False if it is as logged in the training data,
+                in which case a smoothed log is restored first.
+            compile: Compile the step; pays for many or repeated rows.
+            t0: Time of the first state [s], one number or (B,).
+
+        Returns:
+            States (particles, B, T + 1, nx); the first is x0.
+
+        Raises:
+            ShapeError: wrong axes or columns.
+            NonFiniteError: x0 or u is not finite, or a path leaves the finite numbers.
+        """
+        x0, u = self._check(x0, u)
+        logged = u if applied or self.filter is None else self._restore(u, dt)
+        shape = (particles, x0.shape[0], u.shape[1])
+        made = {"generator": generator, "device": x0.device, "dtype": x0.dtype}
+        noise = brownian(*shape, self.nz, dt=dt, **made)  # type: ignore[arg-type]
+        std = self.measurement_std if measurement_std is None else measurement_std.to(x0)
+        std = std if measurement else torch.zeros_like(std)
+        start = _normal((*shape[:2], self.n_start), generator, x0) if self.n_start else None
+        path = self.paths(x0, logged, dt=dt, noise=noise, start=start, std=std, compile=compile, t0=t0)
+        if not bool((std > 0).any()):
+            return path
+        later = path[:, :, 1:] + _normal((*shape, self.system.nx), generator, x0) * std
+        return torch.cat((x0.expand(particles, *x0.shape)[:, :, None], later), 2)
+
+    def _restore(self, u: Tensor, dt: float) -> Tensor:
+        assert self.filter is not None
+        n = self.system.nu
+        restored = self.filter(u[..., :n], dt)
+        return torch.cat((restored, u[..., n:]), -1) if u.shape[-1] > n else restored
+
+    def applied_inputs(self, u: Tensor, dt: float) -> Tensor:
+        """Inputs that acted on the machine (B, T, nu), from those logged."""
+        return u if self.filter is None else self._restore(u, dt)
+
+    def _check(self, x0: Tensor, u: Tensor) -> tuple[Tensor, Tensor]:
+        s = self.system
+        width = s.nu + len(s.exogenous)
+        if x0.ndim != 2 or x0.shape[1] != s.nx:
+            raise ShapeError(f"`x0` must be (batch, nx={s.nx}); got {tuple(x0.shape)}.")
+        if u.ndim != 3 or u.shape[2] != width:
+            hint = " Add a horizon axis." if u.ndim == 2 else ""
+            raise ShapeError(f"`u` must be (batch, horizon, nu={width}); got {tuple(u.shape)}.{hint}")
+        if u.shape[0] != x0.shape[0]:
+            raise ShapeError(f"`x0` has {x0.shape[0]} rows and `u` has {u.shape[0]}; they must agree.")
+        if u.shape[1] == 0:
+            raise ShapeError("`u` must hold at least one step; got a horizon of 0.")
+        for name, tensor in (("x0", x0), ("u", u)):
+            bad = ~torch.isfinite(tensor).flatten(1).all(1)
+            if bool(bad.any()):
+                rows = bad.nonzero()[:5, 0].tolist()
+                raise NonFiniteError(f"`{name}` is not finite in rows {rows}. Drop or repair these rows.")
+        if s.quaternion is not None:
+            norm = x0[:, s.quaternion].norm(dim=1)
+            far = (norm - 1).abs() > 0.05
+            if bool(far.any()):
+                rows = far.nonzero()[:5, 0].tolist()
+                raise ShapeError(
+                    f"`x0` must hold unit quaternions (w, x, y, z) in columns {s.quaternion.start} to "
+                    f"{s.quaternion.stop - 1}; rows {rows} have norm {float(norm[far][0]):.3g}. Normalise them."
+                )
+        weights = self.h.offset
+        return x0.to(weights), u.to(weights)
+
+
+def _normal(shape: Sequence[int], generator: torch.Generator, like: Tensor) -> Tensor:
+    return torch.randn(*shape, generator=generator, device=generator.device, dtype=like.dtype).to(like.device)

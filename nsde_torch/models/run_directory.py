@@ -1,0 +1,87 @@
+"""Run directories: `config.yaml` says what the model is, `model.safetensors` holds its numbers. No pickle."""
+
+import os
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import torch
+import yaml
+from safetensors import SafetensorError, safe_open
+from safetensors.torch import load_file, save_file
+
+from nsde_torch.errors import CheckpointError, ConfigError
+from nsde_torch.models.neural_sde import ModelSpec, NeuralSDE
+
+CONFIG, WEIGHTS, METRICS = "config.yaml", "model.safetensors", "metrics.json"
+_FORMAT = "nsde_torch/1"
+
+
+def save(model: NeuralSDE, run_dir: str | Path, *, about: Mapping[str, Any] | None = None) -> None:
+    """Write a model.
+
+    Args:
+        model: The model.
+        run_dir: Folder, made if need be.
+        about: Further plain values for `config.yaml` (the whole configuration of the command).
+    """
+    folder = Path(run_dir)
+    folder.mkdir(parents=True, exist_ok=True)
+    text = yaml.safe_dump({"format": _FORMAT, "spec": model.spec.as_dict(), **(about or {})}, sort_keys=False)
+    (folder / CONFIG).write_text(text)
+    tensors = {k: v.detach().cpu().contiguous().clone() for k, v in model.state_dict().items()}
+    temporary = folder / (WEIGHTS + ".partial")
+    save_file(tensors, str(temporary), metadata={"format": _FORMAT})
+    os.replace(temporary, folder / WEIGHTS)
+
+
+def load(run_dir: str | Path, *, device: str | torch.device = "cpu") -> NeuralSDE:
+    """Load the model of a run directory.
+
+    Args:
+        run_dir: Folder that `nsde train` wrote.
+        device: Where to put it.
+
+    Returns:
+        The model, in evaluation mode, without gradients.
+
+    Raises:
+        CheckpointError: the folder or a file in it is missing, damaged or from another version.
+
+    Example:
+        >>> model = load("runs/hexacopter")  # doctest: +SKIP
+        >>> x = model.sample(x0, u, dt=0.05, particles=32, generator=torch.Generator())  # doctest: +SKIP
+    """
+    folder = Path(run_dir)
+    if not folder.is_dir():
+        raise CheckpointError(f"no run directory {folder}; give the folder that `nsde train` printed.")
+    for name in (CONFIG, WEIGHTS):
+        if not (folder / name).is_file():
+            raise CheckpointError(
+                f"{folder} holds no {name}; it is no run directory, or its training has not finished "
+                f"(`nsde train resume={folder}` finishes it)."
+            )
+    try:
+        config = yaml.safe_load((folder / CONFIG).read_text())
+        if not isinstance(config, dict) or config.get("format") != _FORMAT:
+            raise CheckpointError(f"{folder / CONFIG} is not of the format {_FORMAT}; another version wrote it.")
+        spec = ModelSpec.from_dict(config["spec"])
+        tensors = load_file(str(folder / WEIGHTS))
+        with safe_open(str(folder / WEIGHTS), framework="pt") as opened:
+            if (opened.metadata() or {}).get("format") != _FORMAT:
+                raise CheckpointError(f"{folder / WEIGHTS} is not of the format {_FORMAT}.")
+    except (yaml.YAMLError, SafetensorError, OSError, KeyError, TypeError, UnicodeDecodeError) as error:
+        raise CheckpointError(f"run directory {folder} is damaged ({error}). Train again.") from error
+    except ConfigError as error:
+        raise CheckpointError(f"{folder / CONFIG}: {error}") from error
+    model = NeuralSDE(spec, generator=torch.Generator().manual_seed(0))
+    wanted = {k: tuple(v.shape) for k, v in model.state_dict().items()}
+    found = {k: tuple(v.shape) for k, v in tensors.items()}
+    if wanted != found:
+        differ = sorted(k for k in {*wanted, *found} if wanted.get(k) != found.get(k))
+        raise CheckpointError(
+            f"{folder / WEIGHTS} does not fit {CONFIG} (they differ in {', '.join(differ[:5])}). Train again."
+        )
+    dtype = tensors["clock_scale"].dtype
+    model.to(dtype=dtype).load_state_dict(tensors)
+    return model.to(device).eval().requires_grad_(False)

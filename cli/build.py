@@ -10,15 +10,16 @@ from omegaconf import DictConfig, OmegaConf
 
 from nsde_torch.data import DataSet, Split, read
 from nsde_torch.data import split as split_runs
-from nsde_torch.errors import ConfigError
+from nsde_torch.errors import ConfigError, DataError
+from nsde_torch.learning import filter_reach
 from nsde_torch.learning.options import LossOptions, TrainerOptions
-from nsde_torch.models import ModelSpec, NeuralSDE
+from nsde_torch.models import ModelSpec
 from nsde_torch.plants import simulated
 from nsde_torch.sde import Step, make_step
 from nsde_torch.systems import System, make_system
 
 # Keys of a data configuration that are not arguments of the function that makes the data.
-_NOT_FOR_DATA = ("kind", "test", "validation", "options")
+_NOT_FOR_DATA = ("kind", "test", "test_path", "validation", "options")
 
 
 def settings(config: DictConfig, *, sweep: bool) -> tuple[torch.device, torch.dtype]:
@@ -112,49 +113,65 @@ def dataset(config: DictConfig, machine: System) -> DataSet:
     return read(config.kind, machine, **given)
 
 
-def split(config: DictConfig, data: DataSet) -> Split:
+def split(config: DictConfig, data: DataSet, machine: System) -> Split:
     """Training runs and runs held out for the test; `data.test` names them by index or name.
 
+    With `data.test_path` all runs train (those that `data.test` names are left out), and the runs of that file or
+    folder are the test.
+
     Raises:
-        DataError: There is no such run, or no run is left on a side.
+        DataError: There is no such run, no run is left on a side, or one is on both.
     """
-    return split_runs(data, None if config.test is None else list(config.test))
+    test = None if config.test is None else list(config.test)
+    if config.test_path is None:
+        return split_runs(data, test)
+    left = split_runs(data, test or [])
+    given = {**options(config, *_NOT_FOR_DATA), "path": config.test_path}
+    other = read(config.kind, machine, **given)
+    train = {run.content_hash: run.name for run in left.train}
+    for run in other.runs:
+        if run.content_hash in train:
+            raise DataError(
+                f"`data.test_path`: run {run.name!r} has the same content as the training run "
+                f"{train[run.content_hash]!r}; a test on training data says nothing."
+            )
+    return Split(train=left.train, test=tuple(other.runs))
 
 
-def model_spec(config: DictConfig, machine: System) -> ModelSpec:
+def model_spec(config: DictConfig, machine: System, runs: Split) -> ModelSpec:
     """What the model is made of; a null of the group `system` is the system's own constant.
 
     Args:
         config: The whole configuration.
         machine: The system that it names.
+        runs: Training and test runs; whether the inputs were smoothed is read from the training runs.
     """
     system, model, own = config.system, config.model, machine.defaults
     learned = (model.sigma or ("declared" if config.loss.kind == "paper" else "learned")) == "learned"
     declared = None if learned else tuple(own.sigma_max)
+    paper = config.loss.kind == "paper"
+    dt = own.dt if system.dt is None else system.dt
+    reach = model.filter_reach
+    if reach is None:
+        reach = 0 if paper else filter_reach(runs.train, machine.nu, dt)
     return ModelSpec(
         system=system.name,
         effects=tuple(system.effects),
         declared=None if system.declared is None else tuple(system.declared),
         system_options=options(system)["options"],
-        dt=own.dt if system.dt is None else system.dt,
+        dt=dt,
         horizon=own.horizon if system.horizon is None else system.horizon,
         step=step(config.solver, machine).name,
         distance_hidden=tuple(model.distance_hidden),
         mu_hidden=tuple(model.mu_hidden),
         residual_hidden=tuple(model.residual_hidden),
         sigma_max=declared if system.sigma_max is None else tuple(system.sigma_max),
-        filter_reach=model.filter_reach,
-        measurement=model.measurement,
+        filter_reach=reach,
+        measurement=not paper and machine.sensor_noise if model.measurement is None else model.measurement,
+        disturbance=not paper and bool(machine.disturbed_ports)
+        if model.disturbance is None
+        else model.disturbance,
         loss=config.loss.kind,
-    )
-
-
-def model(config: DictConfig, machine: System) -> NeuralSDE:
-    """The model with its initial weights, which the top-level seed decides."""
-    return NeuralSDE(
-        model_spec(config, machine),
-        generator=torch.Generator().manual_seed(config.seed),
-        values=parameter_values(config.system),
     )
 
 

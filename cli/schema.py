@@ -44,6 +44,9 @@ class DataConfig:
 
     kind: str = key("???", "kind of the data set, set by data=")
     test: list[Any] | None = key(None, "runs held out for the test, by index or name; null: the last run")
+    test_path: str | None = key(
+        None, "file or folder of further runs to test on, recorded by sensors of another noise perhaps"
+    )
     validation: float = key(
         0.15, "share of the training runs' time that early stopping looks at", low=0.01, high=0.5
     )
@@ -117,8 +120,15 @@ class ModelConfig:
         "sigma_max is learned or the system's; null: declared with loss=paper, else learned",
         choices=("learned", "declared"),
     )
-    filter_reach: int = key(0, "taps on each side of the learned input filter; 0: no filter", low=0)
-    measurement: bool = key(False, "learn the sensor noise beside the diffusion")
+    filter_reach: int | None = key(
+        None, "taps on each side of the learned input filter; null: as the log's smoothing asks", low=0
+    )
+    measurement: bool | None = key(
+        None, "learn the sensor noise beside the diffusion; null: as the system asks"
+    )
+    disturbance: bool | None = key(
+        None, "carry lasting disturbances (gusts) as states; null: as the system asks"
+    )
 
 
 @dataclass

@@ -29,16 +29,21 @@ def run(config: DictConfig, job: Job) -> float:
 
     device, dtype = build.settings(config, sweep=job.sweep)
     system = build.system(config.system)
-    model = build.model(config, system).to(device=device, dtype=dtype)
     data = build.dataset(config.data, system)
-    return learning.train(
-        model,
+    split = build.split(config.data, data, system)
+    metrics = learning.train(
+        build.model_spec(config, system, split),
         data,
-        build.split(config.data, data),
+        split,
         loss=build.loss_options(config),
         options=build.trainer_options(config.trainer),
         validation=config.data.validation,
         seed=config.seed,
         run_dir=job.run_dir,
-        resume=config.resume is not None,
+        values=build.parameter_values(config.system),
+        device=device,
+        dtype=dtype,
+        about={"command": "train", "config": build.options(config)},
+        other_sensors=config.data.test_path is not None,
     )
+    return float(metrics["validation"]["score"])

@@ -48,7 +48,9 @@ def rotation_between(q_from: Tensor, q_to: Tensor) -> Tensor:
     w, x, y, z = q_from.unbind(-1)
     a, b, c, d = q_to.unbind(-1)
     s = w * a + x * b + y * c + z * d
-    r = torch.stack((w * b - x * a - y * d + z * c, w * c + x * d - y * a - z * b, w * d - x * c + y * b - z * a), -1)
+    r = torch.stack(
+        (w * b - x * a - y * d + z * c, w * c + x * d - y * a - z * b, w * d - x * c + y * b - z * a), -1
+    )
     sign = torch.where(s < 0, -1.0, 1.0).to(r)
     r, s = r * sign[..., None], s.abs()
     n2 = (r * r).sum(-1)

@@ -40,12 +40,17 @@ def smoothing_width(runs: Sequence[Run], n_inputs: int) -> float:
         if len(nulls) < 2 or nulls[0] < 4 * (frequency[1] - frequency[0]):
             continue
         half = 0.5 / (n * dt)
-        depth = np.interp(nulls + half, frequency, log_power) - _lowest(frequency, log_power, nulls, 0.1 * half)
+        depth = np.interp(nulls + half, frequency, log_power) - _lowest(
+            frequency, log_power, nulls, 0.1 * half
+        )
         score = float(np.min(depth))
         if score > _DEPTH and score > 1.15 * best:
             best, width = score, n * dt
         elif score > 0.8 * best and score > _DEPTH and n * dt > 1.8 * width:
-            best, width = max(score, best), n * dt  # a wider average has the nulls of a narrower one, and more
+            best, width = (
+                max(score, best),
+                n * dt,
+            )  # a wider average has the nulls of a narrower one, and more
     return width
 
 

@@ -287,7 +287,9 @@ class Fit:
             return False
         tensors, about = found
         device = next(self.model.parameters()).device
-        self.model.load_state_dict({k[6:]: v.to(device) for k, v in tensors.items() if k.startswith("model.")})
+        self.model.load_state_dict(
+            {k[6:]: v.to(device) for k, v in tensors.items() if k.startswith("model.")}
+        )
         self.kept = {k[5:]: v.to(device) for k, v in tensors.items() if k.startswith("kept.")}
         self.batches.set_state(tensors["batches"])
         self.noise.set_state(tensors["noise"])

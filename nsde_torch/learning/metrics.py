@@ -19,7 +19,7 @@ from nsde_torch.models.neural_sde import NeuralSDE
 from nsde_torch.systems import System
 
 HORIZONS = (0.1, 0.25, 0.5, 1.0, 2.0)
-LEVELS = (0.5, 0.9, 0.95)
+LEVELS = (0.1, 0.25, 0.5, 0.75, 0.9, 0.95)
 START_EVERY = 0.25
 PARTICLES = 32
 MOST_STARTS = 2000

@@ -14,7 +14,9 @@ _ROWS = 20_000
 _HOLD_SHARE = 0.35  # a useful model's error, as a share of that of holding the state
 
 
-def prepare(model: NeuralSDE, runs: Sequence[Run], windows: Windows, *, clock_scale: float, start: bool) -> None:
+def prepare(
+    model: NeuralSDE, runs: Sequence[Run], windows: Windows, *, clock_scale: float, start: bool
+) -> None:
     """Set standardisation, first sigma, clock and first parameters of a model.
 
     Args:

@@ -3,6 +3,8 @@
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+SHOWN_LEVELS = ("0.5", "0.9", "0.95")
+
 
 def table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
     """Rows in aligned columns, the first left, the others right."""
@@ -48,8 +50,8 @@ def coverage_table(test: Mapping[str, Any]) -> str:
     horizons = [f"{h:g}" for h in test["horizons_s"]]
     rows = []
     for group, unit in test["units"].items():
-        for level, by_group in test["coverage"].items():
-            values = by_group[group]
+        for level in SHOWN_LEVELS:
+            values = test["coverage"][level][group]
             rows.append([group, f"{float(level):.0%} interval", *(f"{values[h]:.0%}" for h in horizons)])
         rows.append([group, f"CRPS [{unit}]", *(number(test["crps"][group][h]) for h in horizons)])
     return table(["held out", "", *(f"{h} s" for h in horizons)], rows)

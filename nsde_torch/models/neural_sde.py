@@ -75,7 +75,9 @@ class ModelSpec:
         """Inverse of `as_dict`; an unknown key is refused."""
         unknown = set(values) - set(cls.__dataclass_fields__)
         if unknown:
-            raise ConfigError(f"model specification has unknown keys {sorted(unknown)}; another version wrote it.")
+            raise ConfigError(
+                f"model specification has unknown keys {sorted(unknown)}; another version wrote it."
+            )
         return cls(**{k: tuple(v) if isinstance(v, list) else v for k, v in values.items()})
 
 

@@ -64,7 +64,9 @@ def load(run_dir: str | Path, *, device: str | torch.device = "cpu") -> NeuralSD
     try:
         config = yaml.safe_load((folder / CONFIG).read_text())
         if not isinstance(config, dict) or config.get("format") != _FORMAT:
-            raise CheckpointError(f"{folder / CONFIG} is not of the format {_FORMAT}; another version wrote it.")
+            raise CheckpointError(
+                f"{folder / CONFIG} is not of the format {_FORMAT}; another version wrote it."
+            )
         spec = ModelSpec.from_dict(config["spec"])
         tensors = load_file(str(folder / WEIGHTS))
         with safe_open(str(folder / WEIGHTS), framework="pt") as opened:

@@ -12,7 +12,9 @@ from nsde_torch.systems.cartpole import Cartpole
 from nsde_torch.systems.multirotor import Hexacopter, Multirotor, Quadrotor
 from nsde_torch.systems.one_dof import MassSpringDamper
 
-SYSTEMS: dict[str, type[System]] = {cls.name: cls for cls in (MassSpringDamper, Cartpole, Hexacopter, Quadrotor)}
+SYSTEMS: dict[str, type[System]] = {
+    cls.name: cls for cls in (MassSpringDamper, Cartpole, Hexacopter, Quadrotor)
+}
 
 
 def system_class(name: str) -> type[System]:

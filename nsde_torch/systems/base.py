@@ -271,9 +271,7 @@ class System(Parametrised, ABC):
         """
         if tensor.shape[-1] != width:
             columns = ", ".join(self.state_names if width == self.nx else self.input_names)
-            raise ShapeError(
-                f"`{name}` must have {width} columns ({columns}); got {tensor.shape[-1]}."
-            )
+            raise ShapeError(f"`{name}` must have {width} columns ({columns}); got {tensor.shape[-1]}.")
 
 
 def _split_values(

@@ -76,7 +76,9 @@ class Multirotor(System):
     PARAMETERS = {
         "thrust_gain": Parameter(4.5, "m/s2", low=0.0, help="thrust over mass per unit of summed command"),
         "thrust_offset": Parameter(0.0, "m/s2", scale=1.0, help="thrust over mass at zero command"),
-        "roll_gain": Parameter(50.0, "rad/s2", low=0.0, help="roll moment over Jx per unit of signed command"),
+        "roll_gain": Parameter(
+            50.0, "rad/s2", low=0.0, help="roll moment over Jx per unit of signed command"
+        ),
         "pitch_gain": Parameter(50.0, "rad/s2", low=0.0, help="pitch moment over Jy per unit"),
         "yaw_gain": Parameter(8.0, "rad/s2", low=0.0, help="yaw moment over Jz per unit"),
         "inertia_x": Parameter(0.7, "1", low=0.3, high=1.5, help="Jx / Jz"),

@@ -1,0 +1,291 @@
+"""One training from data to run directory: fit, calibrate, score on held-out runs, write what was learned."""
+
+import json
+import math
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, replace
+from pathlib import Path
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from nsde_torch.data import DataSet, Run, Split, Windows
+from nsde_torch.data.smoothing import smoothing_width
+from nsde_torch.errors import DataError
+from nsde_torch.learning.calibration import Coverage, extrapolate, widen
+from nsde_torch.learning.confidence import declared_confidence
+from nsde_torch.learning.fitting import Fit, Progress
+from nsde_torch.learning.metrics import evaluate
+from nsde_torch.learning.options import LossOptions, TrainerOptions
+from nsde_torch.learning.prepare import error_scale, prepare, sensor_std
+from nsde_torch.learning.report import coverage_table, error_table, parameter_table
+from nsde_torch.models.neural_sde import ModelSpec, NeuralSDE
+from nsde_torch.models.run_directory import METRICS, save
+
+_BLOCK_S = 4.0
+_LEFT_OUT = 3  # training runs that calibration leaves out in turn, at most
+_AUXILIARY_SHARE = 0.5  # of the gradient steps
+
+
+def filter_reach(runs: Sequence[Run], n_inputs: int, dt: float) -> int:
+    """Taps that an input filter needs on each side to undo the smoothing found in the runs; 0 for none."""
+    return math.ceil(smoothing_width(runs, n_inputs) / dt - 1e-6)
+
+
+class Training:
+    """One training. `run` does all of it; killed at any moment and run again, it ends in the same numbers.
+
+    Args:
+        spec: The model.
+        data: The data set.
+        split: Runs to train on and runs to test on.
+        loss: Weights of the losses.
+        options: Settings of the optimisation.
+        validation: Share of the training runs' time that early stopping looks at.
+        seed: Seed of weights, batches and noise.
+        run_dir: Folder to write into.
+        values: Initial values of declared parameters.
+        device: Where tensors live.
+        dtype: Precision.
+        about: Plain values for `config.yaml`.
+        say: Where text for people goes.
+        other_sensors: Whether the test runs were recorded by other sensors, whose noise is then estimated.
+    """
+
+    def __init__(
+        self,
+        spec: ModelSpec,
+        data: DataSet,
+        split: Split,
+        *,
+        loss: LossOptions,
+        options: TrainerOptions,
+        validation: float,
+        seed: int,
+        run_dir: str | Path,
+        values: Mapping[str, Any] | None = None,
+        device: str | torch.device = "cpu",
+        dtype: torch.dtype = torch.float32,
+        about: Mapping[str, Any] | None = None,
+        say: Callable[[str], None] = print,
+        other_sensors: bool = False,
+    ) -> None:
+        self.spec, self.data, self.split, self.loss, self.options = spec, data, split, loss, options
+        self.validation, self.seed, self.values = validation, seed, values
+        self.device, self.dtype = torch.device(device), dtype
+        self.folder, self.about, self.say, self.other_sensors = Path(run_dir), about, say, other_sensors
+        self.compile = options.compile != "off"
+
+    def run(self) -> dict[str, Any]:
+        """Train, calibrate, test and write.
+
+        Returns:
+            What `metrics.json` holds.
+        """
+        started = time.perf_counter()
+        self.say(str(self.data.summary))
+        self._say_split()
+        model, fit, scale = self._fit(self.split.train, self.seed, "train", self.options)
+        fitted = time.perf_counter()
+        p = fit.progress
+        ended = "validation no longer fell" if p.stopped else "all steps done"
+        self.say(
+            f"fitted: {p.step} steps in {fitted - started:.0f} s ({ended}); kept step {p.best_step}, "
+            f"validation {p.best_score:.4f}"
+        )
+        calibration = self._calibrate(model, scale)
+        metrics: dict[str, Any] = {
+            "system": self.spec.system,
+            "loss": self.loss.kind,
+            "seed": self.seed,
+            "steps": p.step,
+            "best_step": p.best_step,
+            "validation": {"score": p.best_score, "unit": "share of the error scale"},
+            "seconds": {"fit": fitted - started, "calibration": time.perf_counter() - fitted},
+            "calibration": calibration,
+            "clock_scale": self.data.clock_scale,
+            "input_filter": {
+                "reach_steps": self.spec.filter_reach,
+                "reach_s": self.spec.filter_reach * self.spec.dt,
+            },
+            "train_runs": [run.name for run in self.split.train],
+            "test_runs": [run.name for run in self.split.test],
+            "data_fingerprint": self.data.fingerprint,
+            "parameters": declared_confidence(model, fit.train, scale),
+            "loss_options": asdict(self.loss),
+            "trainer_options": asdict(self.options),
+        }
+        if model.spec.measurement:
+            std = model.measurement_std.tolist()
+            metrics["sensor_std"] = dict(zip(model.system.state_names, std, strict=True))
+        save(model, self.folder, about=self.about)
+        if self.split.test:
+            metrics["test"] = self._test(model)
+        self._write(model, metrics, p)
+        metrics["seconds"]["total"] = time.perf_counter() - started
+        (self.folder / METRICS).write_text(json.dumps(metrics, indent=1, allow_nan=False))
+        self._conclude(metrics)
+        return metrics
+
+    # ---- stages ---------------------------------------------------------------------------------------
+
+    def _fit(
+        self, runs: Sequence[Run], seed: int, name: str, options: TrainerOptions
+    ) -> tuple[NeuralSDE, Fit, Tensor]:
+        model = NeuralSDE(self.spec, generator=torch.Generator().manual_seed(seed), values=self.values)
+        model = model.to(device=self.device, dtype=self.dtype)
+        windows = Windows(runs, self.spec.dt, self.spec.horizon, dtype=self.dtype, device=self.device)
+        blocks = torch.Generator().manual_seed(seed)
+        train, held = windows.held_out(self.validation, _BLOCK_S, blocks)
+        prepare(model, runs, train, clock_scale=self.data.clock_scale, start=not self.values)
+        scale = error_scale(model, train)
+        fit = Fit(model, train, held, scale=scale, loss=self.loss, options=options, seed=seed)
+        fit.run(
+            title=name,
+            checkpoint=self.folder / "checkpoints" / name.replace(" ", "_"),
+            log=self._scalars(name),
+        )
+        return model, fit, scale
+
+    def _calibrate(self, model: NeuralSDE, scale: Tensor) -> dict[str, Any]:
+        if not self.options.calibrate or self.loss.kind == "paper":
+            return {"factor": 1.0}
+        runs = self.split.train
+        fitted = Coverage(model, runs, seed=self.seed, compile=self.compile).log_factor()
+        new = []
+        short = replace(
+            self.options, steps=max(1, round(self.options.steps * _AUXILIARY_SHARE)), decay_steps=None
+        )
+        for k in range(min(len(runs), _LEFT_OUT) if len(runs) > 1 else 0):
+            others = [run for i, run in enumerate(runs) if i != k]
+            name = f"calibrate {k + 1} of {min(len(runs), _LEFT_OUT)}"
+            auxiliary, _, _ = self._fit(others, self.seed + 1000 + k, name, short)
+            new.append(Coverage(auxiliary, [runs[k]], seed=self.seed, compile=self.compile).log_factor())
+        total = extrapolate(fitted, new, len(runs))
+        widen(model, total)
+        factor = math.exp(total)
+        self.say(
+            f"calibrated: sigma times {factor:.2f} (right on the fitted runs at {math.exp(fitted):.2f}"
+            + (", on a run left out at " + ", ".join(f"{math.exp(f):.2f}" for f in new) if new else "")
+            + ")"
+        )
+        return {"factor": factor, "fitted": math.exp(fitted), "left_out": [math.exp(f) for f in new]}
+
+    def _test(self, model: NeuralSDE) -> dict[str, Any]:
+        std = None
+        if self.other_sensors and model.spec.measurement:
+            ratio = sensor_std(self.split.test) / sensor_std(self.split.train).clamp_min(1e-12)
+            std = model.measurement_std * ratio.to(model.measurement_std)
+        result = evaluate(model, self.split.test, seed=self.seed, compile=self.compile, measurement_std=std)
+        if std is not None:
+            result["sensor_std"] = dict(zip(model.system.state_names, std.tolist(), strict=True))
+        return result
+
+    def _write(self, model: NeuralSDE, metrics: dict[str, Any], progress: Progress) -> None:
+        from nsde_torch.learning.figures import write_figures
+
+        figures = write_figures(
+            self.folder / "plots",
+            model,
+            self.data,
+            train=self.split.train,
+            test=self.split.test,
+            metrics=metrics,
+            history=progress.history,
+            seed=self.seed,
+            note=self.note(),
+        )
+        from torch.utils.tensorboard import SummaryWriter
+
+        with SummaryWriter(str(self.folder / "tensorboard")) as writer:
+            for name, figure in figures.items():
+                _canvas(figure)
+                writer.add_figure(name, figure, progress.step, close=False)
+            for group, by_horizon in metrics.get("test", {}).get("errors", {}).get("model", {}).items():
+                for horizon, value in by_horizon.items():
+                    writer.add_scalar(f"test/{group}_{horizon}s", value, progress.step)
+        (self.folder / "data_summary.json").write_text(self.data.summary.to_json())
+
+    def note(self) -> str:
+        """What the inputs of a rollout see of the future, in words; empty if nothing."""
+        reach = self.spec.filter_reach * self.spec.dt
+        if not reach:
+            return ""
+        return (
+            f"inputs were smoothed by a centred {reach:.2g} s average, so they see {reach / 2:.2g} s ahead; "
+            f"restoring them looks {reach:.2g} s ahead"
+        )
+
+    # ---- text -----------------------------------------------------------------------------------------
+
+    def _say_split(self) -> None:
+        train, test = ([run.name for run in side] for side in (self.split.train, self.split.test))
+        self.say(f"training on {', '.join(train)}; testing on {', '.join(test) or 'nothing'}")
+        if self.spec.filter_reach:
+            self.say(f"note: {self.note()}")
+
+    def _conclude(self, metrics: Mapping[str, Any]) -> None:
+        if metrics["parameters"]:
+            self.say("\n" + parameter_table(metrics["parameters"]))
+        test = metrics.get("test")
+        if test and test["errors"]:
+            self.say(
+                f"\nHeld-out runs: {', '.join(metrics['test_runs'])}; {test['starts']} starts, "
+                f"{test['diverged']} diverged\n"
+            )
+            self.say(error_table(test))
+            self.say("\n" + coverage_table(test))
+        if self.spec.filter_reach:
+            self.say(f"\nnote: {self.note()}")
+        self.say(f"\ntook {metrics['seconds']['total']:.0f} s; wrote {self.folder}")
+
+    def _scalars(self, name: str) -> Callable[[int, dict[str, float]], None]:
+        from torch.utils.tensorboard import SummaryWriter
+
+        writer: list[SummaryWriter] = []
+
+        def log(step: int, row: dict[str, float]) -> None:
+            if not writer:
+                writer.append(SummaryWriter(str(self.folder / "tensorboard" / name.replace(" ", "_"))))
+            for key, value in row.items():
+                if key != "step" and math.isfinite(value):
+                    writer[0].add_scalar(key, value, step)
+            writer[0].flush()
+
+        return log
+
+
+def _canvas(figure: Any) -> None:
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+
+    FigureCanvasAgg(figure)
+
+
+def train(
+    spec: ModelSpec,
+    data: DataSet,
+    split: Split,
+    *,
+    loss: LossOptions,
+    options: TrainerOptions,
+    seed: int,
+    run_dir: str | Path,
+    **settings: Any,
+) -> dict[str, Any]:
+    """Train a model on runs and write a run directory; see `Training` for the arguments.
+
+    Returns:
+        What `metrics.json` holds; `["validation"]["score"]` is the validation score (smaller is better).
+
+    Raises:
+        DataError: the data cannot be used.
+        NonFiniteError: the optimisation left the finite numbers.
+    """
+    settings.setdefault("validation", 0.15)
+    if not split.train:
+        raise DataError("no run to train on.")
+    return Training(
+        spec, data, split, loss=loss, options=options, seed=seed, run_dir=run_dir, **settings
+    ).run()

@@ -1,0 +1,243 @@
+"""The distance eta, the distance losses, and the diffusion that eta drives."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+from torch import Tensor, nn
+
+from nsde_torch.learning.losses import distance_losses, draw_ball
+from nsde_torch.models.diffusion import FAR_SHARE, START_SHARE, Diffusion
+from nsde_torch.models.distance import Distance
+from nsde_torch.models.networks import MLP, Standardise
+
+
+def generator(seed: int = 0) -> torch.Generator:
+    return torch.Generator().manual_seed(seed)
+
+
+def make_distance(n: int = 3, seed: int = 0, dtype: torch.dtype = torch.float64) -> Distance:
+    eta = Distance(n, (32, 32), (8, 8), generator=generator(seed)).to(dtype)
+    with torch.no_grad():  # nothing at its first value, so that a forgotten term shows
+        for p in eta.parameters():
+            p.add_(0.3 * torch.randn(p.shape, generator=generator(seed + 1), dtype=dtype))
+    return eta
+
+
+def test_written_out_gradient_equals_autograd() -> None:
+    eta = make_distance()
+    y = torch.randn(20, 3, generator=generator(2), dtype=torch.float64, requires_grad=True)
+    value, gradient = eta.energy_and_gradient(y)
+    expected_value = eta.energy(y)
+    (expected,) = torch.autograd.grad(expected_value.sum(), y)
+    torch.testing.assert_close(value, expected_value)
+    torch.testing.assert_close(gradient, expected)
+
+
+def test_gradient_loss_has_the_parameter_gradient_of_autograds_second_differentiation() -> None:
+    eta = make_distance()
+    y = torch.randn(20, 3, generator=generator(2), dtype=torch.float64, requires_grad=True)
+    weights = list(eta.energy_network.parameters())
+    own = torch.autograd.grad(eta.energy_and_gradient(y)[1].square().sum(), weights, allow_unused=True)
+    (slope,) = torch.autograd.grad(eta.energy(y).sum(), y, create_graph=True)
+    expected = torch.autograd.grad(slope.square().sum(), weights, allow_unused=True)
+    for a, b, w in zip(own, expected, weights, strict=True):
+        torch.testing.assert_close(
+            torch.zeros_like(w) if a is None else a, torch.zeros_like(w) if b is None else b
+        )
+
+
+@pytest.mark.parametrize("kind", ["default", "paper"])
+def test_distance_losses_equal_those_written_with_autograd(kind: str) -> None:
+    eta = make_distance()
+    with torch.no_grad():
+        eta.standardise.fit(5 + 2 * torch.randn(50, 3, generator=generator(5), dtype=torch.float64))
+    features = 5 + 2 * torch.randn(10, 3, generator=generator(3), dtype=torch.float64)
+    directions, share = draw_ball(10, 4, 3, generator(4), features)
+    near, far = 0.2, 8.0
+    losses = distance_losses(eta, features, directions, share, kind=kind, near=near, far=far)
+    gradient, convexity, reward = (float(loss.detach()) for loss in losses)
+
+    def height(y: Tensor) -> Tensor:
+        energy = eta.energy(y)
+        return eta.link(energy) if kind == "paper" else energy
+
+    y = eta.standardise(features).requires_grad_()
+    (slope,) = torch.autograd.grad(height(y).sum(), y)
+    y = y.detach()
+    bend, total = torch.zeros(10, 4, dtype=torch.float64), 0.0
+    for i in range(10):
+        mu = float(eta.mu(y[i : i + 1]).detach())
+        total += 1.0 / mu
+        for j in range(4):
+            s = float(share[i, j])
+            radius = near * s ** (1 / 3) if kind == "paper" else near * (far / near) ** s
+            step = directions[i, j] * radius
+            lower = height(y[i : i + 1]) + slope[i] @ step + 0.5 * mu * step @ step
+            bend[i, j] = torch.relu(lower - height((y[i] + step)[None]))[0].detach()
+    assert gradient == pytest.approx(float(slope.square().sum(1).mean()), rel=1e-9)
+    assert convexity == pytest.approx(float(bend.square().mean()), rel=1e-9)
+    assert reward == pytest.approx(total / 10, rel=1e-9)
+
+
+class Quadratic(nn.Module):
+    """E = |y|^2, so mu = 2 is exactly its convexity; the interface of `Distance` that the losses use."""
+
+    def __init__(self, mu: float) -> None:
+        super().__init__()
+        self.standardise, self.value = Standardise(3), mu
+
+    def energy(self, y: Tensor) -> Tensor:
+        return y.square().sum(1)
+
+    def energy_and_gradient(self, y: Tensor) -> tuple[Tensor, Tensor]:
+        return self.energy(y), 2 * y
+
+    def mu(self, y: Tensor) -> Tensor:
+        return torch.full_like(y[:, 0], self.value)
+
+
+@pytest.mark.parametrize(("mu", "zero"), [(1.0, True), (1.999, True), (2.2, False), (5.0, False)])
+def test_convexity_loss_is_zero_exactly_up_to_the_convexity_of_the_energy(mu: float, zero: bool) -> None:
+    y = torch.randn(30, 3, generator=generator())
+    directions, share = draw_ball(30, 6, 3, generator(1), y)
+    quadratic = Quadratic(mu)
+    _, convexity, reward = distance_losses(
+        quadratic,  # type: ignore[arg-type]
+        y,
+        directions,
+        share,
+        kind="default",
+        near=0.1,
+        far=4.0,
+    )
+    assert (float(convexity) < 1e-9) is zero
+    assert float(reward) == pytest.approx(1 / mu)
+
+
+class Recorder(Quadratic):
+    """Keeps the points that the losses look at."""
+
+    def energy(self, y: Tensor) -> Tensor:
+        self.seen = y
+        return super().energy(y)
+
+    @staticmethod
+    def link(energy: Tensor) -> Tensor:
+        return energy
+
+    @staticmethod
+    def link_slope(energy: Tensor) -> Tensor:
+        return torch.ones_like(energy)
+
+
+def radii(kind: str, near: float, far: float, n: int = 3) -> Tensor:
+    recorder = Recorder(1.0)
+    y = torch.zeros(500, n)
+    directions, share = draw_ball(500, 20, n, generator(1), y)
+    distance_losses(recorder, y, directions, share, kind=kind, near=near, far=far)  # type: ignore[arg-type]
+    return recorder.seen.norm(dim=1)
+
+
+def test_paper_points_fill_the_supplements_ball_evenly() -> None:
+    r = radii("paper", 0.1, 16.0)
+    assert float(r.max()) <= 0.1 * (1 + 1e-5)
+    for share in (0.25, 0.5, 0.75):  # volume inside a radius goes as its cube
+        assert float((r < 0.1 * share ** (1 / 3)).float().mean()) == pytest.approx(share, abs=0.02)
+
+
+def test_default_points_lie_log_uniformly_between_near_and_far() -> None:
+    r = radii("default", 0.1, 10.0)
+    assert float(r.min()) >= 0.1 * (1 - 1e-5)
+    assert float(r.max()) <= 10 * (1 + 1e-5)
+    assert float((r < 1.0).float().mean()) == pytest.approx(0.5, abs=0.02)
+
+
+def test_directions_are_unit_vectors_that_favour_no_side() -> None:
+    directions, share = draw_ball(400, 25, 4, generator(), torch.zeros(1))
+    torch.testing.assert_close(directions.norm(dim=-1), torch.ones(400, 25))
+    assert float(directions.mean((0, 1)).abs().max()) < 0.02
+    torch.testing.assert_close(directions.square().mean((0, 1)), torch.full((4,), 0.25), atol=0.01, rtol=0)
+    assert float(share.min()) >= 0
+    assert float(share.max()) < 1
+
+
+def test_draws_repeat_with_the_same_generator() -> None:
+    a, b = (draw_ball(3, 2, 4, generator(7), torch.zeros(1)) for _ in range(2))
+    assert torch.equal(a[0], b[0])
+    assert torch.equal(a[1], b[1])
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_eta_lies_between_zero_and_one_for_any_weights(seed: int) -> None:
+    eta = make_distance(seed=seed, dtype=torch.float32)
+    with torch.no_grad():
+        for p in eta.parameters():
+            p.mul_(5.0)
+        value = eta(100 * torch.randn(1000, 3, generator=generator(seed)))
+    assert float(value.min()) >= 0
+    assert float(value.max()) <= 1
+    assert value.shape == (1000,)
+
+
+def test_logit_of_eta_stays_finite_and_ordered_far_from_the_data_in_float32() -> None:
+    energy = torch.logspace(-2, 6, 60)
+    for signed in (energy, -energy.flip(0)):
+        logit = torch.logit(Distance.link(signed))
+        assert bool(torch.isfinite(logit).all())
+        assert bool((logit.diff() > 0).all())
+
+
+def test_a_plain_sigmoid_would_not_tell_distances_apart_there() -> None:
+    assert float(torch.sigmoid(torch.tensor(20.0))) == 1.0
+
+
+def test_slope_of_the_link_is_its_derivative() -> None:
+    energy = torch.linspace(-30, 30, 101, dtype=torch.float64, requires_grad=True)
+    (expected,) = torch.autograd.grad(Distance.link(energy).sum(), energy)
+    torch.testing.assert_close(Distance.link_slope(energy), expected)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_h_rises_with_eta_on_every_channel_for_any_weights(seed: int) -> None:
+    h = Diffusion(torch.tensor([0.1, 2.0, 30.0]), learned=True).double()
+    with torch.no_grad():
+        for p in (h.slope, h.offset):
+            p.copy_(3 * torch.randn(3, generator=generator(seed), dtype=torch.float64))
+        share = h.share(torch.linspace(0, 1, 50, dtype=torch.float64))
+    assert share.shape == (50, 3)
+    assert bool((share.diff(dim=0) > 0).all())
+    assert float(share.min()) >= 0
+    assert float(share.max()) <= 1
+
+
+def test_first_h_is_a_quarter_on_the_data_and_nearly_all_far_away() -> None:
+    h = Diffusion(torch.tensor([0.1, 2.0]), learned=False)
+    share = h.share(torch.tensor([0.0, 1.0]))
+    torch.testing.assert_close(share, torch.tensor([[START_SHARE] * 2, [FAR_SHARE] * 2]))
+    torch.testing.assert_close(h(torch.tensor([1.0])), FAR_SHARE * torch.tensor([[0.1, 2.0]]))
+    assert not h.log_sigma_max.requires_grad
+
+
+def test_channels_of_h_have_slopes_of_their_own() -> None:
+    h = Diffusion(torch.ones(2), learned=False)
+    (h.share(torch.tensor([0.5]))[0, 0]).backward()
+    assert h.slope.grad is not None
+    assert float(h.slope.grad[0]) != 0.0
+    assert float(h.slope.grad[1]) == 0.0
+
+
+def test_first_weights_repeat_with_the_generator() -> None:
+    a, b = (MLP(3, (4,), 2, activation=torch.tanh, generator=generator(5)) for _ in range(2))
+    for p, q in zip(a.parameters(), b.parameters(), strict=True):
+        assert torch.equal(p, q)
+
+
+def test_standardise_leaves_a_constant_channel_alone() -> None:
+    s = Standardise(2)
+    rows = torch.stack((torch.full((100,), 3.0), torch.randn(100, generator=generator())), 1)
+    s.fit(rows)
+    out = s(rows)
+    assert float(out[:, 0].abs().max()) < 1e-6
+    assert float(s.scale[0]) == 1.0
+    assert float(out[:, 1].std()) == pytest.approx(1.0, abs=1e-5)

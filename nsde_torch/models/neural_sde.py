@@ -320,7 +320,7 @@ class NeuralSDE(nn.Module):
             t0: Time of the first state [s], one number or (B,).
 
         Returns:
-            States (particles, B, T + 1, nx); the first is x0.
+            States (particles, B, T + 1, nx); the first is x0, projected (a quaternion is normalised).
 
         Raises:
             ShapeError: wrong axes or columns.
@@ -338,6 +338,7 @@ class NeuralSDE(nn.Module):
         if not bool((std > 0).any()):
             return path
         later = path[:, :, 1:] + _normal((*shape, self.system.nx), generator, x0) * std
+        later = self.project(later.flatten(0, 2)).view(later.shape)
         return torch.cat((x0.expand(particles, *x0.shape)[:, :, None], later), 2)
 
     def _restore(self, u: Tensor, dt: float) -> Tensor:
@@ -377,7 +378,7 @@ class NeuralSDE(nn.Module):
                     f"{s.quaternion.stop - 1}; rows {rows} have norm {float(norm[far][0]):.3g}. Normalise them."
                 )
         weights = self.h.offset
-        return x0.to(weights), u.to(weights)
+        return self.project(x0.to(weights)), u.to(weights)
 
 
 def _normal(shape: Sequence[int], generator: torch.Generator, like: Tensor) -> Tensor:

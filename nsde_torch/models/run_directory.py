@@ -10,7 +10,7 @@ import yaml
 from safetensors import SafetensorError, safe_open
 from safetensors.torch import load_file, save_file
 
-from nsde_torch.errors import CheckpointError, ConfigError
+from nsde_torch.errors import CheckpointError, ConfigError, NsdeError
 from nsde_torch.models.neural_sde import ModelSpec, NeuralSDE
 
 CONFIG, WEIGHTS, METRICS = "config.yaml", "model.safetensors", "metrics.json"
@@ -67,16 +67,21 @@ def load(run_dir: str | Path, *, device: str | torch.device = "cpu") -> NeuralSD
             raise CheckpointError(
                 f"{folder / CONFIG} is not of the format {_FORMAT}; another version wrote it."
             )
+        if not isinstance(config["spec"], dict):
+            raise CheckpointError(f"{folder / CONFIG} holds no specification of a model. Train again.")
         spec = ModelSpec.from_dict(config["spec"])
         tensors = load_file(str(folder / WEIGHTS))
         with safe_open(str(folder / WEIGHTS), framework="pt") as opened:
             if (opened.metadata() or {}).get("format") != _FORMAT:
                 raise CheckpointError(f"{folder / WEIGHTS} is not of the format {_FORMAT}.")
-    except (yaml.YAMLError, SafetensorError, OSError, KeyError, TypeError, UnicodeDecodeError) as error:
+    except (yaml.YAMLError, SafetensorError, OSError, LookupError, TypeError, ValueError, RecursionError) as error:
+        if isinstance(error, NsdeError):
+            raise CheckpointError(f"{folder / CONFIG}: {error}") from error
         raise CheckpointError(f"run directory {folder} is damaged ({error}). Train again.") from error
-    except ConfigError as error:
-        raise CheckpointError(f"{folder / CONFIG}: {error}") from error
-    model = NeuralSDE(spec, generator=torch.Generator().manual_seed(0))
+    try:
+        model = NeuralSDE(spec, generator=torch.Generator().manual_seed(0))
+    except (NsdeError, TypeError, ValueError, RuntimeError, AttributeError) as error:
+        raise CheckpointError(f"{folder / CONFIG} describes no model that can be built: {error}") from error
     wanted = {k: tuple(v.shape) for k, v in model.state_dict().items()}
     found = {k: tuple(v.shape) for k, v in tensors.items()}
     if wanted != found:

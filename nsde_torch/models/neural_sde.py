@@ -76,7 +76,13 @@ class ModelSpec:
         unknown = set(values) - set(cls.__dataclass_fields__)
         if unknown:
             raise ConfigError(
-                f"model specification has unknown keys {sorted(unknown)}; another version wrote it."
+                f"model specification has unknown keys {sorted(map(str, unknown))}; another version wrote it."
+            )
+        dt, horizon = values.get("dt"), values.get("horizon")
+        if not (isinstance(dt, int | float) and dt > 0 and isinstance(horizon, int) and horizon > 0):
+            raise ConfigError(
+                "model specification must hold `dt` [s] and `horizon` [steps] above 0; "
+                f"got {dt!r} and {horizon!r}."
             )
         return cls(**{k: tuple(v) if isinstance(v, list) else v for k, v in values.items()})
 

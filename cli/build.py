@@ -149,7 +149,9 @@ def model_spec(config: DictConfig, machine: System, runs: Split) -> ModelSpec:
     system, model, own = config.system, config.model, machine.defaults
     learned = (model.sigma or ("declared" if config.loss.kind == "paper" else "learned")) == "learned"
     declared = None if learned else tuple(own.sigma_max)
+    solver = step(config.solver, machine)
     paper = config.loss.kind == "paper"
+    plain = paper or solver.deterministic
     dt = own.dt if system.dt is None else system.dt
     reach = model.filter_reach
     if reach is None:
@@ -161,14 +163,14 @@ def model_spec(config: DictConfig, machine: System, runs: Split) -> ModelSpec:
         system_options=options(system)["options"],
         dt=dt,
         horizon=own.horizon if system.horizon is None else system.horizon,
-        step=step(config.solver, machine).name,
+        step=solver.name,
         distance_hidden=tuple(model.distance_hidden),
         mu_hidden=tuple(model.mu_hidden),
         residual_hidden=tuple(model.residual_hidden),
         sigma_max=declared if system.sigma_max is None else tuple(system.sigma_max),
         filter_reach=reach,
-        measurement=not paper and machine.sensor_noise if model.measurement is None else model.measurement,
-        disturbance=not paper and bool(machine.disturbed_ports)
+        measurement=not plain and machine.sensor_noise if model.measurement is None else model.measurement,
+        disturbance=not plain and bool(machine.disturbed_ports)
         if model.disturbance is None
         else model.disturbance,
         loss=config.loss.kind,

@@ -170,6 +170,9 @@ class TrainerConfig:
     compile: str = key(
         "auto", "compile the step (auto: where a C++ compiler is found)", choices=("auto", "on", "off")
     )
+    polish: int = key(
+        200, "last steps at lr_end on all windows, the validation ones included", unit="steps", low=0
+    )
     calibrate: bool = key(True, "scale the diffusion by errors across training runs (loss=default)")
 
 

@@ -72,7 +72,7 @@ def _power(
             changes = np.diff(run.u[a:b, :n_inputs], axis=0)
             if len(changes) < 512:
                 continue
-            frequency, p = welch(changes, fs=1 / dt, nperseg=min(len(changes), 1024), axis=0)
+            _, p = welch(changes, fs=1 / dt, nperseg=min(len(changes), 1024), axis=0)
             active = changes.std(0) > 1e-9
             if active.any():
                 spectra.append((b - a, np.log(p[:, active] + 1e-30).mean(1)))

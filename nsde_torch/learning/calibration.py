@@ -22,7 +22,7 @@ import torch
 from torch import Tensor
 
 from nsde_torch.data import Run, Windows
-from nsde_torch.learning.metrics import START_EVERY, horizons_of, interval_quantiles
+from nsde_torch.learning.metrics import horizons_of, interval_quantiles, start_grid
 from nsde_torch.models.neural_sde import NeuralSDE
 
 _LEVEL = 0.9
@@ -48,7 +48,7 @@ class Coverage:
         self.steps = [max(1, round(h / dt)) for h in horizons_of(runs, dt)]
         like = model.clock_scale
         windows = Windows(runs, dt, self.steps[-1], dtype=like.dtype, device=like.device)
-        starts = windows.starts(max(START_EVERY, windows.dt))
+        starts = start_grid(windows)
         if len(starts) > _STARTS:
             starts = starts[torch.linspace(0, len(starts) - 1, _STARTS).round().long()]
         self.x, self.u, t0 = windows.batch(starts)

@@ -37,6 +37,7 @@ class Progress:
         step: Gradient steps done.
         best_step: Step of the kept weights.
         best_score: Validation score of the kept weights.
+        polished: Steps done on all windows after that.
         history: One row per validation.
         stopped: Whether early stopping ended it.
     """
@@ -46,6 +47,7 @@ class Progress:
     best_score: float = math.inf
     history: list[dict[str, float]] = field(default_factory=list)
     stopped: bool = False
+    polished: int = 0
 
 
 class Fit:
@@ -55,6 +57,7 @@ class Fit:
         model: Changed in place.
         train: Training windows.
         validation: Windows of the same runs that training does not see.
+        everything: All windows of these runs, for the last steps.
         scale: Scale of the error channels (n_error,).
         loss: Weights of the losses.
         options: Settings of the optimisation.
@@ -66,13 +69,15 @@ class Fit:
         model: NeuralSDE,
         train: Windows,
         validation: Windows,
+        everything: Windows,
         *,
         scale: Tensor,
         loss: LossOptions,
         options: TrainerOptions,
         seed: int,
     ) -> None:
-        self.model, self.train, self.validation = model, train, validation
+        self.model, self.train, self.validation, self.everything = model, train, validation, everything
+        self.source = train
         self.scale, self.loss, self.options, self.seed = scale, loss, options, seed
         self.batches = torch.Generator().manual_seed(2 * seed + 1)
         self.noise = torch.Generator().manual_seed(2 * seed + 2)
@@ -123,8 +128,8 @@ class Fit:
     def terms(self) -> dict[str, Tensor]:
         """All losses of one minibatch, weighted; their sum is what is minimised."""
         options, model = self.loss, self.model
-        indices = self.train.sample(self.options.batch, self.batches)
-        errors, x = self.errors(self.train, indices, options.particles, self.noise)
+        indices = self.source.sample(self.options.batch, self.batches)
+        errors, x = self.errors(self.source, indices, options.particles, self.noise)
         out = {"data": options.data * data_loss(errors, self.scale, kind=options.kind, early=options.early)}
         rows = x.reshape(-1, x.shape[-1])
         pick = torch.randint(len(rows), (options.points,), generator=self.batches)
@@ -184,8 +189,8 @@ class Fit:
             self.restore(checkpoint)
         progress, options = self.progress, self.options
         bar = tqdm(
-            total=options.steps,
-            initial=progress.step,
+            total=options.steps + options.polish,
+            initial=progress.step + progress.polished,
             desc=title,
             unit="step",
             disable=True if quiet else None,
@@ -197,6 +202,10 @@ class Fit:
                 self._score({})
             for losses in self._steps():
                 bar.update()
+                if progress.polished:
+                    if checkpoint is not None and progress.polished % options.checkpoint_every == 0:
+                        self.save(checkpoint)
+                    continue
                 if progress.step % options.validate_every == 0 or progress.step == options.steps:
                     row = self._score(losses)
                     bar.set_postfix(loss=f"{row['loss']:.4f}", validation=f"{row['validation']:.4f}")
@@ -204,6 +213,9 @@ class Fit:
                         log(progress.step, row)
                 if checkpoint is not None and progress.step % options.checkpoint_every == 0:
                     self.save(checkpoint)
+        if progress.polished:
+            self._put(self.average)
+            self.kept = copy.deepcopy(self.model.state_dict())
         self.model.load_state_dict(self.kept)
         if checkpoint is not None:
             self.save(checkpoint)
@@ -211,26 +223,44 @@ class Fit:
 
     def _steps(self) -> Iterator[dict[str, Tensor]]:
         progress, options = self.progress, self.options
-        while progress.step < options.steps and not progress.stopped:
-            for group in self.optimiser.param_groups:
-                group["lr"] = group["factor"] * options.rate(progress.step)
-            self.optimiser.zero_grad(set_to_none=True)
-            losses = self.terms()
-            total = torch.stack(list(losses.values())).sum()
-            total.backward()
-            limit = math.inf if options.clip is None else options.clip
-            norm = nn.utils.clip_grad_norm_(self.parameters, limit)
-            if not bool(torch.isfinite(norm)):
-                raise NonFiniteError(
-                    f"the gradient is not finite at step {progress.step + 1} (loss {float(total):.4g}). Lower "
-                    "trainer.lr or the horizon, or look at the data summary for outliers."
-                )
-            self.optimiser.step()
+        while not progress.polished and progress.step < options.steps and not progress.stopped:
+            losses = self._step(options.rate(progress.step))
             progress.step += 1
-            with torch.no_grad():
-                keep = min(_AVERAGE, progress.step / (progress.step + 10))
-                torch._foreach_lerp_(self.average, self.parameters, 1 - keep)
-            yield {k: v.detach() for k, v in losses.items()}
+            self._follow(progress.step)
+            yield losses
+        if options.polish and not progress.polished:
+            self.model.load_state_dict(self.kept)
+            self.average = [p.detach().clone() for p in self.parameters]
+            self.optimiser.state.clear()
+        self.source = self.everything
+        while progress.polished < options.polish:
+            losses = self._step(options.lr_end)
+            progress.polished += 1
+            self._follow(progress.polished)
+            yield losses
+
+    def _step(self, rate: float) -> dict[str, Tensor]:
+        for group in self.optimiser.param_groups:
+            group["lr"] = group["factor"] * rate
+        self.optimiser.zero_grad(set_to_none=True)
+        losses = self.terms()
+        total = torch.stack(list(losses.values())).sum()
+        total.backward()
+        limit = math.inf if self.options.clip is None else self.options.clip
+        norm = nn.utils.clip_grad_norm_(self.parameters, limit)
+        if not bool(torch.isfinite(norm)):
+            raise NonFiniteError(
+                f"the gradient is not finite at step {self.progress.step + 1} (loss {float(total):.4g}). Lower "
+                "trainer.lr or the horizon, or look at the data summary for outliers."
+            )
+        self.optimiser.step()
+        return {k: v.detach() for k, v in losses.items()}
+
+    @torch.no_grad()
+    def _follow(self, steps: int) -> None:
+        """Move the running average of the weights, faster during its first steps."""
+        keep = min(_AVERAGE, steps / (steps + 10))
+        torch._foreach_lerp_(self.average, list[Tensor](self.parameters), 1 - keep)
 
     def _score(self, losses: dict[str, Tensor]) -> dict[str, float]:
         progress = self.progress
@@ -273,6 +303,7 @@ class Fit:
             "best_score": p.best_score,
             "history": p.history,
             "stopped": p.stopped,
+            "polished": p.polished,
         }
         write_checkpoint(path, tensors, about)
 

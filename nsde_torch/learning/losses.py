@@ -41,13 +41,15 @@ def crps(errors: Tensor) -> Tensor:
     """Fair CRPS of an ensemble, element by element.
 
     Args:
-        errors: Ensemble minus truth (P, ...), P >= 2.
+        errors: Ensemble minus truth (P, ...); a point forecast, P = 1, scores its absolute error.
 
     Returns:
         Score (...), in the unit of the errors.
     """
     p = errors.shape[0]
     distance = errors.abs().mean(0)
+    if p == 1:
+        return distance
     if p == 2:
         return distance - (errors[0] - errors[1]).abs() / 2
     ordered = errors.sort(0).values

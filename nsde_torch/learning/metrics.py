@@ -31,6 +31,11 @@ def horizons_of(runs: Sequence[Run], dt: float) -> tuple[float, ...]:
     return tuple(h for h in HORIZONS if h <= longest - dt and h >= 0.5 * dt)
 
 
+def start_grid(windows: Windows) -> Tensor:
+    """Window numbers of the starts: every 0.25 s, or the nearest whole number of data steps."""
+    return windows.starts(max(1, round(START_EVERY / windows.dt)) * windows.dt)
+
+
 def mean_state(system: System, samples: Tensor) -> Tensor:
     """Mean of particles (P, ..., nx) -> (..., nx); the quaternion aligned, averaged, normalised."""
     mean = samples.mean(0)
@@ -110,7 +115,7 @@ def evaluate(
     steps = [max(1, round(h / dt)) for h in horizons]
     device = model.clock_scale.device
     windows = Windows(runs, dt, steps[-1], dtype=model.clock_scale.dtype, device=device)
-    starts = windows.starts(max(START_EVERY, windows.dt))
+    starts = start_grid(windows)
     if len(starts) > MOST_STARTS:
         starts = starts[torch.linspace(0, len(starts) - 1, MOST_STARTS).round().long()]
     if len(starts) == 0:
@@ -164,7 +169,7 @@ def evaluate(
             for group, value in group_rms(system, system.error(prediction, y)).items():
                 errors.setdefault(name, {}).setdefault(group, {})[at_h] = value
         e = system.error(sample, y.expand_as(sample))
-        score, spread = crps(e).mean(0), e.std(0).square().mean(0).sqrt()
+        score, spread = crps(e).mean(0), e.std(0, correction=min(1, particles - 1)).square().mean(0).sqrt()
         inside90 = None
         for level in LEVELS:
             low, high = interval_quantiles(e, level)

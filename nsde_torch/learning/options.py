@@ -62,6 +62,7 @@ class TrainerOptions:
         validate_every: Steps between validations.
         checkpoint_every: Steps between checkpoints.
         compile: "auto" and "on" compile the integrator's step, "off" does not.
+        polish: Steps at `lr_end` on all windows, the held-out ones included, after early stopping chose the weights.
         calibrate: Scale the diffusion by errors across training runs at the end (default loss only).
     """
 
@@ -75,6 +76,7 @@ class TrainerOptions:
     validate_every: int = 50
     checkpoint_every: int = 100
     compile: str = "auto"
+    polish: int = 200
     calibrate: bool = True
 
     def rate(self, step: int) -> float:

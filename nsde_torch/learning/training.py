@@ -141,7 +141,7 @@ class Training:
         train, held = windows.held_out(self.validation, _BLOCK_S, blocks)
         prepare(model, runs, train, clock_scale=self.data.clock_scale, start=not self.values)
         scale = error_scale(model, train)
-        fit = Fit(model, train, held, scale=scale, loss=self.loss, options=options, seed=seed)
+        fit = Fit(model, train, held, windows, scale=scale, loss=self.loss, options=options, seed=seed)
         fit.run(
             title=name,
             checkpoint=self.folder / "checkpoints" / name.replace(" ", "_"),
@@ -150,7 +150,7 @@ class Training:
         return model, fit, scale
 
     def _calibrate(self, model: NeuralSDE, scale: Tensor) -> dict[str, Any]:
-        if not self.options.calibrate or self.loss.kind == "paper":
+        if not self.options.calibrate or self.loss.kind == "paper" or model.step.deterministic:
             return {"factor": 1.0}
         runs = self.split.train
         fitted = Coverage(model, runs, seed=self.seed, compile=self.compile).log_factor()
@@ -222,7 +222,7 @@ class Training:
 
     def _say_split(self) -> None:
         train, test = ([run.name for run in side] for side in (self.split.train, self.split.test))
-        self.say(f"training on {', '.join(train)}; testing on {', '.join(test) or 'nothing'}")
+        self.say(f"training on {_names(train)}; testing on {_names(test)}")
         if self.spec.filter_reach:
             self.say(f"note: {self.note()}")
 
@@ -232,7 +232,7 @@ class Training:
         test = metrics.get("test")
         if test and test["errors"]:
             self.say(
-                f"\nHeld-out runs: {', '.join(metrics['test_runs'])}; {test['starts']} starts, "
+                f"\nHeld-out runs: {_names(metrics['test_runs'])}; {test['starts']} starts, "
                 f"{test['diverged']} diverged\n"
             )
             self.say(error_table(test))
@@ -255,6 +255,12 @@ class Training:
             writer[0].flush()
 
         return log
+
+
+def _names(runs: Sequence[str]) -> str:
+    if len(runs) > 4:
+        return f"{runs[0]} ... {runs[-1]} ({len(runs)} runs)"
+    return ", ".join(runs) or "nothing"
 
 
 def _canvas(figure: Any) -> None:

@@ -33,7 +33,7 @@ class Distance(nn.Module):
         self.standardise = Standardise(n_features)
         self.energy_network = MLP(n_features, hidden, 1, activation=nn.functional.silu, generator=generator)
         with torch.no_grad():
-            self.energy_network.layers[-1].bias.fill_(-3.0)  # type: ignore[union-attr, operator]
+            self.energy_network.layers[-1].bias.fill_(-3.0)  # type: ignore[operator]
         self.mu_network = MLP(n_features, mu_hidden, 1, activation=torch.tanh, generator=generator)
 
     def energy(self, standardised: Tensor) -> Tensor:
@@ -51,9 +51,9 @@ class Distance(nn.Module):
             h = a * s
             slopes.append(s * (1.0 + a * (1.0 - s)))
         value = last(h)[:, 0]
-        gradient = last.weight.expand(len(h), -1)  # type: ignore[union-attr, operator]
+        gradient = last.weight.expand(len(h), -1)  # type: ignore[operator]
         for layer, slope in zip(reversed(hidden), reversed(slopes), strict=True):
-            gradient = (gradient * slope) @ layer.weight  # type: ignore[operator]
+            gradient = (gradient * slope) @ layer.weight
         return value, gradient
 
     @staticmethod

@@ -1,6 +1,7 @@
 """Small fully connected networks on rows (N, n_in)."""
 
 from collections.abc import Callable, Sequence
+from itertools import pairwise
 
 import torch
 from torch import Tensor, nn
@@ -31,7 +32,7 @@ class MLP(nn.Module):
         super().__init__()
         widths = [n_in, *hidden, n_out]
         self.activation = activation
-        self.layers = nn.ModuleList(nn.Linear(a, b) for a, b in zip(widths[:-1], widths[1:], strict=True))
+        self.layers = nn.ModuleList(nn.Linear(a, b) for a, b in pairwise(widths))
         for layer in self.layers:
             assert isinstance(layer, nn.Linear)
             bound = layer.in_features**-0.5
@@ -49,7 +50,7 @@ class MLP(nn.Module):
 
     def weight_norm(self) -> Tensor:
         """Sum of squares of all weights (not of the biases)."""
-        return sum((layer.weight.square().sum() for layer in self.layers), torch.zeros(()))  # type: ignore[union-attr, operator]
+        return sum((layer.weight.square().sum() for layer in self.layers), torch.zeros(()))  # type: ignore[operator]
 
 
 class Standardise(nn.Module):

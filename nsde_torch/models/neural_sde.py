@@ -84,7 +84,8 @@ class ModelSpec:
                 "model specification must hold `dt` [s] and `horizon` [steps] above 0; "
                 f"got {dt!r} and {horizon!r}."
             )
-        return cls(**{k: tuple(v) if isinstance(v, list) else v for k, v in values.items()})
+        plain: dict[str, Any] = {k: tuple(v) if isinstance(v, list) else v for k, v in values.items()}
+        return cls(**plain)
 
 
 class NeuralSDE(nn.Module):
@@ -258,12 +259,13 @@ class NeuralSDE(nn.Module):
             States (P, B, T + 1, nx).
         """
         nx = self.system.nx
-        step = self.step if noise is not None or self.step.deterministic else make_step("rk4")
+        step = make_step("rk4") if noise is None and not self.step.deterministic else self.step
+        if step.deterministic:
+            noise = None
         if start is None:
             z0 = self._augment(x0, u[:, 0], None)
             path = rollout(self, z0, u, dt=dt, step=step, noise=noise, t0=t0, compile=compile, check=check)
             return path[..., :nx]
-        assert noise is not None
         p, b = start.shape[:2]
         x = x0.expand(p, b, nx)
         if self.spec.measurement:
@@ -278,7 +280,7 @@ class NeuralSDE(nn.Module):
             flat_u,
             dt=dt,
             step=step,
-            noise=noise.reshape(1, p * b, *noise.shape[2:]),
+            noise=None if noise is None else noise.reshape(1, p * b, *noise.shape[2:]),
             t0=t0.repeat(p) if isinstance(t0, Tensor) and t0.ndim else t0,
             compile=compile,
             check=check,
@@ -341,6 +343,7 @@ class NeuralSDE(nn.Module):
         std = std if measurement else torch.zeros_like(std)
         start = _normal((*shape[:2], self.n_start), generator, x0) if self.n_start else None
         path = self.paths(x0, logged, dt=dt, noise=noise, start=start, std=std, compile=compile, t0=t0)
+        path = path.expand(particles, *path.shape[1:])
         if not bool((std > 0).any()):
             return path
         later = path[:, :, 1:] + _normal((*shape, self.system.nx), generator, x0) * std

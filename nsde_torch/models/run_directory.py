@@ -74,7 +74,15 @@ def load(run_dir: str | Path, *, device: str | torch.device = "cpu") -> NeuralSD
         with safe_open(str(folder / WEIGHTS), framework="pt") as opened:
             if (opened.metadata() or {}).get("format") != _FORMAT:
                 raise CheckpointError(f"{folder / WEIGHTS} is not of the format {_FORMAT}.")
-    except (yaml.YAMLError, SafetensorError, OSError, LookupError, TypeError, ValueError, RecursionError) as error:
+    except (
+        yaml.YAMLError,
+        SafetensorError,
+        OSError,
+        LookupError,
+        TypeError,
+        ValueError,
+        RecursionError,
+    ) as error:
         if isinstance(error, NsdeError):
             raise CheckpointError(f"{folder / CONFIG}: {error}") from error
         raise CheckpointError(f"run directory {folder} is damaged ({error}). Train again.") from error

@@ -8,7 +8,7 @@ Kinematics are exact and belong to the system; everything that pushes is an effe
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 import torch
@@ -275,8 +275,9 @@ class System(Parametrised, ABC):
 
 
 def _split_values(
-    values: Mapping[str, float | list[float]],
+    values: Mapping[str, Any],
 ) -> tuple[dict[str, float | list[float]], dict[str, dict[str, float | list[float]]]]:
+    """Values of the system's own parameters, and those of its effects (`effect.name`, or a mapping)."""
     own: dict[str, float | list[float]] = {}
     of_effects: dict[str, dict[str, float | list[float]]] = {}
     for key, value in values.items():

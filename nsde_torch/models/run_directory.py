@@ -15,6 +15,7 @@ from nsde_torch.models.neural_sde import ModelSpec, NeuralSDE
 
 CONFIG, WEIGHTS, METRICS = "config.yaml", "model.safetensors", "metrics.json"
 _FORMAT = "nsde_torch/1"
+_DAMAGE = (yaml.YAMLError, SafetensorError, OSError, LookupError, TypeError, ValueError, RecursionError)
 
 
 def save(model: NeuralSDE, run_dir: str | Path, *, about: Mapping[str, Any] | None = None) -> None:
@@ -74,17 +75,9 @@ def load(run_dir: str | Path, *, device: str | torch.device = "cpu") -> NeuralSD
         with safe_open(str(folder / WEIGHTS), framework="pt") as opened:
             if (opened.metadata() or {}).get("format") != _FORMAT:
                 raise CheckpointError(f"{folder / WEIGHTS} is not of the format {_FORMAT}.")
-    except (
-        yaml.YAMLError,
-        SafetensorError,
-        OSError,
-        LookupError,
-        TypeError,
-        ValueError,
-        RecursionError,
-    ) as error:
-        if isinstance(error, NsdeError):
-            raise CheckpointError(f"{folder / CONFIG}: {error}") from error
+    except ConfigError as error:
+        raise CheckpointError(f"{folder / CONFIG}: {error}") from error
+    except _DAMAGE as error:
         raise CheckpointError(f"run directory {folder} is damaged ({error}). Train again.") from error
     try:
         model = NeuralSDE(spec, generator=torch.Generator().manual_seed(0))

@@ -1,0 +1,345 @@
+"""The neural SDE: its drift, its samples, its memory, its sensors, and what it refuses."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import pytest
+import torch
+from torch import Tensor
+
+from nsde_torch.effects import Port
+from nsde_torch.errors import ConfigError, NonFiniteError, NsdeError, ShapeError
+from nsde_torch.models import ModelSpec, NeuralSDE
+from nsde_torch.sde import brownian
+from tests.helpers.toy_systems import DT, Decay, Gusty, fix_sigma, make_model
+
+SYSTEMS = ("mass_spring_damper", "cartpole", "hexacopter", "quadrotor")
+
+
+def generator(seed: int = 0) -> torch.Generator:
+    return torch.Generator().manual_seed(seed)
+
+
+def make(
+    system: str, *, step: str = "euler_maruyama", dtype: torch.dtype = torch.float32, **spec: Any
+) -> NeuralSDE:
+    options: dict[str, Any] = {"dt": 0.05, "horizon": 10, **spec}
+    made = NeuralSDE(ModelSpec(system, step=step, **options), generator=generator())
+    return made.to(dtype).requires_grad_(False)
+
+
+def states(
+    model: NeuralSDE, batch: int, seed: int = 0, dtype: torch.dtype = torch.float32
+) -> tuple[Tensor, Tensor]:
+    """Random states near rest and inputs near hover."""
+    s = model.system
+    x = 0.3 * torch.randn(batch, s.nx, generator=generator(seed), dtype=torch.float64)
+    if s.quaternion is not None:
+        x[:, s.quaternion] = torch.nn.functional.normalize(
+            torch.tensor([1.0, 0, 0, 0], dtype=torch.float64) + x[:, s.quaternion], dim=1
+        )
+    u = 0.4 + 0.05 * torch.randn(batch, 10, s.nu, generator=generator(seed + 1), dtype=torch.float64)
+    return x.to(dtype), u.to(dtype)
+
+
+@pytest.mark.parametrize("system", SYSTEMS)
+def test_drift_is_the_declared_physics_with_the_residual_on_its_ports(system: str) -> None:
+    model = make(system, dtype=torch.float64)
+    for network in model.residuals.values():
+        network.layers[-1].weight.normal_(generator=generator(3))  # type: ignore[union-attr, operator, index]
+    x, u = states(model, 7, dtype=torch.float64)
+    expected = model.system.drift(0.0, x, u[:, 0], model.residual(x))
+    declared = model.system.drift(0.0, x, u[:, 0])
+    torch.testing.assert_close(model.drift(0.0, x, u[:, 0]), expected)
+    assert float((expected - declared).abs().max()) > 1e-3
+
+
+def test_drift_of_a_force_residual_adds_to_the_acceleration() -> None:
+    model = make("mass_spring_damper", dtype=torch.float64)
+    x, u = states(model, 7, dtype=torch.float64)
+    difference = model.drift(0.0, x, u[:, 0]) - model.system.drift(0.0, x, u[:, 0])
+    torch.testing.assert_close(difference[:, 0], torch.zeros(7, dtype=torch.float64))
+    torch.testing.assert_close(difference[:, 1:], model.residual(x)[Port.FORCE])
+
+
+@pytest.mark.parametrize("system", SYSTEMS)
+@pytest.mark.parametrize("full", [False, True])
+def test_samples_have_the_stated_axes_and_start_at_x0(system: str, full: bool) -> None:
+    model = make(system, measurement=full, disturbance=full)
+    x, u = states(model, 3)
+    out = model.sample(x, u, dt=0.05, particles=4, generator=generator())
+    assert out.shape == (4, 3, 11, model.system.nx)
+    assert bool(torch.isfinite(out).all())
+    torch.testing.assert_close(out[:, :, 0], x.expand(4, 3, -1), rtol=0, atol=2e-7)
+    if model.system.quaternion is not None:
+        norm = out[..., model.system.quaternion].norm(dim=-1)
+        torch.testing.assert_close(norm, torch.ones_like(norm), rtol=0, atol=1e-5)
+
+
+def test_the_same_generator_gives_the_same_samples_and_another_gives_others() -> None:
+    model = make("hexacopter", measurement=True, disturbance=True)
+    x, u = states(model, 3)
+    a, b, c = (model.sample(x, u, dt=0.05, particles=4, generator=generator(s)) for s in (1, 1, 2))
+    assert torch.equal(a, b)
+    assert not torch.equal(a, c)
+    assert not torch.equal(a[0], a[1])  # particles differ
+
+
+def test_rows_of_a_batch_do_not_see_each_other() -> None:
+    model = make("hexacopter", dtype=torch.float64)
+    x, u = states(model, 3, dtype=torch.float64)
+    noise = brownian(2, 3, 10, model.nz, dt=0.05, generator=generator(), dtype=torch.float64)
+    together = model.paths(x, u, dt=0.05, noise=noise)
+    alone = model.paths(x[1:2], u[1:2], dt=0.05, noise=noise[:, 1:2])
+    torch.testing.assert_close(together[:, 1:2], alone)
+
+
+@pytest.mark.parametrize("kind", ["state", "disturbance"])
+def test_spread_of_the_samples_does_not_depend_on_the_step(kind: str) -> None:
+    """The authors' code scales noise without sqrt(dt); halving the step must not change the spread here."""
+    gusty = kind == "disturbance"
+    model = fix_sigma(
+        make_model(Gusty if gusty else Decay, disturbance=gusty),
+        torch.tensor([1e-9, 0.5]) if gusty else torch.tensor([0.5]),
+    )
+    spreads = []
+    with torch.no_grad():
+        for k, dt in enumerate((0.04, 0.02, 0.01)):
+            u = torch.zeros(1, round(1 / dt), 1)
+            out = model.sample(torch.zeros(1, 1), u, dt=dt, particles=20_000, generator=generator(k))
+            spreads.append(float(out[:, 0, -1, 0].std()))
+    exact = 0.5 * math.sqrt((1 - math.exp(-2)) / 2) if not gusty else None
+    assert max(spreads) / min(spreads) < 1.05
+    if exact is not None:
+        assert spreads[-1] == pytest.approx(exact, rel=0.03)
+
+
+def test_motor_lag_is_carried_but_not_returned_and_starts_settled() -> None:
+    model = make("hexacopter", effects=("motor_lag",), dtype=torch.float64)
+    assert (model.nz, model.system.nx) == (19, 13)
+    x, u = states(model, 3, dtype=torch.float64)
+    u = u[:, :1].expand(3, 10, 6).contiguous()  # a constant command: a settled lag changes nothing
+    plain = make("hexacopter", dtype=torch.float64)
+    plain.load_state_dict({k: v for k, v in model.state_dict().items() if "effects" not in k})
+    out = model.paths(x, u, dt=0.05, noise=None)
+    assert out.shape == (1, 3, 11, 13)
+    torch.testing.assert_close(out, plain.paths(x, u, dt=0.05, noise=None))
+    diffusion = model.diffusion(0.0, model.system.augment(x, u[:, 0]), u[:, 0])
+    assert float(diffusion[:, 13:].abs().max()) == 0.0
+    assert float(diffusion[:, :13].min()) > 0.0
+
+
+def test_motor_lag_delays_a_changed_command() -> None:
+    model = make("hexacopter", effects=("motor_lag",), dtype=torch.float64)
+    plain = make("hexacopter", dtype=torch.float64)
+    plain.load_state_dict({k: v for k, v in model.state_dict().items() if "effects" not in k})
+    x, u = states(model, 1, dtype=torch.float64)
+    u = torch.full_like(u, 0.4)
+    u[:, 1:] = 0.6
+    up = plain.paths(x, u, dt=0.05, noise=None)[0, 0, 3, 5]
+    lagged = model.paths(x, u, dt=0.05, noise=None)[0, 0, 3, 5]
+    assert float(lagged) < float(up) - 1e-3
+
+
+def test_disturbance_is_not_returned_and_starts_in_its_stationary_law() -> None:
+    sigma, tau = 0.6, 0.4
+    model = fix_sigma(make_model(Gusty, disturbance=True, dtype=torch.float64), torch.tensor([1e-9, sigma]))
+    with torch.no_grad():
+        model.log_tau.fill_(math.log(tau))
+        n = 40_000
+        normal = torch.randn(n, 1, generator=generator(), dtype=torch.float64)
+        z = model._augment(
+            torch.zeros(n, 1, dtype=torch.float64), torch.zeros(n, 1, dtype=torch.float64), normal
+        )
+        assert z.shape == (n, 2)
+        stationary = sigma * math.sqrt(tau / 2)
+        assert float(z[:, 1].std()) == pytest.approx(stationary, rel=0.02)
+        dt = 0.005
+        for _ in range(60):  # it stays there
+            dw = math.sqrt(dt) * torch.randn(n, 2, generator=generator(_), dtype=torch.float64)
+            u = torch.zeros(n, 1, dtype=torch.float64)
+            z = z + dt * model.drift(0.0, z, u) + model.diffusion(0.0, z, u) * dw
+        assert float(z[:, 1].std()) == pytest.approx(stationary, rel=0.03)
+    out = model.sample(torch.zeros(2, 1), torch.zeros(2, 5, 1), dt=DT, particles=3, generator=generator())
+    assert out.shape == (3, 2, 6, 1)
+
+
+def test_a_disturbance_acts_on_its_port_like_a_force() -> None:
+    model = make_model(Gusty, disturbance=True, dtype=torch.float64).requires_grad_(False)
+    x, u = torch.randn(5, 1, dtype=torch.float64), torch.zeros(5, 1, dtype=torch.float64)
+    d = torch.randn(5, 1, dtype=torch.float64)
+    rate = model.drift(0.0, torch.cat((x, d), 1), u) - model.drift(0.0, torch.cat((x, 0 * d), 1), u)
+    torch.testing.assert_close(rate[:, :1], d)
+    torch.testing.assert_close(rate[:, 1:], -d * torch.exp(-model.log_tau))
+
+
+def sensing(std: float) -> NeuralSDE:
+    model = fix_sigma(make_model(Decay, measurement=True), 1e-9)
+    with torch.no_grad():
+        model.log_measurement_std.fill_(math.log(std))
+    return model.requires_grad_(False)
+
+
+def test_predicted_measurements_carry_sensor_noise_at_the_start_and_at_every_later_state() -> None:
+    model, n = sensing(0.2), 20_000
+    out = model.sample(torch.ones(1, 1), torch.zeros(1, 20, 1), dt=DT, particles=n, generator=generator())
+    assert float(out[:, 0, 0].std()) == 0.0  # x0 was measured: it is what it is
+    for k in (1, 10, 20):  # the noise of the start decays with the state, that of the sensor does not
+        expected = 0.2 * math.sqrt(1 + (1 - DT) ** (2 * k))
+        assert float(out[:, 0, k].std()) == pytest.approx(expected, rel=0.03)
+    late = out[:, 0, 19:, 0] - out[:, 0, 19:, 0].mean(0)
+    shared = 0.2**2 * (1 - DT) ** 39  # only the start's noise is shared by neighbours
+    assert float((late[:, 0] * late[:, 1]).mean()) == pytest.approx(shared, abs=0.002)
+
+
+def test_without_measurement_paths_start_exactly_at_x0_and_have_no_sensor_noise() -> None:
+    model = sensing(0.2)
+    x0, u = torch.ones(1, 1), torch.zeros(1, 20, 1)
+    out = model.sample(x0, u, dt=DT, particles=50, generator=generator(), measurement=False)
+    assert bool((out[:, :, 0] == 1.0).all())
+    assert float(out.std(0).max()) < 1e-6
+
+
+def test_other_sensors_noise_replaces_that_of_the_training_data() -> None:
+    model = sensing(0.2)
+    out = model.sample(
+        torch.ones(1, 1),
+        torch.zeros(1, 20, 1),
+        dt=DT,
+        particles=20_000,
+        generator=generator(),
+        measurement_std=torch.tensor([0.05]),
+    )
+    assert float(out[:, 0, 20].std()) == pytest.approx(0.05 * math.sqrt(1 + (1 - DT) ** 40), rel=0.03)
+
+
+@pytest.mark.parametrize("scale", [1.0, 1.07])
+def test_position_advances_by_clock_scale_times_velocity_in_a_logged_second(scale: float) -> None:
+    model = make("hexacopter", dtype=torch.float64)
+    model.clock_scale.fill_(scale)
+    x, u = states(model, 1, dtype=torch.float64)
+    rate = model.drift(0.0, x, u[:, 0])
+    torch.testing.assert_close(rate[:, :3], scale * x[:, 3:6])
+    fine = model.paths(x, u[:, :1].expand(1, 100, 6), dt=0.001, noise=None)[0, 0]
+    travelled = fine[-1, :3] - fine[0, :3]
+    mean_velocity = (0.5 * (fine[1:, 3:6] + fine[:-1, 3:6])).mean(0)
+    torch.testing.assert_close(travelled, scale * 0.1 * mean_velocity, rtol=1e-5, atol=1e-7)
+
+
+def test_distance_takes_any_leading_axes_and_lies_in_the_unit_interval() -> None:
+    model = make("hexacopter")
+    x, _ = states(model, 6)
+    eta = model.distance(x)
+    assert eta.shape == (6,)
+    torch.testing.assert_close(model.distance(x.reshape(2, 3, 13)), eta.reshape(2, 3))
+    assert 0.0 <= float(eta.min()) <= float(eta.max()) <= 1.0
+
+
+def test_default_loss_does_not_move_eta_and_the_papers_does() -> None:
+    for loss, moves in (("default", False), ("paper", True)):
+        model = make_model(Decay, loss=loss)
+        x = torch.ones(3, 1)
+        model.diffusion(0.0, x, torch.zeros(3, 1)).sum().backward()
+        gradients = [p.grad for p in model.eta.energy_network.parameters() if p.grad is not None]
+        assert bool(gradients) is moves
+        assert model.h.slope.grad is not None
+
+
+def test_float64_samples_are_float64_and_agree_with_float32() -> None:
+    a, b = make("hexacopter"), make("hexacopter", dtype=torch.float64)
+    b.load_state_dict(a.state_dict())
+    x, u = states(a, 3, dtype=torch.float64)
+    pa = a.paths(x.float(), u.float(), dt=0.05, noise=None)
+    pb = b.paths(x, u, dt=0.05, noise=None)
+    assert pb.dtype == torch.float64
+    torch.testing.assert_close(pa.double(), pb, rtol=1e-4, atol=1e-5)
+    assert b.sample(x.float(), u.float(), dt=0.05, particles=2, generator=generator()).dtype == torch.float64
+
+
+def test_sampling_leaves_the_given_tensors_and_the_global_generator_alone() -> None:
+    model = make("hexacopter", measurement=True, disturbance=True, filter_reach=3)
+    x, u = states(model, 3)
+    before = (x.clone(), u.clone(), torch.random.get_rng_state())
+    model.sample(x, u, dt=0.05, particles=2, generator=generator())
+    assert torch.equal(x, before[0])
+    assert torch.equal(u, before[1])
+    assert torch.equal(torch.random.get_rng_state(), before[2])
+
+
+def bad(what: str) -> dict[str, Any]:
+    model = make("hexacopter")
+    x, u = states(model, 3)
+    if what == "x_nan":
+        x[1, 4] = math.nan
+    elif what == "u_inf":
+        u[2, 5, 0] = math.inf
+    elif what == "quaternion":
+        x[1, 6:10] *= 1.3
+    return {
+        "x_axes": {"x0": x[0], "u": u},
+        "x_columns": {"x0": x[:, :12], "u": u},
+        "u_axes": {"x0": x, "u": u[:, 0]},
+        "u_columns": {"x0": x, "u": u[..., :5]},
+        "rows": {"x0": x[:2], "u": u},
+        "no_steps": {"x0": x, "u": u[:, :0]},
+    }.get(what, {"x0": x, "u": u})
+
+
+@pytest.mark.parametrize(
+    ("what", "error", "message"),
+    [
+        ("x_axes", ShapeError, r"`x0` must be \(batch, nx=13\); got \(13,\)"),
+        ("x_columns", ShapeError, r"`x0`.*nx=13.*\(3, 12\)"),
+        ("u_axes", ShapeError, r"`u` must be \(batch, horizon, nu=6\).*Add a horizon axis"),
+        ("u_columns", ShapeError, r"`u`.*nu=6.*\(3, 10, 5\)"),
+        ("rows", ShapeError, r"`x0` has 2 rows and `u` has 3"),
+        ("no_steps", ShapeError, r"`u`.*at least one step"),
+        ("x_nan", NonFiniteError, r"`x0` is not finite in rows \[1\]"),
+        ("u_inf", NonFiniteError, r"`u` is not finite in rows \[2\]"),
+        ("quaternion", ShapeError, r"unit quaternions.*6 to 9.*\[1\].*1.3.*Normalise"),
+    ],
+)
+def test_refusals_name_the_argument_what_was_expected_and_what_came(
+    what: str, error: type[NsdeError], message: str
+) -> None:
+    with pytest.raises(error, match=message):
+        make("hexacopter").sample(**bad(what), dt=0.05, particles=2, generator=generator())
+
+
+def test_a_step_that_is_not_positive_is_refused() -> None:
+    with pytest.raises(NsdeError, match="dt"):
+        make("hexacopter").sample(**bad(""), dt=0.0, particles=2, generator=generator())
+
+
+def test_sigma_max_of_another_length_is_refused() -> None:
+    with pytest.raises(ConfigError, match=r"sigma_max.*\(13\); got 2"):
+        make("hexacopter", sigma_max=(0.1, 0.1))
+
+
+def test_fixed_sigma_max_is_kept_and_not_learned() -> None:
+    model = NeuralSDE(
+        ModelSpec("mass_spring_damper", dt=0.01, horizon=5, step="euler_maruyama", sigma_max=(0.001, 0.02)),
+        generator=generator(),
+    )
+    torch.testing.assert_close(model.h.log_sigma_max.exp().detach(), torch.tensor([0.001, 0.02]))
+    assert not model.h.log_sigma_max.requires_grad
+
+
+def test_specification_survives_plain_containers_and_refuses_unknown_keys() -> None:
+    spec = ModelSpec(
+        "hexacopter", dt=0.05, horizon=20, step="milstein", effects=("linear_drag",), filter_reach=8
+    )
+    assert ModelSpec.from_dict(spec.as_dict()) == spec
+    with pytest.raises(ConfigError, match="colour"):
+        ModelSpec.from_dict({**spec.as_dict(), "colour": 1})
+
+
+@pytest.mark.parametrize("step", ["rk4", "midpoint"])
+def test_a_model_without_noise_predicts_one_path(step: str) -> None:
+    model = make("cartpole", step=step)
+    x, u = states(model, 2)
+    out = model.sample(x, u, dt=0.02, particles=3, generator=generator())
+    assert out.shape == (3, 2, 11, 4)
+    assert torch.equal(out[0], out[1])

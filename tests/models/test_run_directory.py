@@ -1,0 +1,236 @@
+"""Run directories: what is saved comes back bit by bit, and nothing from outside is executed or half read."""
+
+from __future__ import annotations
+
+import pickle
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+import yaml
+from safetensors.torch import load_file, save_file
+
+import nsde_torch
+from nsde_torch.errors import CheckpointError
+from nsde_torch.models import ModelSpec, NeuralSDE
+from nsde_torch.models.run_directory import CONFIG, WEIGHTS, save
+
+
+def make(dtype: torch.dtype = torch.float32, **spec: Any) -> NeuralSDE:
+    options: dict[str, Any] = {"system": "hexacopter", "dt": 0.05, "horizon": 20, "step": "milstein", **spec}
+    model = NeuralSDE(ModelSpec(**options), generator=torch.Generator().manual_seed(0)).to(dtype)
+    with torch.no_grad():
+        for k, p in enumerate(model.parameters()):
+            p.add_(0.01 * torch.randn(p.shape, generator=torch.Generator().manual_seed(k), dtype=dtype))
+        model.clock_scale.fill_(1.037)
+    return model
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    """A run directory of a hexacopter."""
+    save(make(), tmp_path / "run")
+    return tmp_path / "run"
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+@pytest.mark.parametrize(
+    "spec",
+    [
+        {},
+        {
+            "effects": ("linear_drag", "motor_lag"),
+            "filter_reach": 8,
+            "measurement": True,
+            "disturbance": True,
+            "system_options": {"thrust_degree": 2},
+        },
+        {"system": "mass_spring_damper", "declared": (), "sigma_max": (0.001, 0.02), "loss": "paper"},
+    ],
+)
+def test_what_was_saved_comes_back_bit_by_bit(
+    spec: dict[str, Any], dtype: torch.dtype, tmp_path: Path
+) -> None:
+    model = make(dtype, **spec)
+    save(model, tmp_path, about={"command": "train"})
+    loaded = nsde_torch.load(tmp_path)
+    assert loaded.spec == model.spec
+    assert not loaded.training
+    assert not any(p.requires_grad for p in loaded.parameters())
+    expected = model.state_dict()
+    assert loaded.state_dict().keys() == expected.keys()
+    for name, tensor in loaded.state_dict().items():
+        assert tensor.dtype == expected[name].dtype
+        assert torch.equal(tensor, expected[name]), name
+    s = model.system
+    x0 = torch.zeros(2, s.nx, dtype=dtype)
+    if s.quaternion is not None:
+        x0[:, 6] = 1.0
+    u = torch.full((2, 5, s.nu), 0.4, dtype=dtype)
+    with torch.no_grad():
+        a, b = (
+            m.sample(x0, u, dt=0.05, particles=3, generator=torch.Generator().manual_seed(1))
+            for m in (model, loaded)
+        )
+    assert torch.equal(a, b)
+
+
+def test_saving_again_replaces_the_weights_whole(folder: Path) -> None:
+    other = make()
+    with torch.no_grad():
+        other.h.offset.fill_(0.5)
+    save(other, folder)
+    assert torch.equal(nsde_torch.load(folder).h.offset, other.h.offset)
+    assert sorted(p.name for p in folder.iterdir()) == [CONFIG, WEIGHTS]
+
+
+def test_a_run_directory_holds_no_pickle(folder: Path) -> None:
+    for file in folder.iterdir():
+        content = file.read_bytes()
+        assert content[:2] != b"PK"  # what torch.save writes
+        with pytest.raises(Exception):  # noqa: B017, PT011
+            pickle.loads(content)
+
+
+def test_a_missing_folder_is_named_with_what_to_give(tmp_path: Path) -> None:
+    with pytest.raises(CheckpointError, match=r"no run directory .*nowhere.*nsde train"):
+        nsde_torch.load(tmp_path / "nowhere")
+
+
+@pytest.mark.parametrize("name", [CONFIG, WEIGHTS])
+def test_a_missing_file_is_named_with_how_to_finish_the_run(folder: Path, name: str) -> None:
+    (folder / name).unlink()
+    with pytest.raises(CheckpointError, match=rf"holds no {name}.*resume={folder}"):
+        nsde_torch.load(folder)
+
+
+@pytest.mark.parametrize("kept", [0, 4, 100, 2000, -1])
+def test_truncated_weights_are_refused_by_name(folder: Path, kept: int) -> None:
+    content = (folder / WEIGHTS).read_bytes()
+    (folder / WEIGHTS).write_bytes(content[:kept])
+    with pytest.raises(CheckpointError, match=rf"{folder}.*Train again"):
+        nsde_torch.load(folder)
+
+
+def test_weights_of_another_kind_of_file_are_refused(folder: Path) -> None:
+    torch.save({"w": torch.zeros(3)}, folder / WEIGHTS)
+    with pytest.raises(CheckpointError, match=str(folder)):
+        nsde_torch.load(folder)
+
+
+def test_weights_without_the_format_mark_are_refused(folder: Path) -> None:
+    save_file(load_file(folder / WEIGHTS), folder / WEIGHTS)
+    with pytest.raises(CheckpointError, match=rf"{WEIGHTS} is not of the format"):
+        nsde_torch.load(folder)
+
+
+@pytest.mark.parametrize("change", ["shape", "missing", "extra"])
+def test_weights_that_do_not_fit_the_configuration_are_refused_and_named(folder: Path, change: str) -> None:
+    tensors = load_file(folder / WEIGHTS)
+    if change == "shape":
+        tensors["h.offset"] = torch.zeros(5)
+    elif change == "missing":
+        del tensors["h.offset"]
+    else:
+        tensors["h.more"] = torch.zeros(2)
+    save_file(tensors, folder / WEIGHTS, metadata={"format": "nsde_torch/1"})
+    with pytest.raises(CheckpointError, match=rf"{WEIGHTS} does not fit {CONFIG}.*h\.(offset|more)"):
+        nsde_torch.load(folder)
+
+
+HOSTILE = (
+    "!!python/object/apply:os.system ['touch {mark}']",
+    "format: nsde_torch/1\nspec: !!python/object/apply:os.system ['touch {mark}']",
+    "format: nsde_torch/1\nspec: !!python/name:os.system",
+    "format: nsde_torch/1\nspec: !!python/module:os",
+)
+
+
+@pytest.mark.parametrize("text", HOSTILE)
+def test_hostile_yaml_is_refused_and_not_run(folder: Path, tmp_path: Path, text: str) -> None:
+    mark = tmp_path / "run_by_yaml"
+    (folder / CONFIG).write_text(text.format(mark=mark))
+    with pytest.raises(CheckpointError, match=str(folder)):
+        nsde_torch.load(folder)
+    assert not mark.exists()
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "",
+        "just words",
+        "[1, 2",
+        "format: other/9\nspec: {}",
+        "format: nsde_torch/1",
+        "format: nsde_torch/1\nspec: 3",
+        "format: nsde_torch/1\nspec: []",
+        "format: nsde_torch/1\nspec: null",
+        "format: nsde_torch/1\nspec: {}",
+        "format: nsde_torch/1\nspec: {system: hexacopter}",
+        "format: nsde_torch/1\nspec: {1: 2, system: hexacopter}",
+        "[" * 3000,
+    ],
+)
+def test_a_damaged_configuration_is_refused_by_name(folder: Path, text: str) -> None:
+    (folder / CONFIG).write_text(text)
+    with pytest.raises(CheckpointError, match=str(folder)):
+        nsde_torch.load(folder)
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"system": "octocopter"},
+        {"step": "leapfrog"},
+        {"effects": ["warp_drive"]},
+        {"distance_hidden": 5},
+        {"distance_hidden": ["a"]},
+        {"dt": "fast"},
+        {"sigma_max": [1.0, 2.0]},
+        {"system_options": 3},
+        {"colour": "red"},
+        {"filter_reach": -4},
+    ],
+)
+def test_a_configuration_that_describes_no_model_is_refused_by_name(
+    folder: Path, change: dict[str, Any]
+) -> None:
+    config = yaml.safe_load((folder / CONFIG).read_text())
+    config["spec"].update(change)
+    (folder / CONFIG).write_text(yaml.safe_dump(config))
+    with pytest.raises(CheckpointError, match=str(folder)):
+        nsde_torch.load(folder)
+
+
+def test_configuration_that_is_no_text_is_refused(folder: Path) -> None:
+    (folder / CONFIG).write_bytes(b"\xff\xfe\x00\x81")
+    with pytest.raises(CheckpointError, match=str(folder)):
+        nsde_torch.load(folder)
+
+
+def test_another_process_loads_and_samples_the_same(folder: Path) -> None:
+    code = (
+        "import sys, torch, nsde_torch\n"
+        "model = nsde_torch.load(sys.argv[1])\n"
+        "x0 = torch.zeros(1, 13); x0[:, 6] = 1\n"
+        "u = torch.full((1, 5, 6), 0.4)\n"
+        "x = model.sample(x0, u, dt=0.05, particles=3, generator=torch.Generator().manual_seed(1))\n"
+        "print(repr(x[:, 0, -1].tolist()))\n"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code, str(folder)], capture_output=True, text=True, check=True, timeout=60
+    )
+    x0 = torch.zeros(1, 13)
+    x0[:, 6] = 1
+    x = nsde_torch.load(folder).sample(
+        x0,
+        torch.full((1, 5, 6), 0.4),
+        dt=0.05,
+        particles=3,
+        generator=torch.Generator().manual_seed(1),
+    )
+    assert done.stdout.strip() == repr(x[:, 0, -1].tolist())

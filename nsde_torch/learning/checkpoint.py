@@ -51,8 +51,12 @@ def read_checkpoint(
             about = json.loads((opened.metadata() or {})["about"])
     except (SafetensorError, KeyError, ValueError, OSError) as error:
         raise CheckpointError(f"checkpoint {file} is damaged ({error}). Remove it to start again.") from error
-    shapes = {k[6:]: tuple(v.shape) for k, v in tensors.items() if k.startswith("model.")}
-    wanted = {k: tuple(v.shape) for k, v in expected.items()}
+    kept = {k[5:] for k in tensors if k.startswith("kept.")}
+    lost = {"batches", "noise"} - set(tensors)
+    if lost or kept != {k[6:] for k in tensors if k.startswith("model.")}:
+        raise CheckpointError(f"checkpoint {file} is damaged (parts are missing). Remove it to start again.")
+    shapes = {k[6:]: (v.shape, v.dtype) for k, v in tensors.items() if k.startswith("model.")}
+    wanted = {k: (v.shape, v.dtype) for k, v in expected.items()}
     if shapes != wanted:
         differ = sorted(k for k in {*shapes, *wanted} if shapes.get(k) != wanted.get(k))
         raise CheckpointError(

@@ -246,8 +246,8 @@ def summarise(
         _channel(name, unit, [_inside(run, run.x[:, k]) for run in runs])
         for k, (name, unit) in enumerate(zip(system.state_names, system.state_units, strict=True))
     ]
-    for k, name in enumerate(system.input_names):
-        channels.append(_channel(name, "input", [_inside(run, run.u[:, k]) for run in runs]))
+    for k, (name, unit) in enumerate(zip(system.input_names, system.input_units, strict=True)):
+        channels.append(_channel(name, unit, [_inside(run, run.u[:, k]) for run in runs]))
     for name in dict.fromkeys(n for run in runs for n in run.extra):
         channels.append(
             _channel(name, "", [_inside(run, run.extra[name]) for run in runs if name in run.extra])

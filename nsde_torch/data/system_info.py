@@ -16,6 +16,7 @@ class SystemInfo(Protocol):
         state_names: One name for each state column.
         state_units: Unit of each state column; `rad` marks an angle that may be logged wrapped.
         input_names: One name for each input column.
+        input_units: Their units.
         exogenous: Further columns that effects read; appended to the inputs in this order.
         quaternion: Columns of a unit quaternion `w x y z`, or None.
         position_derivatives: Triples (position name, velocity name, frame) for which d position / dt =
@@ -33,6 +34,9 @@ class SystemInfo(Protocol):
 
     @property
     def input_names(self) -> tuple[str, ...]: ...
+
+    @property
+    def input_units(self) -> tuple[str, ...]: ...
 
     @property
     def exogenous(self) -> tuple[str, ...]: ...

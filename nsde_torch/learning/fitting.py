@@ -208,7 +208,9 @@ class Fit:
                     continue
                 if progress.step % options.validate_every == 0 or progress.step == options.steps:
                     row = self._score(losses)
-                    bar.set_postfix(loss=f"{row['loss']:.4f}", validation=f"{row['validation']:.4f}")
+                    bar.set_postfix(
+                        loss=f"{row.get('loss', math.nan):.4f}", validation=f"{row['validation']:.4f}"
+                    )
                     if log is not None:
                         log(progress.step, row)
                 if checkpoint is not None and progress.step % options.checkpoint_every == 0:
@@ -269,7 +271,8 @@ class Fit:
         score = self.validate()
         row = {"step": float(progress.step), "validation": score}
         row |= {k: float(v) for k, v in losses.items()}
-        row["loss"] = sum((float(v) for v in losses.values()), 0.0)
+        if losses:
+            row["loss"] = sum(float(v) for v in losses.values())
         progress.history.append(row)
         if score < progress.best_score:
             progress.best_score, progress.best_step = score, progress.step

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import textwrap
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ParamSpec, TypeVar
@@ -16,6 +17,8 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
+LINE = 95
+"""Characters of a title in one line."""
 WIDTH = 9.0
 """Width of every figure [in]."""
 DPI = 130
@@ -93,7 +96,7 @@ def panels(
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(WIDTH, height), layout="constrained")
-    figure.suptitle(title)
+    figure.suptitle(textwrap.fill(title, LINE))
     axes = figure.subplots(
         rows,
         columns,

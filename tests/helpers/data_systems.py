@@ -17,6 +17,11 @@ class Stub:
     position_derivatives: tuple[tuple[str, str, str], ...] = ()
     exogenous: tuple[str, ...] = ()
 
+    @property
+    def input_units(self) -> tuple[str, ...]:
+        """Dimensionless commands."""
+        return ("1",) * len(self.input_names)
+
 
 def multirotor(name: str, motors: int, exogenous: tuple[str, ...] = ()) -> Stub:
     """State of a multirotor with so many motors."""

@@ -1,0 +1,66 @@
+"""Question: on the supplement's scarce and noisy spring, is the neural SDE calibrated, and what does diffusion cost?
+
+Five noisy runs of one corner of the state space (`MSD_MeasHigh_TopRight_5`) train, ten less noisy ones of the whole
+region (`MSD_TestData`) test. The same model is trained without diffusion (`solver=rk4`) for comparison, once with
+the declared spring and damper and once with q'' left to the network, as in the supplement (`system.declared=[]`).
+
+    python benchmarks/bench_mass_spring_damper.py --data .../mass_spring_damper --out results/
+"""
+
+import argparse
+import json
+from pathlib import Path
+
+import numpy as np
+from common import train_all
+
+
+def main() -> None:
+    """Train, collect, print."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--data", type=Path, required=True, help="folder of the published spring data")
+    parser.add_argument("--out", type=Path, default=Path("results/mass_spring_damper"))
+    parser.add_argument("--seeds", type=int, nargs="+", default=[0, 1, 2])
+    parser.add_argument("--at-once", type=int, default=2)
+    a = parser.parse_args()
+    folder = a.data.resolve()
+    base = [
+        "system=mass_spring_damper",
+        "data=published",
+        f"data.path={folder / 'MSD_MeasHigh_TopRight_5.pkl'}",
+        f"data.test_path={folder / 'MSD_TestData.pkl'}",
+    ]
+    kinds = {
+        "sde": [],
+        "ode": ["solver=rk4"],
+        "sde_black_box": ["system.declared=[]"],
+        "ode_black_box": ["system.declared=[]", "solver=rk4"],
+    }
+    jobs = {
+        a.out.resolve() / f"{kind}_seed{s}": [*base, *extra, f"seed={s}"]
+        for kind, extra in kinds.items()
+        for s in a.seeds
+    }
+    train_all(jobs, at_once=a.at_once)
+    for kind in kinds:
+        tests = [
+            json.loads((a.out / f"{kind}_seed{s}" / "metrics.json").read_text())["test"] for s in a.seeds
+        ]
+        print(f"\n{kind}: mean over seeds (deviation)")
+        for h in (f"{h:g}" for h in tests[0]["horizons_s"]):
+            cells = []
+            for group in ("position", "velocity"):
+                e = 1e3 * np.array([t["errors"]["model"][group][h] for t in tests])
+                c = np.mean([t["coverage"]["0.9"][group][h] for t in tests])
+                cells.append(
+                    f"{group} {e.mean():.2f} ({e.std():.2f}) mm"
+                    + ("/s" if group == "velocity" else "")
+                    + (f", 90 % holds {c:.0%}" if kind.startswith("sde") else "")
+                )
+            print(f"{h:>5} s  " + "   ".join(cells))
+
+
+if __name__ == "__main__":
+    main()

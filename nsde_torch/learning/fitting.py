@@ -252,8 +252,8 @@ class Fit:
         norm = nn.utils.clip_grad_norm_(self.parameters, limit)
         if not bool(torch.isfinite(norm)):
             raise NonFiniteError(
-                f"the gradient is not finite at step {self.progress.step + 1} (loss {float(total.detach()):.4g}). Lower "
-                "trainer.lr or the horizon, or look at the data summary for outliers."
+                f"the gradient is not finite at step {self.progress.step + 1} (loss {float(total.detach()):.4g}). "
+                "Lower trainer.lr or the horizon, or look at the data summary for outliers."
             )
         self.optimiser.step()
         return {k: v.detach() for k, v in losses.items()}

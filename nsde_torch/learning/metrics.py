@@ -125,7 +125,9 @@ def evaluate(
     truth: dict[int, list[Tensor]] = {k: [] for k in steps}
     first: list[Tensor] = []
     diverged = 0
-    for part in starts.split(256):
+    parts = list(starts.split(256))
+    while parts:
+        part = parts.pop(0)
         x, u, t0 = windows.batch(part)
         try:
             samples = model.sample(
@@ -139,7 +141,10 @@ def evaluate(
                 measurement_std=measurement_std,
             )
         except NonFiniteError:
-            diverged += len(part)
+            if len(part) > 1:  # look for those at fault; the others are scored
+                parts[:0] = part.chunk(2)
+            else:
+                diverged += 1
             continue
         first.append(x[:, 0])
         for k in steps:

@@ -16,6 +16,7 @@ from nsde_torch.data.run import Run
 _NULLS = 4
 _DEPTH = 3.0  # a fall of e^3 = 20 in power at each of the nulls, where noise gives less than e^1
 _SHORTEST = 6  # samples: below that too few nulls lie under half the sampling rate
+_HELD = 0.8  # share of rows without a change from which on a command is held: its spectrum has the same nulls
 
 
 def smoothing_width(runs: Sequence[Run], n_inputs: int) -> float:
@@ -73,7 +74,7 @@ def _power(
             if len(changes) < 512:
                 continue
             _, p = welch(changes, fs=1 / dt, nperseg=min(len(changes), 1024), axis=0)
-            active = changes.std(0) > 1e-9
+            active = (changes.std(0) > 1e-9) & ((changes == 0).mean(0) < _HELD)
             if active.any():
                 spectra.append((b - a, np.log(p[:, active] + 1e-30).mean(1)))
     if not spectra:

@@ -1,0 +1,127 @@
+"""Moving averages in logged inputs: found where there is one, at its width, and not found where there is none."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy.signal import lfilter
+
+from nsde_torch.data import Run, read
+from nsde_torch.data.smoothing import smoothing_width
+from nsde_torch.systems import make_system
+
+Array = NDArray[np.float64]
+DT = 0.01
+N = 6001
+
+
+def commands(kind: str, seed: int, n: int = N) -> Array:
+    """Inputs (n, 4) of several kinds, before any smoothing."""
+    rng = np.random.default_rng(seed)
+    white = rng.standard_normal((n, 4))
+    if kind == "white":
+        return white
+    if kind == "red":  # a controller's commands: strong at low frequencies, noise above
+        return lfilter([1.0], [1.0, -0.95], white, axis=0) + 0.05 * rng.standard_normal((n, 4))
+    assert kind == "steps"  # a pilot's stick: held for a while, then moved; and a little noise
+    lengths = rng.integers(10, 80, n // 10 + 1)
+    held = np.stack([np.repeat(rng.standard_normal(len(lengths)), lengths)[:n] for _ in range(4)], 1)
+    return np.asarray(held + 0.02 * white)
+
+
+KINDS = ("white", "red", "steps")
+
+
+def averaged(u: Array, samples: int) -> Array:
+    kernel = np.ones(samples) / samples
+    return np.stack([np.convolve(c, kernel, mode="same") for c in u.T], 1)
+
+
+def run(u: Array, name: str = "run") -> Run:
+    n = len(u)
+    return Run(name, DT * np.arange(n), np.zeros((n, 1)), u)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("samples", [10, 15, 20, 25, 30, 40])
+def test_the_width_of_an_average_is_found_within_a_sample(kind: str, samples: int) -> None:
+    found = smoothing_width([run(averaged(commands(kind, seed), samples), str(seed)) for seed in (0, 1)], 4)
+    assert found == pytest.approx(samples * DT, abs=1.01 * DT)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_raw_inputs_show_no_average(kind: str) -> None:
+    found = {seed: smoothing_width([run(commands(kind, seed))], 4) for seed in range(25)}
+    assert {seed: width for seed, width in found.items() if width} == {}
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("rows", [600, 1000, 1500])
+def test_short_raw_recordings_of_one_input_show_no_average(kind: str, rows: int) -> None:
+    found = {seed: smoothing_width([run(commands(kind, seed, rows))], 1) for seed in range(20)}
+    assert {seed: width for seed, width in found.items() if width} == {}
+
+
+@pytest.mark.parametrize("time_constant", [0.02, 0.05, 0.1, 0.3])
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_first_order_lag_is_no_average(kind: str, time_constant: float) -> None:
+    keep = np.exp(-DT / time_constant)
+    for seed in range(6):
+        lagged = lfilter([1 - keep], [1.0, -keep], commands(kind, seed), axis=0)
+        assert smoothing_width([run(lagged)], 4) == 0.0
+
+
+@pytest.mark.parametrize("noise", [0.0, 1e-12])
+def test_constant_inputs_show_no_average(noise: float) -> None:
+    u = np.full((N, 4), 0.4) + noise * np.random.default_rng(0).standard_normal((N, 4))
+    assert smoothing_width([run(u)], 4) == 0.0
+
+
+def test_constant_inputs_beside_averaged_ones_are_left_aside() -> None:
+    u = averaged(commands("red", 0), 40)
+    u[:, 1:3] = 0.4
+    assert smoothing_width([run(u)], 4) == pytest.approx(0.4, abs=1.01 * DT)
+
+
+def test_an_average_is_found_under_a_little_noise_of_rounding() -> None:
+    u = np.round(averaged(commands("red", 0), 40), 4)
+    assert smoothing_width([run(u)], 4) == pytest.approx(0.4, abs=1.01 * DT)
+
+
+@pytest.mark.parametrize("samples", [8, 10, 20])
+def test_commands_that_are_held_between_updates_are_no_average(samples: int) -> None:
+    u = np.repeat(commands("red", 0, N // samples + 1), samples, axis=0)[:N]
+    assert smoothing_width([run(u)], 4) == 0.0
+
+
+def test_short_runs_show_nothing() -> None:
+    assert smoothing_width([run(averaged(commands("white", 0, 400), 40))], 4) == 0.0
+
+
+def test_exogenous_columns_are_not_looked_at() -> None:
+    u = commands("white", 0)
+    u[:, 2:] = averaged(u[:, 2:], 40)
+    assert smoothing_width([run(u)], 2) == 0.0
+
+
+def test_runs_and_segments_of_unequal_length_are_pooled() -> None:
+    u = averaged(commands("red", 3), 40)
+    n = len(u)
+    cut = Run("cut", DT * np.arange(n), np.zeros((n, 1)), u, ((0, 700), (700, 3000), (3000, n)))
+    short = run(averaged(commands("red", 4, 900), 40), "short")
+    assert smoothing_width([short, cut], 4) == pytest.approx(0.4, abs=1.01 * DT)
+
+
+def test_simulated_flights_were_not_averaged() -> None:
+    from nsde_torch.plants import simulated
+
+    data = simulated("hexacopter", durations=[10.0])
+    assert smoothing_width(list(data.runs), 6) == 0.0
+
+
+def test_published_flights_were_averaged_over_four_tenths_of_a_second(published: Path) -> None:
+    data = read("published", make_system("hexacopter"), path=str(published / "hexacopter" / "trajs.pkl"))
+    assert smoothing_width(list(data.runs), 6) == pytest.approx(0.4, abs=1.01 * DT)

@@ -32,7 +32,7 @@ def prepare(
         model.residual_inputs.fit(model.system.residual_features(rows))
         model.eta.standardise.fit(model.system.features(rows))
         model.clock_scale.fill_(clock_scale)
-        bend = x[:, 2:] - 2 * x[:, 1:-1] + x[:, :-2]
+        bend = torch.diff(x, n=min(2, windows.horizon), dim=1)
         sigma = 0.5 * bend.reshape(-1, x.shape[-1]).std(0) / windows.dt_model**0.5
         if model.h.log_sigma_max.requires_grad:
             model.h.log_sigma_max[: len(sigma)].copy_((4.0 * sigma).clamp_min(1e-6).log())

@@ -149,7 +149,7 @@ class LossConfig:
         16.0, "largest radius that loss=default draws up to", unit="std of the features", above=0
     )
     residual_decay: float = key(0.003, "weight of the squared weights of the residual networks", low=0)
-    early: float = key(0.5, "step k of a window weighs k^-early (loss=default)", low=0)
+    early: float = key(1.0, "step k of a window weighs k^-early (loss=default)", low=0)
 
 
 @dataclass

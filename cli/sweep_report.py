@@ -19,7 +19,7 @@ from .sweep_jobs import DONE, FAILED, UNFINISHED, Group, SweepJob, grouped, read
 # Ranked by the first of these that a job has; smaller is better.
 SCORES = ("validation.score", "validation_score", "score")
 # Shown beside the score: errors on the held-out runs.
-COLUMNS = ("test.errors.*.1.0", "test.errors.*.1", "errors.*.1.0", "errors.*.1")
+COLUMNS = ("test.errors.model.*.1", "test.coverage.0.9.*.1")
 
 
 def main(arguments: Sequence[str]) -> int:

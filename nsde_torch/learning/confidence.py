@@ -17,6 +17,7 @@ from nsde_torch.models.neural_sde import NeuralSDE
 
 _HORIZON_S, _CLUSTER_S, _WINDOWS = 0.25, 4.0, 600
 _QUANTILE = 1.645  # 90 %
+_SHOWN = 1e-10  # of the largest information; below that a parameter moves nothing
 
 
 @torch.no_grad()
@@ -29,7 +30,8 @@ def declared_confidence(model: NeuralSDE, windows: Windows, scale: Tensor) -> di
         scale: Scale of the error channels (n_error,).
 
     Returns:
-        name -> `value`, `half_width_90` (lists, one entry per axis) and `unit`.
+        name -> `value`, `half_width_90` (lists, one entry per axis; None where no prediction depends on the
+        parameter, so that the data cannot show it) and `unit`.
     """
     parameters = _declared(model)
     out: dict[str, dict[str, object]] = {}
@@ -68,12 +70,14 @@ def declared_confidence(model: NeuralSDE, windows: Windows, scale: Tensor) -> di
     sums = sums - sums.mean(0)
     covariance = inverse.cpu() @ (sums.T @ sums) @ inverse.cpu()
     deviation = covariance.diagonal().clamp_min(0).sqrt()
+    shown = information.diagonal() > _SHOWN * information.diagonal().max()
     at = 0
     for name, raw, value, unit in parameters:
         k = raw.numel()
         slope = _slope(model, name, raw)
-        half = _QUANTILE * deviation[at : at + k].to(slope) * slope.abs()
-        out[name] = {"value": value.tolist(), "half_width_90": half.tolist(), "unit": unit}
+        half = (_QUANTILE * deviation[at : at + k].to(slope) * slope.abs()).tolist()
+        known = [h if s else None for h, s in zip(half, shown[at : at + k].tolist(), strict=True)]
+        out[name] = {"value": value.tolist(), "half_width_90": known, "unit": unit}
         at += k
     return out
 

@@ -35,7 +35,7 @@ class LossOptions:
     ball_radius: float | None = None
     far_radius: float = 16.0
     residual_decay: float = 0.003
-    early: float = 0.5
+    early: float = 1.0
 
     def __post_init__(self) -> None:
         if self.kind not in ("default", "paper"):

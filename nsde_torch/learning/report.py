@@ -29,7 +29,10 @@ def parameter_table(parameters: Mapping[str, Mapping[str, Any]]) -> str:
     rows = []
     for name, p in parameters.items():
         pairs = zip(p["value"], p["half_width_90"], strict=True)
-        rows.append([name, "  ".join(f"{number(v)} +- {number(h)}" for v, h in pairs), p["unit"]])
+        cells = [
+            number(v) + (" (not shown by the data)" if h is None else f" +- {number(h)}") for v, h in pairs
+        ]
+        rows.append([name, "  ".join(cells), p["unit"]])
     return table(["declared parameter", "value +- 90 %", "unit"], rows)
 
 

@@ -22,6 +22,7 @@ import torch
 from torch import Tensor
 
 from nsde_torch.data import Run, Windows
+from nsde_torch.errors import DataError
 from nsde_torch.learning.metrics import horizons_of, interval_quantiles, start_grid
 from nsde_torch.models.neural_sde import NeuralSDE
 
@@ -46,9 +47,13 @@ class Coverage:
         self.model, self.seed, self.compile = model, seed, compile
         dt = model.spec.dt
         self.steps = [max(1, round(h / dt)) for h in horizons_of(runs, dt)]
+        if not self.steps:
+            raise DataError("no run is long enough for a horizon of 0.1 s.")
         like = model.clock_scale
         windows = Windows(runs, dt, self.steps[-1], dtype=like.dtype, device=like.device)
         starts = start_grid(windows)
+        if len(starts) == 0:
+            raise DataError(f"no start of the grid has {self.steps[-1] * dt:g} s without a gap after it.")
         if len(starts) > _STARTS:
             starts = starts[torch.linspace(0, len(starts) - 1, _STARTS).round().long()]
         self.x, self.u, t0 = windows.batch(starts)

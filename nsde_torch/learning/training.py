@@ -17,7 +17,7 @@ from nsde_torch.errors import DataError
 from nsde_torch.learning.calibration import Coverage, extrapolate, widen
 from nsde_torch.learning.confidence import declared_confidence
 from nsde_torch.learning.fitting import Fit, Progress
-from nsde_torch.learning.metrics import evaluate
+from nsde_torch.learning.metrics import evaluate, horizons_of
 from nsde_torch.learning.options import LossOptions, TrainerOptions
 from nsde_torch.learning.prepare import error_scale, prepare, sensor_std
 from nsde_torch.learning.report import coverage_table, error_table, parameter_table
@@ -87,6 +87,9 @@ class Training:
         started = time.perf_counter()
         self.say(str(self.data.summary))
         self._say_split()
+        if self.split.test and not horizons_of(self.split.test, self.spec.dt):
+            names = ", ".join(run.name for run in self.split.test)
+            raise DataError(f"the test runs ({names}) are too short for a horizon of 0.1 s; hold out longer ones.")
         model, fit, scale = self._fit(self.split.train, self.seed, "train", self.options)
         fitted = time.perf_counter()
         p = fit.progress
@@ -161,8 +164,13 @@ class Training:
         for k in range(min(len(runs), _LEFT_OUT) if len(runs) > 1 else 0):
             others = [run for i, run in enumerate(runs) if i != k]
             name = f"calibrate {k + 1} of {min(len(runs), _LEFT_OUT)}"
-            auxiliary, _, _ = self._fit(others, self.seed + 1000 + k, name, short)
-            new.append(Coverage(auxiliary, [runs[k]], seed=self.seed, compile=self.compile).log_factor())
+            try:
+                auxiliary, _, _ = self._fit(others, self.seed + 1000 + k, name, short)
+                coverage = Coverage(auxiliary, [runs[k]], seed=self.seed, compile=self.compile)
+            except DataError as error:
+                self.say(f"calibration without {runs[k].name!r} left out: {error}")
+                continue
+            new.append(coverage.log_factor())
         total = extrapolate(fitted, new, len(runs))
         widen(model, total)
         factor = math.exp(total)

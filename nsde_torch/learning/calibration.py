@@ -22,7 +22,7 @@ import torch
 from torch import Tensor
 
 from nsde_torch.data import Run, Windows
-from nsde_torch.errors import DataError
+from nsde_torch.errors import DataError, NonFiniteError
 from nsde_torch.learning.metrics import horizons_of, interval_quantiles, start_grid
 from nsde_torch.models.neural_sde import NeuralSDE
 
@@ -61,7 +61,10 @@ class Coverage:
 
     @torch.no_grad()
     def __call__(self, log_factor: float) -> float:
-        """Share of measurements inside, averaged over channels of each group, groups and horizons."""
+        """Share of measurements inside, averaged over channels of each group, groups and horizons.
+
+        A factor under which paths leave the finite numbers counts as one that holds everything: it is too large.
+        """
         model, base = self.model, self.model.h.log_sigma_max.clone()
         model.h.log_sigma_max.copy_(base + log_factor)
         try:
@@ -74,6 +77,8 @@ class Coverage:
                 compile=self.compile,
                 t0=self.t0,
             )
+        except NonFiniteError:
+            return 1.0
         finally:
             model.h.log_sigma_max.copy_(base)
         errors = model.system.error(samples[:, :, self.steps], self.x[:, self.steps])

@@ -48,7 +48,7 @@ def declared_confidence(model: NeuralSDE, windows: Windows, scale: Tensor) -> di
     def errors() -> Tensor:
         path = model.paths(x[:, 0], u, dt=windows.dt_model, noise=None, check=False, t0=t0.to(x.dtype))
         e = model.system.error(path[0, :, steps], x[:, steps]) / scale
-        return e.double()
+        return e.double().cpu()
 
     base = errors()
     columns = []

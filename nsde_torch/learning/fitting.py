@@ -278,6 +278,11 @@ class Fit:
             progress.best_score, progress.best_step = score, progress.step
             self.kept = copy.deepcopy(self.model.state_dict())
         self._put(current)
+        if progress.step and math.isinf(progress.best_score):
+            raise NonFiniteError(
+                f"the validation score is not finite at step {progress.step}: sampled paths leave the finite numbers. "
+                "Lower trainer.lr or system.horizon, or look at the data summary for outliers."
+            )
         late = progress.step - progress.best_step
         if late >= self.options.patience * self.options.validate_every:
             progress.stopped = True

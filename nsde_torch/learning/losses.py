@@ -2,7 +2,11 @@
 
 Data loss, loss=paper: squared error of sampled paths, L = E |x_pred - x|^2 / scale^2 (supplement A). Its
 minimum over sigma is sigma = 0: a spread can only add to it. That is why intervals trained with it hold a
-few per cent of the truth instead of 90.
+few per cent of the truth instead of 90. It follows the supplement where the authors' public code departs from it:
+there the scale and offset of h are multiplied by 1e-7, so that h is the same on every channel; positions carry a
+constant diffusion whatever eta; the eta that is regularised is not quite the one that scales sigma; features are
+divided by one number instead of channel by channel; and the noise misses the factor sqrt(dt), so that sigma
+depends on the step. The supplement's distance losses are evaluated on a random part of the states of a batch.
 
 Data loss, loss=default: the fair continuous ranked probability score of P >= 2 independent paths X_p,
 

@@ -26,9 +26,9 @@ MOST_STARTS = 2000
 
 
 def horizons_of(runs: Sequence[Run], dt: float) -> tuple[float, ...]:
-    """Those of 0.1, 0.25, 0.5, 1 and 2 s that are not below half a step and fit in the longest stretch."""
+    """Those of 0.1, 0.25, 0.5, 1 and 2 s that are not below a step and fit in the longest stretch."""
     longest = max(run.t[b - 1] - run.t[a] for run in runs for a, b in run.segments)
-    return tuple(h for h in HORIZONS if h <= longest - dt and h >= 0.5 * dt)
+    return tuple(h for h in HORIZONS if h <= longest - dt and h >= 0.99 * dt)
 
 
 def start_grid(windows: Windows) -> Tensor:

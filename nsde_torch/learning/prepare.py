@@ -1,6 +1,6 @@
 """Everything that is set from the training data before the first gradient step."""
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 
 import numpy as np
 import torch
@@ -15,7 +15,13 @@ _HOLD_SHARE = 0.35  # a useful model's error, as a share of that of holding the 
 
 
 def prepare(
-    model: NeuralSDE, runs: Sequence[Run], windows: Windows, *, clock_scale: float, start: bool
+    model: NeuralSDE,
+    runs: Sequence[Run],
+    windows: Windows,
+    *,
+    clock_scale: float,
+    start: bool,
+    given: Collection[str] = (),
 ) -> None:
     """Set standardisation, first sigma, clock and first parameters of a model.
 
@@ -25,6 +31,7 @@ def prepare(
         windows: Training windows.
         clock_scale: Physical seconds per logged second.
         start: Whether to look for first values of declared parameters in the data.
+        given: Names of parameters that keep the value they have.
     """
     x, _, _ = windows.batch(_spread(len(windows), _ROWS // (windows.horizon + 1) + 1))
     rows = x.reshape(-1, x.shape[-1])
@@ -45,6 +52,8 @@ def prepare(
             np.asarray(longest.x[a:b]), np.asarray(longest.u[a:b]), longest.dt * clock_scale
         )
         for name, value in values.items():
+            if name in given:
+                continue
             try:
                 model.system.set_value(name, torch.tensor(value))
             except ConfigError:

@@ -100,6 +100,7 @@ class Training:
             f"fitted: {p.step} steps in {fitted - started:.0f} s ({ended}); kept step {p.best_step}, "
             f"validation {p.best_score:.4f}"
         )
+        save(model, self.folder, about=self.about)
         calibration = self._calibrate(model, scale)
         metrics: dict[str, Any] = {
             "system": self.spec.system,
@@ -144,7 +145,7 @@ class Training:
         windows = Windows(runs, self.spec.dt, self.spec.horizon, dtype=self.dtype, device=self.device)
         blocks = torch.Generator().manual_seed(seed)
         train, held = windows.held_out(self.validation, _BLOCK_S, blocks)
-        prepare(model, runs, train, clock_scale=self.data.clock_scale, start=not self.values)
+        prepare(model, runs, train, clock_scale=self.data.clock_scale, start=True, given=self.values or ())
         scale = error_scale(model, train)
         fit = Fit(model, train, held, windows, scale=scale, loss=self.loss, options=options, seed=seed)
         fit.run(

@@ -182,9 +182,12 @@ class NeuralSDE(nn.Module):
 
         Args:
             t: Time [s].
-            z: State, memory of the effects and disturbances (N, nz).
+            z: State, memory of the effects and disturbances (N, nz); or the state alone (N, nx), undisturbed and
+                with the memory that is stationary under `u`, and then the rate is that of the state.
             u: Applied inputs (N, nu).
         """
+        if z.shape[1] < self.nz:
+            return self.drift(t, self.augment(z, u), u)[:, : self.system.nx]
         forces = self.residual(z[:, : self.system.nx])
         if not self.nd:
             return self.clock_scale * self.system.drift(t, z, u, forces)
@@ -195,8 +198,13 @@ class NeuralSDE(nn.Module):
         return self.clock_scale * torch.cat((rate, -d * torch.exp(-self.log_tau)), 1)
 
     def diffusion(self, t: float | Tensor, z: Tensor, u: Tensor) -> Tensor:
-        """Standard deviation density (N, nz) [state unit per root second]; memory has none."""
+        """Standard deviation density (N, nz) [state unit per root second]; memory has none.
+
+        Of the state alone (N, nx) it is that of the state.
+        """
         sigma = self._sigma(z[:, : self.system.nx])
+        if z.shape[1] < self.nz:
+            return sigma[:, : self.system.nx]
         memory = self.system.nz - self.system.nx
         if not memory:
             return sigma
@@ -286,6 +294,10 @@ class NeuralSDE(nn.Module):
             check=check,
         )
         return path.reshape(p, b, *path.shape[2:])[..., :nx]
+
+    def augment(self, x: Tensor, u: Tensor) -> Tensor:
+        """State (N, nx) with stationary memory under the inputs `u` (N, nu) and no disturbance: (N, nz)."""
+        return self._augment(x, u, None)
 
     def _augment(self, x: Tensor, u: Tensor, normal: Tensor | None) -> Tensor:
         """State, memory and disturbance (N, nz); the disturbance is drawn from its stationary law."""

@@ -6,50 +6,52 @@ q v q* = v + 2 w (r x v) + 2 r x (r x v),  q = (w, r).  Written by components: t
 import torch
 from torch import Tensor
 
+from nsde_torch.columns import columns, split_columns, stack_columns
+
 
 def cross(a: Tensor, b: Tensor) -> Tensor:
     """Cross product (..., 3)."""
-    ax, ay, az = a.unbind(-1)
-    bx, by, bz = b.unbind(-1)
-    return torch.stack((ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx), -1)
+    ax, ay, az = columns(a)
+    bx, by, bz = columns(b)
+    return stack_columns((ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx))
 
 
 def rotate(q: Tensor, v: Tensor) -> Tensor:
     """Vector from body to world, (..., 3); `q` (..., 4) must be of unit length (not checked)."""
-    w, r = q[..., :1], q[..., 1:]
+    w, r = split_columns(q, 1, 3)
     s = 2.0 * cross(r, v)
     return v + w * s + cross(r, s)
 
 
 def rotate_back(q: Tensor, v: Tensor) -> Tensor:
     """Vector from world to body, (..., 3)."""
-    w, r = q[..., :1], q[..., 1:]
+    w, r = split_columns(q, 1, 3)
     s = 2.0 * cross(r, v)
     return v - w * s + cross(r, s)
 
 
 def gravity_direction(q: Tensor) -> Tensor:
     """World's up axis in the body frame, (..., 3): (0, 0, 1) when level."""
-    w, x, y, z = q.unbind(-1)
-    return torch.stack((2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)), -1)
+    w, x, y, z = columns(q)
+    return stack_columns((2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)))
 
 
 def quaternion_rate(q: Tensor, omega: Tensor) -> Tensor:
     """dq/dt = q (0, omega) / 2, (..., 4), for body rates omega (..., 3) [rad/s]."""
-    w, x, y, z = q.unbind(-1)
-    p, r, s = omega.unbind(-1)
-    return 0.5 * torch.stack(
-        (-x * p - y * r - z * s, w * p + y * s - z * r, w * r - x * s + z * p, w * s + x * r - y * p), -1
+    w, x, y, z = columns(q)
+    p, r, s = columns(omega)
+    return 0.5 * stack_columns(
+        (-x * p - y * r - z * s, w * p + y * s - z * r, w * r - x * s + z * p, w * s + x * r - y * p)
     )
 
 
 def rotation_between(q_from: Tensor, q_to: Tensor) -> Tensor:
     """Rotation vector (..., 3) [rad] of conj(q_from) q_to, the short way round, exact to 2nd order at 0."""
-    w, x, y, z = q_from.unbind(-1)
-    a, b, c, d = q_to.unbind(-1)
+    w, x, y, z = columns(q_from)
+    a, b, c, d = columns(q_to)
     s = w * a + x * b + y * c + z * d
-    r = torch.stack(
-        (w * b - x * a - y * d + z * c, w * c + x * d - y * a - z * b, w * d - x * c + y * b - z * a), -1
+    r = stack_columns(
+        (w * b - x * a - y * d + z * c, w * c + x * d - y * a - z * b, w * d - x * c + y * b - z * a)
     )
     sign = torch.where(s < 0, -1.0, 1.0).to(r)
     r, s = r * sign[..., None], s.abs()

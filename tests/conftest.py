@@ -40,6 +40,18 @@ def published(root: Path) -> Path:
     return folder
 
 
+@pytest.fixture(scope="session")
+def compiler() -> None:
+    """A C++ compiler, without which torch compiles nothing."""
+    from torch._inductor.cpp_builder import get_cpp_compiler
+    from torch._inductor.exc import InvalidCxxCompiler
+
+    try:
+        get_cpp_compiler()
+    except InvalidCxxCompiler:
+        pytest.skip("needs a C++ compiler")
+
+
 @pytest.fixture(autouse=True)
 def _own_cache(tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch) -> None:
     """Caches of simulated data go to a folder of the test session, never to the user's."""

@@ -6,13 +6,15 @@ from typing import final
 import torch
 from torch import Tensor
 
+from nsde_torch.columns import split_columns
 from nsde_torch.effects.base import Effect, Parameter, Port
 from nsde_torch.rotation import rotate_back
 
 
 def body_velocity(x: Tensor) -> Tensor:
     """Velocity in the body frame (N, 3) [m/s] of multirotor states (N, 13)."""
-    return rotate_back(x[:, 6:10], x[:, 3:6])
+    _, v, q, _ = split_columns(x, 3, 3, 4, 3)
+    return rotate_back(q, v)
 
 
 @final

@@ -34,7 +34,8 @@ class Diffusion(nn.Module):
 
     def share(self, eta: Tensor) -> Tensor:
         """h (N, nx) of eta (N,)."""
-        return torch.sigmoid(nn.functional.softplus(self.slope) * eta[:, None] + self.offset)
+        gain = nn.functional.softplus(self.slope)
+        return torch.sigmoid(gain[:, None] * eta + self.offset[:, None]).T
 
     def forward(self, eta: Tensor) -> Tensor:
         """sigma (N, nx) of eta (N,)."""

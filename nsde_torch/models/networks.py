@@ -6,6 +6,21 @@ from itertools import pairwise
 import torch
 from torch import Tensor, nn
 
+_WIDE = 32
+
+
+def tanh(x: Tensor) -> Tensor:
+    """Hyperbolic tangent; compiled code has a fast exponential and a slow tanh (equal to 1e-7 in float32)."""
+    return 2.0 * torch.sigmoid(2.0 * x) - 1.0 if torch.compiler.is_compiling() else torch.tanh(x)
+
+
+def affine(layer: nn.Module, x: Tensor) -> Tensor:
+    """A layer on rows (N, n_in); few outputs come column by column, where BLAS is up to six times faster."""
+    assert isinstance(layer, nn.Linear)
+    if layer.out_features >= _WIDE:
+        return nn.functional.linear(x, layer.weight, layer.bias)
+    return torch.addmm(layer.bias[:, None], layer.weight, x.T).T
+
 
 class MLP(nn.Module):
     """Fully connected network with one activation after each hidden layer.
@@ -45,8 +60,8 @@ class MLP(nn.Module):
     def forward(self, x: Tensor) -> Tensor:
         """Outputs (N, n_out) for rows (N, n_in)."""
         for layer in self.layers[:-1]:
-            x = self.activation(layer(x))
-        return self.layers[-1](x)
+            x = self.activation(affine(layer, x))
+        return affine(self.layers[-1], x)
 
     def weight_norm(self) -> Tensor:
         """Sum of squares of all weights (not of the biases)."""
@@ -71,4 +86,4 @@ class Standardise(nn.Module):
 
     def forward(self, x: Tensor) -> Tensor:
         """Standardised rows."""
-        return (x - self.mean) / self.scale
+        return ((x.T - self.mean[:, None]) / self.scale[:, None]).T

@@ -20,12 +20,13 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
+from nsde_torch.columns import join_columns, split_columns
 from nsde_torch.effects import Port
 from nsde_torch.errors import ConfigError, NonFiniteError, ShapeError
 from nsde_torch.models.diffusion import Diffusion
 from nsde_torch.models.distance import Distance
 from nsde_torch.models.input_filter import InputFilter
-from nsde_torch.models.networks import MLP, Standardise
+from nsde_torch.models.networks import MLP, Standardise, tanh
 from nsde_torch.sde import Calculus, brownian, make_step, rollout
 from nsde_torch.systems import System, make_system
 
@@ -130,7 +131,7 @@ class NeuralSDE(nn.Module):
                     n_residual,
                     spec.residual_hidden,
                     kind.width,
-                    activation=torch.tanh,
+                    activation=tanh,
                     generator=generator,
                     last_gain=0.1,
                 )
@@ -142,15 +143,12 @@ class NeuralSDE(nn.Module):
         fixed = spec.sigma_max
         if fixed is not None and len(fixed) != s.nx:
             raise ConfigError(f"`sigma_max` must have one value per state ({s.nx}); got {len(fixed)}.")
-        self._disturbed: dict[Port, slice] = {}
-        self.nd = 0
-        if spec.disturbance:
-            for port in s.disturbed_ports:
-                self._disturbed[port] = slice(self.nd, self.nd + s.ports[port])
-                self.nd += s.ports[port]
+        ports = s.disturbed_ports if spec.disturbance else ()
+        self._disturbed: dict[Port, int] = {port: s.ports[port] for port in ports}
+        self.nd = sum(self._disturbed.values())
         start = [torch.full((s.nx,), 0.1) if fixed is None else torch.tensor(fixed)]
-        for port, at in self._disturbed.items():
-            start.append(torch.full((at.stop - at.start,), 0.8 * s.residual_ports[port].scale))
+        for port, width in self._disturbed.items():
+            start.append(torch.full((width,), 0.8 * s.residual_ports[port].scale))
         sigma = torch.cat(start)
         self.h = Diffusion(sigma, learned=fixed is None)
         self.filter = InputFilter(spec.filter_reach, spec.dt) if spec.filter_reach else None
@@ -186,30 +184,27 @@ class NeuralSDE(nn.Module):
                 with the memory that is stationary under `u`, and then the rate is that of the state.
             u: Applied inputs (N, nu).
         """
+        s = self.system
         if z.shape[1] < self.nz:
-            return self.drift(t, self.augment(z, u), u)[:, : self.system.nx]
-        forces = self.residual(z[:, : self.system.nx])
-        if not self.nd:
-            return self.clock_scale * self.system.drift(t, z, u, forces)
-        d = z[:, self.system.nz :]
-        for port, at in self._disturbed.items():
-            forces[port] = forces[port] + d[:, at] if port in forces else d[:, at]
-        rate = self.system.drift(t, z[:, : self.system.nz], u, forces)
-        return self.clock_scale * torch.cat((rate, -d * torch.exp(-self.log_tau)), 1)
+            return self.drift(t, self.augment(z, u), u)[:, : s.nx]
+        own, d = split_columns(z, s.nz, self.nd)
+        forces = self.residual(split_columns(own, s.nx, s.nz - s.nx)[0])
+        for port, part in zip(self._disturbed, split_columns(d, *self._disturbed.values()), strict=True):
+            forces[port] = forces[port] + part if port in forces else part
+        rate = s.drift(t, own, u, forces)
+        return self.clock_scale * join_columns((rate, -d * torch.exp(-self.log_tau)))
 
     def diffusion(self, t: float | Tensor, z: Tensor, u: Tensor) -> Tensor:
         """Standard deviation density (N, nz) [state unit per root second]; memory has none.
 
         Of the state alone (N, nx) it is that of the state.
         """
-        sigma = self._sigma(z[:, : self.system.nx])
+        s = self.system
         if z.shape[1] < self.nz:
-            return sigma[:, : self.system.nx]
-        memory = self.system.nz - self.system.nx
-        if not memory:
-            return sigma
-        nx = self.system.nx
-        return torch.cat((sigma[:, :nx], torch.zeros_like(z[:, :memory]), sigma[:, nx:]), 1)
+            return self._sigma(z)[:, : s.nx]
+        x, memory, _ = split_columns(z, s.nx, s.nz - s.nx, self.nd)
+        of_state, of_disturbance = split_columns(self._sigma(x), s.nx, self.nd)
+        return join_columns((of_state, torch.zeros_like(memory), of_disturbance))
 
     def _sigma(self, x: Tensor) -> Tensor:
         eta = self.eta(self.system.features(x.detach() if self.detach_distance else x))
@@ -305,9 +300,13 @@ class NeuralSDE(nn.Module):
         if not self.nd:
             return z
         if normal is None:
-            return torch.cat((z, z.new_zeros(len(z), self.nd)), 1)
-        spread = self._sigma(x)[:, self.system.nx :] * torch.exp(0.5 * self.log_tau) * 0.5**0.5
-        return torch.cat((z, spread * normal), 1)
+            return join_columns((z, z.new_zeros(len(z), self.nd)))
+        spread = (
+            split_columns(self._sigma(x), self.system.nx, self.nd)[1]
+            * torch.exp(0.5 * self.log_tau)
+            * 0.5**0.5
+        )
+        return join_columns((z, spread * normal))
 
     def sample(
         self,

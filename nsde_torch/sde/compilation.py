@@ -6,9 +6,11 @@ to torchsde come from benchmarks/bench_rollout.py):
 
 - Unrolling 4 or 5 steps into one graph takes 3 to 4 times as long to compile and gains nothing: one step.
 - Calls between the kernels in C++ (cpp_wrapper) gain 10 to 20 % at 512 rows and a third at 32.
-- Plain (N, nz) rows are fast enough: torch.nn.functional.linear, columns taken by slices and unbind, one
-  stack at the end. State first, (nz, N), gains some 10 to 20 %, not worth a second convention; merging two
-  small networks into one gains 5 %; 2 sigmoid(2 x) - 1 for tanh(x) gains 3 % with gradients, 15 % without.
+- `rollout` keeps states column by column in memory, and nsde_torch.columns keeps what is computed from them
+  so: the loops are then vectorised, forward and backward. Slices z[:, a:b] do the same forward; their
+  gradients are padded with zeros and added. Merging two small networks into one gains 5 %.
+- 2 sigmoid(2 x) - 1 for tanh(x) takes a third of the time.
+- One code for every batch size costs nothing that could be measured.
 - The more rows, the more the matrix products decide, which are the same compiled or not: a rollout gains a
   factor of four at 32 rows, 2.5 at 512 and 1.5 at 4096.
 - What costs: a graph break (print, .item(), a data-dependent branch), Python containers that change between
@@ -35,6 +37,7 @@ from nsde_torch.sde.step import Step
 Advance = Callable[[SDE, Time, Tensor, Tensor, Time, Tensor | None], Tensor]
 
 _COMPILED: WeakKeyDictionary[SDE, dict[type[Step], Advance]] = WeakKeyDictionary()
+_OF_ARCHITECTURE: dict[str, dict[type[Step], Advance]] = {}
 _COUNTER = itertools.count()
 
 
@@ -68,10 +71,11 @@ def eager(step: Step) -> Advance:
 
 
 def compiled(step: Step, sde: SDE) -> Advance:
-    """One step and its projection, compiled at the first call and kept as long as `sde` lives.
+    """One step and its projection, compiled at the first call with gradients and the first without.
 
-    The first batch size is compiled as it is; a second one compiles once more, for every size. Where no code
-    can be made (there is no C++ compiler, say) one CompilationWarning says why, and the steps run eagerly.
+    The code serves every batch size above one, and every torch.nn.Module of the same architecture; that of
+    another equation is kept as long as the equation lives. Where no code can be made (there is no C++
+    compiler, say) one CompilationWarning says why, and the steps run eagerly.
 
     Args:
         step: The method.
@@ -84,7 +88,11 @@ def compiled(step: Step, sde: SDE) -> Advance:
         SolverError: `sde` cannot be held weakly or hashed.
     """
     try:
-        steps = _COMPILED.setdefault(sde, {})
+        if sde not in _COMPILED:
+            # Modules of one architecture share code: weights are its arguments, and torch guards all else.
+            module = isinstance(sde, torch.nn.Module)
+            _COMPILED[sde] = _OF_ARCHITECTURE.setdefault(str(sde), {}) if module else {}
+        steps = _COMPILED[sde]
     except TypeError as error:
         raise SolverError(
             f"`sde` of type {type(sde).__name__} must be hashable by identity to be compiled ({error}). "
@@ -108,6 +116,9 @@ def _with_fallback(plain: Advance) -> Advance:
         nonlocal works
         if works:
             try:
+                for rows in (z, u, dw):
+                    if rows is not None:
+                        torch._dynamo.maybe_mark_dynamic(rows, 0)  # one code for every batch size
                 return fast[z.device.type == "cpu"](sde, t, z, u, dt, dw)
             except Exception as error:
                 result = plain(sde, t, z, u, dt, dw)  # a fault of the equation itself is raised again here

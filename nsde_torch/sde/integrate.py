@@ -9,6 +9,7 @@ from collections.abc import Sequence
 import torch
 from torch import Tensor
 
+from nsde_torch.columns import by_column
 from nsde_torch.sde.checks import check_arguments, check_finite
 from nsde_torch.sde.compilation import compiled, eager, quiet_compiler
 from nsde_torch.sde.protocol import SDE, Time
@@ -66,9 +67,9 @@ def rollout(
 
     with torch.set_grad_enabled(torch.is_grad_enabled() and _needs_gradient(sde, z0, u, noise, t0)):
         keep = torch.is_grad_enabled()
-        z, start = tile(z0), tile(t0) if isinstance(t0, Tensor) and t0.ndim else t0
+        z, start = by_column(tile(z0)), tile(t0) if isinstance(t0, Tensor) and t0.ndim else t0
         length: Time = dt
-        inputs = u.transpose(0, 1).contiguous().unbind(0)
+        inputs = [v.T for v in tile(u).permute(1, 2, 0).contiguous().unbind(0)]
         increments: Sequence[Tensor | None] = [None] * horizon
         if noise is not None:
             increments = noise.permute(2, 0, 1, 3).reshape(horizon, rows, nz).unbind(0)
@@ -83,18 +84,18 @@ def rollout(
             if keep and not z.requires_grad:
                 z = z.detach().requires_grad_()
         states = [z]
-        buffer = z0.new_empty(0 if keep else horizon + 1, rows, nz)
+        buffer = z0.new_empty(0 if keep else horizon + 1, nz, rows)
         if not keep:
-            buffer[0] = z
+            buffer[0] = z.T
         with quiet_compiler() if compile else contextlib.nullcontext():
             for k in range(horizon):
-                z = advance(sde, times[k], z, tile(inputs[k]), length, increments[k])
+                z = advance(sde, times[k], z, inputs[k], length, increments[k])
                 if keep:
                     states.append(z)
                 else:
-                    buffer[k + 1] = z
-        path = torch.stack(states) if keep else buffer
-    path = path.view(horizon + 1, particles, batch, nz).permute(1, 2, 0, 3)
+                    buffer[k + 1] = z.T
+        path = torch.stack([z.T for z in states]) if keep else buffer
+    path = path.view(horizon + 1, nz, particles, batch).permute(2, 3, 0, 1)
     if check:
         check_finite(path, dt=dt, t0=t0)
     return path

@@ -11,10 +11,10 @@ from dataclasses import dataclass
 from typing import Any, ClassVar
 
 import numpy as np
-import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
+from nsde_torch.columns import join_columns, split_columns
 from nsde_torch.effects import Effect, Parametrised, Port, make_effect
 from nsde_torch.errors import ConfigError, ShapeError
 
@@ -148,12 +148,7 @@ class System(Parametrised, ABC):
                 f"it has: {', '.join(e.name for e in made) or 'none'}."
             )
         self.effects = nn.ModuleList(made)
-        self._memory: list[slice] = []
-        start = self.nx
-        for effect in made:
-            self._memory.append(slice(start, start + effect.n_memory))
-            start += effect.n_memory
-        self._nz = start
+        self._parts = (self.nx, *(effect.n_memory for effect in made))
 
     @property
     def nx(self) -> int:
@@ -168,7 +163,7 @@ class System(Parametrised, ABC):
     @property
     def nz(self) -> int:
         """Number of states with the memory of the effects."""
-        return self._nz
+        return sum(self._parts)
 
     @property
     def exogenous(self) -> tuple[str, ...]:
@@ -233,13 +228,12 @@ class System(Parametrised, ABC):
             u: Input and exogenous channels (N, nu + n_exogenous).
             residual: Learned contributions by port.
         """
-        x = z[:, : self.nx]
+        x, *memories = split_columns(z, *self._parts)
         command = u[:, : self.nu]
         forces: dict[Port, Tensor] = dict(residual or {})
         rates: list[Tensor] = []
-        for effect, memory in zip(self.effects, self._memory, strict=True):
+        for effect, m in zip(self.effects, memories, strict=True):
             assert isinstance(effect, Effect)
-            m = z[:, memory]
             term = effect(t, x, u, m)
             if effect.port is Port.INPUT:
                 command = command + term
@@ -248,12 +242,12 @@ class System(Parametrised, ABC):
             if effect.n_memory:
                 rates.append(effect.memory_rate(t, x, u, m))
         rate = self.dynamics(t, x, command, forces)
-        return torch.cat((rate, *rates), 1) if rates else rate
+        return join_columns((rate, *rates)) if rates else rate
 
     def augment(self, x: Tensor, u: Tensor) -> Tensor:
         """State with the memory of the effects (N, nz), stationary under the input `u` (N, nu)."""
         starts = [e.memory_start(x, u) for e in self.effects if e.n_memory]  # type: ignore[operator]
-        return torch.cat((x, *starts), 1) if starts else x
+        return join_columns((x, *starts)) if starts else x
 
     def all_declared(self) -> dict[str, tuple[Tensor, str]]:
         """Declared parameters of the system and of its effects: name -> (value (k,), unit)."""

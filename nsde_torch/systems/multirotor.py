@@ -21,6 +21,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from nsde_torch.columns import columns, join_columns, split_columns, stack_columns
 from nsde_torch.effects import Effect, Parameter, Port
 from nsde_torch.errors import ConfigError
 from nsde_torch.rotation import gravity_direction, quaternion_rate, rotate, rotate_back, rotation_between
@@ -28,6 +29,7 @@ from nsde_torch.systems.base import Defaults, ErrorGroup, ResidualPort, System
 
 GRAVITY = 9.81
 _DEGREES = 180.0 / pi
+_PARTS = (3, 3, 4, 3)  # position, velocity, quaternion, rates
 
 
 class Multirotor(System):
@@ -107,13 +109,13 @@ class Multirotor(System):
 
     def dynamics(self, t: float | Tensor, x: Tensor, u: Tensor, forces: Mapping[Port, Tensor]) -> Tensor:
         """See `System.dynamics`."""
-        v, q, omega = x[:, 3:6], x[:, 6:10], x[:, 10:13]
+        _, v, q, omega = split_columns(x, *_PARTS)
         if self.thrust_degree > 1:
             curve = self.value("thrust_curve")
             u = u + sum(curve[k] * u ** (k + 2) for k in range(self.thrust_degree - 1))
-        mixed = u @ self.mix
-        thrust = self.value("thrust_gain") * mixed[:, :1] + self.value("thrust_offset")
-        force = torch.cat((torch.zeros_like(v[:, :2]), thrust), 1)
+        collective, moments = split_columns((self.mix.T @ u.T).T, 1, 3)
+        thrust = self.value("thrust_gain") * collective + self.value("thrust_offset")
+        force = join_columns((torch.zeros_like(thrust), torch.zeros_like(thrust), thrust))
         if Port.BODY_FORCE in forces:
             force = force + forces[Port.BODY_FORCE]
         acceleration = rotate(q, force) + self.gravity
@@ -122,37 +124,34 @@ class Multirotor(System):
         gains = torch.cat((self.value("roll_gain"), self.value("pitch_gain"), self.value("yaw_gain")))
         jx, jy = self.value("inertia_x"), self.value("inertia_y")
         coupling = torch.cat(((jy - 1.0) / jx, (1.0 - jx) / jy, jx - jy))
-        wx, wy, wz = omega[:, :1], omega[:, 1:2], omega[:, 2:]
-        angular = gains * mixed[:, 1:] + coupling * torch.cat((wy * wz, wz * wx, wx * wy), 1)
+        wx, wy, wz = columns(omega)
+        angular = gains * moments + coupling * stack_columns((wy * wz, wz * wx, wx * wy))
         if Port.BODY_MOMENT in forces:
             angular = angular + forces[Port.BODY_MOMENT]
-        return torch.cat((v, acceleration, quaternion_rate(q, omega), angular), 1)
+        return join_columns((v, acceleration, quaternion_rate(q, omega), angular))
 
     def features(self, x: Tensor) -> Tensor:
         """Body velocity and body rates, the supplement's x_feat seen from the body."""
-        return torch.cat((rotate_back(x[:, 6:10], x[:, 3:6]), x[:, 10:13]), 1)
+        _, v, q, omega = split_columns(x, *_PARTS)
+        return join_columns((rotate_back(q, v), omega))
 
     def residual_features(self, x: Tensor) -> Tensor:
         """Body velocity, body rates and the direction of gravity (x and y of world's up in the body)."""
-        return torch.cat((self.features(x), gravity_direction(x[:, 6:10])[:, :2]), 1)
+        _, v, q, omega = split_columns(x, *_PARTS)
+        up_x, up_y, _ = split_columns(gravity_direction(q), 1, 1, 1)
+        return join_columns((rotate_back(q, v), omega, up_x, up_y))
 
     def error(self, predicted: Tensor, measured: Tensor) -> Tensor:
         """Position, velocity, rotation vector from measured to predicted attitude [rad], rates."""
-        rotation = rotation_between(measured[..., 6:10], predicted[..., 6:10])
-        return torch.cat(
-            (
-                predicted[..., :6] - measured[..., :6],
-                rotation,
-                predicted[..., 10:13] - measured[..., 10:13],
-            ),
-            -1,
+        (p, v, q, omega), (at, speed, attitude, rates) = (
+            split_columns(x, *_PARTS) for x in torch.broadcast_tensors(predicted, measured)
         )
+        return join_columns((p - at, v - speed, rotation_between(attitude, q), omega - rates))
 
     def project(self, z: Tensor) -> Tensor:
         """Quaternion back on the unit sphere."""
-        q = z[:, 6:10]
-        unit = q * torch.rsqrt((q * q).sum(1, keepdim=True))
-        return torch.cat((z[:, :6], unit, z[:, 10:]), 1)
+        before, q, after = split_columns(z, 6, 4, z.shape[1] - 10)
+        return join_columns((before, q * torch.rsqrt((q * q).sum(1, keepdim=True)), after))
 
     def start_values(
         self, x: NDArray[np.float64], u: NDArray[np.float64], dt: float

@@ -11,9 +11,7 @@ from torch import Tensor
 
 from nsde_torch.errors import SolverError
 from nsde_torch.sde import brownian, compiled, make_step, rollout
-from tests.helpers.sde_problems import SmallNetwork
-
-NEEDS_COMPILER = "needs a C++ compiler"
+from tests.helpers.sde_problems import SmallNetwork, SquareRoot
 
 
 def case(batch: int, particles: int = 2) -> tuple[Tensor, Tensor, Tensor, Tensor]:
@@ -23,22 +21,11 @@ def case(batch: int, particles: int = 2) -> tuple[Tensor, Tensor, Tensor, Tensor
     return z0, u, noise, torch.rand(batch, generator=g)
 
 
-@pytest.fixture(scope="module")
-def _compiler() -> None:
-    from torch._inductor.cpp_builder import get_cpp_compiler
-    from torch._inductor.exc import InvalidCxxCompiler
-
-    try:
-        get_cpp_compiler()
-    except InvalidCxxCompiler:
-        pytest.skip(NEEDS_COMPILER)
-
-
-@pytest.mark.usefixtures("_compiler")
+@pytest.mark.usefixtures("compiler")
 @pytest.mark.parametrize("name", ["milstein", "milstein_ito"])
 def test_compiled_and_eager_rollouts_agree_in_value_and_gradient(name: str) -> None:
     sde, step = SmallNetwork(), make_step(name)
-    for batch in (5, 8):  # the second size is compiled for every size
+    for batch in (5, 8):
 
         def run(compile: bool, batch: int = batch) -> tuple[Tensor, ...]:
             z0, u, noise, t0 = case(batch)
@@ -50,7 +37,7 @@ def test_compiled_and_eager_rollouts_agree_in_value_and_gradient(name: str) -> N
             assert torch.allclose(fast, slow, rtol=1e-4, atol=1e-5)
 
 
-@pytest.mark.usefixtures("_compiler")
+@pytest.mark.usefixtures("compiler")
 def test_a_new_time_or_dt_compiles_nothing_new() -> None:
     sde, step = SmallNetwork(), make_step("euler_maruyama")
     z0, u, noise, _ = case(6)
@@ -61,10 +48,13 @@ def test_a_new_time_or_dt_compiles_nothing_new() -> None:
         assert torch.allclose(fast, rollout(sde, z0, u, dt=0.05, step=step, noise=noise, t0=3.0), atol=1e-5)
 
 
-def test_one_equation_and_step_is_compiled_once() -> None:
-    sde = SmallNetwork()
-    assert compiled(make_step("heun"), sde) is compiled(make_step("heun"), sde)
-    assert compiled(make_step("heun"), sde) is not compiled(make_step("heun"), SmallNetwork())
+def test_modules_of_one_architecture_share_their_code_and_other_equations_do_not() -> None:
+    heun = make_step("heun")
+    assert compiled(heun, SmallNetwork()) is compiled(make_step("heun"), SmallNetwork())
+    assert compiled(heun, SmallNetwork()) is not compiled(make_step("milstein"), SmallNetwork())
+    sde = SquareRoot("ito")
+    assert compiled(heun, sde) is compiled(heun, sde)
+    assert compiled(heun, sde) is not compiled(heun, SquareRoot("ito"))
 
 
 def test_an_equation_that_cannot_be_held_is_refused() -> None:
@@ -79,7 +69,7 @@ def test_an_equation_that_cannot_be_held_is_refused() -> None:
 WITHOUT_COMPILER = """
 import warnings, torch
 from nsde_torch.sde import brownian, make_step, rollout
-from tests.helpers.sde_problems import SmallNetwork
+from tests.helpers.sde_problems import SmallNetwork, SquareRoot
 g = torch.Generator().manual_seed(0)
 noise, z0, u = brownian(1, 4, 3, 3, dt=0.1, generator=g), torch.randn(4, 3), torch.randn(4, 3, 2)
 sde, step = SmallNetwork(), make_step("milstein")

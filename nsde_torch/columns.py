@@ -1,0 +1,35 @@
+"""Tables (N, n) that lie in memory column by column, so that arithmetic on columns runs over adjacent numbers.
+
+Shapes and values are those of torch.stack and torch.cat along the last axis; only the strides differ. A rollout
+keeps its states so, and what is computed from them stays so as long as it is put together here.
+"""
+
+from collections.abc import Sequence
+
+import torch
+from torch import Tensor
+
+
+def stack_columns(columns: Sequence[Tensor]) -> Tensor:
+    """A table (..., n) of n columns (...)."""
+    return torch.stack(tuple(columns)).movedim(0, -1)
+
+
+def join_columns(tables: Sequence[Tensor]) -> Tensor:
+    """Tables (..., n_1), (..., n_2), ... side by side: (..., n_1 + n_2 + ...)."""
+    return torch.cat([table.movedim(-1, 0) for table in tables]).movedim(0, -1)
+
+
+def split_columns(table: Tensor, *widths: int) -> list[Tensor]:
+    """A table (..., n) cut into tables (..., n_1), (..., n_2), ... whose widths add up to n."""
+    return [part.movedim(0, -1) for part in table.movedim(-1, 0).split(widths)]
+
+
+def columns(table: Tensor) -> tuple[Tensor, ...]:
+    """The n columns (...) of a table (..., n)."""
+    return table.movedim(-1, 0).unbind(0)
+
+
+def by_column(table: Tensor) -> Tensor:
+    """A copy of the table (N, n) whose columns are contiguous."""
+    return table.new_empty_strided(table.shape, (1, len(table))).copy_(table)

@@ -120,3 +120,21 @@ def decide(slopes: Sequence[Slope], *, policy: str, report: Report) -> float:
         return 1.0
     report(Finding("clock", "", 1, message, "rescaled", values))
     return total.value
+
+
+def of_runs(slopes: Sequence[Slope], runs: Sequence[str], *, measured: float) -> float:
+    """Clock scale as some runs alone show it: what a model may know that is to be tested on the others.
+
+    Args:
+        slopes: Slopes of all axes of all runs of a data set.
+        runs: Names of the runs that may be looked at.
+        measured: Scale of the whole data set; 1 says that nothing is to be scaled.
+
+    Returns:
+        Physical seconds for each logged second; `measured` where slopes were taken over several short runs
+        together and none is of these runs alone.
+    """
+    own = [s for s in slopes if s.run in set(runs)]
+    if measured == 1.0 or not own:
+        return measured
+    return decide(own, policy="rescale", report=lambda finding: None)

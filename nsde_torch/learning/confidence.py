@@ -20,6 +20,7 @@ from nsde_torch.models.neural_sde import NeuralSDE
 
 _HORIZON_S, _CLUSTER_S, _WINDOWS = 0.25, 4.0, 600
 _LEVEL = 0.9
+_COLLINEAR = 1e6  # variance inflation: beyond it another parameter does the same
 _SHOWN = 1e-10  # of the largest information; below that a parameter moves nothing
 
 
@@ -75,7 +76,8 @@ def declared_confidence(model: NeuralSDE, windows: Windows, scale: Tensor) -> di
     clusters = len(sums)
     widening = _quantile(clusters) * (clusters / max(clusters - 1, 1)) ** 0.5
     deviation = widening * covariance.diagonal().clamp_min(0).sqrt()
-    shown = (information.diagonal() > _SHOWN * information.diagonal().max()) & (clusters > 1)
+    alone = inverse.cpu().diagonal() * information.cpu().diagonal() < _COLLINEAR
+    shown = alone & (information.diagonal() > _SHOWN * information.diagonal().max()) & (clusters > 1)
     at = 0
     for name, raw, value, unit in parameters:
         k = raw.numel()

@@ -16,7 +16,7 @@ from torch import Tensor, nn
 from tqdm.auto import tqdm
 
 from nsde_torch.data import Windows
-from nsde_torch.errors import NonFiniteError
+from nsde_torch.errors import CheckpointError, NonFiniteError
 from nsde_torch.learning.checkpoint import read_checkpoint, write_checkpoint
 from nsde_torch.learning.losses import data_loss, distance_losses, draw_ball, mu_weight
 from nsde_torch.learning.options import LossOptions, TrainerOptions
@@ -62,6 +62,7 @@ class Fit:
         loss: Weights of the losses.
         options: Settings of the optimisation.
         seed: Seed of batches and noise.
+        identity: Hash of all that the numbers depend on; a checkpoint of another is refused.
     """
 
     def __init__(
@@ -75,9 +76,11 @@ class Fit:
         loss: LossOptions,
         options: TrainerOptions,
         seed: int,
+        identity: str = "",
     ) -> None:
         self.model, self.train, self.validation, self.everything = model, train, validation, everything
         self.source = train
+        self.identity = identity
         self.scale, self.loss, self.options, self.seed = scale, loss, options, seed
         self.batches = torch.Generator().manual_seed(2 * seed + 1)
         self.noise = torch.Generator().manual_seed(2 * seed + 2)
@@ -85,7 +88,10 @@ class Fit:
         fast = [p for n, p in named if n.startswith(_FAST)]
         slow = [p for n, p in named if not n.startswith(_FAST)]
         self.optimiser = torch.optim.Adam(
-            [{"params": slow, "factor": 1.0}, {"params": fast, "factor": _FAST_RATE}],
+            [
+                {"params": slow, "factor": 1.0},
+                {"params": fast, "factor": 1.0 if loss.kind == "paper" else _FAST_RATE},
+            ],
             lr=options.lr,
             foreach=True,
         )
@@ -306,6 +312,7 @@ class Fit:
                 tensors[f"adam.{i}.{key}"] = value
         p = self.progress
         about: dict[str, Any] = {
+            "identity": self.identity,
             "step": p.step,
             "best_step": p.best_step,
             "best_score": p.best_score,
@@ -325,6 +332,11 @@ class Fit:
         if found is None:
             return False
         tensors, about = found
+        if about.pop("identity", "") != self.identity:
+            raise CheckpointError(
+                f"checkpoint {path.with_suffix('.safetensors')} is of another training: runs, seed, loss, trainer or "
+                "model differ. Resume with the configuration of the run, or start a new one in another run_dir."
+            )
         device = next(self.model.parameters()).device
         self.model.load_state_dict(
             {k[6:]: v.to(device) for k, v in tensors.items() if k.startswith("model.")}

@@ -2,8 +2,8 @@
 
 Starts lie on a regular grid of every run; a start whose longest horizon would cross a gap is left out, so that
 every horizon is scored from the same starts. The prediction is the mean of the particles (quaternions: of the
-aligned and normalised ones). Intervals are quantiles at the plotting position p (P + 1): a calibrated Gaussian
-ensemble of 32 then holds 0.908 in its 90 % interval.
+aligned and normalised ones). Intervals are quantiles at the plotting position p (P + 1): with 39 particles the ends
+of the 50, 75, 90 and 95 % intervals are order statistics, and a calibrated ensemble holds just these shares.
 """
 
 from collections.abc import Sequence
@@ -21,7 +21,7 @@ from nsde_torch.systems import System
 HORIZONS = (0.1, 0.25, 0.5, 1.0, 2.0)
 LEVELS = (0.1, 0.25, 0.5, 0.75, 0.9, 0.95)
 START_EVERY = 0.25
-PARTICLES = 32
+PARTICLES = 39  # every level of LEVELS but 0.1 and 0.25 falls on an order statistic
 MOST_STARTS = 2000
 
 

@@ -1,5 +1,6 @@
 """One training from data to run directory: fit, calibrate, score on held-out runs, write what was learned."""
 
+import hashlib
 import json
 import math
 import time
@@ -12,8 +13,9 @@ import torch
 from torch import Tensor
 
 from nsde_torch.data import DataSet, Run, Split, Windows
+from nsde_torch.data.clock import of_runs
 from nsde_torch.data.smoothing import smoothing_width
-from nsde_torch.errors import DataError
+from nsde_torch.errors import DataError, NonFiniteError
 from nsde_torch.learning.calibration import Coverage, extrapolate, widen
 from nsde_torch.learning.confidence import declared_confidence
 from nsde_torch.learning.fitting import Fit, Progress
@@ -77,6 +79,7 @@ class Training:
         self.device, self.dtype = torch.device(device), dtype
         self.folder, self.about, self.say, self.other_sensors = Path(run_dir), about, say, other_sensors
         self.compile = options.compile != "off"
+        self.smoothing = smoothing_width(split.train, len(data.input_names))
 
     def run(self) -> dict[str, Any]:
         """Train, calibrate, test and write.
@@ -99,8 +102,9 @@ class Training:
         self.say(
             f"fitted: {p.step} steps in {fitted - started:.0f} s ({ended}); kept step {p.best_step}, "
             f"validation {p.best_score:.4f}"
+            + (f"; then {p.polished} steps on all windows" if p.polished else "")
         )
-        save(model, self.folder, about=self.about)
+        save(model, self.folder, about={"calibrated": False, **(self.about or {})})
         calibration = self._calibrate(model, scale)
         metrics: dict[str, Any] = {
             "system": self.spec.system,
@@ -108,10 +112,12 @@ class Training:
             "seed": self.seed,
             "steps": p.step,
             "best_step": p.best_step,
+            "polish_steps": p.polished,
             "validation": {"score": p.best_score, "unit": "share of the error scale"},
             "seconds": {"fit": fitted - started, "calibration": time.perf_counter() - fitted},
             "calibration": calibration,
-            "clock_scale": self.data.clock_scale,
+            "clock_scale": float(model.clock_scale),
+            "input_smoothing_s": self.smoothing,
             "input_filter": {
                 "reach_steps": self.spec.filter_reach,
                 "reach_s": self.spec.filter_reach * self.spec.dt,
@@ -140,20 +146,48 @@ class Training:
     def _fit(
         self, runs: Sequence[Run], seed: int, name: str, options: TrainerOptions
     ) -> tuple[NeuralSDE, Fit, Tensor]:
+        clock = of_runs(self.data.summary.slopes, [r.name for r in runs], measured=self.data.clock_scale)
         model = NeuralSDE(self.spec, generator=torch.Generator().manual_seed(seed), values=self.values)
         model = model.to(device=self.device, dtype=self.dtype)
         windows = Windows(runs, self.spec.dt, self.spec.horizon, dtype=self.dtype, device=self.device)
         blocks = torch.Generator().manual_seed(seed)
         train, held = windows.held_out(self.validation, _BLOCK_S, blocks)
-        prepare(model, runs, train, clock_scale=self.data.clock_scale, start=True, given=self.values or ())
+        prepare(model, runs, train, clock_scale=clock, start=True, given=self.values or ())
         scale = error_scale(model, train)
-        fit = Fit(model, train, held, windows, scale=scale, loss=self.loss, options=options, seed=seed)
+        fit = Fit(
+            model,
+            train,
+            held,
+            windows,
+            scale=scale,
+            loss=self.loss,
+            options=options,
+            seed=seed,
+            identity=self._identity(runs, seed, options, clock),
+        )
         fit.run(
             title=name,
             checkpoint=self.folder / "checkpoints" / name.replace(" ", "_"),
             log=self._scalars(name),
         )
         return model, fit, scale
+
+    def _identity(self, runs: Sequence[Run], seed: int, options: TrainerOptions, clock: float) -> str:
+        """What the numbers of a fit depend on, as a hash: a checkpoint of another fit is not continued."""
+        facts = {
+            "spec": self.spec.as_dict(),
+            "loss": asdict(self.loss),
+            "options": {
+                k: v for k, v in asdict(options).items() if k not in ("checkpoint_every", "calibrate")
+            },
+            "seed": seed,
+            "validation": self.validation,
+            "values": dict(self.values or {}),
+            "dtype": str(self.dtype),
+            "runs": [run.content_hash for run in runs],
+            "clock": clock,
+        }
+        return hashlib.sha256(json.dumps(facts, sort_keys=True, default=str).encode()).hexdigest()
 
     def _calibrate(self, model: NeuralSDE, scale: Tensor) -> dict[str, Any]:
         if not self.options.calibrate or self.loss.kind == "paper" or model.step.deterministic:
@@ -164,13 +198,14 @@ class Training:
         short = replace(
             self.options, steps=max(1, round(self.options.steps * _AUXILIARY_SHARE)), decay_steps=None
         )
-        for k in range(min(len(runs), _LEFT_OUT) if len(runs) > 1 else 0):
+        count = min(len(runs), _LEFT_OUT) if len(runs) > 1 else 0
+        for turn, k in enumerate(round(i) for i in torch.linspace(0, len(runs) - 1, count).tolist()):
             others = [run for i, run in enumerate(runs) if i != k]
-            name = f"calibrate {k + 1} of {min(len(runs), _LEFT_OUT)}"
+            name = f"calibrate {turn + 1} of {count}"
             try:
-                auxiliary, _, _ = self._fit(others, self.seed + 1000 + k, name, short)
+                auxiliary, _, _ = self._fit(others, self.seed + 1000 + turn, name, short)
                 coverage = Coverage(auxiliary, [runs[k]], seed=self.seed, compile=self.compile)
-            except DataError as error:
+            except (DataError, NonFiniteError) as error:
                 self.say(f"calibration without {runs[k].name!r} left out: {error}")
                 continue
             new.append(coverage.log_factor())
@@ -191,6 +226,10 @@ class Training:
             std = model.measurement_std * ratio.to(model.measurement_std)
         result = evaluate(model, self.split.test, seed=self.seed, compile=self.compile, measurement_std=std)
         if std is not None:
+            self.say(
+                "the test runs come from another file: their sensor noise is taken from their own fourth "
+                "differences, nothing else of them is used"
+            )
             result["sensor_std"] = dict(zip(model.system.state_names, std.tolist(), strict=True))
         return result
 
@@ -221,20 +260,22 @@ class Training:
 
     def note(self) -> str:
         """What the inputs of a rollout see of the future, in words; empty if nothing."""
-        reach = self.spec.filter_reach * self.spec.dt
-        if not reach:
-            return ""
-        return (
-            f"inputs were smoothed by a centred {reach:.2g} s average, so they see {reach / 2:.2g} s ahead; "
-            f"restoring them looks {reach:.2g} s ahead"
-        )
+        parts, ahead = [], self.smoothing / 2
+        if self.smoothing:
+            parts.append(
+                f"inputs were smoothed by a centred {self.smoothing:.2g} s average, so they see {ahead:.2g} s ahead"
+            )
+        if self.spec.filter_reach:
+            ahead += self.spec.filter_reach * self.spec.dt
+            parts.append(f"the filter that restores them draws on commands up to {ahead:.2g} s ahead")
+        return "; ".join(parts)
 
     # ---- text -----------------------------------------------------------------------------------------
 
     def _say_split(self) -> None:
         train, test = ([run.name for run in side] for side in (self.split.train, self.split.test))
         self.say(f"training on {_names(train)}; testing on {_names(test)}")
-        if self.spec.filter_reach:
+        if self.note():
             self.say(f"note: {self.note()}")
 
     def _conclude(self, metrics: Mapping[str, Any]) -> None:
@@ -248,7 +289,7 @@ class Training:
             )
             self.say(error_table(test))
             self.say("\n" + coverage_table(test))
-        if self.spec.filter_reach:
+        if self.note():
             self.say(f"\nnote: {self.note()}")
         self.say(f"\ntook {metrics['seconds']['total']:.0f} s; wrote {self.folder}")
 

@@ -21,11 +21,18 @@ class Diffusion(nn.Module):
     Args:
         sigma_max: Largest diffusion (nx,) [state unit per root second], > 0.
         learned: Whether sigma_max is optimised with the rest.
+        tied: Channels of a quaternion, which share one sigma: equal noise on all four, projected to the sphere,
+            is the same rotation noise at every attitude, and noise along the quaternion alone cannot be seen.
     """
 
-    def __init__(self, sigma_max: Tensor, *, learned: bool) -> None:
+    def __init__(self, sigma_max: Tensor, *, learned: bool, tied: slice | None = None) -> None:
         super().__init__()
         n = len(sigma_max)
+        channel = torch.arange(n)
+        if tied is not None:
+            channel[tied] = tied.start + 1
+        self.channel: Tensor
+        self.register_buffer("channel", channel, persistent=False)
         offset = math.log(START_SHARE / (1 - START_SHARE))
         slope = math.log(FAR_SHARE / (1 - FAR_SHARE)) - offset
         self.log_sigma_max = nn.Parameter(sigma_max.clamp_min(1e-12).log(), requires_grad=learned)
@@ -34,9 +41,9 @@ class Diffusion(nn.Module):
 
     def share(self, eta: Tensor) -> Tensor:
         """h (N, nx) of eta (N,)."""
-        gain = nn.functional.softplus(self.slope)
-        return torch.sigmoid(gain[:, None] * eta + self.offset[:, None]).T
+        gain = nn.functional.softplus(self.slope)[self.channel]
+        return torch.sigmoid(gain[:, None] * eta + self.offset[self.channel, None]).T
 
     def forward(self, eta: Tensor) -> Tensor:
         """sigma (N, nx) of eta (N,)."""
-        return self.log_sigma_max.exp() * self.share(eta)
+        return self.log_sigma_max.exp()[self.channel] * self.share(eta)

@@ -36,9 +36,9 @@ class Distance(nn.Module):
             self.energy_network.layers[-1].bias.fill_(-3.0)  # type: ignore[operator]
         self.mu_network = MLP(n_features, mu_hidden, 1, activation=torch.tanh, generator=generator)
 
-    def energy(self, standardised: Tensor) -> Tensor:
-        """E of standardised features (N, nf) -> (N,)."""
-        return self.energy_network(standardised)[:, 0]
+    def energy(self, standardised: Tensor, *, frozen: bool = False) -> Tensor:
+        """E of standardised features (N, nf) -> (N,); `frozen` keeps gradients from the weights."""
+        return self.energy_network(standardised, frozen=frozen)[:, 0]
 
     def energy_and_gradient(self, standardised: Tensor) -> tuple[Tensor, Tensor]:
         """E (N,) and its gradient in the standardised features (N, nf), by the chain rule layer by layer."""
@@ -71,6 +71,6 @@ class Distance(nn.Module):
         """Local convexity (N,), positive."""
         return torch.exp(self.mu_network(standardised)[:, 0].clamp(-10.0, 10.0))
 
-    def forward(self, features: Tensor) -> Tensor:
-        """eta (N,) of raw features (N, nf)."""
-        return self.link(self.energy(self.standardise(features)))
+    def forward(self, features: Tensor, *, frozen: bool = False) -> Tensor:
+        """eta (N,) of raw features (N, nf); `frozen` keeps gradients from the weights, not from the features."""
+        return self.link(self.energy(self.standardise(features), frozen=frozen))

@@ -14,12 +14,16 @@ def tanh(x: Tensor) -> Tensor:
     return 2.0 * torch.sigmoid(2.0 * x) - 1.0 if torch.compiler.is_compiling() else torch.tanh(x)
 
 
-def affine(layer: nn.Module, x: Tensor) -> Tensor:
-    """A layer on rows (N, n_in); few outputs come column by column, where BLAS is up to six times faster."""
+def affine(layer: nn.Module, x: Tensor, *, frozen: bool = False) -> Tensor:
+    """A layer on rows (N, n_in); few outputs come column by column, where BLAS is up to six times faster.
+
+    `frozen` passes gradients to `x` but none to the weights.
+    """
     assert isinstance(layer, nn.Linear)
+    weight, bias = (layer.weight.detach(), layer.bias.detach()) if frozen else (layer.weight, layer.bias)
     if layer.out_features >= _WIDE:
-        return nn.functional.linear(x, layer.weight, layer.bias)
-    return torch.addmm(layer.bias[:, None], layer.weight, x.T).T
+        return nn.functional.linear(x, weight, bias)
+    return torch.addmm(bias[:, None], weight, x.T).T
 
 
 class MLP(nn.Module):
@@ -57,11 +61,11 @@ class MLP(nn.Module):
                 if layer is self.layers[-1]:
                     layer.weight.mul_(last_gain)
 
-    def forward(self, x: Tensor) -> Tensor:
-        """Outputs (N, n_out) for rows (N, n_in)."""
+    def forward(self, x: Tensor, *, frozen: bool = False) -> Tensor:
+        """Outputs (N, n_out) for rows (N, n_in); `frozen` keeps gradients from the weights, not from `x`."""
         for layer in self.layers[:-1]:
-            x = self.activation(affine(layer, x))
-        return affine(self.layers[-1], x)
+            x = self.activation(affine(layer, x, frozen=frozen))
+        return affine(self.layers[-1], x, frozen=frozen)
 
     def weight_norm(self) -> Tensor:
         """Sum of squares of all weights (not of the biases)."""

@@ -10,7 +10,7 @@ White noise alone cannot be right at 0.1 s and at 2 s at once: gusts and thrust 
 names a port for it, a disturbance d of that port (an Ornstein-Uhlenbeck process, the simplest gust model) is
 carried as further states, driven by the same distance-aware diffusion and started in its stationary law:
 
-    dd = -d / tau dt + sigma_max_d * h_d(eta(y)) * dW,    force of the port = effects + residual + d
+    dd = -d / tau c dt + sigma_max_d * h_d(eta(y)) * dW,    force of the port = effects + residual + d
 """
 
 from collections.abc import Mapping, Sequence
@@ -150,13 +150,18 @@ class NeuralSDE(nn.Module):
         for port, width in self._disturbed.items():
             start.append(torch.full((width,), 0.8 * s.residual_ports[port].scale))
         sigma = torch.cat(start)
-        self.h = Diffusion(sigma, learned=fixed is None)
+        self.h = Diffusion(sigma, learned=fixed is None, tied=s.quaternion)
         self.filter = InputFilter(spec.filter_reach, spec.dt) if spec.filter_reach else None
         self.clock_scale: Tensor
         self.register_buffer("clock_scale", torch.ones(()))
         self.log_tau = nn.Parameter(torch.zeros(self.nd), requires_grad=self.nd > 0)
         self.log_measurement_std = nn.Parameter(torch.full((s.nx,), -7.0), requires_grad=spec.measurement)
-        self.detach_distance = spec.loss != "paper"
+        self.freeze_distance = spec.loss != "paper"  # the data loss of loss=default does not move eta
+
+    @property
+    def tau(self) -> Tensor:
+        """Time constants of the disturbances (nd,) [s], at least two steps so that every integrator follows."""
+        return 2.0 * self.spec.dt + torch.exp(self.log_tau)
 
     # ---- the equation ---------------------------------------------------------------------------------
 
@@ -192,7 +197,7 @@ class NeuralSDE(nn.Module):
         for port, part in zip(self._disturbed, split_columns(d, *self._disturbed.values()), strict=True):
             forces[port] = forces[port] + part if port in forces else part
         rate = s.drift(t, own, u, forces)
-        return self.clock_scale * join_columns((rate, -d * torch.exp(-self.log_tau)))
+        return self.clock_scale * join_columns((rate, -d / self.tau))
 
     def diffusion(self, t: float | Tensor, z: Tensor, u: Tensor) -> Tensor:
         """Standard deviation density (N, nz) [state unit per root second]; memory has none.
@@ -207,8 +212,7 @@ class NeuralSDE(nn.Module):
         return join_columns((of_state, torch.zeros_like(memory), of_disturbance))
 
     def _sigma(self, x: Tensor) -> Tensor:
-        eta = self.eta(self.system.features(x.detach() if self.detach_distance else x))
-        return self.h(eta.detach() if self.detach_distance else eta)
+        return self.h(self.eta(self.system.features(x), frozen=self.freeze_distance))
 
     def project(self, z: Tensor) -> Tensor:
         """The nearest valid state."""
@@ -301,10 +305,8 @@ class NeuralSDE(nn.Module):
             return z
         if normal is None:
             return join_columns((z, z.new_zeros(len(z), self.nd)))
-        spread = (
-            split_columns(self._sigma(x), self.system.nx, self.nd)[1]
-            * torch.exp(0.5 * self.log_tau)
-            * 0.5**0.5
+        spread = split_columns(self._sigma(x), self.system.nx, self.nd)[1] * torch.sqrt(
+            0.5 * self.tau / self.clock_scale
         )
         return join_columns((z, spread * normal))
 
@@ -350,6 +352,11 @@ class NeuralSDE(nn.Module):
         shape = (particles, x0.shape[0], u.shape[1])
         made = {"generator": generator, "device": x0.device, "dtype": x0.dtype}
         noise = brownian(*shape, self.nz, dt=dt, **made)  # type: ignore[arg-type]
+        if measurement_std is not None and not self.spec.measurement:
+            raise ConfigError(
+                "`measurement_std` was given, but this model was trained without sensor noise: its diffusion holds "
+                "all of it. Train with model.measurement=true, or leave the argument out."
+            )
         std = self.measurement_std if measurement_std is None else measurement_std.to(x0)
         std = std if measurement else torch.zeros_like(std)
         start = _normal((*shape[:2], self.n_start), generator, x0) if self.n_start else None

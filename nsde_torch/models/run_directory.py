@@ -44,7 +44,8 @@ def load(run_dir: str | Path, *, device: str | torch.device = "cpu") -> NeuralSD
         device: Where to put it.
 
     Returns:
-        The model, in evaluation mode, without gradients.
+        The model, in evaluation mode, without gradients. A system of the user's own is imported by the name that
+        `config.yaml` gives: load run directories that you trust.
 
     Raises:
         CheckpointError: the folder or a file in it is missing, damaged or from another version.

@@ -24,7 +24,24 @@ def runs() -> list[Run]:
 def test_the_factor_undoes_a_sigma_that_is_deliberately_wrong(runs: list[Run], wrong: float) -> None:
     model = fix_sigma(make_model(Decay), wrong * SIGMA)
     found = Coverage(model, runs, seed=0, compile=False).log_factor()
-    assert found == pytest.approx(-math.log(wrong), abs=0.15)
+    assert found == pytest.approx(-math.log(wrong), abs=0.2)
+
+
+def test_the_factor_stays_at_one_where_the_intervals_hold_already() -> None:
+    class Fixed(Coverage):
+        def __init__(self, held: float) -> None:
+            self.held = held
+
+        def __call__(self, log_factor: float) -> float:
+            return self.held
+
+    assert Fixed(0.91).log_factor() == 0.0
+    assert Fixed(0.89).log_factor() == pytest.approx(math.log(6.0))
+
+
+def test_a_factor_under_which_paths_diverge_counts_as_too_large(runs: list[Run]) -> None:
+    coverage = Coverage(fix_sigma(make_model(Decay), SIGMA), runs, seed=0, compile=False)
+    assert coverage(300.0) == 1.0
 
 
 def test_coverage_rises_with_the_factor_and_is_nine_tenths_at_the_truth(runs: list[Run]) -> None:

@@ -219,7 +219,7 @@ def test_scores_agree_with_an_independent_evaluation(
     model.filter.weights.normal_(generator=generator(2)).mul_(0.05)
     save(model, tmp_path)
     theirs = outside.evaluate(outside.nsde_run(str(tmp_path)), x, u, n_particles=32, seed=5)
-    ours = evaluate(model, [run], seed=5)
+    ours = evaluate(model, [run], seed=5, particles=32)
     assert theirs["n_starts"] == ours["starts"]
     names = {"position": "pos_rmse", "velocity": "vel_rmse", "attitude": "att_rmse", "rate": "rate_rmse"}
     channels = dict(zip(model.system.error_names, outside.CH, strict=True))

@@ -13,6 +13,7 @@ from nsde_torch.effects import Port
 from nsde_torch.errors import ConfigError, NonFiniteError, NsdeError, ShapeError
 from nsde_torch.models import ModelSpec, NeuralSDE
 from nsde_torch.sde import brownian
+from nsde_torch.sde.derivative import diffusion_and_slope
 from tests.helpers.toy_systems import DT, Decay, Gusty, fix_sigma, make_model
 
 SYSTEMS = ("mass_spring_damper", "cartpole", "hexacopter", "quadrotor")
@@ -144,10 +145,12 @@ def test_motor_lag_delays_a_changed_command() -> None:
 
 
 def test_disturbance_is_not_returned_and_starts_in_its_stationary_law() -> None:
-    sigma, tau = 0.6, 0.4
+    sigma, scale = 0.6, 1.3
     model = fix_sigma(make_model(Gusty, disturbance=True, dtype=torch.float64), torch.tensor([1e-9, sigma]))
     with torch.no_grad():
-        model.log_tau.fill_(math.log(tau))
+        model.log_tau.fill_(math.log(0.2))
+        model.clock_scale.fill_(scale)
+        tau = float(model.tau) / scale  # on the logged clock
         n = 40_000
         normal = torch.randn(n, 1, generator=generator(), dtype=torch.float64)
         z = model._augment(
@@ -172,7 +175,7 @@ def test_a_disturbance_acts_on_its_port_like_a_force() -> None:
     d = torch.randn(5, 1, dtype=torch.float64)
     rate = model.drift(0.0, torch.cat((x, d), 1), u) - model.drift(0.0, torch.cat((x, 0 * d), 1), u)
     torch.testing.assert_close(rate[:, :1], d)
-    torch.testing.assert_close(rate[:, 1:], -d * torch.exp(-model.log_tau))
+    torch.testing.assert_close(rate[:, 1:], -d / model.tau)
 
 
 def sensing(std: float) -> NeuralSDE:
@@ -343,3 +346,52 @@ def test_a_model_without_noise_predicts_one_path(step: str) -> None:
     out = model.sample(x, u, dt=0.02, particles=3, generator=generator())
     assert out.shape == (3, 2, 11, 4)
     assert torch.equal(out[0], out[1])
+
+
+@pytest.mark.parametrize("loss", ["default", "paper"])
+def test_slope_of_the_diffusion_is_the_finite_difference_under_every_loss(loss: str) -> None:
+    model = make("mass_spring_damper", dtype=torch.float64, loss=loss)
+    model.h.slope.fill_(20.0)
+    x, u = states(model, 5, dtype=torch.float64)
+    _, slope = diffusion_and_slope(model, 0.0, x, u[:, 0])
+    for i in range(2):
+        step = torch.zeros(2, dtype=torch.float64)
+        step[i] = 1e-6
+        high, low = (model.diffusion(0.0, x + s * step, u[:, 0])[:, i] for s in (1.0, -1.0))
+        torch.testing.assert_close(slope[:, i], (high - low) / 2e-6, rtol=1e-5, atol=1e-9)
+    assert float(slope.abs().max()) > 1e-4
+
+
+def test_default_loss_passes_gradients_through_the_state_but_not_into_eta() -> None:
+    model = make("mass_spring_damper", dtype=torch.float64).requires_grad_(True)
+    x, u = states(model, 5, dtype=torch.float64)
+    x.requires_grad_(True)
+    model.diffusion(0.0, x, u[:, 0]).sum().backward()
+    assert x.grad is not None
+    assert float(x.grad.abs().max()) > 0
+    assert all(p.grad is None for p in model.eta.parameters())
+
+
+def test_rotation_noise_is_the_same_at_every_attitude() -> None:
+    model = make("hexacopter", dtype=torch.float64)
+    model.h.log_sigma_max.copy_(torch.linspace(-5, -1, 13, dtype=torch.float64))
+    x = torch.zeros(4, 13, dtype=torch.float64)
+    x[:, 6:10] = torch.nn.functional.normalize(
+        torch.tensor([[1.0, 0, 0, 0], [0.5, 0, 0, 0.9], [0.7, 0.7, 0, 0], [0.1, 0.2, 0.9, -0.4]]), dim=1
+    ).double()
+    sigma = model.diffusion(0.0, x, torch.full((4, 6), 0.4, dtype=torch.float64))[:, 6:10]
+    w, v = x[:, 6:7], x[:, 7:10]
+    cross = torch.stack([torch.cross(v, e.expand_as(v), dim=1) for e in torch.eye(3, dtype=torch.float64)], 2)
+    tangent = torch.cat(
+        (-v[:, None], w[..., None] * torch.eye(3, dtype=torch.float64) + cross), 1
+    )  # dq / d(theta/2)
+    covariance = torch.einsum("nki,nk,nkj->nij", tangent, sigma**2, tangent)
+    expected = float(sigma[0, 0]) ** 2 * torch.eye(3, dtype=torch.float64)
+    torch.testing.assert_close(covariance, expected.expand(4, 3, 3))
+
+
+def test_sensor_noise_for_a_model_without_it_is_refused() -> None:
+    model = make("hexacopter")
+    x, u = states(model, 2)
+    with pytest.raises(ConfigError, match="measurement_std"):
+        model.sample(x, u, dt=0.05, particles=2, generator=generator(), measurement_std=torch.ones(13))

@@ -190,7 +190,7 @@ class TrainConfig:
     seed: int = key(0, "seed of initial weights, batches and noise", low=0)
     device: str = key("cpu", "where tensors live: cpu, cuda or cuda:N")
     dtype: str = key("float32", "precision", choices=("float32", "float64"))
-    threads: int = key(2, "CPU threads of torch; a job of a sweep always has one", low=1)
+    threads: int = key(1, "CPU threads of torch; more seldom help and hurt on a busy machine", low=1)
     run_dir: str = key("???", "folder of this run")
     sweep_dir: str = key("???", "folder of a sweep (-m); its jobs lie inside")
     resume: str | None = key(None, "folder of an interrupted run to continue, with its configuration")

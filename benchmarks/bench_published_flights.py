@@ -3,7 +3,7 @@
 Each flight is held out in turn, with several seeds. Starts, horizons and scores are those of `nsde train` itself
 (every 0.25 s, 2 s ahead inside one stretch, 32 particles, mean of the particles as the prediction); the authors'
 figures were measured with the same protocol. The inputs of these files see 0.2 s of the future (a centred moving
-average), and restoring them looks at 0.4 s: both are read off the log, not off the flight.
+average of 0.4 s), and the filter that undoes it has taps up to 0.4 s ahead: commands up to 0.6 s ahead are drawn on.
 
     python benchmarks/bench_published_flights.py --data .../hexacopter/trajs.pkl --out results/
 """

@@ -6,14 +6,19 @@ few per cent of the truth instead of 90. It follows the supplement where the aut
 there the scale and offset of h are multiplied by 1e-7, so that h is the same on every channel; positions carry a
 constant diffusion whatever eta; the eta that is regularised is not quite the one that scales sigma; features are
 divided by one number instead of channel by channel; and the noise misses the factor sqrt(dt), so that sigma
-depends on the step. The supplement's distance losses are evaluated on a random part of the states of a batch.
+depends on the step. What is ours and not the supplement's, also with loss=paper: the squared error is that of the
+error channels (attitude as a rotation vector), each group divided by its scale; features are body velocity and body
+rates, and the residual networks see the direction of gravity too; the weights that are kept are running averages,
+gradients are clipped; the distance losses look at a random part of the states of a batch; the spring's network has
+widths 8-16 unless model.residual_hidden=[4,16] says otherwise, and it has a declared spring and damper beside it unless
+system.declared=[] takes them out. trainer=paper adds the supplement's 10,000 steps.
 
 Data loss, loss=default: the fair continuous ranked probability score of P >= 2 independent paths X_p,
 
     CRPS = mean_p |X_p - x| - sum_{p<q} |X_p - X_q| / (P (P - 1))
 
-averaged over channels and steps (Gneiting and Raftery, JASA 102 (2007); the fair form of Ferro, QJRMS 140
-(2014)). It is strictly proper for each channel at each step, its expectation does not depend on P, it is in
+averaged over channels and steps, early steps weighing more (Gneiting and Raftery, JASA 102 (2007); the fair form of Ferro, QJRMS 140
+(2014)). It is strictly proper for each channel at each step (for attitude, to second order in the error), its expectation does not depend on P, it is in
 the unit of the channel, and one sampled pair gives an unbiased gradient through the paths: no density is
 needed, so any integrator and any horizon will do. A transition likelihood would see one step only, where
 sensor noise and errors that are correlated in time look like diffusion, and the spread would not hold at 2 s.

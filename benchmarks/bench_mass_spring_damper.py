@@ -4,8 +4,8 @@ Five noisy runs of one corner of the state space (`MSD_MeasHigh_TopRight_5`) tra
 region (`MSD_TestData`) test. The same model is trained without diffusion (`solver=rk4`) for comparison, once with
 the declared spring and damper and once with q'' left to the network, as in the supplement (`system.declared=[]`).
 
-The sensors of the test set are less noisy than those of the training set. Its intervals are of measurements, so they take
-the noise of its sensors from the fourth differences of the test runs; nothing else of the test set is used.
+The sensors of the test set are less noisy than those of the training set. Intervals are of measurements, so they
+take the noise of the sensors from the fourth differences of the test runs; nothing else of the test set is used.
 
     python benchmarks/bench_mass_spring_damper.py --data .../mass_spring_damper --out results/
 """

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import importlib
 import os
+import signal
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -53,10 +55,17 @@ class HydraCommand:
         if "-h" in words or "--help" in words:
             print(help.describe(self.name, self.summary, words))
             return OK
+        # A queue that ends a job sends SIGTERM: it is told how to resume, as after Ctrl-C. Only the main thread can.
+        with contextlib.suppress(ValueError):
+            signal.signal(signal.SIGTERM, signal.default_int_handler)
         try:
             return self._run(self._prepare(words))
         except KeyboardInterrupt:
             return self._interrupted()
+        except (FileExistsError, NotADirectoryError, PermissionError) as error:
+            return self._user_error(
+                error, f"{error.filename}: {error.strerror}. Name another folder or file."
+            )
         except NsdeError as error:
             return self._user_error(error, str(error))
         except Exception as error:

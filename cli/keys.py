@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import copy
 import dataclasses
+import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any, get_type_hints
@@ -120,7 +121,7 @@ def _allowed(entry: Key, value: Any) -> bool:
     if isinstance(value, bool) or not isinstance(value, (int, float)):
         return True
     return (
-        value == value
+        math.isfinite(value)
         and (entry.low is None or value >= entry.low)
         and (entry.above is None or value > entry.above)
         and (entry.high is None or value <= entry.high)

@@ -76,10 +76,18 @@ def _check_rates(run: RawRun, system: SystemInfo) -> None:
 
 def _unwrap_angles(run: RawRun, system: SystemInfo, report: Report) -> None:
     """Angles logged in (-pi, pi] become continuous; a step of more than half a turn is taken for a wrap."""
-    positions = {p for p, _, _ in system.position_derivatives}
+    positions = {p: v for p, v, _ in system.position_derivatives}
+    step = float(np.median(np.diff(run.t)))
     for k, (name, unit) in enumerate(zip(system.state_names, system.state_units, strict=True)):
         if unit != "rad" or name not in positions:
             continue
+        rate = np.abs(run.x[:, list(system.state_names).index(positions[name])])
+        if np.nanmean(rate * step > np.pi / 2) > 0.005:
+            raise DataError(
+                f"run {run.name!r}: {positions[name]!r} turns {name!r} by more than a quarter turn between rows "
+                f"(up to {np.nanmax(rate):.4g} rad/s at a step of {step:.4g} s). Expected rad/s, perhaps the columns "
+                "hold degrees: multiply both by pi / 180. Otherwise record at a higher rate."
+            )
         good = np.isfinite(run.x[:, k])
         wraps = int((np.abs(np.diff(run.x[good, k])) > np.pi).sum())
         if wraps:

@@ -14,12 +14,14 @@ MIN_DEPARTURE = 0.01
 """Departure of the clock from 1 below which it is right for all purposes."""
 SIGNIFICANT = 3.0
 """Standard errors by which every group of axes must depart from 1, to the same side."""
+SURE = 0.02
+"""Largest standard error of a scale that rows are rescaled by without being asked."""
 IMPLAUSIBLE = (0.5, 2.0)
 """Slopes outside cannot be a clock: the columns hold other units, signs or frames."""
 
 _CAUSES = (
-    (57.29578, "degrees where radians are expected (the rate)", 0.15),
-    (1 / 57.29578, "degrees where radians are expected (the angle or the rate)", 0.15),
+    (57.29578, "degrees where radians are expected (the angle)", 0.15),
+    (1 / 57.29578, "degrees where radians are expected (the rate)", 0.15),
     (-1.0, "the opposite sign or another frame (NED where ENU is expected)", 0.2),
     (1000.0, "mm or ms where m or s are expected", 0.15),
     (0.001, "mm or ms where m or s are expected", 0.15),
@@ -93,14 +95,14 @@ def decide(slopes: Sequence[Slope], *, policy: str, report: Report) -> float:
     if not off:
         return 1.0
     sides = {p.value > 1 for p in off.values()}
-    if len(off) < len(groups) or len(sides) > 1:
+    if len(off) < len(groups) or len(sides) > 1 or total.error > SURE:
         report(
             Finding(
                 "kinematic_mismatch",
                 "",
                 len(off),
-                f"position and velocity disagree in {', '.join(off)} but not in every group, so the clock "
-                f"is not the cause ({text})",
+                f"position and velocity disagree in {', '.join(off)} but not in every group, or not "
+                f"surely enough to blame the clock ({text})",
                 "reported",
                 values,
             )

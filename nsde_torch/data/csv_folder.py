@@ -92,7 +92,9 @@ def _explain(path: Path, names: Sequence[str]) -> DataError:
                     return DataError(
                         f"{path}:{number}: column {name!r} holds {cell!r}; expected a number or `nan`."
                     )
-    return DataError(f"{path} could not be read as a table of numbers.")
+    return DataError(
+        f"{path} could not be read as a table of numbers; save it as CSV in UTF-8, one row of numbers a line."
+    )
 
 
 def _missing_as_nan(cell: str) -> float:

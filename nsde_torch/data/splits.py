@@ -63,10 +63,16 @@ def split(
             f"the runs {[runs[k].name for k in both]} are in both `train` and `test`; a test on training "
             "data says nothing. Remove them from one side."
         )
-    by_content = {runs[k].content_hash: runs[k].name for k in kept}
+    seen: dict[str, str] = {}
+    for k in kept:
+        twin = seen.setdefault(runs[k].content_hash, runs[k].name)
+        if twin != runs[k].name:
+            raise DataError(
+                f"the training runs {twin!r} and {runs[k].name!r} have the same content, which would count it twice "
+                "and spoil the calibration across runs. Remove one."
+            )
     for k in held:
-        twin = by_content.get(runs[k].content_hash)
-        if twin is not None:
+        if twin := seen.get(runs[k].content_hash, ""):
             raise DataError(
                 f"the test run {runs[k].name!r} has the same content as the training run {twin!r}; a test on "
                 "training data says nothing. Hold out both, or remove one."

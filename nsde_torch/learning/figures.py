@@ -45,7 +45,7 @@ def write_figures(
         The figures by name.
     """
     figures: dict[str, Any] = {
-        "learning_curves": plots.learning_curves(list(history), kept=metrics["best_step"]),
+        "learning_curves": plots.learning_curves(_data_terms(history), kept=metrics["best_step"]),
         "data_summary": plots.data_summary(data, model.system),
     }
     if model.eta.standardise.mean.numel() >= 2:
@@ -69,6 +69,11 @@ def write_figures(
     for name, figure in figures.items():
         plots.save(figure, folder / f"{name}.png")
     return figures
+
+
+def _data_terms(history: Sequence[Mapping[str, float]]) -> list[dict[str, float]]:
+    """The history with the data term as the loss: what the validation score is to be held against."""
+    return [{**row, "loss": row["data"]} if "data" in row else dict(row) for row in history]
 
 
 @torch.no_grad()

@@ -5,6 +5,7 @@ noisy than the last iterate.
 """
 
 import copy
+import logging
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
@@ -26,6 +27,8 @@ from nsde_torch.sde import brownian
 _FAST = ("filter.", "h.", "log_", "system.")
 _FAST_RATE = 3.0
 _AVERAGE = 0.98
+_SAID_EVERY = 5  # validations between lines where there is no terminal to draw a bar on
+_LOG = logging.getLogger(__name__)
 _VALIDATION_WINDOWS, _VALIDATION_PARTICLES = 256, 8
 
 
@@ -219,6 +222,18 @@ class Fit:
                     )
                     if log is not None:
                         log(progress.step, row)
+                    if (
+                        bar.disable
+                        and not quiet
+                        and progress.step % (_SAID_EVERY * options.validate_every) == 0
+                    ):
+                        _LOG.info(
+                            "%s: step %d of %d, validation %.4f",
+                            title,
+                            progress.step,
+                            options.steps,
+                            row["validation"],
+                        )
                 if checkpoint is not None and progress.step % options.checkpoint_every == 0:
                     self.save(checkpoint)
         if progress.polished:

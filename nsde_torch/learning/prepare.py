@@ -85,5 +85,6 @@ def error_scale(model: NeuralSDE, windows: Windows) -> Tensor:
     scale = torch.ones_like(rms)
     for group in model.system.error_groups:
         at = list(group.channels)
-        scale[at] = rms[at].square().mean().sqrt().clamp_min(1e-9) * _HOLD_SHARE
+        size = rms[at].square().mean().sqrt() * _HOLD_SHARE
+        scale[at] = torch.where(size > 1e-9, size, torch.ones_like(size))  # a channel that never moves
     return scale

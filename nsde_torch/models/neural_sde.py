@@ -190,6 +190,7 @@ class NeuralSDE(nn.Module):
             u: Applied inputs (N, nu).
         """
         s = self.system
+        self._check_width(z)
         if z.shape[1] < self.nz:
             return self.drift(t, self.augment(z, u), u)[:, : s.nx]
         own, d = split_columns(z, s.nz, self.nd)
@@ -205,11 +206,19 @@ class NeuralSDE(nn.Module):
         Of the state alone (N, nx) it is that of the state.
         """
         s = self.system
+        self._check_width(z)
         if z.shape[1] < self.nz:
             return self._sigma(z)[:, : s.nx]
         x, memory, _ = split_columns(z, s.nx, s.nz - s.nx, self.nd)
         of_state, of_disturbance = split_columns(self._sigma(x), s.nx, self.nd)
         return join_columns((of_state, torch.zeros_like(memory), of_disturbance))
+
+    def _check_width(self, z: Tensor) -> None:
+        if z.shape[-1] not in (self.nz, self.system.nx):
+            raise ShapeError(
+                f"`z` must be a state of {self.system.nx} columns ({', '.join(self.system.state_names)}), or of "
+                f"{self.nz} with memory and disturbances; got {tuple(z.shape)}."
+            )
 
     def _sigma(self, x: Tensor) -> Tensor:
         return self.h(self.eta(self.system.features(x), frozen=self.freeze_distance))
@@ -348,6 +357,14 @@ class NeuralSDE(nn.Module):
             NonFiniteError: x0 or u is not finite, or a path leaves the finite numbers.
         """
         x0, u = self._check(x0, u)
+        if not isinstance(generator, torch.Generator):
+            raise ConfigError(f"`generator` must be a torch.Generator; got {generator!r}.")
+        if isinstance(particles, bool) or not isinstance(particles, int) or particles < 1:
+            raise ConfigError(f"`particles` must be a whole number of at least 1; got {particles!r}.")
+        if measurement_std is not None and (
+            measurement_std.shape != (self.system.nx,) or not bool((measurement_std >= 0).all())
+        ):
+            raise ShapeError(f"`measurement_std` must be ({self.system.nx},) and not negative.")
         logged = u if applied or self.filter is None else self._restore(u, dt)
         shape = (particles, x0.shape[0], u.shape[1])
         made = {"generator": generator, "device": x0.device, "dtype": x0.dtype}
@@ -381,6 +398,11 @@ class NeuralSDE(nn.Module):
     def _check(self, x0: Tensor, u: Tensor) -> tuple[Tensor, Tensor]:
         s = self.system
         width = s.nu + len(s.exogenous)
+        for name, given in (("x0", x0), ("u", u)):
+            if not isinstance(given, Tensor) or given.is_complex():
+                raise ShapeError(
+                    f"`{name}` must be a real torch.Tensor; got {type(given).__name__}. Use torch.as_tensor."
+                )
         if x0.ndim != 2 or x0.shape[1] != s.nx:
             raise ShapeError(f"`x0` must be (batch, nx={s.nx}); got {tuple(x0.shape)}.")
         if u.ndim != 3 or u.shape[2] != width:

@@ -91,6 +91,11 @@ def load(run_dir: str | Path, *, device: str | torch.device = "cpu") -> NeuralSD
         raise CheckpointError(
             f"{folder / WEIGHTS} does not fit {CONFIG} (they differ in {', '.join(differ[:5])}). Train again."
         )
+    broken = sorted(k for k, v in tensors.items() if not bool(torch.isfinite(v).all()))
+    if broken:
+        raise CheckpointError(
+            f"{folder / WEIGHTS} holds numbers that are not finite ({', '.join(broken[:5])}). Train again."
+        )
     dtype = tensors["clock_scale"].dtype
     model.to(dtype=dtype).load_state_dict(tensors)
     return model.to(device).eval().requires_grad_(False)

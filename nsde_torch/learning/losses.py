@@ -20,10 +20,11 @@ Data loss, loss=default: the fair continuous ranked probability score of P >= 2 
 averaged over channels and steps, early steps weighing more (Gneiting and Raftery, JASA 102 (2007); the fair form
 of Ferro, QJRMS 140 (2014)). It is strictly proper for each channel at each step (for attitude, to second order in
 the error), its expectation does not depend on P, it is in the unit of the channel, and one sampled pair gives an
-unbiased gradient through the paths: no density is needed, so any integrator and any horizon will do. A transition
-likelihood would see one step only, where sensor noise and errors that are correlated in time look like diffusion, and the spread would not hold at 2 s.
-The energy score is proper for the joint law, but its single norm is ruled by the channel of largest error.
-Marginal intervals are what is read and checked here, so each channel is scored.
+unbiased gradient through the paths: no density is needed, so any integrator and any horizon will do. A
+transition likelihood would see one step only, where sensor noise and errors that are correlated in time look
+like diffusion, and the spread would not hold at 2 s. The energy score is proper for the joint law, but its
+single norm is ruled by the channel of largest error. Marginal intervals are what is read and checked here, so
+each channel is scored.
 
 Distance losses, for features y of the data and points y' in a ball around them:
 

@@ -67,7 +67,7 @@ class HydraCommand:
                 error, f"{error.filename}: {error.strerror}. Name another folder or file."
             )
         except NsdeError as error:
-            return self._user_error(error, str(error))
+            return self._user_error(error, messages.in_keys(str(error)))
         except Exception as error:
             message = messages.explain(error, self.name, words)
             if message is None:

@@ -11,6 +11,8 @@ from . import groups
 from .keys import walk
 from .schema import CHOICES, COMMAND_SCHEMAS
 
+# Arguments of the library whose key on the command line has another name.
+_KEYS = {"path": "data.path", "dt_model": "system.dt", "horizon": "system.horizon", "dt": "data.dt"}
 _POINTER = "`nsde {command} --help` lists groups and keys."
 _IN_FILE = re.compile(
     r"In '(?P<file>[^']+)': (?P<kind>\w+) raised while composing config:\n"
@@ -47,6 +49,11 @@ def explain(error: Exception, command: str, words: Sequence[str]) -> str | None:
         text = re.sub(r"\n?See https?://\S+.*", "", str(error)).strip()
         return f"{text}\n{_POINTER.format(command=command)}"
     return None
+
+
+def in_keys(text: str) -> str:
+    """A message of the library with its arguments under the names of their keys."""
+    return re.sub(r"`(\w+)`", lambda found: f"`{_KEYS.get(found[1], found[1])}`", text)
 
 
 def unknown_key(path: str, command: str, words: Sequence[str]) -> str:

@@ -19,6 +19,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from nsde_torch.data.denoise import denoised
 from nsde_torch.data.run import Run
 from nsde_torch.errors import ConfigError, DataError
 
@@ -35,6 +36,10 @@ class Windows:
         dt: Step of the data [s]; default: that of the first run.
         dtype: Type of the tensors.
         device: Where the data live and the batches are cut.
+        denoise: Whether white sensor noise is taken out of `initial_states`.
+
+    Attributes:
+        start_share: Noise that is left in `initial_states`, as a share of that of the sensors (nx,).
 
     Raises:
         ConfigError: the steps do not divide, or the horizon is not positive.
@@ -54,6 +59,7 @@ class Windows:
         dt: float | None = None,
         dtype: torch.dtype = torch.float32,
         device: str | torch.device = "cpu",
+        denoise: bool = False,
     ) -> None:
         runs = tuple(runs)
         if not runs:
@@ -93,6 +99,12 @@ class Windows:
             ranges += [(first + a, first + b) for a, b in run.segments]
         self._t = [run.t for run in runs]
         self._x, self._u = self._x.to(device), self._u.to(device)
+        self._smooth: Tensor | None = None
+        self.start_share = torch.ones(self._x.shape[1], dtype=dtype, device=device)
+        if denoise:
+            smooth, share = denoised(runs)
+            self._smooth = torch.from_numpy(np.concatenate(smooth)).to(self._x)
+            self.start_share = torch.from_numpy(share).to(self._x)
         self._set_ranges(np.array(ranges, dtype=np.int64))
         if len(self) == 0:
             longest = int((self._ranges[:, 1] - self._ranges[:, 0]).max())
@@ -125,7 +137,7 @@ class Windows:
     @property
     def nbytes(self) -> int:
         """Memory of the stored columns [bytes]."""
-        return sum(a.numel() * a.element_size() for a in (self._x, self._u))
+        return sum(a.nbytes for a in (self._x, self._u, self._smooth) if a is not None)
 
     def rows(self, indices: Tensor | NDArray[np.int64] | Sequence[int]) -> NDArray[np.int64]:
         """Row (of the joined runs) at which each window starts, (B,)."""
@@ -173,6 +185,11 @@ class Windows:
             [self._t[r][s] for r, s in zip(run, rows - self._first[run], strict=True)], dtype=np.float64
         )
         return x, u, torch.from_numpy(t0).to(device)
+
+    def initial_states(self, indices: Tensor | NDArray[np.int64] | Sequence[int]) -> Tensor:
+        """States from which paths of the windows start (B, nx): the first rows, without sensor noise if asked for."""
+        rows = torch.from_numpy(self.rows(indices)).to(self._x.device)
+        return (self._x if self._smooth is None else self._smooth)[rows]
 
     def sample(self, size: int, generator: torch.Generator) -> Tensor:
         """Window numbers drawn with replacement, (size,); the same generator state gives the same numbers."""

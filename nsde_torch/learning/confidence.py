@@ -45,9 +45,10 @@ def declared_confidence(model: NeuralSDE, windows: Windows, scale: Tensor) -> di
     x, u, t0 = windows.batch(pick)
     steps = max(1, min(round(_HORIZON_S / windows.dt_model), windows.horizon))
     u = model.applied_inputs(u, windows.dt_model)[:, :steps]
+    start = model.project(windows.initial_states(pick))
 
     def errors() -> Tensor:
-        path = model.paths(x[:, 0], u, dt=windows.dt_model, noise=None, check=False, t0=t0.to(x.dtype))
+        path = model.paths(start, u, dt=windows.dt_model, noise=None, check=False, t0=t0.to(x.dtype))
         e = model.system.error(path[0, :, steps], x[:, steps]) / scale
         return e.double().cpu()
 

@@ -26,6 +26,7 @@ from nsde_torch.sde import brownian
 
 _FAST = ("filter.", "h.", "log_", "system.")
 _FAST_RATE = 3.0
+_FAR = 0.1  # weight of the declared sigma_max as the least diffusion away from the data
 _AVERAGE = 0.98
 _SAID_EVERY = 5  # validations between lines where there is no terminal to draw a bar on
 _LOG = logging.getLogger(__name__)
@@ -120,12 +121,12 @@ class Fit:
         std = model.measurement_std
         start = _normal(generator, x, *shape[:2], model.n_start) if model.n_start else None
         path = model.paths(
-            x[:, 0],
+            windows.initial_states(indices),
             u,
             dt=windows.dt_model,
             noise=dw,
             start=start,
-            std=std,
+            std=windows.start_share * std,
             compile=self.compile,
             check=False,
             t0=t0.to(x.dtype),
@@ -158,6 +159,10 @@ class Fit:
         out["gradient"] = options.gradient * gradient
         out["convexity"] = options.convexity * convexity
         out["mu"] = mu_weight(options, model) * reward
+        if options.kind == "default" and model.h.log_sigma_max.requires_grad:
+            declared = x.new_tensor(model.system.defaults.sigma_max).clamp_min(1e-12)
+            far = model.h(x.new_ones(1))[0, : len(declared)]
+            out["far"] = _FAR * torch.relu((declared / far).log()).square().sum()
         if options.residual_decay:
             norms = [network.weight_norm() for network in model.residuals.values()]  # type: ignore[operator]
             out["decay"] = options.residual_decay * torch.stack(norms).sum()

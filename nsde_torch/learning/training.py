@@ -149,7 +149,14 @@ class Training:
         clock = of_runs(self.data.summary.slopes, [r.name for r in runs], measured=self.data.clock_scale)
         model = NeuralSDE(self.spec, generator=torch.Generator().manual_seed(seed), values=self.values)
         model = model.to(device=self.device, dtype=self.dtype)
-        windows = Windows(runs, self.spec.dt, self.spec.horizon, dtype=self.dtype, device=self.device)
+        windows = Windows(
+            runs,
+            self.spec.dt,
+            self.spec.horizon,
+            dtype=self.dtype,
+            device=self.device,
+            denoise=self.loss.kind == "default" and (self.spec.measurement or model.system.sensor_noise),
+        )
         blocks = torch.Generator().manual_seed(seed)
         train, held = windows.held_out(self.validation, _BLOCK_S, blocks)
         prepare(model, runs, train, clock_scale=clock, start=True, given=self.values or ())

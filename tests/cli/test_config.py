@@ -97,6 +97,7 @@ def test_parameters_of_effects_are_reached_with_dots() -> None:
         (["dtype=float16"], "`dtype` must be float32 | float64; got 'float16'."),
         (["data.test=1"], "A list needs brackets: 'data.test=[...]'."),
         (["seed=0,1"], "To sweep over it, add --multirun"),
+        (["data=csv", "data.path=nowhere"], "`data.path`: nowhere does not exist"),
         (["system=[a"], "no viable alternative"),
         (["--config-dir", "nowhere"], "`--config-dir nowhere`: no such folder."),
         (["resume=nowhere"], "there is no run to continue"),

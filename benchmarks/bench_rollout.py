@@ -24,7 +24,7 @@ import torch
 import torchsde
 from torch import Tensor, nn
 
-from nsde_torch.models import ModelSpec, NeuralSDE
+from nsde_torch.models import NeuralSDE, SDESpec
 from nsde_torch.sde import Time, brownian, make_step, rollout
 
 TORCHSDE = {  # our step -> calculus, method and options there
@@ -130,7 +130,7 @@ def measure(
     name: str, batch: int, *, steps: int, dt: float, repeats: int, gradient: bool
 ) -> dict[str, object]:
     """One row of the table."""
-    spec = ModelSpec("hexacopter", dt=dt, horizon=steps, step=name, disturbance=True)
+    spec = SDESpec("hexacopter", dt=dt, horizon=steps, step=name, disturbance=True)
     model = NeuralSDE(spec, generator=torch.Generator().manual_seed(0))
     plain, step = Unprojected(model), make_step(name)
     z0, u, noise = case(model, batch, steps, dt)

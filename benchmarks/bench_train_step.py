@@ -31,7 +31,7 @@ from torch import Tensor
 
 from nsde_torch.learning.losses import data_loss, distance_losses, draw_ball
 from nsde_torch.learning.options import LossOptions
-from nsde_torch.models import ModelSpec, NeuralSDE
+from nsde_torch.models import NeuralSDE, SDESpec
 from nsde_torch.sde import brownian
 
 DT, STEPS, TRAIN_BATCH = 0.05, 20, 512
@@ -39,7 +39,7 @@ DT, STEPS, TRAIN_BATCH = 0.05, 20, 512
 
 def hexacopter(device: str) -> NeuralSDE:
     """The model with random weights."""
-    spec = ModelSpec("hexacopter", dt=DT, horizon=STEPS, step="milstein", disturbance=True)
+    spec = SDESpec("hexacopter", dt=DT, horizon=STEPS, step="milstein", disturbance=True)
     return NeuralSDE(spec, generator=torch.Generator().manual_seed(0)).to(device)
 
 

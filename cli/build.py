@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from typing import Any
 
 import torch
@@ -13,7 +13,7 @@ from nsde_torch.data import split as split_runs
 from nsde_torch.errors import ConfigError, DataError
 from nsde_torch.learning import filter_reach
 from nsde_torch.learning.options import LossOptions, TrainerOptions
-from nsde_torch.models import ModelSpec
+from nsde_torch.models import ModelSpec, SDESpec
 from nsde_torch.plants import simulated
 from nsde_torch.sde import Step, make_step
 from nsde_torch.systems import System, make_system
@@ -146,35 +146,52 @@ def model_spec(config: DictConfig, machine: System, runs: Split) -> ModelSpec:
         machine: The system that it names.
         runs: Training and test runs; whether the inputs were smoothed is read from the training runs.
     """
-    system, model, own = config.system, config.model, machine.defaults
-    learned = (model.sigma or ("declared" if config.loss.kind == "paper" else "learned")) == "learned"
-    declared = None if learned else tuple(own.sigma_max)
-    solver = step(config.solver, machine)
+    system, own = config.system, machine.defaults
+    common = {
+        "kind": config.model.kind,
+        "effects": tuple(system.effects),
+        "declared": None if system.declared is None else tuple(system.declared),
+        "system_options": options(system)["options"],
+        "dt": own.dt if system.dt is None else system.dt,
+        "horizon": own.horizon if system.horizon is None else system.horizon,
+    }
+    return _SPECS[config.model.kind](config, machine, runs, common)
+
+
+def _sde_spec(config: DictConfig, machine: System, runs: Split, common: dict[str, Any]) -> ModelSpec:
+    model, own = options(config.model), machine.defaults
+    solver = step(config.solver, machine, kind=model["kind"])
     paper = config.loss.kind == "paper"
     plain = paper or solver.deterministic
-    dt = own.dt if system.dt is None else system.dt
-    reach = model.filter_reach
-    if reach is None:
-        reach = 0 if paper else filter_reach(runs.train, machine.nu, dt)
-    return ModelSpec(
-        system=system.name,
-        effects=tuple(system.effects),
-        declared=None if system.declared is None else tuple(system.declared),
-        system_options=options(system)["options"],
-        dt=dt,
-        horizon=own.horizon if system.horizon is None else system.horizon,
+    learned = (model.get("sigma") or ("declared" if paper else "learned")) == "learned"
+    declared = None if learned else tuple(own.sigma_max)
+    widths: dict[str, Any] = {k: tuple(v) for k, v in model.items() if k.endswith("_hidden")}
+    physics = model["kind"] != "blackbox_nsde"
+
+    def choice(key: str, default: Any) -> Any:
+        return default if model.get(key) is None else model[key]
+
+    return SDESpec(
+        system=config.system.name,
+        **common,
+        **widths,
         step=solver.name,
-        distance_hidden=tuple(model.distance_hidden),
-        mu_hidden=tuple(model.mu_hidden),
-        residual_hidden=tuple(model.residual_hidden),
-        sigma_max=declared if system.sigma_max is None else tuple(system.sigma_max),
-        filter_reach=reach,
-        measurement=not plain and machine.sensor_noise if model.measurement is None else model.measurement,
-        disturbance=not plain and bool(machine.disturbed_ports)
-        if model.disturbance is None
-        else model.disturbance,
+        solver=options(config.solver, "name"),
+        physics=physics,
+        sigma_max=declared if config.system.sigma_max is None else tuple(config.system.sigma_max),
+        filter_reach=model["filter_reach"]
+        if model["filter_reach"] is not None
+        else 0
+        if paper
+        else filter_reach(runs.train, machine.nu, common["dt"]),
+        measurement=choice("measurement", not plain and machine.sensor_noise),
+        disturbance=physics and choice("disturbance", not plain and bool(machine.disturbed_ports)),
         loss=config.loss.kind,
     )
+
+
+_SpecMaker = Callable[[DictConfig, System, Split, dict[str, Any]], ModelSpec]
+_SPECS: dict[str, _SpecMaker] = dict.fromkeys(SDESpec.kinds, _sde_spec)
 
 
 def loss_options(config: DictConfig) -> LossOptions:
@@ -190,6 +207,22 @@ def trainer_options(config: DictConfig) -> TrainerOptions:
     return TrainerOptions(**options(config))
 
 
-def step(config: DictConfig, machine: System) -> Step:
-    """The integrator of the group `solver`; null is the system's own."""
-    return make_step(config.name or machine.defaults.step)
+def step(config: DictConfig, machine: System, *, kind: str = "nsde") -> Step:
+    """The integrator of the group `solver`; null is the system's own, and rk4 for a neural ODE.
+
+    Raises:
+        ConfigError: There is no such integrator, or it does not fit the kind of model.
+    """
+    own = "rk4" if kind == "node" else machine.defaults.step
+    made = make_step(config.name or own, **options(config, "name"))
+    if kind == "node" and not made.deterministic:
+        raise ConfigError(
+            f"`model=node` has no diffusion, and solver={made.name} is for equations with noise. "
+            "Take solver=rk4, midpoint or torchdiffeq, or leave it out."
+        )
+    if kind == "blackbox_nsde" and made.deterministic:
+        raise ConfigError(
+            f"`model=blackbox_nsde` has a diffusion, which solver={made.name} would leave out; choose a "
+            "solver for equations with noise, or leave it out."
+        )
+    return made

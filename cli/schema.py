@@ -109,26 +109,57 @@ class PublishedData(FileData):
 
 @dataclass
 class ModelConfig:
-    """The networks of the model."""
+    """What is learned."""
 
-    kind: str = key("nsde", "kind of the model, set by model=", choices=("nsde",))
+    kind: str = key("???", "kind of the model, set by model=")
+
+
+_FILTER = "taps on each side of the learned input filter; null: as the log's smoothing asks"
+
+
+@dataclass
+class NodeModel(ModelConfig):
+    """Neural ODE: the same drift, no diffusion."""
+
+    kind: str = key("node", "kind of the model, set by model=", choices=("node",))
+    residual_hidden: list[int] = key([8, 16], "widths of the residual networks (tanh)", low=1)
+    filter_reach: int | None = key(None, _FILTER, low=0)
+
+
+@dataclass
+class DiffusionModel(ModelConfig):
+    """What every neural SDE has."""
+
     distance_hidden: list[int] = key([32, 32], "widths of the distance network eta (swish)", low=1)
     mu_hidden: list[int] = key([8, 8], "widths of the strong-convexity network mu (tanh)", low=1)
-    residual_hidden: list[int] = key([8, 16], "widths of the residual networks (tanh)", low=1)
     sigma: str | None = key(
         None,
         "sigma_max is learned or the system's; null: declared with loss=paper, else learned",
         choices=("learned", "declared"),
     )
-    filter_reach: int | None = key(
-        None, "taps on each side of the learned input filter; null: as the log's smoothing asks", low=0
-    )
+    filter_reach: int | None = key(None, _FILTER, low=0)
     measurement: bool | None = key(
         None, "learn the sensor noise beside the diffusion; null: as the system asks"
     )
+
+
+@dataclass
+class NsdeModel(DiffusionModel):
+    """Neural SDE: declared physics, residual networks, distance-aware diffusion."""
+
+    kind: str = key("nsde", "kind of the model, set by model=", choices=("nsde",))
+    residual_hidden: list[int] = key([8, 16], "widths of the residual networks (tanh)", low=1)
     disturbance: bool | None = key(
         None, "carry lasting disturbances (gusts) as states; null: as the system asks"
     )
+
+
+@dataclass
+class BlackboxModel(DiffusionModel):
+    """Neural SDE without physics: a network of state and input is the whole drift."""
+
+    kind: str = key("blackbox_nsde", "kind of the model, set by model=", choices=("blackbox_nsde",))
+    drift_hidden: list[int] = key([64, 64], "widths of the drift network (tanh)", low=1)
 
 
 @dataclass
@@ -184,6 +215,24 @@ class SolverConfig:
 
 
 @dataclass
+class TorchDiffEqSolver(SolverConfig):
+    """A method of torchdiffeq, for models without diffusion."""
+
+    name: str | None = key("torchdiffeq", "name of the integrator, set by solver=")
+    method: str = key(
+        "dopri5",
+        "method of torchdiffeq; the first four take fixed steps",
+        choices=(
+            *("euler", "midpoint", "rk4", "heun3"),
+            *("dopri5", "dopri8", "bosh3", "adaptive_heun", "fehlberg2"),
+        ),
+    )
+    rtol: float = key(1e-5, "relative tolerance of adaptive methods", above=0)
+    atol: float = key(1e-6, "absolute tolerance of adaptive methods", unit="state", above=0)
+    adjoint: bool = key(False, "gradients by the adjoint equation: less memory, more time")
+
+
+@dataclass
 class TrainConfig:
     """`nsde train`."""
 
@@ -205,6 +254,8 @@ class TrainConfig:
 # Choices whose keys are more than those of their group's class.
 CHOICES: dict[str, dict[str, type]] = {
     "data": {"simulated": SimulatedData, "csv": CsvData, "ulog": UlogData, "published": PublishedData},
+    "model": {"nsde": NsdeModel, "node": NodeModel, "blackbox_nsde": BlackboxModel},
+    "solver": {"torchdiffeq": TorchDiffEqSolver},
 }
 
 COMMAND_SCHEMAS: dict[str, type] = {"train": TrainConfig}

@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeGuard
 
 import numpy as np
 import torch
@@ -10,6 +10,7 @@ from torch import Tensor
 
 from nsde_torch import plots
 from nsde_torch.data import DataSet, Run, Windows
+from nsde_torch.models.model import Model
 from nsde_torch.models.neural_sde import NeuralSDE
 
 _SHOWN = 3
@@ -18,7 +19,7 @@ _PARTICLES = 128
 
 def write_figures(
     folder: Path,
-    model: NeuralSDE,
+    model: Model,
     data: DataSet,
     *,
     train: Sequence[Run],
@@ -44,11 +45,10 @@ def write_figures(
     Returns:
         The figures by name.
     """
-    figures: dict[str, Any] = {
-        "learning_curves": plots.learning_curves(_data_terms(history), kept=metrics["best_step"]),
-        "data_summary": plots.data_summary(data, model.system),
-    }
-    if model.eta.standardise.mean.numel() >= 2:
+    figures: dict[str, Any] = {"data_summary": plots.data_summary(data, model.system)}
+    if history:
+        figures["learning_curves"] = plots.learning_curves(_data_terms(history), kept=metrics["best_step"])
+    if knows_distance(model) and model.eta.standardise.mean.numel() >= 2:
         figures["distance"] = plots.distance_map(_slices(model, train, test))
     result = metrics.get("test")
     if result and result["errors"]:
@@ -71,13 +71,18 @@ def write_figures(
     return figures
 
 
+def knows_distance(model: Model) -> TypeGuard[NeuralSDE]:
+    """Whether the model has learned a distance from the data."""
+    return isinstance(model, NeuralSDE) and not model.step.deterministic
+
+
 def _data_terms(history: Sequence[Mapping[str, float]]) -> list[dict[str, float]]:
     """The history with the data term as the loss: what the validation score is to be held against."""
     return [{**row, "loss": row["data"]} if "data" in row else dict(row) for row in history]
 
 
 @torch.no_grad()
-def _rollouts(model: NeuralSDE, runs: Sequence[Run], horizon_s: float, seed: int, note: str) -> Any:
+def _rollouts(model: Model, runs: Sequence[Run], horizon_s: float, seed: int, note: str) -> Any:
     dt = model.spec.dt
     like = model.clock_scale
     windows = Windows(runs, dt, max(1, round(horizon_s / dt)), dtype=like.dtype, device=like.device)
@@ -115,7 +120,7 @@ def _names(windows: Windows, at: Tensor) -> list[str]:
     return [name for name, _ in windows.locate(at)]
 
 
-def _rows(model: NeuralSDE, runs: Sequence[Run], limit: int) -> Tensor:
+def _rows(model: Model, runs: Sequence[Run], limit: int) -> Tensor:
     x = np.concatenate([run.x[a:b] for run in runs for a, b in run.segments])
     keep = np.linspace(0, len(x) - 1, min(limit, len(x))).round().astype(int)
     return torch.as_tensor(x[keep]).to(model.clock_scale)

@@ -8,7 +8,6 @@ import copy
 import logging
 import math
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +20,7 @@ from nsde_torch.errors import CheckpointError, NonFiniteError
 from nsde_torch.learning.checkpoint import read_checkpoint, write_checkpoint
 from nsde_torch.learning.losses import data_loss, distance_losses, draw_ball, mu_weight
 from nsde_torch.learning.options import LossOptions, TrainerOptions
+from nsde_torch.learning.progress import Progress
 from nsde_torch.models.neural_sde import NeuralSDE
 from nsde_torch.sde import brownian
 
@@ -31,27 +31,6 @@ _AVERAGE = 0.98
 _SAID_EVERY = 5  # validations between lines where there is no terminal to draw a bar on
 _LOG = logging.getLogger(__name__)
 _VALIDATION_WINDOWS, _VALIDATION_PARTICLES = 256, 8
-
-
-@dataclass
-class Progress:
-    """Where an optimisation stands.
-
-    Args:
-        step: Gradient steps done.
-        best_step: Step of the kept weights.
-        best_score: Validation score of the kept weights.
-        polished: Steps done on all windows after that.
-        history: One row per validation.
-        stopped: Whether early stopping ended it.
-    """
-
-    step: int = 0
-    best_step: int = 0
-    best_score: float = math.inf
-    history: list[dict[str, float]] = field(default_factory=list)
-    stopped: bool = False
-    polished: int = 0
 
 
 class Fit:

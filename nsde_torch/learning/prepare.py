@@ -33,12 +33,14 @@ def prepare(
         start: Whether to look for first values of declared parameters in the data.
         given: Names of parameters that keep the value they have.
     """
-    x, _, _ = windows.batch(_spread(len(windows), _ROWS // (windows.horizon + 1) + 1))
+    x, u, _ = windows.batch(_spread(len(windows), _ROWS // (windows.horizon + 1) + 1))
     rows = x.reshape(-1, x.shape[-1])
     with torch.no_grad():
         model.residual_inputs.fit(model.system.residual_features(rows))
         model.eta.standardise.fit(model.system.features(rows))
         model.clock_scale.fill_(clock_scale)
+        if model.black_box is not None:
+            model.black_box.fit(x, u, windows.dt_model * clock_scale)
         bend = torch.diff(x, n=min(2, windows.horizon), dim=1)
         variance = bend.reshape(-1, x.shape[-1]).var(0)
         if model.spec.measurement and windows.horizon > 1:
@@ -49,7 +51,7 @@ def prepare(
             model.h.log_sigma_max[: len(sigma)].copy_((4.0 * sigma).clamp_min(1e-6).log())
         if model.spec.measurement:
             model.log_measurement_std.copy_(sensor_std(runs).clamp_min(1e-6).log().to(x))
-    if start:
+    if start and model.spec.physics:
         longest = max(runs, key=lambda run: run.duration)
         a, b = max(longest.segments, key=lambda s: s[1] - s[0])
         values = model.system.start_values(

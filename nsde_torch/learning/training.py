@@ -1,32 +1,32 @@
 """One training from data to run directory: fit, calibrate, score on held-out runs, write what was learned."""
 
-import hashlib
 import json
 import math
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeGuard
 
 import torch
-from torch import Tensor
 
-from nsde_torch.data import DataSet, Run, Split, Windows
+from nsde_torch.data import DataSet, Run, Split
 from nsde_torch.data.clock import of_runs
 from nsde_torch.data.smoothing import smoothing_width
 from nsde_torch.errors import DataError, NonFiniteError
 from nsde_torch.learning.calibration import Coverage, extrapolate, widen
-from nsde_torch.learning.confidence import declared_confidence
-from nsde_torch.learning.fitting import Fit, Progress
+from nsde_torch.learning.fit_sde import fit_sde
 from nsde_torch.learning.metrics import evaluate, horizons_of
 from nsde_torch.learning.options import LossOptions, TrainerOptions
-from nsde_torch.learning.prepare import error_scale, prepare, sensor_std
+from nsde_torch.learning.prepare import sensor_std
+from nsde_torch.learning.progress import Progress
 from nsde_torch.learning.report import coverage_table, error_table, parameter_table
-from nsde_torch.models.neural_sde import ModelSpec, NeuralSDE
+from nsde_torch.learning.task import Fitted, Task
+from nsde_torch.models.model import Model, ModelSpec
+from nsde_torch.models.neural_sde import NeuralSDE, SDESpec
 from nsde_torch.models.run_directory import METRICS, save
 
-_BLOCK_S = 4.0
+FITS: dict[type[ModelSpec], Callable[[Task], Fitted]] = {SDESpec: fit_sde}
 _LEFT_OUT = 3  # training runs that calibration leaves out in turn, at most
 _AUXILIARY_SHARE = 0.5  # of the gradient steps
 
@@ -80,6 +80,7 @@ class Training:
         self.folder, self.about, self.say, self.other_sensors = Path(run_dir), about, say, other_sensors
         self.compile = options.compile != "off"
         self.smoothing = smoothing_width(split.train, len(data.input_names))
+        self.filter_reach = spec.filter_reach if isinstance(spec, SDESpec) else 0
 
     def run(self) -> dict[str, Any]:
         """Train, calibrate, test and write.
@@ -95,9 +96,9 @@ class Training:
             raise DataError(
                 f"the test runs ({names}) are too short for a horizon of 0.1 s; hold out longer ones."
             )
-        model, fit, scale = self._fit(self.split.train, self.seed, "train", self.options)
+        fit = self._fit(self.split.train, self.seed, "train", self.options)
+        model, p = fit.model, fit.progress
         fitted = time.perf_counter()
-        p = fit.progress
         ended = "validation no longer fell" if p.stopped else "all steps done"
         self.say(
             f"fitted: {p.step} steps in {fitted - started:.0f} s ({ended}); kept step {p.best_step}, "
@@ -105,9 +106,10 @@ class Training:
             + (f"; then {p.polished} steps on all windows" if p.polished else "")
         )
         save(model, self.folder, about={"calibrated": False, **(self.about or {})})
-        calibration = self._calibrate(model, scale)
+        calibration = self._calibrate(model)
         metrics: dict[str, Any] = {
             "system": self.spec.system,
+            "model": self.spec.kind,
             "loss": self.loss.kind,
             "seed": self.seed,
             "steps": p.step,
@@ -118,18 +120,16 @@ class Training:
             "calibration": calibration,
             "clock_scale": float(model.clock_scale),
             "input_smoothing_s": self.smoothing,
-            "input_filter": {
-                "reach_steps": self.spec.filter_reach,
-                "reach_s": self.spec.filter_reach * self.spec.dt,
-            },
+            "input_filter": {"reach_steps": self.filter_reach, "reach_s": self.filter_reach * self.spec.dt},
             "train_runs": [run.name for run in self.split.train],
             "test_runs": [run.name for run in self.split.test],
             "data_fingerprint": self.data.fingerprint,
-            "parameters": declared_confidence(model, fit.train, scale),
+            "parameters": fit.parameters(),
             "loss_options": asdict(self.loss),
             "trainer_options": asdict(self.options),
+            **fit.facts,
         }
-        if model.spec.measurement:
+        if learns_sensors(model):
             std = model.measurement_std.tolist()
             metrics["sensor_std"] = dict(zip(model.system.state_names, std, strict=True))
         save(model, self.folder, about=self.about)
@@ -143,62 +143,30 @@ class Training:
 
     # ---- stages ---------------------------------------------------------------------------------------
 
-    def _fit(
-        self, runs: Sequence[Run], seed: int, name: str, options: TrainerOptions
-    ) -> tuple[NeuralSDE, Fit, Tensor]:
+    def _fit(self, runs: Sequence[Run], seed: int, name: str, options: TrainerOptions) -> Fitted:
         clock = of_runs(self.data.summary.slopes, [r.name for r in runs], measured=self.data.clock_scale)
-        model = NeuralSDE(self.spec, generator=torch.Generator().manual_seed(seed), values=self.values)
-        model = model.to(device=self.device, dtype=self.dtype)
-        windows = Windows(
-            runs,
-            self.spec.dt,
-            self.spec.horizon,
-            dtype=self.dtype,
-            device=self.device,
-            denoise=self.loss.kind == "default" and (self.spec.measurement or model.system.sensor_noise),
-        )
-        blocks = torch.Generator().manual_seed(seed)
-        train, held = windows.held_out(self.validation, _BLOCK_S, blocks)
-        prepare(model, runs, train, clock_scale=clock, start=True, given=self.values or ())
-        scale = error_scale(model, train)
-        fit = Fit(
-            model,
-            train,
-            held,
-            windows,
-            scale=scale,
+        task = Task(
+            spec=self.spec,
+            runs=runs,
+            seed=seed,
+            name=name,
             loss=self.loss,
             options=options,
-            seed=seed,
-            identity=self._identity(runs, seed, options, clock),
-        )
-        fit.run(
-            title=name,
+            validation=self.validation,
+            clock=clock,
+            values=self.values or {},
+            device=self.device,
+            dtype=self.dtype,
             checkpoint=self.folder / "checkpoints" / name.replace(" ", "_"),
             log=self._scalars(name),
         )
-        return model, fit, scale
+        return FITS[type(self.spec)](task)
 
-    def _identity(self, runs: Sequence[Run], seed: int, options: TrainerOptions, clock: float) -> str:
-        """What the numbers of a fit depend on, as a hash: a checkpoint of another fit is not continued."""
-        facts = {
-            "spec": self.spec.as_dict(),
-            "loss": asdict(self.loss),
-            "options": {
-                k: v for k, v in asdict(options).items() if k not in ("checkpoint_every", "calibrate")
-            },
-            "seed": seed,
-            "validation": self.validation,
-            "values": dict(self.values or {}),
-            "dtype": str(self.dtype),
-            "runs": [run.content_hash for run in runs],
-            "clock": clock,
-        }
-        return hashlib.sha256(json.dumps(facts, sort_keys=True, default=str).encode()).hexdigest()
-
-    def _calibrate(self, model: NeuralSDE, scale: Tensor) -> dict[str, Any]:
-        if not self.options.calibrate or self.loss.kind == "paper" or model.step.deterministic:
+    def _calibrate(self, model: Model) -> dict[str, Any]:
+        stochastic = isinstance(model, NeuralSDE) and not model.step.deterministic
+        if not self.options.calibrate or self.loss.kind == "paper" or not stochastic:
             return {"factor": 1.0}
+        assert isinstance(model, NeuralSDE)
         runs = self.split.train
         fitted = Coverage(model, runs, seed=self.seed, compile=self.compile).log_factor()
         new = []
@@ -210,7 +178,8 @@ class Training:
             others = [run for i, run in enumerate(runs) if i != k]
             name = f"calibrate {turn + 1} of {count}"
             try:
-                auxiliary, _, _ = self._fit(others, self.seed + 1000 + turn, name, short)
+                auxiliary = self._fit(others, self.seed + 1000 + turn, name, short).model
+                assert isinstance(auxiliary, NeuralSDE)
                 coverage = Coverage(auxiliary, [runs[k]], seed=self.seed, compile=self.compile)
             except (DataError, NonFiniteError) as error:
                 self.say(f"calibration without {runs[k].name!r} left out: {error}")
@@ -226,9 +195,9 @@ class Training:
         )
         return {"factor": factor, "fitted": math.exp(fitted), "left_out": [math.exp(f) for f in new]}
 
-    def _test(self, model: NeuralSDE) -> dict[str, Any]:
+    def _test(self, model: Model) -> dict[str, Any]:
         std = None
-        if self.other_sensors and model.spec.measurement:
+        if self.other_sensors and learns_sensors(model):
             ratio = sensor_std(self.split.test) / sensor_std(self.split.train).clamp_min(1e-12)
             std = model.measurement_std * ratio.to(model.measurement_std)
         result = evaluate(model, self.split.test, seed=self.seed, compile=self.compile, measurement_std=std)
@@ -240,7 +209,7 @@ class Training:
             result["sensor_std"] = dict(zip(model.system.state_names, std.tolist(), strict=True))
         return result
 
-    def _write(self, model: NeuralSDE, metrics: dict[str, Any], progress: Progress) -> None:
+    def _write(self, model: Model, metrics: dict[str, Any], progress: Progress) -> None:
         from nsde_torch.learning.figures import write_figures
 
         figures = write_figures(
@@ -272,8 +241,8 @@ class Training:
             parts.append(
                 f"inputs were smoothed by a centred {self.smoothing:.2g} s average, so they see {ahead:.2g} s ahead"
             )
-        if self.spec.filter_reach:
-            ahead += self.spec.filter_reach * self.spec.dt
+        if self.filter_reach:
+            ahead += self.filter_reach * self.spec.dt
             parts.append(f"the filter that restores them draws on commands up to {ahead:.2g} s ahead")
         return "; ".join(parts)
 
@@ -314,6 +283,11 @@ class Training:
             writer[0].flush()
 
         return log
+
+
+def learns_sensors(model: Model) -> TypeGuard[NeuralSDE]:
+    """Whether the model has a sensor noise of its own."""
+    return isinstance(model, NeuralSDE) and model.spec.measurement
 
 
 def _names(runs: Sequence[str]) -> str:

@@ -1,5 +1,7 @@
 """Models that predict trajectories with intervals."""
 
-from nsde_torch.models.neural_sde import ModelSpec, NeuralSDE
+from nsde_torch.models.model import Model, ModelSpec
+from nsde_torch.models.neural_sde import NeuralSDE, SDESpec
+from nsde_torch.models.registry import SPECS, make_model, make_spec
 
-__all__ = ["ModelSpec", "NeuralSDE"]
+__all__ = ["SPECS", "Model", "ModelSpec", "NeuralSDE", "SDESpec", "make_model", "make_spec"]

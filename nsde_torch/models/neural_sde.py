@@ -13,8 +13,8 @@ carried as further states, driven by the same distance-aware diffusion and start
     dd = -d / tau c dt + sigma_max_d * h_d(eta(y)) * dW,    force of the port = effects + residual + d
 """
 
-from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from collections.abc import Mapping
+from dataclasses import KW_ONLY, dataclass, field
 from typing import Any
 
 import torch
@@ -22,27 +22,25 @@ from torch import Tensor, nn
 
 from nsde_torch.columns import join_columns, split_columns
 from nsde_torch.effects import Port
-from nsde_torch.errors import ConfigError, NonFiniteError, ShapeError
+from nsde_torch.errors import ConfigError, ShapeError
+from nsde_torch.models.black_box import BlackBoxDrift
 from nsde_torch.models.diffusion import Diffusion
 from nsde_torch.models.distance import Distance
 from nsde_torch.models.input_filter import InputFilter
+from nsde_torch.models.model import Model, ModelSpec, normal
 from nsde_torch.models.networks import MLP, Standardise, tanh
 from nsde_torch.sde import Calculus, brownian, make_step, rollout
-from nsde_torch.systems import System, make_system
 
 
 @dataclass(frozen=True)
-class ModelSpec:
-    """Everything that is needed to build the same model again; saved beside the weights.
+class SDESpec(ModelSpec):
+    """A neural SDE.
 
     Args:
-        system: Name of the system.
-        effects: Effects beyond the declared ones.
-        declared: Declared effects, None for the system's own.
-        system_options: Further arguments of the system's class.
-        dt: Step that it was trained with [s].
-        horizon: Training window [steps].
         step: Name of the integrator.
+        solver: Further arguments of the integrator.
+        physics: Whether the declared physics are part of the drift; else a network of state and input is all of it.
+        drift_hidden: Widths of that network.
         distance_hidden, mu_hidden, residual_hidden: Widths of the networks.
         sigma_max: Fixed largest diffusion, one per state; None learns it.
         filter_reach: Taps on each side of the input filter; 0 for none.
@@ -51,13 +49,13 @@ class ModelSpec:
         loss: Kind of loss, for the record.
     """
 
-    system: str
-    dt: float
-    horizon: int
+    kinds = ("nsde", "node", "blackbox_nsde")
+
+    _: KW_ONLY
     step: str
-    effects: tuple[str, ...] = ()
-    declared: tuple[str, ...] | None = None
-    system_options: Mapping[str, Any] = field(default_factory=dict)
+    solver: Mapping[str, Any] = field(default_factory=dict)
+    physics: bool = True
+    drift_hidden: tuple[int, ...] = (64, 64)
     distance_hidden: tuple[int, ...] = (32, 32)
     mu_hidden: tuple[int, ...] = (8, 8)
     residual_hidden: tuple[int, ...] = (8, 16)
@@ -67,29 +65,8 @@ class ModelSpec:
     disturbance: bool = False
     loss: str = "default"
 
-    def as_dict(self) -> dict[str, Any]:
-        """Plain containers, for YAML."""
-        return {k: list(v) if isinstance(v, tuple) else v for k, v in asdict(self).items()}
 
-    @classmethod
-    def from_dict(cls, values: Mapping[str, Any]) -> "ModelSpec":
-        """Inverse of `as_dict`; an unknown key is refused."""
-        unknown = set(values) - set(cls.__dataclass_fields__)
-        if unknown:
-            raise ConfigError(
-                f"model specification has unknown keys {sorted(map(str, unknown))}; another version wrote it."
-            )
-        dt, horizon = values.get("dt"), values.get("horizon")
-        if not (isinstance(dt, int | float) and dt > 0 and isinstance(horizon, int) and horizon > 0):
-            raise ConfigError(
-                "model specification must hold `dt` [s] and `horizon` [steps] above 0; "
-                f"got {dt!r} and {horizon!r}."
-            )
-        plain: dict[str, Any] = {k: tuple(v) if isinstance(v, list) else v for k, v in values.items()}
-        return cls(**plain)
-
-
-class NeuralSDE(nn.Module):
+class NeuralSDE(Model):
     """Neural SDE of a system.
 
     Args:
@@ -98,33 +75,33 @@ class NeuralSDE(nn.Module):
         values: Initial values of declared parameters.
 
     Example:
-        >>> spec = ModelSpec("hexacopter", dt=0.05, horizon=20, step="milstein")
+        >>> spec = SDESpec("hexacopter", dt=0.05, horizon=20, step="milstein")
         >>> model = NeuralSDE(spec, generator=torch.Generator().manual_seed(0))
     """
 
     def __init__(
         self,
-        spec: ModelSpec,
+        spec: SDESpec,
         *,
         generator: torch.Generator,
         values: Mapping[str, float | list[float]] | None = None,
     ) -> None:
         super().__init__()
-        self.spec = spec
-        self.step = make_step(spec.step)
-        self.system: System = make_system(
-            spec.system,
-            effects=spec.effects,
-            declared=spec.declared,
-            values=values,
-            **spec.system_options,
-        )
+        if spec.effects and not spec.physics:
+            raise ConfigError(
+                f"a model without physics takes no effects; got {list(spec.effects)}. Leave system.effects out."
+            )
+        self.spec: SDESpec = spec
+        self.step = make_step(spec.step, **spec.solver)
+        self.system = spec.make_system(values)
         s = self.system
         probe = torch.zeros(1, s.nx)
         if s.quaternion is not None:
             probe[:, s.quaternion.start] = 1.0
         n_features, n_residual = s.features(probe).shape[1], s.residual_features(probe).shape[1]
         self.residual_inputs = Standardise(n_residual)
+        self.black_box = None if spec.physics else BlackBoxDrift(s, spec.drift_hidden, generator=generator)
+        s.requires_grad_(spec.physics)
         self.residuals = nn.ModuleDict(
             {
                 port.value: MLP(
@@ -135,7 +112,7 @@ class NeuralSDE(nn.Module):
                     generator=generator,
                     last_gain=0.1,
                 )
-                for port, kind in s.residual_ports.items()
+                for port, kind in (s.residual_ports if spec.physics else {}).items()
             }
         )
         self._residual_scale = {port.value: kind.scale for port, kind in s.residual_ports.items()}
@@ -143,7 +120,7 @@ class NeuralSDE(nn.Module):
         fixed = spec.sigma_max
         if fixed is not None and len(fixed) != s.nx:
             raise ConfigError(f"`sigma_max` must have one value per state ({s.nx}); got {len(fixed)}.")
-        ports = s.disturbed_ports if spec.disturbance else ()
+        ports = s.disturbed_ports if spec.disturbance and spec.physics else ()
         self._disturbed: dict[Port, int] = {port: s.ports[port] for port in ports}
         self.nd = sum(self._disturbed.values())
         start = [torch.full((s.nx,), 0.1) if fixed is None else torch.tensor(fixed)]
@@ -194,6 +171,8 @@ class NeuralSDE(nn.Module):
         if z.shape[1] < self.nz:
             return self.drift(t, self.augment(z, u), u)[:, : s.nx]
         own, d = split_columns(z, s.nz, self.nd)
+        if self.black_box is not None:
+            return self.clock_scale * self.black_box(own, u)
         forces = self.residual(split_columns(own, s.nx, s.nz - s.nx)[0])
         for port, part in zip(self._disturbed, split_columns(d, *self._disturbed.values()), strict=True):
             forces[port] = forces[port] + part if port in forces else part
@@ -222,10 +201,6 @@ class NeuralSDE(nn.Module):
 
     def _sigma(self, x: Tensor) -> Tensor:
         return self.h(self.eta(self.system.features(x), frozen=self.freeze_distance))
-
-    def project(self, z: Tensor) -> Tensor:
-        """The nearest valid state."""
-        return self.system.project(z)
 
     def distance(self, x: Tensor) -> Tensor:
         """Distance eta in [0, 1] of states (..., nx) from the training data, (...)."""
@@ -307,17 +282,17 @@ class NeuralSDE(nn.Module):
         """State (N, nx) with stationary memory under the inputs `u` (N, nu) and no disturbance: (N, nz)."""
         return self._augment(x, u, None)
 
-    def _augment(self, x: Tensor, u: Tensor, normal: Tensor | None) -> Tensor:
+    def _augment(self, x: Tensor, u: Tensor, draw: Tensor | None) -> Tensor:
         """State, memory and disturbance (N, nz); the disturbance is drawn from its stationary law."""
         z = self.system.augment(x, u)
         if not self.nd:
             return z
-        if normal is None:
+        if draw is None:
             return join_columns((z, z.new_zeros(len(z), self.nd)))
         spread = split_columns(self._sigma(x), self.system.nx, self.nd)[1] * torch.sqrt(
             0.5 * self.tau / self.clock_scale
         )
-        return join_columns((z, spread * normal))
+        return join_columns((z, spread * draw))
 
     def sample(
         self,
@@ -333,34 +308,8 @@ class NeuralSDE(nn.Module):
         compile: bool = False,
         t0: float | Tensor = 0.0,
     ) -> Tensor:
-        """Sample predicted trajectories.
-
-        Args:
-            x0: Measured first states (B, nx).
-            u: Inputs (B, T, nu); u[:, k] holds from k dt to (k + 1) dt.
-            dt: Step [s] on the clock of the training data.
-            particles: Paths per row.
-            generator: Source of all randomness.
-            measurement: Whether to predict measurements: add the learned sensor noise to the start and to
-                every later state. False starts exactly at x0 and predicts the state itself.
-            measurement_std: Standard deviation of other sensors than those of the training data (nx,).
-            applied: True if `u` is what acted on the machine; False if it is as logged in the training data,
-                in which case a smoothed log is restored first.
-            compile: Compile the step; pays for many or repeated rows.
-            t0: Time of the first state [s], one number or (B,).
-
-        Returns:
-            States (particles, B, T + 1, nx); the first is x0, projected (a quaternion is normalised).
-
-        Raises:
-            ShapeError: wrong axes or columns.
-            NonFiniteError: x0 or u is not finite, or a path leaves the finite numbers.
-        """
-        x0, u = self._check(x0, u)
-        if not isinstance(generator, torch.Generator):
-            raise ConfigError(f"`generator` must be a torch.Generator; got {generator!r}.")
-        if isinstance(particles, bool) or not isinstance(particles, int) or particles < 1:
-            raise ConfigError(f"`particles` must be a whole number of at least 1; got {particles!r}.")
+        """See `Model.sample`."""
+        x0, u = self.checked(x0, u, particles, generator)
         if measurement_std is not None and (
             measurement_std.shape != (self.system.nx,) or not bool((measurement_std >= 0).all())
         ):
@@ -376,12 +325,12 @@ class NeuralSDE(nn.Module):
             )
         std = self.measurement_std if measurement_std is None else measurement_std.to(x0)
         std = std if measurement else torch.zeros_like(std)
-        start = _normal((*shape[:2], self.n_start), generator, x0) if self.n_start else None
+        start = normal((*shape[:2], self.n_start), generator, x0) if self.n_start else None
         path = self.paths(x0, logged, dt=dt, noise=noise, start=start, std=std, compile=compile, t0=t0)
         path = path.expand(particles, *path.shape[1:])
         if not bool((std > 0).any()):
             return path
-        later = path[:, :, 1:] + _normal((*shape, self.system.nx), generator, x0) * std
+        later = path[:, :, 1:] + normal((*shape, self.system.nx), generator, x0) * std
         later = self.project(later.flatten(0, 2)).view(later.shape)
         return torch.cat((x0.expand(particles, *x0.shape)[:, :, None], later), 2)
 
@@ -394,41 +343,3 @@ class NeuralSDE(nn.Module):
     def applied_inputs(self, u: Tensor, dt: float) -> Tensor:
         """Inputs that acted on the machine (B, T, nu), from those logged."""
         return u if self.filter is None else self._restore(u, dt)
-
-    def _check(self, x0: Tensor, u: Tensor) -> tuple[Tensor, Tensor]:
-        s = self.system
-        width = s.nu + len(s.exogenous)
-        for name, given in (("x0", x0), ("u", u)):
-            if not isinstance(given, Tensor) or given.is_complex():
-                raise ShapeError(
-                    f"`{name}` must be a real torch.Tensor; got {type(given).__name__}. Use torch.as_tensor."
-                )
-        if x0.ndim != 2 or x0.shape[1] != s.nx:
-            raise ShapeError(f"`x0` must be (batch, nx={s.nx}); got {tuple(x0.shape)}.")
-        if u.ndim != 3 or u.shape[2] != width:
-            hint = " Add a horizon axis." if u.ndim == 2 else ""
-            raise ShapeError(f"`u` must be (batch, horizon, nu={width}); got {tuple(u.shape)}.{hint}")
-        if u.shape[0] != x0.shape[0]:
-            raise ShapeError(f"`x0` has {x0.shape[0]} rows and `u` has {u.shape[0]}; they must agree.")
-        if u.shape[1] == 0:
-            raise ShapeError("`u` must hold at least one step; got a horizon of 0.")
-        for name, tensor in (("x0", x0), ("u", u)):
-            bad = ~torch.isfinite(tensor).flatten(1).all(1)
-            if bool(bad.any()):
-                rows = bad.nonzero()[:5, 0].tolist()
-                raise NonFiniteError(f"`{name}` is not finite in rows {rows}. Drop or repair these rows.")
-        if s.quaternion is not None:
-            norm = x0[:, s.quaternion].norm(dim=1)
-            far = (norm - 1).abs() > 0.05
-            if bool(far.any()):
-                rows = far.nonzero()[:5, 0].tolist()
-                raise ShapeError(
-                    f"`x0` must hold unit quaternions (w, x, y, z) in columns {s.quaternion.start} to "
-                    f"{s.quaternion.stop - 1}; rows {rows} have norm {float(norm[far][0]):.3g}. Normalise them."
-                )
-        weights = self.h.offset
-        return self.project(x0.to(weights)), u.to(weights)
-
-
-def _normal(shape: Sequence[int], generator: torch.Generator, like: Tensor) -> Tensor:
-    return torch.randn(*shape, generator=generator, device=generator.device, dtype=like.dtype).to(like.device)

@@ -11,14 +11,15 @@ from safetensors import SafetensorError, safe_open
 from safetensors.torch import load_file, save_file
 
 from nsde_torch.errors import CheckpointError, ConfigError, NsdeError
-from nsde_torch.models.neural_sde import ModelSpec, NeuralSDE
+from nsde_torch.models.model import Model
+from nsde_torch.models.registry import make_model, make_spec
 
 CONFIG, WEIGHTS, METRICS = "config.yaml", "model.safetensors", "metrics.json"
 _FORMAT = "nsde_torch/1"
 _DAMAGE = (yaml.YAMLError, SafetensorError, OSError, LookupError, TypeError, ValueError, RecursionError)
 
 
-def save(model: NeuralSDE, run_dir: str | Path, *, about: Mapping[str, Any] | None = None) -> None:
+def save(model: Model, run_dir: str | Path, *, about: Mapping[str, Any] | None = None) -> None:
     """Write a model.
 
     Args:
@@ -36,7 +37,7 @@ def save(model: NeuralSDE, run_dir: str | Path, *, about: Mapping[str, Any] | No
     os.replace(temporary, folder / WEIGHTS)
 
 
-def load(run_dir: str | Path, *, device: str | torch.device = "cpu") -> NeuralSDE:
+def load(run_dir: str | Path, *, device: str | torch.device = "cpu") -> Model:
     """Load the model of a run directory.
 
     Args:
@@ -71,7 +72,7 @@ def load(run_dir: str | Path, *, device: str | torch.device = "cpu") -> NeuralSD
             )
         if not isinstance(config["spec"], dict):
             raise CheckpointError(f"{folder / CONFIG} holds no specification of a model. Train again.")
-        spec = ModelSpec.from_dict(config["spec"])
+        spec = make_spec(config["spec"])
         tensors = load_file(str(folder / WEIGHTS))
         with safe_open(str(folder / WEIGHTS), framework="pt") as opened:
             if (opened.metadata() or {}).get("format") != _FORMAT:
@@ -81,7 +82,7 @@ def load(run_dir: str | Path, *, device: str | torch.device = "cpu") -> NeuralSD
     except _DAMAGE as error:
         raise CheckpointError(f"run directory {folder} is damaged ({error}). Train again.") from error
     try:
-        model = NeuralSDE(spec, generator=torch.Generator().manual_seed(0))
+        model = make_model(spec, generator=torch.Generator().manual_seed(0))
     except (NsdeError, TypeError, ValueError, RuntimeError, AttributeError) as error:
         raise CheckpointError(f"{folder / CONFIG} describes no model that can be built: {error}") from error
     wanted = {k: tuple(v.shape) for k, v in model.state_dict().items()}

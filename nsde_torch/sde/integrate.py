@@ -75,6 +75,7 @@ def rollout(
             increments = noise.permute(2, 0, 1, 3).reshape(horizon, rows, nz).unbind(0)
         times: Sequence[Time] = [start + k * dt for k in range(horizon)]
         advance = eager(step)
+        compile = compile and step.compilable
         if compile:
             # Numbers would be compiled in as constants, and every time and dt would make code of its own; a
             # first state without gradient would make its code differ from that of all other steps.

@@ -1,5 +1,7 @@
 """The steps by name."""
 
+from typing import Any
+
 from nsde_torch.errors import ConfigError
 from nsde_torch.sde.deterministic import Midpoint, RungeKutta4
 from nsde_torch.sde.euler_maruyama import EulerMaruyama
@@ -11,6 +13,7 @@ from nsde_torch.sde.milstein import (
     MilsteinStratonovichFree,
 )
 from nsde_torch.sde.step import Step
+from nsde_torch.sde.torchdiffeq_step import TorchDiffEq
 
 _CLASSES: tuple[type[Step], ...] = (
     EulerMaruyama,
@@ -21,15 +24,17 @@ _CLASSES: tuple[type[Step], ...] = (
     MilsteinStratonovich,
     RungeKutta4,
     Midpoint,
+    TorchDiffEq,
 )
 STEPS: dict[str, type[Step]] = {cls.name: cls for cls in _CLASSES}
 
 
-def make_step(name: str) -> Step:
+def make_step(name: str, **options: Any) -> Step:
     """The step of that name.
 
     Args:
         name: A key of `STEPS`.
+        options: Arguments of the step's class; those of torchdiffeq have tolerances.
 
     Returns:
         A new step.
@@ -43,4 +48,7 @@ def make_step(name: str) -> Step:
     """
     if name not in STEPS:
         raise ConfigError(f"`solver.name` must be one of {', '.join(STEPS)}; got {name!r}.")
-    return STEPS[name]()
+    try:
+        return STEPS[name](**options)
+    except TypeError:
+        raise ConfigError(f"solver {name!r} does not take {', '.join(f'`{o}`' for o in options)}.") from None

@@ -14,7 +14,7 @@ from nsde_torch.sde.protocol import CALCULI, SDE, Time
 
 
 class Step(ABC):
-    """A one-step method. Subclasses are final, hold no state, and state calculus, order and its condition.
+    """A one-step method. Subclasses are final, hold nothing but settings, and state calculus, order and its condition.
 
     Attributes:
         name: Key in `STEPS`.
@@ -24,6 +24,7 @@ class Step(ABC):
             deterministic).
         condition: What `strong_order` rests on, in words. It is assumed and not checked.
         summary: One line for tables and help texts.
+        compilable: False if the method must run eagerly.
         deterministic: True if the method reads no noise, that is, solves the equation with g = 0.
     """
 
@@ -33,6 +34,7 @@ class Step(ABC):
     condition: ClassVar[str]
     summary: ClassVar[str]
     deterministic: ClassVar[bool] = False
+    compilable: ClassVar[bool] = True
 
     @abstractmethod
     def advance(self, sde: SDE, t: Time, z: Tensor, u: Tensor, dt: Time, dw: Tensor | None) -> Tensor:

@@ -1,4 +1,4 @@
-"""Small systems with closed forms, and runs of them; `ModelSpec.system` names them by module and class."""
+"""Small systems with closed forms, and runs of them; `SDESpec.system` names them by module and class."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from torch import Tensor
 
 from nsde_torch.data import Run
 from nsde_torch.effects import Parameter, Port
-from nsde_torch.models import ModelSpec, NeuralSDE
+from nsde_torch.models import NeuralSDE, SDESpec
 from nsde_torch.systems import Defaults, ErrorGroup, ResidualPort, System
 
 DT = 0.05
@@ -59,7 +59,7 @@ def make_model(
     own = cls.defaults
     options: dict[str, Any] = {"dt": own.dt, "horizon": own.horizon, "step": own.step, **spec}
     made = NeuralSDE(
-        ModelSpec(f"{cls.__module__}:{cls.__name__}", **options),
+        SDESpec(f"{cls.__module__}:{cls.__name__}", **options),
         generator=torch.Generator().manual_seed(seed),
     )
     return made.to(dtype)

@@ -11,7 +11,7 @@ from torch import Tensor
 
 from nsde_torch.data import Run, Windows
 from nsde_torch.learning.confidence import _quantile, declared_confidence
-from nsde_torch.models import ModelSpec, NeuralSDE
+from nsde_torch.models import NeuralSDE, SDESpec
 
 DT, STIFFNESS, DAMPING = 0.05, 4.0, 0.5
 NAMES = ("linear_spring.stiffness", "viscous_friction.damping")
@@ -38,7 +38,7 @@ def spring_run(seed: int, seconds: float = 60.0, push: float = 0.0) -> Run:
 
 
 def make() -> NeuralSDE:
-    spec = ModelSpec("mass_spring_damper", dt=DT, horizon=10, step="euler_maruyama")
+    spec = SDESpec("mass_spring_damper", dt=DT, horizon=10, step="euler_maruyama")
     model = NeuralSDE(
         spec, generator=torch.Generator().manual_seed(0), values={NAMES[0]: STIFFNESS, NAMES[1]: DAMPING}
     )

@@ -23,7 +23,7 @@ from nsde_torch.learning.metrics import (
     interval_quantiles,
     mean_state,
 )
-from nsde_torch.models import ModelSpec, NeuralSDE
+from nsde_torch.models import NeuralSDE, SDESpec
 from nsde_torch.models.run_directory import save
 from nsde_torch.systems import make_system
 from tests.helpers.flights import flight
@@ -112,7 +112,7 @@ def test_baselines_hold_the_state_or_its_velocity() -> None:
 def test_baseline_errors_of_a_sine_are_the_closed_forms() -> None:
     t = 0.01 * np.arange(6284)
     run = Run("sine", t, np.stack((np.sin(t), np.cos(t)), 1), np.zeros((len(t), 1)))
-    spec = ModelSpec("mass_spring_damper", dt=0.01, horizon=10, step="euler_maruyama")
+    spec = SDESpec("mass_spring_damper", dt=0.01, horizon=10, step="euler_maruyama")
     model = NeuralSDE(spec, generator=generator()).requires_grad_(False)
     scores = evaluate(model, [run], seed=0, particles=2)["errors"]
     for h in (0.1, 0.5, 2.0):
@@ -210,7 +210,7 @@ def test_scores_agree_with_an_independent_evaluation(
         x[1500:, :3] += 1.0  # a time gap shows as a jump of the position
         segments = ((0, 1500), (1500, len(t)))
     run = Run("flight", t, x, u, segments)
-    spec = ModelSpec(
+    spec = SDESpec(
         "hexacopter", dt=0.05, horizon=20, step="milstein", measurement=full, disturbance=full, filter_reach=4
     )
     model = NeuralSDE(spec, generator=generator()).requires_grad_(False)

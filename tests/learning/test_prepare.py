@@ -8,7 +8,7 @@ import torch
 
 from nsde_torch.data import Run, Windows
 from nsde_torch.learning.prepare import error_scale, prepare, sensor_std
-from nsde_torch.models import ModelSpec, NeuralSDE
+from nsde_torch.models import NeuralSDE, SDESpec
 from nsde_torch.plants import simulated
 from tests.helpers.toy_systems import DT, Decay, decay_runs, make_model
 
@@ -71,7 +71,7 @@ def test_sensor_noise_does_not_look_across_a_gap() -> None:
 
 
 def test_first_sensor_noise_of_a_model_is_that_of_the_data() -> None:
-    spec = ModelSpec("mass_spring_damper", dt=0.01, horizon=10, step="euler_maruyama", measurement=True)
+    spec = SDESpec("mass_spring_damper", dt=0.01, horizon=10, step="euler_maruyama", measurement=True)
     model = NeuralSDE(spec, generator=torch.Generator().manual_seed(0))
     t = 0.01 * np.arange(4000)
     x = np.stack((np.sin(t), np.cos(t)), 1) + 0.01 * np.random.default_rng(0).standard_normal((4000, 2))
@@ -83,7 +83,7 @@ def test_first_sensor_noise_of_a_model_is_that_of_the_data() -> None:
 def test_error_scale_is_a_share_of_the_error_of_holding_one_per_group() -> None:
     t = 0.01 * np.arange(6284)
     runs = [Run("sine", t, np.stack((np.sin(t), 5 * np.cos(t)), 1), np.zeros((len(t), 1)))]
-    spec = ModelSpec("mass_spring_damper", dt=0.01, horizon=50, step="euler_maruyama")
+    spec = SDESpec("mass_spring_damper", dt=0.01, horizon=50, step="euler_maruyama")
     scale = error_scale(NeuralSDE(spec, generator=torch.Generator().manual_seed(0)), Windows(runs, 0.01, 50))
     h = 0.01 * np.arange(1, 51)
     held = np.sqrt(np.mean((2 * np.sin(h / 2)) ** 2) / 2)
@@ -93,7 +93,7 @@ def test_error_scale_is_a_share_of_the_error_of_holding_one_per_group() -> None:
 @pytest.mark.parametrize("system", ["hexacopter"])
 def test_first_parameters_of_a_multirotor_come_near_those_of_the_plant(system: str) -> None:
     data = simulated(system, durations=[10.0], process_noise=0.1, sensor_noise=0.1)
-    spec = ModelSpec(system, dt=0.05, horizon=20, step="milstein")
+    spec = SDESpec(system, dt=0.05, horizon=20, step="milstein")
     first = NeuralSDE(spec, generator=torch.Generator().manual_seed(0))
     defaults = {k: v.clone() for k, (v, _) in first.system.all_declared().items()}
     model = NeuralSDE(spec, generator=torch.Generator().manual_seed(0))
@@ -109,7 +109,7 @@ def test_first_parameters_of_a_multirotor_come_near_those_of_the_plant(system: s
 
 def test_without_start_declared_parameters_keep_the_users_values() -> None:
     data = simulated("hexacopter", durations=[10.0], process_noise=0.1, sensor_noise=0.1)
-    spec = ModelSpec("hexacopter", dt=0.05, horizon=20, step="milstein")
+    spec = SDESpec("hexacopter", dt=0.05, horizon=20, step="milstein")
     model = NeuralSDE(spec, generator=torch.Generator().manual_seed(0), values={"roll_gain": 33.0})
     runs = list(data.runs)
     prepare(model, runs, Windows(runs, 0.05, 20), clock_scale=1.0, start=False)

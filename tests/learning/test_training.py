@@ -11,7 +11,7 @@ import pytest
 from nsde_torch.data import RawRun, assemble, split
 from nsde_torch.errors import DataError
 from nsde_torch.learning import LossOptions, TrainerOptions, train
-from nsde_torch.models import ModelSpec
+from nsde_torch.models import SDESpec
 from nsde_torch.systems import make_system
 
 OPTIONS = TrainerOptions(steps=2, batch=8, polish=1, compile="off")
@@ -31,7 +31,7 @@ def run(
     data = assemble(raw, make_system("mass_spring_damper"), kind="csv")
     said: list[str] = []
     metrics = train(
-        ModelSpec("mass_spring_damper", dt=0.02, horizon=horizon, step="euler_maruyama"),
+        SDESpec("mass_spring_damper", dt=0.02, horizon=horizon, step="euler_maruyama"),
         data,
         split(data, test),
         loss=LossOptions(points=8),

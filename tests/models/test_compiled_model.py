@@ -6,10 +6,10 @@ import pytest
 import torch
 from torch import Tensor
 
-from nsde_torch.models import ModelSpec, NeuralSDE
+from nsde_torch.models import NeuralSDE, SDESpec
 from nsde_torch.sde import brownian
 
-SPEC = ModelSpec(
+SPEC = SDESpec(
     "hexacopter",
     dt=0.05,
     horizon=5,
@@ -21,7 +21,7 @@ SPEC = ModelSpec(
 
 
 def model(seed: int, kind: str) -> NeuralSDE:
-    spec = ModelSpec.from_dict({**SPEC.as_dict(), "loss": kind})
+    spec = SDESpec.from_dict({**SPEC.as_dict(), "loss": kind})
     return NeuralSDE(spec, generator=torch.Generator().manual_seed(seed))
 
 

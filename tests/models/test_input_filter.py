@@ -6,7 +6,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from nsde_torch.models import ModelSpec, NeuralSDE
+from nsde_torch.models import NeuralSDE, SDESpec
 from nsde_torch.models.input_filter import InputFilter
 
 
@@ -85,7 +85,7 @@ def test_weights_exist_that_undo_a_moving_average() -> None:
 
 
 def test_sampling_restores_logged_inputs_and_leaves_applied_ones() -> None:
-    spec = ModelSpec("hexacopter", dt=0.05, horizon=10, step="euler_maruyama", filter_reach=2)
+    spec = SDESpec("hexacopter", dt=0.05, horizon=10, step="euler_maruyama", filter_reach=2)
     model = NeuralSDE(spec, generator=torch.Generator().manual_seed(0)).requires_grad_(False)
     assert model.filter is not None
     model.filter.weights.normal_(generator=torch.Generator().manual_seed(1))

@@ -11,7 +11,7 @@ from torch import Tensor
 
 from nsde_torch.effects import Port
 from nsde_torch.errors import ConfigError, NonFiniteError, NsdeError, ShapeError
-from nsde_torch.models import ModelSpec, NeuralSDE
+from nsde_torch.models import NeuralSDE, SDESpec
 from nsde_torch.sde import brownian
 from nsde_torch.sde.derivative import diffusion_and_slope
 from tests.helpers.toy_systems import DT, Decay, Gusty, fix_sigma, make_model
@@ -27,7 +27,7 @@ def make(
     system: str, *, step: str = "euler_maruyama", dtype: torch.dtype = torch.float32, **spec: Any
 ) -> NeuralSDE:
     options: dict[str, Any] = {"dt": 0.05, "horizon": 10, **spec}
-    made = NeuralSDE(ModelSpec(system, step=step, **options), generator=generator())
+    made = NeuralSDE(SDESpec(system, step=step, **options), generator=generator())
     return made.to(dtype).requires_grad_(False)
 
 
@@ -323,7 +323,7 @@ def test_sigma_max_of_another_length_is_refused() -> None:
 
 def test_fixed_sigma_max_is_kept_and_not_learned() -> None:
     model = NeuralSDE(
-        ModelSpec("mass_spring_damper", dt=0.01, horizon=5, step="euler_maruyama", sigma_max=(0.001, 0.02)),
+        SDESpec("mass_spring_damper", dt=0.01, horizon=5, step="euler_maruyama", sigma_max=(0.001, 0.02)),
         generator=generator(),
     )
     torch.testing.assert_close(model.h.log_sigma_max.exp().detach(), torch.tensor([0.001, 0.02]))
@@ -331,12 +331,12 @@ def test_fixed_sigma_max_is_kept_and_not_learned() -> None:
 
 
 def test_specification_survives_plain_containers_and_refuses_unknown_keys() -> None:
-    spec = ModelSpec(
+    spec = SDESpec(
         "hexacopter", dt=0.05, horizon=20, step="milstein", effects=("linear_drag",), filter_reach=8
     )
-    assert ModelSpec.from_dict(spec.as_dict()) == spec
+    assert SDESpec.from_dict(spec.as_dict()) == spec
     with pytest.raises(ConfigError, match="colour"):
-        ModelSpec.from_dict({**spec.as_dict(), "colour": 1})
+        SDESpec.from_dict({**spec.as_dict(), "colour": 1})
 
 
 @pytest.mark.parametrize("step", ["rk4", "midpoint"])

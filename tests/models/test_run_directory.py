@@ -15,13 +15,13 @@ from safetensors.torch import load_file, save_file
 
 import nsde_torch
 from nsde_torch.errors import CheckpointError
-from nsde_torch.models import ModelSpec, NeuralSDE
+from nsde_torch.models import NeuralSDE, SDESpec
 from nsde_torch.models.run_directory import CONFIG, WEIGHTS, save
 
 
 def make(dtype: torch.dtype = torch.float32, **spec: Any) -> NeuralSDE:
     options: dict[str, Any] = {"system": "hexacopter", "dt": 0.05, "horizon": 20, "step": "milstein", **spec}
-    model = NeuralSDE(ModelSpec(**options), generator=torch.Generator().manual_seed(0)).to(dtype)
+    model = NeuralSDE(SDESpec(**options), generator=torch.Generator().manual_seed(0)).to(dtype)
     with torch.no_grad():
         for k, p in enumerate(model.parameters()):
             p.add_(0.01 * torch.randn(p.shape, generator=torch.Generator().manual_seed(k), dtype=dtype))

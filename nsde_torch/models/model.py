@@ -1,0 +1,180 @@
+"""What every kind of model is: a specification, a system, and `sample`."""
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping
+from dataclasses import KW_ONLY, asdict, dataclass, field
+from typing import Any, ClassVar, Self
+
+import torch
+from torch import Tensor, nn
+
+from nsde_torch.errors import ConfigError, NonFiniteError, ShapeError
+from nsde_torch.systems import System, make_system
+
+
+@dataclass(frozen=True)
+class ModelSpec:
+    """Everything that is needed to build the same model again; saved beside the weights.
+
+    Args:
+        system: Name of the system.
+        dt: Step that it was trained with [s].
+        horizon: Training window [steps].
+        effects: Effects beyond the declared ones.
+        declared: Declared effects, None for the system's own.
+        system_options: Further arguments of the system's class.
+    """
+
+    kinds: ClassVar[tuple[str, ...]] = ()
+
+    system: str
+    _: KW_ONLY
+    kind: str = ""
+    dt: float
+    horizon: int
+    effects: tuple[str, ...] = ()
+    declared: tuple[str, ...] | None = None
+    system_options: Mapping[str, Any] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        if not self.kind:
+            object.__setattr__(self, "kind", self.kinds[0])
+        if self.kind not in self.kinds:
+            raise ConfigError(
+                f"{type(self).__name__} is of kind {' or '.join(self.kinds)}; got {self.kind!r}."
+            )
+
+    def as_dict(self) -> dict[str, Any]:
+        """Plain containers, for YAML."""
+        return {k: list(v) if isinstance(v, tuple) else v for k, v in asdict(self).items() if k != "_"}
+
+    @classmethod
+    def from_dict(cls, values: Mapping[str, Any]) -> Self:
+        """Inverse of `as_dict`; an unknown key is refused."""
+        unknown = set(values) - set(cls.__dataclass_fields__)
+        if unknown:
+            raise ConfigError(
+                f"model specification has unknown keys {sorted(map(str, unknown))}; another version wrote it."
+            )
+        dt, horizon = values.get("dt"), values.get("horizon")
+        if not (isinstance(dt, int | float) and dt > 0 and isinstance(horizon, int) and horizon > 0):
+            raise ConfigError(
+                "model specification must hold `dt` [s] and `horizon` [steps] above 0; "
+                f"got {dt!r} and {horizon!r}."
+            )
+        plain: dict[str, Any] = {k: tuple(v) if isinstance(v, list) else v for k, v in values.items()}
+        return cls(**plain)
+
+    def make_system(self, values: Mapping[str, float | list[float]] | None = None) -> System:
+        """The system, with initial values of declared parameters."""
+        return make_system(
+            self.system, effects=self.effects, declared=self.declared, values=values, **self.system_options
+        )
+
+
+class Model(nn.Module, ABC):
+    """A learned model of a system.
+
+    Attributes:
+        spec: What it was built from.
+        system: The machine; `system.error` and `system.error_groups` say what an error is.
+        clock_scale: Physical seconds per logged second of the training data, 0-d.
+    """
+
+    spec: ModelSpec
+    system: System
+    clock_scale: Tensor
+
+    @abstractmethod
+    def sample(
+        self,
+        x0: Tensor,
+        u: Tensor,
+        *,
+        dt: float,
+        particles: int,
+        generator: torch.Generator,
+        measurement: bool = True,
+        measurement_std: Tensor | None = None,
+        applied: bool = False,
+        compile: bool = False,
+        t0: float | Tensor = 0.0,
+    ) -> Tensor:
+        """Sample predicted trajectories.
+
+        Args:
+            x0: Measured first states (B, nx).
+            u: Inputs (B, T, nu); u[:, k] holds from k dt to (k + 1) dt.
+            dt: Step [s] on the clock of the training data.
+            particles: Paths per row.
+            generator: Source of all randomness.
+            measurement: Whether to predict measurements: add the learned sensor noise to the start and to
+                every later state. False starts exactly at x0 and predicts the state itself.
+            measurement_std: Standard deviation of other sensors than those of the training data (nx,).
+            applied: True if `u` is what acted on the machine; False if it is as logged in the training data,
+                in which case a smoothed log is restored first.
+            compile: Compile the step; pays for many or repeated rows.
+            t0: Time of the first state [s], one number or (B,).
+
+        Returns:
+            States (particles, B, T + 1, nx); the first is x0, projected (a quaternion is normalised).
+
+        Raises:
+            ShapeError: wrong axes or columns.
+            NonFiniteError: x0 or u is not finite, or a path leaves the finite numbers.
+        """
+
+    def project(self, z: Tensor) -> Tensor:
+        """The nearest valid state."""
+        return self.system.project(z)
+
+    def checked(
+        self, x0: Tensor, u: Tensor, particles: int, generator: torch.Generator
+    ) -> tuple[Tensor, Tensor]:
+        """The arguments of `sample`, refused if they do not fit; x0 projected, both on the model's device and type.
+
+        Raises:
+            ShapeError: wrong axes or columns.
+            NonFiniteError: x0 or u is not finite.
+            ConfigError: no generator, or no number of particles.
+        """
+        s = self.system
+        width = s.nu + len(s.exogenous)
+        for name, given in (("x0", x0), ("u", u)):
+            if not isinstance(given, Tensor) or given.is_complex():
+                raise ShapeError(
+                    f"`{name}` must be a real torch.Tensor; got {type(given).__name__}. Use torch.as_tensor."
+                )
+        if x0.ndim != 2 or x0.shape[1] != s.nx:
+            raise ShapeError(f"`x0` must be (batch, nx={s.nx}); got {tuple(x0.shape)}.")
+        if u.ndim != 3 or u.shape[2] != width:
+            hint = " Add a horizon axis." if u.ndim == 2 else ""
+            raise ShapeError(f"`u` must be (batch, horizon, nu={width}); got {tuple(u.shape)}.{hint}")
+        if u.shape[0] != x0.shape[0]:
+            raise ShapeError(f"`x0` has {x0.shape[0]} rows and `u` has {u.shape[0]}; they must agree.")
+        if u.shape[1] == 0:
+            raise ShapeError("`u` must hold at least one step; got a horizon of 0.")
+        for name, tensor in (("x0", x0), ("u", u)):
+            bad = ~torch.isfinite(tensor).flatten(1).all(1)
+            if bool(bad.any()):
+                rows = bad.nonzero()[:5, 0].tolist()
+                raise NonFiniteError(f"`{name}` is not finite in rows {rows}. Drop or repair these rows.")
+        if s.quaternion is not None:
+            norm = x0[:, s.quaternion].norm(dim=1)
+            far = (norm - 1).abs() > 0.05
+            if bool(far.any()):
+                rows = far.nonzero()[:5, 0].tolist()
+                raise ShapeError(
+                    f"`x0` must hold unit quaternions (w, x, y, z) in columns {s.quaternion.start} to "
+                    f"{s.quaternion.stop - 1}; rows {rows} have norm {float(norm[far][0]):.3g}. Normalise them."
+                )
+        if not isinstance(generator, torch.Generator):
+            raise ConfigError(f"`generator` must be a torch.Generator; got {generator!r}.")
+        if isinstance(particles, bool) or not isinstance(particles, int) or particles < 1:
+            raise ConfigError(f"`particles` must be a whole number of at least 1; got {particles!r}.")
+        return self.project(x0.to(self.clock_scale)), u.to(self.clock_scale)
+
+
+def normal(shape: tuple[int, ...], generator: torch.Generator, like: Tensor) -> Tensor:
+    """Standard normal numbers from a generator, of another tensor's type and device."""
+    return torch.randn(*shape, generator=generator, device=generator.device, dtype=like.dtype).to(like.device)

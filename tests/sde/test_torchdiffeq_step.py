@@ -34,7 +34,7 @@ def test_paths_are_those_of_our_own_runge_kutta(system: str, method: str) -> Non
     ]
     step = make_step("torchdiffeq", method=method, rtol=1e-8, atol=1e-9)
     path = rollout(m, z0, u, dt=DT, step=step, noise=None)
-    torch.testing.assert_close(path, fine, rtol=0, atol=1e-3 if method == "rk4" else 1e-4)
+    torch.testing.assert_close(path, fine, rtol=0, atol=1e-3 if method == "rk4" else 5e-4)
 
 
 def test_a_fixed_method_is_our_own_to_rounding() -> None:

@@ -23,6 +23,7 @@ from nsde_torch.learning.metrics import (
     interval_quantiles,
     mean_state,
 )
+from nsde_torch.learning.scores import gaussian_nll
 from nsde_torch.models import NeuralSDE, SDESpec
 from nsde_torch.models.run_directory import save
 from nsde_torch.systems import make_system
@@ -239,3 +240,24 @@ def test_scores_agree_with_an_independent_evaluation(
         for group, key in names.items():
             assert ours["errors"]["hold"][group][h] == pytest.approx(held[h][key], rel=1e-4)
             assert ours["errors"]["constant_velocity"][group][h] == pytest.approx(moving[h][key], rel=1e-4)
+
+
+def test_nll_of_the_particles_is_that_of_a_gaussian_of_their_moments() -> None:
+    e = torch.randn(64, 50, 3, generator=generator(), dtype=torch.float64) * torch.tensor([0.1, 1.0, 30.0])
+    expected = -torch.distributions.Normal(e.mean(0), e.std(0)).log_prob(torch.zeros(50, 3))
+    torch.testing.assert_close(gaussian_nll(e), expected, check_dtype=False)
+
+
+def test_nll_of_the_true_model_is_the_entropy_of_its_predictions(calibrated: dict[str, Any]) -> None:
+    for h in calibrated["horizons_s"]:
+        keep = 1 - DT
+        std = 0.5 * math.sqrt(DT * (1 - keep ** (2 * round(h / DT))) / (1 - keep**2))
+        entropy = 0.5 * math.log(2 * math.pi * math.e * std**2)
+        assert calibrated["nll"]["position"][f"{h:g}"] == pytest.approx(entropy, abs=0.1)
+
+
+def test_nll_is_undefined_without_a_spread() -> None:
+    assert bool(gaussian_nll(torch.ones(5, 2)).isnan().all())
+    assert bool(gaussian_nll(torch.ones(1, 2)).isnan().all())
+    made = evaluate(make_model(Decay, step="rk4", kind="node"), decay_runs(1, 10.0, sigma=0.1), seed=0, particles=3)
+    assert set(made["nll"]["position"].values()) == {None}

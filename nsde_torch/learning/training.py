@@ -14,6 +14,7 @@ from nsde_torch.data import DataSet, Run, Split
 from nsde_torch.data.clock import of_runs
 from nsde_torch.data.smoothing import smoothing_width
 from nsde_torch.errors import DataError, NonFiniteError
+from nsde_torch.learning import seen
 from nsde_torch.learning.calibration import Coverage, extrapolate, widen
 from nsde_torch.learning.fit_sde import fit_sde
 from nsde_torch.learning.metrics import evaluate, horizons_of
@@ -122,6 +123,8 @@ class Training:
             "input_smoothing_s": self.smoothing,
             "input_filter": {"reach_steps": self.filter_reach, "reach_s": self.filter_reach * self.spec.dt},
             "train_runs": [run.name for run in self.split.train],
+            **seen.record(self.split.train),
+            "train_sensor_std": self._of_states(sensor_std(self.split.train).tolist()),
             "test_runs": [run.name for run in self.split.test],
             "data_fingerprint": self.data.fingerprint,
             "parameters": fit.parameters(),
@@ -130,8 +133,7 @@ class Training:
             **fit.facts,
         }
         if learns_sensors(model):
-            std = model.measurement_std.tolist()
-            metrics["sensor_std"] = dict(zip(model.system.state_names, std, strict=True))
+            metrics["sensor_std"] = self._of_states(model.measurement_std.tolist())
         save(model, self.folder, about=self.about)
         if self.split.test:
             metrics["test"] = self._test(model)
@@ -206,8 +208,11 @@ class Training:
                 "the test runs come from another file: their sensor noise is taken from their own fourth "
                 "differences, nothing else of them is used"
             )
-            result["sensor_std"] = dict(zip(model.system.state_names, std.tolist(), strict=True))
+            result["sensor_std"] = self._of_states(std.tolist())
         return result
+
+    def _of_states(self, values: Sequence[float]) -> dict[str, float]:
+        return dict(zip(self.data.state_names, values, strict=True))
 
     def _write(self, model: Model, metrics: dict[str, Any], progress: Progress) -> None:
         from nsde_torch.learning.figures import write_figures

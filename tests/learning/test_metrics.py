@@ -259,5 +259,7 @@ def test_nll_of_the_true_model_is_the_entropy_of_its_predictions(calibrated: dic
 def test_nll_is_undefined_without_a_spread() -> None:
     assert bool(gaussian_nll(torch.ones(5, 2)).isnan().all())
     assert bool(gaussian_nll(torch.ones(1, 2)).isnan().all())
-    made = evaluate(make_model(Decay, step="rk4", kind="node"), decay_runs(1, 10.0, sigma=0.1), seed=0, particles=3)
+    made = evaluate(
+        make_model(Decay, step="rk4", kind="node"), decay_runs(1, 10.0, sigma=0.1), seed=0, particles=3
+    )
     assert set(made["nll"]["position"].values()) == {None}

@@ -13,6 +13,7 @@ from typing import Any
 import yaml
 
 DONE, FAILED, UNFINISHED = "done", "failed", "unfinished"
+_SCALE = ("system", "model", "loss")
 
 
 @dataclass(frozen=True)
@@ -25,6 +26,7 @@ class SweepJob:
         status: `done`, `failed` or `unfinished` (running, killed, or never started its work).
         reason: Why it failed, one line.
         metrics: Every number of its `metrics.json`, by dotted path.
+        scale: System, model and loss; validation scores of different ones do not compare.
     """
 
     folder: Path
@@ -32,6 +34,7 @@ class SweepJob:
     status: str
     reason: str = ""
     metrics: dict[str, float] = field(default_factory=dict)
+    scale: str = ""
 
 
 @dataclass(frozen=True)
@@ -40,6 +43,11 @@ class Group:
 
     label: str
     jobs: tuple[SweepJob, ...]
+
+    @property
+    def scale(self) -> str:
+        """System, model and loss of the jobs."""
+        return self.jobs[0].scale
 
     def values(self, metric: str) -> list[float]:
         """The finite values of one metric over the jobs."""
@@ -71,11 +79,11 @@ def grouped(jobs: Sequence[SweepJob]) -> list[Group]:
         for key in job.overrides
         if len({other.overrides.get(key) for other in jobs}) > 1 and key != "seed"
     }
-    members: dict[str, list[SweepJob]] = {}
+    members: dict[tuple[str, str], list[SweepJob]] = {}
     for job in jobs:
         if job.status == DONE:
-            members.setdefault(label(job, varying), []).append(job)
-    return [Group(name, tuple(group)) for name, group in members.items()]
+            members.setdefault((job.scale, label(job, varying)), []).append(job)
+    return [Group(name, tuple(group)) for (_, name), group in members.items()]
 
 
 def label(job: SweepJob, keys: set[str]) -> str:
@@ -109,7 +117,8 @@ def _read_job(folder: Path) -> SweepJob:
         content = json.loads(metrics.read_text(encoding="utf-8"))
     except json.JSONDecodeError:  # cut short: the process died while it wrote
         return SweepJob(folder, overrides, UNFINISHED)
-    return SweepJob(folder, overrides, DONE, metrics=dict(numbers(content)))
+    scale = " ".join(f"{key}={content[key]}" for key in _SCALE if isinstance(content.get(key), str))
+    return SweepJob(folder, overrides, DONE, metrics=dict(numbers(content)), scale=scale)
 
 
 def _reason(path: Path) -> str:

@@ -6,8 +6,10 @@ import argparse
 import csv
 import json
 import math
+import re
 import sys
 from collections.abc import Sequence
+from dataclasses import replace
 from fnmatch import fnmatch
 from pathlib import Path
 from typing import Any
@@ -19,7 +21,7 @@ from .sweep_jobs import DONE, FAILED, UNFINISHED, Group, SweepJob, grouped, read
 # Ranked by the first of these that a job has; smaller is better.
 SCORES = ("validation.score", "validation_score", "score")
 # Shown beside the score: errors on the held-out runs.
-COLUMNS = ("test.errors.model.*.1", "test.coverage.0.9.*.1")
+COLUMNS = ("test.errors.model.*[a-z].1", "test.coverage.0.9.*[a-z].1")  # a letter before .1, not 0.1
 
 
 def main(arguments: Sequence[str]) -> int:
@@ -37,6 +39,8 @@ def main(arguments: Sequence[str]) -> int:
         return _refuse(f"no job has the metric `{options.by}`; there are: {names}.")
     columns = _columns(jobs, options.columns or COLUMNS, score)
     groups = ranked(grouped(jobs), score)
+    if options.by:  # the user says that this number compares
+        groups = [replace(group, jobs=tuple(replace(j, scale="") for j in group.jobs)) for group in groups]
     print(report(jobs, groups, score, columns))
     _write_json(folder / "sweep_report.json", jobs, groups, score, columns)
     _write_csv(folder / "sweep_report.csv", jobs)
@@ -65,24 +69,17 @@ def report(jobs: Sequence[SweepJob], groups: Sequence[Group], score: str, column
     """The report as text."""
     count = {status: sum(job.status == status for job in jobs) for status in (DONE, FAILED, UNFINISHED)}
     lines = [f"{len(jobs)} jobs: " + ", ".join(f"{number} {status}" for status, number in count.items())]
-    if groups:
-        lines += ["", f"Ranked by {score} (mean +- standard deviation over seeds, smaller is better)"]
-        head = ["rank", "jobs", score, *columns, "what"]
-        rows = [
-            [
-                str(rank),
-                str(len(group.jobs)),
-                *(_pair(group, name) for name in (score, *columns)),
-                group.label,
-            ]
-            for rank, group in enumerate(groups, start=1)
+    scales = by_scale(groups)
+    for scale, alike in scales.items():
+        where = f" among {scale}" if len(scales) > 1 else ""
+        lines += ["", f"Ranked by {score}{where} (mean +- standard deviation over seeds, smaller is better)"]
+        lines += _ranking(alike, score, [c for c in columns if any(c in g.jobs[0].metrics for g in alike)])
+    if len(scales) > 1:
+        lines += [
+            "",
+            "Scores of different systems, models and losses do not compare; for one ranking of all, name a number that "
+            "does, for example --by test.crps.position.1",
         ]
-        lines += _table([head, *rows])
-        best = min(
-            groups[0].jobs,
-            key=lambda job: (math.isnan(job.metrics.get(score, math.nan)), job.metrics.get(score, 0.0)),
-        )
-        lines += ["", f"Best job: {best.folder}"]
     for status, title in (
         (FAILED, "Failed"),
         (UNFINISHED, "Unfinished (running, or killed; to continue one: nsde train resume=FOLDER)"),
@@ -92,6 +89,35 @@ def report(jobs: Sequence[SweepJob], groups: Sequence[Group], score: str, column
             lines += ["", f"{title}:"]
             lines += [f"  {job.folder.name}" + (f": {job.reason}" if job.reason else "") for job in found]
     return "\n".join(lines)
+
+
+def by_scale(groups: Sequence[Group]) -> dict[str, list[Group]]:
+    """Groups whose scores compare, in their order."""
+    out: dict[str, list[Group]] = {}
+    for group in groups:
+        out.setdefault(group.scale, []).append(group)
+    return out
+
+
+def _ranking(groups: Sequence[Group], score: str, columns: Sequence[str]) -> list[str]:
+    head = ["rank", "jobs", score, *map(_short, columns), "what"]
+    rows = [
+        [str(rank), str(len(group.jobs)), *(_pair(group, name) for name in (score, *columns)), group.label]
+        for rank, group in enumerate(groups, start=1)
+    ]
+    best = min(
+        groups[0].jobs,
+        key=lambda job: (math.isnan(job.metrics.get(score, math.nan)), job.metrics.get(score, 0.0)),
+    )
+    return [*_table([head, *rows]), f"  best job: {best.folder}"]
+
+
+def _short(name: str) -> str:
+    """Heads of the usual columns as words; any other number under its path."""
+    found = re.fullmatch(r"test\.(errors\.model|coverage\.0\.9)\.([a-z_]+)\.([\d.]+)", name)
+    if not found:
+        return name
+    return f"{found[2]} {found[3]} s" if "errors" in found[1] else f"90 % holds {found[2]} {found[3]} s"
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -146,12 +172,14 @@ def _write_json(
         "ranking": [
             {
                 "rank": rank,
+                "among": scale,
                 "label": group.label,
                 "jobs": [job.folder.name for job in group.jobs],
                 "mean": {name: _finite(group.mean(name)) for name in (score, *columns)},
                 "standard_deviation": {name: _finite(group.spread(name)) for name in (score, *columns)},
             }
-            for rank, group in enumerate(groups, start=1)
+            for scale, alike in by_scale(groups).items()
+            for rank, group in enumerate(alike, start=1)
         ],
         "failed": [{"job": job.folder.name, "reason": job.reason} for job in jobs if job.status == FAILED],
         "unfinished": [job.folder.name for job in jobs if job.status == UNFINISHED],

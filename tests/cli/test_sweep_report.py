@@ -52,7 +52,7 @@ def test_settings_are_ranked_by_the_mean_over_their_seeds(
     rows = [line.split() for line in text.splitlines()]
     assert ["1", "2", "1.5", "+-", "0.71", "loss=default"] in rows
     assert ["2", "2", "4", "+-", "1.4", "loss=paper"] in rows
-    assert f"Best job: {sweep / '2_job'}" in text
+    assert f"best job: {sweep / '2_job'}" in text
 
 
 def test_failed_jobs_are_named_with_the_reason_and_unfinished_ones_too(
@@ -113,6 +113,28 @@ def test_a_folder_without_jobs_is_refused(tmp_path: Path, capsys: pytest.Capture
     assert "no jobs in" in capsys.readouterr().err
     assert main(["sweep-report", str(tmp_path / "missing")]) == 2
     assert "is not a folder" in capsys.readouterr().err
+
+
+def test_scores_that_do_not_compare_are_ranked_apart_unless_a_number_is_named(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for number, (loss, score, error) in enumerate([("paper", 9.0, 0.1), ("default", 1.0, 0.2)]):
+        metrics = {
+            **_metrics(score),
+            "system": "cartpole",
+            "loss": loss,
+            "test": {"errors": {"model": {"rate": {"1": error}}}},
+        }
+        _job(tmp_path, number, [f"loss={loss}"], metrics)
+    assert main(["sweep-report", str(tmp_path)]) == 0
+    text = capsys.readouterr().out
+    assert "among system=cartpole loss=paper" in text
+    assert "do not compare" in text
+    assert "rate 1 s" in text
+    assert main(["sweep-report", str(tmp_path), "--by", "test.errors.model.rate.1"]) == 0
+    text = capsys.readouterr().out
+    assert "among" not in text
+    assert [line.split()[0] for line in text.splitlines() if "loss=" in line] == ["1", "2"]
 
 
 def test_numbers_are_found_at_any_depth() -> None:

@@ -58,3 +58,20 @@ def coverage_table(test: Mapping[str, Any]) -> str:
             rows.append([group, f"{float(level):.0%} interval", *(f"{values[h]:.0%}" for h in horizons)])
         rows.append([group, f"CRPS [{unit}]", *(number(test["crps"][group][h]) for h in horizons)])
     return table(["held out", "", *(f"{h} s" for h in horizons)], rows)
+
+
+def lookahead(smoothing: float, reach: float) -> str:
+    """What the inputs of a rollout see of the future, in words; empty if nothing.
+
+    Args:
+        smoothing: Width of the centred average that smoothed the logged inputs [s].
+        reach: Reach of the model's input filter on each side [s].
+    """
+    parts, ahead = [], smoothing / 2
+    if smoothing:
+        parts.append(
+            f"inputs were smoothed by a centred {smoothing:.2g} s average, so they see {ahead:.2g} s ahead"
+        )
+    if reach:
+        parts.append(f"the filter that restores them draws on commands up to {ahead + reach:.2g} s ahead")
+    return "; ".join(parts)

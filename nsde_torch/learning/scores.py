@@ -213,6 +213,22 @@ def score(
     return Scores(system, len(starts), indices, squares, *joined[3:])
 
 
+def baseline_squares(
+    system: System, windows: Windows, starts: Tensor, steps: Sequence[int]
+) -> dict[str, Tensor]:
+    """Squared norms of the errors of the baselines from all starts: name -> (B, horizons, groups)."""
+    rows: dict[str, list[Tensor]] = {name: [] for name in BASELINES}
+    for part in starts.split(_BATCH):
+        x = windows.batch(part)[0]
+        made: dict[str, list[Tensor]] = {name: [] for name in BASELINES}
+        for k in steps:
+            for name, state in baselines(system, x[:, 0], k * windows.dt_model).items():
+                made[name].append(group_squares(system, system.error(state, x[:, k])))
+        for name, squares in made.items():
+            rows[name].append(torch.stack(squares, 1).cpu())
+    return {name: torch.cat(parts) for name, parts in rows.items()}
+
+
 def _of_horizon(system: System, sample: Tensor, x0: Tensor, y: Tensor, elapsed: float) -> tuple[Tensor, ...]:
     """Squares of the model and of the baselines, inside, CRPS, spread and NLL at one horizon."""
     p = len(sample)

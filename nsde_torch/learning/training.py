@@ -21,7 +21,7 @@ from nsde_torch.learning.metrics import evaluate, horizons_of
 from nsde_torch.learning.options import LossOptions, TrainerOptions
 from nsde_torch.learning.prepare import sensor_std
 from nsde_torch.learning.progress import Progress
-from nsde_torch.learning.report import coverage_table, error_table, parameter_table
+from nsde_torch.learning.report import coverage_table, error_table, lookahead, parameter_table
 from nsde_torch.learning.task import Fitted, Task
 from nsde_torch.models.model import Model, ModelSpec
 from nsde_torch.models.neural_sde import NeuralSDE, SDESpec
@@ -241,15 +241,7 @@ class Training:
 
     def note(self) -> str:
         """What the inputs of a rollout see of the future, in words; empty if nothing."""
-        parts, ahead = [], self.smoothing / 2
-        if self.smoothing:
-            parts.append(
-                f"inputs were smoothed by a centred {self.smoothing:.2g} s average, so they see {ahead:.2g} s ahead"
-            )
-        if self.filter_reach:
-            ahead += self.filter_reach * self.spec.dt
-            parts.append(f"the filter that restores them draws on commands up to {ahead:.2g} s ahead")
-        return "; ".join(parts)
+        return lookahead(self.smoothing, self.filter_reach * self.spec.dt)
 
     # ---- text -----------------------------------------------------------------------------------------
 

@@ -11,12 +11,10 @@ from numpy.typing import ArrayLike
 
 from nsde_torch.errors import ShapeError
 from nsde_torch.plots.style import (
-    BLUE,
-    COLOURS,
     GREY,
-    MARKS,
     ORANGE,
     key,
+    model_look,
     panels,
     plain_logarithm,
     pretty,
@@ -67,8 +65,7 @@ def horizon_errors(
     models = [m for m in errors if m not in _BASELINES]
     looks: dict[str, dict[str, Any]] = dict(_BASELINES)
     for k, name in enumerate(models):
-        colour = BLUE if k == 0 else [c for c in COLOURS if c not in (BLUE, ORANGE)][(k - 1) % 4]
-        looks[name] = {"color": colour, "linestyle": "-", "marker": MARKS[k % 6], "label": name}
+        looks[name] = {**model_look(k), "label": name}
     for ax, group in zip(axes.flat, groups, strict=False):
         drawn = []
         for name in [*models, *(m for m in errors if m in _BASELINES)]:

@@ -31,6 +31,8 @@ BLUE, VERMILLION, GREEN, PURPLE, ORANGE, SKY = (
     "#56B4E9",
 )
 BLACK, GREY = "#1a1a1a", "#767676"
+RED = "#c00000"
+"""For words that warn; no curve has it."""
 COLOURS = (BLUE, VERMILLION, GREEN, PURPLE, ORANGE, SKY)
 DASHES = ("-", "--", "-.", ":", (0, (6, 1, 1, 1, 1, 1)), (0, (1, 1)))
 MARKS = ("o", "s", "^", "D", "v", "P")
@@ -151,6 +153,26 @@ def seconds_axis(axes: Axes, horizons: ArrayLike) -> None:
     axes.set_xticks(values, [f"{v:g}" for v in values])
     axes.set_xticks([], minor=True)
     axes.set_xlabel("horizon [s]")
+
+
+def model_look(k: int) -> dict[str, Any]:
+    """Colour, line and mark of the k-th model of a figure; orange and grey are those of baselines."""
+    colours = (BLUE, VERMILLION, GREEN, PURPLE, SKY, BLACK)
+    return {
+        "color": colours[k % 6],
+        "linestyle": DASHES[(k // 6) % 6],
+        "marker": MARKS[k % 6],
+    }
+
+
+def warn(figure: Figure, text: str, names: Sequence[str] = ()) -> None:
+    """Words in red under the title of a figure, and these names in red where its legends or panels have them."""
+    figure.suptitle(f"{figure.get_suptitle()}\n{textwrap.fill(text, LINE)}", color=RED)
+    words = [t for legend in figure.legends for t in legend.get_texts()]
+    words += [axes.title for axes in figure.axes]
+    for word in words:
+        if word.get_text() in names:
+            word.set_color(RED)
 
 
 def label(name: str, unit: str) -> str:

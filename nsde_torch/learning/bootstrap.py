@@ -1,0 +1,161 @@
+"""Paired block bootstrap of the difference of two models' errors from the same starts.
+
+    difference = sqrt(mean over starts of |e_other|^2) - sqrt(mean over starts of |e_first|^2)
+
+Both errors at a start share the disturbance of that stretch, so their difference is resampled, not each error by
+itself. Starts that are near in time are correlated: windows overlap, and gusts last. So what is drawn with
+replacement is not starts but blocks of neighbouring starts that do not overlap, all of them of about the same length in
+time and none across two runs; with ten runs or more, whole runs. The interval is the percentile interval with
+levels widened for the number n of blocks (Hesterberg, The American Statistician 69 (2015), "expanded percentile"):
+
+    alpha' = Phi(-sqrt(n / (n - 1)) t_{n-1}(1 - alpha / 2))
+
+Measured on errors with an exponential correlation and blocks of 4 s: intervals of 95 % hold 93 to 95 % at correlation
+times of 0.1 and 0.5 s, 91 to 94 % at 1 s and 88 to 93 % at 2 s with ten blocks or more, 88 to 91 % with five; single
+starts as blocks would hold 80 % at 0.5 s and 50 % at 2 s. Assumed and not checked: blocks are exchangeable. A handful
+of runs says nothing of a machine that changes from run to run.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from scipy.special import ndtr, stdtrit
+from torch import Tensor
+
+from nsde_torch.errors import ShapeError
+
+BLOCK_S = 4.0
+WHOLE_RUNS = 10
+FEWEST_BLOCKS = 5
+REPLICATES = 2000
+
+
+@dataclass(frozen=True)
+class Blocks:
+    """What is resampled.
+
+    Args:
+        of_start: Block of each start (S,).
+        count: Number of blocks.
+        unit: What they are, in words: "runs" or "blocks of 4 s".
+    """
+
+    of_start: NDArray[np.int64]
+    count: int
+    unit: str
+
+
+def make_blocks(run: NDArray[np.int64], t: NDArray[np.float64], *, length: float) -> Blocks:
+    """Blocks of starts.
+
+    Args:
+        run: Run of each start (S,), starts in order of time within a run.
+        t: Time of each start (S,) [s].
+        length: Length of a block [s].
+
+    Returns:
+        Whole runs where there are ten or more; else each run cut into equal stretches of about `length`.
+    """
+    names = np.unique(run)
+    if len(names) >= WHOLE_RUNS:
+        return Blocks(np.searchsorted(names, run), len(names), "runs")
+    block = np.zeros(len(run), dtype=np.int64)
+    count = 0
+    for name in names:
+        rows = np.flatnonzero(run == name)
+        own = t[rows] - t[rows[0]]
+        spacing = float(np.median(np.diff(own))) if len(own) > 1 else 0.0
+        pieces = max(1, round((own[-1] + spacing) / length))
+        share = own / (own[-1] + spacing) if pieces > 1 else 0.0 * own
+        _, inside = np.unique(
+            (share * pieces).astype(np.int64), return_inverse=True
+        )  # a gap may leave one empty
+        block[rows] = count + inside
+        count += int(inside.max()) + 1
+    return Blocks(block, count, f"blocks of {length:g} s")
+
+
+@dataclass(frozen=True)
+class Difference:
+    """Difference of the root mean square errors, other minus first, of K quantities.
+
+    Args:
+        value: The difference (K,).
+        low: Lower end of its interval (K,), NaN where there are too few blocks.
+        high: Upper end (K,).
+    """
+
+    value: Tensor
+    low: Tensor
+    high: Tensor
+
+    def words(self) -> list[str]:
+        """Whether the other is "better" or "worse", or "no difference" is shown; "too few blocks" to say."""
+        return [verdict(float(a), float(b)) for a, b in zip(self.low, self.high, strict=True)]
+
+
+def verdict(low: float, high: float) -> str:
+    """A plain word for an interval of other minus first, of something that should be small."""
+    if low != low or high != high:
+        return "too few blocks"
+    return "better" if high < 0 else "worse" if low > 0 else "no difference"
+
+
+def paired_bootstrap(
+    first: Tensor,
+    other: Tensor,
+    blocks: Blocks,
+    *,
+    generator: torch.Generator,
+    replicates: int = REPLICATES,
+    level: float = 0.95,
+) -> Difference:
+    """Interval of the difference of two root mean squares.
+
+    Args:
+        first: Squared errors of the first model (S, K).
+        other: Squared errors of the other from the same starts (S, K).
+        blocks: What to resample.
+        generator: Source of the resamples.
+        replicates: Number of resamples.
+        level: Nominal coverage of the interval.
+
+    Returns:
+        Differences and intervals; below five blocks the ends are NaN.
+
+    Raises:
+        ShapeError: the starts do not agree.
+    """
+    if first.ndim != 2 or first.shape != other.shape or len(first) != len(blocks.of_start):
+        raise ShapeError(
+            f"`first` and `other` must be (starts, K) with {len(blocks.of_start)} starts; got "
+            f"{tuple(first.shape)} and {tuple(other.shape)}."
+        )
+    both = torch.cat((first, other), 1).double()
+    k = first.shape[1]
+
+    def difference(mean: Tensor) -> Tensor:
+        root = mean.sqrt()
+        return root[..., k:] - root[..., :k]
+
+    value = difference(both.mean(0))
+    alike = (both[:, :k] == both[:, k:]).all(0)  # sums of equal columns may differ in their last bits
+    value[alike] = 0.0
+    n = blocks.count
+    if n < FEWEST_BLOCKS:
+        nothing = torch.full_like(value, torch.nan)
+        return Difference(value, nothing, nothing)
+    index = torch.from_numpy(blocks.of_start)
+    sums = torch.zeros(n, 2 * k, dtype=torch.float64).index_add_(0, index, both)
+    sizes = torch.bincount(index, minlength=n).double()
+    drawn = torch.randint(n, (replicates, n), generator=generator)
+    times = torch.zeros(replicates, n, dtype=torch.float64).scatter_add_(
+        1, drawn, torch.ones(replicates, n).double()
+    )
+    resampled = difference(times @ sums / (times @ sizes)[:, None])
+    outside = float(ndtr(-np.sqrt(n / (n - 1)) * stdtrit(n - 1, 0.5 + level / 2)))
+    ends = torch.quantile(resampled, torch.tensor([outside, 1 - outside], dtype=torch.float64), dim=0)
+    ends[:, alike] = 0.0
+    return Difference(value, ends[0], ends[1])

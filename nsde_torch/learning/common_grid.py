@@ -1,0 +1,221 @@
+"""Models to compare, and the starts and horizons that all of them can be scored at.
+
+Starts are those of the grid of the runs (every 0.25 s) from which the longest window of every model fits in its
+stretch. A horizon that is no whole number of a model's steps is scored at the nearest step, against the truth there.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from nsde_torch.data import DataSet, Run, Windows
+from nsde_torch.errors import ConfigError, DataError
+from nsde_torch.learning.metrics import HORIZONS, horizons_of, start_grid, thinned
+from nsde_torch.learning.scores import BASELINES
+from nsde_torch.learning.seen import SeenRuns
+from nsde_torch.models.model import Model
+
+_CLOCK_TOLERANCE = 0.01  # what two measurements of one clock may differ by
+_STEP_TOLERANCE = 0.01
+
+Note = dict[str, Any]
+
+
+def note(text: str, *, red: bool = False) -> Note:
+    """A remark on an evaluation; red if figures must not be believed without it."""
+    return {"text": text, "red": red}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Candidate:
+    """A model to evaluate.
+
+    Args:
+        name: Name in tables and figures.
+        model: The model.
+        seen: Runs that it was trained on.
+        folder: Its run directory.
+        measurement_std: Noise of the sensors of the runs if it is not that of its training data (nx,).
+        reach: Reach of its input filter on each side [s].
+    """
+
+    name: str
+    model: Model
+    seen: SeenRuns
+    folder: str = ""
+    measurement_std: Tensor | None = None
+    reach: float = 0.0
+
+
+@dataclass(frozen=True)
+class Grid:
+    """Where a model is scored.
+
+    Args:
+        runs: The runs with the input columns that the model reads.
+        windows: Windows of the model's step in them.
+        starts: Window numbers of the common starts (B,).
+        steps: Step of the model nearest to each horizon.
+        dt: Step on the clock of the training data [s].
+    """
+
+    runs: Sequence[Run]
+    windows: Windows
+    starts: Tensor
+    steps: Sequence[int]
+    dt: float
+
+    @property
+    def times(self) -> list[float]:
+        """Logged times of the steps [s]."""
+        return [round(k * self.windows.dt_model, 12) for k in self.steps]
+
+    def located(self) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+        """Number of the run (B,) and logged time (B,) [s] of each start."""
+        places = self.windows.locate(self.starts)
+        numbers = {run.name: k for k, run in enumerate(self.runs)}
+        index = np.array([numbers[name] for name, _ in places], dtype=np.int64)
+        t = np.array([self.runs[k].t[s] for k, (_, s) in zip(index, places, strict=True)])
+        return index, t
+
+
+def check(candidates: Sequence[Candidate], data: DataSet) -> None:
+    """Refuse models that cannot be compared on these data.
+
+    Raises:
+        ConfigError: different systems, names given twice, or a step that does not divide.
+        DataError: a column is missing.
+    """
+    if not candidates:
+        raise ConfigError("no model to evaluate.")
+    names = [c.name for c in candidates]
+    for name in names:
+        if names.count(name) > 1 or name in BASELINES:
+            raise ConfigError(
+                f"{name!r} is the name of two models, or that of a baseline; name each with names=[...]."
+            )
+    first = candidates[0]
+    for c in candidates:
+        own, other = first.model, c.model
+        if own.spec.system != other.spec.system or own.system.state_names != other.system.state_names:
+            raise ConfigError(
+                f"only models of one system can be compared: {first.name!r} is of {own.spec.system}, {c.name!r} of "
+                f"{other.spec.system}. Evaluate them one by one."
+            )
+        needed = (*other.system.input_names, *other.system.exogenous)
+        if other.system.state_names != data.state_names or not set(needed) <= set(data.input_names):
+            raise DataError(
+                f"{c.name!r} needs the columns {', '.join((*other.system.state_names, *needed))}; the data have "
+                f"{', '.join((*data.state_names, *data.input_names))}."
+            )
+        ratio = other.spec.dt / data.dt
+        if round(ratio) < 1 or abs(ratio / round(ratio) - 1) > _STEP_TOLERANCE:
+            raise ConfigError(
+                f"{c.name!r} has a step of {other.spec.dt:g} s, which is no whole multiple of the data's "
+                f"{data.dt:g} s; read files with data.dt={other.spec.dt:g}."
+            )
+
+
+def common_horizons(
+    candidates: Sequence[Candidate], runs: Sequence[Run], given: Sequence[float] | None
+) -> tuple[list[float], list[Note]]:
+    """Horizons [s] that every model and some stretch of the runs has, and what to say of them.
+
+    Raises:
+        ConfigError: a given horizon is below the step of a model.
+        DataError: a given horizon, or any, does not fit in the runs.
+    """
+    coarsest = max(candidates, key=lambda c: c.model.spec.dt)
+    dt = coarsest.model.spec.dt
+    longest = max(float(run.t[b - 1] - run.t[a]) for run in runs for a, b in run.segments)
+    notes = []
+    if given is None:
+        wanted = list(horizons_of(runs, dt))
+        if not wanted:
+            raise DataError(
+                f"the runs ({', '.join(run.name for run in runs[:5])}) are too short for a horizon of 0.1 s; "
+                "evaluate on longer ones."
+            )
+        short = [f"{h:g}" for h in HORIZONS if h < 0.99 * dt]
+        if short:
+            notes.append(note(f"{', '.join(short)} s left out: below the step of {coarsest.name}, {dt:g} s"))
+    else:
+        wanted = sorted({float(h) for h in given})
+        if not wanted:
+            raise ConfigError("`horizons` is empty; give times in seconds, or leave it out.")
+        if wanted[0] < 0.99 * dt:
+            raise ConfigError(
+                f"`horizons` must not be below the step of {coarsest.name!r}, {dt:g} s; got {wanted[0]:g} s."
+            )
+        if wanted[-1] > longest:
+            raise DataError(
+                f"`horizons` must fit in the runs, whose longest stretch without a gap is {longest:.4g} s; got "
+                f"{wanted[-1]:g} s."
+            )
+    for c in candidates:
+        step = c.model.spec.dt
+        between = [h for h in wanted if abs(max(1, round(h / step)) * step / h - 1) > _STEP_TOLERANCE]
+        if between:
+            nearest = ", ".join(f"{h:g} s at {max(1, round(h / step)) * step:g} s" for h in between)
+            notes.append(
+                note(f"{c.name} has a step of {step:g} s and is scored at the nearest one: {nearest}")
+            )
+    return wanted, notes
+
+
+def common_grids(
+    candidates: Sequence[Candidate], data: DataSet, runs: Sequence[Run], horizons: Sequence[float]
+) -> tuple[list[Grid], list[Note]]:
+    """The grid of every model, with the same starts, and what to say of their clocks.
+
+    Raises:
+        DataError: no stretch is as long as the longest horizon.
+    """
+    made = []
+    for c in candidates:
+        steps = [max(1, round(h / c.model.spec.dt)) for h in horizons]
+        own = _with_columns(runs, c, data)
+        like = c.model.clock_scale
+        windows = Windows(own, c.model.spec.dt, steps[-1], dtype=like.dtype, device=like.device)
+        made.append((own, windows, start_grid(windows), steps))
+    rows = [windows.rows(starts) for _, windows, starts, _ in made]
+    common = rows[0]
+    for other in rows[1:]:
+        common = np.intersect1d(common, other)
+    if len(common) == 0:
+        raise DataError(f"no stretch of {horizons[-1]:g} s without a gap; evaluate on longer runs.")
+    grids, notes = [], []
+    for c, (own, windows, starts, steps), at in zip(candidates, made, rows, strict=True):
+        dt, remark = _own_step(c, data)
+        notes += remark
+        kept = thinned(starts[torch.from_numpy(np.isin(at, common))])
+        grids.append(Grid(own, windows, kept, steps, dt))
+    return grids, notes
+
+
+def _with_columns(runs: Sequence[Run], candidate: Candidate, data: DataSet) -> list[Run]:
+    """The runs with the inputs that a model reads, in its order."""
+    system = candidate.model.system
+    needed = (*system.input_names, *system.exogenous)
+    if needed == data.input_names:
+        return list(runs)
+    columns = [data.input_names.index(n) for n in needed]
+    return [replace(run, u=run.u[:, columns]) for run in runs]
+
+
+def _own_step(candidate: Candidate, data: DataSet) -> tuple[float, list[Note]]:
+    """Step on the clock of the training data [s]: `spec.dt`, unless the clocks of the two differ."""
+    dt, own = candidate.model.spec.dt, float(candidate.model.clock_scale)
+    ratio = data.clock_scale / own
+    if abs(ratio - 1) <= _CLOCK_TOLERANCE:
+        return dt, []
+    text = (
+        f"a logged second holds {data.clock_scale:.4g} s in these data and {own:.4g} s in the training data of "
+        f"{candidate.name}, which therefore takes steps of {dt * ratio:.4g} s"
+    )
+    return dt * ratio, [note(text)]

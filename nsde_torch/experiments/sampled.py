@@ -1,0 +1,62 @@
+"""Rollouts of a model as mean and interval, also of one that diverges on the way."""
+
+import torch
+from torch import Tensor
+
+from nsde_torch.errors import NonFiniteError
+from nsde_torch.learning.metrics import interval_quantiles, mean_state
+from nsde_torch.models.model import Model
+from nsde_torch.plots import Prediction
+
+PARTICLES = 199
+
+
+@torch.no_grad()
+def rollout(model: Model, x0: Tensor, u: Tensor, *, seed: int, measurement: bool) -> Tensor:
+    """Paths of a model (P, B, T + 1, nx), not-a-number from where one has left the finite numbers.
+
+    Args:
+        model: The model.
+        x0: First states (B, nx).
+        u: Inputs (B, T, nu) on the model's step.
+        seed: Seed of the particles.
+        measurement: Whether measurements are predicted, or the state itself.
+    """
+
+    def sample(steps: int) -> Tensor:
+        return model.sample(
+            x0,
+            u[:, :steps],
+            dt=model.spec.dt,
+            particles=PARTICLES,
+            generator=torch.Generator().manual_seed(seed),
+            measurement=measurement,
+        )
+
+    full = u.shape[1]
+    try:
+        return sample(full)
+    except NonFiniteError:
+        good, bad = 0, full  # the longest horizon that stays finite, by bisection
+        while bad - good > 1:
+            middle = (good + bad) // 2
+            try:
+                sample(middle)
+                good = middle
+            except NonFiniteError:
+                bad = middle
+        paths = x0.new_full((PARTICLES, len(x0), full + 1, x0.shape[1]), torch.nan)
+        if good:
+            paths[:, :, : good + 1] = sample(good)
+        else:
+            paths[:, :, 0] = x0
+        return paths
+
+
+def prediction(model: Model, paths: Tensor, name: str, *, level: float, interval: bool = True) -> Prediction:
+    """Mean and interval of the paths of one start (P, T + 1, nx)."""
+    mean = mean_state(model.system, paths).double().numpy()
+    if not interval:
+        return Prediction(name, mean)
+    low, high = interval_quantiles(paths.double(), level)
+    return Prediction(name, mean, low.numpy(), high.numpy())

@@ -278,9 +278,12 @@ class NeuralSDE(Model):
         )
         return path.reshape(p, b, *path.shape[2:])[..., :nx]
 
-    def augment(self, x: Tensor, u: Tensor) -> Tensor:
-        """State (N, nx) with stationary memory under the inputs `u` (N, nu) and no disturbance: (N, nz)."""
-        return self._augment(x, u, None)
+    def augment(self, x: Tensor, u: Tensor, draw: Tensor | None = None) -> Tensor:
+        """State (N, nx) with stationary memory under the inputs `u` (N, nu), and disturbances: (N, nz).
+
+        `draw`, standard normal numbers (N, nd), takes the disturbances from their stationary law; None: they are 0.
+        """
+        return self._augment(x, u, draw)
 
     def _augment(self, x: Tensor, u: Tensor, draw: Tensor | None) -> Tensor:
         """State, memory and disturbance (N, nz); the disturbance is drawn from its stationary law."""

@@ -97,8 +97,16 @@ class Gusts:
 
     def reset(self, batch: int) -> None:
         """Start from the stationary distribution, for `batch` rows."""
+        self._state = self._stationary(batch)
+
+    def restart(self, rows: Tensor) -> None:
+        """Start some rows (K,) from the stationary distribution, independent of what they were."""
+        fresh = self._stationary(len(rows))
+        self._state = [old.index_copy(0, rows, new) for old, new in zip(self._state, fresh, strict=True)]
+
+    def _stationary(self, batch: int) -> list[Tensor]:
         draws = self._normal(batch, self._width).split([w for _, w, *_ in self._parts], 1)
-        self._state = [xi * std for xi, (_, _, _, std, _) in zip(draws, self._parts, strict=True)]
+        return [xi * std for xi, (_, _, _, std, _) in zip(draws, self._parts, strict=True)]
 
     def draw(self) -> dict[Port, Tensor]:
         """Push of each port over the next sample, (B, width of the port) [unit of the port]."""

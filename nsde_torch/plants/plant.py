@@ -150,6 +150,32 @@ class Plant:
         return self._sensor(x)
 
     @torch.no_grad()
+    def restart(self, rows: Tensor, x0: Tensor, u0: Tensor) -> Tensor:
+        """Put some of the machines into a state, as `reset` does with all; the time runs on.
+
+        Args:
+            rows: Indices of the machines (K,).
+            x0: Their true states (K, nx).
+            u0: Commands (K, nu) that were given until now.
+
+        Returns:
+            Measured states (K, nx).
+
+        Raises:
+            ShapeError: wrong columns, or unequal numbers of rows.
+        """
+        x, u = self._rows("x0", x0, self.system.nx), self._rows("u0", u0, self._width)
+        if not len(x) == len(u) == len(rows):
+            raise ShapeError(
+                f"`rows`, `x0` and `u0` must have equal numbers of rows; got {len(rows)}, {len(x)} and {len(u)}."
+            )
+        u = self._clipped(u)
+        self._z = self._z.index_copy(0, rows, self.system.project(self.system.augment(x, u)))
+        self._commands = [c.index_copy(0, rows, u) for c in self._commands]
+        self._gusts.restart(rows)
+        return self._sensor(x)
+
+    @torch.no_grad()
     def step(self, u: Tensor) -> Tensor:
         """Advance all machines by one sample.
 

@@ -8,7 +8,7 @@ from typing import Any
 import torch
 from omegaconf import DictConfig, OmegaConf
 
-from nsde_torch.data import DataSet, Split, read
+from nsde_torch.data import DataSet, Split, SystemInfo, read
 from nsde_torch.data import split as split_runs
 from nsde_torch.errors import ConfigError, DataError
 from nsde_torch.learning import filter_reach
@@ -96,7 +96,7 @@ def _dotted(values: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, 
             yield f"{prefix}{name}", value
 
 
-def dataset(config: DictConfig, machine: System) -> DataSet:
+def dataset(config: DictConfig, machine: SystemInfo) -> DataSet:
     """Read or simulate the runs.
 
     Args:
@@ -113,7 +113,16 @@ def dataset(config: DictConfig, machine: System) -> DataSet:
     return read(config.kind, machine, **given)
 
 
-def split(config: DictConfig, data: DataSet, machine: System) -> Split:
+def other_dataset(config: DictConfig, machine: SystemInfo) -> DataSet:
+    """Read the runs of `data.test_path`, as those of `data.path` are read.
+
+    Raises:
+        DataError: The data cannot be used.
+    """
+    return read(config.kind, machine, **{**options(config, *_NOT_FOR_DATA), "path": config.test_path})
+
+
+def split(config: DictConfig, data: DataSet, machine: SystemInfo) -> Split:
     """Training runs and runs held out for the test; `data.test` names them by index or name.
 
     With `data.test_path` all runs train (those that `data.test` names are left out), and the runs of that file or
@@ -126,8 +135,7 @@ def split(config: DictConfig, data: DataSet, machine: System) -> Split:
     if config.test_path is None:
         return split_runs(data, test)
     left = split_runs(data, test or [])
-    given = {**options(config, *_NOT_FOR_DATA), "path": config.test_path}
-    other = read(config.kind, machine, **given)
+    other = other_dataset(config, machine)
     train = {run.content_hash: run.name for run in left.train}
     for run in other.runs:
         if run.content_hash in train:

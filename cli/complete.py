@@ -13,7 +13,7 @@ _HYDRA_GROUPS = {
     "hydra/launcher": ("basic", "joblib", "submitit_local", "submitit_slurm", "ray"),
     "hydra/sweeper": ("basic", "optuna"),
 }
-_PATHS = ("data.path", "resume", "run_dir", "sweep_dir", "data.cache")
+_PATHS = ("data.path", "data.test_path", "resume", "run", "run_dir", "out_dir", "sweep_dir", "data.cache")
 
 
 def overrides(command: str, words: Sequence[str]) -> list[str]:
@@ -28,13 +28,15 @@ def overrides(command: str, words: Sequence[str]) -> list[str]:
     extra = groups.config_dir(before)
     if before and before[-1] in ("--config-dir", "-cd"):
         return files(current)
+    hydra_groups = _HYDRA_GROUPS if groups.sweeps(command) else {}
     if current.startswith("-"):
-        return [flag for flag in _FLAGS if flag.startswith(current)]
+        flags = [flag for flag in _FLAGS if flag != "--multirun" or groups.sweeps(command)]
+        return [flag for flag in flags if flag.startswith(current)]
     chosen = groups.selected(command, before)
     name, equals, value = current.partition("=")
     if equals:
         return [f"{name}={option}" for option in _values(command, name, value, chosen, extra)]
-    names = [f"{group}=" for group in [*chosen, *_HYDRA_GROUPS]]
+    names = [f"{group}=" for group in [*chosen, *hydra_groups]]
     names += [f"{entry.path}=" for entry in groups.keys(command, chosen, extra)]
     matching = [option for option in names if option.startswith(current)]
     # As a shell does with folders: a group's keys are offered once its name and a dot are typed.
@@ -68,7 +70,11 @@ def _values(command: str, name: str, value: str, chosen: dict[str, str], extra: 
     elif name in _HYDRA_GROUPS:
         options = _HYDRA_GROUPS[name]
     elif name in _PATHS:
-        options, done, comma, last = files(value), "", "", value
+        # A list of folders, `run=[a,b`: complete its last item.
+        done, comma, last = value.rpartition(",") if value.startswith("[") else ("", "", value)
+        if value.startswith("[") and not comma:
+            comma, last = "[", value[1:]
+        options = files(last)
     else:
         options = ()
         for entry in groups.keys(command, chosen, extra):

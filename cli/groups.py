@@ -5,6 +5,7 @@ Help and shell completion start at every key press, so they read the few files t
 
 from __future__ import annotations
 
+import dataclasses
 import os
 from collections.abc import Iterator, Sequence
 from importlib import resources
@@ -17,6 +18,7 @@ from .keys import Key, walk
 from .schema import CHOICES, COMMAND_SCHEMAS
 
 _CONF = "nsde_torch.conf"
+NOTHING = "null"
 
 
 def config_dir(words: Sequence[str]) -> Path | None:
@@ -30,13 +32,31 @@ def config_dir(words: Sequence[str]) -> Path | None:
 
 
 def defaults(command: str) -> dict[str, str]:
-    """The config groups of a command with the choice that each has by default, in order."""
-    text = resources.files(_CONF).joinpath(f"{command}.yaml").read_text(encoding="utf-8")
+    """The config groups of a command with the choice that each has by default, in order; `null` for none."""
     found: dict[str, str] = {}
-    for item in yaml.safe_load(text).get("defaults", []):
+    for item in _primary(command).get("defaults", []):
         if isinstance(item, dict):
-            found.update({str(name): str(choice) for name, choice in item.items()})
+            found.update(
+                {str(name): NOTHING if choice is None else str(choice) for name, choice in item.items()}
+            )
     return found
+
+
+def _primary(command: str) -> dict[str, Any]:
+    """The content of a command's own YAML file."""
+    text = resources.files(_CONF).joinpath(f"{command}.yaml").read_text(encoding="utf-8")
+    content: dict[str, Any] = yaml.safe_load(text)
+    return content
+
+
+def has(command: str, name: str) -> bool:
+    """Whether a command has a key or group of this name."""
+    return name in {field.name for field in dataclasses.fields(COMMAND_SCHEMAS[command])}
+
+
+def sweeps(command: str) -> bool:
+    """Whether a command takes -m: one with a folder for its jobs."""
+    return has(command, "sweep_dir")
 
 
 def choices(group: str, extra: Path | None = None) -> list[str]:
@@ -59,9 +79,11 @@ def selected(command: str, words: Sequence[str]) -> dict[str, str]:
 
 def keys(command: str, chosen: dict[str, str], extra: Path | None = None) -> Iterator[Key]:
     """Every key of a command for one choice of each group; defaults are what the choice's file says."""
-    import dataclasses
-
-    values = {group: choice_values(group, choice, extra) for group, choice in chosen.items()}
+    own_values = _primary(command)
+    values = {
+        group: choice_values(group, choice, extra) if choice != NOTHING else own_values.get(group) or {}
+        for group, choice in chosen.items()
+    }
     done: set[str] = set()
     for entry in walk(COMMAND_SCHEMAS[command]):
         group = entry.path.split(".")[0]

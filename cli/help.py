@@ -28,16 +28,18 @@ def describe(command: str, summary: str, words: Sequence[str]) -> str:
     lines = [
         f"nsde {command}: {summary[0].lower()}{summary[1:]}",
         "",
-        f"Usage: nsde {command} [group=choice ...] [key=value ...] [--config-dir DIR] [-m]",
-        "",
-        "Config groups (* is chosen now; `--help data=csv` shows the keys of another choice)",
-        *_group_lines(chosen, extra),
+        f"Usage: nsde {command}{' [group=choice ...]' if chosen else ''} [key=value ...] [--config-dir DIR]"
+        + (" [-m]" if groups.sweeps(command) else ""),
     ]
+    if chosen:
+        lines += ["", "Config groups (* is chosen now; `--help data=csv` shows the keys of another choice)"]
+        lines += _group_lines(chosen, extra)
     section = None
     for entry in groups.keys(command, chosen, extra):
         name = entry.path.split(".")[0] if "." in entry.path else ""
         if name != section:
-            lines += [*_others(section, chosen), "", f"Keys of {name}={chosen[name]}" if name else "Keys"]
+            of = name if chosen.get(name) == groups.NOTHING else f"{name}={chosen.get(name)}"
+            lines += [*_others(section, chosen), "", f"Keys of {of}" if name else "Keys"]
             section = name
         lines += _key_lines(entry)
     lines += [*_others(section, chosen), "", *_usage(command)]
@@ -66,7 +68,7 @@ def _group_lines(chosen: dict[str, str], extra: Path | None) -> Iterator[str]:
 
 def _key_lines(entry: Key) -> Iterator[str]:
     default = "(required)" if entry.default == "???" else value_text(entry.default)
-    if entry.path in ("run_dir", "sweep_dir"):
+    if entry.path in ("run_dir", "sweep_dir", "out_dir"):
         default = "(dated)"
     left = f"  {entry.path}={default}" + (f" [{entry.unit}]" if entry.unit else "")
     right = entry.help + (f" ({entry.allowed})" if entry.allowed else "")
@@ -103,8 +105,8 @@ def _others(section: str | None, chosen: dict[str, str]) -> list[str]:
     return lines
 
 
-def _usage(command: str) -> list[str]:
-    rows = [
+_EXAMPLES: dict[str, list[tuple[str, str]]] = {
+    "train": [
         ("trainer.lr=0.003 'data.test=[0]'", "set keys; lists in brackets, quoted"),
         ("system=cartpole trainer=fast", "choose from groups"),
         ("run_dir=runs/first", "name the folder of the run"),
@@ -113,10 +115,21 @@ def _usage(command: str) -> list[str]:
         ("-m loss=paper,default seed=0,1,2", "a sweep, one job for each combination"),
         ("-m hydra/launcher=joblib ...", "in parallel (also submitit_local, submitit_slurm, ray)"),
         ("-m hydra/sweeper=optuna 'trainer.lr=tag(log,interval(0.001,0.1))'", ""),
-        ("--cfg job", "print the configuration and stop"),
-    ]
+    ],
+    "evaluate": [
+        ("run=runs/a", "on the runs that it was tested on"),
+        ("'run=[runs/a,runs/b]'", "several, and how each differs from the first"),
+        ("run=runs/a 'data.test=[0]'", "on another run of its data"),
+        ("run=runs/a data=csv data.path=flights/", "on other data, all runs of them"),
+        ("run=runs/a 'horizons=[0.2,1,5]'", "lists in brackets, quoted"),
+    ],
+}
+
+
+def _usage(command: str) -> list[str]:
+    rows = [*_EXAMPLES.get(command, []), ("--cfg job", "print the configuration and stop")]
     lines = ["How to override (NSDE_TRACEBACK=1 shows the traceback of an error)"]
     for words, meaning in rows:
         left = f"  nsde {command} {words}"
-        lines.append(f"{left:<46}{meaning}".rstrip())
+        lines.append(f"{left:<45} {meaning}".rstrip())
     return lines

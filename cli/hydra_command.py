@@ -89,6 +89,8 @@ class HydraCommand:
                 raise ConfigError(f"`--config-dir {folder}`: no such folder.")
             sys.path.insert(0, str(folder.resolve()))
         if _is_sweep(words):
+            if not groups.sweeps(self.name):
+                raise ConfigError(f"`nsde {self.name}` has no sweeps; leave out -m.")
             _check_sweep(words)
             if any(word.startswith("hydra/sweeper=optuna") for word in words):
                 # A failed job is a failed trial, not the end of the sweep.
@@ -150,7 +152,7 @@ class HydraCommand:
         line = f"nsde {self.name}: interrupted."
         if LAST.sweep_dir is not None:
             line += f" Finished jobs are in {LAST.sweep_dir}; see: nsde sweep-report {LAST.sweep_dir}"
-        elif LAST.run_dir is not None:
+        elif LAST.run_dir is not None and groups.has(self.name, "resume"):
             line += f" Continue with: nsde {self.name} resume={LAST.run_dir}"
         print(f"\n{line}", file=sys.stderr)
         return INTERRUPTED
@@ -177,6 +179,8 @@ def _refuse_used_folders(words: Sequence[str]) -> None:
             raise ConfigError(
                 f"`run_dir={folder}` holds a run already. Continue it with resume={folder}, or name another."
             )
+        if key == "out_dir" and (folder / "evaluation.json").is_file():
+            raise ConfigError(f"`out_dir={folder}` holds an evaluation already; name another folder.")
         if key == "sweep_dir" and (folder / "multirun.yaml").is_file():
             raise ConfigError(f"`sweep_dir={folder}` holds a sweep already; name another folder.")
 

@@ -33,6 +33,10 @@ class Command:
 
 COMMANDS: dict[str, Command] = {
     "train": Command(".train", "Learn a neural SDE of a machine from simulated or measured runs"),
+    "evaluate": Command(".evaluate", "Score trained models on runs, against baselines and each other"),
+    "figures": Command(
+        ".figures", "Make the supplement's figures anew, each with its claim and what was measured"
+    ),
     "sweep-report": Command(".sweep_report", "Rank the jobs of a sweep, and name those that failed and why"),
     "completion": Command(".completion", "Print the shell completion script for bash, zsh or fish"),
 }

@@ -63,7 +63,8 @@ def unknown_key(path: str, command: str, words: Sequence[str]) -> str:
         group = path.split(".")[0]
         now = groups.selected(command, words).get(group)
         homes = " or ".join(f"{group}={choice}" for choice in elsewhere[path])
-        return f"`{path}` is a key of {homes}, but {group}={now} is chosen."
+        chosen = f"{group}={now}" if now != groups.NOTHING else f"no {group}="
+        return f"`{path}` is a key of {homes}, but {chosen} is chosen."
     near = nearest(path, known)
     hint = f" Did you mean `{near}`?" if near else ""
     return f"`{path}` is not a key of `nsde {command}`.{hint} {_POINTER.format(command=command)}"

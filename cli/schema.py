@@ -39,14 +39,22 @@ class SystemConfig:
 
 
 @dataclass
-class DataConfig:
-    """What every data set has."""
+class RunChoice:
+    """Which runs of a data set are held out, or scored on."""
 
     kind: str = key("???", "kind of the data set, set by data=")
-    test: list[Any] | None = key(None, "runs held out for the test, by index or name; null: the last run")
+    test: list[Any] | None = key(
+        None, "runs to test on, by index or name; null: the last run (evaluate with data=: all)"
+    )
     test_path: str | None = key(
         None, "file or folder of further runs to test on, recorded by sensors of another noise perhaps"
     )
+
+
+@dataclass
+class DataConfig(RunChoice):
+    """What every data set has."""
+
     validation: float = key(
         0.15, "share of the training runs' time that early stopping looks at", low=0.01, high=0.5
     )
@@ -251,6 +259,56 @@ class TrainConfig:
     solver: SolverConfig = group(SolverConfig, "how paths are integrated")
 
 
+@dataclass
+class EvaluateConfig:
+    """`nsde evaluate`."""
+
+    run: Any = key("???", "run directory to evaluate, or several to compare: run=[A,B]")
+    names: list[str] | None = key(None, "name of each run in tables and figures; null: its folder")
+    seed: int = key(0, "seed of the sampled paths and of the bootstrap", low=0)
+    device: str = key("cpu", "where tensors live: cpu, cuda or cuda:N")
+    threads: int = key(1, "CPU threads of torch; more seldom help and hurt on a busy machine", low=1)
+    particles: int = key(199, "paths sampled from each start", low=2)
+    horizons: list[float] | None = key(
+        None, "horizons; null: those of 0.1, 0.25, 0.5, 1 and 2 that fit", unit="s", above=0
+    )
+    bootstrap: int = key(2000, "resamples of the paired bootstrap", low=100)
+    sensor_noise: str | None = key(
+        None,
+        "sensors that predictions of measurements assume: those of the training data, or those that the runs show; "
+        "null: data with data.test_path, else train",
+        choices=("train", "data"),
+    )
+    compile: bool = key(False, "compile the step: half a minute or more, which some thousand starts repay")
+    out_dir: str = key("???", "folder to write into")
+    data: RunChoice = group(RunChoice, "runs to score on; null: those that the first run was tested on")
+
+
+@dataclass
+class FiguresConfig:
+    """`nsde figures`."""
+
+    figures: list[str] = key(
+        ["all"], "figures to make: all, or of fig5, fig9, fig10, fig11, fig12, fig15, fig16"
+    )
+    settings: str = key(
+        "fast",
+        "fast: a look in minutes; full: for the record (default trainings, all folds)",
+        choices=("fast", "full"),
+    )
+    published: str | None = key(
+        None, "folder of the authors' files (hexacopter/, cartpole/, ...); null: data of our own plants"
+    )
+    seeds: int | None = key(None, "models of each kind; null: 1 with fast, 3 with full settings", low=1)
+    jobs: int = key(2, "trainings at a time, one thread each", low=1)
+    policies: str | None = key(None, "folder of a policy study; null: none is drawn")
+    seed: int = key(0, "seed of the particles", low=0)
+    threads: int = key(1, "CPU threads of torch", low=1)
+    out_dir: str = key(
+        "???", "folder of figures, captions and trained models; finished models in it are used again"
+    )
+
+
 # Choices whose keys are more than those of their group's class.
 CHOICES: dict[str, dict[str, type]] = {
     "data": {"simulated": SimulatedData, "csv": CsvData, "ulog": UlogData, "published": PublishedData},
@@ -258,7 +316,11 @@ CHOICES: dict[str, dict[str, type]] = {
     "solver": {"torchdiffeq": TorchDiffEqSolver},
 }
 
-COMMAND_SCHEMAS: dict[str, type] = {"train": TrainConfig}
+COMMAND_SCHEMAS: dict[str, type] = {
+    "train": TrainConfig,
+    "figures": FiguresConfig,
+    "evaluate": EvaluateConfig,
+}
 
 
 def register() -> None:

@@ -118,7 +118,7 @@ def _rollouts(comparison: Comparison) -> Iterator[Any]:
             samples,
             names=list(system.state_names),
             units=list(system.state_units),
-            title=f"Rollouts from a typical start: {run['name']}, t = {times[at]:.1f} s",
+            title=f"Rollouts from a typical start: {run['name']}, t = {times[at]:.2f} s",
             quaternion=system.quaternion,
         )
         yield _marked(figure, [m for m, _ in part])

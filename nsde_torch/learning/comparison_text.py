@@ -1,5 +1,6 @@
 """An evaluation as a person reads it in a terminal: lines, and which of them are red."""
 
+import textwrap
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
@@ -7,6 +8,7 @@ from nsde_torch.learning.report import SHOWN_LEVELS, number, table
 
 Line = tuple[str, bool]
 SEEN = "TRAINED ON"
+_WIDTH = 110
 _BASELINES = {"constant_velocity": "constant velocity", "hold": "hold"}
 
 
@@ -36,7 +38,7 @@ def lines(content: Mapping[str, Any]) -> Iterator[Line]:
     yield "", False
     yield from _verdicts(content)
     for remark in content["notes"]:
-        yield f"note: {remark['text']}", remark["red"]
+        yield from _wrapped(f"note: {remark['text']}", remark["red"])
 
 
 def label(model: Mapping[str, Any]) -> str:
@@ -87,12 +89,12 @@ def _intervals(content: Mapping[str, Any]) -> Iterator[Line]:
         for what in (*SHOWN_LEVELS, f"CRPS [{unit}]", "NLL [nat]"):
             for m in content["models"]:
                 if what in SHOWN_LEVELS:
-                    name = f"{float(what):.0%} interval"
-                    source = None if m["coverage"] is None else m["coverage"][what]
-                    cells = [_cell(source, group, h, ".0%") for h in horizons]
+                    name, source = f"{float(what):.0%} interval", (m["coverage"] or {}).get(what)
                 else:
                     name, source = what, m["crps"] if what.startswith("CRPS") else m["nll"]
-                    cells = [_cell(source, group, h) for h in horizons]
+                if not m["stochastic"] and not what.startswith("CRPS"):
+                    continue  # a note says so
+                cells = [_cell(source, group, h, ".0%" if what in SHOWN_LEVELS else "") for h in horizons]
                 rows.append(([group, name, label(m), *cells], not m["held_out"]))
     yield from _lines(["intervals and scores", "", "", *(f"{h} s" for h in horizons)], rows)
 
@@ -117,7 +119,7 @@ def _differences(content: Mapping[str, Any]) -> Iterator[Line]:
                 word = d["verdict"] + ("" if other["held_out"] else f" ({SEEN})")
                 rows.append(([name, f"{group} [{unit}]", f"{h} s", *pair, word], not other["held_out"]))
     rows = [(row if len(row) == 8 else [*row, "-"], red) for row, red in rows]
-    yield f"difference of rms errors to {first}: {_method(differences)}", False
+    yield from _wrapped(f"difference of rms errors to {first}: {_method(differences)}", False)
     head = ["model", "", "", first, "its own", "difference", f"{differences['level']:.0%} interval", ""]
     yield from _lines(head, rows)
 
@@ -146,4 +148,8 @@ def _verdicts(content: Mapping[str, Any]) -> Iterator[Line]:
         text = "; ".join(f"{word} in {', '.join(where)}" for word, where in words.items())
         if text:
             mark = "" if held_out else f" ({SEEN})"
-            yield f"{differences['first']}{mark} against {name}: {text}", not held_out
+            yield from _wrapped(f"{differences['first']}{mark} against {name}: {text}", not held_out)
+
+
+def _wrapped(text: str, red: bool) -> Iterator[Line]:
+    yield from ((line, red) for line in textwrap.wrap(text, _WIDTH, subsequent_indent="  "))

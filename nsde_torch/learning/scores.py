@@ -69,9 +69,9 @@ def gaussian_nll(errors: Tensor) -> Tensor:
         NLL (...) in float64 [nat, for a density in the unit of the errors]; NaN where the ensemble has no spread.
     """
     e = errors.double()
-    variance = e.var(0) if len(e) > 1 else torch.zeros_like(e[0])
+    variance = e.var(0, correction=min(1, len(e) - 1))
     nll = 0.5 * (math.log(2 * math.pi) + variance.log() + e.mean(0).square() / variance)
-    return torch.where(variance > 0, nll, math.nan)
+    return torch.where((errors == errors[:1]).all(0), math.nan, nll)  # rounding may leave a variance
 
 
 def baselines(system: System, x0: Tensor, elapsed: float) -> dict[str, Tensor]:
@@ -240,5 +240,7 @@ def _of_horizon(system: System, sample: Tensor, x0: Tensor, y: Tensor, elapsed: 
     for level in LEVELS:
         low, high = _interval(ordered, level)
         inside.append((low <= 0) & (high >= 0))
-    spread = e.std(0, correction=min(1, p - 1))
-    return (*squares, torch.stack(inside, 1), crps(e), spread, gaussian_nll(e))
+    # equal particles have no spread, whatever rounding makes of their errors
+    alike = (e == e[:1]).all(0) | (sample == sample[:1]).flatten(2).all(2).all(0)[:, None]
+    spread = e.std(0, correction=min(1, p - 1)).masked_fill(alike, 0.0)
+    return (*squares, torch.stack(inside, 1), crps(e), spread, gaussian_nll(e).masked_fill(alike, math.nan))

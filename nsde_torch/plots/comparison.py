@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 Array = NDArray[np.float64]
-_ROOM = 1.5  # share of the range of what was measured that a band may go beyond it
+_ROOM = 4.0  # how far a band may go beyond the range of what was measured, in such ranges
 
 
 @styled
@@ -162,7 +162,7 @@ def _bands(ax: Axes, t: Array, measured: Array, samples: Array) -> None:
 
 
 def _limits(measured: Array, samples: Array) -> tuple[float, float]:
-    """Range of what was measured and of the widest band, which may go beyond by `_ROOM` times the range."""
+    """Range of what was measured and of the widest band, cut off where it goes far beyond."""
     low, high = float(measured.min()), float(measured.max())
     share = BANDS[0][0]
     ends: Any = np.quantile(samples, [(1 - share) / 2, (1 + share) / 2], axis=0)

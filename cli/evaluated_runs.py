@@ -1,0 +1,144 @@
+"""The runs that `nsde evaluate` is given: found, whole, of one system, and each with a name of its own."""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from nsde_torch.errors import CheckpointError, ConfigError
+from nsde_torch.models import Model
+from nsde_torch.models.run_directory import CONFIG, METRICS, load
+
+from .jobs import FAILED
+
+
+@dataclass(frozen=True)
+class TrainedRun:
+    """A finished run directory.
+
+    Args:
+        name: Name in tables and figures.
+        folder: The folder.
+        model: Its model.
+        metrics: What its `metrics.json` holds.
+        trained: The configuration that it was trained with; empty if it was trained without the command line.
+    """
+
+    name: str
+    folder: Path
+    model: Model
+    metrics: Mapping[str, Any]
+    trained: Mapping[str, Any]
+
+
+def read_runs(given: object, names: Sequence[str] | None, device: Any) -> list[TrainedRun]:
+    """The runs of the key `run`.
+
+    Args:
+        given: One folder or a list of them.
+        names: A name for each; None makes them from the folders.
+        device: Where models live.
+
+    Raises:
+        ConfigError: not a folder or list of folders, a folder twice, or names that do not fit.
+        CheckpointError: a folder is missing, holds no finished run, or is damaged.
+    """
+    folders = _folders(given)
+    if names is None:
+        names = short_names(folders)
+    if len(names) != len(folders) or len(set(names)) < len(names):
+        raise ConfigError(
+            f"`names` must hold one name for each of the {len(folders)} runs, all different; got {names}."
+        )
+    found = []
+    for name, folder in zip(names, folders, strict=True):
+        metrics = _metrics(folder)
+        _see_own_modules(folder)
+        model = load(folder, device=device)
+        found.append(TrainedRun(name, folder, model, metrics, _trained(folder)))
+    first = found[0]
+    for other in found[1:]:
+        if other.model.spec.system != first.model.spec.system:
+            raise ConfigError(
+                f"`run`: only models of one system can be compared; {first.folder} is of {first.model.spec.system}, "
+                f"{other.folder} of {other.model.spec.system}. Evaluate them one by one."
+            )
+    return found
+
+
+def _folders(given: object) -> list[Path]:
+    listed = list(given) if isinstance(given, (list, tuple)) else [given]
+    if not listed or not all(isinstance(item, str) and item for item in listed):
+        raise ConfigError(f"`run` must be a run directory, or a list of them: run=[A,B]; got {given!r}.")
+    folders = [Path(str(item)) for item in listed]
+    places = [folder.resolve() for folder in folders]
+    for folder, place in zip(folders, places, strict=True):
+        if places.count(place) > 1:
+            raise ConfigError(f"`run` names {folder} twice.")
+    return folders
+
+
+def short_names(folders: Sequence[Path]) -> list[str]:
+    """As much of the end of each path as tells them apart."""
+    parts = [folder.resolve().parts for folder in folders]
+    for count in range(1, max(map(len, parts)) + 1):
+        names = ["/".join(p[-count:]) for p in parts]
+        if len(set(names)) == len(names):
+            break
+    return names
+
+
+def _metrics(folder: Path) -> Mapping[str, Any]:
+    """The content of `metrics.json`, which is the last thing that a training writes."""
+    if not folder.is_dir():
+        raise CheckpointError(f"`run={folder}`: no such folder; give the folder that `nsde train` printed.")
+    if not (folder / METRICS).is_file():
+        raise CheckpointError(f"`run={folder}`: {_what_is_wrong(folder)}")
+    try:
+        content = json.loads((folder / METRICS).read_text(encoding="utf-8"))
+    except (json.JSONDecodeError, UnicodeDecodeError) as error:
+        raise CheckpointError(f"`run={folder}`: {METRICS} is damaged ({error}). Train again.") from error
+    if not isinstance(content, dict):
+        raise CheckpointError(f"`run={folder}`: {METRICS} is damaged. Train again.")
+    return content
+
+
+def _what_is_wrong(folder: Path) -> str:
+    jobs = sorted(path.parent.name for path in folder.glob(f"*/{METRICS}"))
+    if jobs:
+        return (
+            f"this holds {len(jobs)} runs (a sweep?), not one; name those to compare, run=[{folder}/{jobs[0]},...], "
+            "names with = or , in quotes."
+        )
+    if (folder / FAILED).is_file():
+        return f"this training failed (see {folder / FAILED}); train again."
+    if (folder / ".hydra").is_dir() or (folder / CONFIG).is_file():
+        return f"this training has not finished (no {METRICS}); finish it with `nsde train resume={folder}`."
+    return f"this is no run directory (no {METRICS}); give the folder that `nsde train` printed."
+
+
+def _trained(folder: Path) -> Mapping[str, Any]:
+    content = yaml.safe_load((folder / CONFIG).read_text(encoding="utf-8"))
+    config = content.get("config")
+    return config if isinstance(config, dict) else {}
+
+
+def _see_own_modules(folder: Path) -> None:
+    """Make modules importable that lay in the user's config folder at training: a system of their own."""
+    record = folder / ".hydra" / "hydra.yaml"
+    if not record.is_file():
+        return
+    content = yaml.safe_load(record.read_text(encoding="utf-8"))
+    for source in content["hydra"]["runtime"]["config_sources"]:
+        if (
+            source["provider"] == "command-line"
+            and source["schema"] == "file"
+            and source["path"] not in sys.path
+        ):
+            sys.path.insert(0, source["path"])

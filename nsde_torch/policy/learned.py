@@ -1,0 +1,153 @@
+"""A learned model as a machine that is pushed a sample at a time.
+
+A neural SDE is stepped by its own integrator, and each path keeps its memory and its disturbance from one sample
+to the next. Any other model is asked for one step of `sample` at a time from the state that it predicted: what it
+draws for a whole path it then draws anew at every sample (the member of an ensemble, say). The state evolves
+without sensor noise; the noise that a model has learned of its sensors is added to what is measured.
+"""
+
+from __future__ import annotations
+
+from typing import final
+
+import torch
+from torch import Tensor
+
+from nsde_torch.errors import ConfigError
+from nsde_torch.models.model import Model, normal
+from nsde_torch.models.neural_sde import NeuralSDE
+from nsde_torch.policy.dynamics import Dynamics
+from nsde_torch.sde import brownian, rollout
+
+
+def make_learned(model: Model, *, dt: float, sensor_noise: float, generator: torch.Generator) -> Dynamics:
+    """The machines that a model has learned.
+
+    Args:
+        model: The model.
+        dt: Sample [s].
+        sensor_noise: Factor on the sensor noise that the model has learned, >= 0; one without such noise has none.
+        generator: Source of all randomness.
+
+    Raises:
+        ConfigError: the factor is below 0.
+    """
+    if not sensor_noise >= 0:
+        raise ConfigError(f"`sensor_noise` must be a factor of 0 or more; got {sensor_noise!r}.")
+    made = _SDEDynamics if isinstance(model, NeuralSDE) else _SampledDynamics
+    return made(model, dt=dt, sensor_noise=sensor_noise, generator=generator)  # type: ignore[arg-type]
+
+
+@final
+class _SDEDynamics(Dynamics):
+    """A neural SDE, stepped by its integrator."""
+
+    def __init__(
+        self,
+        model: NeuralSDE,
+        *,
+        dt: float,
+        sensor_noise: float,
+        generator: torch.Generator,
+    ) -> None:
+        self.model, self.name = model, model.spec.kind
+        self._dt, self._generator = dt, generator
+        self._std = sensor_noise * model.measurement_std
+        self._noisy = bool((self._std > 0).any())
+        self._z = model.clock_scale.new_empty(0, model.nz)
+
+    @property
+    def state(self) -> Tensor:
+        """See `Dynamics.state`."""
+        return self._z[:, : self.model.system.nx]
+
+    def reset(self, x0: Tensor) -> Tensor:
+        """See `Dynamics.reset`."""
+        self._z = self._start(x0)
+        return self._measured(self.state)
+
+    def restart(self, rows: Tensor, x0: Tensor) -> Tensor:
+        """See `Dynamics.restart`."""
+        z = self._start(x0)
+        self._z = self._z.index_copy(0, rows, z)
+        return self._measured(z[:, : self.model.system.nx])
+
+    @torch.no_grad()
+    def step(self, u: Tensor) -> Tensor:
+        """See `Dynamics.step`."""
+        z, step = self._z, self.model.step
+        noise = None
+        if not step.deterministic:
+            made = {"generator": self._generator, "device": z.device, "dtype": z.dtype}
+            noise = brownian(1, len(z), 1, z.shape[1], dt=self._dt, **made)  # type: ignore[arg-type]
+        path = rollout(
+            self.model,
+            z,
+            u.to(z)[:, None],
+            dt=self._dt,
+            step=step,
+            noise=noise,
+            check=False,
+        )
+        self._z = path[0, :, 1]
+        return self._measured(self.state)
+
+    @torch.no_grad()
+    def _start(self, x0: Tensor) -> Tensor:
+        model = self.model
+        x = model.project(x0.to(self._z))
+        draw = normal((len(x), model.nd), self._generator, x) if model.nd else None
+        return model.augment(x, x.new_zeros(len(x), model.system.nu + len(model.system.exogenous)), draw)
+
+    def _measured(self, x: Tensor) -> Tensor:
+        if not self._noisy:
+            return x
+        return self.model.project(x + self._std * normal(tuple(x.shape), self._generator, x))
+
+
+@final
+class _SampledDynamics(Dynamics):
+    """Any other model, through `sample` with one step."""
+
+    def __init__(
+        self,
+        model: Model,
+        *,
+        dt: float,
+        sensor_noise: float,
+        generator: torch.Generator,
+    ) -> None:
+        self.model, self.name = model, model.spec.kind
+        self._dt, self._generator = dt, generator
+        self._x = model.clock_scale.new_empty(0, model.system.nx)
+
+    @property
+    def state(self) -> Tensor:
+        """See `Dynamics.state`."""
+        return self._x
+
+    def reset(self, x0: Tensor) -> Tensor:
+        """See `Dynamics.reset`."""
+        self._x = self.model.project(x0.to(self._x))
+        return self._x
+
+    def restart(self, rows: Tensor, x0: Tensor) -> Tensor:
+        """See `Dynamics.restart`."""
+        x = self.model.project(x0.to(self._x))
+        self._x = self._x.index_copy(0, rows, x)
+        return x
+
+    @torch.no_grad()
+    def step(self, u: Tensor) -> Tensor:
+        """See `Dynamics.step`."""
+        path = self.model.sample(
+            self._x,
+            u.to(self._x)[:, None],
+            dt=self._dt,
+            particles=1,
+            generator=self._generator,
+            measurement=False,
+            applied=True,
+        )
+        self._x = path[0, :, 1]
+        return self._x

@@ -1,0 +1,196 @@
+"""Proximal policy optimisation on a batch environment, by stable-baselines3, which is imported here alone.
+
+The learner sees observations over their scale and rewards times theirs. What it leaves behind, between updates,
+goes into a file of tensors with plain words in its header, from which another process goes on: networks, Adam's
+moments and the number of interactions. The episodes under way and the state of the random numbers are not kept: a
+learning that was interrupted is continued, not repeated.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any, final
+
+import torch
+from safetensors import SafetensorError, safe_open
+from safetensors.torch import load_file, save_file
+from stable_baselines3 import PPO
+from stable_baselines3.common.callbacks import BaseCallback
+from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
+from torch import Tensor, nn
+
+from nsde_torch.errors import CheckpointError, NonFiniteError
+from nsde_torch.policy.actor import Actor
+from nsde_torch.policy.environment import BatchEnvironment
+from nsde_torch.policy.options import PolicyOptions
+from nsde_torch.policy.vec_env import PolicyVecEnv
+
+_FORMAT = "nsde_torch/ppo/1"
+_NEVER = 10**9  # updates between stable-baselines3's own tables
+
+
+class _Scaled(BaseFeaturesExtractor):
+    """Observations over their scale."""
+
+    def __init__(self, observation_space: Any, scale: tuple[float, ...]) -> None:
+        super().__init__(observation_space, len(scale))
+        self.scale: Tensor
+        self.register_buffer("scale", torch.tensor(scale))
+
+    def forward(self, observations: Tensor) -> Tensor:
+        """Observations (N, no)."""
+        return observations / self.scale
+
+
+@final
+class Learner:
+    """A policy in the making. Making one seeds torch's, numpy's and Python's global sources of randomness.
+
+    Args:
+        environment: What it learns in.
+        options: Settings.
+        seed: Seed of weights, actions and batches.
+    """
+
+    def __init__(self, environment: BatchEnvironment, *, options: PolicyOptions, seed: int) -> None:
+        self.environment, self.options, self._seed = environment, options, seed
+        self._task = environment.task
+        start, end = options.lr, options.lr_end
+        self._ppo = PPO(
+            "MlpPolicy",
+            PolicyVecEnv(environment, reward_scale=options.reward_scale),
+            learning_rate=lambda left: end + (start - end) * left,
+            n_steps=options.rollout,
+            batch_size=options.batch,
+            n_epochs=options.epochs,
+            gamma=options.gamma,
+            gae_lambda=options.gae_lambda,
+            clip_range=options.clip,
+            ent_coef=options.entropy,
+            seed=seed,
+            device="cpu",
+            policy_kwargs={
+                "net_arch": {"pi": list(options.hidden), "vf": list(options.hidden)},
+                "activation_fn": nn.Tanh,
+                "features_extractor_class": _Scaled,
+                "features_extractor_kwargs": {"scale": self._task.observation_scale},
+            },
+        )
+
+    @property
+    def interactions(self) -> int:
+        """Steps of the environment so far."""
+        return int(self._ppo.num_timesteps)
+
+    def actor(self) -> Actor:
+        """The policy as it is now."""
+        policy, task = self._ppo.policy, self._task
+        actor = Actor(task.observation_scale, self.options.hidden, len(task.action_names), system=task.system)
+        given = [m for m in policy.mlp_extractor.policy_net if isinstance(m, nn.Linear)]
+        with torch.no_grad():
+            for own, theirs in zip(actor.layers, [*given, policy.action_net], strict=True):
+                assert isinstance(own, nn.Linear)
+                assert isinstance(theirs, nn.Linear)
+                own.weight.copy_(theirs.weight)
+                own.bias.copy_(theirs.bias)
+            actor.log_std.copy_(policy.log_std)
+        return actor.eval().requires_grad_(False)
+
+    def learn(self, between_updates: Callable[[], None], *, at_every_step: Callable[[int], None]) -> None:
+        """Learn until all interactions are done.
+
+        Args:
+            between_updates: Called before the first update and after each, the last included.
+            at_every_step: Called with the number of interactions so far.
+
+        Raises:
+            NonFiniteError: the weights of the policy are not finite.
+        """
+        left = self.options.interactions - self.interactions
+        if left <= 0:
+            between_updates()
+            return
+
+        def between() -> None:
+            if not all(bool(torch.isfinite(p).all()) for p in self._ppo.policy.parameters()):
+                raise NonFiniteError(
+                    f"the policy left the finite numbers after {self.interactions} interactions. "
+                    "A smaller ppo.lr or ppo.reward_scale may help."
+                )
+            self._ppo.policy.set_training_mode(False)
+            between_updates()
+
+        self._ppo.learn(
+            left, callback=_Calls(between, at_every_step), log_interval=_NEVER, reset_num_timesteps=False
+        )
+        between()
+
+    def save(self, path: Path, about: Mapping[str, Any]) -> None:
+        """Write a checkpoint; `about` (plain values) travels in its header.
+
+        Args:
+            path: File.
+            about: What to find again beside the tensors.
+        """
+        path.parent.mkdir(parents=True, exist_ok=True)
+        tensors = {f"policy.{k}": v for k, v in self._ppo.policy.state_dict().items()}
+        for index, moments in self._ppo.policy.optimizer.state_dict()["state"].items():
+            tensors |= {f"adam.{index}.{name}": torch.as_tensor(value) for name, value in moments.items()}
+        kept = {k: v.detach().cpu().contiguous().clone() for k, v in tensors.items()}
+        header = json.dumps({"interactions": self.interactions, "updates": self._ppo._n_updates, **about})
+        temporary = path.with_suffix(".partial")
+        save_file(kept, str(temporary), metadata={"format": _FORMAT, "about": header})
+        os.replace(temporary, path)
+
+    def restore(self, path: Path) -> dict[str, Any]:
+        """Go on from a checkpoint.
+
+        Args:
+            path: File that `save` wrote.
+
+        Returns:
+            What was saved beside the tensors.
+
+        Raises:
+            CheckpointError: the file is damaged, or of another network.
+        """
+        try:
+            tensors = load_file(str(path))
+            with safe_open(str(path), framework="pt") as opened:
+                metadata = opened.metadata() or {}
+            about: dict[str, Any] = json.loads(metadata["about"])
+            policy = {k[7:]: v for k, v in tensors.items() if k.startswith("policy.")}
+            adam: dict[int, dict[str, Tensor]] = {}
+            for key, value in tensors.items():
+                if key.startswith("adam."):
+                    _, index, name = key.split(".")
+                    adam.setdefault(int(index), {})[name] = value
+            self._ppo.policy.load_state_dict(policy)
+            state = self._ppo.policy.optimizer.state_dict()
+            self._ppo.policy.optimizer.load_state_dict({**state, "state": adam})
+            self._ppo.num_timesteps, self._ppo._n_updates = about.pop("interactions"), about.pop("updates")
+            # else the actions of the first start would be drawn once more
+            self._ppo.set_random_seed(self._seed + self._ppo._n_updates)
+        except (SafetensorError, OSError, LookupError, TypeError, ValueError, RuntimeError) as error:
+            raise CheckpointError(
+                f"checkpoint {path} is damaged or of another configuration ({error}). Remove it to start again."
+            ) from error
+        return about
+
+
+class _Calls(BaseCallback):
+    """Passes on when an update is about to be collected, and every step."""
+
+    def __init__(self, between: Callable[[], None], at_every_step: Callable[[int], None]) -> None:
+        super().__init__()
+        self._between, self._at_every_step = between, at_every_step
+
+    def _on_rollout_start(self) -> None:
+        self._between()
+
+    def _on_step(self) -> bool:
+        self._at_every_step(self.num_timesteps)
+        return True

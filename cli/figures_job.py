@@ -17,7 +17,8 @@ from omegaconf import DictConfig
 
 from nsde_torch.errors import ConfigError, NsdeError
 
-from .figure_table import FAST, FIGURES, Settings
+from . import figure_table
+from .figure_table import Settings
 from .jobs import Job, guarded
 
 if TYPE_CHECKING:
@@ -53,9 +54,9 @@ def run(config: DictConfig, job: Job) -> None:
     )
     started = time.perf_counter()
     needed = {
-        f"{name}_seed{seed}": [*words, f"seed={seed}", *(FAST if fast else ())]
+        f"{name}_seed{seed}": [*words, f"seed={seed}", *(figure_table.FAST if fast else ())]
         for figure in names
-        for name, words in FIGURES[figure].trainings(settings).items()
+        for name, words in figure_table.FIGURES[figure].trainings(settings).items()
         for seed in range(settings.seeds)
     }
     train_all(needed, settings.models, at_once=config.jobs)
@@ -63,7 +64,7 @@ def run(config: DictConfig, job: Job) -> None:
     failed: dict[str, str] = {}
     for name in names:
         try:
-            outcomes[name] = FIGURES[name].draw(settings)
+            outcomes[name] = figure_table.FIGURES[name].draw(settings)
         except NsdeError as error:
             failed[name] = str(error)
             log.error("%s: %s", name, error)
@@ -83,10 +84,12 @@ def chosen(words: Sequence[str]) -> list[str]:
     Raises:
         ConfigError: There is no such figure.
     """
-    unknown = sorted({w for w in words if w != "all" and w not in FIGURES})
+    unknown = sorted({w for w in words if w != "all" and w not in figure_table.FIGURES})
     if unknown or not words:
-        raise ConfigError(f"`figures` must be `all` or of {', '.join(FIGURES)}; got {unknown or 'none'}.")
-    return [name for name in FIGURES if "all" in words or name in words]
+        raise ConfigError(
+            f"`figures` must be `all` or of {', '.join(figure_table.FIGURES)}; got {unknown or 'none'}."
+        )
+    return [name for name in figure_table.FIGURES if "all" in words or name in words]
 
 
 def _folder(path: str | None, key: str) -> Path | None:

@@ -187,7 +187,9 @@ class LossConfig:
     far_radius: float = key(
         16.0, "largest radius that loss=default draws up to", unit="std of the features", above=0
     )
-    residual_decay: float = key(0.003, "weight of the squared weights of the residual networks", low=0)
+    residual_decay: float = key(
+        0.003, "weight of the squared weights of residual networks beside declared physics", low=0
+    )
     early: float = key(1.0, "step k of a window weighs k^-early (loss=default)", low=0)
 
 
@@ -309,6 +311,51 @@ class FiguresConfig:
     )
 
 
+@dataclass
+class PpoConfig:
+    """Proximal policy optimisation (`nsde_torch.policy.PolicyOptions`)."""
+
+    n_envs: int = key(32, "machines in the batch", low=1)
+    rollout: int = key(200, "steps of each machine between updates", unit="steps", low=1)
+    batch: int = key(640, "steps in a gradient step; divides ppo.n_envs times ppo.rollout", low=2)
+    epochs: int = key(10, "passes over the steps of an update", low=1)
+    lr: float = key(0.001, "learning rate at the start", above=0)
+    lr_end: float = key(0.00001, "learning rate at the end; it falls linearly", above=0)
+    gamma: float = key(0.99, "discount of the future, per step", above=0, high=1)
+    gae_lambda: float = key(0.95, "weight of long advantages", low=0, high=1)
+    clip: float = key(0.2, "how far the ratio of new to old probabilities may leave 1", above=0)
+    entropy: float = key(0.0, "weight of the reward on broad actions", low=0)
+    hidden: list[int] = key([64, 64], "widths of the networks of policy and value (tanh)", low=1)
+    reward_scale: float = key(0.1, "factor on the rewards that the learner sees", above=0)
+    evaluate_every: int = key(20000, "interactions between evaluations and checkpoints", low=1)
+    episodes: int = key(200, "episodes of an evaluation", low=1)
+    final_episodes: int = key(1000, "episodes of the last evaluation", low=1)
+
+
+@dataclass
+class PolicyConfig:
+    """`nsde policy`."""
+
+    system: str = key("cartpole", "the machine; it has a task", choices=("cartpole",))
+    environment: str = key("truth", "where the policy learns: truth, or the run directory of a model")
+    truth: str = key(
+        "plant",
+        "the true machine: plant (this package's, as data=simulated) or published (that of the authors' data)",
+        choices=("plant", "published"),
+    )
+    sensor_noise: float = key(1.0, "sensor noise of truth and model, relative to their own", low=0)
+    steps: int = key(600000, "interactions with the environment", low=1)
+    seed: int = key(0, "seed of networks, actions and first states", low=0)
+    reference: list[str] = key(
+        [], "folders of policies that learned on the same truth; the score is relative to them"
+    )
+    threads: int = key(1, "CPU threads of torch; more seldom help and hurt on a busy machine", low=1)
+    run_dir: str = key("???", "folder of this run")
+    sweep_dir: str = key("???", "folder of a sweep (-m); its jobs lie inside")
+    resume: str | None = key(None, "folder of an interrupted run to continue, with its configuration")
+    ppo: PpoConfig = group(PpoConfig, "how it learns")
+
+
 # Choices whose keys are more than those of their group's class.
 CHOICES: dict[str, dict[str, type]] = {
     "data": {"simulated": SimulatedData, "csv": CsvData, "ulog": UlogData, "published": PublishedData},
@@ -320,6 +367,7 @@ COMMAND_SCHEMAS: dict[str, type] = {
     "train": TrainConfig,
     "figures": FiguresConfig,
     "evaluate": EvaluateConfig,
+    "policy": PolicyConfig,
 }
 
 

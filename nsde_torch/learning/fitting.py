@@ -26,6 +26,7 @@ from nsde_torch.sde import brownian
 
 _FAST = ("filter.", "h.", "log_", "system.")
 _FAST_RATE = 3.0
+_ALIKE = 5e-4  # scores as near as this are equal: where sensor noise rules them, the later weights are the better ones
 _FAR = 0.1  # weight of the declared sigma_max as the least diffusion away from the data
 _AVERAGE = 0.98
 _SAID_EVERY = 5  # validations between lines where there is no terminal to draw a bar on
@@ -143,8 +144,13 @@ class Fit:
             far = model.h(x.new_ones(1))[0, : len(declared)]
             out["far"] = _FAR * torch.relu((declared / far).log()).square().sum()
         if options.residual_decay:
-            norms = [network.weight_norm() for network in model.residuals.values()]  # type: ignore[operator]
-            out["decay"] = options.residual_decay * torch.stack(norms).sum()
+            # a network beside declared physics is kept small; one that is all there is on its port is not
+            beside = [
+                model.residuals[port.value] for port in model.system.physics_ports & set(model.residual_ports)
+            ]
+            if beside:
+                norms = [network.weight_norm() for network in beside]  # type: ignore[operator]
+                out["decay"] = options.residual_decay * torch.stack(norms).sum()
         return out
 
     @torch.no_grad()
@@ -279,8 +285,9 @@ class Fit:
         if losses:
             row["loss"] = sum(float(v) for v in losses.values())
         progress.history.append(row)
-        if score < progress.best_score:
-            progress.best_score, progress.best_step = score, progress.step
+        if score < progress.best_score or score - progress.best_score < _ALIKE * abs(progress.best_score):
+            progress.best_score = min(score, progress.best_score)
+            progress.best_step = progress.step
             self.kept = copy.deepcopy(self.model.state_dict())
         self._put(current)
         if progress.step and math.isinf(progress.best_score):

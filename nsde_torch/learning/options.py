@@ -20,7 +20,7 @@ class LossOptions:
         ball_samples: Points drawn in the ball around each.
         ball_radius: Radius of the ball [standard deviations of the features]; None takes the system's.
         far_radius: Largest radius that the default loss draws up to [standard deviations].
-        residual_decay: Weight of the squared weights of the residual networks.
+        residual_decay: Weight of the squared weights of residual networks beside declared physics.
         early: Weight of a step k of the window is k ** -early (default loss).
     """
 

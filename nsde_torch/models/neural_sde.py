@@ -153,6 +153,11 @@ class NeuralSDE(Model):
         return {Port(k): self._residual_scale[k] * network(y) for k, network in self.residuals.items()}
 
     @property
+    def residual_ports(self) -> tuple[Port, ...]:
+        """Ports that have a residual network."""
+        return tuple(Port(name) for name in self.residuals)
+
+    @property
     def nz(self) -> int:
         """Number of states with the memory of the effects and the disturbances."""
         return self.system.nz + self.nd

@@ -175,6 +175,11 @@ class System(Parametrised, ABC):
         """Names of all effects, declared and added."""
         return tuple(str(e.name) for e in self.effects)
 
+    @property
+    def physics_ports(self) -> set[Port]:
+        """Ports that declared physics act on; the residual network of any other is all that is known of it."""
+        return set(self.residual_ports)
+
     @abstractmethod
     def dynamics(self, t: float | Tensor, x: Tensor, u: Tensor, forces: Mapping[Port, Tensor]) -> Tensor:
         """Rate of the state.

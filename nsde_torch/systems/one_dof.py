@@ -34,6 +34,11 @@ class MassSpringDamper(System):
     position_derivatives = (("q", "q_dot", "world"),)
     PARAMETERS = {"force_gain": Parameter(1.0, "1/kg", low=0.0, help="1 / mass")}
 
+    @property
+    def physics_ports(self) -> set[Port]:
+        """The force, unless spring and damper were taken out (`declared=[]`)."""
+        return {effect.port for effect in self.effects}  # type: ignore[misc]
+
     def dynamics(self, t: float | Tensor, x: Tensor, u: Tensor, forces: Mapping[Port, Tensor]) -> Tensor:
         """See `System.dynamics`."""
         acceleration = self.value("force_gain") * u

@@ -59,3 +59,17 @@ def rotation_between(q_from: Tensor, q_to: Tensor) -> Tensor:
     n = torch.sqrt(n2.clamp_min(1e-16))
     angle = 2.0 * torch.atan2(n, s)
     return r * torch.where(n2 > 1e-12, angle / n, 2.0 / s.clamp_min(0.5))[..., None]
+
+
+def turned(q: Tensor, r: Tensor) -> Tensor:
+    """Attitude q exp(r / 2) (..., 4) after a turn by the rotation vector r (..., 3) [rad] in body axes."""
+    w, x, y, z = columns(q)
+    half = 0.5 * torch.sqrt((r * r).sum(-1).clamp_min(1e-16))
+    a = torch.cos(half)
+    b, c, d = columns(0.5 * torch.sinc(half / torch.pi)[..., None] * r)
+    return stack_columns(
+        (
+            *(w * a - x * b - y * c - z * d, w * b + x * a + y * d - z * c),
+            *(w * c - x * d + y * a + z * b, w * d + x * c - y * b + z * a),
+        )
+    )

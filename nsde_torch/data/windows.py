@@ -131,6 +131,21 @@ class Windows:
         other._set_ranges(ranges)
         return other
 
+    def shortened(self, horizon: int) -> Windows:
+        """The same rows cut into windows of at most as many steps; the tensors are shared.
+
+        Raises:
+            ConfigError: the horizon is longer than that of these windows, or not positive.
+        """
+        if not 1 <= horizon <= self.horizon:
+            raise ConfigError(
+                f"`horizon` must lie in 1..{self.horizon}, the steps of these windows; got {horizon!r}."
+            )
+        other = self._with(self._ranges)
+        other.horizon = horizon
+        other._set_ranges(self._ranges)
+        return other
+
     def __len__(self) -> int:
         return int(self._ends[-1]) if len(self._ends) else 0
 

@@ -6,10 +6,11 @@ from typing import Any
 import torch
 
 from nsde_torch.errors import ConfigError
+from nsde_torch.models.ensemble import EnsembleSpec, GaussianEnsemble
 from nsde_torch.models.model import Model, ModelSpec
 from nsde_torch.models.neural_sde import NeuralSDE, SDESpec
 
-_CLASSES: dict[type[ModelSpec], type[Model]] = {SDESpec: NeuralSDE}
+_CLASSES: dict[type[ModelSpec], type[Model]] = {SDESpec: NeuralSDE, EnsembleSpec: GaussianEnsemble}
 SPECS: dict[str, type[ModelSpec]] = {kind: spec for spec in _CLASSES for kind in spec.kinds}
 
 

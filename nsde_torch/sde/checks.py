@@ -61,13 +61,20 @@ def _check_like(name: str, value: Tensor, z0: Tensor) -> None:
         )
 
 
-def check_finite(path: Tensor, *, dt: float, t0: float | Tensor) -> None:
+def check_finite(
+    path: Tensor,
+    *,
+    dt: float,
+    t0: float | Tensor,
+    remedy: str = "Shorten dt, clip the drift, or look for bad initial states.",
+) -> None:
     """Report the first state of a rollout that is infinite or not a number.
 
     Args:
         path: Rollout (P, B, T + 1, nz).
         dt: Length of a step [s].
         t0: Time of the first state [s], one or (B,).
+        remedy: What to do about it, for the message.
 
     Raises:
         NonFiniteError: With step, time, and the rows (particle, batch) hit at that step.
@@ -85,6 +92,5 @@ def check_finite(path: Tensor, *, dt: float, t0: float | Tensor) -> None:
     where = f"step {k} of {path.shape[2] - 1} (t = {float(start) + k * dt:g} s)"
     raise NonFiniteError(
         f"the rollout left the finite numbers at {where} in {len(rows)} of {bad[:, :, k].numel()} rows; "
-        f"(particle, batch): {shown}{', ...' if len(rows) > 5 else ''}. "
-        "Shorten dt, clip the drift, or look for bad initial states."
+        f"(particle, batch): {shown}{', ...' if len(rows) > 5 else ''}. {remedy}"
     )

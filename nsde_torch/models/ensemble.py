@@ -1,0 +1,239 @@
+"""An ensemble of Gaussian one-step models, the baseline without physics (supplement A).
+
+Member m maps the standardised state and input y to the mean and the log-variance of the standardised change over
+one step of the model, each channel by itself:
+
+    x_{k+1} = x_k + c,    c ~ Normal(mean_m(y_k), exp(log_variance_m(y_k)))
+
+The log-variance is held between learned bounds by two softplus functions, with a small weight on their distance in the
+loss (Chua et al., Deep reinforcement learning in a handful of trials, NeurIPS 2018, appendix A.1):
+
+    v <- high - softplus(high - v),    v <- low + softplus(v - low)
+
+`sample` propagates particles as in section 5 there: under "fixed" a particle keeps the member that it drew at the
+start (TS-infinity: which member is right is not known, but it stays the same one), under "redrawn" it draws one at
+every step (TS-1). Particles are independent draws. What is learned and predicted is the measured state: the noise of
+the sensors is part of the variance of every step.
+"""
+
+import math
+from collections.abc import Mapping
+from dataclasses import KW_ONLY, dataclass
+
+import torch
+from torch import Tensor, nn
+
+from nsde_torch.errors import ConfigError
+from nsde_torch.models.chart import Chart
+from nsde_torch.models.model import Model, ModelSpec, normal
+from nsde_torch.models.networks import Standardise
+from nsde_torch.models.stacked import StackedMLP
+from nsde_torch.sde.checks import check_finite
+
+PROPAGATIONS = ("fixed", "redrawn")
+_LOW, _HIGH = -10.0, 0.5  # first bounds of the log-variance of the standardised change
+
+
+@dataclass(frozen=True)
+class EnsembleSpec(ModelSpec):
+    """A Gaussian ensemble.
+
+    Args:
+        members: Number of members.
+        hidden: Widths of the networks (silu).
+        propagation: "fixed" (a particle keeps its member) or "redrawn" (it draws one at every step).
+        batch: Pairs of states per member and gradient step.
+        steps: Largest number of gradient steps; None takes ten times those of the trainer.
+    """
+
+    kinds = ("ensemble",)
+
+    _: KW_ONLY
+    members: int = 5
+    hidden: tuple[int, ...] = (64, 64)
+    propagation: str = "fixed"
+    batch: int = 32
+    steps: int | None = None
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.propagation not in PROPAGATIONS:
+            raise ConfigError(
+                f"`model.propagation` must be {' or '.join(PROPAGATIONS)}; got {self.propagation!r}."
+            )
+        if self.members < 1 or self.batch < 1:
+            raise ConfigError(
+                f"`model.members` and `model.batch` must be at least 1; got {self.members} and {self.batch}."
+            )
+
+
+class GaussianEnsemble(Model):
+    """Gaussian ensemble of a system.
+
+    Args:
+        spec: What to build.
+        generator: Source of the initial weights.
+        values: Initial values of declared parameters, which play no part here.
+
+    Example:
+        >>> spec = EnsembleSpec("cartpole", dt=0.02, horizon=30)
+        >>> model = GaussianEnsemble(spec, generator=torch.Generator().manual_seed(0))
+    """
+
+    def __init__(
+        self,
+        spec: EnsembleSpec,
+        *,
+        generator: torch.Generator,
+        values: Mapping[str, float | list[float]] | None = None,
+    ) -> None:
+        super().__init__()
+        if spec.effects:
+            raise ConfigError(
+                f"an ensemble has no physics and takes no effects; got {list(spec.effects)}. "
+                "Leave system.effects out."
+            )
+        self.spec: EnsembleSpec = spec
+        self.system = spec.make_system(values)
+        self.system.requires_grad_(False)
+        self.chart = Chart(self.system)
+        n_in = self.chart.width + self.system.nu + len(self.system.exogenous)
+        n_out = self.chart.n_change
+        self.standardise = Standardise(n_in)
+        self.change_scale = Standardise(n_out)
+        self.networks = StackedMLP(spec.members, n_in, spec.hidden, 2 * n_out, generator=generator)
+        self.low = nn.Parameter(torch.full((spec.members, 1, n_out), _LOW))
+        self.high = nn.Parameter(torch.full((spec.members, 1, n_out), _HIGH))
+        self.clock_scale: Tensor
+        self.register_buffer("clock_scale", torch.ones(()))
+
+    # ---- one step -------------------------------------------------------------------------------------
+
+    def inputs(self, x: Tensor, u: Tensor) -> Tensor:
+        """What the networks see of states (N, nx) and inputs (N, nu), standardised: (N, n_in)."""
+        return self.standardise(torch.cat((self.chart.inputs(x), u), 1))
+
+    def standard(self, y: Tensor) -> tuple[Tensor, Tensor]:
+        """Mean and log-variance of the standardised change.
+
+        Args:
+            y: Rows as `inputs` gives them, each member its own (members, N, n_in).
+
+        Returns:
+            Both (members, N, n_change).
+        """
+        mean, v = self.networks(y).chunk(2, -1)
+        v = self.high - nn.functional.softplus(self.high - v)
+        return mean, self.low + nn.functional.softplus(v - self.low)
+
+    def predict(self, x: Tensor, u: Tensor) -> tuple[Tensor, Tensor]:
+        """Mean and standard deviation of the change over one step, member by member.
+
+        Args:
+            x: States (N, nx).
+            u: Inputs over the step (N, nu).
+
+        Returns:
+            Both (members, N, n_change), in the units of the state (a change of attitude in radians).
+        """
+        mean, v = self.standard(self.inputs(x, u).expand(self.spec.members, -1, -1))
+        scale = self.change_scale.scale
+        return self.change_scale.mean + scale * mean, scale * torch.exp(0.5 * v)
+
+    def log_density(self, x: Tensor, u: Tensor, after: Tensor) -> Tensor:
+        """Logarithm of the predictive density of a change, the members weighted alike.
+
+        Args:
+            x: States (N, nx).
+            u: Inputs over the step (N, nu).
+            after: States one step later (N, nx).
+
+        Returns:
+            Log-density (N,) in nats, per unit of each channel of the change.
+        """
+        mean, std = self.predict(x, u)
+        z = (self.chart.change(x, after) - mean) / std
+        each = (-0.5 * z.square() - std.log() - 0.5 * math.log(2 * math.pi)).sum(-1)
+        return torch.logsumexp(each, 0) - math.log(self.spec.members)
+
+    # ---- paths ----------------------------------------------------------------------------------------
+
+    def draw_members(self, rows: int, generator: torch.Generator) -> Tensor:
+        """Independent uniform members (rows,)."""
+        made = torch.randint(self.spec.members, (rows,), generator=generator, device=generator.device)
+        return made.to(self.clock_scale.device)
+
+    def advance(self, x: Tensor, u: Tensor, members: Tensor, noise: Tensor) -> Tensor:
+        """One step of every row by its own member.
+
+        Args:
+            x: States (N, nx).
+            u: Inputs over the step (N, nu).
+            members: Member of each row (N,).
+            noise: Standard normal numbers (N, n_change).
+
+        Returns:
+            Valid states one step later (N, nx).
+        """
+        count = self.spec.members
+        # the rows of each member side by side, so that a row costs one member's work and not that of all
+        held = torch.bincount(members, minlength=count)
+        deep = int(held.max())
+        order = members.argsort()
+        first = held.cumsum(0) - held
+        place = torch.empty_like(members)
+        place[order] = torch.arange(len(members), device=members.device) - first.repeat_interleave(held)
+        at = members * deep + place
+        y = self.inputs(x, u)
+        table = y.new_zeros(count * deep, y.shape[1]).index_copy(0, at, y)
+        mean, v = (t.reshape(count * deep, -1)[at] for t in self.standard(table.view(count, deep, -1)))
+        standard = mean + torch.exp(0.5 * v) * noise
+        return self.project(self.chart.moved(x, self.change_scale.mean + self.change_scale.scale * standard))
+
+    def sample(
+        self,
+        x0: Tensor,
+        u: Tensor,
+        *,
+        dt: float,
+        particles: int,
+        generator: torch.Generator,
+        measurement: bool = True,
+        measurement_std: Tensor | None = None,
+        applied: bool = False,
+        compile: bool = False,
+        t0: float | Tensor = 0.0,
+    ) -> Tensor:
+        """See `Model.sample`.
+
+        `measurement`, `applied` and `compile` change nothing: an ensemble predicts measurements from inputs as logged,
+        and its time goes into matrix products that a compiler leaves as they are.
+
+        Raises:
+            ConfigError: `dt` is not the step that the ensemble learned, or `measurement_std` is given.
+        """
+        x0, u = self.checked(x0, u, particles, generator)
+        if not abs(dt / self.spec.dt - 1) < 1e-6:
+            raise ConfigError(
+                f"`dt` must be {self.spec.dt:g} s, the step that this ensemble learned; got {dt!r}. It predicts the "
+                f"next state and knows no other step: train another with system.dt={dt!r}."
+            )
+        if measurement_std is not None:
+            raise ConfigError(
+                "`measurement_std` was given, but an ensemble cannot tell the noise of the sensors from that of the "
+                "process. Leave the argument out."
+            )
+        batch, steps = u.shape[:2]
+        rows = particles * batch
+        x, tiled = x0.repeat(particles, 1), u.repeat(particles, 1, 1)
+        members = self.draw_members(rows, generator)
+        path = [x]
+        for k in range(steps):
+            if k and self.spec.propagation == "redrawn":
+                members = self.draw_members(rows, generator)
+            noise = normal((rows, self.chart.n_change), generator, x)
+            x = self.advance(x, tiled[:, k], members, noise)
+            path.append(x)
+        out = torch.stack(path, 1).view(particles, batch, steps + 1, -1)
+        check_finite(out, dt=dt, t0=t0, remedy="Look for states and inputs far from the training data.")
+        return out

@@ -2,7 +2,7 @@
 
 import json
 import os
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -29,13 +29,14 @@ def write_checkpoint(path: Path, tensors: Mapping[str, Tensor], about: Mapping[s
 
 
 def read_checkpoint(
-    path: Path, expected: Mapping[str, Tensor]
+    path: Path, expected: Mapping[str, Tensor], *, parts: Collection[str] = ("batches", "noise")
 ) -> tuple[dict[str, Tensor], dict[str, Any]] | None:
     """Read a checkpoint; None if there is none.
 
     Args:
         path: File without suffix.
         expected: State dict of the model that it should be of.
+        parts: Names of the further tensors that it must hold.
 
     Raises:
         CheckpointError: damaged, or of another model.
@@ -52,7 +53,7 @@ def read_checkpoint(
     except (SafetensorError, KeyError, ValueError, OSError) as error:
         raise CheckpointError(f"checkpoint {file} is damaged ({error}). Remove it to start again.") from error
     kept = {k[5:] for k in tensors if k.startswith("kept.")}
-    lost = {"batches", "noise"} - set(tensors)
+    lost = set(parts) - set(tensors)
     if lost or kept != {k[6:] for k in tensors if k.startswith("model.")}:
         raise CheckpointError(f"checkpoint {file} is damaged (parts are missing). Remove it to start again.")
     shapes = {k[6:]: (v.shape, v.dtype) for k, v in tensors.items() if k.startswith("model.")}

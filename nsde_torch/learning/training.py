@@ -16,6 +16,7 @@ from nsde_torch.data.smoothing import smoothing_width
 from nsde_torch.errors import DataError, NonFiniteError
 from nsde_torch.learning import seen
 from nsde_torch.learning.calibration import Coverage, extrapolate, widen
+from nsde_torch.learning.fit_ensemble import fit_ensemble
 from nsde_torch.learning.fit_sde import fit_sde
 from nsde_torch.learning.metrics import evaluate, horizons_of
 from nsde_torch.learning.options import LossOptions, TrainerOptions
@@ -23,11 +24,12 @@ from nsde_torch.learning.prepare import sensor_std
 from nsde_torch.learning.progress import Progress
 from nsde_torch.learning.report import coverage_table, error_table, lookahead, parameter_table
 from nsde_torch.learning.task import Fitted, Task
+from nsde_torch.models.ensemble import EnsembleSpec
 from nsde_torch.models.model import Model, ModelSpec
 from nsde_torch.models.neural_sde import NeuralSDE, SDESpec
 from nsde_torch.models.run_directory import METRICS, save
 
-FITS: dict[type[ModelSpec], Callable[[Task], Fitted]] = {SDESpec: fit_sde}
+FITS: dict[type[ModelSpec], Callable[[Task], Fitted]] = {SDESpec: fit_sde, EnsembleSpec: fit_ensemble}
 _LEFT_OUT = 3  # training runs that calibration leaves out in turn, at most
 _AUXILIARY_SHARE = 0.5  # of the gradient steps
 

@@ -13,7 +13,7 @@ from nsde_torch.data import split as split_runs
 from nsde_torch.errors import ConfigError, DataError
 from nsde_torch.learning import filter_reach
 from nsde_torch.learning.options import LossOptions, TrainerOptions
-from nsde_torch.models import ModelSpec, SDESpec
+from nsde_torch.models import EnsembleSpec, ModelSpec, SDESpec
 from nsde_torch.plants import simulated
 from nsde_torch.sde import Step, make_step
 from nsde_torch.systems import System, make_system
@@ -198,8 +198,13 @@ def _sde_spec(config: DictConfig, machine: System, runs: Split, common: dict[str
     )
 
 
+def _ensemble_spec(config: DictConfig, machine: System, runs: Split, common: dict[str, Any]) -> ModelSpec:
+    model = options(config.model, "kind", "hidden")
+    return EnsembleSpec(system=config.system.name, hidden=tuple(config.model.hidden), **common, **model)
+
+
 _SpecMaker = Callable[[DictConfig, System, Split, dict[str, Any]], ModelSpec]
-_SPECS: dict[str, _SpecMaker] = dict.fromkeys(SDESpec.kinds, _sde_spec)
+_SPECS: dict[str, _SpecMaker] = {**dict.fromkeys(SDESpec.kinds, _sde_spec), "ensemble": _ensemble_spec}
 
 
 def loss_options(config: DictConfig) -> LossOptions:

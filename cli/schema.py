@@ -171,6 +171,34 @@ class BlackboxModel(DiffusionModel):
 
 
 @dataclass
+class EnsembleModel(ModelConfig):
+    """Gaussian ensemble: networks that predict mean and variance of the next state."""
+
+    kind: str = key(
+        "ensemble",
+        "kind of the model, set by model=; it has no physics, no path loss and no integrator: loss=, solver=, "
+        "system.parameters, trainer.batch, trainer.polish, trainer.compile and trainer.calibrate do not apply",
+        choices=("ensemble",),
+    )
+    members: int = key(5, "networks in the ensemble", low=1)
+    hidden: list[int] = key([64, 64], "widths of each network (silu)", low=1)
+    batch: int = key(32, "pairs of states per network and gradient step", low=1)
+    steps: int | None = key(
+        None,
+        "largest number of gradient steps; null: 10 trainer.steps, as batches are small. trainer.patience is "
+        "stretched alike",
+        unit="steps",
+        low=1,
+    )
+    propagation: str = key(
+        "fixed",
+        "a sampled path keeps the network it drew at the start (fixed, TS-infinity) or draws one at every step "
+        "(redrawn, TS-1)",
+        choices=("fixed", "redrawn"),
+    )
+
+
+@dataclass
 class LossConfig:
     """Weights and sizes of the losses (`nsde_torch.learning.LossOptions`)."""
 
@@ -353,13 +381,19 @@ class PolicyConfig:
     run_dir: str = key("???", "folder of this run")
     sweep_dir: str = key("???", "folder of a sweep (-m); its jobs lie inside")
     resume: str | None = key(None, "folder of an interrupted run to continue, with its configuration")
+    system: PolicySystem = group(PolicySystem, "the machine")
     ppo: PpoConfig = group(PpoConfig, "how it learns")
 
 
 # Choices whose keys are more than those of their group's class.
 CHOICES: dict[str, dict[str, type]] = {
     "data": {"simulated": SimulatedData, "csv": CsvData, "ulog": UlogData, "published": PublishedData},
-    "model": {"nsde": NsdeModel, "node": NodeModel, "blackbox_nsde": BlackboxModel},
+    "model": {
+        "nsde": NsdeModel,
+        "node": NodeModel,
+        "blackbox_nsde": BlackboxModel,
+        "ensemble": EnsembleModel,
+    },
     "solver": {"torchdiffeq": TorchDiffEqSolver},
 }
 

@@ -13,7 +13,10 @@ _HYDRA_GROUPS = {
     "hydra/launcher": ("basic", "joblib", "submitit_local", "submitit_slurm", "ray"),
     "hydra/sweeper": ("basic", "optuna"),
 }
-_PATHS = ("data.path", "data.test_path", "resume", "run", "run_dir", "out_dir", "sweep_dir", "data.cache")
+_PATHS = (
+    *("data.path", "data.test_path", "resume", "run", "run_dir", "out_dir", "sweep_dir", "data.cache"),
+    *("environment", "reference"),
+)
 
 
 def overrides(command: str, words: Sequence[str]) -> list[str]:

@@ -116,6 +116,14 @@ _EXAMPLES: dict[str, list[tuple[str, str]]] = {
         ("-m hydra/launcher=joblib ...", "in parallel (also submitit_local, submitit_slurm, ray)"),
         ("-m hydra/sweeper=optuna 'trainer.lr=tag(log,interval(0.001,0.1))'", ""),
     ],
+    "policy": [
+        ("environment=truth", "on the true machine"),
+        ("environment=runs/model 'reference=[runs/on_truth]'", ""),
+        ("truth=published sensor_noise=0", "the machine of the authors' data, clean sensors"),
+        ("steps=20000 ppo=short", "for few interactions"),
+        ("resume=runs/policy", "continue an interrupted run"),
+        ("-m seed=0,1,2", "a sweep, one job for each seed"),
+    ],
     "evaluate": [
         ("run=runs/a", "on the runs that it was tested on"),
         ("'run=[runs/a,runs/b]'", "several, and how each differs from the first"),

@@ -37,6 +37,9 @@ COMMANDS: dict[str, Command] = {
     "figures": Command(
         ".figures", "Make the supplement's figures anew, each with its claim and what was measured"
     ),
+    "policy": Command(
+        ".policy", "Learn a policy in a learned model or on the true machine, and judge it there"
+    ),
     "sweep-report": Command(".sweep_report", "Rank the jobs of a sweep, and name those that failed and why"),
     "completion": Command(".completion", "Print the shell completion script for bash, zsh or fish"),
 }

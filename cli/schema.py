@@ -361,10 +361,16 @@ class PpoConfig:
 
 
 @dataclass
+class PolicySystem:
+    """The machine of a policy."""
+
+    name: str = key("???", "name of a system that has a task: cartpole")
+
+
+@dataclass
 class PolicyConfig:
     """`nsde policy`."""
 
-    system: str = key("cartpole", "the machine; it has a task", choices=("cartpole",))
     environment: str = key("truth", "where the policy learns: truth, or the run directory of a model")
     truth: str = key(
         "plant",

@@ -1,4 +1,4 @@
-"""The jobs of a sweep as its folders tell them: overrides, status, and the numbers of `metrics.json`."""
+"""The jobs of a sweep as its folders tell them: overrides, status, and the numbers that they ended in."""
 
 from __future__ import annotations
 
@@ -14,6 +14,7 @@ import yaml
 
 DONE, FAILED, UNFINISHED = "done", "failed", "unfinished"
 _SCALE = ("system", "model", "loss")
+_RESULTS = ("metrics.json", "policy.json")
 
 
 @dataclass(frozen=True)
@@ -25,7 +26,7 @@ class SweepJob:
         overrides: What was set for it, by key.
         status: `done`, `failed` or `unfinished` (running, killed, or never started its work).
         reason: Why it failed, one line.
-        metrics: Every number of its `metrics.json`, by dotted path.
+        metrics: Every number of its `metrics.json` (of a policy, `policy.json`), by dotted path.
         scale: System, model and loss; validation scores of different ones do not compare.
     """
 
@@ -110,8 +111,8 @@ def _read_job(folder: Path) -> SweepJob:
     overrides = {key.lstrip("+"): value for key, _, value in (str(word).partition("=") for word in listed)}
     if (folder / "failed.json").is_file():
         return SweepJob(folder, overrides, FAILED, reason=_reason(folder / "failed.json"))
-    metrics = folder / "metrics.json"
-    if not metrics.is_file():
+    metrics = next((folder / name for name in _RESULTS if (folder / name).is_file()), None)
+    if metrics is None:
         return SweepJob(folder, overrides, UNFINISHED)
     try:
         content = json.loads(metrics.read_text(encoding="utf-8"))

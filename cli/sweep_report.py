@@ -20,8 +20,9 @@ from .sweep_jobs import DONE, FAILED, UNFINISHED, Group, SweepJob, grouped, read
 
 # Ranked by the first of these that a job has; smaller is better.
 SCORES = ("validation.score", "validation_score", "score")
-# Shown beside the score: errors on the held-out runs.
-COLUMNS = ("test.errors.model.*[a-z].1", "test.coverage.0.9.*[a-z].1")  # a letter before .1, not 0.1
+# Shown beside the score: errors on the held-out runs; of a policy, its reward on the truth.
+# A letter before .1, not 0.1.
+COLUMNS = ("test.errors.model.*[a-z].1", "test.coverage.0.9.*[a-z].1", "truth_reward.mean")
 
 
 def main(arguments: Sequence[str]) -> int:

@@ -45,7 +45,8 @@ class PolicyTraining:
         options: Settings of the learning.
         seed: Seed of everything random but the evaluations.
         folder: Folder to write into.
-        about: Plain values that say in `policy.json` what environment and truth are.
+        about: Plain values for `policy.json`: `environment` (`kind` and `name`), `truth` and `sensor_noise`, which
+            must be those of a reference, and whatever else says what they are.
         reference: Folders of policies that were trained on this truth; the score compares with them.
         say: Where text for people goes.
 
@@ -188,10 +189,12 @@ class PolicyTraining:
             value = score(reward.mean, random=random.mean, truth=self._reference)
         return {
             "system": self.task.system,
+            "model": self._about["environment"]["name"],
             **self._about,
             "seed": self.seed,
             "interactions": int(self._rows[-1]["interactions"]),
             "kept_after": int(best["interactions"]),
+            "validation": {"score": -own.mean, "unit": "minus the reward where it learned"},
             "truth_reward": asdict(reward),
             "environment_reward": asdict(own),
             "truth_reward_of_last": asdict(true(last)),

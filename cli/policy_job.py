@@ -1,0 +1,119 @@
+"""One job of `nsde policy`: make the environment and the truth, and hand them to the library."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from omegaconf import DictConfig
+
+from .jobs import Job, guarded
+
+if TYPE_CHECKING:
+    from torch import Generator
+
+    from nsde_torch.models import Model
+    from nsde_torch.policy import Dynamics
+
+TRUTH = "truth"
+
+
+def task(config: DictConfig) -> float | None:
+    """What Hydra calls; returns minus the reward in the environment (smaller is better), which Optuna minimises."""
+    return guarded(run, "policy", config)
+
+
+def run(config: DictConfig, job: Job) -> float:
+    """Learn one policy.
+
+    Args:
+        config: The composed and checked configuration.
+        job: Where this job writes.
+
+    Returns:
+        Minus the mean reward per episode where it learned.
+
+    Raises:
+        ConfigError: The environment is no model of this system, or the extra is not installed.
+        CheckpointError: The environment is no run directory, or a reference no policy.
+    """
+    # torch is imported here, not above: a launcher's parent process needs this module, but not torch.
+    import torch
+
+    from nsde_torch.policy import PolicyTraining, make_learned, make_task, make_truth
+
+    from . import build
+
+    _check_extra()
+    torch.set_num_threads(1 if job.sweep else config.threads)
+    wanted = make_task(config.system.name)
+    noise = float(config.sensor_noise)
+
+    def truth(generator: Generator) -> Dynamics:
+        return make_truth(
+            config.truth, system=wanted.system, dt=wanted.dt, sensor_noise=noise, generator=generator
+        )
+
+    environment, kind = truth, TRUTH
+    about: dict[str, Any] = {"kind": TRUTH, "name": str(config.truth)}
+    if config.environment != TRUTH:
+        model = _model(config.environment, wanted.system)
+
+        def learned(generator: Generator) -> Dynamics:
+            return make_learned(model, dt=wanted.dt, sensor_noise=noise, generator=generator)
+
+        environment, kind = learned, "model"
+        about = {"kind": kind, "name": model.spec.kind, "run": str(Path(config.environment).resolve())}
+    result = PolicyTraining(
+        wanted,
+        environment=environment,
+        truth=truth,
+        options=_options(config, build.options(config.ppo)),
+        seed=config.seed,
+        folder=job.run_dir,
+        about={"environment": about, "truth": str(config.truth), "sensor_noise": noise},
+        reference=list(config.reference),
+    ).run()
+    return float(result["validation"]["score"])
+
+
+def _options(config: DictConfig, ppo: dict[str, Any]) -> Any:
+    from nsde_torch.policy import PolicyOptions
+
+    return PolicyOptions(interactions=config.steps, **{**ppo, "hidden": tuple(ppo["hidden"])})
+
+
+def _model(folder: str, system: str) -> Model:
+    """The model of a run directory, refused if it is of another machine.
+
+    Raises:
+        ConfigError: It is of another machine.
+        CheckpointError: There is no such run directory.
+    """
+    import nsde_torch
+    from nsde_torch.errors import ConfigError
+    from nsde_torch.systems import make_system
+
+    model = nsde_torch.load(folder)
+    own = make_system(system)
+    if (model.system.state_names, model.system.input_names) != (own.state_names, own.input_names):
+        raise ConfigError(
+            f"`environment={folder}` is a model of {model.spec.system}, and the task is of {system}; "
+            f"expected states {', '.join(own.state_names)} and inputs {', '.join(own.input_names)}, got "
+            f"{', '.join(model.system.state_names)} and {', '.join(model.system.input_names)}. Name a run of "
+            f"`nsde train system={system}`."
+        )
+    return model
+
+
+def _check_extra() -> None:
+    from importlib.util import find_spec
+
+    from nsde_torch.errors import ConfigError
+
+    missing = [name for name in ("gymnasium", "stable_baselines3") if find_spec(name) is None]
+    if missing:
+        raise ConfigError(
+            f"`nsde policy` needs {' and '.join(missing)}, which are not installed. "
+            "Install them with: pip install 'nsde_torch[policy]'"
+        )

@@ -344,7 +344,7 @@ def _pair(
     seed: int,
     replicates: int,
 ) -> dict[str, dict[str, Any]]:
-    first, other = (squares.flatten(1) for squares in pair)
+    first, other = (squares.flatten(1).double() for squares in pair)
     generator = torch.Generator().manual_seed(seed)
     made = paired_bootstrap(first, other, blocks, generator=generator, replicates=replicates, level=_LEVEL)
     shape = (len(keys), len(system.error_groups))

@@ -1,0 +1,87 @@
+"""Figures of several models: their panels, curves, marks in red, and what they refuse."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from nsde_torch import plots
+from nsde_torch.errors import ShapeError
+from nsde_torch.plots.style import RED, model_look
+
+LEVELS = [0.1, 0.5, 0.9]
+HORIZONS = [0.1, 1.0]
+GROUPS = ["position", "velocity"]
+
+
+def calibration(models: list[str], **curves: list[float]) -> object:
+    share = {m: {g: curves.get(m, [0.1, 0.5, 0.9]) for g in GROUPS} for m in models}
+    later = {m: {g: [0.9, 0.8] for g in GROUPS} for m in models}
+    return plots.calibration_of_models(LEVELS, share, horizons=HORIZONS, per_horizon=later)
+
+
+def test_calibration_has_a_curve_for_each_model_in_the_panels_of_each_group(tmp_path: Path) -> None:
+    figure = calibration(["a", "b", "c"])
+    assert len(figure.axes) == 4
+    for ax in figure.axes:
+        assert len(ax.lines) == 3 + 1  # the diagonal, or the level
+    assert {t.get_text() for t in figure.legends[0].get_texts()} == {"ideal", "a", "b", "c"}
+    assert plots.save(figure, tmp_path / "c.png").stat().st_size > 5000
+
+
+def test_calibration_refuses_a_curve_of_another_length() -> None:
+    with pytest.raises(ShapeError, match=r"empirical\['b'\]"):
+        calibration(["a", "b"], b=[0.5])
+
+
+def rollouts(steps: dict[str, int], scale: float = 1.0) -> object:
+    rng = np.random.default_rng(0)
+    t = {m: np.linspace(0, 2, n + 1) for m, n in steps.items()}
+    measured = {m: np.column_stack([np.sin(v), np.cos(v)]) for m, v in t.items()}
+    samples = {m: measured[m] + scale * rng.standard_normal((20, *measured[m].shape)) for m in t}
+    return plots.rollouts_of_models(
+        t, measured, samples, names=["x", "v"], units=["m", "m/s"], title="Rollouts"
+    )
+
+
+def test_rollouts_of_models_of_different_steps_share_the_axis_of_a_channel(tmp_path: Path) -> None:
+    figure = rollouts({"fine": 40, "coarse": 8})
+    axes = np.array(figure.axes).reshape(2, 2)
+    assert [ax.get_title() for ax in axes[0]] == ["fine", "coarse"]
+    assert axes[0, 0].get_ylim() == axes[0, 1].get_ylim()
+    assert [len(ax.lines[0].get_xdata()) for ax in axes[0]] == [41, 9]
+    assert plots.save(figure, tmp_path / "r.png").stat().st_size > 5000
+
+
+def test_a_band_that_runs_away_does_not_flatten_what_was_measured() -> None:
+    low, high = rollouts({"a": 40}, scale=1e6).axes[0].get_ylim()
+    assert high - low < 20
+
+
+def test_rollouts_that_do_not_fit_are_refused() -> None:
+    one = {"a": np.zeros(3)}
+    with pytest.raises(ShapeError, match=r"measured\['a'\]"):
+        plots.rollouts_of_models(
+            one,
+            {"a": np.zeros((3, 2))},
+            {"a": np.zeros((5, 4, 2))},
+            names=["x", "v"],
+            units=["m", "m/s"],
+            title="",
+        )
+
+
+def test_a_warning_and_the_names_it_is_about_are_red() -> None:
+    figure = calibration(["a", "b"])
+    plots.warn(figure, "No test: b", ["b"])
+    assert figure.get_suptitle().endswith("\nNo test: b")
+    colours = {t.get_text(): t.get_color() for t in figure.legends[0].get_texts()}
+    assert colours["b"] == RED
+    assert colours["a"] != RED
+
+
+def test_twelve_models_have_looks_of_their_own() -> None:
+    looks = [tuple(map(str, model_look(k).values())) for k in range(12)]
+    assert len(set(looks)) == 12

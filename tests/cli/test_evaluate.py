@@ -1,0 +1,279 @@
+"""`nsde evaluate` from the command line, on tiny trainings of the spring."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+from hydra import compose, initialize_config_module
+from omegaconf import OmegaConf
+
+from nsde_torch.cli import groups, schema
+from nsde_torch.cli.completion import query
+from nsde_torch.cli.evaluated_runs import short_names
+from nsde_torch.cli.help import WIDTH
+from nsde_torch.cli.main import main
+from tests.cli.test_train_end_to_end import FAST, folder_of_runs
+
+SPRING = (
+    *FAST,
+    "system=mass_spring_damper",
+    "data=csv",
+    "system.dt=0.05",
+    "system.horizon=10",
+    "trainer.calibrate=false",
+)
+RED = "\033[31m"
+
+
+@pytest.fixture(scope="module")
+def here(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder of runs: `nsde` and `node`, trained on two swings, and `noisy`, tested on a folder of its own."""
+    folder = tmp_path_factory.mktemp("evaluate")
+    folder_of_runs(folder / "swings", [0, 1, 2], 0.002)
+    folder_of_runs(folder / "others", [7], 0.02)
+    words = (*SPRING, f"data.path={folder / 'swings'}")
+    for name, more in {
+        "nsde": (),
+        "node": ("model=node",),
+        "noisy": (f"data.test_path={folder / 'others'}",),
+    }.items():
+        assert main(["train", *words, *more, f"run_dir={folder / name}"]) == 0
+    return folder
+
+
+@pytest.fixture(autouse=True)
+def _plain(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.chdir(tmp_path)
+    for name in ("NO_COLOR", "FORCE_COLOR", "NSDE_TRACEBACK"):
+        monkeypatch.delenv(name, raising=False)
+
+
+def evaluate(*words: str) -> dict[str, Any]:
+    assert main(["evaluate", "out_dir=out", "particles=19", *words]) == 0
+    content: dict[str, Any] = json.loads(Path("out/evaluation.json").read_text())
+    return content
+
+
+def metrics(folder: Path) -> dict[str, Any]:
+    content: dict[str, Any] = json.loads((folder / "metrics.json").read_text())
+    return content
+
+
+def refused(capsys: pytest.CaptureFixture[str], *words: str) -> str:
+    capsys.readouterr()
+    assert main(["evaluate", *words]) == 2
+    err = capsys.readouterr().err
+    assert err.startswith("nsde evaluate: ")
+    assert "Traceback" not in err
+    return err
+
+
+def test_one_run_on_its_own_test_gives_the_figures_of_its_training(
+    here: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    content = evaluate(f"run={here / 'nsde'}", "particles=199")
+    test = metrics(here / "nsde")["test"]
+    model = content["models"][0]
+    assert model["name"] == "nsde"
+    assert model["errors"] == test["errors"]["model"]
+    for name in ("coverage", "crps", "nll", "diverged"):
+        assert model[name] == test[name]
+    assert content["data"]["runs"][0]["name"] == "swing_2"
+    assert model["held_out"]
+    said = capsys.readouterr().out
+    for word in (
+        "swing_2",
+        "held out",
+        "constant velocity",
+        "90% interval",
+        "CRPS [m]",
+        "NLL [nat]",
+        "evaluation.json",
+    ):
+        assert word in said
+    assert RED not in said
+    assert "TRAINED ON" not in said
+    assert {file.name for file in Path("out/plots").iterdir()} == {
+        "errors.png",
+        "calibration.png",
+        "rollouts.png",
+    }
+
+
+def test_two_runs_are_compared_and_runs_of_training_are_red(
+    here: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("FORCE_COLOR", "1")
+    both = f"run=[{here / 'nsde'},{here / 'node'}]"
+    content = evaluate(both, "names=[sde,ode]", "data=csv", f"data.path={here / 'swings'}")
+    assert [m["name"] for m in content["models"]] == ["sde", "ode"]
+    for model in content["models"]:
+        assert model["trained_on"] == {"swing_0": True, "swing_1": True, "swing_2": False}
+        assert set(model["trained_on_match"].values()) == {"whole", ""}
+        assert not model["held_out"]
+    differences = content["differences"]
+    assert differences["unit"] == "blocks of 4 s"
+    assert set(differences["against"]) == {"ode", "hold", "constant_velocity"}
+    for row in differences["against"]["ode"]["errors"].values():
+        for d in row.values():
+            assert d["low"] <= d["difference"] <= d["high"]
+            assert d["verdict"] in ("better", "worse", "no difference")
+    lines = capsys.readouterr().out.splitlines()
+    assert any(line.startswith(f"{RED}swing_0") and "TRAINED ON" in line for line in lines)
+    assert any(line.startswith("swing_2") and "held out" in line for line in lines)
+    assert all(line.startswith(RED) for line in lines if "sde (TRAINED ON)" in line)
+    assert f"{RED}note: sde was trained on swing_0, swing_1: this is no test" in "\n".join(lines)
+
+
+def test_without_colours_the_words_say_it(
+    here: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("FORCE_COLOR", "1")
+    monkeypatch.setenv("NO_COLOR", "1")
+    content = evaluate(f"run={here / 'nsde'}", "data.test=[0]", "horizons=[0.2,1]")
+    assert content["horizons_s"] == [0.2, 1.0]
+    assert content["data"]["runs"][0]["trained_on_by"] == ["nsde"]
+    said = capsys.readouterr().out
+    assert RED not in said
+    assert "nsde (TRAINED ON)" in said
+
+
+def test_a_run_of_an_older_version_is_judged_by_names_and_says_so(
+    here: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    shutil.copytree(here / "nsde", "old")
+    content = metrics(Path("old"))
+    for key in ("train_hashes", "train_rows", "train_sensor_std"):
+        del content[key]
+    Path("old/metrics.json").write_text(json.dumps(content))
+    made = evaluate("run=old", "data.test=[1]", "sensor_noise=data")
+    assert made["models"][0]["trained_on_match"] == {"swing_1": "by name"}
+    assert made["models"][0]["sensor_std"]["q"] > 0
+    said = capsys.readouterr().out
+    assert "trained on runs named swing_1" in " ".join(said.split())
+    assert "recognised by name alone" in " ".join(said.split())
+
+
+def test_the_sensors_of_a_further_folder_are_those_that_a_training_assumes(here: Path) -> None:
+    expected = metrics(here / "noisy")["test"]
+    content = evaluate(f"run={here / 'noisy'}", "particles=199")
+    model = content["models"][0]
+    assert model["sensor_std"] == expected["sensor_std"]
+    assert model["coverage"] == expected["coverage"]
+    shutil.rmtree("out")
+    same = evaluate(f"run={here / 'nsde'}", f"data.test_path={here / 'others'}")["models"][0]
+    assert same["sensor_std"]["q"] > 4 * metrics(here / "nsde")["sensor_std"]["q"]
+    shutil.rmtree("out")
+    other = evaluate(f"run={here / 'noisy'}", "sensor_noise=train")["models"][0]
+    assert "sensor_std" not in other
+    assert other["coverage"]["0.9"]["position"]["0.1"] < model["coverage"]["0.9"]["position"]["0.1"]
+
+
+def test_data_of_the_package_are_scored_on_every_run(here: Path) -> None:
+    content = evaluate(f"run={here / 'nsde'}", "data=simulated", "data.durations=[6,6]")
+    assert content["data"]["kind"] == "simulated"
+    assert len(content["data"]["runs"]) == 2
+    assert content["models"][0]["held_out"]
+
+
+def test_a_missing_unfinished_or_damaged_run_is_named(here: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert "no such folder" in refused(capsys, "run=nowhere")
+    assert "`run` must be given" in refused(capsys)
+    assert "no run directory" in refused(capsys, f"run={here / 'swings'}")
+    assert "holds 3 runs" in refused(capsys, f"run={here}")
+    assert "twice" in refused(capsys, f"run=[{here / 'nsde'},{here / 'nsde'}/]")
+    assert "`names` must hold one name" in refused(capsys, f"run={here / 'nsde'}", "names=[a,b]")
+    shutil.copytree(here / "nsde", "cut")
+    Path("cut/metrics.json").write_text("{")
+    assert "metrics.json is damaged" in refused(capsys, "run=cut")
+    Path("cut/metrics.json").unlink()
+    assert "has not finished" in refused(capsys, "run=cut")
+    Path("cut/failed.json").write_text("{}")
+    assert "this training failed" in refused(capsys, "run=cut")
+    assert not list(Path("evaluations").rglob("evaluation.json"))
+
+
+def test_runs_of_other_systems_and_data_that_do_not_fit_are_refused(
+    here: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = (*FAST, "system=cartpole", "data.durations=[4,4]", "model=node", "system.horizon=5")
+    assert main(["train", *words, "run_dir=cart"]) == 0
+    text = refused(capsys, f"run=[{here / 'nsde'},cart]")
+    assert "of mass_spring_damper" in text
+    assert "cart of cartpole" in text
+    Path("bad").mkdir()
+    Path("bad/a.csv").write_text("t,x,y\n" + "".join(f"{0.01 * k},0,0\n" for k in range(500)))
+    assert "q" in refused(capsys, f"run={here / 'nsde'}", "data=csv", "data.path=bad")
+    text = refused(capsys, f"run={here / 'nsde'}", "data=csv", f"data.path={here / 'swings'}", "data.dt=0.02")
+    assert "no whole multiple of the data's 0.02 s" in text
+    assert "longest stretch" in refused(capsys, f"run={here / 'nsde'}", "horizons=[30]")
+    assert "no data= is chosen" in refused(capsys, f"run={here / 'nsde'}", "data.path=x")
+    assert "no run 9" in refused(capsys, f"run={here / 'nsde'}", "data.test=[9]")
+
+
+def test_a_run_whose_data_have_moved_says_so(here: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    shutil.copytree(here / "nsde", "moved")
+    config = yaml.safe_load(Path("moved/config.yaml").read_text())
+    config["config"]["data"]["path"] = "gone"
+    Path("moved/config.yaml").write_text(yaml.safe_dump(config))
+    assert "`data.path=gone`" in refused(capsys, "run=moved")
+    del config["config"]
+    Path("moved/config.yaml").write_text(yaml.safe_dump(config))
+    assert "does not say which data" in refused(capsys, "run=moved")
+    assert evaluate("run=moved", "data=csv", f"data.path={here / 'swings'}", "data.test=[2]")["models"][0][
+        "held_out"
+    ]
+
+
+def test_an_evaluation_is_not_written_over_and_a_sweep_is_refused(
+    here: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    evaluate(f"run={here / 'nsde'}")
+    assert "holds an evaluation already" in refused(capsys, f"run={here / 'nsde'}", "out_dir=out")
+    assert "has no sweeps" in refused(capsys, "-m", f"run={here / 'nsde'},{here / 'node'}")
+
+
+def test_folders_of_a_sweep_need_no_further_quotes(here: Path) -> None:
+    job = Path("multirun/0_loss=paper,seed=1")
+    shutil.copytree(here / "nsde", job)
+    assert evaluate(f"run={job}")["models"][0]["name"] == job.name
+
+
+def test_names_are_as_much_of_the_folders_as_tells_them_apart() -> None:
+    assert short_names([Path("/a/x"), Path("/b/y")]) == ["x", "y"]
+    assert short_names([Path("/r/a/x"), Path("/r/b/x")]) == ["a/x", "b/x"]
+
+
+def test_keys_and_folders_are_completed(here: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(here)
+    assert query(["evaluate", "ru"]) == ["run="]
+    assert query(["evaluate", "run=ns"]) == ["run=nsde/"]
+    assert query(["evaluate", "run=[nsde,no"]) == ["run=[nsde,node/", "run=[nsde,noisy/"]
+    assert query(["evaluate", "data=c"]) == ["data=csv"]
+    assert query(["evaluate", "data=csv", "data.pa"]) == ["data.path="]
+    assert query(["evaluate", "data.te"]) == ["data.test=", "data.test_path="]
+    assert query(["evaluate", "sensor_noise="]) == ["sensor_noise=train", "sensor_noise=data"]
+    assert query(["evaluate", "--m"]) == []
+
+
+@pytest.mark.parametrize("words", [[], ["data=csv"], ["data=simulated"]])
+def test_help_shows_every_key_and_agrees_with_hydra(
+    words: list[str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["evaluate", "--help", *words]) == 0
+    text = capsys.readouterr().out
+    assert max(map(len, text.splitlines())) <= WIDTH
+    chosen = groups.selected("evaluate", words)
+    schema.register()
+    given = [*words, "out_dir=o", *(["data.path=p"] if "data=csv" in words else [])]
+    with initialize_config_module("nsde_torch.conf", version_base="1.3"):
+        config: Any = compose("evaluate", overrides=given)
+    for entry in groups.keys("evaluate", chosen):
+        assert f" {entry.path}=" in text
+        if entry.path not in ("out_dir", "run", "data.path"):
+            assert OmegaConf.select(config, entry.path) == entry.default, entry.path

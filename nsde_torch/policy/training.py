@@ -210,7 +210,7 @@ class PolicyTraining:
                 "score": "0 random, 1 trained on the truth",
             },
             "episode": {"steps": self.task.steps, "dt_s": self.task.dt},
-            "options": asdict(self.options),
+            "options": {**asdict(self.options), "hidden": list(self.options.hidden)},
             "seconds": self._seconds(),
             "curve": self._rows,
         }

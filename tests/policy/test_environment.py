@@ -1,0 +1,240 @@
+"""Batched environments: the truth is the plant, single machines are rows of many, episodes end as they should."""
+
+from __future__ import annotations
+
+from math import cos, pi, sin
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from torch import Tensor
+
+from nsde_torch.data import read
+from nsde_torch.errors import ConfigError, ShapeError
+from nsde_torch.plants import make_plant
+from nsde_torch.policy import BatchEnvironment, Dynamics, make_task, make_truth
+from nsde_torch.policy.truth import PUBLISHED_VARIANCES, PlantDynamics
+from nsde_torch.systems import make_system
+
+TASK = make_task("cartpole")
+
+
+def generator(seed: int = 0) -> torch.Generator:
+    return torch.Generator().manual_seed(seed)
+
+
+def quiet(name: str = "plant", seed: int = 0) -> Dynamics:
+    """A truth without noise of any kind."""
+    if name == "plant":
+        return PlantDynamics(
+            "cartpole", dt=TASK.dt, sensor_noise=0.0, generator=generator(seed), process_noise=0.0
+        )
+    return make_truth(name, system="cartpole", dt=TASK.dt, sensor_noise=0.0, generator=generator(seed))
+
+
+def environment(dynamics: Dynamics, n: int, *, seed: int = 0, stagger: bool = False) -> BatchEnvironment:
+    return BatchEnvironment(
+        TASK, dynamics, n=n, generator=generator(seed), start=TASK.training, stagger=stagger
+    )
+
+
+def noisy(seed: int, n: int = 6, stagger: bool = False) -> BatchEnvironment:
+    source = generator(seed)
+    truth = make_truth("plant", system="cartpole", dt=TASK.dt, sensor_noise=1.0, generator=source)
+    return BatchEnvironment(TASK, truth, n=n, generator=source, start=TASK.training, stagger=stagger)
+
+
+class Diverging(Dynamics):
+    """The first machine leaves the finite numbers in its third step; the others stand still."""
+
+    name = "diverging"
+
+    def __init__(self) -> None:
+        self._x = torch.zeros(0, 4)
+        self._steps = 0
+
+    @property
+    def state(self) -> Tensor:
+        return self._x
+
+    def reset(self, x0: Tensor) -> Tensor:
+        self._x = torch.zeros_like(x0)
+        return self._x
+
+    def restart(self, rows: Tensor, x0: Tensor) -> Tensor:
+        self._x = self._x.index_copy(0, rows, torch.zeros_like(x0))
+        return self._x[rows]
+
+    def step(self, u: Tensor) -> Tensor:
+        self._steps += 1
+        if self._steps == 3:
+            self._x = self._x.clone()
+            self._x[0] = torch.nan
+        return self._x
+
+
+@pytest.mark.parametrize("name", ["plant", "published"])
+def test_machines_in_a_batch_do_what_each_does_alone(name: str) -> None:
+    x0 = TASK.training.draw(4, generator())
+    actions = 2 * torch.rand(30, 4, 1, generator=generator(1)) - 1
+    together = environment(quiet(name), 4)
+    seen = [together.reset(x0)]
+    rewards = []
+    for action in actions:
+        made = together.step(action)
+        seen.append(made.observation)
+        rewards.append(made.reward)
+    for row in range(4):
+        alone = environment(quiet(name), 1)
+        torch.testing.assert_close(alone.reset(x0[row : row + 1])[0], seen[0][row])
+        for k, action in enumerate(actions):
+            made = alone.step(action[row : row + 1])
+            torch.testing.assert_close(made.observation[0], seen[k + 1][row], rtol=0, atol=1e-5)
+            torch.testing.assert_close(made.reward[0], rewards[k][row], rtol=0, atol=1e-6)
+
+
+def test_truth_is_the_plant() -> None:
+    x0 = TASK.training.draw(5, generator())
+    plant = make_plant("cartpole", generator=generator(), process_noise=0.0, sensor_noise=0.0)
+    plant.reset(x0, torch.zeros(5, 1))
+    true = environment(quiet(), 5)
+    true.reset(x0)
+    for k in range(50):
+        action = 2 * torch.rand(5, 1, generator=generator(k)) - 1
+        plant.step(25.0 * action)
+        made = true.step(action)
+        torch.testing.assert_close(true.dynamics.state, plant.state, rtol=0, atol=0)
+        torch.testing.assert_close(made.observation, TASK.observe(plant.state).float(), rtol=0, atol=0)
+
+
+def test_published_truth_is_eulers_method_on_the_gym_cartpole() -> None:
+    x, v, theta, w = 0.3, -0.4, 2.9, 0.5
+    truth = quiet("published")
+    truth.reset(torch.tensor([[x, v, theta, w]], dtype=torch.float64))
+    for k in range(100):
+        action = sin(0.3 * k)
+        push = (25.0 * action + 0.05 * w**2 * sin(theta)) / 1.1
+        turn = (9.8 * sin(theta) - cos(theta) * push) / (0.5 * (4 / 3 - 0.1 * cos(theta) ** 2 / 1.1))
+        accelerate = push - 0.05 * turn * cos(theta) / 1.1
+        x, v, theta, w = x + 0.02 * v, v + 0.02 * accelerate, theta + 0.02 * w, w + 0.02 * turn
+        truth.step(torch.tensor([[25.0 * action]]))
+    np.testing.assert_allclose(truth.state[0].numpy(), [x, v, theta, w], rtol=1e-4, atol=1e-4)
+
+
+@pytest.mark.published
+@pytest.mark.parametrize("name", ["learned", "random"])
+def test_published_truth_leaves_of_the_published_data_its_sensor_noise(published: Path, name: str) -> None:
+    runs = read("published", make_system("cartpole"), path=published / "cartpole" / f"{name}.pkl").runs
+    truth = quiet("published")
+    left = []
+    for run in runs[:50]:
+        x, u = torch.as_tensor(np.array(run.x)), torch.as_tensor(np.array(run.u))
+        truth.reset(x[:-1])
+        truth.step(u[: len(x) - 1])
+        left.append((x[1:] - truth.state).numpy())
+    std = np.concatenate(left).std(0) / 2**0.5  # both ends are noisy
+    np.testing.assert_allclose(std, np.sqrt(PUBLISHED_VARIANCES), rtol=0.06)
+
+
+def test_sensor_noise_has_the_standard_deviation_it_should() -> None:
+    truth = make_truth("published", system="cartpole", dt=TASK.dt, sensor_noise=2.0, generator=generator())
+    x0 = torch.zeros(20000, 4, dtype=torch.float64)
+    std = (truth.reset(x0) - x0).std(0).numpy()
+    np.testing.assert_allclose(std, 2.0 * np.sqrt(PUBLISHED_VARIANCES), rtol=0.03)
+
+
+def test_reward_is_that_of_the_state_and_not_of_the_measurement() -> None:
+    true = noisy(0)
+    true.reset()
+    action = torch.full((6, 1), 0.25)
+    made = true.step(action)
+    torch.testing.assert_close(made.reward, TASK.reward(true.dynamics.state, action).double())
+
+
+def test_episode_is_cut_off_after_its_steps_and_the_next_begins() -> None:
+    true = environment(quiet(), 3)
+    true.reset()
+    total = torch.zeros(3, dtype=torch.float64)
+    for k in range(TASK.steps):
+        made = true.step(torch.zeros(3, 1))
+        total += made.reward
+        assert bool(made.truncated.all()) == (k == TASK.steps - 1)
+        assert not bool(made.terminated.any())
+    assert made.length.tolist() == [TASK.steps] * 3
+    torch.testing.assert_close(made.total, total)
+    assert not torch.equal(made.last, made.observation)
+    low = torch.tensor(TASK.training.low)
+    assert bool((true.dynamics.state >= low - 1e-9).all())
+    assert true.step(torch.zeros(3, 1)).length.tolist() == [1] * 3
+
+
+def test_leaving_the_track_ends_an_episode_and_does_not_pay() -> None:
+    true = environment(quiet(), 2)
+    true.reset(torch.tensor([[119.9, 20.0, pi, 0.0], [0.0, 0.0, pi, 0.0]], dtype=torch.float64))
+    made = true.step(torch.zeros(2, 1))
+    assert made.terminated.tolist() == [True, False]
+    assert made.truncated.tolist() == [False, False]
+    # cos(pi), 1.2 of the position and 2 of the speed, at each of the 200 steps
+    assert float(made.total[0]) == pytest.approx(-200 * (1 + 1.203 + 2.0), rel=1e-3)
+    assert made.length.tolist() == [1, 1]
+
+
+def test_machine_that_leaves_the_finite_numbers_ends_its_episode_alone() -> None:
+    machines = environment(Diverging(), 3)
+    machines.reset()
+    ended = []
+    for _ in range(5):
+        made = machines.step(torch.zeros(3, 1))
+        ended.append(made.terminated.tolist())
+        assert bool(torch.isfinite(made.observation).all())
+        assert bool(torch.isfinite(made.last).all())
+        assert bool(torch.isfinite(made.reward).all())
+    assert ended == [[False] * 3, [False] * 3, [True, False, False], [False] * 3, [False] * 3]
+
+
+def test_same_seed_gives_the_same_episodes_and_another_gives_others() -> None:
+    def play(seed: int) -> Tensor:
+        machines = noisy(seed)
+        rows = [machines.reset()]
+        rows += [machines.step(torch.full((6, 1), 0.1)).observation for _ in range(5)]
+        return torch.stack(rows)
+
+    assert torch.equal(play(3), play(3))
+    assert not torch.equal(play(3), play(4))
+
+
+def test_staggered_machines_end_their_first_episodes_at_different_times() -> None:
+    machines = noisy(0, n=64, stagger=True)
+    machines.reset()
+    ends = torch.zeros(64, dtype=torch.long)
+    for k in range(TASK.steps):
+        made = machines.step(torch.zeros(64, 1))
+        ends = torch.where((ends == 0) & made.truncated, k + 1, ends)
+    assert bool((ends > 0).all())
+    assert len(ends.unique()) > 40
+
+
+def test_restart_leaves_the_other_machines_alone() -> None:
+    truth = quiet()
+    truth.reset(TASK.training.draw(4, generator()))
+    truth.step(torch.ones(4, 1))
+    before = truth.state.clone()
+    truth.restart(torch.tensor([2]), torch.full((1, 4), 0.5))
+    assert truth.state[2].tolist() == [0.5] * 4
+    assert torch.equal(truth.state[[0, 1, 3]], before[[0, 1, 3]])
+
+
+def test_what_does_not_fit_is_refused() -> None:
+    machines = environment(quiet(), 2)
+    with pytest.raises(ConfigError, match="n_envs"):
+        environment(quiet(), 0)
+    with pytest.raises(ShapeError, match="x0"):
+        machines.reset(torch.zeros(3, 4))
+    machines.reset()
+    with pytest.raises(ShapeError, match="action"):
+        machines.step(torch.zeros(2))
+    with pytest.raises(ConfigError, match="plant, published"):
+        make_truth("gym", system="cartpole", dt=0.02, sensor_noise=1.0, generator=generator())
+    with pytest.raises(ConfigError, match="cartpole alone"):
+        make_truth("published", system="hexacopter", dt=0.02, sensor_noise=1.0, generator=generator())

@@ -1,0 +1,143 @@
+"""A learned model as a machine: stepped one sample at a time, it does what it samples in one go."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+import torch
+
+from nsde_torch.errors import ConfigError
+from nsde_torch.models import Model, NeuralSDE, SDESpec
+from nsde_torch.policy import BatchEnvironment, make_learned, make_task
+from nsde_torch.policy.learned import _SampledDynamics
+from tests.helpers.toy_systems import fix_sigma
+
+TASK = make_task("cartpole")
+
+
+def generator(seed: int = 0) -> torch.Generator:
+    return torch.Generator().manual_seed(seed)
+
+
+def model(system: str = "cartpole", **spec: Any) -> NeuralSDE:
+    options: dict[str, Any] = {"dt": 0.02, "horizon": 10, "step": "euler_maruyama", **spec}
+    return NeuralSDE(SDESpec(system, **options), generator=generator()).eval().requires_grad_(False)
+
+
+def start(n: int) -> tuple[torch.Tensor, torch.Tensor]:
+    x0 = TASK.training.draw(n, generator(1)).float()
+    return x0, 50 * torch.rand(n, 20, 1, generator=generator(2)) - 25
+
+
+@pytest.mark.parametrize("kind", ["node", "nsde"])
+def test_neural_ode_stepped_alone_is_the_path_that_it_samples(kind: str) -> None:
+    own = model(kind=kind, step="rk4")
+    x0, u = start(3)
+    path = own.sample(x0, u, dt=0.02, particles=1, generator=generator(), measurement=False)[0]
+    machines = make_learned(own, dt=0.02, sensor_noise=1.0, generator=generator())
+    machines.reset(x0)
+    for k in range(20):
+        machines.step(u[:, k])
+        torch.testing.assert_close(machines.state, path[:, k + 1], rtol=1e-5, atol=1e-5)
+
+
+def test_memory_of_an_effect_is_carried_from_sample_to_sample() -> None:
+    own = model("hexacopter", kind="node", step="rk4", effects=("motor_lag",))
+    x0 = torch.zeros(2, 13)
+    x0[:, 6] = 1.0
+    u = 0.3 + 0.2 * torch.rand(2, 15, 6, generator=generator())
+    # at rest under no command, as an environment starts, and not under the first one
+    z0 = own.augment(x0, torch.zeros(2, 6))
+    machines = make_learned(own, dt=0.02, sensor_noise=0.0, generator=generator())
+    machines.reset(x0)
+    z = z0
+    for k in range(15):
+        z = own.project(own.step.advance(own, 0.0, z, u[:, k], 0.02, None))
+        machines.step(u[:, k])
+    assert z.shape[1] > 13
+    torch.testing.assert_close(machines.state, z[:, :13], rtol=1e-5, atol=1e-6)
+
+
+def test_disturbance_of_a_path_lasts_and_is_its_own() -> None:
+    own = model("hexacopter", disturbance=True)
+    x0 = torch.zeros(400, 13)
+    x0[:, 6] = 1.0
+    machines = make_learned(own, dt=0.02, sensor_noise=0.0, generator=generator())
+    machines.reset(x0)
+    gusts = []
+    for _ in range(3):
+        gusts.append(machines._z[:, own.system.nz :].clone())  # type: ignore[attr-defined]
+        machines.step(torch.full((400, 6), 0.38))
+    first, later = gusts[0][:, 0], gusts[2][:, 0]
+    assert float(first.std()) > 0
+    assert float(torch.corrcoef(torch.stack((first, later)))[0, 1]) > 0.8
+    machines.restart(torch.tensor([5]), x0[:1])
+    assert float(machines._z[5, own.system.nz]) != pytest.approx(float(later[5]))  # type: ignore[attr-defined]
+
+
+def test_sensor_noise_is_learned_noise_and_does_not_move_the_state() -> None:
+    own = model(measurement=True)
+    with torch.no_grad():
+        own.log_measurement_std.fill_(-2.0)
+    x0, _ = start(4000)
+    clean = make_learned(own, dt=0.02, sensor_noise=0.0, generator=generator())
+    noisy = make_learned(own, dt=0.02, sensor_noise=2.0, generator=generator())
+    assert torch.equal(clean.reset(x0), x0)
+    error = noisy.reset(x0) - x0
+    torch.testing.assert_close(error.std(0), torch.full((4,), 2 * 0.1353), rtol=0.05, atol=0)
+    assert torch.equal(noisy.state, x0)
+
+
+def test_diffusion_spreads_the_paths_as_it_does_in_sample() -> None:
+    own = model()
+    fix_sigma(own, 0.3)
+    x0, u = (part[:1].expand(4000, *part.shape[1:]) for part in start(1))
+    machines = make_learned(own, dt=0.02, sensor_noise=0.0, generator=generator())
+    machines.reset(x0)
+    for k in range(10):
+        machines.step(u[:, k])
+    sampled = own.sample(
+        x0[:1], u[:1, :10], dt=0.02, particles=4000, generator=generator(7), measurement=False
+    )[:, 0, -1]
+    torch.testing.assert_close(machines.state.std(0), sampled.std(0), rtol=0.06, atol=0)
+
+
+def test_any_other_model_is_asked_for_one_step_at_a_time() -> None:
+    own: Model = model(kind="node", step="rk4")
+    x0, u = start(3)
+    path = own.sample(x0, u, dt=0.02, particles=1, generator=generator(), measurement=False)[0]
+    machines = _SampledDynamics(own, dt=0.02, sensor_noise=1.0, generator=generator())
+    assert torch.equal(machines.reset(x0), x0)
+    for k in range(20):
+        machines.step(u[:, k])
+    torch.testing.assert_close(machines.state, path[:, -1], rtol=1e-5, atol=1e-5)
+    machines.restart(torch.tensor([1]), x0[:1])
+    torch.testing.assert_close(machines.state[1], x0[0])
+    torch.testing.assert_close(machines.state[0], path[0, -1], rtol=1e-5, atol=1e-5)
+
+
+def test_episodes_in_a_model_run_through_to_the_next() -> None:
+    machines = BatchEnvironment(
+        TASK,
+        make_learned(
+            model(kind="blackbox_nsde", physics=False), dt=0.02, sensor_noise=1.0, generator=generator()
+        ),
+        n=8,
+        generator=generator(),
+        start=TASK.training,
+        stagger=True,
+    )
+    seen = machines.reset()
+    ends = 0
+    for _ in range(TASK.steps + 1):
+        made = machines.step(torch.zeros(8, 1))
+        ends += int((made.truncated | made.terminated).sum())
+        assert bool(torch.isfinite(made.observation).all())
+        assert made.observation.dtype == seen.dtype == torch.float32
+    assert ends >= 8
+
+
+def test_negative_noise_is_refused() -> None:
+    with pytest.raises(ConfigError, match="sensor_noise"):
+        make_learned(model(), dt=0.02, sensor_noise=-1.0, generator=generator())

@@ -1,0 +1,182 @@
+"""Learning a policy: what is kept, what is written, how an interrupted one goes on, and what the score is."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+
+from nsde_torch.errors import CheckpointError, ConfigError
+from nsde_torch.policy import (
+    BatchEnvironment,
+    CartpoleSwingUp,
+    Dynamics,
+    PolicyOptions,
+    PolicyTraining,
+    episode_rewards,
+    load_policy,
+    make_task,
+    make_truth,
+    random_policy,
+    score,
+)
+
+pytest.importorskip("stable_baselines3", reason="needs the extra nsde_torch[policy]")
+
+from nsde_torch.policy.ppo import Learner
+
+TASK = CartpoleSwingUp(steps=20)  # a tenth of an episode, for speed
+TINY = PolicyOptions(
+    interactions=512,
+    n_envs=4,
+    rollout=32,
+    batch=64,
+    epochs=2,
+    hidden=(8,),
+    evaluate_every=128,
+    episodes=5,
+    final_episodes=8,
+)
+ABOUT: dict[str, Any] = {
+    "environment": {"kind": "truth", "name": "published"},
+    "truth": "published",
+    "sensor_noise": 1.0,
+}
+
+
+def truth(generator: torch.Generator) -> Dynamics:
+    return make_truth("published", system="cartpole", dt=TASK.dt, sensor_noise=1.0, generator=generator)
+
+
+def elsewhere(generator: torch.Generator) -> Dynamics:
+    return make_truth("published", system="cartpole", dt=TASK.dt, sensor_noise=0.0, generator=generator)
+
+
+def training(folder: Path, **settings: Any) -> PolicyTraining:
+    given: dict[str, Any] = {
+        "environment": truth,
+        "truth": truth,
+        "options": TINY,
+        "seed": 0,
+        "about": ABOUT,
+        "say": lambda _: None,
+        **settings,
+    }
+    return PolicyTraining(TASK, folder=folder, **given)
+
+
+def machines(n: int, seed: int = 0) -> BatchEnvironment:
+    generator = torch.Generator().manual_seed(seed)
+    return BatchEnvironment(TASK, truth(generator), n=n, generator=generator, start=TASK.evaluation)
+
+
+def test_training_writes_policy_report_and_picture(tmp_path: Path) -> None:
+    result = training(tmp_path, environment=elsewhere).run()
+    assert json.loads((tmp_path / "policy.json").read_text()) == result
+    assert (tmp_path / "plots" / "learning_curve.png").stat().st_size > 5000
+    assert not list(tmp_path.rglob("*.pkl")) + list(tmp_path.rglob("*.zip"))
+    assert [row["interactions"] for row in result["curve"]] == [0, 128, 256, 384, 512]
+    best = max(result["curve"], key=lambda row: row["environment_reward"])
+    assert result["kept_after"] == best["interactions"]
+    assert result["truth_reward"]["episodes"] == TINY.final_episodes
+    assert result["environment_reward"] != result["truth_reward"]
+    assert result["score"] is None
+    assert result["validation"]["score"] == -result["environment_reward"]["mean"]
+
+
+def test_reward_of_the_report_is_that_of_the_policy_in_the_folder(tmp_path: Path) -> None:
+    result = training(tmp_path).run()
+    again = episode_rewards(load_policy(tmp_path), machines(TINY.final_episodes, seed=102))
+    assert again.mean == pytest.approx(result["truth_reward"]["mean"])
+
+
+def test_same_seed_learns_the_same_and_another_learns_another(tmp_path: Path) -> None:
+    first, second, other = (
+        training(tmp_path / name, seed=seed).run() for name, seed in (("a", 3), ("b", 3), ("c", 4))
+    )
+    assert first["truth_reward"] == second["truth_reward"]
+    assert first["truth_reward"] != other["truth_reward"]
+
+
+def test_policy_in_the_file_takes_the_mean_action_of_the_learner() -> None:
+    learner = Learner(machines(4), options=TINY, seed=0)
+    learner.learn(lambda: None, at_every_step=lambda done: None)
+    seen = 3 * torch.randn(40, 5)
+    theirs, _ = learner._ppo.predict(seen.numpy(), deterministic=True)
+    torch.testing.assert_close(learner.actor()(seen), torch.as_tensor(theirs), rtol=1e-5, atol=1e-6)
+
+
+def test_interrupted_training_goes_on_where_it_was(tmp_path: Path) -> None:
+    calls = 0
+
+    def stop(generator: torch.Generator) -> Dynamics:
+        nonlocal calls
+        calls += 1
+        if calls == 4:  # machines to learn on, and the evaluations after 0, 128 and 256 interactions
+            raise KeyboardInterrupt
+        return truth(generator)
+
+    with pytest.raises(KeyboardInterrupt):
+        training(tmp_path, environment=stop, truth=truth).run()
+    said: list[str] = []
+    result = training(tmp_path, say=said.append).run()
+    assert said[0] == "going on after 128 interactions"
+    assert [row["interactions"] for row in result["curve"]] == [0, 128, 256, 384, 512]
+    assert result["interactions"] == 512
+
+
+def test_checkpoint_brings_back_networks_and_moments(tmp_path: Path) -> None:
+    learner = Learner(machines(4), options=TINY, seed=0)
+    learner.learn(lambda: None, at_every_step=lambda done: None)
+    learner.save(tmp_path / "learner.safetensors", {"rows": [1]})
+    other = Learner(machines(4), options=TINY, seed=1)
+    assert other.restore(tmp_path / "learner.safetensors") == {"rows": [1]}
+    assert other.interactions == 512
+    one, two = (x._ppo.policy.optimizer.state_dict()["state"] for x in (learner, other))
+    assert one.keys() == two.keys()
+    for index in one:
+        assert all(torch.equal(torch.as_tensor(one[index][k]), two[index][k]) for k in one[index])
+    seen = torch.randn(5, 5)
+    assert torch.equal(learner.actor()(seen), other.actor()(seen))
+
+
+def test_checkpoint_of_another_network_is_refused(tmp_path: Path) -> None:
+    Learner(machines(4), options=TINY, seed=0).save(tmp_path / "learner.safetensors", {})
+    wider = PolicyOptions(n_envs=4, rollout=32, batch=64, hidden=(9,))
+    with pytest.raises(CheckpointError, match="another configuration"):
+        Learner(machines(4), options=wider, seed=0).restore(tmp_path / "learner.safetensors")
+
+
+def test_score_is_relative_to_policies_of_the_same_truth(tmp_path: Path) -> None:
+    reference = training(tmp_path / "reference").run()
+    result = training(tmp_path / "own", seed=1, reference=[tmp_path / "reference"]).run()
+    random, best = result["random_reward"]["mean"], reference["truth_reward"]["mean"]
+    assert result["reference_reward"] == best
+    assert result["score"] == pytest.approx((result["truth_reward"]["mean"] - random) / (best - random))
+    with pytest.raises(ConfigError, match="reference"):
+        training(tmp_path / "x", about={**ABOUT, "truth": "plant"}, reference=[tmp_path / "reference"])
+    with pytest.raises(CheckpointError, match="no finished policy"):
+        training(tmp_path / "x", reference=[tmp_path / "nowhere"])
+
+
+def test_score_runs_from_chance_to_the_truth() -> None:
+    assert score(-300.0, random=-300.0, truth=80.0) == 0.0
+    assert score(80.0, random=-300.0, truth=80.0) == 1.0
+    assert score(80.0, random=-300.0, truth=-300.0) is None
+
+
+def test_random_actions_earn_what_the_published_ones_did() -> None:
+    generator, task = torch.Generator().manual_seed(0), make_task("cartpole")
+    environment = BatchEnvironment(task, truth(generator), n=400, generator=generator, start=task.training)
+    rewards = episode_rewards(random_policy(environment, torch.Generator().manual_seed(1)), environment)
+    # of the 100 published episodes of random actions: -320 with a standard error of 4.4
+    assert rewards.mean == pytest.approx(-320.2, abs=12)
+    assert rewards.left == 0
+
+
+def test_update_that_cannot_be_split_into_batches_is_refused() -> None:
+    with pytest.raises(ConfigError, match=r"ppo\.batch"):
+        PolicyOptions(n_envs=4, rollout=10, batch=7)

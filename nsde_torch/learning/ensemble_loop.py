@@ -108,10 +108,9 @@ class EnsembleLoop:
     def terms(self) -> dict[str, Tensor]:
         """Terms of the loss of one batch, means over the members."""
         at = self.draw()
-        bounds = (self.model.high - self.model.low).mean()
         return {
             "data": nll(self.model, self.train.inputs[at], self.train.changes[at]).mean(),
-            "bounds": _BOUNDS * bounds,
+            "bounds": _BOUNDS * self.model.width().mean(),
         }
 
     def _step(self) -> dict[str, Tensor]:

@@ -8,7 +8,10 @@ one step of the model, each channel by itself:
 The log-variance is held between learned bounds by two softplus functions, with a small weight on their distance in the
 loss (Chua et al., Deep reinforcement learning in a handful of trials, NeurIPS 2018, appendix A.1):
 
-    v <- high - softplus(high - v),    v <- low + softplus(v - low)
+    v <- high - softplus(high - v),    v <- low + softplus(v - low),    high = low + softplus(gap)
+
+so that low < v < low + softplus(high - low). The third equation is ours: where the noise is the same everywhere, free
+bounds pass each other under that weight, and the network loses its hold on the variance for good.
 
 `sample` propagates particles as in section 5 there: under "fixed" a particle keeps the member that it drew at the
 start (TS-infinity: which member is right is not known, but it stays the same one), under "redrawn" it draws one at
@@ -103,7 +106,8 @@ class GaussianEnsemble(Model):
         self.change_scale = Standardise(n_out)
         self.networks = StackedMLP(spec.members, n_in, spec.hidden, 2 * n_out, generator=generator)
         self.low = nn.Parameter(torch.full((spec.members, 1, n_out), _LOW))
-        self.high = nn.Parameter(torch.full((spec.members, 1, n_out), _HIGH))
+        gap = math.log(math.expm1(_HIGH - _LOW))
+        self.gap = nn.Parameter(torch.full((spec.members, 1, n_out), gap))
         self.clock_scale: Tensor
         self.register_buffer("clock_scale", torch.ones(()))
 
@@ -123,8 +127,13 @@ class GaussianEnsemble(Model):
             Both (members, N, n_change).
         """
         mean, v = self.networks(y).chunk(2, -1)
-        v = self.high - nn.functional.softplus(self.high - v)
+        high = self.low + self.width()
+        v = high - nn.functional.softplus(high - v)
         return mean, self.low + nn.functional.softplus(v - self.low)
+
+    def width(self) -> Tensor:
+        """Distance of the bounds of the log-variance (members, 1, n_change)."""
+        return nn.functional.softplus(self.gap)
 
     def predict(self, x: Tensor, u: Tensor) -> tuple[Tensor, Tensor]:
         """Mean and standard deviation of the change over one step, member by member.

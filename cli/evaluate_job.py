@@ -59,6 +59,7 @@ def run(config: DictConfig, job: Job) -> None:
             folder=str(r.folder),
             measurement_std=_sensors(r, chosen) if from_data else None,
             reach=float(r.metrics.get("input_filter", {}).get("reach_s", 0.0)),
+            smoothing=float(r.metrics.get("input_smoothing_s", 0.0)),
         )
         for r in trained
     ]

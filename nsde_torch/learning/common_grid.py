@@ -14,14 +14,17 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from nsde_torch.data import DataSet, Run, Windows
+from nsde_torch.data.smoothing import smoothing_width
 from nsde_torch.errors import ConfigError, DataError
 from nsde_torch.learning.metrics import HORIZONS, horizons_of, start_grid, thinned
+from nsde_torch.learning.report import lookahead
 from nsde_torch.learning.scores import BASELINES
 from nsde_torch.learning.seen import SeenRuns
 from nsde_torch.models.model import Model
 
 _CLOCK_TOLERANCE = 0.01  # what two measurements of one clock may differ by
 _STEP_TOLERANCE = 0.01
+_SMOOTHING_TOLERANCE = 0.1
 
 Note = dict[str, Any]
 
@@ -42,6 +45,7 @@ class Candidate:
         folder: Its run directory.
         measurement_std: Noise of the sensors of the runs if it is not that of its training data (nx,).
         reach: Reach of its input filter on each side [s].
+        smoothing: Width of the average that had smoothed the inputs of its training data [s].
     """
 
     name: str
@@ -50,6 +54,7 @@ class Candidate:
     folder: str = ""
     measurement_std: Tensor | None = None
     reach: float = 0.0
+    smoothing: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -171,7 +176,7 @@ def common_horizons(
 def common_grids(
     candidates: Sequence[Candidate], data: DataSet, runs: Sequence[Run], horizons: Sequence[float]
 ) -> tuple[list[Grid], list[Note]]:
-    """The grid of every model, with the same starts, and what to say of their clocks.
+    """The grid of every model, with the same starts, and what to say of their clocks and inputs.
 
     Raises:
         DataError: no stretch is as long as the longest horizon.
@@ -189,13 +194,41 @@ def common_grids(
         common = np.intersect1d(common, other)
     if len(common) == 0:
         raise DataError(f"no stretch of {horizons[-1]:g} s without a gap; evaluate on longer runs.")
-    grids, notes = [], []
+    smoothing = smoothing_width(data.runs, candidates[0].model.system.nu)
+    grids, notes, ahead = [], [], []
     for c, (own, windows, starts, steps), at in zip(candidates, made, rows, strict=True):
         dt, remark = _own_step(c, data)
         notes += remark
         kept = thinned(starts[torch.from_numpy(np.isin(at, common))])
         grids.append(Grid(own, windows, kept, steps, dt))
-    return grids, notes
+        notes += _of_smoothing(c, smoothing)
+        ahead.append((c.name, lookahead(smoothing, c.reach)))
+    return grids, notes + _said_once(ahead)
+
+
+def _of_smoothing(c: Candidate, smoothing: float) -> list[Note]:
+    """Whether the inputs of the runs were smoothed as those of a model's training data."""
+    if abs(smoothing - c.smoothing) <= _SMOOTHING_TOLERANCE * c.smoothing:
+        return []
+    before, here = (
+        f"smoothed over {w:.2g} s" if w else "without a smoothing" for w in (c.smoothing, smoothing)
+    )
+    text = f"{c.name} was trained on inputs {before}, and these are inputs {here}"
+    return [
+        note(text + ("; its filter, learned to undo the former, is applied all the same" if c.reach else ""))
+    ]
+
+
+def _said_once(ahead: Sequence[tuple[str, str]]) -> list[Note]:
+    """What the inputs see of the future: once if it is the same for all models."""
+    words: dict[str, list[str]] = {}
+    for name, text in ahead:
+        words.setdefault(text, []).append(name)
+    return [
+        note(text if len(words) == 1 else f"{', '.join(names)}: {text}")
+        for text, names in words.items()
+        if text
+    ]
 
 
 def _with_columns(runs: Sequence[Run], candidate: Candidate, data: DataSet) -> list[Run]:

@@ -37,7 +37,6 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from nsde_torch.data import DataSet, Run
-from nsde_torch.data.smoothing import smoothing_width
 from nsde_torch.learning.bootstrap import BLOCK_S, REPLICATES, Blocks, make_blocks, paired_bootstrap, verdict
 from nsde_torch.learning.common_grid import (
     Candidate,
@@ -49,7 +48,6 @@ from nsde_torch.learning.common_grid import (
     note,
 )
 from nsde_torch.learning.metrics import START_EVERY, summary
-from nsde_torch.learning.report import lookahead
 from nsde_torch.learning.scores import LEVELS, PARTICLES, Scores, baseline_squares, score
 from nsde_torch.learning.seen import BY_NAME, NAMESAKE, PART, WHOLE, trained_on
 from nsde_torch.systems import System
@@ -135,7 +133,6 @@ def compare(
         models.append(_model_entry(candidate, grid, made, matches, index, keys))
         notes += _remarks(candidate, made, matches)
     system = candidates[0].model.system
-    notes += _of_inputs(candidates, smoothing_width(runs, system.nu))
     units = {g.name: g.unit for g in system.error_groups}
     still = baseline_squares(system, grids[0].windows, grids[0].starts, grids[0].steps)
     contents = {
@@ -273,18 +270,6 @@ def _remarks(candidate: Candidate, scores: Scores, matches: Mapping[str, str]) -
             note(f"{name} is deterministic: no intervals and no likelihood; its CRPS is the absolute error")
         )
     return remarks
-
-
-def _of_inputs(candidates: Sequence[Candidate], smoothing: float) -> list[Note]:
-    """What the inputs see of the future, said once for all models that see the same."""
-    words: dict[str, list[str]] = {}
-    for c in candidates:
-        words.setdefault(lookahead(smoothing, c.reach), []).append(c.name)
-    return [
-        note(text if len(words) == 1 else f"{_listed(names)}: {text}")
-        for text, names in words.items()
-        if text
-    ]
 
 
 def _listed(names: Sequence[str]) -> str:

@@ -143,12 +143,22 @@ def _verdicts(content: Mapping[str, Any]) -> Iterator[Line]:
                 if d is not None:
                     by_word.setdefault(turned.get(d["verdict"], d["verdict"]), []).append(h)
             for word, horizons in by_word.items():
-                words.setdefault(word, []).append(f"{group} at {', '.join(horizons)} s")
+                words.setdefault(word, []).append(f"{group} at {_range(horizons, list(by_horizon))}")
         held_out = differences["against"][key]["held_out"]
         text = "; ".join(f"{word} in {', '.join(where)}" for word, where in words.items())
         if text:
             mark = "" if held_out else f" ({SEEN})"
             yield from _wrapped(f"{differences['first']}{mark} against {name}: {text}", not held_out)
+
+
+def _range(horizons: Sequence[str], every: Sequence[str]) -> str:
+    """`all horizons`, `0.1 to 1 s`, or `0.1, 1 s`."""
+    if list(horizons) == list(every):
+        return "all horizons"
+    first = every.index(horizons[0])
+    if len(horizons) > 2 and list(horizons) == list(every[first : first + len(horizons)]):
+        return f"{horizons[0]} to {horizons[-1]} s"
+    return f"{', '.join(horizons)} s"
 
 
 def _wrapped(text: str, red: bool) -> Iterator[Line]:

@@ -73,5 +73,6 @@ def lookahead(smoothing: float, reach: float) -> str:
             f"inputs were smoothed by a centred {smoothing:.2g} s average, so they see {ahead:.2g} s ahead"
         )
     if reach:
-        parts.append(f"the filter that restores them draws on commands up to {ahead + reach:.2g} s ahead")
+        which = "the filter that restores them" if smoothing else "the model's filter"
+        parts.append(f"{which} draws on commands up to {ahead + reach:.2g} s ahead")
     return "; ".join(parts)

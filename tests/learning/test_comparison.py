@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -242,3 +243,28 @@ def test_nll_is_that_of_torchs_gaussian() -> None:
     e = 0.3 + 2.0 * torch.randn(199, 20, 2, generator=g, dtype=torch.float64)
     expected = -torch.distributions.Normal(e.mean(0), e.std(0)).log_prob(torch.zeros(20, 2))
     torch.testing.assert_close(gaussian_nll(e), expected, check_dtype=False)
+
+
+def test_a_model_takes_the_columns_that_it_reads(runs: list[Run]) -> None:
+    """Data read for several models may hold more than one of them reads."""
+    wide = [Run(r.name, r.t, r.x, np.column_stack([r.u, np.full(len(r), 9.0)])) for r in runs]
+    data = data_set(*runs)
+    both = replace(data, runs=tuple(wide), input_names=("u", "voltage"))
+    seen = SeenRuns.of({"train_runs": ["run_0"], **record(runs[:1])})
+    made, expected = (
+        compare([candidate("true", good(), seen)], d, d.runs, seed=0, particles=9) for d in (both, data)
+    )
+    assert made.content["models"] == expected.content["models"]
+    assert made.content["models"][0]["trained_on_match"]["run_0"] == "whole"
+    with pytest.raises(DataError, match="needs the columns x, u"):
+        compare([candidate("true", good())], replace(data, input_names=("w",)), data.runs, seed=0)
+
+
+def test_inputs_that_are_not_smoothed_as_those_of_training_are_pointed_out(data: DataSet) -> None:
+    models = [candidate("a", good(), smoothing=0.4, reach=0.2), candidate("b", good())]
+    done = compare(models, data, data.runs, seed=0, particles=9)
+    texts = [n["text"] for n in done.content["notes"]]
+    assert any(
+        "a was trained on inputs smoothed over 0.4 s" in text and "all the same" in text for text in texts
+    )
+    assert not any(text.startswith("b was trained") for text in texts)

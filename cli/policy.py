@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from .hydra_command import HydraCommand
+from .quoted import quoted
 
 COMMAND = HydraCommand(
     name="policy",
@@ -15,7 +16,8 @@ COMMAND = HydraCommand(
 
 def main(arguments: Sequence[str]) -> int:
     """Run `nsde policy` with these words; returns the exit status."""
-    return COMMAND.main(arguments)
+    sweep = "-m" in arguments or "--multirun" in arguments  # there a comma is between two folders
+    return COMMAND.main(list(arguments) if sweep else [quoted(word, "environment") for word in arguments])
 
 
 def complete(words: Sequence[str]) -> list[str]:

@@ -289,3 +289,39 @@ def test_a_state_that_leaves_the_finite_numbers_is_reported_with_its_rows() -> N
     patient.reset(start, hover(3))
     x = patient.step(hover(3))
     assert torch.isfinite(x).all(1).tolist() == [True, False, True]
+
+
+def test_restarted_machine_forgets_its_memory_and_the_others_go_on() -> None:
+    plant = quiet()
+    plant.reset(level(3), hover(3))
+    plant.step(0.0 * hover(3))
+    before = plant._z.clone()
+    measured = plant.restart(torch.tensor([1]), level(), hover())
+    assert torch.equal(plant._z[[0, 2]], before[[0, 2]])
+    assert torch.equal(measured, level())
+    fresh = quiet()
+    fresh.reset(level(), hover())
+    for _ in range(5):
+        plant.step(hover(3))
+        fresh.step(hover())
+    torch.testing.assert_close(plant.state[1], fresh.state[0], rtol=0, atol=1e-12)
+    with pytest.raises(ShapeError, match="rows"):
+        plant.restart(torch.tensor([0, 1]), level(), hover())
+
+
+def test_restarted_machine_draws_gusts_of_its_own() -> None:
+    gusts = Gusts(
+        {Port.FORCE: Gust(std=(2.0,))},
+        widths={Port.FORCE: 1},
+        dt=0.01,
+        scale=1.0,
+        generator=generator(),
+        dtype=torch.float64,
+    )
+    gusts.reset(4000)
+    before = gusts._state[0].clone()
+    gusts.restart(torch.arange(2000))
+    assert torch.equal(gusts._state[0][2000:], before[2000:])
+    fresh = gusts._state[0][:2000, 0]
+    assert float(fresh.std()) == pytest.approx(2.0, rel=0.06)
+    assert abs(float(torch.corrcoef(torch.stack((fresh, before[:2000, 0])))[0, 1])) < 0.07

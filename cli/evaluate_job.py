@@ -77,10 +77,10 @@ def run(config: DictConfig, job: Job) -> None:
         say=print,
     )
     (job.run_dir / RESULT).write_text(json.dumps(done.content, indent=1, allow_nan=False), encoding="utf-8")
-    pictures = write_figures(job.run_dir / "plots", done)
     print()
     for text, red in lines(done.content):
         print(colour.red(text) if red else text)
+    pictures = write_figures(job.run_dir / "plots", done)
     wrote = ", ".join([RESULT, *(f"plots/{path.name}" for path in pictures)])
     print(f"\ntook {time.perf_counter() - started:.0f} s; wrote {job.run_dir}: {wrote}")
 

@@ -35,7 +35,7 @@ def write_figures(folder: Path, comparison: Comparison) -> list[Path]:
     made: dict[str, Any] = {"errors": _errors(content, finite)}
     spread = [m for m in finite if m["stochastic"]]
     if spread:
-        made["calibration"] = _calibration(content, spread)
+        made["calibration"] = _calibration(content, spread, [label(m) for m in finite])
     for number, figure in enumerate(_rollouts(comparison), 1):
         made["rollouts" if number == 1 else f"rollouts_{number}"] = figure
     return [plots.save(figure, folder / f"{name}.png") for name, figure in made.items()]
@@ -65,7 +65,9 @@ def _runs(content: Mapping[str, Any]) -> str:
     return ", ".join(names) if len(names) <= 3 else f"{len(names)} runs"
 
 
-def _calibration(content: Mapping[str, Any], models: Sequence[Mapping[str, Any]]) -> Any:
+def _calibration(
+    content: Mapping[str, Any], models: Sequence[Mapping[str, Any]], order: Sequence[str]
+) -> Any:
     keys = [f"{h:g}" for h in content["horizons_s"]]
     figure = plots.calibration_of_models(
         models[0]["calibration"]["nominal"],
@@ -74,6 +76,7 @@ def _calibration(content: Mapping[str, Any], models: Sequence[Mapping[str, Any]]
         per_horizon={
             label(m): {g: [row[h] for h in keys] for g, row in m["coverage"]["0.9"].items()} for m in models
         },
+        order=order,
         title=f"Share of measurements inside predicted intervals ({content['starts']} starts on {_runs(content)})",
     )
     return _marked(figure, models)

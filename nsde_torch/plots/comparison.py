@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -40,6 +40,7 @@ def calibration_of_models(
     *,
     horizons: Sequence[float],
     per_horizon: Mapping[str, Mapping[str, ArrayLike]],
+    order: Sequence[str] | None = None,
     title: str = "Share of measurements inside predicted intervals",
 ) -> Figure:
     """Empirical against nominal coverage (above) and coverage of 90 % intervals at each horizon (below).
@@ -49,6 +50,7 @@ def calibration_of_models(
         empirical: Model -> group -> share of the measurements inside them (k,).
         horizons: Horizons (h,) [s].
         per_horizon: Model -> group -> coverage of the 90 % interval at each horizon (h,).
+        order: Names in the order of other figures, these among them, so that a model has one colour in all.
         title: Title.
 
     Returns:
@@ -61,17 +63,18 @@ def calibration_of_models(
     groups = list(dict.fromkeys(g for curves in empirical.values() for g in curves))
     figure, axes = panels(2, len(groups), height=5.6, title=title, sharey="row")
     level, low, high = TARGET
-    order = np.argsort(levels)
+    rising = np.argsort(levels)
     for column, group in enumerate(groups):
         top, bottom = axes[0, column], axes[1, column]
         top.plot([0, 1], [0, 1], color=GREY, linewidth=1.0, label="ideal")
         top.fill_between([level - 0.02, level + 0.02], low, high, color=BLACK, alpha=0.15, linewidth=0)
         bottom.axhspan(low, high, color=BLACK, alpha=0.12, linewidth=0, label="85–95 %")
         bottom.axhline(level, color=GREY, linewidth=1.0)
-        for k, name in enumerate(empirical):
+        for name in empirical:
+            k = (order or list(empirical)).index(name)
             share = _curve(f"empirical[{name!r}][{group!r}]", empirical[name][group], len(levels))
             later = _curve(f"per_horizon[{name!r}][{group!r}]", per_horizon[name][group], len(horizons))
-            top.plot(levels[order], share[order], markersize=4, label=name, **model_look(k))
+            top.plot(levels[rising], share[rising], markersize=4, label=name, **model_look(k))
             bottom.plot(np.asarray(horizons, dtype=float), later, markersize=4, **model_look(k))
         top.set(xlim=(0, 1), ylim=(0, 1), title=group, xlabel="nominal probability [–]")
         top.set_aspect("equal")
@@ -115,8 +118,8 @@ def rollouts_of_models(
         quaternion: Columns of a quaternion, drawn as roll, pitch and yaw in degrees.
 
     Returns:
-        A figure of (channels, models) panels; the panels of a row share their axis, which follows what was measured and
-        the first model's band, so that a path that runs away leaves the picture.
+        A figure of (channels, models) panels; the panels of a row share their axis, which a path that runs far away
+        from what was measured leaves.
 
     Raises:
         ShapeError: the arrays do not fit together.
@@ -143,7 +146,7 @@ def rollouts_of_models(
             _bands(ax, times, m[:, k], s[..., k])
             if column == 0:
                 ax.set_xlim(times[0], times[-1])
-                ax.set_ylim(*_limits(m[:, k], s[..., k]))
+                ax.set_ylim(*_limits([(part[1][:, k], part[2][..., k]) for part in parts.values()]))
                 ax.set_ylabel(label(channels[k], channel_units[k]))
                 few_ticks(ax, y=4)
         axes[0, column].set_title(model)
@@ -161,13 +164,14 @@ def _bands(ax: Axes, t: Array, measured: Array, samples: Array) -> None:
     ax.plot(t, measured, color=BLACK, linewidth=1.2, linestyle=(0, (4, 1.5)), label="measured")
 
 
-def _limits(measured: Array, samples: Array) -> tuple[float, float]:
-    """Range of what was measured and of the widest band, cut off where it goes far beyond."""
-    low, high = float(measured.min()), float(measured.max())
+def _limits(pairs: Sequence[tuple[Array, Array]]) -> tuple[float, float]:
+    """Range of what was measured and of the widest bands, cut off where they go far beyond."""
+    low, high = min(float(m.min()) for m, _ in pairs), max(float(m.max()) for m, _ in pairs)
     share = BANDS[0][0]
-    ends: Any = np.quantile(samples, [(1 - share) / 2, (1 + share) / 2], axis=0)
+    ends = [np.quantile(s, [(1 - share) / 2, (1 + share) / 2], axis=0) for _, s in pairs]
     room = _ROOM * max(high - low, 1e-9)
-    bottom, top = max(float(ends[0].min()), low - room), min(float(ends[1].max()), high + room)
+    bottom = max(min(float(e[0].min()) for e in ends), low - room)
+    top = min(max(float(e[1].max()) for e in ends), high + room)
     bottom, top = min(bottom, low), max(top, high)
     margin = 0.06 * max(top - bottom, 1e-9)
     return bottom - margin, top + margin

@@ -9,10 +9,19 @@ from pathlib import Path
 
 
 def train(run_dir: Path, overrides: Sequence[str]) -> Path:
-    """Train one model with `nsde train` unless `run_dir` holds a finished one; its output goes to train.log."""
-    if (run_dir / "metrics.json").is_file():
+    """Train one model with `nsde train` unless `run_dir` holds a finished one; its output goes to RUN_DIR.log."""
+    return _finish("train", "metrics.json", run_dir, overrides)
+
+
+def learn_policy(run_dir: Path, overrides: Sequence[str]) -> Path:
+    """Learn one policy with `nsde policy` unless `run_dir` holds a finished one; its output goes to RUN_DIR.log."""
+    return _finish("policy", "policy.json", run_dir, overrides)
+
+
+def _finish(command: str, result: str, run_dir: Path, overrides: Sequence[str]) -> Path:
+    if (run_dir / result).is_file():
         return run_dir
-    words = [sys.executable, "-m", "nsde_torch.cli", "train", *overrides, "threads=1"]
+    words = [sys.executable, "-m", "nsde_torch.cli", command, *overrides, "threads=1"]
     words.append(f"resume={run_dir}" if (run_dir / ".hydra").is_dir() else f"run_dir={run_dir}")
     run_dir.parent.mkdir(parents=True, exist_ok=True)
     log = run_dir.parent / f"{run_dir.name}.log"
@@ -21,7 +30,7 @@ def train(run_dir: Path, overrides: Sequence[str]) -> Path:
             words, stdout=out, stderr=out, env={**os.environ, "OMP_NUM_THREADS": "1"}
         ).returncode
     if code:
-        raise SystemExit(f"training failed ({' '.join(words)}); see {log}")
+        raise SystemExit(f"nsde {command} failed ({' '.join(words)}); see {log}")
     return run_dir
 
 

@@ -16,6 +16,7 @@ from nsde_torch.rotation import (
     rotate,
     rotate_back,
     rotation_between,
+    turned,
 )
 
 Array = NDArray[np.float64]
@@ -103,6 +104,24 @@ def test_rotation_between_ignores_the_signs_of_the_quaternions() -> None:
 def test_rotation_between_turns_its_sign_with_its_arguments() -> None:
     a, b = wxyz(attitudes(seed=0)), wxyz(attitudes(seed=5))
     torch.testing.assert_close(rotation_between(a, b), -rotation_between(b, a))
+
+
+@pytest.mark.parametrize("angle", [0.0, 1e-9, 1e-6, 1e-3, 0.5, 3.0, 7.0])
+def test_turning_by_a_rotation_vector_is_scipys_product(angle: float) -> None:
+    axis = vectors(32)
+    axis /= np.linalg.norm(axis, axis=1, keepdims=True)
+    start = attitudes(32)
+    end = wxyz(start * Rotation.from_rotvec(angle * axis)).numpy()
+    found = turned(wxyz(start), torch.from_numpy(angle * axis)).numpy()
+    found *= np.sign((found * end).sum(1, keepdims=True))
+    np.testing.assert_allclose(found, end, atol=1e-14)
+
+
+def test_gradients_of_a_turn_are_finite_at_no_turn() -> None:
+    r = torch.zeros(4, 3, requires_grad=True)
+    turned(wxyz(attitudes(4)).float(), r).sum().backward()
+    assert r.grad is not None
+    assert bool(torch.isfinite(r.grad).all())
 
 
 @pytest.mark.parametrize("dtype", [torch.float32, torch.float64])

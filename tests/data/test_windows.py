@@ -137,3 +137,21 @@ def test_training_keeps_its_distance_from_held_out_blocks() -> None:
     )
     rows = [np.unique(w.rows(range(len(w)))[:, None] + np.arange(w.span + 1)) for w in (train, held)]
     assert np.abs(rows[0][:, None] - rows[1][None]).min() == 31
+
+
+def test_shortened_windows_are_of_the_same_rows() -> None:
+    windows = Windows([run(50)], 0.02, 5)
+    short = windows.shortened(2)
+    assert (short.horizon, windows.horizon) == (2, 5)
+    assert len(short) == len(windows) + 3 * windows.stride
+    x, u, t0 = short.batch(range(len(windows)))
+    whole, inputs, times = windows.batch(range(len(windows)))
+    assert torch.equal(x, whole[:, :3])
+    assert torch.equal(u, inputs[:, :2])
+    assert torch.equal(t0, times)
+
+
+@pytest.mark.parametrize("horizon", [0, 6])
+def test_windows_are_not_lengthened(horizon: int) -> None:
+    with pytest.raises(ConfigError, match=r"1\.\.5"):
+        Windows([run(50)], 0.02, 5).shortened(horizon)

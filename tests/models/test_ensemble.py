@@ -1,0 +1,328 @@
+"""The Gaussian ensemble: members by themselves, densities, bounds, propagation of particles, refusals."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+from torch import Tensor
+from torch.distributions import Categorical, Independent, MixtureSameFamily, Normal
+
+import nsde_torch
+from nsde_torch.errors import ConfigError, NonFiniteError, ShapeError
+from nsde_torch.models import EnsembleSpec, GaussianEnsemble, make_spec
+from nsde_torch.models.run_directory import save
+from nsde_torch.models.stacked import StackedMLP
+from tests.helpers.toy_systems import DT
+
+DECAY = "tests.helpers.toy_systems:Decay"
+
+
+def generator(seed: int = 0) -> torch.Generator:
+    return torch.Generator().manual_seed(seed)
+
+
+@torch.no_grad()
+def make(system: str = "cartpole", dt: float = 0.02, *, rough: bool = True, **spec: Any) -> GaussianEnsemble:
+    """An ensemble whose members and variances differ, standardised by numbers that are not 0 and 1."""
+    model = GaussianEnsemble(EnsembleSpec(system, dt=dt, horizon=5, **spec), generator=generator())
+    if rough:
+        g = generator(7)
+        for p in model.parameters():
+            if p.requires_grad:
+                p.add_(0.2 * torch.randn(p.shape, generator=g))
+        for module in (model.standardise, model.change_scale):
+            module.mean.normal_(generator=g)
+            module.scale.uniform_(0.5, 1.5, generator=g)
+    return model.requires_grad_(False)
+
+
+@torch.no_grad()
+def steady(means: Tensor, *, std: float = 1e-4, **spec: Any) -> GaussianEnsemble:
+    """An ensemble whose member m moves a scalar state by means[m] per step whatever the state."""
+    model = make(DECAY, DT, rough=False, members=len(means), **spec)
+    list(model.networks.weights)[-1].zero_()
+    list(model.networks.biases)[-1].copy_(torch.stack((means, torch.zeros_like(means)), -1)[:, None])
+    # the bounds meet, and the log-variance saturates softplus(0) above them
+    model.gap.fill_(-30.0)
+    model.low.fill_(2 * math.log(std) - math.log(2.0))
+    return model
+
+
+def rows(model: GaussianEnsemble, n: int = 9, seed: int = 1) -> tuple[Tensor, Tensor]:
+    g = generator(seed)
+    s = model.system
+    return model.project(torch.randn(n, s.nx, generator=g)), torch.randn(n, s.nu, generator=g)
+
+
+# ---- one step -------------------------------------------------------------------------------------------
+
+
+def test_batched_members_equal_members_one_by_one() -> None:
+    networks = StackedMLP(5, 3, (8, 6), 4, generator=generator())
+    x = torch.randn(5, 11, 3, generator=generator(1))
+    with torch.no_grad():
+        for bias in networks.biases:
+            bias.normal_(generator=generator(2))
+        together = networks(x)
+        for m in range(5):
+            y = x[m]
+            for k, (w, b) in enumerate(zip(networks.weights, networks.biases, strict=True)):
+                y = y @ w[m] + b[m, 0]
+                y = y * torch.sigmoid(y) if k < 2 else y
+            torch.testing.assert_close(together[m], y, rtol=1e-5, atol=1e-6)
+
+
+def test_members_start_from_different_weights() -> None:
+    mean, _ = make(rough=False).predict(*rows(make()))
+    assert float(mean.std(0).min()) > 1e-3
+
+
+@pytest.mark.parametrize("system", ["cartpole", "hexacopter"])
+def test_every_row_is_moved_by_its_own_member(system: str) -> None:
+    model = make(system)
+    x, u = rows(model, 40)
+    mean, std = model.predict(x, u)
+    members = model.draw_members(40, generator(3))
+    noise = torch.randn(40, model.chart.n_change, generator=generator(4))
+    after = model.advance(x, u, members, noise)
+    own = torch.arange(40)
+    moved = mean[members, own] + std[members, own] * noise
+    torch.testing.assert_close(after, model.project(model.chart.moved(x, moved)))
+
+
+def test_a_single_row_and_members_without_rows_are_no_special_case() -> None:
+    model = make()
+    x, u = rows(model, 1)
+    mean, _ = model.predict(x, u)
+    for m in range(5):
+        after = model.advance(x, u, torch.tensor([m]), torch.zeros(1, 4))
+        torch.testing.assert_close(after, x + mean[m])
+
+
+@pytest.mark.parametrize("system", ["cartpole", "hexacopter"])
+def test_the_log_density_is_that_of_torchs_mixture_of_normals(system: str) -> None:
+    model = make(system)
+    x, u = rows(model)
+    after, _ = rows(model, seed=5)
+    mean, std = model.predict(x, u)
+    parts = Independent(Normal(mean.transpose(0, 1), std.transpose(0, 1)), 1)
+    mixture = MixtureSameFamily(Categorical(torch.ones(len(x), 5)), parts)
+    torch.testing.assert_close(model.log_density(x, u, after), mixture.log_prob(model.chart.change(x, after)))
+
+
+def test_the_density_of_a_scalar_state_integrates_to_one() -> None:
+    model = make(DECAY, DT)
+    grid = torch.linspace(-60, 60, 20_001)[:, None]
+    one = torch.full_like(grid, 0.3)
+    density = model.log_density(one, one, grid).exp()
+    assert float(torch.trapezoid(density, grid[:, 0])) == pytest.approx(1.0, abs=1e-4)
+
+
+@pytest.mark.parametrize("size", [0.0, 1.0, 1e3, 1e6])
+def test_the_variance_stays_between_its_bounds_however_far_the_input(size: float) -> None:
+    model = make()
+    y = size * torch.randn(5, 200, model.standardise.mean.numel(), generator=generator(2))
+    _, v = model.standard(y)
+    top = model.low + torch.nn.functional.softplus(model.width())
+    assert bool((v >= model.low).all())
+    assert bool((v <= top + 1e-5).all())
+    assert bool((model.width() > 0).all())
+
+
+def test_the_output_does_not_see_a_full_turn_of_the_pole() -> None:
+    model = make()
+    x, u = rows(model)
+    turned = x + 2 * math.pi * torch.tensor([0.0, 0, 1, 0])
+    for a, b in zip(model.predict(x, u), model.predict(turned, u), strict=True):
+        torch.testing.assert_close(a, b, rtol=1e-4, atol=1e-5)
+
+
+# ---- paths ----------------------------------------------------------------------------------------------
+
+MEANS = torch.tensor([-2.0, -1.0, 0.0, 1.0, 3.0])
+
+
+def increments(propagation: str, *, particles: int = 4000, batch: int = 2, steps: int = 6) -> Tensor:
+    """Which member moved each particle at each step (P, B, T)."""
+    model = steady(MEANS, propagation=propagation)
+    path = model.sample(
+        torch.zeros(batch, 1), torch.zeros(batch, steps, 1), dt=DT, particles=particles, generator=generator()
+    )
+    step = torch.diff(path[..., 0], dim=2)
+    near = (step[..., None] - MEANS).abs().min(-1)
+    assert float(near.values.max()) < 0.01
+    return near.indices
+
+
+def test_under_fixed_propagation_a_particle_keeps_its_member() -> None:
+    members = increments("fixed")
+    assert bool((members == members[..., :1]).all())
+
+
+@pytest.mark.parametrize("propagation", ["fixed", "redrawn"])
+def test_every_member_moves_a_fifth_of_the_particles_at_every_step(propagation: str) -> None:
+    members = increments(propagation)
+    for row in members.flatten(0, 1)[:, [0, 3, 5]].T:
+        held = torch.bincount(row, minlength=5).double()
+        expected = held.sum() / 5
+        assert float(((held - expected).square() / expected).sum()) < 20.0  # chi-square, 4 degrees: p = 5e-4
+
+
+def test_members_of_different_rows_and_particles_are_independent() -> None:
+    members = increments("fixed", steps=1)[..., 0]
+    agree = (members[:, 0] == members[:, 1]).double().mean()  # of the rows of one particle
+    assert float(agree) == pytest.approx(0.2, abs=4 * (0.16 / len(members)) ** 0.5)
+    agree = (members[1:] == members[:-1]).double().mean()  # of neighbouring particles
+    assert float(agree) == pytest.approx(0.2, abs=4 * (0.16 / (2 * len(members))) ** 0.5)
+
+
+def test_under_redrawn_propagation_every_step_draws_anew() -> None:
+    members = increments("redrawn")
+    for lag in (1, 2, 5):
+        agree = (members[..., lag:] == members[..., :-lag]).double()
+        assert float(agree.mean()) == pytest.approx(0.2, abs=4 * (0.16 / agree.numel()) ** 0.5)
+
+
+@pytest.mark.parametrize(("propagation", "power"), [("fixed", 2), ("redrawn", 1)])
+def test_the_spread_between_members_grows_with_the_steps_if_fixed_and_with_their_root_if_redrawn(
+    propagation: str, power: int
+) -> None:
+    model = steady(MEANS, propagation=propagation)
+    path = model.sample(
+        torch.zeros(1, 1), torch.zeros(1, 16, 1), dt=DT, particles=40_000, generator=generator()
+    )
+    between = float(MEANS.var(correction=0))
+    for k in (1, 4, 16):
+        assert float(path[:, 0, k, 0].var()) == pytest.approx(k**power * between, rel=0.04)
+        assert float(path[:, 0, k, 0].mean()) == pytest.approx(k * float(MEANS.mean()), abs=0.02 * k + 0.02)
+
+
+def test_the_noise_of_the_steps_adds_up() -> None:
+    model = steady(torch.zeros(5), std=0.1)
+    _, v = model.standard(torch.zeros(5, 1, 2))
+    path = model.sample(
+        torch.zeros(1, 1), torch.zeros(1, 9, 1), dt=DT, particles=40_000, generator=generator()
+    )
+    std = float(torch.exp(0.5 * v).mean())
+    assert std == pytest.approx(0.1, rel=0.02)
+    for k in (1, 4, 9):
+        assert float(path[:, 0, k, 0].std()) == pytest.approx(std * k**0.5, rel=0.02)
+
+
+@pytest.mark.parametrize("propagation", ["fixed", "redrawn"])
+def test_mean_and_variance_of_a_sampled_step_are_those_of_the_mixture(propagation: str) -> None:
+    model = make(propagation=propagation).double()
+    x, u = rows(model, 3)
+    x, u = x.double(), u.double()
+    mean, std = model.predict(x, u)
+    count = 40_000
+    path = model.sample(x, u[:, None], dt=0.02, particles=count, generator=generator(2))
+    change = path[:, :, 1] - x
+    expected = mean.mean(0)
+    variance = std.square().mean(0) + mean.var(0, correction=0)
+    error = (variance / count).sqrt()
+    assert bool(((change.mean(0) - expected).abs() < 4.5 * error).all())
+    torch.testing.assert_close(change.var(0), variance, rtol=0.04, atol=0.0)
+
+
+def test_paths_have_the_shape_and_start_of_every_model_and_stay_valid() -> None:
+    model = make("hexacopter", 0.05)
+    x, u = rows(model, 3)
+    path = model.sample(x, u[:, None].expand(-1, 4, -1), dt=0.05, particles=6, generator=generator())
+    assert path.shape == (6, 3, 5, 13)
+    torch.testing.assert_close(path[:, :, 0], x.expand(6, -1, -1))
+    torch.testing.assert_close(path[..., 6:10].norm(dim=-1), torch.ones(6, 3, 5))
+
+
+def test_the_same_generator_gives_the_same_paths_and_what_does_not_apply_changes_nothing() -> None:
+    model = make()
+    x, u = rows(model)
+    u = u[:, None].expand(-1, 3, -1)
+
+    def paths(seed: int = 0, **options: Any) -> Tensor:
+        return model.sample(x, u, dt=0.02, particles=4, generator=generator(seed), **options)
+
+    first = paths()
+    assert torch.equal(first, paths())
+    assert torch.equal(first, paths(measurement=False, applied=True, compile=True, t0=torch.ones(9)))
+    assert not torch.equal(first, paths(1))
+
+
+def test_it_is_saved_and_loaded_and_samples_the_same(tmp_path: Path) -> None:
+    model = make(members=3, hidden=(8,), propagation="redrawn")
+    save(model, tmp_path)
+    again = nsde_torch.load(tmp_path)
+    assert isinstance(again, GaussianEnsemble)
+    assert again.spec == model.spec
+    x, u = rows(model)
+
+    def paths(m: Any) -> Tensor:
+        return m.sample(x, u[:, None], dt=0.02, particles=3, generator=generator())
+
+    assert torch.equal(paths(model), paths(again))
+
+
+# ---- refusals -------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("dt", [0.01, 0.0201, 0.04, 0.0, -0.02, math.nan])
+def test_another_step_than_the_learned_one_is_refused_with_the_remedy(dt: float) -> None:
+    model = make()
+    x, u = rows(model)
+    with pytest.raises(ConfigError, match=r"`dt` must be 0\.02 s.*system\.dt"):
+        model.sample(x, u[:, None], dt=dt, particles=1, generator=generator())
+
+
+def test_noise_of_other_sensors_is_refused() -> None:
+    model = make()
+    x, u = rows(model)
+    with pytest.raises(ConfigError, match="measurement_std"):
+        model.sample(
+            x, u[:, None], dt=0.02, particles=1, generator=generator(), measurement_std=torch.ones(4)
+        )
+
+
+def test_arguments_are_checked_as_those_of_every_model() -> None:
+    model = make()
+    x, u = rows(model)
+    with pytest.raises(ShapeError, match="Add a horizon axis"):
+        model.sample(x, u, dt=0.02, particles=1, generator=generator())
+    with pytest.raises(NonFiniteError, match="`x0` is not finite in rows"):
+        model.sample(x * math.nan, u[:, None], dt=0.02, particles=1, generator=generator())
+
+
+def test_a_path_that_leaves_the_finite_numbers_says_when_and_where() -> None:
+    model = make()
+    model.change_scale.scale.fill_(3e38)
+    x, u = rows(model)
+    with pytest.raises(NonFiniteError, match=r"at step 1 of 3.*training data") as error:
+        model.sample(x, u[:, None].expand(-1, 3, -1), dt=0.02, particles=2, generator=generator())
+    assert "Shorten dt" not in str(error.value)
+
+
+def test_nothing_is_clipped_on_the_way_there() -> None:
+    model = steady(torch.full((5,), 1e30))
+    path = model.sample(torch.zeros(1, 1), torch.zeros(1, 3, 1), dt=DT, particles=2, generator=generator())
+    torch.testing.assert_close(path[0, 0, :, 0], 1e30 * torch.arange(4.0))
+
+
+def test_effects_are_refused() -> None:
+    with pytest.raises(ConfigError, match=r"system\.effects"):
+        make(effects=("constant_force",))
+
+
+@pytest.mark.parametrize("wrong", [{"propagation": "both"}, {"members": 0}, {"batch": 0}])
+def test_settings_out_of_range_are_refused_by_name(wrong: dict[str, Any]) -> None:
+    (name,) = wrong
+    with pytest.raises(ConfigError, match=f"model.{name}"):
+        EnsembleSpec("cartpole", dt=0.02, horizon=5, **wrong)
+
+
+def test_a_specification_survives_plain_containers() -> None:
+    spec = EnsembleSpec("cartpole", dt=0.02, horizon=5, members=3, hidden=(4, 4, 4), steps=7)
+    assert make_spec(spec.as_dict()) == spec
+    assert spec.kind == "ensemble"

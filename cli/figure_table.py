@@ -249,6 +249,19 @@ def _identification() -> Figure:
     return Figure("Hexacopter: SDE against system ID on held-out flights", trainings, draw)
 
 
+def _policies(kinds: tuple[str, ...], title: str, source: str) -> Figure:
+    def draw(settings: Settings) -> Outcome:
+        from nsde_torch.experiments import Check, Outcome
+        from nsde_torch.experiments.policies import learned_in
+
+        if settings.policies is None:
+            missing = Check(source, "give policies=DIR of a study by benchmarks/bench_policy.py", None)
+            return Outcome(title, source, checks=[missing])
+        return learned_in(settings.policies, kinds, title=title, source=source)
+
+    return Figure(title, _none, draw)
+
+
 def held_out(folder: Path) -> Split:
     """Training and test runs of a run directory, as its configuration says."""
     import yaml
@@ -267,6 +280,17 @@ FIGURES: dict[str, Figure] = {
     "fig10": _cartpole_map("learned"),
     "fig11": _cartpole_map("random"),
     "fig12": _cartpole_evolution(),
+    "fig13": _policies(
+        ("nsde", "ensemble"),
+        "Cartpole: policies that learned in models",
+        "Policies that learn in the neural SDE earn what those earn that learn on the truth, from 30 times fewer "
+        "interactions with it; those that learn in the ensemble do not.",
+    ),
+    "fig14": _policies(
+        ("nsde", "blackbox_nsde", "node"),
+        "Cartpole: policies that learned in models with and without physics",
+        "Policies that learn in models with physics earn more than those that learn in models without.",
+    ),
     "fig15": _recorded(),
     "fig16": _identification(),
 }

@@ -318,9 +318,7 @@ class EvaluateConfig:
 class FiguresConfig:
     """`nsde figures`."""
 
-    figures: list[str] = key(
-        ["all"], "figures to make: all, or of fig5, fig9, fig10, fig11, fig12, fig15, fig16"
-    )
+    figures: list[str] = key(["all"], "figures to make: all, or of fig5, fig9, fig10 ... fig16")
     settings: str = key(
         "fast",
         "fast: a look in minutes; full: for the record (default trainings, all folds)",
@@ -331,7 +329,9 @@ class FiguresConfig:
     )
     seeds: int | None = key(None, "models of each kind; null: 1 with fast, 3 with full settings", low=1)
     jobs: int = key(2, "trainings at a time, one thread each", low=1)
-    policies: str | None = key(None, "folder of a policy study; null: none is drawn")
+    policies: str | None = key(
+        None, "folder of a study by benchmarks/bench_policy.py, for fig13 and fig14; null: not drawn"
+    )
     seed: int = key(0, "seed of the particles", low=0)
     threads: int = key(1, "CPU threads of torch", low=1)
     out_dir: str = key(

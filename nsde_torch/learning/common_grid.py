@@ -15,7 +15,7 @@ from torch import Tensor
 
 from nsde_torch.data import DataSet, Run, Windows
 from nsde_torch.data.smoothing import smoothing_width
-from nsde_torch.errors import ConfigError, DataError
+from nsde_torch.errors import ConfigError, DataError, NonFiniteError
 from nsde_torch.learning.metrics import HORIZONS, horizons_of, start_grid, thinned
 from nsde_torch.learning.report import lookahead
 from nsde_torch.learning.scores import BASELINES
@@ -197,7 +197,7 @@ def common_grids(
     smoothing = smoothing_width(data.runs, candidates[0].model.system.nu)
     grids, notes, ahead = [], [], []
     for c, (own, windows, starts, steps), at in zip(candidates, made, rows, strict=True):
-        dt, remark = _own_step(c, data)
+        dt, remark = _own_step(c, data, windows, starts[:1])
         notes += remark
         kept = thinned(starts[torch.from_numpy(np.isin(at, common))])
         grids.append(Grid(own, windows, kept, steps, dt))
@@ -241,14 +241,35 @@ def _with_columns(runs: Sequence[Run], candidate: Candidate, data: DataSet) -> l
     return [replace(run, u=run.u[:, columns]) for run in runs]
 
 
-def _own_step(candidate: Candidate, data: DataSet) -> tuple[float, list[Note]]:
+def _own_step(
+    candidate: Candidate, data: DataSet, windows: Windows, start: Tensor
+) -> tuple[float, list[Note]]:
     """Step on the clock of the training data [s]: `spec.dt`, unless the clocks of the two differ."""
-    dt, own = candidate.model.spec.dt, float(candidate.model.clock_scale)
+    name, dt, own = candidate.name, candidate.model.spec.dt, float(candidate.model.clock_scale)
     ratio = data.clock_scale / own
     if abs(ratio - 1) <= _CLOCK_TOLERANCE:
         return dt, []
-    text = (
-        f"a logged second holds {data.clock_scale:.4g} s in these data and {own:.4g} s in the training data of "
-        f"{candidate.name}, which therefore takes steps of {dt * ratio:.4g} s"
-    )
-    return dt * ratio, [note(text)]
+    clocks = f"a logged second holds {data.clock_scale:.4g} s in these data and {own:.4g} s in the training data of {name}"
+    if _takes(candidate.model, windows, start, dt * ratio):
+        return dt * ratio, [note(f"{clocks}, which therefore takes steps of {dt * ratio:.4g} s")]
+    return dt, [note(f"{clocks}, which knows no step but its own: it lives in the other clock", red=True)]
+
+
+@torch.no_grad()
+def _takes(model: Model, windows: Windows, start: Tensor, dt: float) -> bool:
+    """Whether a model can take steps of another length than its own: one that predicts the next state cannot."""
+    x, u, t0 = windows.batch(start)
+    try:
+        model.sample(
+            x[:, 0],
+            u[:, :1],
+            dt=dt,
+            particles=2,
+            generator=torch.Generator().manual_seed(0),
+            t0=t0.to(x.dtype),
+        )
+    except ConfigError:
+        return False
+    except NonFiniteError:
+        return True
+    return True

@@ -218,6 +218,21 @@ def test_starts_of_another_clock_take_steps_of_the_models_clock(data: DataSet) -
     assert any("holds 1 s in these data and 1.25 s" in n["text"] for n in done.content["notes"])
 
 
+def test_a_model_that_knows_no_other_step_keeps_its_own_and_that_is_red(data: DataSet) -> None:
+    class Stubborn(NeuralSDE):
+        def sample(self, x0: torch.Tensor, u: torch.Tensor, *, dt: float, **more: Any) -> torch.Tensor:
+            if dt != self.spec.dt:
+                raise ConfigError("no other step")
+            return super().sample(x0, u, dt=dt, **more)
+
+    model = good()
+    model.__class__ = Stubborn
+    model.clock_scale.fill_(1.25)
+    done = compare([candidate("stubborn", model)], data, data.runs, seed=0, particles=9)
+    assert done.grids[0].dt == DT
+    assert any(n["red"] and "knows no step but its own" in n["text"] for n in done.content["notes"])
+
+
 @pytest.mark.parametrize(
     ("names", "models", "horizons", "error", "words"),
     [

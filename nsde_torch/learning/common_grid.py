@@ -249,7 +249,8 @@ def _own_step(
     ratio = data.clock_scale / own
     if abs(ratio - 1) <= _CLOCK_TOLERANCE:
         return dt, []
-    clocks = f"a logged second holds {data.clock_scale:.4g} s in these data and {own:.4g} s in the training data of {name}"
+    here = f"a logged second holds {data.clock_scale:.4g} s in these data"
+    clocks = f"{here} and {own:.4g} s in the training data of {name}"
     if _takes(candidate.model, windows, start, dt * ratio):
         return dt * ratio, [note(f"{clocks}, which therefore takes steps of {dt * ratio:.4g} s")]
     return dt, [note(f"{clocks}, which knows no step but its own: it lives in the other clock", red=True)]

@@ -115,9 +115,9 @@ def test_the_likelihood_is_that_of_torchs_normal() -> None:
     torch.testing.assert_close(nll(loop.model, y, c), expected)
 
 
-def test_the_loss_weighs_the_distance_of_the_bounds_with_a_hundredth() -> None:
+def test_the_loss_weighs_the_distance_of_the_bounds_with_a_twentieth() -> None:
     loop = make_loop()
-    torch.testing.assert_close(loop.terms()["bounds"], torch.tensor(0.01 * 10.5))
+    torch.testing.assert_close(loop.terms()["bounds"], torch.tensor(0.05 * 10.5))
 
 
 def test_pairs_are_consecutive_states_with_the_mean_input_of_the_step() -> None:

@@ -68,7 +68,7 @@ class Case:
     def path_loss(self) -> Tensor:
         errors = self.model.system.error(self.paths()[:, :, 1:], self.x[:, 1:])
         kind = "default" if self.particles > 1 else "paper"
-        return data_loss(errors, self.scale, kind=kind, early=self.options.early)
+        return data_loss(errors, self.scale, kind=kind, early=self.options.early, paired=kind == "default")
 
     def distance_loss(self) -> Tensor:
         o, rows = self.options, self.x.reshape(-1, 13)

@@ -209,7 +209,7 @@ class LossConfig:
     mu: float | None = key(
         None, "weight of the reward on large mu; null: system.lambda_mu with loss=paper, else 0.01", low=0
     )
-    particles: int = key(2, "paths per window; loss=default needs two", low=1)
+    particles: int = key(2, "paths per window; loss=default takes them in pairs", low=1)
     points: int = key(256, "states of a batch that the distance losses look at", low=1)
     ball_samples: int = key(8, "points drawn in the ball around each", low=1)
     far_radius: float = key(

@@ -94,17 +94,30 @@ class Fit:
     # ---- losses ---------------------------------------------------------------------------------------
 
     def errors(
-        self, windows: Windows, indices: Tensor, particles: int, generator: torch.Generator
+        self,
+        windows: Windows,
+        indices: Tensor,
+        particles: int,
+        generator: torch.Generator,
+        *,
+        paired: bool = False,
     ) -> tuple[Tensor, Tensor]:
-        """Errors of sampled paths (P, B, T, n_error) and measured states (B, T + 1, nx) of some windows."""
+        """Errors of sampled paths (P, B, T, n_error) and measured states (B, T + 1, nx) of some windows.
+
+        With `paired`, the second half of the paths has the mirrored noise of the first.
+        """
         model, system = self.model, self.model.system
         x, u, t0 = windows.batch(indices)
         u = model.applied_inputs(u, windows.dt_model)
-        shape = (particles, len(x), windows.horizon)
+        drawn = (particles // 2 if paired else particles, len(x), windows.horizon)
         made = {"generator": generator, "device": x.device, "dtype": x.dtype}
-        dw = brownian(*shape, model.nz, dt=windows.dt_model, **made)  # type: ignore[arg-type]
+
+        def mirrored(noise: Tensor) -> Tensor:
+            return torch.cat((noise, -noise)) if paired else noise
+
+        dw = mirrored(brownian(*drawn, model.nz, dt=windows.dt_model, **made))  # type: ignore[arg-type]
         std = model.measurement_std
-        start = _normal(generator, x, *shape[:2], model.n_start) if model.n_start else None
+        start = mirrored(_normal(generator, x, *drawn[:2], model.n_start)) if model.n_start else None
         path = model.paths(
             windows.initial_states(indices),
             u,
@@ -117,15 +130,17 @@ class Fit:
             t0=t0.to(x.dtype),
         )[:, :, 1:]
         if model.spec.measurement:
-            path = path + _normal(generator, x, *shape, system.nx) * std
+            path = path + mirrored(_normal(generator, x, *drawn, system.nx)) * std
         return system.error(path, x[:, 1:]), x
 
     def terms(self) -> dict[str, Tensor]:
         """All losses of one minibatch, weighted; their sum is what is minimised."""
         options, model = self.loss, self.model
         indices = self.source.sample(self.options.batch, self.batches)
-        errors, x = self.errors(self.source, indices, options.particles, self.noise)
-        out = {"data": options.data * data_loss(errors, self.scale, kind=options.kind, early=options.early)}
+        paired = options.kind == "default" and options.particles > 1
+        errors, x = self.errors(self.source, indices, options.particles, self.noise, paired=paired)
+        loss = data_loss(errors, self.scale, kind=options.kind, early=options.early, paired=paired)
+        out = {"data": options.data * loss}
         rows = x.reshape(-1, x.shape[-1])
         pick = torch.randint(len(rows), (options.points,), generator=self.batches)
         features = model.system.features(rows[pick.to(rows.device)])
@@ -166,7 +181,7 @@ class Fit:
         indices = torch.linspace(0, len(self.validation) - 1, count).round().long()
         particles = _VALIDATION_PARTICLES if self.loss.kind == "default" else self.loss.particles
         errors, _ = self.errors(self.validation, indices, particles, generator)
-        return float(data_loss(errors, self.scale, kind=self.loss.kind, early=self.loss.early))
+        return float(data_loss(errors, self.scale, kind=self.loss.kind, early=self.loss.early, paired=False))
 
     # ---- loop -----------------------------------------------------------------------------------------
 

@@ -15,7 +15,7 @@ class LossOptions:
         gradient: Weight of the zero-gradient loss (supplement: 0.01).
         convexity: Weight of the strong-convexity loss (supplement: 0.01).
         mu: Weight of the reward on large mu; None takes the system's (supplement: 1) for "paper", 0.01 else.
-        particles: Paths per window; the default loss needs at least 2.
+        particles: Paths per window; the default loss takes them in pairs.
         points: States of a batch that the distance losses look at.
         ball_samples: Points drawn in the ball around each.
         ball_radius: Radius of the ball [standard deviations of the features]; None takes the system's.
@@ -40,10 +40,10 @@ class LossOptions:
     def __post_init__(self) -> None:
         if self.kind not in ("default", "paper"):
             raise ConfigError(f"`loss.kind` must be default or paper; got {self.kind!r}.")
-        if self.kind == "default" and self.particles < 2:
+        if self.kind == "default" and (self.particles < 2 or self.particles % 2):
             raise ConfigError(
-                f"`loss.particles` must be at least 2 with loss=default (a spread needs two paths); "
-                f"got {self.particles}."
+                "`loss.particles` must be an even number of at least 2 with loss=default (paths come in pairs of "
+                f"mirrored noise); got {self.particles}."
             )
 
 

@@ -162,9 +162,9 @@ def test_the_last_steps_start_from_the_kept_weights_and_see_all_windows() -> Non
         averages[fit.progress.step] = [a.clone() for a in fit.average]
         return score(losses)
 
-    def noted(windows: Windows, *rest: Any) -> Any:
+    def noted(windows: Windows, *rest: Any, **options: Any) -> Any:
         seen.append(windows)
-        return errors(windows, *rest)
+        return errors(windows, *rest, **options)
 
     fit._score, fit.errors = watched, noted  # type: ignore[method-assign]
     progress = fit.run(title="t", quiet=True)
@@ -190,7 +190,7 @@ def test_training_never_sees_the_validation_windows() -> None:
     assert not rows & {(n, s + k) for n, s in held for k in range(fit.train.span + 1)}
     seen = []
     batch = fit.errors
-    fit.errors = lambda windows, *rest: (seen.append(windows), batch(windows, *rest))[1]  # type: ignore[method-assign]
+    fit.errors = lambda windows, *rest, **o: (seen.append(windows), batch(windows, *rest, **o))[1]  # type: ignore[method-assign]
     fit.terms()
     assert seen == [fit.train]
 

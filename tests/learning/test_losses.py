@@ -9,7 +9,7 @@ import torch
 
 from nsde_torch.errors import ConfigError
 from nsde_torch.learning import LossOptions
-from nsde_torch.learning.losses import crps, data_loss, mu_weight
+from nsde_torch.learning.losses import crps, data_loss, mu_weight, paired_score
 from nsde_torch.sde import brownian
 from tests.helpers.toy_systems import DT, Decay, decay_runs, fix_sigma, make_model
 
@@ -54,13 +54,40 @@ def test_crps_gradient_equals_finite_differences() -> None:
     assert torch.autograd.gradcheck(crps, (e,))
 
 
+@pytest.mark.parametrize("particles", [2, 4, 6])
+@pytest.mark.parametrize(("mean", "sigma"), [(0.0, 1.0), (0.7, 0.4), (-2.0, 1.5)])
+def test_expected_paired_score_is_the_crps_of_the_gaussian_and_the_error_of_its_mean(
+    particles: int, mean: float, sigma: float
+) -> None:
+    n = 200_000
+    draw = sigma * torch.randn(particles // 2, n, generator=generator(particles), dtype=torch.float64)
+    score = paired_score(mean + torch.cat((draw, -draw)))
+    z = -mean / sigma
+    density = math.exp(-0.5 * z * z) / math.sqrt(2 * math.pi)
+    share = 0.5 * (1 + math.erf(z / math.sqrt(2)))
+    expected = sigma * (z * (2 * share - 1) + 2 * density - 1 / math.sqrt(math.pi)) + abs(mean)
+    assert float(score.mean()) == pytest.approx(expected, abs=4 * float(score.std()) / math.sqrt(n))
+
+
+def test_paired_score_of_a_point_forecast_is_its_absolute_error() -> None:
+    e = torch.randn(1, 7, generator=generator())
+    torch.testing.assert_close(paired_score(e), e[0].abs())
+
+
+@pytest.mark.parametrize("particles", [2, 4])
+def test_paired_score_gradient_equals_finite_differences(particles: int) -> None:
+    e = torch.randn(particles, 3, generator=generator(), dtype=torch.float64, requires_grad=True)
+    assert torch.autograd.gradcheck(paired_score, (e,))
+
+
 def losses_over_sigma(kind: str, factors: list[float], particles: int) -> list[float]:
     """Data loss of a model with the right drift and `factor` times the right sigma, on one noise."""
     sigma, horizon, batch = 0.5, 20, 3000
     model = fix_sigma(make_model(Decay), sigma)
     x = torch.tensor(decay_runs(1, batch * horizon * DT, sigma=sigma)[0].x[:, 0], dtype=torch.float32)
     windows = torch.stack([x[k * horizon : (k + 1) * horizon + 1] for k in range(batch)])[..., None]
-    noise = brownian(particles, batch, horizon, 1, dt=DT, generator=generator(1))
+    noise = brownian(max(1, particles // 2), batch, horizon, 1, dt=DT, generator=generator(1))
+    noise = torch.cat((noise, -noise))[:particles]
     u = torch.zeros(batch, horizon, 1)
     scores = []
     with torch.no_grad():
@@ -68,7 +95,9 @@ def losses_over_sigma(kind: str, factors: list[float], particles: int) -> list[f
             fix_sigma(model, max(sigma * factor, 1e-12))
             path = model.paths(windows[:, 0], u, dt=DT, noise=noise)
             errors = path[:, :, 1:] - windows[:, 1:]
-            scores.append(float(data_loss(errors, torch.ones(1), kind=kind, early=0.5)))
+            scores.append(
+                float(data_loss(errors, torch.ones(1), kind=kind, early=0.5, paired=kind == "default"))
+            )
     return scores
 
 
@@ -91,7 +120,7 @@ def test_paper_loss_is_the_mean_square_of_errors_in_units_of_their_scale() -> No
     e = torch.randn(2, 5, 3, 2, generator=generator())
     scale = torch.tensor([0.5, 4.0])
     expected = ((e[..., 0] / 0.5).square().mean() + (e[..., 1] / 4.0).square().mean()) / 2
-    torch.testing.assert_close(data_loss(e, scale, kind="paper", early=0.5), expected)
+    torch.testing.assert_close(data_loss(e, scale, kind="paper", early=0.5, paired=False), expected)
 
 
 @pytest.mark.parametrize("early", [0.0, 0.5, 2.0])
@@ -101,7 +130,7 @@ def test_weights_of_the_steps_fall_as_a_power_and_average_one(early: float) -> N
     for k in range(horizon):
         e = torch.zeros(2, 4, horizon, 1)
         e[:, :, k] = 3.0  # both particles: the spread is zero, the score is the error
-        alone.append(float(data_loss(e, torch.ones(1), kind="default", early=early)))
+        alone.append(float(data_loss(e, torch.ones(1), kind="default", early=early, paired=False)))
     assert sum(alone) == pytest.approx(3.0, rel=1e-5)
     for k, value in enumerate(alone):
         assert value / alone[0] == pytest.approx((k + 1) ** -early, rel=1e-5)

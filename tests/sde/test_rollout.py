@@ -63,7 +63,8 @@ def test_disabling_gradients_changes_no_number(name: str) -> None:
 @pytest.mark.parametrize("name", list(STEPS))
 def test_gradients_in_state_input_noise_and_parameters_are_exact(name: str) -> None:
     sde, z0, u, noise = case()
-    step = make_step(name)
+    # a method that adapts its steps is no smooth function of the state, beyond its tolerance
+    step = make_step(name, method="rk4") if name == "torchdiffeq" else make_step(name)
 
     def run(z: Tensor, v: Tensor, dw: Tensor, *weights: Tensor) -> Tensor:
         class Bound:

@@ -56,15 +56,16 @@ def write_figures(
         keys = [f"{h:g}" for h in horizons]
         errors = {m: {g: [v[k] for k in keys] for g, v in by.items()} for m, by in result["errors"].items()}
         figures["held_out_errors"] = plots.horizon_errors(horizons, errors, result["units"])
-        levels = sorted(result["coverage"], key=float)
-        groups = list(result["units"])
-        pooled = {
-            g: [float(np.mean(list(result["coverage"][q][g].values()))) for q in levels] for g in groups
-        }
-        at90 = {g: [result["coverage"]["0.9"][g][k] for k in keys] for g in groups}
-        figures["calibration"] = plots.calibration_curve(
-            [float(q) for q in levels], pooled, horizons=horizons, per_horizon=at90
-        )
+        if any(value > 0 for by in result["spread"].values() for value in by.values()):
+            levels = sorted(result["coverage"], key=float)
+            groups = list(result["units"])
+            pooled = {
+                g: [float(np.mean(list(result["coverage"][q][g].values()))) for q in levels] for g in groups
+            }
+            at90 = {g: [result["coverage"]["0.9"][g][k] for k in keys] for g in groups}
+            figures["calibration"] = plots.calibration_curve(
+                [float(q) for q in levels], pooled, horizons=horizons, per_horizon=at90
+            )
         figures["held_out_rollouts"] = _rollouts(model, test, horizons[-1], seed, note)
     for name, figure in figures.items():
         plots.save(figure, folder / f"{name}.png")

@@ -263,7 +263,10 @@ class Training:
                 f"{test['diverged']} diverged\n"
             )
             self.say(error_table(test))
-            self.say("\n" + coverage_table(test))
+            if any(value > 0 for by in test["spread"].values() for value in by.values()):
+                self.say("\n" + coverage_table(test))
+            else:
+                self.say("\nthe model is deterministic: it has no intervals")
         if self.note():
             self.say(f"\nnote: {self.note()}")
         self.say(f"\ntook {metrics['seconds']['total']:.0f} s; wrote {self.folder}")

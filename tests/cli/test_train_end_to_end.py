@@ -275,3 +275,26 @@ def test_a_run_killed_midway_and_resumed_ends_in_the_same_metrics(tmp_path: Path
     del expected["seconds"], metrics["seconds"]
     assert metrics == expected
     assert metrics["seed"] == 3
+
+
+def test_a_neural_ode_has_no_intervals_and_says_so(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = tmp_path / "node"
+    words = [
+        "system=mass_spring_damper",
+        "model=node",
+        "solver=torchdiffeq",
+        "solver.method=bosh3",
+        *FAST,
+        "system.dt=0.05",
+        "system.horizon=10",
+        "data.durations=[3,3,3]",
+        f"run_dir={folder}",
+    ]
+    assert main(["train", *words]) == 0
+    assert "the model is deterministic: it has no intervals" in capsys.readouterr().out
+    assert not (folder / "plots" / "calibration.png").exists()
+    metrics = json.loads((folder / "metrics.json").read_text())
+    assert metrics["model"] == "node"
+    assert nsde_torch.load(folder).spec.solver["method"] == "bosh3"  # type: ignore[attr-defined]

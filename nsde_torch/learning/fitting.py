@@ -24,7 +24,7 @@ from nsde_torch.learning.progress import Progress
 from nsde_torch.models.neural_sde import NeuralSDE
 from nsde_torch.sde import brownian
 
-_FAST = ("filter.", "h.", "log_", "system.", "black_box.")
+_FAST = ("filter.", "h.", "log_", "system.")
 _FAST_RATE = 3.0
 _ALIKE = 5e-4  # scores as near as this are equal: where sensor noise rules them, the later weights are the better ones
 _FAR = 0.1  # weight of the declared sigma_max as the least diffusion away from the data
@@ -69,13 +69,8 @@ class Fit:
         self.batches = torch.Generator().manual_seed(2 * seed + 1)
         self.noise = torch.Generator().manual_seed(2 * seed + 2)
         named = [(n, p) for n, p in model.named_parameters() if p.requires_grad]
-        alone = [p for p in model.residual_ports if p not in model.system.physics_ports]
-        quick = (
-            *_FAST,
-            *(f"residuals.{port.value}." for port in alone),
-        )  # as fast as the physics they stand for
-        fast = [p for n, p in named if n.startswith(quick)]
-        slow = [p for n, p in named if not n.startswith(quick)]
+        fast = [p for n, p in named if n.startswith(_FAST)]
+        slow = [p for n, p in named if not n.startswith(_FAST)]
         self.optimiser = torch.optim.Adam(
             [
                 {"params": slow, "factor": 1.0},

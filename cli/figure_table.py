@@ -10,6 +10,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from .schema import CHOICES
+
 if TYPE_CHECKING:
     from nsde_torch.data import Split
     from nsde_torch.experiments import Outcome
@@ -292,5 +294,6 @@ FIGURES: dict[str, Figure] = {
         "Policies that learn in models with physics earn more than those that learn in models without.",
     ),
     "fig15": _recorded(),
-    "fig16": _identification(),
 }
+if "sysid" in CHOICES["model"]:
+    FIGURES["fig16"] = _identification()

@@ -59,10 +59,16 @@ def run(config: DictConfig, job: Job) -> None:
         for name, words in figure_table.FIGURES[figure].trainings(settings).items()
         for seed in range(settings.seeds)
     }
-    train_all(needed, settings.models, at_once=config.jobs)
+    lost = train_all(needed, settings.models, at_once=config.jobs)
     outcomes: dict[str, Outcome] = {}
     failed: dict[str, str] = {}
     for name in names:
+        without = [
+            t for t in lost if t.rsplit("_seed", 1)[0] in figure_table.FIGURES[name].trainings(settings)
+        ]
+        if without:
+            failed[name] = lost[without[0]]
+            continue
         try:
             outcomes[name] = figure_table.FIGURES[name].draw(settings)
         except NsdeError as error:
@@ -101,11 +107,11 @@ def _folder(path: str | None, key: str) -> Path | None:
     return folder
 
 
-def train_all(needed: Mapping[str, Sequence[str]], folder: Path, *, at_once: int) -> None:
+def train_all(needed: Mapping[str, Sequence[str]], folder: Path, *, at_once: int) -> dict[str, str]:
     """Train what has no finished run directory yet, some jobs at a time; interrupted ones are continued.
 
-    Raises:
-        NsdeError: A training failed; its log is named.
+    Returns:
+        Trainings that failed, with the reason and the log.
     """
     missing = {
         name: words for name, words in needed.items() if not (folder / name / "metrics.json").is_file()
@@ -115,6 +121,7 @@ def train_all(needed: Mapping[str, Sequence[str]], folder: Path, *, at_once: int
     folder.mkdir(parents=True, exist_ok=True)
     started = time.perf_counter()
     processes: list[subprocess.Popen[bytes]] = []
+    lost: dict[str, str] = {}
     with ThreadPoolExecutor(at_once) as pool:
         waiting: dict[Future[int], str] = {
             pool.submit(_train, folder, name, words, processes): name for name, words in missing.items()
@@ -125,12 +132,12 @@ def train_all(needed: Mapping[str, Sequence[str]], folder: Path, *, at_once: int
                 finished, _ = wait(waiting, return_when=FIRST_COMPLETED)
                 for future in finished:
                     name = waiting.pop(future)
-                    if future.result():
-                        raise NsdeError(
-                            f"training of {name} failed: {_last_line(folder / f'{name}.log')} "
-                            f"See {folder / f'{name}.log'}."
-                        )
                     done += 1
+                    if future.result():
+                        written = folder / f"{name}.log"
+                        lost[name] = f"training of {name} failed: {_last_line(written)} See {written}."
+                        log.error("%s", lost[name])
+                        continue
                     spent = time.perf_counter() - started
                     left = spent / done * len(waiting)
                     print(
@@ -144,6 +151,7 @@ def train_all(needed: Mapping[str, Sequence[str]], folder: Path, *, at_once: int
                 if process.poll() is None:
                     process.terminate()  # a training that is told to stop keeps its checkpoint
             raise
+    return lost
 
 
 def _train(folder: Path, name: str, words: Sequence[str], processes: list[subprocess.Popen[bytes]]) -> int:

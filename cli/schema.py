@@ -318,7 +318,7 @@ class EvaluateConfig:
 class FiguresConfig:
     """`nsde figures`."""
 
-    figures: list[str] = key(["all"], "figures to make: all, or of fig5, fig9, fig10 ... fig16")
+    figures: list[str] = key(["all"], "figures to make: all, or of fig5, fig9, fig10 ... fig15")
     settings: str = key(
         "fast",
         "fast: a look in minutes; full: for the record (default trainings, all folds)",

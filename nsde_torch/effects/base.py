@@ -83,6 +83,14 @@ class Parametrised(nn.Module):
             return spec.high - scale * nn.functional.softplus(raw)
         return raw * scale
 
+    def parameter(self, name: str) -> Parameter:
+        """What is declared of a parameter: bounds, unit, help."""
+        return self._specs[name]
+
+    def scale_of(self, name: str) -> float:
+        """Size of a typical change of a parameter, in its unit."""
+        return self._scales[name]
+
     def set_value(self, name: str, value: Tensor) -> None:
         """Set a declared parameter to a value (k,) in its unit, or one number for all axes.
 

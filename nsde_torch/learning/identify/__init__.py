@@ -1,0 +1,1 @@
+"""Least-squares identification of declared physics in weak form (see `identify`)."""

@@ -1,0 +1,272 @@
+"""Least-squares identification of declared physics from runs.
+
+Weak form with boxes of one step for test functions (`physics`), weighted by the covariance of their noise: the noise of
+every channel gets a law from the residuals themselves (`noise`), whose whitening filter turns boxes into the test
+functions that fit it best, and theta and the laws are found in turn,
+
+    theta <- theta + argmin_d sum_i | P_i (r_i(theta) - J_i d) |^2,        P_i <- law of the noise of r_i(theta)
+
+until theta moves by less than a fiftieth of its standard error. The drift of most systems is linear in theta, and one
+step per law is exact; where it is not these are Gauss-Newton steps, halved while they do not pay. The covariance
+(`spread`) counts that P was fitted too: where an input reacts to noise, theta and P are not independent.
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nsde_torch.data import Run
+from nsde_torch.errors import ConfigError, DataError, NonFiniteError
+from nsde_torch.learning.identify.explained import bump, explained
+from nsde_torch.learning.identify.noise import Noise, again, carry_limit, estimate, extended, first_guess
+from nsde_torch.learning.identify.physics import Physics
+from nsde_torch.learning.identify.result import Identification
+from nsde_torch.learning.identify.series import Series
+from nsde_torch.learning.identify.shown import Shown, shown
+from nsde_torch.learning.identify.solve import bounded_step
+from nsde_torch.learning.identify.spread import Spread, spread
+from nsde_torch.learning.identify.steps import steps_of
+from nsde_torch.systems import System
+from nsde_torch.systems.parameters import ParameterVector
+
+Array = NDArray[np.float64]
+
+ITERATIONS = 20
+_ORDERS_S, _ORDERS = 0.4, 40  # longest autoregression [s], [steps]
+_BOX_S = 0.01  # data on a shorter step are summed to about this
+_SETTLED = 0.02  # standard errors
+_BLOCK_S = (0.5, 2.0)  # shortest and longest block of the covariance [s]
+_BLOCKS = 100
+
+
+@final
+class Regression:
+    """The regression of one set of runs, whose pieces others may use: what a candidate effect would explain.
+
+    Args:
+        physics: Residuals and slopes.
+        box: Steps per box.
+
+    Attributes:
+        theta: Where the iteration stands.
+        rows: Numbers of the channels that depend on a parameter.
+        noises: Their laws.
+        white, slopes: Whitened residuals (channels, N) and slopes (channels, N, k) at theta.
+    """
+
+    def __init__(self, physics: Physics, *, box: int = 1) -> None:
+        self.physics, self.box = physics, box
+        self.vector = physics.vector
+        single = Series(physics.steps.segments)
+        self.single, self.series = single, single.boxes(box)
+        self.dt = physics.steps.dt * box
+        self.orders = int(
+            np.clip(round(_ORDERS_S / self.dt), 2, min(_ORDERS, max(len(self.series) // 50, 2)))
+        )
+        self.theta = self.vector.inside(self.vector.start)
+        self.residual = self._residual(self.theta)
+        self._relinearise()
+        largest = np.abs(self.jacobian).max((0, 2))
+        self.rows = np.flatnonzero(largest > 1e-12 * largest.max()) if largest.max() > 0 else np.arange(0)
+        if not len(self.rows):
+            raise DataError(
+                "no rate in these data depends on any declared parameter. Record runs in which the machine moves."
+            )
+        self.noises: list[Noise] = []
+        self.iterations = 0
+        self.converged = False
+        self._whiten()
+
+    def run(self, iterations: int) -> None:
+        """Iterate until theta has settled, or this many times."""
+        if iterations < 1:
+            raise ConfigError(f"`max_iterations` must be at least 1; got {iterations}.")
+        for _ in range(iterations):
+            moved = self._step()
+            self.iterations += 1
+            if self.iterations > 4 and moved < _SETTLED:
+                self.converged = True
+                break
+
+    # ---- pieces ---------------------------------------------------------------------------------------
+
+    def _residual(self, theta: Array) -> Array:
+        return self.single.summed(self.physics.residual(theta), self.box)
+
+    def _relinearise(self) -> None:
+        self.jacobian = self.single.summed(self.physics.slopes(self.theta), self.box)
+
+    def _limits(self) -> Array:
+        """Largest c of each channel: sensor noise reaches a rate through every state that it depends on."""
+        p = self.physics
+        p.estimate_sensors(p.residual(self.theta))
+        own, square = p.state_slopes(self.theta)
+        std = p.sensor_std.copy()
+        if p.turned is not None:  # one sensor noise for a velocity that is turned
+            std[p.turned] = np.sqrt(np.square(std[p.turned]).mean())
+        others = square @ np.square(std) - np.diag(square) * np.square(std)
+        known = p.steps.dt * np.sqrt(self.box * others)
+        return np.array([carry_limit(o, k, s, self.dt) for o, k, s in zip(own, known, std, strict=True)])
+
+    def _whiten(self) -> None:
+        """Laws of the noise at theta, and everything in their units."""
+        if self.iterations < 3:
+            self.limits = self._limits()
+        noises = []
+        for i, channel in enumerate(self.rows):
+            r, limit = self.residual[:, channel], float(self.limits[channel])
+            if not self.noises:
+                noises.append(first_guess(r, self.series, limit))
+                continue
+            if self.iterations > 3:  # the same kind of law from here on, so that theta can settle
+                noises.append(again(self.noises[i], r, self.series))
+                continue
+            orders = self.orders if self.iterations > 1 else 1  # theta first: an order would learn its errors
+            noises.append(estimate(r, self.series, limit=limit, orders=orders))
+        self.noises = noises
+        pairs = list(zip(noises, self.rows, strict=True))
+        self.white = np.stack([n.whiten(self.residual[:, [c]], self.series)[:, 0] for n, c in pairs])
+        self.slopes = np.stack([n.whiten(self.jacobian[:, c], self.series) for n, c in pairs])
+        self.shown: Shown = shown(self.slopes.reshape(-1, len(self.vector)), self.vector.scale)
+
+    def _step(self) -> float:
+        """One step of theta; returns its length in standard errors."""
+        v, k = self.vector, len(self.vector)
+        low, high = v.inside(np.full(k, -np.inf)) - self.theta, v.inside(np.full(k, np.inf)) - self.theta
+        flat = self.slopes.reshape(-1, k)
+        step = bounded_step(
+            flat, self.white.reshape(-1), self.shown, low.clip(max=0), high.clip(min=0), v.scale
+        )
+        before = float(np.square(self.white).sum())
+        for _ in range(8):
+            trial = v.inside(self.theta + step)
+            residual = self._residual(trial)
+            if np.isfinite(residual[:, self.rows]).all() and self._size(residual) <= 1.01 * before:
+                break
+            step = 0.5 * step
+        else:
+            if not np.isfinite(residual[:, self.rows]).all():
+                raise NonFiniteError(
+                    "the declared physics is not finite near "
+                    + ", ".join(f"{n} = {t:.4g}" for n, t in zip(v.labels, trial, strict=True))
+                    + ". Give other first values: system.parameters.NAME=..."
+                )
+        moved = float(np.linalg.norm(flat @ (trial - self.theta)) / max(self.shown.rank, 1) ** 0.5)
+        self.theta, self.residual = trial, residual
+        if moved > 1.0 or self.iterations < 2:
+            self._relinearise()
+        self._whiten()
+        return moved
+
+    def _size(self, residual: Array) -> float:
+        pairs = zip(self.noises, self.rows, strict=True)
+        return sum(float(np.square(n.whiten(residual[:, [c]], self.series)).sum()) for n, c in pairs)
+
+    # ---- results --------------------------------------------------------------------------------------
+
+    def spread(self) -> tuple[Spread, NDArray[np.int64]]:
+        """Covariance in the directions that are shown, and the block of each row of `series`."""
+        purged, used = [], 0
+        for i, (noise, channel) in enumerate(zip(self.noises, self.rows, strict=True)):
+            x = self.slopes[i] @ self.shown.basis
+            own = noise.own_slopes(self.residual[:, channel], self.series)
+            if own.shape[1]:
+                x = x - own @ np.linalg.lstsq(own, x, rcond=None)[0]
+            purged.append(x)
+            used += own.shape[1]
+        total = len(self.series) * self.dt
+        length = float(np.clip(total / _BLOCKS, *_BLOCK_S))
+        rows = max(1, round(min(length, total / 20) / self.dt))
+        blocks = self.series.blocks(rows)
+        longer = extended(self.series)
+        of_white = np.empty(len(longer), dtype=np.int64)
+        for (a, b), (c, d) in zip(self.series.edges, longer.edges, strict=True):
+            of_white[c], of_white[c + 1 : d] = blocks[a], blocks[a:b]
+        return spread(np.stack(purged), self.white, of_white, used), blocks
+
+    def shift(self, parts: Array, blocks: NDArray[np.int64]) -> Array:
+        """Change of the residuals over steps (N, channels) when each block is predicted from the others alone.
+
+        Args:
+            parts: Contribution of each block to theta (C, k).
+            blocks: Block of each row of `series`.
+        """
+        of_step = np.empty(len(self.single), dtype=np.int64)
+        for (a, b), (c, d) in zip(self.single.edges, self.series.edges, strict=True):
+            of_step[a:b] = blocks[np.minimum(c + np.arange(b - a) // self.box, d - 1)]
+        slopes = self.jacobian if self.box == 1 else self.physics.slopes(self.theta)
+        slopes = slopes[:, self.rows]
+        return np.asarray(np.einsum("nck,nk->nc", slopes, parts[of_step]))
+
+
+def identify(
+    system: System,
+    runs: Sequence[Run],
+    *,
+    clock: float = 1.0,
+    width: float | None = None,
+    iterations: int = ITERATIONS,
+) -> Identification:
+    """Identify the declared parameters of a system by the weak form.
+
+    Args:
+        system: The machine; its values are where the iteration starts. It is not changed.
+        runs: Recordings, all on one step.
+        clock: Physical seconds per logged second.
+        width: Length of the boxes that the equations are integrated over [s]; None takes one step of the data, or
+            10 ms if that is longer.
+        iterations: Largest number of steps.
+
+    Returns:
+        Estimates, their covariance, and what the data do not show.
+
+    Raises:
+        ConfigError: no declared parameter, or a width that is shorter than a step.
+        DataError: no run, or nothing moves.
+        NonFiniteError: the physics leaves the finite numbers.
+
+    Example:
+        >>> found = identify(make_system("hexacopter"), data.runs)  # doctest: +SKIP
+        >>> dict(zip(found.vector.labels, found.values))  # doctest: +SKIP
+    """
+    vector = ParameterVector(system)
+    box = _box(width, runs[0].dt * clock) if runs else 1
+    steps = steps_of(system, runs, clock=clock, smooth=False, shortest=box)
+    physics = Physics(vector, steps, curved=system.sensor_noise)
+    regression = Regression(physics, box=box)
+    regression.run(iterations)
+    sure, blocks = regression.spread()
+    basis, window = regression.shown.basis, bump(steps.dt)
+    left = physics.residual(regression.theta)[:, regression.rows]
+    alone = explained(physics, left + regression.shift(sure.parts @ basis.T, blocks), regression.rows, window)
+    channels = explained(physics, left, regression.rows, window)
+    return Identification(
+        vector=vector,
+        method="weak",
+        values=regression.theta,
+        covariance=basis @ sure.covariance @ basis.T,
+        degrees=sure.degrees(basis),
+        shown=regression.shown,
+        channels=tuple(replace(c, noise=n) for c, n in zip(channels, regression.noises, strict=True)),
+        sensor_std=physics.sensor_std,
+        unexplained=float(np.mean([c.residual / c.measured for c in alone if c.measured > 0] or [0.0])),
+        width_s=len(window) * steps.dt,
+        box_s=regression.dt,
+        iterations=regression.iterations,
+        converged=regression.converged,
+        linear=physics.linear(regression.theta),
+        blocks=int(blocks.max()) + 1,
+    )
+
+
+def _box(width: float | None, dt: float) -> int:
+    if width is None:
+        return max(1, int(_BOX_S / dt + 1e-6))
+    if round(width / dt) < 1:
+        raise ConfigError(
+            f"`model.width` must be a step of the data ({dt:.4g} s) or longer; got {width:g} s."
+        )
+    return round(width / dt)

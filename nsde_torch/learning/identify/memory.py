@@ -1,0 +1,71 @@
+"""Extra states of effects (lags) along measured runs: m' = memory_rate(t, x, u, m), x and u as measured.
+
+The segments are cut into pieces that advance side by side. A piece starts where its predecessor ended in the
+sweep before; sweeps are repeated until no start moves. A memory that fades takes two or three sweeps, one that
+does not takes as many as a segment has pieces, and then is the sequential solution all the same.
+"""
+
+import torch
+from torch import Tensor
+
+from nsde_torch.effects import Effect
+from nsde_torch.learning.identify.steps import Steps
+from nsde_torch.systems import System
+
+_PIECE = 50
+_TOLERANCE = 1e-9
+
+
+def memory_along(system: System, steps: Steps) -> tuple[Tensor, Tensor]:
+    """Memory at both ends of every step, (N, nz - nx) each; stationary where a segment starts."""
+    carriers = [e for e in system.effects if isinstance(e, Effect) and e.n_memory]
+    widths = [e.n_memory for e in carriers]
+    edges, chained = [], []
+    for a, b in steps.segments:
+        firsts = list(range(a, b, _PIECE))
+        edges += [(f, min(f + _PIECE, b)) for f in firsts]
+        chained += [False] + [True] * (len(firsts) - 1)
+    first = torch.tensor([a for a, _ in edges])
+    length = torch.tensor([b - a for a, b in edges])
+    follows = torch.tensor(chained)[:, None]
+    count = torch.arange(int(length.max()))
+    inside = count < length[:, None]
+    rows = torch.where(inside, first[:, None] + count, first[:, None])
+
+    def by_time(values: Tensor) -> tuple[Tensor, ...]:
+        return values[rows.T].unbind(0)
+
+    x0, x1, u, t = (by_time(v) for v in (steps.x0, steps.x1, steps.u, steps.t))
+    middle = by_time(system.project(0.5 * (steps.x0 + steps.x1)))
+    live = inside.T[..., None].unbind(0)
+    h, logged = steps.dt, steps.logged_dt
+
+    def rate(t: Tensor, x: Tensor, u: Tensor, m: Tensor) -> Tensor:
+        parts = zip(carriers, m.split(widths, 1), strict=True)
+        return torch.cat([e.memory_rate(t, x, u, part) for e, part in parts], 1)
+
+    def advance(k: int, m: Tensor) -> Tensor:
+        k1 = rate(t[k], x0[k], u[k], m)
+        k2 = rate(t[k] + 0.5 * logged, middle[k], u[k], m + 0.5 * h * k1)
+        k3 = rate(t[k] + 0.5 * logged, middle[k], u[k], m + 0.5 * h * k2)
+        k4 = rate(t[k] + logged, x1[k], u[k], m + h * k3)
+        return m + (h / 6) * (k1 + 2.0 * (k2 + k3) + k4)
+
+    start = torch.cat([e.memory_start(x0[0], u[0]) for e in carriers], 1)
+    for _ in range(len(edges)):
+        m, before, after = start, [], []
+        for k in range(len(count)):
+            before.append(m)
+            m = torch.where(live[k], advance(k, m), m)
+            after.append(m)
+        moved = torch.where(follows, torch.cat((start[:1], m[:-1])), start)
+        change, size = float((moved - start).abs().max()), float(start.abs().max())
+        start = moved
+        if not change > _TOLERANCE * max(1.0, size):
+            break
+    order = rows[inside]
+    out = []
+    for part in (before, after):
+        values = torch.stack(part, 1)[inside]
+        out.append(torch.zeros_like(values).index_put((order,), values))
+    return out[0], out[1]

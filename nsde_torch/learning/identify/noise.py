@@ -1,0 +1,186 @@
+"""The noise of one channel of residuals, and the filter that makes it white.
+
+A residual over a step holds the difference of two errors of the sensor, and whatever the physics lacks: gusts, which
+last. Its law is taken as
+
+    (1 + a_1 B + ... + a_p B^p) r_k = (1 - c B) e_k,      B r_k = r_{k-1},      e white
+
+(an autoregression for what lasts, a moving average for the sensor). Dividing by 1 - c B sums residuals up: what is
+compared then is the state itself, and not its change. The test function of a whitened row is thus a staircase
+that looks back as far as noise allows. Whitening is causal, so that a whitened row knows no input that reacts to it:
+that is what keeps feedback from bending the estimate (Ljung, System Identification, 1999, section 13.4).
+
+How each is found:
+
+- c, p: least Akaike score of the exact likelihood of the moving average with the error e before the first row for
+  an unknown of its own; c is at most `limit`, which follows from noise that is known to be there.
+- a: Burg's method over all stretches, as reflection coefficients; rows near a start use the lower orders.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.signal import lfilter
+
+from nsde_torch.learning.identify.series import Series
+
+Array = NDArray[np.float64]
+
+_GRID = 1.0 - np.array([1, 0.7, 0.5, 0.35, 0.25, 0.18, 0.12, 0.08, 0.05, 0.03, 0.02, 0.012, 0.008, 0.005])
+_AKAIKE = 2.0
+
+
+@dataclass(frozen=True)
+class Noise:
+    """Law of the noise of one channel.
+
+    Args:
+        carry: c, in [0, 1).
+        reflection: Reflection coefficients of the autoregression (p,).
+        std: Standard deviation of e [unit of the residual].
+    """
+
+    carry: float
+    reflection: Array
+    std: float
+
+    def whiten(self, values: Array, series: Series) -> Array:
+        """Filtered columns (N, k) in units of `std`, one row more per stretch than there were: (N + stretches, k)."""
+        summed = _carry(self.carry, values, series)
+        return _lattice(self.reflection, summed, extended(series)) / self.std
+
+    def own_slopes(self, residual: Array, series: Series) -> Array:
+        """Slopes of the whitened residual (N,) in a and c, (N + stretches, p + 1), up to factors."""
+        longer = extended(series)
+        summed = _carry(self.carry, residual[:, None], series)
+        columns = [longer.lagged(summed[:, 0], len(self.reflection))]
+        if self.carry > 0:
+            white = _lattice(self.reflection, summed, longer)[:, 0]
+            of_carry = np.zeros(len(longer))
+            for a, b in longer.edges:
+                of_carry[a + 1 : b] = lfilter([1.0], [1.0, -self.carry], white[a:b])[:-1]
+            columns.append(of_carry[:, None])
+        return np.concatenate(columns, 1)
+
+
+def extended(series: Series) -> Series:
+    """Series of whitened rows: the error before the first row of a stretch is a row of its own."""
+    return Series(tuple((a + i, b + i + 1) for i, (a, b) in enumerate(series.edges)))
+
+
+def first_guess(residual: Array, series: Series, limit: float) -> Noise:
+    """Noise of a sensor alone: what to start with, as it weighs slow motion most."""
+    carry = min(limit, 0.98)
+    summed = _carry(carry, residual[:, None], series)[:, 0]
+    return Noise(carry, np.zeros(0), _size(summed, len(series)))
+
+
+def estimate(residual: Array, series: Series, *, limit: float, orders: int) -> Noise:
+    """Law of the noise of residuals (N,).
+
+    Args:
+        residual: Residuals.
+        series: Their stretches.
+        limit: Largest c.
+        orders: Largest order of the autoregression.
+    """
+    grid = np.append(_GRID[limit > _GRID], limit)
+    score, carry = min((_score(residual, series, c, orders)[0], c) for c in grid)
+    at = int(np.abs(grid - carry).argmin())
+    between = np.linspace(grid[max(at - 1, 0)], grid[min(at + 1, len(grid) - 1)], 7)[1:-1]
+    score, carry = min([(score, carry), *((_score(residual, series, c, orders)[0], c) for c in between)])
+    return _law(residual, series, float(carry), _score(residual, series, carry, orders)[1])
+
+
+def again(noise: Noise, residual: Array, series: Series) -> Noise:
+    """A law of the same order and the same c for other residuals (N,)."""
+    summed = _carry(noise.carry, residual[:, None], series)[:, 0]
+    reflection, _ = _burg(summed, extended(series), len(noise.reflection))
+    return _law(residual, series, noise.carry, reflection)
+
+
+def _law(residual: Array, series: Series, carry: float, reflection: Array) -> Noise:
+    white = _lattice(reflection, _carry(carry, residual[:, None], series), extended(series))
+    return Noise(carry, reflection, _size(white, len(series)))
+
+
+def carry_limit(own: float, known: float, std: float, dt: float) -> float:
+    """The largest c: that of a sensor of standard deviation `std` and the noise that it brings into f.
+
+    r_k = e_{k+1} - e_k - h s (e_{k+1} + e_k) / 2 + w_k has autocovariances whose ratio gives c.
+
+    Args:
+        own: Mean slope s of the channel's rate in the channel itself [1/s].
+        known: Standard deviation of what the noise of the other channels adds to a step (w) [unit of the channel].
+        std: Standard deviation of the channel's sensor.
+        dt: Step h [s].
+    """
+    if not std > 0:
+        return 0.0
+    a = min(abs(own * dt / 2), 0.9)
+    beyond = (2 * (1 + a * a) + (known / std) ** 2) / (1 - a * a) - 2
+    return float(np.clip(1 + beyond / 2 - np.sqrt(beyond + beyond**2 / 4), 0.0, 1.0 - 1e-4))
+
+
+def _size(white: Array, rows: int) -> float:
+    return max(float(np.sqrt(np.square(white).sum() / rows)), 1e-300)
+
+
+def _score(residual: Array, series: Series, carry: float, orders: int) -> tuple[float, Array]:
+    """Akaike score with the best order of the autoregression, and its reflection coefficients."""
+    summed = _carry(carry, residual[:, None], series)[:, 0]
+    reflection, left = _burg(summed, extended(series), orders)
+    spread = sum(np.log((1 - carry ** (2 * (b - a + 1))) / (1 - carry**2)) for a, b in series.edges)
+    scores = len(residual) * np.log(left) + spread + _AKAIKE * (np.arange(len(left)) + (carry > 0))
+    order = int(np.argmin(scores))
+    return float(scores[order]), reflection[:order]
+
+
+def _carry(c: float, values: Array, series: Series) -> Array:
+    """Columns (N, k) over 1 - c B, with the error before each stretch estimated and put in front."""
+    out = np.empty((len(values) + len(series.edges), values.shape[1]))
+    for i, (a, b) in enumerate(series.edges):
+        at, n = a + i, b - a
+        if c == 0:
+            out[at], out[at + 1 : at + 1 + n] = 0.0, values[a:b]
+            continue
+        summed = lfilter([1.0], [1.0, -c], values[a:b], axis=0)
+        fading = c ** np.arange(1, n + 1)
+        before = fading @ summed / (1.0 + fading @ fading)
+        out[at], out[at + 1 : at + 1 + n] = -before, summed - np.outer(fading, before)
+    return out
+
+
+def _burg(values: Array, series: Series, orders: int) -> tuple[Array, Array]:
+    """Reflection coefficients (orders,) and the variance left after each order (orders + 1,)."""
+    place = series.place
+    forward, backward = values.copy(), values.copy()
+    left = [max(float(np.square(values).mean()), 1e-300)]
+    reflection = []
+    for m in range(1, orders + 1):
+        live = place >= m
+        delayed = np.concatenate(([0.0], backward[:-1]))
+        f, b = np.where(live, forward, 0.0), np.where(live, delayed, 0.0)
+        size = float(f @ f + b @ b)
+        k = float(-2.0 * (f @ b) / size) if size > 0 else 0.0
+        reflection.append(k)
+        left.append(max(left[-1] * (1.0 - k * k), 1e-300))
+        forward, backward = np.where(live, forward + k * delayed, forward), delayed + k * f
+    return np.array(reflection), np.array(left)
+
+
+def _lattice(reflection: Sequence[float] | Array, values: Array, series: Series) -> Array:
+    """Columns (N, k) through the whitening filter; rows near a start are scaled to the same variance."""
+    if not len(reflection):
+        return values
+    place = series.place
+    forward, backward = values, values
+    for m, k in enumerate(reflection, 1):
+        live = (place >= m)[:, None]
+        delayed = np.concatenate((np.zeros_like(backward[:1]), backward[:-1]))
+        forward, backward = np.where(live, forward + k * delayed, forward), delayed + k * forward
+    kept = np.cumprod(np.concatenate(([1.0], 1.0 - np.square(reflection))))
+    scale = np.sqrt(kept[-1] / kept[np.minimum(place, len(reflection))])
+    return np.asarray(forward * scale[:, None])

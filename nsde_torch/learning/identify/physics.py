@@ -1,0 +1,237 @@
+"""What the declared physics says of each step between samples, and its slopes in the parameters.
+
+    residual_k = (x_{k+1} - x_k) - int f(x(t), u_k; theta) dt            over the step from t_k to t_{k+1}
+
+is the weak form with boxes for test functions: no data are differentiated, and the input is held over a step as the
+machine held it. The integral is Simpson's; the state in the middle is that of the Hermite cubic through both ends,
+x_m = (x_0 + x_1) / 2 + h / 8 (f_0 - f_1), which is of fourth order.
+
+Two things keep noise from bending the estimate:
+
+- Slopes are those at a state foreseen by the model from some steps earlier, and not at the measured one. They are
+  the instruments of the regression (Soderstrom and Stoica, Instrumental Variable Methods, 1983): the errors of what
+  is measured during a step, and gusts that strike in it, are not in them.
+- White sensor noise s shifts the mean of a curved f by s^2 f'' / 2, which is taken off by second differences.
+
+Velocities that the system measures in the world are turned into the body, so that thrust along the body's axis is one
+channel and forces sideways are others.
+"""
+
+from typing import final
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from nsde_torch.columns import split_columns
+from nsde_torch.learning.identify.memory import memory_along
+from nsde_torch.learning.identify.steps import Steps
+from nsde_torch.rotation import rotate_back
+from nsde_torch.systems import System
+from nsde_torch.systems.parameters import ParameterVector
+
+Array = NDArray[np.float64]
+
+_LEAD = (
+    5  # steps from which a state is foreseen: sensor noise of the same step biases, that of older ones hardly
+)
+_FOURTH = 70.0  # C(8, 4): variance of a fourth difference of white noise
+
+
+@final
+class Physics:
+    """Residuals of steps as a function of theta.
+
+    Args:
+        vector: The parametrised physics.
+        steps: The data.
+        curved: Whether sensor noise is white and f is to be corrected for its curvature.
+
+    Attributes:
+        names, units: Of the channels (the states' own; `(body)` where turned).
+        measured: What was measured to change over each step (N, nx).
+        sensor_std: Standard deviation of white sensor noise (nx,), as the last `estimate_sensors` found it.
+    """
+
+    def __init__(self, vector: ParameterVector, steps: Steps, *, curved: bool = False) -> None:
+        self.vector, self.steps, self.curved = vector, steps, curved
+        system = vector.system
+        self.turned = _world_velocity(system)
+        self.names, self.units = list(system.state_names), list(system.state_units)
+        if self.turned is not None:
+            for i in range(self.turned.start, self.turned.stop):
+                self.names[i] += " (body)"
+        self._starts = steps.starts
+        self._attitude = self._middle_attitude()
+        self.measured: Array = self._turn(steps.x1 - steps.x0, self._attitude).numpy()
+        self.sensor_std: Array = np.zeros(system.nx)
+        self._remembered: tuple[Tensor, tuple[Tensor, ...]] | None = None
+
+    @torch.no_grad()
+    def residual(self, theta: Array) -> Array:
+        """Measured minus predicted change over each step (N, nx)."""
+        at = torch.as_tensor(theta)
+        return self.measured - self._change(at, *self._memory(at)).numpy()
+
+    @torch.no_grad()
+    def slopes(self, theta: Array) -> Array:
+        """Derivative of the predicted change in each parameter (N, nx, k), from what was known before the step."""
+        at = torch.as_tensor(theta)
+        memory = self._memory(at)
+        middle = self._foreseen(at, *memory)
+        nx = self.vector.system.nx
+        columns = []
+        for j in range(len(at)):
+            direction, moving = torch.zeros_like(at), torch.zeros_like(middle)
+            direction[j] = 1.0
+            if memory and self.vector.moves_memory[j]:
+                # by differences: a loop over time is slow in forward mode, and smooth in theta
+                small = 1e-5 * float(self.vector.scale[j])
+                ends = zip(
+                    self._memory_at(at + small * direction),
+                    self._memory_at(at - small * direction),
+                    strict=True,
+                )
+                moving[:, nx:] = sum(high - low for high, low in ends) / (4.0 * small)
+            columns.append(torch.func.jvp(self._forecast, (at, middle), (direction, moving))[1].numpy())
+        self.vector.use(at)
+        return np.stack(columns, 2)
+
+    def estimate_sensors(self, residual: Array) -> None:
+        """Take the white noise of the sensors from fourth differences of what the physics leaves unexplained."""
+        thirds = [np.diff(residual[a:b], 3, axis=0) for a, b in self.steps.segments if b - a > 3]
+        if thirds:
+            self.sensor_std = np.sqrt(np.square(np.concatenate(thirds)).mean(0) / _FOURTH)
+
+    @torch.no_grad()
+    def state_slopes(self, theta: Array) -> tuple[Array, Array]:
+        """Mean (nx,) of d f_i / d x_i and mean square (nx, nx) of d f_i / d x_j over the steps [1/s]."""
+        at = torch.as_tensor(theta)
+        memory = self._memory(at)
+        self.vector.use(at)
+        system, s = self.vector.system, self.steps
+
+        def rate(x: Tensor) -> Tensor:
+            return system.drift(s.t, torch.cat((x, *memory[:1]), 1), s.u)[:, : system.nx]
+
+        own, square = np.zeros(system.nx), np.zeros((system.nx, system.nx))
+        for j in range(system.nx):
+            direction = torch.zeros_like(s.x0)
+            direction[:, j] = 1.0
+            slope = torch.func.jvp(rate, (s.x0,), (direction,))[1]
+            own[j] = float(slope[:, j].mean())
+            square[:, j] = slope.square().mean(0).numpy()
+        return own, square
+
+    @torch.no_grad()
+    def linear(self, theta: Array) -> bool:
+        """Whether f is linear in the parameters, as far as moving all of them by a tenth of their size shows."""
+        at, s, v = torch.as_tensor(theta), self.steps, self.vector
+        if v.moves_memory.any():
+            return False
+        away = torch.as_tensor(v.inside(theta + 0.1 * v.scale))
+        some = torch.linspace(0, len(s) - 1, min(len(s), 2000)).long()
+        rates = []
+        for values in (at, 0.5 * (at + away), away):
+            v.use(values)
+            rates.append(v.system.drift(s.t[some], s.x0[some], s.u[some]))
+        bend, change = rates[0] + rates[2] - 2.0 * rates[1], rates[2] - rates[0]
+        return bool(bend.abs().max() <= 1e-9 * change.abs().max())
+
+    # ---- pieces ---------------------------------------------------------------------------------------
+
+    def _memory(self, theta: Tensor) -> tuple[Tensor, ...]:
+        """Memory of the effects at both ends of each step; nothing where none has any."""
+        if self._remembered is None or not torch.equal(self._remembered[0], theta):
+            self._remembered = (theta.clone(), self._memory_at(theta))
+        return self._remembered[1]
+
+    def _memory_at(self, theta: Tensor) -> tuple[Tensor, ...]:
+        self.vector.use(theta)
+        system = self.vector.system
+        return memory_along(system, self.steps) if system.nz > system.nx else ()
+
+    def _change(self, theta: Tensor, *memory: Tensor) -> Tensor:
+        """Predicted change over each step (N, nx)."""
+        self.vector.use(theta)
+        system, s = self.vector.system, self.steps
+        z0, z1 = s.x0, s.x1
+        if memory:
+            z0, z1 = torch.cat((z0, memory[0]), 1), torch.cat((z1, memory[1]), 1)
+        f0 = self._rate(s.t, z0, 1.0)
+        f1 = self._rate(s.t + s.logged_dt, z1, 1.0)
+        middle = system.project(0.5 * (z0 + z1) + (s.dt / 8) * (f0 - f1))
+        fm = self._rate(s.t + 0.5 * s.logged_dt, middle, 0.5)
+        change = (s.dt / 6) * (f0 + 4.0 * fm + f1)[:, : system.nx]
+        return self._turn(change, self._attitude)
+
+    def _rate(self, t: Tensor, z: Tensor, share: float) -> Tensor:
+        """f at measured states, without what noise of `share` of the sensors' variance adds to its mean."""
+        system, u = self.vector.system, self.steps.u
+        f = system.drift(t, z, u)
+        if not self.curved:
+            return f
+        bend = torch.zeros_like(f)
+        for j, std in enumerate(self.sensor_std.tolist()):
+            if std > 0:
+                aside = torch.zeros_like(z)
+                aside[:, j] = std * share**0.5
+                bend = bend + system.drift(t, z + aside, u) + system.drift(t, z - aside, u) - 2.0 * f
+        return f - 0.5 * bend
+
+    def _forecast(self, theta: Tensor, middle: Tensor) -> Tensor:
+        """Change over each step by the midpoint rule, at states (N, nz) that are held as theta moves."""
+        self.vector.use(theta)
+        system, s = self.vector.system, self.steps
+        change = s.dt * system.drift(s.t + 0.5 * s.logged_dt, middle, s.u)[:, : system.nx]
+        q = system.quaternion
+        return change if q is None else self._turn(change, middle[:, q])
+
+    def _foreseen(self, theta: Tensor, *memory: Tensor) -> Tensor:
+        """State in the middle of each step as the model foresees it from `_LEAD` steps earlier, and memory (N, nz)."""
+        self.vector.use(theta)
+        s = self.steps
+        rows = torch.arange(len(s))
+        x = s.x0[torch.maximum(rows - _LEAD, self._starts)]
+        for back in range(_LEAD, 0, -1):
+            at = rows - back
+            live = (at >= self._starts)[:, None]
+            at = torch.maximum(at, self._starts)
+            x = torch.where(live, self._later(x, at, memory, 1.0), x)
+        x = self._later(x, rows, memory, 0.5)
+        return torch.cat((x, 0.5 * (memory[0] + memory[1])), 1) if memory else x
+
+    def _later(self, x: Tensor, at: Tensor, memory: tuple[Tensor, ...], share: float) -> Tensor:
+        """States (N, nx) a share of a step later, by the midpoint rule, with inputs and memory of the steps `at`."""
+        system, s = self.vector.system, self.steps
+        t, u, m, h = s.t[at], s.u[at], [part[at] for part in memory[:1]], share * s.dt
+        z = torch.cat((x, *m), 1)
+        middle = system.project(z + (0.5 * h) * system.drift(t, z, u))
+        rate = system.drift(t + 0.5 * share * s.logged_dt, middle, u)
+        return system.project(x + h * rate[:, : system.nx])
+
+    def _middle_attitude(self) -> Tensor:
+        q = self.vector.system.quaternion
+        if q is None:
+            return torch.zeros(len(self.steps), 0)
+        both = self.steps.x0[:, q] + self.steps.x1[:, q]
+        return both / both.norm(dim=1, keepdim=True)
+
+    def _turn(self, change: Tensor, attitude: Tensor) -> Tensor:
+        if self.turned is None:
+            return change
+        a, b = self.turned.start, self.turned.stop
+        before, v, after = split_columns(change, a, b - a, change.shape[1] - b)
+        return torch.cat((before, rotate_back(attitude, v), after), 1)
+
+
+def _world_velocity(system: System) -> slice | None:
+    """Columns of a velocity in the world, of a system that knows its attitude."""
+    if system.quaternion is None:
+        return None
+    names = list(system.state_names)
+    at = [names.index(velocity) for _, velocity, frame in system.position_derivatives if frame == "world"]
+    if len(at) != 3 or at != list(range(at[0], at[0] + 3)):
+        return None
+    return slice(at[0], at[0] + 3)

@@ -1,0 +1,158 @@
+"""What an identification found."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import stdtrit
+
+from nsde_torch.learning.identify.noise import Noise
+from nsde_torch.learning.identify.shown import Shown, sentences
+from nsde_torch.systems.parameters import ParameterVector
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Channel:
+    """How well one channel is explained, in means over test functions (bumps) of `width_s`.
+
+    Args:
+        name: Of the channel.
+        unit: Of its rate.
+        measured: Standard deviation of the measured rate.
+        residual: Root mean square of what the physics leaves of it.
+        sensor: What white sensor noise alone leaves.
+        r2: Share of the variance that is explained.
+        noise: Law of the noise over single steps; None where the method has none.
+    """
+
+    name: str
+    unit: str
+    measured: float
+    residual: float
+    sensor: float
+    r2: float
+    noise: Noise | None
+
+    def as_dict(self) -> dict[str, Any]:
+        """Plain containers, for JSON."""
+        out: dict[str, Any] = {
+            "unit": self.unit,
+            "measured_std": self.measured,
+            "residual_rms": self.residual,
+            "sensor_rms": self.sensor,
+            "r2": self.r2,
+        }
+        if self.noise is not None:
+            out["noise"] = {"carry": self.noise.carry, "order": len(self.noise.reflection)}
+        return out
+
+
+@dataclass(frozen=True)
+class Identification:
+    """Declared parameters as the data show them.
+
+    Args:
+        vector: Names, units, bounds.
+        method: "weak" or "differences".
+        values: Estimate (k,), inside the bounds.
+        covariance: Of the estimate (k, k); nothing along what the data do not show.
+        degrees: Degrees of freedom of each variance (k,).
+        shown: What the data show.
+        channels: One entry per channel that depends on a parameter.
+        sensor_std: White noise of each state (nx,).
+        unexplained: Root mean square of residuals over that of the rates, each block predicted without its own data.
+        width_s: Length of the test functions of `channels` [s].
+        box_s: Length of the boxes that the equations were integrated over [s].
+        iterations: Steps of the iteration.
+        converged: Whether its last step was a fiftieth of a standard error at most.
+        linear: Whether the drift is linear in the parameters.
+        blocks: Number of blocks of time that the covariance comes from.
+    """
+
+    vector: ParameterVector
+    method: str
+    values: Array
+    covariance: Array
+    degrees: Array
+    shown: Shown
+    channels: tuple[Channel, ...]
+    sensor_std: Array
+    unexplained: float
+    width_s: float
+    box_s: float
+    iterations: int
+    converged: bool
+    linear: bool
+    blocks: int
+
+    @property
+    def standard_errors(self) -> Array:
+        """Standard error of each parameter (k,); nan where the data do not show it."""
+        return np.where(self.shown.known, np.sqrt(np.diag(self.covariance).clip(0.0)), np.nan)
+
+    def half_widths(self, level: float) -> Array:
+        """Half-widths of the intervals of this level (k,); nan where the data do not show a parameter."""
+        return np.asarray(stdtrit(self.degrees.clip(1.0), 0.5 * (1 + level)) * self.standard_errors)
+
+    @property
+    def findings(self) -> list[str]:
+        """What the data cannot show, and what they hardly show, in words."""
+        v = self.vector
+        out = sentences(self.shown, v.labels, v.units, v.scale)
+        half = self.half_widths(0.95)
+        room = v.high - v.low
+        for i in np.flatnonzero(np.isfinite(half) & (2 * half > room)):
+            out.append(
+                f"{v.labels[i]}: hardly shown; its 95 % interval is wider than its bounds "
+                f"({v.low[i]:g} to {v.high[i]:g} {v.units[i]})"
+            )
+        if not self.converged:
+            out.append(f"the iteration had not settled after {self.iterations} steps")
+        return out
+
+    def parameters(self) -> dict[str, dict[str, object]]:
+        """Declared parameters as `metrics.json` holds them."""
+        half = [h if np.isfinite(h) else None for h in self.half_widths(0.9).tolist()]
+        return {
+            p.name: {
+                "value": self.values[p.columns].tolist(),
+                "half_width_90": half[p.columns],
+                "unit": p.unit,
+            }
+            for p in self.vector.places
+        }
+
+    def as_dict(self) -> dict[str, Any]:
+        """Plain containers, for JSON."""
+        v, se, half = self.vector, self.standard_errors, self.half_widths(0.95)
+        each = {
+            label: {
+                "value": float(self.values[i]),
+                "unit": v.units[i],
+                "standard_error": float(se[i]) if np.isfinite(se[i]) else None,
+                "interval_95": [float(self.values[i] - half[i]), float(self.values[i] + half[i])]
+                if np.isfinite(half[i])
+                else None,
+                "degrees_of_freedom": float(self.degrees[i]),
+            }
+            for i, label in enumerate(v.labels)
+        }
+        return {
+            "method": self.method,
+            "linear": self.linear,
+            "iterations": self.iterations,
+            "converged": self.converged,
+            "rank": self.shown.rank,
+            "parameters": len(v),
+            "condition_number": self.shown.condition,
+            "blocks": self.blocks,
+            "box_s": self.box_s,
+            "estimates": each,
+            "not_shown": self.findings,
+            "channels": {c.name: c.as_dict() for c in self.channels},
+            "test_function_s": self.width_s,
+            "unexplained": self.unexplained,
+        }

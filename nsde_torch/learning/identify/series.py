@@ -1,0 +1,60 @@
+"""Rows of several stretches one after another: what must not reach across a gap."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Series:
+    """Stretches of rows.
+
+    Args:
+        edges: Ranges (first, last + 1), adjacent and in order.
+    """
+
+    edges: tuple[tuple[int, int], ...]
+
+    def __len__(self) -> int:
+        return self.edges[-1][1]
+
+    @property
+    def place(self) -> NDArray[np.int64]:
+        """Row number inside its stretch (N,)."""
+        return np.concatenate([np.arange(b - a) for a, b in self.edges])
+
+    def lagged(self, values: Array, lags: int) -> Array:
+        """Values (N,) of 1 ... `lags` rows earlier (N, lags), zero where a stretch had not begun."""
+        out = np.zeros((len(values), lags))
+        place = self.place
+        for j in range(1, lags + 1):
+            out[j:, j - 1] = np.where(place[j:] >= j, values[:-j], 0.0)
+        return out
+
+    def boxes(self, width: int) -> "Series":
+        """Series of the sums that `summed` makes."""
+        ends = np.cumsum([(b - a) // width for a, b in self.edges]).tolist()
+        return Series(tuple(zip([0, *ends[:-1]], ends, strict=True)))
+
+    def summed(self, values: Array, width: int) -> Array:
+        """Sums over boxes of `width` rows (M, ...); what is left over at the end of a stretch is dropped."""
+        if width == 1:
+            return values
+        parts = []
+        for a, b in self.edges:
+            count = (b - a) // width
+            cut = values[a : a + count * width]
+            parts.append(cut.reshape(count, width, *values.shape[1:]).sum(1))
+        return np.concatenate(parts)
+
+    def blocks(self, rows: int) -> NDArray[np.int64]:
+        """Number of the block of each row (N,): every stretch in equal blocks of about `rows` rows."""
+        labels, first = [], 0
+        for a, b in self.edges:
+            count = max(1, round((b - a) / rows))
+            labels.append(first + np.minimum(np.arange(b - a) * count // (b - a), count - 1))
+            first += count
+        return np.concatenate(labels)

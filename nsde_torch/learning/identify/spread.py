@@ -1,0 +1,67 @@
+"""Covariance of least-squares estimates from blocks of time, whatever is left of correlation and of uneven noise.
+
+    V = M^-1 (sum_c s_c s_c') M^-1,    M = X' X,    s_c = X_c' (I - X_c M^-1 X_c')^(-1/2) e_c
+
+is the sandwich over blocks c, with residuals restored to the size that fitting took from them (CR2: Bell and
+McCaffrey, Survey Methodology 28 (2002)). A parameter that a few blocks decide has few degrees of freedom,
+(sum_c w_c)^2 / sum_c w_c^2 with w_c the share of block c in its variance, for Student's t.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Spread:
+    """How sure an estimate is.
+
+    Args:
+        covariance: Of the estimate (r, r).
+        parts: Contribution of each block to the error of the estimate (C, r).
+        weights: Variance that each block brings if noise is white and even, (C, r, r).
+    """
+
+    covariance: Array
+    parts: Array
+    weights: Array
+
+    def degrees(self, directions: Array) -> Array:
+        """Degrees of freedom of combinations (k, r) of the estimate, (k,)."""
+        w = np.einsum("kr,crs,ks->ck", directions, self.weights, directions)
+        return np.asarray(w.sum(0) ** 2 / np.maximum(np.square(w).sum(0), 1e-300))
+
+
+def spread(slopes: Array, residual: Array, blocks: NDArray[np.int64], used: int) -> Spread:
+    """Covariance of the least-squares estimate at its optimum.
+
+    Args:
+        slopes: Whitened slopes of all channels (channels, N, r), of full rank r.
+        residual: Whitened residuals (channels, N).
+        blocks: Block of each row (N,).
+        used: Number of parameters of the noise that were fitted to the same rows.
+    """
+    channels, rows, r = slopes.shape
+    # in the coordinates that make M the identity the powers of (I - H) are those of r x r matrices
+    triangle = np.linalg.qr(slopes.reshape(-1, r), mode="r")
+    back = np.linalg.inv(triangle)
+    x = slopes @ back
+    count = int(blocks.max()) + 1
+    score, share = np.zeros((count, r)), np.zeros((count, r, r))
+    np.add.at(score, blocks, np.einsum("cnr,cn->nr", x, residual))
+    order = np.argsort(blocks, kind="stable")
+    edges = np.searchsorted(blocks[order], np.arange(count + 1))
+    for c in range(count):
+        part = x[:, order[edges[c] : edges[c + 1]]].reshape(-1, r)
+        share[c] = part.T @ part
+    values, vectors = np.linalg.eigh(share)
+    values = np.clip(values, 0.0, 0.999)
+    restore = np.einsum("cij,cj,ckj->cik", vectors, (1.0 - values) ** -0.5, vectors)
+    weight = np.einsum("cij,cj,ckj->cik", vectors, values / (1.0 - values), vectors)
+    parts = np.einsum("cij,cj->ci", restore, score) @ back.T
+    total = channels * rows
+    factor = total / max(total - r - used, 1)
+    return Spread(factor * parts.T @ parts, parts, back @ weight @ back.T)

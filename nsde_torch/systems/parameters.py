@@ -1,0 +1,128 @@
+"""The declared parameters of a system as one vector theta, in their own units.
+
+A copy of the system looks its parameters up in theta, so that a drift linear in the parameters stays linear (the raw
+numbers of an optimiser bend it), derivatives in theta need no chain rule, and many thetas can be tried side by side
+(torch.func.vmap over theta).
+"""
+
+import copy
+from dataclasses import dataclass
+from typing import final
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from nsde_torch.effects import Effect, Parametrised
+from nsde_torch.errors import ConfigError
+from nsde_torch.systems.base import System
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Place:
+    """Where a declared parameter stands in theta.
+
+    Args:
+        name: `name` of the system's own, `effect.name` of an effect's.
+        unit: Its unit.
+        columns: Its columns of theta, one per axis.
+    """
+
+    name: str
+    unit: str
+    columns: slice
+
+
+@final
+class _Lookup:
+    """What a module of the copy calls in place of `Parametrised.value`."""
+
+    def __init__(self, own: dict[str, slice], theta: list[Tensor]) -> None:
+        self._own, self._theta = own, theta
+
+    def __call__(self, name: str) -> Tensor:
+        return self._theta[0][self._own[name]]
+
+
+@final
+class ParameterVector:
+    """Declared parameters of a system as one vector.
+
+    Args:
+        system: The machine; it is copied, and its values are the first theta.
+        dtype: Precision of the copy.
+
+    Attributes:
+        system: The copy, without gradients, whose parameters are those of the last `use`.
+        places: One entry per declared parameter.
+        labels: One name per column of theta (`drag[0]` where there are axes).
+        units: One unit per column.
+        start: Values of the system (k,).
+        low, high: Bounds (k,), infinite where there are none.
+        scale: Typical size of each (k,).
+        moves_memory: Whether the parameter is one of an effect that carries memory (k,).
+
+    Raises:
+        ConfigError: the system declares no parameter.
+    """
+
+    def __init__(self, system: System, *, dtype: torch.dtype = torch.float64) -> None:
+        self.system = copy.deepcopy(system).to(dtype=dtype).requires_grad_(False)
+        self._theta: list[Tensor] = []
+        self.places: list[Place] = []
+        self.labels: list[str] = []
+        self.units: list[str] = []
+        rows: list[tuple[float, float, float, float, bool]] = []
+        effects = [(f"{e.name}.", e) for e in self.system.effects if isinstance(e, Effect)]
+        for prefix, module in [("", self.system), *effects]:
+            assert isinstance(module, Parametrised)
+            carries = isinstance(module, Effect) and module.n_memory > 0
+            own: dict[str, slice] = {}
+            for name, (value, unit) in module.declared_parameters().items():
+                k, spec = value.numel(), module.parameter(name)
+                own[name] = slice(len(rows), len(rows) + k)
+                self.places.append(Place(prefix + name, unit, own[name]))
+                self.labels += [prefix + name] if k == 1 else [f"{prefix}{name}[{i}]" for i in range(k)]
+                self.units += [unit] * k
+                low = -np.inf if spec.low is None else spec.low
+                high = np.inf if spec.high is None else spec.high
+                rows += [(v, low, high, module.scale_of(name), carries) for v in value.tolist()]
+            module.__dict__["value"] = _Lookup(own, self._theta)
+        if not rows:
+            raise ConfigError(
+                f"system {system.name!r} declares no parameter that could be identified. Add physics "
+                "(system.effects=[...]), or take another model."
+            )
+        self.start, self.low, self.high, self.scale = (
+            np.array(column, dtype=np.float64) for column in list(zip(*rows, strict=True))[:4]
+        )
+        self.moves_memory = np.array([row[4] for row in rows])
+        self.use(torch.as_tensor(self.start, dtype=dtype, device=_device(self.system)))
+
+    def __len__(self) -> int:
+        return len(self.start)
+
+    def use(self, theta: Tensor) -> None:
+        """Take these values (k,), which may carry derivatives, for every following drift of the copy."""
+        self._theta[:] = [theta]
+
+    def inside(self, theta: Array) -> Array:
+        """The nearest values (k,) strictly inside the bounds, as a system takes them."""
+        margin = 1e-6 * self.scale
+        return np.clip(theta, self.low + margin, self.high - margin)
+
+    def write(self, system: System, theta: Array) -> None:
+        """Set the values of a system of the same physics, moved inside the bounds."""
+        values = torch.as_tensor(self.inside(theta))
+        effects = {str(e.name): e for e in system.effects if isinstance(e, Effect)}
+        for place in self.places:
+            effect, dot, own = place.name.partition(".")
+            owner: Parametrised = effects[effect] if dot else system
+            owner.set_value(own if dot else place.name, values[place.columns])
+
+
+def _device(system: System) -> torch.device:
+    return next(iter(system.parameters())).device

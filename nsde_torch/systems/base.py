@@ -5,6 +5,7 @@
 Kinematics are exact and belong to the system; everything that pushes is an effect on a port.
 """
 
+import copy
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -149,6 +150,20 @@ class System(Parametrised, ABC):
             )
         self.effects = nn.ModuleList(made)
         self._parts = (self.nx, *(effect.n_memory for effect in made))
+
+    def with_effects(self, *effects: Effect) -> "System":
+        """A copy of the machine, with its present values, that has further effects.
+
+        Raises:
+            ConfigError: an effect is there already.
+        """
+        twice = [e.name for e in effects if e.name in self.effect_names]
+        if twice:
+            raise ConfigError(f"system {self.name!r} has the effects {twice} already.")
+        out = copy.deepcopy(self)
+        out.effects.extend(copy.deepcopy(e) for e in effects)
+        out._parts = (out.nx, *(int(e.n_memory) for e in out.effects))  # type: ignore[arg-type]
+        return out
 
     @property
     def nx(self) -> int:

@@ -49,6 +49,9 @@ class Regression:
     Args:
         physics: Residuals and slopes.
         box: Steps per box.
+        rows: Numbers of the channels to look at; None takes those that depend on a parameter.
+        start: First theta; None takes the system's values.
+        noises: Laws whose kind (order, c) is kept, one per channel of `rows`; None finds them.
 
     Attributes:
         theta: Where the iteration stands.
@@ -57,7 +60,15 @@ class Regression:
         white, slopes: Whitened residuals (channels, N) and slopes (channels, N, k) at theta.
     """
 
-    def __init__(self, physics: Physics, *, box: int = 1) -> None:
+    def __init__(
+        self,
+        physics: Physics,
+        *,
+        box: int = 1,
+        rows: NDArray[np.int64] | None = None,
+        start: Array | None = None,
+        noises: Sequence[Noise] | None = None,
+    ) -> None:
         self.physics, self.box = physics, box
         self.vector = physics.vector
         single = Series(physics.steps.segments)
@@ -66,16 +77,18 @@ class Regression:
         self.orders = int(
             np.clip(round(_ORDERS_S / self.dt), 2, min(_ORDERS, max(len(self.series) // 50, 2)))
         )
-        self.theta = self.vector.inside(self.vector.start)
+        self.theta = self.vector.inside(self.vector.start if start is None else start)
         self.residual = self._residual(self.theta)
         self._relinearise()
         largest = np.abs(self.jacobian).max((0, 2))
-        self.rows = np.flatnonzero(largest > 1e-12 * largest.max()) if largest.max() > 0 else np.arange(0)
-        if not len(self.rows):
+        moving = np.flatnonzero(largest > 1e-12 * largest.max()) if largest.max() > 0 else np.arange(0)
+        self.rows = moving if rows is None else rows
+        if not len(moving):
             raise DataError(
                 "no rate in these data depends on any declared parameter. Record runs in which the machine moves."
             )
-        self.noises: list[Noise] = []
+        self.noises: list[Noise] = list(noises or [])
+        self._kept = noises is not None
         self.iterations = 0
         self.converged = False
         self._whiten()
@@ -87,7 +100,7 @@ class Regression:
         for _ in range(iterations):
             moved = self._step()
             self.iterations += 1
-            if self.iterations > 4 and moved < _SETTLED:
+            if (self._kept or self.iterations > 4) and moved < _SETTLED:
                 self.converged = True
                 break
 
@@ -113,11 +126,15 @@ class Regression:
 
     def _whiten(self) -> None:
         """Laws of the noise at theta, and everything in their units."""
-        if self.iterations < 3:
+        if self.iterations < 3 and not self._kept:
             self.limits = self._limits()
         noises = []
         for i, channel in enumerate(self.rows):
-            r, limit = self.residual[:, channel], float(self.limits[channel])
+            r = self.residual[:, channel]
+            if self._kept:
+                noises.append(again(self.noises[i], r, self.series))
+                continue
+            limit = float(self.limits[channel])
             if not self.noises:
                 noises.append(first_guess(r, self.series, limit))
                 continue
@@ -181,11 +198,16 @@ class Regression:
         length = float(np.clip(total / _BLOCKS, *_BLOCK_S))
         rows = max(1, round(min(length, total / 20) / self.dt))
         blocks = self.series.blocks(rows)
-        longer = extended(self.series)
-        of_white = np.empty(len(longer), dtype=np.int64)
-        for (a, b), (c, d) in zip(self.series.edges, longer.edges, strict=True):
-            of_white[c], of_white[c + 1 : d] = blocks[a], blocks[a:b]
+        of_white = self.whitened_rows(blocks)
         return spread(np.stack(purged), self.white, of_white, used), blocks
+
+    def whitened_rows(self, labels: NDArray[np.int64]) -> NDArray[np.int64]:
+        """Labels of the rows of `white` from those of the rows of `series`."""
+        longer = extended(self.series)
+        out = np.empty(len(longer), dtype=np.int64)
+        for (a, b), (c, d) in zip(self.series.edges, longer.edges, strict=True):
+            out[c], out[c + 1 : d] = labels[a], labels[a:b]
+        return out
 
     def shift(self, parts: Array, blocks: NDArray[np.int64]) -> Array:
         """Change of the residuals over steps (N, channels) when each block is predicted from the others alone.

@@ -98,6 +98,12 @@ class Physics:
         self.vector.use(at)
         return np.stack(columns, 2)
 
+    @torch.no_grad()
+    def middle(self, theta: Array) -> Tensor:
+        """State and memory in the middle of each step, as foreseen from some steps earlier (N, nz)."""
+        at = torch.as_tensor(theta)
+        return self._foreseen(at, *self._memory(at))
+
     def estimate_sensors(self, residual: Array) -> None:
         """Take the white noise of the sensors from fourth differences of what the physics leaves unexplained."""
         thirds = [np.diff(residual[a:b], 3, axis=0) for a, b in self.steps.segments if b - a > 3]

@@ -1,0 +1,128 @@
+"""How much better one regression explains the runs than another, judged where it was not fitted.
+
+Whitened residuals w are independent with unit variance under the law that was fitted to them, so that over rows of
+a block b
+
+    log p_b = -sum_b (w^2 / 2 + log std)
+
+With normal equations G_f = X_f' X_f, g_f = X_f' w_f per fold f, the parameters without fold f are, from the optimum,
+d_f = (G - G_f)^-1 (g - g_f): leaving whole runs out costs no further fit. The difference of log p between two
+models, summed over left-out runs, is the evidence; its scatter over blocks of time says how sure it is (Vuong,
+Econometrica 57, 1989).
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import fdtrc
+
+from nsde_torch.learning.identify.identify import Regression
+from nsde_torch.learning.identify.spread import Spread
+
+Array = NDArray[np.float64]
+Labels = NDArray[np.int64]
+
+_ONE_RUN_FOLDS = 5
+_MOST_FOLDS = 10
+
+
+@dataclass(frozen=True)
+class Score:
+    """How well a regression does on rows that it was not fitted to.
+
+    Args:
+        blocks: Log likelihood of each block of time with its fold left out (B,).
+        fitted: Log likelihood of all rows as fitted.
+        free: Number of parameters that the data show.
+    """
+
+    blocks: Array
+    fitted: float
+    free: int
+
+
+def folds(regression: Regression) -> Labels:
+    """Fold of each whitened row: whole runs, at most ten groups of them; of a single run, five stretches of time."""
+    owners = regression.physics.steps.runs
+    count = len(set(owners))
+    rows = np.empty(len(regression.series), dtype=np.int64)
+    if count > 1:
+        number = {run: i * min(count, _MOST_FOLDS) // count for i, run in enumerate(sorted(set(owners)))}
+        for (a, b), run in zip(regression.series.edges, owners, strict=True):
+            rows[a:b] = number[run]
+    else:
+        rows[:] = np.arange(len(rows)) * _ONE_RUN_FOLDS // len(rows)
+    return regression.whitened_rows(rows)
+
+
+def score(regression: Regression, fold: Labels, block: Labels) -> Score:
+    """Score of a regression at its optimum.
+
+    Args:
+        regression: The regression.
+        fold: Fold of each whitened row.
+        block: Block of time of each whitened row.
+    """
+    white, x = regression.white, regression.slopes @ _free_basis(regression)
+    channels, _, r = x.shape
+    gram, pull = np.zeros((int(fold.max()) + 1, r, r)), np.zeros((int(fold.max()) + 1, r))
+    for f in range(len(gram)):
+        rows = fold == f
+        part = x[:, rows].reshape(-1, r)
+        gram[f], pull[f] = part.T @ part, part.T @ white[:, rows].reshape(-1)
+    total, rest = gram.sum(0), pull.sum(0)
+    out = white.copy()
+    for f in range(len(gram)):
+        rows = fold == f
+        if r:
+            step = np.linalg.lstsq(total - gram[f], rest - pull[f], rcond=1e-10)[0]
+            out[:, rows] -= x[:, rows] @ step
+    log_std = np.log([n.std for n in regression.noises])
+    each = -0.5 * np.square(out) - log_std[:, None]
+    blocks = np.bincount(block, weights=each.sum(0), minlength=int(block.max()) + 1)
+    fitted = float(-0.5 * np.square(white).sum() - log_std.sum() * white.shape[1])
+    return Score(blocks, fitted, r)
+
+
+def _free_basis(regression: Regression) -> Array:
+    """Directions that the data show, without parameters that stand at a bound."""
+    v = regression.vector
+    margin = 2e-6 * v.scale
+    held = (regression.theta <= v.low + margin) | (regression.theta >= v.high - margin)
+    basis = regression.shown.basis.copy()
+    if not held.any() or not basis.shape[1]:
+        return basis
+    # directions in the span of `basis` that do not move what is held
+    _, values, rows = np.linalg.svd((basis / v.scale[:, None])[held])
+    rank = int((values > 1e-9 * max(values[0], 1e-300)).sum())
+    return np.asarray(basis @ rows[rank:].T)
+
+
+def p_value(
+    regression: Regression, own: slice, sure: Spread, *, base: Score, this: Score
+) -> tuple[float, float]:
+    """Chance of so large a gain if the added parameters did nothing, and how uneven noise widened it.
+
+    The likelihood ratio is divided by what blocks of time say of its size beyond white noise (at least 1) and referred
+    to an F distribution with the degrees of freedom of those blocks.
+
+    Args:
+        regression: With the effect, at its optimum.
+        own: Columns of theta that the effect added.
+        sure: Covariance from blocks in the directions shown.
+        base: Score without the effect.
+        this: Score with it.
+    """
+    basis = regression.shown.basis[own]
+    count = max(this.free - base.free, 1)
+    flat = (regression.slopes @ regression.shown.basis).reshape(-1, regression.shown.rank)
+    model = np.linalg.pinv(flat.T @ flat)
+    robust, plain = np.diag(basis @ sure.covariance @ basis.T), np.diag(basis @ model @ basis.T)
+    live = plain > 1e-12 * max(float(plain.max()), 1e-300)
+    if not live.any():
+        return 1.0, 1.0
+    widened = max(1.0, float((robust[live] / plain[live]).mean()))
+    degrees = max(float(sure.degrees(basis)[live].min()), 1.0)
+    ratio = max(2.0 * (this.fitted - base.fitted), 0.0)
+    return float(fdtrc(count, degrees, ratio / widened / count)), widened

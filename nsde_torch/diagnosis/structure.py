@@ -1,0 +1,214 @@
+"""What the residual still depends on: tests against flexible functions of everything that was measured.
+
+For a channel with whitened residual w and a group of functions Z of one variable (cut free of what the parameters
+can do), the scores s_b = Z_b' w_b of B blocks of time have mean 0 if nothing is missing; then
+
+    T = S' V^-1 S (B - q) / (q (B - 1)) ~ F(q, B - q),      S = sum s_b,  V from their scatter
+
+(Hotelling, Annals of Mathematical Statistics 2 (1931)), whatever the noise inside a block looks like. The functions
+are taken at states foreseen from earlier steps, so that gusts and sensor noise are not in them.
+"""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import chdtrc, fdtrc
+
+from nsde_torch.learning.identify.identify import Regression
+
+Array = NDArray[np.float64]
+Labels = NDArray[np.int64]
+
+_HATS = 7
+_WAVES = 6
+
+
+@dataclass(frozen=True)
+class Dependence:
+    """How one channel depends on one variable.
+
+    Args:
+        channel: Name of the channel.
+        variable: Name of the variable ("time", "run" and "x * y" too).
+        p: Chance of this without any dependence, not corrected for the number of tests.
+        share: Share of the whitened variance that the functions explain, corrected for their number.
+        odd: Share of that by odd functions, the rest by even ones.
+        gain: Twice the log likelihood that the functions would bring.
+        functions: Number of functions.
+    """
+
+    channel: str
+    variable: str
+    p: float
+    share: float
+    odd: float
+    gain: float
+    functions: int
+
+
+def variables(regression: Regression) -> tuple[dict[str, Array], Array]:
+    """Variables that a residual may depend on, in the middle of each box (M,), and the time in the run (M,) [s].
+
+    States that are foreseen (positions and rates, of a quaternion what the system's features make of it), inputs,
+    and logged channels.
+    """
+    physics, system = regression.physics, regression.vector.system
+    z = physics.middle(regression.theta)
+    x = z[:, : system.nx]
+    columns: dict[str, Array] = {}
+    q = system.quaternion
+    features = system.residual_features(x).numpy()
+    names = [*system.feature_names]
+    names += [f"up_{'xyz'[i]}" for i in range(features.shape[1] - len(names))]
+    for i, name in enumerate(names):
+        columns[name] = features[:, i]
+    for i, name in enumerate(system.state_names):
+        inside = q is not None and q.start <= i < q.stop
+        seen = name in columns or (q is not None and name.startswith(("v_", "p_x", "p_y")))
+        if not (inside or seen):
+            columns[name] = x[:, i].numpy()
+    inputs = physics.steps.u.numpy()
+    labels = [*system.input_names, *system.exogenous]
+    mix = getattr(system, "mix", None)
+    if mix is not None:
+        columns |= dict(
+            zip(("collective", "roll", "pitch", "yaw"), (inputs[:, : len(mix)] @ mix.numpy()).T, strict=True)
+        )
+        inputs, labels = inputs[:, len(mix) :], labels[len(mix) :]
+    columns |= dict(zip(labels, inputs.T, strict=True))
+    single, box = regression.single, regression.box
+    columns = {k: single.summed(v[:, None], box)[:, 0] / box for k, v in columns.items() if v.std() > 1e-9}
+    starts = physics.steps.t.numpy()
+    return columns, single.summed(starts[:, None], box)[:, 0] / box
+
+
+def functions_of(v: Array) -> tuple[Array, NDArray[np.bool_]]:
+    """Odd and even functions and bumps of one standardised variable (M, q), and which of them are odd."""
+    centre, spread = np.median(v), max(float(np.quantile(v, 0.95) - np.quantile(v, 0.05)) / 2, 1e-12)
+    about_zero = v / spread if abs(centre) < spread else (v - centre) / spread
+    s = np.clip(about_zero, -3, 3)
+    edges = np.quantile(v, np.linspace(0.02, 0.98, _HATS))
+    edges = np.unique(edges)
+    columns = [s, s**3, np.tanh(5 * s), s**2, np.abs(s), s**4]
+    odd = [True, True, True, False, False, False]
+    if len(edges) > 3:
+        width = np.diff(edges)
+        for i in range(1, len(edges) - 1):
+            up, down = (v - edges[i - 1]) / width[i - 1], (edges[i + 1] - v) / width[i]
+            columns.append(np.clip(np.minimum(up, down), 0, 1))
+            odd.append(False)
+    return np.stack(columns, 1), np.array(odd)
+
+
+def groups(regression: Regression) -> Iterator[tuple[str, Array, NDArray[np.bool_]]]:
+    """Name, functions (M, q) per unit of time and whether each is odd, for every variable."""
+    columns, t = variables(regression)
+    for name, v in columns.items():
+        functions, odd = functions_of(v)
+        yield name, functions, odd
+    names = list(columns)
+    scaled = {k: (v - v.mean()) / max(float(v.std()), 1e-12) for k, v in columns.items()}
+    for i, a in enumerate(names):
+        others = [np.clip(scaled[a] * scaled[b], -6, 6) for b in names[i + 1 :]]
+        if others:
+            yield f"{a} times others", np.stack(others, 1), np.zeros(len(others), dtype=bool)
+    owners = np.empty(len(t), dtype=np.int64)
+    for (a, b), run in zip(regression.series.edges, regression.physics.steps.runs, strict=True):
+        owners[a:b] = run
+    phase = np.empty(len(t))
+    for run in np.unique(owners):
+        own = owners == run
+        phase[own] = (t[own] - t[own].min()) / max(float(np.ptp(t[own])), 1e-9)
+    waves = [phase - 0.5, *(np.cos(np.pi * k * phase) for k in range(1, _WAVES + 1))]
+    yield "time", np.stack(waves, 1), np.zeros(len(waves), dtype=bool)
+    runs = np.unique(owners)
+    if 1 < len(runs) <= 12:
+        yield "run", np.stack([(owners == run) * 1.0 for run in runs], 1), np.zeros(len(runs), dtype=bool)
+
+
+def dependences(regression: Regression, blocks: Labels) -> list[Dependence]:
+    """Every channel against every variable, the surest first.
+
+    Args:
+        regression: At its optimum.
+        blocks: Block of time of each row of `series`.
+    """
+    of_white = regression.whitened_rows(blocks)
+    count = int(of_white.max()) + 1
+    out = []
+    prepared = list(groups(regression))
+    for i, channel in enumerate(regression.rows):
+        noise, white = regression.noises[i], regression.white[i]
+        own = _orthonormal(regression.slopes[i])
+        for name, functions, odd in prepared:
+            z = noise.whiten(functions * regression.dt, regression.series)
+            z = z - own @ (own.T @ z)
+            z, kept = _independent(z)
+            if not z.shape[1]:
+                continue
+            q = z.shape[1]
+            pull = z.T @ white
+            gain = float(pull @ pull)
+            blockwise = np.stack(
+                [np.bincount(of_white, weights=z[:, k] * white, minlength=count) for k in range(q)], 1
+            )
+            p = max(float(chdtrc(q, gain)), _hotelling(blockwise))
+            squares = np.square(pull)
+            is_odd = odd[kept]
+            out.append(
+                Dependence(
+                    channel=regression.physics.names[channel],
+                    variable=name,
+                    p=p,
+                    share=max(gain - q, 0.0) / len(white),
+                    odd=float(squares[is_odd].sum() / max(gain, 1e-300)),
+                    gain=gain,
+                    functions=q,
+                )
+            )
+    return sorted(out, key=lambda d: d.p)
+
+
+def _hotelling(scores: Array) -> float:
+    """p value of the sum of scores (B, q) of blocks."""
+    count, q = scores.shape
+    if count < 2 * q + 4:
+        return 0.0  # too few blocks to say anything of their scatter
+    total = scores.sum(0)
+    centred = scores - scores.mean(0)
+    scatter = centred.T @ centred * (count / (count - 1))
+    t2 = float(total @ np.linalg.pinv(scatter, rcond=1e-10) @ total)
+    return float(fdtrc(q, count - q, t2 * (count - q) / (q * (count - 1))))
+
+
+def _orthonormal(x: Array) -> Array:
+    u, s, _ = np.linalg.svd(x, full_matrices=False)
+    return (
+        np.asarray(u[:, s > 1e-9 * max(float(s[0]), 1e-300)])
+        if len(s) and s[0] > 0
+        else np.zeros((len(x), 0))
+    )
+
+
+def _independent(z: Array) -> tuple[Array, NDArray[np.int64]]:
+    """Orthonormal columns in order (odd functions first keep their share), and which columns they came from."""
+    size = np.linalg.norm(z, axis=0)
+    kept: list[int] = []
+    basis = np.zeros((len(z), 0))
+    for k in range(z.shape[1]):
+        if not size[k] > 1e-9 * max(float(size.max()), 1e-300):
+            continue
+        rest = z[:, k] - basis @ (basis.T @ z[:, k])
+        rest = rest - basis @ (basis.T @ rest)
+        length = float(np.linalg.norm(rest))
+        if length > 0.03 * size[k]:
+            basis = np.column_stack((basis, rest / length))
+            kept.append(k)
+    return basis, np.array(kept, dtype=np.int64)
+
+
+def corrected(found: Sequence[Dependence]) -> list[float]:
+    """p values times the number of tests."""
+    return [min(1.0, d.p * len(found)) for d in found]

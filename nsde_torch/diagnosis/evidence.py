@@ -65,7 +65,7 @@ def score(regression: Regression, fold: Labels, block: Labels) -> Score:
         block: Block of time of each whitened row.
     """
     white, x = regression.white, regression.slopes @ _free_basis(regression)
-    channels, _, r = x.shape
+    r = x.shape[2]
     gram, pull = np.zeros((int(fold.max()) + 1, r, r)), np.zeros((int(fold.max()) + 1, r))
     for f in range(len(gram)):
         rows = fold == f
@@ -80,7 +80,7 @@ def score(regression: Regression, fold: Labels, block: Labels) -> Score:
             out[:, rows] -= x[:, rows] @ step
     log_std = np.log([n.std for n in regression.noises])
     each = -0.5 * np.square(out) - log_std[:, None]
-    blocks = np.bincount(block, weights=each.sum(0), minlength=int(block.max()) + 1)
+    blocks: Array = np.bincount(block, weights=each.sum(0), minlength=int(block.max()) + 1).astype(np.float64)
     fitted = float(-0.5 * np.square(white).sum() - log_std.sum() * white.shape[1])
     return Score(blocks, fitted, r)
 

@@ -110,10 +110,10 @@ def groups(regression: Regression) -> Iterator[tuple[str, Array, NDArray[np.bool
         yield name, functions, odd
     names = list(columns)
     scaled = {k: (v - v.mean()) / max(float(v.std()), 1e-12) for k, v in columns.items()}
-    for i, a in enumerate(names):
-        others = [np.clip(scaled[a] * scaled[b], -6, 6) for b in names[i + 1 :]]
+    for i, first in enumerate(names):
+        others = [np.clip(scaled[first] * scaled[second], -6, 6) for second in names[i + 1 :]]
         if others:
-            yield f"{a} times others", np.stack(others, 1), np.zeros(len(others), dtype=bool)
+            yield f"{first} times others", np.stack(others, 1), np.zeros(len(others), dtype=bool)
     owners = np.empty(len(t), dtype=np.int64)
     for (a, b), run in zip(regression.series.edges, regression.physics.steps.runs, strict=True):
         owners[a:b] = run

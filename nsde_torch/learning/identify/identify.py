@@ -52,6 +52,7 @@ class Regression:
         rows: Numbers of the channels to look at; None takes those that depend on a parameter.
         start: First theta; None takes the system's values.
         noises: Laws whose kind (order, c) is kept, one per channel of `rows`; None finds them.
+        origin: The system that `physics` is of, for those who want it with other values.
 
     Attributes:
         theta: Where the iteration stands.
@@ -68,8 +69,9 @@ class Regression:
         rows: NDArray[np.int64] | None = None,
         start: Array | None = None,
         noises: Sequence[Noise] | None = None,
+        origin: System | None = None,
     ) -> None:
-        self.physics, self.box = physics, box
+        self.physics, self.box, self.origin = physics, box, origin
         self.vector = physics.vector
         single = Series(physics.steps.segments)
         self.single, self.series = single, single.boxes(box)

@@ -75,14 +75,19 @@ class Physics:
         return self.measured - self._change(at, *self._memory(at)).numpy()
 
     @torch.no_grad()
-    def slopes(self, theta: Array) -> Array:
-        """Derivative of the predicted change in each parameter (N, nx, k), from what was known before the step."""
+    def slopes(self, theta: Array, which: slice = slice(None)) -> Array:
+        """Derivative of the predicted change in each parameter (N, nx, k), from what was known before the step.
+
+        Args:
+            theta: Where (k,).
+            which: Parameters to take.
+        """
         at = torch.as_tensor(theta)
         memory = self._memory(at)
         middle = self._foreseen(at, *memory)
         nx = self.vector.system.nx
         columns = []
-        for j in range(len(at)):
+        for j in range(len(at))[which]:
             direction, moving = torch.zeros_like(at), torch.zeros_like(middle)
             direction[j] = 1.0
             if memory and self.vector.moves_memory[j]:

@@ -6,35 +6,64 @@ from itertools import product
 import numpy as np
 from numpy.typing import NDArray
 
-from nsde_torch.effects import EFFECTS, Effect, Port, make_effect
+from nsde_torch.effects import Effect, Port, effect_class, effects_of, make_effect
+from nsde_torch.learning.identify.steps import Steps
 from nsde_torch.systems import System
 
 Array = NDArray[np.float64]
-Start = Mapping[str, float]
+Start = dict[str, float | list[float]]
+
+_QUANTILE = 0.95
 
 
 def candidate_names(system: System, exclude: Iterable[str] = ()) -> list[str]:
     """Names of the effects that could be missing from a system, whose channels the data have."""
     left_out = {*exclude, *system.effect_names}
-    ports = {*system.ports, Port.INPUT}
-    seen = set(system.exogenous)
     return sorted(
         name
-        for name, cls in EFFECTS.items()
-        if name not in left_out
-        and cls.port in ports
-        and cls.fits(system.name)
-        and cls.candidate(system.name)
-        and set(cls.exogenous) <= seen
-        and not left_out & set(cls.includes)
+        for name, cls in effects_of(system.name, {*system.ports, Port.INPUT}).items()
+        if name not in left_out and cls.candidate(system.name) and set(cls.exogenous) <= set(system.exogenous)
     )
 
 
 def make_candidate(name: str, system: System, start: Start) -> Effect:
     """An effect with these values, for a copy of the system."""
     return make_effect(
-        name, system=system.name, ports={*system.ports, Port.INPUT}, n_inputs=system.nu, values=dict(start)
+        name,
+        system=system.name,
+        ports={*system.ports, Port.INPUT},
+        n_inputs=system.nu,
+        values=inside(name, start),
     )
+
+
+def inside(name: str, start: Start) -> Start:
+    """Values moved off their bounds, where an effect does all but nothing."""
+    out: Start = {}
+    for key, value in start.items():
+        spec = effect_class(name).PARAMETERS[key]
+        margin = 1e-6 * (spec.scale or 1.0)
+        low = -np.inf if spec.low is None else spec.low + margin
+        high = np.inf if spec.high is None else spec.high - margin
+        out[key] = np.clip(value, low, high).tolist()
+    return out
+
+
+def sizes(steps: Steps, system: System) -> dict[str, float]:
+    """95 % quantiles of absolute values that starts are relative to: `input`, `speed`, `rate`, `position`."""
+
+    def size(columns: Sequence[int]) -> float:
+        values = np.abs(steps.x0[:, list(columns)].numpy())
+        return max(float(np.quantile(values, _QUANTILE)), 1e-9) if values.size else 1.0
+
+    names, units = list(system.state_names), list(system.state_units)
+    u = np.abs(steps.u[:, : system.nu].numpy())
+    return {
+        "input": max(float(np.quantile(u, _QUANTILE)), 1e-9) if u.size else 1.0,
+        "speed": size([i for i, unit in enumerate(units) if unit == "m/s"]),
+        "rate": size([i for i, unit in enumerate(units) if unit == "rad/s"]),
+        "position": size([names.index(p) for p, _, _ in system.position_derivatives][:1]),
+    }
 
 
 def starts(name: str, scales: Mapping[str, float], frequencies: Sequence[float]) -> list[Start]:
@@ -42,13 +71,23 @@ def starts(name: str, scales: Mapping[str, float], frequencies: Sequence[float])
 
     Args:
         name: Of the effect.
-        scales: Size of what a grid is relative to, by name ("input").
-        frequencies: Where the residual has spectral lines [Hz], for what oscillates.
+        scales: Sizes of the data (`sizes`).
+        frequencies: Where the residual has spectral lines [Hz].
     """
-    cls = EFFECTS[name]
-    scale = scales.get(cls.shape_scale, 1.0) if cls.shape_scale else 1.0
-    grids = {k: tuple(scale * v for v in values) for k, values in cls.shapes.items()}
-    if "frequency" in cls.PARAMETERS:
-        grids["frequency"] = tuple(frequencies)
-    points = product(*grids.values())
-    return [{**cls.null, **dict(zip(grids, point, strict=True))} for point in points]
+    cls = effect_class(name)
+    grids: dict[str, list[float | list[float]]] = {}
+    for key, values in cls.shapes.items():
+        relative = cls.relative.get(key)
+        if relative == "spectrum":
+            grids[key] = list(frequencies)
+        else:
+            scale = scales[relative] if relative else 1.0
+            grids[key] = [(scale * np.asarray(v)).tolist() for v in values]
+    return [{**cls.null, **dict(zip(grids, point, strict=True))} for point in product(*grids.values())]
+
+
+def alone(name: str, labels: Sequence[str]) -> list[tuple[str, ...]]:
+    """Which parameters of an effect to hold at nothing, a choice at a time: all but one where there is one per input."""
+    cls = effect_class(name)
+    each = [label for label in labels if cls.PARAMETERS[label.partition(".")[2].partition("[")[0]].per_input]
+    return [tuple(x for x in each if x != label) for label in each] or [()]

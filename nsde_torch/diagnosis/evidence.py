@@ -22,6 +22,7 @@ from nsde_torch.learning.identify.spread import Spread
 
 Array = NDArray[np.float64]
 Labels = NDArray[np.int64]
+Flags = NDArray[np.bool_]
 
 _ONE_RUN_FOLDS = 5
 _MOST_FOLDS = 10
@@ -32,8 +33,8 @@ class Score:
     """How well a regression does on rows that it was not fitted to.
 
     Args:
-        blocks: Log likelihood of each block of time with its fold left out (B,).
-        fitted: Log likelihood of all rows as fitted.
+        blocks: Log likelihood of each block of time with its fold left out (B,); `fitted`'s price is spread over them.
+        fitted: Log likelihood of all rows as fitted, less one for each parameter of the noise (Akaike).
         free: Number of parameters that the data show.
     """
 
@@ -56,15 +57,16 @@ def folds(regression: Regression) -> Labels:
     return regression.whitened_rows(rows)
 
 
-def score(regression: Regression, fold: Labels, block: Labels) -> Score:
+def score(regression: Regression, fold: Labels, block: Labels, *, still: Flags) -> Score:
     """Score of a regression at its optimum.
 
     Args:
         regression: The regression.
         fold: Fold of each whitened row.
         block: Block of time of each whitened row.
+        still: Parameters that folds take as all rows gave them (k,): shapes, in which steps are far from linear.
     """
-    white, x = regression.white, regression.slopes @ _free_basis(regression)
+    white, x = regression.white, regression.slopes @ _free_basis(regression, still)
     r = x.shape[2]
     gram, pull = np.zeros((int(fold.max()) + 1, r, r)), np.zeros((int(fold.max()) + 1, r))
     for f in range(len(gram)):
@@ -81,15 +83,17 @@ def score(regression: Regression, fold: Labels, block: Labels) -> Score:
     log_std = np.log([n.std for n in regression.noises])
     each = -0.5 * np.square(out) - log_std[:, None]
     blocks: Array = np.bincount(block, weights=each.sum(0), minlength=int(block.max()) + 1).astype(np.float64)
-    fitted = float(-0.5 * np.square(white).sum() - log_std.sum() * white.shape[1])
-    return Score(blocks, fitted, r)
+    price = sum(len(n.reflection) + (n.carry > 0) for n in regression.noises)
+    blocks -= price / len(blocks)
+    fitted = float(-0.5 * np.square(white).sum() - log_std.sum() * white.shape[1]) - price
+    return Score(blocks, fitted, regression.shown.rank)
 
 
-def _free_basis(regression: Regression) -> Array:
-    """Directions that the data show, without parameters that stand at a bound."""
+def _free_basis(regression: Regression, still: Flags) -> Array:
+    """Directions that the data show, without parameters that are still or stand at a bound."""
     v = regression.vector
     margin = 2e-6 * v.scale
-    held = (regression.theta <= v.low + margin) | (regression.theta >= v.high - margin)
+    held = still | (regression.theta <= v.low + margin) | (regression.theta >= v.high - margin)
     basis = regression.shown.basis.copy()
     if not held.any() or not basis.shape[1]:
         return basis
@@ -99,30 +103,28 @@ def _free_basis(regression: Regression) -> Array:
     return np.asarray(basis @ rows[rank:].T)
 
 
-def p_value(
-    regression: Regression, own: slice, sure: Spread, *, base: Score, this: Score
-) -> tuple[float, float]:
-    """Chance of so large a gain if the added parameters did nothing, and how uneven noise widened it.
+def p_value(regression: Regression, tested: Flags, sure: Spread, *, base: Score, this: Score) -> float:
+    """Chance of so large a gain if the added parameters did nothing.
 
     The likelihood ratio is divided by what blocks of time say of its size beyond white noise (at least 1) and referred
     to an F distribution with the degrees of freedom of those blocks.
 
     Args:
         regression: With the effect, at its optimum.
-        own: Columns of theta that the effect added.
+        tested: Parameters that the effect added and whose noise counts (k,): those that are nothing without it.
         sure: Covariance from blocks in the directions shown.
         base: Score without the effect.
         this: Score with it.
     """
-    basis = regression.shown.basis[own]
+    basis = regression.shown.basis[tested]
     count = max(this.free - base.free, 1)
     flat = (regression.slopes @ regression.shown.basis).reshape(-1, regression.shown.rank)
     model = np.linalg.pinv(flat.T @ flat)
     robust, plain = np.diag(basis @ sure.covariance @ basis.T), np.diag(basis @ model @ basis.T)
     live = plain > 1e-12 * max(float(plain.max()), 1e-300)
     if not live.any():
-        return 1.0, 1.0
+        return 1.0
     widened = max(1.0, float((robust[live] / plain[live]).mean()))
     degrees = max(float(sure.degrees(basis)[live].min()), 1.0)
     ratio = max(2.0 * (this.fitted - base.fitted), 0.0)
-    return float(fdtrc(count, degrees, ratio / widened / count)), widened
+    return float(fdtrc(count, degrees, ratio / widened / count))

@@ -16,12 +16,13 @@ from typing import final
 import numpy as np
 from numpy.typing import NDArray
 
-from nsde_torch.diagnosis.candidates import candidate_names, make_candidate, starts
+from nsde_torch.diagnosis.candidates import Start, alone, candidate_names, make_candidate, sizes, starts
 from nsde_torch.diagnosis.evidence import Score, folds, p_value, score
 from nsde_torch.diagnosis.spectrum import lines
-from nsde_torch.effects import EFFECTS, Effect
+from nsde_torch.effects import Effect, effect_class
 from nsde_torch.errors import NonFiniteError, NsdeError
 from nsde_torch.learning.identify.identify import Regression
+from nsde_torch.learning.identify.noise import Noise
 from nsde_torch.learning.identify.physics import Physics
 from nsde_torch.learning.identify.spread import Spread
 from nsde_torch.learning.identify.steps import Steps
@@ -52,6 +53,7 @@ class Trial:
         p: Chance of so large a gain if the effect did nothing, for one candidate.
         p_corrected: The same for all candidates of the round.
         sure: Covariance from blocks of time, in the directions shown.
+        held: Labels of parameters that were held at nothing.
     """
 
     name: str
@@ -64,6 +66,7 @@ class Trial:
     p: float
     p_corrected: float
     sure: Spread
+    held: tuple[str, ...] = ()
 
     @property
     def effect(self) -> Effect:
@@ -137,6 +140,18 @@ def with_values(regression: Regression, theta: Array) -> System:
     return out
 
 
+def shapes(regression: Regression) -> NDArray[np.bool_]:
+    """Parameters that say where or how fast an effect sets in, not how strong it is (k,)."""
+    out = np.zeros(len(regression.vector), dtype=bool)
+    amplitudes_of = {str(e.name): e.amplitudes for e in regression.vector.system.effects}
+    for j, label in enumerate(regression.vector.labels):
+        effect, dot, _ = label.partition(".")
+        if dot:
+            amplitudes = amplitudes_of[effect]
+            out[j] = bool(amplitudes) and _parameter(label) not in amplitudes
+    return out
+
+
 @final
 class Search:
     """Looks for effects that explain what a system leaves of the data.
@@ -160,6 +175,7 @@ class Search:
     ) -> None:
         self.steps, self.box, self.alpha = steps, box, alpha
         self.candidates, self.say = candidates, say
+        self.held: set[str] = set()
 
     def base(self, system: System) -> Base:
         """The regression of a system, with noise laws of its own."""
@@ -167,29 +183,35 @@ class Search:
         regression.run(_ITERATIONS)
         sure, single = regression.spread()
         fold, block = folds(regression), regression.whitened_rows(single)
-        return Base(system, regression, score(regression, fold, block), fold, block, single, sure)
+        own = score(regression, fold, block, still=shapes(regression))
+        return Base(system, regression, own, fold, block, single, sure)
 
     def look(self, base: Base, *, exclude: Sequence[str] = ()) -> Round:
-        """Fit and rank the candidates beside the physics of `base`."""
+        """Fit and rank the candidates beside the physics of `base`.
+
+        A candidate that contains an effect which was added before stands in for it.
+        """
         names = candidate_names(base.system, exclude)
         if self.candidates is not None:
             names = [n for n in names if n in self.candidates]
         out = Round(added=base.system.effect_names, trials=[], screened={})
-        peaks = lines(base.regression)
-        scales = {"input": _input_size(self.steps, base.system)}
-        best: dict[str, tuple[System, Array | None]] = {}
+        peaks, scales = lines(base.regression), sizes(self.steps, base.system)
+        best: dict[str, Start] = {}
+        where: dict[str, tuple[System, tuple[str, ...]]] = {}
         for i, name in enumerate(names):
             self.say("screening effects", i, len(names))
             for start in starts(name, scales, peaks):
-                try:
-                    system = base.system.with_effects(make_candidate(name, base.system, start))
-                    gain = self._screen(base, system, name)
-                except (NsdeError, np.linalg.LinAlgError) as error:
-                    out.failed[name] = str(error)
-                    continue
-                if name not in out.screened or gain > out.screened[name]:
-                    out.screened[name], best[name] = gain, (system, None)
-        order = sorted(best, key=lambda n: -out.screened[n])
+                system = self._joined(base.system, name, start)
+                labels = [x for x in ParameterVector(system).labels if x.startswith(f"{name}.")]
+                for held in alone(name, labels):
+                    try:
+                        gain = self._screen(base, system, name, held)
+                    except (NsdeError, np.linalg.LinAlgError) as error:
+                        out.failed[name] = str(error)
+                        continue
+                    if name not in out.screened or gain > out.screened[name]:
+                        out.screened[name], where[name], best[name] = gain, (system, held), start
+        order = sorted(where, key=lambda n: -out.screened[n])
         most = out.screened[order[0]] if order else 0.0
         kept = [
             n
@@ -198,21 +220,53 @@ class Search:
         ]
         for i, name in enumerate(kept):
             self.say("fitting effects", i, len(kept))
+            system, held = where[name]
             try:
-                out.trials.append(self.trial(base, best[name][0], name, among=max(len(names), 1)))
+                out.trials.append(self.trial(base, system, name, among=max(len(names), 1), held=held))
             except (NsdeError, np.linalg.LinAlgError) as error:
                 out.failed[name] = str(error)
         out.trials.sort(key=lambda t: -t.rank_score)
         return out
 
-    def trial(self, base: Base, system: System, name: str, *, among: int) -> Trial:
-        """Fit a candidate beside the physics of `base`, with noise laws of the same kind."""
-        regression = self._regression(system, base)
+    def _joined(self, system: System, name: str, start: Start) -> System:
+        """The system with a candidate, without what the candidate contains."""
+        contained = set(effect_class(name).includes) & set(system.effect_names)
+        if contained:
+            system = system.without_effects(*contained)
+        return system.with_effects(make_candidate(name, system, start))
+
+    def trial(
+        self,
+        base: Base,
+        system: System,
+        name: str,
+        *,
+        among: int,
+        held: tuple[str, ...] = (),
+        own_noise: bool = True,
+    ) -> Trial:
+        """Fit a candidate beside the physics of `base`.
+
+        Noise laws are of the kind that `base` has, or of their own kind if that is better: a law that had to stand
+        for the effect has more orders than the noise alone.
+        """
+        regression = self._regression(system, base, held=held)
         regression.run(_REFINE)
+        still = shapes(regression)
+        this = score(regression, base.fold, base.block, still=still)
+        for orders in (None, 0) if own_noise else ():
+            other = self._regression(system, base, regression.theta, regression.own_noises(orders), held)
+            other.run(_REFINE)
+            again = score(other, base.fold, base.block, still=still)
+            if again.fitted > this.fitted:
+                regression, this = other, again
         sure, _ = regression.spread()
-        this = score(regression, base.fold, base.block)
-        own = slice(len(base.regression.vector), len(regression.vector))
-        p, _ = p_value(regression, own, sure, base=base.score, this=this)
+        labels = regression.vector.labels
+        mine = [j for j, label in enumerate(labels) if label.startswith(f"{name}.")]
+        own = slice(mine[0], mine[-1] + 1)
+        tested = ~still
+        tested[[j for j in range(len(labels)) if j not in mine]] = False
+        p = p_value(regression, tested, sure, base=base.score, this=this)
         difference = this.blocks - base.score.blocks
         price = 0.5 * (this.free - base.score.free) * log(len(difference))
         return Trial(
@@ -226,6 +280,7 @@ class Search:
             p=p,
             p_corrected=min(1.0, p * among),
             sure=sure,
+            held=held,
         )
 
     def accept(self, trial: Trial) -> bool:
@@ -234,56 +289,63 @@ class Search:
 
     # ---- pieces ---------------------------------------------------------------------------------------
 
-    def _regression(self, system: System, base: Base | None = None) -> Regression:
+    def _regression(
+        self,
+        system: System,
+        base: Base | None = None,
+        start: Array | None = None,
+        noises: Sequence[Noise] | None = None,
+        held: Sequence[str] = (),
+    ) -> Regression:
         vector = ParameterVector(system)
         physics = Physics(vector, self.steps, curved=system.sensor_noise)
-        rows = dynamic_rows(system)
+        rows, still = dynamic_rows(system), {*held, *self.held}
         if base is None:
-            return Regression(physics, box=self.box, rows=rows, origin=system)
-        before = base.regression
-        physics.sensor_std = before.physics.sensor_std
-        start = vector.start.copy()
-        start[: len(before.theta)] = before.theta
-        return Regression(physics, box=self.box, rows=rows, start=start, noises=before.noises, origin=system)
+            return Regression(physics, box=self.box, rows=rows, origin=system, held=still)
+        physics.sensor_std = base.regression.physics.sensor_std
+        laws = base.regression.noises if noises is None else noises
+        first = _carried(vector, base.regression) if start is None else start
+        return Regression(
+            physics, box=self.box, rows=rows, start=first, noises=laws, origin=system, held=still
+        )
 
-    def _screen(self, base: Base, system: System, name: str) -> float:
+    def _screen(self, base: Base, system: System, name: str, held: Sequence[str]) -> float:
         """Twice the log likelihood that one linearised step from the start of a candidate gains."""
         before = base.regression
         vector = ParameterVector(system)
         physics = Physics(vector, self.steps, curved=False)
-        k = len(before.vector)
-        theta = vector.inside(np.concatenate((before.theta, vector.start[k:])))
-        cls = EFFECTS[name]
-        amplitudes = [
-            j for j, label in enumerate(vector.labels[k:], k) if _parameter(label) in cls.amplitudes
+        theta = vector.inside(_carried(vector, before))
+        cls = effect_class(name)
+        mine = [j for j, label in enumerate(vector.labels) if label.startswith(f"{name}.")]
+        moved = [
+            j for j in mine if _parameter(vector.labels[j]) in cls.amplitudes and vector.labels[j] not in held
         ]
-        if amplitudes and not vector.moves_memory[amplitudes].any():
-            slopes = np.concatenate([physics.slopes(theta, slice(j, j + 1)) for j in amplitudes], 2)
+        beside = len(vector) == len(before.vector) + len(mine)
+        old = before.slopes.reshape(-1, len(before.vector)) @ before.shown.basis
+        whole = before.white.reshape(-1)
+        residual = whole
+        if beside and moved and not vector.moves_memory[moved].any():
+            slopes = np.concatenate([physics.slopes(theta, slice(j, j + 1)) for j in moved], 2)
             new = self._whitened(before, slopes)
-            residual = before.white.reshape(-1)
-            old = before.slopes.reshape(-1, k)
         else:
             physics.sensor_std = before.physics.sensor_std
             physics.curved = system.sensor_noise
             change = before.single.summed(physics.residual(theta), self.box)
             if not np.isfinite(change[:, before.rows]).all():
                 raise NonFiniteError(f"{name} is not finite at its start.")
-            pairs = list(zip(before.noises, before.rows, strict=True))
+            pairs = zip(before.noises, before.rows, strict=True)
             residual = np.stack([n.whiten(change[:, [c]], before.series)[:, 0] for n, c in pairs]).reshape(-1)
-            both = self._whitened(before, physics.slopes(theta))
-            old, new = both[:, :k], both[:, k:]
-        basis, _ = np.linalg.qr(old @ before.shown.basis)
-        new = new - basis @ (basis.T @ new)
-        rest = residual - basis @ (basis.T @ residual)
-        whole = before.white.reshape(-1)
-        own = whole - (q := np.linalg.qr(before.slopes.reshape(-1, k) @ before.shown.basis)[0]) @ (
-            q.T @ whole
-        )
+            new = self._whitened(before, physics.slopes(theta))
+            new = new[:, [j for j in range(len(vector)) if vector.labels[j] not in {*held, *self.held}]]
+        basis = np.linalg.qr(old)[0]
+        before_left = whole - basis @ (basis.T @ whole)
+        if beside:
+            residual = residual - basis @ (basis.T @ residual)
+            new = new - basis @ (basis.T @ new)
         size = np.linalg.norm(new, axis=0)
         new = new / np.maximum(size, 1e-300)
-        step = np.linalg.lstsq(new, rest, rcond=1e-6)[0]
-        rest = rest - new @ step
-        return float(own @ own - rest @ rest)
+        rest = residual - new @ np.linalg.lstsq(new, residual, rcond=1e-6)[0]
+        return float(before_left @ before_left - rest @ rest)
 
     def _whitened(self, before: Regression, slopes: Array) -> Array:
         """Slopes over steps as whitened columns (rows * N, q)."""
@@ -296,6 +358,9 @@ def _parameter(label: str) -> str:
     return label.partition(".")[2].partition("[")[0]
 
 
-def _input_size(steps: Steps, system: System) -> float:
-    u = steps.u[:, : system.nu].abs().numpy()
-    return max(float(np.quantile(u, 0.98)), 1e-6) if u.size else 1.0
+def _carried(vector: ParameterVector, before: Regression) -> Array:
+    """First values: those of a regression where it has the parameter, else the system's."""
+    known = dict(zip(before.vector.labels, before.theta.tolist(), strict=True))
+    return np.array(
+        [known.get(label, v) for label, v in zip(vector.labels, vector.start.tolist(), strict=True)]
+    )

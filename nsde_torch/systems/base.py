@@ -165,6 +165,13 @@ class System(Parametrised, ABC):
         out._parts = (out.nx, *(int(e.n_memory) for e in out.effects))  # type: ignore[arg-type]
         return out
 
+    def without_effects(self, *names: str) -> "System":
+        """A copy of the machine, with its present values, without some of its effects."""
+        out = copy.deepcopy(self)
+        out.effects = nn.ModuleList(e for e in out.effects if e.name not in names)
+        out._parts = (out.nx, *(int(e.n_memory) for e in out.effects))  # type: ignore[arg-type]
+        return out
+
     @property
     def nx(self) -> int:
         """Number of states."""

@@ -11,7 +11,7 @@ step per law is exact; where it is not these are Gauss-Newton steps, halved whil
 (`spread`) counts that P was fitted too: where an input reacts to noise, theta and P are not independent.
 """
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import replace
 from typing import final
 
@@ -53,6 +53,7 @@ class Regression:
         start: First theta; None takes the system's values.
         noises: Laws whose kind (order, c) is kept, one per channel of `rows`; None finds them.
         origin: The system that `physics` is of, for those who want it with other values.
+        held: Labels of parameters that stay where they start.
 
     Attributes:
         theta: Where the iteration stands.
@@ -70,8 +71,10 @@ class Regression:
         start: Array | None = None,
         noises: Sequence[Noise] | None = None,
         origin: System | None = None,
+        held: Collection[str] = (),
     ) -> None:
         self.physics, self.box, self.origin = physics, box, origin
+        self._held = np.array([label in held for label in physics.vector.labels])
         self.vector = physics.vector
         single = Series(physics.steps.segments)
         self.single, self.series = single, single.boxes(box)
@@ -113,6 +116,7 @@ class Regression:
 
     def _relinearise(self) -> None:
         self.jacobian = self.single.summed(self.physics.slopes(self.theta), self.box)
+        self.jacobian[..., self._held] = 0.0
 
     def _limits(self) -> Array:
         """Largest c of each channel: sensor noise reaches a rate through every state that it depends on."""
@@ -202,6 +206,14 @@ class Regression:
         blocks = self.series.blocks(rows)
         of_white = self.whitened_rows(blocks)
         return spread(np.stack(purged), self.white, of_white, used), blocks
+
+    def own_noises(self, orders: int | None = None) -> list[Noise]:
+        """Laws of the noise of the residuals at theta, of whatever kind suits them, up to some order."""
+        limits = self._limits()
+        most = self.orders if orders is None else orders
+        return [
+            estimate(self.residual[:, c], self.series, limit=float(limits[c]), orders=most) for c in self.rows
+        ]
 
     def whitened_rows(self, labels: NDArray[np.int64]) -> NDArray[np.int64]:
         """Labels of the rows of `white` from those of the rows of `series`."""

@@ -1,0 +1,208 @@
+"""Look, add, look again: the loop from a declared model to one whose residual is noise, and what it concludes.
+
+An effect that was added first may have stood in for two that came later: at the end each is left out in turn, dropped
+if it is no longer needed, and compared with every other candidate in its place. Candidates whose evidence differs
+from the chosen one's by less than two standard errors are a tie.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Literal
+
+import numpy as np
+from scipy.special import stdtrit
+
+from nsde_torch.diagnosis.search import Base, Round, Search, Trial, fitted_system
+from nsde_torch.diagnosis.structure import Dependence, dependences
+from nsde_torch.effects import effect_class
+from nsde_torch.systems import System
+
+Verdict = Literal["no_effect", "effect_found", "unexplained"]
+
+_NATS = 3.0  # evidence below which two candidates are alike whatever their scatter
+_SURE = 2.0  # standard errors
+_LEAD = 0.1  # of what the effects explain: structure beyond that makes them leads
+_SHOWS = 0.9  # level of intervals
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """A parameter of an effect with its interval.
+
+    Args:
+        name: `effect.parameter`, with an index where there are axes.
+        value: Estimate.
+        low, high: 90 % interval, inside the bounds; None where the data do not show it.
+        unit: Unit of all.
+    """
+
+    name: str
+    value: float
+    low: float | None
+    high: float | None
+    unit: str
+
+
+@dataclass(frozen=True)
+class Found:
+    """An effect that was added.
+
+    Args:
+        name: Of the effect.
+        trial: Its fit, with all other effects that were added present.
+        ties: Effects that explain the data as well in its place.
+        lead: Whether the residual still has structure that it should have explained.
+    """
+
+    name: str
+    trial: Trial
+    ties: tuple[str, ...]
+    lead: bool = False
+
+
+@dataclass
+class Outcome:
+    """What the loop concluded.
+
+    Args:
+        verdict: `no_effect`, `effect_found` or `unexplained`.
+        declared: The declared physics, fitted.
+        final: The physics with everything that was added, fitted.
+        found: Effects, in the order in which they were added.
+        rounds: Every look at the catalogue.
+        before, after: What the residual depends on without and with the effects, all tests.
+        structured: The tests that are left over after correction for their number.
+    """
+
+    verdict: Verdict
+    declared: Base
+    final: Base
+    found: list[Found]
+    rounds: list[Round]
+    before: list[Dependence]
+    after: list[Dependence]
+    structured: list[Dependence] = field(default_factory=list)
+
+    @property
+    def system(self) -> System:
+        """The physics with everything that was added and its fitted values."""
+        return fitted_system(self.final.regression)
+
+
+def loop(search: Search, system: System, *, max_effects: int) -> Outcome:
+    """Add effects until none helps.
+
+    Args:
+        search: Data and settings.
+        system: Declared physics.
+        max_effects: Most effects to add.
+    """
+    search.say("fitting the declared physics", 0, 1)
+    declared = base = search.base(system)
+    before = dependences(base.regression, base.single)
+    rounds: list[Round] = []
+    names: list[str] = []
+    while len(names) < max_effects:
+        now = search.look(base)
+        rounds.append(now)
+        now.chosen = next((t for t in now.trials if search.accept(t)), None)
+        if now.chosen is None:
+            break
+        replaced = effect_class(now.chosen.name).includes
+        names = [*(n for n in names if n not in replaced), now.chosen.name]
+        search.held |= set(now.chosen.held)
+        base = search.base(fitted_system(now.chosen.regression))
+    found, base = _settle(search, declared, base, names, rounds)
+    after = dependences(base.regression, base.single) if found else before
+    left = [d for d in after if d.p * len(after) < search.alpha]
+    explained = 2.0 * (base.score.fitted - declared.score.fitted)
+    rest = max((d.gain - d.functions for d in left), default=0.0)
+    if not found:
+        verdict: Verdict = "unexplained" if left else "no_effect"
+    else:
+        verdict = "unexplained" if rest > explained else "effect_found"
+    if rest > _LEAD * explained:
+        found = [Found(f.name, f.trial, f.ties, lead=True) for f in found]
+    return Outcome(verdict, declared, base, found, rounds, before, after, left)
+
+
+def _settle(
+    search: Search, declared: Base, base: Base, names: list[str], rounds: list[Round]
+) -> tuple[list[Found], Base]:
+    """Look at each effect again with the others present; returns them and the physics with those that stay."""
+    if not names:
+        return [], base
+    if len(names) == 1 and rounds[0].chosen is not None and rounds[0].chosen.name == names[0]:
+        trials = rounds[0].trials
+        chosen = next(t for t in trials if t.name == names[0])
+        return [Found(chosen.name, chosen, ties_of(search, chosen, trials))], base
+    found: list[Found] = []
+    i = 0
+    while i < len(names):
+        name = names[i]
+        others = [n for n in names if n != name]
+        without = search.base(_only(base.system, declared.system, others))
+        now = search.look(without)
+        own = next((t for t in now.trials if t.name == name), None)
+        if own is None or not search.accept(own):
+            names.pop(i)  # the others explain it
+            base, found, i = without, [], 0
+            continue
+        best = next(t for t in now.trials if search.accept(t))
+        if best.name != name and _apart(best, own):
+            names[i] = best.name
+            base, found, i = search.base(fitted_system(best.regression)), [], 0
+            if names.count(best.name) > 1 or len(rounds) > 12:
+                break
+            rounds.append(now)
+            continue
+        found.append(Found(name, own, ties_of(search, own, now.trials)))
+        i += 1
+    return found, base
+
+
+def _only(system: System, declared: System, names: Sequence[str]) -> System:
+    """The declared physics with some of the effects that `system` has beyond it, at their values."""
+    kept = [e for e in system.effects if e.name in names]
+    return declared.with_effects(*kept)  # type: ignore[arg-type]
+
+
+def _apart(better: Trial, worse: Trial) -> bool:
+    """Whether the evidence for one candidate is surely above that for another."""
+    difference = better.score.blocks - worse.score.blocks
+    error = float(difference.std(ddof=1)) * len(difference) ** 0.5
+    return float(difference.sum()) > max(_NATS, _SURE * error)
+
+
+def ties_of(search: Search, chosen: Trial, trials: Sequence[Trial]) -> tuple[str, ...]:
+    """Names of candidates that explain the data as well as the chosen one; what contains it is none."""
+    out = []
+    for t in trials:
+        contains = chosen.name in effect_class(t.name).includes
+        if t.name != chosen.name and not contains and search.accept(t) and not _apart(chosen, t):
+            out.append(t.name)
+    return tuple(out)
+
+
+def estimates(trial: Trial) -> list[Estimate]:
+    """Parameters of an effect with 90 % intervals from blocks of time."""
+    regression, sure = trial.regression, trial.sure
+    v, basis = regression.vector, regression.shown.basis
+    error = np.sqrt(np.clip(np.diag(basis @ sure.covariance @ basis.T), 0.0, None))
+    degrees = sure.degrees(basis)
+    out = []
+    for j in range(len(v))[trial.own]:
+        low = high = None
+        if regression.shown.known[j]:
+            half = float(stdtrit(max(degrees[j], 1.0), 0.5 * (1 + _SHOWS)) * error[j])
+            low, high = max(regression.theta[j] - half, v.low[j]), min(regression.theta[j] + half, v.high[j])
+        out.append(
+            Estimate(
+                v.labels[j],
+                float(regression.theta[j]),
+                None if low is None else float(low),
+                None if high is None else float(high),
+                v.units[j],
+            )
+        )
+    return out

@@ -1,56 +1,31 @@
-"""The catalogue of effects: physical terms that a system can be given by name."""
+"""The catalogue of effects: physical terms that a system can be given by name.
 
-from collections.abc import Collection, Mapping
-from difflib import get_close_matches
+An effect of your own is a class in a file of yours, named `module:Class` wherever a name of the catalogue can stand
+(`system.effects=[my_effects:Cogging]`, `plant.effects=[...]`):
+
+    class Cogging(Effect):
+        name = "cogging"
+        port = Port.FORCE
+        formula = "-c sin(2 pi q / p)"
+        source = "teeth of a linear motor"
+        PARAMETERS = {"size": Parameter(0.0, "m/s2", scale=0.1, help="largest force over mass"),
+                      "pitch": Parameter(0.05, "m", low=0.0, help="distance of the teeth")}
+        null, amplitudes, shapes = {"size": 0.0}, ("size",), {"pitch": (0.02, 0.05, 0.1)}
+
+        def forward(self, t, x, u, memory):
+            return -self.value("size") * torch.sin(2 * torch.pi * x[:, :1] / self.value("pitch"))
+"""
 
 from nsde_torch.effects.base import Effect, Parameter, Parametrised, Port
-from nsde_torch.effects.generic import ConstantForce, CoulombFriction, LinearSpring, ViscousFriction
-from nsde_torch.effects.multirotor import AngularDamping, LinearDrag, MotorLag, QuadraticDrag
-from nsde_torch.errors import ConfigError
+from nsde_torch.effects.registry import EFFECTS, effect_class, effects_of, make_effect
 
-EFFECTS: dict[str, type[Effect]] = {
-    cls.name: cls
-    for cls in (
-        AngularDamping,
-        ConstantForce,
-        CoulombFriction,
-        LinearDrag,
-        LinearSpring,
-        MotorLag,
-        QuadraticDrag,
-        ViscousFriction,
-    )
-}
-
-
-def make_effect(
-    name: str,
-    *,
-    system: str,
-    ports: Collection[Port],
-    n_inputs: int,
-    values: Mapping[str, float | list[float]] | None = None,
-) -> Effect:
-    """Make an effect of the catalogue by name.
-
-    Args:
-        name: Key in `EFFECTS`.
-        system: Name of the system that it will act on, for the message.
-        ports: Ports of that system.
-        n_inputs: Number of inputs of that system.
-        values: Initial values of its parameters.
-
-    Raises:
-        ConfigError: unknown name, or an effect whose port the system lacks; lists the choices.
-    """
-    known = sorted(k for k, c in EFFECTS.items() if c.port in ports and c.fits(system))
-    if name not in known:
-        near = get_close_matches(name, known, 1)
-        hint = f" Did you mean {near[0]!r}?" if near else ""
-        what = f"does not act on system {system!r}" if name in EFFECTS else "is not in the catalogue"
-        raise ConfigError(f"effect {name!r} {what}; choose among: {', '.join(known) or 'none'}.{hint}")
-    cls = EFFECTS[name]
-    return MotorLag(values, n_inputs=n_inputs) if cls is MotorLag else cls(values)
-
-
-__all__ = ["EFFECTS", "Effect", "Parameter", "Parametrised", "Port", "make_effect"]
+__all__ = [
+    "EFFECTS",
+    "Effect",
+    "Parameter",
+    "Parametrised",
+    "Port",
+    "effect_class",
+    "effects_of",
+    "make_effect",
+]

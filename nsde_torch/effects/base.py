@@ -3,12 +3,17 @@
 An effect returns what it adds at its port: mass-normalised force [m/s2], inertia-normalised torque [rad/s2],
 or, on the port `input`, a change of the input. An effect with memory (a lag) carries `n_memory` states m with
 dm/dt = memory_rate(t, x, u, m).
+
+Effects on the input act one after another, in the order of their `stage`: delay, then what limits a command, then
+lag, then what changes the strength. Effects on the other ports see the input that comes out of it.
 """
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, replace
 from enum import Enum
+from itertools import product
+from math import inf
 from typing import ClassVar
 
 import torch
@@ -40,6 +45,7 @@ class Parameter:
         high: Upper bound, or None.
         scale: Size of a typical change; sets the speed of learning (default: |initial|, at least 0.1).
         help: What it is, one line.
+        per_input: One number per input of the system; `initial` is then that of each.
     """
 
     initial: float | tuple[float, ...]
@@ -48,6 +54,7 @@ class Parameter:
     high: float | None = None
     scale: float | None = None
     help: str = ""
+    per_input: bool = False
 
 
 class Parametrised(nn.Module):
@@ -136,6 +143,13 @@ def _scale(spec: Parameter) -> float:
     return max(*(abs(v) for v in initial), 0.1)
 
 
+def _widened(spec: Parameter, n_inputs: int) -> Parameter:
+    """The parameter with one value per input, where it is one per input."""
+    if not spec.per_input or isinstance(spec.initial, tuple):
+        return spec
+    return replace(spec, initial=(spec.initial,) * n_inputs)
+
+
 def _inverse_softplus(y: Tensor) -> Tensor:
     return y + torch.log(-torch.expm1(-y))
 
@@ -148,9 +162,26 @@ class Effect(Parametrised, ABC):
         port: Where it enters.
         formula: The term, in words that fit on one line.
         source: Where it comes from.
-        systems: Names of the systems that it is for; empty: every system with the port.
-        n_memory: Extra states that it carries.
+        systems: Names of the systems that it is for; empty: every system with the ports.
+        needs, excludes: Ports that a system must have, or must not have, beside `port`.
+        stage: On the port `input`: effects of a lower stage act first.
         exogenous: Logged columns that it reads beside the inputs.
+        quantities: What it reads of the system's own working, name -> columns (see `System.quantities`).
+        null: Values at which it adds nothing (a bound may stand for "arbitrarily close to"). Parameters left out
+            are without effect at these values.
+        amplitudes: Parameters of `null` that the term is linear in.
+        shapes: First values to try for parameters that it is not linear in; a vector parameter takes one number for
+            all axes or a tuple.
+        relative: Parameters whose `shapes` are multiples of a size of the data: `input`, `speed`, `rate` or
+            `position` (95 % quantile of the absolute value that the effect sees), or `spectrum` (frequencies are
+            taken from the data, `shapes` has none).
+        includes: Simpler effects that it contains as special cases; it stands in for them, not beside them.
+        sentence: What it means, for who runs the machine; {parameter} stands for a value with its unit.
+        separate: The experiment that would tell it apart from its likes.
+
+    Args:
+        values: First values of parameters.
+        n_inputs: Number of inputs of the system, for effects with memory or parameters per input.
     """
 
     name: ClassVar[str]
@@ -158,12 +189,79 @@ class Effect(Parametrised, ABC):
     formula: ClassVar[str]
     source: ClassVar[str]
     systems: ClassVar[tuple[str, ...]] = ()
+    needs: ClassVar[tuple[Port, ...]] = ()
+    excludes: ClassVar[tuple[Port, ...]] = ()
+    stage: ClassVar[int] = 3
     exogenous: ClassVar[tuple[str, ...]] = ()
+    quantities: ClassVar[Mapping[str, int]] = {}
+    null: ClassVar[Mapping[str, float]] = {}
+    amplitudes: ClassVar[tuple[str, ...]] = ()
+    shapes: ClassVar[Mapping[str, tuple[float | tuple[float, ...], ...]]] = {}
+    relative: ClassVar[Mapping[str, str]] = {}
+    includes: ClassVar[tuple[str, ...]] = ()
+    sentence: ClassVar[str] = ""
+    separate: ClassVar[str] = ""
+
+    def __init__(self, values: Mapping[str, float | list[float]] | None = None, *, n_inputs: int = 1) -> None:
+        self.n_inputs = n_inputs
+        self.PARAMETERS = {k: _widened(p, n_inputs) for k, p in self.PARAMETERS.items()}  # type: ignore[misc]
+        super().__init__(values)
 
     @classmethod
-    def fits(cls, system: str) -> bool:
-        """Whether the effect is meant for a system of this name."""
-        return not cls.systems or system in cls.systems
+    def fits(cls, system: str, ports: Collection[Port]) -> bool:
+        """Whether the effect is meant for a system of this name and these ports (`input` included)."""
+        named = not cls.systems or system in cls.systems
+        return named and {cls.port, *cls.needs} <= set(ports) and not set(cls.excludes) & set(ports)
+
+    @classmethod
+    def candidate(cls, system: str) -> bool:
+        """Whether a diagnosis of this system should try it: not where another effect is the same term."""
+        return True
+
+    @classmethod
+    def starts(
+        cls, sizes: Mapping[str, float], frequencies: Sequence[float] = ()
+    ) -> list[dict[str, float | list[float]]]:
+        """Values to start a fit from: no effect, at every point of the grid of `shapes`; strictly inside the bounds.
+
+        Args:
+            sizes: Sizes of the data that `relative` may ask for, in their units.
+            frequencies: Where the residual has lines in its spectrum [Hz], for parameters relative to `spectrum`.
+
+        Raises:
+            KeyError: a size that is asked for is not given.
+        """
+        grids: list[list[float | tuple[float, ...]]] = []
+        for name, values in cls.shapes.items():
+            kind = cls.relative.get(name)
+            size = 1.0 if kind in (None, "spectrum") else sizes[str(kind)]
+            own = tuple(frequencies) if kind == "spectrum" else values
+            grids.append([tuple(size * w for w in v) if isinstance(v, tuple) else size * v for v in own])
+        points = product(*grids)
+        return [cls._inside({**cls.null, **dict(zip(cls.shapes, point, strict=True))}) for point in points]
+
+    @classmethod
+    def _inside(cls, values: Mapping[str, float | tuple[float, ...]]) -> dict[str, float | list[float]]:
+        """Values moved strictly inside their bounds, by a millionth of their scale at least."""
+        out: dict[str, float | list[float]] = {}
+        for name, value in values.items():
+            spec = cls.PARAMETERS[name]
+            margin = 1e-6 * _scale(spec)
+            low = -inf if spec.low is None else spec.low + margin
+            high = inf if spec.high is None else spec.high - margin
+            row = [min(max(v, low), high) for v in (value if isinstance(value, tuple) else (value,))]
+            out[name] = row if len(row) > 1 else row[0]
+        return out
+
+    def channel(self, name: str, u: Tensor) -> Tensor:
+        """A column (N, 1) of `exogenous`, or the columns (N, k) of one of `quantities`, from `u` of `forward`."""
+        widths = {**dict.fromkeys(self.exogenous, 1), **self.quantities}
+        start = u.shape[1] - sum(widths.values())
+        for key, width in widths.items():
+            if key == name:
+                return u[:, start : start + width]
+            start += width
+        raise KeyError(name)
 
     @property
     def n_memory(self) -> int:
@@ -177,7 +275,8 @@ class Effect(Parametrised, ABC):
         Args:
             t: Time [s].
             x: State (N, nx).
-            u: Inputs as commanded (N, nu).
+            u: Inputs (N, nu + ...): as they reach this effect on the port `input`, as they act on the other ports; then
+                a column for each of `exogenous` and the columns of `quantities` (see `channel`).
             memory: Extra states of this effect (N, n_memory).
 
         Returns:
@@ -191,3 +290,8 @@ class Effect(Parametrised, ABC):
     def memory_start(self, x: Tensor, u: Tensor) -> Tensor:
         """Extra states at the start of a rollout (N, n_memory): the stationary ones under `u`."""
         return x[:, :0]
+
+
+def elapsed(t: float | Tensor, x: Tensor) -> float | Tensor:
+    """Time [s] as a number or a column (N, 1) or (1, 1) that multiplies rows of `x`; its precision is kept."""
+    return t.reshape(-1, 1).to(x.device) if isinstance(t, Tensor) else t

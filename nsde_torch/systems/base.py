@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from nsde_torch.columns import join_columns, split_columns
-from nsde_torch.effects import Effect, Parametrised, Port, make_effect
+from nsde_torch.effects import Effect, Parametrised, Port, effect_class, make_effect
 from nsde_torch.errors import ConfigError, ShapeError
 
 
@@ -87,6 +87,7 @@ class System(Parametrised, ABC):
         error_names: Names of the error channels.
         error_groups: How they are reported.
         feature_names, feature_units: Columns of `features`.
+        quantities: What effects on force ports may read beside state and input, name -> columns.
         disturbed_ports: Ports on which a lasting disturbance is carried (gusts).
         sensor_noise: Whether the state is measured with noise that a model should learn.
         quaternion: Columns of the unit quaternion, or None.
@@ -111,6 +112,7 @@ class System(Parametrised, ABC):
     feature_names: ClassVar[tuple[str, ...]]
     feature_units: ClassVar[tuple[str, ...]]
     declared: ClassVar[tuple[str, ...]] = ()
+    quantities: ClassVar[Mapping[str, int]] = {}
     disturbed_ports: ClassVar[tuple[Port, ...]] = ()
     sensor_noise: ClassVar[bool] = False
     quaternion: ClassVar[slice | None] = None
@@ -137,9 +139,11 @@ class System(Parametrised, ABC):
                     system=self.name,
                     ports={*self.ports, Port.INPUT},
                     n_inputs=len(self.input_names),
-                    values=of_effects.pop(item, None),
+                    values=of_effects.pop(effect_class(item).name if ":" in item else item, None),
                 )
             )
+        for effect in made:
+            self._check_quantities(effect)
         twice = sorted({e.name for e in made if [m.name for m in made].count(e.name) > 1})
         if twice:
             raise ConfigError(f"effects {twice} are named twice for system {self.name!r}; name each once.")
@@ -150,6 +154,11 @@ class System(Parametrised, ABC):
             )
         self.effects = nn.ModuleList(made)
         self._parts = (self.nx, *(effect.n_memory for effect in made))
+        on_input = [k for k, effect in enumerate(made) if effect.port is Port.INPUT]
+        self._on_input = tuple(sorted(on_input, key=lambda k: (made[k].stage, k)))
+        self._on_force = tuple(k for k in range(len(made)) if k not in on_input)
+        columns = {name: self.nu + k for k, name in enumerate(self.exogenous)}
+        self._read = tuple(tuple(columns[name] for name in effect.exogenous) for effect in made)
 
     def with_effects(self, *effects: Effect) -> "System":
         """A copy of the machine, with its present values, that has further effects.
@@ -256,25 +265,84 @@ class System(Parametrised, ABC):
             residual: Learned contributions by port.
         """
         x, *memories = split_columns(z, *self._parts)
-        command = u[:, : self.nu]
         forces: dict[Port, Tensor] = dict(residual or {})
-        rates: list[Tensor] = []
-        for effect, m in zip(self.effects, memories, strict=True):
-            assert isinstance(effect, Effect)
-            term = effect(t, x, u, m)
-            if effect.port is Port.INPUT:
-                command = command + term
-            else:
-                forces[effect.port] = forces[effect.port] + term if effect.port in forces else term
+        rates: dict[int, Tensor] = {}
+        command = self._applied(t, x, u, memories, rates)
+        for k in self._on_force:
+            effect, own = self._effect(k), self._seen(k, x, command, u)
+            term = effect(t, x, own, memories[k])
+            forces[effect.port] = forces[effect.port] + term if effect.port in forces else term
             if effect.n_memory:
-                rates.append(effect.memory_rate(t, x, u, m))
+                rates[k] = effect.memory_rate(t, x, own, memories[k])
         rate = self.dynamics(t, x, command, forces)
-        return join_columns((rate, *rates)) if rates else rate
+        return join_columns((rate, *(rates[k] for k in sorted(rates)))) if rates else rate
+
+    def memory_rate(self, t: float | Tensor, z: Tensor, u: Tensor) -> Tensor:
+        """Rate of the memory of the effects alone (N, nz - nx), as `drift` has it."""
+        x, *memories = split_columns(z, *self._parts)
+        rates: dict[int, Tensor] = {}
+        command = self._applied(t, x, u, memories, rates)
+        for k in self._on_force:
+            if self._effect(k).n_memory:
+                rates[k] = self._effect(k).memory_rate(t, x, self._seen(k, x, command, u), memories[k])
+        return join_columns(tuple(rates[k] for k in sorted(rates))) if rates else z[:, :0]
 
     def augment(self, x: Tensor, u: Tensor) -> Tensor:
-        """State with the memory of the effects (N, nz), stationary under the input `u` (N, nu)."""
-        starts = [e.memory_start(x, u) for e in self.effects if e.n_memory]  # type: ignore[operator]
-        return join_columns((x, *starts)) if starts else x
+        """State with the memory of the effects (N, nz), stationary under the input `u` (N, nu + n_exogenous)."""
+        if self.nz == self.nx:
+            return x
+        starts: dict[int, Tensor] = {}
+        command = u[:, : self.nu]
+        for k in (*self._on_input, *self._on_force):
+            effect = self._effect(k)
+            if effect.n_memory or effect.port is Port.INPUT:
+                own = self._seen(k, x, command, u)
+                starts[k] = effect.memory_start(x, own)
+                if effect.port is Port.INPUT:
+                    command = command + effect(0.0, x, own, starts[k])
+        return join_columns((x, *(starts[k] for k in sorted(starts))))
+
+    def quantity(self, name: str, x: Tensor, u: Tensor) -> Tensor:
+        """One of `quantities` (N, its columns), from state and applied input."""
+        raise KeyError(name)
+
+    def _effect(self, k: int) -> Effect:
+        effect = self.effects[k]
+        assert isinstance(effect, Effect)
+        return effect
+
+    def _applied(
+        self,
+        t: float | Tensor,
+        x: Tensor,
+        u: Tensor,
+        memories: Sequence[Tensor],
+        rates: dict[int, Tensor],
+    ) -> Tensor:
+        """Input after the effects on it (N, nu), one after another; writes the rates of their memory."""
+        command = u[:, : self.nu]
+        for k in self._on_input:
+            effect, own = self._effect(k), self._seen(k, x, command, u)
+            if effect.n_memory:
+                rates[k] = effect.memory_rate(t, x, own, memories[k])
+            command = command + effect(t, x, own, memories[k])
+        return command
+
+    def _seen(self, k: int, x: Tensor, command: Tensor, u: Tensor) -> Tensor:
+        """What effect k is given as its input: the command so far, its logged columns, its quantities."""
+        effect, read = self._effect(k), self._read[k]
+        if not read and not effect.quantities:
+            return command
+        logged = tuple(u[:, c : c + 1] for c in read)
+        return join_columns((command, *logged, *(self.quantity(n, x, command) for n in effect.quantities)))
+
+    def _check_quantities(self, effect: Effect) -> None:
+        missing = [n for n, width in effect.quantities.items() if self.quantities.get(n) != width]
+        if missing or (effect.quantities and effect.port is Port.INPUT):
+            raise ConfigError(
+                f"effect {effect.name!r} reads {', '.join(missing or effect.quantities)}, which system "
+                f"{self.name!r} does not offer on the port {effect.port.value!r}. Leave the effect out."
+            )
 
     def all_declared(self) -> dict[str, tuple[Tensor, str]]:
         """Declared parameters of the system and of its effects: name -> (value (k,), unit)."""

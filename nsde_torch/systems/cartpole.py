@@ -7,7 +7,8 @@ With M the total and m the pole's mass (Barto, Sutton, Anderson 1983, as in the 
     x''     = a - m l theta'' cos theta / M
 
 Only 1/M, m/M and l can be told from motion; these are the parameters. Forces on the port `force` add to a
-[m/s2], on `torque` to theta'' [rad/s2].
+[m/s2], on `torque` to theta'' [rad/s2], on `world_force` (what pulls cart and pole alike, so that the pole does not
+turn) to x'' [m/s2].
 """
 
 from collections.abc import Mapping
@@ -32,7 +33,7 @@ class Cartpole(System):
     state_units = ("m", "m/s", "rad", "rad/s")
     input_names = ("force",)
     input_units = ("N",)
-    ports = {Port.FORCE: 1, Port.TORQUE: 1}
+    ports = {Port.FORCE: 1, Port.TORQUE: 1, Port.WORLD_FORCE: 1}
     residual_ports = {Port.FORCE: ResidualPort(1, 0.5, "m/s2"), Port.TORQUE: ResidualPort(1, 1.0, "rad/s2")}
     defaults = Defaults(0.02, 30, (0.001, 0.01, 0.005, 0.01), 0.05, 1.0, "euler_maruyama")
     error_names = state_names
@@ -64,6 +65,8 @@ class Cartpole(System):
         if Port.TORQUE in forces:
             theta_acc = theta_acc + forces[Port.TORQUE]
         x_acc = a - share * length * theta_acc * cos
+        if Port.WORLD_FORCE in forces:
+            x_acc = x_acc + forces[Port.WORLD_FORCE]
         return torch.cat((x_dot, x_acc, theta_dot, theta_acc), 1)
 
     def features(self, x: Tensor) -> Tensor:

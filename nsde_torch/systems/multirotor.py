@@ -52,6 +52,9 @@ class Multirotor(System):
     )
     state_units = (*("m",) * 3, *("m/s",) * 3, *("1",) * 4, *("rad/s",) * 3)
     ports = {Port.BODY_FORCE: 3, Port.WORLD_FORCE: 3, Port.BODY_MOMENT: 3}
+    # thrust over mass [m/s2]; commands summed by sense of rotation (the yaw signs) [1]; angular acceleration without
+    # effects [rad/s2]; Jx / Jz and Jy / Jz
+    quantities = {"thrust": 1, "spin": 1, "angular_acceleration": 3, "inertia": 2}
     residual_ports = {
         Port.BODY_FORCE: ResidualPort(3, 1.0, "m/s2"),
         Port.BODY_MOMENT: ResidualPort(3, 10.0, "rad/s2"),
@@ -110,25 +113,42 @@ class Multirotor(System):
     def dynamics(self, t: float | Tensor, x: Tensor, u: Tensor, forces: Mapping[Port, Tensor]) -> Tensor:
         """See `System.dynamics`."""
         _, v, q, omega = split_columns(x, *_PARTS)
-        if self.thrust_degree > 1:
-            curve = self.value("thrust_curve")
-            u = u + sum(curve[k] * u ** (k + 2) for k in range(self.thrust_degree - 1))
-        collective, moments = split_columns((self.mix.T @ u.T).T, 1, 3)
-        thrust = self.value("thrust_gain") * collective + self.value("thrust_offset")
+        thrust, moments = self._thrust_and_moments(u)
         force = join_columns((torch.zeros_like(thrust), torch.zeros_like(thrust), thrust))
         if Port.BODY_FORCE in forces:
             force = force + forces[Port.BODY_FORCE]
         acceleration = rotate(q, force) + self.gravity
         if Port.WORLD_FORCE in forces:
             acceleration = acceleration + forces[Port.WORLD_FORCE]
+        angular = self._angular(omega, moments)
+        if Port.BODY_MOMENT in forces:
+            angular = angular + forces[Port.BODY_MOMENT]
+        return join_columns((v, acceleration, quaternion_rate(q, omega), angular))
+
+    def quantity(self, name: str, x: Tensor, u: Tensor) -> Tensor:
+        """See `System.quantity`."""
+        if name == "spin":
+            return (u * self.mix[:, 3]).sum(1, keepdim=True)
+        if name == "inertia":
+            return torch.cat((self.value("inertia_x"), self.value("inertia_y"))).expand(len(x), 2)
+        thrust, moments = self._thrust_and_moments(u)
+        return thrust if name == "thrust" else self._angular(x[:, 10:13], moments)
+
+    def _thrust_and_moments(self, u: Tensor) -> tuple[Tensor, Tensor]:
+        """Thrust over mass (N, 1) and mixed commands of roll, pitch and yaw (N, 3)."""
+        if self.thrust_degree > 1:
+            curve = self.value("thrust_curve")
+            u = u + sum(curve[k] * u ** (k + 2) for k in range(self.thrust_degree - 1))
+        collective, moments = split_columns((self.mix.T @ u.T).T, 1, 3)
+        return self.value("thrust_gain") * collective + self.value("thrust_offset"), moments
+
+    def _angular(self, omega: Tensor, moments: Tensor) -> Tensor:
+        """Angular acceleration (N, 3) under mixed commands, without effects."""
         gains = torch.cat((self.value("roll_gain"), self.value("pitch_gain"), self.value("yaw_gain")))
         jx, jy = self.value("inertia_x"), self.value("inertia_y")
         coupling = torch.cat(((jy - 1.0) / jx, (1.0 - jx) / jy, jx - jy))
         wx, wy, wz = columns(omega)
-        angular = gains * moments + coupling * stack_columns((wy * wz, wz * wx, wx * wy))
-        if Port.BODY_MOMENT in forces:
-            angular = angular + forces[Port.BODY_MOMENT]
-        return join_columns((v, acceleration, quaternion_rate(q, omega), angular))
+        return gains * moments + coupling * stack_columns((wy * wz, wz * wx, wx * wy))
 
     def features(self, x: Tensor) -> Tensor:
         """Body velocity and body rates, the supplement's x_feat seen from the body."""

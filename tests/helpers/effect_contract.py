@@ -47,8 +47,13 @@ class EffectContract:
         x = self.size * torch.randn(n, s.nx, generator=g, dtype=torch.float64)
         if s.quaternion is not None:
             x[:, s.quaternion] /= x[:, s.quaternion].norm(dim=1, keepdim=True)
-        u = torch.rand(n, s.nu, generator=g, dtype=torch.float64)
+        u = torch.rand(n, self.columns(), generator=g, dtype=torch.float64)
         return x, u, torch.rand(n, self.memory, generator=g, dtype=torch.float64)
+
+    def columns(self) -> int:
+        """Columns of what the effect is given as its input."""
+        cls = EFFECTS[self.name]
+        return len(SYSTEMS[self.system].input_names) + len(cls.exogenous) + sum(cls.quantities.values())
 
     def width(self) -> int:
         """Columns of the effect's port."""
@@ -142,7 +147,9 @@ class EffectContract:
         if s.quaternion is not None:
             x[:, s.quaternion.start] = 1.0
         x.requires_grad_()
-        u = torch.zeros(1, s.nu, dtype=torch.float64, requires_grad=True)
+        u = torch.ones(1, self.columns(), dtype=torch.float64)
+        u[:, : s.nu] = 0.0
+        u.requires_grad_()
         effect(0.0, x, u, torch.zeros(1, self.memory, dtype=torch.float64)).sum().backward()
         for tensor in (x, u, *effect.parameters()):
             assert tensor.grad is None or bool(torch.isfinite(tensor.grad).all())

@@ -2,13 +2,13 @@
 
 The segments are cut into pieces that advance side by side. A piece starts where its predecessor ended in the
 sweep before; sweeps are repeated until no start moves. A memory that fades takes two or three sweeps, one that
-does not takes as many as a segment has pieces, and then is the sequential solution all the same.
+does not takes as many as a segment has pieces, and then is the sequential solution all the same. A segment starts where
+its `run_in` ended; what starts without one is stationary.
 """
 
 import torch
 from torch import Tensor
 
-from nsde_torch.effects import Effect
 from nsde_torch.learning.identify.steps import Steps
 from nsde_torch.systems import System
 
@@ -17,9 +17,7 @@ _TOLERANCE = 1e-9
 
 
 def memory_along(system: System, steps: Steps) -> tuple[Tensor, Tensor]:
-    """Memory at both ends of every step, (N, nz - nx) each; stationary where a segment starts."""
-    carriers = [e for e in system.effects if isinstance(e, Effect) and e.n_memory]
-    widths = [e.n_memory for e in carriers]
+    """Memory at both ends of every step, (N, nz - nx) each."""
     edges, chained = [], []
     for a, b in steps.segments:
         firsts = list(range(a, b, _PIECE))
@@ -41,8 +39,7 @@ def memory_along(system: System, steps: Steps) -> tuple[Tensor, Tensor]:
     h, logged = steps.dt, steps.logged_dt
 
     def rate(t: Tensor, x: Tensor, u: Tensor, m: Tensor) -> Tensor:
-        parts = zip(carriers, m.split(widths, 1), strict=True)
-        return torch.cat([e.memory_rate(t, x, u, part) for e, part in parts], 1)
+        return system.memory_rate(t, torch.cat((x, m), 1), u)
 
     def advance(k: int, m: Tensor) -> Tensor:
         k1 = rate(t[k], x0[k], u[k], m)
@@ -51,7 +48,12 @@ def memory_along(system: System, steps: Steps) -> tuple[Tensor, Tensor]:
         k4 = rate(t[k] + logged, x1[k], u[k], m + h * k3)
         return m + (h / 6) * (k1 + 2.0 * (k2 + k3) + k4)
 
-    start = torch.cat([e.memory_start(x0[0], u[0]) for e in carriers], 1)
+    start = system.augment(x0[0], u[0])[:, system.nx :]
+    if steps.run_in is not None:
+        ends = memory_along(system, steps.run_in)[1]
+        start = start.index_copy(
+            0, torch.nonzero(~follows[:, 0])[:, 0], ends[[b - 1 for _, b in steps.run_in.segments]]
+        )
     for _ in range(len(edges)):
         m, before, after = start, [], []
         for k in range(len(count)):

@@ -1,7 +1,11 @@
-"""Runs as steps: both ends of every interval between samples, with the input held over it."""
+"""Runs as steps: both ends of every interval between samples, with the input held over it.
+
+Where effects carry memory (a lag), what they held when a recording began is unknown. The first steps of each segment
+then only bring it up: they are `run_in`, and no equation is asked of them.
+"""
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
@@ -14,10 +18,12 @@ from nsde_torch.errors import DataError
 from nsde_torch.systems import System
 
 Array = NDArray[np.float64]
+_Stretch = tuple[int, int, int]  # run, first row, last row + 1
 
 MOST = 300_000
 """Steps that are looked at; of longer data, stretches spread evenly."""
 _STRETCH = 5_000
+_RUN_IN_S, _RUN_IN_SHARE = 0.4, 0.1  # eight time constants of a motor; of short segments, a share
 
 
 @dataclass(frozen=True)
@@ -32,6 +38,7 @@ class Steps:
         dt: The same in physical seconds.
         segments: Ranges (first, last + 1) of steps without a gap.
         runs: Number of the run of each segment.
+        run_in: The steps before each segment, for memory alone; None where no effect carries any.
     """
 
     t: Tensor
@@ -42,6 +49,7 @@ class Steps:
     dt: float
     segments: tuple[tuple[int, int], ...]
     runs: tuple[int, ...]
+    run_in: "Steps | None" = None
 
     def __len__(self) -> int:
         return len(self.t)
@@ -71,11 +79,29 @@ def steps_of(system: System, runs: Sequence[Run], *, clock: float, smooth: bool,
     if not runs:
         raise DataError("no run to identify the physics from.")
     states = denoised(runs)[0] if smooth else [np.asarray(run.x) for run in runs]
+    stretches = [(n, a, b) for n, a, b in _stretches(runs) if b - 1 - a >= shortest]
+    if not stretches:
+        raise DataError(f"no stretch of {shortest} steps without a gap; identify from longer runs.")
+    if system.nz == system.nx:
+        return _joined(system, runs, states, stretches, clock)
+    most = max(1, round(_RUN_IN_S / runs[0].dt))
+    lengths = [max(1, min(most, int(_RUN_IN_SHARE * (b - 1 - a)))) for _, a, b in stretches]
+    pairs = [(s, k) for s, k in zip(stretches, lengths, strict=True) if s[2] - 1 - s[1] - k >= shortest]
+    if not pairs:
+        raise DataError(f"no stretch of {shortest + 1} steps without a gap; identify from longer runs.")
+    before = _joined(system, runs, states, [(n, a, a + k + 1) for (n, a, _), k in pairs], clock)
+    return replace(
+        _joined(system, runs, states, [(n, a + k, b) for (n, a, b), k in pairs], clock), run_in=before
+    )
+
+
+def _joined(
+    system: System, runs: Sequence[Run], states: Sequence[Array], stretches: Sequence[_Stretch], clock: float
+) -> Steps:
+    """Steps of some stretches, one after another."""
     parts: dict[str, list[Array]] = {key: [] for key in ("t", "x0", "x1", "u")}
     segments, owners, at = [], [], 0
-    for number, a, b in _stretches(runs):
-        if b - 1 - a < shortest:
-            continue
+    for number, a, b in stretches:
         run, x = runs[number], states[number]
         parts["t"].append(run.t[a : b - 1])
         parts["x0"].append(x[a : b - 1])
@@ -84,15 +110,13 @@ def steps_of(system: System, runs: Sequence[Run], *, clock: float, smooth: bool,
         segments.append((at, at + b - 1 - a))
         owners.append(number)
         at += b - 1 - a
-    if not segments:
-        raise DataError(f"no stretch of {shortest} steps without a gap; identify from longer runs.")
     joined = {key: torch.from_numpy(np.concatenate(rows)) for key, rows in parts.items()}
     joined |= {key: system.project(joined[key]) for key in ("x0", "x1")}
     dt = runs[0].dt
     return Steps(**joined, logged_dt=dt, dt=dt * clock, segments=tuple(segments), runs=tuple(owners))
 
 
-def _stretches(runs: Sequence[Run]) -> Iterator[tuple[int, int, int]]:
+def _stretches(runs: Sequence[Run]) -> Iterator[_Stretch]:
     """Run and rows of every stretch to look at: the segments, or of very long data some parts of them."""
     whole = [(number, a, b) for number, run in enumerate(runs) for a, b in run.segments]
     total = sum(b - a for _, a, b in whole)

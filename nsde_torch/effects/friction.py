@@ -1,0 +1,153 @@
+"""Friction on the port `force`; v is the velocity that the force acts on, all terms are over mass.
+
+The sign of v is smoothed, tanh(v / width), so that friction is a function with a slope at rest.
+(Armstrong-Helouvry, Dupont, Canudas de Wit, "A survey of models, analysis tools and compensation methods for the
+control of machines with friction", Automatica 30, 1994.)
+"""
+
+from typing import final
+
+import torch
+from torch import Tensor
+
+from nsde_torch.effects.base import Effect, Parameter, Port
+
+SURVEY = "Armstrong-Helouvry, Dupont, Canudas de Wit, Automatica 30 (1994)"
+WIDTHS = (0.02, 0.1)
+"""Widths to try, as multiples of the speeds in the data: developed almost at once, and gently."""
+SLOW_AND_FAST = "run at several steady speeds, slow and fast, in both directions"
+
+
+def width(unit: str) -> Parameter:
+    """The parameter that smooths a sign."""
+    return Parameter(0.01, unit, low=0.0, help="speed at which it is 76 % developed")
+
+
+@final
+class ViscousFriction(Effect):
+    """Friction in proportion to velocity."""
+
+    name = "viscous_friction"
+    port = Port.FORCE
+    formula = "-b v"
+    source = "supplement B: m q'' = -b q' - k q"
+    PARAMETERS = {"damping": Parameter(0.3, "1/s", low=0.0, help="damping over mass")}
+    null = {"damping": 0.0}
+    amplitudes = ("damping",)
+    sentence = "The motion is braked in proportion to its speed, with {damping} over mass."
+    separate = SLOW_AND_FAST
+
+    @classmethod
+    def candidate(cls, system: str) -> bool:
+        """Not on the cart and pole, where `cart_viscous_friction` is the same term."""
+        return system != "cartpole"
+
+    def forward(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
+        """See `Effect.forward`."""
+        return -self.value("damping") * x[:, 1:2]
+
+
+@final
+class CoulombFriction(Effect):
+    """Dry friction of constant size against the motion, smoothed at rest."""
+
+    name = "coulomb_friction"
+    port = Port.FORCE
+    formula = "-c tanh(v / v0)"
+    source = SURVEY
+    PARAMETERS = {
+        "size": Parameter(0.1, "m/s2", low=0.0, help="friction force over mass"),
+        "width": width("m/s"),
+    }
+    null = {"size": 0.0}
+    amplitudes = ("size",)
+    shapes = {"width": WIDTHS}
+    relative = {"width": "speed"}
+    sentence = "Dry friction brakes the motion with {size}, whatever its speed."
+    separate = SLOW_AND_FAST
+
+    @classmethod
+    def candidate(cls, system: str) -> bool:
+        """Not on the cart and pole, where `cart_coulomb_friction` is the same term."""
+        return system != "cartpole"
+
+    def forward(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
+        """See `Effect.forward`."""
+        return -self.value("size") * torch.tanh(x[:, 1:2] / self.value("width"))
+
+
+@final
+class AsymmetricFriction(Effect):
+    """Dry friction of another size in each direction."""
+
+    name = "asymmetric_friction"
+    port = Port.FORCE
+    formula = "-c+ max(s, 0) - c- min(s, 0), s = tanh(v / v0)"
+    source = SURVEY + ", section on direction-dependent friction"
+    PARAMETERS = {
+        "forward": Parameter(0.1, "m/s2", low=0.0, help="friction over mass where v > 0"),
+        "backward": Parameter(0.1, "m/s2", low=0.0, help="friction over mass where v < 0"),
+        "width": width("m/s"),
+    }
+    null = {"forward": 0.0, "backward": 0.0}
+    amplitudes = ("forward", "backward")
+    shapes = {"width": WIDTHS}
+    relative = {"width": "speed"}
+    includes = ("coulomb_friction", "cart_coulomb_friction")
+    sentence = "Dry friction brakes with {forward} forwards and {backward} backwards."
+    separate = "run at the same speeds in both directions, and let it come to rest from both sides"
+
+    def forward(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
+        """See `Effect.forward`."""
+        s = torch.tanh(x[:, 1:2] / self.value("width"))
+        return -self.value("forward") * s.clamp_min(0.0) - self.value("backward") * s.clamp_max(0.0)
+
+
+@final
+class StribeckFriction(Effect):
+    """Dry friction that is larger at low speed, where surfaces stick."""
+
+    name = "stribeck_friction"
+    port = Port.FORCE
+    formula = "-(c + e exp(-(v / vs)^2)) tanh(v / v0)"
+    source = SURVEY
+    PARAMETERS = {
+        "size": Parameter(0.1, "m/s2", low=0.0, help="friction over mass at speed"),
+        "extra": Parameter(0.05, "m/s2", low=0.0, help="what is added at low speed"),
+        "speed": Parameter(0.1, "m/s", low=0.0, help="speed at which 37 % of the extra is left"),
+        "width": width("m/s"),
+    }
+    null = {"size": 0.0, "extra": 0.0}
+    amplitudes = ("size", "extra")
+    shapes = {"speed": (0.1, 0.3), "width": (0.02,)}
+    relative = {"speed": "speed", "width": "speed"}
+    includes = ("coulomb_friction", "cart_coulomb_friction")
+    sentence = "Dry friction brakes with {size} at speed and {extra} more near rest, below about {speed}."
+    separate = "creep at several speeds below the usual ones, in both directions"
+
+    def forward(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
+        """See `Effect.forward`."""
+        v = x[:, 1:2]
+        ratio = v / self.value("speed")
+        size = self.value("size") + self.value("extra") * torch.exp(-ratio * ratio)
+        return -size * torch.tanh(v / self.value("width"))
+
+
+@final
+class QuadraticDamping(Effect):
+    """Friction in proportion to the square of the velocity, as a fluid's."""
+
+    name = "quadratic_damping"
+    port = Port.FORCE
+    formula = "-d |v| v"
+    source = "drag of a body in a fluid at high Reynolds number"
+    PARAMETERS = {"damping": Parameter(0.1, "1/m", low=0.0, help="drag over mass")}
+    null = {"damping": 0.0}
+    amplitudes = ("damping",)
+    sentence = "The motion is braked in proportion to the square of its speed, with {damping} over mass."
+    separate = SLOW_AND_FAST
+
+    def forward(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
+        """See `Effect.forward`."""
+        v = x[:, 1:2]
+        return -self.value("damping") * v.abs() * v

@@ -1,0 +1,57 @@
+"""Actuators that follow their command with a first-order lag; each input carries one state m.
+
+u_eff = m,   dm/dt = (u - m) / tau
+"""
+
+from torch import Tensor
+
+from nsde_torch.effects.base import Effect, Parameter, Port
+
+
+class _Lag(Effect):
+    """A first-order lag on every input."""
+
+    port = Port.INPUT
+    stage = 2
+    formula = "u_eff = m, dm/dt = (u - m) / tau"
+    PARAMETERS = {"time_constant": Parameter(0.05, "s", low=0.002, help="time to reach 63 %")}
+    null = {"time_constant": 0.0}
+    shapes = {"time_constant": (0.02, 0.06, 0.2)}
+    separate = "give steps of the input: a lag rounds their corner, a delay moves it"
+
+    @property
+    def n_memory(self) -> int:
+        """One state per input."""
+        return self.n_inputs
+
+    def forward(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
+        """See `Effect.forward`."""
+        return memory - u[:, : self.n_inputs]
+
+    def memory_rate(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
+        """See `Effect.memory_rate`."""
+        return (u[:, : self.n_inputs] - memory) / self.value("time_constant")
+
+    def memory_start(self, x: Tensor, u: Tensor) -> Tensor:
+        """See `Effect.memory_start`."""
+        return u[:, : self.n_inputs]
+
+
+class MotorLag(_Lag):
+    """Motors follow their command with a first-order lag; each carries one state."""
+
+    name = "motor_lag"
+    source = "first-order motor and ESC dynamics"
+    needs = (Port.BODY_MOMENT,)
+    sentence = "The motors follow their commands late, with a time constant of {time_constant}."
+
+
+class ActuatorLag(_Lag):
+    """The actuator follows its command with a first-order lag; each input carries one state."""
+
+    name = "actuator_lag"
+    source = (
+        "first-order actuator dynamics; Franklin, Powell, Emami-Naeini, Feedback Control of Dynamic Systems"
+    )
+    excludes = (Port.BODY_MOMENT,)  # there it is motor_lag
+    sentence = "The actuator follows its command late, with a time constant of {time_constant}."

@@ -1,0 +1,154 @@
+"""Effects by name: those of the catalogue, and `package.module:Class` of the user's own."""
+
+import importlib
+from collections.abc import Collection, Mapping
+from difflib import get_close_matches
+
+from nsde_torch.effects.actuators import ActuatorDeadband, ActuatorGainDrift, ActuatorSaturation
+from nsde_torch.effects.base import Effect, Port
+from nsde_torch.effects.cartpole import (
+    CartCoulombFriction,
+    CartViscousFriction,
+    PoleCoulombFriction,
+    PoleViscousFriction,
+    TrackTilt,
+)
+from nsde_torch.effects.delay import InputDelay
+from nsde_torch.effects.forces import ConstantForce, PeriodicForce
+from nsde_torch.effects.friction import (
+    AsymmetricFriction,
+    CoulombFriction,
+    QuadraticDamping,
+    StribeckFriction,
+    ViscousFriction,
+)
+from nsde_torch.effects.lag import ActuatorLag, MotorLag
+from nsde_torch.effects.multirotor_drag import ConstantWind, LinearDrag, QuadraticDrag
+from nsde_torch.effects.multirotor_forces import ConstantWorldForce, GroundEffect, ThrustMisalignment
+from nsde_torch.effects.multirotor_moments import (
+    AngularDamping,
+    ComOffset,
+    FlappingMoment,
+    GyroscopicMoment,
+    InertiaCoupling,
+)
+from nsde_torch.effects.multirotor_thrust import BatteryVoltage, MotorEfficiencyLoss, ThrustCurve, ThrustSag
+from nsde_torch.effects.stiffness import CubicStiffness, LinearSpring
+from nsde_torch.errors import ConfigError
+
+EFFECTS: dict[str, type[Effect]] = {
+    cls.name: cls
+    for cls in (
+        # any system
+        ConstantForce,
+        PeriodicForce,
+        CoulombFriction,
+        AsymmetricFriction,
+        StribeckFriction,
+        ViscousFriction,
+        QuadraticDamping,
+        LinearSpring,
+        CubicStiffness,
+        InputDelay,
+        ActuatorLag,
+        ActuatorDeadband,
+        ActuatorSaturation,
+        ActuatorGainDrift,
+        # cart and pole
+        CartCoulombFriction,
+        CartViscousFriction,
+        PoleCoulombFriction,
+        PoleViscousFriction,
+        TrackTilt,
+        # multirotors
+        LinearDrag,
+        QuadraticDrag,
+        ConstantWind,
+        ConstantWorldForce,
+        GroundEffect,
+        ThrustMisalignment,
+        AngularDamping,
+        ComOffset,
+        GyroscopicMoment,
+        FlappingMoment,
+        InertiaCoupling,
+        MotorLag,
+        MotorEfficiencyLoss,
+        ThrustSag,
+        BatteryVoltage,
+        ThrustCurve,
+    )
+}
+
+
+def effect_class(name: str) -> type[Effect]:
+    """Class of an effect: a key of `EFFECTS`, or `package.module:Class` of the user's own.
+
+    Raises:
+        ConfigError: unknown name (lists the choices), no such module or class, or not an Effect.
+    """
+    if name in EFFECTS:
+        return EFFECTS[name]
+    module, colon, attribute = name.partition(":")
+    if not colon:
+        raise ConfigError(
+            f"effect {name!r} is not in the catalogue; choose among: {', '.join(EFFECTS)}, or write "
+            f"`module:Class` of your own.{_hint(name, EFFECTS)}"
+        )
+    try:
+        found = getattr(importlib.import_module(module), attribute)
+    except ModuleNotFoundError as error:
+        raise ConfigError(
+            f"effect {name!r}: no module {error.name!r}. Put its file beside your configuration "
+            "(--config-dir) or on PYTHONPATH."
+        ) from error
+    except AttributeError as error:
+        raise ConfigError(f"effect {name!r}: module {module!r} has no class {attribute!r}.") from error
+    if not (isinstance(found, type) and issubclass(found, Effect)):
+        raise ConfigError(f"effect {name!r} must be a subclass of nsde_torch.effects.Effect; got {found!r}.")
+    return found
+
+
+def make_effect(
+    name: str,
+    *,
+    system: str,
+    ports: Collection[Port],
+    n_inputs: int,
+    values: Mapping[str, float | list[float]] | None = None,
+) -> Effect:
+    """Make an effect by name.
+
+    Args:
+        name: Key in `EFFECTS`, or `package.module:Class`.
+        system: Name of the system that it will act on, for the message.
+        ports: Ports of that system.
+        n_inputs: Number of inputs of that system.
+        values: Initial values of its parameters.
+
+    Raises:
+        ConfigError: unknown name, or an effect that is not for that system; lists the choices.
+    """
+    known = effects_of(system, ports)
+    if ":" not in name and name not in known:
+        what = f"does not act on system {system!r}" if name in EFFECTS else "is not in the catalogue"
+        raise ConfigError(
+            f"effect {name!r} {what}; choose among: {', '.join(sorted(known)) or 'none'}.{_hint(name, known)}"
+        )
+    cls = effect_class(name)
+    if not cls.fits(system, ports):
+        raise ConfigError(
+            f"effect {name!r} acts on the port {cls.port.value!r} and does not fit system {system!r}, whose ports "
+            f"are {', '.join(sorted(p.value for p in ports))}."
+        )
+    return cls(values, n_inputs=n_inputs)
+
+
+def effects_of(system: str, ports: Collection[Port]) -> dict[str, type[Effect]]:
+    """The effects of the catalogue that a system of this name and these ports can have."""
+    return {name: cls for name, cls in EFFECTS.items() if cls.fits(system, {*ports, Port.INPUT})}
+
+
+def _hint(name: str, known: Collection[str]) -> str:
+    near = get_close_matches(name, known, 1)
+    return f" Did you mean {near[0]!r}?" if near else ""

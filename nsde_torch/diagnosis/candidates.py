@@ -1,6 +1,6 @@
 """Effects of the catalogue as candidates: which a system may have, and where their fits start."""
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from itertools import product
 
 import numpy as np
@@ -16,13 +16,17 @@ Start = dict[str, float | list[float]]
 _QUANTILE = 0.95
 
 
-def candidate_names(system: System, exclude: Iterable[str] = ()) -> list[str]:
-    """Names of the effects that could be missing from a system, whose channels the data have."""
+def candidate_names(
+    system: System, *, exclude: Iterable[str] = (), channels: Collection[str] = ()
+) -> list[str]:
+    """Names of the effects that could be missing from a system, of which the data have the channels."""
     left_out = {*exclude, *system.effect_names}
     return sorted(
         name
         for name, cls in effects_of(system.name, {*system.ports, Port.INPUT}).items()
-        if name not in left_out and cls.candidate(system.name) and set(cls.exogenous) <= set(system.exogenous)
+        if name not in left_out
+        and cls.candidate(system.name)
+        and set(cls.exogenous) <= {*channels, *system.exogenous}
     )
 
 
@@ -87,7 +91,7 @@ def starts(name: str, scales: Mapping[str, float], frequencies: Sequence[float])
 
 
 def alone(name: str, labels: Sequence[str]) -> list[tuple[str, ...]]:
-    """Which parameters of an effect to hold at nothing, a choice at a time: all but one where there is one per input."""
+    """What to hold at nothing, a choice at a time: all but one of the parameters of which there is one per input."""
     cls = effect_class(name)
     each = [label for label in labels if cls.PARAMETERS[label.partition(".")[2].partition("[")[0]].per_input]
     return [tuple(x for x in each if x != label) for label in each] or [()]

@@ -143,7 +143,7 @@ def with_values(regression: Regression, theta: Array) -> System:
 def shapes(regression: Regression) -> NDArray[np.bool_]:
     """Parameters that say where or how fast an effect sets in, not how strong it is (k,)."""
     out = np.zeros(len(regression.vector), dtype=bool)
-    amplitudes_of = {str(e.name): e.amplitudes for e in regression.vector.system.effects}
+    amplitudes_of = {e.name: e.amplitudes for e in regression.vector.system.effects if isinstance(e, Effect)}
     for j, label in enumerate(regression.vector.labels):
         effect, dot, _ = label.partition(".")
         if dot:
@@ -161,6 +161,7 @@ class Search:
         box: Steps per box.
         alpha: Chance of adding an effect where none is missing.
         candidates: Names to choose from; None takes all that the system may have.
+        channels: Logged columns behind the inputs.
         say: Told what is going on: stage, number done, number in all.
     """
 
@@ -171,10 +172,11 @@ class Search:
         box: int,
         alpha: float,
         candidates: Sequence[str] | None = None,
+        channels: Sequence[str] = (),
         say: Callable[[str, int, int], None] = lambda stage, done, total: None,
     ) -> None:
         self.steps, self.box, self.alpha = steps, box, alpha
-        self.candidates, self.say = candidates, say
+        self.candidates, self.channels, self.say = candidates, tuple(channels), say
         self.held: set[str] = set()
 
     def base(self, system: System) -> Base:
@@ -191,7 +193,7 @@ class Search:
 
         A candidate that contains an effect which was added before stands in for it.
         """
-        names = candidate_names(base.system, exclude)
+        names = candidate_names(base.system, exclude=exclude, channels=self.channels)
         if self.candidates is not None:
             names = [n for n in names if n in self.candidates]
         out = Round(added=base.system.effect_names, trials=[], screened={})

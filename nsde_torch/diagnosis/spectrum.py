@@ -31,7 +31,8 @@ def periodogram(regression: Regression) -> tuple[Array, Array]:
         part = regression.white[:, a:b]
         power += np.abs(np.fft.rfft(part - part.mean(1, keepdims=True), n)) ** 2
         weight += b - a
-    return np.fft.rfftfreq(n, regression.dt), power / max(weight, 1)
+    frequency: Array = np.fft.rfftfreq(n, regression.dt).astype(np.float64)
+    return frequency, power / max(weight, 1)
 
 
 def lines(regression: Regression) -> list[float]:

@@ -152,13 +152,17 @@ class System(Parametrised, ABC):
                 f"`parameters` names effects that system {self.name!r} does not have: {sorted(of_effects)}; "
                 f"it has: {', '.join(e.name for e in made) or 'none'}."
             )
-        self.effects = nn.ModuleList(made)
-        self._parts = (self.nx, *(effect.n_memory for effect in made))
-        on_input = [k for k, effect in enumerate(made) if effect.port is Port.INPUT]
-        self._on_input = tuple(sorted(on_input, key=lambda k: (made[k].stage, k)))
-        self._on_force = tuple(k for k in range(len(made)) if k not in on_input)
+        self._arrange(made)
+
+    def _arrange(self, effects: Sequence[Effect]) -> None:
+        """Take these effects, and work out who acts when and on which columns."""
+        self.effects = nn.ModuleList(effects)
+        self._parts = (self.nx, *(effect.n_memory for effect in effects))
+        on_input = [k for k, effect in enumerate(effects) if effect.port is Port.INPUT]
+        self._on_input = tuple(sorted(on_input, key=lambda k: (effects[k].stage, k)))
+        self._on_force = tuple(k for k in range(len(effects)) if k not in on_input)
         columns = {name: self.nu + k for k, name in enumerate(self.exogenous)}
-        self._read = tuple(tuple(columns[name] for name in effect.exogenous) for effect in made)
+        self._read = tuple(tuple(columns[name] for name in effect.exogenous) for effect in effects)
 
     def with_effects(self, *effects: Effect) -> "System":
         """A copy of the machine, with its present values, that has further effects.
@@ -169,17 +173,21 @@ class System(Parametrised, ABC):
         twice = [e.name for e in effects if e.name in self.effect_names]
         if twice:
             raise ConfigError(f"system {self.name!r} has the effects {twice} already.")
+        for effect in effects:
+            self._check_quantities(effect)
         out = copy.deepcopy(self)
-        out.effects.extend(copy.deepcopy(e) for e in effects)
-        out._parts = (out.nx, *(int(e.n_memory) for e in out.effects))  # type: ignore[arg-type]
+        out._arrange([*out._all_effects, *(copy.deepcopy(e) for e in effects)])
         return out
 
     def without_effects(self, *names: str) -> "System":
         """A copy of the machine, with its present values, without some of its effects."""
         out = copy.deepcopy(self)
-        out.effects = nn.ModuleList(e for e in out.effects if e.name not in names)
-        out._parts = (out.nx, *(int(e.n_memory) for e in out.effects))  # type: ignore[arg-type]
+        out._arrange([e for e in out._all_effects if e.name not in names])
         return out
+
+    @property
+    def _all_effects(self) -> list[Effect]:
+        return [self._effect(k) for k in range(len(self.effects))]
 
     @property
     def nx(self) -> int:

@@ -63,7 +63,15 @@ class Steps:
         return out
 
 
-def steps_of(system: System, runs: Sequence[Run], *, clock: float, smooth: bool, shortest: int = 1) -> Steps:
+def steps_of(
+    system: System,
+    runs: Sequence[Run],
+    *,
+    clock: float,
+    smooth: bool,
+    shortest: int = 1,
+    run_in: bool | None = None,
+) -> Steps:
     """Cut runs into steps.
 
     Args:
@@ -72,6 +80,7 @@ def steps_of(system: System, runs: Sequence[Run], *, clock: float, smooth: bool,
         clock: Physical seconds per logged second.
         smooth: Whether white sensor noise is taken out of the states.
         shortest: Segments of fewer steps are left out.
+        run_in: Whether to keep the first steps of each segment for memory alone; None: where an effect has any.
 
     Raises:
         DataError: no run, or no segment that is long enough.
@@ -82,7 +91,7 @@ def steps_of(system: System, runs: Sequence[Run], *, clock: float, smooth: bool,
     stretches = [(n, a, b) for n, a, b in _stretches(runs) if b - 1 - a >= shortest]
     if not stretches:
         raise DataError(f"no stretch of {shortest} steps without a gap; identify from longer runs.")
-    if system.nz == system.nx:
+    if not (system.nz > system.nx if run_in is None else run_in):
         return _joined(system, runs, states, stretches, clock)
     most = max(1, round(_RUN_IN_S / runs[0].dt))
     lengths = [max(1, min(most, int(_RUN_IN_SHARE * (b - 1 - a)))) for _, a, b in stretches]
@@ -113,7 +122,16 @@ def _joined(
     joined = {key: torch.from_numpy(np.concatenate(rows)) for key, rows in parts.items()}
     joined |= {key: system.project(joined[key]) for key in ("x0", "x1")}
     dt = runs[0].dt
-    return Steps(**joined, logged_dt=dt, dt=dt * clock, segments=tuple(segments), runs=tuple(owners))
+    return Steps(
+        t=joined["t"],
+        x0=joined["x0"],
+        x1=joined["x1"],
+        u=joined["u"],
+        logged_dt=dt,
+        dt=dt * clock,
+        segments=tuple(segments),
+        runs=tuple(owners),
+    )
 
 
 def _stretches(runs: Sequence[Run]) -> Iterator[_Stretch]:

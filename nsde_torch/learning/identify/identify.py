@@ -6,9 +6,11 @@ functions that fit it best, and theta and the laws are found in turn,
 
     theta <- theta + argmin_d sum_i | P_i (r_i(theta) - J_i d) |^2,        P_i <- law of the noise of r_i(theta)
 
-until theta moves by less than a fiftieth of its standard error. The drift of most systems is linear in theta, and one
-step per law is exact; where it is not these are Gauss-Newton steps, halved while they do not pay. The covariance
-(`spread`) counts that P was fitted too: where an input reacts to noise, theta and P are not independent.
+until theta moves by less than a fiftieth of its standard error; first with the law of sensor noise alone until theta
+is within its standard error, because a richer law would learn what a wrong theta leaves (where nothing is left but
+rounding, that is all). The drift of most systems is linear in theta, and one step per law is exact; where it is not
+these are Gauss-Newton steps, halved while they do not pay. The covariance (`spread`) counts that P was fitted too:
+where an input reacts to noise, theta and P are not independent.
 """
 
 from collections.abc import Collection, Sequence
@@ -38,6 +40,8 @@ ITERATIONS = 20
 _ORDERS_S, _ORDERS = 0.4, 40  # longest autoregression [s], [steps]
 _BOX_S = 0.01  # data on a shorter step are summed to about this
 _SETTLED = 0.02  # standard errors
+_ROUGH = 8  # steps with the law of sensor noise alone, at most
+_ROUNDING = 1e-4  # of the measured changes: below that there is no noise to speak of
 _BLOCK_S = (0.5, 2.0)  # shortest and longest block of the covariance [s]
 _BLOCKS = 100
 
@@ -96,6 +100,8 @@ class Regression:
         self._kept = noises is not None
         self.iterations = 0
         self.converged = False
+        self._refined = 0  # steps since laws are looked for
+        self._rough = not self._kept
         self._whiten()
 
     def run(self, iterations: int) -> None:
@@ -105,7 +111,8 @@ class Regression:
         for _ in range(iterations):
             moved = self._step()
             self.iterations += 1
-            if (self._kept or self.iterations > 4) and moved < _SETTLED:
+            settled = moved < (1.0 if self._rough else _SETTLED)
+            if settled and (self._kept or self._rough or self._refined > 4):
                 self.converged = True
                 break
 
@@ -132,7 +139,7 @@ class Regression:
 
     def _whiten(self) -> None:
         """Laws of the noise at theta, and everything in their units."""
-        if self.iterations < 3 and not self._kept:
+        if self._refined < 3 and not self._kept:
             self.limits = self._limits()
         noises = []
         for i, channel in enumerate(self.rows):
@@ -141,13 +148,13 @@ class Regression:
                 noises.append(again(self.noises[i], r, self.series))
                 continue
             limit = float(self.limits[channel])
-            if not self.noises:
+            if self._rough:
                 noises.append(first_guess(r, self.series, limit))
                 continue
-            if self.iterations > 3:  # the same kind of law from here on, so that theta can settle
+            if self._refined > 3:  # the same kind of law from here on, so that theta can settle
                 noises.append(again(self.noises[i], r, self.series))
                 continue
-            orders = self.orders if self.iterations > 1 else 1  # theta first: an order would learn its errors
+            orders = self.orders if self._refined > 1 else 1  # theta first: an order would learn its errors
             noises.append(estimate(r, self.series, limit=limit, orders=orders))
         self.noises = noises
         pairs = list(zip(noises, self.rows, strict=True))
@@ -179,10 +186,18 @@ class Regression:
                 )
         moved = float(np.linalg.norm(flat @ (trial - self.theta)) / max(self.shown.rank, 1) ** 0.5)
         self.theta, self.residual = trial, residual
-        if moved > 1.0 or self.iterations < 2:
+        if moved > 1.0 or self._refined < 2:
             self._relinearise()
+        self._rough = self._rough and (self._exact() or (moved > 1.0 and self.iterations + 1 < _ROUGH))
+        self._refined += not self._rough
         self._whiten()
         return moved
+
+    def _exact(self) -> bool:
+        """Whether the physics leaves nothing but rounding."""
+        measured = self.single.summed(self.physics.measured, self.box)[:, self.rows]
+        left = np.array([n.std for n in self.noises])
+        return bool((left <= _ROUNDING * np.sqrt(np.square(measured).mean(0))).all())
 
     def _size(self, residual: Array) -> float:
         pairs = zip(self.noises, self.rows, strict=True)

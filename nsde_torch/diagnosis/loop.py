@@ -12,15 +12,13 @@ from typing import Literal
 import numpy as np
 from scipy.special import stdtrit
 
-from nsde_torch.diagnosis.search import Base, Round, Search, Trial, fitted_system
+from nsde_torch.diagnosis.search import Base, Round, Search, Trial, fitted_system, surely_above
 from nsde_torch.diagnosis.structure import Dependence, dependences
 from nsde_torch.effects import effect_class
 from nsde_torch.systems import System
 
 Verdict = Literal["no_effect", "effect_found", "unexplained"]
 
-_NATS = 3.0  # evidence below which two candidates are alike whatever their scatter
-_SURE = 2.0  # standard errors
 _LEAD = 0.1  # of what the effects explain: structure beyond that makes them leads
 _SHOWS = 0.9  # level of intervals
 
@@ -149,7 +147,7 @@ def _settle(
             base, found, i = without, [], 0
             continue
         best = next(t for t in now.trials if search.accept(t))
-        if best.name != name and _apart(best, own):
+        if best.name != name and surely_above(best, own):
             names[i] = best.name
             base, found, i = search.base(fitted_system(best.regression)), [], 0
             if names.count(best.name) > 1 or len(rounds) > 12:
@@ -167,19 +165,12 @@ def _only(system: System, declared: System, names: Sequence[str]) -> System:
     return declared.with_effects(*kept)  # type: ignore[arg-type]
 
 
-def _apart(better: Trial, worse: Trial) -> bool:
-    """Whether the evidence for one candidate is surely above that for another."""
-    difference = better.score.blocks - worse.score.blocks
-    error = float(difference.std(ddof=1)) * len(difference) ** 0.5
-    return float(difference.sum()) > max(_NATS, _SURE * error)
-
-
 def ties_of(search: Search, chosen: Trial, trials: Sequence[Trial]) -> tuple[str, ...]:
     """Names of candidates that explain the data as well as the chosen one; what contains it is none."""
     out = []
     for t in trials:
         contains = chosen.name in effect_class(t.name).includes
-        if t.name != chosen.name and not contains and search.accept(t) and not _apart(chosen, t):
+        if t.name != chosen.name and not contains and search.accept(t) and not surely_above(chosen, t):
             out.append(t.name)
     return tuple(out)
 

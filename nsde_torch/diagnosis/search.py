@@ -8,13 +8,14 @@ p value, times the number of candidates, is below alpha and the evidence is posi
 added is dropped if the others have made it superfluous, or exchanged for one that does better in its place.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, field
 from math import log
 from typing import final
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import chdtrc
 
 from nsde_torch.diagnosis.candidates import Start, alone, candidate_names, make_candidate, sizes, starts
 from nsde_torch.diagnosis.evidence import Score, folds, p_value, score
@@ -36,6 +37,8 @@ _REFINE = 8  # iterations of a candidate
 _WORTH = 6.0  # twice the log likelihood below which a candidate is not iterated
 _CLOSE = 0.4  # of the best gain of a screening, above which a candidate is iterated
 _FEWEST, _MOST = 4, 10  # candidates that are iterated
+_SURELY = 1e-3  # chance below which what contains a simpler effect is preferred to it
+_NATS, _SURE = 3.0, 2.0  # evidence, and standard errors of it, within which two candidates are alike
 
 
 @dataclass(frozen=True)
@@ -114,6 +117,28 @@ class Round:
     chosen: Trial | None = None
 
 
+def simplest_first(trials: Sequence[Trial]) -> list[Trial]:
+    """Candidates in order, what contains another one behind it unless it is surely better."""
+    out = list(trials)
+    for trial in trials:
+        for simple in trials:
+            if simple.name not in trial.effect.includes or out.index(trial) > out.index(simple):
+                continue
+            more = max((trial.own.stop - trial.own.start) - (simple.own.stop - simple.own.start), 1)
+            ratio = 2.0 * (trial.score.fitted - simple.score.fitted)
+            if chdtrc(more, max(ratio, 0.0)) > _SURELY or not surely_above(trial, simple):
+                out.remove(trial)
+                out.insert(out.index(simple) + 1, trial)
+    return out
+
+
+def surely_above(better: Trial, worse: Trial) -> bool:
+    """Whether the evidence for one candidate is above that for another by more than chance."""
+    difference = better.score.blocks - worse.score.blocks
+    error = float(difference.std(ddof=1)) * len(difference) ** 0.5
+    return float(difference.sum()) > max(_NATS, _SURE * error)
+
+
 def dynamic_rows(system: System) -> NDArray[np.int64]:
     """Channels that physics moves: not positions, nor a quaternion, which kinematics tie to others."""
     tied = {position for position, _, _ in system.position_derivatives}
@@ -183,10 +208,32 @@ class Search:
         """The regression of a system, with noise laws of its own."""
         regression = self._regression(system)
         regression.run(_ITERATIONS)
-        sure, single = regression.spread()
+        _, single = regression.spread()
         fold, block = folds(regression), regression.whitened_rows(single)
-        own = score(regression, fold, block, still=shapes(regression))
+        regression, own = self._best_noise(regression, system, fold, block, self.held)
+        sure, _ = regression.spread()
         return Base(system, regression, own, fold, block, single, sure)
+
+    def _best_noise(
+        self,
+        regression: Regression,
+        system: System,
+        fold: NDArray[np.int64],
+        block: NDArray[np.int64],
+        held: Collection[str],
+    ) -> tuple[Regression, Score]:
+        """The regression, or one with noise laws of a kind that suits its residuals better; and its score."""
+        still = shapes(regression)
+        best = score(regression, fold, block, still=still)
+        for orders in (None, 0):
+            other = self._regression(
+                system, regression, regression.theta, regression.own_noises(orders), held
+            )
+            other.run(_REFINE)
+            this = score(other, fold, block, still=still)
+            if this.fitted > best.fitted:
+                regression, best = other, this
+        return regression, best
 
     def look(self, base: Base, *, exclude: Sequence[str] = ()) -> Round:
         """Fit and rank the candidates beside the physics of `base`.
@@ -227,7 +274,7 @@ class Search:
                 out.trials.append(self.trial(base, system, name, among=max(len(names), 1), held=held))
             except (NsdeError, np.linalg.LinAlgError) as error:
                 out.failed[name] = str(error)
-        out.trials.sort(key=lambda t: -t.rank_score)
+        out.trials = simplest_first(sorted(out.trials, key=lambda t: -t.rank_score))
         return out
 
     def _joined(self, system: System, name: str, start: Start) -> System:
@@ -252,16 +299,13 @@ class Search:
         Noise laws are of the kind that `base` has, or of their own kind if that is better: a law that had to stand
         for the effect has more orders than the noise alone.
         """
-        regression = self._regression(system, base, held=held)
+        regression = self._regression(system, base.regression, held=held)
         regression.run(_REFINE)
         still = shapes(regression)
-        this = score(regression, base.fold, base.block, still=still)
-        for orders in (None, 0) if own_noise else ():
-            other = self._regression(system, base, regression.theta, regression.own_noises(orders), held)
-            other.run(_REFINE)
-            again = score(other, base.fold, base.block, still=still)
-            if again.fitted > this.fitted:
-                regression, this = other, again
+        if own_noise:
+            regression, this = self._best_noise(regression, system, base.fold, base.block, held)
+        else:
+            this = score(regression, base.fold, base.block, still=still)
         sure, _ = regression.spread()
         labels = regression.vector.labels
         mine = [j for j, label in enumerate(labels) if label.startswith(f"{name}.")]
@@ -270,7 +314,7 @@ class Search:
         tested[[j for j in range(len(labels)) if j not in mine]] = False
         p = p_value(regression, tested, sure, base=base.score, this=this)
         difference = this.blocks - base.score.blocks
-        price = 0.5 * (this.free - base.score.free) * log(len(difference))
+        price = 0.5 * (len(mine) - len(held)) * log(len(difference))
         return Trial(
             name=name,
             regression=regression,
@@ -294,27 +338,34 @@ class Search:
     def _regression(
         self,
         system: System,
-        base: Base | None = None,
+        before: Regression | None = None,
         start: Array | None = None,
         noises: Sequence[Noise] | None = None,
-        held: Sequence[str] = (),
+        held: Collection[str] = (),
     ) -> Regression:
-        vector = ParameterVector(system)
+        vector = self._vector(system)
         physics = Physics(vector, self.steps, curved=system.sensor_noise)
         rows, still = dynamic_rows(system), {*held, *self.held}
-        if base is None:
+        if before is None:
             return Regression(physics, box=self.box, rows=rows, origin=system, held=still)
-        physics.sensor_std = base.regression.physics.sensor_std
-        laws = base.regression.noises if noises is None else noises
-        first = _carried(vector, base.regression) if start is None else start
+        physics.sensor_std = before.physics.sensor_std
+        laws = before.noises if noises is None else noises
+        first = _carried(vector, before) if start is None else start
         return Regression(
             physics, box=self.box, rows=rows, start=first, noises=laws, origin=system, held=still
         )
 
+    def _vector(self, system: System) -> ParameterVector:
+        """Parameters of a system; what has memory is no faster than the samples, which could not show it."""
+        vector = ParameterVector(system)
+        fast = vector.moves_memory & (np.array(vector.units) == "s")
+        vector.low = np.where(fast, np.maximum(vector.low, self.steps.dt), vector.low)
+        return vector
+
     def _screen(self, base: Base, system: System, name: str, held: Sequence[str]) -> float:
         """Twice the log likelihood that one linearised step from the start of a candidate gains."""
         before = base.regression
-        vector = ParameterVector(system)
+        vector = self._vector(system)
         physics = Physics(vector, self.steps, curved=False)
         theta = vector.inside(_carried(vector, before))
         cls = effect_class(name)

@@ -151,9 +151,8 @@ def dependences(regression: Regression, blocks: Labels) -> list[Dependence]:
             q = z.shape[1]
             pull = z.T @ white
             gain = float(pull @ pull)
-            blockwise = np.stack(
-                [np.bincount(of_white, weights=z[:, k] * white, minlength=count) for k in range(q)], 1
-            )
+            blockwise: Array = np.zeros((count, q))
+            np.add.at(blockwise, of_white, z * white[:, None])
             p = max(float(chdtrc(q, gain)), _hotelling(blockwise))
             squares = np.square(pull)
             is_odd = odd[kept]

@@ -37,6 +37,8 @@ _REFINE = 8  # iterations of a candidate
 _WORTH = 6.0  # twice the log likelihood below which a candidate is not iterated
 _CLOSE = 0.4  # of the best gain of a screening, above which a candidate is iterated
 _FEWEST, _MOST = 4, 10  # candidates that are iterated
+_REFINED, _PROMISING = 2, 0.5  # candidates, and share of the best gain, that get noise laws of their own
+_BEYOND = 4.0  # times the ends of a grid: bounds of a shape
 _SURELY = 1e-3  # chance below which what contains a simpler effect is preferred to it
 _NATS, _SURE = 3.0, 2.0  # evidence, and standard errors of it, within which two candidates are alike
 
@@ -203,6 +205,7 @@ class Search:
         self.steps, self.box, self.alpha = steps, box, alpha
         self.candidates, self.channels, self.say = candidates, tuple(channels), say
         self.held: set[str] = set()
+        self.scales: dict[str, float] = {}
 
     def base(self, system: System) -> Base:
         """The regression of a system, with noise laws of its own."""
@@ -244,7 +247,7 @@ class Search:
         if self.candidates is not None:
             names = [n for n in names if n in self.candidates]
         out = Round(added=base.system.effect_names, trials=[], screened={})
-        peaks, scales = lines(base.regression), sizes(self.steps, base.system)
+        peaks, scales = lines(base.regression), self.scales
         best: dict[str, Start] = {}
         where: dict[str, tuple[System, tuple[str, ...]]] = {}
         for i, name in enumerate(names):
@@ -267,13 +270,20 @@ class Search:
             for i, n in enumerate(order[:_MOST])
             if out.screened[n] > _WORTH and (i < _FEWEST or out.screened[n] > _CLOSE * most)
         ]
+        among = max(len(names), 1)
         for i, name in enumerate(kept):
             self.say("fitting effects", i, len(kept))
             system, held = where[name]
             try:
-                out.trials.append(self.trial(base, system, name, among=max(len(names), 1), held=held))
+                out.trials.append(self.trial(base, system, name, among=among, held=held))
             except (NsdeError, np.linalg.LinAlgError) as error:
                 out.failed[name] = str(error)
+        out.trials.sort(key=lambda t: -t.rank_score)
+        best_gain = out.trials[0].gain if out.trials else 0.0
+        for i, trial in enumerate(out.trials):
+            if i < _REFINED or trial.gain > _PROMISING * best_gain:
+                self.say("comparing effects", i, len(out.trials))
+                out.trials[i] = self._finished(base, trial, among)
         out.trials = simplest_first(sorted(out.trials, key=lambda t: -t.rank_score))
         return out
 
@@ -285,31 +295,45 @@ class Search:
         return system.with_effects(make_candidate(name, system, start))
 
     def trial(
-        self,
-        base: Base,
-        system: System,
-        name: str,
-        *,
-        among: int,
-        held: tuple[str, ...] = (),
-        own_noise: bool = True,
+        self, base: Base, system: System, name: str, *, among: int, held: tuple[str, ...] = ()
     ) -> Trial:
-        """Fit a candidate beside the physics of `base`.
+        """Fit a candidate beside the physics of `base`, with noise laws of the same kind.
 
-        Noise laws are of the kind that `base` has, or of their own kind if that is better: a law that had to stand
-        for the effect has more orders than the noise alone.
+        Args:
+            base: What it is compared with.
+            system: Physics with the candidate.
+            name: Of the candidate.
+            among: Number of candidates.
+            held: Labels of its parameters that stay at nothing.
         """
         regression = self._regression(system, base.regression, held=held)
         regression.run(_REFINE)
+        this = score(regression, base.fold, base.block, still=shapes(regression))
+        return self._judged(base, regression, this, name, among, held)
+
+    def _finished(self, base: Base, trial: Trial, among: int) -> Trial:
+        """The candidate with noise laws of its own kind, if they are better.
+
+        A law that had to stand for the effect has more orders than the noise alone.
+        """
+        system = trial.regression.origin
+        assert isinstance(system, System)
+        regression, this = self._best_noise(trial.regression, system, base.fold, base.block, trial.held)
+        return self._judged(base, regression, this, trial.name, among, trial.held)
+
+    def _judged(
+        self,
+        base: Base,
+        regression: Regression,
+        this: Score,
+        name: str,
+        among: int,
+        held: tuple[str, ...],
+    ) -> Trial:
         still = shapes(regression)
-        if own_noise:
-            regression, this = self._best_noise(regression, system, base.fold, base.block, held)
-        else:
-            this = score(regression, base.fold, base.block, still=still)
         sure, _ = regression.spread()
         labels = regression.vector.labels
         mine = [j for j, label in enumerate(labels) if label.startswith(f"{name}.")]
-        own = slice(mine[0], mine[-1] + 1)
         tested = ~still
         tested[[j for j in range(len(labels)) if j not in mine]] = False
         p = p_value(regression, tested, sure, base=base.score, this=this)
@@ -318,7 +342,7 @@ class Search:
         return Trial(
             name=name,
             regression=regression,
-            own=own,
+            own=slice(mine[0], mine[-1] + 1),
             score=this,
             gain=float(difference.sum()),
             error=float(difference.std(ddof=1) * len(difference) ** 0.5),
@@ -356,10 +380,25 @@ class Search:
         )
 
     def _vector(self, system: System) -> ParameterVector:
-        """Parameters of a system; what has memory is no faster than the samples, which could not show it."""
+        """Parameters of a system, within what its data can tell.
+
+        What has memory is no faster than the samples, and shapes stay about the grid that was screened: dry friction
+        that sets in far above all speeds would be viscous friction by another name.
+        """
         vector = ParameterVector(system)
         fast = vector.moves_memory & (np.array(vector.units) == "s")
         vector.low = np.where(fast, np.maximum(vector.low, self.steps.dt), vector.low)
+        if not self.scales:
+            self.scales = sizes(self.steps, system)
+        for effect in vector.system.effects:
+            assert isinstance(effect, Effect)
+            for name, relative in effect.relative.items():
+                if relative not in self.scales or not effect.amplitudes:
+                    continue
+                grid = self.scales[relative] * np.array(effect.shapes[name])
+                j = vector.labels.index(f"{effect.name}.{name}")
+                vector.low[j] = max(vector.low[j], grid.min() / _BEYOND)
+                vector.high[j] = min(vector.high[j], grid.max() * _BEYOND)
         return vector
 
     def _screen(self, base: Base, system: System, name: str, held: Sequence[str]) -> float:

@@ -199,6 +199,25 @@ class EnsembleModel(ModelConfig):
 
 
 @dataclass
+class SysidModel(ModelConfig):
+    """Least-squares system identification: the declared physics and nothing else, in seconds."""
+
+    kind: str = key(
+        "sysid",
+        "kind of the model, set by model=; there are no gradient steps: loss=, trainer=, seed and data.validation "
+        "do not apply",
+        choices=("sysid",),
+    )
+    method: str = key(
+        "weak",
+        "equations in integral form, weighted by the noise found (weak), or finite differences of smoothed states in "
+        "ordinary least squares (differences)",
+        choices=("weak", "differences"),
+    )
+    max_iterations: int = key(20, "largest number of least-squares steps", unit="steps", low=1)
+
+
+@dataclass
 class LossConfig:
     """Weights and sizes of the losses (`nsde_torch.learning.LossOptions`)."""
 
@@ -318,7 +337,7 @@ class EvaluateConfig:
 class FiguresConfig:
     """`nsde figures`."""
 
-    figures: list[str] = key(["all"], "figures to make: all, or of fig5, fig9, fig10 ... fig15")
+    figures: list[str] = key(["all"], "figures to make: all, or of fig5, fig9, fig10 ... fig16")
     settings: str = key(
         "fast",
         "fast: a look in minutes; full: for the record (default trainings, all folds)",
@@ -399,6 +418,7 @@ CHOICES: dict[str, dict[str, type]] = {
         "node": NodeModel,
         "blackbox_nsde": BlackboxModel,
         "ensemble": EnsembleModel,
+        "sysid": SysidModel,
     },
     "solver": {"torchdiffeq": TorchDiffEqSolver},
 }

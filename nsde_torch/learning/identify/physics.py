@@ -47,6 +47,7 @@ class Physics:
         vector: The parametrised physics.
         steps: The data.
         curved: Whether sensor noise is white and f is to be corrected for its curvature.
+        foresee: Whether slopes are those at a foreseen state; False takes the measured one.
 
     Attributes:
         names, units: Of the channels (the states' own; `(body)` where turned).
@@ -54,8 +55,11 @@ class Physics:
         sensor_std: Standard deviation of white sensor noise (nx,), as the last `estimate_sensors` found it.
     """
 
-    def __init__(self, vector: ParameterVector, steps: Steps, *, curved: bool = False) -> None:
+    def __init__(
+        self, vector: ParameterVector, steps: Steps, *, curved: bool = False, foresee: bool = True
+    ) -> None:
         self.vector, self.steps, self.curved = vector, steps, curved
+        self._lead = _LEAD if foresee else 0
         system = vector.system
         self.turned = _world_velocity(system)
         self.names, self.units = list(system.state_names), list(system.state_units)
@@ -204,8 +208,11 @@ class Physics:
         self.vector.use(theta)
         s = self.steps
         rows = torch.arange(len(s))
-        x = s.x0[torch.maximum(rows - _LEAD, self._starts)]
-        for back in range(_LEAD, 0, -1):
+        if not self._lead:
+            x = self.vector.system.project(0.5 * (s.x0 + s.x1))
+            return torch.cat((x, 0.5 * (memory[0] + memory[1])), 1) if memory else x
+        x = s.x0[torch.maximum(rows - self._lead, self._starts)]
+        for back in range(self._lead, 0, -1):
             at = rows - back
             live = (at >= self._starts)[:, None]
             at = torch.maximum(at, self._starts)

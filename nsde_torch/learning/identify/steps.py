@@ -113,7 +113,16 @@ def _joined(
     joined = {key: torch.from_numpy(np.concatenate(rows)) for key, rows in parts.items()}
     joined |= {key: system.project(joined[key]) for key in ("x0", "x1")}
     dt = runs[0].dt
-    return Steps(**joined, logged_dt=dt, dt=dt * clock, segments=tuple(segments), runs=tuple(owners))
+    return Steps(
+        t=joined["t"],
+        x0=joined["x0"],
+        x1=joined["x1"],
+        u=joined["u"],
+        logged_dt=dt,
+        dt=dt * clock,
+        segments=tuple(segments),
+        runs=tuple(owners),
+    )
 
 
 def _stretches(runs: Sequence[Run]) -> Iterator[_Stretch]:

@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 from nsde_torch.data import Run
 from nsde_torch.errors import ConfigError, DataError, NonFiniteError
 from nsde_torch.learning.identify.explained import bump, explained
+from nsde_torch.learning.identify.feedback import past
 from nsde_torch.learning.identify.noise import (
     Noise,
     again,
@@ -67,6 +68,7 @@ class Regression:
         noises: Laws whose kind (order, c) is kept, one per channel of `rows`; None finds them.
         origin: The system that `physics` is of, for those who want it with other values.
         plain: Take the noise of every channel for white, as ordinary least squares does.
+        feedback: Take out of `white` and `slopes` what kinematic residuals foretell (see `feedback`).
 
     Attributes:
         theta: Where the iteration stands.
@@ -85,7 +87,10 @@ class Regression:
         noises: Sequence[Noise] | None = None,
         origin: System | None = None,
         plain: bool = False,
+        feedback: bool = False,
     ) -> None:
+        self._feedback = feedback
+        self._past = np.zeros((0, 0))
         self.physics, self.box, self.origin, self._plain = physics, box, origin, plain
         self.vector = physics.vector
         single = Series(physics.steps.segments)
@@ -168,8 +173,11 @@ class Regression:
             noises.append(estimate(r, self.series, limit=limit, orders=orders))
         self.noises = noises
         pairs = list(zip(noises, self.rows, strict=True))
-        self.white = np.stack([n.whiten(self.residual[:, [c]], self.series)[:, 0] for n, c in pairs])
-        self.slopes = np.stack([n.whiten(self.jacobian[:, c], self.series) for n, c in pairs])
+        if self._feedback and self._refined < 3:
+            kinematic = self.physics.kinematic(self.physics.residual(self.theta), self.rows)
+            self._past = past(self.single.summed(kinematic, self.box), self.series)
+        self.white = np.stack([self._new(n, self.residual[:, [c]])[:, 0] for n, c in pairs])
+        self.slopes = np.stack([self._new(n, self.jacobian[:, c]) for n, c in pairs])
         self.shown: Shown = shown(self.slopes.reshape(-1, len(self.vector)), self.vector.scale)
 
     def _step(self) -> float:
@@ -211,7 +219,14 @@ class Regression:
 
     def _size(self, residual: Array) -> float:
         pairs = zip(self.noises, self.rows, strict=True)
-        return sum(float(np.square(n.whiten(residual[:, [c]], self.series)).sum()) for n, c in pairs)
+        return sum(float(np.square(self._new(n, residual[:, [c]])).sum()) for n, c in pairs)
+
+    def _new(self, noise: Noise, values: Array) -> Array:
+        """Columns (N, k) in whitened rows, without what the past of other channels foretells."""
+        return self._purged(noise.whiten(values, self.series))
+
+    def _purged(self, values: Array) -> Array:
+        return values - self._past @ (self._past.T @ values) if self._past.size else values
 
     # ---- results --------------------------------------------------------------------------------------
 
@@ -220,11 +235,11 @@ class Regression:
         purged, used = [], 0
         for i, (noise, channel) in enumerate(zip(self.noises, self.rows, strict=True)):
             x = self.slopes[i] @ self.shown.basis
-            own = noise.own_slopes(self.residual[:, channel], self.series)
+            own = self._purged(noise.own_slopes(self.residual[:, channel], self.series))
             if own.shape[1]:
                 x = x - own @ np.linalg.lstsq(own, x, rcond=None)[0]
             purged.append(x)
-            used += own.shape[1]
+            used += own.shape[1] + self._past.shape[1]
         total = len(self.series) * self.dt
         length = float(np.clip(total / _BLOCKS, *_BLOCK_S))
         rows = max(1, round(min(length, total / 20) / self.dt))
@@ -295,7 +310,7 @@ def identify(
     box = _box(width, runs[0].dt * clock) if runs else 1
     steps = steps_of(system, runs, clock=clock, smooth=not weak, shortest=box)
     physics = Physics(vector, steps, curved=weak and system.sensor_noise, foresee=weak)
-    regression = Regression(physics, box=box, plain=not weak)
+    regression = Regression(physics, box=box, plain=not weak, feedback=weak)
     regression.run(iterations)
     sure, blocks = regression.spread()
     basis, window = regression.shown.basis, bump(steps.dt)

@@ -30,6 +30,7 @@ Array = NDArray[np.float64]
 
 _GRID = 1.0 - np.array([1, 0.7, 0.5, 0.35, 0.25, 0.18, 0.12, 0.08, 0.05, 0.03, 0.02, 0.012, 0.008, 0.005])
 _AKAIKE = 2.0
+_ROUNDING = 1e-10  # SI units a step: what double precision leaves of states of everyday size
 
 
 @dataclass(frozen=True)
@@ -130,7 +131,7 @@ def carry_limit(own: float, known: float, std: float, dt: float) -> float:
 
 
 def _size(white: Array, rows: int) -> float:
-    return max(float(np.sqrt(np.square(white).sum() / rows)), 1e-300)
+    return max(float(np.sqrt(np.square(white).sum() / rows)), _ROUNDING)
 
 
 def _score(residual: Array, series: Series, carry: float, orders: int) -> tuple[float, Array]:

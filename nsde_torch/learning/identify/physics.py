@@ -27,7 +27,7 @@ from torch import Tensor
 from nsde_torch.columns import split_columns
 from nsde_torch.learning.identify.memory import memory_along
 from nsde_torch.learning.identify.steps import Steps
-from nsde_torch.rotation import rotate_back
+from nsde_torch.rotation import rotate_back, rotation_between
 from nsde_torch.systems import System
 from nsde_torch.systems.parameters import ParameterVector
 
@@ -112,6 +112,25 @@ class Physics:
         """State and memory in the middle of each step, as foreseen from some steps earlier (N, nz)."""
         at = torch.as_tensor(theta)
         return self._foreseen(at, *self._memory(at))
+
+    def kinematic(self, residual: Array, rows: NDArray[np.int64]) -> Array:
+        """Residuals (N, m) of the channels beside `rows`; attitude and position of a turned velocity in the body."""
+        system, rest = (
+            self.vector.system,
+            [i for i in range(residual.shape[1]) if i not in set(rows.tolist())],
+        )
+        parts, q = [], system.quaternion
+        if q is not None and set(range(q.start, q.stop)) <= set(rest):
+            rest = [i for i in rest if not q.start <= i < q.stop]
+            after = self._attitude + torch.as_tensor(residual[:, q])
+            parts.append(rotation_between(self._attitude, after).numpy())
+        if self.turned is not None:
+            names = list(system.state_names)
+            at = [names.index(p) for p, _, frame in system.position_derivatives if frame == "world"]
+            if set(at) <= set(rest):
+                rest = [i for i in rest if i not in at]
+                parts.append(rotate_back(self._attitude, torch.as_tensor(residual[:, at])).numpy())
+        return np.concatenate([residual[:, rest], *parts], 1)
 
     def estimate_sensors(self, residual: Array) -> None:
         """Take the white noise of the sensors from fourth differences of what the physics leaves unexplained."""

@@ -1,7 +1,6 @@
 """Effects of the catalogue as candidates: which a system may have, and where their fits start."""
 
 from collections.abc import Iterable, Mapping, Sequence
-from itertools import product
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,7 +9,7 @@ from nsde_torch.effects import EFFECTS, Effect, Port, make_effect
 from nsde_torch.systems import System
 
 Array = NDArray[np.float64]
-Start = Mapping[str, float]
+Start = Mapping[str, float | list[float]]
 
 
 def candidate_names(system: System, exclude: Iterable[str] = ()) -> list[str]:
@@ -22,8 +21,8 @@ def candidate_names(system: System, exclude: Iterable[str] = ()) -> list[str]:
         name
         for name, cls in EFFECTS.items()
         if name not in left_out
-        and cls.port in ports
-        and cls.fits(system.name)
+        and cls.fits(system.name, ports)
+        and all(system.quantities.get(q) == width for q, width in cls.quantities.items())
         and cls.candidate(system.name)
         and set(cls.exogenous) <= seen
         and not left_out & set(cls.includes)
@@ -42,13 +41,7 @@ def starts(name: str, scales: Mapping[str, float], frequencies: Sequence[float])
 
     Args:
         name: Of the effect.
-        scales: Size of what a grid is relative to, by name ("input").
+        scales: Sizes that grids are relative to, by name ("input", "speed", "position", "rate").
         frequencies: Where the residual has spectral lines [Hz], for what oscillates.
     """
-    cls = EFFECTS[name]
-    scale = scales.get(cls.shape_scale, 1.0) if cls.shape_scale else 1.0
-    grids = {k: tuple(scale * v for v in values) for k, values in cls.shapes.items()}
-    if "frequency" in cls.PARAMETERS:
-        grids["frequency"] = tuple(frequencies)
-    points = product(*grids.values())
-    return [{**cls.null, **dict(zip(grids, point, strict=True))} for point in points]
+    return list(EFFECTS[name].starts(scales, frequencies))

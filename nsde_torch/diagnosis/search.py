@@ -176,7 +176,7 @@ class Search:
             names = [n for n in names if n in self.candidates]
         out = Round(added=base.system.effect_names, trials=[], screened={})
         peaks = lines(base.regression)
-        scales = {"input": _input_size(self.steps, base.system)}
+        scales = _data_sizes(self.steps, base.system)
         best: dict[str, tuple[System, Array | None]] = {}
         for i, name in enumerate(names):
             self.say("screening effects", i, len(names))
@@ -296,6 +296,12 @@ def _parameter(label: str) -> str:
     return label.partition(".")[2].partition("[")[0]
 
 
-def _input_size(steps: Steps, system: System) -> float:
-    u = steps.u[:, : system.nu].abs().numpy()
-    return max(float(np.quantile(u, 0.98)), 1e-6) if u.size else 1.0
+def _data_sizes(steps: Steps, system: System) -> dict[str, float]:
+    """95 % quantiles of absolute values that grids of start values are relative to (see `Effect.relative`)."""
+    states = {
+        kind: steps.x0[:, k].abs().numpy()
+        for kind, k in {"position": 0, "speed": 1, "rate": 3}.items()
+        if k < system.nx
+    }
+    columns = {"input": steps.u[:, : system.nu].abs().numpy(), **states}
+    return {k: max(float(np.quantile(v, 0.95)), 1e-6) if v.size else 1.0 for k, v in columns.items()}

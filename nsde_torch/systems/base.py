@@ -153,6 +153,11 @@ class System(Parametrised, ABC):
                 f"it has: {', '.join(e.name for e in made) or 'none'}."
             )
         self.effects = nn.ModuleList(made)
+        self._arrange()
+
+    def _arrange(self) -> None:
+        """Work out the order of the effects, and where each finds its memory and its columns."""
+        made = [self._effect(k) for k in range(len(self.effects))]
         self._parts = (self.nx, *(effect.n_memory for effect in made))
         on_input = [k for k, effect in enumerate(made) if effect.port is Port.INPUT]
         self._on_input = tuple(sorted(on_input, key=lambda k: (made[k].stage, k)))
@@ -164,14 +169,16 @@ class System(Parametrised, ABC):
         """A copy of the machine, with its present values, that has further effects.
 
         Raises:
-            ConfigError: an effect is there already.
+            ConfigError: an effect is there already, or reads what the system does not offer.
         """
+        for effect in effects:
+            self._check_quantities(effect)
         twice = [e.name for e in effects if e.name in self.effect_names]
         if twice:
             raise ConfigError(f"system {self.name!r} has the effects {twice} already.")
         out = copy.deepcopy(self)
         out.effects.extend(copy.deepcopy(e) for e in effects)
-        out._parts = (out.nx, *(int(e.n_memory) for e in out.effects))  # type: ignore[arg-type]
+        out._arrange()
         return out
 
     @property

@@ -13,7 +13,7 @@ from nsde_torch.data import split as split_runs
 from nsde_torch.errors import ConfigError, DataError
 from nsde_torch.learning import filter_reach
 from nsde_torch.learning.options import LossOptions, TrainerOptions
-from nsde_torch.models import EnsembleSpec, ModelSpec, SDESpec
+from nsde_torch.models import EnsembleSpec, ModelSpec, SDESpec, SysidSpec
 from nsde_torch.plants import simulated
 from nsde_torch.sde import Step, make_step
 from nsde_torch.systems import System, make_system
@@ -203,8 +203,23 @@ def _ensemble_spec(config: DictConfig, machine: System, runs: Split, common: dic
     return EnsembleSpec(system=config.system.name, hidden=tuple(config.model.hidden), **common, **model)
 
 
+def _sysid_spec(config: DictConfig, machine: System, runs: Split, common: dict[str, Any]) -> ModelSpec:
+    solver = step(config.solver, machine, kind=config.model.kind)
+    return SysidSpec(
+        system=config.system.name,
+        **common,
+        **options(config.model, "kind"),
+        step=solver.name,
+        solver=options(config.solver, "name"),
+    )
+
+
 _SpecMaker = Callable[[DictConfig, System, Split, dict[str, Any]], ModelSpec]
-_SPECS: dict[str, _SpecMaker] = {**dict.fromkeys(SDESpec.kinds, _sde_spec), "ensemble": _ensemble_spec}
+_SPECS: dict[str, _SpecMaker] = {
+    **dict.fromkeys(SDESpec.kinds, _sde_spec),
+    "ensemble": _ensemble_spec,
+    "sysid": _sysid_spec,
+}
 
 
 def loss_options(config: DictConfig) -> LossOptions:
@@ -221,16 +236,16 @@ def trainer_options(config: DictConfig) -> TrainerOptions:
 
 
 def step(config: DictConfig, machine: System, *, kind: str = "nsde") -> Step:
-    """The integrator of the group `solver`; null is the system's own, and rk4 for a neural ODE.
+    """The integrator of the group `solver`; null is the system's own, and rk4 for a model without diffusion.
 
     Raises:
         ConfigError: There is no such integrator, or it does not fit the kind of model.
     """
-    own = "rk4" if kind == "node" else machine.defaults.step
+    own = "rk4" if kind in ("node", "sysid") else machine.defaults.step
     made = make_step(config.name or own, **options(config, "name"))
-    if kind == "node" and not made.deterministic:
+    if kind in ("node", "sysid") and not made.deterministic:
         raise ConfigError(
-            f"`model=node` has no diffusion, and solver={made.name} is for equations with noise. "
+            f"`model={kind}` has no diffusion, and solver={made.name} is for equations with noise. "
             "Take solver=rk4, midpoint or torchdiffeq, or leave it out."
         )
     if kind == "blackbox_nsde" and made.deterministic:

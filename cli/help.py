@@ -38,7 +38,7 @@ def describe(command: str, summary: str, words: Sequence[str]) -> str:
     for entry in groups.keys(command, chosen, extra):
         name = entry.path.split(".")[0] if "." in entry.path else ""
         if name != section:
-            of = name if chosen.get(name) == groups.NOTHING else f"{name}={chosen.get(name)}"
+            of = f"{name}={chosen[name]}" if chosen.get(name, groups.NOTHING) != groups.NOTHING else name
             lines += [*_others(section, chosen), "", f"Keys of {of}" if name else "Keys"]
             section = name
         lines += _key_lines(entry)

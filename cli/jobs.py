@@ -80,7 +80,7 @@ def guarded(run: Callable[[DictConfig, Job], float | None], command: str, config
     job = Job(run_dir=Path(hydra.runtime.output_dir), sweep=hydra.mode == RunMode.MULTIRUN)
     LAST.run_dir, LAST.error = job.run_dir, None
     (job.run_dir / FAILED).unlink(missing_ok=True)
-    _see_user_modules(hydra)
+    see_user_modules(hydra)
     try:
         check_config(config, command, list(hydra.overrides.task))
         return run(config, job)
@@ -124,7 +124,7 @@ def _check_node(
     check(schema, values, prefix)
 
 
-def _see_user_modules(hydra: Any) -> None:
+def see_user_modules(hydra: Any) -> None:
     """Make modules in the user's config folder importable, in a launcher's worker process too."""
     for source in hydra.runtime.config_sources:
         if source.provider == "command-line" and source.schema == "file" and source.path not in sys.path:

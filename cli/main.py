@@ -40,6 +40,10 @@ COMMANDS: dict[str, Command] = {
     "policy": Command(
         ".policy", "Learn a policy in a learned model or on the true machine, and judge it there"
     ),
+    "simulate": Command(
+        ".simulate", "Write runs of a simulated machine as files that do not say what is in them"
+    ),
+    "effects": Command(".effects", "List the physical effects that a system or a plant can be given"),
     "sweep-report": Command(".sweep_report", "Rank the jobs of a sweep, and name those that failed and why"),
     "completion": Command(".completion", "Print the shell completion script for bash, zsh or fish"),
 }

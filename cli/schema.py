@@ -199,6 +199,25 @@ class EnsembleModel(ModelConfig):
 
 
 @dataclass
+class SysidModel(ModelConfig):
+    """Least-squares system identification: the declared physics and nothing else, in seconds."""
+
+    kind: str = key(
+        "sysid",
+        "kind of the model, set by model=; there are no gradient steps: loss=, trainer=, seed and data.validation "
+        "do not apply",
+        choices=("sysid",),
+    )
+    method: str = key(
+        "weak",
+        "equations in integral form, weighted by the noise found (weak), or finite differences of smoothed states in "
+        "ordinary least squares (differences)",
+        choices=("weak", "differences"),
+    )
+    max_iterations: int = key(20, "largest number of least-squares steps", unit="steps", low=1)
+
+
+@dataclass
 class LossConfig:
     """Weights and sizes of the losses (`nsde_torch.learning.LossOptions`)."""
 
@@ -318,7 +337,7 @@ class EvaluateConfig:
 class FiguresConfig:
     """`nsde figures`."""
 
-    figures: list[str] = key(["all"], "figures to make: all, or of fig5, fig9, fig10 ... fig15")
+    figures: list[str] = key(["all"], "figures to make: all, or of fig5, fig9, fig10 ... fig16")
     settings: str = key(
         "fast",
         "fast: a look in minutes; full: for the record (default trainings, all folds)",
@@ -391,6 +410,67 @@ class PolicyConfig:
     ppo: PpoConfig = group(PpoConfig, "how it learns")
 
 
+@dataclass
+class PlantSystem:
+    """The machine that a plant stands for."""
+
+    name: str = key("???", "name of a system that has a plant")
+
+
+@dataclass
+class PlantConfig:
+    """What the simulated machine holds."""
+
+    effects: Any = key(
+        [],
+        "effects that nobody declares: names, module:Class of your own, or {NAME: {parameter: 1}}; a size that is not "
+        "given is a typical one (`nsde effects` lists them)",
+    )
+    parameters: dict[str, Any] = key({}, "values of these effects, plant.parameters.EFFECT.NAME=1")
+    declared_only: bool = key(
+        False,
+        "leave out the undeclared effects that the machine has anyway (multirotors: rotor drag, motor lag)",
+    )
+    process_noise: float = key(1.0, "strength of the gusts, relative to the machine's own", low=0)
+    sensor_noise: float = key(1.0, "strength of the measurement noise, relative to the machine's own", low=0)
+    battery: bool = key(False, "log the battery's voltage though no effect reads it (multirotors)")
+
+
+@dataclass
+class RecordingConfig:
+    """Faults of the recording chain."""
+
+    input_smoothing: float = key(0.0, "width of the centred moving average of the inputs", unit="s", low=0)
+    input_delay: float = key(
+        0.0, "time by which states are logged late, so that inputs seem to come early", unit="s", low=0
+    )
+    clock_scale: float = key(1.0, "physical seconds for each logged second", low=0.5, high=2)
+    sensor_bias: dict[str, Any] = key({}, "what is added to a state, recording.sensor_bias.STATE=0.1")
+    frame_misalignment: list[float] = key(
+        [0.0, 0.0, 0.0], "turn of the log's body frame against the machine's about x, y, z", unit="deg"
+    )
+    dropout: float = key(0.0, "share of the rows that is missing", low=0, high=0.5)
+
+
+@dataclass
+class SimulateConfig:
+    """`nsde simulate`."""
+
+    out: str = key("???", "folder of the data set: one CSV file per run, and nothing else")
+    truth: str | None = key(None, "file that says what is in it; null: OUT.truth.json, beside the folder")
+    overwrite: bool = key(False, "replace the CSV files of a folder that holds something, and the truth")
+    seed: int = key(0, "seed of first states, inputs and noise", low=0)
+    durations: list[float] | None = key(
+        None, "length of each run on the clock of the log; null: the system's own", unit="s", above=0
+    )
+    dt: float | None = key(None, "step of the log; null: the system's own", unit="s", above=0)
+    options: dict[str, Any] = key({}, "further options of the system's recording, options.NAME=1")
+    threads: int = key(1, "CPU threads of torch", low=1)
+    system: PlantSystem = group(PlantSystem, "the machine")
+    plant: PlantConfig = group(PlantConfig, "what it holds")
+    recording: RecordingConfig = group(RecordingConfig, "how it is logged")
+
+
 # Choices whose keys are more than those of their group's class.
 CHOICES: dict[str, dict[str, type]] = {
     "data": {"simulated": SimulatedData, "csv": CsvData, "ulog": UlogData, "published": PublishedData},
@@ -399,6 +479,7 @@ CHOICES: dict[str, dict[str, type]] = {
         "node": NodeModel,
         "blackbox_nsde": BlackboxModel,
         "ensemble": EnsembleModel,
+        "sysid": SysidModel,
     },
     "solver": {"torchdiffeq": TorchDiffEqSolver},
 }
@@ -408,6 +489,7 @@ COMMAND_SCHEMAS: dict[str, type] = {
     "figures": FiguresConfig,
     "evaluate": EvaluateConfig,
     "policy": PolicyConfig,
+    "simulate": SimulateConfig,
 }
 
 

@@ -1,7 +1,6 @@
 """Effects of the catalogue as candidates: which a system may have, and where their fits start."""
 
-from collections.abc import Collection, Iterable, Mapping, Sequence
-from itertools import product
+from collections.abc import Collection, Iterable, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,20 +36,8 @@ def make_candidate(name: str, system: System, start: Start) -> Effect:
         system=system.name,
         ports={*system.ports, Port.INPUT},
         n_inputs=system.nu,
-        values=inside(name, start),
+        values=start,
     )
-
-
-def inside(name: str, start: Start) -> Start:
-    """Values moved off their bounds, where an effect does all but nothing."""
-    out: Start = {}
-    for key, value in start.items():
-        spec = effect_class(name).PARAMETERS[key]
-        margin = 1e-6 * (spec.scale or 1.0)
-        low = -np.inf if spec.low is None else spec.low + margin
-        high = np.inf if spec.high is None else spec.high - margin
-        out[key] = np.clip(value, low, high).tolist()
-    return out
 
 
 def sizes(steps: Steps, system: System) -> dict[str, float]:
@@ -68,26 +55,6 @@ def sizes(steps: Steps, system: System) -> dict[str, float]:
         "rate": size([i for i, unit in enumerate(units) if unit == "rad/s"]),
         "position": size([names.index(p) for p, _, _ in system.position_derivatives][:1]),
     }
-
-
-def starts(name: str, scales: Mapping[str, float], frequencies: Sequence[float]) -> list[Start]:
-    """Values that fits start from: no effect, at every point of a grid of what enters nonlinearly.
-
-    Args:
-        name: Of the effect.
-        scales: Sizes of the data (`sizes`).
-        frequencies: Where the residual has spectral lines [Hz].
-    """
-    cls = effect_class(name)
-    grids: dict[str, list[float | list[float]]] = {}
-    for key, values in cls.shapes.items():
-        relative = cls.relative.get(key)
-        if relative == "spectrum":
-            grids[key] = list(frequencies)
-        else:
-            scale = scales[relative] if relative else 1.0
-            grids[key] = [(scale * np.asarray(v)).tolist() for v in values]
-    return [{**cls.null, **dict(zip(grids, point, strict=True))} for point in product(*grids.values())]
 
 
 def alone(name: str, labels: Sequence[str]) -> list[tuple[str, ...]]:

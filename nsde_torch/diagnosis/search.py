@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtrc
 
-from nsde_torch.diagnosis.candidates import Start, alone, candidate_names, make_candidate, sizes, starts
+from nsde_torch.diagnosis.candidates import Start, alone, candidate_names, make_candidate, sizes
 from nsde_torch.diagnosis.evidence import Score, folds, p_value, score
 from nsde_torch.diagnosis.spectrum import lines
 from nsde_torch.effects import Effect, effect_class
@@ -252,7 +252,7 @@ class Search:
         where: dict[str, tuple[System, tuple[str, ...]]] = {}
         for i, name in enumerate(names):
             self.say("screening effects", i, len(names))
-            for start in starts(name, scales, peaks):
+            for start in effect_class(name).starts(scales, peaks):
                 system = self._joined(base.system, name, start)
                 labels = [x for x in ParameterVector(system).labels if x.startswith(f"{name}.")]
                 for held in alone(name, labels):
@@ -368,7 +368,7 @@ class Search:
         held: Collection[str] = (),
     ) -> Regression:
         vector = self._vector(system)
-        physics = Physics(vector, self.steps, curved=system.sensor_noise)
+        physics = Physics(vector, self.steps)
         rows, still = dynamic_rows(system), {*held, *self.held}
         if before is None:
             return Regression(physics, box=self.box, rows=rows, origin=system, held=still)
@@ -405,7 +405,7 @@ class Search:
         """Twice the log likelihood that one linearised step from the start of a candidate gains."""
         before = base.regression
         vector = self._vector(system)
-        physics = Physics(vector, self.steps, curved=False)
+        physics = Physics(vector, self.steps)
         theta = vector.inside(_carried(vector, before))
         cls = effect_class(name)
         mine = [j for j, label in enumerate(vector.labels) if label.startswith(f"{name}.")]
@@ -420,8 +420,6 @@ class Search:
             slopes = np.concatenate([physics.slopes(theta, slice(j, j + 1)) for j in moved], 2)
             new = self._whitened(before, slopes)
         else:
-            physics.sensor_std = before.physics.sensor_std
-            physics.curved = system.sensor_noise
             change = before.single.summed(physics.residual(theta), self.box)
             if not np.isfinite(change[:, before.rows]).all():
                 raise NonFiniteError(f"{name} is not finite at its start.")

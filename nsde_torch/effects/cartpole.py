@@ -120,7 +120,7 @@ class TrackTilt(Effect):
     null = {"slope": 0.0}
     amplitudes = ("slope",)
     sentence = "The track rises by {slope} of its length, so that cart and pole are pulled along it."
-    separate = "leave it alone, at rest: a tilt lets the cart roll, a force on the cart tilts the pole too"
+    separate = "leave it alone, at rest: a tilt moves cart and pole alike, a force on the cart tilts the pole"
 
     def forward(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
         """See `Effect.forward`."""

@@ -85,22 +85,22 @@ class AsymmetricFriction(Effect):
     formula = "-c+ max(s, 0) - c- min(s, 0), s = tanh(v / v0)"
     source = SURVEY + ", section on direction-dependent friction"
     PARAMETERS = {
-        "positive": Parameter(0.1, "m/s2", low=0.0, help="friction over mass where v > 0"),
-        "negative": Parameter(0.1, "m/s2", low=0.0, help="friction over mass where v < 0"),
+        "size_forward": Parameter(0.1, "m/s2", low=0.0, help="friction over mass where v > 0"),
+        "size_backward": Parameter(0.1, "m/s2", low=0.0, help="friction over mass where v < 0"),
         "width": width("m/s"),
     }
-    null = {"positive": 0.0, "negative": 0.0}
-    amplitudes = ("positive", "negative")
+    null = {"size_forward": 0.0, "size_backward": 0.0}
+    amplitudes = ("size_forward", "size_backward")
     shapes = {"width": WIDTHS}
     relative = {"width": "speed"}
     includes = ("coulomb_friction", "cart_coulomb_friction")
-    sentence = "Dry friction brakes with {positive} forwards and {negative} backwards."
+    sentence = "Dry friction brakes with {size_forward} forwards and {size_backward} backwards."
     separate = "run at the same speeds in both directions, and let it come to rest from both sides"
 
     def forward(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
         """See `Effect.forward`."""
         s = torch.tanh(x[:, 1:2] / self.value("width"))
-        return -self.value("positive") * s.clamp_min(0.0) - self.value("negative") * s.clamp_max(0.0)
+        return -self.value("size_forward") * s.clamp_min(0.0) - self.value("size_backward") * s.clamp_max(0.0)
 
 
 @final

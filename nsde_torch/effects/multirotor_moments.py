@@ -68,7 +68,7 @@ class GyroscopicMoment(Effect):
     name = "gyroscopic_moment"
     port = Port.BODY_MOMENT
     quantities = {"spin": 1}
-    formula = "h S (omega_y, -omega_x, 0), S = sum of u_i by sense of rotation"
+    formula = "h S (omega_y, -omega_x, 0), S = sum of signed u_i"
     source = TUTORIAL + "; rotor speed in proportion to its command"
     PARAMETERS = {
         "momentum": Parameter(

@@ -23,7 +23,7 @@ class MotorEfficiencyLoss(Effect):
     source = "actuator effectiveness factor; Zhang, Jiang, Annual Reviews in Control 32 (2008)"
     PARAMETERS = {
         "loss": Parameter(
-            0.01, "1", low=0.0, high=1.0, scale=0.05, help="share lost, one per motor", per_input=True
+            0.01, "1", low=0.0, high=1.0, scale=0.1, help="share lost, one per motor", per_input=True
         )
     }
     null = {"loss": 0.0}
@@ -93,7 +93,7 @@ class ThrustCurve(Effect):
     needs = _MULTIROTOR
     formula = "u_eff = u + c u^2"
     source = "supplement eq. 4: thrust map as a polynomial of the command"
-    PARAMETERS = {"curvature": Parameter(0.0, "1", scale=0.5, help="second coefficient over the first")}
+    PARAMETERS = {"curvature": Parameter(0.0, "1", scale=0.1, help="second coefficient over the first")}
     null = {"curvature": 0.0}
     amplitudes = ("curvature",)
     sentence = "Thrust grows with {curvature} times the square of the command beside the command itself."

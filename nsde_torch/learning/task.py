@@ -83,9 +83,11 @@ class Fitted:
         progress: How the optimisation went.
         parameters: Makes the declared parameters with intervals: name -> `value`, `half_width_90`, `unit`.
         facts: Further plain values for `metrics.json`.
+        said: What to say of the fit, beside the table of parameters; empty: the optimisation's usual line.
     """
 
     model: Model
     progress: Progress
     parameters: Callable[[], Parameters] = _none
     facts: dict[str, Any] = field(default_factory=dict)
+    said: str = ""

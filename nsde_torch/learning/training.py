@@ -18,6 +18,7 @@ from nsde_torch.learning import seen
 from nsde_torch.learning.calibration import Coverage, extrapolate, widen
 from nsde_torch.learning.fit_ensemble import fit_ensemble
 from nsde_torch.learning.fit_sde import fit_sde
+from nsde_torch.learning.fit_sysid import fit_sysid
 from nsde_torch.learning.metrics import evaluate, horizons_of
 from nsde_torch.learning.options import LossOptions, TrainerOptions
 from nsde_torch.learning.prepare import sensor_std
@@ -25,11 +26,16 @@ from nsde_torch.learning.progress import Progress
 from nsde_torch.learning.report import coverage_table, error_table, lookahead, parameter_table
 from nsde_torch.learning.task import Fitted, Task
 from nsde_torch.models.ensemble import EnsembleSpec
+from nsde_torch.models.identified import SysidSpec
 from nsde_torch.models.model import Model, ModelSpec
 from nsde_torch.models.neural_sde import NeuralSDE, SDESpec
 from nsde_torch.models.run_directory import METRICS, save
 
-FITS: dict[type[ModelSpec], Callable[[Task], Fitted]] = {SDESpec: fit_sde, EnsembleSpec: fit_ensemble}
+FITS: dict[type[ModelSpec], Callable[[Task], Fitted]] = {
+    SDESpec: fit_sde,
+    EnsembleSpec: fit_ensemble,
+    SysidSpec: fit_sysid,
+}
 _LEFT_OUT = 3  # training runs that calibration leaves out in turn, at most
 _AUXILIARY_SHARE = 0.5  # of the gradient steps
 
@@ -81,7 +87,7 @@ class Training:
         self.validation, self.seed, self.values = validation, seed, values
         self.device, self.dtype = torch.device(device), dtype
         self.folder, self.about, self.say, self.other_sensors = Path(run_dir), about, say, other_sensors
-        self.compile = options.compile != "off"
+        self.compile = options.compile != "off" and not isinstance(spec, SysidSpec)  # done before it compiles
         self.smoothing = smoothing_width(split.train, len(data.input_names))
         self.filter_reach = spec.filter_reach if isinstance(spec, SDESpec) else 0
 
@@ -104,7 +110,8 @@ class Training:
         fitted = time.perf_counter()
         ended = "validation no longer fell" if p.stopped else "all steps done"
         self.say(
-            f"fitted: {p.step} steps in {fitted - started:.0f} s ({ended}); kept step {p.best_step}, "
+            fit.said
+            or f"fitted: {p.step} steps in {fitted - started:.0f} s ({ended}); kept step {p.best_step}, "
             f"validation {p.best_score:.4f}"
             + (f"; then {p.polished} steps on all windows" if p.polished else "")
         )
@@ -254,7 +261,7 @@ class Training:
             self.say(f"note: {self.note()}")
 
     def _conclude(self, metrics: Mapping[str, Any]) -> None:
-        if metrics["parameters"]:
+        if metrics["parameters"] and "identification" not in metrics:
             self.say("\n" + parameter_table(metrics["parameters"]))
         test = metrics.get("test")
         if test and test["errors"]:

@@ -7,10 +7,15 @@ import torch
 
 from nsde_torch.errors import ConfigError
 from nsde_torch.models.ensemble import EnsembleSpec, GaussianEnsemble
+from nsde_torch.models.identified import IdentifiedModel, SysidSpec
 from nsde_torch.models.model import Model, ModelSpec
 from nsde_torch.models.neural_sde import NeuralSDE, SDESpec
 
-_CLASSES: dict[type[ModelSpec], type[Model]] = {SDESpec: NeuralSDE, EnsembleSpec: GaussianEnsemble}
+_CLASSES: dict[type[ModelSpec], type[Model]] = {
+    SDESpec: NeuralSDE,
+    EnsembleSpec: GaussianEnsemble,
+    SysidSpec: IdentifiedModel,
+}
 SPECS: dict[str, type[ModelSpec]] = {kind: spec for spec in _CLASSES for kind in spec.kinds}
 
 

@@ -1,14 +1,16 @@
-"""Plants: simulated machines that stand for the real ones, and the built-in data sets made with them."""
+"""Plants: simulated machines that stand for the real ones, and the data sets made with them."""
 
 from nsde_torch.plants.cartpole import SwingUp, cartpole_episodes
 from nsde_torch.plants.cascade import Cascade, Gains
 from nsde_torch.plants.flights import manual_flights
-from nsde_torch.plants.machines import MACHINES, Machine, make_plant, make_plant_system
+from nsde_torch.plants.machines import MACHINES, Machine, Making, make_plant, make_plant_system
 from nsde_torch.plants.mass_spring_damper import spring_runs
 from nsde_torch.plants.noise import Gust
 from nsde_torch.plants.plant import Plant
 from nsde_torch.plants.record import record
+from nsde_torch.plants.recording import Recording
 from nsde_torch.plants.registry import simulated
+from nsde_torch.plants.simulation import Simulation, simulate, write
 
 __all__ = [
     "MACHINES",
@@ -16,13 +18,18 @@ __all__ = [
     "Gains",
     "Gust",
     "Machine",
+    "Making",
     "Plant",
+    "Recording",
+    "Simulation",
     "SwingUp",
     "cartpole_episodes",
     "make_plant",
     "make_plant_system",
     "manual_flights",
     "record",
+    "simulate",
     "simulated",
     "spring_runs",
+    "write",
 ]

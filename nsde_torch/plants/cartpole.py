@@ -22,7 +22,7 @@ from torch import Tensor
 
 from nsde_torch.data.raw import RawRun
 from nsde_torch.errors import ConfigError
-from nsde_torch.plants.machines import Effects, machine, make_plant, make_plant_system
+from nsde_torch.plants.machines import Effects, Making, make_plant, make_plant_system, plant_options
 from nsde_torch.plants.record import record
 from nsde_torch.systems import Cartpole
 from nsde_torch.systems.cartpole import GRAVITY
@@ -92,6 +92,7 @@ def cartpole_episodes(
     sensor_noise: float = 1.0,
     policy: str = "mixed",
     exploration: float = 0.1,
+    making: Making | None = None,
 ) -> list[RawRun]:
     """Episodes of the cart and pole.
 
@@ -107,9 +108,10 @@ def cartpole_episodes(
         policy: `random` (a new action, uniform in [-1, 1], at every sample), `on_policy` (swing up and
             balance), or `mixed` (the episodes in turn).
         exploration: Standard deviation of the noise added to the actions of the controller.
+        making: How the plant is made.
 
     Returns:
-        Runs at 50 Hz: measured states and the force [N].
+        Runs at 50 Hz (or on the step of `making`): measured states and the force [N].
 
     Raises:
         ConfigError: an unknown policy or effect, or a number out of range.
@@ -122,11 +124,16 @@ def cartpole_episodes(
     rng = np.random.default_rng([seed, 1])
     generator = torch.Generator().manual_seed(int(rng.integers(2**62)))
     plant = make_plant(
-        name, generator=generator, effects=effects, process_noise=process_noise, sensor_noise=sensor_noise
+        name,
+        generator=generator,
+        effects=effects,
+        process_noise=process_noise,
+        sensor_noise=sensor_noise,
+        **plant_options(making),
     )
     system = make_plant_system(name, declared_only=True)
     assert isinstance(system, Cartpole)
-    controller = SwingUp(system, dt=machine(name).dt)
+    controller = SwingUp(system, dt=plant.dt)
     batch = len(lengths)
     start = rng.uniform(LOW, HIGH, (batch, 4))
     random = {"random": np.ones(batch), "on_policy": np.zeros(batch), "mixed": np.arange(batch) % 2}[policy]

@@ -16,8 +16,9 @@ from numpy.typing import NDArray
 from nsde_torch.data.quaternion import euler_zyx
 from nsde_torch.data.raw import RawRun
 from nsde_torch.errors import ConfigError
+from nsde_torch.plants.battery import battery_column, battery_of
 from nsde_torch.plants.cascade import Cascade
-from nsde_torch.plants.machines import Effects, machine, make_plant, make_plant_system
+from nsde_torch.plants.machines import Effects, Making, machine, make_plant, make_plant_system, plant_options
 from nsde_torch.plants.pilot import Path, Pilot, Sticks, figures
 from nsde_torch.systems import Multirotor
 
@@ -44,7 +45,33 @@ def fly(
     process_noise: float = 1.0,
     sensor_noise: float = 1.0,
 ) -> tuple[Array, Array]:
-    """Fly wanted paths at once; the shorter ones hold their end.
+    """Fly wanted paths at once: measured states (n, B, 13) and the commands given at them (n, B, nu).
+
+    Arguments and errors are those of `fly_logged`.
+    """
+    x, u, _ = fly_logged(
+        name,
+        paths,
+        generator=generator,
+        effects=effects,
+        process_noise=process_noise,
+        sensor_noise=sensor_noise,
+    )
+    return x, u
+
+
+def fly_logged(
+    name: str,
+    paths: Sequence[Path],
+    *,
+    generator: torch.Generator,
+    effects: Effects = (),
+    process_noise: float = 1.0,
+    sensor_noise: float = 1.0,
+    making: Making | None = None,
+    durations: Sequence[float] = (),
+) -> tuple[Array, Array, Array]:
+    """Fly wanted paths at once, with the battery's voltage; the shorter ones hold their end.
 
     Args:
         name: System, `hexacopter` or `quadrotor`.
@@ -53,16 +80,25 @@ def fly(
         effects: Effects beyond those of the plant.
         process_noise: Factor on the gusts.
         sensor_noise: Factor on the sensor noise.
+        making: How the plant is made.
+        durations: Lengths of the runs that take turns on one battery [s]; row i is run i modulo their number.
 
     Returns:
-        Measured states (n, B, 13) and the commands given at them (n, B, nu).
+        Measured states (n, B, 13), the commands given at them (n, B, nu), and the battery's voltage (n, B, 1), or
+        (n, B, 0) where none is logged.
 
     Raises:
         NonFiniteError: the flight left the finite numbers.
     """
     plant = make_plant(
-        name, generator=generator, effects=effects, process_noise=process_noise, sensor_noise=sensor_noise
+        name,
+        generator=generator,
+        effects=effects,
+        process_noise=process_noise,
+        sensor_noise=sensor_noise,
+        **plant_options(making),
     )
+    logged = battery_of(plant, making, durations or [len(paths[0].p) * plant.dt], rows=len(paths))
     pilot_knows = make_plant_system(name, declared_only=True)
     assert isinstance(pilot_knows, Multirotor)
     cascade = Cascade(pilot_knows, dt=plant.dt, device=generator.device)
@@ -78,15 +114,19 @@ def fly(
     start = p.new_zeros(len(paths), 13)
     start[:, :3], start[:, 3:6] = p[0], v[0]
     start[:, 6], start[:, 9] = torch.cos(0.5 * yaw[0]), torch.sin(0.5 * yaw[0])
-    x = plant.reset(start, cascade.hover(len(paths)))
-    states, commands = [], []
+    hover = cascade.hover(len(paths))
+    x = plant.reset(start, logged.seen_by(plant, hover, logged.voltage(hover)))
+    states, commands, voltages = [], [], []
     for k in range(n):
         u = cascade(x, p[k], v[k], a[k], yaw[k], yaw_rate[k])
+        voltage = logged.voltage(u)
         states.append(x)
         commands.append(u)
+        voltages.append(voltage)
         if k + 1 < n:
-            x = plant.step(u)
-    return _array(states), _array(commands)
+            x = plant.step(logged.seen_by(plant, u, voltage))
+            logged.use(u)
+    return _array(states), _array(commands), _array(voltages)
 
 
 def _array(rows: list[torch.Tensor]) -> Array:
@@ -147,6 +187,9 @@ def manual_flights(
     effects: Effects = (),
     process_noise: float = 1.0,
     sensor_noise: float = 1.0,
+    making: Making | None = None,
+    variants: int = VARIANTS,
+    rounds: int = ROUNDS,
 ) -> list[RawRun]:
     """Flights by hand whose envelope, over all runs, is that of the supplement's Figure 15.
 
@@ -157,41 +200,49 @@ def manual_flights(
         effects: Effects that the plant has beyond its own.
         process_noise: Factor on the gusts.
         sensor_noise: Factor on the sensor noise.
+        making: How the plant is made.
+        variants: Flights to choose from; fewer are quicker and meet the figures less well.
+        rounds: How often the aim may be moved at most.
 
     Returns:
-        Runs at 100 Hz: measured states, commands in [0, 1]. Much shorter flights than the default have a
-        narrower choice and meet the figures less well.
+        Runs at 100 Hz (or on the step of `making`): measured states, commands in [0, 1]. Much
+        shorter flights than the default have a narrower choice and meet the figures less well.
 
     Raises:
         ConfigError: an unknown system or effect, a number out of range, or effects that the cascade cannot
             fly.
     """
-    dt = machine(name).dt
-    pilot = Pilot(DURATIONS if durations is None else durations, dt=dt, seed=seed)
+    if min(variants, rounds) < 1:
+        raise ConfigError(f"`variants` and `rounds` must be 1 or more; got {variants!r} and {rounds!r}.")
+    dt = (making or Making()).dt or machine(name).dt
+    lengths = DURATIONS if durations is None else tuple(durations)
+    pilot = Pilot(lengths, dt=dt, seed=seed)
     generator = torch.Generator().manual_seed(int(np.random.default_rng([seed, 2]).integers(2**62)))
     aim, sticks = pilot.targets / np.array(RESPONSE), Sticks()
-    best: tuple[float, list[Array], list[Array]] = (float("inf"), [], [])
-    for _ in range(ROUNDS):
+    best: tuple[float, list[tuple[Array, Array, Array]]] = (float("inf"), [])
+    for _ in range(rounds):
         sticks = pilot.rehearse(sticks, aim)
-        variants = pilot.variants(sticks, VARIANTS, 0.1)
-        paths = [path for variant in variants for path in pilot.paths(variant)]
-        x, u = fly(
+        tried = pilot.variants(sticks, variants, 0.1)
+        paths = [path for variant in tried for path in pilot.paths(variant)]
+        x, u, voltage = fly_logged(
             name,
             paths,
             generator=generator,
             effects=effects,
             process_noise=process_noise,
             sensor_noise=sensor_noise,
+            making=making,
+            durations=lengths,
         )
         count = len(pilot.rows)
-        takes = [[x[:n, k * count + i] for k in range(len(variants))] for i, n in enumerate(pilot.rows)]
+        takes = [[x[:n, k * count + i] for k in range(len(tried))] for i, n in enumerate(pilot.rows)]
         miss, choice = _choose(takes, pilot.targets)
         if miss < best[0]:
             rows = [k * count + i for i, k in enumerate(choice)]
+            kept = zip(pilot.rows, rows, strict=True)
             best = (
                 miss,
-                [x[:n, row].copy() for n, row in zip(pilot.rows, rows, strict=True)],
-                [u[:n, row].copy() for n, row in zip(pilot.rows, rows, strict=True)],
+                [(x[:n, r].copy(), u[:n, r].copy(), voltage[:n, r].copy()) for n, r in kept],
             )
         if best[0] < NEAR:
             break
@@ -210,6 +261,7 @@ def manual_flights(
             run,
             command,
             source="simulated",
+            extra=battery_column(voltage),
         )
-        for i, (run, command) in enumerate(zip(best[1], best[2], strict=True))
+        for i, (run, command, voltage) in enumerate(best[1])
     ]

@@ -27,14 +27,15 @@ noise.
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from math import ceil, radians
+from math import ceil, inf, radians
 from typing import Any
 
 import torch
 
-from nsde_torch.effects import Port
+from nsde_torch.effects import Port, effect_class
 from nsde_torch.errors import ConfigError
 from nsde_torch.plants.noise import Gust
 from nsde_torch.plants.plant import Plant
@@ -125,6 +126,36 @@ MACHINES: dict[str, Machine] = {
 }
 
 
+@dataclass(frozen=True)
+class Making:
+    """How a plant is made for a recording, beside its effects and noise; None takes the machine's own.
+
+    Args:
+        declared_only: Leave out the effects that the declared physics does not have.
+        latency: Time from a command to its effect [s].
+        dt: Sample [s].
+        step: Fine step of the integration [s].
+        battery: Log the voltage of a battery though no effect reads it (multirotors).
+    """
+
+    declared_only: bool = False
+    latency: float | None = None
+    dt: float | None = None
+    step: float | None = None
+    battery: bool = False
+
+
+def plant_options(making: Making | None) -> dict[str, Any]:
+    """Arguments of `make_plant` that a `Making` stands for."""
+    made = making or Making()
+    return {
+        "declared_only": made.declared_only,
+        "latency": made.latency,
+        "dt": made.dt,
+        "step": made.step,
+    }
+
+
 def machine(name: str) -> Machine:
     """Machine of a system.
 
@@ -174,15 +205,43 @@ def make_plant_system(name: str, *, effects: Effects = (), declared_only: bool =
         ConfigError: no plant of that name, or an unknown effect or parameter.
     """
     spec = machine(name)
-    asked = named_effects(effects)
     present = {} if declared_only else {k: dict(v) for k, v in spec.effects.items()}
-    for key, values in asked.items():
+    for key, values in named_effects(effects).items():
+        cls = effect_class(key)
+        for (
+            part
+        ) in cls.includes:  # it stands in for a simpler effect of the machine, with the values of that one
+            standing = present.pop(part, {})
+            values = {**{k: v for k, v in standing.items() if k in cls.PARAMETERS}, **values}
         present.setdefault(key, {}).update(values)
     declared = make_system(name).effect_names
     parameters: Values = dict(spec.values)
     for key, given in present.items():
-        parameters.update({f"{key}.{parameter}": value for parameter, value in given.items()})
+        own = effect_class(key).name
+        parameters.update({f"{own}.{parameter}": value for parameter, value in given.items()})
     return make_system(name, effects=[k for k in present if k not in declared], values=parameters)
+
+
+@torch.no_grad()
+def _longest_step(system: System) -> float:
+    """The longest step that follows a system from rest: half the time of its fastest mode there [s].
+
+    Rest is where smoothed friction is stiffest; lags and delays are as fast everywhere.
+    """
+    system = copy.deepcopy(system).double()
+    x = torch.zeros(1, system.nx, dtype=torch.float64)
+    if system.quaternion is not None:
+        x[:, system.quaternion.start] = 1.0
+    u = torch.zeros(1, system.nu + len(system.exogenous), dtype=torch.float64)
+
+    def rate(z: torch.Tensor) -> torch.Tensor:
+        return system.drift(0.0, z, u)[0]
+
+    slopes = torch.func.jacfwd(rate)(system.augment(x, u))[:, 0]
+    if not bool(torch.isfinite(slopes).all()):
+        return inf
+    fastest = float(torch.linalg.eigvals(slopes).abs().max())
+    return 0.5 / fastest if fastest > 0 else inf
 
 
 def make_plant(
@@ -210,8 +269,7 @@ def make_plant(
         sensor_noise: Factor on the machine's sensor noise.
         latency: Time from a command to its effect [s]; default: the machine's.
         dt: Sample [s]; default: the machine's.
-        step: Fine step [s]; default: the machine's, or less to fit into `dt`. Effects with time constants
-            below it need a shorter one.
+        step: Fine step [s]; default: the machine's, or less to fit into `dt` and to follow the fastest effect.
         check: Raise when a state is not finite.
         dtype: Precision.
 
@@ -229,10 +287,11 @@ def make_plant(
             f"{process_noise!r}. Leave it at 1."
         )
     sample = spec.dt if dt is None else dt
+    system = make_plant_system(name, effects=effects, declared_only=declared_only)
     if step is None:
-        step = sample / max(1, ceil(sample / spec.step - 1e-6))
+        step = sample / max(1, ceil(sample / min(spec.step, _longest_step(system)) - 1e-6))
     return Plant(
-        make_plant_system(name, effects=effects, declared_only=declared_only),
+        system,
         dt=sample,
         generator=generator,
         step=step,

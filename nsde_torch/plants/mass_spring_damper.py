@@ -18,7 +18,7 @@ import torch
 
 from nsde_torch.data.raw import RawRun
 from nsde_torch.errors import ConfigError
-from nsde_torch.plants.machines import Effects, make_plant
+from nsde_torch.plants.machines import Effects, Making, make_plant, plant_options
 from nsde_torch.plants.record import record
 
 DURATIONS = (5.0,) * 5
@@ -38,6 +38,8 @@ def spring_runs(
     process_noise: float = 1.0,
     sensor_noise: float = 1.0,
     force: str = "zero",
+    force_size: float = FORCE_SIZE,
+    making: Making | None = None,
     region: Sequence[Sequence[float]] = REGION,
 ) -> list[RawRun]:
     """Runs of the mass-spring-damper.
@@ -50,16 +52,20 @@ def spring_runs(
         process_noise: 0 or 1; the machine has none.
         sensor_noise: Factor on the noise [0.005 m, 0.01 m/s].
         force: `zero` or `multisine`.
+        force_size: Standard deviation of the multisine [N].
+        making: How the plant is made.
         region: Where runs start, ((lowest q, highest q), (lowest q_dot, highest q_dot)).
 
     Returns:
-        Runs at 100 Hz: measured q, q_dot and the force.
+        Runs at 100 Hz (or on the step of `making`): measured q, q_dot and the force.
 
     Raises:
         ConfigError: an unknown choice or effect, or a number out of range.
     """
     if force not in FORCES:
         raise ConfigError(f"`force` must be one of {', '.join(FORCES)}; got {force!r}.")
+    if not force_size > 0:
+        raise ConfigError(f"`force_size` must be above 0 N; got {force_size!r}.")
     bounds = np.asarray(region, dtype=np.float64)
     if bounds.shape != (2, 2) or (bounds[:, 1] < bounds[:, 0]).any():
         raise ConfigError(f"`region` must be ((low, high), (low, high)) of q and q_dot; got {region!r}.")
@@ -67,12 +73,17 @@ def spring_runs(
     rng = np.random.default_rng([seed, 1])
     generator = torch.Generator().manual_seed(int(rng.integers(2**62)))
     plant = make_plant(
-        name, generator=generator, effects=effects, process_noise=process_noise, sensor_noise=sensor_noise
+        name,
+        generator=generator,
+        effects=effects,
+        process_noise=process_noise,
+        sensor_noise=sensor_noise,
+        **plant_options(making),
     )
     start = rng.uniform(bounds[:, 0], bounds[:, 1], (len(lengths), 2))
     hertz = np.exp(rng.uniform(np.log(0.05), np.log(1.5), (len(lengths), SINES)))
     phase = rng.uniform(0.0, 2.0 * pi, (len(lengths), SINES))
-    size = FORCE_SIZE * np.sqrt(2.0 / SINES) if force == "multisine" else 0.0
+    size = force_size * np.sqrt(2.0 / SINES) if force == "multisine" else 0.0
 
     def control(t: float, x: torch.Tensor) -> torch.Tensor:
         waves = size * np.sin(2.0 * pi * hertz * t + phase)

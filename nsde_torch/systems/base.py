@@ -155,7 +155,7 @@ class System(Parametrised, ABC):
         self._arrange(made)
 
     def _arrange(self, effects: Sequence[Effect]) -> None:
-        """Take these effects, and work out who acts when and on which columns."""
+        """Take these effects, and work out their order and where each finds its memory and its columns."""
         self.effects = nn.ModuleList(effects)
         self._parts = (self.nx, *(effect.n_memory for effect in effects))
         on_input = [k for k, effect in enumerate(effects) if effect.port is Port.INPUT]
@@ -168,8 +168,10 @@ class System(Parametrised, ABC):
         """A copy of the machine, with its present values, that has further effects.
 
         Raises:
-            ConfigError: an effect is there already.
+            ConfigError: an effect is there already, or reads what the system does not offer.
         """
+        for effect in effects:
+            self._check_quantities(effect)
         twice = [e.name for e in effects if e.name in self.effect_names]
         if twice:
             raise ConfigError(f"system {self.name!r} has the effects {twice} already.")

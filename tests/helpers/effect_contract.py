@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 
 import pytest
 import torch
@@ -20,18 +20,22 @@ class EffectContract:
         system: System that it is tried on.
         memory: Extra states that it is to carry.
         size: Size of the states that it is tried on.
+        values: Values with which every parameter matters, where the first ones are not such.
+        time: Time at which it is tried [s].
     """
 
     name: str
     system: str
     memory: int = 0
     size: float = 1.0
+    values: Mapping[str, float | list[float]] | None = None
+    time: float = 0.3
 
     def machine(self, **options: object) -> System:
         """The system with this effect and no other."""
         return make_system(self.system, declared=[], effects=[self.name], **options)  # type: ignore[arg-type]
 
-    def make(self, values: dict[str, float | list[float]] | None = None) -> Effect:
+    def make(self, values: Mapping[str, float | list[float]] | None = None) -> Effect:
         cls = SYSTEMS[self.system]
         return make_effect(
             self.name,
@@ -73,6 +77,9 @@ class EffectContract:
         assert cls.source
         assert isinstance(cls.port, Port)
         assert set(cls.systems) <= set(SYSTEMS)
+        assert cls.sentence.format(**cls.PARAMETERS)
+        assert cls.separate
+        assert set(cls.includes) <= set(EFFECTS)
 
     def test_every_parameter_has_a_unit_and_a_first_value_inside_its_bounds(self) -> None:
         declared = self.make().declared_parameters()
@@ -81,7 +88,7 @@ class EffectContract:
             value, unit = declared[name]
             assert unit == spec.unit != ""
             assert spec.help
-            expected = torch.as_tensor(spec.initial, dtype=value.dtype).reshape(-1)
+            expected = torch.as_tensor(spec.initial, dtype=value.dtype).reshape(-1).expand(len(value))
             torch.testing.assert_close(value, expected, rtol=1e-5, atol=1e-7)
 
     # ---- parameters -----------------------------------------------------------------------------------
@@ -112,14 +119,54 @@ class EffectContract:
                 assert spec.high is None or bool((value <= spec.high).all())
 
     def test_the_gradient_reaches_every_parameter(self) -> None:
-        effect = self.make().double()
+        effect = self.make(self.values).double()
         x, u, memory = self.rows(8)
-        (effect(0.0, x, u, memory).sum() + effect.memory_rate(0.0, x, u, memory).sum()).backward()
+        term, rate = effect(self.time, x, u, memory), effect.memory_rate(self.time, x, u, memory)
+        (term.sum() + rate.sum()).backward()
         for name, _ in self.specs():
             gradient = effect.raw[name].grad
             assert gradient is not None
             assert bool(torch.isfinite(gradient).all())
             assert bool((gradient != 0).any())
+
+    # ---- what a diagnosis asks ------------------------------------------------------------------------
+
+    def test_it_adds_nothing_at_the_values_that_say_so(self) -> None:
+        cls = EFFECTS[self.name]
+        assert cls.null
+        assert {*cls.null, *cls.shapes} <= set(cls.PARAMETERS)
+        assert set(cls.amplitudes) <= set(cls.null)
+        assert set(cls.relative) <= set(cls.shapes)
+        assert set(cls.null) | set(cls.shapes) == set(cls.PARAMETERS)
+        sizes = dict.fromkeys(cls.relative.values(), 1.0)
+        x, u, _ = self.rows(6)
+        for start in cls.starts(sizes, frequencies=(1.0, 2.0)):
+            for name in cls.null:  # a shape may be of the null too: a lag has nothing else
+                start[name] = cls._inside(cls.null)[name]
+            effect = self.make(start).double()
+            term = effect(self.time, x, u, effect.memory_start(x, u))
+            assert float(term.detach().abs().max()) < 1e-4
+
+    def test_it_is_linear_in_its_amplitudes(self) -> None:
+        cls = EFFECTS[self.name]
+        x, u, memory = self.rows(6)
+
+        def term(share: float) -> Tensor:
+            effect = self.make(self.values).double()
+            for name in cls.amplitudes:
+                full = effect.value(name).detach() + 0.3
+                effect.set_value(name, share * full)
+            return effect(self.time, x, u, memory).detach()
+
+        if cls.amplitudes:
+            torch.testing.assert_close(term(0.5), 0.5 * term(1.0) + 0.5 * term(1e-9), rtol=1e-4, atol=1e-6)
+
+    def test_time_may_be_a_number_or_one_for_each_row(self) -> None:
+        effect = self.make(self.values).double()
+        x, u, memory = self.rows(4)
+        one = effect(self.time, x, u, memory)
+        for t in (torch.tensor(self.time), torch.full((4,), self.time)):
+            torch.testing.assert_close(effect(t.double(), x, u, memory), one)
 
     # ---- the term -------------------------------------------------------------------------------------
 

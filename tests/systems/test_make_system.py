@@ -128,3 +128,23 @@ def test_an_import_error_inside_ones_own_module_names_what_is_missing(
     monkeypatch.syspath_prepend(tmp_path)
     with pytest.raises(ConfigError, match="no_such_package_at_all"):
         make_system("my_broken_machine:Mine")
+
+
+def test_a_copy_with_further_effects_moves_as_one_made_with_them() -> None:
+    names = ["motor_lag", "battery_voltage", "linear_drag", "input_delay"]
+    values = {"linear_drag.drag": 0.3}
+    made = make_system("hexacopter", effects=names, values=values).double()
+    plain = make_system("hexacopter", effects=names[:1]).double()
+    effects = dict(zip(made.effect_names, made.effects, strict=True))
+    grown = plain.with_effects(*(effects[n] for n in names[1:]))
+    x, u = torch.randn(5, 13).double(), torch.rand(5, 7).double()
+    z = made.augment(x, u)
+    torch.testing.assert_close(grown.augment(x, u), z)
+    torch.testing.assert_close(grown.drift(0.0, z, u), made.drift(0.0, z, u))
+    assert plain.effect_names == ("motor_lag",)
+    assert (
+        float((plain.drift(0.0, plain.augment(x, u), u)[:, :13] - grown.drift(0.0, z, u)[:, :13]).abs().max())
+        > 0.01
+    )
+    with pytest.raises(ConfigError, match="already"):
+        grown.with_effects(effects["linear_drag"])  # type: ignore[arg-type]

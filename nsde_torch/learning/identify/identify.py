@@ -23,7 +23,16 @@ from numpy.typing import NDArray
 from nsde_torch.data import Run
 from nsde_torch.errors import ConfigError, DataError, NonFiniteError
 from nsde_torch.learning.identify.explained import bump, explained
-from nsde_torch.learning.identify.noise import Noise, again, carry_limit, estimate, extended, first_guess
+from nsde_torch.learning.identify.feedback import past
+from nsde_torch.learning.identify.noise import (
+    Noise,
+    again,
+    carry_limit,
+    estimate,
+    extended,
+    first_guess,
+    white_noise,
+)
 from nsde_torch.learning.identify.physics import Physics
 from nsde_torch.learning.identify.result import Identification
 from nsde_torch.learning.identify.series import Series
@@ -31,6 +40,7 @@ from nsde_torch.learning.identify.shown import Shown, shown
 from nsde_torch.learning.identify.solve import bounded_step
 from nsde_torch.learning.identify.spread import Spread, spread
 from nsde_torch.learning.identify.steps import steps_of
+from nsde_torch.models.identified import METHODS
 from nsde_torch.systems import System
 from nsde_torch.systems.parameters import ParameterVector
 
@@ -58,6 +68,8 @@ class Regression:
         noises: Laws whose kind (order, c) is kept, one per channel of `rows`; None finds them.
         origin: The system that `physics` is of, for those who want it with other values.
         held: Labels of parameters that stay where they start.
+        plain: Take the noise of every channel for white, as ordinary least squares does.
+        feedback: Take out of `white` and `slopes` what kinematic residuals foretell (see `feedback`).
 
     Attributes:
         theta: Where the iteration stands.
@@ -76,8 +88,12 @@ class Regression:
         noises: Sequence[Noise] | None = None,
         origin: System | None = None,
         held: Collection[str] = (),
+        plain: bool = False,
+        feedback: bool = False,
     ) -> None:
-        self.physics, self.box, self.origin = physics, box, origin
+        self._feedback = feedback
+        self._past = np.zeros((0, 0))
+        self.physics, self.box, self.origin, self._plain = physics, box, origin, plain
         self._held = np.array([label in held for label in physics.vector.labels])
         self.vector = physics.vector
         single = Series(physics.steps.segments)
@@ -101,7 +117,7 @@ class Regression:
         self.iterations = 0
         self.converged = False
         self._refined = 0  # steps since laws are looked for
-        self._rough = not self._kept
+        self._rough = not (self._kept or plain)
         self._whiten()
 
     def run(self, iterations: int) -> None:
@@ -112,7 +128,7 @@ class Regression:
             moved = self._step()
             self.iterations += 1
             settled = moved < (1.0 if self._rough else _SETTLED)
-            if settled and (self._kept or self._rough or self._refined > 4):
+            if settled and (self._kept or self._rough or self._plain or self._refined > 4):
                 self.converged = True
                 break
 
@@ -144,6 +160,9 @@ class Regression:
         noises = []
         for i, channel in enumerate(self.rows):
             r = self.residual[:, channel]
+            if self._plain:
+                noises.append(white_noise(r, self.series))
+                continue
             if self._kept:
                 noises.append(again(self.noises[i], r, self.series))
                 continue
@@ -158,8 +177,11 @@ class Regression:
             noises.append(estimate(r, self.series, limit=limit, orders=orders))
         self.noises = noises
         pairs = list(zip(noises, self.rows, strict=True))
-        self.white = np.stack([n.whiten(self.residual[:, [c]], self.series)[:, 0] for n, c in pairs])
-        self.slopes = np.stack([n.whiten(self.jacobian[:, c], self.series) for n, c in pairs])
+        if self._feedback and self._refined < 3:
+            kinematic = self.physics.kinematic(self.physics.residual(self.theta), self.rows)
+            self._past = past(self.single.summed(kinematic, self.box), self.series)
+        self.white = np.stack([self._new(n, self.residual[:, [c]])[:, 0] for n, c in pairs])
+        self.slopes = np.stack([self._new(n, self.jacobian[:, c]) for n, c in pairs])
         self.shown: Shown = shown(self.slopes.reshape(-1, len(self.vector)), self.vector.scale)
 
     def _step(self) -> float:
@@ -201,7 +223,14 @@ class Regression:
 
     def _size(self, residual: Array) -> float:
         pairs = zip(self.noises, self.rows, strict=True)
-        return sum(float(np.square(n.whiten(residual[:, [c]], self.series)).sum()) for n, c in pairs)
+        return sum(float(np.square(self._new(n, residual[:, [c]])).sum()) for n, c in pairs)
+
+    def _new(self, noise: Noise, values: Array) -> Array:
+        """Columns (N, k) in whitened rows, without what the past of other channels foretells."""
+        return self._purged(noise.whiten(values, self.series))
+
+    def _purged(self, values: Array) -> Array:
+        return values - self._past @ (self._past.T @ values) if self._past.size else values
 
     # ---- results --------------------------------------------------------------------------------------
 
@@ -210,11 +239,11 @@ class Regression:
         purged, used = [], 0
         for i, (noise, channel) in enumerate(zip(self.noises, self.rows, strict=True)):
             x = self.slopes[i] @ self.shown.basis
-            own = noise.own_slopes(self.residual[:, channel], self.series)
+            own = self._purged(noise.own_slopes(self.residual[:, channel], self.series))
             if own.shape[1]:
                 x = x - own @ np.linalg.lstsq(own, x, rcond=None)[0]
             purged.append(x)
-            used += own.shape[1]
+            used += own.shape[1] + self._past.shape[1]
         total = len(self.series) * self.dt
         length = float(np.clip(total / _BLOCKS, *_BLOCK_S))
         rows = max(1, round(min(length, total / 20) / self.dt))
@@ -258,15 +287,18 @@ def identify(
     runs: Sequence[Run],
     *,
     clock: float = 1.0,
+    method: str = "weak",
     width: float | None = None,
     iterations: int = ITERATIONS,
 ) -> Identification:
-    """Identify the declared parameters of a system by the weak form.
+    """Identify the declared parameters of a system by least squares.
 
     Args:
         system: The machine; its values are where the iteration starts. It is not changed.
         runs: Recordings, all on one step.
         clock: Physical seconds per logged second.
+        method: "weak" as above, or "differences": finite differences of states that a spline has smoothed, in
+            ordinary least squares, the classical way; only its covariance is that of above.
         width: Length of the boxes that the equations are integrated over [s]; None takes one step of the data, or
             10 ms if that is longer.
         iterations: Largest number of steps.
@@ -275,7 +307,7 @@ def identify(
         Estimates, their covariance, and what the data do not show.
 
     Raises:
-        ConfigError: no declared parameter, or a width that is shorter than a step.
+        ConfigError: no such method, no declared parameter, or a width that is shorter than a step.
         DataError: no run, or nothing moves.
         NonFiniteError: the physics leaves the finite numbers.
 
@@ -283,11 +315,14 @@ def identify(
         >>> found = identify(make_system("hexacopter"), data.runs)  # doctest: +SKIP
         >>> dict(zip(found.vector.labels, found.values))  # doctest: +SKIP
     """
+    if method not in METHODS:
+        raise ConfigError(f"`method` must be {' or '.join(METHODS)}; got {method!r}.")
+    weak = method == "weak"
     vector = ParameterVector(system)
     box = _box(width, runs[0].dt * clock) if runs else 1
-    steps = steps_of(system, runs, clock=clock, smooth=False, shortest=box)
-    physics = Physics(vector, steps, curved=system.sensor_noise)
-    regression = Regression(physics, box=box)
+    steps = steps_of(system, runs, clock=clock, smooth=not weak, shortest=box)
+    physics = Physics(vector, steps, curved=weak and system.sensor_noise, foresee=weak)
+    regression = Regression(physics, box=box, plain=not weak, feedback=weak)
     regression.run(iterations)
     sure, blocks = regression.spread()
     basis, window = regression.shown.basis, bump(steps.dt)
@@ -296,12 +331,14 @@ def identify(
     channels = explained(physics, left, regression.rows, window)
     return Identification(
         vector=vector,
-        method="weak",
+        method=method,
         values=regression.theta,
         covariance=basis @ sure.covariance @ basis.T,
         degrees=sure.degrees(basis),
         shown=regression.shown,
-        channels=tuple(replace(c, noise=n) for c, n in zip(channels, regression.noises, strict=True)),
+        channels=tuple(
+            replace(c, noise=n if weak else None) for c, n in zip(channels, regression.noises, strict=True)
+        ),
         sensor_std=physics.sensor_std,
         unexplained=float(np.mean([c.residual / c.measured for c in alone if c.measured > 0] or [0.0])),
         width_s=len(window) * steps.dt,

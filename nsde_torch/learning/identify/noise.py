@@ -30,6 +30,7 @@ Array = NDArray[np.float64]
 
 _GRID = 1.0 - np.array([1, 0.7, 0.5, 0.35, 0.25, 0.18, 0.12, 0.08, 0.05, 0.03, 0.02, 0.012, 0.008, 0.005])
 _AKAIKE = 2.0
+_ROUNDING = 1e-10  # SI units a step: what double precision leaves of states of everyday size
 
 
 @dataclass(frozen=True)
@@ -68,6 +69,11 @@ class Noise:
 def extended(series: Series) -> Series:
     """Series of whitened rows: the error before the first row of a stretch is a row of its own."""
     return Series(tuple((a + i, b + i + 1) for i, (a, b) in enumerate(series.edges)))
+
+
+def white_noise(residual: Array, series: Series) -> Noise:
+    """Noise that is white."""
+    return Noise(0.0, np.zeros(0), _size(residual, len(series)))
 
 
 def first_guess(residual: Array, series: Series, limit: float) -> Noise:
@@ -125,7 +131,7 @@ def carry_limit(own: float, known: float, std: float, dt: float) -> float:
 
 
 def _size(white: Array, rows: int) -> float:
-    return max(float(np.sqrt(np.square(white).sum() / rows)), 1e-300)
+    return max(float(np.sqrt(np.square(white).sum() / rows)), _ROUNDING)
 
 
 def _score(residual: Array, series: Series, carry: float, orders: int) -> tuple[float, Array]:

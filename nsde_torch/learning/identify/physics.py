@@ -27,15 +27,13 @@ from torch import Tensor
 from nsde_torch.columns import split_columns
 from nsde_torch.learning.identify.memory import memory_along
 from nsde_torch.learning.identify.steps import Steps
-from nsde_torch.rotation import rotate_back
+from nsde_torch.rotation import rotate_back, rotation_between
 from nsde_torch.systems import System
 from nsde_torch.systems.parameters import ParameterVector
 
 Array = NDArray[np.float64]
 
-_LEAD = (
-    5  # steps from which a state is foreseen: sensor noise of the same step biases, that of older ones hardly
-)
+_LEAD = 5  # steps from which a state is foreseen: sensor noise of one step biases, that of older ones hardly
 _FOURTH = 70.0  # C(8, 4): variance of a fourth difference of white noise
 
 
@@ -47,6 +45,7 @@ class Physics:
         vector: The parametrised physics.
         steps: The data.
         curved: Whether sensor noise is white and f is to be corrected for its curvature.
+        foresee: Whether slopes are those at a foreseen state; False takes the measured one.
 
     Attributes:
         names, units: Of the channels (the states' own; `(body)` where turned).
@@ -54,8 +53,11 @@ class Physics:
         sensor_std: Standard deviation of white sensor noise (nx,), as the last `estimate_sensors` found it.
     """
 
-    def __init__(self, vector: ParameterVector, steps: Steps, *, curved: bool = False) -> None:
+    def __init__(
+        self, vector: ParameterVector, steps: Steps, *, curved: bool = False, foresee: bool = True
+    ) -> None:
         self.vector, self.steps, self.curved = vector, steps, curved
+        self._lead = _LEAD if foresee else 0
         system = vector.system
         self.turned = _world_velocity(system)
         self.names, self.units = list(system.state_names), list(system.state_units)
@@ -64,7 +66,7 @@ class Physics:
                 self.names[i] += " (body)"
         self._starts = steps.starts
         self._attitude = self._middle_attitude()
-        self.measured: Array = self._turn(steps.x1 - steps.x0, self._attitude).numpy()
+        self.measured: Array = self._turn(steps.seen1 - steps.seen0, self._attitude).numpy()
         self.sensor_std: Array = np.zeros(system.nx)
         self._remembered: tuple[Tensor, tuple[Tensor, ...]] | None = None
 
@@ -108,6 +110,25 @@ class Physics:
         """State and memory in the middle of each step, as foreseen from some steps earlier (N, nz)."""
         at = torch.as_tensor(theta)
         return self._foreseen(at, *self._memory(at))
+
+    def kinematic(self, residual: Array, rows: NDArray[np.int64]) -> Array:
+        """Residuals (N, m) of the channels beside `rows`; attitude and position of a turned velocity in the body."""
+        system, rest = (
+            self.vector.system,
+            [i for i in range(residual.shape[1]) if i not in set(rows.tolist())],
+        )
+        parts, q = [], system.quaternion
+        if q is not None and set(range(q.start, q.stop)) <= set(rest):
+            rest = [i for i in rest if not q.start <= i < q.stop]
+            after = self._attitude + torch.as_tensor(residual[:, q])
+            parts.append(rotation_between(self._attitude, after).numpy())
+        if self.turned is not None:
+            names = list(system.state_names)
+            at = [names.index(p) for p, _, frame in system.position_derivatives if frame == "world"]
+            if set(at) <= set(rest):
+                rest = [i for i in rest if i not in at]
+                parts.append(rotate_back(self._attitude, torch.as_tensor(residual[:, at])).numpy())
+        return np.concatenate([residual[:, rest], *parts], 1)
 
     def estimate_sensors(self, residual: Array) -> None:
         """Take the white noise of the sensors from fourth differences of what the physics leaves unexplained."""
@@ -204,8 +225,11 @@ class Physics:
         self.vector.use(theta)
         s = self.steps
         rows = torch.arange(len(s))
-        x = s.x0[torch.maximum(rows - _LEAD, self._starts)]
-        for back in range(_LEAD, 0, -1):
+        if not self._lead:
+            x = self.vector.system.project(0.5 * (s.x0 + s.x1))
+            return torch.cat((x, 0.5 * (memory[0] + memory[1])), 1) if memory else x
+        x = s.x0[torch.maximum(rows - self._lead, self._starts)]
+        for back in range(self._lead, 0, -1):
             at = rows - back
             live = (at >= self._starts)[:, None]
             at = torch.maximum(at, self._starts)

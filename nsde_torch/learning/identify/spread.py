@@ -1,9 +1,10 @@
 """Covariance of least-squares estimates from blocks of time, whatever is left of correlation and of uneven noise.
 
-    V = M^-1 (sum_c s_c s_c') M^-1,    M = X' X,    s_c = X_c' (I - X_c M^-1 X_c')^(-1/2) e_c
+    V = M^-1 (sum_c s_c s_c') M^-1,    M = X' X,    s_c = X_c' (I - X_c M^-1 X_c')^-1 e_c
 
-is the sandwich over blocks c, with residuals restored to the size that fitting took from them (CR2: Bell and
-McCaffrey, Survey Methodology 28 (2002)). A parameter that a few blocks decide has few degrees of freedom,
+is the jackknife over blocks c: M^-1 s_c is how far the estimate moves when block c is left out (CR3: Bell and
+McCaffrey, Survey Methodology 28 (2002)). It errs on the side of wide intervals, which the fitted law of the noise, that
+X takes for known, uses up. A parameter that a few blocks decide has few degrees of freedom,
 (sum_c w_c)^2 / sum_c w_c^2 with w_c the share of block c in its variance, for Student's t.
 """
 
@@ -21,7 +22,7 @@ class Spread:
 
     Args:
         covariance: Of the estimate (r, r).
-        parts: Contribution of each block to the error of the estimate (C, r).
+        parts: Change of the estimate by each block, against leaving it out (C, r).
         weights: Variance that each block brings if noise is white and even, (C, r, r).
     """
 
@@ -59,7 +60,7 @@ def spread(slopes: Array, residual: Array, blocks: NDArray[np.int64], used: int)
         share[c] = part.T @ part
     values, vectors = np.linalg.eigh(share)
     values = np.clip(values, 0.0, 0.999)
-    restore = np.einsum("cij,cj,ckj->cik", vectors, (1.0 - values) ** -0.5, vectors)
+    restore = np.einsum("cij,cj,ckj->cik", vectors, (1.0 - values) ** -1, vectors)
     weight = np.einsum("cij,cj,ckj->cik", vectors, values / (1.0 - values), vectors)
     parts = np.einsum("cij,cj->ci", restore, score) @ back.T
     total = channels * rows

@@ -32,7 +32,8 @@ class Steps:
 
     Args:
         t: Logged time of the start of each step (N,) [s].
-        x0, x1: States at both ends (N, nx).
+        x0, x1: States at both ends (N, nx), without white sensor noise if they were smoothed.
+        seen0, seen1: The same as measured.
         u: Inputs and exogenous channels held over the step (N, nu + n).
         logged_dt: Length of a step [s] on the clock of the log.
         dt: The same in physical seconds.
@@ -44,6 +45,8 @@ class Steps:
     t: Tensor
     x0: Tensor
     x1: Tensor
+    seen0: Tensor
+    seen1: Tensor
     u: Tensor
     logged_dt: float
     dt: float
@@ -71,6 +74,7 @@ def steps_of(
     smooth: bool,
     shortest: int = 1,
     run_in: bool | None = None,
+    denoise: bool = False,
 ) -> Steps:
     """Cut runs into steps.
 
@@ -78,8 +82,9 @@ def steps_of(
         system: The machine.
         runs: Its runs, all on one step.
         clock: Physical seconds per logged second.
-        smooth: Whether white sensor noise is taken out of the states.
+        smooth: Whether white sensor noise is taken out of the states and of their changes.
         shortest: Segments of fewer steps are left out.
+        denoise: Whether it is taken out of the states alone, at which physics is evaluated.
         run_in: Whether to keep the first steps of each segment for memory alone; None: where an effect has any.
 
     Raises:
@@ -87,7 +92,9 @@ def steps_of(
     """
     if not runs:
         raise DataError("no run to identify the physics from.")
-    states = denoised(runs)[0] if smooth else [np.asarray(run.x) for run in runs]
+    seen = [np.asarray(run.x) for run in runs]
+    clean = denoised(runs)[0] if smooth or denoise else seen
+    states = list(zip(clean if smooth else seen, clean, strict=True))
     stretches = [(n, a, b) for n, a, b in _stretches(runs) if b - 1 - a >= shortest]
     if not stretches:
         raise DataError(f"no stretch of {shortest} steps without a gap; identify from longer runs.")
@@ -105,27 +112,35 @@ def steps_of(
 
 
 def _joined(
-    system: System, runs: Sequence[Run], states: Sequence[Array], stretches: Sequence[_Stretch], clock: float
+    system: System,
+    runs: Sequence[Run],
+    states: Sequence[tuple[Array, Array]],
+    stretches: Sequence[_Stretch],
+    clock: float,
 ) -> Steps:
     """Steps of some stretches, one after another."""
-    parts: dict[str, list[Array]] = {key: [] for key in ("t", "x0", "x1", "u")}
+    names = ("t", "x0", "x1", "seen0", "seen1", "u")
+    parts: dict[str, list[Array]] = {key: [] for key in names}
     segments, owners, at = [], [], 0
     for number, a, b in stretches:
-        run, x = runs[number], states[number]
+        run, (seen, x) = runs[number], states[number]
         parts["t"].append(run.t[a : b - 1])
-        parts["x0"].append(x[a : b - 1])
-        parts["x1"].append(x[a + 1 : b])
         parts["u"].append(run.u[a : b - 1])
+        for name, values in (("x", x), ("seen", seen)):
+            parts[f"{name}0"].append(values[a : b - 1])
+            parts[f"{name}1"].append(values[a + 1 : b])
         segments.append((at, at + b - 1 - a))
         owners.append(number)
         at += b - 1 - a
     joined = {key: torch.from_numpy(np.concatenate(rows)) for key, rows in parts.items()}
-    joined |= {key: system.project(joined[key]) for key in ("x0", "x1")}
+    joined |= {key: system.project(joined[key]) for key in names if key not in ("t", "u")}
     dt = runs[0].dt
     return Steps(
         t=joined["t"],
         x0=joined["x0"],
         x1=joined["x1"],
+        seen0=joined["seen0"],
+        seen1=joined["seen1"],
         u=joined["u"],
         logged_dt=dt,
         dt=dt * clock,

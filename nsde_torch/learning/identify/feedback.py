@@ -1,0 +1,42 @@
+"""What the past of other channels says of the noise of a channel, where inputs react to measurements.
+
+The rate of a gyro reveals its error only slowly; the attitude, which is its integral, knows part of it at once, and so
+does an input that a controller made from the attitude. What a channel's own law (`noise`) calls new is then not new to
+the input, and the estimate bends (a motor's lag by 3 %). So the part of a whitened residual that the past of kinematic
+residuals foretells is taken out of it:
+
+    s = measured minus integrated change of the states that no parameter moves,   S_j = sum_i c_j^i s_{k-1-i}
+    e_k <- e_k - S_k b,    b by least squares (multivariate prediction errors: Ljung, 1999, section 7.2)
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.signal import lfilter
+
+from nsde_torch.learning.identify.noise import extended
+from nsde_torch.learning.identify.series import Series
+
+Array = NDArray[np.float64]
+
+_FADING = (0.0, 0.5, 0.8, 0.9, 0.95)
+_FEWEST_ROWS = 200  # per column: what is taken out is lost to the parameters, and short data cannot afford it
+
+
+def past(kinematic: Array, series: Series) -> Array:
+    """Orthonormal columns (N + stretches, p) that span what is known before each whitened row; none for short data.
+
+    Args:
+        kinematic: Kinematic residuals (N, m).
+        series: Their stretches.
+    """
+    out = np.zeros((len(kinematic) + len(series.edges), kinematic.shape[1] * len(_FADING)))
+    if len(out) < _FEWEST_ROWS * out.shape[1]:
+        return out[:, :0]
+    for (a, b), (first, last) in zip(series.edges, extended(series).edges, strict=True):
+        parts = [lfilter([1.0], [1.0, -c], kinematic[a:b], axis=0) for c in _FADING]
+        out[first + 2 : last] = np.concatenate(parts, 1)[:-1]
+    length = np.linalg.norm(out, axis=0)
+    if not length.any():
+        return out[:, :0]
+    basis, values, _ = np.linalg.svd(out[:, length > 0] / length[length > 0], full_matrices=False)
+    return np.asarray(basis[:, values > 1e-6 * values[0]])

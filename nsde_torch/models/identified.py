@@ -1,0 +1,140 @@
+"""System identification's model: the declared physics with fitted parameters, and nothing else.
+
+    dx/dt = f_declared(x, u; theta) c
+
+c is the clock scale (physical seconds per logged second). There is no diffusion and no learned part: what the physics
+lacks, this model lacks, and it has no interval.
+"""
+
+from collections.abc import Mapping
+from dataclasses import KW_ONLY, dataclass, field
+from typing import Any, final
+
+import torch
+from torch import Tensor
+
+from nsde_torch.errors import ConfigError, ShapeError
+from nsde_torch.models.model import Model, ModelSpec
+from nsde_torch.sde import Calculus, make_step, rollout
+
+METHODS = ("weak", "differences")
+
+
+@dataclass(frozen=True)
+class SysidSpec(ModelSpec):
+    """Declared physics fitted by least squares.
+
+    Args:
+        step: Name of the integrator, one for equations without noise.
+        solver: Further arguments of the integrator.
+        method: "weak" (integral form, whitened) or "differences" (finite differences of smoothed states).
+        max_iterations: Largest number of least-squares steps.
+    """
+
+    kinds = ("sysid",)
+
+    _: KW_ONLY
+    step: str = "rk4"
+    solver: Mapping[str, Any] = field(default_factory=dict)
+    method: str = "weak"
+    max_iterations: int = 20
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.method not in METHODS:
+            raise ConfigError(f"`model.method` must be {' or '.join(METHODS)}; got {self.method!r}.")
+        if self.max_iterations < 1:
+            raise ConfigError(f"`model.max_iterations` must be at least 1; got {self.max_iterations}.")
+
+
+@final
+class IdentifiedModel(Model):
+    """Declared physics of a system.
+
+    Args:
+        spec: What to build.
+        generator: Plays no part: there is nothing random.
+        values: Initial values of declared parameters.
+
+    Example:
+        >>> spec = SysidSpec("cartpole", dt=0.02, horizon=30)
+        >>> model = IdentifiedModel(spec, generator=torch.Generator())
+    """
+
+    def __init__(
+        self,
+        spec: SysidSpec,
+        *,
+        generator: torch.Generator,
+        values: Mapping[str, float | list[float]] | None = None,
+    ) -> None:
+        super().__init__()
+        self.spec: SysidSpec = spec
+        self.step = make_step(spec.step, **spec.solver)
+        if not self.step.deterministic:
+            raise ConfigError(
+                f"`model=sysid` has no diffusion, and solver={spec.step} is for equations with noise. "
+                "Take solver=rk4, midpoint or torchdiffeq, or leave it out."
+            )
+        self.system = spec.make_system(values)
+        self.clock_scale: Tensor
+        self.register_buffer("clock_scale", torch.ones(()))
+
+    @property
+    def calculus(self) -> Calculus:
+        """Without a diffusion there is no product to be read."""
+        return "either"
+
+    @property
+    def nz(self) -> int:
+        """Number of states with the memory of the effects."""
+        return self.system.nz
+
+    def augment(self, x: Tensor, u: Tensor) -> Tensor:
+        """State (N, nx) with the memory that is stationary under the inputs `u` (N, nu): (N, nz)."""
+        return self.system.augment(x, u)
+
+    def drift(self, t: float | Tensor, z: Tensor, u: Tensor) -> Tensor:
+        """Rate of the state (N, nz) per logged second.
+
+        Args:
+            t: Time [s].
+            z: State and memory of the effects (N, nz); or the state alone (N, nx), with the memory that is
+                stationary under `u`, and then the rate is that of the state.
+            u: Applied inputs (N, nu).
+        """
+        nx = self.system.nx
+        if z.shape[1] == self.nz:
+            return self.clock_scale * self.system.drift(t, z, u)
+        self.system.check_rows("z", z, nx)
+        return self.clock_scale * self.system.drift(t, self.augment(z, u), u)[:, :nx]
+
+    def diffusion(self, t: float | Tensor, z: Tensor, u: Tensor) -> Tensor:
+        """None: zeros (N, nz)."""
+        return torch.zeros_like(z)
+
+    def sample(
+        self,
+        x0: Tensor,
+        u: Tensor,
+        *,
+        dt: float,
+        particles: int,
+        generator: torch.Generator,
+        measurement: bool = True,
+        measurement_std: Tensor | None = None,
+        applied: bool = False,
+        compile: bool = False,
+        t0: float | Tensor = 0.0,
+    ) -> Tensor:
+        """See `Model.sample`; all particles are one path, and a measurement is predicted as the state itself."""
+        x0, u = self.checked(x0, u, particles, generator)
+        if measurement_std is not None:
+            if measurement_std.shape != (self.system.nx,):
+                raise ShapeError(f"`measurement_std` must be ({self.system.nx},).")
+            raise ConfigError(
+                "`measurement_std` was given, but a model by system identification has no noise. Leave it out."
+            )
+        z0 = self.augment(x0, u[:, 0])
+        path = rollout(self, z0, u, dt=dt, step=self.step, noise=None, t0=t0, compile=compile)
+        return path[..., : self.system.nx].expand(particles, -1, -1, -1)

@@ -1,0 +1,345 @@
+"""Data sets of plants as files that do not say what is in them, and the truth in another file.
+
+The runs are those of the system's recording (`RECORDINGS`), put through a recording chain (`recording`). A data set
+is a folder `run_0.csv`, `run_1.csv`, ...: header, times, states, inputs, logged columns, and nothing else.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, field
+from math import isfinite
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from nsde_torch.data.raw import RawRun
+from nsde_torch.effects import Effect, Parameter, effect_class
+from nsde_torch.errors import ConfigError, NonFiniteError
+from nsde_torch.plants.machines import (
+    Effects,
+    Making,
+    Values,
+    machine,
+    make_plant_system,
+    named_effects,
+)
+from nsde_torch.plants.recording import Recording
+from nsde_torch.plants.registry import RECORDINGS
+from nsde_torch.systems import System, make_system, system_class
+
+SCHEMA = 1
+EXCITED: dict[str, dict[str, Any]] = {"mass_spring_damper": {"force": "multisine", "force_size": 0.5}}
+"""Options of a recording that differ from its own default here, so that the runs show something."""
+DURATIONS = {"mass_spring_damper": (20.0,) * 6}
+"""Lengths of runs that differ from the recording's own default here [s]."""
+_SUBSTEPS = 8
+
+
+@dataclass(frozen=True)
+class Simulation:
+    """What `simulate` made.
+
+    Args:
+        system_name: Name of the system.
+        state_names, input_names: Columns of the runs.
+        runs: Runs as the recording chain logs them.
+        truth: What made them (`truth.json`): undeclared effects with parameters and units, whether each is a standing
+            one of the machine, declared parameters, faults of the recording, noise, seed.
+    """
+
+    system_name: str
+    state_names: tuple[str, ...]
+    input_names: tuple[str, ...]
+    runs: tuple[RawRun, ...]
+    truth: Mapping[str, Any] = field(repr=False)
+
+
+def simulate(
+    system: str,
+    *,
+    effects: Effects = (),
+    parameters: Mapping[str, Any] | None = None,
+    durations: Sequence[float] | None = None,
+    seed: int,
+    process_noise: float = 1.0,
+    sensor_noise: float = 1.0,
+    declared_only: bool = False,
+    dt: float | None = None,
+    battery: bool = False,
+    recording: Recording | None = None,
+    options: Mapping[str, Any] | None = None,
+) -> Simulation:
+    """Runs of a plant, as its recording chain logs them.
+
+    Args:
+        system: Name of a system that has a plant.
+        effects: Effects beyond those of the machine: `name`, `module:Class` or `{name: {parameter: value}}`. An
+            `input_delay` is a pure delay here, not the approximation that models have. Where no size is given and the
+            first value adds nothing, it is the parameter's `scale`.
+        parameters: Further values, `effect.parameter` (or a mapping), or `name` of the declared physics.
+        durations: Length of each run [s] on the clock of the log; None: the system's own.
+        seed: Seed of everything random.
+        process_noise: Factor on the machine's gusts.
+        sensor_noise: Factor on the machine's sensor noise.
+        declared_only: Leave out the undeclared effects that the machine has anyway.
+        dt: Step of the log [s]; None: the machine's.
+        battery: Log the voltage of a battery though no effect reads it (multirotors).
+        recording: Faults of the recording chain.
+        options: Further options of the system's recording (`force`, `policy`, `variants`, ...).
+
+    Raises:
+        ConfigError: an unknown system, effect, parameter or option, a number out of range, or effects so strong that
+            the machine cannot be flown.
+
+    Example:
+        >>> made = simulate("mass_spring_damper", effects=[{"coulomb_friction": {"size": 0.2}}], seed=1)
+        >>> made.truth["effects"]["coulomb_friction"]["parameters"]["size"]
+        0.2
+    """
+    spec = machine(system)
+    chain = recording or Recording()
+    known = make_system(system)
+    asked = _with_parameters(named_effects(effects), parameters or {}, system)
+    chain.check(known)
+    _check(durations, dt, seed, battery=battery and "u_1" not in known.input_names, system=system)
+    nominal = spec.dt if dt is None else float(dt)
+    step = nominal * chain.clock_scale
+    latency, fine = _latency(asked.pop("input_delay", None), step, spec.step)
+    late = chain.rows_late(nominal)
+    lengths = [float(d) for d in durations or DURATIONS.get(system) or _own_durations(system)]
+    used = {**EXCITED.get(system, {}), **(options or {})}
+    own = make_plant_system(system, effects=asked, declared_only=declared_only)
+    try:
+        raw = RECORDINGS[system](
+            system,
+            durations=[(round(d / nominal) + late) * step for d in lengths],
+            seed=seed,
+            effects=asked,
+            process_noise=process_noise,
+            sensor_noise=sensor_noise,
+            making=Making(declared_only=declared_only, latency=latency, dt=step, step=fine, battery=battery),
+            **used,
+        )
+    except TypeError as error:
+        if "unexpected keyword" in str(error):
+            raise ConfigError(f"the recording of {system!r}: {error}.") from error
+        raise
+    except NonFiniteError as error:
+        raise ConfigError(
+            f"the simulation left the finite numbers: {error} Make the effects weaker."
+        ) from error
+    rng = np.random.default_rng([seed, 3])
+    digits = len(str(len(raw) - 1))
+    runs = []
+    for i, run in enumerate(raw):
+        logged = chain.apply(run, own, dt=nominal, rng=rng)
+        logged.name = f"run_{i:0{digits}d}"
+        runs.append(logged)
+    truth: dict[str, Any] = {
+        "schema": SCHEMA,
+        "system": system,
+        "effects": _undeclared(
+            own, known, standing=() if declared_only else tuple(spec.effects), asked=asked
+        ),
+        "recording": chain.as_dict(nominal),
+        "declared": {
+            name: {"value": _plain(value.tolist()), "unit": unit}
+            for name, (value, unit) in own.all_declared().items()
+            if name in known.all_declared()
+        },
+        "process_noise": process_noise,
+        "sensor_noise": sensor_noise,
+        "declared_only": declared_only,
+        "dt_s": nominal,
+        "durations_s": lengths,
+        "seed": seed,
+        "options": used,
+        "battery": battery,
+    }
+    if latency is not None:
+        truth["effects"]["input_delay"] = {
+            "parameters": {"delay": latency},
+            "units": {"delay": "s"},
+            "standing": False,
+        }
+    return Simulation(system, own.state_names, own.input_names, tuple(runs), truth)
+
+
+def write(
+    made: Simulation, folder: str | Path, *, truth: str | Path | None = None, overwrite: bool = False
+) -> list[Path]:
+    """Write a data set, and its truth beside it.
+
+    Args:
+        made: What `simulate` made.
+        folder: Folder of the CSV files; made where it is missing.
+        truth: File of the truth, outside the folder; None: the folder's name with `.truth.json`.
+        overwrite: Replace the CSV files of a folder that holds something, and the truth.
+
+    Returns:
+        The CSV files and the truth.
+
+    Raises:
+        ConfigError: the folder holds something, the truth exists or would lie in the folder.
+    """
+    folder, beside = Path(folder), truth_path(folder, truth)
+    check_free(folder, beside, overwrite=overwrite)
+    folder.mkdir(parents=True, exist_ok=True)
+    for old in folder.glob("*.csv"):
+        old.unlink()
+    files = [_write_run(made, run, folder / f"{run.name}.csv") for run in made.runs]
+    beside.parent.mkdir(parents=True, exist_ok=True)
+    content = {**made.truth, "files": [file.name for file in files]}
+    beside.write_text(json.dumps(content, indent=1, allow_nan=False) + "\n", encoding="utf-8")
+    return [*files, beside]
+
+
+def truth_path(folder: str | Path, truth: str | Path | None = None) -> Path:
+    """Where the truth of a data set is written: `truth`, or beside the folder."""
+    folder = Path(folder)
+    return folder.parent / f"{folder.name}.truth.json" if truth is None else Path(truth)
+
+
+def check_free(folder: Path, truth: Path, *, overwrite: bool) -> None:
+    """Refuse to write over what is there, or a truth into the folder of the data.
+
+    Raises:
+        ConfigError: says what is there and the remedy.
+    """
+    if truth.resolve().is_relative_to(folder.resolve()):
+        raise ConfigError(f"`truth`: {truth} lies in the folder of the data; name a file outside {folder}.")
+    if folder.is_file():
+        raise ConfigError(f"`out`: {folder} is a file; name a folder.")
+    if overwrite:
+        return
+    if folder.is_dir() and any(folder.iterdir()):
+        raise ConfigError(f"`out`: {folder} holds something; name another folder, or add overwrite=true.")
+    if truth.exists():
+        raise ConfigError(f"`truth`: {truth} exists; name another file, or add overwrite=true.")
+
+
+def _write_run(made: Simulation, run: RawRun, file: Path) -> Path:
+    names = ("t", *made.state_names, *made.input_names, *run.extra)
+    table = np.column_stack([run.t, run.x, run.u, *run.extra.values()])
+    # times to the nanosecond: sums of steps would show their last digits
+    table[:, 0] = np.round(table[:, 0], 9)
+    with file.open("w", encoding="utf-8", newline="\n") as out:
+        out.write(",".join(names) + "\n")
+        out.writelines(",".join(map(repr, row)) + "\n" for row in table.tolist())
+    return file
+
+
+def _with_parameters(
+    asked: dict[str, Values], parameters: Mapping[str, Any], system: str
+) -> dict[str, Values]:
+    """Effects with their values joined; an effect of the user's own is known by its name in `parameters`."""
+    names = {effect_class(key).name: key for key in asked}
+    out = {key: dict(values) for key, values in asked.items()}
+    for path, value in parameters.items():
+        name, dot, leaf = path.partition(".")
+        if name not in names:
+            raise ConfigError(
+                f"`parameters` names {name!r}, which is none of the effects that {system!r} was asked to have: "
+                f"{', '.join(names) or 'none'}."
+            )
+        if dot:
+            out[names[name]][leaf] = value
+        elif isinstance(value, Mapping):
+            out[names[name]].update(value)
+        else:
+            raise ConfigError(f"`parameters.{name}` takes {{parameter: value}}; got {value!r}.")
+    n_inputs = len(system_class(system).input_names)
+    for key, values in out.items():
+        cls = effect_class(key)
+        for name, size in _typical(cls, values, n_inputs).items():
+            values.setdefault(name, size)
+        values.update(
+            {n: _off_bounds(cls.PARAMETERS[n], v) for n, v in values.items() if n in cls.PARAMETERS}
+        )
+    return out
+
+
+def _typical(cls: type[Effect], given: Collection[str], n_inputs: int) -> Values:
+    """Sizes for what would add nothing: parameters that start at zero, and a loss that is the same for all inputs."""
+    out: Values = {}
+    for name, spec in cls.PARAMETERS.items():
+        initial = spec.initial if isinstance(spec.initial, tuple) else (spec.initial,)
+        if spec.per_input:
+            out[name] = [spec.scale or 0.1, *[0.0] * (n_inputs - 1)]
+        elif not any(initial):
+            row = [spec.scale or 0.1] * len(initial)
+            out[name] = row if len(row) > 1 else row[0]
+    return {} if set(out) & set(given) else out
+
+
+def _off_bounds(spec: Parameter, value: float | list[float]) -> float | list[float]:
+    """A value that lies on a bound moved a little inside: none of a loss is a loss of a millionth of its scale."""
+    if isinstance(value, list):
+        return [float(_off_bounds(spec, v)) for v in value]  # type: ignore[arg-type]
+    margin = 1e-6 * (spec.scale or 1.0)
+    if value == spec.low:
+        return value + margin
+    return value - margin if value == spec.high else value
+
+
+def _latency(values: Values | None, step: float, fine: float) -> tuple[float | None, float | None]:
+    """The delay that a plant can have nearest to what was asked, and the fine step for it."""
+    if values is None:
+        return None, None
+    delay = effect_class("input_delay")({"delay": 0.02, **values}).value("delay")
+    wanted = float(delay.detach()[0])
+    least = max(1, round(step / fine))
+    for count in range(least, least + _SUBSTEPS):
+        if abs(round(wanted * count / step) * step / count - wanted) < 0.02 * wanted:
+            break
+    return round(wanted * count / step) * step / count, step / count
+
+
+def _own_durations(system: str) -> tuple[float, ...]:
+    from nsde_torch.plants import cartpole, flights, mass_spring_damper
+
+    return {
+        "cartpole": cartpole.DURATIONS,
+        "mass_spring_damper": mass_spring_damper.DURATIONS,
+    }.get(system, flights.DURATIONS)
+
+
+def _undeclared(
+    own: System, known: System, *, standing: Sequence[str], asked: Mapping[str, Values]
+) -> dict[str, Any]:
+    wanted = {effect_class(key).name for key in asked}
+    out: dict[str, Any] = {}
+    for effect in own.effects:
+        assert isinstance(effect, Effect)
+        if effect.name in known.effect_names:
+            continue
+        values = effect.declared_parameters()
+        given = {effect_class(k).name: v for k, v in asked.items()}.get(effect.name, {})
+        out[effect.name] = {
+            # as they were given: what the effect holds went through single precision
+            "parameters": {k: given.get(k, _plain(v.tolist())) for k, (v, _) in values.items()},
+            "units": {k: unit for k, (_, unit) in values.items()},
+            "standing": effect.name in standing and effect.name not in wanted,
+        }
+    return out
+
+
+def _plain(values: list[float]) -> float | list[float]:
+    rounded = [float(f"{v:.7g}") for v in values]
+    return rounded[0] if len(rounded) == 1 else rounded
+
+
+def _check(
+    durations: Sequence[float] | None, dt: float | None, seed: int, *, battery: bool, system: str
+) -> None:
+    if durations is not None and not (len(durations) and all(isfinite(d) and d > 0 for d in durations)):
+        raise ConfigError(f"`durations` must be one or more times above 0 s; got {list(durations)}.")
+    if dt is not None and not (isfinite(dt) and dt > 0):
+        raise ConfigError(f"`dt` must be a step above 0 s; got {dt!r}.")
+    if isinstance(seed, bool) or int(seed) != seed or seed < 0:
+        raise ConfigError(f"`seed` must be a whole number of 0 or more; got {seed!r}.")
+    if battery:
+        raise ConfigError(f"`battery`: system {system!r} has none; leave it out.")

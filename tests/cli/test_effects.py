@@ -1,0 +1,65 @@
+"""`nsde effects`: the catalogue as a table and as JSON."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+
+from nsde_torch.cli import effects
+from nsde_torch.cli.main import main
+from nsde_torch.effects import EFFECTS
+
+
+def test_every_effect_is_listed_with_what_a_user_needs(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["effects"]) == 0
+    printed = capsys.readouterr().out
+    out = " ".join(printed.split())
+    for name, cls in EFFECTS.items():
+        assert name in out
+        assert all(f"{p}" in out for p in cls.PARAMETERS)
+    assert "motor_efficiency_loss" in out
+    assert "loss per input [1]" in out
+    assert "memory: 2 states per input" in out
+    assert "reads battery_voltage" in out
+    assert max(map(len, printed.splitlines())) <= 120
+
+
+def test_the_columns_of_the_table_line_up() -> None:
+    lines = effects.table(effects.catalogue("cartpole"), 100, systems=False).splitlines()
+    starts = [k for k in range(1, len(lines[1])) if lines[1][k] == "-" and lines[1][k - 1] == " "]
+    assert len(starts) == 3
+    for line in lines[2:]:
+        if not line.startswith(" "):
+            assert all(len(line) <= k or line[k - 1] == " " for k in starts)
+
+
+def test_a_system_lists_what_it_can_have(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["effects", "system=quadrotor", "format=json"]) == 0
+    rows = {row["name"]: row for row in json.loads(capsys.readouterr().out)["effects"]}
+    assert "motor_lag" in rows
+    assert not {"actuator_lag", "track_tilt", "coulomb_friction"} & set(rows)
+    assert rows["input_delay"]["memory_per_input"] == 2
+    assert rows["constant_wind"]["parameters"][1] == {
+        "name": "wind",
+        "unit": "m/s",
+        "low": None,
+        "high": None,
+        "axes": 2,
+        "help": "velocity of the air, east and north",
+    }
+
+
+def test_a_typo_is_named_with_what_was_meant(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["effects", "sytem=cartpole"]) == 2
+    assert "Did you mean `system=`" in capsys.readouterr().err
+    assert main(["effects", "system=cartpol"]) == 2
+    assert "Did you mean 'cartpole'" in capsys.readouterr().err
+    assert main(["effects", "format=yaml"]) == 2
+    assert "text, json" in capsys.readouterr().err
+
+
+def test_words_are_completed() -> None:
+    assert effects.complete(["sys"]) == ["system="]
+    assert effects.complete(["system=hex"]) == ["hexacopter"]
+    assert effects.complete(["format="]) == ["text", "json"]

@@ -1,0 +1,95 @@
+"""`nsde simulate` from the command line to files."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+import torch
+
+from nsde_torch.cli.main import main
+
+OWN = """
+from nsde_torch.effects import Effect, Parameter, Port
+
+class Quintic(Effect):
+    name = "quintic"
+    port = Port.FORCE
+    formula = "-k q^5"
+    source = "test"
+    PARAMETERS = {"stiffness": Parameter(0.5, "1/(m4 s2)")}
+
+    def forward(self, t, x, u, memory):
+        return -self.value("stiffness") * x[:, :1] ** 5
+"""
+
+
+@pytest.fixture(autouse=True)
+def _elsewhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    monkeypatch.chdir(tmp_path)
+    before = torch.get_num_threads()
+    yield
+    torch.set_num_threads(before)
+
+
+def test_a_data_set_and_its_truth_are_all_that_is_written(capsys: pytest.CaptureFixture[str]) -> None:
+    words = [
+        *("system=mass_spring_damper", "out=data", "seed=3", "durations=[2,1]", "plant.sensor_noise=2"),
+        "plant.effects=[{coulomb_friction:{size:0.3}},input_delay]",
+        *("recording.sensor_bias.q=0.01", "recording.dropout=0.1"),
+    ]
+    assert main(["simulate", *words]) == 0
+    assert "wrote 2 runs of mass_spring_damper (3 s, " in capsys.readouterr().out
+    assert sorted(str(p) for p in Path().rglob("*")) == [
+        *("data", "data.truth.json", "data/run_0.csv", "data/run_1.csv")
+    ]
+    truth = json.loads(Path("data.truth.json").read_text())
+    assert set(truth["effects"]) == {"coulomb_friction", "input_delay"}
+    assert truth["effects"]["coulomb_friction"]["parameters"]["size"] == 0.3
+    assert truth["recording"] == {"sensor_bias": {"q": 0.01}, "dropout": 0.1}
+    assert (truth["seed"], truth["sensor_noise"]) == (3, 2.0)
+
+
+def test_a_second_data_set_does_not_replace_the_first(capsys: pytest.CaptureFixture[str]) -> None:
+    words = [
+        "simulate",
+        "system=mass_spring_damper",
+        "out=data",
+        "durations=[1]",
+        "truth=elsewhere/what.json",
+    ]
+    assert main(words) == 0
+    assert main(words) == 2
+    assert "overwrite=true" in capsys.readouterr().err
+    assert main([*words, "overwrite=true"]) == 0
+    assert Path("elsewhere/what.json").is_file()
+
+
+def test_an_effect_of_ones_own_is_simulated(monkeypatch: pytest.MonkeyPatch) -> None:
+    Path("own").mkdir()
+    Path("own/effects_of_a_simulation.py").write_text(OWN)
+    words = ["plant.effects=[effects_of_a_simulation:Quintic]", "plant.parameters.quintic.stiffness=3"]
+    where = ["system=mass_spring_damper", "out=data", "durations=[1]", "--config-dir", "own"]
+    assert main(["simulate", *words, *where]) == 0
+    truth = json.loads(Path("data.truth.json").read_text())
+    assert truth["effects"]["quintic"]["parameters"] == {"stiffness": 3}
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["out=data", "plant.effects=[track_tilt]"], "track_tilt"),
+        (["out=data", "plant.effect=[linear_drag]"], "plant.effects"),
+        (["out=data", "recording.dropout=2"], "recording.dropout"),
+        ([], "`out` must be given"),
+        (["out=data", "system=cartpole", "recording.frame_misalignment=[1,0,0]"], "frame_misalignment"),
+    ],
+)
+def test_a_fault_of_the_user_is_named_and_leaves_nothing_behind(
+    words: list[str], message: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["simulate", *words]) == 2
+    assert message in capsys.readouterr().err
+    assert list(Path().iterdir()) == []

@@ -1,0 +1,64 @@
+"""Effects of the cart and pole: the contract, and what each does to the motion."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+import torch
+
+from nsde_torch.systems import make_system
+from tests.helpers.effect_contract import EffectContract
+from tests.helpers.effect_rows import term
+
+
+class TestCartCoulombFriction(EffectContract):
+    name, system, size = "cart_coulomb_friction", "cartpole", 0.01
+
+    def test_it_is_constant_in_motion(self) -> None:
+        effect = self.make({"size": 0.3, "width": 0.01})
+        x = torch.tensor([[0.0, 1.0, 0.0, 0.0], [0.0, -2.0, 0.0, 0.0]])
+        torch.testing.assert_close(term(effect, x), torch.tensor([[-0.3], [0.3]]))
+
+
+class TestCartViscousFriction(EffectContract):
+    name, system = "cart_viscous_friction", "cartpole"
+
+    def test_it_brakes_the_cart_in_proportion(self) -> None:
+        x = torch.tensor([[0.0, 2.0, 0.0, 9.0]])
+        torch.testing.assert_close(term(self.make({"damping": 0.4}), x), torch.tensor([[-0.8]]))
+
+
+class TestPoleViscousFriction(EffectContract):
+    name, system = "pole_viscous_friction", "cartpole"
+
+    def test_it_brakes_the_pole_in_proportion(self) -> None:
+        x = torch.tensor([[0.0, 9.0, 0.0, 2.0]])
+        torch.testing.assert_close(term(self.make({"damping": 0.4}), x), torch.tensor([[-0.8]]))
+
+
+class TestPoleCoulombFriction(EffectContract):
+    name, system, size = "pole_coulomb_friction", "cartpole", 0.01
+
+    def test_it_is_constant_in_motion(self) -> None:
+        effect = self.make({"size": 0.3, "width": 0.01})
+        x = torch.tensor([[0.0, 0.0, 0.0, 1.0], [0.0, 0.0, 0.0, -2.0]])
+        torch.testing.assert_close(term(effect, x), torch.tensor([[-0.3], [0.3]]))
+
+
+class TestTrackTilt(EffectContract):
+    name, system = "track_tilt", "cartpole"
+
+    @pytest.mark.parametrize("angle", [0.0, 0.7, math.pi])
+    def test_gravity_along_the_track_moves_cart_and_pole_alike(self, angle: float) -> None:
+        x, u = torch.tensor([[0.0, 0.3, angle, 0.5]]), torch.zeros(1, 1)
+        level = make_system("cartpole").drift(0.0, x, u)
+        tilted = self.machine(values={"track_tilt.slope": 0.02}).drift(0.0, x, u)
+        torch.testing.assert_close((tilted - level).detach(), torch.tensor([[0.0, -9.8 * 0.02, 0.0, 0.0]]))
+
+    def test_it_is_not_a_force_on_the_cart(self) -> None:
+        x, u = torch.zeros(1, 4), torch.zeros(1, 1)
+        pushed = make_system(
+            "cartpole", effects=["constant_force"], values={"constant_force.acceleration": -0.2}
+        )
+        assert float(pushed.drift(0.0, x, u)[0, 3].detach()) > 0.1

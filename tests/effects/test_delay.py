@@ -1,0 +1,47 @@
+"""Delay: the contract, and its phase and amplitude against those of a pure delay."""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+from scipy.linalg import expm
+
+from nsde_torch.systems import make_system
+from tests.helpers.effect_contract import EffectContract
+from tests.helpers.effect_rows import flying
+
+
+class TestInputDelay(EffectContract):
+    name, system, memory = "input_delay", "cartpole", 2
+
+    def test_a_slow_input_comes_out_late_and_whole(self) -> None:
+        delay = 0.05
+        effect = self.make({"delay": delay}).double()
+        x, one = torch.zeros(1, 4).double(), torch.ones(1, 1).double()
+        columns = [  # the linear system behind the effect, column by column
+            effect.memory_rate(0.0, x, 0 * one, m[None])[0].detach().numpy() for m in torch.eye(2).double()
+        ]
+        a = np.stack(columns, 1)
+        b = effect.memory_rate(0.0, x, one, torch.zeros(1, 2).double())[0].detach().numpy()
+        c = np.array([1.0, -1.0 / 3.0])
+        for omega in (0.1, 2.0, 10.0, 20.0):
+            response = c @ np.linalg.solve(1j * omega * np.eye(2) - a, b)
+            wanted = np.exp(-1j * omega * delay)
+            assert abs(response - wanted) < 0.02 * max(omega * delay, 0.01)
+        assert np.abs(expm(10.0 * a)).max() < 1e-6  # what was before is forgotten
+
+    def test_a_delay_comes_before_a_lag_whatever_the_order_of_their_names(self) -> None:
+        x, u = flying([0.0, 0.0, 0.0]), torch.full((1, 6), 0.4)
+        for names in (["input_delay", "motor_lag"], ["motor_lag", "input_delay"]):
+            s = make_system("hexacopter", effects=names, values={"thrust_gain": 5.0})
+            z = s.augment(x, u)
+            new = torch.full((1, 6), 0.9)
+            rate = s.drift(0.0, z, new)
+            lift = rate[0, 5] + 9.81
+            torch.testing.assert_close(
+                lift, torch.tensor(5.0 * 6 * 0.4)
+            )  # the lag still holds the old command
+            start = 13 + (12 if names[0] == "input_delay" else 0)
+            torch.testing.assert_close(
+                rate[0, start : start + 6], torch.zeros(6)
+            )  # which has not come through

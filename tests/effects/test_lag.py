@@ -1,0 +1,78 @@
+"""Lags: the contract, and the response to a step by hand."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+
+from nsde_torch.errors import ConfigError
+from nsde_torch.systems import make_system
+from tests.helpers.effect_contract import EffectContract
+from tests.helpers.effect_rows import flying
+from tests.helpers.system_contract import solve
+
+
+class TestMotorLag(EffectContract):
+    name, system, memory = "motor_lag", "hexacopter", 6
+
+    def test_a_step_of_the_command_is_followed_exponentially(self) -> None:
+        tau, dt, n = 0.08, 0.005, 100
+        s = self.machine(values={"motor_lag.time_constant": tau}).double()
+        x0 = torch.zeros(1, 13, dtype=torch.float64)
+        x0[0, 6] = 1.0
+        before, after = 0.2, 0.6
+        start = torch.cat((x0, torch.full((1, 6), before).double()), 1)
+        u = torch.full((1, n, 6), after, dtype=torch.float64)
+        z = start
+        path = [z]
+        for _ in range(n):  # from memory that is not yet at rest
+            z = _rk4(s, z, u[:, 0], dt)
+            path.append(z)
+        motors = torch.cat(path)[:, 13:].numpy()
+        t = dt * np.arange(n + 1)
+        expected = before + (after - before) * (1 - np.exp(-t / tau))
+        np.testing.assert_allclose(motors, np.tile(expected[:, None], (1, 6)), atol=2e-6)
+
+    def test_the_motors_not_the_commands_lift(self) -> None:
+        s = self.machine(values={"thrust_gain": 5.0})
+        x = flying([0.0, 0.0, 0.0])
+        z = torch.cat((x, torch.full((1, 6), 0.1)), 1)
+        lift = float(s.drift(0.0, z, torch.ones(1, 6))[0, 5].detach()) + 9.81
+        assert lift == pytest.approx(5.0 * 0.6, rel=1e-5)
+
+    def test_a_constant_command_flies_as_without_lag(self) -> None:
+        x, u, _ = self.rows(3)
+        u = u[:, None].expand(3, 50, 6)
+        lagging = solve(self.machine().double(), x, u, 0.01)[..., :13]
+        plain = solve(make_system("hexacopter").double(), x, u, 0.01)
+        torch.testing.assert_close(lagging, plain)
+
+    def test_a_quadrotor_has_four_of_it(self) -> None:
+        s = make_system("quadrotor", effects=["motor_lag"])
+        assert s.nz == 13 + 4
+
+
+class TestActuatorLag(EffectContract):
+    name, system, memory = "actuator_lag", "cartpole", 1
+
+    def test_it_follows_a_step_exponentially(self) -> None:
+        effect = self.make({"time_constant": 0.5}).double()
+        m = torch.tensor([[2.0]], dtype=torch.float64)
+        rate = effect.memory_rate(0.0, torch.zeros(1, 4), torch.tensor([[5.0]]), m)
+        torch.testing.assert_close(rate.detach(), torch.tensor([[6.0]], dtype=torch.float64))
+
+    def test_multirotors_have_motor_lag_instead(self) -> None:
+        with pytest.raises(ConfigError, match="motor_lag"):
+            make_system("quadrotor", effects=["actuator_lag"])
+        with pytest.raises(ConfigError, match="actuator_lag"):
+            make_system("cartpole", effects=["motor_lag"])
+
+
+def _rk4(s: torch.nn.Module, z: torch.Tensor, u: torch.Tensor, dt: float) -> torch.Tensor:
+    with torch.no_grad():
+        a = s.drift(0.0, z, u)  # type: ignore[operator]
+        b = s.drift(0.0, z + 0.5 * dt * a, u)  # type: ignore[operator]
+        c = s.drift(0.0, z + 0.5 * dt * b, u)  # type: ignore[operator]
+        d = s.drift(0.0, z + dt * c, u)  # type: ignore[operator]
+        return z + dt / 6 * (a + 2 * b + 2 * c + d)

@@ -1,0 +1,58 @@
+"""Drag of multirotors: the contract, and each formula by hand."""
+
+from __future__ import annotations
+
+import torch
+from scipy.spatial.transform import Rotation
+
+from tests.helpers.effect_contract import EffectContract
+from tests.helpers.effect_rows import flying, term
+
+
+class TestLinearDrag(EffectContract):
+    name, system = "linear_drag", "hexacopter"
+
+    def test_it_brakes_along_the_axes_of_the_body(self) -> None:
+        effect = self.make({"drag": [0.1, 0.2, 0.3]})
+        # turned left by a quarter: world's +x is the body's right (-y)
+        x = flying([2.0, 0.0, 1.0], Rotation.from_euler("z", 90, degrees=True))
+        torch.testing.assert_close(term(effect, x), torch.tensor([[0.0, 0.4, -0.3]]), atol=1e-6, rtol=0)
+
+    def test_it_takes_energy_at_every_attitude(self) -> None:
+        s = self.machine().double()
+        x, _, _ = self.rows(50)
+        u = torch.zeros(50, s.nu).double()
+        force = s.drift(0.0, x, u)[:, 3:6] - torch.tensor([0.0, 0.0, -9.81]).double()
+        assert bool(((force * x[:, 3:6]).sum(1) < 0).all())
+
+
+class TestQuadraticDrag(EffectContract):
+    name, system = "quadratic_drag", "quadrotor"
+
+    def test_it_grows_with_the_square_of_the_speed(self) -> None:
+        effect = self.make({"drag": [0.1, 0.1, 0.2]})
+        x = flying([3.0, 0.0, 4.0], Rotation.identity())
+        torch.testing.assert_close(term(effect, x), torch.tensor([[-1.5, 0.0, -4.0]]))
+        doubled = flying([6.0, 0.0, 8.0], Rotation.identity())
+        torch.testing.assert_close(term(effect, doubled), 4 * term(effect, x))
+
+
+class TestConstantWind(EffectContract):
+    name, system = "constant_wind", "hexacopter"
+
+    def test_who_flies_with_the_wind_feels_none(self) -> None:
+        effect = self.make({"drag": [0.1, 0.2, 0.3], "wind": [2.0, -1.0]})
+        x = flying([2.0, -1.0, 0.0], Rotation.from_euler("z", 40, degrees=True))
+        torch.testing.assert_close(term(effect, x), torch.zeros(1, 3), atol=1e-6, rtol=0)
+
+    def test_who_hovers_is_pushed_along_it_in_body_axes(self) -> None:
+        effect = self.make({"drag": [0.1, 0.2, 0.3], "wind": [2.0, 0.0]})
+        # turned left by a quarter: a wind to the east comes from the left, to the right (-y)
+        x = flying([0.0, 0.0, 0.0], Rotation.from_euler("z", 90, degrees=True))
+        torch.testing.assert_close(term(effect, x), torch.tensor([[0.0, -0.4, 0.0]]), atol=1e-6, rtol=0)
+
+    def test_without_wind_it_is_linear_drag(self) -> None:
+        x, _, _ = self.rows(9)
+        wind = self.make({"drag": [0.1, 0.2, 0.3], "wind": [0.0, 0.0]}).double()
+        drag = TestLinearDrag().make({"drag": [0.1, 0.2, 0.3]}).double()
+        torch.testing.assert_close(term(wind, x), term(drag, x))

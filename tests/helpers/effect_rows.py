@@ -1,0 +1,26 @@
+"""States and terms of effects that tests work out by hand."""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+from scipy.spatial.transform import Rotation
+
+from nsde_torch.effects import Effect
+
+
+def term(effect: Effect, x: torch.Tensor, u: torch.Tensor | None = None, *, t: float = 0.0) -> torch.Tensor:
+    """What an effect without memory adds at states (N, nx) under inputs (N, ...), zero by default."""
+    inputs = torch.zeros(len(x), 6) if u is None else u
+    return effect(t, x, inputs, x.new_zeros(len(x), 0)).detach()
+
+
+def flying(
+    velocity: list[float], attitude: Rotation | None = None, *, rates: tuple[float, ...] = (0.0, 0.0, 0.0)
+) -> torch.Tensor:
+    """A multirotor (1, 13) at this velocity [m/s], attitude (level by default) and body rates [rad/s]."""
+    x = torch.zeros(1, 13)
+    x[0, 3:6] = torch.tensor(velocity)
+    x[0, 6:10] = torch.from_numpy(np.roll((attitude or Rotation.identity()).as_quat(), 1)).float()
+    x[0, 10:] = torch.tensor(rates)
+    return x

@@ -1,0 +1,193 @@
+"""Identification of whole systems: exact without noise, honest with it, and plain about what the data cannot show."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from collections.abc import Sequence
+from functools import cache
+
+import numpy as np
+import pytest
+import torch
+
+from nsde_torch.data import Run
+from nsde_torch.errors import ConfigError, DataError
+from nsde_torch.learning.identify.identify import identify
+from nsde_torch.learning.identify.result import Identification
+from nsde_torch.plants import MACHINES, make_plant_system, simulated
+from nsde_torch.plants.flights import fly
+from nsde_torch.plants.pilot import Pilot, Sticks
+from nsde_torch.systems import System, make_system
+from nsde_torch.systems.parameters import ParameterVector
+
+
+@cache
+def flights(noise: float) -> tuple[Run, ...]:
+    """two flights of 10 s on the hexacopter's plant, whose rotor drag and motor lag the system may declare."""
+    paths = list(Pilot([10.0, 10.0], dt=0.01, seed=3).paths(Sticks()))
+    x, u = fly(
+        "hexacopter",
+        paths,
+        generator=torch.Generator().manual_seed(1),
+        process_noise=noise,
+        sensor_noise=noise,
+    )
+    t = 0.01 * np.arange(len(x))
+    return tuple(Run(f"flight_{i}", t, x[:, i], u[:, i]) for i in range(2))
+
+
+@cache
+def runs_of(name: str, noise: float, seed: int = 0) -> tuple[Run, ...]:
+    """Runs of a plant, every effect of which the declared physics has (but for the hexacopter's two)."""
+    if name == "hexacopter":
+        return flights(noise)
+    options = {"force": "multisine"} if name == "mass_spring_damper" else {"durations": [4.0] * 6}
+    process = noise if MACHINES[name].gusts else 1.0
+    data = simulated(name, seed=seed, sensor_noise=noise, process_noise=process, **options)
+    return tuple(data.runs)
+
+
+def declared(name: str) -> System:
+    return make_system(name, effects=list(MACHINES[name].effects))
+
+
+def truth(name: str) -> np.ndarray:
+    return ParameterVector(make_plant_system(name)).start
+
+
+@pytest.mark.parametrize("name", ["mass_spring_damper", "cartpole", "hexacopter"])
+def test_without_noise_parameters_are_exact(name: str) -> None:
+    system = declared(name)
+    before = ParameterVector(system).start
+    found = identify(system, runs_of(name, 0.0))
+    np.testing.assert_allclose(found.values, truth(name), rtol=1e-3)
+    assert found.converged
+    assert found.linear == (name == "mass_spring_damper")
+    assert found.shown.rank == len(found.vector)
+    assert found.unexplained < 1e-3
+    np.testing.assert_array_equal(ParameterVector(system).start, before)
+
+
+@pytest.mark.parametrize("name", ["mass_spring_damper", "cartpole", "hexacopter"])
+def test_with_noise_errors_are_a_few_standard_errors(name: str) -> None:
+    found = identify(declared(name), runs_of(name, 1.0))
+    assert found.converged
+    z = (found.values - truth(name)) / found.standard_errors
+    assert np.abs(z).max() < 4.5
+    assert np.sqrt(np.square(z).mean()) < 2.0
+    ratio = found.half_widths(0.95) / found.half_widths(0.9)
+    assert ((ratio > 1.15) & (ratio < 2.2)).all()  # Student's t: 1.19 of many degrees, 2.0 of one
+    json.dumps(found.as_dict(), allow_nan=False)
+
+
+def test_intervals_of_the_spring_hold_over_seeds() -> None:
+    inside = []
+    for seed in range(12):
+        found = identify(declared("mass_spring_damper"), runs_of("mass_spring_damper", 1.0, seed))
+        inside.append(np.abs(found.values - truth("mass_spring_damper")) < found.half_widths(0.95))
+    assert 0.85 <= np.mean(inside) <= 1.0
+
+
+def test_the_mass_is_not_shown_by_a_spring_without_force() -> None:
+    data = simulated("mass_spring_damper", seed=0)
+    found = identify(make_system("mass_spring_damper"), data.runs)
+    assert found.shown.rank == 2
+    assert found.findings == ["force_gain: nothing in the data depends on it"]
+    at = found.vector.labels.index("force_gain")
+    assert np.isnan(found.standard_errors[at])
+    assert found.values[at] == found.vector.start[at]
+    assert found.parameters()["force_gain"]["half_width_90"] == [None]
+    assert found.as_dict()["estimates"]["force_gain"]["interval_95"] is None
+
+
+def test_gain_and_offset_of_the_thrust_are_only_known_together_in_hover() -> None:
+    t = 0.01 * np.arange(800)
+    x = np.zeros((len(t), 13))
+    x[:, 6] = 1.0
+    x[:, 12] = 0.3 * np.sin(2.0 * t)  # it yaws a little, so that something moves
+    u = np.full((len(t), 6), 0.39)
+    u[:, [0, 2, 4]] += 0.02 * np.cos(2.0 * t)[:, None]
+    u[:, [1, 3, 5]] -= 0.02 * np.cos(2.0 * t)[:, None]
+    x += 1e-3 * np.random.default_rng(0).normal(size=x.shape)
+    found = identify(make_system("hexacopter"), [Run("hover", t, x, u)])
+    assert any("thrust_gain and thrust_offset: only together" in said for said in found.findings)
+    assert any(said.startswith("roll_gain: nothing") for said in found.findings)
+
+
+def test_estimates_stay_inside_their_bounds() -> None:
+    """A spring without damping: in half of the recordings the best damping would be negative."""
+    t = 0.01 * np.arange(1500)
+    truth = np.stack([0.1 * np.cos(t), -0.1 * np.sin(t)], 1)
+    at_bound = 0
+    for seed in range(6):
+        noise = np.random.default_rng(seed).normal(size=truth.shape) * [0.005, 0.01]
+        found = identify(
+            make_system("mass_spring_damper"), [Run("r", t, truth + noise, np.zeros((len(t), 1)))]
+        )
+        values = dict(zip(found.vector.labels, found.values, strict=True))
+        assert 0 < values["viscous_friction.damping"] < 0.03
+        assert abs(values["linear_spring.stiffness"] - 1.0) < 0.02
+        at_bound += values["viscous_friction.damping"] < 1e-5
+    assert 1 <= at_bound <= 5
+
+
+def test_nothing_reaches_across_a_gap() -> None:
+    """The state jumps over the gap: the same rows without the gap would give another stiffness."""
+    (run, *_) = runs_of("mass_spring_damper", 0.0)
+    other = runs_of("mass_spring_damper", 0.0)[1]
+    n = len(run)
+    t = np.concatenate((run.t, run.t[-1] + 0.5 + other.t))
+    both = Run(
+        "both",
+        t,
+        np.vstack((run.x, other.x)),
+        np.vstack((run.u, other.u)),
+        segments=((0, n), (n, n + len(other))),
+    )
+    split = identify(declared("mass_spring_damper"), [both])
+    np.testing.assert_allclose(split.values, truth("mass_spring_damper"), rtol=1e-6)
+    blind = dataclasses.replace(both, t=0.01 * np.arange(len(t)), segments=())
+    assert (
+        np.abs(identify(declared("mass_spring_damper"), [blind]).values - truth("mass_spring_damper")).max()
+        > 0.01
+    )
+
+
+def test_a_clock_that_runs_wrong_is_taken_into_account() -> None:
+    slow = [Run(r.name, r.t / 1.05, r.x, r.u) for r in runs_of("cartpole", 0.0)]
+    found = identify(declared("cartpole"), slow, clock=1.05)
+    np.testing.assert_allclose(found.values, truth("cartpole"), rtol=1e-3)
+
+
+def test_longer_boxes_find_the_same() -> None:
+    found = identify(declared("cartpole"), runs_of("cartpole", 1.0), width=0.1)
+    assert found.box_s == pytest.approx(0.1)
+    assert (np.abs(found.values - truth("cartpole")) < 4.5 * found.standard_errors).all()
+
+
+@pytest.mark.parametrize("name", ["mass_spring_damper", "cartpole"])
+def test_finite_differences_come_near_without_noise_and_have_no_law_of_noise(name: str) -> None:
+    found = identify(declared(name), runs_of(name, 0.0), method="differences")
+    assert found.method == "differences"
+    np.testing.assert_allclose(found.values, truth(name), rtol=0.02)
+    assert all(channel.noise is None for channel in found.channels)
+
+
+def outcome(runs: Sequence[Run], **options: object) -> Identification:
+    return identify(make_system("mass_spring_damper"), runs, **options)  # type: ignore[arg-type]
+
+
+def test_what_cannot_be_is_refused_with_a_remedy() -> None:
+    runs = runs_of("mass_spring_damper", 1.0)
+    still = [Run("still", r.t, 0 * r.x, 0 * r.u) for r in runs]
+    with pytest.raises(DataError, match="Record runs in which the machine moves"):
+        outcome(still)
+    with pytest.raises(DataError, match="no run"):
+        outcome([])
+    with pytest.raises(ConfigError, match="`max_iterations` must be at least 1"):
+        outcome(runs, iterations=0)
+    with pytest.raises(ConfigError, match="`method` must be weak or differences"):
+        outcome(runs, method="magic")
+    with pytest.raises(ConfigError, match=r"`model\.width`"):
+        outcome(runs, width=0.001)

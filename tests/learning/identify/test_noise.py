@@ -1,0 +1,82 @@
+"""Laws of noise: whitening is causal, white where it should be, and blind to what lies across a gap."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.signal import lfilter
+
+from nsde_torch.learning.identify.noise import Noise, again, carry_limit, estimate, extended, white_noise
+from nsde_torch.learning.identify.series import Series
+
+ONE = Series(((0, 6000),))
+
+
+def drawn(seed: int, *, carry: float = 0.0, ar: tuple[float, ...] = ()) -> np.ndarray:
+    """(1 + a_1 B + ...) r = (1 - c B) e with e of standard deviation 2."""
+    e = 2.0 * np.random.default_rng(seed).normal(size=7000)
+    return np.asarray(lfilter([1.0, -carry], [1.0, *ar], e)[1000:])
+
+
+def autocorrelation(white: np.ndarray, lag: int) -> float:
+    return float((white[lag:] * white[:-lag]).sum() / (white**2).sum())
+
+
+def test_an_autoregression_is_found_and_whitened() -> None:
+    r = drawn(0, ar=(-0.8, 0.15))
+    law = estimate(r, ONE, limit=0.0, orders=20)
+    white = law.whiten(r[:, None], ONE)[1:, 0]
+    assert 2 <= len(law.reflection) <= 6
+    assert abs(law.std - 2.0) < 0.06
+    assert max(abs(autocorrelation(white, k)) for k in range(1, 20)) < 0.05
+    assert abs(white.std() - 1.0) < 0.02
+
+
+def test_sensor_noise_is_found_as_a_moving_average() -> None:
+    r = drawn(1, carry=0.9)
+    law = estimate(r, ONE, limit=0.99, orders=20)
+    assert abs(law.carry - 0.9) < 0.05
+    assert abs(law.std - 2.0) < 0.06
+    white = law.whiten(r[:, None], ONE)[1:, 0]
+    assert max(abs(autocorrelation(white, k)) for k in range(1, 10)) < 0.05
+
+
+def test_whitening_is_causal() -> None:
+    law = Noise(0.7, np.array([-0.5, 0.2]), 1.0)
+    r = drawn(2)
+    white = law.whiten(r[:, None], ONE)
+    changed = r.copy()
+    changed[4000:] += 5.0
+    later = law.whiten(changed[:, None], ONE)
+    np.testing.assert_array_equal(white[1:4001], later[1:4001])
+    assert not np.allclose(white[4001], later[4001])
+
+
+def test_whitened_stretches_know_nothing_of_each_other() -> None:
+    law = Noise(0.7, np.array([-0.5, 0.2]), 1.5)
+    r = drawn(3)[:500]
+    both = law.whiten(r[:, None], Series(((0, 200), (200, 500))))
+    alone = [law.whiten(part[:, None], Series(((0, len(part)),))) for part in (r[:200], r[200:])]
+    np.testing.assert_allclose(both, np.concatenate(alone), rtol=1e-12)
+    assert extended(Series(((0, 200), (200, 500)))).edges == ((0, 201), (201, 502))
+
+
+def test_a_law_for_other_residuals_keeps_its_order_and_its_c() -> None:
+    law = estimate(drawn(4, carry=0.5, ar=(-0.8,)), ONE, limit=0.9, orders=10)
+    other = again(law, drawn(5, carry=0.5, ar=(-0.8,)), ONE)
+    assert (other.carry, len(other.reflection)) == (law.carry, len(law.reflection))
+    assert abs(other.std - law.std) < 0.1
+
+
+def test_white_noise_only_scales() -> None:
+    r = drawn(6)
+    law = white_noise(r, ONE)
+    np.testing.assert_allclose(law.whiten(r[:, None], ONE)[1:, 0], r / law.std)
+
+
+def test_the_limit_of_c_is_one_for_a_sensor_alone_and_falls_with_what_else_is_noisy() -> None:
+    assert carry_limit(0.0, 0.0, 1.0, 0.01) > 0.999
+    quiet, loud = (carry_limit(0.0, known, 1.0, 0.01) for known in (0.1, 1.0))
+    assert 0 < loud < quiet < 1
+    # r = e' - e + w: autocovariances 2 s^2 + k^2 and -s^2 are those of a moving average with c + 1 / c = 2 + k^2 / s^2
+    assert abs(loud + 1 / loud - 3.0) < 1e-9
+    assert carry_limit(1.0, 0.0, 0.0, 0.01) == 0.0

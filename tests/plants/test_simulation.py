@@ -1,0 +1,171 @@
+"""Data sets whose files do not say what is in them, and the truth beside."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+
+from nsde_torch.data import read
+from nsde_torch.effects import effects_of
+from nsde_torch.errors import ConfigError
+from nsde_torch.plants import MACHINES, make_plant, make_plant_system
+from nsde_torch.plants.battery import FULL, LOAD
+from nsde_torch.plants.recording import Recording
+from nsde_torch.plants.simulation import Simulation, simulate, write
+from nsde_torch.systems import make_system, system_class
+
+SHORT: dict[str, dict[str, Any]] = {
+    "mass_spring_damper": {"durations": [2.0, 1.0]},
+    "cartpole": {"durations": [1.0, 1.0]},
+    "hexacopter": {"durations": [3.0], "options": {"variants": 12, "rounds": 1}},
+}
+
+
+def short(system: str, **settings: Any) -> Simulation:
+    return simulate(system, **{**SHORT[system], "seed": 1, **settings})
+
+
+def first(made: Simulation) -> np.ndarray:
+    return made.runs[0].x
+
+
+WHERE_IT_SHOWS: dict[str, Any] = {
+    "actuator_saturation": {"hexacopter": {"level": 0.7}, "mass_spring_damper": {"level": 0.3}},
+    "actuator_deadband": {"hexacopter": {"width": 0.02}},
+}
+
+
+@pytest.mark.parametrize("system", sorted(SHORT))
+def test_every_effect_of_the_catalogue_can_be_held_by_a_plant_and_changes_its_data(system: str) -> None:
+    plain = short(system)
+    there = {*make_system(system).effect_names, *MACHINES[system].effects}
+    for name in set(effects_of(system, system_class(system).ports)) - there:
+        made = short(system, effects=[{name: WHERE_IT_SHOWS.get(name, {}).get(system)}])
+        assert name in made.truth["effects"]
+        assert not np.array_equal(first(made), first(plain)), name
+
+
+def test_files_hold_columns_and_nothing_that_tells(tmp_path: Path) -> None:
+    made = short("mass_spring_damper", effects=[{"coulomb_friction": {"size": 0.2}}])
+    files = write(made, tmp_path / "data")
+    assert sorted(p.name for p in (tmp_path / "data").iterdir()) == ["run_0.csv", "run_1.csv"]
+    assert files[-1] == tmp_path / "data.truth.json"
+    lines = (tmp_path / "data" / "run_0.csv").read_text().splitlines()
+    assert lines[0] == "t,q,q_dot,force"
+    assert len(lines) == 1 + 201
+    truth = json.loads(files[-1].read_text())
+    assert truth["effects"]["coulomb_friction"]["parameters"] == {"size": 0.2, "width": 0.01}
+    assert truth["effects"]["coulomb_friction"]["units"] == {"size": "m/s2", "width": "m/s"}
+    assert truth["files"] == ["run_0.csv", "run_1.csv"]
+    data = read("csv", make_system("mass_spring_damper"), path=tmp_path / "data")
+    np.testing.assert_array_equal(data.runs[0].x, made.runs[0].x)
+
+
+def test_the_spring_is_excited_unless_told() -> None:
+    assert first(short("mass_spring_damper", durations=[10.0])).std() > 0.1
+    assert not short("mass_spring_damper", options={"force": "zero"}).runs[0].u.any()
+
+
+def test_equal_seeds_make_equal_data_and_others_other() -> None:
+    a, b, c = (short("cartpole", seed=s) for s in (1, 1, 2))
+    np.testing.assert_array_equal(first(a), first(b))
+    assert not np.array_equal(first(a), first(c))
+
+
+def test_the_standing_effects_of_a_machine_are_in_the_truth_and_can_be_left_out() -> None:
+    made = short("hexacopter")
+    assert {k: v["standing"] for k, v in made.truth["effects"].items()} == {
+        "linear_drag": True,
+        "motor_lag": True,
+    }
+    assert short("hexacopter", declared_only=True).truth["effects"] == {}
+
+
+def test_a_wind_blows_against_the_drag_that_the_machine_has() -> None:
+    system = make_plant_system("hexacopter", effects=[{"constant_wind": {"wind": [2.0, 0.0]}}])
+    assert set(system.effect_names) == {"motor_lag", "constant_wind"}
+    assert system.all_declared()["constant_wind.drag"][0].tolist() == pytest.approx([0.15, 0.15, 0.05])
+
+
+def test_a_loss_of_single_motors_may_be_written_with_zeros() -> None:
+    loss = [0.1, 0, 0, 0, 0, 0]
+    made = short("hexacopter", effects=[{"motor_efficiency_loss": {"loss": loss}}])
+    assert made.truth["effects"]["motor_efficiency_loss"]["parameters"]["loss"] == pytest.approx(
+        loss, abs=1e-5
+    )
+    with pytest.raises(ConfigError, match="between"):
+        short("hexacopter", effects=[{"motor_efficiency_loss": {"loss": [-0.1, 0, 0, 0, 0, 0]}}])
+
+
+def test_an_input_delay_is_a_pure_one() -> None:
+    delay = 0.035
+    options: dict[str, Any] = {"sensor_noise": 0.0, "durations": [3.0]}
+    plain = short("mass_spring_damper", **options)
+    late = short("mass_spring_damper", effects=[{"input_delay": {"delay": delay}}], **options)
+    assert late.truth["effects"]["input_delay"]["parameters"]["delay"] == pytest.approx(delay, rel=0.02)
+    # what a later force adds to the speed: the force itself, moved
+    change = first(late)[1:40, 1] - first(plain)[1:40, 1]
+    assert abs(change[3]) < abs(plain.runs[0].u[0, 0]) * 0.05
+    assert "input_delay" not in make_plant_system("mass_spring_damper").effect_names
+
+
+def test_a_wrong_clock_is_found_by_the_checks_of_measured_data(tmp_path: Path) -> None:
+    made = simulate("cartpole", recording=Recording(clock_scale=1.06), seed=4, sensor_noise=0.1)
+    write(made, tmp_path / "data")
+    data = read("csv", make_system("cartpole"), path=tmp_path / "data")
+    assert data.clock_scale == pytest.approx(1.06, abs=0.01)
+    assert data.dt == pytest.approx(0.02)
+
+
+def test_a_battery_falls_with_use_and_is_logged_where_asked() -> None:
+    made = short("hexacopter", effects=["battery_voltage"], durations=[3.0, 3.0])
+    unloaded = [run.extra["battery_voltage"] + LOAD * run.u.mean(1) for run in made.runs]
+    assert pytest.approx(unloaded[0][0]) == FULL
+    assert all(bool((np.diff(v) < 0).all()) for v in unloaded)
+    assert unloaded[1][0] == pytest.approx(unloaded[0][-1], abs=0.01)
+    assert "battery_voltage" in short("hexacopter", battery=True).runs[0].extra
+    assert short("hexacopter").runs[0].extra == {}
+    with pytest.raises(ConfigError, match="battery"):
+        short("cartpole", battery=True)
+
+
+def test_a_fast_effect_gets_a_finer_step() -> None:
+    generator = torch.Generator().manual_seed(0)
+    plain = make_plant("cartpole", generator=generator)
+    stiff = make_plant(
+        "cartpole", generator=generator, effects=[{"cart_coulomb_friction": {"size": 2.0, "width": 0.002}}]
+    )
+    assert stiff._fine < plain._fine == 0.005
+    assert np.isfinite(first(short("cartpole", effects=[{"actuator_lag": {"time_constant": 0.0025}}]))).all()
+
+
+def test_nothing_is_written_over(tmp_path: Path) -> None:
+    made = short("mass_spring_damper")
+    write(made, tmp_path / "data")
+    with pytest.raises(ConfigError, match="overwrite=true"):
+        write(made, tmp_path / "data")
+    write(short("mass_spring_damper", durations=[1.0]), tmp_path / "data", overwrite=True)
+    assert [p.name for p in (tmp_path / "data").iterdir()] == ["run_0.csv"]
+    with pytest.raises(ConfigError, match="outside"):
+        write(made, tmp_path / "other", truth=tmp_path / "other" / "truth.json")
+
+
+@pytest.mark.parametrize(
+    ("settings", "word"),
+    [
+        ({"effects": ["friction"]}, "friction"),
+        ({"parameters": {"coulomb_friction.size": 1.0}}, "coulomb_friction"),
+        ({"durations": []}, "durations"),
+        ({"dt": -1.0}, "dt"),
+        ({"seed": -1}, "seed"),
+        ({"options": {"forse": "zero"}}, "forse"),
+    ],
+)
+def test_what_cannot_be_simulated_is_named(settings: dict[str, Any], word: str) -> None:
+    with pytest.raises(ConfigError, match=word):
+        short("mass_spring_damper", **settings)

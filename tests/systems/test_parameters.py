@@ -1,0 +1,82 @@
+"""Declared parameters as one vector: order, units, bounds, and a drift that is linear in them."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+
+from nsde_torch.errors import ConfigError
+from nsde_torch.systems import make_system
+from nsde_torch.systems.parameters import ParameterVector
+from tests.helpers.toy_systems import Decay
+
+
+def test_names_units_and_values_are_those_of_the_system_and_then_of_its_effects() -> None:
+    system = make_system("hexacopter", effects=["linear_drag", "motor_lag"])
+    vector = ParameterVector(system)
+    assert vector.labels[0] == "thrust_gain"
+    assert vector.labels[-4:] == [*(f"linear_drag.drag[{i}]" for i in range(3)), "motor_lag.time_constant"]
+    assert vector.units[-4:] == ["1/s", "1/s", "1/s", "s"]
+    assert [p.name for p in vector.places][-2:] == ["linear_drag.drag", "motor_lag.time_constant"]
+    declared = torch.cat([value for value, _ in system.all_declared().values()])
+    np.testing.assert_allclose(vector.start, declared, rtol=1e-5)
+    assert (vector.low[5], vector.high[5]) == (0.3, 1.5)
+    assert vector.low[1] == -np.inf
+    assert vector.moves_memory.tolist() == [False] * 10 + [True]
+
+
+def test_the_copy_takes_theta_and_the_system_itself_stays_as_it_is() -> None:
+    system = make_system("mass_spring_damper")
+    vector = ParameterVector(system)
+    x = torch.tensor([[0.3, -0.2]], dtype=torch.float64)
+    u = torch.tensor([[0.5]], dtype=torch.float64)
+    before = system.drift(0.0, x.float(), u.float())
+    vector.use(torch.tensor([2.0, 3.0, 0.25], dtype=torch.float64))
+    assert float(vector.system.drift(0.0, x, u)[0, 1]) == pytest.approx(2.0 * 0.5 - 3.0 * 0.3 + 0.25 * 0.2)
+    assert torch.equal(system.drift(0.0, x.float(), u.float()), before)
+
+
+def test_the_drift_is_linear_in_theta_where_the_physics_is() -> None:
+    vector = ParameterVector(make_system("mass_spring_damper"))
+    x = torch.randn(5, 2, generator=torch.Generator().manual_seed(0), dtype=torch.float64)
+
+    def drift(theta: torch.Tensor) -> torch.Tensor:
+        vector.use(theta)
+        return vector.system.drift(0.0, x, x[:, :1])
+
+    theta = torch.tensor(vector.start)
+    slopes = torch.func.jacfwd(drift)(theta)
+    away = theta + torch.tensor([0.3, -0.4, 0.5])
+    torch.testing.assert_close(drift(away), drift(theta) + slopes @ (away - theta))
+
+
+def test_values_are_moved_strictly_inside_the_bounds_and_written() -> None:
+    system = make_system("cartpole")
+    vector = ParameterVector(system)
+    inside = vector.inside(np.array([-1.0, 2.0, 0.7]))
+    assert 0 < inside[0] < 1e-5
+    assert 0.949 < inside[1] < 0.95
+    vector.write(system, np.array([-1.0, 2.0, 0.7]))
+    written = {name: float(value) for name, (value, _) in system.all_declared().items()}
+    assert written["half_length"] == pytest.approx(0.7, rel=1e-6)
+    assert written["pole_share"] == pytest.approx(0.95, abs=1e-5)
+
+
+def test_values_of_effects_are_written_too() -> None:
+    system = make_system("hexacopter", effects=["linear_drag"])
+    vector = ParameterVector(system)
+    theta = vector.start.copy()
+    theta[-3:] = [0.2, 0.3, 0.4]
+    vector.write(system, theta)
+    drag = system.all_declared()["linear_drag.drag"][0]
+    np.testing.assert_allclose(drag, [0.2, 0.3, 0.4], rtol=1e-5)
+
+
+def test_a_system_without_parameters_is_refused() -> None:
+    class Bare(Decay):
+        name = "bare"
+        PARAMETERS = {}
+
+    with pytest.raises(ConfigError, match="declares no parameter"):
+        ParameterVector(Bare())

@@ -215,11 +215,13 @@ def _flights(settings: Settings) -> tuple[int, ...]:
 
 
 def _identification() -> Figure:
+    # Both are integrated alike well: the system's own method takes p + v dt for a position, which is 7 mm off after
+    # 0.25 s, more than what the two differ by.
     def trainings(settings: Settings) -> dict[str, list[str]]:
         return {
             f"hexacopter_{kind}_flight{flight}": [*_hexacopter_words(settings, flight), *more]
             for flight in _flights(settings)
-            for kind, more in (("sde", []), ("sysid", ["model=sysid"]))
+            for kind, more in (("sde_heun", ["solver=heun"]), ("sysid", ["model=sysid"]))
         }
 
     def draw(settings: Settings) -> Outcome:
@@ -232,7 +234,7 @@ def _identification() -> Figure:
                 for flight in _flights(settings)
                 for f in settings.run_dirs(f"hexacopter_{kind}_flight{flight}")[0]
             ]
-            for kind in ("sde", "sysid")
+            for kind in ("sde_heun", "sysid")
         )
         real = settings.published is not None
         return against_identification(

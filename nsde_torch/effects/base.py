@@ -175,6 +175,7 @@ class Effect(Parametrised, ABC):
         relative: Parameters whose `shapes` are multiples of a size of the data: `input`, `speed`, `rate` or
             `position` (95 % quantile of the absolute value that the effect sees), or `spectrum` (frequencies are
             taken from the data, `shapes` has none).
+        resolved: Times of a memory -> the least multiple of a step at which explicit steps follow it.
         includes: Simpler effects that it contains as special cases; it stands in for them, not beside them.
         sentence: What it means, for who runs the machine; {parameter} stands for a value with its unit.
         separate: The experiment that would tell it apart from its likes.
@@ -198,6 +199,7 @@ class Effect(Parametrised, ABC):
     amplitudes: ClassVar[tuple[str, ...]] = ()
     shapes: ClassVar[Mapping[str, tuple[float | tuple[float, ...], ...]]] = {}
     relative: ClassVar[Mapping[str, str]] = {}
+    resolved: ClassVar[Mapping[str, float]] = {}
     includes: ClassVar[tuple[str, ...]] = ()
     sentence: ClassVar[str] = ""
     separate: ClassVar[str] = ""

@@ -28,6 +28,7 @@ class InputDelay(Effect):
     PARAMETERS = {"delay": Parameter(0.02, "s", low=0.001, scale=0.02, help="time from log to effect")}
     null = {"delay": 0.0}
     shapes = {"delay": (0.02, 0.06, 0.15)}
+    resolved = {"delay": 1.0}  # its modes are at (-2 +- i sqrt 2) / T
     sentence = "The inputs act {delay} after the log says so."
     separate = "give steps of the input: a lag rounds their corner, a delay moves it"
 

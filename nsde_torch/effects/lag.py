@@ -17,6 +17,7 @@ class _Lag(Effect):
     PARAMETERS = {"time_constant": Parameter(0.05, "s", low=0.002, help="time to reach 63 %")}
     null = {"time_constant": 0.0}
     shapes = {"time_constant": (0.02, 0.06, 0.2)}
+    resolved = {"time_constant": 0.5}  # Runge-Kutta 4 is stable up to 2.8 time constants a step
     separate = "give steps of the input: a lag rounds their corner, a delay moves it"
 
     @property

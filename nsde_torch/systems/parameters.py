@@ -114,6 +114,15 @@ class ParameterVector:
         margin = 1e-6 * self.scale
         return np.clip(theta, self.low + margin, self.high - margin)
 
+    def follow(self, dt: float) -> None:
+        """Raise the lower bounds of times so that steps of `dt` [s] follow the memory of the effects."""
+        effects = {str(e.name): e for e in self.system.effects if isinstance(e, Effect)}
+        for place in self.places:
+            effect, _, own = place.name.partition(".")
+            share = effects[effect].resolved.get(own) if effect in effects else None
+            if share is not None:
+                self.low[place.columns] = np.maximum(self.low[place.columns], share * dt)
+
     def write(self, system: System, theta: Array) -> None:
         """Set the values of a system of the same physics, moved inside the bounds."""
         values = torch.as_tensor(self.inside(theta))

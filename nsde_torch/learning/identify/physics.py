@@ -57,6 +57,7 @@ class Physics:
         self, vector: ParameterVector, steps: Steps, *, curved: bool = False, foresee: bool = True
     ) -> None:
         self.vector, self.steps, self.curved = vector, steps, curved
+        vector.follow(steps.dt)
         self._lead = _LEAD if foresee else 0
         system = vector.system
         self.turned = _world_velocity(system)

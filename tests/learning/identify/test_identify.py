@@ -107,8 +107,8 @@ def test_gain_and_offset_of_the_thrust_are_only_known_together_in_hover() -> Non
     x[:, 6] = 1.0
     x[:, 12] = 0.3 * np.sin(2.0 * t)  # it yaws a little, so that something moves
     u = np.full((len(t), 6), 0.39)
-    u[:, [0, 2, 4]] += 0.02 * np.cos(2.0 * t)[:, None]
-    u[:, [1, 3, 5]] -= 0.02 * np.cos(2.0 * t)[:, None]
+    u[:, [0, 2, 5]] += 0.02 * np.cos(2.0 * t)[:, None]
+    u[:, [1, 3, 4]] -= 0.02 * np.cos(2.0 * t)[:, None]
     x += 1e-3 * np.random.default_rng(0).normal(size=x.shape)
     found = identify(make_system("hexacopter"), [Run("hover", t, x, u)])
     assert any("thrust_gain and thrust_offset: only together" in said for said in found.findings)

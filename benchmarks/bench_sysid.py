@@ -1,0 +1,162 @@
+"""Question: does least-squares identification find the true parameters, and do its 95 % intervals hold 95 %?
+
+Plants of this package, identified with all the physics that they have (the hexacopter's rotor drag and motor lag
+declared); every fit starts from the defaults of the system, not from the truth.
+
+    noise-free   no gusts, no sensor noise: largest error of a parameter, as a share of its true value
+    coverage     noise as the plants have it, other motion and other noise with every seed: how many of the intervals
+                 hold the true value, by parameter and in all, beside bias and spread of the estimates over seeds
+
+Spring: five runs of 5 s with a multisine force. Cartpole: its twenty episodes. Hexacopter: three flights of 40 s. With
+--differences the same data are also fitted to finite differences of smoothed states, the classical way.
+
+    python benchmarks/bench_sysid.py --seeds 200
+"""
+
+import argparse
+import json
+import time
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+
+from nsde_torch.data import Run
+from nsde_torch.learning.identify.identify import METHODS, identify
+from nsde_torch.plants import MACHINES, make_plant_system, simulated
+from nsde_torch.plants.flights import fly
+from nsde_torch.plants.pilot import Pilot, Sticks
+from nsde_torch.systems import System, make_system
+from nsde_torch.systems.parameters import ParameterVector
+
+SYSTEMS = ("mass_spring_damper", "cartpole", "hexacopter")
+FLIGHTS_S = (40.0, 40.0, 40.0)
+AT_ONCE = 20  # seeds whose flights are flown in one batch
+LEVEL = 0.95
+
+
+def main() -> None:
+    """Measure, print and write."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--systems", nargs="+", choices=SYSTEMS, default=SYSTEMS)
+    parser.add_argument("--seeds", type=int, default=200)
+    parser.add_argument("--first-seed", type=int, default=0)
+    parser.add_argument("--differences", action="store_true", help="the classical method too")
+    parser.add_argument("--out", type=Path, default=Path("bench_sysid.json"))
+    a = parser.parse_args()
+    torch.set_num_threads(1)
+    results: dict[str, Any] = {}
+    for name in a.systems:
+        for method in METHODS if a.differences else ("weak",):
+            row = {"noise_free": noise_free(name, method)}
+            if a.seeds:
+                row |= coverage(name, method, range(a.first_seed, a.first_seed + a.seeds))
+            results.setdefault(name, {})[method] = row
+            report(name, method, row)
+            a.out.write_text(json.dumps(results, indent=1))
+
+
+def declared(name: str) -> System:
+    """The system with all the physics that its plant has, at the default values."""
+    return make_system(
+        name, effects=[e for e in MACHINES[name].effects if e not in make_system(name).effect_names]
+    )
+
+
+def truth(name: str) -> dict[str, float]:
+    """True value of every parameter."""
+    vector = ParameterVector(make_plant_system(name))
+    return dict(zip(vector.labels, vector.start.tolist(), strict=True))
+
+
+def recordings(name: str, seeds: Sequence[int], *, noise: float) -> Iterator[Sequence[Run]]:
+    """The runs of each seed."""
+    if name != "hexacopter":
+        options = {"force": "multisine"} if name == "mass_spring_damper" else {}
+        process = noise if MACHINES[name].gusts else 1.0
+        for seed in seeds:
+            yield simulated(
+                name, seed=seed, sensor_noise=noise, process_noise=process, use_cache=False, **options
+            ).runs
+        return
+    dt = MACHINES[name].dt
+    for first in range(0, len(seeds), AT_ONCE):
+        some = seeds[first : first + AT_ONCE]
+        paths = [p for s in some for p in Pilot(list(FLIGHTS_S), dt=dt, seed=s).paths(Sticks())]
+        generator = torch.Generator().manual_seed(1000 + some[0])
+        x, u = fly(name, paths, generator=generator, process_noise=noise, sensor_noise=noise)
+        t = dt * np.arange(len(x))
+        for k in range(len(some)):
+            rows = range(k * len(FLIGHTS_S), (k + 1) * len(FLIGHTS_S))
+            yield [Run(f"flight_{i}", t, x[:, i], u[:, i]) for i in rows]
+
+
+def noise_free(name: str, method: str) -> dict[str, Any]:
+    """Errors without any noise, as shares of the true values."""
+    true = truth(name)
+    (runs,) = recordings(name, [0], noise=0.0)
+    found = identify(declared(name), runs, method=method)
+    errors = {
+        label: abs(value / true[label] - 1)
+        for label, value in zip(found.vector.labels, found.values, strict=True)
+    }
+    return {"largest": max(errors.values()), "errors": errors}
+
+
+def coverage(name: str, method: str, seeds: Sequence[int]) -> dict[str, Any]:
+    """Share of intervals that hold the truth, bias and spread of the estimates."""
+    true, rows, seconds = truth(name), [], []
+    for runs in recordings(name, seeds, noise=1.0):
+        system = declared(name)
+        started = time.perf_counter()
+        found = identify(system, runs, method=method)
+        seconds.append(time.perf_counter() - started)
+        rows.append((found.values, found.standard_errors, found.half_widths(LEVEL)))
+    values, errors, half = (np.array(part) for part in zip(*rows, strict=True))
+    labels = ParameterVector(declared(name)).labels
+    miss = values - np.array([true[label] for label in labels])
+    held = np.abs(miss) <= half
+    each = {
+        label: {
+            "true": true[label],
+            "held": float(held[:, i].mean()),
+            "bias": float(miss[:, i].mean()),
+            "spread": float(values[:, i].std(ddof=1)),
+            "standard_error": float(np.sqrt(np.square(errors[:, i]).mean())),
+        }
+        for i, label in enumerate(labels)
+    }
+    # parameters of one fit err together: the seeds, not the intervals, are independent
+    of_seed = held.mean(1)
+    return {
+        "seeds": len(rows),
+        "held": float(held.mean()),
+        "held_standard_error": float(of_seed.std(ddof=1) / len(rows) ** 0.5),
+        "seconds_a_fit": float(np.mean(seconds)),
+        "parameters": each,
+    }
+
+
+def report(name: str, method: str, row: dict[str, Any]) -> None:
+    """Print one system and method."""
+    print(f"\n{name}, {method}: noise-free, largest error {row['noise_free']['largest']:.1e}")
+    if "parameters" not in row:
+        return
+    print(
+        f"  {LEVEL:.0%} intervals over {row['seeds']} seeds hold {row['held']:.1%} "
+        f"(+- {row['held_standard_error']:.1%}); {row['seconds_a_fit']:.2f} s a fit"
+    )
+    for label, p in row["parameters"].items():
+        print(
+            f"  {label:28s} true {p['true']:9.4f}  bias {p['bias']:+.4f}  spread {p['spread']:.4f}  "
+            f"standard error {p['standard_error']:.4f}  held {p['held']:.1%}",
+            flush=True,
+        )
+
+
+if __name__ == "__main__":
+    main()

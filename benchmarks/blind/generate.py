@@ -1,0 +1,290 @@
+"""Blind cases: data sets of machines that hold something, or nothing, and the truth in another folder.
+
+    python benchmarks/blind/generate.py --seed 1 --count 300 --out blind/
+
+writes `blind/data/case_000/run_0.csv ...` and `blind/truth/case_000.json`, by the code of `nsde simulate`. Every system
+and every effect of the catalogue that its plant can hold takes its turn, at both levels of noise; sizes are
+log-uniform shares of what moves the machine (see `sizes`). Machines hold nothing else that is undeclared.
+
+| kind | share of the cases | what the plant holds |
+|---|---|---|
+| single | 58 % | one effect of the catalogue |
+| pair | 14 % | two that are not special cases of each other |
+| recording | 6 % | a fault of the recording chain |
+| outside | 11 % | an effect that no catalogue has (`outside`) |
+| null | 11 % | nothing |
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+import time
+from collections.abc import Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from dataclasses import dataclass, field, replace
+from itertools import cycle
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+sys.path.insert(0, str(Path(__file__).resolve().parent))  # `outside:Cogging` is found by its name
+
+from outside import OUTSIDE
+from sizes import Values, amplitudes, shapes
+
+from nsde_torch.effects import Effect, effect_class, effects_of
+from nsde_torch.errors import ConfigError, NsdeError
+from nsde_torch.plants import Recording, simulate
+from nsde_torch.plants import write as write_data
+from nsde_torch.systems import make_system, system_class
+
+SYSTEMS = ("mass_spring_damper", "cartpole", "hexacopter")
+KINDS = ("single", "pair", "recording", "outside", "null")
+PERIOD = ("single",) * 21 + ("pair",) * 5 + ("recording",) * 2 + ("outside",) * 4 + ("null",) * 4
+"""Kinds in 36 cases."""
+NOISE = {"quiet": 0.5, "noisy": 1.5}
+"""Factor on sensor noise and, where the machine has any, gusts."""
+SHARES: dict[str, tuple[float, float]] = {
+    "single": (0.004, 0.25),
+    "pair": (0.03, 0.25),
+    "outside": (0.03, 0.3),
+}
+"""Least and largest share of what moves the machine, from barely visible to strong."""
+DURATIONS: dict[str, list[float]] = {
+    "mass_spring_damper": [20.0] * 6,
+    "cartpole": [4.0] * 20,
+    "hexacopter": [45.0] * 4,
+}
+TIES = (
+    {"input_delay", "actuator_lag", "motor_lag"},
+    {"thrust_sag", "battery_voltage"},
+    {"coulomb_friction", "cart_coulomb_friction", "asymmetric_friction", "stribeck_friction"},
+    {"linear_drag", "constant_wind", "constant_world_force"},
+)
+"""Effects that a pair does not hold two of: hardly any data could tell them apart."""
+_WEAKER = 4
+"""How often a case that the machine cannot survive is made half as strong."""
+
+
+@dataclass(frozen=True)
+class Case:
+    """One blind case.
+
+    Args:
+        name: Name of its files; tells nothing.
+        system: The machine.
+        kind: One of `KINDS`.
+        effects: What it holds, `name` or `module:Class` -> parameters.
+        recording: Faults of the recording chain, keys of `Recording`.
+        noise: One of `NOISE`.
+        seed: Seed of its data.
+        shares: Share of what moves the machine, by effect; none where a time or a level is its size.
+    """
+
+    name: str
+    system: str
+    kind: str
+    effects: dict[str, Values]
+    recording: dict[str, Any]
+    noise: str
+    seed: int
+    shares: dict[str, float] = field(default_factory=dict)
+
+
+def holdable(system: str) -> list[str]:
+    """Effects of the catalogue that a plant can hold, beyond those declared, and that are not another's twin."""
+    declared = make_system(system).effect_names
+    found = effects_of(system, system_class(system).ports)
+    return [name for name, cls in found.items() if cls.candidate(system) and name not in declared]
+
+
+def cases(seed: int, n: int, *, systems: Sequence[str] = SYSTEMS, kinds: Sequence[str] = KINDS) -> list[Case]:
+    """Blind cases; the first of a longer list are those of a shorter one.
+
+    Args:
+        seed: Seed of everything.
+        n: How many.
+        systems: Machines to take in turn.
+        kinds: Kinds to take.
+    """
+    order = np.random.default_rng([seed, 0])
+    turns: dict[tuple[str, str], Iterator[Any]] = {}
+    for system in systems:
+        singles = holdable(system)
+        turns[system, "single"] = cycle([singles[i] for i in order.permutation(len(singles))])
+        outside = OUTSIDE[system]
+        turns[system, "outside"] = cycle([outside[i] for i in order.permutation(len(outside))])
+        faults = _faults(system)
+        turns[system, "recording"] = cycle([faults[i] for i in order.permutation(len(faults))])
+    period = [k for k in (PERIOD[i] for i in order.permutation(len(PERIOD))) if k in kinds]
+    made = []
+    digits = max(3, len(str(n - 1)))
+    seen: dict[tuple[str, str], int] = {}
+    for i in range(n):
+        system, kind = systems[i % len(systems)], period[(i // len(systems)) % len(period)]
+        rng = np.random.default_rng([seed, 1, i])
+        count = seen[system, kind] = seen.get((system, kind), -1) + 1
+        rounds = count // max(1, len(holdable(system))) if kind == "single" else count
+        noise = tuple(NOISE)[(count + rounds) % 2 if kind == "single" else count % 2]
+        case = Case(f"case_{i:0{digits}d}", system, kind, {}, {}, noise, int(rng.integers(2**31)))
+        made.append(_filled(case, turns, rng))
+    return made
+
+
+def _filled(case: Case, turns: dict[tuple[str, str], Iterator[Any]], rng: np.random.Generator) -> Case:
+    system, kind = case.system, case.kind
+    if kind == "null":
+        return case
+    if kind == "recording":
+        return replace(case, recording=_fault(next(turns[system, kind]), system, rng))
+    if kind == "single":
+        chosen: list[tuple[str, type[Effect]]] = [_named(next(turns[system, kind]))]
+    elif kind == "outside":
+        cls = next(turns[system, kind])
+        chosen = [(f"outside:{cls.__name__}", cls)]
+    else:
+        chosen = _pair(system, rng)
+    effects, shares = {}, {}
+    for key, cls in chosen:
+        low, high = SHARES[kind]
+        share = float(np.exp(rng.uniform(np.log(low), np.log(high))))
+        shape = shapes(cls, system, rng)
+        effects[key] = {**shape, **amplitudes(cls, system, shape, share, rng)} if cls.amplitudes else shape
+        if cls.amplitudes:
+            shares[cls.name] = share
+    return replace(case, effects=effects, shares=shares)
+
+
+def _named(name: str) -> tuple[str, type[Effect]]:
+    return name, effect_class(name)
+
+
+def _pair(system: str, rng: np.random.Generator) -> list[tuple[str, type[Effect]]]:
+    names = holdable(system)
+    while True:
+        a, b = (names[i] for i in rng.choice(len(names), 2, replace=False))
+        contained = b in effect_class(a).includes or a in effect_class(b).includes
+        if not contained and not any({a, b} <= tie for tie in TIES):
+            return [_named(a), _named(b)]
+
+
+def _faults(system: str) -> list[str]:
+    turned = ["frame_misalignment"] if system == "hexacopter" else []
+    return ["input_smoothing", "input_delay", "clock_scale", "sensor_bias", *turned]
+
+
+def _fault(name: str, system: str, rng: np.random.Generator) -> dict[str, Any]:
+    dt = {"mass_spring_damper": 0.01, "cartpole": 0.02, "hexacopter": 0.01}[system]
+    if name == "input_smoothing":
+        return {name: float(rng.integers(4, 16 if system == "cartpole" else 40)) * dt}
+    if name == "input_delay":
+        return {name: float(rng.integers(2, 8)) * dt}
+    if name == "clock_scale":
+        return {name: float(np.exp(rng.choice((-1.0, 1.0)) * rng.uniform(0.02, 0.1)))}
+    if name == "frame_misalignment":
+        v = rng.standard_normal(3)
+        return {name: [float(w) for w in rng.uniform(1.0, 8.0) * v / np.linalg.norm(v)]}
+    state, size = {
+        "mass_spring_damper": ("q_dot", 0.1),
+        "cartpole": ("theta", 0.1),
+        "hexacopter": (("v_x", "v_y", "w_x", "w_y")[int(rng.integers(4))], 0.2),
+    }[system]
+    return {name: {state: float(size * rng.choice((-1.0, 1.0)) * rng.uniform(0.3, 1.5))}}
+
+
+def write(case: Case, folder: str | Path) -> Path:
+    """Write the data of a case to `folder/data/NAME` and its truth to `folder/truth/NAME.json`.
+
+    Effects that the machine cannot survive are made half as strong, a few times; the truth has what was held.
+
+    Returns:
+        The folder of the data.
+
+    Raises:
+        NsdeError: the machine does not survive the weakest.
+    """
+    factor = NOISE[case.noise]
+    options = {"variants": 8, "rounds": 1} if case.system == "hexacopter" else {}
+    for attempt in range(_WEAKER + 1):
+        try:
+            made = simulate(
+                case.system,
+                effects=case.effects,
+                durations=DURATIONS[case.system],
+                seed=case.seed,
+                process_noise=1.0 if case.system == "mass_spring_damper" else factor,
+                sensor_noise=factor,
+                declared_only=True,
+                battery=case.system == "hexacopter",
+                recording=Recording(**case.recording),
+                options=options,
+            )
+            break
+        except ConfigError:
+            if attempt == _WEAKER:
+                raise
+            case = _halved(case)
+    about = {"kind": case.kind, "noise": case.noise, "shares": case.shares}
+    data = Path(folder) / "data" / case.name
+    made = replace(made, truth={**made.truth, "case": about})
+    write_data(made, data, truth=Path(folder) / "truth" / f"{case.name}.json", overwrite=True)
+    return data
+
+
+def _halved(case: Case) -> Case:
+    effects: dict[str, Values] = {}
+    for key, values in case.effects.items():
+        cls = effect_class(key)
+        weak = cls.amplitudes or ("delay", "time_constant", "width")
+        effects[key] = {
+            k: v if k not in weak else [0.5 * w for w in v] if isinstance(v, list) else 0.5 * v
+            for k, v in values.items()
+        }
+        if "level" in values:
+            effects[key]["level"] = 1.3 * float(values["level"])  # type: ignore[arg-type]
+    return replace(case, effects=effects, shares={k: 0.5 * v for k, v in case.shares.items()})
+
+
+def _job(case: Case, folder: str) -> tuple[str, str]:
+    import torch
+
+    torch.set_num_threads(1)
+    try:
+        write(case, folder)
+    except NsdeError as error:
+        return case.name, str(error)
+    return case.name, ""
+
+
+def main() -> None:
+    """Write the cases that are not there yet."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--seed", type=int, required=True, help="seed of the cases")
+    parser.add_argument("--count", type=int, default=300, help="number of cases")
+    parser.add_argument("--out", type=Path, required=True, help="folder to write into")
+    parser.add_argument("--systems", nargs="+", default=list(SYSTEMS), choices=SYSTEMS, help="machines")
+    parser.add_argument("--kinds", nargs="+", default=list(KINDS), choices=KINDS, help="kinds of cases")
+    parser.add_argument("--jobs", type=int, default=1, help="processes at a time")
+    given = parser.parse_args()
+    os.environ.setdefault("OMP_NUM_THREADS", "1")
+    todo = [
+        case
+        for case in cases(given.seed, given.count, systems=given.systems, kinds=given.kinds)
+        if not (given.out / "truth" / f"{case.name}.json").is_file()
+    ]
+    started = time.perf_counter()
+    with ProcessPoolExecutor(given.jobs) as pool:
+        jobs = [pool.submit(_job, case, str(given.out)) for case in todo]
+        for k, job in enumerate(as_completed(jobs), start=1):
+            name, reason = job.result()
+            spent = time.perf_counter() - started
+            left = spent / k * (len(todo) - k)
+            words = f"not made: {reason}" if reason else "written"
+            print(f"{name} {words} ({k} of {len(todo)}, {spent:.0f} s, about {left:.0f} s left)", flush=True)
+
+
+if __name__ == "__main__":
+    main()

@@ -229,9 +229,13 @@ class Search:
         still = shapes(regression)
         best = score(regression, fold, block, still=still)
         for orders in (None, 0):
-            other = self._regression(
-                system, regression, regression.theta, regression.own_noises(orders), held
-            )
+            laws = regression.own_noises(orders)
+            if (
+                _likelihood(laws, len(regression.series))
+                < _likelihood(regression.noises, len(regression.series)) + 1
+            ):
+                continue
+            other = self._regression(system, regression, regression.theta, laws, held)
             other.run(_REFINE)
             this = score(other, fold, block, still=still)
             if this.fitted > best.fitted:
@@ -446,6 +450,11 @@ class Search:
 
 def _parameter(label: str) -> str:
     return label.partition(".")[2].partition("[")[0]
+
+
+def _likelihood(laws: Sequence[Noise], rows: int) -> float:
+    """Log likelihood of residuals under laws that were fitted to them, less one per parameter of the laws."""
+    return sum(-rows * log(n.std) - len(n.reflection) - (n.carry > 0) for n in laws)
 
 
 def _carried(vector: ParameterVector, before: Regression) -> Array:

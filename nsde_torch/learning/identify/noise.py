@@ -30,6 +30,7 @@ Array = NDArray[np.float64]
 
 _GRID = 1.0 - np.array([1, 0.7, 0.5, 0.35, 0.25, 0.18, 0.12, 0.08, 0.05, 0.03, 0.02, 0.012, 0.008, 0.005])
 _AKAIKE = 2.0
+_FADED = -40.0  # log of what is nothing
 _ROUNDING = 1e-10  # SI units a step: what double precision leaves of states of everyday size
 
 
@@ -153,9 +154,13 @@ def _carry(c: float, values: Array, series: Series) -> Array:
             out[at], out[at + 1 : at + 1 + n] = 0.0, values[a:b]
             continue
         summed = lfilter([1.0], [1.0, -c], values[a:b], axis=0)
-        fading = c ** np.arange(1, n + 1)
-        before = fading @ summed / (1.0 + fading @ fading)
-        out[at], out[at + 1 : at + 1 + n] = -before, summed - np.outer(fading, before)
+        live = min(
+            n, int(_FADED / np.log(c)) + 1
+        )  # rows after which the error before the first no longer counts
+        fading = c ** np.arange(1, live + 1)
+        before = fading @ summed[:live] / (1.0 + fading @ fading)
+        out[at], out[at + 1 : at + 1 + n] = -before, summed
+        out[at + 1 : at + 1 + live] -= np.outer(fading, before)
     return out
 
 

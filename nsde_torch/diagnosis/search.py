@@ -23,6 +23,7 @@ from nsde_torch.effects import EFFECTS, Effect
 from nsde_torch.errors import NonFiniteError, NsdeError
 from nsde_torch.learning.identify.identify import Regression
 from nsde_torch.learning.identify.physics import Physics
+from nsde_torch.learning.identify.sizes import data_sizes
 from nsde_torch.learning.identify.spread import Spread
 from nsde_torch.learning.identify.steps import Steps
 from nsde_torch.systems import System
@@ -176,7 +177,7 @@ class Search:
             names = [n for n in names if n in self.candidates]
         out = Round(added=base.system.effect_names, trials=[], screened={})
         peaks = lines(base.regression)
-        scales = _data_sizes(self.steps, base.system)
+        scales = data_sizes(base.system, self.steps)
         best: dict[str, tuple[System, Array | None]] = {}
         for i, name in enumerate(names):
             self.say("screening effects", i, len(names))
@@ -294,14 +295,3 @@ class Search:
 
 def _parameter(label: str) -> str:
     return label.partition(".")[2].partition("[")[0]
-
-
-def _data_sizes(steps: Steps, system: System) -> dict[str, float]:
-    """95 % quantiles of absolute values that grids of start values are relative to (see `Effect.relative`)."""
-    states = {
-        kind: steps.x0[:, k].abs().numpy()
-        for kind, k in {"position": 0, "speed": 1, "rate": 3}.items()
-        if k < system.nx
-    }
-    columns = {"input": steps.u[:, : system.nu].abs().numpy(), **states}
-    return {k: max(float(np.quantile(v, 0.95)), 1e-6) if v.size else 1.0 for k, v in columns.items()}

@@ -83,13 +83,12 @@ def test_a_system_without_parameters_is_refused() -> None:
 
 
 def test_times_of_a_memory_are_kept_as_long_as_steps_can_follow() -> None:
-    vector = ParameterVector(make_system("hexacopter", effects=["motor_lag", "input_delay"]))
+    vector = ParameterVector(make_system("hexacopter", effects=["motor_lag"]))
     at = {label: k for k, label in enumerate(vector.labels)}
     vector.follow(0.01)
     vector.follow(0.001)  # a finer step asks for less than is asked already
     low = vector.inside(np.full(len(vector), 1e-4))
     assert low[at["motor_lag.time_constant"]] == pytest.approx(0.005, rel=1e-3)
-    assert low[at["input_delay.delay"]] == pytest.approx(0.01, rel=1e-3)
     assert low[at["thrust_gain"]] == pytest.approx(1e-4)
 
 

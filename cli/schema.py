@@ -208,10 +208,10 @@ class SysidModel(ModelConfig):
         "do not apply",
         choices=("sysid",),
     )
-    method: str = key(
-        "weak",
+    method: str | None = key(
+        None,
         "equations in integral form, weighted by the noise found (weak), or finite differences of smoothed states in "
-        "ordinary least squares (differences)",
+        "ordinary least squares (differences); null: weak, and differences where the log smoothed its inputs",
         choices=("weak", "differences"),
     )
     max_iterations: int = key(20, "largest number of least-squares steps", unit="steps", low=1)

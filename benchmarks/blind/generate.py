@@ -48,11 +48,13 @@ PERIOD = ("single",) * 21 + ("pair",) * 5 + ("recording",) * 2 + ("outside",) * 
 NOISE = {"quiet": 0.5, "noisy": 1.5}
 """Factor on sensor noise and, where the machine has any, gusts."""
 SHARES: dict[str, tuple[float, float]] = {
-    "single": (0.004, 0.25),
-    "pair": (0.03, 0.25),
-    "outside": (0.03, 0.3),
+    "mass_spring_damper": (0.0005, 0.2),
+    "cartpole": (0.001, 0.25),
+    "hexacopter": (0.01, 0.35),
 }
-"""Least and largest share of what moves the machine, from barely visible to strong."""
+"""Least and largest share of what moves the machine, from barely visible to strong: the spring has no gusts."""
+CLEAR = 6.0
+"""Factor on the least share of effects in pairs and outside the catalogue."""
 DURATIONS: dict[str, list[float]] = {
     "mass_spring_damper": [20.0] * 6,
     "cartpole": [4.0] * 20,
@@ -149,7 +151,8 @@ def _filled(case: Case, turns: dict[tuple[str, str], Iterator[Any]], rng: np.ran
         chosen = _pair(system, rng)
     effects, shares = {}, {}
     for key, cls in chosen:
-        low, high = SHARES[kind]
+        low, high = SHARES[system]
+        low *= CLEAR if kind in ("pair", "outside") else 1.0
         share = float(np.exp(rng.uniform(np.log(low), np.log(high))))
         shape = shapes(cls, system, rng)
         effects[key] = {**shape, **amplitudes(cls, system, shape, share, rng)} if cls.amplitudes else shape

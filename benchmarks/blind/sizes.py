@@ -25,9 +25,9 @@ from nsde_torch.systems import System
 Values = dict[str, float | list[float]]
 
 TIMES: dict[str, tuple[float, float]] = {
-    "mass_spring_damper": (0.03, 0.3),
-    "cartpole": (0.015, 0.1),
-    "hexacopter": (0.015, 0.1),
+    "mass_spring_damper": (0.01, 0.3),
+    "cartpole": (0.01, 0.1),
+    "hexacopter": (0.01, 0.1),
 }
 """Shortest and longest lag or delay [s]."""
 
@@ -106,7 +106,7 @@ def shapes(cls: type[Effect], system: str, rng: np.random.Generator) -> Values:
         "frequency": lambda: between(0.4, 5.0),
         "time_constant": lambda: between(*times),
         "delay": lambda: between(*times),
-        "level": lambda: command * rng.uniform(0.45, 0.9),
+        "level": lambda: command * rng.uniform(0.45, 0.97),
         "height": lambda: between(0.1, 0.3),
         "wind": lambda: _direction(rng, 2, between(1.0, 4.0)),
         "reach": lambda: between(0.05, 0.4) * place,
@@ -121,7 +121,7 @@ def shapes(cls: type[Effect], system: str, rng: np.random.Generator) -> Values:
         if name in cls.amplitudes:
             continue
         if cls.name == "actuator_deadband":
-            out[name] = between(0.02, 0.4) * command
+            out[name] = between(0.003, 0.4) * command
         elif cls.name in ("burst", "gust_burst") and name == "width":
             out[name] = between(0.1, 0.6)
         else:

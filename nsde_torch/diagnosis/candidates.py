@@ -6,7 +6,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nsde_torch.effects import Effect, Port, effect_class, effects_of, make_effect
-from nsde_torch.learning.identify.steps import Steps
 from nsde_torch.systems import System
 
 Array = NDArray[np.float64]
@@ -38,23 +37,6 @@ def make_candidate(name: str, system: System, start: Start) -> Effect:
         n_inputs=system.nu,
         values=start,
     )
-
-
-def sizes(steps: Steps, system: System) -> dict[str, float]:
-    """95 % quantiles of absolute values that starts are relative to: `input`, `speed`, `rate`, `position`."""
-
-    def size(columns: Sequence[int]) -> float:
-        values = np.abs(steps.x0[:, list(columns)].numpy())
-        return max(float(np.quantile(values, _QUANTILE)), 1e-9) if values.size else 1.0
-
-    names, units = list(system.state_names), list(system.state_units)
-    u = np.abs(steps.u[:, : system.nu].numpy())
-    return {
-        "input": max(float(np.quantile(u, _QUANTILE)), 1e-9) if u.size else 1.0,
-        "speed": size([i for i, unit in enumerate(units) if unit == "m/s"]),
-        "rate": size([i for i, unit in enumerate(units) if unit == "rad/s"]),
-        "position": size([names.index(p) for p, _, _ in system.position_derivatives][:1]),
-    }
 
 
 def alone(name: str, labels: Sequence[str]) -> list[tuple[str, ...]]:

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtrc
 
-from nsde_torch.diagnosis.candidates import Start, alone, candidate_names, make_candidate, sizes
+from nsde_torch.diagnosis.candidates import Start, alone, candidate_names, make_candidate
 from nsde_torch.diagnosis.evidence import Score, folds, p_value, score
 from nsde_torch.diagnosis.spectrum import lines
 from nsde_torch.effects import Effect, effect_class
@@ -25,6 +25,7 @@ from nsde_torch.errors import NonFiniteError, NsdeError
 from nsde_torch.learning.identify.identify import Regression
 from nsde_torch.learning.identify.noise import Noise
 from nsde_torch.learning.identify.physics import Physics
+from nsde_torch.learning.identify.sizes import data_sizes
 from nsde_torch.learning.identify.spread import Spread
 from nsde_torch.learning.identify.steps import Steps
 from nsde_torch.systems import System
@@ -38,7 +39,6 @@ _WORTH = 6.0  # twice the log likelihood below which a candidate is not iterated
 _CLOSE = 0.4  # of the best gain of a screening, above which a candidate is iterated
 _FEWEST, _MOST = 4, 10  # candidates that are iterated
 _REFINED, _PROMISING = 2, 0.5  # candidates, and share of the best gain, that get noise laws of their own
-_BEYOND = 4.0  # times the ends of a grid: bounds of a shape
 _SURELY = 1e-3  # chance below which what contains a simpler effect is preferred to it
 _NATS, _SURE = 3.0, 2.0  # evidence, and standard errors of it, within which two candidates are alike
 
@@ -205,7 +205,6 @@ class Search:
         self.steps, self.box, self.alpha = steps, box, alpha
         self.candidates, self.channels, self.say = candidates, tuple(channels), say
         self.held: set[str] = set()
-        self.scales: dict[str, float] = {}
 
     def base(self, system: System) -> Base:
         """The regression of a system, with noise laws of its own."""
@@ -251,7 +250,7 @@ class Search:
         if self.candidates is not None:
             names = [n for n in names if n in self.candidates]
         out = Round(added=base.system.effect_names, trials=[], screened={})
-        peaks, scales = lines(base.regression), self.scales
+        peaks, scales = lines(base.regression), data_sizes(base.system, self.steps)
         best: dict[str, Start] = {}
         where: dict[str, tuple[System, tuple[str, ...]]] = {}
         for i, name in enumerate(names):
@@ -371,7 +370,7 @@ class Search:
         noises: Sequence[Noise] | None = None,
         held: Collection[str] = (),
     ) -> Regression:
-        vector = self._vector(system)
+        vector = ParameterVector(system)
         physics = Physics(vector, self.steps)
         rows, still = dynamic_rows(system), {*held, *self.held}
         if before is None:
@@ -383,32 +382,10 @@ class Search:
             physics, box=self.box, rows=rows, start=first, noises=laws, origin=system, held=still
         )
 
-    def _vector(self, system: System) -> ParameterVector:
-        """Parameters of a system, within what its data can tell.
-
-        What has memory is no faster than the samples, and shapes stay about the grid that was screened: dry friction
-        that sets in far above all speeds would be viscous friction by another name.
-        """
-        vector = ParameterVector(system)
-        fast = vector.moves_memory & (np.array(vector.units) == "s")
-        vector.low = np.where(fast, np.maximum(vector.low, self.steps.dt), vector.low)
-        if not self.scales:
-            self.scales = sizes(self.steps, system)
-        for effect in vector.system.effects:
-            assert isinstance(effect, Effect)
-            for name, relative in effect.relative.items():
-                if relative not in self.scales or not effect.amplitudes:
-                    continue
-                grid = self.scales[relative] * np.array(effect.shapes[name])
-                j = vector.labels.index(f"{effect.name}.{name}")
-                vector.low[j] = max(vector.low[j], grid.min() / _BEYOND)
-                vector.high[j] = min(vector.high[j], grid.max() * _BEYOND)
-        return vector
-
     def _screen(self, base: Base, system: System, name: str, held: Sequence[str]) -> float:
         """Twice the log likelihood that one linearised step from the start of a candidate gains."""
         before = base.regression
-        vector = self._vector(system)
+        vector = ParameterVector(system)
         physics = Physics(vector, self.steps)
         theta = vector.inside(_carried(vector, before))
         cls = effect_class(name)

@@ -289,6 +289,18 @@ class Effect(Parametrised, ABC):
         """Rate of the extra states (N, n_memory) [1/s]."""
         return memory
 
+    def held(self, u: Tensor, dt: float) -> Tensor | None:
+        """Memory with which `forward` gives the exact mean over each step; None where there is no such thing.
+
+        Args:
+            u: Inputs of consecutive steps, held over each (n, nu).
+            dt: Length of a step [s].
+
+        Returns:
+            One memory per step (n, n_memory), to be held over it in place of what `memory_rate` makes of it.
+        """
+        return None
+
     def memory_start(self, x: Tensor, u: Tensor) -> Tensor:
         """Extra states at the start of a rollout (N, n_memory): the stationary ones under `u`."""
         return x[:, :0]

@@ -217,6 +217,11 @@ class System(Parametrised, ABC):
         return tuple(str(e.name) for e in self.effects)
 
     @property
+    def first_on_input(self) -> Effect | None:
+        """The effect that commands reach first, if any acts on the input."""
+        return self._effect(self._on_input[0]) if self._on_input else None
+
+    @property
     def physics_ports(self) -> set[Port]:
         """Ports that declared physics act on; the residual network of any other is all that is known of it."""
         return set(self.residual_ports)

@@ -6,6 +6,7 @@ numbers of an optimiser bend it), derivatives in theta need no chain rule, and m
 """
 
 import copy
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import final
 
@@ -19,6 +20,8 @@ from nsde_torch.errors import ConfigError
 from nsde_torch.systems.base import System
 
 Array = NDArray[np.float64]
+
+_BEYOND = 4.0  # times the grid of a shape, at which it does not matter any more
 
 
 @dataclass(frozen=True)
@@ -122,6 +125,21 @@ class ParameterVector:
             share = effects[effect].resolved.get(own) if effect in effects else None
             if share is not None:
                 self.low[place.columns] = np.maximum(self.low[place.columns], share * dt)
+
+    def limit(self, sizes: Mapping[str, float]) -> None:
+        """Narrow the bounds of shapes to a few times the grid of their effect, at these sizes of the data.
+
+        A width far below every speed, or far above, changes nothing any more: a search would not find back.
+        """
+        effects = {str(e.name): e for e in self.system.effects if isinstance(e, Effect)}
+        for place in self.places:
+            effect, _, own = place.name.partition(".")
+            cls = effects.get(effect)
+            if cls is None or own in cls.null or cls.relative.get(own) not in sizes:
+                continue
+            grid, size = np.asarray(cls.shapes[own], dtype=np.float64), sizes[cls.relative[own]]
+            self.low[place.columns] = np.maximum(self.low[place.columns], size * grid.min() / _BEYOND)
+            self.high[place.columns] = np.minimum(self.high[place.columns], size * grid.max() * _BEYOND)
 
     def write(self, system: System, theta: Array) -> None:
         """Set the values of a system of the same physics, moved inside the bounds."""

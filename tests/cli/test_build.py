@@ -132,6 +132,20 @@ def test_sigma_is_learned_unless_the_loss_or_the_user_declares_it(words: list[st
     build.trainer_options(config.trainer)
 
 
+@pytest.mark.parametrize(
+    ("asked", "reach", "expected"),
+    [([], 0, "weak"), ([], 8, "differences"), (["model.method=weak"], 8, "weak")],
+)
+def test_system_identification_takes_plain_differences_where_the_log_smoothed_its_inputs(
+    asked: list[str], reach: int, expected: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(build, "filter_reach", lambda *given: reach)
+    config = _configuration("system=cartpole", "model=sysid", *asked)
+    machine = build.system(config.system)
+    spec = build.model_spec(config, machine, _still(machine))
+    assert (spec.method, spec.step, spec.max_iterations) == (expected, "rk4", 20)
+
+
 def test_simulated_runs_are_made_as_configured() -> None:
     config = _configuration("system=mass_spring_damper", "data.durations=[2,3]", "data.seed=4").data
     data = build.dataset(config, make_system("mass_spring_damper"))

@@ -83,11 +83,24 @@ def test_a_system_without_parameters_is_refused() -> None:
 
 
 def test_times_of_a_memory_are_kept_as_long_as_steps_can_follow() -> None:
-    vector = ParameterVector(make_system("hexacopter", effects=["motor_lag", "input_delay"]))
+    vector = ParameterVector(make_system("hexacopter", effects=["motor_lag"]))
     at = {label: k for k, label in enumerate(vector.labels)}
     vector.follow(0.01)
     vector.follow(0.001)  # a finer step asks for less than is asked already
     low = vector.inside(np.full(len(vector), 1e-4))
     assert low[at["motor_lag.time_constant"]] == pytest.approx(0.005, rel=1e-3)
-    assert low[at["input_delay.delay"]] == pytest.approx(0.01, rel=1e-3)
     assert low[at["thrust_gain"]] == pytest.approx(1e-4)
+
+
+def test_a_width_stays_where_it_matters_at_the_speeds_of_the_data() -> None:
+    vector = ParameterVector(
+        make_system("cartpole", effects=["stribeck_friction", "actuator_deadband", "input_delay"])
+    )
+    at = {label: k for k, label in enumerate(vector.labels)}
+    before = vector.low.copy(), vector.high.copy()
+    vector.limit({"speed": 2.0, "input": 25.0})
+    assert vector.low[at["stribeck_friction.speed"]] == pytest.approx(2.0 * 0.1 / 4)
+    assert vector.high[at["stribeck_friction.speed"]] == pytest.approx(2.0 * 0.3 * 4)
+    assert vector.low[at["stribeck_friction.width"]] == pytest.approx(2.0 * 0.02 / 4)
+    for name in ("actuator_deadband.width", "input_delay.delay", "stribeck_friction.size", "half_length"):
+        assert (vector.low[at[name]], vector.high[at[name]]) == (before[0][at[name]], before[1][at[name]])

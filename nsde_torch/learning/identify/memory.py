@@ -3,12 +3,14 @@
 The segments are cut into pieces that advance side by side. A piece starts where its predecessor ended in the
 sweep before; sweeps are repeated until no start moves. A memory that fades takes two or three sweeps, one that
 does not takes as many as a segment has pieces, and then is the sequential solution all the same. A segment starts where
-its `run_in` ended; what starts without one is stationary.
+its `run_in` ended; what starts without one is stationary. What an effect knows exactly of held inputs (`Effect.held`: a
+delay) is taken from it, where it is the first on the input.
 """
 
 import torch
 from torch import Tensor
 
+from nsde_torch.effects import Effect
 from nsde_torch.learning.identify.steps import Steps
 from nsde_torch.systems import System
 
@@ -38,8 +40,12 @@ def memory_along(system: System, steps: Steps) -> tuple[Tensor, Tensor]:
     live = inside.T[..., None].unbind(0)
     h, logged = steps.dt, steps.logged_dt
 
+    exact, known = _held(system, steps)
+    given = by_time(exact)
+
     def rate(t: Tensor, x: Tensor, u: Tensor, m: Tensor) -> Tensor:
-        return system.memory_rate(t, torch.cat((x, m), 1), u)
+        moving = system.memory_rate(t, torch.cat((x, m), 1), u)
+        return moving.masked_fill(known, 0.0)
 
     def advance(k: int, m: Tensor) -> Tensor:
         k1 = rate(t[k], x0[k], u[k], m)
@@ -57,8 +63,9 @@ def memory_along(system: System, steps: Steps) -> tuple[Tensor, Tensor]:
     for _ in range(len(edges)):
         m, before, after = start, [], []
         for k in range(len(count)):
+            m = torch.where(known, given[k], m)
             before.append(m)
-            m = torch.where(live[k], advance(k, m), m)
+            m = torch.where(known, given[k], torch.where(live[k], advance(k, m), m))
             after.append(m)
         moved = torch.where(follows, torch.cat((start[:1], m[:-1])), start)
         change, size = float((moved - start).abs().max()), float(start.abs().max())
@@ -71,3 +78,27 @@ def memory_along(system: System, steps: Steps) -> tuple[Tensor, Tensor]:
         values = torch.stack(part, 1)[inside]
         out.append(torch.zeros_like(values).index_put((order,), values))
     return out[0], out[1]
+
+
+def _held(system: System, steps: Steps) -> tuple[Tensor, Tensor]:
+    """Memory that effects know exactly (N, nz - nx), and its columns (nz - nx,)."""
+    memory = steps.x0.new_zeros(len(steps), system.nz - system.nx)
+    known = torch.zeros(memory.shape[1], dtype=torch.bool)
+    at, first = 0, system.first_on_input
+    for effect in system.effects:
+        assert isinstance(effect, Effect)
+        columns = slice(at, at + effect.n_memory)
+        at += effect.n_memory
+        if effect is not first or not effect.n_memory:
+            continue
+        for i, (a, b) in enumerate(steps.segments):
+            u, lead = steps.u[a:b, : system.nu], 0
+            if steps.run_in is not None:
+                c, d = steps.run_in.segments[i]
+                u, lead = torch.cat((steps.run_in.u[c:d, : system.nu], u)), d - c
+            own = effect.held(u, steps.dt)
+            if own is None:
+                break
+            memory[a:b, columns] = own[lead:]
+            known[columns] = True
+    return memory, known

@@ -26,6 +26,7 @@ from torch import Tensor
 
 from nsde_torch.columns import split_columns
 from nsde_torch.learning.identify.memory import memory_along
+from nsde_torch.learning.identify.sizes import data_sizes
 from nsde_torch.learning.identify.steps import Steps
 from nsde_torch.rotation import rotate_back, rotation_between
 from nsde_torch.systems import System
@@ -58,6 +59,7 @@ class Physics:
     ) -> None:
         self.vector, self.steps, self.curved = vector, steps, curved
         vector.follow(steps.dt)
+        vector.limit(data_sizes(vector.system, steps))
         self._lead = _LEAD if foresee else 0
         system = vector.system
         self.turned = _world_velocity(system)

@@ -59,3 +59,42 @@ def test_a_wrong_first_memory_is_forgotten_when_equations_begin() -> None:
             for u in (run.u, other)
         )
     assert float((first - second).abs().max()) < 0.5 * 1.2 * np.exp(-0.39 / TAU)
+
+
+def test_a_delay_of_held_inputs_is_exact_at_every_length() -> None:
+    """The mean over each step of what arrives, whatever share of a step the delay is."""
+    rng = np.random.default_rng(3)
+    n, fine = 400, 20
+    u = rng.normal(size=(n, 1))
+    run = Run("r", DT * np.arange(n), rng.normal(size=(n, 4)), u)
+    for delay in (0.3 * DT, DT, 3.65 * DT):
+        system = make_system(
+            "cartpole", effects=["input_delay"], values={"input_delay.delay": delay}
+        ).double()
+        with torch.no_grad():
+            steps = steps_of(system, [run], clock=1.0, smooth=False)
+            before, after = memory_along(system, steps)
+            found = steps.u + system.effects[0](0.0, steps.x0, steps.u, before)
+        late = np.repeat(u[:, 0], fine)[np.maximum(np.arange(n * fine) - round(delay / DT * fine), 0)]
+        expected = late.reshape(n, fine).mean(1)[: n - 1]
+        np.testing.assert_allclose(found[:, 0], expected[-len(steps) :], atol=1e-6)
+        torch.testing.assert_close(before, after)
+
+
+def test_a_lag_follows_what_a_delay_lets_through() -> None:
+    rng = np.random.default_rng(4)
+    u = 0.4 + 0.1 * rng.normal(size=(500, 6))
+    x = np.zeros((500, 13))
+    x[:, 6] = 1.0
+    late = np.concatenate((np.repeat(u[:1], 3, axis=0), u[:-3]))
+    values = {"motor_lag.time_constant": TAU}
+    both = make_system(
+        "hexacopter", effects=["motor_lag", "input_delay"], values={**values, "input_delay.delay": 3 * DT}
+    ).double()
+    alone = make_system("hexacopter", effects=["motor_lag"], values=values).double()
+    with torch.no_grad():
+        (first, _), (second, _) = (
+            memory_along(s, steps_of(s, [Run("r", DT * np.arange(500), x, w)], clock=1.0, smooth=False))
+            for s, w in ((both, u), (alone, late))
+        )
+    torch.testing.assert_close(first[:, :6], second)

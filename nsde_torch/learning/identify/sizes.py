@@ -1,0 +1,20 @@
+"""Sizes of data, which the shapes of effects are measured by (see `Effect.relative`)."""
+
+import numpy as np
+from torch import Tensor
+
+from nsde_torch.learning.identify.steps import Steps
+from nsde_torch.systems import System
+
+_COLUMNS = {"position": 0, "speed": 1, "rate": 3}
+_LEAST = 1e-6
+
+
+def data_sizes(system: System, steps: Steps) -> dict[str, float]:
+    """95 % quantiles of absolute values of the inputs and of the states that effects on forces and torques see."""
+
+    def size(values: Tensor) -> float:
+        return max(float(np.quantile(values.abs().numpy(), 0.95)), _LEAST) if values.numel() else 1.0
+
+    out = {"input": size(steps.u[:, : system.nu])}
+    return out | {kind: size(steps.x0[:, k]) for kind, k in _COLUMNS.items() if k < system.nx}

@@ -116,6 +116,12 @@ _EXAMPLES: dict[str, list[tuple[str, str]]] = {
         ("-m hydra/launcher=joblib ...", "in parallel (also submitit_local, submitit_slurm, ray)"),
         ("-m hydra/sweeper=optuna 'trainer.lr=tag(log,interval(0.001,0.1))'", ""),
     ],
+    "diagnose": [
+        ("system=hexacopter data=csv data.path=flights/", "what do these flights show that the model lacks?"),
+        ("'system.effects=[motor_lag]'", "with physics that is known already"),
+        ("'candidates=[linear_drag,quadratic_drag]'", "try these alone"),
+        ("retrain=false", "do not train with what was found"),
+    ],
     "policy": [
         ("environment=truth", "on the true machine"),
         ("environment=runs/model 'reference=[runs/on_truth]'", ""),

@@ -99,7 +99,7 @@ class HydraCommand:
         resumed = [word.split("=", 1)[1] for word in words if word.startswith("resume=")]
         if resumed and resumed[-1] not in ("", "null"):
             words = _resume(words, Path(resumed[-1]))
-        return _options_first([_opened(word, self.name) for word in words])
+        return _options_first([_listed(_opened(word, self.name)) for word in words])
 
     def _run(self, words: list[str]) -> int:
         import hydra
@@ -181,6 +181,8 @@ def _refuse_used_folders(words: Sequence[str]) -> None:
             )
         if key == "out_dir" and (folder / "evaluation.json").is_file():
             raise ConfigError(f"`out_dir={folder}` holds an evaluation already; name another folder.")
+        if key == "out_dir" and (folder / "diagnosis.json").is_file():
+            raise ConfigError(f"`out_dir={folder}` holds a diagnosis already; name another folder.")
         if key == "sweep_dir" and (folder / "multirun.yaml").is_file():
             raise ConfigError(f"`sweep_dir={folder}` holds a sweep already; name another folder.")
 
@@ -197,6 +199,14 @@ def _opened(word: str, command: str) -> str:
     for entry in walk(COMMAND_SCHEMAS[command]):
         if entry.default == {} and (path == entry.path or path.startswith(f"{entry.path}.")):
             return f"++{word}"
+    return word
+
+
+def _listed(word: str) -> str:
+    """`system.effects=PATH.yaml` as the list that it is."""
+    key, _, value = word.partition("=")
+    if key == "system.effects" and value.endswith((".yaml", ".yml")) and not value.startswith("["):
+        return f"{key}=['{value}']"
     return word
 
 

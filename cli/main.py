@@ -33,6 +33,9 @@ class Command:
 
 COMMANDS: dict[str, Command] = {
     "train": Command(".train", "Learn a neural SDE of a machine from simulated or measured runs"),
+    "diagnose": Command(
+        ".diagnose", "Find the effect that the declared physics lacks, add it, and report the errors"
+    ),
     "evaluate": Command(".evaluate", "Score trained models on runs, against baselines and each other"),
     "figures": Command(
         ".figures", "Make the supplement's figures anew, each with its claim and what was measured"

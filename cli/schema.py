@@ -18,7 +18,10 @@ class SystemConfig:
     """The machine. A value of null is the system's own: its class has the constants of the supplement."""
 
     name: str = key("???", "name of a system of the package, or module:Class of your own")
-    effects: list[str] = key([], "physical terms to add to the declared physics, by name")
+    effects: list[str] = key(
+        [],
+        "physical terms to add to the declared physics: names, module:Class, or an effects.yaml of nsde diagnose",
+    )
     declared: list[str] | None = key(None, "physical terms instead of the declared ones; null: keep those")
     parameters: dict[str, Any] = key({}, "initial values, system.parameters.NAME=1 or ...EFFECT.NAME=1")
     options: dict[str, Any] = key({}, "further arguments of the system's class, system.options.NAME=1")
@@ -309,6 +312,27 @@ class TrainConfig:
 
 
 @dataclass
+class DiagnoseConfig:
+    """`nsde diagnose`."""
+
+    alpha: float = key(0.01, "chance of naming an effect where nothing is missing", above=0)
+    max_effects: int = key(5, "most effects to add", low=0)
+    candidates: list[str] | None = key(None, "effects to try, by name; null: all that the system may have")
+    retrain: bool = key(True, "train the model of the group `model` with what was found, into OUT_DIR/model")
+    seed: int = key(0, "seed of resamples and of the training", low=0)
+    device: str = key("cpu", "where the training's tensors live: cpu, cuda or cuda:N")
+    dtype: str = key("float32", "precision of the training", choices=("float32", "float64"))
+    threads: int = key(1, "CPU threads of torch; more seldom help and hurt on a busy machine", low=1)
+    out_dir: str = key("???", "folder to write into")
+    system: SystemConfig = group(SystemConfig, "the machine, with the physics that is declared")
+    data: DataConfig = group(DataConfig, "where the runs come from")
+    model: ModelConfig = group(ModelConfig, "what is trained with the effects")
+    loss: LossConfig = group(LossConfig, "what a good model is")
+    trainer: TrainerConfig = group(TrainerConfig, "how it is optimised")
+    solver: SolverConfig = group(SolverConfig, "how paths are integrated")
+
+
+@dataclass
 class EvaluateConfig:
     """`nsde evaluate`."""
 
@@ -486,6 +510,7 @@ CHOICES: dict[str, dict[str, type]] = {
 
 COMMAND_SCHEMAS: dict[str, type] = {
     "train": TrainConfig,
+    "diagnose": DiagnoseConfig,
     "figures": FiguresConfig,
     "evaluate": EvaluateConfig,
     "policy": PolicyConfig,

@@ -25,8 +25,9 @@ def run(config: DictConfig, job: Job) -> float:
     # torch is imported here, not above: a launcher's parent process needs this module, but not torch.
     from nsde_torch import learning
 
-    from . import build
+    from . import build, effects_file
 
+    effects_file.expand(config.system)
     device, dtype = build.settings(config, sweep=job.sweep)
     system = build.system(config.system)
     data = build.dataset(config.data, system)

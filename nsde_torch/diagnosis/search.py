@@ -216,6 +216,12 @@ class Search:
         sure, _ = regression.spread()
         return Base(system, regression, own, fold, block, single, sure)
 
+    def quick(self, system: System) -> Regression:
+        """The regression of a system alone, without what candidates are compared by."""
+        regression = self._regression(system)
+        regression.run(_ITERATIONS)
+        return regression
+
     def _best_noise(
         self,
         regression: Regression,

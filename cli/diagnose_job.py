@@ -1,0 +1,148 @@
+"""The work of `nsde diagnose`: read runs, look for what is missing, print, write, and train with it."""
+
+from __future__ import annotations
+
+import json
+import time
+from typing import TYPE_CHECKING, Any
+
+from omegaconf import DictConfig
+
+from . import effects_file
+from .jobs import Job, guarded
+
+if TYPE_CHECKING:
+    from nsde_torch.data import DataSet, Run
+    from nsde_torch.diagnosis.diagnose import Diagnosis
+    from nsde_torch.systems import System
+
+RESULT, EFFECTS, REPORT, MODEL = "diagnosis.json", "effects.yaml", "report.html", "model"
+
+
+def task(config: DictConfig) -> float | None:
+    """What Hydra calls."""
+    return guarded(run, "diagnose", config)
+
+
+def run(config: DictConfig, job: Job) -> None:
+    """Diagnose a declared model.
+
+    Args:
+        config: The composed and checked configuration.
+        job: Where to write.
+    """
+    # torch is imported here, not above: help and completion do without it.
+    from nsde_torch.diagnosis.diagnose import Options, diagnose
+    from nsde_torch.diagnosis.report import write_report
+    from nsde_torch.diagnosis.text import lines
+    from nsde_torch.models.identified import SysidSpec
+
+    from . import build
+    from .stages import Stages
+
+    started = time.perf_counter()
+    build.settings(config, sweep=job.sweep)
+    effects_file.expand(config.system)
+    options = Options(
+        alpha=config.alpha,
+        max_effects=config.max_effects,
+        candidates=None if config.candidates is None else tuple(config.candidates),
+        seed=config.seed,
+    )
+    system = build.system(config.system)
+    data = build.dataset(config.data, system)
+    print(data.summary)
+    spec = SysidSpec(
+        config.system.name,
+        dt=data.dt,
+        horizon=system.defaults.horizon,
+        effects=tuple(config.system.effects),
+        declared=None if config.system.declared is None else tuple(config.system.declared),
+        system_options=build.options(config.system)["options"],
+    )
+    stages = Stages()
+    found = diagnose(system, spec, data, _runs(config, data, system), options, say=stages)
+    stages.close()
+    content = found.content()
+    _write(job, content)
+    effects_file.write(
+        job.run_dir / EFFECTS,
+        config.system.name,
+        {f.name: _values(found, f.name) for f in found.outcome.found},
+        f"found by nsde diagnose; use it with: nsde train system={config.system.name} system.effects=PATH",
+    )
+    print()
+    print("\n".join(lines(content)))
+    if config.retrain and found.outcome.found:
+        print(f"\ntraining the model with {', '.join(f.name for f in found.outcome.found)}", flush=True)
+        content["model"] = _train(config, job, found)
+        _write(job, content)
+    write_report(job.run_dir / REPORT, found, content)
+    wrote = [RESULT, REPORT, EFFECTS, *([f"{MODEL}/"] if "model" in content else [])]
+    print(f"\ntook {time.perf_counter() - started:.0f} s; wrote {job.run_dir}: {', '.join(wrote)}")
+
+
+def _runs(config: DictConfig, data: DataSet, system: System) -> list[Run]:
+    """Runs to look at: all, or those that `data.test` does not hold back for later."""
+    from . import build
+
+    if config.data.test is None and config.data.test_path is None:
+        return list(data.runs)
+    return list(build.split(config.data, data, system).train)
+
+
+def _write(job: Job, content: dict[str, Any]) -> None:
+    (job.run_dir / RESULT).write_text(json.dumps(content, indent=1, allow_nan=False), encoding="utf-8")
+
+
+def _values(found: Diagnosis, name: str) -> dict[str, Any]:
+    effect = next(e for e in found.outcome.system.effects if e.name == name)
+    values = effect.declared_parameters()  # type: ignore[operator]
+    return {key: v.tolist() if v.numel() > 1 else float(v) for key, (v, _) in values.items()}
+
+
+def _train(config: DictConfig, job: Job, found: Diagnosis) -> dict[str, Any]:
+    """Train the model of the configuration with the effects; an ordinary run directory."""
+    from nsde_torch import learning
+
+    from . import build
+
+    device, dtype = build.settings(config, sweep=job.sweep)
+    for f in found.outcome.found:
+        for key, value in _values(found, f.name).items():
+            effects_file.add_value(config.system, f.name, key, value)
+    for name, value in found.outcome.system.declared_parameters().items():
+        effects_file.add_own(config.system, name, value[0])
+    config.system.effects = [*config.system.effects, *(f.name for f in found.outcome.found)]
+    system = build.system(config.system)
+    data = build.dataset(config.data, system)
+    split = build.split(config.data, data, system)
+    metrics = learning.train(
+        build.model_spec(config, system, split),
+        data,
+        split,
+        loss=build.loss_options(config),
+        options=build.trainer_options(config.trainer),
+        validation=config.data.validation,
+        seed=config.seed,
+        run_dir=job.run_dir / MODEL,
+        values=build.parameter_values(config.system),
+        device=device,
+        dtype=dtype,
+        about={"command": "train", "config": _train_config(config)},
+        other_sensors=config.data.test_path is not None,
+    )
+    test = metrics.get("test", {})
+    return {
+        "path": MODEL,
+        "test_runs": metrics["test_runs"],
+        "errors": test.get("errors", {}).get("model", {}),
+    }
+
+
+def _train_config(config: DictConfig) -> dict[str, Any]:
+    """The configuration as `nsde train` would have it."""
+    from . import build
+    from .schema import TrainConfig
+
+    return {k: v for k, v in build.options(config).items() if k in TrainConfig.__dataclass_fields__}

@@ -1,0 +1,118 @@
+"""Residual of every channel as a rate: before, after, and the floor that sensors and gusts leave.
+
+Over a step the residual is r_k = w_k + e_{k+1} - e_k: what pushes (w) and what the sensor adds (e). At high frequency
+both are white, and the spectrum
+
+    S(f) = s_w^2 + 4 sin^2(pi f h) s_e^2
+
+gives their sizes, by non-negative least squares over the upper half of the band, where no effect of a machine reaches.
+The floor is what these two leave of a mean rate over a test function (`learning.identify.explained`).
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import nnls
+from scipy.signal import welch
+
+from nsde_torch.learning.identify.explained import bump, smooth_rate
+from nsde_torch.learning.identify.identify import Regression
+
+Array = NDArray[np.float64]
+
+_FROM = 0.5  # of half the sampling rate
+_PART = 256  # steps of a periodogram
+
+
+@dataclass(frozen=True)
+class ChannelResidual:
+    """Residual of one channel, rms of mean rates over the test function.
+
+    Args:
+        name: Of the channel.
+        unit: Of its rate.
+        measured: Standard deviation of the measured rate.
+        before, after: Without and with the effects.
+        floor: What white noise of sensors and pushes leaves.
+    """
+
+    name: str
+    unit: str
+    measured: float
+    before: float
+    after: float
+    floor: float
+
+    @property
+    def explained(self) -> float:
+        """Share of the residual above the floor, in variance, that the effects explain."""
+        above = self.before**2 - self.floor**2
+        return float(np.clip((self.before**2 - self.after**2) / above, 0.0, 1.0)) if above > 0 else 0.0
+
+
+def channel_residuals(before: Regression, after: Regression) -> list[ChannelResidual]:
+    """Residuals of every dynamic channel without and with effects."""
+    window = bump(before.physics.steps.dt)
+    steps = before.physics.steps
+    out = []
+    for channel in before.rows:
+        measured, first, second = (
+            smooth_rate(values[:, [channel]], steps.segments, window, steps.dt)
+            for values in (
+                before.physics.measured,
+                before.physics.residual(before.theta),
+                after.physics.residual(after.theta),
+            )
+        )
+        unit = before.physics.units[channel]
+        out.append(
+            ChannelResidual(
+                name=before.physics.names[channel],
+                unit=f"{unit}2" if unit.endswith("/s") else f"{unit}/s",
+                measured=float(measured.std()) if len(measured) else 0.0,
+                before=_rms(first),
+                after=_rms(second),
+                floor=_floor(after, int(channel), window),
+            )
+        )
+    return out
+
+
+def spectrum(regression: Regression, channel: int) -> tuple[Array, Array]:
+    """Frequencies [Hz] (M,) and mean power per step (M,) of a channel's residual."""
+    residual = regression.physics.residual(regression.theta)[:, channel]
+    steps = regression.physics.steps
+    longest = max(b - a for a, b in steps.segments)
+    part = min(_PART, longest)
+    total: Array = np.zeros(part // 2 + 1)
+    weight = 0
+    for a, b in steps.segments:
+        if b - a >= part:
+            _, power = welch(residual[a:b], nperseg=part, detrend=False, return_onesided=False)
+            total += (b - a) * power[: part // 2 + 1]
+            weight += b - a
+    frequency: Array = np.arange(part // 2 + 1) / (part * steps.dt)
+    return frequency, total / max(weight, 1)
+
+
+def white_parts(regression: Regression, channel: int) -> tuple[float, float]:
+    """Variances per step of what pushes and of the sensor, from the upper half of the band."""
+    frequency, power = spectrum(regression, channel)
+    high = frequency >= _FROM * frequency[-1]
+    curve = 4.0 * np.sin(np.pi * frequency * regression.physics.steps.dt) ** 2
+    level = max(float(power[high].mean()), 1e-300)
+    columns = np.stack((np.ones(int(high.sum())), curve[high]), 1)
+    found, _ = nnls(columns, power[high] / level)
+    return float(found[0] * level), float(found[1] * level)
+
+
+def _floor(regression: Regression, channel: int, window: Array) -> float:
+    push, sensor = white_parts(regression, channel)
+    dt = regression.physics.steps.dt
+    bend = np.square(np.diff(window, prepend=0.0, append=0.0)).sum()
+    return float(np.sqrt(push * np.square(window).sum() + sensor * bend) / dt)
+
+
+def _rms(values: Array) -> float:
+    return float(np.sqrt(np.square(values).mean())) if values.size else 0.0

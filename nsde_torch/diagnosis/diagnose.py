@@ -1,0 +1,367 @@
+"""From measured runs and a declared model to the effects that it lacks, with the errors before and after.
+
+The stages: undo the recording chain (`recording`), look for effects (`loop`), measure errors on runs left out
+(`held_out`), and say what was found (`Diagnosis.content`, the content of `diagnosis.json`).
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+
+from nsde_torch.data import DataSet, Run
+from nsde_torch.diagnosis.channels import ChannelResidual, channel_residuals
+from nsde_torch.diagnosis.held_out import HeldOut, held_out
+from nsde_torch.diagnosis.loop import Found, Outcome, estimates, loop
+from nsde_torch.diagnosis.recording import Recorded, undo
+from nsde_torch.diagnosis.search import Search
+from nsde_torch.effects import EFFECTS, Effect
+from nsde_torch.errors import ConfigError, DataError
+from nsde_torch.learning.identify.steps import steps_of
+from nsde_torch.models.identified import SysidSpec
+from nsde_torch.systems import System
+
+_BOX_S = 0.01
+
+TWINS = {"thrust_misalignment": ("frame_misalignment",), "constant_force": ("sensor_bias",)}
+"""Faults of the recording chain that no data of the log can tell from an effect."""
+
+
+@dataclass(frozen=True)
+class Options:
+    """Settings of a diagnosis.
+
+    Args:
+        alpha: Chance of naming an effect where nothing is missing.
+        max_effects: Most effects to add.
+        candidates: Names of the effects to try; None tries all that the system may have.
+        seed: Seed of the resamples.
+    """
+
+    alpha: float = 0.01
+    max_effects: int = 5
+    candidates: tuple[str, ...] | None = None
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        if not 0 < self.alpha <= 0.5:
+            raise ConfigError(f"`alpha` must lie in (0, 0.5]; got {self.alpha!r}.")
+        if self.max_effects < 0:
+            raise ConfigError(f"`max_effects` must be 0 or more; got {self.max_effects!r}.")
+        for name in self.candidates or ():
+            if name not in EFFECTS:
+                raise ConfigError(f"`candidates` names {name!r}, which `nsde effects` does not list.")
+
+
+@dataclass
+class Diagnosis:
+    """What was found.
+
+    Args:
+        system: Declared system.
+        data: The data set.
+        runs: Names of its runs that were looked at.
+        recorded: Recording chain, undone.
+        outcome: The loop.
+        errors: Errors on runs left out.
+        channels: Residuals before and after.
+        options: Settings.
+        seconds: Time that stages took.
+    """
+
+    system: System
+    data: DataSet
+    runs: tuple[str, ...]
+    recorded: Recorded
+    outcome: Outcome
+    errors: HeldOut
+    channels: list[ChannelResidual]
+    options: Options
+    seconds: dict[str, float] = field(default_factory=dict)
+
+    @property
+    def verdict(self) -> str:
+        """`no_effect`, `effect_found` or `unexplained`; a fault of the recording chain counts as found."""
+        if self.outcome.verdict == "no_effect" and self.recorded.faults:
+            return "effect_found"
+        return self.outcome.verdict
+
+    @property
+    def added(self) -> list[str]:
+        """Names of everything that was found, the recording chain first."""
+        return [fault.name for fault in self.recorded.faults] + [f.name for f in self.outcome.found]
+
+    def content(self) -> dict[str, Any]:
+        """What `diagnosis.json` holds; docs in the README."""
+        o = self.outcome
+        return {
+            "schema": "nsde_torch.diagnosis/1",
+            "verdict": self.verdict,
+            "added": self.added,
+            "summary": summary(self),
+            "findings": self._findings(),
+            "ranking": ranking(o),
+            "ties": self._ties(),
+            "parameters": self._parameters(),
+            "declared_parameters": _declared(o),
+            "residual": {
+                c.name: {
+                    "unit": c.unit,
+                    "measured": c.measured,
+                    "before": c.before,
+                    "after": c.after,
+                    "floor": c.floor,
+                    "explained": c.explained,
+                }
+                for c in self.channels
+            },
+            "structure": {
+                "tests": {"before": len(o.before), "after": len(o.after)},
+                "before": [_dependence(d, len(o.before)) for d in o.before[:12]],
+                "after": [_dependence(d, len(o.after)) for d in o.after[:12]],
+            },
+            "errors": {
+                **self.errors.content,
+                "measured_on": "runs left out" if self.errors.whole_runs else "the last part of the only run",
+                "runs": list(self.errors.runs),
+            },
+            "data": {
+                "kind": self.data.kind,
+                "system": self.data.system_name,
+                "runs": list(self.runs),
+                "duration_s": sum(run.duration for run in self.recorded.runs),
+                "clock_scale": self.recorded.clock,
+                "fingerprint": self.data.fingerprint,
+            },
+            "alpha": self.options.alpha,
+            "seed": self.options.seed,
+            "seconds": self.seconds,
+        }
+
+    def _findings(self) -> list[dict[str, Any]]:
+        faults = [
+            {"name": f.name, "kind": "recording", "sentence": f.sentence, "p": f.p, "lead": False}
+            for f in self.recorded.faults
+        ]
+        effects = [
+            {
+                "name": f.name,
+                "kind": "effect",
+                "sentence": sentence(f),
+                "p": f.trial.p_corrected,
+                "evidence_nats": f.trial.gain,
+                "lead": f.lead,
+                "ties": list(f.ties),
+                "separate": self._class(f.name).separate,
+            }
+            for f in self.outcome.found
+        ]
+        return [*faults, *effects]
+
+    def _class(self, name: str) -> type[Effect]:
+        return next(type(e) for e in self.outcome.system.effects if isinstance(e, Effect) and e.name == name)
+
+    def _ties(self) -> list[dict[str, Any]]:
+        out = []
+        for f in self.outcome.found:
+            twins = [t for t in TWINS.get(f.name, ()) if not (t == "sensor_bias" and self.system.nu == 0)]
+            if f.ties or twins:
+                out.append({"effects": [f.name, *f.ties, *twins], "experiment": self._class(f.name).separate})
+        return out
+
+    def _parameters(self) -> dict[str, Any]:
+        out: dict[str, Any] = {}
+        for fault in self.recorded.faults:
+            for name, (value, low, high, unit) in fault.values.items():
+                interval = None if low is None else [low, high]
+                out[f"{fault.name}.{name}"] = {"value": value, "interval_90": interval, "unit": unit}
+        for f in self.outcome.found:
+            for e in estimates(f.trial):
+                interval = None if e.low is None else [e.low, e.high]
+                held = e.name in f.trial.held
+                out[e.name] = {"value": 0.0 if held else e.value, "interval_90": interval, "unit": e.unit}
+        return out
+
+
+def sentence(found: Found) -> str:
+    """What an effect means, with its values."""
+    groups: dict[str, list[str]] = {}
+    for e in estimates(found.trial):
+        name = e.name.partition(".")[2].partition("[")[0]
+        value = 0.0 if e.name in found.trial.held else e.value
+        groups.setdefault(name, []).append(f"{value:.3g}")
+        groups.setdefault(f"{name} unit", [e.unit])
+    words = {
+        name: f"{', '.join(values)} {groups[f'{name} unit'][0]}".removesuffix(" 1")
+        for name, values in groups.items()
+        if not name.endswith(" unit")
+    }
+    text = type(found.trial.effect).sentence
+    try:
+        return text.format(**words)
+    except (KeyError, IndexError):
+        return text
+
+
+def ranking(outcome: Outcome) -> list[dict[str, Any]]:
+    """Every candidate of the first look, the likeliest first, and later looks where they added one."""
+    out = []
+    for number, look in enumerate(outcome.rounds):
+        seen = set()
+        for t in look.trials:
+            seen.add(t.name)
+            out.append(
+                {
+                    "round": number,
+                    "effect": t.name,
+                    "evidence_nats": t.gain,
+                    "evidence_error": t.error,
+                    "p": t.p_corrected,
+                    "parameters": {e.name: e.value for e in estimates(t)},
+                    "chosen": look.chosen is not None and t.name == look.chosen.name,
+                }
+            )
+        rest = sorted((n for n in look.screened if n not in seen), key=lambda n: -look.screened[n])
+        out += [
+            {"round": number, "effect": n, "screening": look.screened[n], "p": None, "chosen": False}
+            for n in rest
+        ]
+    return out
+
+
+def _declared(outcome: Outcome) -> dict[str, Any]:
+    v, theta = outcome.final.regression.vector, outcome.final.regression.theta
+    return {
+        label: {
+            "value": float(theta[j]),
+            "unit": v.units[j],
+            "shown": bool(outcome.final.regression.shown.known[j]),
+        }
+        for j, label in enumerate(v.labels)
+        if label.partition(".")[0] not in {f.name for f in outcome.found}
+    }
+
+
+def _dependence(d: Any, tests: int) -> dict[str, Any]:
+    return {
+        "channel": d.channel,
+        "variable": d.variable,
+        "p": min(1.0, d.p * tests),
+        "share": d.share,
+        "kind": "odd" if d.odd > 0.8 else "even" if d.odd < 0.2 else "mixed",
+    }
+
+
+def summary(found: Diagnosis) -> str:
+    """The verdict in one or two sentences."""
+    names = ", ".join(found.added)
+    if found.verdict == "no_effect":
+        return "Nothing is missing: what the declared physics leaves is noise."
+    left = found.outcome.structured
+    rest = f"{left[0].channel} on {left[0].variable}" if left else ""
+    if found.verdict == "effect_found":
+        leads = [f.name for f in found.outcome.found if f.lead]
+        more = f" The residual still depends ({rest}): take {', '.join(leads)} as a lead." if leads else ""
+        return f"Missing: {names}.{more}"
+    if names:
+        return (
+            f"Something is missing that no effect of the catalogue names: the residual depends on more ({rest}) "
+            f"than {names} can explain, which {'are leads' if len(found.added) > 1 else 'is a lead'}."
+        )
+    return f"Something is missing that no effect of the catalogue names: the residual depends ({rest})."
+
+
+def diagnose(
+    system: System,
+    spec: SysidSpec,
+    data: DataSet,
+    runs: Sequence[Run],
+    options: Options,
+    *,
+    say: Callable[[str, int, int], None] = lambda stage, done, total: None,
+    clock: Callable[[], float] | None = None,
+) -> Diagnosis:
+    """Diagnose a declared model.
+
+    Args:
+        system: Declared system with first values.
+        spec: The same as the specification of a model.
+        data: The data set.
+        runs: Its runs to look at.
+        options: Settings.
+        say: Told stage, number done and number in all.
+        clock: Gives the time [s], for the seconds of stages.
+
+    Raises:
+        DataError: too few rows, or nothing moves.
+        ConfigError: an option is out of range.
+    """
+    import time
+
+    now = clock or time.perf_counter
+    started = now()
+    seconds: dict[str, float] = {}
+    say("checking the recording chain", 0, 1)
+    recorded = undo(data, runs, system, alpha=options.alpha)
+    extended, channels = with_channels(system, recorded.runs)
+    if not extended:
+        raise DataError("no run to diagnose.")
+
+    def search_of(some: Sequence[Run]) -> Search:
+        box = max(1, int(_BOX_S / (some[0].dt * recorded.clock) + 1e-6))
+        steps = steps_of(
+            system,
+            some,
+            clock=recorded.clock,
+            smooth=False,
+            denoise=system.sensor_noise,
+            shortest=max(box, 20),
+            run_in=True,
+        )
+        return Search(
+            steps,
+            box=box,
+            alpha=options.alpha,
+            candidates=options.candidates,
+            channels=channels,
+            say=say,
+        )
+
+    search = search_of(extended)
+    seconds["recording"] = now() - started
+    outcome = loop(search, system, max_effects=options.max_effects)
+    seconds["search"] = now() - started - seconds["recording"]
+
+    def again(some: Sequence[Run]) -> Search:
+        made = search_of(some)
+        made.held = set(search.held)
+        return made
+
+    say("errors on runs left out", 0, 1)
+    errors = held_out(
+        (outcome.declared.system, outcome.final.system),
+        spec,
+        extended,
+        make=again,
+        clock=recorded.clock,
+        seed=options.seed,
+    )
+    seconds["errors"] = now() - started - sum(seconds.values())
+    residuals = channel_residuals(outcome.declared.regression, outcome.final.regression)
+    return Diagnosis(
+        system, data, tuple(run.name for run in runs), recorded, outcome, errors, residuals, options, seconds
+    )
+
+
+def with_channels(system: System, runs: Sequence[Run]) -> tuple[list[Run], tuple[str, ...]]:
+    """Runs with the logged channels that an effect of the catalogue could read behind the inputs."""
+    names = {n for cls in EFFECTS.values() if cls.fits(system.name, system.ports) for n in cls.exogenous}
+    names -= set(system.exogenous)
+    have = [
+        n for n in sorted(names) if all(n in run.extra and np.isfinite(run.extra[n]).all() for run in runs)
+    ]
+    if not have:
+        return list(runs), ()
+    wide = [replace(run, u=np.column_stack((run.u, *(run.extra[n] for n in have)))) for run in runs]
+    return wide, tuple(have)

@@ -1,0 +1,212 @@
+"""Faults of the recording chain, which need no dynamics to show: they are looked for, and undone, before any physics.
+
+clock_scale       p and q move as far as v and omega say only if a logged second is s seconds (data.kinematics)
+input_smoothing   a moving average of width w leaves nulls at k / w in the spectrum of the inputs (data.smoothing)
+sensor_bias       p(t + T) - p(t) - integral of v dt = -b T on average, for a rate that reads b too much
+
+Inputs that were averaged over w = n h are restored by regularised least squares: with A the average and D second
+differences,
+
+    u = argmin |A u - u_logged|^2 + c^2 |D u|^2
+
+which fills in what lies at the nulls with nothing and what lies elsewhere with itself.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import sparse
+from scipy.sparse.linalg import splu
+from scipy.special import stdtr, stdtrit
+
+from nsde_torch.data import DataSet, Run
+from nsde_torch.data.kinematics import pool
+from nsde_torch.data.quaternion import increments
+from nsde_torch.data.smoothing import smoothing_width
+from nsde_torch.data.system_info import derivative_columns, rate_columns
+from nsde_torch.systems import System
+
+Array = NDArray[np.float64]
+
+_INTERVAL_S = 0.5
+_FEWEST = 12
+_BEND = 3e-3  # c: what the log of a command rounds off
+_LEVEL = 0.9
+_LEAST_SHARE = 0.02  # of the rate's own rms: a bias below that is of no consequence
+
+
+@dataclass(frozen=True)
+class Fault:
+    """Something that the recording chain did.
+
+    Args:
+        name: `clock_scale`, `input_smoothing` or `sensor_bias`.
+        values: By parameter: value, low, high (90 %; None where there is no interval), unit.
+        p: Chance of it in a sound log; None where it is not a test of chance.
+        sentence: What it means.
+    """
+
+    name: str
+    values: dict[str, tuple[float, float | None, float | None, str]]
+    p: float | None
+    sentence: str
+
+
+@dataclass(frozen=True)
+class Recorded:
+    """Runs with the recording chain undone.
+
+    Args:
+        runs: The runs.
+        clock: Physical seconds per logged second.
+        faults: What was found.
+    """
+
+    runs: tuple[Run, ...]
+    clock: float
+    faults: tuple[Fault, ...]
+
+
+def undo(data: DataSet, runs: Sequence[Run], system: System, *, alpha: float) -> Recorded:
+    """Find the faults of a recording chain and undo them.
+
+    Args:
+        data: Where the runs are from; it knows the clock.
+        runs: Those to look at.
+        system: The machine.
+        alpha: Chance of finding a fault in a sound log.
+    """
+    faults: list[Fault] = []
+    clock = data.clock_scale
+    if clock != 1.0:
+        faults.append(_clock(data))
+    biases = rate_biases(system, runs, clock)
+    sure = {k: v for k, v in biases.items() if v.p * len(biases) < alpha and abs(v.value) > v.least}
+    if sure:
+        runs = [_without(run, system, {k: v.value for k, v in sure.items()}) for run in runs]
+        faults.append(_bias(system, sure))
+    width = smoothing_width(runs, system.nu) if system.nu else 0.0
+    if width > 0:
+        runs = [restored(run, system.nu, width) for run in runs]
+        faults.append(
+            Fault(
+                "input_smoothing",
+                {"width": (width, width - 0.5 * runs[0].dt, width + 0.5 * runs[0].dt, "s")},
+                None,
+                f"The log holds a moving average over {width:.3g} s of the inputs that acted.",
+            )
+        )
+    return Recorded(tuple(runs), clock, tuple(faults))
+
+
+def _clock(data: DataSet) -> Fault:
+    pooled = pool(data.summary.slopes)
+    half = float(stdtrit(max(pooled.slopes - 1, 1), 0.5 * (1 + _LEVEL))) * pooled.error
+    clock = data.clock_scale
+    return Fault(
+        "clock_scale",
+        {"scale": (clock, clock - half, clock + half, "1")},
+        None,
+        f"A second of the log lasts {clock:.4g} s: positions and attitude move further than their rates say.",
+    )
+
+
+@dataclass(frozen=True)
+class Bias:
+    """What a rate reads too much, with its standard error, degrees of freedom and chance; and what would matter."""
+
+    value: float
+    error: float
+    degrees: int
+    p: float
+    least: float
+
+
+def rate_biases(system: System, runs: Sequence[Run], clock: float) -> dict[str, Bias]:
+    """Biases of the rates whose integral is logged too, by name of the state."""
+    parts: dict[str, list[tuple[Array, Array]]] = {}
+    for run in runs:
+        for a, b in run.segments:
+            x = run.x[a:b]
+            for name, change, rate in _pairs(system, x):
+                step = run.dt * clock
+                gap = change - 0.5 * step * (rate[1:] + rate[:-1])
+                length = max(2, round(_INTERVAL_S / step))
+                count = len(gap) // length
+                if count:
+                    means = gap[: count * length].reshape(count, length).sum(1) / (length * step)
+                    parts.setdefault(name, []).append((means, rate))
+    out = {}
+    for name, pieces in parts.items():
+        means = np.concatenate([m for m, _ in pieces])
+        if len(means) < _FEWEST:
+            continue
+        size = float(np.sqrt(np.mean(np.concatenate([np.square(r) for _, r in pieces]))))
+        # the error of a mean of telescoping sums is below that of independent ones: this one is safe
+        error = max(float(means.std(ddof=1)) / len(means) ** 0.5, 1e-12)
+        value = -float(means.mean())
+        p = 2.0 * float(stdtr(len(means) - 1, -abs(value) / error))
+        out[name] = Bias(value, error, len(means) - 1, p, _LEAST_SHARE * size)
+    return out
+
+
+def _pairs(system: System, x: Array) -> list[tuple[str, Array, Array]]:
+    """Rates, and what their integrals changed by over each step."""
+    out = []
+    for i, j in derivative_columns(system).values():
+        out += [(system.state_names[b], np.diff(x[:, a]), x[:, b]) for a, b in zip(i, j, strict=True)]
+    rates = rate_columns(system)
+    if rates is not None and system.quaternion is not None:
+        turns = increments(x[:, system.quaternion])
+        columns = range(system.nx)[rates] if isinstance(rates, slice) else rates
+        out += [(system.state_names[c], turns[:, k], x[:, c]) for k, c in enumerate(columns)]
+    return out
+
+
+def _without(run: Run, system: System, biases: dict[str, float]) -> Run:
+    x = run.x.copy()
+    for name, value in biases.items():
+        x[:, system.state_names.index(name)] -= value
+    return replace(run, x=x)
+
+
+def _bias(system: System, found: dict[str, Bias]) -> Fault:
+    unit = dict(zip(system.state_names, system.state_units, strict=True))
+    values: dict[str, tuple[float, float | None, float | None, str]] = {}
+    for name, bias in found.items():
+        half = float(stdtrit(bias.degrees, 0.5 * (1 + _LEVEL))) * bias.error
+        values[name] = (bias.value, bias.value - half, bias.value + half, unit[name])
+    words = ", ".join(f"{name} by {bias.value:+.3g} {unit[name]}" for name, bias in found.items())
+    return Fault(
+        "sensor_bias",
+        values,
+        min(bias.p for bias in found.values()),
+        f"Sensors read too much: {words}; the integral of these rates says so.",
+    )
+
+
+def restored(run: Run, n_inputs: int, width: float) -> Run:
+    """A run with inputs as they were before a centred moving average of `width` [s]."""
+    u = run.u.copy()
+    for a, b in run.segments:
+        u[a:b, :n_inputs] = _unaveraged(u[a:b, :n_inputs], round(width / run.dt))
+    return replace(run, u=u)
+
+
+def _unaveraged(u: Array, steps: int) -> Array:
+    n = len(u)
+    if steps < 2 or n < 3 * steps:
+        return u
+    weights = np.full(steps + 1 - steps % 2, 1.0 / steps)
+    if not steps % 2:
+        weights[[0, -1]] *= 0.5
+    half = len(weights) // 2
+    average = sparse.diags(list(weights), list(range(-half, half + 1)), shape=(n, n), format="csc")
+    average = sparse.diags(1.0 / np.asarray(average.sum(1)).ravel()) @ average
+    bend = sparse.diags([1.0, -2.0, 1.0], [0, 1, 2], shape=(n - 2, n), format="csc")
+    inner = slice(half, n - half)  # how the ends were averaged is not known
+    kept = average[inner]
+    normal = (kept.T @ kept + _BEND**2 * bend.T @ bend).tocsc()
+    return np.asarray(splu(normal).solve(np.asarray(kept.T @ u[inner])))

@@ -1,0 +1,88 @@
+"""A diagnosis as a terminal shows it."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from nsde_torch.learning.report import number, table
+
+_RANKED = 6
+
+
+def lines(content: Mapping[str, Any]) -> list[str]:
+    """Lines of text from the content of `diagnosis.json`."""
+    out = [f"verdict: {content['verdict']}", content["summary"]]
+    for finding in content["findings"]:
+        mark = " (a lead: something else is there too)" if finding["lead"] else ""
+        out += ["", f"{finding['name']}{mark}: {finding['sentence']}"]
+        p = finding["p"]
+        if p is not None:
+            out[-1] += f" (p {_chance(p)})"
+        for tie in content["ties"]:
+            if tie["effects"][0] == finding["name"]:
+                out.append(
+                    f"  cannot be told from {', '.join(tie['effects'][1:])}. To tell: {tie['experiment']}."
+                )
+    if content["parameters"]:
+        rows = [
+            [name, number(p["value"]), _interval(p["interval_90"]), p["unit"]]
+            for name, p in content["parameters"].items()
+        ]
+        out += ["", table(["parameter", "value", "90 % interval", "unit"], rows)]
+    residual = [
+        [
+            name,
+            *(number(c[k]) for k in ("measured", "before", "after", "floor")),
+            f"{c['explained']:.0%}",
+            c["unit"],
+        ]
+        for name, c in content["residual"].items()
+    ]
+    head = ["residual of the rate of", "measured", "before", "after", "floor", "explained", "unit"]
+    out += ["", table(head, residual)]
+    out += _errors(content["errors"])
+    ranked = [r for r in content["ranking"] if r["round"] == 0 and r["p"] is not None][:_RANKED]
+    if ranked:
+        rows = [
+            [r["effect"], f"{r['evidence_nats']:+.1f}", f"{r['evidence_error']:.1f}", _chance(r["p"])]
+            for r in ranked
+        ]
+        out += [
+            "",
+            table(["first look at the catalogue", "evidence on runs left out [nat]", "+-", "p"], rows),
+        ]
+    structured = [d for d in content["structure"]["after"] if d["p"] < content["alpha"]]
+    if structured:
+        rows = [
+            [d["channel"], d["variable"], d["kind"], _chance(d["p"]), f"{d['share']:.1%}"]
+            for d in structured[:5]
+        ]
+        out += ["", table(["the residual still depends: channel", "variable", "kind", "p", "share"], rows)]
+    return out
+
+
+def _errors(errors: Mapping[str, Any]) -> list[str]:
+    horizons: Sequence[float] = errors["horizons_s"]
+    if not horizons:
+        return ["", "no run is long enough to measure errors on"]
+    rows = []
+    for name, before in errors["before"].items():
+        after, ratio = errors["after"][name], errors["ratio"][name]
+        cells = [
+            f"{_number(before[h])} -> {_number(after[h])} (x{_number(ratio[h])})"
+            for h in (f"{x:g}" for x in horizons)
+        ]
+        rows.append([f"{name} [{errors['units'][name]}]", *cells])
+    head = [f"error on {errors['measured_on']}", *(f"{h:g} s" for h in horizons)]
+    return ["", table(head, rows)]
+
+
+def _number(value: float | None) -> str:
+    return "-" if value is None else f"{value:.3g}"
+
+
+def _chance(p: float) -> str:
+    return f"{p:.1g}" if p >= 1e-4 else "< 0.0001"
+
+
+def _interval(interval: Sequence[float] | None) -> str:
+    return "not shown by the data" if interval is None else f"{number(interval[0])} to {number(interval[1])}"

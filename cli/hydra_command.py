@@ -9,13 +9,14 @@ import signal
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import chain
 from pathlib import Path
 
 from nsde_torch.errors import CheckpointError, ConfigError, NsdeError
 
 from . import complete, groups, help, messages
 from .exit_status import CRASHED, FAILED_JOBS, INTERRUPTED, OK, USER_ERROR
-from .schema import COMMAND_SCHEMAS, register
+from .schema import CHOICES, COMMAND_SCHEMAS, register
 
 _CONFIG_PATH = "pkg://nsde_torch.conf"
 _TRACEBACK = "NSDE_TRACEBACK"
@@ -196,7 +197,8 @@ def _opened(word: str, command: str) -> str:
     from .keys import walk
 
     path = word.split("=", 1)[0]
-    for entry in walk(COMMAND_SCHEMAS[command]):
+    own = [walk(schema, f"{group}.") for group, choices in CHOICES.items() for schema in choices.values()]
+    for entry in chain(walk(COMMAND_SCHEMAS[command]), *own):
         if entry.default == {} and (path == entry.path or path.startswith(f"{entry.path}.")):
             return f"++{word}"
     return word

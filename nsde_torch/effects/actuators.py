@@ -58,7 +58,7 @@ class ActuatorSaturation(Effect):
         "level": Parameter(0.5, "input", low=0.0, scale=0.5, help="largest command that acts in full")
     }
     null = {"level": NONE}
-    shapes = {"level": (0.5, 0.7, 0.9)}
+    shapes = {"level": (0.5, 0.75, 0.95, 1.15)}  # above the quantile commands are rare, not absent
     relative = {"level": "input"}
     sentence = "Commands beyond {level} are cut to it."
     separate = "give inputs of several amplitudes, the largest far beyond the usual ones"

@@ -135,9 +135,12 @@ class ParameterVector:
         for place in self.places:
             effect, _, own = place.name.partition(".")
             cls = effects.get(effect)
-            if cls is None or own in cls.null or cls.relative.get(own) not in sizes:
+            if cls is None or own in cls.null or own not in cls.shapes:
                 continue
-            grid, size = np.asarray(cls.shapes[own], dtype=np.float64), sizes[cls.relative[own]]
+            kind, grid = cls.relative.get(own), np.asarray(cls.shapes[own], dtype=np.float64)
+            if (kind is not None and kind not in sizes) or not grid.size or grid.min() <= 0:
+                continue
+            size = 1.0 if kind is None else sizes[kind]
             self.low[place.columns] = np.maximum(self.low[place.columns], size * grid.min() / _BEYOND)
             self.high[place.columns] = np.minimum(self.high[place.columns], size * grid.max() * _BEYOND)
 

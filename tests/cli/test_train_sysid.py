@@ -131,3 +131,9 @@ def test_it_is_swept_ranked_and_compared(tmp_path: Path, capsys: pytest.CaptureF
     written = json.loads((tmp_path / "e" / "evaluation.json").read_text())
     assert "w" in json.dumps(written)
     assert "deterministic" in capsys.readouterr().out
+
+
+def test_options_of_a_choice_are_reached_with_dots(tmp_path: Path) -> None:
+    """`data.options` is a key of data=simulated alone."""
+    words = (SPRING[0], SPRING[1], SPRING[2].lstrip("+"))
+    assert train(tmp_path / "run", *words)["identification"]["rank"] == 3

@@ -104,3 +104,16 @@ def test_a_width_stays_where_it_matters_at_the_speeds_of_the_data() -> None:
     assert vector.low[at["stribeck_friction.width"]] == pytest.approx(2.0 * 0.02 / 4)
     for name in ("actuator_deadband.width", "input_delay.delay", "stribeck_friction.size", "half_length"):
         assert (vector.low[at[name]], vector.high[at[name]]) == (before[0][at[name]], before[1][at[name]])
+
+
+def test_a_height_stays_near_those_that_the_effect_is_for() -> None:
+    vector = ParameterVector(
+        make_system("hexacopter", effects=["ground_effect", "constant_wind", "motor_lag"])
+    )
+    at = {label: k for k, label in enumerate(vector.labels)}
+    before = vector.low.copy()
+    vector.limit({"input": 0.5})
+    assert vector.low[at["ground_effect.height"]] == pytest.approx(0.1 / 4)
+    assert vector.high[at["ground_effect.height"]] == pytest.approx(0.3 * 4)
+    for name in ("constant_wind.wind[0]", "motor_lag.time_constant", "ground_effect.area"):
+        assert vector.low[at[name]] == before[at[name]]

@@ -180,6 +180,9 @@ class Effect(Parametrised, ABC):
         sentence: What it means, for who runs the machine; {parameter} stands for a value with its unit.
         separate: The experiment that would tell it apart from its likes.
 
+        step: Step of the integrator [s], where it is long: memory faster than it keeps its mean delay, and no more. 0:
+            as the formula says.
+
     Args:
         values: First values of parameters.
         n_inputs: Number of inputs of the system, for effects with memory or parameters per input.
@@ -206,6 +209,7 @@ class Effect(Parametrised, ABC):
 
     def __init__(self, values: Mapping[str, float | list[float]] | None = None, *, n_inputs: int = 1) -> None:
         self.n_inputs = n_inputs
+        self.step = 0.0
         self.PARAMETERS = {k: _widened(p, n_inputs) for k, p in self.PARAMETERS.items()}  # type: ignore[misc]
         super().__init__(values)
 

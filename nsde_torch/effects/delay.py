@@ -6,7 +6,8 @@
 
 It is strictly proper, so that a step of the input does not jump through, and right to the third order in s T: the
 phase is within 0.01 rad up to s T = 1. Where inputs are held over steps, as a log has them, the mean of what arrives
-over step k is exact: T = (n + r) h gives (1 - r) u_{k-n} + r u_{k-n-1}.
+over step k is exact: T = (n + r) h gives (1 - r) u_{k-n} + r u_{k-n-1}. An integrator whose steps are longer than T / 2
+gets a first-order lag of the same mean delay (see `lag`), with a alone.
 """
 
 from math import floor
@@ -40,14 +41,26 @@ class InputDelay(Effect):
 
     def forward(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
         """See `Effect.forward`."""
-        n = self.n_inputs
-        return memory[:, :n] - memory[:, n:] / 3.0 - u[:, :n]
+        n, delay = self.n_inputs, self.value("delay")
+        a, b = memory[:, :n], memory[:, n:]
+        fine = a - b / 3.0 - u[:, :n]
+        if not self.step:
+            return fine
+        return torch.where(self._coarse(delay), (a - u[:, :n]) * (delay / self.step).clamp_max(1.0), fine)
 
     def memory_rate(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
         """See `Effect.memory_rate`."""
-        n = self.n_inputs
+        n, delay = self.n_inputs, self.value("delay")
         a, b = memory[:, :n], memory[:, n:]
-        return torch.cat((b, 6.0 * (u[:, :n] - a) - 4.0 * b), 1) / self.value("delay")
+        fine = torch.cat((b, 6.0 * (u[:, :n] - a) - 4.0 * b), 1) / delay
+        if not self.step:
+            return fine
+        return torch.where(
+            self._coarse(delay), torch.cat((u[:, :n] - a, -b), 1) / delay.clamp_min(self.step), fine
+        )
+
+    def _coarse(self, delay: Tensor) -> Tensor:
+        return delay < 2.0 * self.step
 
     def held(self, u: Tensor, dt: float) -> Tensor:
         """See `Effect.held`."""

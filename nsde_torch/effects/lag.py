@@ -27,11 +27,12 @@ class _Lag(Effect):
 
     def forward(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
         """See `Effect.forward`."""
-        return memory - u[:, : self.n_inputs]
+        late = memory - u[:, : self.n_inputs]
+        return late if not self.step else late * (self.value("time_constant") / self.step).clamp_max(1.0)
 
     def memory_rate(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
         """See `Effect.memory_rate`."""
-        return (u[:, : self.n_inputs] - memory) / self.value("time_constant")
+        return (u[:, : self.n_inputs] - memory) / self.value("time_constant").clamp_min(self.step)
 
     def memory_start(self, x: Tensor, u: Tensor) -> Tensor:
         """See `Effect.memory_start`."""

@@ -77,6 +77,7 @@ class IdentifiedModel(Model):
                 "Take solver=rk4, midpoint or torchdiffeq, or leave it out."
             )
         self.system = spec.make_system(values)
+        self.system.set_step(spec.dt)
         self.clock_scale: Tensor
         self.register_buffer("clock_scale", torch.ones(()))
 

@@ -94,6 +94,7 @@ class NeuralSDE(Model):
         self.spec: SDESpec = spec
         self.step = make_step(spec.step, **spec.solver)
         self.system = spec.make_system(values)
+        self.system.set_step(spec.dt)
         s = self.system
         probe = torch.zeros(1, s.nx)
         if s.quaternion is not None:

@@ -164,6 +164,11 @@ class System(Parametrised, ABC):
         columns = {name: self.nu + k for k, name in enumerate(self.exogenous)}
         self._read = tuple(tuple(columns[name] for name in effect.exogenous) for effect in effects)
 
+    def set_step(self, dt: float) -> None:
+        """Tell the effects the step of a coarse integrator [s] (see `Effect.step`); 0: as their formulas say."""
+        for k in range(len(self.effects)):
+            self._effect(k).step = float(dt)
+
     def with_effects(self, *effects: Effect) -> "System":
         """A copy of the machine, with its present values, that has further effects.
 

@@ -74,6 +74,7 @@ class ParameterVector:
 
     def __init__(self, system: System, *, dtype: torch.dtype = torch.float64) -> None:
         self.system = copy.deepcopy(system).to(dtype=dtype).requires_grad_(False)
+        self.system.set_step(0.0)  # whatever integrator the system came from
         self._theta: list[Tensor] = []
         self.places: list[Place] = []
         self.labels: list[str] = []

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 import torch
 from scipy.linalg import expm
 
@@ -45,3 +46,21 @@ class TestInputDelay(EffectContract):
             torch.testing.assert_close(
                 rate[0, start : start + 6], torch.zeros(6)
             )  # which has not come through
+
+
+@pytest.mark.parametrize("name", ["input_delay", "motor_lag"])
+@pytest.mark.parametrize("delay", [0.004, 0.03, 0.07, 0.2])
+def test_coarse_steps_stay_stable_and_keep_the_mean_delay(name: str, delay: float) -> None:
+    dt = 0.05
+    key = {"input_delay": "delay", "motor_lag": "time_constant"}[name]
+    s = make_system("hexacopter", effects=[name], values={f"{name}.{key}": delay}).double()
+    s.set_step(dt)
+    effect = s.effects[0]
+    x = flying([0.0, 0.0, 0.0]).double()
+    u = torch.zeros(1, 6).double()
+    m = effect.memory_start(x, u)
+    for k in range(200):  # a command that rises by 1 a second, by Euler's method
+        u = torch.full((1, 6), k * dt).double()
+        late = -effect(0.0, x, u, m).detach()
+        m = m + dt * effect.memory_rate(0.0, x, u, m).detach()
+    torch.testing.assert_close(late, torch.full_like(late, delay), rtol=1e-3, atol=1e-6)

@@ -395,3 +395,22 @@ def test_sensor_noise_for_a_model_without_it_is_refused() -> None:
     x, u = states(model, 2)
     with pytest.raises(ConfigError, match="measurement_std"):
         model.sample(x, u, dt=0.05, particles=2, generator=generator(), measurement_std=torch.ones(13))
+
+
+@pytest.mark.parametrize("step", ["milstein", "heun"])
+def test_memory_faster_than_the_step_does_not_blow_up(step: str) -> None:
+    values: dict[str, float | list[float]] = {"motor_lag.time_constant": 0.004, "input_delay.delay": 0.01}
+    spec = SDESpec("hexacopter", dt=0.05, horizon=20, step=step, effects=("motor_lag", "input_delay"))
+    with_memory = NeuralSDE(spec, generator=torch.Generator().manual_seed(0), values=values)
+    plain = NeuralSDE(
+        SDESpec("hexacopter", dt=0.05, horizon=20, step=step), generator=torch.Generator().manual_seed(0)
+    )
+    x0 = torch.zeros(4, 13)
+    x0[:, 6] = 1.0
+    u = 0.2 + 0.4 * torch.rand(4, 40, 6, generator=torch.Generator().manual_seed(1))
+    with torch.no_grad():
+        a, b = (
+            model.paths(x0, u, dt=0.05, noise=torch.zeros(1, 4, 40, model.nz))
+            for model in (with_memory, plain)
+        )
+    assert float((a - b)[..., 10:].abs().max()) < 0.5 * float(b[..., 10:].abs().max())

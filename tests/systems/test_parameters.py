@@ -117,3 +117,10 @@ def test_a_height_stays_near_those_that_the_effect_is_for() -> None:
     assert vector.high[at["ground_effect.height"]] == pytest.approx(0.3 * 4)
     for name in ("constant_wind.wind[0]", "motor_lag.time_constant", "ground_effect.area"):
         assert vector.low[at[name]] == before[at[name]]
+
+
+def test_the_copy_knows_of_no_coarse_steps() -> None:
+    system = make_system("cartpole", effects=["actuator_lag"])
+    system.set_step(0.1)
+    assert [e.step for e in ParameterVector(system).system.effects] == [0.0]
+    assert [e.step for e in system.effects] == [0.1]

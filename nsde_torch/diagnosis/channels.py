@@ -5,8 +5,8 @@ both are white, and the spectrum
 
     S(f) = s_w^2 + 4 sin^2(pi f h) s_e^2
 
-gives their sizes, by non-negative least squares over the upper half of the band, where no effect of a machine reaches.
-The floor is what these two leave of a mean rate over a test function (`learning.identify.explained`).
+gives their sizes, by non-negative least squares over the upper three quarters of the band, each frequency weighed by its
+own size. The floor is what these two leave of a mean rate over a test function (`learning.identify.explained`).
 """
 
 from dataclasses import dataclass
@@ -21,7 +21,7 @@ from nsde_torch.learning.identify.identify import Regression
 
 Array = NDArray[np.float64]
 
-_FROM = 0.5  # of half the sampling rate
+_FROM = 0.25  # of half the sampling rate
 _PART = 256  # steps of a periodogram
 
 
@@ -73,7 +73,7 @@ def channel_residuals(before: Regression, after: Regression) -> list[ChannelResi
                 measured=float(measured.std()) if len(measured) else 0.0,
                 before=_rms(first),
                 after=_rms(second),
-                floor=_floor(after, int(channel), window),
+                floor=min(_floor(after, int(channel), window), _rms(second)),
             )
         )
     return out
@@ -101,10 +101,11 @@ def white_parts(regression: Regression, channel: int) -> tuple[float, float]:
     frequency, power = spectrum(regression, channel)
     high = frequency >= _FROM * frequency[-1]
     curve = 4.0 * np.sin(np.pi * frequency * regression.physics.steps.dt) ** 2
-    level = max(float(power[high].mean()), 1e-300)
-    columns = np.stack((np.ones(int(high.sum())), curve[high]), 1)
-    found, _ = nnls(columns, power[high] / level)
-    return float(found[0] * level), float(found[1] * level)
+    level = np.maximum(power[high], 1e-300)
+    columns = np.stack((1.0 / level, curve[high] / level), 1)
+    size = columns.max(0)
+    found, _ = nnls(columns / size, np.ones(int(high.sum())))
+    return float(found[0] / size[0]), float(found[1] / size[1])
 
 
 def _floor(regression: Regression, channel: int, window: Array) -> float:

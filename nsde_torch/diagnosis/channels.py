@@ -5,8 +5,8 @@ both are white, and the spectrum
 
     S(f) = s_w^2 + 4 sin^2(pi f h) s_e^2
 
-gives their sizes, by non-negative least squares over the upper three quarters of the band, each frequency weighed by its
-own size. The floor is what these two leave of a mean rate over a test function (`learning.identify.explained`).
+gives their sizes, by non-negative least squares over the upper three quarters of the band, each frequency weighed by
+its own size. The floor is what these two leave of a mean rate over a test function (`learning.identify.explained`).
 """
 
 from dataclasses import dataclass

@@ -14,6 +14,7 @@ from nsde_torch.data import DataSet, Run
 from nsde_torch.diagnosis.channels import ChannelResidual, channel_residuals
 from nsde_torch.diagnosis.held_out import HeldOut, held_out
 from nsde_torch.diagnosis.loop import Found, Outcome, estimates, loop
+from nsde_torch.diagnosis.not_shown import not_shown
 from nsde_torch.diagnosis.recording import Recorded, undo
 from nsde_torch.diagnosis.search import Search
 from nsde_torch.effects import EFFECTS, Effect
@@ -103,6 +104,7 @@ class Diagnosis:
             "findings": self._findings(),
             "ranking": ranking(o),
             "ties": self._ties(),
+            "not_shown": self._not_shown(),
             "parameters": self._parameters(),
             "declared_parameters": _declared(o),
             "residual": {
@@ -169,6 +171,20 @@ class Diagnosis:
             if f.ties or twins:
                 out.append({"effects": [f.name, *f.ties, *twins], "experiment": self._class(f.name).separate})
         return out
+
+    def _not_shown(self) -> list[dict[str, Any]]:
+        found = [f.name for f in self.outcome.found]
+        return [
+            {
+                "effect": n.effect,
+                "parameter": n.parameter,
+                "smallest": n.smallest,
+                "usual": n.usual,
+                "unit": n.unit,
+                "experiment": n.separate,
+            }
+            for n in not_shown(self.outcome.rounds, found=found, alpha=self.options.alpha)
+        ]
 
     def _parameters(self) -> dict[str, Any]:
         out: dict[str, Any] = {}

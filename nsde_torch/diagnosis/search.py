@@ -108,6 +108,7 @@ class Round:
         added: Effects that the physics had already.
         trials: Candidates that were iterated, best first.
         screened: Gain of every candidate at its first step (twice the log likelihood).
+        errors: By candidate: standard errors of what is nothing without it, by label; infinite where no data show it.
         failed: Candidates that could not be fitted, and why.
         chosen: The one that was added, or None.
     """
@@ -115,6 +116,7 @@ class Round:
     added: tuple[str, ...]
     trials: list[Trial]
     screened: dict[str, float]
+    errors: dict[str, dict[str, float]] = field(default_factory=dict)
     failed: dict[str, str] = field(default_factory=dict)
     chosen: Trial | None = None
 
@@ -266,12 +268,13 @@ class Search:
                 labels = [x for x in ParameterVector(system).labels if x.startswith(f"{name}.")]
                 for held in alone(name, labels):
                     try:
-                        gain = self._screen(base, system, name, held)
+                        gain, errors = self._screen(base, system, name, held)
                     except (NsdeError, np.linalg.LinAlgError) as error:
                         out.failed[name] = str(error)
                         continue
                     if name not in out.screened or gain > out.screened[name]:
                         out.screened[name], where[name], best[name] = gain, (system, held), start
+                        out.errors[name] = errors
         order = sorted(where, key=lambda n: -out.screened[n])
         most = out.screened[order[0]] if order else 0.0
         kept = [
@@ -388,8 +391,10 @@ class Search:
             physics, box=self.box, rows=rows, start=first, noises=laws, origin=system, held=still
         )
 
-    def _screen(self, base: Base, system: System, name: str, held: Sequence[str]) -> float:
-        """Twice the log likelihood that one linearised step from the start of a candidate gains."""
+    def _screen(
+        self, base: Base, system: System, name: str, held: Sequence[str]
+    ) -> tuple[float, dict[str, float]]:
+        """Twice the log likelihood that one linearised step from the start of a candidate gains; standard errors."""
         before = base.regression
         vector = ParameterVector(system)
         physics = Physics(vector, self.steps)
@@ -405,15 +410,15 @@ class Search:
         residual = whole
         if beside and moved and not vector.moves_memory[moved].any():
             slopes = np.concatenate([physics.slopes(theta, slice(j, j + 1)) for j in moved], 2)
-            new = self._whitened(before, slopes)
+            new, columns = self._whitened(before, slopes), moved
         else:
             change = before.single.summed(physics.residual(theta), self.box)
             if not np.isfinite(change[:, before.rows]).all():
                 raise NonFiniteError(f"{name} is not finite at its start.")
             pairs = zip(before.noises, before.rows, strict=True)
             residual = np.stack([n.whiten(change[:, [c]], before.series)[:, 0] for n, c in pairs]).reshape(-1)
-            new = self._whitened(before, physics.slopes(theta))
-            new = new[:, [j for j in range(len(vector)) if vector.labels[j] not in {*held, *self.held}]]
+            columns = [j for j in range(len(vector)) if vector.labels[j] not in {*held, *self.held}]
+            new = self._whitened(before, physics.slopes(theta))[:, columns]
         basis = np.linalg.qr(old)[0]
         before_left = whole - basis @ (basis.T @ whole)
         if beside:
@@ -422,13 +427,37 @@ class Search:
         size = np.linalg.norm(new, axis=0)
         new = new / np.maximum(size, 1e-300)
         rest = residual - new @ np.linalg.lstsq(new, residual, rcond=1e-6)[0]
-        return float(before_left @ before_left - rest @ rest)
+        sizes = cls.amplitudes or cls.null
+        live = [i for i, j in enumerate(columns) if j in mine and _parameter(vector.labels[j]) in sizes]
+        live = live if beside else []  # what the others could do instead was not taken out
+        labels = [vector.labels[columns[i]] for i in live]
+        errors = dict(zip(labels, standard_errors(new, size, live), strict=True))
+        return float(before_left @ before_left - rest @ rest), errors
 
     def _whitened(self, before: Regression, slopes: Array) -> Array:
         """Slopes over steps as whitened columns (rows * N, q)."""
         summed = before.single.summed(slopes, self.box)
         pairs = zip(before.noises, before.rows, strict=True)
         return np.concatenate([n.whiten(summed[:, c], before.series) for n, c in pairs])
+
+
+def standard_errors(columns: Array, size: Array, which: Sequence[int]) -> list[float]:
+    """Standard errors of some coefficients beside each other, under noise of variance 1.
+
+    Args:
+        columns: Columns (N, q) of length 1, or of length 0.
+        size: What they were divided by (q,).
+        which: Numbers of the coefficients; others than these are not free.
+
+    Returns:
+        One per coefficient, infinite where its column is nothing beside the others.
+    """
+    part = columns[:, which]
+    inverse = np.linalg.pinv(part.T @ part, rcond=1e-9)
+    gone = 1.0 - np.diag(inverse @ (part.T @ part)) > 1e-6
+    dead = gone | (size[which] <= 1e-9 * max(float(size.max(initial=0.0)), 1e-300))
+    error = np.sqrt(np.clip(np.diag(inverse), 0.0, None)) / np.maximum(size[which], 1e-300)
+    return np.where(dead, np.inf, error).tolist()
 
 
 def _parameter(label: str) -> str:

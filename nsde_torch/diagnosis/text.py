@@ -57,7 +57,20 @@ def lines(content: Mapping[str, Any]) -> list[str]:
             for d in structured[:5]
         ]
         out += ["", table(["the residual still depends: channel", "variable", "kind", "p", "share"], rows)]
+    if content["not_shown"]:
+        out += ["", "these data cannot show (smallest size that would be noticed):"]
+        out += [f"  {text}" for text in unseen(content["not_shown"])]
     return out
+
+
+def unseen(entries: Sequence[Mapping[str, Any]]) -> list[str]:
+    """One line for each effect that the data cannot show, with the smallest size that they would."""
+    by_effect: dict[str, list[str]] = {}
+    for n in entries:
+        own = n["parameter"].partition(".")[2]
+        size = "at any size" if n["smallest"] is None else f"below {number(n['smallest'])} {n['unit']}"
+        by_effect.setdefault(n["effect"], []).append(f"{own} {size}")
+    return [f"{effect}: {', '.join(parts)}" for effect, parts in by_effect.items()]
 
 
 def _errors(errors: Mapping[str, Any]) -> list[str]:

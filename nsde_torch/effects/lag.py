@@ -3,6 +3,9 @@
 u_eff = m,   dm/dt = (u - m) / tau
 """
 
+from math import exp
+
+import torch
 from torch import Tensor
 
 from nsde_torch.effects.base import Effect, Parameter, Port
@@ -33,6 +36,17 @@ class _Lag(Effect):
     def memory_rate(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
         """See `Effect.memory_rate`."""
         return (u[:, : self.n_inputs] - memory) / self.value("time_constant").clamp_min(self.step)
+
+    def held(self, u: Tensor, dt: float) -> Tensor:
+        """See `Effect.held`."""
+        from scipy.signal import lfilter  # half a second to import, and only identification needs it
+
+        own = u[:, : self.n_inputs]
+        ratio = float(self.value("time_constant")) / dt
+        stays = exp(-1.0 / ratio)
+        above = (own - own[:1]).numpy()  # it starts at rest at the first input
+        memory = own[:1] + torch.from_numpy(lfilter([0.0, 1.0 - stays], [1.0, -stays], above, axis=0)).to(own)
+        return own + (memory - own) * ((1.0 - stays) * ratio)
 
     def memory_start(self, x: Tensor, u: Tensor) -> Tensor:
         """See `Effect.memory_start`."""

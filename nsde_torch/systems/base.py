@@ -9,9 +9,11 @@ import copy
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import accumulate
 from typing import Any, ClassVar
 
 import numpy as np
+import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
@@ -222,11 +224,6 @@ class System(Parametrised, ABC):
         return tuple(str(e.name) for e in self.effects)
 
     @property
-    def first_on_input(self) -> Effect | None:
-        """The effect that commands reach first, if any acts on the input."""
-        return self._effect(self._on_input[0]) if self._on_input else None
-
-    @property
     def physics_ports(self) -> set[Port]:
         """Ports that declared physics act on; the residual network of any other is all that is known of it."""
         return set(self.residual_ports)
@@ -321,6 +318,34 @@ class System(Parametrised, ABC):
                 if effect.port is Port.INPUT:
                     command = command + effect(0.0, x, own, starts[k])
         return join_columns((x, *(starts[k] for k in sorted(starts))))
+
+    def held_memory(self, t: Tensor, x: Tensor, u: Tensor, dt: float) -> tuple[Tensor, Tensor]:
+        """What effects on the input know exactly of inputs that are held over steps (see `Effect.held`).
+
+        Args:
+            t: Starts of consecutive steps (n,) [s].
+            x: States there (n, nx).
+            u: Inputs and exogenous channels held over each (n, nu + n_exogenous).
+            dt: Length of a step [s].
+
+        Returns:
+            Memory that stands for its mean over each step (n, nz - nx), and whether each column is known (nz - nx,).
+            What comes after an effect that does not know is not known.
+        """
+        memory = x.new_zeros(len(x), self.nz - self.nx)
+        known = torch.zeros(memory.shape[1], dtype=torch.bool)
+        starts = list(accumulate(self._parts[1:], initial=0))
+        command = u[:, : self.nu]
+        for k in self._on_input:
+            effect, own = self._effect(k), self._seen(k, x, command, u)
+            columns = slice(starts[k], starts[k + 1])
+            if effect.n_memory:
+                held = effect.held(own, dt)
+                if held is None:
+                    break
+                memory[:, columns], known[columns] = held, True
+            command = command + effect(t, x, own, memory[:, columns])
+        return memory, known
 
     def quantity(self, name: str, x: Tensor, u: Tensor) -> Tensor:
         """One of `quantities` (N, its columns), from state and applied input."""

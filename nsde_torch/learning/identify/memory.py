@@ -3,14 +3,13 @@
 The segments are cut into pieces that advance side by side. A piece starts where its predecessor ended in the
 sweep before; sweeps are repeated until no start moves. A memory that fades takes two or three sweeps, one that
 does not takes as many as a segment has pieces, and then is the sequential solution all the same. A segment starts where
-its `run_in` ended; what starts without one is stationary. What an effect knows exactly of held inputs (`Effect.held`: a
-delay) is taken from it, where it is the first on the input.
+its `run_in` ended; what starts without one is stationary. What effects know exactly of held inputs (`Effect.held`: a
+delay, a lag) is taken from them: its mean over each step, for both ends.
 """
 
 import torch
 from torch import Tensor
 
-from nsde_torch.effects import Effect
 from nsde_torch.learning.identify.steps import Steps
 from nsde_torch.systems import System
 
@@ -19,7 +18,10 @@ _TOLERANCE = 1e-9
 
 
 def memory_along(system: System, steps: Steps) -> tuple[Tensor, Tensor]:
-    """Memory at both ends of every step, (N, nz - nx) each."""
+    """Memory at both ends of every step, or its mean over the step for both, (N, nz - nx) each."""
+    exact, known = _held(system, steps)
+    if bool(known.all()):
+        return exact, exact
     edges, chained = [], []
     for a, b in steps.segments:
         firsts = list(range(a, b, _PIECE))
@@ -40,7 +42,6 @@ def memory_along(system: System, steps: Steps) -> tuple[Tensor, Tensor]:
     live = inside.T[..., None].unbind(0)
     h, logged = steps.dt, steps.logged_dt
 
-    exact, known = _held(system, steps)
     given = by_time(exact)
 
     def rate(t: Tensor, x: Tensor, u: Tensor, m: Tensor) -> Tensor:
@@ -82,23 +83,16 @@ def memory_along(system: System, steps: Steps) -> tuple[Tensor, Tensor]:
 
 def _held(system: System, steps: Steps) -> tuple[Tensor, Tensor]:
     """Memory that effects know exactly (N, nz - nx), and its columns (nz - nx,)."""
-    memory = steps.x0.new_zeros(len(steps), system.nz - system.nx)
-    known = torch.zeros(memory.shape[1], dtype=torch.bool)
-    at, first = 0, system.first_on_input
-    for effect in system.effects:
-        assert isinstance(effect, Effect)
-        columns = slice(at, at + effect.n_memory)
-        at += effect.n_memory
-        if effect is not first or not effect.n_memory:
-            continue
-        for i, (a, b) in enumerate(steps.segments):
-            u, lead = steps.u[a:b, : system.nu], 0
-            if steps.run_in is not None:
-                c, d = steps.run_in.segments[i]
-                u, lead = torch.cat((steps.run_in.u[c:d, : system.nu], u)), d - c
-            own = effect.held(u, steps.dt)
-            if own is None:
-                break
-            memory[a:b, columns] = own[lead:]
-            known[columns] = True
-    return memory, known
+    parts = []
+    for i, (a, b) in enumerate(steps.segments):
+        t, x, u, lead = steps.t[a:b], steps.x0[a:b], steps.u[a:b], 0
+        if steps.run_in is not None:
+            c, d = steps.run_in.segments[i]
+            t, x, u = (
+                torch.cat((before[c:d], own))
+                for before, own in ((steps.run_in.t, t), (steps.run_in.x0, x), (steps.run_in.u, u))
+            )
+            lead = d - c
+        memory, known = system.held_memory(t, x, u, steps.dt)
+        parts.append(memory[lead:])
+    return torch.cat(parts), known

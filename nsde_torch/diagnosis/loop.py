@@ -140,7 +140,7 @@ def _settle(
         name = names[i]
         others = [n for n in names if n != name]
         without = search.base(_only(base.system, declared.system, others))
-        now = search.look(without)
+        now = search.look(without, only={name, *_rivals(search, name, rounds)})
         own = next((t for t in now.trials if t.name == name), None)
         if own is None or not search.accept(own):
             names.pop(i)  # the others explain it
@@ -157,6 +157,17 @@ def _settle(
         found.append(Found(name, own, ties_of(search, own, now.trials)))
         i += 1
     return found, base
+
+
+def _rivals(search: Search, name: str, rounds: Sequence[Round]) -> set[str]:
+    """Candidates that were there too when an effect was chosen, as far as chance goes."""
+    return {
+        t.name
+        for look in rounds
+        if look.chosen is not None and look.chosen.name == name
+        for t in look.trials
+        if search.accept(t)
+    }
 
 
 def _only(system: System, declared: System, names: Sequence[str]) -> System:

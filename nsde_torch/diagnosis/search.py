@@ -37,7 +37,7 @@ _ITERATIONS = 20
 _REFINE = 8  # iterations of a candidate
 _WORTH = 6.0  # twice the log likelihood below which a candidate is not iterated
 _CLOSE = 0.4  # of the best gain of a screening, above which a candidate is iterated
-_FEWEST, _MOST = 4, 10  # candidates that are iterated
+_FEWEST, _MOST = 3, 6  # candidates that are iterated
 _REFINED, _PROMISING = 2, 0.5  # candidates, and share of the best gain, that get noise laws of their own
 _SURELY = 1e-3  # chance below which what contains a simpler effect is preferred to it
 _NATS, _SURE = 3.0, 2.0  # evidence, and standard errors of it, within which two candidates are alike
@@ -249,14 +249,21 @@ class Search:
                 regression, best = other, this
         return regression, best
 
-    def look(self, base: Base, *, exclude: Sequence[str] = ()) -> Round:
+    def look(self, base: Base, *, only: Collection[str] | None = None) -> Round:
         """Fit and rank the candidates beside the physics of `base`.
 
         A candidate that contains an effect which was added before stands in for it.
+
+        Args:
+            base: Where the round starts.
+            only: Candidates to look at; None for all. p values count all.
         """
-        names = candidate_names(base.system, exclude=exclude, channels=self.channels)
+        names = candidate_names(base.system, channels=self.channels)
         if self.candidates is not None:
             names = [n for n in names if n in self.candidates]
+        among = max(len(names), 1)
+        if only is not None:
+            names = [n for n in names if n in only]
         out = Round(added=base.system.effect_names, trials=[], screened={})
         peaks, scales = lines(base.regression), data_sizes(base.system, self.steps)
         best: dict[str, Start] = {}
@@ -282,7 +289,6 @@ class Search:
             for i, n in enumerate(order[:_MOST])
             if out.screened[n] > _WORTH and (i < _FEWEST or out.screened[n] > _CLOSE * most)
         ]
-        among = max(len(names), 1)
         for i, name in enumerate(kept):
             self.say("fitting effects", i, len(kept))
             system, held = where[name]

@@ -11,6 +11,9 @@ is within its standard error, because a richer law would learn what a wrong thet
 rounding, that is all). The drift of most systems is linear in theta, and one step per law is exact; where it is not
 these are Gauss-Newton steps, halved while they do not pay. The covariance (`spread`) counts that P was fitted too:
 where an input reacts to noise, theta and P are not independent.
+
+Assumed, not checked: an input or a first state moves the system, and not noise alone (a decay can also be one of the
+noise), and inputs are those that acted (smoothed ones lose against a law of the noise: take `differences`).
 """
 
 from collections.abc import Collection, Sequence

@@ -12,11 +12,14 @@ import numpy as np
 
 from nsde_torch.data import DataSet, Run
 from nsde_torch.diagnosis.channels import ChannelResidual, channel_residuals
+from nsde_torch.diagnosis.formula import Formula, formula
 from nsde_torch.diagnosis.held_out import HeldOut, held_out
 from nsde_torch.diagnosis.loop import Found, Outcome, estimates, loop
 from nsde_torch.diagnosis.not_shown import not_shown
 from nsde_torch.diagnosis.recording import Recorded, undo
 from nsde_torch.diagnosis.search import Search
+from nsde_torch.diagnosis.shape import Shape, shape, symmetry
+from nsde_torch.diagnosis.views import rates_width
 from nsde_torch.effects import EFFECTS, Effect
 from nsde_torch.errors import ConfigError, DataError
 from nsde_torch.learning.identify.steps import steps_of
@@ -24,6 +27,7 @@ from nsde_torch.models.identified import SysidSpec
 from nsde_torch.systems import System
 
 _BOX_S = 0.01
+_SHAPES = 6  # dependences that are described in words
 _COARSE_S, _MANY = 0.02, 8000  # step that is fine enough for flights [s], and rows from which on it matters
 
 TWINS = {"thrust_misalignment": ("frame_misalignment",), "constant_force": ("sensor_bias",)}
@@ -70,6 +74,8 @@ class Diagnosis:
         channels: Residuals before and after.
         options: Settings.
         seconds: Time that stages took.
+        shapes: What the residual still depends on, in words.
+        formula: A sparse formula for it where no effect explains it: a lead, unverified.
     """
 
     system: System
@@ -81,6 +87,8 @@ class Diagnosis:
     channels: list[ChannelResidual]
     options: Options
     seconds: dict[str, float] = field(default_factory=dict)
+    shapes: tuple[Shape, ...] = ()
+    formula: Formula | None = None
 
     @property
     def verdict(self) -> str:
@@ -93,6 +101,11 @@ class Diagnosis:
     def added(self) -> list[str]:
         """Names of everything that was found, the recording chain first."""
         return [fault.name for fault in self.recorded.faults] + [f.name for f in self.outcome.found]
+
+    @property
+    def width(self) -> float:
+        """Length of the means over which residuals are told [s]."""
+        return rates_width(self.outcome.final.regression)
 
     def content(self) -> dict[str, Any]:
         """What `diagnosis.json` holds; docs in the README."""
@@ -124,6 +137,8 @@ class Diagnosis:
                 "before": [_dependence(d, len(o.before)) for d in o.before[:12]],
                 "after": [_dependence(d, len(o.after)) for d in o.after[:12]],
             },
+            "unexplained": [self._shape(s) for s in self.shapes],
+            "formula": self._formula(),
             "errors": {
                 **self.errors.content,
                 "measured_on": "runs left out" if self.errors.whole_runs else "the last part of the only run",
@@ -135,7 +150,9 @@ class Diagnosis:
                 "runs": list(self.runs),
                 "duration_s": sum(run.duration for run in self.recorded.runs),
                 "clock_scale": self.recorded.clock,
+                "dt_s": self.data.dt,
                 "fingerprint": self.data.fingerprint,
+                "done": [str(f) for f in self.data.summary.findings],
             },
             "alpha": self.options.alpha,
             "seed": self.options.seed,
@@ -172,6 +189,35 @@ class Diagnosis:
             if f.ties or twins:
                 out.append({"effects": [f.name, *f.ties, *twins], "experiment": self._class(f.name).separate})
         return out
+
+    def _shape(self, s: Shape) -> dict[str, Any]:
+        return {
+            "channel": s.channel,
+            "variable": s.variable,
+            "symmetry": s.symmetry or None,
+            "extent": s.extent or None,
+            "where": None if s.where is None else list(s.where),
+            "period": s.period,
+            "only_run": None if s.only_run is None else self.runs[s.only_run],
+            "sentence": s.sentence,
+        }
+
+    def _formula(self) -> dict[str, Any] | None:
+        f = self.formula
+        if f is None:
+            return None
+        return {
+            "channel": f.channel,
+            "unit": f.unit,
+            "terms": [
+                {"function": t.function, "coefficient": t.coefficient, "standard_error": t.error}
+                for t in f.terms
+            ],
+            "text": f.text,
+            "share": f.share,
+            "by": f.by,
+            "verified": False,
+        }
 
     def _not_shown(self) -> list[dict[str, Any]]:
         found = [f.name for f in self.outcome.found]
@@ -266,7 +312,7 @@ def _dependence(d: Any, tests: int) -> dict[str, Any]:
         "variable": d.variable,
         "p": min(1.0, d.p * tests),
         "share": d.share,
-        "kind": "odd" if d.odd > 0.8 else "even" if d.odd < 0.2 else "mixed",
+        "kind": symmetry(d) or "-",
     }
 
 
@@ -367,8 +413,19 @@ def diagnose(
     )
     seconds["errors"] = now() - started - sum(seconds.values())
     residuals = channel_residuals(outcome.declared.regression, outcome.final.regression)
+    regression, left = outcome.final.regression, outcome.structured
     return Diagnosis(
-        system, data, tuple(run.name for run in runs), recorded, outcome, errors, residuals, options, seconds
+        system,
+        data,
+        tuple(run.name for run in runs),
+        recorded,
+        outcome,
+        errors,
+        residuals,
+        options,
+        seconds,
+        shapes=tuple(shape(regression, d) for d in left[:_SHAPES]),
+        formula=formula(regression, left, outcome.final.single) if outcome.verdict == "unexplained" else None,
     )
 
 

@@ -1,17 +1,298 @@
 """`report.html`: one self-contained page that a field engineer reads in two minutes."""
 
-from collections.abc import Mapping
+from __future__ import annotations
+
+import base64
+import io
+from collections.abc import Iterable, Mapping, Sequence
 from html import escape
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from nsde_torch.diagnosis.diagnose import Diagnosis
-from nsde_torch.diagnosis.text import lines
+from nsde_torch.diagnosis.pictures import pictures, save_pictures
+from nsde_torch.diagnosis.text import chance, unseen
+from nsde_torch.learning.report import number
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from nsde_torch.diagnosis.diagnose import Diagnosis
+
+_DPI = 100
+_RANKED, _DECIDED = 8, 6
+
+_STYLE = """
+:root { color-scheme: light }
+body { font: 16px/1.45 system-ui, sans-serif; color: #1a1a1a; background: #fff; max-width: 62rem; margin: 0 auto;
+  padding: 1rem }
+h1 { font-size: 1.3rem; margin: 0 0 .6rem } h2 { font-size: 1.1rem; margin: 2rem 0 .5rem }
+.verdict { border-left: .5rem solid; padding: .6rem 1rem; background: #f6f6f6 }
+.verdict b { display: block; font-size: 1.15rem } .effect_found { border-color: #0072B2 }
+.no_effect { border-color: #009E73 } .unexplained { border-color: #D55E00 }
+.finding { border: 1px solid #ddd; border-radius: .4rem; padding: .7rem 1rem; margin: .8rem 0 }
+.finding h3 { font-size: 1rem; margin: 0 } .finding p { margin: .3rem 0 }
+.lead { background: #fdf0d5; border-radius: .3rem; padding: 0 .4rem; font-weight: normal; font-size: .85rem }
+figure { margin: 1rem 0 } figure img { width: 100%; height: auto } figcaption, .small { color: #555; font-size: .88rem }
+.wide { overflow-x: auto } table { border-collapse: collapse; font-size: .9rem; font-variant-numeric: tabular-nums }
+th, td { padding: .2rem .7rem .2rem 0; text-align: right; white-space: nowrap; border-bottom: 1px solid #e5e5e5 }
+th:first-child, td:first-child { text-align: left } th { font-weight: 600; color: #555 }
+details { margin: .6rem 0 } summary { cursor: pointer } ul { padding-left: 1.2rem } code { font-size: .92em }
+"""
+
+_VERDICTS = {
+    "no_effect": "Nothing is missing",
+    "effect_found": "Found what is missing",
+    "unexplained": "Something is missing that the catalogue does not name",
+}
+_CAPTIONS = {
+    "residual": "Measured rate less that of the physics: means over {width:.2g} s (points), and their means with 90 % "
+    "intervals. A good model lies on zero.",
+    "unexplained": "What is left after everything that was found: points are means over {width:.2g} s.",
+    "errors": "Predictions from measured states with logged inputs, on {where}. Bars: 90 % interval of the difference.",
+    "spectrum": "Above the dashed floor something other than white noise of sensors and pushes is left.",
+}
 
 
 def write_report(path: Path, found: Diagnosis, content: Mapping[str, Any]) -> None:
-    """Write the page."""
-    text = escape("\n".join(lines(content)))
-    path.write_text(
-        f"<!doctype html><meta charset=utf-8><title>Diagnosis</title><pre>{text}</pre>", encoding="utf-8"
+    """Write the page, and its pictures into `plots` beside it.
+
+    Args:
+        path: The page.
+        found: The diagnosis.
+        content: Its content, as `diagnosis.json` has it.
+    """
+    figures = pictures(found, content)
+    save_pictures(figures, path.parent / "plots")
+    path.write_text(page(content, figures, width=found.width), encoding="utf-8")
+
+
+def page(content: Mapping[str, Any], figures: Mapping[str, Figure], *, width: float) -> str:
+    """The page as HTML.
+
+    Args:
+        content: As `diagnosis.json` has it.
+        figures: By name, as `pictures` makes them.
+        width: Length of the means in the pictures [s].
+    """
+    data, errors = content["data"], content["errors"]
+    captions = {k: v.format(width=width, where=errors["measured_on"]) for k, v in _CAPTIONS.items()}
+    shown = {k: _figure(f, k, captions.get(k, "")) for k, f in figures.items()}
+    parts = [
+        f"<h1>Diagnosis of {escape(data['system'])}: {len(data['runs'])} runs, {data['duration_s']:.0f} s</h1>",
+        f'<div class="verdict {content["verdict"]}"><b>{_VERDICTS[content["verdict"]]}</b>'
+        f"{escape(content['summary'])}{_gain(errors)}</div>",
+        *(_finding(f, content) for f in content["findings"]),
+        shown.get("residual", ""),
+        _unexplained(content, shown.get("unexplained", "")),
+        shown.get("errors", ""),
+        _errors(errors),
+        "<h2>What is left over, channel by channel</h2>",
+        _residuals(content["residual"]),
+        shown.get("spectrum", ""),
+        _not_shown(content["not_shown"]),
+        _ranking(content["ranking"]),
+        _declared(content["declared_parameters"]),
+        _structure(content),
+        _data(content),
+    ]
+    return (
+        '<!doctype html>\n<html lang="en"><head><meta charset="utf-8">'
+        '<meta name="viewport" content="width=device-width, initial-scale=1">'
+        f"<title>Diagnosis of {escape(data['system'])}</title><style>{_STYLE}</style></head><body>\n"
+        + "\n".join(part for part in parts if part)
+        + "\n</body></html>\n"
     )
+
+
+# ---- pieces -------------------------------------------------------------------------------------------
+
+
+def _figure(figure: Figure, name: str, caption: str) -> str:
+    buffer = io.BytesIO()
+    figure.savefig(buffer, format="png", dpi=_DPI)
+    text = base64.b64encode(buffer.getvalue()).decode("ascii")
+    return (
+        f'<figure><img alt="{escape(figure.get_suptitle())}" src="data:image/png;base64,{text}">'
+        f"<figcaption>{escape(caption)}</figcaption></figure>"
+    )
+
+
+def _table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+    body = "".join(f"<tr>{''.join(f'<td>{escape(c)}</td>' for c in row)}</tr>" for row in rows)
+    return f'<div class="wide"><table><tr>{"".join(f"<th>{escape(h)}</th>" for h in head)}</tr>{body}</table></div>'
+
+
+def _folded(title: str, body: str) -> str:
+    return f"<details><summary>{escape(title)}</summary>{body}</details>"
+
+
+def _gain(errors: Mapping[str, Any]) -> str:
+    """The sentence on errors under the verdict: the horizon nearest to a second."""
+    if not errors["horizons_s"]:
+        return ""
+    horizon = f"{min(errors['horizons_s'], key=lambda h: abs(h - 1.0)):g}"
+    parts = []
+    for name, row in errors["before"].items():
+        first, second = row[horizon], errors["after"][name][horizon]
+        if first and second is not None and abs(second / first - 1.0) > 0.02:
+            parts.append(f"{name} {number(first)} to {number(second)} {errors['units'][name]}")
+    if not parts:
+        return ""
+    return f"<br>Error {horizon} s ahead on {escape(errors['measured_on'])}: {escape('; '.join(parts))}."
+
+
+def _finding(finding: Mapping[str, Any], content: Mapping[str, Any]) -> str:
+    lead = ' <span class="lead">a lead: something else is there too</span>' if finding["lead"] else ""
+    text = f"<h3><code>{escape(finding['name'])}</code>{lead}</h3><p>{escape(finding['sentence'])}</p>"
+    own = {k: p for k, p in content["parameters"].items() if k.startswith(f"{finding['name']}.")}
+    if own:
+        rows = [
+            [k.partition(".")[2], f"{number(p['value'])} {_unit(p['unit'])}", _interval(p["interval_90"])]
+            for k, p in own.items()
+        ]
+        text += _table(["parameter", "value", "90 % interval"], rows)
+    if finding["p"] is not None:
+        text += f'<p class="small">Chance of this if it were not there: p {escape(chance(finding["p"]))}'
+        text += ", corrected for the number of effects tried.</p>" if finding["kind"] == "effect" else ".</p>"
+    for tie in content["ties"]:
+        if tie["effects"][0] == finding["name"]:
+            others = ", ".join(f"<code>{escape(e)}</code>" for e in tie["effects"][1:])
+            text += f"<p><b>Tie.</b> These data cannot tell it from {others}."
+            text += f" To tell: {escape(tie['experiment'])}.</p>" if tie["experiment"] else "</p>"
+    return f'<div class="finding">{text}</div>'
+
+
+def _unexplained(content: Mapping[str, Any], figure: str) -> str:
+    if not content["unexplained"]:
+        return ""
+    lines = "".join(f"<li>{escape(s['sentence'])}</li>" for s in content["unexplained"])
+    text = f"<h2>What no effect of the catalogue explains</h2><ul>{lines}</ul>{figure}"
+    formula = content["formula"]
+    if formula is not None:
+        terms = ", ".join(
+            f"{number(t['coefficient'])} +- {number(t['standard_error'])}" for t in formula["terms"]
+        )
+        text += (
+            f'<p><span class="lead">a lead, unverified</span> <code>{escape(formula["text"])}</code><br>'
+            f'<span class="small">Coefficients with standard errors: {terms}; {formula["share"]:.0%} of the '
+            f"whitened residual; chosen by {escape(formula['by'])}. Functions of what the residual depends on, not "
+            "physics: look for a cause with this shape.</span></p>"
+        )
+    return text
+
+
+def _errors(errors: Mapping[str, Any]) -> str:
+    horizons = [f"{h:g}" for h in errors["horizons_s"]]
+    if not horizons:
+        return "<p>No run is long enough to measure errors on.</p>"
+    rows = []
+    for name, before in errors["before"].items():
+        after, ratio = errors["after"][name], errors["ratio"][name]
+        cells = [f"{_value(before[h])} → {_value(after[h])} (×{_value(ratio[h], 2)})" for h in horizons]
+        rows.append([f"{name} [{_unit(errors['units'][name])}]", *cells])
+    title = f"Errors on {errors['measured_on']}, before → after ({errors['starts']} starts)"
+    return _folded(title, _table(["rms error", *(f"{h} s" for h in horizons)], rows))
+
+
+def _residuals(residual: Mapping[str, Any]) -> str:
+    rows = [
+        [
+            name,
+            *(number(c[k]) for k in ("measured", "before", "after", "floor")),
+            f"{c['explained']:.0%}",
+            _unit(c["unit"]),
+        ]
+        for name, c in residual.items()
+    ]
+    head = ["rate of", "measured", "left before", "left after", "noise floor", "explained", "unit"]
+    return _table(head, rows)
+
+
+def _not_shown(entries: Sequence[Mapping[str, Any]]) -> str:
+    if not entries:
+        return ""
+    how = {n["effect"]: escape(n["experiment"]) for n in entries}
+    lines = "".join(
+        f"<li>{escape(line)}<br><span class='small'>To show it: {how[line.partition(':')[0]]}.</span></li>"
+        for line in unseen(entries)
+    )
+    return (
+        "<h2>What these data cannot show</h2><p>Not found says nothing of these: sizes below would go unnoticed.</p>"
+        f"<ul>{lines}</ul>"
+    )
+
+
+def _ranking(ranking: Sequence[Mapping[str, Any]]) -> str:
+    first = [r for r in ranking if r["round"] == 0]
+    rows = [
+        [
+            r["effect"],
+            f"{r['evidence_nats']:+.1f} ± {r['evidence_error']:.1f}",
+            chance(r["p"]),
+            "yes" if r["chosen"] else "",
+        ]
+        for r in first
+        if r["p"] is not None
+    ]
+    rest = ", ".join(r["effect"] for r in first if r["p"] is None)
+    text = (
+        _table(["first look", "evidence on runs left out [nat]", "p", "added"], rows[:_RANKED])
+        if rows
+        else ""
+    )
+    if rest:
+        text += f'<p class="small">Tried, of no use: {escape(rest)}.</p>'
+    return _folded("All effects that were tried", text) if text else ""
+
+
+def _declared(parameters: Mapping[str, Any]) -> str:
+    rows = [
+        [name, number(p["value"]), _unit(p["unit"]), "" if p["shown"] else "not shown by the data"]
+        for name, p in parameters.items()
+    ]
+    return (
+        _folded("Declared parameters, fitted again", _table(["parameter", "value", "unit", ""], rows))
+        if rows
+        else ""
+    )
+
+
+def _structure(content: Mapping[str, Any]) -> str:
+    structure, alpha = content["structure"], content["alpha"]
+    left = [d for d in structure["after"] if d["p"] < alpha]
+    rows = [
+        [d["channel"], d["variable"], d["kind"], chance(d["p"]), f"{d['share']:.1%}"] for d in left[:_DECIDED]
+    ]
+    if not rows:
+        text = f"<p>None of {structure['tests']['after']} tests finds a dependence (alpha {alpha:g}).</p>"
+    else:
+        text = _table(["channel", "variable", "kind", "p", "share"], rows)
+    return _folded("Structure that remains in the residual", text)
+
+
+def _data(content: Mapping[str, Any]) -> str:
+    data = content["data"]
+    done = [*data["done"]]
+    if data["clock_scale"] != 1.0:
+        done.append(f"a logged second was taken for {data['clock_scale']:.4g} s")
+    done += [f["sentence"] for f in content["findings"] if f["kind"] == "recording"]
+    text = "".join(f"<li>{escape(line)}</li>" for line in done) or "<li>nothing amiss</li>"
+    runs = ", ".join(data["runs"])
+    seconds = ", ".join(f"{k} {v:.0f} s" for k, v in content["seconds"].items())
+    return (
+        f"<h2>Data</h2><ul>{text}</ul>"
+        f'<p class="small">{escape(data["kind"])}, {1 / data["dt_s"]:.4g} Hz; runs: {escape(runs)}; fingerprint '
+        f"{escape(data['fingerprint'][:12])}; alpha {content['alpha']:g}, seed {content['seed']}; took {seconds}.</p>"
+    )
+
+
+def _value(value: float | None, digits: int = 3) -> str:
+    return "-" if value is None else f"{value:.{digits}g}"
+
+
+def _interval(interval: Sequence[float] | None) -> str:
+    return "not shown by the data" if interval is None else f"{number(interval[0])} to {number(interval[1])}"
+
+
+def _unit(unit: str) -> str:
+    return "" if unit == "1" else unit.replace("s2", "s²").replace("m2", "m²")

@@ -16,7 +16,7 @@ def lines(content: Mapping[str, Any]) -> list[str]:
         out += ["", f"{finding['name']}{mark}: {finding['sentence']}"]
         p = finding["p"]
         if p is not None:
-            out[-1] += f" (p {_chance(p)})"
+            out[-1] += f" (p {chance(p)})"
         for tie in content["ties"]:
             if tie["effects"][0] == finding["name"]:
                 out.append(
@@ -43,7 +43,7 @@ def lines(content: Mapping[str, Any]) -> list[str]:
     ranked = [r for r in content["ranking"] if r["round"] == 0 and r["p"] is not None][:_RANKED]
     if ranked:
         rows = [
-            [r["effect"], f"{r['evidence_nats']:+.1f}", f"{r['evidence_error']:.1f}", _chance(r["p"])]
+            [r["effect"], f"{r['evidence_nats']:+.1f}", f"{r['evidence_error']:.1f}", chance(r["p"])]
             for r in ranked
         ]
         out += [
@@ -53,7 +53,7 @@ def lines(content: Mapping[str, Any]) -> list[str]:
     structured = [d for d in content["structure"]["after"] if d["p"] < content["alpha"]]
     if structured:
         rows = [
-            [d["channel"], d["variable"], d["kind"], _chance(d["p"]), f"{d['share']:.1%}"]
+            [d["channel"], d["variable"], d["kind"], chance(d["p"]), f"{d['share']:.1%}"]
             for d in structured[:5]
         ]
         out += ["", table(["the residual still depends: channel", "variable", "kind", "p", "share"], rows)]
@@ -93,7 +93,8 @@ def _number(value: float | None) -> str:
     return "-" if value is None else f"{value:.3g}"
 
 
-def _chance(p: float) -> str:
+def chance(p: float) -> str:
+    """A p value as people write it."""
     return f"{p:.1g}" if p >= 1e-4 else "< 0.0001"
 
 

@@ -1,0 +1,213 @@
+"""The pictures of a diagnosis: which channel against which variable, and the arrays to draw.
+
+A picture of a found effect shows the channel whose residual it reduced most against the variable on which the residual
+depended most surely before; without an effect, what the residual depends on.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nsde_torch.diagnosis.channels import ChannelResidual, spectrum, white_parts
+from nsde_torch.diagnosis.loop import Outcome
+from nsde_torch.diagnosis.shape import Shape, product_of
+from nsde_torch.diagnosis.structure import Dependence
+from nsde_torch.diagnosis.views import Rates, bins, factors, is_plain, per_second, rates
+from nsde_torch.learning.identify.identify import Regression
+from nsde_torch.plots.diagnosis import (
+    Cloud,
+    Panel,
+    Spectrum,
+    errors_before_after,
+    residual_spectra,
+    residual_views,
+)
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from nsde_torch.diagnosis.diagnose import Diagnosis
+
+Array = NDArray[np.float64]
+
+_CHANNELS, _UNEXPLAINED = 2, 4
+_REDUCED = 0.9  # of the residual before: what is below that was reduced
+
+
+def pictures(found: Diagnosis, content: Mapping[str, Any]) -> dict[str, Figure]:
+    """Figures by name: `residual`, `unexplained`, `errors`, `spectrum`, as far as there is something to show."""
+    outcome = found.outcome
+    out: dict[str, Figure] = {}
+    if outcome.found:
+        views = effect_views(outcome, found.channels)
+        if views:
+            names = ", ".join(f.name for f in outcome.found)
+            out["residual"] = residual_views(
+                views, title=f"What the physics leaves over, without and with {names}"
+            )
+    if outcome.structured:
+        views = unexplained_views(outcome, shapes=found.shapes)
+        if views:
+            out["unexplained"] = residual_views(
+                views, title="What the residual depends on and no effect explains"
+            )
+    elif not outcome.found:
+        views = unexplained_views(outcome, outcome.before[:_CHANNELS])
+        if views:
+            title = "What the physics leaves over, against what it depends on most: no more than chance"
+            out["residual"] = residual_views(views, title=title)
+    errors = content["errors"]
+    if outcome.found and errors["horizons_s"]:
+        out["errors"] = _errors(errors)
+    shown = _most_reduced(found.channels)[: 2 * _CHANNELS]
+    if shown:
+        out["spectrum"] = residual_spectra(
+            [_spectrum(outcome, c.name) for c in shown],
+            title="Spectrum of what the physics leaves over, and the floor of white noise",
+        )
+    return out
+
+
+def save_pictures(figures: Mapping[str, Figure], folder: Path) -> list[Path]:
+    """Write the figures as PNG files of their names into a folder."""
+    from nsde_torch.plots import save
+
+    return [save(figure, folder / f"{name}.png") for name, figure in figures.items()]
+
+
+def effect_views(outcome: Outcome, channels: Sequence[ChannelResidual]) -> list[Panel]:
+    """The channels that the effects reduced, each against the variable that its residual depended on most surely."""
+    before, after = rates(outcome.declared.regression), rates(outcome.final.regression)
+    out: list[Panel] = []
+    for c in _most_reduced(channels)[:_CHANNELS]:
+        if out and c.after > _REDUCED * c.before:
+            break
+        picked = _surest(outcome.before, c.name)
+        if picked is None:
+            continue
+        values = _axis(before, outcome.declared.regression, picked)
+        if values is None:
+            continue
+        variable, unit, x = values
+        number = before.names.index(c.name)
+        clouds = {
+            name: _cloud(x, seen.residual[:, number], seen.block)
+            for name, seen in (("before", before), ("after", after))
+            if len(seen.residual) == len(x)
+        }
+        out.append(Panel(c.name, before.units[number], variable, unit, clouds))
+    return out
+
+
+def unexplained_views(
+    outcome: Outcome, left: Sequence[Dependence] | None = None, shapes: Sequence[Shape] = ()
+) -> list[Panel]:
+    """What the residual still depends on, one panel each, with the words of its shape."""
+    notes = {(s.channel, s.variable): s.note for s in shapes}
+    regression = outcome.final.regression
+    seen = rates(regression)
+    out: list[Panel] = []
+    done: set[tuple[str, str]] = set()
+    for d in outcome.structured if left is None else left:
+        values = _axis(seen, regression, d)
+        if values is None or len(out) == _UNEXPLAINED:
+            continue
+        variable, unit, x = values
+        if (d.channel, variable) in done:
+            continue
+        done.add((d.channel, variable))
+        number = seen.names.index(d.channel)
+        cloud = _cloud(x, seen.residual[:, number], seen.block)
+        out.append(
+            Panel(
+                d.channel,
+                seen.units[number],
+                variable,
+                unit,
+                {"residual": cloud},
+                note=notes.get((d.channel, variable), ""),
+            )
+        )
+    return out
+
+
+def _most_reduced(channels: Sequence[ChannelResidual]) -> list[ChannelResidual]:
+    """Channels by how much of their residual the effects took away, compared with the floor."""
+    return sorted(
+        channels, key=lambda c: -(c.before**2 - c.after**2) / max(c.floor, 1e-12 + 1e-3 * c.before) ** 2
+    )
+
+
+def _surest(tests: Sequence[Dependence], channel: str) -> Dependence | None:
+    """The surest test of a channel whose variable can be an axis; a product only where nothing else comes near."""
+    own = [d for d in tests if d.channel == channel and d.variable != "run"]
+    plain = [d for d in own if is_plain(d.variable)]
+    first, product = (min(some, key=lambda d: (d.p, -d.gain), default=None) for some in (plain, own))
+    if first is None or product is None:
+        return product
+    alone = first.p * len(tests) > 0.05 and product.p * len(tests) < 0.01
+    return product if alone else first
+
+
+def _axis(seen: Rates, regression: Regression, d: Dependence) -> tuple[str, str, Array] | None:
+    """Name, unit and values of a variable for a horizontal axis."""
+    if is_plain(d.variable):
+        name = d.variable
+        return (
+            name,
+            seen.value_units.get(name, ""),
+            seen.values[name],
+        )
+    if factors(d.variable) is None:
+        return "number of the run", "", seen.run.astype(np.float64)
+    pair = product_of(regression, seen.names.index(d.channel), d.variable)
+    first, _, second = pair.partition(" * ")
+    units = [u for u in (seen.value_units.get(v, "1") for v in (first, second)) if u not in ("", "1")]
+    return pair, " ".join(units), seen.values[first] * seen.values[second]
+
+
+def _cloud(x: Array, y: Array, block: NDArray[np.int64]) -> Cloud:
+    b = bins(x, y, block)
+    return Cloud(x, y, b.centre, b.mean, b.error)
+
+
+def _spectrum(outcome: Outcome, channel: str) -> Spectrum:
+    """Amplitude densities [unit/sqrt(Hz)] from mean powers per step: S dt / dt^2, both sides of the band."""
+    regression = outcome.final.regression
+    number = regression.physics.names.index(channel)
+    dt = regression.physics.steps.dt
+    curves = (
+        {"before": outcome.declared.regression, "after": regression}
+        if outcome.found
+        else {"residual": regression}
+    )
+    amplitudes = {}
+    for name, r in curves.items():
+        frequency, power = spectrum(r, number)
+        amplitudes[name] = np.sqrt(2.0 * power[1:] / dt)
+    push, sensor = white_parts(regression, number)
+    floor = push + 4.0 * np.sin(np.pi * frequency[1:] * dt) ** 2 * sensor
+    amplitudes["floor"] = np.sqrt(2.0 * floor / dt)
+    return Spectrum(channel, per_second(regression.physics.units[number]), frequency[1:], amplitudes)
+
+
+def _errors(errors: Mapping[str, Any]) -> Figure:
+    horizons = errors["horizons_s"]
+
+    def curves(table: Mapping[str, Mapping[str, float | None]]) -> dict[str, list[float | None]]:
+        return {name: [row[f"{h:g}"] for h in horizons] for name, row in table.items()}
+
+    return errors_before_after(
+        horizons,
+        curves(errors["before"]),
+        curves(errors["after"]),
+        curves(errors["difference"]["low_90"]),
+        curves(errors["difference"]["high_90"]),
+        errors["units"],
+        title=f"Error of open-loop predictions on {errors['measured_on']} (rms), without and with what was found",
+    )

@@ -1,0 +1,202 @@
+"""In words: how a residual depends on a variable that no effect of the catalogue accounts for.
+
+- odd, even: from the test of structure.
+- local: more than 70 % of the squared bin means lie within 30 % of the range of the variable.
+- periodic: a sine in the variable brings at least twice the log likelihood that a cubic brings.
+- one run only: functions that are fitted to each run by itself bring 80 % of their log likelihood in one.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nsde_torch.diagnosis.structure import Dependence, groups, variables
+from nsde_torch.diagnosis.views import bins, factors, is_plain, rates
+from nsde_torch.learning.identify.identify import Regression
+
+Array = NDArray[np.float64]
+
+_LOCAL_POWER, _LOCAL_RANGE = 0.7, 0.3
+_ONE_RUN, _RUNS = 0.8, 3
+_PERIODS = 1.5, 40.0, 120  # fewest and most in the range, and how many are tried
+_SINE, _SINE_LEAST = 2.0, 30.0
+
+
+@dataclass(frozen=True)
+class Shape:
+    """How the residual of a channel depends on a variable.
+
+    Args:
+        channel: Name of the channel.
+        variable: Name of the variable, `a * b` for a product.
+        symmetry: `odd`, `even`, `mixed`, or empty where that means nothing (time, runs, products).
+        extent: `local` or `global`, empty where it cannot be an axis.
+        where: Range of the variable that a local one lies in.
+        period: Period, in the unit of the variable, or None.
+        only_run: Number of the run that it is confined to, or None.
+        sentence: All this in words.
+        note: The same without the names.
+    """
+
+    channel: str
+    variable: str
+    symmetry: str
+    extent: str
+    where: tuple[float, float] | None
+    period: float | None
+    only_run: int | None
+    sentence: str
+    note: str
+
+
+def symmetry(dependence: Dependence) -> str:
+    """`odd`, `even` or `mixed`; empty for what has no sides."""
+    if not is_plain(dependence.variable) or dependence.variable == "time":
+        return ""
+    return "odd" if dependence.odd > 0.8 else "even" if dependence.odd < 0.2 else "mixed"
+
+
+def shape(regression: Regression, dependence: Dependence) -> Shape:
+    """Describe a dependence that is there beyond chance."""
+    seen = rates(regression)
+    channel = seen.names.index(dependence.channel)
+    name, unit = dependence.variable, seen.value_units.get(dependence.variable, "")
+    extent, where, period = "", None, None
+    if is_plain(name):
+        extent, where = _extent(seen.values[name], seen.residual[:, channel], seen.block)
+        period = period_of(regression, channel, name)
+    else:
+        name = product_of(regression, channel, name)
+    only = _only_run(regression, channel, dependence.variable)
+    side = symmetry(dependence)
+    words = [f"The rate of {dependence.channel} depends on {name}"]
+    if period is not None:
+        words.append(f"periodically, every {period:.3g} {unit}".rstrip())
+    elif extent == "local" and where is not None:
+        words.append(f"locally, between {where[0]:.3g} and {where[1]:.3g} {unit}".rstrip())
+    elif extent:
+        words.append("over its whole range")
+    if side and period is None:
+        words.append(
+            {"odd": "as an odd function", "even": "as an even function"}.get(side, "neither odd nor even")
+        )
+    if only is not None:
+        words.append("in one run only")
+    return Shape(
+        dependence.channel,
+        name,
+        side,
+        extent,
+        where,
+        period,
+        only,
+        ", ".join(words) + ".",
+        ", ".join(words[1:]),
+    )
+
+
+def _extent(
+    value: Array, residual: Array, block: NDArray[np.int64]
+) -> tuple[str, tuple[float, float] | None]:
+    b = bins(value, residual, block, count=24)
+    if len(b.mean) < 6:
+        return "", None
+    power = np.clip(np.square(b.mean) - np.square(b.error), 0.0, None)
+    edges = np.concatenate(([b.centre[0]], 0.5 * (b.centre[1:] + b.centre[:-1]), [b.centre[-1]]))
+    power = power * np.diff(edges)
+    total, span = float(power.sum()), float(edges[-1] - edges[0])
+    if total <= 0:
+        return "global", None
+    best = (span, 0, len(power))
+    for i in range(len(power)):
+        for j in range(i + 1, len(power) + 1):
+            if power[i:j].sum() >= _LOCAL_POWER * total:
+                best = min(best, (float(edges[j] - edges[i]), i, j))
+                break
+    width, i, j = best
+    if width > _LOCAL_RANGE * span:
+        return "global", None
+    return "local", (float(edges[i]), float(edges[j]))
+
+
+def own_space(regression: Regression, channel: int) -> Array:
+    """Orthonormal columns (N, r) of what the parameters can do to a channel's whitened residual."""
+    u, s, _ = np.linalg.svd(regression.slopes[channel], full_matrices=False)
+    return np.asarray(u[:, s > 1e-9 * max(float(s.max(initial=0.0)), 1e-300)])
+
+
+def projected(regression: Regression, channel: int, functions: Array, own: Array) -> Array:
+    """Functions per unit of time (M, q), whitened and free of `own_space` (N, q)."""
+    z = regression.noises[channel].whiten(functions * regression.dt, regression.series)
+    return np.asarray(z - own @ (own.T @ z))
+
+
+def gain(z: Array, white: Array) -> float:
+    """Twice the log likelihood that columns (N, q) bring to whitened residuals (N,)."""
+    fit = z @ np.linalg.lstsq(z, white, rcond=1e-9)[0]
+    return float(fit @ white)
+
+
+def values_of(regression: Regression, variable: str) -> Array:
+    """A plain variable in the middle of each box (M,)."""
+    columns, t = variables(regression)
+    return t if variable == "time" else columns[variable]
+
+
+def period_of(regression: Regression, channel: int, variable: str) -> float | None:
+    """Period of a dependence on a plain variable, or None where a cubic does about as well."""
+    v, white, own = values_of(regression, variable), regression.white[channel], own_space(regression, channel)
+    low, high = np.quantile(v, [0.005, 0.995])
+    span = float(high - low)
+    if not span > 0:
+        return None
+    s = np.clip((v - 0.5 * (low + high)) / span, -1, 1)
+    cubic = gain(projected(regression, channel, np.stack((s, s**2, s**3), 1), own), white)
+    best, found = 0.0, None
+    for count in np.geomspace(*_PERIODS):
+        angle = 2.0 * np.pi * count * (v - low) / span
+        waves = projected(regression, channel, np.stack((np.sin(angle), np.cos(angle)), 1), own)
+        this = gain(waves, white)
+        if this > best:
+            best, found = this, span / float(count)
+    return found if best > max(_SINE * cubic, _SINE_LEAST) else None
+
+
+def product_of(regression: Regression, channel: int, variable: str) -> str:
+    """`a * b` for a product with others: the one that matters most; the variable itself for anything else."""
+    first = factors(variable)
+    if first is None:
+        return variable
+    columns, _ = variables(regression)
+    names = list(columns)
+    others = names[names.index(first) + 1 :]
+    functions = next(f for name, f, _ in groups(regression) if name == variable)
+    z = projected(regression, channel, functions, own_space(regression, channel))
+    pull = np.square(z.T @ regression.white[channel]) / np.maximum(np.square(z).sum(0), 1e-300)
+    return f"{first} * {others[int(pull.argmax())]}"
+
+
+def _only_run(regression: Regression, channel: int, variable: str) -> int | None:
+    """Number of the run that a dependence is confined to."""
+    owners = regression.physics.steps.runs
+    of_series = np.empty(len(regression.series), dtype=np.int64)
+    for (a, b), run in zip(regression.series.edges, owners, strict=True):
+        of_series[a:b] = run
+    of_white = regression.whitened_rows(of_series)
+    runs = np.unique(of_white)
+    if len(runs) < _RUNS:
+        return None
+    functions = next(f for name, f, _ in groups(regression) if name == variable)
+    if variable == "run":
+        functions = np.ones((len(of_series), 1))
+    z, white = (
+        projected(regression, channel, functions, own_space(regression, channel)),
+        regression.white[channel],
+    )
+    gains = []
+    for run in runs:
+        rows = of_white == run
+        gains.append(max(gain(z[rows], white[rows]) - z.shape[1], 0.0))
+    most = int(np.argmax(gains))
+    return int(runs[most]) if gains[most] > _ONE_RUN * sum(gains) > 0 else None

@@ -1,0 +1,264 @@
+"""Figures of a diagnosis: the residual against what explains it, held-out errors, and the residual's spectrum."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from math import ceil
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nsde_torch.errors import ShapeError
+from nsde_torch.plots.style import (
+    BLUE,
+    GREY,
+    VERMILLION,
+    few_ticks,
+    key,
+    label,
+    panels,
+    plain_logarithm,
+    pretty,
+    seconds_axis,
+    styled,
+)
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+Array = NDArray[np.float64]
+
+BEFORE, AFTER = VERMILLION, BLUE
+_POINTS = 1500
+_SEED = 0  # of the points that are drawn
+
+
+@dataclass(frozen=True)
+class Cloud:
+    """A residual against a variable: points, and their means in bins.
+
+    Args:
+        x, y: Points (M,).
+        centre, mean, error: Of each bin (B,); `error` is a standard error.
+    """
+
+    x: Array
+    y: Array
+    centre: Array
+    mean: Array
+    error: Array
+
+
+@dataclass(frozen=True)
+class Panel:
+    """One channel against one variable.
+
+    Args:
+        channel, unit: Of the residual rate.
+        variable, variable_unit: Of the horizontal axis.
+        clouds: By name, at most two: `before` and `after`, or the residual alone.
+        note: Words above the panel.
+    """
+
+    channel: str
+    unit: str
+    variable: str
+    variable_unit: str
+    clouds: Mapping[str, Cloud]
+    note: str = ""
+
+
+@dataclass(frozen=True)
+class Spectrum:
+    """Spectra of one channel.
+
+    Args:
+        channel, unit: Of the residual rate.
+        frequency: Frequencies (M,) [Hz].
+        curves: By name: amplitude density (M,) [unit/sqrt(Hz)]; `floor` is drawn dashed.
+    """
+
+    channel: str
+    unit: str
+    frequency: Array
+    curves: Mapping[str, Array]
+
+
+_LOOKS = {"before": (BEFORE, "o"), "after": (AFTER, "s"), "residual": (BEFORE, "o")}
+
+
+@styled
+def residual_views(views: Sequence[Panel], *, title: str) -> Figure:
+    """Residual rates against variables: means in bins with 90 % intervals over a light scatter.
+
+    Args:
+        views: The panels.
+        title: What is shown.
+
+    Returns:
+        A figure of one panel per view, two in a row.
+
+    Raises:
+        ShapeError: there is no panel.
+    """
+    if not views:
+        raise ShapeError("`views` must hold at least one panel; got none.")
+    columns = min(len(views), 2)
+    rows = ceil(len(views) / columns)
+    figure, axes = panels(rows, columns, height=0.8 + 3.0 * rows, title=title)
+    rng = np.random.default_rng(_SEED)
+    for ax, view in zip(axes.flat, views, strict=False):
+        _draw(ax, view, rng)
+    for ax in list(axes.flat)[len(views) :]:
+        ax.set_axis_off()
+    key(figure, axes.flat[0])
+    return figure
+
+
+def _draw(ax: Axes, view: Panel, rng: np.random.Generator) -> None:
+    ax.axhline(0.0, color=GREY, linewidth=0.8)
+    reach = 0.0
+    left, right = np.inf, -np.inf
+    for name, cloud in view.clouds.items():
+        colour, mark = _LOOKS.get(name, (BLUE, "o"))
+        some = np.arange(len(cloud.x))
+        if len(some) > _POINTS:
+            some = rng.choice(len(cloud.x), _POINTS, replace=False)
+        ax.scatter(cloud.x[some], cloud.y[some], s=4, color=colour, alpha=0.12, linewidths=0, rasterized=True)
+        ax.errorbar(
+            cloud.centre,
+            cloud.mean,
+            1.645 * cloud.error,
+            color=colour,
+            marker=mark,
+            markersize=4,
+            linewidth=1.2,
+            elinewidth=1.0,
+            capsize=2,
+            label=f"{name}, mean and 90 % interval",
+        )
+        if len(cloud.mean):
+            reach = max(reach, float(np.abs(cloud.mean).max() + 1.645 * cloud.error.max()))
+        if len(cloud.y):
+            reach = max(reach, float(np.quantile(np.abs(cloud.y), 0.97)))
+            low, high = np.quantile(cloud.x, [0.005, 0.995])
+            left, right = min(left, float(low)), max(right, float(high))
+    if reach > 0:
+        ax.set_ylim(-1.1 * reach, 1.1 * reach)
+    if right > left:
+        ax.set_xlim(left, right)
+    ax.set_xlabel(label(view.variable, view.variable_unit))
+    ax.set_ylabel(f"left over of d {view.channel}/dt [{pretty(view.unit)}]")
+    if view.note:
+        ax.set_title(view.note)
+    few_ticks(ax, y=6)
+
+
+@styled
+def errors_before_after(
+    horizons: Sequence[float],
+    before: Mapping[str, Sequence[float | None]],
+    after: Mapping[str, Sequence[float | None]],
+    low: Mapping[str, Sequence[float | None]],
+    high: Mapping[str, Sequence[float | None]],
+    units: Mapping[str, str],
+    *,
+    title: str,
+) -> Figure:
+    """Errors on runs left out at each horizon, with the 90 % interval of the difference on the later one.
+
+    Args:
+        horizons: Horizons (h,) [s].
+        before, after: By quantity: errors (h,); None where a prediction did not stay finite.
+        low, high: By quantity: 90 % interval of after less before (h,).
+        units: Unit of each quantity.
+        title: What is shown.
+
+    Returns:
+        A figure with one panel per quantity.
+
+    Raises:
+        ShapeError: a curve does not have one value per horizon.
+    """
+    columns = min(len(units), 2)
+    rows = ceil(len(units) / columns)
+    figure, axes = panels(rows, columns, height=0.9 + 2.5 * rows, title=title)
+    for ax, (name, unit) in zip(axes.flat, units.items(), strict=False):
+        first, second, least, most = (
+            np.array([np.nan if v is None else v for v in curves[name]], dtype=float)
+            for curves in (before, after, low, high)
+        )
+        for curve in (first, second, least, most):
+            if curve.shape != (len(horizons),):
+                raise ShapeError(f"curves of {name!r} must be ({len(horizons)},); got {curve.shape}.")
+        ax.plot(horizons, first, color=BEFORE, marker="o", markersize=4.5, label="before")
+        # the interval of the difference, standing on the error before
+        down = np.clip(second - (first + least), 0.0, None)
+        up = np.clip(first + most - second, 0.0, None)
+        ax.errorbar(
+            horizons,
+            second,
+            np.nan_to_num(np.stack((down, up))),
+            color=AFTER,
+            marker="s",
+            markersize=4.5,
+            capsize=3,
+            elinewidth=1.1,
+            label="after, with the 90 % interval of the difference",
+        )
+        both = np.concatenate((first, second))
+        both = both[np.isfinite(both)]
+        if len(both) and both.min() > 0:
+            ax.set_ylim(0.6 * both.min(), 1.6 * both.max())
+            plain_logarithm(ax)
+        seconds_axis(ax, horizons)
+        ax.set_ylabel(f"{name} error [{pretty(unit)}]")
+    for ax in list(axes.flat)[len(units) :]:
+        ax.set_axis_off()
+    key(figure, axes.flat[0])
+    return figure
+
+
+@styled
+def residual_spectra(spectra: Sequence[Spectrum], *, title: str) -> Figure:
+    """Amplitude densities of residual rates against the floor of white noise.
+
+    Args:
+        spectra: One per channel.
+        title: What is shown.
+
+    Returns:
+        A figure of one panel per channel, two in a row.
+
+    Raises:
+        ShapeError: there is no panel.
+    """
+    if not spectra:
+        raise ShapeError("`spectra` must hold at least one channel; got none.")
+    columns = min(len(spectra), 2)
+    rows = ceil(len(spectra) / columns)
+    figure, axes = panels(rows, columns, height=0.9 + 2.8 * rows, title=title)
+    for ax, s in zip(axes.flat, spectra, strict=False):
+        for name, curve in s.curves.items():
+            look = {"color": GREY, "linestyle": "--"} if name == "floor" else {"color": _LOOKS[name][0]}
+            ax.plot(s.frequency, curve, label=name, **look)
+        ax.set_xscale("log")
+        plain_logarithm(ax)
+        _plain_frequencies(ax)
+        ax.set_xlabel("frequency [Hz]")
+        ax.set_ylabel(f"left over of d {s.channel}/dt\n[{pretty(s.unit)}/√Hz]")
+    for ax in list(axes.flat)[len(spectra) :]:
+        ax.set_axis_off()
+    key(figure, axes.flat[0])
+    return figure
+
+
+def _plain_frequencies(ax: Axes) -> None:
+    from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
+
+    ax.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+    ax.xaxis.set_major_formatter(FuncFormatter(lambda v, _: f"{v:g}"))
+    ax.xaxis.set_minor_formatter(NullFormatter())

@@ -60,8 +60,8 @@ def not_shown(rounds: Sequence[Round], *, found: Sequence[str], alpha: float) ->
         key = label.partition(".")[2].partition("[")[0]
         spec = cls.PARAMETERS[key]
         usual = cls().scale_of(key)
-        far = abs(cls.null.get(key, 0.0)) > _NEVER * usual  # a level that is never reached: no size
-        if isfinite(error) and (far or _NOTICED * error <= _TYPICAL * usual):
+        level = abs(cls.null.get(key, 0.0)) > _NEVER * usual  # does nothing when it is large: no size
+        if level or _NOTICED * error <= _TYPICAL * usual:
             continue
         size = _NOTICED * error if isfinite(error) and _NOTICED * error < _NEVER * usual else None
         out.append(NotShown(name, label, size, usual, spec.unit, cls.separate))

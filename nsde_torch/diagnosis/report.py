@@ -32,7 +32,8 @@ h1 { font-size: 1.3rem; margin: 0 0 .6rem } h2 { font-size: 1.1rem; margin: 2rem
 .finding { border: 1px solid #ddd; border-radius: .4rem; padding: .7rem 1rem; margin: .8rem 0 }
 .finding h3 { font-size: 1rem; margin: 0 } .finding p { margin: .3rem 0 }
 .lead { background: #fdf0d5; border-radius: .3rem; padding: 0 .4rem; font-weight: normal; font-size: .85rem }
-figure { margin: 1rem 0 } figure img { width: 100%; height: auto } figcaption, .small { color: #555; font-size: .88rem }
+figure { margin: 1rem 0; overflow-x: auto } figure img { width: 100%; min-width: 38rem; height: auto }
+figcaption, .small { color: #555; font-size: .88rem }
 .wide { overflow-x: auto } table { border-collapse: collapse; font-size: .9rem; font-variant-numeric: tabular-nums }
 th, td { padding: .2rem .7rem .2rem 0; text-align: right; white-space: nowrap; border-bottom: 1px solid #e5e5e5 }
 th:first-child, td:first-child { text-align: left } th { font-weight: 600; color: #555 }
@@ -185,12 +186,16 @@ def _errors(errors: Mapping[str, Any]) -> str:
     horizons = [f"{h:g}" for h in errors["horizons_s"]]
     if not horizons:
         return "<p>No run is long enough to measure errors on.</p>"
-    rows = []
+    rows, same = [], errors["before"] == errors["after"]
     for name, before in errors["before"].items():
         after, ratio = errors["after"][name], errors["ratio"][name]
         cells = [f"{_value(before[h])} → {_value(after[h])} (×{_value(ratio[h], 2)})" for h in horizons]
+        if same:
+            cells = [_value(before[h]) for h in horizons]
         rows.append([f"{name} [{_unit(errors['units'][name])}]", *cells])
-    title = f"Errors on {errors['measured_on']}, before → after ({errors['starts']} starts)"
+    title = (
+        f"Errors on {errors['measured_on']}{'' if same else ', before → after'} ({errors['starts']} starts)"
+    )
     return _folded(title, _table(["rms error", *(f"{h} s" for h in horizons)], rows))
 
 

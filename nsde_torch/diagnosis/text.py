@@ -5,7 +5,7 @@ from typing import Any
 
 from nsde_torch.learning.report import number, table
 
-_RANKED = 6
+_RANKED, _SENTENCES = 6, 4
 
 
 def lines(content: Mapping[str, Any]) -> list[str]:
@@ -57,6 +57,10 @@ def lines(content: Mapping[str, Any]) -> list[str]:
             for d in structured[:5]
         ]
         out += ["", table(["the residual still depends: channel", "variable", "kind", "p", "share"], rows)]
+    if content["unexplained"]:
+        out += ["", *(d["sentence"] for d in content["unexplained"][:_SENTENCES])]
+    if content["formula"] is not None:
+        out += ["", f"a lead, unverified: {content['formula']['text']}"]
     if content["not_shown"]:
         out += ["", "these data cannot show (smallest size that would be noticed):"]
         out += [f"  {text}" for text in unseen(content["not_shown"])]

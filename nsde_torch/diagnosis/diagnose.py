@@ -75,7 +75,7 @@ class Diagnosis:
         options: Settings.
         seconds: Time that stages took.
         shapes: What the residual still depends on, in words.
-        formula: A sparse formula for it where no effect explains it: a lead, unverified.
+        formula: A sparse formula for it: a lead, unverified.
     """
 
     system: System
@@ -425,7 +425,7 @@ def diagnose(
         options,
         seconds,
         shapes=tuple(shape(regression, d) for d in left[:_SHAPES]),
-        formula=formula(regression, left, outcome.final.single) if outcome.verdict == "unexplained" else None,
+        formula=formula(regression, left, outcome.final.single),
     )
 
 

@@ -50,7 +50,7 @@ _CAPTIONS = {
     "intervals. A good model lies on zero.",
     "unexplained": "What is left after everything that was found: points are means over {width:.2g} s.",
     "errors": "Predictions from measured states with logged inputs, on {where}. Bars: 90 % interval of the difference.",
-    "spectrum": "Above the dashed floor something other than white noise of sensors and pushes is left.",
+    "spectrum": "Above the dashed floor more is left than white noise: gusts that last, or physics.",
 }
 
 

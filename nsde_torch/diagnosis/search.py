@@ -36,8 +36,8 @@ Array = NDArray[np.float64]
 _ITERATIONS = 20
 _REFINE = 8  # iterations of a candidate
 _WORTH = 6.0  # twice the log likelihood below which a candidate is not iterated
-_CLOSE = 0.4  # of the best gain of a screening, above which a candidate is iterated
-_FEWEST, _MOST = 3, 6  # candidates that are iterated
+_CLOSE = 0.3  # of the best gain, above which a candidate is iterated
+_FEWEST, _MOST = 3, 9  # candidates that are iterated: those that help at least, all at most
 _REFINED, _PROMISING = 2, 0.5  # candidates, and share of the best gain, that get noise laws of their own
 _SURELY = 1e-3  # chance below which what contains a simpler effect is preferred to it
 _NATS, _SURE = 3.0, 2.0  # evidence, and standard errors of it, within which two candidates are alike
@@ -282,20 +282,21 @@ class Search:
                     if name not in out.screened or gain > out.screened[name]:
                         out.screened[name], where[name], best[name] = gain, (system, held), start
                         out.errors[name] = errors
-        order = sorted(where, key=lambda n: -out.screened[n])
-        most = out.screened[order[0]] if order else 0.0
-        kept = [
-            n
-            for i, n in enumerate(order[:_MOST])
-            if out.screened[n] > _WORTH and (i < _FEWEST or out.screened[n] > _CLOSE * most)
-        ]
-        for i, name in enumerate(kept):
-            self.say("fitting effects", i, len(kept))
+        order = [n for n in sorted(where, key=lambda n: -out.screened[n]) if out.screened[n] > _WORTH]
+        helped = 0
+        for i, name in enumerate(order):
+            best_yet = max((2.0 * t.gain for t in out.trials), default=0.0)
+            if i == _MOST or (helped >= _FEWEST and out.screened[name] < _CLOSE * best_yet):
+                break  # a first step says roughly what a candidate is worth
+            self.say("fitting effects", i, min(len(order), _MOST))
             system, held = where[name]
             try:
-                out.trials.append(self.trial(base, system, name, among=among, held=held))
+                trial = self.trial(base, system, name, among=among, held=held)
             except (NsdeError, np.linalg.LinAlgError) as error:
                 out.failed[name] = str(error)
+                continue
+            out.trials.append(trial)
+            helped += trial.gain > 0
         out.trials.sort(key=lambda t: -t.rank_score)
         best_gain = out.trials[0].gain if out.trials else 0.0
         for i, trial in enumerate(out.trials):

@@ -70,9 +70,10 @@ def lines(content: Mapping[str, Any]) -> list[str]:
 def unseen(entries: Sequence[Mapping[str, Any]]) -> list[str]:
     """One line for each effect that the data cannot show, with the smallest size that they would."""
     by_effect: dict[str, list[str]] = {}
-    for n in entries:
-        own = n["parameter"].partition(".")[2]
-        size = "at any size" if n["smallest"] is None else f"below {number(n['smallest'])} {n['unit']}"
+    order = {effect: i for i, effect in enumerate(dict.fromkeys(n["effect"] for n in entries))}
+    for n in sorted(entries, key=lambda n: (order[n["effect"]], n["parameter"])):
+        own, unit = n["parameter"].partition(".")[2], "" if n["unit"] == "1" else f" {n['unit']}"
+        size = "at any size" if n["smallest"] is None else f"below {number(n['smallest'])}{unit}"
         by_effect.setdefault(n["effect"], []).append(f"{own} {size}")
     return [f"{effect}: {', '.join(parts)}" for effect, parts in by_effect.items()]
 

@@ -1,0 +1,114 @@
+"""A diagnosis names the effect that a plant has and the model was not told of, and nothing where nothing is missing."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+from nsde_torch.diagnosis.diagnose import Options
+from nsde_torch.plants import Recording
+from tests.helpers.diagnosed import diagnosed
+
+ALONE: list[tuple[str, str, dict[str, Any]]] = [
+    ("mass_spring_damper", "coulomb_friction", {"size": 0.3}),
+    ("mass_spring_damper", "asymmetric_friction", {"size_forward": 0.5, "size_backward": 0.1}),
+    ("mass_spring_damper", "stribeck_friction", {"size": 0.2, "extra": 0.3}),
+    ("mass_spring_damper", "quadratic_damping", {"damping": 0.6}),
+    ("mass_spring_damper", "cubic_stiffness", {"stiffness": 4.0}),
+    ("mass_spring_damper", "constant_force", {"acceleration": 0.2}),
+    ("mass_spring_damper", "input_delay", {"delay": 0.05}),
+    ("mass_spring_damper", "actuator_lag", {"time_constant": 0.08}),
+    ("mass_spring_damper", "actuator_deadband", {"width": 0.3}),
+    ("mass_spring_damper", "actuator_saturation", {"level": 0.6}),
+    ("mass_spring_damper", "actuator_gain_drift", {"rate": 0.05}),
+    ("cartpole", "cart_coulomb_friction", {"size": 0.4}),
+    ("cartpole", "cart_viscous_friction", {"damping": 0.3}),
+    ("cartpole", "pole_viscous_friction", {"damping": 0.3}),
+    ("cartpole", "pole_coulomb_friction", {"size": 0.5}),
+    ("cartpole", "track_tilt", {"slope": 0.03}),
+]
+
+
+@pytest.mark.parametrize(("system", "name", "values"), ALONE, ids=[name for _, name, _ in ALONE])
+def test_an_effect_alone_is_named_first_and_its_size_lies_near_the_interval(
+    system: str, name: str, values: dict[str, float]
+) -> None:
+    _, content = diagnosed(system, {name: values})
+    assert content["verdict"] == "effect_found"
+    assert content["added"][0] == name
+    assert content["ranking"][0]["chosen"]
+    key, value = next(iter(values.items()))
+    parameter = content["parameters"][f"{name}.{key}"]
+    low, high = parameter["interval_90"]
+    assert abs(parameter["value"] - value) < 2 * (high - low) + 0.02 * abs(value)
+    assert content["findings"][0]["p"] < 0.01
+
+
+@pytest.mark.parametrize(
+    ("system", "seed"), [("mass_spring_damper", 1), ("mass_spring_damper", 2), ("cartpole", 3)]
+)
+def test_nothing_is_found_where_nothing_is_missing(system: str, seed: int) -> None:
+    _, content = diagnosed(system, seed=seed)
+    assert content["verdict"] == "no_effect"
+    assert content["added"] == []
+    assert content["parameters"] == {}
+    assert content["errors"]["before"] == content["errors"]["after"]
+    assert content["formula"] is None
+
+
+def test_two_effects_at_once_are_both_found() -> None:
+    _, content = diagnosed(
+        "mass_spring_damper", {"coulomb_friction": {"size": 0.3}}, {"input_delay": {"delay": 0.05}}
+    )
+    assert set(content["added"]) == {"coulomb_friction", "input_delay"}
+    assert content["parameters"]["coulomb_friction.size"]["value"] == pytest.approx(0.3, rel=0.1)
+    assert content["parameters"]["input_delay.delay"]["value"] == pytest.approx(0.05, abs=0.01)
+    later = [r for r in content["ranking"] if r["round"] == 1]
+    assert any(r["chosen"] for r in later)
+
+
+def test_effects_that_the_data_cannot_tell_apart_are_a_tie_with_an_experiment() -> None:
+    _, content = diagnosed("mass_spring_damper", {"constant_force": {"acceleration": 0.2}})
+    (tie,) = content["ties"]
+    assert tie["effects"] == ["constant_force", "sensor_bias"]
+    assert tie["experiment"]
+    # too little time to see how an input is late
+    _, content = diagnosed(
+        "mass_spring_damper", {"input_delay": {"delay": 0.03}}, durations=(4.0,) * 3, sensor_noise=3.0
+    )
+    assert content["added"] in (["input_delay"], ["actuator_lag"])
+    (tie,) = content["ties"]
+    assert {"input_delay", "actuator_lag"} <= set(tie["effects"])
+    assert tie["effects"][0] == content["added"][0]
+    assert tie["experiment"]
+
+
+def test_rows_that_are_missing_do_not_hide_an_effect() -> None:
+    _, content = diagnosed(
+        "mass_spring_damper", {"coulomb_friction": {"size": 0.3}}, recording=Recording(dropout=0.1)
+    )
+    assert content["added"] == ["coulomb_friction"]
+    assert any("gaps in time" in line for line in content["data"]["done"])
+
+
+def test_one_run_alone_is_diagnosed_and_its_last_part_is_what_errors_are_measured_on() -> None:
+    _, content = diagnosed("mass_spring_damper", {"coulomb_friction": {"size": 0.3}}, durations=(20.0,))
+    assert content["added"] == ["coulomb_friction"]
+    assert content["errors"]["measured_on"] == "the last part of the only run"
+    assert content["errors"]["ratio"]["velocity"]["0.5"] < 0.9
+
+
+def test_only_the_candidates_that_are_named_are_tried() -> None:
+    options = Options(candidates=("quadratic_damping", "cubic_stiffness"))
+    _, content = diagnosed("mass_spring_damper", {"coulomb_friction": {"size": 0.3}}, options=options)
+    assert {r["effect"] for r in content["ranking"]} <= {"quadratic_damping", "cubic_stiffness"}
+
+
+def test_runs_without_an_input_cannot_show_what_the_input_does() -> None:
+    _, content = diagnosed("mass_spring_damper", {"input_delay": {"delay": 0.05}}, plant={"force": "zero"})
+    assert content["verdict"] == "no_effect"
+    unseen = {n["effect"]: n for n in content["not_shown"]}
+    assert {"input_delay", "actuator_lag", "actuator_deadband", "actuator_gain_drift"} <= set(unseen)
+    assert unseen["input_delay"]["smallest"] is None
+    assert unseen["input_delay"]["experiment"]

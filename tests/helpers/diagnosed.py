@@ -1,0 +1,51 @@
+"""Diagnoses of simulated data sets that take a few seconds each."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from nsde_torch.data import DataSet
+from nsde_torch.data.checks import assemble
+from nsde_torch.diagnosis.diagnose import Diagnosis, Options, diagnose
+from nsde_torch.models.identified import SysidSpec
+from nsde_torch.plants import Recording, simulate
+from nsde_torch.systems import make_system
+
+SHORT: Mapping[str, tuple[float, ...]] = {
+    "mass_spring_damper": (6.0,) * 4,
+    "cartpole": (4.0,) * 8,
+}
+
+
+def recorded(
+    system: str,
+    *effects: Any,
+    seed: int = 1,
+    durations: Sequence[float] | None = None,
+    recording: Recording | None = None,
+    plant: Mapping[str, Any] | None = None,
+    sensor_noise: float = 1.0,
+) -> DataSet:
+    """Runs of a plant with these effects, as `nsde simulate` and `data=csv` would bring them."""
+    made = simulate(
+        system,
+        effects=list(effects),
+        durations=durations or SHORT[system],
+        seed=seed,
+        sensor_noise=sensor_noise,
+        recording=recording,
+        options=plant,
+    )
+    return assemble(list(made.runs), make_system(system), kind="simulated")
+
+
+def diagnosed(
+    system: str, *effects: Any, options: Options | None = None, **making: Any
+) -> tuple[Diagnosis, dict[str, Any]]:
+    """A diagnosis of such runs, and the content of `diagnosis.json`."""
+    data = recorded(system, *effects, **making)
+    declared = make_system(system)
+    spec = SysidSpec(system, dt=data.dt, horizon=declared.defaults.horizon)
+    found = diagnose(declared, spec, data, data.runs, options or Options())
+    return found, found.content()

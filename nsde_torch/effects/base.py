@@ -173,8 +173,8 @@ class Effect(Parametrised, ABC):
         shapes: First values to try for parameters that it is not linear in; a vector parameter takes one number for
             all axes or a tuple.
         relative: Parameters whose `shapes` are multiples of a size of the data: `input`, `speed`, `rate` or
-            `position` (95 % quantile of the absolute value that the effect sees), or `spectrum` (frequencies are
-            taken from the data, `shapes` has none).
+            `position` (95 % quantile of the absolute value that the effect sees), `step` (time between samples), or
+            `spectrum` (frequencies are taken from the data, `shapes` has none).
         resolved: Times of a memory -> the least multiple of a step at which explicit steps follow it.
         includes: Simpler effects that it contains as special cases; it stands in for them, not beside them.
         sentence: What it means, for who runs the machine; {parameter} stands for a value with its unit.

@@ -30,7 +30,9 @@ class InputDelay(Effect):
     source = "Pade approximant [1/2] of exp; Golub, Van Loan, Matrix Computations, section 9.3"
     PARAMETERS = {"delay": Parameter(0.02, "s", low=0.001, scale=0.02, help="time from log to effect")}
     null = {"delay": 0.0}
-    shapes = {"delay": (0.02, 0.06, 0.15)}
+    # a delay by another whole number of steps is another input: what is tried must lie within a step of the truth
+    shapes = {"delay": (0.5, 1.5, 2.5, 3.5, 4.5, 6.0, 8.0, 11.0, 15.0, 20.0)}
+    relative = {"delay": "step"}
     sentence = "The inputs act {delay} after the log says so."
     separate = "give steps of the input: a lag rounds their corner, a delay moves it"
 

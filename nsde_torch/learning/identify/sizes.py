@@ -11,10 +11,10 @@ _LEAST = 1e-6
 
 
 def data_sizes(system: System, steps: Steps) -> dict[str, float]:
-    """95 % quantiles of absolute values of the inputs and of the states that effects on forces and torques see."""
+    """95 % quantiles of absolute values of the inputs and of the states that effects see, and the step [s]."""
 
     def size(values: Tensor) -> float:
         return max(float(np.quantile(values.abs().numpy(), 0.95)), _LEAST) if values.numel() else 1.0
 
-    out = {"input": size(steps.u[:, : system.nu])}
+    out = {"input": size(steps.u[:, : system.nu]), "step": steps.dt}
     return out | {kind: size(steps.x0[:, k]) for kind, k in _COLUMNS.items() if k < system.nx}

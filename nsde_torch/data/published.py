@@ -120,8 +120,10 @@ def read_published(system: SystemInfo, *, path: str | Path, dt: float | None = N
         raise ConfigError(f"`dt` must be a positive step in seconds; got {dt!r}.")
     runs = []
     digits = len(str(len(pairs) - 1))
+    before = 0  # rows of the runs before: they were recorded one after another, and a battery remembers
     for k, (y, u) in enumerate(pairs):
-        t = step * np.arange(len(y), dtype=np.float64)
+        t = step * np.arange(before, before + len(y), dtype=np.float64)
+        before += len(y)
         name = f"{path.stem}_{k:0{digits}d}"
         if cartpole:
             y, u = _cartpole_state(y), CARTPOLE_FORCE * u

@@ -103,7 +103,7 @@ def loop(search: Search, system: System, *, max_effects: int) -> Outcome:
     while len(names) < max_effects:
         now = search.look(base)
         rounds.append(now)
-        now.chosen = next((t for t in now.trials if search.accept(t)), None)
+        now.chosen = _choice(search, now.trials)
         if now.chosen is None:
             break
         replaced = effect_class(now.chosen.name).includes
@@ -122,6 +122,18 @@ def loop(search: Search, system: System, *, max_effects: int) -> Outcome:
     if rest > _LEAD * explained:
         found = [Found(f.name, f.trial, f.ties, lead=True) for f in found]
     return Outcome(verdict, declared, base, found, rounds, before, after, left)
+
+
+def _choice(search: Search, trials: Sequence[Trial]) -> Trial | None:
+    """The likeliest candidate; of one that contains a simpler one that is there too, the simpler.
+
+    What contains it has to be better than it together with any other in the next round.
+    """
+    accepted = [t for t in trials if search.accept(t)]
+    if not accepted:
+        return None
+    simpler = [t for t in accepted if t.name in effect_class(accepted[0].name).includes]
+    return simpler[0] if simpler else accepted[0]
 
 
 def _settle(

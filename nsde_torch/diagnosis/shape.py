@@ -2,8 +2,10 @@
 
 - odd, even: from the test of structure.
 - local: more than 70 % of the squared bin means lie within 30 % of the range of the variable.
-- periodic: a sine in the variable brings at least twice the log likelihood that a cubic brings.
-- one run only: functions that are fitted to each run by itself bring 80 % of their log likelihood in one.
+- periodic: a sine in the variable brings at least twice the log likelihood that a cubic brings (a tenth more, if it is
+  a whole part of a turn of an angle).
+- one run only: functions that are fitted to each run by itself bring 80 % of their log likelihood in one, and what is
+  fitted there makes the others worse.
 """
 
 from dataclasses import dataclass
@@ -12,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nsde_torch.diagnosis.structure import Dependence, groups, variables
-from nsde_torch.diagnosis.views import bins, factors, is_plain, rates
+from nsde_torch.diagnosis.views import bins, factors, is_plain, rates, variable_units
 from nsde_torch.learning.identify.identify import Regression
 
 Array = NDArray[np.float64]
@@ -20,7 +22,8 @@ Array = NDArray[np.float64]
 _LOCAL_POWER, _LOCAL_RANGE = 0.7, 0.3
 _ONE_RUN, _RUNS = 0.8, 3
 _PERIODS = 1.5, 40.0, 120  # fewest and most in the range, and how many are tried
-_SINE, _SINE_LEAST = 2.0, 30.0
+_SINE, _SINE_ANGLE, _SINE_LEAST = 2.0, 1.1, 30.0
+_WHOLE = 0.1
 
 
 @dataclass(frozen=True)
@@ -65,6 +68,10 @@ def shape(regression: Regression, dependence: Dependence) -> Shape:
     extent, where, period = "", None, None
     if is_plain(name):
         extent, where = _extent(seen.values[name], seen.residual[:, channel], seen.block)
+        if (
+            symmetry(dependence) == "odd"
+        ):  # what grows to both sides may have been seen far out on one of them only
+            extent, where = "global" if extent else "", None
         period = period_of(regression, channel, name)
     else:
         name = product_of(regression, channel, name)
@@ -160,7 +167,14 @@ def period_of(regression: Regression, channel: int, variable: str) -> float | No
         this = gain(waves, white)
         if this > best:
             best, found = this, span / float(count)
-    return found if best > max(_SINE * cubic, _SINE_LEAST) else None
+    # an angle is expected to repeat every turn or part of one: of two turns a cubic makes much too
+    part = (
+        2.0 * np.pi / found
+        if found and variable_units(regression.vector.system).get(variable) == "rad"
+        else 0.5
+    )
+    factor = _SINE_ANGLE if round(part) > 0 and abs(part / round(part) - 1.0) < _WHOLE else _SINE
+    return found if best > max(factor * cubic, _SINE_LEAST) else None
 
 
 def product_of(regression: Regression, channel: int, variable: str) -> str:
@@ -199,4 +213,9 @@ def _only_run(regression: Regression, channel: int, variable: str) -> int | None
         rows = of_white == run
         gains.append(max(gain(z[rows], white[rows]) - z.shape[1], 0.0))
     most = int(np.argmax(gains))
-    return int(runs[most]) if gains[most] > _ONE_RUN * sum(gains) > 0 else None
+    if not gains[most] > _ONE_RUN * sum(gains) > 0:
+        return None
+    # what is only strongest in one run holds in the others too
+    rows = of_white == runs[most]
+    foretold = z[~rows] @ np.linalg.lstsq(z[rows], white[rows], rcond=1e-9)[0]
+    return int(runs[most]) if 2.0 * foretold @ white[~rows] < foretold @ foretold else None

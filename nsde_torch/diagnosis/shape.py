@@ -5,7 +5,7 @@
 - periodic: a sine in the variable brings at least twice the log likelihood that a cubic brings (a tenth more, if it is
   a whole part of a turn of an angle).
 - one run only: functions that are fitted to each run by itself bring 80 % of their log likelihood in one, and what is
-  fitted there makes the others worse.
+  fitted there is less than half as large in the others.
 """
 
 from dataclasses import dataclass
@@ -20,7 +20,7 @@ from nsde_torch.learning.identify.identify import Regression
 Array = NDArray[np.float64]
 
 _LOCAL_POWER, _LOCAL_RANGE = 0.7, 0.3
-_ONE_RUN, _RUNS = 0.8, 3
+_ONE_RUN, _RUNS, _HOLDS = 0.8, 3, 0.5
 _PERIODS = 1.5, 40.0, 120  # fewest and most in the range, and how many are tried
 _SINE, _SINE_ANGLE, _SINE_LEAST = 2.0, 1.1, 30.0
 _WHOLE = 0.1
@@ -215,7 +215,9 @@ def _only_run(regression: Regression, channel: int, variable: str) -> int | None
     most = int(np.argmax(gains))
     if not gains[most] > _ONE_RUN * sum(gains) > 0:
         return None
-    # what is only strongest in one run holds in the others too
+    # what is only strongest in one run holds in the others too, as far as they can tell
     rows = of_white == runs[most]
     foretold = z[~rows] @ np.linalg.lstsq(z[rows], white[rows], rcond=1e-9)[0]
-    return int(runs[most]) if 2.0 * foretold @ white[~rows] < foretold @ foretold else None
+    size = float(foretold @ foretold)
+    slope, error = float(foretold @ white[~rows]) / max(size, 1e-300), max(size, 1e-300) ** -0.5
+    return int(runs[most]) if slope + 2.0 * error < _HOLDS else None

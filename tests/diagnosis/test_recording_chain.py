@@ -1,0 +1,61 @@
+"""Faults of the recording chain are found by kinematics and spectra alone, and undone before physics is looked at."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from nsde_torch.data import Run
+from nsde_torch.diagnosis.diagnose import Options
+from nsde_torch.diagnosis.recording import restored
+from nsde_torch.plants import Recording
+from tests.helpers.diagnosed import diagnosed
+
+ALONE = Options(max_effects=0)  # the recording chain is looked at before any effect
+
+
+@pytest.mark.parametrize(
+    ("system", "name", "size"), [("mass_spring_damper", "q_dot", 0.1), ("cartpole", "x_dot", -0.1)]
+)
+def test_a_rate_that_reads_too_much_is_found_where_its_integral_is_logged(
+    system: str, name: str, size: float
+) -> None:
+    _, content = diagnosed(system, recording=Recording(sensor_bias={name: size}))
+    assert content["verdict"] == "effect_found"
+    assert content["added"] == ["sensor_bias"]
+    bias = content["parameters"][f"sensor_bias.{name}"]
+    assert bias["interval_90"][0] < size < bias["interval_90"][1]
+    assert bias["unit"] == "m/s"
+    assert content["findings"][0]["kind"] == "recording"
+
+
+def test_inputs_that_were_averaged_are_found_and_restored() -> None:
+    _, averaged = diagnosed(
+        "cartpole", options=ALONE, durations=(12.0,) * 4, recording=Recording(input_smoothing=0.2)
+    )
+    assert averaged["added"] == ["input_smoothing"]
+    assert averaged["parameters"]["input_smoothing.width"]["value"] == pytest.approx(0.2)
+    _, raw = diagnosed("cartpole", options=ALONE, durations=(12.0,) * 4)
+    assert raw["added"] == []
+
+
+def test_restored_inputs_are_nearer_to_those_that_acted_than_their_average() -> None:
+    rng = np.random.default_rng(0)
+    u = np.cumsum(rng.normal(size=(600, 2)), 0)  # a command that wanders
+    weights = np.ones(11) / 10
+    weights[[0, -1]] *= 0.5
+    average = np.stack([np.convolve(column, weights, "same") for column in u.T], 1)
+    run = Run("run", t=np.arange(600) * 0.02, x=np.zeros((600, 1)), u=average)
+    inner = slice(20, -20)
+    left = np.square(restored(run, 2, 0.2).u - u)[inner].mean()
+    assert left < 0.2 * np.square(average - u)[inner].mean()
+
+
+def test_a_clock_that_runs_wrong_is_found() -> None:
+    _, content = diagnosed(
+        "cartpole", options=ALONE, recording=Recording(clock_scale=1.08), durations=(4.0,) * 12
+    )
+    assert content["added"] == ["clock_scale"]
+    low, high = content["parameters"]["clock_scale.scale"]["interval_90"]
+    assert low < 1.08 < high
+    assert content["data"]["clock_scale"] == content["parameters"]["clock_scale.scale"]["value"]

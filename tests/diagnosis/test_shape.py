@@ -1,0 +1,121 @@
+"""Words for a dependence, on residuals that are made to have it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from nsde_torch.diagnosis.formula import formula
+from nsde_torch.diagnosis.search import Base, Search
+from nsde_torch.diagnosis.shape import Shape, shape, values_of
+from nsde_torch.diagnosis.structure import dependences
+from nsde_torch.diagnosis.views import bins, rates
+from nsde_torch.learning.identify.steps import steps_of
+from nsde_torch.systems import make_system
+from tests.helpers.diagnosed import recorded
+
+Array = NDArray[np.float64]
+Push = Callable[[Array, Array, Array], Array]
+
+
+def pushed(push: Push) -> Base:
+    """A spring whose residual rate is that of noise and a push (of q, time, number of the run) [m/s2]."""
+    system = make_system("mass_spring_damper")
+    data = recorded("mass_spring_damper", durations=(8.0,) * 4)
+    steps = steps_of(system, data.runs, clock=1.0, smooth=False, denoise=True, run_in=True)
+    base = Search(steps, box=1, alpha=0.01).base(system)
+    r = base.regression
+    run = np.concatenate([np.full(b - a, k) for (a, b), k in zip(r.series.edges, steps.runs, strict=True)])
+    force = push(values_of(r, "q"), values_of(r, "time"), run)
+    r.residual[:, r.rows[0]] += force * r.dt
+    r.noises = r.own_noises()
+    (noise,) = r.noises
+    r.white = noise.whiten(r.residual[:, r.rows], r.series).T
+    r.slopes = noise.whiten(r.jacobian[:, r.rows[0]], r.series)[None]
+    return base
+
+
+def described(push: Push, variable: str) -> Shape:
+    base = pushed(push)
+    tests = dependences(base.regression, base.single)
+    return shape(base.regression, next(d for d in tests if d.variable == variable))
+
+
+def test_an_odd_dependence_over_the_whole_range_is_called_so() -> None:
+    words = described(lambda q, t, run: -3.0 * q**3, "q")
+    assert (words.channel, words.symmetry, words.extent) == ("q_dot", "odd", "global")
+    assert words.period is None
+    assert words.only_run is None
+    assert "odd" in words.sentence
+
+
+def test_an_even_dependence_is_called_so() -> None:
+    assert described(lambda q, t, run: 2.0 * (q**2 - 0.02), "q").symmetry == "even"
+
+
+def test_a_bump_in_one_place_is_local_and_its_place_is_told() -> None:
+    words = described(lambda q, t, run: 0.6 * np.exp(-(((q - 0.2) / 0.03) ** 2)), "q")
+    assert words.extent == "local"
+    assert words.where is not None
+    assert words.where[0] < 0.2 < words.where[1]
+
+
+def test_teeth_along_the_way_are_periodic() -> None:
+    words = described(lambda q, t, run: 0.4 * np.sin(2 * np.pi * q / 0.17), "q")
+    assert words.period == pytest.approx(0.17, rel=0.05)
+    assert "periodically" in words.sentence
+
+
+def test_what_happens_in_one_run_only_is_said() -> None:
+    words = described(lambda q, t, run: np.where(run == 2, -1.5 * q, 0.0), "q")
+    assert words.only_run == 2
+    assert "one run only" in words.sentence
+
+
+def test_a_push_at_one_time_is_local_in_time_and_has_no_symmetry() -> None:
+    words = described(lambda q, t, run: 0.5 * np.exp(-(((t - t.min() - 4.0) / 0.4) ** 2)), "time")
+    assert words.extent == "local"
+    assert words.symmetry == ""
+
+
+def test_a_formula_has_the_terms_and_coefficients_that_were_put_in() -> None:
+    base = pushed(lambda q, t, run: -2.0 * np.abs(q) * q)
+    left = [d for d in dependences(base.regression, base.single) if d.variable == "q"]
+    found = formula(base.regression, left, base.single)
+    assert found is not None
+    assert [t.function for t in found.terms] == ["|q| q"]
+    (term,) = found.terms
+    assert abs(term.coefficient + 2.0) < 4 * term.error + 0.05
+    assert found.text.startswith("d q_dot / dt lacks - ")
+    assert 0 < found.share < 1
+
+
+def test_noise_has_no_formula() -> None:
+    base = pushed(lambda q, t, run: 0.0 * q)
+    assert formula(base.regression, dependences(base.regression, base.single)[:2], base.single) is None
+    assert formula(base.regression, [], base.single) is None
+
+
+def test_bins_give_means_and_errors_that_hold_noise_which_lasts() -> None:
+    rng = np.random.default_rng(0)
+    off = []
+    for _ in range(60):
+        block = np.repeat(np.arange(200), 20)
+        value = rng.uniform(-1, 1, 4000)
+        residual = np.repeat(rng.normal(size=200), 20) + value
+        b = bins(value, residual, block)
+        off.append((b.mean - b.centre) / b.error)
+    inside = np.abs(np.concatenate(off)) < 1.645
+    assert inside.mean() == pytest.approx(0.92, abs=0.04)
+
+
+def test_mean_rates_are_those_of_the_push() -> None:
+    seen = rates(pushed(lambda q, t, run: 4.0 * q).regression)
+    own = seen.residual[:, seen.names.index("q_dot")]
+    slope = np.polyfit(seen.values["q"], own, 1)[0]
+    assert slope == pytest.approx(4.0, rel=0.1)
+    assert seen.units[seen.names.index("q_dot")] == "m/s2"
+    assert len(seen.run) == len(seen.block) == len(own)

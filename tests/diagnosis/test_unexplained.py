@@ -1,0 +1,72 @@
+"""What no effect of the catalogue explains is called unexplained, or a lead, with its shape and a formula."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from nsde_torch.diagnosis.formula import chosen, forward
+from tests.helpers.diagnosed import diagnosed
+
+FOLDER = Path(__file__).parents[2] / "benchmarks" / "blind"
+needs_outside = pytest.mark.skipif(not FOLDER.is_dir(), reason="the benchmarks are not part of a wheel")
+
+
+@pytest.fixture
+def _outside(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.syspath_prepend(FOLDER)
+
+
+def one_term(content: dict[str, Any]) -> tuple[str, float, float]:
+    formula = content["formula"]
+    assert formula["verified"] is False
+    (term,) = formula["terms"]
+    return term["function"], term["coefficient"], term["standard_error"]
+
+
+@needs_outside
+@pytest.mark.usefixtures("_outside")
+def test_a_magnet_on_the_pole_is_unexplained_and_called_periodic_with_its_formula() -> None:
+    _, content = diagnosed("cartpole", {"outside:PoleMagnet": {"size": 1.5}}, durations=(4.0,) * 16)
+    assert content["verdict"] == "unexplained"
+    assert "no effect of the catalogue" in content["summary"]
+    first = next(s for s in content["unexplained"] if s["variable"] == "theta")
+    assert first["channel"] == "theta_dot"
+    assert first["period"] == pytest.approx(np.pi, rel=0.1)
+    assert "periodically" in first["sentence"]
+    function, coefficient, error = one_term(content)
+    assert content["formula"]["channel"] == "theta_dot"
+    assert function in ("sin(2 theta)", "sin_theta cos_theta")
+    # the fitted pole takes a part of it
+    assert coefficient == pytest.approx(-1.5 if function == "sin(2 theta)" else -3.0, rel=0.1)
+    assert 0 < error < 0.15
+
+
+@needs_outside
+@pytest.mark.usefixtures("_outside")
+def test_a_spring_that_hardens_faster_than_the_catalogue_knows_leaves_a_lead_and_its_power() -> None:
+    _, content = diagnosed(
+        "mass_spring_damper", {"outside:QuinticStiffness": {"size": 8.0}}, durations=(10.0,) * 6
+    )
+    assert content["verdict"] == "unexplained" or all(f["lead"] for f in content["findings"])
+    assert content["added"] in ([], ["cubic_stiffness"])
+    first = content["unexplained"][0]
+    assert (first["channel"], first["variable"], first["symmetry"]) == ("q_dot", "q", "odd")
+    function, coefficient, _ = one_term(content)
+    assert function == "q^5"
+    assert coefficient == pytest.approx(-8.0, rel=0.15)
+
+
+def test_forward_orthogonal_least_squares_finds_the_columns_of_a_sum() -> None:
+    rng = np.random.default_rng(0)
+    x = rng.normal(size=(500, 12))
+    x[:, 5] = 0.9 * x[:, 2] + 0.1 * x[:, 5]  # nearly a copy
+    unit = x / np.linalg.norm(x, axis=0)
+    y = 30.0 * unit[:, 2] - 20.0 * unit[:, 7] + 0.1 * rng.normal(size=500)
+    assert set(forward(unit, y, 2)) == {2, 7}
+    order, by = chosen(x, y)
+    assert set(order[:2]) == {2, 7}
+    assert by in ("pysindy FROLS", "forward orthogonal least squares")

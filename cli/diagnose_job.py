@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from nsde_torch.systems import System
 
 RESULT, EFFECTS, REPORT, MODEL = "diagnosis.json", "effects.yaml", "report.html", "model"
+PLOTS = "plots"
 
 
 def task(config: DictConfig) -> float | None:
@@ -78,7 +79,7 @@ def run(config: DictConfig, job: Job) -> None:
         content["model"] = _train(config, job, found)
         _write(job, content)
     write_report(job.run_dir / REPORT, found, content)
-    wrote = [RESULT, REPORT, EFFECTS, *([f"{MODEL}/"] if "model" in content else [])]
+    wrote = [RESULT, REPORT, f"{PLOTS}/", EFFECTS, *([f"{MODEL}/"] if "model" in content else [])]
     print(f"\ntook {time.perf_counter() - started:.0f} s; wrote {job.run_dir}: {', '.join(wrote)}")
 
 

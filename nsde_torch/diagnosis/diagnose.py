@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from nsde_torch.data import DataSet, Run
+from nsde_torch.diagnosis.candidates import candidate_names
 from nsde_torch.diagnosis.channels import ChannelResidual, channel_residuals
 from nsde_torch.diagnosis.formula import Formula, formula
 from nsde_torch.diagnosis.held_out import HeldOut, held_out
@@ -358,7 +359,7 @@ def diagnose(
 
     Raises:
         DataError: too few rows, or nothing moves.
-        ConfigError: an option is out of range.
+        ConfigError: an option is out of range, or a candidate that the system cannot have.
     """
     import time
 
@@ -371,6 +372,13 @@ def diagnose(
     looked = coarser(extended, recorded.clock)
     if not extended:
         raise DataError("no run to diagnose.")
+    able = candidate_names(system, channels=channels)
+    for name in options.candidates or ():
+        if name not in able:
+            raise ConfigError(
+                f"`candidates` names {name!r}, which {system.name!r} cannot have beyond its declared physics and the "
+                f"logged channels; it could have: {', '.join(able)}."
+            )
 
     def search_of(some: Sequence[Run]) -> Search:
         box = max(1, int(_BOX_S / (some[0].dt * recorded.clock) + 1e-6))

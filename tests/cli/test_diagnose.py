@@ -1,0 +1,170 @@
+"""`nsde diagnose` from the command line to files, and what `nsde train` makes of them."""
+
+from __future__ import annotations
+
+import csv
+import json
+from collections.abc import Iterator
+from math import degrees
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+import yaml
+from omegaconf import OmegaConf
+
+from nsde_torch.cli import effects_file
+from nsde_torch.cli.main import main
+from nsde_torch.errors import ConfigError
+from nsde_torch.plants import simulate
+from nsde_torch.plants.simulation import write
+
+SYSTEM = "system=mass_spring_damper"
+
+
+@pytest.fixture(autouse=True)
+def _elsewhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    monkeypatch.chdir(tmp_path)
+    before = torch.get_num_threads()
+    yield
+    torch.set_num_threads(before)
+
+
+@pytest.fixture(scope="module")
+def runs(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Runs of a spring with dry friction, as CSV files."""
+    folder = tmp_path_factory.mktemp("data") / "spring"
+    made = simulate(
+        "mass_spring_damper",
+        effects=[{"coulomb_friction": {"size": 0.3}}],
+        durations=(6.0,) * 4,
+        seed=1,
+    )
+    write(made, folder)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def diagnosed(runs: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, Any]]:
+    """The folder of a diagnosis, and its result."""
+    out = tmp_path_factory.mktemp("out") / "diagnosis"
+    words = [SYSTEM, "data=csv", f"data.path={runs}", "retrain=false", f"out_dir={out}"]
+    assert main(["diagnose", *words]) == 0
+    return out, json.loads((out / "diagnosis.json").read_text())
+
+
+def test_one_command_finds_the_effect_and_writes_what_it_says(diagnosed: tuple[Path, dict[str, Any]]) -> None:
+    out, result = diagnosed
+    assert result["verdict"] == "effect_found"
+    assert result["added"] == ["coulomb_friction"]
+    assert {p.name for p in out.iterdir()} >= {"diagnosis.json", "report.html", "effects.yaml", "plots"}
+    assert {p.name for p in (out / "plots").iterdir()} == {"residual.png", "errors.png", "spectrum.png"}
+    assert "coulomb_friction" in (out / "report.html").read_text()
+    effects = yaml.safe_load((out / "effects.yaml").read_text())
+    assert effects["system"] == "mass_spring_damper"
+    size = result["parameters"]["coulomb_friction.size"]["value"]
+    assert effects["effects"]["coulomb_friction"]["size"] == pytest.approx(size, rel=0.01)
+
+
+def test_effects_yaml_gives_a_training_the_effects_and_their_values(
+    diagnosed: tuple[Path, dict[str, Any]],
+) -> None:
+    out, _ = diagnosed
+    config = OmegaConf.create(
+        {
+            "name": "mass_spring_damper",
+            "effects": [str(out / "effects.yaml"), "input_delay"],
+            "parameters": {},
+        }
+    )
+    effects_file.expand(config)
+    assert config.effects == ["coulomb_friction", "input_delay"]
+    assert config.parameters.coulomb_friction.size == pytest.approx(0.3, rel=0.1)
+    given = OmegaConf.create(
+        {
+            "name": "mass_spring_damper",
+            "effects": [str(out / "effects.yaml")],
+            "parameters": {"coulomb_friction": {"size": 0.7}},
+        }
+    )
+    effects_file.expand(given)
+    assert given.parameters.coulomb_friction.size == 0.7
+
+
+def test_a_training_takes_effects_yaml(diagnosed: tuple[Path, dict[str, Any]], runs: Path) -> None:
+    out, _ = diagnosed
+    words = ["model=sysid", SYSTEM, f"system.effects={out / 'effects.yaml'}", "data=csv", f"data.path={runs}"]
+    assert main(["train", *words, "run_dir=run"]) == 0
+    metrics = json.loads(Path("run/metrics.json").read_text())
+    assert metrics["parameters"]["coulomb_friction.size"]["value"] == pytest.approx([0.3], rel=0.1)
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        ("system: cartpole\neffects: {coulomb_friction: {size: 0.3}}", "cartpole"),
+        ("effects: [coulomb_friction]", "NAME"),
+        ("[", "YAML"),
+        (None, "no file"),
+    ],
+)
+def test_an_effects_file_that_cannot_be_used_says_why(content: str | None, message: str) -> None:
+    if content is not None:
+        Path("effects.yaml").write_text(content)
+    config = OmegaConf.create({"name": "mass_spring_damper", "effects": ["effects.yaml"], "parameters": {}})
+    with pytest.raises(ConfigError, match=message):
+        effects_file.expand(config)
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["alpha=0"], "`alpha`"),
+        (["alpha=0.9"], "`alpha`"),
+        (["max_effects=-1"], "`max_effects`"),
+        (["candidates=[coulomb_fiction]"], "coulomb_fiction"),
+        (["candidates=[linear_drag]"], "linear_drag"),
+        (["data.path=nowhere"], "nowhere"),
+        (["alhpa=0.01"], "alhpa"),
+    ],
+)
+def test_a_fault_of_the_user_is_named(
+    words: list[str], message: str, runs: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    common = [SYSTEM, "data=csv", f"data.path={runs}", "retrain=false", "out_dir=out"]
+    assert main(["diagnose", *common, *words]) == 2
+    assert message in capsys.readouterr().err
+    assert not Path("out/diagnosis.json").exists()
+
+
+def test_a_folder_that_holds_a_diagnosis_is_not_written_over(
+    diagnosed: tuple[Path, dict[str, Any]], runs: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out, _ = diagnosed
+    before = (out / "diagnosis.json").read_bytes()
+    words = [SYSTEM, "data=csv", f"data.path={runs}", "retrain=false", f"out_dir={out}"]
+    assert main(["diagnose", *words]) == 2
+    assert "name another folder" in capsys.readouterr().err
+    assert (out / "diagnosis.json").read_bytes() == before
+
+
+def test_degrees_where_radians_are_due_are_refused_with_the_remedy(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    made = simulate("cartpole", durations=(4.0,) * 3, seed=1)
+    for run in made.runs:
+        run.x[:, 2:] = [[degrees(v) for v in row] for row in run.x[:, 2:].tolist()]
+    write(made, "data")
+    words = ["system=cartpole", "data=csv", "data.path=data", "retrain=false", "out_dir=out"]
+    assert main(["diagnose", *words]) == 2
+    assert "pi / 180" in capsys.readouterr().err
+
+
+def test_only_runs_that_are_not_held_back_are_looked_at(runs: Path) -> None:
+    words = [SYSTEM, "data=csv", f"data.path={runs}", "retrain=false", "out_dir=out", "data.test=[3]"]
+    assert main(["diagnose", *words, "candidates=[quadratic_damping]"]) == 0
+    result = json.loads(Path("out/diagnosis.json").read_text())
+    assert result["data"]["runs"] == ["run_0", "run_1", "run_2"]
+    with next(iter(sorted(runs.glob("*.csv")))).open() as file:
+        assert next(csv.reader(file)) == ["t", "q", "q_dot", "force"]

@@ -1,0 +1,141 @@
+"""`report.html` is one self-contained page that says what was found, and what was not."""
+
+from __future__ import annotations
+
+import json
+import re
+from html.parser import HTMLParser
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from nsde_torch.diagnosis.diagnose import Diagnosis
+from nsde_torch.diagnosis.report import write_report
+from nsde_torch.diagnosis.text import lines
+from tests.helpers.diagnosed import diagnosed
+
+_VOID = {"meta", "br", "img"}
+
+
+class _Balanced(HTMLParser):
+    """Refuses tags that are not closed in order."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.open: list[str] = []
+        self.images = 0
+
+    def handle_starttag(self, tag: str, attrs: Any) -> None:
+        self.images += tag == "img"
+        if tag not in _VOID:
+            self.open.append(tag)
+
+    def handle_endtag(self, tag: str) -> None:
+        assert self.open.pop() == tag
+
+
+@pytest.fixture(scope="module")
+def found() -> tuple[Diagnosis, dict[str, Any]]:
+    return diagnosed("mass_spring_damper", {"constant_force": {"acceleration": 0.2}})
+
+
+@pytest.fixture(scope="module")
+def nothing() -> tuple[Diagnosis, dict[str, Any]]:
+    return diagnosed("mass_spring_damper")
+
+
+def written(folder: Path, case: tuple[Diagnosis, dict[str, Any]]) -> tuple[str, int]:
+    """The page, and the number of its pictures."""
+    diagnosis, content = case
+    write_report(folder / "report.html", diagnosis, json.loads(json.dumps(content, allow_nan=False)))
+    page = (folder / "report.html").read_text(encoding="utf-8")
+    parser = _Balanced()
+    parser.feed(page)
+    assert parser.open == []
+    return page, parser.images
+
+
+def test_the_page_loads_nothing_and_fits_a_phone(
+    tmp_path: Path, found: tuple[Diagnosis, dict[str, Any]]
+) -> None:
+    page, images = written(tmp_path, found)
+    assert images == 3
+    assert not re.search(r"(src|href)=\"(?!data:image/png;base64,)", page)
+    assert "http" not in page
+    assert "@import" not in page
+    assert 'name="viewport"' in page
+    assert len(page) < 1_000_000
+    assert {p.name for p in (tmp_path / "plots").iterdir()} == {"residual.png", "errors.png", "spectrum.png"}
+
+
+def test_the_page_names_the_effect_its_values_its_tie_and_the_experiment(
+    tmp_path: Path, found: tuple[Diagnosis, dict[str, Any]]
+) -> None:
+    page, _ = written(tmp_path, found)
+    _, content = found
+    text = re.sub(r"<[^>]+>", " ", re.sub(r"<style>.*?</style>", "", page))
+    for word in (
+        "Found what is missing",
+        "constant_force",
+        content["findings"][0]["sentence"],
+        "Tie.",
+        "sensor_bias",
+    ):
+        assert word in text
+    assert content["ties"][0]["experiment"] in text
+    assert "left before" in text
+    assert "All effects that were tried" in text
+    assert "What these data cannot show" in text
+
+
+def test_a_page_of_nothing_found_shows_the_residual_and_the_floor(
+    tmp_path: Path, nothing: tuple[Diagnosis, dict[str, Any]]
+) -> None:
+    page, images = written(tmp_path, nothing)
+    assert images == 2
+    assert "Nothing is missing" in page
+    assert "→" not in page
+
+
+def test_the_terminal_says_the_same(found: tuple[Diagnosis, dict[str, Any]]) -> None:
+    said = "\n".join(lines(found[1]))
+    assert said.startswith("verdict: effect_found")
+    for word in (
+        "constant_force.acceleration",
+        "90 % interval",
+        "cannot be told from sensor_bias",
+        "cannot show",
+    ):
+        assert word in said
+
+
+def test_the_content_holds_what_the_schema_promises(found: tuple[Diagnosis, dict[str, Any]]) -> None:
+    _, content = found
+    promised = {
+        *("schema", "verdict", "added", "summary", "findings", "ranking", "ties", "not_shown", "parameters"),
+        *(
+            "declared_parameters",
+            "residual",
+            "structure",
+            "unexplained",
+            "formula",
+            "errors",
+            "data",
+            "alpha",
+        ),
+        *("seed", "seconds"),
+    }
+    assert promised <= set(content)
+    errors = content["errors"]
+    assert {"before", "after", "ratio", "difference", "units", "horizons_s", "measured_on", "runs"} <= set(
+        errors
+    )
+    for quantity, row in errors["ratio"].items():
+        assert set(row) == {f"{h:g}" for h in errors["horizons_s"]}
+        for horizon, ratio in row.items():
+            before, after = errors["before"][quantity][horizon], errors["after"][quantity][horizon]
+            assert ratio == pytest.approx(after / before)
+    (row,) = content["residual"].values()
+    assert row["floor"] <= row["after"] < row["before"] <= row["measured"]
+    assert json.loads(json.dumps(content, allow_nan=False)) == json.loads(json.dumps(content))

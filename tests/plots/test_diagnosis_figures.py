@@ -1,0 +1,93 @@
+"""Figures of a diagnosis show what they are given."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from nsde_torch.errors import ShapeError
+from nsde_torch.plots import save
+from nsde_torch.plots.diagnosis import (
+    Cloud,
+    Panel,
+    Spectrum,
+    errors_before_after,
+    residual_spectra,
+    residual_views,
+)
+
+
+def cloud(offset: float) -> Cloud:
+    x = np.linspace(-1, 1, 5000)
+    return Cloud(x, x + offset, x[::500], x[::500] + offset, np.full(10, 0.1))
+
+
+def test_a_residual_is_drawn_before_and_after_with_intervals(tmp_path: Path) -> None:
+    view = Panel("v_x", "m/s2", "v_body_x", "m/s", {"before": cloud(0.5), "after": cloud(0.0)}, note="odd")
+    figure = residual_views([view, view, view], title="left over")
+    drawn = [ax for ax in figure.axes if ax.axison]
+    assert len(drawn) == 3
+    assert drawn[0].get_xlabel() == "v_body_x [m/s]"
+    assert "v_x" in drawn[0].get_ylabel()
+    assert "m/s²" in drawn[0].get_ylabel()
+    assert drawn[0].get_title() == "odd"
+    assert len(drawn[0].containers) == 2
+    # a page stays small: the scatter is thinned
+    assert all(
+        len(c.get_offsets()) <= 1500
+        for c in drawn[0].collections
+        if hasattr(c, "get_sizes") and len(c.get_sizes())
+    )
+    assert save(figure, tmp_path / "views.png").stat().st_size > 10_000
+
+
+def test_errors_stand_at_their_horizons_with_the_interval_of_the_difference() -> None:
+    figure = errors_before_after(
+        [0.1, 1.0],
+        {"position": [0.2, 0.4]},
+        {"position": [0.1, 0.1]},
+        {"position": [-0.12, -0.35]},
+        {"position": [-0.08, -0.25]},
+        {"position": "m"},
+        title="errors",
+    )
+    (ax,) = figure.axes
+    assert ax.lines[0].get_ydata().tolist() == [0.2, 0.4]
+    (bars,) = ax.containers
+    segments = [s[:, 1].tolist() for s in bars.lines[2][0].get_segments()]
+    assert segments == [pytest.approx([0.08, 0.12]), pytest.approx([0.05, 0.15])]
+
+
+def test_a_prediction_that_did_not_stay_finite_leaves_a_hole() -> None:
+    figure = errors_before_after(
+        [0.1, 1.0],
+        {"position": [0.2, None]},
+        {"position": [0.1, 0.1]},
+        {"position": [-0.12, None]},
+        {"position": [-0.08, None]},
+        {"position": "m"},
+        title="errors",
+    )
+    assert np.isnan(figure.axes[0].lines[0].get_ydata()).tolist() == [False, True]
+
+
+def test_spectra_are_drawn_with_a_dashed_floor() -> None:
+    f = np.linspace(0.5, 50, 100)
+    curves = {"before": 2 / f, "after": 1 / f, "floor": 0.01 * f}
+    figure = residual_spectra([Spectrum("w_x", "rad/s2", f, curves)], title="spectra")
+    (ax,) = figure.axes
+    assert [line.get_label() for line in ax.lines] == ["before", "after", "floor"]
+    assert ax.lines[2].get_linestyle() == "--"
+    assert ax.get_xscale() == ax.get_yscale() == "log"
+
+
+def test_nothing_to_draw_and_curves_of_other_lengths_are_refused() -> None:
+    with pytest.raises(ShapeError, match="panel"):
+        residual_views([], title="")
+    with pytest.raises(ShapeError, match="channel"):
+        residual_spectra([], title="")
+    one = {"position": [0.1]}
+    with pytest.raises(ShapeError, match="position"):
+        errors_before_after([0.1, 1.0], one, one, one, one, {"position": "m"}, title="")

@@ -186,7 +186,7 @@ class Diagnosis:
     def _ties(self) -> list[dict[str, Any]]:
         out = []
         for f in self.outcome.found:
-            twins = [t for t in TWINS.get(f.name, ()) if not (t == "sensor_bias" and self.system.nu == 0)]
+            twins = [t for t in TWINS.get(f.name, ()) if t != "sensor_bias" or self._springs()]
             if f.ties or twins:
                 out.append({"effects": [f.name, *f.ties, *twins], "experiment": self._class(f.name).separate})
         return out
@@ -233,6 +233,10 @@ class Diagnosis:
             }
             for n in not_shown(self.outcome.rounds, found=found, alpha=self.options.alpha)
         ]
+
+    def _springs(self) -> bool:
+        """Whether a bias of the position would show as a constant force."""
+        return "linear_spring" in self.system.effect_names
 
     def _parameters(self) -> dict[str, Any]:
         out: dict[str, Any] = {}

@@ -103,7 +103,7 @@ def loop(search: Search, system: System, *, max_effects: int) -> Outcome:
     while len(names) < max_effects:
         now = search.look(base)
         rounds.append(now)
-        now.chosen = _choice(search, now.trials)
+        now.chosen = _choice(search, now.trials, names)
         if now.chosen is None:
             break
         replaced = effect_class(now.chosen.name).includes
@@ -124,7 +124,7 @@ def loop(search: Search, system: System, *, max_effects: int) -> Outcome:
     return Outcome(verdict, declared, base, found, rounds, before, after, left)
 
 
-def _choice(search: Search, trials: Sequence[Trial]) -> Trial | None:
+def _choice(search: Search, trials: Sequence[Trial], added: Sequence[str]) -> Trial | None:
     """The likeliest candidate; of one that contains a simpler one that is there too, the simpler.
 
     What contains it has to be better than it together with any other in the next round.
@@ -132,8 +132,15 @@ def _choice(search: Search, trials: Sequence[Trial]) -> Trial | None:
     accepted = [t for t in trials if search.accept(t)]
     if not accepted:
         return None
-    simpler = [t for t in accepted if t.name in effect_class(accepted[0].name).includes]
-    return simpler[0] if simpler else accepted[0]
+    best = accepted[0]
+    simpler = [t for t in accepted if t.name in effect_class(best.name).includes]
+    if simpler:
+        return simpler[0]
+    # one effect in the place of another explains with fewer than two beside each other
+    wider = [
+        t for t in accepted if set(effect_class(t.name).includes) & set(added) and not surely_above(best, t)
+    ]
+    return wider[0] if wider else best
 
 
 def _settle(

@@ -328,6 +328,10 @@ def summary(found: Diagnosis) -> str:
         return "Nothing is missing: what the declared physics leaves is noise."
     left = found.outcome.structured
     rest = f"{left[0].channel} on {left[0].variable}" if left else ""
+    if found.shapes:
+        # of those that say the same about equally surely, the one with the most to say
+        best = max(found.shapes[:2], key=lambda s: (s.channel == left[0].channel, bool(s.note)))
+        rest = ", ".join(part for part in (f"{best.channel} on {best.variable}", best.note) if part)
     if found.verdict == "effect_found":
         leads = [f.name for f in found.outcome.found if f.lead]
         more = f" The residual still depends ({rest}): take {', '.join(leads)} as a lead." if leads else ""

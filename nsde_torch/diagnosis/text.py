@@ -86,7 +86,9 @@ def _errors(errors: Mapping[str, Any]) -> list[str]:
     for name, before in errors["before"].items():
         after, ratio = errors["after"][name], errors["ratio"][name]
         cells = [
-            f"{_number(before[h])} -> {_number(after[h])} (x{_number(ratio[h])})"
+            _number(before[h])
+            if errors["before"] == errors["after"]
+            else f"{_number(before[h])} -> {_number(after[h])} (x{_number(ratio[h])})"
             for h in (f"{x:g}" for x in horizons)
         ]
         rows.append([f"{name} [{errors['units'][name]}]", *cells])

@@ -31,6 +31,7 @@ NEAR = 1.05
 def diagnose_case(folder: Path, name: str) -> dict[str, Any]:
     """Diagnose one case and measure what an oracle would reach."""
     import torch
+    from outside import OUTSIDE
 
     from nsde_torch.data import read
     from nsde_torch.diagnosis.diagnose import Options, coarser, diagnose, with_channels
@@ -61,7 +62,8 @@ def diagnose_case(folder: Path, name: str) -> dict[str, Any]:
         "structure": content["structure"]["after"][:3],
         "ranking": [r for r in content["ranking"] if r["p"] is not None][:6],
     }
-    effects = {key: held["parameters"] for key, held in truth["effects"].items()}
+    classes = {cls.name: f"outside:{cls.__name__}" for every in OUTSIDE.values() for cls in every}
+    effects = {classes.get(key, key): held["parameters"] for key, held in truth["effects"].items()}
     if effects:
         made = [
             make_effect(
@@ -86,7 +88,7 @@ def diagnose_case(folder: Path, name: str) -> dict[str, Any]:
                 shortest=20,
                 run_in=True,
             )
-            return Search(steps, box=1, alpha=0.01, channels=channels)
+            return Search(steps, box=1, alpha=0.01, channels=channels, feedback=not system.sensor_noise)
 
         oracle = held_out(
             (found.outcome.declared.system, told),

@@ -405,6 +405,7 @@ def diagnose(
             alpha=options.alpha,
             candidates=options.candidates,
             channels=channels,
+            feedback=not system.sensor_noise,
             say=say,
         )
 

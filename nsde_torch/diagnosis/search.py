@@ -191,6 +191,7 @@ class Search:
         alpha: Chance of adding an effect where none is missing.
         candidates: Names to choose from; None takes all that the system may have.
         channels: Logged columns behind the inputs.
+        feedback: Take out what kinematic residuals foretell (`learning.identify.feedback`): where inputs react to sensors.
         say: Told what is going on: stage, number done, number in all.
     """
 
@@ -202,11 +203,13 @@ class Search:
         alpha: float,
         candidates: Sequence[str] | None = None,
         channels: Sequence[str] = (),
+        feedback: bool = False,
         say: Callable[[str, int, int], None] = lambda stage, done, total: None,
     ) -> None:
         self.steps, self.box, self.alpha = steps, box, alpha
         self.candidates, self.channels, self.say = candidates, tuple(channels), say
         self.held: set[str] = set()
+        self.feedback = feedback
 
     def base(self, system: System) -> Base:
         """The regression of a system, with noise laws of its own."""
@@ -367,10 +370,16 @@ class Search:
             error=float(difference.std(ddof=1) * len(difference) ** 0.5),
             rank_score=float(difference.sum()) - price,
             p=p,
-            p_corrected=min(1.0, p * among),
+            p_corrected=min(1.0, p * among * self._tries(name)),
             sure=sure,
             held=held,
         )
+
+    def _tries(self, name: str) -> float:
+        """How many independent starts the best of which was taken: frequencies, where the spectrum was searched."""
+        if "spectrum" not in effect_class(name).relative.values():
+            return 1.0
+        return max(1.0, 0.5 * max(b - a for a, b in self.steps.segments))
 
     def accept(self, trial: Trial) -> bool:
         """Whether a candidate is there, as far as chance goes."""
@@ -390,12 +399,21 @@ class Search:
         physics = Physics(vector, self.steps)
         rows, still = dynamic_rows(system), {*held, *self.held}
         if before is None:
-            return Regression(physics, box=self.box, rows=rows, origin=system, held=still)
+            return Regression(
+                physics, box=self.box, rows=rows, origin=system, held=still, feedback=self.feedback
+            )
         physics.sensor_std = before.physics.sensor_std
         laws = before.noises if noises is None else noises
         first = _carried(vector, before) if start is None else start
         return Regression(
-            physics, box=self.box, rows=rows, start=first, noises=laws, origin=system, held=still
+            physics,
+            box=self.box,
+            rows=rows,
+            start=first,
+            noises=laws,
+            origin=system,
+            held=still,
+            feedback=self.feedback,
         )
 
     def _screen(

@@ -183,8 +183,8 @@ class Regression:
         if self._feedback and self._refined < 3:
             kinematic = self.physics.kinematic(self.physics.residual(self.theta), self.rows)
             self._past = past(self.single.summed(kinematic, self.box), self.series)
-        self.white = np.stack([self._new(n, self.residual[:, [c]])[:, 0] for n, c in pairs])
-        self.slopes = np.stack([self._new(n, self.jacobian[:, c]) for n, c in pairs])
+        self.white = np.stack([self.whitened(n, self.residual[:, [c]])[:, 0] for n, c in pairs])
+        self.slopes = np.stack([self.whitened(n, self.jacobian[:, c]) for n, c in pairs])
         self.shown: Shown = shown(self.slopes.reshape(-1, len(self.vector)), self.vector.scale)
 
     def _step(self) -> float:
@@ -226,9 +226,9 @@ class Regression:
 
     def _size(self, residual: Array) -> float:
         pairs = zip(self.noises, self.rows, strict=True)
-        return sum(float(np.square(self._new(n, residual[:, [c]])).sum()) for n, c in pairs)
+        return sum(float(np.square(self.whitened(n, residual[:, [c]])).sum()) for n, c in pairs)
 
-    def _new(self, noise: Noise, values: Array) -> Array:
+    def whitened(self, noise: Noise, values: Array) -> Array:
         """Columns (N, k) in whitened rows, without what the past of other channels foretells."""
         return self._purged(noise.whiten(values, self.series))
 

@@ -191,7 +191,7 @@ class Search:
         alpha: Chance of adding an effect where none is missing.
         candidates: Names to choose from; None takes all that the system may have.
         channels: Logged columns behind the inputs.
-        feedback: Take out what kinematic residuals foretell (`learning.identify.feedback`): where inputs react to sensors.
+        feedback: Take out what kinematic residuals foretell, where inputs react to sensors (`identify.feedback`).
         say: Told what is going on: stage, number done, number in all.
     """
 
@@ -441,7 +441,7 @@ class Search:
             if not np.isfinite(change[:, before.rows]).all():
                 raise NonFiniteError(f"{name} is not finite at its start.")
             pairs = zip(before.noises, before.rows, strict=True)
-            residual = np.stack([n.whiten(change[:, [c]], before.series)[:, 0] for n, c in pairs]).reshape(-1)
+            residual = np.stack([before.whitened(n, change[:, [c]])[:, 0] for n, c in pairs]).reshape(-1)
             columns = [j for j in range(len(vector)) if vector.labels[j] not in {*held, *self.held}]
             new = self._whitened(before, physics.slopes(theta))[:, columns]
         basis = np.linalg.qr(old)[0]
@@ -463,7 +463,7 @@ class Search:
         """Slopes over steps as whitened columns (rows * N, q)."""
         summed = before.single.summed(slopes, self.box)
         pairs = zip(before.noises, before.rows, strict=True)
-        return np.concatenate([n.whiten(summed[:, c], before.series) for n, c in pairs])
+        return np.concatenate([before.whitened(n, summed[:, c]) for n, c in pairs])
 
 
 def standard_errors(columns: Array, size: Array, which: Sequence[int]) -> list[float]:

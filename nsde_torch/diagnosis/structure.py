@@ -143,7 +143,7 @@ def dependences(regression: Regression, blocks: Labels) -> list[Dependence]:
         noise, white = regression.noises[i], regression.white[i]
         own = _orthonormal(regression.slopes[i])
         for name, functions, odd in prepared:
-            z = noise.whiten(functions * regression.dt, regression.series)
+            z = regression.whitened(noise, functions * regression.dt)
             z = z - own @ (own.T @ z)
             z, kept = _independent(z)
             if not z.shape[1]:

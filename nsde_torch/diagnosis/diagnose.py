@@ -325,6 +325,16 @@ def summary(found: Diagnosis) -> str:
     """The verdict in one or two sentences."""
     names = ", ".join(found.added)
     if found.verdict == "no_effect":
+        blind = dict.fromkeys(
+            n.effect
+            for n in not_shown(found.outcome.rounds, found=(), alpha=found.options.alpha)
+            if n.smallest is None
+        )
+        if blind:
+            return (
+                "Nothing is missing as far as these data can show: what the declared physics leaves is noise, but they "
+                f"could not show {', '.join(blind)} at any size."
+            )
         return "Nothing is missing: what the declared physics leaves is noise."
     left = found.outcome.structured
     rest = f"{left[0].channel} on {left[0].variable}" if left else ""

@@ -71,7 +71,7 @@ def score(regression: Regression, fold: Labels, block: Labels, *, still: Flags) 
     gram, pull = np.zeros((int(fold.max()) + 1, r, r)), np.zeros((int(fold.max()) + 1, r))
     for f in range(len(gram)):
         rows = fold == f
-        part = x[:, rows].reshape(-1, r)
+        part = x[:, rows].reshape(white[:, rows].size, r)  # r may be 0: nothing is shown
         gram[f], pull[f] = part.T @ part, part.T @ white[:, rows].reshape(-1)
     total, rest = gram.sum(0), pull.sum(0)
     out = white.copy()
@@ -120,7 +120,7 @@ def p_value(regression: Regression, tested: Flags, sure: Spread, *, base: Score,
     """
     basis = regression.shown.basis[tested]
     count = max(this.free - base.free, 1)
-    flat = (regression.slopes @ regression.shown.basis).reshape(-1, regression.shown.rank)
+    flat = (regression.slopes @ regression.shown.basis).reshape(regression.white.size, regression.shown.rank)
     model = np.linalg.pinv(flat.T @ flat)
     robust, plain = np.diag(basis @ sure.covariance @ basis.T), np.diag(basis @ model @ basis.T)
     live = plain > 1e-12 * max(float(plain.max()), 1e-300)

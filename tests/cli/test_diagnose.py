@@ -14,9 +14,11 @@ import torch
 import yaml
 from omegaconf import OmegaConf
 
+import nsde_torch
 from nsde_torch.cli import effects_file
 from nsde_torch.cli.main import main
 from nsde_torch.errors import ConfigError
+from nsde_torch.models import IdentifiedModel
 from nsde_torch.plants import simulate
 from nsde_torch.plants.simulation import write
 
@@ -168,3 +170,22 @@ def test_only_runs_that_are_not_held_back_are_looked_at(runs: Path) -> None:
     assert result["data"]["runs"] == ["run_0", "run_1", "run_2"]
     with next(iter(sorted(runs.glob("*.csv")))).open() as file:
         assert next(csv.reader(file)) == ["t", "q", "q_dot", "force"]
+
+
+def test_a_model_is_trained_with_what_was_found_and_loads(runs: Path) -> None:
+    words = [
+        SYSTEM,
+        "data=csv",
+        f"data.path={runs}",
+        "model=sysid",
+        "candidates=[coulomb_friction]",
+        "out_dir=out",
+    ]
+    assert main(["diagnose", *words]) == 0
+    result = json.loads(Path("out/diagnosis.json").read_text())
+    assert result["model"]["path"] == "model"
+    assert result["model"]["test_runs"] == ["run_3"]
+    model = nsde_torch.load(Path("out/model"))
+    assert isinstance(model, IdentifiedModel)
+    assert "coulomb_friction" in model.system.effect_names
+    assert model.system.all_declared()["coulomb_friction.size"][0].tolist() == pytest.approx([0.3], rel=0.1)

@@ -111,3 +111,13 @@ def test_runs_without_an_input_cannot_show_what_the_input_does() -> None:
     assert {"input_delay", "actuator_lag", "actuator_deadband", "actuator_gain_drift"} <= set(unseen)
     assert unseen["input_delay"]["smallest"] is None
     assert unseen["input_delay"]["experiment"]
+    assert "could not show" in content["summary"]
+
+
+def test_a_machine_at_rest_shows_nothing_and_the_diagnosis_says_so() -> None:
+    at_rest = {"force": "zero", "region": ((0.0, 1e-9), (0.0, 1e-9))}
+    _, content = diagnosed("mass_spring_damper", plant=at_rest, durations=(6.0,) * 3)
+    assert content["verdict"] == "no_effect"
+    assert "could not show" in content["summary"]
+    never = {n["effect"] for n in content["not_shown"] if n["smallest"] is None}
+    assert {"input_delay", "cubic_stiffness", "quadratic_damping"} <= never

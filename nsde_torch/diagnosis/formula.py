@@ -91,7 +91,7 @@ def formula(regression: Regression, left: Sequence[Dependence], blocks: NDArray[
     if not names_of:
         return None
     own, white = own_space(regression, channel), regression.white[channel]
-    whole = regression.noises[channel].whiten(functions * regression.dt, regression.series)
+    whole = regression.whitened(regression.noises[channel], functions * regression.dt)
     z, rest = (x - own @ (own.T @ x) for x in (whole, white))
     new = np.linalg.norm(z, axis=0) > _NEW * np.linalg.norm(whole, axis=0)
     if not new.any():

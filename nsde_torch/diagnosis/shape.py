@@ -135,7 +135,7 @@ def own_space(regression: Regression, channel: int) -> Array:
 
 def projected(regression: Regression, channel: int, functions: Array, own: Array) -> Array:
     """Functions per unit of time (M, q), whitened and free of `own_space` (N, q)."""
-    z = regression.noises[channel].whiten(functions * regression.dt, regression.series)
+    z = regression.whitened(regression.noises[channel], functions * regression.dt)
     return np.asarray(z - own @ (own.T @ z))
 
 

@@ -130,10 +130,10 @@ def p_value(regression: Regression, tested: Flags, sure: Spread, *, base: Score,
     degrees = max(float(sure.degrees(basis)[live].min()), 1.0)
     ratio = max(2.0 * (this.fitted - base.fitted), 0.0)
     by_ratio = float(fdtrc(count, degrees, ratio / widened / count))
-    return min(1.0, 2.0 * min(by_ratio, _by_blocks(this.blocks - base.blocks)))
+    return min(1.0, 2.0 * min(by_ratio, by_blocks(this.blocks - base.blocks)))
 
 
-def _by_blocks(difference: Array) -> float:
+def by_blocks(difference: Array) -> float:
     """Chance of so large a sum over blocks if its mean were 0."""
     squares = float(np.square(difference).sum())
     if not squares > 0:

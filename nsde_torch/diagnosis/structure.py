@@ -14,15 +14,19 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import chdtrc, fdtrc
+from scipy.special import chdtrc, fdtrc, ndtr
 
+from nsde_torch.diagnosis.evidence import by_blocks, folds
 from nsde_torch.learning.identify.identify import Regression
+from nsde_torch.learning.identify.series import Series
 
 Array = NDArray[np.float64]
 Labels = NDArray[np.int64]
 
 _HATS = 7
 _WAVES = 6
+_BUMPS_S = (0.25, 1.0)
+_FEWEST_MOMENTS = 20
 
 
 @dataclass(frozen=True)
@@ -137,8 +141,10 @@ def dependences(regression: Regression, blocks: Labels) -> list[Dependence]:
     """
     of_white = regression.whitened_rows(blocks)
     count = int(of_white.max()) + 1
+    fold = folds(regression)
     out = []
     prepared = list(groups(regression))
+    spans, moments = _moments(regression)
     for i, channel in enumerate(regression.rows):
         noise, white = regression.noises[i], regression.white[i]
         own = _orthonormal(regression.slopes[i])
@@ -153,7 +159,8 @@ def dependences(regression: Regression, blocks: Labels) -> list[Dependence]:
             gain = float(pull @ pull)
             blockwise: Array = np.zeros((count, q))
             np.add.at(blockwise, of_white, z * white[:, None])
-            p = max(float(chdtrc(q, gain)), _hotelling(blockwise))
+            steady = max(float(chdtrc(q, gain)), _hotelling(blockwise))
+            p = min(1.0, 2.0 * min(steady, _left_out(z, white, fold, of_white)))
             squares = np.square(pull)
             is_odd = odd[kept]
             out.append(
@@ -167,7 +174,79 @@ def dependences(regression: Regression, blocks: Labels) -> list[Dependence]:
                     functions=q,
                 )
             )
+        found = _one_moment(regression, i, spans, moments)
+        if found is not None:
+            out.append(found)
     return sorted(out, key=lambda d: d.p)
+
+
+def _left_out(z: Array, white: Array, fold: Labels, block: Labels) -> float:
+    """Chance of the log likelihood that functions, fitted without a fold, gain on it, from its scatter over blocks."""
+    each = np.zeros(len(white))
+    whole, pull = z.T @ z, z.T @ white
+    for f in range(int(fold.max()) + 1):
+        rows = fold == f
+        part = z[rows]
+        weights = np.linalg.lstsq(whole - part.T @ part, pull - part.T @ white[rows], rcond=1e-8)[0]
+        guess = part @ weights
+        each[rows] = guess * (white[rows] - 0.5 * guess)
+    return by_blocks(np.bincount(block, weights=each).astype(np.float64))
+
+
+def _moments(regression: Regression) -> tuple[list[tuple[int, int]], list[Array]]:
+    """Bumps in time, a second and a quarter long, all over every stretch: rows of their ends, and their shapes."""
+    spans, shapes_ = [], []
+    for width_s in _BUMPS_S:
+        n = max(4, round(width_s / regression.dt))
+        shape = np.hanning(n + 2)[1:-1]
+        for a, b in regression.series.edges:
+            spans += [(s, s + n) for s in range(a, b - n, max(1, n // 2))]
+            shapes_ += [shape for _ in range(a, b - n, max(1, n // 2))]
+    return spans, shapes_
+
+
+def _one_moment(
+    regression: Regression, i: int, spans: Sequence[tuple[int, int]], moments: Sequence[Array]
+) -> Dependence | None:
+    """The moment at which a channel is pushed most, if that is more than all other moments let expect."""
+    noise, white = regression.noises[i], regression.white[i]
+    offset = regression.whitened_rows(np.arange(len(regression.series)))
+    place = np.searchsorted(offset, np.arange(len(regression.series)), side="right") - 1
+    z = []
+    known: dict[int, Array] = {}
+    for (a, _), shape in zip(spans, moments, strict=True):
+        n = len(shape)
+        if n not in known:  # what the filter of the noise makes of a bump, and of what follows it
+            line = Series(((0, 2 * n),))
+            padded = np.concatenate((shape, np.zeros(n)))[:, None]
+            known[n] = noise.whiten(padded, line)[1:, 0]
+        start = int(place[a])
+        stop = min(start + 2 * n, len(white))
+        template = known[n][: stop - start]
+        z.append(float(template @ white[start:stop]) / max(float(np.linalg.norm(template)), 1e-300))
+    if len(z) < _FEWEST_MOMENTS:
+        return None
+    size = np.abs(np.array(z))
+    scale = max(1.0, float(np.median(size)) / 0.6745)
+    k = int(size.argmax())
+    largest = size[k] / scale
+    t = float(
+        regression.physics.steps.t[min(spans[k][0] * regression.box, len(regression.physics.steps) - 1)]
+    )
+    owner = next(
+        run
+        for (a, b), run in zip(regression.series.edges, regression.physics.steps.runs, strict=True)
+        if a <= spans[k][0] < b
+    )
+    return Dependence(
+        channel=regression.physics.names[regression.rows[i]],
+        variable=f"a moment (run {owner}, {t:.1f} s)",
+        p=min(1.0, 2.0 * float(ndtr(-largest)) * len(z)),
+        share=max(largest**2 - 1.0, 0.0) / len(white),
+        odd=0.0,
+        gain=largest**2,
+        functions=1,
+    )
 
 
 def _hotelling(scores: Array) -> float:

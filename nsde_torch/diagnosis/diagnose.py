@@ -315,6 +315,7 @@ def _dependence(d: Any, tests: int) -> dict[str, Any]:
     return {
         "channel": d.channel,
         "variable": d.variable,
+        "where": d.where or None,
         "p": min(1.0, d.p * tests),
         "share": d.share,
         "kind": symmetry(d) or "-",

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from nsde_torch.diagnosis.shape import own_space, period_of, product_of, values_of
 from nsde_torch.diagnosis.structure import Dependence, variables
-from nsde_torch.diagnosis.views import is_plain, per_second, variable_units
+from nsde_torch.diagnosis.views import is_plain, moment, per_second, variable_units
 from nsde_torch.learning.identify.identify import Regression
 from nsde_torch.learning.report import number
 
@@ -82,6 +82,7 @@ def formula(regression: Regression, left: Sequence[Dependence], blocks: NDArray[
         left: What the residual depends on beyond chance, the surest first.
         blocks: Block of time of each row of `series`.
     """
+    left = [d for d in left if moment(d.variable) is None]
     if not left:
         return None
     name = max(left, key=lambda d: d.gain - d.functions).channel

@@ -17,7 +17,7 @@ from nsde_torch.diagnosis.channels import ChannelResidual, spectrum, white_parts
 from nsde_torch.diagnosis.loop import Outcome
 from nsde_torch.diagnosis.shape import Shape, product_of
 from nsde_torch.diagnosis.structure import Dependence
-from nsde_torch.diagnosis.views import Rates, bins, factors, is_plain, per_second, rates
+from nsde_torch.diagnosis.views import Rates, bins, factors, is_plain, moment, per_second, rates
 from nsde_torch.learning.identify.identify import Regression
 from nsde_torch.plots.diagnosis import (
     Cloud,
@@ -36,6 +36,7 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 
 _CHANNELS, _UNEXPLAINED = 2, 4
+_COURSE = 120  # points of a course in time
 _REDUCED = 0.9  # of the residual before: what is below that was reduced
 
 
@@ -57,7 +58,7 @@ def pictures(found: Diagnosis, content: Mapping[str, Any]) -> dict[str, Figure]:
                 views, title="What the residual depends on and no effect explains"
             )
     elif not outcome.found:
-        views = unexplained_views(outcome, outcome.before[:_CHANNELS])
+        views = unexplained_views(outcome, [d for d in outcome.before if is_plain(d.variable)][:_CHANNELS])
         if views:
             title = "What the physics leaves over, against what it depends on most: no more than chance"
             out["residual"] = residual_views(views, title=title)
@@ -122,7 +123,12 @@ def unexplained_views(
             continue
         done.add((d.channel, variable))
         number = seen.names.index(d.channel)
-        cloud = _cloud(x, seen.residual[:, number], seen.block)
+        single = moment(d.variable)
+        if single is None:
+            cloud = _cloud(x, seen.residual[:, number], seen.block)
+        else:
+            cloud = _course(x, seen.residual[:, number], seen.run == single[0])
+            variable = "time"
         out.append(
             Panel(
                 d.channel,
@@ -130,7 +136,7 @@ def unexplained_views(
                 variable,
                 unit,
                 {"residual": cloud},
-                note=notes.get((d.channel, variable), ""),
+                note=notes.get((d.channel, d.variable if single else variable), ""),
             )
         )
     return out
@@ -145,7 +151,7 @@ def _most_reduced(channels: Sequence[ChannelResidual]) -> list[ChannelResidual]:
 
 def _surest(tests: Sequence[Dependence], channel: str) -> Dependence | None:
     """The surest test of a channel whose variable can be an axis; a product only where nothing else comes near."""
-    own = [d for d in tests if d.channel == channel and d.variable != "run"]
+    own = [d for d in tests if d.channel == channel and d.variable != "run" and moment(d.variable) is None]
     plain = [d for d in own if is_plain(d.variable)]
     first, product = (min(some, key=lambda d: (d.p, -d.gain), default=None) for some in (plain, own))
     if first is None or product is None:
@@ -156,6 +162,8 @@ def _surest(tests: Sequence[Dependence], channel: str) -> Dependence | None:
 
 def _axis(seen: Rates, regression: Regression, d: Dependence) -> tuple[str, str, Array] | None:
     """Name, unit and values of a variable for a horizontal axis."""
+    if moment(d.variable) is not None:
+        return d.variable, "s", seen.values["time"]
     if is_plain(d.variable):
         name = d.variable
         return (
@@ -174,6 +182,13 @@ def _axis(seen: Rates, regression: Regression, d: Dependence) -> tuple[str, str,
 def _cloud(x: Array, y: Array, block: NDArray[np.int64]) -> Cloud:
     b = bins(x, y, block)
     return Cloud(x, y, b.centre, b.mean, b.error)
+
+
+def _course(t: Array, y: Array, rows: NDArray[np.bool_]) -> Cloud:
+    """The course in time of one run, without intervals."""
+    x, y = t[rows], y[rows]
+    some = np.linspace(0, max(len(x) - 1, 0), min(len(x), _COURSE)).round().astype(int)
+    return Cloud(x, y, x[some], y[some], np.zeros(len(some)))
 
 
 def _spectrum(outcome: Outcome, channel: str) -> Spectrum:

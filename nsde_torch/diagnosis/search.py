@@ -8,7 +8,7 @@ p value, times the number of candidates, is below alpha and the evidence is posi
 added is dropped if the others have made it superfluous, or exchanged for one that does better in its place.
 """
 
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from math import log
 from typing import final
@@ -273,7 +273,7 @@ class Search:
         where: dict[str, tuple[System, tuple[str, ...]]] = {}
         for i, name in enumerate(names):
             self.say("screening effects", i, len(names))
-            for start in effect_class(name).starts(scales, peaks):
+            for start in self._starts(base.system, name, scales, peaks):
                 system = self._joined(base.system, name, start)
                 labels = [x for x in ParameterVector(system).labels if x.startswith(f"{name}.")]
                 for held in alone(name, labels):
@@ -308,6 +308,24 @@ class Search:
                 out.trials[i] = self._finished(base, trial, among)
         out.trials = simplest_first(sorted(out.trials, key=lambda t: -t.rank_score))
         return out
+
+    def _starts(
+        self, system: System, name: str, scales: Mapping[str, float], peaks: Sequence[float]
+    ) -> list[Start]:
+        """Values that fits of a candidate start from; what it contains lends it the shapes that both have."""
+        cls = effect_class(name)
+        starts = cls.starts(scales, peaks)
+        for effect in system.effects:
+            assert isinstance(effect, Effect)
+            if effect.name not in cls.includes:
+                continue
+            lent = {
+                key: value.tolist() if value.numel() > 1 else float(value)
+                for key, (value, _) in effect.declared_parameters().items()
+                if key in cls.shapes
+            }
+            starts += [{**start, **lent} for start in starts] if lent else []
+        return starts
 
     def _joined(self, system: System, name: str, start: Start) -> System:
         """The system with a candidate, without what the candidate contains."""

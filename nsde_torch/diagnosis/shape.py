@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nsde_torch.diagnosis.structure import Dependence, groups, variables
-from nsde_torch.diagnosis.views import bins, factors, is_plain, rates, variable_units
+from nsde_torch.diagnosis.views import bins, factors, is_plain, moment, rates, variable_units
 from nsde_torch.learning.identify.identify import Regression
 
 Array = NDArray[np.float64]
@@ -64,6 +64,12 @@ def shape(regression: Regression, dependence: Dependence) -> Shape:
     """Describe a dependence that is there beyond chance."""
     seen = rates(regression)
     channel = seen.names.index(dependence.channel)
+    single = moment(dependence.variable)
+    if single is not None:
+        run, at = single
+        note = f"at one moment, about {at:.1f} s, in one run only"
+        said = f"The rate of {dependence.channel} departs {note}."
+        return Shape(dependence.channel, dependence.variable, "", "local", (at, at), None, run, said, note)
     name, unit = dependence.variable, seen.value_units.get(dependence.variable, "")
     extent, where, period = "", None, None
     if is_plain(name):

@@ -41,6 +41,7 @@ class Dependence:
         odd: Share of that by odd functions, the rest by even ones.
         gain: Twice the log likelihood that the functions would bring.
         functions: Number of functions.
+        where: The moment, of a test of single moments.
     """
 
     channel: str
@@ -50,6 +51,7 @@ class Dependence:
     odd: float
     gain: float
     functions: int
+    where: str = ""
 
 
 def variables(regression: Regression) -> tuple[dict[str, Array], Array]:
@@ -240,12 +242,13 @@ def _one_moment(
     )
     return Dependence(
         channel=regression.physics.names[regression.rows[i]],
-        variable=f"a moment (run {owner}, {t:.1f} s)",
+        variable="time",
         p=min(1.0, 2.0 * float(ndtr(-largest)) * len(z)),
         share=max(largest**2 - 1.0, 0.0) / len(white),
         odd=0.0,
         gain=largest**2,
         functions=1,
+        where=f"run {owner}, {t:.1f} s",
     )
 
 

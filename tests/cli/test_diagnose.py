@@ -61,7 +61,7 @@ def test_one_command_finds_the_effect_and_writes_what_it_says(diagnosed: tuple[P
     assert result["verdict"] == "effect_found"
     assert result["added"] == ["coulomb_friction"]
     assert {p.name for p in out.iterdir()} >= {"diagnosis.json", "report.html", "effects.yaml", "plots"}
-    assert {p.name for p in (out / "plots").iterdir()} == {"residual.png", "errors.png", "spectrum.png"}
+    assert {p.name for p in (out / "plots").iterdir()} >= {"residual.png", "errors.png", "spectrum.png"}
     assert "coulomb_friction" in (out / "report.html").read_text()
     effects = yaml.safe_load((out / "effects.yaml").read_text())
     assert effects["system"] == "mass_spring_damper"

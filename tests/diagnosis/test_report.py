@@ -60,13 +60,14 @@ def test_the_page_loads_nothing_and_fits_a_phone(
     tmp_path: Path, found: tuple[Diagnosis, dict[str, Any]]
 ) -> None:
     page, images = written(tmp_path, found)
-    assert images == 3
     assert not re.search(r"(src|href)=\"(?!data:image/png;base64,)", page)
     assert "http" not in page
     assert "@import" not in page
     assert 'name="viewport"' in page
     assert len(page) < 1_000_000
-    assert {p.name for p in (tmp_path / "plots").iterdir()} == {"residual.png", "errors.png", "spectrum.png"}
+    names = {p.name for p in (tmp_path / "plots").iterdir()}
+    assert names >= {"residual.png", "errors.png", "spectrum.png"}
+    assert images == len(names)
 
 
 def test_the_page_names_the_effect_its_values_its_tie_and_the_experiment(

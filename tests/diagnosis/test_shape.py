@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from nsde_torch.diagnosis.formula import formula
 from nsde_torch.diagnosis.search import Base, Search
 from nsde_torch.diagnosis.shape import Shape, shape, values_of
-from nsde_torch.diagnosis.structure import dependences
+from nsde_torch.diagnosis.structure import Dependence, dependences
 from nsde_torch.diagnosis.views import bins, rates
 from nsde_torch.learning.identify.steps import steps_of
 from nsde_torch.systems import make_system
@@ -119,3 +119,14 @@ def test_mean_rates_are_those_of_the_push() -> None:
     assert slope == pytest.approx(4.0, rel=0.1)
     assert seen.units[seen.names.index("q_dot")] == "m/s2"
     assert len(seen.run) == len(seen.block) == len(own)
+
+
+def test_a_single_moment_is_described_without_functions_of_anything() -> None:
+    base = pushed(lambda q, t, run: 0.0 * q)
+    single = Dependence(
+        "q_dot", "a moment (run 1, 3.5 s)", p=1e-6, share=0.1, odd=0.0, gain=40.0, functions=1
+    )
+    words = shape(base.regression, single)
+    assert (words.only_run, words.extent, words.symmetry) == (1, "local", "")
+    assert "3.5 s" in words.sentence
+    assert formula(base.regression, [single], base.single) is None

@@ -82,7 +82,7 @@ def formula(regression: Regression, left: Sequence[Dependence], blocks: NDArray[
         left: What the residual depends on beyond chance, the surest first.
         blocks: Block of time of each row of `series`.
     """
-    left = [d for d in left if moment(d.variable) is None]
+    left = [d for d in left if moment(d.where) is None]
     if not left:
         return None
     name = max(left, key=lambda d: d.gain - d.functions).channel

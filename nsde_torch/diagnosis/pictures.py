@@ -58,7 +58,9 @@ def pictures(found: Diagnosis, content: Mapping[str, Any]) -> dict[str, Figure]:
                 views, title="What the residual depends on and no effect explains"
             )
     elif not outcome.found:
-        views = unexplained_views(outcome, [d for d in outcome.before if is_plain(d.variable)][:_CHANNELS])
+        views = unexplained_views(
+            outcome, [d for d in outcome.before if is_plain(d.variable) and not d.where][:_CHANNELS]
+        )
         if views:
             title = "What the physics leaves over, against what it depends on most: no more than chance"
             out["residual"] = residual_views(views, title=title)
@@ -113,22 +115,21 @@ def unexplained_views(
     regression = outcome.final.regression
     seen = rates(regression)
     out: list[Panel] = []
-    done: set[tuple[str, str]] = set()
+    done: set[tuple[str, str, str]] = set()
     for d in outcome.structured if left is None else left:
         values = _axis(seen, regression, d)
         if values is None or len(out) == _UNEXPLAINED:
             continue
         variable, unit, x = values
-        if (d.channel, variable) in done:
+        if (d.channel, variable, d.where) in done:
             continue
-        done.add((d.channel, variable))
+        done.add((d.channel, variable, d.where))
         number = seen.names.index(d.channel)
-        single = moment(d.variable)
+        single = moment(d.where)
         if single is None:
             cloud = _cloud(x, seen.residual[:, number], seen.block)
         else:
             cloud = _course(x, seen.residual[:, number], seen.run == single[0])
-            variable = "time"
         out.append(
             Panel(
                 d.channel,
@@ -136,7 +137,7 @@ def unexplained_views(
                 variable,
                 unit,
                 {"residual": cloud},
-                note=notes.get((d.channel, d.variable if single else variable), ""),
+                note=f"one moment: {d.where}" if single else notes.get((d.channel, variable), ""),
             )
         )
     return out
@@ -151,7 +152,7 @@ def _most_reduced(channels: Sequence[ChannelResidual]) -> list[ChannelResidual]:
 
 def _surest(tests: Sequence[Dependence], channel: str) -> Dependence | None:
     """The surest test of a channel whose variable can be an axis; a product only where nothing else comes near."""
-    own = [d for d in tests if d.channel == channel and d.variable != "run" and moment(d.variable) is None]
+    own = [d for d in tests if d.channel == channel and d.variable != "run" and moment(d.where) is None]
     plain = [d for d in own if is_plain(d.variable)]
     first, product = (min(some, key=lambda d: (d.p, -d.gain), default=None) for some in (plain, own))
     if first is None or product is None:
@@ -162,8 +163,6 @@ def _surest(tests: Sequence[Dependence], channel: str) -> Dependence | None:
 
 def _axis(seen: Rates, regression: Regression, d: Dependence) -> tuple[str, str, Array] | None:
     """Name, unit and values of a variable for a horizontal axis."""
-    if moment(d.variable) is not None:
-        return d.variable, "s", seen.values["time"]
     if is_plain(d.variable):
         name = d.variable
         return (

@@ -64,7 +64,7 @@ def shape(regression: Regression, dependence: Dependence) -> Shape:
     """Describe a dependence that is there beyond chance."""
     seen = rates(regression)
     channel = seen.names.index(dependence.channel)
-    single = moment(dependence.variable)
+    single = moment(dependence.where)
     if single is not None:
         run, at = single
         note = f"at one moment, about {at:.1f} s, in one run only"

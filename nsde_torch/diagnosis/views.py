@@ -26,7 +26,7 @@ Labels = NDArray[np.int64]
 _BINS, _FEWEST = 18, 4
 _BLOCK_S = 2.0
 _OTHERS = " times others"
-_MOMENT = re.compile(r"a moment \(run (\d+), (-?[\d.]+) s\)")  # as `structure` names it
+_MOMENT = re.compile(r"run (\d+), (-?[\d.]+) s")  # as `structure` names it
 
 
 @dataclass(frozen=True)
@@ -117,13 +117,13 @@ def variable_units(system: System) -> dict[str, str]:
 
 
 def is_plain(variable: str) -> bool:
-    """Whether a variable can be an axis: not a product with others, the number of a run, or a moment."""
-    return not variable.endswith(_OTHERS) and variable != "run" and moment(variable) is None
+    """Whether a variable can be an axis: neither a product with others nor the number of a run."""
+    return not variable.endswith(_OTHERS) and variable != "run"
 
 
-def moment(variable: str) -> tuple[int, float] | None:
-    """Number of the run and time [s] of a dependence on a single moment, or None."""
-    found = _MOMENT.fullmatch(variable)
+def moment(where: str) -> tuple[int, float] | None:
+    """Number of the run and time [s] from `Dependence.where`, None where it is no single moment."""
+    found = _MOMENT.fullmatch(where)
     return None if found is None else (int(found[1]), float(found[2]))
 
 

@@ -123,9 +123,7 @@ def test_mean_rates_are_those_of_the_push() -> None:
 
 def test_a_single_moment_is_described_without_functions_of_anything() -> None:
     base = pushed(lambda q, t, run: 0.0 * q)
-    single = Dependence(
-        "q_dot", "a moment (run 1, 3.5 s)", p=1e-6, share=0.1, odd=0.0, gain=40.0, functions=1
-    )
+    single = Dependence("q_dot", "time", 1e-6, 0.1, 0.0, gain=40.0, functions=1, where="run 1, 3.5 s")
     words = shape(base.regression, single)
     assert (words.only_run, words.extent, words.symmetry) == (1, "local", "")
     assert "3.5 s" in words.sentence

@@ -285,11 +285,15 @@ class Search:
                     if name not in out.screened or gain > out.screened[name]:
                         out.screened[name], where[name], best[name] = gain, (system, held), start
                         out.errors[name] = errors
-        order = [n for n in sorted(where, key=lambda n: -out.screened[n]) if out.screened[n] > _WORTH]
+        # from without what it contains, a first step says nothing of a candidate that stands in for it
+        standing_in = [n for n in where if set(effect_class(n).includes) & set(base.system.effect_names)]
+        rest = sorted((n for n in where if n not in standing_in), key=lambda n: -out.screened[n])
+        order = [*standing_in, *(n for n in rest if out.screened[n] > _WORTH)]
         helped = 0
         for i, name in enumerate(order):
             best_yet = max((2.0 * t.gain for t in out.trials), default=0.0)
-            if i == _MOST or (helped >= _FEWEST and out.screened[name] < _CLOSE * best_yet):
+            enough = helped >= _FEWEST and out.screened[name] < _CLOSE * best_yet
+            if i == _MOST or (enough and name not in standing_in):
                 break  # a first step says roughly what a candidate is worth
             self.say("fitting effects", i, min(len(order), _MOST))
             system, held = where[name]

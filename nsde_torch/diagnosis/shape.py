@@ -67,9 +67,11 @@ def shape(regression: Regression, dependence: Dependence) -> Shape:
     single = moment(dependence.where)
     if single is not None:
         run, at = single
-        note = f"at one moment, about {at:.1f} s, in one run only"
+        note = (
+            f"most of all at one moment, run {run} at {at:.1f} s"  # other runs may have the same: not tested
+        )
         said = f"The rate of {dependence.channel} departs {note}."
-        return Shape(dependence.channel, dependence.variable, "", "local", (at, at), None, run, said, note)
+        return Shape(dependence.channel, dependence.variable, "", "local", (at, at), None, None, said, note)
     name, unit = dependence.variable, seen.value_units.get(dependence.variable, "")
     extent, where, period = "", None, None
     if is_plain(name):

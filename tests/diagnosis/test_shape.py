@@ -125,6 +125,6 @@ def test_a_single_moment_is_described_without_functions_of_anything() -> None:
     base = pushed(lambda q, t, run: 0.0 * q)
     single = Dependence("q_dot", "time", 1e-6, 0.1, 0.0, gain=40.0, functions=1, where="run 1, 3.5 s")
     words = shape(base.regression, single)
-    assert (words.only_run, words.extent, words.symmetry) == (1, "local", "")
+    assert (words.only_run, words.extent, words.symmetry) == (None, "local", "")
     assert "3.5 s" in words.sentence
     assert formula(base.regression, [single], base.single) is None

@@ -20,13 +20,15 @@ from nsde_torch.effects import EFFECTS, Effect
 from nsde_torch.errors import DataError
 from nsde_torch.learning.bootstrap import make_blocks, paired_bootstrap
 from nsde_torch.learning.metrics import horizons_of, start_grid, thinned
-from nsde_torch.learning.scores import score
+from nsde_torch.learning.scores import group_squares
 from nsde_torch.models.identified import IdentifiedModel, SysidSpec
+from nsde_torch.sde import make_step
 from nsde_torch.systems import System
 
 _FOLDS = 5
 _TAIL = 0.3  # of a single run, left out
 _BLOCK_S = 4.0
+_STAYS = 0.9
 
 
 @dataclass(frozen=True)
@@ -86,7 +88,6 @@ def held_out(
     names: list[str] = []
     folds = split(runs)
     horizons = min((horizons_of(test, spec.dt) for _, test in folds), key=len, default=())
-    diverged = [0, 0]
     for train, test in folds:
         if not horizons:
             break
@@ -96,26 +97,31 @@ def held_out(
         if not len(starts):
             continue
         search = make(train)
-        rows: list[Tensor] = []
-        kept: list[Tensor] = []
         for k, system in enumerate(systems):
-            regression = search.quick(system)
-            model = as_model(spec, fitted_system(regression), clock)
-            done = score(model, windows, starts, steps, seed=seed, particles=2)
-            rows.append(done.squares["model"])
-            kept.append(done.kept)
-            diverged[k] += done.diverged
-        both = np.intersect1d(kept[0].numpy(), kept[1].numpy())
-        for k in range(2):
-            squares[k].append(rows[k][torch.from_numpy(np.searchsorted(kept[k].numpy(), both))])
-        run, t = _places(windows.rows(starts[torch.from_numpy(both)]), test)
+            model = as_model(spec, fitted_system(search.quick(system)), clock)
+            squares[k].append(_squares(model, windows, starts, steps))
+        run, t = _places(windows.rows(starts), test)
         owner.append(len(names) + run)
         times.append(t)
         names += [r.name for r in test]
     if not names:
         return HeldOut({"horizons_s": [], "before": {}, "after": {}, "ratio": {}}, len(runs) > 1, ())
     first, second = (torch.cat(s) for s in squares)
-    blocks = make_blocks(np.concatenate(owner), np.concatenate(times), length=_BLOCK_S)
+    finite = [torch.isfinite(s).all(2) for s in (first, second)]
+    both = finite[0] & finite[1]
+    far = int(
+        (both.float().mean(0) >= _STAYS).sum()
+    )  # horizons at which nearly all predictions are still numbers
+    if far == 0:
+        return HeldOut(
+            {"horizons_s": [], "before": {}, "after": {}, "ratio": {}}, len(runs) > 1, tuple(names)
+        )
+    horizons = horizons[:far]
+    rows = both[:, far - 1]
+    diverged = [int((~f[:, far - 1]).sum()) for f in finite]
+    first, second = first[rows, :far], second[rows, :far]
+    places, clocks = np.concatenate(owner)[rows.numpy()], np.concatenate(times)[rows.numpy()]
+    blocks = make_blocks(places, clocks, length=_BLOCK_S)
     generator = torch.Generator().manual_seed(seed)
     system = systems[0]
     factor = torch.tensor([g.factor for g in system.error_groups], dtype=torch.float64)
@@ -152,6 +158,25 @@ def held_out(
         len(runs) > 1,
         tuple(names),
     )
+
+
+@torch.no_grad()
+def _squares(model: IdentifiedModel, windows: Windows, starts: Tensor, steps: Sequence[int]) -> Tensor:
+    """Squared errors (S, horizons, groups) of predictions by Runge and Kutta; not finite where one diverged.
+
+    A prediction that leaves the finite numbers does so alone, and does not stop the others.
+    """
+    system = model.system
+    x, u, t0 = windows.batch(starts)
+    z, dt = model.augment(x[:, 0], u[:, 0]), windows.dt_model
+    solver = make_step("rk4")
+    out = []
+    for k in range(max(steps)):
+        z = system.project(solver.advance(model, t0[:, None] + k * dt, z, u[:, k], dt, None))
+        if k + 1 in steps:
+            error = system.error(z[:, : system.nx], x[:, k + 1])
+            out.append(group_squares(system, error))
+    return torch.stack([out[sorted(set(steps)).index(k)] for k in steps], 1)
 
 
 def _places(rows: NDArray[np.int64], runs: Sequence[Run]) -> tuple[NDArray[np.int64], NDArray[np.float64]]:

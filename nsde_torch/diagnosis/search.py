@@ -39,6 +39,7 @@ _WORTH = 6.0  # twice the log likelihood below which a candidate is not iterated
 _CLOSE = 0.3  # of the best gain, above which a candidate is iterated
 _FEWEST, _MOST = 3, 9  # candidates that are iterated: those that help at least, all at most
 _REFINED, _PROMISING = 2, 0.5  # candidates, and share of the best gain, that get noise laws of their own
+_RESOLVED = 0.5  # steps, the shortest lag or delay that is believed
 _SURELY = 1e-3  # chance below which what contains a simpler effect is preferred to it
 _NATS, _SURE = 3.0, 2.0  # evidence, and standard errors of it, within which two candidates are alike
 
@@ -404,8 +405,16 @@ class Search:
         return max(1.0, 0.5 * max(b - a for a, b in self.steps.segments))
 
     def accept(self, trial: Trial) -> bool:
-        """Whether a candidate is there, as far as chance goes."""
-        return trial.p_corrected < self.alpha and trial.gain > 0
+        """Whether a candidate is there, as far as chance goes and the step of the data can tell."""
+        return trial.p_corrected < self.alpha and trial.gain > 0 and self._resolved(trial)
+
+    def _resolved(self, trial: Trial) -> bool:
+        """Whether a time is no mere fraction of a step: over that, how inputs are held between samples decides."""
+        vector, theta = trial.regression.vector, trial.regression.theta
+        times = [
+            j for j in range(len(vector))[trial.own] if vector.moves_memory[j] and vector.units[j] == "s"
+        ]
+        return all(theta[j] >= _RESOLVED * self.steps.dt for j in times)
 
     # ---- pieces ---------------------------------------------------------------------------------------
 

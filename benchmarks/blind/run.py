@@ -34,7 +34,7 @@ def diagnose_case(folder: Path, name: str) -> dict[str, Any]:
     from outside import OUTSIDE
 
     from nsde_torch.data import read
-    from nsde_torch.diagnosis.diagnose import Options, coarser, diagnose, with_channels
+    from nsde_torch.diagnosis.diagnose import Options, diagnose, with_channels
     from nsde_torch.diagnosis.held_out import held_out
     from nsde_torch.diagnosis.search import Search
     from nsde_torch.effects import Port, make_effect
@@ -81,7 +81,7 @@ def diagnose_case(folder: Path, name: str) -> dict[str, Any]:
         def search_of(some: Any) -> Search:
             steps = steps_of(
                 system,
-                coarser(some, found.recorded.clock),
+                some,
                 clock=found.recorded.clock,
                 smooth=False,
                 denoise=system.sensor_noise,

@@ -29,7 +29,6 @@ from nsde_torch.systems import System
 
 _BOX_S = 0.01
 _SHAPES = 6  # dependences that are described in words
-_COARSE_S, _MANY = 0.02, 8000  # step that is fine enough for flights [s], and rows from which on it matters
 
 TWINS = {"thrust_misalignment": ("frame_misalignment",), "constant_force": ("sensor_bias",)}
 """Faults of the recording chain that no data of the log can tell from an effect."""
@@ -388,7 +387,6 @@ def diagnose(
     say("checking the recording chain", 0, 1)
     recorded = undo(data, runs, system, alpha=options.alpha)
     extended, channels = with_channels(system, recorded.runs)
-    looked = coarser(extended, recorded.clock)
     if not extended:
         raise DataError("no run to diagnose.")
     able = candidate_names(system, channels=channels)
@@ -420,13 +418,13 @@ def diagnose(
             say=say,
         )
 
-    search = search_of(looked)
+    search = search_of(extended)
     seconds["recording"] = now() - started
     outcome = loop(search, system, max_effects=options.max_effects)
     seconds["search"] = now() - started - seconds["recording"]
 
     def again(some: Sequence[Run]) -> Search:
-        made = search_of(coarser(some, recorded.clock))
+        made = search_of(some)
         made.held = set(search.held)
         return made
 
@@ -455,43 +453,6 @@ def diagnose(
         shapes=tuple(shape(regression, d) for d in left[:_SHAPES]),
         formula=formula(regression, left, outcome.final.single),
     )
-
-
-def coarser(runs: Sequence[Run], clock: float) -> list[Run]:
-    """Runs of many rows on a step of up to 20 ms: every k-th state, and the mean of the inputs in between."""
-    k = int(_COARSE_S / (runs[0].dt * clock) + 0.1) if runs else 1
-    if k < 2 or sum(len(run) for run in runs) < _MANY:
-        return list(runs)
-    return [thin for run in runs for thin in _thinned(run, k)]
-
-
-def _thinned(run: Run, k: int) -> list[Run]:
-    """The run with every k-th row of each segment; none if no segment is left."""
-    t, x, u, segments = [], [], [], []
-    at = 0
-    for a, b in run.segments:
-        n = (b - 1 - a) // k
-        if n < 2:
-            continue
-        ends = a + k * np.arange(n + 1)
-        means = run.u[a : a + k * n].reshape(n, k, -1).mean(1)
-        t.append(run.t[ends])
-        x.append(run.x[ends])
-        u.append(np.concatenate((means, means[-1:])))
-        segments.append((at, at + n + 1))
-        at += n + 1
-    if not segments:
-        return []
-    return [
-        Run(
-            run.name,
-            np.concatenate(t),
-            np.concatenate(x),
-            np.concatenate(u),
-            segments=tuple(segments),
-            source=run.source,
-        )
-    ]
 
 
 def with_channels(system: System, runs: Sequence[Run]) -> tuple[list[Run], tuple[str, ...]]:

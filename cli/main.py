@@ -78,6 +78,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def entry() -> NoReturn:
     """Console script: `main`, with a closed pipe (`nsde train --help | head`) taken as a normal end."""
+    for library in ("OPENBLAS", "OMP", "MKL"):
+        # before numpy is imported: on a busy machine its small products take twenty times longer with two threads
+        os.environ.setdefault(f"{library}_NUM_THREADS", "1")
     try:
         status = main()
         sys.stdout.flush()

@@ -1,8 +1,6 @@
 """Effects by name: those of the catalogue, and `package.module:Class` of the user's own."""
 
-import importlib
 from collections.abc import Collection, Mapping
-from difflib import get_close_matches
 
 from nsde_torch.effects.actuators import ActuatorDeadband, ActuatorGainDrift, ActuatorSaturation
 from nsde_torch.effects.base import Effect, Port
@@ -35,6 +33,7 @@ from nsde_torch.effects.multirotor_moments import (
 from nsde_torch.effects.multirotor_thrust import BatteryVoltage, MotorEfficiencyLoss, ThrustCurve, ThrustSag
 from nsde_torch.effects.stiffness import CubicStiffness, LinearSpring
 from nsde_torch.errors import ConfigError
+from nsde_torch.lookup import class_by_name, did_you_mean
 
 EFFECTS: dict[str, type[Effect]] = {
     cls.name: cls
@@ -87,26 +86,7 @@ def effect_class(name: str) -> type[Effect]:
     Raises:
         ConfigError: unknown name (lists the choices), no such module or class, or not an Effect.
     """
-    if name in EFFECTS:
-        return EFFECTS[name]
-    module, colon, attribute = name.partition(":")
-    if not colon:
-        raise ConfigError(
-            f"effect {name!r} is not in the catalogue; choose among: {', '.join(EFFECTS)}, or write "
-            f"`module:Class` of your own.{_hint(name, EFFECTS)}"
-        )
-    try:
-        found = getattr(importlib.import_module(module), attribute)
-    except ModuleNotFoundError as error:
-        raise ConfigError(
-            f"effect {name!r}: no module {error.name!r}. Put its file beside your configuration "
-            "(--config-dir) or on PYTHONPATH."
-        ) from error
-    except AttributeError as error:
-        raise ConfigError(f"effect {name!r}: module {module!r} has no class {attribute!r}.") from error
-    if not (isinstance(found, type) and issubclass(found, Effect)):
-        raise ConfigError(f"effect {name!r} must be a subclass of nsde_torch.effects.Effect; got {found!r}.")
-    return found
+    return class_by_name(name, EFFECTS, Effect, kind="effect", home="nsde_torch.effects")
 
 
 def make_effect(
@@ -133,7 +113,7 @@ def make_effect(
     if ":" not in name and name not in known:
         what = f"does not act on system {system!r}" if name in EFFECTS else "is not in the catalogue"
         raise ConfigError(
-            f"effect {name!r} {what}; choose among: {', '.join(sorted(known)) or 'none'}.{_hint(name, known)}"
+            f"effect {name!r} {what}; choose among: {', '.join(sorted(known)) or 'none'}.{did_you_mean(name, known)}"
         )
     cls = effect_class(name)
     if not cls.fits(system, ports):
@@ -147,8 +127,3 @@ def make_effect(
 def effects_of(system: str, ports: Collection[Port]) -> dict[str, type[Effect]]:
     """The effects of the catalogue that a system of this name and these ports can have."""
     return {name: cls for name, cls in EFFECTS.items() if cls.fits(system, {*ports, Port.INPUT})}
-
-
-def _hint(name: str, known: Collection[str]) -> str:
-    near = get_close_matches(name, known, 1)
-    return f" Did you mean {near[0]!r}?" if near else ""

@@ -1,12 +1,11 @@
 """Machines: states, inputs, units, frames and declared physics."""
 
-import importlib
 from collections.abc import Mapping, Sequence
-from difflib import get_close_matches
 from typing import Any
 
 from nsde_torch.effects import Effect
 from nsde_torch.errors import ConfigError
+from nsde_torch.lookup import class_by_name
 from nsde_torch.systems.base import Defaults, ErrorGroup, ResidualPort, System
 from nsde_torch.systems.cartpole import Cartpole
 from nsde_torch.systems.multirotor import Hexacopter, Multirotor, Quadrotor
@@ -23,28 +22,7 @@ def system_class(name: str) -> type[System]:
     Raises:
         ConfigError: unknown name (lists the choices), no such module or class, or not a System.
     """
-    if name in SYSTEMS:
-        return SYSTEMS[name]
-    module, colon, attribute = name.partition(":")
-    if not colon:
-        near = get_close_matches(name, SYSTEMS, 1)
-        hint = f" Did you mean {near[0]!r}?" if near else ""
-        raise ConfigError(
-            f"system {name!r} is unknown; choose among {', '.join(SYSTEMS)}, or write `module:Class` of your own."
-            + hint
-        )
-    try:
-        found = getattr(importlib.import_module(module), attribute)
-    except ModuleNotFoundError as error:
-        raise ConfigError(
-            f"system {name!r}: no module {error.name!r}. Put its file beside your configuration "
-            "(--config-dir) or on PYTHONPATH."
-        ) from error
-    except AttributeError as error:
-        raise ConfigError(f"system {name!r}: module {module!r} has no class {attribute!r}.") from error
-    if not (isinstance(found, type) and issubclass(found, System)):
-        raise ConfigError(f"system {name!r} must be a subclass of nsde_torch.systems.System; got {found!r}.")
-    return found
+    return class_by_name(name, SYSTEMS, System, kind="system", home="nsde_torch.systems")
 
 
 def make_system(

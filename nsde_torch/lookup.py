@@ -1,0 +1,53 @@
+"""Classes by name: a key of a catalogue, or `package.module:Class` of the user's own."""
+
+import importlib
+from collections.abc import Collection, Mapping
+from difflib import get_close_matches
+from typing import Any, TypeVar, cast
+
+from nsde_torch.errors import ConfigError
+
+T = TypeVar("T")
+
+
+def did_you_mean(name: str, known: Collection[str]) -> str:
+    """The nearest of the known names as a question, with a space before it; empty where none is near."""
+    near = get_close_matches(name, known, 1)
+    return f" Did you mean {near[0]!r}?" if near else ""
+
+
+def class_by_name(
+    name: str, known: Mapping[str, type[T]], base: type[Any], *, kind: str, home: str
+) -> type[T]:
+    """A class of a catalogue, or one of the user's own.
+
+    Args:
+        name: Key of `known`, or `package.module:Class`.
+        known: The catalogue.
+        base: What the class must derive from.
+        kind: What it is, for messages.
+        home: Where `base` is imported from, for messages.
+
+    Raises:
+        ConfigError: unknown name (lists the choices), no such module or class, or not derived from `base`.
+    """
+    if name in known:
+        return known[name]
+    module, colon, attribute = name.partition(":")
+    if not colon:
+        raise ConfigError(
+            f"{kind} {name!r} is unknown; choose among {', '.join(known)}, or write `module:Class` of your own."
+            + did_you_mean(name, known)
+        )
+    try:
+        found = getattr(importlib.import_module(module), attribute)
+    except ModuleNotFoundError as error:
+        raise ConfigError(
+            f"{kind} {name!r}: no module {error.name!r}. Put its file beside your configuration "
+            "(--config-dir) or on PYTHONPATH."
+        ) from error
+    except AttributeError as error:
+        raise ConfigError(f"{kind} {name!r}: module {module!r} has no class {attribute!r}.") from error
+    if not (isinstance(found, type) and issubclass(found, base)):
+        raise ConfigError(f"{kind} {name!r} must be a subclass of {home}.{base.__name__}; got {found!r}.")
+    return cast("type[T]", found)

@@ -7,104 +7,79 @@ pole does not notice, and its angle counts from the normal of the track.
 
 from typing import final
 
-import torch
 from torch import Tensor
 
 from nsde_torch.effects.base import Effect, Parameter, Port
-from nsde_torch.effects.friction import SLOW_AND_FAST, WIDTHS, width
+from nsde_torch.effects.friction import Coulomb, Viscous, width
 
 FLORIAN = "Florian, Correct equations for the dynamics of the cart-pole system (2007)"
 GRAVITY = 9.8
+SWING = "let the pole swing out from several heights, the cart held"
 
 
 @final
-class CartCoulombFriction(Effect):
+class CartCoulombFriction(Coulomb):
     """Dry friction between cart and track."""
 
     name = "cart_coulomb_friction"
     port = Port.FORCE
     systems = ("cartpole",)
+    column = 1
     formula = "-c tanh(x' / v0)"
     source = FLORIAN
     PARAMETERS = {
         "size": Parameter(0.1, "m/s2", low=0.0, help="friction over total mass"),
         "width": width("m/s"),
     }
-    null = {"size": 0.0}
-    amplitudes = ("size",)
-    shapes = {"width": WIDTHS}
-    relative = {"width": "speed"}
     sentence = "Dry friction of the track brakes the cart with {size}."
-    separate = SLOW_AND_FAST
-
-    def forward(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
-        """See `Effect.forward`."""
-        return -self.value("size") * torch.tanh(x[:, 1:2] / self.value("width"))
 
 
 @final
-class CartViscousFriction(Effect):
+class CartViscousFriction(Viscous):
     """Friction between cart and track in proportion to velocity."""
 
     name = "cart_viscous_friction"
     port = Port.FORCE
     systems = ("cartpole",)
+    column = 1
     formula = "-b x'"
     source = FLORIAN
     PARAMETERS = {"damping": Parameter(0.1, "1/s", low=0.0, help="damping over total mass")}
-    null = {"damping": 0.0}
-    amplitudes = ("damping",)
     sentence = "The cart is braked in proportion to its speed, with {damping} over total mass."
-    separate = SLOW_AND_FAST
-
-    def forward(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
-        """See `Effect.forward`."""
-        return -self.value("damping") * x[:, 1:2]
 
 
 @final
-class PoleViscousFriction(Effect):
+class PoleViscousFriction(Viscous):
     """Friction in the pivot in proportion to the pole's rate."""
 
     name = "pole_viscous_friction"
     port = Port.TORQUE
     systems = ("cartpole",)
+    column = 3
     formula = "-b theta'"
     source = FLORIAN
     PARAMETERS = {"damping": Parameter(0.1, "1/s", low=0.0, help="damping over the pole's inertia")}
-    null = {"damping": 0.0}
-    amplitudes = ("damping",)
     sentence = "The pivot brakes the pole in proportion to its rate, with {damping} over its inertia."
-    separate = "let the pole swing out from several heights, the cart held"
-
-    def forward(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
-        """See `Effect.forward`."""
-        return -self.value("damping") * x[:, 3:4]
+    separate = SWING
 
 
 @final
-class PoleCoulombFriction(Effect):
+class PoleCoulombFriction(Coulomb):
     """Dry friction in the pivot."""
 
     name = "pole_coulomb_friction"
     port = Port.TORQUE
     systems = ("cartpole",)
+    column = 3
     formula = "-c tanh(theta' / w0)"
     source = FLORIAN
     PARAMETERS = {
         "size": Parameter(0.1, "rad/s2", low=0.0, help="friction torque over the pole's inertia"),
         "width": width("rad/s"),
     }
-    null = {"size": 0.0}
-    amplitudes = ("size",)
-    shapes = {"width": WIDTHS}
     relative = {"width": "rate"}
     sentence = "Dry friction in the pivot brakes the pole with {size}."
-    separate = "let the pole swing out from several heights, the cart held"
-
-    def forward(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
-        """See `Effect.forward`."""
-        return -self.value("size") * torch.tanh(x[:, 3:4] / self.value("width"))
+    separate = SWING
 
 
 @final

@@ -5,7 +5,7 @@ The sign of v is smoothed, tanh(v / width), so that friction is a function with 
 control of machines with friction", Automatica 30, 1994.)
 """
 
-from typing import final
+from typing import ClassVar, final
 
 import torch
 from torch import Tensor
@@ -23,57 +23,73 @@ def width(unit: str) -> Parameter:
     return Parameter(0.01, unit, low=0.0, help="speed at which it is 76 % developed")
 
 
+class Viscous(Effect):
+    """Friction in proportion to one velocity; subclasses say which."""
+
+    column: ClassVar[int]
+    """State that is the velocity."""
+    formula = "-b v"
+    null = {"damping": 0.0}
+    amplitudes = ("damping",)
+    separate = SLOW_AND_FAST
+
+    def forward(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
+        """See `Effect.forward`."""
+        return -self.value("damping") * x[:, self.column : self.column + 1]
+
+
+class Coulomb(Effect):
+    """Dry friction of constant size against one velocity, smoothed at rest; subclasses say which."""
+
+    column: ClassVar[int]
+    """State that is the velocity."""
+    formula = "-c tanh(v / v0)"
+    null = {"size": 0.0}
+    amplitudes = ("size",)
+    shapes = {"width": WIDTHS}
+    relative = {"width": "speed"}
+    separate = SLOW_AND_FAST
+
+    def forward(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
+        """See `Effect.forward`."""
+        return -self.value("size") * torch.tanh(x[:, self.column : self.column + 1] / self.value("width"))
+
+
 @final
-class ViscousFriction(Effect):
+class ViscousFriction(Viscous):
     """Friction in proportion to velocity."""
 
     name = "viscous_friction"
     port = Port.FORCE
-    formula = "-b v"
+    column = 1
     source = "supplement B: m q'' = -b q' - k q"
     PARAMETERS = {"damping": Parameter(0.3, "1/s", low=0.0, help="damping over mass")}
-    null = {"damping": 0.0}
-    amplitudes = ("damping",)
     sentence = "The motion is braked in proportion to its speed, with {damping} over mass."
-    separate = SLOW_AND_FAST
 
     @classmethod
     def candidate(cls, system: str) -> bool:
         """Not on the cart and pole, where `cart_viscous_friction` is the same term."""
         return system != "cartpole"
 
-    def forward(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
-        """See `Effect.forward`."""
-        return -self.value("damping") * x[:, 1:2]
-
 
 @final
-class CoulombFriction(Effect):
+class CoulombFriction(Coulomb):
     """Dry friction of constant size against the motion, smoothed at rest."""
 
     name = "coulomb_friction"
     port = Port.FORCE
-    formula = "-c tanh(v / v0)"
+    column = 1
     source = SURVEY
     PARAMETERS = {
         "size": Parameter(0.1, "m/s2", low=0.0, help="friction force over mass"),
         "width": width("m/s"),
     }
-    null = {"size": 0.0}
-    amplitudes = ("size",)
-    shapes = {"width": WIDTHS}
-    relative = {"width": "speed"}
     sentence = "Dry friction brakes the motion with {size}, whatever its speed."
-    separate = SLOW_AND_FAST
 
     @classmethod
     def candidate(cls, system: str) -> bool:
         """Not on the cart and pole, where `cart_coulomb_friction` is the same term."""
         return system != "cartpole"
-
-    def forward(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
-        """See `Effect.forward`."""
-        return -self.value("size") * torch.tanh(x[:, 1:2] / self.value("width"))
 
 
 @final

@@ -4,7 +4,9 @@ As the supplement's Figures 13 and 14. Models learn from 20,000 interactions (10
 on-policy and random data, whose truth is `truth=published`, or those of this package's plant under its swing-up
 controller and under random pushes (`truth=plant`). In each model a policy learns by PPO, and is judged on the truth
 that the data came from. Score: 0 is random actions, 1 the mean of policies that had 600,000 interactions with that
-truth. `limited` had 20,000 of them, as much as the models. The settings of PPO were chosen on the truth alone.
+truth. `limited` had 20,000 of them, as much as the models. A machine of `ensemble` keeps the member that it drew at the
+start of its episode, one of `ensemble_redrawn` draws one at every step; they share models. The settings of PPO were
+chosen on the truth alone.
 
     python benchmarks/bench_policy.py --published .../cartpole --out results/policy --seeds 5 --at-once 2
 
@@ -28,7 +30,8 @@ from nsde_torch.plots.policy_rewards import policy_rewards
 
 DATA = {"on_policy": "published", "random": "published", "plant_on_policy": "plant", "plant_random": "plant"}
 FILES = {"on_policy": "learned.pkl", "random": "random.pkl"}
-KINDS = ("nsde", "blackbox_nsde", "node", "ensemble")
+REDRAWN = "ensemble_redrawn"
+KINDS = ("nsde", "blackbox_nsde", "node", "ensemble", REDRAWN)
 EPISODES, INTERACTIONS = 100, 20_000
 
 
@@ -81,18 +84,21 @@ def job(cell: Cell, seed: int, a: argparse.Namespace) -> Callable[[], None]:
             words += [f"steps={INTERACTIONS}", "ppo=short"]
         else:
             own = seed % a.models
-            model = a.out / "models" / cell.data / f"{cell.kind}_{own}"
+            kind = "ensemble" if cell.kind == REDRAWN else cell.kind
+            model = a.out / "models" / cell.data / f"{kind}_{own}"
             train(
                 model,
                 [
                     "system=cartpole",
-                    f"model={cell.kind}",
+                    f"model={kind}",
                     f"seed={own}",
                     *data_words(cell.data, a.published),
                     *a.train,
                 ],
             )
             words += [f"environment={model}", f"steps={a.steps}"]
+            if kind == "ensemble":
+                words.append(f"propagation={'redrawn' if cell.kind == REDRAWN else 'fixed'}")
         started = time.perf_counter()
         learn_policy(folder, [*words, *a.policy])
         reward = json.loads((folder / "policy.json").read_text())["truth_reward"]["mean"]
@@ -163,6 +169,8 @@ def draw(made: Sequence[Cell], found: Sequence[Mapping[str, Any]], out: Path) ->
         "nsde": "neural SDE",
         "blackbox_nsde": "SDE without physics",
         "node": "neural ODE",
+        "ensemble": "Gaussian ensemble",
+        REDRAWN: "the same, members redrawn",
     }
     for data in dict.fromkeys(c.data for c in made if c.kind not in ("truth", "limited")):
         truth = DATA[data]

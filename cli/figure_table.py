@@ -285,7 +285,7 @@ FIGURES: dict[str, Figure] = {
     "fig11": _cartpole_map("random"),
     "fig12": _cartpole_evolution(),
     "fig13": _policies(
-        ("nsde", "ensemble"),
+        ("nsde", "ensemble", "ensemble_redrawn"),
         "Cartpole: policies that learned in models",
         "Policies that learn in the neural SDE earn what those earn that learn on the truth, from 30 times fewer "
         "interactions with it; those that learn in the ensemble do not.",

@@ -34,12 +34,15 @@ def run(config: DictConfig, job: Job) -> float:
         Minus the mean reward per episode where it learned.
 
     Raises:
-        ConfigError: The environment is no model of this system, or the extra is not installed.
+        ConfigError: The environment is no model of this system, `propagation` is given for what is no ensemble, or
+            the extra is not installed.
         CheckpointError: The environment is no run directory, or a reference no policy.
     """
     # torch is imported here, not above: a launcher's parent process needs this module, but not torch.
     import torch
 
+    from nsde_torch.errors import ConfigError
+    from nsde_torch.models import EnsembleSpec
     from nsde_torch.policy import PolicyTraining, make_learned, make_task, make_truth
 
     from . import build
@@ -54,16 +57,29 @@ def run(config: DictConfig, job: Job) -> float:
             config.truth, system=wanted.system, dt=wanted.dt, sensor_noise=noise, generator=generator
         )
 
+    if config.environment == TRUTH and config.propagation is not None:
+        raise ConfigError(
+            f"`propagation={config.propagation}` chooses members of an ensemble, and environment=truth is none. "
+            "Leave it out."
+        )
     environment, kind = truth, TRUTH
     about: dict[str, Any] = {"kind": TRUTH, "name": str(config.truth)}
     if config.environment != TRUTH:
         model = _model(config.environment, wanted.system)
 
         def learned(generator: Generator) -> Dynamics:
-            return make_learned(model, dt=wanted.dt, sensor_noise=noise, generator=generator)
+            return make_learned(
+                model,
+                dt=wanted.dt,
+                sensor_noise=noise,
+                generator=generator,
+                propagation=config.propagation,
+            )
 
         environment, kind = learned, "model"
         about = {"kind": kind, "name": model.spec.kind, "run": str(Path(config.environment).resolve())}
+        if isinstance(model.spec, EnsembleSpec):
+            about["propagation"] = config.propagation or model.spec.propagation
     result = PolicyTraining(
         wanted,
         environment=environment,

@@ -421,6 +421,11 @@ class PolicyConfig:
         choices=("plant", "published"),
     )
     sensor_noise: float = key(1.0, "sensor noise of truth and model, relative to their own", low=0)
+    propagation: str | None = key(
+        None,
+        "members of an ensemble: fixed (one for an episode) or redrawn (one for every step); null: as it was trained",
+        choices=("fixed", "redrawn"),
+    )
     steps: int = key(600000, "interactions with the environment", low=1)
     seed: int = key(0, "seed of networks, actions and first states", low=0)
     reference: list[str] = key(

@@ -13,6 +13,11 @@ from nsde_torch.experiments.outcome import Check, Outcome
 from nsde_torch.plots.policy_rewards import policy_rewards
 
 _ENOUGH = 0.95
+_WORDS = {
+    "nsde": "policies that learned in the neural SDE score at least {}",
+    "ensemble": "those that learned in the ensemble do not",
+    "ensemble_redrawn": "nor those where its members are redrawn at every step",
+}
 _NAMES = {
     "truth": "truth",
     "limited": "truth, 20,000 interactions",
@@ -20,6 +25,7 @@ _NAMES = {
     "blackbox_nsde": "SDE without physics",
     "node": "neural ODE",
     "ensemble": "Gaussian ensemble",
+    "ensemble_redrawn": "ensemble, members redrawn",
 }
 
 
@@ -43,7 +49,7 @@ def learned_in(study: Path, kinds: Sequence[str], *, title: str, source: str) ->
             truth = [
                 r for r in rows if r["data"] == own[0]["truth"] and r["environment"] in ("truth", "limited")
             ]
-            outcome.checks += [_check(r) for r in own if r["environment"] in ("nsde", "ensemble")]
+            outcome.checks += [_check(r) for r in own if r["environment"] in _WORDS]
             outcome.values[data] = {r["environment"]: _numbers(r) for r in (*truth, *own)}
             shown = [*(r for r in truth if r["environment"] == "truth"), *own]
             outcome.figures[data] = policy_rewards(
@@ -63,13 +69,9 @@ def learned_in(study: Path, kinds: Sequence[str], *, title: str, source: str) ->
 def _check(row: dict[str, Any]) -> Check:
     measured = f"{row['score']:.3f} ± {row['score_std_over_seeds']:.3f} over {row['seeds']} seeds"
     where = f"{row['data'].replace('_', ' ')} data"
-    if row["environment"] == "nsde":
-        return Check(
-            f"{where}: policies that learned in the neural SDE score at least {_ENOUGH}",
-            measured,
-            row["score"] >= _ENOUGH,
-        )
-    return Check(f"{where}: those that learned in the ensemble do not", measured, row["score"] < _ENOUGH)
+    claim = f"{where}: {_WORDS[row['environment']].format(_ENOUGH)}"
+    enough = row["score"] >= _ENOUGH
+    return Check(claim, measured, enough if row["environment"] == "nsde" else not enough)
 
 
 def _numbers(row: dict[str, Any]) -> dict[str, Any]:

@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from nsde_torch.errors import ConfigError
-from nsde_torch.models import Model, NeuralSDE, SDESpec
+from nsde_torch.models import EnsembleSpec, GaussianEnsemble, Model, NeuralSDE, SDESpec
 from nsde_torch.policy import BatchEnvironment, make_learned, make_task
 from nsde_torch.policy.learned import _SampledDynamics
 from tests.helpers.toy_systems import fix_sigma
@@ -23,6 +23,15 @@ def generator(seed: int = 0) -> torch.Generator:
 def model(system: str = "cartpole", **spec: Any) -> NeuralSDE:
     options: dict[str, Any] = {"dt": 0.02, "horizon": 10, "step": "euler_maruyama", **spec}
     return NeuralSDE(SDESpec(system, **options), generator=generator()).eval().requires_grad_(False)
+
+
+def ensemble(propagation: str = "fixed", dt: float = 0.02) -> GaussianEnsemble:
+    """Members with fresh weights and little noise, so that what tells paths apart is their member."""
+    spec = EnsembleSpec("cartpole", dt=dt, horizon=10, propagation=propagation)
+    own = GaussianEnsemble(spec, generator=generator()).eval().requires_grad_(False)
+    own.gap.fill_(-20.0)
+    own.low.fill_(-20.0)
+    return own
 
 
 def start(n: int) -> tuple[torch.Tensor, torch.Tensor]:
@@ -101,6 +110,62 @@ def test_diffusion_spreads_the_paths_as_it_does_in_sample() -> None:
         x0[:1], u[:1, :10], dt=0.02, particles=4000, generator=generator(7), measurement=False
     )[:, 0, -1]
     torch.testing.assert_close(machines.state.std(0), sampled.std(0), rtol=0.06, atol=0)
+
+
+def test_machine_of_an_ensemble_keeps_its_member_until_its_episode_ends() -> None:
+    own = ensemble()
+    x0, u = start(40)
+    machines = make_learned(own, dt=0.02, sensor_noise=1.0, generator=generator())
+    machines.reset(x0)
+    members = machines.members.clone()  # type: ignore[attr-defined]
+    assert set(members.tolist()) == set(range(5))
+    x = x0
+    for k in range(10):
+        machines.step(u[:, k])
+        x = own.advance(x, u[:, k], members, torch.zeros(40, 4))
+    torch.testing.assert_close(machines.state, x, rtol=0.02, atol=0.02)
+    assert torch.equal(machines.members, members)  # type: ignore[attr-defined]
+    rows = torch.arange(20)
+    machines.restart(rows, x0[:20])
+    machines.step(u[:, 0])
+    assert torch.equal(machines.members[20:], members[20:])  # type: ignore[attr-defined]
+    assert not torch.equal(machines.members[:20], members[:20])  # type: ignore[attr-defined]
+
+
+@pytest.mark.parametrize(("trained", "asked"), [("redrawn", None), ("fixed", "redrawn")])
+def test_redrawn_members_change_at_every_step(trained: str, asked: str | None) -> None:
+    machines = make_learned(
+        ensemble(trained), dt=0.02, sensor_noise=1.0, generator=generator(), propagation=asked
+    )
+    x0, u = start(40)
+    machines.reset(x0)
+    seen = []
+    for k in range(3):
+        machines.step(u[:, k])
+        seen.append(machines.members.clone())  # type: ignore[attr-defined]
+    assert not torch.equal(seen[0], seen[1])
+    assert not torch.equal(seen[1], seen[2])
+
+
+def test_paths_of_machines_spread_as_those_that_an_ensemble_samples() -> None:
+    own = GaussianEnsemble(EnsembleSpec("cartpole", dt=0.02, horizon=10), generator=generator()).eval()
+    x0, u = (part[:1].expand(4000, *part.shape[1:]) for part in start(1))
+    machines = make_learned(own, dt=0.02, sensor_noise=1.0, generator=generator())
+    machines.reset(x0)
+    for k in range(10):
+        machines.step(u[:, k])
+    with torch.no_grad():
+        drawn = own.sample(x0[:1], u[:1, :10], dt=0.02, particles=4000, generator=generator(7))[:, 0, -1]
+    torch.testing.assert_close(machines.state.std(0), drawn.std(0), rtol=0.08, atol=0)
+
+
+def test_ensemble_refuses_a_step_that_it_did_not_learn_and_members_are_for_ensembles() -> None:
+    with pytest.raises(ConfigError, match=r"system.dt=0\.02"):
+        make_learned(ensemble(dt=0.05), dt=0.02, sensor_noise=1.0, generator=generator())
+    with pytest.raises(ConfigError, match="propagation"):
+        make_learned(model(), dt=0.02, sensor_noise=1.0, generator=generator(), propagation="fixed")
+    with pytest.raises(ConfigError, match="fixed or redrawn"):
+        make_learned(ensemble(), dt=0.02, sensor_noise=1.0, generator=generator(), propagation="both")
 
 
 def test_any_other_model_is_asked_for_one_step_at_a_time() -> None:

@@ -34,11 +34,9 @@ def diagnose_case(folder: Path, name: str) -> dict[str, Any]:
     from outside import OUTSIDE
 
     from nsde_torch.data import read
-    from nsde_torch.diagnosis.diagnose import Options, diagnose, with_channels
+    from nsde_torch.diagnosis.diagnose import Options, diagnose, search_in, with_channels
     from nsde_torch.diagnosis.held_out import held_out
-    from nsde_torch.diagnosis.search import Search
     from nsde_torch.effects import Port, make_effect
-    from nsde_torch.learning.identify.steps import steps_of
     from nsde_torch.models.identified import SysidSpec
     from nsde_torch.systems import make_system
 
@@ -75,26 +73,13 @@ def diagnose_case(folder: Path, name: str) -> dict[str, Any]:
             )
             for key, values in effects.items()
         ]
-        runs, channels = with_channels(system, found.recorded.runs)
+        runs = with_channels(system, found.recorded.runs)
         told = system.with_effects(*made)
-
-        def search_of(some: Any) -> Search:
-            steps = steps_of(
-                system,
-                some,
-                clock=found.recorded.clock,
-                smooth=False,
-                denoise=system.sensor_noise,
-                shortest=20,
-                run_in=True,
-            )
-            return Search(steps, box=1, alpha=0.01, channels=channels, feedback=not system.sensor_noise)
-
         oracle = held_out(
             (found.outcome.declared.system, told),
             spec,
             runs,
-            make=search_of,
+            make=lambda some: search_in(system, some, found.recorded.clock, Options()),
             clock=found.recorded.clock,
             seed=0,
         )

@@ -1,28 +1,20 @@
 """Effects of the catalogue as candidates: which a system may have, and where their fits start."""
 
-from collections.abc import Collection, Iterable, Sequence
-
-import numpy as np
-from numpy.typing import NDArray
+from collections.abc import Collection, Sequence
 
 from nsde_torch.effects import Effect, Port, effect_class, effects_of, make_effect
 from nsde_torch.systems import System
+from nsde_torch.systems.parameters import own_name
 
-Array = NDArray[np.float64]
 Start = dict[str, float | list[float]]
 
-_QUANTILE = 0.95
 
-
-def candidate_names(
-    system: System, *, exclude: Iterable[str] = (), channels: Collection[str] = ()
-) -> list[str]:
+def candidate_names(system: System, *, channels: Collection[str] = ()) -> list[str]:
     """Names of the effects that could be missing from a system, of which the data have the channels."""
-    left_out = {*exclude, *system.effect_names}
     return sorted(
         name
         for name, cls in effects_of(system.name, {*system.ports, Port.INPUT}).items()
-        if name not in left_out
+        if name not in system.effect_names
         and cls.candidate(system.name)
         and set(cls.exogenous) <= {*channels, *system.exogenous}
     )
@@ -42,5 +34,5 @@ def make_candidate(name: str, system: System, start: Start) -> Effect:
 def alone(name: str, labels: Sequence[str]) -> list[tuple[str, ...]]:
     """What to hold at nothing, a choice at a time: all but one of the parameters of which there is one per input."""
     cls = effect_class(name)
-    each = [label for label in labels if cls.PARAMETERS[label.partition(".")[2].partition("[")[0]].per_input]
+    each = [label for label in labels if cls.PARAMETERS[own_name(label)].per_input]
     return [tuple(x for x in each if x != label) for label in each] or [()]

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from scipy.optimize import nnls
 from scipy.signal import welch
 
-from nsde_torch.learning.identify.explained import bump, smooth_rate
+from nsde_torch.learning.identify.explained import bump, per_second, smooth_rate
 from nsde_torch.learning.identify.identify import Regression
 
 Array = NDArray[np.float64]
@@ -69,7 +69,7 @@ def channel_residuals(before: Regression, after: Regression) -> list[ChannelResi
         out.append(
             ChannelResidual(
                 name=before.physics.names[channel],
-                unit=f"{unit}2" if unit.endswith("/s") else f"{unit}/s",
+                unit=per_second(unit),
                 measured=float(measured.std()) if len(measured) else 0.0,
                 before=_rms(first),
                 after=_rms(second),

@@ -6,6 +6,7 @@ The stages: undo the recording chain (`recording`), look for effects (`loop`), m
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from time import perf_counter as now
 from typing import Any
 
 import numpy as np
@@ -20,12 +21,13 @@ from nsde_torch.diagnosis.not_shown import not_shown
 from nsde_torch.diagnosis.recording import Recorded, undo
 from nsde_torch.diagnosis.search import Search
 from nsde_torch.diagnosis.shape import Shape, shape, symmetry
-from nsde_torch.diagnosis.views import rates_width
-from nsde_torch.effects import EFFECTS, Effect
+from nsde_torch.diagnosis.views import rates, rates_width
+from nsde_torch.effects import EFFECTS, Effect, effect_class
 from nsde_torch.errors import ConfigError, DataError
 from nsde_torch.learning.identify.steps import steps_of
 from nsde_torch.models.identified import SysidSpec
 from nsde_torch.systems import System
+from nsde_torch.systems.parameters import own_name
 
 _BOX_S = 0.01
 _SHAPES = 6  # dependences that are described in words
@@ -253,18 +255,14 @@ class Diagnosis:
 
 def sentence(found: Found) -> str:
     """What an effect means, with its values."""
-    groups: dict[str, list[str]] = {}
+    values: dict[str, list[str]] = {}
+    units: dict[str, str] = {}
     for e in estimates(found.trial):
-        name = e.name.partition(".")[2].partition("[")[0]
-        value = 0.0 if e.name in found.trial.held else e.value
-        groups.setdefault(name, []).append(f"{value:.3g}")
-        groups.setdefault(f"{name} unit", [e.unit])
-    words = {
-        name: f"{', '.join(values)} {groups[f'{name} unit'][0]}".removesuffix(" 1")
-        for name, values in groups.items()
-        if not name.endswith(" unit")
-    }
-    text = type(found.trial.effect).sentence
+        name = own_name(e.name)
+        values.setdefault(name, []).append(f"{0.0 if e.name in found.trial.held else e.value:.3g}")
+        units[name] = "" if e.unit == "1" else f" {e.unit}"
+    words = {name: ", ".join(values[name]) + units[name] for name in values}
+    text = effect_class(found.name).sentence
     try:
         return text.format(**words)
     except (KeyError, IndexError):
@@ -362,7 +360,6 @@ def diagnose(
     options: Options,
     *,
     say: Callable[[str, int, int], None] = lambda stage, done, total: None,
-    clock: Callable[[], float] | None = None,
 ) -> Diagnosis:
     """Diagnose a declared model.
 
@@ -373,23 +370,19 @@ def diagnose(
         runs: Its runs to look at.
         options: Settings.
         say: Told stage, number done and number in all.
-        clock: Gives the time [s], for the seconds of stages.
 
     Raises:
         DataError: too few rows, or nothing moves.
         ConfigError: an option is out of range, or a candidate that the system cannot have.
     """
-    import time
-
-    now = clock or time.perf_counter
     started = now()
     seconds: dict[str, float] = {}
     say("checking the recording chain", 0, 1)
     recorded = undo(data, runs, system, alpha=options.alpha)
-    extended, channels = with_channels(system, recorded.runs)
+    extended = with_channels(system, recorded.runs)
     if not extended:
         raise DataError("no run to diagnose.")
-    able = candidate_names(system, channels=channels)
+    able = candidate_names(system, channels=logged_channels(system, extended))
     for name in options.candidates or ():
         if name not in able:
             raise ConfigError(
@@ -397,34 +390,13 @@ def diagnose(
                 f"logged channels; it could have: {', '.join(able)}."
             )
 
-    def search_of(some: Sequence[Run]) -> Search:
-        box = max(1, int(_BOX_S / (some[0].dt * recorded.clock) + 1e-6))
-        steps = steps_of(
-            system,
-            some,
-            clock=recorded.clock,
-            smooth=False,
-            denoise=system.sensor_noise,
-            shortest=max(box, 20),
-            run_in=True,
-        )
-        return Search(
-            steps,
-            box=box,
-            alpha=options.alpha,
-            candidates=options.candidates,
-            channels=channels,
-            feedback=not system.sensor_noise,
-            say=say,
-        )
-
-    search = search_of(extended)
+    search = search_in(system, extended, recorded.clock, options, say=say)
     seconds["recording"] = now() - started
     outcome = loop(search, system, max_effects=options.max_effects)
     seconds["search"] = now() - started - seconds["recording"]
 
     def again(some: Sequence[Run]) -> Search:
-        made = search_of(some)
+        made = search_in(system, some, recorded.clock, options, say=say)
         made.held = set(search.held)
         return made
 
@@ -440,6 +412,7 @@ def diagnose(
     seconds["errors"] = now() - started - sum(seconds.values())
     residuals = channel_residuals(outcome.declared.regression, outcome.final.regression)
     regression, left = outcome.final.regression, outcome.structured
+    seen = rates(regression, outcome.variables)
     return Diagnosis(
         system,
         data,
@@ -450,19 +423,62 @@ def diagnose(
         residuals,
         options,
         seconds,
-        shapes=tuple(shape(regression, d) for d in left[:_SHAPES]),
-        formula=formula(regression, left, outcome.final.single),
+        shapes=tuple(shape(regression, d, outcome.variables, seen) for d in left[:_SHAPES]),
+        formula=formula(regression, left, outcome.variables),
     )
 
 
-def with_channels(system: System, runs: Sequence[Run]) -> tuple[list[Run], tuple[str, ...]]:
-    """Runs with the logged channels that an effect of the catalogue could read behind the inputs."""
+def search_in(
+    system: System,
+    runs: Sequence[Run],
+    clock: float,
+    options: Options,
+    *,
+    say: Callable[[str, int, int], None] = lambda stage, done, total: None,
+) -> Search:
+    """A search in runs whose recording chain was undone.
+
+    Args:
+        system: Declared system.
+        runs: The runs; columns behind the inputs are logged channels (`with_channels`).
+        clock: Physical seconds per logged second.
+        options: Settings.
+        say: Told stage, number done and number in all.
+    """
+    box = max(1, int(_BOX_S / (runs[0].dt * clock) + 1e-6))
+    steps = steps_of(
+        system,
+        runs,
+        clock=clock,
+        smooth=False,
+        denoise=system.sensor_noise,
+        shortest=max(box, 20),
+        run_in=True,
+    )
+    return Search(
+        steps,
+        box=box,
+        alpha=options.alpha,
+        candidates=options.candidates,
+        channels=logged_channels(system, runs),
+        feedback=not system.sensor_noise,
+        say=say,
+    )
+
+
+def logged_channels(system: System, runs: Sequence[Run]) -> tuple[str, ...]:
+    """Logged columns, of all runs and without gaps, that an effect of the catalogue could read."""
     names = {n for cls in EFFECTS.values() if cls.fits(system.name, system.ports) for n in cls.exogenous}
-    names -= set(system.exogenous)
-    have = [
-        n for n in sorted(names) if all(n in run.extra and np.isfinite(run.extra[n]).all() for run in runs)
-    ]
+    return tuple(
+        n
+        for n in sorted(names - set(system.exogenous))
+        if all(n in run.extra and np.isfinite(run.extra[n]).all() for run in runs)
+    )
+
+
+def with_channels(system: System, runs: Sequence[Run]) -> list[Run]:
+    """Runs with their `logged_channels` behind the inputs."""
+    have = logged_channels(system, runs)
     if not have:
-        return list(runs), ()
-    wide = [replace(run, u=np.column_stack((run.u, *(run.extra[n] for n in have)))) for run in runs]
-    return wide, tuple(have)
+        return list(runs)
+    return [replace(run, u=np.column_stack((run.u, *(run.extra[n] for n in have)))) for run in runs]

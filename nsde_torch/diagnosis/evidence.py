@@ -45,16 +45,13 @@ class Score:
 
 def folds(regression: Regression) -> Labels:
     """Fold of each whitened row: whole runs, at most ten groups of them; of a single run, five stretches of time."""
-    owners = regression.physics.steps.runs
-    count = len(set(owners))
-    rows = np.empty(len(regression.series), dtype=np.int64)
+    _, number = np.unique(regression.owners, return_inverse=True)
+    count = int(number.max()) + 1
     if count > 1:
-        number = {run: i * min(count, _MOST_FOLDS) // count for i, run in enumerate(sorted(set(owners)))}
-        for (a, b), run in zip(regression.series.edges, owners, strict=True):
-            rows[a:b] = number[run]
+        rows = number * min(count, _MOST_FOLDS) // count
     else:
-        rows[:] = np.arange(len(rows)) * _ONE_RUN_FOLDS // len(rows)
-    return regression.whitened_rows(rows)
+        rows = np.arange(len(number)) * _ONE_RUN_FOLDS // len(number)
+    return regression.whitened_rows(rows.astype(np.int64))
 
 
 def score(regression: Regression, fold: Labels, block: Labels, *, still: Flags) -> Score:
@@ -83,7 +80,7 @@ def score(regression: Regression, fold: Labels, block: Labels, *, still: Flags) 
     log_std = np.log([n.std for n in regression.noises])
     each = -0.5 * np.square(out) - log_std[:, None]
     blocks: Array = np.bincount(block, weights=each.sum(0), minlength=int(block.max()) + 1).astype(np.float64)
-    price = sum(len(n.reflection) + (n.carry > 0) for n in regression.noises)
+    price = sum(n.parameters for n in regression.noises)
     blocks -= price / len(blocks)
     fitted = float(-0.5 * np.square(white).sum() - log_std.sum() * white.shape[1]) - price
     return Score(blocks, fitted, regression.shown.rank)
@@ -139,5 +136,9 @@ def by_blocks(difference: Array) -> float:
     if not squares > 0:
         return 1.0
     counting = float(np.abs(difference).sum()) ** 2 / squares
-    error = float(difference.std(ddof=1)) * len(difference) ** 0.5
-    return float(stdtr(max(counting - 1.0, 1.0), -float(difference.sum()) / error))
+    return float(stdtr(max(counting - 1.0, 1.0), -float(difference.sum()) / sum_error(difference)))
+
+
+def sum_error(difference: Array) -> float:
+    """Standard error of a sum over blocks, from their scatter."""
+    return float(difference.std(ddof=1)) * len(difference) ** 0.5

@@ -17,9 +17,10 @@ from math import log
 import numpy as np
 from numpy.typing import NDArray
 
-from nsde_torch.diagnosis.shape import own_space, period_of, product_of, values_of
-from nsde_torch.diagnosis.structure import Dependence, variables
-from nsde_torch.diagnosis.views import is_plain, moment, per_second, variable_units
+from nsde_torch.diagnosis.shape import own_space, period_of, product_of
+from nsde_torch.diagnosis.structure import Dependence, Regressors
+from nsde_torch.diagnosis.views import is_plain, moment, variable_units
+from nsde_torch.learning.identify.explained import per_second
 from nsde_torch.learning.identify.identify import Regression
 from nsde_torch.learning.report import number
 
@@ -74,13 +75,13 @@ class Formula:
         return f"d {self.channel} / dt lacks {' '.join(parts).removeprefix('+ ')}  [{self.unit}, SI]"
 
 
-def formula(regression: Regression, left: Sequence[Dependence], blocks: NDArray[np.int64]) -> Formula | None:
+def formula(regression: Regression, left: Sequence[Dependence], variables: Regressors) -> Formula | None:
     """A formula for the channel that depends most on something, or None where no function helps.
 
     Args:
         regression: With everything that was found, at its optimum.
         left: What the residual depends on beyond chance, the surest first.
-        blocks: Block of time of each row of `series`.
+        variables: What they may depend on.
     """
     left = [d for d in left if moment(d.where) is None]
     if not left:
@@ -88,7 +89,7 @@ def formula(regression: Regression, left: Sequence[Dependence], blocks: NDArray[
     name = max(left, key=lambda d: d.gain - d.functions).channel
     names = [regression.physics.names[c] for c in regression.rows]
     channel = names.index(name)
-    names_of, functions = library(regression, channel, [d for d in left if d.channel == name])
+    names_of, functions = library(regression, channel, [d for d in left if d.channel == name], variables)
     if not names_of:
         return None
     own, white = own_space(regression, channel), regression.white[channel]
@@ -99,7 +100,7 @@ def formula(regression: Regression, left: Sequence[Dependence], blocks: NDArray[
         return None
     names_of, z = [n for n, is_new in zip(names_of, new, strict=True) if is_new], z[:, new]
     order, by = chosen(z, rest)
-    of_white = regression.whitened_rows(blocks)
+    of_white = regression.whitened_rows(regression.blocks)
     price = log(int(of_white.max()) + 1) + 2.0 * log(len(names_of))
     kept: list[int] = []
     reached = 0.0
@@ -121,14 +122,15 @@ def formula(regression: Regression, left: Sequence[Dependence], blocks: NDArray[
     )
 
 
-def library(regression: Regression, channel: int, left: Sequence[Dependence]) -> tuple[list[str], Array]:
+def library(
+    regression: Regression, channel: int, left: Sequence[Dependence], variables: Regressors
+) -> tuple[list[str], Array]:
     """Names and values (M, q) of functions of the variables that a channel depends on."""
-    columns, t = variables(regression)
-    columns = {**columns, "time": t}
+    columns = {**variables.columns, "time": variables.t}
     units = variable_units(regression.vector.system)
     wanted: list[str] = []
     for d in left:
-        pair = product_of(regression, channel, d.variable)
+        pair = product_of(regression, channel, d.variable, variables)
         wanted += [v for v in pair.split(" * ") if v in columns and v not in wanted]
     wanted = wanted[:_VARIABLES]
     out: dict[str, Array] = {}
@@ -150,10 +152,10 @@ def library(regression: Regression, channel: int, left: Sequence[Dependence]) ->
             for k in (1, 2, 3):
                 angle = name if k == 1 else f"{k} {name}"
                 out |= {f"sin({angle})": np.sin(k * v), f"cos({angle})": np.cos(k * v)}
-        period = period_of(regression, channel, name) if is_plain(name) else None
+        period = period_of(regression, channel, name, variables) if is_plain(name) else None
         if period is not None:
             w = 2.0 * np.pi / period
-            wave = w * values_of(regression, name)
+            wave = w * variables.values(name)
             out |= {f"sin({w:.4g} {name})": np.sin(wave), f"cos({w:.4g} {name})": np.cos(wave)}
     for i, first in enumerate(wanted):
         for second in wanted[i + 1 :]:
@@ -164,7 +166,7 @@ def library(regression: Regression, channel: int, left: Sequence[Dependence]) ->
                 f"{first} {second}^2": a * b**2,
             }
     kept = {k: v for k, v in out.items() if float(v.std()) > 1e-12}
-    return list(kept), np.stack(list(kept.values()), 1) if kept else np.zeros((len(t), 0))
+    return list(kept), np.stack(list(kept.values()), 1) if kept else np.zeros((len(variables.t), 0))
 
 
 def chosen(z: Array, rest: Array) -> tuple[list[int], str]:

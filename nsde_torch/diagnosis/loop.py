@@ -13,7 +13,7 @@ import numpy as np
 from scipy.special import stdtrit
 
 from nsde_torch.diagnosis.search import Base, Round, Search, Trial, fitted_system, surely_above
-from nsde_torch.diagnosis.structure import Dependence, dependences
+from nsde_torch.diagnosis.structure import Dependence, Regressors, dependences, regressors
 from nsde_torch.effects import effect_class
 from nsde_torch.systems import System
 
@@ -68,6 +68,7 @@ class Outcome:
         final: The physics with everything that was added, fitted.
         found: Effects, in the order in which they were added.
         rounds: Every look at the catalogue.
+        declared_variables, variables: What the residuals without and with the effects may depend on.
         before, after: What the residual depends on without and with the effects, all tests.
         structured: The tests that are left over after correction for their number.
     """
@@ -77,6 +78,8 @@ class Outcome:
     final: Base
     found: list[Found]
     rounds: list[Round]
+    declared_variables: Regressors
+    variables: Regressors
     before: list[Dependence]
     after: list[Dependence]
     structured: list[Dependence] = field(default_factory=list)
@@ -97,7 +100,8 @@ def loop(search: Search, system: System, *, max_effects: int) -> Outcome:
     """
     search.say("fitting the declared physics", 0, 1)
     declared = base = search.base(system)
-    before = dependences(base.regression, base.single)
+    declared_variables = regressors(base.regression)
+    before = dependences(base.regression, declared_variables)
     rounds: list[Round] = []
     names: list[str] = []
     while len(names) < max_effects:
@@ -111,7 +115,8 @@ def loop(search: Search, system: System, *, max_effects: int) -> Outcome:
         search.held |= set(now.chosen.held)
         base = search.base(fitted_system(now.chosen.regression))
     found, base = _settle(search, declared, base, names, rounds)
-    after = dependences(base.regression, base.single) if found else before
+    variables = regressors(base.regression) if found else declared_variables
+    after = dependences(base.regression, variables) if found else before
     left = [d for d in after if d.p * len(after) < search.alpha]
     explained = 2.0 * (base.score.fitted - declared.score.fitted)
     rest = max((d.gain - d.functions for d in left), default=0.0)
@@ -121,7 +126,7 @@ def loop(search: Search, system: System, *, max_effects: int) -> Outcome:
         verdict = "unexplained" if rest > explained else "effect_found"
     if rest > _LEAD * explained:
         found = [Found(f.name, f.trial, f.ties, lead=True) for f in found]
-    return Outcome(verdict, declared, base, found, rounds, before, after, left)
+    return Outcome(verdict, declared, base, found, rounds, declared_variables, variables, before, after, left)
 
 
 def _choice(search: Search, trials: Sequence[Trial], added: Sequence[str]) -> Trial | None:

@@ -11,6 +11,7 @@ from math import inf, isfinite
 
 from nsde_torch.diagnosis.search import Round
 from nsde_torch.effects import effect_class
+from nsde_torch.systems.parameters import own_name
 
 _NOTICED = 4.0  # standard errors
 _TYPICAL = 0.25  # of the scale of a parameter
@@ -57,7 +58,7 @@ def not_shown(rounds: Sequence[Round], *, found: Sequence[str], alpha: float) ->
     out = []
     for (name, label), error in least.items():
         cls = effect_class(name)
-        key = label.partition(".")[2].partition("[")[0]
+        key = own_name(label)
         spec = cls.PARAMETERS[key]
         usual = cls().scale_of(key)
         level = abs(cls.null.get(key, 0.0)) > _NEVER * usual  # does nothing when it is large: no size

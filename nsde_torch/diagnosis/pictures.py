@@ -16,8 +16,9 @@ from numpy.typing import NDArray
 from nsde_torch.diagnosis.channels import ChannelResidual, spectrum, white_parts
 from nsde_torch.diagnosis.loop import Outcome
 from nsde_torch.diagnosis.shape import Shape, product_of
-from nsde_torch.diagnosis.structure import Dependence
-from nsde_torch.diagnosis.views import Rates, bins, factors, is_plain, moment, per_second, rates
+from nsde_torch.diagnosis.structure import Dependence, Regressors
+from nsde_torch.diagnosis.views import Rates, bins, factors, is_plain, moment, rates
+from nsde_torch.learning.identify.explained import per_second
 from nsde_torch.learning.identify.identify import Regression
 from nsde_torch.plots.diagnosis import (
     Cloud,
@@ -85,7 +86,8 @@ def save_pictures(figures: Mapping[str, Figure], folder: Path) -> list[Path]:
 
 def effect_views(outcome: Outcome, channels: Sequence[ChannelResidual]) -> list[Panel]:
     """The channels that the effects reduced, each against the variable that its residual depended on most surely."""
-    before, after = rates(outcome.declared.regression), rates(outcome.final.regression)
+    before = rates(outcome.declared.regression, outcome.declared_variables)
+    after = rates(outcome.final.regression, outcome.variables)
     out: list[Panel] = []
     for c in _most_reduced(channels)[:_CHANNELS]:
         if out and c.after > _REDUCED * c.before:
@@ -93,7 +95,7 @@ def effect_views(outcome: Outcome, channels: Sequence[ChannelResidual]) -> list[
         picked = _surest(outcome.before, c.name)
         if picked is None:
             continue
-        values = _axis(before, outcome.declared.regression, picked)
+        values = _axis(before, outcome.declared.regression, outcome.declared_variables, picked)
         if values is None:
             continue
         variable, unit, x = values
@@ -113,11 +115,11 @@ def unexplained_views(
     """What the residual still depends on, one panel each, with the words of its shape."""
     notes = {(s.channel, s.variable): s.note for s in shapes}
     regression = outcome.final.regression
-    seen = rates(regression)
+    seen = rates(regression, outcome.variables)
     out: list[Panel] = []
     done: set[tuple[str, str, str]] = set()
     for d in outcome.structured if left is None else left:
-        values = _axis(seen, regression, d)
+        values = _axis(seen, regression, outcome.variables, d)
         if values is None or len(out) == _UNEXPLAINED:
             continue
         variable, unit, x = values
@@ -161,7 +163,9 @@ def _surest(tests: Sequence[Dependence], channel: str) -> Dependence | None:
     return product if alone else first
 
 
-def _axis(seen: Rates, regression: Regression, d: Dependence) -> tuple[str, str, Array] | None:
+def _axis(
+    seen: Rates, regression: Regression, variables: Regressors, d: Dependence
+) -> tuple[str, str, Array] | None:
     """Name, unit and values of a variable for a horizontal axis."""
     if is_plain(d.variable):
         name = d.variable
@@ -172,7 +176,7 @@ def _axis(seen: Rates, regression: Regression, d: Dependence) -> tuple[str, str,
         )
     if factors(d.variable) is None:
         return "number of the run", "", seen.run.astype(np.float64)
-    pair = product_of(regression, seen.names.index(d.channel), d.variable)
+    pair = product_of(regression, seen.names.index(d.channel), d.variable, variables)
     first, _, second = pair.partition(" * ")
     units = [u for u in (seen.value_units.get(v, "1") for v in (first, second)) if u not in ("", "1")]
     return pair, " ".join(units), seen.values[first] * seen.values[second]

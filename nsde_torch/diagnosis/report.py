@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from nsde_torch.diagnosis.pictures import pictures, save_pictures
-from nsde_torch.diagnosis.text import chance, unseen
+from nsde_torch.diagnosis.text import chance, interval, unseen
 from nsde_torch.learning.report import number
 
 if TYPE_CHECKING:
@@ -148,7 +148,7 @@ def _finding(finding: Mapping[str, Any], content: Mapping[str, Any]) -> str:
     own = {k: p for k, p in content["parameters"].items() if k.startswith(f"{finding['name']}.")}
     if own:
         rows = [
-            [k.partition(".")[2], f"{number(p['value'])} {_unit(p['unit'])}", _interval(p["interval_90"])]
+            [k.partition(".")[2], f"{number(p['value'])} {_unit(p['unit'])}", interval(p["interval_90"])]
             for k, p in own.items()
         ]
         text += _table(["parameter", "value", "90 % interval"], rows)
@@ -293,10 +293,6 @@ def _data(content: Mapping[str, Any]) -> str:
 
 def _value(value: float | None, digits: int = 3) -> str:
     return "-" if value is None else f"{value:.{digits}g}"
-
-
-def _interval(interval: Sequence[float] | None) -> str:
-    return "not shown by the data" if interval is None else f"{number(interval[0])} to {number(interval[1])}"
 
 
 def _unit(unit: str) -> str:

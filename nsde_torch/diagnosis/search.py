@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from scipy.special import chdtrc
 
 from nsde_torch.diagnosis.candidates import Start, alone, candidate_names, make_candidate
-from nsde_torch.diagnosis.evidence import Score, folds, p_value, score
+from nsde_torch.diagnosis.evidence import Score, folds, p_value, score, sum_error
 from nsde_torch.diagnosis.spectrum import lines
 from nsde_torch.effects import Effect, effect_class
 from nsde_torch.errors import NonFiniteError, NsdeError
@@ -29,7 +29,7 @@ from nsde_torch.learning.identify.sizes import data_sizes
 from nsde_torch.learning.identify.spread import Spread
 from nsde_torch.learning.identify.steps import Steps
 from nsde_torch.systems import System
-from nsde_torch.systems.parameters import ParameterVector
+from nsde_torch.systems.parameters import ParameterVector, own_name
 
 Array = NDArray[np.float64]
 
@@ -74,11 +74,6 @@ class Trial:
     sure: Spread
     held: tuple[str, ...] = ()
 
-    @property
-    def effect(self) -> Effect:
-        """The effect with its fitted values."""
-        return fitted_system(self.regression).effects[-1]  # type: ignore[return-value]
-
 
 @dataclass(frozen=True)
 class Base:
@@ -89,7 +84,6 @@ class Base:
         regression: At its optimum.
         score: On runs left out.
         fold, block: Labels of whitened rows.
-        single: Block of each row of `series`.
     """
 
     system: System
@@ -97,8 +91,6 @@ class Base:
     score: Score
     fold: NDArray[np.int64]
     block: NDArray[np.int64]
-    single: NDArray[np.int64]
-    sure: Spread
 
 
 @dataclass
@@ -127,7 +119,7 @@ def simplest_first(trials: Sequence[Trial]) -> list[Trial]:
     out = list(trials)
     for trial in trials:
         for simple in trials:
-            if simple.name not in trial.effect.includes or out.index(trial) > out.index(simple):
+            if simple.name not in effect_class(trial.name).includes or out.index(trial) > out.index(simple):
                 continue
             more = max((trial.own.stop - trial.own.start) - (simple.own.stop - simple.own.start), 1)
             ratio = 2.0 * (trial.score.fitted - simple.score.fitted)
@@ -140,8 +132,7 @@ def simplest_first(trials: Sequence[Trial]) -> list[Trial]:
 def surely_above(better: Trial, worse: Trial) -> bool:
     """Whether the evidence for one candidate is above that for another by more than chance."""
     difference = better.score.blocks - worse.score.blocks
-    error = float(difference.std(ddof=1)) * len(difference) ** 0.5
-    return float(difference.sum()) > max(_NATS, _SURE * error)
+    return float(difference.sum()) > max(_NATS, _SURE * sum_error(difference))
 
 
 def dynamic_rows(system: System) -> NDArray[np.int64]:
@@ -158,15 +149,10 @@ def dynamic_rows(system: System) -> NDArray[np.int64]:
 
 def fitted_system(regression: Regression) -> System:
     """The physics with the values of a regression."""
-    return with_values(regression, regression.theta)
-
-
-def with_values(regression: Regression, theta: Array) -> System:
-    """The physics of a regression with some values."""
     source = regression.origin
     assert isinstance(source, System)
     out = source.with_effects()
-    regression.vector.write(out, theta)
+    regression.vector.write(out, regression.theta)
     return out
 
 
@@ -178,7 +164,7 @@ def shapes(regression: Regression) -> NDArray[np.bool_]:
         effect, dot, _ = label.partition(".")
         if dot:
             amplitudes = amplitudes_of[effect]
-            out[j] = bool(amplitudes) and _parameter(label) not in amplitudes
+            out[j] = bool(amplitudes) and own_name(label) not in amplitudes
     return out
 
 
@@ -216,11 +202,9 @@ class Search:
         """The regression of a system, with noise laws of its own."""
         regression = self._regression(system)
         regression.run(_ITERATIONS)
-        _, single = regression.spread()
-        fold, block = folds(regression), regression.whitened_rows(single)
+        fold, block = folds(regression), regression.whitened_rows(regression.blocks)
         regression, own = self._best_noise(regression, system, fold, block, self.held)
-        sure, _ = regression.spread()
-        return Base(system, regression, own, fold, block, single, sure)
+        return Base(system, regression, own, fold, block)
 
     def quick(self, system: System) -> Regression:
         """The regression of a system alone, without what candidates are compared by."""
@@ -270,7 +254,6 @@ class Search:
             names = [n for n in names if n in only]
         out = Round(added=base.system.effect_names, trials=[], screened={})
         peaks, scales = lines(base.regression), data_sizes(base.system, self.steps)
-        best: dict[str, Start] = {}
         where: dict[str, tuple[System, tuple[str, ...]]] = {}
         for i, name in enumerate(names):
             self.say("screening effects", i, len(names))
@@ -284,7 +267,7 @@ class Search:
                         out.failed[name] = str(error)
                         continue
                     if name not in out.screened or gain > out.screened[name]:
-                        out.screened[name], where[name], best[name] = gain, (system, held), start
+                        out.screened[name], where[name] = gain, (system, held)
                         out.errors[name] = errors
         # from without what it contains, a first step says nothing of a candidate that stands in for it
         standing_in = [n for n in where if set(effect_class(n).includes) & set(base.system.effect_names)]
@@ -376,7 +359,7 @@ class Search:
         held: tuple[str, ...],
     ) -> Trial:
         still = shapes(regression)
-        sure, _ = regression.spread()
+        sure = regression.spread()
         labels = regression.vector.labels
         mine = [j for j, label in enumerate(labels) if label.startswith(f"{name}.")]
         tested = ~still
@@ -390,7 +373,7 @@ class Search:
             own=slice(mine[0], mine[-1] + 1),
             score=this,
             gain=float(difference.sum()),
-            error=float(difference.std(ddof=1) * len(difference) ** 0.5),
+            error=sum_error(difference),
             rank_score=float(difference.sum()) - price,
             p=p,
             p_corrected=min(1.0, p * among * self._tries(name)),
@@ -458,7 +441,7 @@ class Search:
         cls = effect_class(name)
         mine = [j for j, label in enumerate(vector.labels) if label.startswith(f"{name}.")]
         moved = [
-            j for j in mine if _parameter(vector.labels[j]) in cls.amplitudes and vector.labels[j] not in held
+            j for j in mine if own_name(vector.labels[j]) in cls.amplitudes and vector.labels[j] not in held
         ]
         beside = len(vector) == len(before.vector) + len(mine)
         old = before.slopes.reshape(-1, len(before.vector)) @ before.shown.basis
@@ -484,7 +467,7 @@ class Search:
         new = new / np.maximum(size, 1e-300)
         rest = residual - new @ np.linalg.lstsq(new, residual, rcond=1e-6)[0]
         sizes = cls.amplitudes or cls.null
-        live = [i for i, j in enumerate(columns) if j in mine and _parameter(vector.labels[j]) in sizes]
+        live = [i for i, j in enumerate(columns) if j in mine and own_name(vector.labels[j]) in sizes]
         live = live if beside else []  # what the others could do instead was not taken out
         labels = [vector.labels[columns[i]] for i in live]
         errors = dict(zip(labels, standard_errors(new, size, live), strict=True))
@@ -516,13 +499,9 @@ def standard_errors(columns: Array, size: Array, which: Sequence[int]) -> list[f
     return np.where(dead, np.inf, error).tolist()
 
 
-def _parameter(label: str) -> str:
-    return label.partition(".")[2].partition("[")[0]
-
-
 def _likelihood(laws: Sequence[Noise], rows: int) -> float:
     """Log likelihood of residuals under laws that were fitted to them, less one per parameter of the laws."""
-    return sum(-rows * log(n.std) - len(n.reflection) - (n.carry > 0) for n in laws)
+    return sum(-rows * log(n.std) - n.parameters for n in laws)
 
 
 def _carried(vector: ParameterVector, before: Regression) -> Array:

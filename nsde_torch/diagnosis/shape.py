@@ -13,8 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from nsde_torch.diagnosis.structure import Dependence, groups, variables
-from nsde_torch.diagnosis.views import bins, factors, is_plain, moment, rates, variable_units
+from nsde_torch.diagnosis.structure import Dependence, Regressors, orthonormal
+from nsde_torch.diagnosis.views import Rates, bins, factors, is_plain, moment, variable_units
 from nsde_torch.learning.identify.identify import Regression
 
 Array = NDArray[np.float64]
@@ -60,9 +60,15 @@ def symmetry(dependence: Dependence) -> str:
     return "odd" if dependence.odd > 0.8 else "even" if dependence.odd < 0.2 else "mixed"
 
 
-def shape(regression: Regression, dependence: Dependence) -> Shape:
-    """Describe a dependence that is there beyond chance."""
-    seen = rates(regression)
+def shape(regression: Regression, dependence: Dependence, variables: Regressors, seen: Rates) -> Shape:
+    """Describe a dependence that is there beyond chance.
+
+    Args:
+        regression: Its residuals.
+        dependence: The test that says so.
+        variables: What the residuals may depend on.
+        seen: The residuals as rates.
+    """
     channel = seen.names.index(dependence.channel)
     single = moment(dependence.where)
     if single is not None:
@@ -80,10 +86,10 @@ def shape(regression: Regression, dependence: Dependence) -> Shape:
             symmetry(dependence) == "odd"
         ):  # what grows to both sides may have been seen far out on one of them only
             extent, where = "global" if extent else "", None
-        period = period_of(regression, channel, name)
+        period = period_of(regression, channel, name, variables)
     else:
-        name = product_of(regression, channel, name)
-    only = _only_run(regression, channel, dependence.variable)
+        name = product_of(regression, channel, name, variables)
+    only = _only_run(regression, channel, dependence.variable, variables)
     side = symmetry(dependence)
     words = [f"The rate of {dependence.channel} depends on {name}"]
     if period is not None:
@@ -137,8 +143,7 @@ def _extent(
 
 def own_space(regression: Regression, channel: int) -> Array:
     """Orthonormal columns (N, r) of what the parameters can do to a channel's whitened residual."""
-    u, s, _ = np.linalg.svd(regression.slopes[channel], full_matrices=False)
-    return np.asarray(u[:, s > 1e-9 * max(float(s.max(initial=0.0)), 1e-300)])
+    return orthonormal(regression.slopes[channel])
 
 
 def projected(regression: Regression, channel: int, functions: Array, own: Array) -> Array:
@@ -153,15 +158,9 @@ def gain(z: Array, white: Array) -> float:
     return float(fit @ white)
 
 
-def values_of(regression: Regression, variable: str) -> Array:
-    """A plain variable in the middle of each box (M,)."""
-    columns, t = variables(regression)
-    return t if variable == "time" else columns[variable]
-
-
-def period_of(regression: Regression, channel: int, variable: str) -> float | None:
+def period_of(regression: Regression, channel: int, variable: str, variables: Regressors) -> float | None:
     """Period of a dependence on a plain variable, or None where a cubic does about as well."""
-    v, white, own = values_of(regression, variable), regression.white[channel], own_space(regression, channel)
+    v, white, own = variables.values(variable), regression.white[channel], own_space(regression, channel)
     low, high = np.quantile(v, [0.005, 0.995])
     span = float(high - low)
     if not span > 0:
@@ -185,33 +184,28 @@ def period_of(regression: Regression, channel: int, variable: str) -> float | No
     return found if best > max(factor * cubic, _SINE_LEAST) else None
 
 
-def product_of(regression: Regression, channel: int, variable: str) -> str:
+def product_of(regression: Regression, channel: int, variable: str, variables: Regressors) -> str:
     """`a * b` for a product with others: the one that matters most; the variable itself for anything else."""
     first = factors(variable)
     if first is None:
         return variable
-    columns, _ = variables(regression)
-    names = list(columns)
+    names = list(variables.columns)
     others = names[names.index(first) + 1 :]
-    functions = next(f for name, f, _ in groups(regression) if name == variable)
+    functions, _ = variables.functions[variable]
     z = projected(regression, channel, functions, own_space(regression, channel))
     pull = np.square(z.T @ regression.white[channel]) / np.maximum(np.square(z).sum(0), 1e-300)
     return f"{first} * {others[int(pull.argmax())]}"
 
 
-def _only_run(regression: Regression, channel: int, variable: str) -> int | None:
+def _only_run(regression: Regression, channel: int, variable: str, variables: Regressors) -> int | None:
     """Number of the run that a dependence is confined to."""
-    owners = regression.physics.steps.runs
-    of_series = np.empty(len(regression.series), dtype=np.int64)
-    for (a, b), run in zip(regression.series.edges, owners, strict=True):
-        of_series[a:b] = run
-    of_white = regression.whitened_rows(of_series)
+    of_white = regression.whitened_rows(regression.owners)
     runs = np.unique(of_white)
     if len(runs) < _RUNS:
         return None
-    functions = next(f for name, f, _ in groups(regression) if name == variable)
+    functions, _ = variables.functions[variable]
     if variable == "run":
-        functions = np.ones((len(of_series), 1))
+        functions = np.ones((len(functions), 1))
     z, white = (
         projected(regression, channel, functions, own_space(regression, channel)),
         regression.white[channel],

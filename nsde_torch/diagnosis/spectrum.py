@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nsde_torch.learning.identify.identify import Regression
+from nsde_torch.learning.identify.noise import extended
 
 Array = NDArray[np.float64]
 
@@ -21,7 +22,7 @@ def periodogram(regression: Regression) -> tuple[Array, Array]:
 
     Stretches are transformed on one grid with zeros behind them, and their powers are weighted by their lengths.
     """
-    edges = [(a + i, b + i + 1) for i, (a, b) in enumerate(regression.series.edges)]
+    edges = extended(regression.series).edges
     longest = max(b - a for a, b in edges)
     n = int(2 ** np.ceil(np.log2(_FINER * longest)))
     power, weight = np.zeros((len(regression.rows), n // 2 + 1)), 0

@@ -54,7 +54,7 @@ class Dependence:
     where: str = ""
 
 
-def variables(regression: Regression) -> tuple[dict[str, Array], Array]:
+def _columns(regression: Regression) -> tuple[dict[str, Array], Array]:
     """Variables that a residual may depend on, in the middle of each box (M,), and the time in the run (M,) [s].
 
     States that are foreseen (positions and rates, of a quaternion what the system's features make of it), inputs,
@@ -108,9 +108,35 @@ def functions_of(v: Array) -> tuple[Array, NDArray[np.bool_]]:
     return np.stack(columns, 1), np.array(odd)
 
 
-def groups(regression: Regression) -> Iterator[tuple[str, Array, NDArray[np.bool_]]]:
-    """Name, functions (M, q) per unit of time and whether each is odd, for every variable."""
-    columns, t = variables(regression)
+@dataclass(frozen=True)
+class Regressors:
+    """All that the residuals of a regression may depend on, in the middle of each box.
+
+    Args:
+        columns: Variables by name (M,).
+        t: Time in the run (M,) [s].
+        functions: By variable, products and `time` and `run` too: functions (M, q), and which of them are odd (q,).
+    """
+
+    columns: dict[str, Array]
+    t: Array
+    functions: dict[str, tuple[Array, NDArray[np.bool_]]]
+
+    def values(self, variable: str) -> Array:
+        """A plain variable, or time (M,)."""
+        return self.t if variable == "time" else self.columns[variable]
+
+
+def regressors(regression: Regression) -> Regressors:
+    """Everything that the residuals of a regression may depend on."""
+    columns, t = _columns(regression)
+    functions = {name: (z, odd) for name, z, odd in _groups(regression, columns, t)}
+    return Regressors(columns, t, functions)
+
+
+def _groups(
+    regression: Regression, columns: dict[str, Array], t: Array
+) -> Iterator[tuple[str, Array, NDArray[np.bool_]]]:
     for name, v in columns.items():
         functions, odd = functions_of(v)
         yield name, functions, odd
@@ -120,9 +146,7 @@ def groups(regression: Regression) -> Iterator[tuple[str, Array, NDArray[np.bool
         others = [np.clip(scaled[first] * scaled[second], -6, 6) for second in names[i + 1 :]]
         if others:
             yield f"{first} times others", np.stack(others, 1), np.zeros(len(others), dtype=bool)
-    owners = np.empty(len(t), dtype=np.int64)
-    for (a, b), run in zip(regression.series.edges, regression.physics.steps.runs, strict=True):
-        owners[a:b] = run
+    owners = regression.owners
     phase = np.empty(len(t))
     for run in np.unique(owners):
         own = owners == run
@@ -134,23 +158,22 @@ def groups(regression: Regression) -> Iterator[tuple[str, Array, NDArray[np.bool
         yield "run", np.stack([(owners == run) * 1.0 for run in runs], 1), np.zeros(len(runs), dtype=bool)
 
 
-def dependences(regression: Regression, blocks: Labels) -> list[Dependence]:
+def dependences(regression: Regression, variables: Regressors) -> list[Dependence]:
     """Every channel against every variable, the surest first.
 
     Args:
         regression: At its optimum.
-        blocks: Block of time of each row of `series`.
+        variables: What it may depend on.
     """
-    of_white = regression.whitened_rows(blocks)
+    of_white = regression.whitened_rows(regression.blocks)
     count = int(of_white.max()) + 1
     fold = folds(regression)
     out = []
-    prepared = list(groups(regression))
     spans, moments = _moments(regression)
     for i, channel in enumerate(regression.rows):
         noise, white = regression.noises[i], regression.white[i]
-        own = _orthonormal(regression.slopes[i])
-        for name, functions, odd in prepared:
+        own = orthonormal(regression.slopes[i])
+        for name, (functions, odd) in variables.functions.items():
             z = regression.whitened(noise, functions * regression.dt)
             z = z - own @ (own.T @ z)
             z, kept = _independent(z)
@@ -235,11 +258,6 @@ def _one_moment(
     t = float(
         regression.physics.steps.t[min(spans[k][0] * regression.box, len(regression.physics.steps) - 1)]
     )
-    owner = next(
-        run
-        for (a, b), run in zip(regression.series.edges, regression.physics.steps.runs, strict=True)
-        if a <= spans[k][0] < b
-    )
     return Dependence(
         channel=regression.physics.names[regression.rows[i]],
         variable="time",
@@ -248,7 +266,7 @@ def _one_moment(
         odd=0.0,
         gain=largest**2,
         functions=1,
-        where=f"run {owner}, {t:.1f} s",
+        where=f"run {regression.owners[spans[k][0]]}, {t:.1f} s",
     )
 
 
@@ -264,7 +282,8 @@ def _hotelling(scores: Array) -> float:
     return float(fdtrc(q, count - q, t2 * (count - q) / (q * (count - 1))))
 
 
-def _orthonormal(x: Array) -> Array:
+def orthonormal(x: Array) -> Array:
+    """Orthonormal columns (N, r) that span those of x (N, k)."""
     u, s, _ = np.linalg.svd(x, full_matrices=False)
     return (
         np.asarray(u[:, s > 1e-9 * max(float(s[0]), 1e-300)])
@@ -288,8 +307,3 @@ def _independent(z: Array) -> tuple[Array, NDArray[np.int64]]:
             basis = np.column_stack((basis, rest / length))
             kept.append(k)
     return basis, np.array(kept, dtype=np.int64)
-
-
-def corrected(found: Sequence[Dependence]) -> list[float]:
-    """p values times the number of tests."""
-    return [min(1.0, d.p * len(found)) for d in found]

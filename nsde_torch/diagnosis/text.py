@@ -24,7 +24,7 @@ def lines(content: Mapping[str, Any]) -> list[str]:
                 )
     if content["parameters"]:
         rows = [
-            [name, number(p["value"]), _interval(p["interval_90"]), p["unit"]]
+            [name, number(p["value"]), interval(p["interval_90"]), p["unit"]]
             for name, p in content["parameters"].items()
         ]
         out += ["", table(["parameter", "value", "90 % interval", "unit"], rows)]
@@ -105,5 +105,6 @@ def chance(p: float) -> str:
     return f"{p:.1g}" if p >= 1e-4 else "< 0.0001"
 
 
-def _interval(interval: Sequence[float] | None) -> str:
-    return "not shown by the data" if interval is None else f"{number(interval[0])} to {number(interval[1])}"
+def interval(ends: Sequence[float] | None) -> str:
+    """An interval in words."""
+    return "not shown by the data" if ends is None else f"{number(ends[0])} to {number(ends[1])}"

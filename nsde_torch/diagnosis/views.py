@@ -15,8 +15,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from nsde_torch.diagnosis.structure import variables
-from nsde_torch.learning.identify.explained import bump, smooth_rate
+from nsde_torch.diagnosis.structure import Regressors
+from nsde_torch.learning.identify.explained import bump, per_second, smooth_rate
 from nsde_torch.learning.identify.identify import Regression
 from nsde_torch.systems import System
 
@@ -66,9 +66,9 @@ class Bins:
     error: Array
 
 
-def rates(regression: Regression) -> Rates:
+def rates(regression: Regression, variables: Regressors) -> Rates:
     """Mean residual rates of the dynamic channels, and everything that they may depend on."""
-    columns, t = variables(regression)
+    columns, t = variables.columns, variables.t
     edges = regression.series.edges
     window = bump(regression.dt)
     names = [*columns, "time"]
@@ -99,11 +99,6 @@ def rates(regression: Regression) -> Rates:
 def rates_width(regression: Regression) -> float:
     """Length of the test function of `rates` [s]."""
     return len(bump(regression.dt)) * regression.dt
-
-
-def per_second(unit: str) -> str:
-    """Unit of a rate of something."""
-    return f"{unit}2" if unit.endswith("/s") else f"{unit}/s"
 
 
 def variable_units(system: System) -> dict[str, str]:

@@ -157,3 +157,8 @@ class ParameterVector:
 
 def _device(system: System) -> torch.device:
     return next(iter(system.parameters())).device
+
+
+def own_name(label: str) -> str:
+    """Name of a parameter within its effect, from a label: `size` of `friction.size[1]`; empty of the system's own."""
+    return label.partition(".")[2].partition("[")[0]

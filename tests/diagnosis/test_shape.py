@@ -9,10 +9,11 @@ import pytest
 from numpy.typing import NDArray
 
 from nsde_torch.diagnosis.formula import formula
-from nsde_torch.diagnosis.search import Base, Search
-from nsde_torch.diagnosis.shape import Shape, shape, values_of
-from nsde_torch.diagnosis.structure import Dependence, dependences
+from nsde_torch.diagnosis.search import Search
+from nsde_torch.diagnosis.shape import Shape, shape
+from nsde_torch.diagnosis.structure import Dependence, Regressors, dependences, regressors
 from nsde_torch.diagnosis.views import bins, rates
+from nsde_torch.learning.identify.identify import Regression
 from nsde_torch.learning.identify.steps import steps_of
 from nsde_torch.systems import make_system
 from tests.helpers.diagnosed import recorded
@@ -21,27 +22,26 @@ Array = NDArray[np.float64]
 Push = Callable[[Array, Array, Array], Array]
 
 
-def pushed(push: Push) -> Base:
+def pushed(push: Push) -> tuple[Regression, Regressors]:
     """A spring whose residual rate is that of noise and a push (of q, time, number of the run) [m/s2]."""
     system = make_system("mass_spring_damper")
     data = recorded("mass_spring_damper", durations=(8.0,) * 4)
     steps = steps_of(system, data.runs, clock=1.0, smooth=False, denoise=True, run_in=True)
-    base = Search(steps, box=1, alpha=0.01).base(system)
-    r = base.regression
-    run = np.concatenate([np.full(b - a, k) for (a, b), k in zip(r.series.edges, steps.runs, strict=True)])
-    force = push(values_of(r, "q"), values_of(r, "time"), run)
+    r = Search(steps, box=1, alpha=0.01).quick(system)
+    variables = regressors(r)
+    force = push(variables.values("q"), variables.values("time"), r.owners)
     r.residual[:, r.rows[0]] += force * r.dt
     r.noises = r.own_noises()
     (noise,) = r.noises
     r.white = noise.whiten(r.residual[:, r.rows], r.series).T
     r.slopes = noise.whiten(r.jacobian[:, r.rows[0]], r.series)[None]
-    return base
+    return r, variables
 
 
 def described(push: Push, variable: str) -> Shape:
-    base = pushed(push)
-    tests = dependences(base.regression, base.single)
-    return shape(base.regression, next(d for d in tests if d.variable == variable))
+    r, variables = pushed(push)
+    test = next(d for d in dependences(r, variables) if d.variable == variable)
+    return shape(r, test, variables, rates(r, variables))
 
 
 def test_an_odd_dependence_over_the_whole_range_is_called_so() -> None:
@@ -82,9 +82,9 @@ def test_a_push_at_one_time_is_local_in_time_and_has_no_symmetry() -> None:
 
 
 def test_a_formula_has_the_terms_and_coefficients_that_were_put_in() -> None:
-    base = pushed(lambda q, t, run: -2.0 * np.abs(q) * q)
-    left = [d for d in dependences(base.regression, base.single) if d.variable == "q"]
-    found = formula(base.regression, left, base.single)
+    r, variables = pushed(lambda q, t, run: -2.0 * np.abs(q) * q)
+    left = [d for d in dependences(r, variables) if d.variable == "q"]
+    found = formula(r, left, variables)
     assert found is not None
     assert [t.function for t in found.terms] == ["|q| q"]
     (term,) = found.terms
@@ -94,9 +94,9 @@ def test_a_formula_has_the_terms_and_coefficients_that_were_put_in() -> None:
 
 
 def test_noise_has_no_formula() -> None:
-    base = pushed(lambda q, t, run: 0.0 * q)
-    assert formula(base.regression, dependences(base.regression, base.single)[:2], base.single) is None
-    assert formula(base.regression, [], base.single) is None
+    r, variables = pushed(lambda q, t, run: 0.0 * q)
+    assert formula(r, dependences(r, variables)[:2], variables) is None
+    assert formula(r, [], variables) is None
 
 
 def test_bins_give_means_and_errors_that_hold_noise_which_lasts() -> None:
@@ -113,7 +113,7 @@ def test_bins_give_means_and_errors_that_hold_noise_which_lasts() -> None:
 
 
 def test_mean_rates_are_those_of_the_push() -> None:
-    seen = rates(pushed(lambda q, t, run: 4.0 * q).regression)
+    seen = rates(*pushed(lambda q, t, run: 4.0 * q))
     own = seen.residual[:, seen.names.index("q_dot")]
     slope = np.polyfit(seen.values["q"], own, 1)[0]
     assert slope == pytest.approx(4.0, rel=0.1)
@@ -122,9 +122,9 @@ def test_mean_rates_are_those_of_the_push() -> None:
 
 
 def test_a_single_moment_is_described_without_functions_of_anything() -> None:
-    base = pushed(lambda q, t, run: 0.0 * q)
+    r, variables = pushed(lambda q, t, run: 0.0 * q)
     single = Dependence("q_dot", "time", 1e-6, 0.1, 0.0, gain=40.0, functions=1, where="run 1, 3.5 s")
-    words = shape(base.regression, single)
+    words = shape(r, single, variables, rates(r, variables))
     assert (words.only_run, words.extent, words.symmetry) == (None, "local", "")
     assert "3.5 s" in words.sentence
-    assert formula(base.regression, [single], base.single) is None
+    assert formula(r, [single], variables) is None

@@ -57,7 +57,7 @@ def explained(physics: Physics, residual: Array, rows: NDArray[np.int64], window
         out.append(
             Channel(
                 name=physics.names[channel],
-                unit=_per_second(unit),
+                unit=per_second(unit),
                 measured=float(std),
                 residual=float(rms),
                 sensor=float(bend * physics.sensor_std[channel]),
@@ -68,5 +68,6 @@ def explained(physics: Physics, residual: Array, rows: NDArray[np.int64], window
     return out
 
 
-def _per_second(unit: str) -> str:
+def per_second(unit: str) -> str:
+    """Unit of a rate of something."""
     return f"{unit}2" if unit.endswith("/s") else f"{unit}/s"

@@ -237,8 +237,21 @@ class Regression:
 
     # ---- results --------------------------------------------------------------------------------------
 
-    def spread(self) -> tuple[Spread, NDArray[np.int64]]:
-        """Covariance in the directions that are shown, and the block of each row of `series`."""
+    @property
+    def owners(self) -> NDArray[np.int64]:
+        """Number of the run of each row of `series` (M,)."""
+        counts = [b - a for a, b in self.series.edges]
+        return np.repeat(np.array(self.physics.steps.runs, dtype=np.int64), counts)
+
+    @property
+    def blocks(self) -> NDArray[np.int64]:
+        """Block of time of each row of `series` (M,)."""
+        total = len(self.series) * self.dt
+        length = float(np.clip(total / _BLOCKS, *_BLOCK_S))
+        return self.series.blocks(max(1, round(min(length, total / 20) / self.dt)))
+
+    def spread(self) -> Spread:
+        """Covariance in the directions that are shown."""
         purged, used = [], 0
         for i, (noise, channel) in enumerate(zip(self.noises, self.rows, strict=True)):
             x = self.slopes[i] @ self.shown.basis
@@ -247,12 +260,7 @@ class Regression:
                 x = x - own @ np.linalg.lstsq(own, x, rcond=None)[0]
             purged.append(x)
             used += own.shape[1] + self._past.shape[1]
-        total = len(self.series) * self.dt
-        length = float(np.clip(total / _BLOCKS, *_BLOCK_S))
-        rows = max(1, round(min(length, total / 20) / self.dt))
-        blocks = self.series.blocks(rows)
-        of_white = self.whitened_rows(blocks)
-        return spread(np.stack(purged), self.white, of_white, used), blocks
+        return spread(np.stack(purged), self.white, self.whitened_rows(self.blocks), used)
 
     def own_noises(self, orders: int | None = None) -> list[Noise]:
         """Laws of the noise of the residuals at theta, of whatever kind suits them, up to some order."""
@@ -327,7 +335,7 @@ def identify(
     physics = Physics(vector, steps, curved=weak and system.sensor_noise, foresee=weak)
     regression = Regression(physics, box=box, plain=not weak, feedback=weak)
     regression.run(iterations)
-    sure, blocks = regression.spread()
+    sure, blocks = regression.spread(), regression.blocks
     basis, window = regression.shown.basis, bump(steps.dt)
     left = physics.residual(regression.theta)[:, regression.rows]
     alone = explained(physics, left + regression.shift(sure.parts @ basis.T, blocks), regression.rows, window)

@@ -48,6 +48,11 @@ class Noise:
     reflection: Array
     std: float
 
+    @property
+    def parameters(self) -> int:
+        """Number of parameters besides the size."""
+        return len(self.reflection) + (self.carry > 0)
+
     def whiten(self, values: Array, series: Series) -> Array:
         """Filtered columns (N, k) in units of `std`, one row more per stretch than there were: (N + stretches, k)."""
         summed = _carry(self.carry, values, series)

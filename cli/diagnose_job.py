@@ -10,6 +10,7 @@ from omegaconf import DictConfig
 
 from . import effects_file
 from .jobs import Job, guarded
+from .train_job import fit
 
 if TYPE_CHECKING:
     from nsde_torch.data import DataSet, Run
@@ -104,35 +105,13 @@ def _values(found: Diagnosis, name: str) -> dict[str, Any]:
 
 def _train(config: DictConfig, job: Job, found: Diagnosis) -> dict[str, Any]:
     """Train the model of the configuration with the effects; an ordinary run directory."""
-    from nsde_torch import learning
-
-    from . import build
-
-    device, dtype = build.settings(config, sweep=job.sweep)
     for f in found.outcome.found:
         for key, value in _values(found, f.name).items():
             effects_file.add_value(config.system, f.name, key, value)
     for name, value in found.outcome.system.declared_parameters().items():
         effects_file.add_own(config.system, name, value[0])
     config.system.effects = [*config.system.effects, *(f.name for f in found.outcome.found)]
-    system = build.system(config.system)
-    data = build.dataset(config.data, system)
-    split = build.split(config.data, data, system)
-    metrics = learning.train(
-        build.model_spec(config, system, split),
-        data,
-        split,
-        loss=build.loss_options(config),
-        options=build.trainer_options(config.trainer),
-        validation=config.data.validation,
-        seed=config.seed,
-        run_dir=job.run_dir / MODEL,
-        values=build.parameter_values(config.system),
-        device=device,
-        dtype=dtype,
-        about={"command": "train", "config": _train_config(config)},
-        other_sensors=config.data.test_path is not None,
-    )
+    metrics = fit(config, job, job.run_dir / MODEL, about=_train_config(config))
     test = metrics.get("test", {})
     return {
         "path": MODEL,

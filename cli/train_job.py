@@ -2,9 +2,15 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
 from omegaconf import DictConfig
 
 from .jobs import Job, guarded
+
+if TYPE_CHECKING:
+    from nsde_torch.data import DataSet
 
 
 def task(config: DictConfig) -> float | None:
@@ -22,17 +28,38 @@ def run(config: DictConfig, job: Job) -> float:
     Returns:
         The validation score of the kept model.
     """
-    # torch is imported here, not above: a launcher's parent process needs this module, but not torch.
-    from nsde_torch import learning
-
     from . import build, effects_file
 
     effects_file.expand(config.system)
+    metrics = fit(config, job, job.run_dir, about=build.options(config))
+    return float(metrics["validation"]["score"])
+
+
+def fit(
+    config: DictConfig, job: Job, run_dir: Path, *, about: dict[str, Any], data: DataSet | None = None
+) -> dict[str, Any]:
+    """Build what a configuration describes and train it.
+
+    Args:
+        config: The composed and checked configuration, effects files expanded.
+        job: What is being run.
+        run_dir: Where the run directory is made.
+        about: The configuration that `metrics.json` tells.
+        data: The data set, if it was read already.
+
+    Returns:
+        The content of `metrics.json`.
+    """
+    # torch is imported here, not above: a launcher's parent process needs this module, but not torch.
+    from nsde_torch import learning
+
+    from . import build
+
     device, dtype = build.settings(config, sweep=job.sweep)
     system = build.system(config.system)
-    data = build.dataset(config.data, system)
+    data = build.dataset(config.data, system) if data is None else data
     split = build.split(config.data, data, system)
-    metrics = learning.train(
+    return learning.train(
         build.model_spec(config, system, split),
         data,
         split,
@@ -40,11 +67,10 @@ def run(config: DictConfig, job: Job) -> float:
         options=build.trainer_options(config.trainer),
         validation=config.data.validation,
         seed=config.seed,
-        run_dir=job.run_dir,
+        run_dir=run_dir,
         values=build.parameter_values(config.system),
         device=device,
         dtype=dtype,
-        about={"command": "train", "config": build.options(config)},
+        about={"command": "train", "config": about},
         other_sensors=config.data.test_path is not None,
     )
-    return float(metrics["validation"]["score"])

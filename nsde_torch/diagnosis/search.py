@@ -254,10 +254,11 @@ class Search:
             names = [n for n in names if n in only]
         out = Round(added=base.system.effect_names, trials=[], screened={})
         peaks, scales = lines(base.regression), data_sizes(base.system, self.steps)
+        frequencies = [peak.frequency for peak in peaks]
         where: dict[str, tuple[System, tuple[str, ...]]] = {}
         for i, name in enumerate(names):
             self.say("screening effects", i, len(names))
-            for start in self._starts(base.system, name, scales, peaks):
+            for start in self._starts(base.system, name, scales, frequencies):
                 system = self._joined(base.system, name, start)
                 labels = [x for x in ParameterVector(system).labels if x.startswith(f"{name}.")]
                 for held in alone(name, labels):
@@ -270,14 +271,17 @@ class Search:
                         out.screened[name], where[name] = gain, (system, held)
                         out.errors[name] = errors
         # from without what it contains, a first step says nothing of a candidate that stands in for it
-        standing_in = [n for n in where if set(effect_class(n).includes) & set(base.system.effect_names)]
-        rest = sorted((n for n in where if n not in standing_in), key=lambda n: -out.screened[n])
-        order = [*standing_in, *(n for n in rest if out.screened[n] > _WORTH)]
+        sure = [n for n in where if set(effect_class(n).includes) & set(base.system.effect_names)]
+        # nor of what swings at a line of the spectrum: the law of the noise has learned the line
+        if peaks and peaks[0].p < self.alpha:
+            sure += [n for n in where if _swings(n)]
+        rest = sorted((n for n in where if n not in sure), key=lambda n: -out.screened[n])
+        order = [*sure, *(n for n in rest if out.screened[n] > _WORTH)]
         helped = 0
         for i, name in enumerate(order):
             best_yet = max((2.0 * t.gain for t in out.trials), default=0.0)
             enough = helped >= _FEWEST and out.screened[name] < _CLOSE * best_yet
-            if i == _MOST or (enough and name not in standing_in):
+            if i == _MOST or (enough and name not in sure):
                 break  # a first step says roughly what a candidate is worth
             self.say("fitting effects", i, min(len(order), _MOST))
             system, held = where[name]
@@ -298,11 +302,11 @@ class Search:
         return out
 
     def _starts(
-        self, system: System, name: str, scales: Mapping[str, float], peaks: Sequence[float]
+        self, system: System, name: str, scales: Mapping[str, float], frequencies: Sequence[float]
     ) -> list[Start]:
         """Values that fits of a candidate start from; what it contains lends it the shapes that both have."""
         cls = effect_class(name)
-        starts = cls.starts(scales, peaks)
+        starts = cls.starts(scales, frequencies)
         for effect in system.effects:
             assert isinstance(effect, Effect)
             if effect.name not in cls.includes:
@@ -336,7 +340,10 @@ class Search:
         """
         regression = self._regression(system, base.regression, held=held)
         regression.run(_REFINE)
-        this = score(regression, base.fold, base.block, still=shapes(regression))
+        if _swings(name):
+            regression, this = self._best_noise(regression, system, base.fold, base.block, held)
+        else:
+            this = score(regression, base.fold, base.block, still=shapes(regression))
         return self._judged(base, regression, this, name, among, held)
 
     def _finished(self, base: Base, trial: Trial, among: int) -> Trial:
@@ -383,7 +390,7 @@ class Search:
 
     def _tries(self, name: str) -> float:
         """How many independent starts the best of which was taken: frequencies, where the spectrum was searched."""
-        if "spectrum" not in effect_class(name).relative.values():
+        if not _swings(name):
             return 1.0
         return max(1.0, 0.5 * max(b - a for a, b in self.steps.segments))
 
@@ -497,6 +504,11 @@ def standard_errors(columns: Array, size: Array, which: Sequence[int]) -> list[f
     dead = gone | (size[which] <= 1e-9 * max(float(size.max(initial=0.0)), 1e-300))
     error = np.sqrt(np.clip(np.diag(inverse), 0.0, None)) / np.maximum(size[which], 1e-300)
     return np.where(dead, np.inf, error).tolist()
+
+
+def _swings(name: str) -> bool:
+    """Whether a candidate has a frequency of its own."""
+    return "spectrum" in effect_class(name).relative.values()
 
 
 def _likelihood(laws: Sequence[Noise], rows: int) -> float:

@@ -1,11 +1,17 @@
-"""Spectral lines in whitened residuals: a force that swings at a frequency of its own.
+"""Spectral lines in residuals: a force that swings at a frequency of its own.
 
-The periodogram of white noise is exponential at every frequency; the largest of M ordinates exceeds
--log(1 - (1 - p)^(1/M)) times their mean with chance p (Fisher, Proceedings of the Royal Society A 125 (1929)).
+The periodogram of noise is exponential at every frequency, about a level that bends slowly with frequency: the median
+over a band, divided by log 2. The largest of M independent ordinates exceeds -log(p / M) times that level with chance
+p (Fisher, Proceedings of the Royal Society A 125 (1929)). Residuals are whitened by what the sensor alone does to
+them: an autoregression would have learned the line and taken it out.
 """
+
+from dataclasses import dataclass
+from math import exp, log
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import median_filter
 
 from nsde_torch.learning.identify.identify import Regression
 from nsde_torch.learning.identify.noise import extended
@@ -15,39 +21,63 @@ Array = NDArray[np.float64]
 _SHORTEST_S = 1.0
 _PEAKS = 3
 _FINER = 8
+_BAND = 40  # independent ordinates that the level is the median of
+
+
+@dataclass(frozen=True)
+class Line:
+    """A high ordinate.
+
+    Args:
+        frequency: Where it is [Hz].
+        p: Chance of one as high anywhere in noise, in any channel.
+    """
+
+    frequency: float
+    p: float
 
 
 def periodogram(regression: Regression) -> tuple[Array, Array]:
-    """Frequencies [Hz] (M,) and mean power of the whitened residual per channel (channels, M), 1 for white noise.
+    """Frequencies [Hz] (M,) and power over its level per channel (channels, M), 1 on average for noise.
 
     Stretches are transformed on one grid with zeros behind them, and their powers are weighted by their lengths.
     """
     edges = extended(regression.series).edges
     longest = max(b - a for a, b in edges)
     n = int(2 ** np.ceil(np.log2(_FINER * longest)))
-    power, weight = np.zeros((len(regression.rows), n // 2 + 1)), 0
+    laws = regression.own_noises(0)
+    white = np.stack(
+        [
+            regression.whitened(law, regression.residual[:, [channel]])[:, 0]
+            for law, channel in zip(laws, regression.rows, strict=True)
+        ]
+    )
+    power, weight = np.zeros((len(white), n // 2 + 1)), 0
     for a, b in edges:
         if (b - a) * regression.dt < _SHORTEST_S:
             continue
-        part = regression.white[:, a:b]
+        part = white[:, a:b]
         power += np.abs(np.fft.rfft(part - part.mean(1, keepdims=True), n)) ** 2
         weight += b - a
+    width = max(3, round(_BAND * n / longest))
+    level = median_filter(power, size=(1, min(width, power.shape[1])), mode="nearest") / log(2.0)
     frequency: Array = np.fft.rfftfreq(n, regression.dt).astype(np.float64)
-    return frequency, power / max(weight, 1)
+    return frequency, power / np.maximum(level, 1e-300)
 
 
-def lines(regression: Regression) -> list[float]:
-    """Frequencies of the highest ordinates over all channels [Hz], at least a period apart in the longest stretch."""
-    frequency, power = periodogram(regression)
+def lines(regression: Regression) -> list[Line]:
+    """The highest ordinates over all channels, the surest first, at least a period apart in the longest stretch."""
     longest = max(b - a for a, b in regression.series.edges) * regression.dt
-    if not power.any():
+    if longest < _SHORTEST_S:
         return []
+    frequency, power = periodogram(regression)
     usable = (frequency > 1.5 / longest) & (frequency < 0.4 / regression.dt)
     height = np.where(usable, power.max(0), 0.0)
-    out: list[float] = []
+    tried = len(power) * max(1.0, 0.5 * longest / regression.dt)
+    out: list[Line] = []
     for i in np.argsort(-height):
         if height[i] <= 0 or len(out) == _PEAKS:
             break
-        if all(abs(frequency[i] - f) > 1.5 / longest for f in out):
-            out.append(float(frequency[i]))
+        if all(abs(frequency[i] - line.frequency) > 1.5 / longest for line in out):
+            out.append(Line(float(frequency[i]), min(1.0, tried * exp(-min(float(height[i]), 700.0)))))
     return out

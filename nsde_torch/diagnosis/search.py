@@ -281,8 +281,10 @@ class Search:
         for i, name in enumerate(order):
             best_yet = max((2.0 * t.gain for t in out.trials), default=0.0)
             enough = helped >= _FEWEST and out.screened[name] < _CLOSE * best_yet
-            if i == _MOST or (enough and name not in sure):
-                break  # a first step says roughly what a candidate is worth
+            # what is part of a candidate that was fitted may do as well as it
+            part = any(name in effect_class(t.name).includes for t in out.trials)
+            if (enough or i >= _MOST) and name not in sure and not part:
+                continue  # a first step says roughly what a candidate is worth
             self.say("fitting effects", i, min(len(order), _MOST))
             system, held = where[name]
             try:
@@ -291,7 +293,7 @@ class Search:
                 out.failed[name] = str(error)
                 continue
             out.trials.append(trial)
-            helped += trial.gain > 0
+            helped += trial.gain > 0 and name not in sure
         out.trials.sort(key=lambda t: -t.rank_score)
         best_gain = out.trials[0].gain if out.trials else 0.0
         for i, trial in enumerate(out.trials):

@@ -37,6 +37,7 @@ def run(config: DictConfig, job: Job) -> None:
     from nsde_torch.diagnosis.diagnose import Options, diagnose
     from nsde_torch.diagnosis.report import write_report
     from nsde_torch.diagnosis.text import lines
+    from nsde_torch.effects import effect_class, key_of
     from nsde_torch.models.identified import SysidSpec
 
     from . import build
@@ -49,6 +50,7 @@ def run(config: DictConfig, job: Job) -> None:
         alpha=config.alpha,
         max_effects=config.max_effects,
         candidates=None if config.candidates is None else tuple(config.candidates),
+        also=tuple(config.also),
         seed=config.seed,
     )
     system = build.system(config.system)
@@ -70,7 +72,7 @@ def run(config: DictConfig, job: Job) -> None:
     effects_file.write(
         job.run_dir / EFFECTS,
         config.system.name,
-        {f.name: _values(found, f.name) for f in found.outcome.found},
+        {key_of(effect_class(f.name)): _values(found, f.name) for f in found.outcome.found},
         f"found by nsde diagnose; use it with: nsde train system={config.system.name} system.effects=PATH",
     )
     print()
@@ -105,12 +107,17 @@ def _values(found: Diagnosis, name: str) -> dict[str, Any]:
 
 def _train(config: DictConfig, job: Job, found: Diagnosis) -> dict[str, Any]:
     """Train the model of the configuration with the effects; an ordinary run directory."""
+    from nsde_torch.effects import effect_class, key_of
+
     for f in found.outcome.found:
         for key, value in _values(found, f.name).items():
             effects_file.add_value(config.system, f.name, key, value)
     for name, value in found.outcome.system.declared_parameters().items():
         effects_file.add_own(config.system, name, value[0])
-    config.system.effects = [*config.system.effects, *(f.name for f in found.outcome.found)]
+    config.system.effects = [
+        *config.system.effects,
+        *(key_of(effect_class(f.name)) for f in found.outcome.found),
+    ]
     metrics = fit(config, job, job.run_dir / MODEL, about=_train_config(config))
     test = metrics.get("test", {})
     return {

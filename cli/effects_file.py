@@ -74,8 +74,15 @@ def expand(system: DictConfig) -> None:
         names += effects
         for effect, values in effects.items():
             for key, value in values.items():
-                add_value(system, effect, key, value)
+                add_value(system, _own_name(effect), key, value)
     system.effects = names
+
+
+def _own_name(effect: str) -> str:
+    """What an effect's parameters are listed under."""
+    from nsde_torch.effects import effect_class
+
+    return effect_class(effect).name if ":" in effect else effect
 
 
 def add_value(system: DictConfig, effect: str, name: str, value: Any) -> None:

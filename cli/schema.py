@@ -318,6 +318,7 @@ class DiagnoseConfig:
     alpha: float = key(0.01, "chance of naming an effect where nothing is missing", above=0)
     max_effects: int = key(5, "most effects to add", low=0)
     candidates: list[str] | None = key(None, "effects to try, by name; null: all that the system may have")
+    also: list[str] = key([], "effects of your own to try beside them, `module:Class`")
     retrain: bool = key(True, "train the model of the group `model` with what was found, into OUT_DIR/model")
     seed: int = key(0, "seed of resamples and of the training", low=0)
     device: str = key("cpu", "where the training's tensors live: cpu, cuda or cuda:N")

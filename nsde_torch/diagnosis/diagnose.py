@@ -22,7 +22,7 @@ from nsde_torch.diagnosis.recording import Recorded, undo
 from nsde_torch.diagnosis.search import Search
 from nsde_torch.diagnosis.shape import Shape, shape, symmetry
 from nsde_torch.diagnosis.views import rates, rates_width
-from nsde_torch.effects import EFFECTS, Effect, effect_class
+from nsde_torch.effects import EFFECTS, Effect, effect_class, register
 from nsde_torch.errors import ConfigError, DataError
 from nsde_torch.learning.identify.steps import steps_of
 from nsde_torch.models.identified import SysidSpec
@@ -44,12 +44,14 @@ class Options:
         alpha: Chance of naming an effect where nothing is missing.
         max_effects: Most effects to add.
         candidates: Names of the effects to try; None tries all that the system may have.
+        also: Effects of the user's own to try beside them, `module:Class`.
         seed: Seed of the resamples.
     """
 
     alpha: float = 0.01
     max_effects: int = 5
     candidates: tuple[str, ...] | None = None
+    also: tuple[str, ...] = ()
     seed: int = 0
 
     def __post_init__(self) -> None:
@@ -59,7 +61,10 @@ class Options:
             raise ConfigError(f"`max_effects` must be 0 or more; got {self.max_effects!r}.")
         for name in self.candidates or ():
             if name not in EFFECTS:
-                raise ConfigError(f"`candidates` names {name!r}, which `nsde effects` does not list.")
+                raise ConfigError(
+                    f"`candidates` names {name!r}, which `nsde effects` does not list; one of your own goes into "
+                    "`also`."
+                )
 
 
 @dataclass
@@ -382,12 +387,20 @@ def diagnose(
     extended = with_channels(system, recorded.runs)
     if not extended:
         raise DataError("no run to diagnose.")
+    own = {name: register(name) for name in options.also}
     able = candidate_names(system, channels=logged_channels(system, extended))
     for name in options.candidates or ():
         if name not in able:
             raise ConfigError(
                 f"`candidates` names {name!r}, which {system.name!r} cannot have beyond its declared physics and the "
                 f"logged channels; it could have: {', '.join(able)}."
+            )
+    for key, name in own.items():
+        if name not in able:
+            raise ConfigError(
+                f"`also` names {key!r}, which {system.name!r} cannot have: it acts on the port "
+                f"{effect_class(name).port.value!r} and reads "
+                f"{', '.join(effect_class(name).exogenous) or 'no channel'}."
             )
 
     search = search_in(system, extended, recorded.clock, options, say=say)
@@ -459,7 +472,9 @@ def search_in(
         steps,
         box=box,
         alpha=options.alpha,
-        candidates=options.candidates,
+        candidates=None
+        if options.candidates is None
+        else (*options.candidates, *map(register, options.also)),
         channels=logged_channels(system, runs),
         feedback=not system.sensor_noise,
         say=say,

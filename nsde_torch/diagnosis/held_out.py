@@ -16,7 +16,7 @@ from torch import Tensor
 
 from nsde_torch.data import Run, Windows
 from nsde_torch.diagnosis.search import Search, fitted_system
-from nsde_torch.effects import EFFECTS, Effect
+from nsde_torch.effects import Effect, key_of
 from nsde_torch.errors import DataError
 from nsde_torch.learning.bootstrap import make_blocks, paired_bootstrap
 from nsde_torch.learning.metrics import horizons_of, start_grid, thinned
@@ -195,14 +195,8 @@ def _number(value: Tensor) -> float | None:
 def as_model(spec: SysidSpec, system: System, clock: float) -> IdentifiedModel:
     """The physics as a model that predicts."""
     have = spec.make_system().effect_names
-    added = [key_of(e) for e in system.effects if isinstance(e, Effect) and e.name not in have]
+    added = [key_of(type(e)) for e in system.effects if isinstance(e, Effect) and e.name not in have]
     model = IdentifiedModel(replace(spec, effects=(*spec.effects, *added)), generator=torch.Generator())
     model.system = system.with_effects()
     model.clock_scale.fill_(clock)
     return model.double().requires_grad_(False)
-
-
-def key_of(effect: Effect) -> str:
-    """What makes an effect again: its name in the catalogue, or `module:Class` of the user's own."""
-    cls = type(effect)
-    return cls.name if EFFECTS.get(cls.name) is cls else f"{cls.__module__}:{cls.__qualname__}"

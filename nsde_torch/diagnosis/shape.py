@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from nsde_torch.diagnosis.repeats import best_repeat
 from nsde_torch.diagnosis.structure import Dependence, Regressors, orthonormal
 from nsde_torch.diagnosis.views import Rates, bins, factors, is_plain, moment, variable_units
 from nsde_torch.learning.identify.identify import Regression
@@ -21,7 +22,6 @@ Array = NDArray[np.float64]
 
 _LOCAL_POWER, _LOCAL_RANGE = 0.7, 0.3
 _ONE_RUN, _RUNS, _HOLDS = 0.8, 3, 0.5
-_PERIODS = 1.5, 40.0, 120  # fewest and most in the range, and how many are tried
 _SINE, _SINE_ANGLE, _SINE_LEAST = 2.0, 1.1, 30.0
 _WHOLE = 0.1
 
@@ -161,27 +161,17 @@ def gain(z: Array, white: Array) -> float:
 def period_of(regression: Regression, channel: int, variable: str, variables: Regressors) -> float | None:
     """Period of a dependence on a plain variable, or None where a cubic does about as well."""
     v, white, own = variables.values(variable), regression.white[channel], own_space(regression, channel)
-    low, high = np.quantile(v, [0.005, 0.995])
-    span = float(high - low)
-    if not span > 0:
+    best = best_repeat(regression, channel, v, own)
+    if best is None:
         return None
-    s = np.clip((v - 0.5 * (low + high)) / span, -1, 1)
+    low, high = np.quantile(v, [0.005, 0.995])
+    s = np.clip((v - 0.5 * (low + high)) / (high - low), -1, 1)
     cubic = gain(projected(regression, channel, np.stack((s, s**2, s**3), 1), own), white)
-    best, found = 0.0, None
-    for count in np.geomspace(*_PERIODS):
-        angle = 2.0 * np.pi * count * (v - low) / span
-        waves = projected(regression, channel, np.stack((np.sin(angle), np.cos(angle)), 1), own)
-        this = gain(waves, white)
-        if this > best:
-            best, found = this, span / float(count)
     # an angle is expected to repeat every turn or part of one: of two turns a cubic makes much too
-    part = (
-        2.0 * np.pi / found
-        if found and variable_units(regression.vector.system).get(variable) == "rad"
-        else 0.5
-    )
+    turns = variable_units(regression.vector.system).get(variable) == "rad"
+    part = 2.0 * np.pi / best.period if turns else 0.5
     factor = _SINE_ANGLE if round(part) > 0 and abs(part / round(part) - 1.0) < _WHOLE else _SINE
-    return found if best > max(factor * cubic, _SINE_LEAST) else None
+    return best.period if best.gain > max(factor * cubic, _SINE_LEAST) else None
 
 
 def product_of(regression: Regression, channel: int, variable: str, variables: Regressors) -> str:

@@ -17,8 +17,10 @@ from numpy.typing import NDArray
 from scipy.special import chdtrc, fdtrc, ndtr
 
 from nsde_torch.diagnosis.evidence import by_blocks, folds
+from nsde_torch.diagnosis.repeats import COUNTS, best_repeat
 from nsde_torch.learning.identify.identify import Regression
 from nsde_torch.learning.identify.series import Series
+from nsde_torch.systems import System
 
 Array = NDArray[np.float64]
 Labels = NDArray[np.int64]
@@ -166,10 +168,10 @@ def dependences(regression: Regression, variables: Regressors) -> list[Dependenc
         variables: What it may depend on.
     """
     of_white = regression.whitened_rows(regression.blocks)
-    count = int(of_white.max()) + 1
     fold = folds(regression)
     out = []
     spans, moments = _moments(regression)
+    places = _places(regression.vector.system, variables)
     for i, channel in enumerate(regression.rows):
         noise, white = regression.noises[i], regression.white[i]
         own = orthonormal(regression.slopes[i])
@@ -179,30 +181,47 @@ def dependences(regression: Regression, variables: Regressors) -> list[Dependenc
             z, kept = _independent(z)
             if not z.shape[1]:
                 continue
-            q = z.shape[1]
-            pull = z.T @ white
-            gain = float(pull @ pull)
-            blockwise: Array = np.zeros((count, q))
-            np.add.at(blockwise, of_white, z * white[:, None])
-            steady = max(float(chdtrc(q, gain)), _hotelling(blockwise))
-            p = min(1.0, 2.0 * min(steady, _left_out(z, white, fold, of_white)))
-            squares = np.square(pull)
-            is_odd = odd[kept]
+            squares = np.square(z.T @ white)
+            gain, q = float(squares.sum()), z.shape[1]
             out.append(
                 Dependence(
                     channel=regression.physics.names[channel],
                     variable=name,
-                    p=p,
+                    p=_chance(z, white, fold, of_white),
                     share=max(gain - q, 0.0) / len(white),
-                    odd=float(squares[is_odd].sum() / max(gain, 1e-300)),
+                    odd=float(squares[odd[kept]].sum() / max(gain, 1e-300)),
                     gain=gain,
                     functions=q,
                 )
             )
+        for name in places:
+            again = best_repeat(regression, i, variables.columns[name], own)
+            if again is not None:
+                price = 2.0 * np.log(len(COUNTS))
+                out.append(
+                    Dependence(
+                        channel=regression.physics.names[channel],
+                        variable=name,
+                        p=min(1.0, len(COUNTS) * _chance(again.columns, white, fold, of_white)),
+                        share=max(again.gain - 2.0 - price, 0.0) / len(white),
+                        odd=0.5,
+                        gain=again.gain - price,
+                        functions=2,
+                    )
+                )
         found = _one_moment(regression, i, spans, moments)
         if found is not None:
             out.append(found)
     return sorted(out, key=lambda d: d.p)
+
+
+def _chance(z: Array, white: Array, fold: Labels, block: Labels) -> float:
+    """p value of orthonormal columns (N, q): twice the smaller one of a test by blocks, and of folds left out."""
+    pull = z.T @ white
+    blockwise: Array = np.zeros((int(block.max()) + 1, z.shape[1]))
+    np.add.at(blockwise, block, z * white[:, None])
+    steady = max(float(chdtrc(z.shape[1], float(pull @ pull))), _hotelling(blockwise))
+    return min(1.0, 2.0 * min(steady, _left_out(z, white, fold, block)))
 
 
 def _left_out(z: Array, white: Array, fold: Labels, block: Labels) -> float:
@@ -216,6 +235,13 @@ def _left_out(z: Array, white: Array, fold: Labels, block: Labels) -> float:
         guess = part @ weights
         each[rows] = guess * (white[rows] - 0.5 * guess)
     return by_blocks(np.bincount(block, weights=each).astype(np.float64))
+
+
+def _places(system: System, variables: Regressors) -> list[str]:
+    """Variables along which something may repeat: positions, and angles."""
+    named = {position for position, _, _ in system.position_derivatives}
+    angles = {n for n, unit in zip(system.feature_names, system.feature_units, strict=True) if unit == "rad"}
+    return [name for name in variables.columns if name in named | angles]
 
 
 def _moments(regression: Regression) -> tuple[list[tuple[int, int]], list[Array]]:

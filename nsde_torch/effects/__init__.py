@@ -14,10 +14,13 @@ An effect of your own is a class in a file of yours, named `module:Class` wherev
 
         def forward(self, t, x, u, memory):
             return -self.value("size") * torch.sin(2 * torch.pi * x[:, :1] / self.value("pitch"))
+
+`nsde diagnose also=[my_effects:Cogging]` tries it beside the catalogue: fits start from `null` at every point of the
+grid `shapes`, and `amplitudes` are what is nothing without it.
 """
 
 from nsde_torch.effects.base import Effect, Parameter, Parametrised, Port
-from nsde_torch.effects.registry import EFFECTS, effect_class, effects_of, make_effect
+from nsde_torch.effects.registry import EFFECTS, effect_class, effects_of, key_of, make_effect, register
 
 __all__ = [
     "EFFECTS",
@@ -27,5 +30,7 @@ __all__ = [
     "Port",
     "effect_class",
     "effects_of",
+    "key_of",
     "make_effect",
+    "register",
 ]

@@ -80,13 +80,48 @@ EFFECTS: dict[str, type[Effect]] = {
 }
 
 
+_OWN: dict[str, type[Effect]] = {}
+"""Effects of the user's own that `register` made known."""
+
+
+def register(name: str) -> str:
+    """Make an effect known by its own name, so that `effects_of` lists it and a diagnosis tries it.
+
+    Args:
+        name: `package.module:Class` of the user's own.
+
+    Returns:
+        The effect's own name.
+
+    Raises:
+        ConfigError: as `effect_class`, or another effect has that name.
+    """
+    cls = effect_class(name)
+    if _known().get(cls.name, cls) is not cls:
+        raise ConfigError(
+            f"effect {name!r}: another effect is called {cls.name!r}; give it a `name` of its own."
+        )
+    if EFFECTS.get(cls.name) is not cls:
+        _OWN[cls.name] = cls
+    return cls.name
+
+
+def key_of(cls: type[Effect]) -> str:
+    """What names an effect in any process: its name in the catalogue, or `module:Class`."""
+    return cls.name if EFFECTS.get(cls.name) is cls else f"{cls.__module__}:{cls.__qualname__}"
+
+
+def _known() -> dict[str, type[Effect]]:
+    return {**EFFECTS, **_OWN}
+
+
 def effect_class(name: str) -> type[Effect]:
     """Class of an effect: a key of `EFFECTS`, or `package.module:Class` of the user's own.
 
     Raises:
         ConfigError: unknown name (lists the choices), no such module or class, or not an Effect.
     """
-    return class_by_name(name, EFFECTS, Effect, kind="effect", home="nsde_torch.effects")
+    return class_by_name(name, _known(), Effect, kind="effect", home="nsde_torch.effects")
 
 
 def make_effect(
@@ -111,7 +146,7 @@ def make_effect(
     """
     known = effects_of(system, ports)
     if ":" not in name and name not in known:
-        what = f"does not act on system {system!r}" if name in EFFECTS else "is not in the catalogue"
+        what = f"does not act on system {system!r}" if name in _known() else "is not in the catalogue"
         raise ConfigError(
             f"effect {name!r} {what}; choose among: {', '.join(sorted(known)) or 'none'}.{did_you_mean(name, known)}"
         )
@@ -125,5 +160,5 @@ def make_effect(
 
 
 def effects_of(system: str, ports: Collection[Port]) -> dict[str, type[Effect]]:
-    """The effects of the catalogue that a system of this name and these ports can have."""
-    return {name: cls for name, cls in EFFECTS.items() if cls.fits(system, {*ports, Port.INPUT})}
+    """The effects of the catalogue, and those registered, that a system of this name and these ports can have."""
+    return {name: cls for name, cls in _known().items() if cls.fits(system, {*ports, Port.INPUT})}

@@ -6,7 +6,7 @@ import json
 import time
 from typing import TYPE_CHECKING, Any
 
-from omegaconf import DictConfig
+from omegaconf import DictConfig, open_dict
 
 from . import effects_file
 from .jobs import Job, guarded
@@ -77,8 +77,8 @@ def run(config: DictConfig, job: Job) -> None:
     )
     print()
     print("\n".join(lines(content)))
-    if config.retrain and found.outcome.found:
-        print(f"\ntraining the model with {', '.join(f.name for f in found.outcome.found)}", flush=True)
+    if config.retrain and (found.outcome.found or found.recorded.biases):
+        print(f"\ntraining the model with {', '.join(found.added)}", flush=True)
         content["model"] = _train(config, job, found)
         _write(job, content)
     write_report(job.run_dir / REPORT, found, content)
@@ -114,6 +114,10 @@ def _train(config: DictConfig, job: Job, found: Diagnosis) -> dict[str, Any]:
             effects_file.add_value(config.system, f.name, key, value)
     for name, value in found.outcome.system.declared_parameters().items():
         effects_file.add_own(config.system, name, value[0])
+    if "sensor_bias" in config.data:  # simulated runs are made by sensors without one
+        with open_dict(config.data.sensor_bias):
+            for name, bias in found.recorded.biases.items():
+                config.data.sensor_bias[name] = config.data.sensor_bias.get(name, 0.0) + bias
     config.system.effects = [
         *config.system.effects,
         *(key_of(effect_class(f.name)) for f in found.outcome.found),

@@ -95,6 +95,9 @@ class FileData(DataConfig):
 
     path: str = key("???", "file or folder to read")
     dt: float | None = key(None, "step to resample to; null: the step of the data", unit="s", above=0)
+    sensor_bias: dict[str, float] = key(
+        {}, "what sensors read too much, {STATE: 0.01} in its unit, to take out"
+    )
 
 
 @dataclass

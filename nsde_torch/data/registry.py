@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from math import isfinite
 from typing import Any
 
 from nsde_torch.data.checks import assemble
@@ -36,6 +37,7 @@ def read(
     dt: float | None = None,
     gap: float | None = None,
     clock: str = "rescale",
+    sensor_bias: Mapping[str, float] | None = None,
     **options: Any,
 ) -> DataSet:
     """Reads and checks a data set.
@@ -47,6 +49,7 @@ def read(
         dt: Step [s]; default: the data's own (the nominal step of a published file, else the median).
         gap: Time between rows that counts as a gap [s]; default: 2.5 steps.
         clock: `rescale`, `trust` or `refuse` a clock that disagrees with the kinematics.
+        sensor_bias: What sensors read too much, by name of a state, in its unit; taken out before anything else.
         options: Further options of the kind.
 
     Returns:
@@ -71,4 +74,18 @@ def read(
         if "unexpected keyword" in str(error):
             raise ConfigError(f"data of kind {kind!r}: {error}.") from error
         raise
+    for name, value in (sensor_bias or {}).items():
+        _unbias(raw, system, name, value)
     return assemble(raw, system, kind=kind, dt=dt, gap=gap, clock=clock)
+
+
+def _unbias(raw: Sequence[RawRun], system: SystemInfo, name: str, value: float) -> None:
+    if name not in system.state_names:
+        raise ConfigError(
+            f"`sensor_bias` names {name!r}, which is no state; states: {', '.join(system.state_names)}."
+        )
+    if isinstance(value, bool) or not isinstance(value, int | float) or not isfinite(value):
+        raise ConfigError(f"`sensor_bias.{name}` must be a finite number; got {value!r}.")
+    for run in raw:
+        run.x = run.x.copy()
+        run.x[:, list(system.state_names).index(name)] -= value

@@ -69,6 +69,11 @@ class Recorded:
     clock: float
     faults: tuple[Fault, ...]
 
+    @property
+    def biases(self) -> dict[str, float]:
+        """What was taken out of rates, by name of the state, in its unit."""
+        return {k: v[0] for f in self.faults if f.name == "sensor_bias" for k, v in f.values.items()}
+
 
 def undo(data: DataSet, runs: Sequence[Run], system: System, *, alpha: float) -> Recorded:
     """Find the faults of a recording chain and undo them.

@@ -19,7 +19,7 @@ from nsde_torch.cli import effects_file
 from nsde_torch.cli.main import main
 from nsde_torch.errors import ConfigError
 from nsde_torch.models import IdentifiedModel
-from nsde_torch.plants import simulate
+from nsde_torch.plants import Recording, simulate
 from nsde_torch.plants.simulation import write
 
 SYSTEM = "system=mass_spring_damper"
@@ -231,3 +231,31 @@ def test_an_effect_of_the_users_own_is_found_and_its_file_names_it_for_other_com
     effects_file.expand(config)
     assert config.effects == [own]
     assert config.parameters.cogging.size == pytest.approx(0.3, rel=0.1)
+
+
+def find(tree: Any, key: str) -> Any:
+    """The value of a key anywhere in nested mappings, None where there is none."""
+    if not isinstance(tree, dict):
+        return None
+    return tree[key] if key in tree else next((v for v in (find(t, key) for t in tree.values()) if v), None)
+
+
+def test_a_biased_sensor_is_taken_out_of_what_the_model_is_trained_on(tmp_path: Path) -> None:
+    made = simulate(
+        "mass_spring_damper", durations=(6.0,) * 4, seed=1, recording=Recording(sensor_bias={"q_dot": 0.2})
+    )
+    write(made, tmp_path / "data")
+    few = ["trainer.steps=3", "trainer.polish=0", "trainer.calibrate=false"]
+    assert main(["diagnose", SYSTEM, "data=csv", "data.path=data", "out_dir=out", *few]) == 0
+    assert json.loads((tmp_path / "out/diagnosis.json").read_text())["added"] == ["sensor_bias"]
+    about = (tmp_path / "out/model/config.yaml").read_text()
+    assert find(yaml.safe_load(about), "sensor_bias")["q_dot"] == pytest.approx(0.2, abs=0.02)
+
+
+@pytest.mark.parametrize(("word", "said"), [("q_dt: 0.1", "q_dot"), ("q_dot: nan", "finite")])
+def test_a_bias_of_no_sensor_is_refused(
+    word: str, said: str, runs: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = [SYSTEM, "data=csv", f"data.path={runs}", "retrain=false", f"data.sensor_bias={{{word}}}"]
+    assert main(["diagnose", *words, "out_dir=out"]) != 0
+    assert said in capsys.readouterr().err

@@ -8,7 +8,8 @@ from nsde_torch.learning.metrics import interval_quantiles, mean_state
 from nsde_torch.models.model import Model
 from nsde_torch.plots import Prediction
 
-PARTICLES = 199
+PARTICLES = 1999
+"""The mean of so many is off by 2 % of their spread; that of 199 moved the error on the spring by a tenth of itself."""
 
 
 @torch.no_grad()

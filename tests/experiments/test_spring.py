@@ -67,6 +67,26 @@ def test_several_seeds_are_averaged_and_several_outcomes_joined() -> None:
     assert [c.claim.split(":")[0] for c in joined.checks] == ["unknown"] * 2 + ["declared"] * 2
 
 
+def test_pairs_of_seeds_say_whether_sde_and_ode_differ_by_more_than_seeds_do() -> None:
+    sde = [spring(damping=d, sigma=1e-5) for d in (0.50, 0.51)]
+    alike = state_evolution(
+        {"sde": sde, "ode": [spring(damping=d, step="rk4") for d in (0.51, 0.50)]}, title="spring", seed=0
+    )
+    worse = state_evolution(
+        {"sde": sde, "ode": [spring(damping=d, step="rk4") for d in (0.9, 0.91)]}, title="spring", seed=0
+    )
+    assert "less than twice what seeds account for" in alike.notes[0]
+    assert "more than twice what seeds account for" in worse.notes[0]
+    assert "±" in alike.checks[1].measured
+
+
+def test_one_model_of_each_kind_is_said_to_decide_nothing_between_alike_ones() -> None:
+    one = state_evolution(
+        {"sde": [spring(damping=0.5)], "ode": [spring(damping=0.5, step="rk4")]}, title="spring", seed=0
+    )
+    assert "cannot tell" in one.notes[0]
+
+
 def test_a_rollout_is_kept_up_to_where_it_leaves_the_finite_numbers() -> None:
     model = lost()
     x0, u = torch.tensor([[0.1, 0.0]]), torch.zeros(1, round(SECONDS / 0.01), 1)

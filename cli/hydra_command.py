@@ -176,7 +176,7 @@ def _refuse_used_folders(words: Sequence[str]) -> None:
     for word in words:
         key, _, value = word.partition("=")
         folder = Path(value.strip("'\""))
-        if key == "run_dir" and (folder / ".hydra").is_dir():
+        if key == "run_dir" and (folder / ".hydra").is_dir() and not _never_began(folder):
             raise ConfigError(
                 f"`run_dir={folder}` holds a run already. Continue it with resume={folder}, or name another."
             )
@@ -186,6 +186,13 @@ def _refuse_used_folders(words: Sequence[str]) -> None:
             raise ConfigError(f"`out_dir={folder}` holds a diagnosis already; name another folder.")
         if key == "sweep_dir" and (folder / "multirun.yaml").is_file():
             raise ConfigError(f"`sweep_dir={folder}` holds a sweep already; name another folder.")
+
+
+def _never_began(folder: Path) -> bool:
+    """Whether a run failed before it did any work (a wrong key, a missing file): nothing there to keep or continue."""
+    if not (folder / "failed.json").is_file():
+        return False
+    return all(path.name in (".hydra", "failed.json") or path.suffix == ".log" for path in folder.iterdir())
 
 
 def _with_default(words: list[str], key: str, value: str) -> list[str]:

@@ -12,7 +12,7 @@ import torch
 
 from nsde_torch.cli.main import main
 from nsde_torch.cli.schema import PolicyConfig, PpoConfig
-from nsde_torch.models import NeuralSDE, SDESpec, run_directory
+from nsde_torch.models import EnsembleSpec, GaussianEnsemble, NeuralSDE, SDESpec, run_directory
 from nsde_torch.policy import PolicyOptions, load_policy
 
 pytest.importorskip("stable_baselines3", reason="needs the extra nsde_torch[policy]")
@@ -116,3 +116,22 @@ def test_missing_extra_is_named(
     monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
     assert main(["policy", f"run_dir={tmp_path / 'run'}"]) == 2
     assert "pip install 'nsde_torch[policy]'" in capsys.readouterr().err
+
+
+def test_members_of_an_ensemble_are_kept_or_redrawn_as_asked_and_only_an_ensemble_has_them(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    learned = tmp_path / "ensemble"
+    spec = EnsembleSpec("cartpole", dt=0.02, horizon=10)
+    run_directory.save(GaussianEnsemble(spec, generator=torch.Generator().manual_seed(0)), learned)
+    for asked, found in ((None, "fixed"), ("redrawn", "redrawn")):
+        folder = tmp_path / found
+        words = [f"environment={learned}", f"run_dir={folder}", *TINY]
+        assert main(["policy", *words, *([f"propagation={asked}"] if asked else [])]) == 0
+        assert json.loads((folder / "policy.json").read_text())["environment"]["propagation"] == found
+    words = ["propagation=fixed", f"run_dir={tmp_path / 'none'}", *TINY]
+    assert main(["policy", f"environment={model(tmp_path / 'sde')}", *words]) == 2
+    assert "this model is nsde" in capsys.readouterr().err
+    # the folder of a run that never began is free
+    assert main(["policy", *words]) == 2
+    assert "environment=truth is none" in capsys.readouterr().err

@@ -19,6 +19,7 @@ from safetensors import SafetensorError, safe_open
 from safetensors.torch import load_file, save_file
 from stable_baselines3 import PPO
 from stable_baselines3.common.callbacks import BaseCallback
+from stable_baselines3.common.logger import Logger
 from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
 from torch import Tensor, nn
 
@@ -79,6 +80,8 @@ class Learner:
                 "features_extractor_kwargs": {"scale": self._task.observation_scale},
             },
         )
+        # its own logger would leave an empty folder with the temporary files for every learning
+        self._ppo.set_logger(Logger(folder=None, output_formats=[]))
 
     @property
     def interactions(self) -> int:

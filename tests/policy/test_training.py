@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import tempfile
 from pathlib import Path
 from typing import Any
 
@@ -85,6 +86,16 @@ def test_training_writes_policy_report_and_picture(tmp_path: Path) -> None:
     assert result["environment_reward"] != result["truth_reward"]
     assert result["score"] is None
     assert result["validation"]["score"] == -result["environment_reward"]["mean"]
+
+
+def test_learning_leaves_nothing_among_the_temporary_files(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    temporary = tmp_path / "temporary"
+    temporary.mkdir()
+    monkeypatch.setattr(tempfile, "tempdir", str(temporary))
+    training(tmp_path / "run").run()
+    assert not list(temporary.iterdir())
 
 
 def test_reward_of_the_report_is_that_of_the_policy_in_the_folder(tmp_path: Path) -> None:

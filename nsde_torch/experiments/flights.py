@@ -28,12 +28,14 @@ _SHOWN_S = 2.0
 _FROM_S = 0.25
 
 
-def recorded(data: DataSet, system: System) -> Outcome:
+def recorded(data: DataSet, system: System, *, data_name: str, note: str = "") -> Outcome:
     """Speed and Euler angles of the flights, held against the supplement's figures.
 
     Args:
         data: Flights.
         system: The multirotor.
+        data_name: What the flights are, for the title.
+        note: What is known of them; may be empty.
     """
     assert system.quaternion is not None
     v = [system.state_names.index(n) for n in ("v_x", "v_y", "v_z")]
@@ -63,13 +65,14 @@ def recorded(data: DataSet, system: System) -> Outcome:
             )
         )
     return Outcome(
-        title="Flight data: speed and Euler angles",
+        title=f"Flight data ({data_name}): speed and Euler angles",
         source="The flights for training are slow and flat most of the time.",
         checks=checks,
         figures={"flights": plots.data_summary(data, system)},
         values={
             n: {"q95": float(a), "largest": float(b)} for n, a, b in zip(_FIGURE_15, q95, top, strict=True)
         },
+        notes=[note] if note else [],
     )
 
 
@@ -128,6 +131,13 @@ def against_identification(
     )
 
 
+def _typical(windows: Windows, velocity: Sequence[int]) -> torch.Tensor:
+    """The window of median mean speed (1,): neither a hover nor the wildest moment."""
+    x, _, _ = windows.batch(torch.arange(len(windows)))
+    speed = x[..., velocity].norm(dim=-1).mean(1)
+    return speed.argsort()[len(speed) // 2][None]
+
+
 def _evolution(
     models: Mapping[str, Sequence[Model]],
     test: Sequence[Run],
@@ -139,7 +149,7 @@ def _evolution(
     s, dt = first.system, first.spec.dt
     assert s.quaternion is not None
     windows = Windows(test, dt, round(_SHOWN_S / dt), dtype=first.clock_scale.dtype)
-    at = torch.tensor([len(windows) // 2])
+    at = _typical(windows, [s.state_names.index(n) for n in ("v_x", "v_y", "v_z")])
     x, u, _ = windows.batch(at)
     channels = [*range(3), *range(3, 6), *range(10, 13)]
     v = [s.state_names[i] for i in channels]
@@ -163,7 +173,7 @@ def _evolution(
         np.arange(windows.horizon + 1, dtype=np.float64) * dt,
         truth,
         drawn,
-        names=[*v, "R", "P", "Y"],
+        names=[*v, "roll", "pitch", "yaw"],
         units=[*unit, "deg", "deg", "deg"],
         title=f"Hexacopter ({data_name}), held-out {windows.locate(at)[0][0]}: open-loop prediction",
         truth_name="measured",

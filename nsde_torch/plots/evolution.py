@@ -47,7 +47,7 @@ def evolution(
     interval: str = "95 %",
     columns: int = 1,
 ) -> Figure:
-    """One panel per channel: the truth, and mean and interval of every model.
+    """One panel per channel: the truth, and mean and interval of every model; one scale for channels of one unit.
 
     Args:
         t: Time [s] (T + 1,).
@@ -72,6 +72,9 @@ def evolution(
         rows, columns, height=1.0 + rows * (2.2 if columns == 1 else 1.7), title=title, sharex=True
     )
     order = list(enumerate(predictions))[::-1]
+    ranges = truth.max(0) - truth.min(0)
+    # channels of one unit share their span: one that hardly moves is shown to hardly move
+    spans = [max(r for r, other in zip(ranges, units, strict=True) if other == unit) for unit in units]
     for k, ax in enumerate(axes.T.flat):
         if k >= n:
             ax.set_axis_off()
@@ -90,9 +93,9 @@ def evolution(
                 )
             ax.plot(t, p.mean[:, k], color=colour, linestyle=DASHES[i % len(DASHES)], label=p.name)
         ax.plot(t, truth[:, k], color=BLACK, linewidth=1.2, linestyle=(0, (4, 1.5)), label=truth_name)
-        low, high = float(truth[:, k].min()), float(truth[:, k].max())
-        room = 0.45 * max(high - low, 1e-9)
-        ax.set_ylim(low - room, high + room)  # a model that diverges leaves the panel
+        centre = 0.5 * float(truth[:, k].min() + truth[:, k].max())
+        room = 0.95 * max(float(spans[k]), 1e-9)
+        ax.set_ylim(centre - room, centre + room)  # a model that diverges leaves the panel
         ax.set_xlim(t[0], t[-1])
         ax.set_ylabel(label(names[k], units[k]))
         few_ticks(ax, y=5)

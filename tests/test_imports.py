@@ -27,7 +27,7 @@ MAY_IMPORT = {
     "plants": {*MACHINES, "data", "sde"},
     "models": {*MACHINES, "data", "sde"},
     "learning": LEARNED,
-    "control": LEARNED,
+    "control": {*LEARNED, "plants"},
     "policy": {*LEARNED, "plants"},
     "experiments": {*LEARNED, "learning"},
     "diagnosis": {*LEARNED, "plants", "learning", "control"},

@@ -8,18 +8,18 @@ The drift is integrated by Runge-Kutta 4 with a fine step inside each sample; gu
 
 from __future__ import annotations
 
-import copy
 from collections.abc import Mapping
 from typing import final
 
 import torch
 from torch import Tensor
 
-from nsde_torch.effects import Parametrised, Port
+from nsde_torch.effects import Port
 from nsde_torch.errors import ConfigError, NonFiniteError, ShapeError
 from nsde_torch.plants.noise import Gust, Gusts, Sensor
 from nsde_torch.sde import Calculus, Time, make_step
 from nsde_torch.systems import System
+from nsde_torch.systems.frozen import frozen
 
 
 @final
@@ -95,7 +95,7 @@ class Plant:
             raise ConfigError(f"`dt` must be a multiple of the fine `step`; got {dt!r} and {step!r} s.")
         if not latency >= 0:
             raise ConfigError(f"`latency` must be a time of 0 s or more; got {latency!r}.")
-        self.system = _frozen(system).to(device=generator.device, dtype=dtype)
+        self.system = frozen(system).to(device=generator.device, dtype=dtype)
         self.dt, self._fine = float(dt), float(dt) / self._substeps
         self._delay = round(latency / self._fine)
         self._limits, self._check, self._dtype = limits, check, dtype
@@ -232,28 +232,3 @@ class Plant:
         nu = self.system.nu
         command = u[:, :nu].clamp(*self._limits)
         return command if u.shape[1] == nu else torch.cat((command, u[:, nu:]), 1)
-
-
-def _frozen(system: System) -> System:
-    """A copy whose parameters are plain numbers: their bounds need not be worked out at every drift."""
-    system = copy.deepcopy(system).double().requires_grad_(False)
-    for module in system.modules():
-        if isinstance(module, Parametrised):
-            values = {name: value.clone() for name, (value, _) in module.declared_parameters().items()}
-            for name, value in values.items():
-                module.register_buffer(f"frozen_{name}", value, persistent=False)
-            module.__dict__["value"] = _Values(module)
-    return system
-
-
-@final
-class _Values:
-    """Looks up the frozen parameters of a module, wherever they have been moved to."""
-
-    def __init__(self, module: Parametrised) -> None:
-        self._buffers = module._buffers
-
-    def __call__(self, name: str) -> Tensor:
-        value = self._buffers[f"frozen_{name}"]
-        assert value is not None
-        return value

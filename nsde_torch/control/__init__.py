@@ -1,0 +1,1 @@
+"""Model predictive control: plans, solvers, references and closed loops."""

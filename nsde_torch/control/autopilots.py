@@ -1,0 +1,235 @@
+"""What flies a machine in a closed loop: the predictive controller, and a cascade of proportional loops beside it."""
+
+from __future__ import annotations
+
+import time
+from abc import ABC, abstractmethod
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import final
+
+import torch
+from torch import Tensor
+
+from nsde_torch.control.compiled import Function, NoCompiler, compile_ahead
+from nsde_torch.control.controller import Controller, Plan
+from nsde_torch.control.estimator import Estimator, EstimatorOptions
+from nsde_torch.control.predictor import Predictor
+from nsde_torch.control.reference import Reference
+from nsde_torch.errors import ConfigError
+from nsde_torch.models import Model
+from nsde_torch.plants.cascade import Cascade, Gains
+from nsde_torch.systems import Multirotor, System
+
+
+@dataclass(frozen=True)
+class Decision:
+    """What an autopilot did at one sample; costs and times only where there is a plan.
+
+    Args:
+        u: Commands (N, nu).
+        status: One word or two per row.
+        cost: (N,)
+        gap: (N,)
+        solve_ms: Time of the solver.
+        total_ms: Time of everything between state and command.
+        iterations: Of the solver.
+    """
+
+    u: Tensor
+    status: tuple[str, ...] = ()
+    cost: Tensor | None = None
+    gap: Tensor | None = None
+    solve_ms: float = 0.0
+    total_ms: float = 0.0
+    iterations: int = 0
+
+
+class Autopilot(ABC):
+    """Flies a batch of machines along a reference.
+
+    Attributes:
+        period: Time between commands [s].
+    """
+
+    period: float
+
+    @abstractmethod
+    def reset(self, x: Tensor) -> Tensor:
+        """Start from measured states (N, nx); returns the commands (N, nu) that are given until the first sample."""
+
+    @abstractmethod
+    def command(self, t: float, x: Tensor) -> Decision:
+        """Commands at time t [s] from the newest measured states (N, nx)."""
+
+
+@final
+class PredictivePilot(Autopilot):
+    """The predictive controller with its estimator.
+
+    Args:
+        controller: Plans.
+        model: What the estimator predicts with, the controller's own model as a rule.
+        reference: Where to fly.
+        period: Time between commands [s].
+        sample: Step on which commands and states are known [s].
+        estimator: Latency and pushes.
+        state_latency: Part of the latency that lies before the command is given [s].
+        say: Called with one line when something takes long.
+
+    Raises:
+        ConfigError: times that do not fit into each other.
+    """
+
+    def __init__(
+        self,
+        controller: Controller,
+        model: Model | System,
+        reference: Reference,
+        *,
+        period: float,
+        sample: float,
+        estimator: EstimatorOptions | None = None,
+        state_latency: float = 0.0,
+        say: Callable[[str], None] | None = None,
+    ) -> None:
+        self.controller, self.reference, self.period = controller, reference, period
+        self._dtype = controller.predictor.dtype
+        options = estimator or EstimatorOptions()
+        predictor = Predictor(model, dt=sample, dtype=self._dtype)
+        self._estimator = Estimator(predictor, options, period=period)
+        self._ahead = options.latency - state_latency
+        self._plan: Plan | None = None
+        self._commands = self._z = self._d = torch.empty(0)
+        self._update: Function = lambda arguments: list(self._estimator(*arguments))
+        if controller.solver.compiled:
+            n, p = controller.batch, predictor
+            hover = controller.hover.expand(n, -1)
+            z = p.augment(controller.hovering().x[:, 0], hover).contiguous()
+            steps = self._estimator.past + self._estimator.ahead
+            example = (z[:, : p.nx].contiguous(), z, z.new_zeros(n, p.nd), hover[:, None].repeat(1, steps, 1))
+            try:
+                self._update = compile_ahead(
+                    self._estimator,
+                    example,
+                    name="estimator",
+                    structure=self._estimator.structure,
+                    folder=controller.solver.options.cache,
+                    say=say,
+                )
+            except NoCompiler as error:  # the solver was compiled before, so there is a cache and no compiler
+                if say is not None:
+                    say(f"the estimator runs without compilation: {error}")
+
+    @property
+    def plan(self) -> Plan | None:
+        """The newest plan."""
+        return self._plan
+
+    def reset(self, x: Tensor) -> Tensor:
+        """See `Autopilot.reset`."""
+        c, e = self.controller, self._estimator
+        u = c.hover.expand(c.batch, -1).contiguous()
+        self._plan = None
+        self._commands = u[:, None].repeat(1, e.past + e.ahead, 1)
+        self._z = e.predictor.augment(x.to(self._dtype), u).contiguous()
+        self._d = u.new_zeros(c.batch, e.predictor.nd)
+        return u
+
+    @torch.no_grad()
+    def command(self, t: float, x: Tensor) -> Decision:
+        """See `Autopilot.command`."""
+        c, e = self.controller, self._estimator
+        started = time.perf_counter()
+        measured = x.to(self._dtype)
+        z, d, z0 = self._update((measured.contiguous(), self._z, self._d, self._commands))
+        good = torch.isfinite(measured).all(1, keepdim=True) & torch.isfinite(z0).all(1, keepdim=True)
+        if bool(good.all()):
+            self._z, self._d = z, d
+        else:  # rows without a usable measurement go on as predicted
+            free = self._predicted()
+            self._z = torch.where(good, z, free)
+            self._d = torch.where(good, d, self._d)
+        nx = e.predictor.nx
+        window = self.reference.window(t + self._ahead, dt=c.options.dt, steps=c.options.steps)
+        self._plan = c.plan(
+            z0[:, :nx],
+            window.expand(c.batch, -1, -1),
+            self._plan,
+            elapsed=self.period,
+            last=self._commands[:, -1],
+            push=self._d,
+            memory=z0[:, nx:] if e.predictor.nz > nx else None,
+        )
+        u = self._plan.u[:, 0]
+        self._commands = torch.cat((self._commands[:, e.past :], u[:, None].expand(-1, e.past, -1)), 1)
+        return Decision(
+            u=u,
+            status=self._plan.status,
+            cost=self._plan.cost,
+            gap=self._plan.gap,
+            solve_ms=self._plan.solve_ms,
+            total_ms=1e3 * (time.perf_counter() - started),
+            iterations=self._plan.iterations,
+        )
+
+    def _predicted(self) -> Tensor:
+        e, z = self._estimator, self._z
+        for k in range(e.past):
+            z = e.predictor(z, self._commands[:, k], self._d)
+        return z
+
+
+@final
+class CascadePilot(Autopilot):
+    """The cascade of proportional loops, as an autopilot in position mode.
+
+    Args:
+        system: Declared physics that mixing and hover thrust come from.
+        reference: Where to fly.
+        batch: Machines at a time.
+        period: Time between commands [s].
+        gains: Gains.
+
+    Raises:
+        ConfigError: the system is no multirotor.
+    """
+
+    def __init__(
+        self, system: System, reference: Reference, *, batch: int, period: float, gains: Gains | None = None
+    ) -> None:
+        if not isinstance(system, Multirotor):
+            raise ConfigError(f"the cascade flies multirotors; got system {system.name!r}.")
+        self.reference, self.period, self._batch = reference, period, batch
+        self._cascade = Cascade(system, dt=period, gains=gains)
+        path = reference.path
+        self._a = torch.from_numpy(path.a.copy())
+        self._yaw = torch.from_numpy(path.yaw.copy())
+        self._yaw_rate = torch.gradient(self._yaw, spacing=path.dt)[0]
+
+    def reset(self, x: Tensor) -> Tensor:
+        """See `Autopilot.reset`."""
+        self._cascade.reset()
+        return self._cascade.hover(self._batch)
+
+    def command(self, t: float, x: Tensor) -> Decision:
+        """See `Autopilot.command`."""
+        started = time.perf_counter()
+        wanted = self.reference.at(torch.tensor(t))
+        row = min(max(round(t / self.reference.dt), 0), len(self._yaw) - 1)
+
+        def all_rows(value: Tensor) -> Tensor:
+            return value.expand(self._batch, *value.shape)
+
+        u = self._cascade(
+            x.double(),
+            all_rows(wanted[:3]),
+            all_rows(wanted[3:6]),
+            all_rows(self._a[row]),
+            all_rows(self._yaw[row]),
+            all_rows(self._yaw_rate[row]),
+        )
+        bad = ~torch.isfinite(u).all(1)
+        u = torch.where(bad[:, None], self._cascade.hover(self._batch), u)
+        status = tuple("hover" if b else "cascade" for b in bad.tolist())
+        return Decision(u=u, status=status, total_ms=1e3 * (time.perf_counter() - started))

@@ -1,0 +1,183 @@
+"""Machine code of a solver's iteration, made ahead of time and kept on disk.
+
+The iteration holds derivatives, which torch.export cannot trace by itself: `make_fx` writes down the operations first,
+the derivatives among them, and export and AOTInductor see plain arithmetic. What comes out is one package for each kind
+of problem. Its key is a hash of what the operations follow from (source files, architecture, shapes, torch's version,
+processor); the weights of the model and of the cost are loaded into it, so that training anew compiles nothing.
+"""
+
+from __future__ import annotations
+
+import functools
+import hashlib
+import inspect
+import json
+import os
+import platform
+import shutil
+import tempfile
+import time
+import warnings
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+import torch
+from torch import Tensor, nn
+from torch.fx.experimental.proxy_tensor import make_fx
+
+from nsde_torch.plants.cache import cache_folder
+
+Function = Callable[[Sequence[Tensor]], list[Tensor]]
+_SOURCES = (
+    *("control/compiled.py", "control/gauss_newton.py", "control/horizon.py", "control/problem.py"),
+    *("control/predictor.py", "control/estimator.py", "control/gradient.py"),
+    *("models", "systems", "effects", "sde", "rotation.py", "columns.py"),
+)
+_NAMES = "constants"
+
+
+class NoCompiler(RuntimeError):
+    """Machine code cannot be made here; the message says why."""
+
+
+def compile_ahead(
+    module: nn.Module,
+    example: Sequence[Tensor],
+    *,
+    name: str,
+    structure: str,
+    folder: str | Path | None = None,
+    say: Callable[[str], None] | None = None,
+) -> Function:
+    """The module as machine code for tensors of the shapes of an example.
+
+    Args:
+        module: Takes tensors, returns tensors; without gradients, on the CPU.
+        example: Arguments.
+        name: What it is, for the file and for messages.
+        structure: Every setting of the module that is not one of its tensors.
+        folder: Where packages are kept; default: the folder of the package's cache.
+        say: Called with one line when something takes long.
+
+    Returns:
+        A function of a list of tensors.
+
+    Raises:
+        NoCompiler: there is no C++ compiler, or it refuses.
+    """
+    path = cache_folder(folder) / f"{name}-{_key(module, example, structure)}.pt2"
+    with torch.no_grad(), warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        if not path.is_file():
+            _make(module, example, path, name=name, say=say or (lambda line: None))
+        return _load(module, path)
+
+
+def _make(
+    module: nn.Module, example: Sequence[Tensor], path: Path, *, name: str, say: Callable[[str], None]
+) -> None:
+    if not has_compiler():
+        raise NoCompiler("there is no C++ compiler (g++ or clang++; CXX names it)")
+    say(f"compiling {name}, up to three minutes; kept in {path.parent} for the next time")
+    started = time.perf_counter()
+    temporary: str | None = None
+    try:
+        graph = make_fx(lambda *args: tuple(module(*args)), tracing_mode="real")(*example)
+        graph.graph.eliminate_dead_code()
+        path.parent.mkdir(parents=True, exist_ok=True)
+        handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=path.stem, suffix=".pt2")
+        os.close(handle)
+        program = torch.export.export(graph, tuple(example), strict=False)
+        torch._inductor.aoti_compile_and_package(
+            program,
+            package_path=temporary,
+            inductor_configs={
+                # constants stay constants, however small: other weights can be loaded in their place
+                "always_keep_tensor_constants": True,
+                "aot_inductor.metadata": {_NAMES: json.dumps(_constants(graph, module))},
+            },
+        )
+        os.replace(temporary, path)
+    except Exception as error:
+        reason = (str(error).strip().splitlines() or [type(error).__name__])[0]
+        raise NoCompiler(f"the compiler gave up: {reason}") from error
+    finally:
+        if temporary is not None:
+            with suppress(OSError):
+                os.unlink(temporary)
+    say(f"compiled {name} in {time.perf_counter() - started:.0f} s")
+
+
+def _load(module: nn.Module, path: Path) -> Function:
+    try:
+        loader: Any = torch._inductor.aoti_load_package(str(path)).loader
+        names: dict[str, str] = json.loads(loader.get_metadata()[_NAMES])
+        own = _tensors(module)
+        used = set(loader.get_constant_fqns())
+        values = {constant: own[name] for constant, name in names.items() if constant in used}
+        loader.load_constants(values, use_inactive=False, check_full_update=False)
+    except Exception as error:
+        with suppress(OSError):
+            path.unlink()  # damaged, or of another machine: made anew the next time
+        raise NoCompiler(f"{path} cannot be loaded ({error}); it was removed, try again") from error
+
+    def run(arguments: Sequence[Tensor]) -> list[Tensor]:
+        out: list[Tensor] = loader.run(list(arguments))
+        return out
+
+    return run
+
+
+def _constants(graph: torch.fx.GraphModule, module: nn.Module) -> dict[str, str]:
+    """Names of constants of the graph that are tensors of the module -> their names there."""
+    own = {id(tensor): name for name, tensor in _tensors(module).items()}
+    held = {
+        str(node.target): getattr(graph, str(node.target))
+        for node in graph.graph.nodes
+        if node.op == "get_attr"
+    }
+    return {constant: own[id(tensor)] for constant, tensor in held.items() if id(tensor) in own}
+
+
+def _tensors(module: nn.Module) -> dict[str, Tensor]:
+    return {**dict(module.named_parameters()), **dict(module.named_buffers())}
+
+
+def _key(module: nn.Module, example: Sequence[Tensor], structure: str) -> str:
+    digest = hashlib.sha256()
+    where = (torch.__version__, platform.machine(), torch.backends.cpu.get_cpu_capability())
+    for part in (*where, str(torch.get_num_threads()), _source_hash(), structure, str(module)):
+        digest.update(str(part).encode() + b"\0")
+    for own in sorted({inspect.getsourcefile(type(m)) or "" for m in module.modules()}):
+        digest.update(_file_hash(own))
+    for tensor in (*example, *(t for _, t in sorted(_tensors(module).items()))):
+        digest.update(f"{tuple(tensor.shape)} {tensor.stride()} {tensor.dtype}".encode())
+    return digest.hexdigest()[:32]
+
+
+@functools.cache
+def _source_hash() -> str:
+    """Hash of the source files that an iteration runs through."""
+    package = Path(__file__).resolve().parents[1]
+    digest = hashlib.sha256()
+    for part in _SOURCES:
+        path = package / part
+        for file in sorted(path.rglob("*.py")) if path.is_dir() else [path][: path.is_file()]:
+            digest.update(file.relative_to(package).as_posix().encode() + b"\0" + file.read_bytes() + b"\0")
+    return digest.hexdigest()
+
+
+@functools.cache
+def _file_hash(file: str) -> bytes:
+    """Hash of a file, that of a system or effect of the user's own among them; torch's own come with its version."""
+    if not file or Path(torch.__file__).parent in Path(file).parents:
+        return b""
+    return hashlib.sha256(Path(file).read_bytes()).digest()
+
+
+def has_compiler() -> bool:
+    """Whether a C++ compiler is found."""
+    named = os.environ.get("CXX")
+    return any(shutil.which(c) for c in ([named] if named else []) + ["g++", "clang++"])

@@ -1,0 +1,278 @@
+"""The controller: measured state in, plan out, whatever happens.
+
+    plan = solve from the last plan, shifted in time;  on trouble the last safe plan, shifted;  then hover
+
+A plan that leaves here is finite and within bounds. Its status says how it came about.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import final
+
+import torch
+from torch import Tensor
+
+from nsde_torch.control.horizon import Horizon
+from nsde_torch.control.hovering import hover_input
+from nsde_torch.control.predictor import Predictor
+from nsde_torch.control.problem import ProblemOptions
+from nsde_torch.control.solve import Clock, Problem, Solver, SolverOptions
+from nsde_torch.errors import ConfigError, ShapeError
+from nsde_torch.models import Model
+from nsde_torch.systems import System
+
+CONVERGED, IMPROVED, LATE = "converged", "improved", "late"
+BAD_STATE, JUMP, DIVERGED, BAD_REFERENCE = "bad_state", "state_jump", "diverged", "bad_reference"
+KEPT, HOVER = "kept", "hover"
+"""Words of a status: how good a plan is, what was wrong, and what was done about it (`bad_state:kept`)."""
+
+
+@dataclass(frozen=True)
+class SafetyOptions:
+    """When a controller does not believe what it is given.
+
+    Args:
+        jump: Largest step of the measured position from where the plan expects it [m]; beyond it the state is not
+            believed until it has been seen `jump_samples` times.
+        jump_attitude: The same for the attitude [rad].
+        jump_samples: Samples after which a new state is believed.
+        keep: How long the last safe plan is flown on [s]; then hover.
+        quaternion: Largest departure of a quaternion's norm from 1.
+    """
+
+    jump: float = 0.75
+    jump_attitude: float = 0.8
+    jump_samples: int = 3
+    keep: float = 0.5
+    quaternion: float = 0.05
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What the controller wants to do; one row per machine.
+
+    Args:
+        u: Inputs (N, K, nu), finite and within bounds; u[:, k] holds from k dt to (k + 1) dt.
+        x: States that it expects, (N, K + 1, nx).
+        cost: What it costs (N,); infinite for hovering.
+        gap: Estimated share of the cost that a better plan would save (N,).
+        status: One word or two per row.
+        solve_ms: Time that it took.
+        iterations: Iterations of the solver.
+        dt: Step of the plan [s].
+        age: Time since it was solved for [s], (N,).
+        z: States with memory (N, P, K + 1, nz), to start the next solve from.
+    """
+
+    u: Tensor
+    x: Tensor
+    cost: Tensor
+    gap: Tensor
+    status: tuple[str, ...]
+    solve_ms: float
+    iterations: int
+    dt: float
+    age: Tensor
+    z: Tensor
+
+    def shifted(self, time: float) -> Plan:
+        """The same plan, seen a time [s] later; its end is held."""
+        return replace(
+            self,
+            u=_shift(self.u, time / self.dt),
+            z=_shift(self.z, time / self.dt, axis=2),
+            age=self.age + time,
+        )
+
+
+@final
+class Controller:
+    """Model predictive control of a multirotor.
+
+    Args:
+        model: What is known of the machine.
+        problem: What a plan pays for.
+        solver: How it is found.
+        safety: When to disbelieve.
+        batch: Machines at a time.
+        say: Called with one line when something takes long.
+        clock: Time [s].
+
+    Example:
+        >>> controller = Controller(nsde_torch.load("runs/first"))  # doctest: +SKIP
+        >>> plan = controller.plan(x, reference.window(t, dt=0.05, steps=20)[None])  # doctest: +SKIP
+    """
+
+    def __init__(
+        self,
+        model: Model | System,
+        *,
+        problem: ProblemOptions | None = None,
+        solver: SolverOptions | None = None,
+        safety: SafetyOptions | None = None,
+        batch: int = 1,
+        say: Callable[[str], None] | None = None,
+        clock: Clock = time.perf_counter,
+        dtype: torch.dtype = torch.float32,
+    ) -> None:
+        self.options = problem or ProblemOptions()
+        self.safety = safety or SafetyOptions()
+        self.predictor = Predictor(model, dt=self.options.dt, dtype=dtype)
+        self.horizon = Horizon(self.predictor, self.options)
+        self.solver = Solver(self.horizon, solver or SolverOptions(), batch=batch, say=say, clock=clock)
+        self.batch, self._dtype = batch, dtype
+        low, high = self.options.low, self.options.high
+        self.hover = hover_input(self.predictor).clamp(low, high)
+        if not bool(torch.isfinite(self.hover).all()):
+            raise ConfigError("the model has no hovering input: its rates are not finite. Train it anew.")
+        self._jumped = torch.zeros(batch, dtype=torch.long)
+
+    def hovering(self) -> Plan:
+        """A plan that hovers, level and where it is: what there is before the first solve."""
+        n, k, p = self.batch, self.options.steps, self.options.particles
+        u = self.hover.expand(n, k, -1).contiguous()
+        x = u.new_zeros(n, self.predictor.nx)
+        x[:, 6] = 1.0
+        z = self.predictor.augment(x, u[:, 0])[:, None, None].repeat(1, p, k + 1, 1)
+        nothing = u.new_full((n,), torch.inf)
+        return Plan(
+            u=u,
+            x=z[:, 0, :, : self.predictor.nx],
+            cost=nothing,
+            gap=nothing,
+            status=(HOVER,) * n,
+            solve_ms=0.0,
+            iterations=0,
+            dt=self.options.dt,
+            age=nothing,
+            z=z,
+        )
+
+    @torch.no_grad()
+    def plan(
+        self,
+        x: Tensor,
+        reference: Tensor,
+        before: Plan | None = None,
+        *,
+        elapsed: float = 0.0,
+        last: Tensor | None = None,
+        push: Tensor | None = None,
+        memory: Tensor | None = None,
+    ) -> Plan:
+        """Plan from measured states.
+
+        Args:
+            x: States (N, nx) at the time from which the plan holds.
+            reference: States to track at the ends of the steps (N, K, nx).
+            before: The plan before, to start from and to fall back on.
+            elapsed: Time since that plan [s].
+            last: Inputs that act now (N, nu); None: the first of the plan before.
+            push: Disturbances on the force ports (N, nd); None: none.
+            memory: Memory of the model's effects now (N, nz - nx); None: stationary under `last`.
+
+        Raises:
+            ShapeError: wrong axes or columns. Bad numbers raise nothing: see the status of the plan.
+        """
+        n, k, nx = self.batch, self.options.steps, self.predictor.nx
+        x, reference = x.to(self._dtype), reference.to(self._dtype)
+        if x.shape != (n, nx):
+            raise ShapeError(f"`x` must be (batch={n}, nx={nx}); got {tuple(x.shape)}.")
+        if reference.shape != (n, k, nx):
+            raise ShapeError(
+                f"`reference` must be (batch={n}, steps={k}, nx={nx}); got {tuple(reference.shape)}."
+            )
+        start = self.hovering() if before is None else before.shifted(elapsed)
+        last = start.u[:, 0] if last is None else last.to(self._dtype)
+        push = x.new_zeros(n, self.predictor.nd) if push is None else push.to(self._dtype)
+        trouble = self._trouble(x, reference, start, known=before is not None)
+        bad = torch.tensor([word is not None for word in trouble])
+        expected = start.z[:, 0, 0, :nx]
+        x = torch.where(bad[:, None], expected, x)
+        x = torch.cat((x[:, :6], torch.nn.functional.normalize(x[:, 6:10], dim=1), x[:, 10:]), 1)
+        reference = torch.where(bad[:, None, None], start.z[:, 0, 1:, :nx], reference)
+        z0 = self.predictor.augment(x, last) if memory is None else torch.cat((x, memory.to(self._dtype)), 1)
+        guess = self.horizon.rollout(z0, start.u, push) if before is None else start.z
+        problem = Problem(z0.contiguous(), reference.contiguous(), last.contiguous(), push.contiguous())
+        found = self.solver.solve(problem, start.u.contiguous(), guess.contiguous())
+        safe = torch.isfinite(found.cost) & torch.isfinite(found.u).flatten(1).all(1) & ~bad
+        status = []
+        for row in range(n):
+            word = trouble[row] or (None if bool(safe[row]) else DIVERGED)
+            if word is None:
+                good = CONVERGED if bool(found.converged[row]) else IMPROVED
+                status.append(good if found.in_time else f"{good}:{LATE}")
+            else:
+                usable = before is not None and float(start.age[row]) <= self.safety.keep
+                status.append(f"{word}:{KEPT if usable else HOVER}")
+        kept = torch.tensor([word.endswith(KEPT) for word in status])
+        hover = torch.tensor([word.endswith(HOVER) for word in status])
+        low, high = self.options.low, self.options.high
+
+        def choose(new: Tensor, old: Tensor, still: Tensor) -> Tensor:
+            shape = (n,) + (1,) * (new.ndim - 1)
+            return torch.where(hover.view(shape), still, torch.where(kept.view(shape), old, new))
+
+        fallback = self.hovering()
+        if bool(hover.any()):
+            fallback = replace(
+                fallback,
+                z=torch.where(torch.isfinite(x).all(1).view(n, 1, 1, 1), self._still(z0), fallback.z),
+            )
+        u = choose(found.u, start.u, fallback.u).clamp(low, high)
+        z = choose(found.z, start.z, fallback.z)
+        return Plan(
+            u=u,
+            x=z[:, 0, :, :nx],
+            cost=choose(found.cost, start.cost, fallback.cost),
+            gap=choose(found.gap, start.gap, fallback.gap),
+            status=tuple(status),
+            solve_ms=1e3 * found.seconds,
+            iterations=len(found.costs) - 1,
+            dt=self.options.dt,
+            age=choose(torch.zeros_like(start.age), start.age, torch.full_like(start.age, torch.inf)),
+            z=z,
+        )
+
+    def _still(self, z0: Tensor) -> Tensor:
+        """States (N, P, K + 1, nz) that stay where they are."""
+        return z0[:, None, None].repeat(1, self.options.particles, self.options.steps + 1, 1)
+
+    def _trouble(self, x: Tensor, reference: Tensor, start: Plan, *, known: bool) -> list[str | None]:
+        """What is wrong with each row's state or reference, if anything."""
+        s, nx = self.safety, self.predictor.nx
+        expected = start.z[:, 0, 0, :nx]
+        finite = torch.isfinite(x).all(1)
+        unit = (x[:, 6:10].norm(dim=1) - 1.0).abs() <= s.quaternion
+        sane = torch.isfinite(reference).flatten(1).all(1)
+        away = (x[:, :3] - expected[:, :3]).norm(dim=1)
+        turned = 2.0 * torch.arccos((x[:, 6:10] * expected[:, 6:10]).sum(1).abs().clamp_max(1.0))
+        fresh = start.age <= s.keep
+        jumped = finite & fresh & ((away > s.jump) | (turned > s.jump_attitude)) & known
+        self._jumped = torch.where(jumped, self._jumped + 1, torch.zeros_like(self._jumped))
+        out: list[str | None] = []
+        for row in range(self.batch):
+            word: str | None = None
+            if not (bool(finite[row]) and bool(unit[row])):
+                word = BAD_STATE
+            elif not bool(sane[row]):
+                word = BAD_REFERENCE
+            elif bool(jumped[row]) and int(self._jumped[row]) < s.jump_samples:
+                word = JUMP
+            out.append(word)
+        return out
+
+
+def _shift(table: Tensor, steps: float, *, axis: int = 1) -> Tensor:
+    """Rows at times later by a number of steps, between two of them by interpolation; the end is held."""
+    n = table.shape[axis]
+    at = (torch.arange(n, dtype=torch.float64) + steps).clamp(0.0, n - 1.0)
+    low = at.floor().long().clamp_max(max(n - 2, 0))
+    shape = [1] * table.ndim
+    shape[axis] = n
+    share = (at - low).to(table).view(shape)
+    high = (low + 1).clamp_max(n - 1)
+    return (1.0 - share) * table.index_select(axis, low) + share * table.index_select(axis, high)

@@ -1,0 +1,222 @@
+"""One iteration of Gauss-Newton on a box, for many problems at once, with few and large operations.
+
+Linearise all steps of all paths in one batch about inputs u and states z (which need not fit each other):
+
+    dz_{k+1} = A_k dz_k + B_k du_k + (F(z_k, u_k) - z_{k+1}),     r_{k+1} = r(F(z_k, u_k)) + C_k dz_k + D_k du_k
+
+with A = dF/dz, B = dF/du, C = (dr/dx) A, D = (dr/dx) B by forward differentiation. Eliminating dz leaves a quadratic in
+du,
+
+    q(du) = |W du + w|^2 + input terms = du^T H du + 2 g^T du + q(0),      low - u <= du <= high - u,
+
+which primal-dual active sets minimise (Hintermueller, Ito, Kunisch, SIAM J. Optim. 13, 2003): inputs that would leave
+the box are held at its bound, the others solve their linear equations, and the sign of the slope says which to let go.
+Steps a du with a = 1, 1/2, ... and 0 are then rolled out through the model as one batch, and the cheapest is kept, so
+that no iteration makes a plan worse.
+The first states may be those of the plan before: the gaps F(z_k, u_k) - z_{k+1} are part of the problem (multiple
+shooting; Bock and Plitt, IFAC 1984), and no rollout comes before the linearisation.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple, final
+
+import torch
+from torch import Tensor, nn
+
+from nsde_torch.control.horizon import Horizon, _repeat
+
+SHARES = (1.0, 0.5, 0.2, 0.05)
+"""Shares of a step that are tried, beside none of it."""
+
+
+class Iterate(NamedTuple):
+    """Plans after an iteration.
+
+    Args:
+        u: Inputs (N, K, nu), within bounds.
+        z: States (N, P, K + 1, nz).
+        cost: Their cost (N,).
+        before: Cost of the inputs that the iteration began with (N,).
+        promised: The most that the quadratic could save (N,), >= 0.
+    """
+
+    u: Tensor
+    z: Tensor
+    cost: Tensor
+    before: Tensor
+    promised: Tensor
+
+
+@final
+class GaussNewton(nn.Module):
+    """An iteration, `forward`: plain tensors in and out.
+
+    Args:
+        horizon: The problem.
+        active_set_steps: Projected Newton steps on each quadratic.
+    """
+
+    def __init__(self, horizon: Horizon, *, active_set_steps: int = 2) -> None:
+        super().__init__()
+        self.horizon, self.active_set_steps = horizon, active_set_steps
+        n = horizon.steps * horizon.nu
+        self.eye: Tensor
+        self.shares: Tensor
+        self.change: Tensor
+        dtype = horizon.predictor.dtype
+        self.register_buffer("eye", torch.eye(n, dtype=dtype))
+        self.register_buffer("shares", torch.tensor((*SHARES, 0.0), dtype=dtype))
+        # changes of the inputs from step to step, of all inputs
+        self.register_buffer(
+            "change", self.eye - torch.diag(torch.ones(n - horizon.nu, dtype=dtype), -horizon.nu)
+        )
+
+    @property
+    def structure(self) -> str:
+        """Every setting that is not a tensor, in words."""
+        return f"{self.active_set_steps} {SHARES} {self.horizon.structure}"
+
+    def start(self, u: Tensor) -> tuple[Tensor, ...]:
+        """Memory before the first iteration: there is none."""
+        return ()
+
+    def forward(self, z0: Tensor, u: Tensor, z: Tensor, ref: Tensor, last: Tensor, d: Tensor) -> Iterate:
+        """Improve plans.
+
+        Args:
+            z0: States with memory now (N, nz).
+            u: Inputs to start from (N, K, nu), within bounds.
+            z: States to linearise about (N, P, K + 1, nz).
+            ref: References at the ends of the steps (N, K, nx).
+            last: Inputs before the plan (N, nu).
+            d: Pushes (N, nd).
+        """
+        h = self.horizon
+        n, k, nu, p = len(u), h.steps, h.nu, h.particles
+        hessian, gradient = self.quadratic(z0, u, z, ref, last, d)
+        flat = u.reshape(n, k * nu)
+        low, high = h.options.low - flat, h.options.high - flat
+        step = self.box_step(hessian, gradient, low, high)
+        slope = _times(hessian, step) + gradient
+        # a convex quadratic lies above its tangent: no step on the box saves more than this
+        rest = torch.maximum(slope * (step - low), slope * (step - high)).sum(1)
+        promised = 2.0 * rest - (step * (slope + gradient)).sum(1)
+        tried = flat[:, None] + self.shares[:, None] * step[:, None]
+        tried = tried.clamp(h.options.low, h.options.high)
+        s = len(self.shares)
+        candidates = tried.reshape(n * s, k, nu)
+        paths = h.rollout(_repeat(z0, s), candidates, _repeat(d, s))
+        costs = h.cost(paths, candidates, _repeat(ref, s), _repeat(last, s)).view(n, s)
+        best = torch.nan_to_num(costs, nan=torch.inf).argmin(1)
+        return Iterate(
+            u=_pick(tried, best).view(n, k, nu),
+            z=_pick(paths.view(n, s, -1), best).view(n, p, k + 1, h.nz),
+            cost=_pick(costs[..., None], best)[:, 0],
+            before=costs[:, -1],
+            promised=promised,
+        )
+
+    def quadratic(
+        self, z0: Tensor, u: Tensor, z: Tensor, ref: Tensor, last: Tensor, d: Tensor
+    ) -> tuple[Tensor, Tensor]:
+        """Hessian H (N, K nu, K nu) and gradient g (N, K nu) of q."""
+        h = self.horizon
+        n, k, nu, nz, p = len(u), h.steps, h.nu, h.nz, h.particles
+        after, r, a, b, c, e = self.linearise(u, z, ref, d)
+        gap = after - z[:, :, 1:].reshape(n * p, k, nz)
+        # sensitivities of the states to all inputs, and in the last column to what is off
+        start = (_repeat(z0, p) - z[:, :, 0].reshape(n * p, nz))[..., None]
+        sensitivity = torch.cat((z0.new_zeros(n * p, nz, k * nu), start), 2)
+        rows = []
+        for i in range(k):
+            left, right = i * nu, (i + 1) * nu
+            own = c[:, i] @ sensitivity
+            moved = a[:, i] @ sensitivity
+            rows.append(
+                torch.cat((own[..., :left], e[:, i], own[..., right:-1], own[..., -1:] + r[:, i, :, None]), 2)
+            )
+            sensitivity = torch.cat(
+                (moved[..., :left], b[:, i], moved[..., right:-1], moved[..., -1:] + gap[:, i, :, None]), 2
+            )
+        w = torch.stack(rows, 1).reshape(n, -1, k * nu + 1)
+        gram = w[..., :-1].transpose(1, 2) @ w / p
+        # the weights are tensors: machine code is made once for all their values
+        weights = h.input_weight * self.eye + h.rate_weight * (self.change.T @ self.change)
+        hessian = gram[..., :-1] + weights
+        return hessian, gram[..., -1] + self.input_gradient(u, last)
+
+    def input_gradient(self, u: Tensor, last: Tensor) -> Tensor:
+        """Half the gradient of the input terms (N, K nu)."""
+        h = self.horizon
+        change = torch.diff(u, dim=1, prepend=last[:, None])
+        later = torch.cat((change[:, 1:], torch.zeros_like(change[:, :1])), 1)
+        out = h.input_weight * (u - h.input_centre) + h.rate_weight * (change - later)
+        return out.flatten(1)
+
+    def linearise(self, u: Tensor, z: Tensor, ref: Tensor, d: Tensor) -> tuple[Tensor, ...]:
+        """Steps, roots and their slopes of all steps of all paths.
+
+        Returns:
+            F (N P, K, nz), r (N P, K, nr), A (N P, K, nz, nz), B (.., nz, nu), C (.., nr, nz), D (.., nr, nu).
+        """
+        h = self.horizon
+        n, k, nu, nz, p = len(u), h.steps, h.nu, h.nz, h.particles
+        rows = n * p * k
+        at = z[:, :, :-1].reshape(rows, nz)
+        inputs = _repeat(u, p).reshape(rows, nu)
+        wanted = _repeat(ref, p).reshape(rows, h.nx)
+        push = d[:, None, None].expand(n, p, k, h.nd).reshape(rows, h.nd)
+        noise = h.noise.transpose(0, 1).repeat(n, 1, 1).reshape(rows, h.nx) if p > 1 else None
+
+        def both(z_: Tensor, u_: Tensor) -> tuple[Tensor, Tensor]:
+            moved = h.advance(z_, u_, push, noise)
+            return moved, h.residual(moved[:, : h.nx], wanted)
+
+        def along_state(t: Tensor) -> tuple[Tensor, Tensor]:
+            return torch.func.jvp(lambda z_: both(z_, inputs), (at,), (t.expand(rows, nz),))[1]
+
+        def along_input(t: Tensor) -> tuple[Tensor, Tensor]:
+            return torch.func.jvp(lambda u_: both(at, u_), (inputs,), (t.expand(rows, nu),))[1]
+
+        after, r = both(at, inputs)
+        a, c = torch.func.vmap(along_state, out_dims=2)(torch.eye(nz, dtype=z.dtype, device=z.device))
+        b, e = torch.func.vmap(along_input, out_dims=2)(torch.eye(nu, dtype=z.dtype, device=z.device))
+        shape = (n * p, k)
+        return tuple(m.reshape(*shape, *m.shape[1:]) for m in (after, r, a, b, c, e))
+
+    def box_step(self, hessian: Tensor, gradient: Tensor, low: Tensor, high: Tensor) -> Tensor:
+        """Minimiser (N, n) of q on a box that holds 0, after a few changes of the active set; the best seen."""
+        scale = torch.diagonal(hessian, dim1=1, dim2=2)
+        # along the projected gradient, as far as the quadratic falls: poor, but never worse than no step
+        best = torch.minimum(torch.maximum(-gradient / scale, low), high)
+        along, curve = (gradient * best).sum(1), (best * _times(hessian, best)).sum(1)
+        share = (-along / curve.clamp_min(1e-12)).clamp(0.0, 1.0)
+        best = share[:, None] * best
+        least = share * (share * curve + 2.0 * along)
+        step, slope = torch.zeros_like(gradient), gradient
+        for _ in range(self.active_set_steps):
+            aim = step - slope / scale
+            at_low, at_high = aim < low, aim > high
+            free = (~(at_low | at_high)).to(gradient)
+            held = torch.where(at_low, low, torch.where(at_high, high, torch.zeros_like(low)))
+            masked = hessian * (free[:, :, None] * free[:, None, :]) + self.eye * (1.0 - free)[:, None, :]
+            factor, _ = torch.linalg.cholesky_ex(masked)
+            right = (-(gradient + _times(hessian, held)) * free)[..., None]
+            step = held + torch.cholesky_solve(right, factor)[..., 0] * free
+            slope = _times(hessian, step) + gradient
+            inside = torch.minimum(torch.maximum(step, low), high)
+            value = (inside * (_times(hessian, inside) + 2.0 * gradient)).sum(1)
+            better = value < least
+            best = torch.where(better[:, None], inside, best)
+            least = torch.where(better, value, least)
+        return best
+
+
+def _times(matrix: Tensor, vector: Tensor) -> Tensor:
+    return (matrix @ vector[..., None])[..., 0]
+
+
+def _pick(table: Tensor, row: Tensor) -> Tensor:
+    """Row `row[i]` of table[i] (N, S, M): (N, M)."""
+    return table.gather(1, row[:, None, None].expand(-1, 1, table.shape[2]))[:, 0]

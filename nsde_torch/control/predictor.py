@@ -1,0 +1,189 @@
+"""What the controller knows of the machine: one step of the model without noise, as plain tensors.
+
+    z_{k+1} = F(z_k, u_k, d) = project(step(z_k, u_k, f + d, h)),        z = (state, memory of the effects)
+
+f is the drift of a model (or of declared physics alone) in physical seconds, h the step of the horizon, and d a push
+on the force ports that the controller estimates while it flies (see `observer`). The step is the one that the model
+was trained with, its noise left out: a drift that was fitted through Euler steps of 50 ms is right for those steps.
+"""
+
+from __future__ import annotations
+
+import copy
+from typing import final
+
+import torch
+from torch import Tensor, nn
+
+from nsde_torch.columns import split_columns
+from nsde_torch.effects import Port
+from nsde_torch.errors import ConfigError
+from nsde_torch.models import Model
+from nsde_torch.models.identified import IdentifiedModel
+from nsde_torch.models.neural_sde import NeuralSDE
+from nsde_torch.sde import Calculus, Step, Time, make_step
+from nsde_torch.systems import System
+from nsde_torch.systems.frozen import frozen
+
+
+@final
+class Predictor(nn.Module):
+    """One step of a model's mean path on rows.
+
+    Args:
+        model: A learned model, or a system whose declared physics is all that is known. It is copied, its parameters
+            as they are now.
+        dt: Step of the horizon [s], > 0.
+        dtype: Precision.
+
+    Attributes:
+        system: The machine, parameters frozen.
+        nx, nu, nz: States, inputs, states with memory.
+        ports: Force ports that d pushes, with their widths; nd is their sum.
+
+    Raises:
+        ConfigError: a model of a kind that has no drift, or effects that read further logged channels.
+    """
+
+    def __init__(self, model: Model | System, *, dt: float, dtype: torch.dtype = torch.float32) -> None:
+        super().__init__()
+        if not dt > 0:
+            raise ConfigError(f"`dt` must be a step above 0 s; got {dt!r}.")
+        learned = None
+        if isinstance(model, NeuralSDE):
+            learned = copy.deepcopy(model).eval().requires_grad_(False)
+            system, step = learned.system, learned.step
+        elif isinstance(model, IdentifiedModel):
+            system, step = model.system, model.step
+        elif isinstance(model, System):
+            system, step = model, make_step("rk4")
+        else:
+            raise ConfigError(
+                f"a model of kind {model.spec.kind!r} has no drift to plan with; take one of nsde, node, blackbox_nsde "
+                "or sysid, or the declared physics."
+            )
+        if system.exogenous:
+            raise ConfigError(
+                f"effects of the model read {', '.join(system.exogenous)}, which a plan cannot foresee. Leave them out."
+            )
+        self.system = frozen(system, dtype=dtype)
+        self.system.set_step(dt)
+        if learned is not None:
+            learned.system = self.system
+            learned.to(dtype=dtype)
+        self._learned = learned
+        self.dt, self.dtype = float(dt), dtype
+        self.nx, self.nu, self.nz = self.system.nx, self.system.nu, self.system.nz
+        knows_ports = learned is None or learned.black_box is None
+        self.ports = {p: s.width for p, s in self.system.residual_ports.items()} if knows_ports else {}
+        self.nd = sum(self.ports.values())
+        self._step = _without_noise(step)
+        self._equation = _Pushed(self)
+
+    def forward(self, z: Tensor, u: Tensor, d: Tensor) -> Tensor:
+        """States after a step (N, nz), from states (N, nz), inputs (N, nu) and pushes (N, nd)."""
+        self._equation.push = d
+        return self.system.project(self._step.advance(self._equation, 0.0, z, u, self.dt, None))
+
+    def drift(self, z: Tensor, u: Tensor, d: Tensor) -> Tensor:
+        """Rates (N, nz) per physical second."""
+        learned, s = self._learned, self.system
+        if learned is not None and learned.black_box is not None:
+            return learned.black_box(z, u)
+        forces: dict[Port, Tensor] = {}
+        if learned is not None:
+            forces = learned.residual(split_columns(z, s.nx, s.nz - s.nx)[0])
+        if self.nd:
+            for port, part in zip(self.ports, split_columns(d, *self.ports.values()), strict=True):
+                forces[port] = forces[port] + part if port in forces else part
+        return s.drift(0.0, z, u, forces)
+
+    def eta(self, x: Tensor) -> Tensor:
+        """Distance (N,) of states (N, nx) from the training data; zero for a model that does not know it."""
+        if not self.knows_distance:
+            return x.new_zeros(len(x))
+        assert self._learned is not None
+        return self._learned.eta(self.system.features(x))
+
+    @property
+    def knows_distance(self) -> bool:
+        """Whether the model has learned where it is ignorant."""
+        return self._learned is not None and self._learned.spec.kind != "node"
+
+    def sigma(self, x: Tensor) -> Tensor:
+        """Diffusion of the state (N, nx) [state unit per root second]; zero for a model without."""
+        if not self.knows_distance:
+            return torch.zeros_like(x)
+        assert self._learned is not None
+        return self._learned.h(self.eta(x))[:, : self.nx]
+
+    @property
+    def structure(self) -> str:
+        """Every setting that is not a tensor, in words."""
+        spec = "" if self._learned is None else self._learned.spec.as_dict()
+        s = self.system
+        return f"{type(s).__qualname__} {s.effect_names} {self.dt} {self.dtype} {spec} {self._step}"
+
+    def augment(self, x: Tensor, u: Tensor) -> Tensor:
+        """States (N, nx) with the memory that is stationary under inputs (N, nu): (N, nz)."""
+        return self.system.augment(x, u)
+
+
+@final
+class _Pushed:
+    """The drift with a push, as a step wants it."""
+
+    calculus: Calculus = "either"
+
+    def __init__(self, predictor: Predictor) -> None:
+        self._drift = predictor.drift
+        self._project = predictor.system.project
+        self.push = torch.empty(0)
+
+    def drift(self, t: Time, z: Tensor, u: Tensor) -> Tensor:
+        return self._drift(z, u, self.push)
+
+    def diffusion(self, t: Time, z: Tensor, u: Tensor) -> Tensor:
+        return torch.zeros_like(z)
+
+    def project(self, z: Tensor) -> Tensor:
+        return self._project(z)
+
+
+@final
+class _Euler(Step):
+    """z' = z + f dt: what every stochastic step of order one becomes without its noise."""
+
+    name = "euler"
+    calculus = "none"
+    strong_order = 1.0
+    condition = "sigma = 0"
+    summary = "no noise, order 1, one drift"
+    deterministic = True
+
+    def advance(self, sde: object, t: Time, z: Tensor, u: Tensor, dt: Time, dw: Tensor | None) -> Tensor:
+        """See `Step.advance`."""
+        return z + sde.drift(t, z, u) * dt  # type: ignore[attr-defined]
+
+
+@final
+class _Trapezoid(Step):
+    """Heun's step without its noise."""
+
+    name = "trapezoid"
+    calculus = "none"
+    strong_order = 2.0
+    condition = "sigma = 0"
+    summary = "no noise, order 2, two drifts"
+    deterministic = True
+
+    def advance(self, sde: object, t: Time, z: Tensor, u: Tensor, dt: Time, dw: Tensor | None) -> Tensor:
+        """See `Step.advance`."""
+        f = sde.drift(t, z, u)  # type: ignore[attr-defined]
+        return z + 0.5 * dt * (f + sde.drift(t, z + f * dt, u))  # type: ignore[attr-defined]
+
+
+def _without_noise(step: Step) -> Step:
+    if step.deterministic:
+        return step
+    return _Trapezoid() if step.name == "heun" else _Euler()

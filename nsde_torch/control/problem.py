@@ -1,0 +1,158 @@
+"""The problem that a plan solves (supplement, equations 5 to 7), every term a square:
+
+    J(u) = E sum_{k=1..K} |r(x_k, x_k^ref)|^2 + sum_k |u_{k-1} - u_0|_R^2 + |u_{k-1} - u_{k-2}|_D^2,   low <= u <= high
+
+r stacks the roots of what the plan pays for at a state:
+
+    sqrt(Q) (p - p_ref, v - v_ref, vec(q q_ref^-1), omega - omega_ref)       tracking, Q of the supplement
+    sqrt(c) max(0, |v| - v_max), (tilt), (each wall of the geofence)         soft limits
+    sqrt(c) eta(x)                                                           where the model is ignorant
+
+The supplement's expectation is the mean over paths; u_0 is 0 there and D is 0. Of q and -q the nearer is meant: the
+vector part is that of the short way round.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import cos, inf, radians
+from typing import final
+
+import torch
+from torch import Tensor, nn
+
+from nsde_torch.columns import columns, join_columns, split_columns, stack_columns
+from nsde_torch.control.predictor import Predictor
+from nsde_torch.errors import ConfigError
+from nsde_torch.systems import Multirotor
+
+STATE_WEIGHTS = (100.0, 100.0, 200.0, 5.0, 5.0, 10.0, 1.0, 1.0, 100.0, 1.0, 1.0, 1.0)
+"""The supplement's Q."""
+_PARTS = (3, 3, 4, 3)
+
+
+@dataclass(frozen=True)
+class ProblemOptions:
+    """What a plan pays for.
+
+    Args:
+        horizon: Length of the plan [s].
+        steps: Steps of the plan.
+        state_weights: Q, one per error channel (position, velocity, attitude, rates).
+        input_weight: R, the same for all inputs.
+        input_centre: What R measures inputs from.
+        rate_weight: D, on the change of inputs from one step to the next.
+        low, high: Bounds of the inputs.
+        speed_limit: Speed beyond which a plan pays [m/s].
+        tilt_limit: Tilt beyond which it pays [deg].
+        fence: Lowest and highest p_x, p_y, p_z [m], (3, 2); None: no fence.
+        limit_weight: Weight of soft limits (per m2/s2, per square of the cosine's excess in tilt, per m2).
+        uncertainty_weight: Weight of the distance eta from the training data.
+        particles: Paths; 1 is the mean path, more are sampled with the model's diffusion, the same noise in every
+            solve.
+        seed: Seed of that noise.
+    """
+
+    horizon: float = 1.0
+    steps: int = 20
+    state_weights: tuple[float, ...] = STATE_WEIGHTS
+    input_weight: float = 1.0
+    input_centre: float = 0.0
+    rate_weight: float = 0.0
+    low: float = 0.0
+    high: float = 1.0
+    speed_limit: float = inf
+    tilt_limit: float = inf
+    fence: tuple[tuple[float, float], ...] | None = None
+    limit_weight: float = 100.0
+    uncertainty_weight: float = 0.0
+    particles: int = 1
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        if not (self.horizon > 0 and self.steps >= 1 and self.particles >= 1):
+            raise ConfigError(
+                "`horizon` must be above 0 s, `steps` and `particles` at least 1; got "
+                f"{self.horizon!r}, {self.steps!r}, {self.particles!r}."
+            )
+        if not self.low < self.high:
+            raise ConfigError(f"`low` must lie below `high`; got {self.low!r} and {self.high!r}.")
+        weights = (*self.state_weights, self.input_weight, self.rate_weight, self.limit_weight)
+        if min(*weights, self.uncertainty_weight) < 0:
+            raise ConfigError(f"weights must be 0 or more; got {weights}, {self.uncertainty_weight}.")
+        if self.input_weight + self.rate_weight <= 0:
+            raise ConfigError(
+                "`input_weight` or `rate_weight` must be above 0: the best plan is not one else."
+            )
+
+    @property
+    def dt(self) -> float:
+        """Step of the plan [s]."""
+        return self.horizon / self.steps
+
+
+@final
+class Residual(nn.Module):
+    """Roots of the cost of a state.
+
+    Args:
+        predictor: What knows the machine, a multirotor.
+        options: What a plan pays for.
+
+    Raises:
+        ConfigError: the machine has no reference to track, or weights of another length than its error channels.
+    """
+
+    def __init__(self, predictor: Predictor, options: ProblemOptions) -> None:
+        super().__init__()
+        system = predictor.system
+        if not isinstance(system, Multirotor):
+            raise ConfigError(
+                f"there is no tracking of system {system.name!r}: references are flights. Use hexacopter or quadrotor."
+            )
+        n = len(system.error_names)
+        if len(options.state_weights) != n:
+            raise ConfigError(
+                f"`state_weights` takes {n} numbers ({', '.join(system.error_names)}); got "
+                f"{len(options.state_weights)}."
+            )
+        if options.uncertainty_weight > 0 and not predictor.knows_distance:
+            raise ConfigError(
+                "`uncertainty_weight` needs a model that knows its distance from the data (model=nsde); this one does "
+                "not. Leave it at 0."
+            )
+        self._predictor, self._options = predictor, options
+        self.root: Tensor
+        self.register_buffer("root", torch.tensor(options.state_weights, dtype=predictor.dtype).sqrt())
+
+    def forward(self, x: Tensor, ref: Tensor) -> Tensor:
+        """Roots (N, nr) at states (N, nx) and references (N, nx)."""
+        o = self._options
+        (p, v, q, w), (p_ref, v_ref, q_ref, w_ref) = split_columns(x, *_PARTS), split_columns(ref, *_PARTS)
+        out = [self.root * join_columns((p - p_ref, v - v_ref, attitude_error(q, q_ref), w - w_ref))]
+        c = o.limit_weight**0.5
+        if o.speed_limit < inf:
+            speed = torch.sqrt((v * v).sum(-1, keepdim=True) + 1e-6)
+            out.append(c * torch.relu(speed - o.speed_limit))
+        if o.tilt_limit < inf:
+            _, a, b, _ = columns(q)
+            out.append(
+                10.0 * c * torch.relu(cos(radians(o.tilt_limit)) - (1 - 2 * (a * a + b * b)))[..., None]
+            )
+        if o.fence is not None:
+            walls = torch.tensor(o.fence, dtype=x.dtype, device=x.device)
+            out += [c * torch.relu(walls[:, 0] - p), c * torch.relu(p - walls[:, 1])]
+        if o.uncertainty_weight > 0:
+            out.append(o.uncertainty_weight**0.5 * self._predictor.eta(x)[..., None])
+        return join_columns(out) if len(out) > 1 else out[0]
+
+
+def attitude_error(q: Tensor, q_ref: Tensor) -> Tensor:
+    """Vector part (..., 3) of q q_ref^-1, of the sign that turns the short way."""
+    w, x, y, z = columns(q)
+    a, b, c, d = columns(q_ref)
+    real = w * a + x * b + y * c + z * d
+    part = stack_columns(
+        (-w * b + x * a - y * d + z * c, -w * c + x * d + y * a - z * b, -w * d - x * c + y * b + z * a)
+    )
+    return part * torch.where(real < 0, -1.0, 1.0).to(part)[..., None]

@@ -1,0 +1,111 @@
+"""References: where a flight should be, as states on a fine grid of time.
+
+A path gives positions and heading with their derivatives; the state that flies it follows from flatness (Mellinger and
+Kumar, ICRA 2011), of which this knows no more than gravity, as the supplement's references do:
+
+    z_body = (a + g) / |a + g|,   heading = yaw,   omega = 2 vec(q^-1 dq/dt)
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import final
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from nsde_torch.errors import ConfigError
+from nsde_torch.rotation import rotation_between
+from nsde_torch.systems.multirotor import GRAVITY
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class FlightPath:
+    """A path on a grid of time.
+
+    Args:
+        name: What it is called in messages and figures.
+        dt: Step of the grid [s].
+        p: Positions (n, 3) [m].
+        v: Velocities (n, 3) [m/s].
+        a: Accelerations (n, 3) [m/s2].
+        yaw: Headings (n,) [rad], without jumps of 2 pi.
+        about: What it was made of, for the record.
+    """
+
+    name: str
+    dt: float
+    p: Array
+    v: Array
+    a: Array
+    yaw: Array
+    about: dict[str, object] = field(default_factory=dict)
+
+    @property
+    def duration(self) -> float:
+        """Length [s]."""
+        return (len(self.p) - 1) * self.dt
+
+
+def states_of(path: FlightPath) -> Tensor:
+    """States (n, 13) of a multirotor that flies a path, in double precision.
+
+    Raises:
+        ConfigError: the path falls freely somewhere, where no attitude follows from it.
+    """
+    force = path.a + np.array([0.0, 0.0, GRAVITY])
+    size = np.linalg.norm(force, axis=1)
+    if size.min() < 0.05 * GRAVITY or (force[:, 2] / size).min() < -0.9:
+        at = int(size.argmin())
+        raise ConfigError(
+            f"reference {path.name!r} falls freely at {at * path.dt:.2f} s, where no attitude follows from it. "
+            "Fly slower."
+        )
+    zx, zy, zz = (force / size[:, None]).T
+    # the shortest turn from up to the thrust axis, after the turn to the heading
+    c = np.sqrt(0.5 * (1.0 + zz))
+    tx, ty = -0.5 * zy / c, 0.5 * zx / c
+    cy, sy = np.cos(0.5 * path.yaw), np.sin(0.5 * path.yaw)
+    q = torch.from_numpy(np.stack((c * cy, tx * cy + ty * sy, ty * cy - tx * sy, c * sy), 1))
+    turn = rotation_between(q[:-2], q[2:]) / (2.0 * path.dt)
+    omega = torch.cat((turn[:1], turn, turn[-1:]))
+    return torch.cat((torch.from_numpy(np.hstack((path.p, path.v))), q, omega), 1)
+
+
+@final
+class Reference:
+    """States to track, looked up by time; before the start and after the end the first and last are held, at rest.
+
+    Args:
+        path: The path.
+
+    Attributes:
+        name, dt, duration: See `FlightPath`.
+        states: States on the grid (n, 13).
+    """
+
+    def __init__(self, path: FlightPath) -> None:
+        self.path, self.name, self.dt, self.duration = path, path.name, path.dt, path.duration
+        self.states = states_of(path)
+        self._rest = self.states[[0, -1]].clone()
+        for row, yaw in zip(self._rest, path.yaw[[0, -1]], strict=True):
+            row[3:6], row[7:9], row[10:] = 0.0, 0.0, 0.0
+            row[6], row[9] = float(np.cos(0.5 * yaw)), float(np.sin(0.5 * yaw))
+
+    def at(self, t: Tensor) -> Tensor:
+        """States (..., 13) at times (...) [s], by interpolation."""
+        s = (t.to(torch.float64) / self.dt).clamp(0.0, len(self.states) - 1.0)
+        low = s.floor().long().clamp_max(len(self.states) - 2)
+        share = (s - low)[..., None]
+        x = (1.0 - share) * self.states[low] + share * self.states[low + 1]
+        x[..., 6:10] = torch.nn.functional.normalize(x[..., 6:10], dim=-1)
+        x = torch.where((t < 0.0)[..., None], self._rest[0], x)
+        return torch.where((t > self.duration)[..., None], self._rest[1], x)
+
+    def window(self, t: float, *, dt: float, steps: int) -> Tensor:
+        """States (steps, 13) at t + dt, ..., t + steps dt: what a plan made at t is to track."""
+        return self.at(t + dt * torch.arange(1, steps + 1, dtype=torch.float64))

@@ -319,7 +319,7 @@ class DiagnoseConfig:
     """`nsde diagnose`."""
 
     alpha: float = key(0.01, "chance of naming an effect where nothing is missing", above=0)
-    max_effects: int = key(5, "most effects to add", low=0)
+    max_effects: int = key(8, "most effects to add", low=0)
     candidates: list[str] | None = key(None, "effects to try, by name; null: all that the system may have")
     also: list[str] = key([], "effects of your own to try beside them, `module:Class`")
     retrain: bool = key(True, "train the model of the group `model` with what was found, into OUT_DIR/model")

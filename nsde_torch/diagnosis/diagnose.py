@@ -49,7 +49,7 @@ class Options:
     """
 
     alpha: float = 0.01
-    max_effects: int = 5
+    max_effects: int = 8
     candidates: tuple[str, ...] | None = None
     also: tuple[str, ...] = ()
     seed: int = 0

@@ -98,7 +98,7 @@ def held_out(
             continue
         search = make(train)
         for k, system in enumerate(systems):
-            model = as_model(spec, fitted_system(search.quick(system)), clock)
+            model = as_model(spec, fitted_system(search.quick(system, warm=True)), clock)
             squares[k].append(_squares(model, windows, starts, steps))
         run, t = _places(windows.rows(starts), test)
         owner.append(len(names) + run)

@@ -113,7 +113,7 @@ def loop(search: Search, system: System, *, max_effects: int) -> Outcome:
         replaced = effect_class(now.chosen.name).includes
         names = [*(n for n in names if n not in replaced), now.chosen.name]
         search.held |= set(now.chosen.held)
-        base = search.base(fitted_system(now.chosen.regression))
+        base = search.base(fitted_system(now.chosen.regression), warm=True)
     found, base = _settle(search, declared, base, names, rounds)
     variables = regressors(base.regression) if found else declared_variables
     after = dependences(base.regression, variables) if found else before
@@ -173,7 +173,7 @@ def _settle(
         best = next(t for t in now.trials if search.accept(t))
         if best.name != name and surely_above(best, own):
             names[i] = best.name
-            base, found, i = search.base(fitted_system(best.regression)), [], 0
+            base, found, i = search.base(fitted_system(best.regression), warm=True), [], 0
             if names.count(best.name) > 1 or len(rounds) > 12:
                 break
             rounds.append(now)

@@ -34,6 +34,7 @@ from nsde_torch.systems.parameters import ParameterVector, own_name
 Array = NDArray[np.float64]
 
 _ITERATIONS = 20
+_MEMORY_S = 1.0  # of noise: what lasts longer is structure
 _REFINE = 8  # iterations of a candidate
 _WORTH = 6.0  # twice the log likelihood below which a candidate is not iterated
 _CLOSE = 0.3  # of the best gain, above which a candidate is iterated
@@ -198,17 +199,21 @@ class Search:
         self.held: set[str] = set()
         self.feedback = feedback
 
-    def base(self, system: System) -> Base:
-        """The regression of a system, with noise laws of its own."""
-        regression = self._regression(system)
-        regression.run(_ITERATIONS)
+    def base(self, system: System, *, warm: bool = False) -> Base:
+        """The regression of a system, with noise laws of its own.
+
+        Args:
+            system: Physics.
+            warm: Whether its values are near their optimum.
+        """
+        regression = self.quick(system, warm=warm)
         fold, block = folds(regression), regression.whitened_rows(regression.blocks)
         regression, own = self._best_noise(regression, system, fold, block, self.held)
         return Base(system, regression, own, fold, block)
 
-    def quick(self, system: System) -> Regression:
+    def quick(self, system: System, *, warm: bool = False) -> Regression:
         """The regression of a system alone, without what candidates are compared by."""
-        regression = self._regression(system)
+        regression = self._regression(system, warm=warm)
         regression.run(_ITERATIONS)
         return regression
 
@@ -417,13 +422,21 @@ class Search:
         start: Array | None = None,
         noises: Sequence[Noise] | None = None,
         held: Collection[str] = (),
+        warm: bool = False,
     ) -> Regression:
         vector = ParameterVector(system)
         physics = Physics(vector, self.steps)
         rows, still = dynamic_rows(system), {*held, *self.held}
         if before is None:
             return Regression(
-                physics, box=self.box, rows=rows, origin=system, held=still, feedback=self.feedback
+                physics,
+                box=self.box,
+                rows=rows,
+                origin=system,
+                held=still,
+                feedback=self.feedback,
+                warm=warm,
+                memory_s=_MEMORY_S,
             )
         physics.sensor_std = before.physics.sensor_std
         laws = before.noises if noises is None else noises
@@ -437,6 +450,7 @@ class Search:
             origin=system,
             held=still,
             feedback=self.feedback,
+            memory_s=_MEMORY_S,
         )
 
     def _screen(

@@ -18,6 +18,7 @@ noise), and inputs are those that acted (smoothed ones lose against a law of the
 
 from collections.abc import Collection, Sequence
 from dataclasses import replace
+from math import inf
 from typing import final
 
 import numpy as np
@@ -72,6 +73,8 @@ class Regression:
         origin: The system that `physics` is of, for those who want it with other values.
         held: Labels of parameters that stay where they start.
         plain: Take the noise of every channel for white, as ordinary least squares does.
+        warm: Start with the laws of the noise at the first theta, where that is near its optimum.
+        memory_s: Time after which noise forgets [s] (see `noise`).
         feedback: Take out of `white` and `slopes` what kinematic residuals foretell (see `feedback`).
 
     Attributes:
@@ -93,6 +96,8 @@ class Regression:
         held: Collection[str] = (),
         plain: bool = False,
         feedback: bool = False,
+        warm: bool = False,
+        memory_s: float = inf,
     ) -> None:
         self._feedback = feedback
         self._past = np.zeros((0, 0))
@@ -105,6 +110,7 @@ class Regression:
         self.orders = int(
             np.clip(round(_ORDERS_S / self.dt), 2, min(_ORDERS, max(len(self.series) // 50, 2)))
         )
+        self._memory = memory_s / self.dt
         self.theta = self.vector.inside(self.vector.start if start is None else start)
         self.residual = self._residual(self.theta)
         self._relinearise()
@@ -119,8 +125,9 @@ class Regression:
         self._kept = noises is not None
         self.iterations = 0
         self.converged = False
-        self._refined = 0  # steps since laws are looked for
-        self._rough = not (self._kept or plain)
+        # where theta starts near its optimum, the sensor's law alone could lead it away to another
+        self._refined = 2 if warm else 0  # steps since laws are looked for
+        self._rough = not (self._kept or plain or warm)
         self._whiten()
 
     def run(self, iterations: int) -> None:
@@ -167,17 +174,17 @@ class Regression:
                 noises.append(white_noise(r, self.series))
                 continue
             if self._kept:
-                noises.append(again(self.noises[i], r, self.series))
+                noises.append(again(self.noises[i], r, self.series, memory=self._memory))
                 continue
             limit = float(self.limits[channel])
             if self._rough:
                 noises.append(first_guess(r, self.series, limit))
                 continue
             if self._refined > 3:  # the same kind of law from here on, so that theta can settle
-                noises.append(again(self.noises[i], r, self.series))
+                noises.append(again(self.noises[i], r, self.series, memory=self._memory))
                 continue
             orders = self.orders if self._refined > 1 else 1  # theta first: an order would learn its errors
-            noises.append(estimate(r, self.series, limit=limit, orders=orders))
+            noises.append(estimate(r, self.series, limit=limit, orders=orders, memory=self._memory))
         self.noises = noises
         pairs = list(zip(noises, self.rows, strict=True))
         if self._feedback and self._refined < 3:
@@ -267,7 +274,10 @@ class Regression:
         limits = self._limits()
         most = self.orders if orders is None else orders
         return [
-            estimate(self.residual[:, c], self.series, limit=float(limits[c]), orders=most) for c in self.rows
+            estimate(
+                self.residual[:, c], self.series, limit=float(limits[c]), orders=most, memory=self._memory
+            )
+            for c in self.rows
         ]
 
     def whitened_rows(self, labels: NDArray[np.int64]) -> NDArray[np.int64]:

@@ -14,11 +14,14 @@ How each is found:
 
 - c, p: least Akaike score of the exact likelihood of the moving average with the error e before the first row for
   an unknown of its own; c is at most `limit`, which follows from noise that is known to be there.
-- a: Burg's method over all stretches, as reflection coefficients; rows near a start use the lower orders.
+- a: Burg's method over all stretches, as reflection coefficients; rows near a start use the lower orders. Then a_j is
+  multiplied by exp(-j / m): noise forgets within m rows. What lasts longer, as thrust that falls from take-off to
+  landing, must not pass for noise: rows would be weighed as if they knew nothing of it.
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from math import inf
 
 import numpy as np
 from numpy.typing import NDArray
@@ -89,7 +92,7 @@ def first_guess(residual: Array, series: Series, limit: float) -> Noise:
     return Noise(carry, np.zeros(0), _size(summed, len(series)))
 
 
-def estimate(residual: Array, series: Series, *, limit: float, orders: int) -> Noise:
+def estimate(residual: Array, series: Series, *, limit: float, orders: int, memory: float = inf) -> Noise:
     """Law of the noise of residuals (N,).
 
     Args:
@@ -97,25 +100,40 @@ def estimate(residual: Array, series: Series, *, limit: float, orders: int) -> N
         series: Their stretches.
         limit: Largest c.
         orders: Largest order of the autoregression.
+        memory: Rows after which noise forgets (m).
     """
     grid = np.append(_GRID[limit > _GRID], limit)
     score, carry = min((_score(residual, series, c, orders)[0], c) for c in grid)
     at = int(np.abs(grid - carry).argmin())
     between = np.linspace(grid[max(at - 1, 0)], grid[min(at + 1, len(grid) - 1)], 7)[1:-1]
     score, carry = min([(score, carry), *((_score(residual, series, c, orders)[0], c) for c in between)])
-    return _law(residual, series, float(carry), _score(residual, series, carry, orders)[1])
+    return _law(residual, series, float(carry), _score(residual, series, carry, orders)[1], memory)
 
 
-def again(noise: Noise, residual: Array, series: Series) -> Noise:
+def again(noise: Noise, residual: Array, series: Series, *, memory: float = inf) -> Noise:
     """A law of the same order and the same c for other residuals (N,)."""
     summed = _carry(noise.carry, residual[:, None], series)[:, 0]
     reflection, _ = _burg(summed, extended(series), len(noise.reflection))
-    return _law(residual, series, noise.carry, reflection)
+    return _law(residual, series, noise.carry, reflection, memory)
 
 
-def _law(residual: Array, series: Series, carry: float, reflection: Array) -> Noise:
+def _law(residual: Array, series: Series, carry: float, reflection: Array, memory: float) -> Noise:
+    reflection = forgetting(reflection, memory)
     white = _lattice(reflection, _carry(carry, residual[:, None], series), extended(series))
     return Noise(carry, reflection, _size(white, len(series)))
+
+
+def forgetting(reflection: Array, memory: float) -> Array:
+    """Reflection coefficients (p,) of the autoregression whose coefficients are multiplied by exp(-j / memory)."""
+    a: Array = np.ones(1)
+    for k in reflection:
+        a = np.append(a, 0.0) + k * np.append(0.0, a[::-1])
+    a = a * np.exp(-np.arange(len(a)) / memory)
+    out = np.zeros(len(reflection))
+    for m in range(len(reflection), 0, -1):
+        out[m - 1] = a[m]
+        a = (a[:m] - a[m] * a[:0:-1]) / (1.0 - a[m] ** 2)
+    return out
 
 
 def carry_limit(own: float, known: float, std: float, dt: float) -> float:

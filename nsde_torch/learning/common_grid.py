@@ -162,14 +162,13 @@ def common_horizons(
                 f"`horizons` must fit in the runs, whose longest stretch without a gap is {longest:.4g} s; got "
                 f"{wanted[-1]:g} s."
             )
-    for c in candidates:
-        step = c.model.spec.dt
+    for step in dict.fromkeys(c.model.spec.dt for c in candidates):
         between = [h for h in wanted if abs(max(1, round(h / step)) * step / h - 1) > _STEP_TOLERANCE]
         if between:
             nearest = ", ".join(f"{h:g} s at {max(1, round(h / step)) * step:g} s" for h in between)
-            notes.append(
-                note(f"{c.name} has a step of {step:g} s and is scored at the nearest one: {nearest}")
-            )
+            *first, last = [c.name for c in candidates if c.model.spec.dt == step]
+            who = f"{', '.join(first)} and {last} have" if first else f"{last} has"
+            notes.append(note(f"{who} a step of {step:g} s, scored at the nearest one: {nearest}"))
     return wanted, notes
 
 

@@ -44,8 +44,12 @@ class Cell:
     truth: str
     folders: tuple[Path, ...]
 
+    @property
+    def finished(self) -> list[Path]:
+        return [folder for folder in self.folders if (folder / "policy.json").is_file()]
+
     def reports(self) -> list[dict[str, Any]]:
-        return [json.loads((folder / "policy.json").read_text()) for folder in self.folders]
+        return [json.loads((folder / "policy.json").read_text()) for folder in self.finished]
 
 
 def data_words(data: str, published: Path | None) -> list[str]:
@@ -144,7 +148,7 @@ def rows(made: Sequence[Cell]) -> Iterator[dict[str, Any]]:
             "random_reward": random,
             "truth_reward": truth[cell.truth],
             "seconds": statistics.fmean(r["seconds"] for r in reports),
-            "policies": [str(folder) for folder in cell.folders],
+            "policies": [str(folder) for folder in cell.finished],
         }
 
 
@@ -204,15 +208,20 @@ def main() -> None:
     )
     parser.add_argument("--steps", type=int, default=600_000, help="interactions of a policy")
     parser.add_argument("--at-once", type=int, default=1, help="jobs at a time, one thread each")
+    parser.add_argument("--report", action="store_true", help="make nothing; report what is finished")
     parser.add_argument("--train", nargs="*", default=[], help="further words for nsde train")
     parser.add_argument("--policy", nargs="*", default=[], help="further words for nsde policy")
     a = parser.parse_args()
     made = cells(a)
     # seed by seed, so that an unfinished study has something of everything
-    for seed in range(a.seeds):
+    for seed in () if a.report else range(a.seeds):
         with ThreadPoolExecutor(a.at_once) as pool:
             for done in [pool.submit(job(cell, seed, a)) for cell in made]:
                 done.result()
+    made = [cell for cell in made if cell.finished]
+    judged = {cell.truth for cell in made if cell.kind == "truth"}
+    if lacking := {cell.truth for cell in made} - judged or not made:
+        raise SystemExit(f"nothing to report: no policy is finished on the truth ({lacking or a.out}).")
     found = list(rows(made))
     content = {"unit": "reward per episode", "score": "0 random, 1 trained on the truth", "rows": found}
     (a.out / "policies.json").write_text(json.dumps(content, indent=1))

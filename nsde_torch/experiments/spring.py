@@ -20,6 +20,8 @@ START = (0.15, -0.15)
 SECONDS = 8.0
 _A = np.array([[0.0, 1.0], [-1.0, -0.5]])
 _LEVEL = 0.95
+_LOST = 100.0
+"""An error this many times as large as the motion is not worth a number."""
 
 
 def state_evolution(models: Mapping[str, Sequence[Model]], *, title: str, seed: int) -> Outcome:
@@ -112,7 +114,7 @@ def _checks(values: Mapping[str, Mapping[str, Sequence[float]]]) -> list[Check]:
                 "the ensemble diverges or errs at least 3 times as much as the SDE",
                 f"leaves the finite numbers after {min(ensemble['finite_s']):.1f} s"
                 if lost
-                else f"{_spread(ensemble['relative_rmse'])}, {error / sde:.1f} times",
+                else f"{_spread(ensemble['relative_rmse'])}, {_times(error / sde)}",
                 lost or error >= 3 * sde,
             )
         )
@@ -121,8 +123,14 @@ def _checks(values: Mapping[str, Mapping[str, Sequence[float]]]) -> list[Check]:
 
 def _spread(values: Sequence[float]) -> str:
     """Mean, and standard deviation over models if there are several."""
+    if np.mean(values) > _LOST:
+        return f"more than {_LOST:.0f} times the truth's own size"
     mean = f"{np.mean(values):.2%}"
     return f"{mean} ± {100 * np.std(values, ddof=1):.2f}" if len(values) > 1 else mean
+
+
+def _times(ratio: float) -> str:
+    return f"{ratio:.1f} times" if ratio < _LOST else f"more than {_LOST:.0f} times"
 
 
 def _notes(values: Mapping[str, Mapping[str, Sequence[float]]]) -> list[str]:

@@ -220,8 +220,8 @@ def main() -> None:
                 done.result()
     made = [cell for cell in made if cell.finished]
     judged = {cell.truth for cell in made if cell.kind == "truth"}
-    if lacking := {cell.truth for cell in made} - judged or not made:
-        raise SystemExit(f"nothing to report: no policy is finished on the truth ({lacking or a.out}).")
+    if not made or {cell.truth for cell in made} != judged:
+        raise SystemExit(f"nothing to report in {a.out}: no policy is finished on the truth.")
     found = list(rows(made))
     content = {"unit": "reward per episode", "score": "0 random, 1 trained on the truth", "rows": found}
     (a.out / "policies.json").write_text(json.dumps(content, indent=1))

@@ -201,7 +201,7 @@ def _recorded() -> Figure:
         system = make_system("hexacopter")
         if settings.published is None:
             return recorded(simulated(system), system, data_name="simulated flights")
-        data = read("published", system, path=settings.published / "hexacopter" / "trajs.pkl")
+        data = read("published", system, path=str(settings.published / "hexacopter" / "trajs.pkl"))
         lost = (
             "The published file holds less than the flights that the supplement describes: seconds by its own clock, "
             "which is slow (README, section Data), and without the rows of two hidden gaps."

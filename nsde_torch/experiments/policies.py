@@ -4,7 +4,7 @@ Read from the folder of a policy study: `policies.json` and one `policy.json` fo
 """
 
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -25,7 +25,7 @@ _NAMES = {
     "blackbox_nsde": "SDE without physics",
     "node": "neural ODE",
     "ensemble": "Gaussian ensemble",
-    "ensemble_redrawn": "ensemble, members redrawn",
+    "ensemble_redrawn": "members redrawn",
 }
 
 
@@ -50,6 +50,7 @@ def learned_in(study: Path, kinds: Sequence[str], *, title: str, source: str) ->
                 r for r in rows if r["data"] == own[0]["truth"] and r["environment"] in ("truth", "limited")
             ]
             outcome.checks += [_check(r) for r in own if r["environment"] in _WORDS]
+            outcome.checks += _with_physics({r["environment"]: r for r in own})
             outcome.values[data] = {r["environment"]: _numbers(r) for r in (*truth, *own)}
             shown = [*(r for r in truth if r["environment"] == "truth"), *own]
             outcome.figures[data] = policy_rewards(
@@ -66,8 +67,31 @@ def learned_in(study: Path, kinds: Sequence[str], *, title: str, source: str) ->
     return outcome
 
 
+def _score(row: dict[str, Any]) -> str:
+    if row["seeds"] == 1:
+        return f"{row['score']:.3f} (one seed)"
+    return f"{row['score']:.3f} ± {row['score_std_over_seeds']:.3f} over {row['seeds']} seeds"
+
+
+def _with_physics(rows: Mapping[str, dict[str, Any]]) -> list[Check]:
+    """Models with physics against the one without."""
+    without = rows.get("blackbox_nsde")
+    if without is None:
+        return []
+    where = f"{without['data'].replace('_', ' ')} data"
+    return [
+        Check(
+            f"{where}: policies of the {_NAMES[kind]} with physics earn more than those of the SDE without",
+            f"{_score(rows[kind])} against {_score(without)}",
+            rows[kind]["score"] > without["score"],
+        )
+        for kind in ("nsde", "node")
+        if kind in rows
+    ]
+
+
 def _check(row: dict[str, Any]) -> Check:
-    measured = f"{row['score']:.3f} ± {row['score_std_over_seeds']:.3f} over {row['seeds']} seeds"
+    measured = _score(row)
     where = f"{row['data'].replace('_', ' ')} data"
     claim = f"{where}: {_WORDS[row['environment']].format(_ENOUGH)}"
     enough = row["score"] >= _ENOUGH

@@ -47,7 +47,7 @@ def policy_rewards(
     if not curves or not all(runs and all(runs) for runs in curves.values()):
         raise ShapeError("`curves` must hold at least one environment, each with curves of at least one row.")
     figure, axes = panels(1, len(curves), height=3.8, title=title, sharey=True)
-    seeds = max(map(len, curves.values()))
+    most = max(map(len, curves.values()))
     handles: dict[str, object] = {}
     for ax, (name, runs) in zip(axes[0], curves.items(), strict=True):
         for column, colour, dash, label in (
@@ -65,9 +65,9 @@ def policy_rewards(
         ):
             if value is not None:
                 handles[label] = ax.axhline(value, color=colour, linestyle="--", linewidth=1.0)
-        ax.set_title(name)
+        ax.set_title(name if most == 1 else f"{name}\n{len(runs)} seed{'s' * (len(runs) > 1)}")
         ax.set_xlabel("interactions / 1000")
-    axes[0, 0].set_ylabel("reward per episode" + (f"\nmean ± std of {seeds} seeds" if seeds > 1 else ""))
+    axes[0, 0].set_ylabel("reward per episode" + ("\nmean ± std over seeds" if most > 1 else ""))
     legend_below(figure, list(handles.values()), list(handles))
     return figure
 

@@ -11,9 +11,10 @@ from nsde_torch.errors import DataError
 from nsde_torch.experiments.policies import learned_in
 
 
-def study(folder: Path, sde: float, ensemble: float) -> Path:
+def study(folder: Path, sde: float, ensemble: float, blackbox: float = 0.5) -> Path:
     rows = []
-    for kind, score in (("truth", 1.0), ("limited", 0.2), ("nsde", sde), ("ensemble", ensemble)):
+    scores = {"truth": 1.0, "limited": 0.2, "nsde": sde, "blackbox_nsde": blackbox, "ensemble": ensemble}
+    for kind, score in scores.items():
         policy = folder / f"{kind}_0"
         policy.mkdir()
         curve = [{"interactions": n, "truth_reward": n / 10, "environment_reward": n / 9} for n in (0, 100)]
@@ -47,6 +48,17 @@ def test_checks_follow_the_scores(tmp_path: Path, sde: float, ensemble: float, p
     assert [check.passed for check in outcome.checks] == passed
     assert set(outcome.figures) == {"random"}
     assert outcome.values["random"]["limited"]["score"] == 0.2
+
+
+@pytest.mark.parametrize(("blackbox", "passed"), [(0.5, True), (0.98, False)])
+def test_physics_is_worth_something_where_policies_without_it_earn_less(
+    tmp_path: Path, blackbox: float, passed: bool
+) -> None:
+    outcome = learned_in(
+        study(tmp_path, 0.97, 0.3, blackbox), ("nsde", "blackbox_nsde"), title="policies", source="a claim"
+    )
+    assert [check.passed for check in outcome.checks] == [True, passed]
+    assert "one seed" in outcome.checks[1].measured
 
 
 def test_a_folder_without_a_study_is_refused(tmp_path: Path) -> None:

@@ -19,7 +19,7 @@ def curve(offset: float, every: int = 10) -> list[dict[str, float]]:
 def test_lines_are_means_over_seeds_and_the_spread_is_shown() -> None:
     figure = policy_rewards({"SDE": [curve(0.0), curve(10.0, every=20)], "ODE": [curve(0.0)]}, random=-5.0)
     left, right = figure.axes
-    assert [ax.get_title() for ax in (left, right)] == ["SDE", "ODE"]
+    assert [ax.get_title() for ax in (left, right)] == ["SDE\n2 seeds", "ODE\n1 seed"]
     imagined, true = left.lines[:2]
     np.testing.assert_allclose(true.get_xdata(), np.arange(0, 101, 20) / 1e3)
     np.testing.assert_allclose(true.get_ydata(), np.arange(0, 101, 20) + 5.0)

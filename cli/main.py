@@ -43,6 +43,7 @@ COMMANDS: dict[str, Command] = {
     "policy": Command(
         ".policy", "Learn a policy in a learned model or on the true machine, and judge it there"
     ),
+    "track": Command(".track", "Fly a reference with model predictive control on a learned model"),
     "simulate": Command(
         ".simulate", "Write runs of a simulated machine as files that do not say what is in them"
     ),

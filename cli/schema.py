@@ -504,6 +504,170 @@ class SimulateConfig:
     recording: RecordingConfig = group(RecordingConfig, "how it is logged")
 
 
+@dataclass
+class ReferenceConfig:
+    """Where to fly."""
+
+    kind: str = key("???", "kind of the reference, set by reference=")
+    check: bool = key(True, "refuse a reference that the machine cannot fly, by the model's account")
+    tilt_limit: float = key(60.0, "largest tilt that the check lets pass", unit="deg", above=0, high=85)
+
+
+@dataclass
+class CircleReference(ReferenceConfig):
+    """A circle at constant speed, while the heading turns and comes back."""
+
+    kind: str = key("circle", "kind of the reference, set by reference=")
+    speed: float = key(3.6, "speed after the start", unit="m/s", above=0)
+    duration: float = key(35.0, "length from rest to rest", unit="s", above=0)
+    radius: float = key(2.2, "radius", unit="m", above=0)
+    height: float = key(1.5, "height", unit="m")
+    yaw: float = key(120.0, "farthest heading", unit="deg")
+    ramp: float = key(6.0, "time to reach the speed, and to lose it", unit="s", above=0)
+
+
+@dataclass
+class LemniscateReference(ReferenceConfig):
+    """A figure of eight, while the heading swings."""
+
+    kind: str = key("lemniscate", "kind of the reference, set by reference=")
+    speed: float = key(3.4, "largest speed, where the branches cross", unit="m/s", above=0)
+    duration: float = key(40.0, "length from rest to rest", unit="s", above=0)
+    length: float = key(1.9, "half of its extent along x", unit="m", above=0)
+    width: float = key(1.75, "its extent along y", unit="m", above=0)
+    height: float = key(1.5, "height", unit="m")
+    yaw: float = key(13.0, "farthest heading", unit="deg")
+    ramp: float = key(6.0, "time to reach the speed, and to lose it", unit="s", above=0)
+
+
+@dataclass
+class HoverReference(ReferenceConfig):
+    """Standing still."""
+
+    kind: str = key("hover", "kind of the reference, set by reference=")
+    duration: float = key(10.0, "how long", unit="s", above=0)
+    height: float = key(1.5, "height", unit="m")
+    yaw: float = key(0.0, "heading", unit="deg")
+
+
+@dataclass
+class WaypointReference(ReferenceConfig):
+    """A minimum-snap path through points."""
+
+    kind: str = key("waypoints", "kind of the reference, set by reference=")
+    points: Any = key("???", "positions and headings: [[x, y, z], [x, y, z, yaw], ...]", unit="m, deg")
+    times: list[float] | None = key(
+        None, "when to be there, from 0; null: as fast as the limits allow", unit="s", low=0
+    )
+    speed: float = key(2.0, "largest speed, where times are not given", unit="m/s", above=0)
+    tilt: float = key(30.0, "largest tilt, where times are not given", unit="deg", above=0, high=79)
+
+
+@dataclass
+class CsvReference(ReferenceConfig):
+    """A minimum-snap path through the rows of a file."""
+
+    kind: str = key("csv", "kind of the reference, set by reference=")
+    path: str = key("???", "CSV file with p_x p_y p_z [m], and if there are yaw [rad] and t [s]")
+    speed: float = key(2.0, "largest speed, where the file has no times", unit="m/s", above=0)
+    tilt: float = key(30.0, "largest tilt, where the file has no times", unit="deg", above=0, high=79)
+
+
+@dataclass
+class FlownPlantConfig:
+    """The machine that is flown."""
+
+    kind: str = key("simulated", "set by plant=", choices=("simulated", "learned"))
+    system: str | None = key(None, "name of a system that has a plant; null: that of the model")
+    run: str | None = key(
+        None, "run directory of the model that is flown with plant=learned; null: that of run="
+    )
+    effects: Any = key(
+        [], "effects that the model is not told of, beside the machine's own: as in nsde simulate"
+    )
+    declared_only: bool = key(False, "leave out the undeclared effects that the machine has anyway")
+    process_noise: float = key(1.0, "strength of the gusts, relative to the machine's own", low=0)
+    sensor_noise: float = key(1.0, "strength of the measurement noise, relative to the machine's own", low=0)
+    latency: float = key(0.02, "time from a command to its effect, beside the motors' lag", unit="s", low=0)
+    state_latency: float = key(0.0, "age of a state when the controller gets it", unit="s", low=0)
+    dt: float | None = key(None, "sample of the plant; null: the machine's", unit="s", above=0)
+
+
+@dataclass
+class MpcConfig:
+    """The controller."""
+
+    solver: str = key("gauss_newton", "how plans are found", choices=("gauss_newton", "apg"))
+    iterations: int = key(10, "most iterations of a solve", low=1)
+    tolerance: float = key(
+        0.005, "a plan is good enough when this share of its cost, or less, is left", low=0
+    )
+    deadline: float | None = key(
+        None, "time for a solve; then the best plan so far is taken; null: none", unit="s", above=0
+    )
+    compile: str = key(
+        "auto",
+        "machine code of the solver, made once in some minutes (auto: where one machine is flown at a time)",
+        choices=("auto", "on", "off"),
+    )
+    cache: str | None = key(None, "folder that keeps it; null: NSDE_CACHE or the user's cache folder")
+    horizon: float = key(1.0, "length of a plan", unit="s", above=0)
+    steps: int = key(20, "steps of a plan", low=1)
+    period: float = key(0.02, "time between plans, a multiple of the plant's sample", unit="s", above=0)
+    state_weights: list[float] = key(
+        [100.0, 100.0, 200.0, 5.0, 5.0, 10.0, 1.0, 1.0, 100.0, 1.0, 1.0, 1.0],
+        "Q: position, velocity, attitude, rates",
+        low=0,
+    )
+    input_weight: float = key(1.0, "R, of every input", low=0)
+    input_centre: float = key(0.0, "input that R measures from")
+    rate_weight: float = key(0.0, "weight of changes of the inputs from step to step", low=0)
+    speed_limit: float | None = key(None, "speed beyond which a plan pays; null: none", unit="m/s", above=0)
+    tilt_limit: float | None = key(
+        None, "tilt beyond which a plan pays; null: none", unit="deg", above=0, high=89
+    )
+    fence: Any = key(None, "lowest and highest p_x, p_y, p_z, [[-5,5],[-5,5],[0,4]]; null: none", unit="m")
+    limit_weight: float = key(100.0, "weight of these soft limits", low=0)
+    uncertainty_weight: float = key(0.0, "weight of the model's distance from its data", low=0)
+    particles: int = key(1, "paths of a plan: 1 is the mean path, more are sampled", low=1)
+    motor_latency: float = key(
+        0.02,
+        "time that motors add to the latency that is made up for; too little of it makes fast flights oscillate",
+        unit="s",
+        low=0,
+    )
+    force_time: float = key(
+        0.0, "time constant of the push that is learned in flight, on the force; 0: none", unit="s", low=0
+    )
+    moment_time: float = key(0.0, "the same on the moment", unit="s", low=0)
+    keep: float = key(
+        0.5, "how long the last safe plan is flown when there is trouble; then hover", unit="s", low=0
+    )
+    jump: float = key(0.75, "step of the measured position that is not believed at once", unit="m", above=0)
+
+
+@dataclass
+class TrackConfig:
+    """`nsde track`."""
+
+    run: str = key(
+        "???", "run directory of the model to plan with, or `declared`: physics with the plant's values"
+    )
+    beside: list[str] = key([], "further controllers on the same flights: run directories (same mpc), or pid")
+    machines: int = key(1, "flights, each with noise of its own", low=1)
+    at_once: int | None = key(
+        None, "machines in one batch; null: 1 up to 32 machines, else all of them (Monte Carlo)", low=1
+    )
+    duration: float | None = key(None, "length of a flight; null: that of the reference", unit="s", above=0)
+    seed: int = key(0, "seed of the plant's noise", low=0)
+    animation: str | None = key(None, "film of the first flight: gif or mp4", choices=("gif", "mp4"))
+    threads: int = key(1, "CPU threads of torch; more make small solves slower", low=1)
+    out_dir: str = key("???", "folder to write into")
+    reference: ReferenceConfig = group(ReferenceConfig, "where to fly")
+    plant: FlownPlantConfig = group(FlownPlantConfig, "what is flown")
+    mpc: MpcConfig = group(MpcConfig, "the controller")
+
+
 # Choices whose keys are more than those of their group's class.
 CHOICES: dict[str, dict[str, type]] = {
     "data": {"simulated": SimulatedData, "csv": CsvData, "ulog": UlogData, "published": PublishedData},
@@ -515,6 +679,13 @@ CHOICES: dict[str, dict[str, type]] = {
         "sysid": SysidModel,
     },
     "solver": {"torchdiffeq": TorchDiffEqSolver},
+    "reference": {
+        "circle": CircleReference,
+        "lemniscate": LemniscateReference,
+        "hover": HoverReference,
+        "waypoints": WaypointReference,
+        "csv": CsvReference,
+    },
 }
 
 COMMAND_SCHEMAS: dict[str, type] = {
@@ -524,6 +695,7 @@ COMMAND_SCHEMAS: dict[str, type] = {
     "evaluate": EvaluateConfig,
     "policy": PolicyConfig,
     "simulate": SimulateConfig,
+    "track": TrackConfig,
 }
 
 

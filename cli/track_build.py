@@ -1,0 +1,190 @@
+"""From the configuration of `nsde track` to references, plants and autopilots."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from math import inf
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import torch
+from omegaconf import DictConfig
+
+from nsde_torch.control import shapes
+from nsde_torch.control.autopilots import Autopilot, CascadePilot, PredictivePilot
+from nsde_torch.control.controller import Controller, SafetyOptions
+from nsde_torch.control.estimator import EstimatorOptions
+from nsde_torch.control.learned_plant import LearnedPlant
+from nsde_torch.control.problem import ProblemOptions
+from nsde_torch.control.reference import FlightPath, Reference
+from nsde_torch.control.solve import SolverOptions
+from nsde_torch.control.waypoints import from_csv, waypoints
+from nsde_torch.errors import ConfigError
+from nsde_torch.models import Model
+from nsde_torch.models.run_directory import load
+from nsde_torch.plants import make_plant, make_plant_system
+from nsde_torch.plants.machines import machine
+from nsde_torch.systems import System
+
+from . import build
+
+if TYPE_CHECKING:
+    from nsde_torch.control.loop import Machine
+
+Say = Callable[[str], None]
+PID, DECLARED = "pid", "declared"
+
+_PATHS: Mapping[str, Callable[..., FlightPath]] = {
+    "circle": shapes.circle,
+    "lemniscate": shapes.lemniscate,
+    "hover": shapes.hover,
+    "waypoints": waypoints,
+    "csv": lambda *, path, **rest: from_csv(path, **rest),
+}
+
+
+def reference(config: DictConfig) -> Reference:
+    """The group `reference`.
+
+    Raises:
+        ConfigError: a size that makes no path.
+    """
+    return Reference(_PATHS[config.kind](**build.options(config, "kind", "check", "tilt_limit")))
+
+
+def knowledge(name: str, config: DictConfig) -> Model | System:
+    """What `run=` names: a model, or the declared physics with the values of the plant."""
+    if name == DECLARED:
+        if config.system is None:
+            raise ConfigError("`run=declared` needs the machine: plant=hexacopter or plant.system=NAME.")
+        return make_plant_system(config.system, declared_only=True)
+    return load(name)
+
+
+def system_of(known: Model | System) -> System:
+    """The machine that a model is of."""
+    return known if isinstance(known, System) else known.system
+
+
+def plant(config: DictConfig, known: Model | System, *, seed: int) -> Machine:
+    """The group `plant`.
+
+    Raises:
+        ConfigError: another machine than the model's, or an option that the plant does not have.
+    """
+    generator = torch.Generator().manual_seed(seed)
+    own = system_of(known)
+    if config.kind == "learned":
+        flown = known if config.run is None else load(config.run)
+        if isinstance(flown, System):
+            raise ConfigError("`plant=learned` needs a model: name its run directory with plant.run=DIR.")
+        spec = machine(flown.system.name)
+        return LearnedPlant(
+            flown,
+            dt=config.dt or spec.dt,
+            generator=generator,
+            sensor_std=spec.sensor_std,
+            process_noise=config.process_noise,
+            sensor_noise=config.sensor_noise,
+            latency=config.latency,
+            limits=spec.limits or (0.0, 1.0),
+        )
+    name = config.system or own.name
+    if name != own.name:
+        raise ConfigError(f"the model is of a {own.name}, and plant.system={name}. Take plant={own.name}.")
+    return make_plant(
+        name,
+        generator=generator,
+        effects=build.options(config)["effects"],
+        declared_only=config.declared_only,
+        process_noise=config.process_noise,
+        sensor_noise=config.sensor_noise,
+        latency=config.latency,
+        dt=config.dt,
+        check=False,
+    )
+
+
+def problem(config: DictConfig) -> ProblemOptions:
+    """What a plan pays for."""
+    fence = None
+    if config.fence is not None:
+        fence = tuple((float(a), float(b)) for a, b in _pairs(build.options(config)["fence"]))
+    return ProblemOptions(
+        horizon=config.horizon,
+        steps=config.steps,
+        state_weights=tuple(config.state_weights),
+        input_weight=config.input_weight,
+        input_centre=config.input_centre,
+        rate_weight=config.rate_weight,
+        speed_limit=inf if config.speed_limit is None else config.speed_limit,
+        tilt_limit=inf if config.tilt_limit is None else config.tilt_limit,
+        fence=fence,
+        limit_weight=config.limit_weight,
+        uncertainty_weight=config.uncertainty_weight,
+        particles=config.particles,
+    )
+
+
+def _pairs(fence: Any) -> list[Any]:
+    if not (
+        isinstance(fence, list)
+        and len(fence) == 3
+        and all(isinstance(w, list) and len(w) == 2 for w in fence)
+    ):
+        raise ConfigError(f"`mpc.fence` takes [[x_low,x_high],[y_low,y_high],[z_low,z_high]]; got {fence!r}.")
+    return fence
+
+
+def autopilot(
+    name: str,
+    known: Model | System,
+    config: DictConfig,
+    path: Reference,
+    *,
+    batch: int,
+    sample: float,
+    say: Say,
+) -> Autopilot:
+    """A controller by its name: `pid`, or the predictive one with what is known of the machine."""
+    mpc, flown = config.mpc, config.plant
+    if name == PID:
+        return CascadePilot(system_of(known), path, batch=batch, period=sample)
+    controller = Controller(
+        known,
+        problem=problem(mpc),
+        solver=SolverOptions(
+            name=mpc.solver,
+            iterations=mpc.iterations,
+            tolerance=mpc.tolerance,
+            compile=mpc.compile,
+            deadline=mpc.deadline,
+            cache=mpc.cache,
+        ),
+        safety=SafetyOptions(keep=mpc.keep, jump=mpc.jump),
+        batch=batch,
+        say=say,
+    )
+    return PredictivePilot(
+        controller,
+        known,
+        path,
+        period=mpc.period,
+        sample=sample,
+        estimator=EstimatorOptions(
+            latency=_rounded(flown.latency + flown.state_latency + mpc.motor_latency, sample),
+            force_time=mpc.force_time,
+            moment_time=mpc.moment_time,
+        ),
+        state_latency=flown.state_latency,
+        say=say,
+    )
+
+
+def _rounded(time: float, step: float) -> float:
+    return round(time / step) * step
+
+
+def label(name: str) -> str:
+    """How a controller is called in tables and figures."""
+    return {PID: "PID cascade", DECLARED: "MPC, declared physics"}.get(name, f"MPC, {Path(name).name}")

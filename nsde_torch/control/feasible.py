@@ -1,0 +1,118 @@
+"""Whether a machine can fly a reference: the inputs that the model needs for it, and its tilt.
+
+The states of a reference fix accelerations and angular accelerations; the least inputs that give them (see `hovering`)
+must lie within the bounds, and some of their range must be left to control with.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from nsde_torch.control.hovering import inputs_for
+from nsde_torch.control.predictor import Predictor
+from nsde_torch.control.reference import Reference
+from nsde_torch.errors import ConfigError
+
+
+@dataclass(frozen=True)
+class Envelope:
+    """What a reference asks of a machine.
+
+    Args:
+        speed: Largest speed [m/s].
+        tilt: Largest tilt [deg].
+        lowest: Lowest height [m].
+        input_low, input_high: Least and largest input.
+        when: Time of each of speed, tilt, lowest, input_low, input_high [s].
+    """
+
+    speed: float
+    tilt: float
+    lowest: float
+    input_low: float
+    input_high: float
+    when: dict[str, float]
+
+
+def envelope(reference: Reference, predictor: Predictor) -> Envelope:
+    """What a reference asks of a machine, by the model's own account."""
+    x = reference.states
+    a = torch.from_numpy(reference.path.a)
+    angular = torch.gradient(x[:, 10:13], spacing=reference.dt, dim=0)[0]
+    u = inputs_for(predictor, x, torch.cat((a, angular), 1)).double()
+    tilt = torch.rad2deg(torch.arccos((1 - 2 * (x[:, 7] ** 2 + x[:, 8] ** 2)).clamp(-1, 1)))
+    values = {
+        "speed": x[:, 3:6].norm(dim=1),
+        "tilt": tilt,
+        "lowest": -x[:, 2],
+        "input_low": -u.min(1).values,
+        "input_high": u.max(1).values,
+    }
+    worst = {name: int(v.argmax()) for name, v in values.items()}
+    most = {name: float(v[worst[name]]) for name, v in values.items()}
+    return Envelope(
+        speed=most["speed"],
+        tilt=most["tilt"],
+        lowest=-most["lowest"],
+        input_low=-most["input_low"],
+        input_high=most["input_high"],
+        when={name: row * reference.dt for name, row in worst.items()},
+    )
+
+
+def check(
+    reference: Reference,
+    predictor: Predictor,
+    *,
+    low: float,
+    high: float,
+    tilt: float = 60.0,
+    reserve: float = 0.05,
+) -> Envelope:
+    """Refuse a reference that the machine cannot fly.
+
+    Args:
+        reference: Where to fly.
+        predictor: What knows the machine.
+        low, high: Bounds of the inputs.
+        tilt: Largest tilt [deg].
+        reserve: Share of the range of the inputs that must be left on both sides.
+
+    Raises:
+        ConfigError: names what is too much, when, and the remedy.
+    """
+    found = envelope(reference, predictor)
+    margin = reserve * (high - low)
+    remedy = "Fly slower, or give it more time; reference.check=false flies it all the same."
+    name = reference.name
+    if not _finite(found):
+        raise ConfigError(f"reference {name!r} is not finite. {remedy}")
+    if found.tilt > tilt:
+        raise ConfigError(
+            f"reference {name!r} tilts to {found.tilt:.0f} deg at {found.when['tilt']:.2f} s, beyond the limit of "
+            f"{tilt:g} deg. {remedy}"
+        )
+    if found.input_high > high - margin:
+        raise ConfigError(
+            f"reference {name!r} needs a command of {found.input_high:.2f} at {found.when['input_high']:.2f} s; the "
+            f"largest is {high:g}, of which {margin:g} are kept to control with. {remedy}"
+        )
+    if found.input_low < low + margin:
+        raise ConfigError(
+            f"reference {name!r} needs a command of {found.input_low:.2f} at {found.when['input_low']:.2f} s; the "
+            f"least is {low:g}, and {margin:g} above it are kept to control with. {remedy}"
+        )
+    if found.lowest < 0:
+        raise ConfigError(
+            f"reference {name!r} goes {-found.lowest:.2f} m below the ground (p_z = 0) at {found.when['lowest']:.2f} "
+            "s. Raise it; reference.check=false flies it all the same."
+        )
+    return found
+
+
+def _finite(found: Envelope) -> bool:
+    values = torch.tensor([found.speed, found.tilt, found.lowest, found.input_low, found.input_high])
+    return bool(Tensor.isfinite(values).all())

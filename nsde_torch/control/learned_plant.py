@@ -1,0 +1,88 @@
+"""A learned model in the place of the machine: paths of its equation, noise and lasting disturbances included."""
+
+from __future__ import annotations
+
+from typing import final
+
+import torch
+from torch import Tensor
+
+from nsde_torch.errors import ConfigError
+from nsde_torch.models import Model
+from nsde_torch.models.neural_sde import NeuralSDE
+from nsde_torch.plants.noise import Sensor
+from nsde_torch.sde import make_step
+
+
+@final
+class LearnedPlant:
+    """Machines that move as a neural SDE says.
+
+    Args:
+        model: The model.
+        dt: Sample [s].
+        generator: Source of all randomness.
+        sensor_std: Noise of each error channel; None: the state itself is measured.
+        process_noise: Factor on the diffusion.
+        sensor_noise: Factor on the sensor noise.
+        latency: Time from a command to its effect [s], rounded to samples.
+        limits: Lowest and highest command.
+
+    Raises:
+        ConfigError: the model is no neural SDE.
+    """
+
+    def __init__(
+        self,
+        model: Model,
+        *,
+        dt: float,
+        generator: torch.Generator,
+        sensor_std: tuple[float, ...] | None = None,
+        process_noise: float = 1.0,
+        sensor_noise: float = 1.0,
+        latency: float = 0.0,
+        limits: tuple[float, float] = (0.0, 1.0),
+    ) -> None:
+        if not isinstance(model, NeuralSDE):
+            raise ConfigError(
+                f"`plant=learned` flies a model of kind nsde, node or blackbox_nsde; got {model.spec.kind!r}."
+            )
+        self.model, self.dt, self._generator = model, dt, generator
+        self._step = model.step if not model.step.deterministic else make_step("rk4")
+        self._noise, self._limits, self._delay = process_noise, limits, round(latency / dt)
+        std = (0.0,) * len(model.system.error_names) if sensor_std is None else sensor_std
+        self._sensor = Sensor(model.system, std, scale=sensor_noise, generator=generator, dtype=torch.float64)
+        self._z, self._commands = torch.empty(0), [torch.empty(0)]
+        self._samples = 0
+
+    @property
+    def state(self) -> Tensor:
+        """True states (N, nx)."""
+        return self._z[:, : self.model.system.nx].double()
+
+    @torch.no_grad()
+    def reset(self, x0: Tensor, u0: Tensor) -> Tensor:
+        """See `Plant.reset`."""
+        x, u = x0.to(self.model.clock_scale), u0.to(self.model.clock_scale)
+        draw = torch.randn(len(x), self.model.nd, generator=self._generator).to(x) * self._noise
+        self._z = self.model.project(self.model.augment(x, u, draw if self.model.nd else None))
+        self._commands = [u] * (1 + self._delay)
+        self._samples = 0
+        return self._sensor(self.state)
+
+    @torch.no_grad()
+    def step(self, u: Tensor) -> Tensor:
+        """See `Plant.step`."""
+        m = self.model
+        self._commands = [*self._commands[1:], u.to(m.clock_scale).clamp(*self._limits)]
+        # a sample of physical time is 1 / clock_scale samples of the model's clock
+        dt = self.dt / float(m.clock_scale)
+        dw = torch.randn(self._z.shape, generator=self._generator).to(self._z) * (self._noise * dt**0.5)
+        t = self._samples * dt
+        moved = self._step.advance(
+            m, t, self._z, self._commands[0], dt, None if self._step.deterministic else dw
+        )
+        self._z = m.project(moved)
+        self._samples += 1
+        return self._sensor(self.state)

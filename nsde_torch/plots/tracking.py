@@ -1,0 +1,172 @@
+"""Closed loops along a reference: the supplement's Figures 17 and 18, times of solves, and a film."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nsde_torch.errors import ShapeError
+from nsde_torch.plots.euler import roll_pitch_yaw, turns_nearest
+from nsde_torch.plots.style import BLACK, BLUE, GREY, VERMILLION, key, model_look, panels, styled
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+Array = NDArray[np.float64]
+
+
+@styled
+def tracking(t: Array, reference: Array, flights: Mapping[str, Array], *, title: str) -> Figure:
+    """Speed, roll, pitch, yaw, altitude and error over time, and the path from above.
+
+    Args:
+        t: Times (T,) [s].
+        reference: States (T, 13).
+        flights: Name of a controller -> states (T, N, 13) of its machines; the first of them is drawn boldest.
+        title: Title.
+
+    Raises:
+        ShapeError: tables that do not fit each other.
+    """
+    if not flights or any(x.ndim != 3 or len(x) != len(t) for x in (reference[:, None], *flights.values())):
+        raise ShapeError(
+            "`reference` must be (T, 13) and each of `flights` (T, N, 13), with one row per time."
+        )
+    figure, axes = panels(4, 2, height=8.4, title=title)
+    left = axes[:, 0]
+    wanted = roll_pitch_yaw(reference[:, 6:10])
+    curves: list[tuple[str, Any, Any]] = [
+        ("speed [m/s]", lambda x: np.linalg.norm(x[..., 3:6], axis=-1), None),
+        ("roll [°]", 0, None),
+        ("pitch [°]", 1, None),
+        ("yaw [°]", 2, None),
+    ]
+    altitude, error, path, ground = axes[0, 1], axes[1, 1], axes[2, 1], axes[3, 1]
+    for ax, (name, what, _) in zip(left, curves, strict=True):
+        ax.plot(
+            t,
+            what(reference) if callable(what) else wanted[:, what],
+            color=BLACK,
+            linestyle="--",
+            label="reference",
+        )
+        ax.set_ylabel(name)
+    altitude.plot(t, reference[:, 2], color=BLACK, linestyle="--")
+    path.plot(reference[:, 0], reference[:, 1], color=BLACK, linestyle="--")
+    for k, (name, x) in enumerate(flights.items()):
+        look = model_look(k)
+        colour = look["color"]
+        for n in range(min(x.shape[1], 20)):
+            faint = {"color": colour, "alpha": 1.0 if n == 0 else 0.15, "linewidth": 1.2 if n == 0 else 0.7}
+            angles = turns_nearest(roll_pitch_yaw(x[:, n, 6:10]), wanted)
+            for ax, (_, what, _) in zip(left, curves, strict=True):
+                y = what(x[:, n]) if callable(what) else angles[:, what]
+                ax.plot(t, y, label=name if n == 0 else None, zorder=3 - k, **faint)
+            altitude.plot(t, x[:, n, 2], zorder=3 - k, **faint)
+            off = np.linalg.norm(x[:, n, :3] - reference[:, :3], axis=1)
+            error.plot(t, 100.0 * off, zorder=3 - k, **faint)
+            path.plot(x[:, n, 0], x[:, n, 1], zorder=3 - k, **faint)
+        mean = np.sqrt(np.square(x[..., :3] - reference[:, None, :3]).sum(-1).mean(0))
+        ground.barh(k, 100.0 * float(np.nanmean(mean)), color=colour)
+        ground.text(
+            100.0 * float(np.nanmean(mean)), k, f" {100.0 * float(np.nanmean(mean)):.1f} cm", va="center"
+        )
+    altitude.set_ylabel("altitude [m]")
+    error.set_ylabel("position error [cm]")
+    path.set_xlabel("p_x [m]")
+    path.set_ylabel("p_y [m]")
+    path.set_aspect("equal", adjustable="datalim")
+    ground.set_yticks(range(len(flights)), list(flights))
+    ground.invert_yaxis()
+    ground.margins(x=0.25)
+    ground.set_xlabel("RMSE of the position [cm]")
+    for ax in (left[3], error):
+        ax.set_xlabel("time [s]")
+    key(figure, left[0])
+    return figure
+
+
+@styled
+def solve_times(solve_ms: Mapping[str, Array], *, title: str) -> Figure:
+    """Histogram of the times of solves.
+
+    Args:
+        solve_ms: Name of a controller -> times [ms].
+        title: Title.
+    """
+    figure, axes = panels(1, 1, height=3.2, title=title)
+    ax = axes[0, 0]
+    positive = {k: v[v > 0] for k, v in solve_ms.items() if (v > 0).any()}
+    if positive:
+        low = min(float(v.min()) for v in positive.values())
+        high = max(float(v.max()) for v in positive.values())
+        bins = np.geomspace(low, max(high, 1.01 * low), 60)
+        for k, (name, v) in enumerate(positive.items()):
+            colour = model_look(k)["color"]
+            middle, late = np.percentile(v, [50, 99])
+            ax.hist(
+                v,
+                bins=bins,
+                histtype="step",
+                color=colour,
+                label=f"{name}: p50 {middle:.2f}, p99 {late:.2f} ms",
+            )
+        ax.set_xscale("log")
+        ax.legend()
+    ax.set_xlabel("time of a solve [ms]")
+    ax.set_ylabel("solves")
+    return figure
+
+
+@styled
+def film(
+    t: Array, reference: Array, x: Array, file: Path, *, frames_per_second: int = 20, tail: float = 3.0
+) -> Path:
+    """A film of one flight from above and from the side, as GIF or (with ffmpeg) MP4.
+
+    Args:
+        t: Times (T,) [s].
+        reference: States (T, 13).
+        x: States (T, 13).
+        file: Where to write; the ending says what.
+        frames_per_second: Frames per second of the flight.
+        tail: Length of the path that is drawn behind the machine [s].
+    """
+    from matplotlib.animation import FFMpegWriter, PillowWriter
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+
+    figure, axes = panels(1, 2, height=4.6, title="")
+    FigureCanvasAgg(figure)
+    top, side = axes[0]
+    for ax, column, name in ((top, 1, "p_y [m]"), (side, 2, "p_z [m]")):
+        ax.plot(reference[:, 0], reference[:, column], color=GREY, linestyle="--", linewidth=0.8)
+        ax.set_xlabel("p_x [m]")
+        ax.set_ylabel(name)
+        ax.set_aspect("equal", adjustable="datalim")
+    middle = float(reference[:, 2].mean())
+    side.set_ylim(middle - 1.5, middle + 1.5)
+    moving = [
+        (ax, column, ax.plot([], [], color=BLUE)[0], ax.plot([], [], "o", color=VERMILLION)[0])
+        for ax, column in ((top, 1), (side, 2))
+    ]
+    dt = float(t[1] - t[0])
+    step, back = max(1, round(1.0 / (frames_per_second * dt))), round(tail / dt)
+    writer = (FFMpegWriter if file.suffix == ".mp4" else PillowWriter)(fps=frames_per_second)
+    with writer.saving(figure, str(file), dpi=70):
+        for k in range(0, len(t), step):
+            for _, column, line, dot in moving:
+                line.set_data(x[max(0, k - back) : k + 1, 0], x[max(0, k - back) : k + 1, column])
+                dot.set_data(x[k : k + 1, 0], x[k : k + 1, column])
+            off = 100.0 * float(np.linalg.norm(x[k, :3] - reference[k, :3]))
+            figure.suptitle(f"{t[k]:.1f} s, {np.linalg.norm(x[k, 3:6]):.1f} m/s, {off:.0f} cm off")
+            writer.grab_frame()
+    return file
+
+
+def columns_of(flights: Sequence[Array]) -> Array:
+    """States (T, N, 13) of flights (T, n, 13) side by side."""
+    return np.concatenate(list(flights), axis=1)

@@ -19,7 +19,7 @@ from scipy.special import chdtrc
 
 from nsde_torch.diagnosis.candidates import Start, alone, candidate_names, make_candidate
 from nsde_torch.diagnosis.evidence import Score, folds, p_value, score, sum_error
-from nsde_torch.diagnosis.spectrum import lines
+from nsde_torch.diagnosis.spectrum import SWINGS, lines
 from nsde_torch.effects import Effect, effect_class
 from nsde_torch.errors import NonFiniteError, NsdeError
 from nsde_torch.learning.identify.identify import Regression
@@ -406,8 +406,16 @@ class Search:
         return trial.p_corrected < self.alpha and trial.gain > 0 and self._resolved(trial)
 
     def _resolved(self, trial: Trial) -> bool:
-        """Whether a time is no mere fraction of a step: over that, how inputs are held between samples decides."""
+        """Whether a time is no mere fraction of a step, and a swing comes back within a run.
+
+        Below a step, how inputs are held between samples decides; what swings more slowly than a run is long is no
+        swing.
+        """
         vector, theta = trial.regression.vector, trial.regression.theta
+        longest = max(b - a for a, b in self.steps.segments) * self.steps.dt
+        swings = [j for j in range(len(vector))[trial.own] if vector.units[j] == "Hz"]
+        if any(theta[j] * longest < SWINGS for j in swings):
+            return False
         times = [
             j for j in range(len(vector))[trial.own] if vector.moves_memory[j] and vector.units[j] == "s"
         ]

@@ -20,6 +20,8 @@ Array = NDArray[np.float64]
 
 _SHORTEST_S = 1.0
 _PEAKS = 3
+SWINGS = 1.5
+"""Fewest periods in the longest stretch."""
 _FINER = 8
 _BAND = 40  # independent ordinates that the level is the median of
 
@@ -71,13 +73,13 @@ def lines(regression: Regression) -> list[Line]:
     if longest < _SHORTEST_S:
         return []
     frequency, power = periodogram(regression)
-    usable = (frequency > 1.5 / longest) & (frequency < 0.4 / regression.dt)
+    usable = (frequency > SWINGS / longest) & (frequency < 0.4 / regression.dt)
     height = np.where(usable, power.max(0), 0.0)
     tried = len(power) * max(1.0, 0.5 * longest / regression.dt)
     out: list[Line] = []
     for i in np.argsort(-height):
         if height[i] <= 0 or len(out) == _PEAKS:
             break
-        if all(abs(frequency[i] - line.frequency) > 1.5 / longest for line in out):
+        if all(abs(frequency[i] - line.frequency) > SWINGS / longest for line in out):
             out.append(Line(float(frequency[i]), min(1.0, tried * exp(-min(float(height[i]), 700.0)))))
     return out

@@ -59,6 +59,7 @@ def run(config: DictConfig, job: Job) -> None:
         for name, words in figure_table.FIGURES[figure].trainings(settings).items()
         for seed in range(settings.seeds)
     }
+    _check_files(needed, config.published)
     lost = train_all(needed, settings.models, at_once=config.jobs)
     outcomes: dict[str, Outcome] = {}
     failed: dict[str, str] = {}
@@ -105,6 +106,21 @@ def _folder(path: str | None, key: str) -> Path | None:
     if not folder.is_dir():
         raise ConfigError(f"`{key}={path}`: no such folder.")
     return folder
+
+
+def _check_files(needed: Mapping[str, Sequence[str]], published: str | None) -> None:
+    """Refuse a folder without the authors' files before anything is trained.
+
+    Raises:
+        ConfigError: A file is missing.
+    """
+    keys = ("data.path=", "data.test_path=")
+    paths = {w.partition("=")[2] for words in needed.values() for w in words if w.startswith(keys)}
+    missing = sorted(path for path in paths if not Path(path).is_file())
+    if missing:
+        raise ConfigError(
+            f"`published={published}` must be the folder of the authors' files; it has no {', '.join(missing)}."
+        )
 
 
 def train_all(needed: Mapping[str, Sequence[str]], folder: Path, *, at_once: int) -> dict[str, str]:

@@ -101,3 +101,14 @@ def test_every_figure_names_trainings_that_the_command_understands() -> None:
             assert words[0].startswith("system=")
     with pytest.raises(NsdeError):
         chosen([])
+
+
+def test_a_folder_without_the_published_files_is_refused_before_anything_is_trained(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "figures"
+    assert main(["figures", "figures=[fig9,fig12]", f"published={tmp_path}", f"out_dir={out}"]) == 2
+    error = capfd.readouterr().err
+    assert "must be the folder of the authors' files" in error
+    assert "learned.pkl" in error
+    assert not (out / "models").exists()

@@ -99,7 +99,7 @@ def held_out(
         search = make(train)
         for k, system in enumerate(systems):
             model = as_model(spec, fitted_system(search.quick(system, warm=True)), clock)
-            squares[k].append(_squares(model, windows, starts, steps))
+            squares[k].append(rollout_squares(model, windows, starts, steps))
         run, t = _places(windows.rows(starts), test)
         owner.append(len(names) + run)
         times.append(t)
@@ -161,7 +161,7 @@ def held_out(
 
 
 @torch.no_grad()
-def _squares(model: IdentifiedModel, windows: Windows, starts: Tensor, steps: Sequence[int]) -> Tensor:
+def rollout_squares(model: IdentifiedModel, windows: Windows, starts: Tensor, steps: Sequence[int]) -> Tensor:
     """Squared errors (S, horizons, groups) of predictions by Runge and Kutta; not finite where one diverged.
 
     A prediction that leaves the finite numbers does so alone, and does not stop the others.

@@ -162,8 +162,7 @@ def _settle(
     i = 0
     while i < len(names):
         name = names[i]
-        others = [n for n in names if n != name]
-        without = search.base(_only(base.system, declared.system, others))
+        without = search.base(_without(fitted_system(base.regression), declared.system, name), warm=True)
         now = search.look(without, only={name, *_rivals(search, name, rounds)})
         own = next((t for t in now.trials if t.name == name), None)
         if own is None or not search.accept(own):
@@ -194,10 +193,12 @@ def _rivals(search: Search, name: str, rounds: Sequence[Round]) -> set[str]:
     }
 
 
-def _only(system: System, declared: System, names: Sequence[str]) -> System:
-    """The declared physics with some of the effects that `system` has beyond it, at their values."""
-    kept = [e for e in system.effects if e.name in names]
-    return declared.with_effects(*kept)  # type: ignore[arg-type]
+def _without(system: System, declared: System, name: str) -> System:
+    """The system without an effect that was added; a declared one that it stood in for is back."""
+    left = system.without_effects(name)
+    contained = effect_class(name).includes
+    back = [e for e in declared.effects if e.name in contained and e.name not in left.effect_names]
+    return left.with_effects(*back) if back else left  # type: ignore[arg-type]
 
 
 def ties_of(search: Search, chosen: Trial, trials: Sequence[Trial]) -> tuple[str, ...]:

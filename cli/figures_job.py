@@ -211,7 +211,7 @@ def write(
             lines += [f"![{part}]({picture.name})", ""]
         lines += [f"The supplement says: {outcome.source}", "", "| claim | measured | |", "|---|---|---|"]
         lines += [f"| {c.claim} | {c.measured} | **{c.word}** |" for c in outcome.checks]
-        lines += ["", *outcome.notes, ""]
+        lines += ["", *(f"- {note}" for note in outcome.notes), ""]
         content["figures"][name] = {
             "title": outcome.title,
             "supplement": outcome.source,

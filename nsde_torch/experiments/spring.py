@@ -62,7 +62,12 @@ def state_evolution(models: Mapping[str, Sequence[Model]], *, title: str, seed: 
             if index == 0:
                 drawn.append(p)
     figure = evolution(
-        t, truth, drawn, names=("q", "q_dot"), units=("m", "m/s"), title=f"{title}: start [0.15 m, -0.15 m/s]"
+        t,
+        truth,
+        drawn,
+        names=("q", "q_dot"),
+        units=("m", "m/s"),
+        title=f"{title}\nfrom 0.15 m and -0.15 m/s, outside of the training data",
     )
     return Outcome(
         title=title,
@@ -143,7 +148,7 @@ def _notes(values: Mapping[str, Mapping[str, Sequence[float]]]) -> list[str]:
     )
     if len(sde) != len(ode) or len(sde) < 2:
         return [
-            f"{told}. One model of each kind cannot tell models apart whose errors are alike; see seeds=3."
+            f"{told}. One model of each kind cannot tell models apart whose errors are alike; seeds=3 may."
         ]
     difference = sde - ode
     mean, error = difference.mean(), difference.std(ddof=1) / np.sqrt(len(difference))

@@ -25,6 +25,7 @@ from typing import Any
 
 import torch
 from torch import Tensor, nn
+from torch._functorch.compile_utils import fx_graph_cse
 from torch.fx.experimental.proxy_tensor import make_fx
 
 from nsde_torch.plants.cache import cache_folder
@@ -32,7 +33,7 @@ from nsde_torch.plants.cache import cache_folder
 Function = Callable[[Sequence[Tensor]], list[Tensor]]
 _SOURCES = (
     *("control/compiled.py", "control/gauss_newton.py", "control/horizon.py", "control/problem.py"),
-    *("control/predictor.py", "control/estimator.py", "control/gradient.py"),
+    *("control/predictor.py", "control/joint_network.py", "control/estimator.py", "control/gradient.py"),
     *("models", "systems", "effects", "sde", "rotation.py", "columns.py"),
 )
 _NAMES = "constants"
@@ -85,7 +86,10 @@ def _make(
     temporary: str | None = None
     try:
         graph = make_fx(lambda *args: tuple(module(*args)), tracing_mode="real")(*example)
+        # steps repeat what follows from constants alone: once is enough
+        graph.graph = fx_graph_cse(graph.graph)
         graph.graph.eliminate_dead_code()
+        graph.recompile()
         path.parent.mkdir(parents=True, exist_ok=True)
         handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=path.stem, suffix=".pt2")
         os.close(handle)

@@ -19,6 +19,7 @@ shooting; Bock and Plitt, IFAC 1984), and no rollout comes before the linearisat
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping, Sequence
 from typing import NamedTuple, final
 
 import torch
@@ -30,6 +31,9 @@ SHARES = (1.0, 0.5, 0.2, 0.05)
 """Shares of a step that are tried, beside none of it."""
 
 
+Function = Callable[[Sequence[Tensor]], Sequence[Tensor]]
+
+
 class Iterate(NamedTuple):
     """Plans after an iteration.
 
@@ -38,26 +42,33 @@ class Iterate(NamedTuple):
         z: States (N, P, K + 1, nz).
         cost: Their cost (N,).
         before: Cost of the inputs that the iteration began with (N,).
-        promised: The most that the quadratic could save (N,), >= 0.
+        gap: Share of the cost that the quadratic could have saved and the model did not (N,).
+        worst: Largest gap, 0-d.
     """
 
     u: Tensor
     z: Tensor
     cost: Tensor
     before: Tensor
-    promised: Tensor
+    gap: Tensor
+    worst: Tensor
 
 
 @final
 class GaussNewton(nn.Module):
-    """An iteration, `forward`: plain tensors in and out.
+    """An iteration in three stages, each from plain tensors to plain tensors; between them only numbers are compared.
 
     Args:
         horizon: The problem.
-        active_set_steps: Projected Newton steps on each quadratic.
+        active_set_steps: Most changes of the active set in an iteration.
+
+    Attributes:
+        stages: Names of the stages.
     """
 
-    def __init__(self, horizon: Horizon, *, active_set_steps: int = 2) -> None:
+    stages = ("prepare", "active_set", "finish")
+
+    def __init__(self, horizon: Horizon, *, active_set_steps: int = 8) -> None:
         super().__init__()
         self.horizon, self.active_set_steps = horizon, active_set_steps
         n = horizon.steps * horizon.nu
@@ -75,14 +86,14 @@ class GaussNewton(nn.Module):
     @property
     def structure(self) -> str:
         """Every setting that is not a tensor, in words."""
-        return f"{self.active_set_steps} {SHARES} {self.horizon.structure}"
+        return f"{SHARES} {self.horizon.structure}"
 
     def start(self, u: Tensor) -> tuple[Tensor, ...]:
         """Memory before the first iteration: there is none."""
         return ()
 
     def forward(self, z0: Tensor, u: Tensor, z: Tensor, ref: Tensor, last: Tensor, d: Tensor) -> Iterate:
-        """Improve plans.
+        """Improve plans, with a fixed number of changes of the active set.
 
         Args:
             z0: States with memory now (N, nz).
@@ -92,29 +103,131 @@ class GaussNewton(nn.Module):
             last: Inputs before the plan (N, nu).
             d: Pushes (N, nd).
         """
+        quadratic, state = self._split(self.prepare(z0, u, z, ref, last, d))
+        for _ in range(self.active_set_steps):
+            state = list(self.active_set(*quadratic, *state)[:4])
+        return Iterate(*self.finish(z0, u, ref, last, d, *state[2:]))
+
+    def iterate(
+        self,
+        run: Mapping[str, Function],
+        arguments: Sequence[Tensor],
+        memory: tuple[Tensor, ...],
+        tolerance: float,
+    ) -> tuple[Iterate, tuple[Tensor, ...]]:
+        """Improve plans, with as many changes of the active set as are needed.
+
+        Args:
+            run: The stages, compiled or not.
+            arguments: Those of `forward`.
+            memory: Not used.
+            tolerance: Share of what the quadratic saves that may be left.
+        """
+        z0, u, _, ref, last, d = arguments
+        quadratic, state = self._split(run["prepare"](arguments))
+        for _ in range(self.active_set_steps):
+            *state, left = run["active_set"]([*quadratic, *state])
+            if float(left) <= tolerance:
+                break
+        return Iterate(*run["finish"]([z0, u, ref, last, d, *state[2:]])), ()
+
+    @staticmethod
+    def _split(prepared: Sequence[Tensor]) -> tuple[list[Tensor], list[Tensor]]:
+        hessian, gradient, low, high, best, least = prepared
+        return [hessian, gradient, low, high], [torch.zeros_like(best), gradient, best, least]
+
+    def prepare(
+        self, z0: Tensor, u: Tensor, z: Tensor, ref: Tensor, last: Tensor, d: Tensor
+    ) -> tuple[Tensor, ...]:
+        """The quadratic, its box, and a first step.
+
+        Returns:
+            H, g, low - u, high - u, a step (N, K nu) and the value of the quadratic there (N,).
+        """
+        o = self.horizon.options
+        hessian, gradient = self.quadratic(z0, u, z, ref, last, d)
+        flat = u.flatten(1)
+        low, high = o.low - flat, o.high - flat
+        # along the scaled gradient, as far as the quadratic falls: poor, but never worse than no step
+        scale = torch.diagonal(hessian, dim1=1, dim2=2)
+        step = torch.minimum(torch.maximum(-gradient / scale, low), high)
+        along, curve = (gradient * step).sum(1), (step * _times(hessian, step)).sum(1)
+        share = (-along / curve.clamp_min(1e-12)).clamp(0.0, 1.0)
+        return hessian, gradient, low, high, share[:, None] * step, share * (share * curve + 2.0 * along)
+
+    def active_set(
+        self,
+        hessian: Tensor,
+        gradient: Tensor,
+        low: Tensor,
+        high: Tensor,
+        step: Tensor,
+        slope: Tensor,
+        best: Tensor,
+        least: Tensor,
+    ) -> tuple[Tensor, ...]:
+        """One change of the active set.
+
+        Args:
+            hessian, gradient, low, high: As `prepare` has them.
+            step: The step before (N, K nu), perhaps outside the box.
+            slope: H step + g (N, K nu).
+            best: The best step on the box so far (N, K nu).
+            least: The value of the quadratic there (N,).
+
+        Returns:
+            step, slope, best, least, and the largest share of what is saved that a better step could save, 0-d.
+        """
+        scale = torch.diagonal(hessian, dim1=1, dim2=2)
+        aim = step - slope / scale
+        at_low, at_high = aim < low, aim > high
+        free = (~(at_low | at_high)).to(gradient)
+        held = torch.where(at_low, low, torch.where(at_high, high, torch.zeros_like(low)))
+        masked = hessian * (free[:, :, None] * free[:, None, :]) + self.eye * (1.0 - free)[:, None, :]
+        factor, _ = torch.linalg.cholesky_ex(masked)
+        right = (-(gradient + _times(hessian, held)) * free)[..., None]
+        step = held + torch.cholesky_solve(right, factor)[..., 0] * free
+        slope = _times(hessian, step) + gradient
+        inside = torch.minimum(torch.maximum(step, low), high)
+        product = _times(hessian, inside)
+        value = (inside * (product + 2.0 * gradient)).sum(1)
+        # a convex quadratic lies above its tangents: no step on the box is better than `inside` by more than this
+        tangent = product + gradient
+        left = 2.0 * torch.maximum(tangent * (inside - low), tangent * (inside - high)).sum(1)
+        better = value < least
+        best = torch.where(better[:, None], inside, best)
+        least = torch.where(better, value, least)
+        return step, slope, best, least, ((value + left - least) / (1e-9 - least)).max()
+
+    def finish(
+        self, z0: Tensor, u: Tensor, ref: Tensor, last: Tensor, d: Tensor, step: Tensor, least: Tensor
+    ) -> Iterate:
+        """Roll out shares of a step, and keep the best.
+
+        Args:
+            z0, u, ref, last, d: As in `forward`.
+            step: Step on the box (N, K nu).
+            least: The value of the quadratic there (N,).
+        """
         h = self.horizon
         n, k, nu, p = len(u), h.steps, h.nu, h.particles
-        hessian, gradient = self.quadratic(z0, u, z, ref, last, d)
-        flat = u.reshape(n, k * nu)
-        low, high = h.options.low - flat, h.options.high - flat
-        step = self.box_step(hessian, gradient, low, high)
-        slope = _times(hessian, step) + gradient
-        # a convex quadratic lies above its tangent: no step on the box saves more than this
-        rest = torch.maximum(slope * (step - low), slope * (step - high)).sum(1)
-        promised = 2.0 * rest - (step * (slope + gradient)).sum(1)
-        tried = flat[:, None] + self.shares[:, None] * step[:, None]
+        tried = u.flatten(1)[:, None] + self.shares[:, None] * step[:, None]
         tried = tried.clamp(h.options.low, h.options.high)
         s = len(self.shares)
         candidates = tried.reshape(n * s, k, nu)
         paths = h.rollout(_repeat(z0, s), candidates, _repeat(d, s))
         costs = h.cost(paths, candidates, _repeat(ref, s), _repeat(last, s)).view(n, s)
         best = torch.nan_to_num(costs, nan=torch.inf).argmin(1)
+        cost, before = _pick(costs[..., None], best)[:, 0], costs[:, -1]
+        # near the optimum the quadratic keeps its promise, up to the second order
+        gap = (-least - (before - cost)).abs() / cost.abs().clamp_min(1e-9)
         return Iterate(
             u=_pick(tried, best).view(n, k, nu),
             z=_pick(paths.view(n, s, -1), best).view(n, p, k + 1, h.nz),
-            cost=_pick(costs[..., None], best)[:, 0],
-            before=costs[:, -1],
-            promised=promised,
+            cost=cost,
+            before=before.clone(),
+            gap=gap,
+            worst=gap.max(),
         )
 
     def quadratic(
@@ -125,26 +238,22 @@ class GaussNewton(nn.Module):
         n, k, nu, nz, p = len(u), h.steps, h.nu, h.nz, h.particles
         after, r, a, b, c, e = self.linearise(u, z, ref, d)
         gap = after - z[:, :, 1:].reshape(n * p, k, nz)
-        # sensitivities of the states to all inputs, and in the last column to what is off
-        start = (_repeat(z0, p) - z[:, :, 0].reshape(n * p, nz))[..., None]
-        sensitivity = torch.cat((z0.new_zeros(n * p, nz, k * nu), start), 2)
+        # what is off, and then the sensitivities to the inputs so far: one column, and nu more with every step
+        table = (_repeat(z0, p) - z[:, :, 0].reshape(n * p, nz))[..., None]
         rows = []
         for i in range(k):
-            left, right = i * nu, (i + 1) * nu
-            own = c[:, i] @ sensitivity
-            moved = a[:, i] @ sensitivity
-            rows.append(
-                torch.cat((own[..., :left], e[:, i], own[..., right:-1], own[..., -1:] + r[:, i, :, None]), 2)
-            )
-            sensitivity = torch.cat(
-                (moved[..., :left], b[:, i], moved[..., right:-1], moved[..., -1:] + gap[:, i, :, None]), 2
-            )
-        w = torch.stack(rows, 1).reshape(n, -1, k * nu + 1)
-        gram = w[..., :-1].transpose(1, 2) @ w / p
+            rows.append(nn.functional.pad(torch.cat((c[:, i] @ table, e[:, i]), 2), (0, (k - 1 - i) * nu)))
+            if i < k - 1:
+                table = torch.cat((a[:, i] @ table, b[:, i]), 2)
+                table = table + nn.functional.pad(gap[:, i, :, None], (0, (i + 1) * nu))
+        w = torch.stack(rows, 1)
+        w = w + nn.functional.pad(r[..., None], (0, k * nu))
+        w = w.reshape(n, -1, k * nu + 1)
+        gram = w[..., 1:].transpose(1, 2) @ w / p
         # the weights are tensors: machine code is made once for all their values
         weights = h.input_weight * self.eye + h.rate_weight * (self.change.T @ self.change)
-        hessian = gram[..., :-1] + weights
-        return hessian, gram[..., -1] + self.input_gradient(u, last)
+        hessian = gram[..., 1:] + weights
+        return hessian, gram[..., 0] + self.input_gradient(u, last)
 
     def input_gradient(self, u: Tensor, last: Tensor) -> Tensor:
         """Half the gradient of the input terms (N, K nu)."""
@@ -184,33 +293,6 @@ class GaussNewton(nn.Module):
         b, e = torch.func.vmap(along_input, out_dims=2)(torch.eye(nu, dtype=z.dtype, device=z.device))
         shape = (n * p, k)
         return tuple(m.reshape(*shape, *m.shape[1:]) for m in (after, r, a, b, c, e))
-
-    def box_step(self, hessian: Tensor, gradient: Tensor, low: Tensor, high: Tensor) -> Tensor:
-        """Minimiser (N, n) of q on a box that holds 0, after a few changes of the active set; the best seen."""
-        scale = torch.diagonal(hessian, dim1=1, dim2=2)
-        # along the projected gradient, as far as the quadratic falls: poor, but never worse than no step
-        best = torch.minimum(torch.maximum(-gradient / scale, low), high)
-        along, curve = (gradient * best).sum(1), (best * _times(hessian, best)).sum(1)
-        share = (-along / curve.clamp_min(1e-12)).clamp(0.0, 1.0)
-        best = share[:, None] * best
-        least = share * (share * curve + 2.0 * along)
-        step, slope = torch.zeros_like(gradient), gradient
-        for _ in range(self.active_set_steps):
-            aim = step - slope / scale
-            at_low, at_high = aim < low, aim > high
-            free = (~(at_low | at_high)).to(gradient)
-            held = torch.where(at_low, low, torch.where(at_high, high, torch.zeros_like(low)))
-            masked = hessian * (free[:, :, None] * free[:, None, :]) + self.eye * (1.0 - free)[:, None, :]
-            factor, _ = torch.linalg.cholesky_ex(masked)
-            right = (-(gradient + _times(hessian, held)) * free)[..., None]
-            step = held + torch.cholesky_solve(right, factor)[..., 0] * free
-            slope = _times(hessian, step) + gradient
-            inside = torch.minimum(torch.maximum(step, low), high)
-            value = (inside * (_times(hessian, inside) + 2.0 * gradient)).sum(1)
-            better = value < least
-            best = torch.where(better[:, None], inside, best)
-            least = torch.where(better, value, least)
-        return best
 
 
 def _times(matrix: Tensor, vector: Tensor) -> Tensor:

@@ -16,6 +16,7 @@ import torch
 from torch import Tensor, nn
 
 from nsde_torch.columns import split_columns
+from nsde_torch.control.joint_network import JointNetwork
 from nsde_torch.effects import Port
 from nsde_torch.errors import ConfigError
 from nsde_torch.models import Model
@@ -72,6 +73,9 @@ class Predictor(nn.Module):
             learned.system = self.system
             learned.to(dtype=dtype)
         self._learned = learned
+        self._residual = None
+        if learned is not None and learned.black_box is None and len(learned.residuals):
+            self._residual = JointNetwork.of(learned).to(dtype)
         self.dt, self.dtype = float(dt), dtype
         self.nx, self.nu, self.nz = self.system.nx, self.system.nu, self.system.nz
         knows_ports = learned is None or learned.black_box is None
@@ -91,8 +95,9 @@ class Predictor(nn.Module):
         if learned is not None and learned.black_box is not None:
             return learned.black_box(z, u)
         forces: dict[Port, Tensor] = {}
-        if learned is not None:
-            forces = learned.residual(split_columns(z, s.nx, s.nz - s.nx)[0])
+        if self._residual is not None:
+            out = self._residual(s.residual_features(split_columns(z, s.nx, s.nz - s.nx)[0]))
+            forces = dict(zip(self._residual.ports, split_columns(out, *self._residual.widths), strict=True))
         if self.nd:
             for port, part in zip(self.ports, split_columns(d, *self.ports.values()), strict=True):
                 forces[port] = forces[port] + part if port in forces else part

@@ -9,10 +9,11 @@ from dataclasses import dataclass, field
 from typing import NamedTuple, final
 
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 
 from nsde_torch.control.compiled import Function, NoCompiler, compile_ahead
-from nsde_torch.control.gauss_newton import GaussNewton, Iterate
+from nsde_torch.control.gauss_newton import GaussNewton
+from nsde_torch.control.gradient import AcceleratedGradient
 from nsde_torch.control.horizon import Horizon
 from nsde_torch.errors import ConfigError
 from nsde_torch.sde import CompilationWarning
@@ -121,20 +122,13 @@ class Solver:
         if options.name not in SOLVERS:
             raise ConfigError(f"`solver` must be one of {', '.join(SOLVERS)}; got {options.name!r}.")
         self.horizon, self.options, self._clock = horizon, options, clock
-        self._module = SOLVERS[options.name](horizon, batch)
+        self._method = SOLVERS[options.name](horizon)
+        self._stages: dict[str, Function] = {name: _eager(self._method, name) for name in self._method.stages}
         self.compiled = False
-        self._iterate: Function = self._eager
         self._longest = 0.0
         if options.compile == "on" or (options.compile == "auto" and batch == 1):
             try:
-                self._iterate = compile_ahead(
-                    self._module,
-                    self._example(batch),
-                    name=options.name,
-                    structure=self._module.structure,
-                    folder=options.cache,
-                    say=say,
-                )
+                self._stages = self._compiled(batch, say)
                 self.compiled = True
             except NoCompiler as error:
                 if options.compile == "on":
@@ -156,37 +150,58 @@ class Solver:
         """
         o, started = self.options, self._clock()
         costs: list[Tensor] = []
-        memory = self._module.start(u)
+        memory = self._method.start(u)
         while True:
             begun = self._clock()
-            out = self._iterate((problem.z0, u, z, problem.ref, problem.last, problem.d, *memory))
-            step, memory = Iterate(*out[:5]), tuple(out[5:])
+            arguments = (problem.z0, u, z, problem.ref, problem.last, problem.d)
+            step, memory = self._method.iterate(self._stages, arguments, memory, _LEFT)
             u, z = step.u, step.z
             if not costs:
                 costs.append(step.before)
             costs.append(step.cost)
-            # what the quadratic could have saved and the model did not: of second order near the optimum
-            gap = (step.promised - (step.before - step.cost)).abs() / step.cost.abs().clamp_min(1e-9)
-            converged = gap <= o.tolerance
+            converged = float(step.worst) <= o.tolerance
             now = self._clock()
             self._longest = max(0.9 * self._longest, now - begun)
             late = o.deadline is not None and now - started + self._longest > o.deadline
-            if len(costs) > o.iterations or late or bool(converged.all()):
+            if len(costs) > o.iterations or late or converged:
                 break
         seconds = self._clock() - started
         return Solution(
             u=u,
             z=z,
             cost=step.cost,
-            gap=gap,
+            gap=step.gap,
             costs=tuple(costs),
             seconds=seconds,
             in_time=o.deadline is None or seconds <= o.deadline,
-            converged=converged,
+            converged=step.gap <= o.tolerance,
         )
 
-    def _eager(self, arguments: Sequence[Tensor]) -> list[Tensor]:
-        return list(self._module(*arguments))
+    def _compiled(self, batch: int, say: Callable[[str], None] | None) -> dict[str, Function]:
+        """The stages as machine code."""
+        seen: dict[str, list[Tensor]] = {}
+
+        def watched(name: str) -> Function:
+            def run(arguments: Sequence[Tensor]) -> list[Tensor]:
+                seen.setdefault(name, [a.contiguous() for a in arguments])
+                return self._stages[name](arguments)
+
+            return run
+
+        example = self._example(batch)
+        with torch.no_grad():
+            self._method.iterate({n: watched(n) for n in self._stages}, example[:6], example[6:], 0.0)
+        return {
+            name: compile_ahead(
+                Stage(self._method, name),
+                seen[name],
+                name=f"{self.options.name}-{name}",
+                structure=self._method.structure,
+                folder=self.options.cache,
+                say=say,
+            )
+            for name in self._stages
+        }
 
     def _example(self, batch: int) -> tuple[Tensor, ...]:
         h = self.horizon
@@ -198,9 +213,39 @@ class Solver:
         z0 = h.predictor.augment(x, u[:, 0]).contiguous()
         z = z0[:, None, None].repeat(1, h.particles, h.steps + 1, 1)
         ref = x[:, None].repeat(1, h.steps, 1)
-        return (z0, u, z, ref, u[:, 0].clone(), torch.zeros(batch, h.nd, dtype=dtype), *self._module.start(u))
+        return (z0, u, z, ref, u[:, 0].clone(), torch.zeros(batch, h.nd, dtype=dtype), *self._method.start(u))
 
 
-SOLVERS: dict[str, Callable[[Horizon, int], GaussNewton]] = {
-    "gauss_newton": lambda horizon, batch: GaussNewton(horizon),
+@final
+class Stage(nn.Module):
+    """A method of a module as a module of its own.
+
+    Args:
+        owner: The module.
+        name: The method.
+    """
+
+    def __init__(self, owner: nn.Module, name: str) -> None:
+        super().__init__()
+        self.owner, self.name = owner, name
+
+    def forward(self, *arguments: Tensor) -> tuple[Tensor, ...]:
+        """See the method."""
+        return tuple(getattr(self.owner, self.name)(*arguments))
+
+    def extra_repr(self) -> str:
+        """The method, by which stages of one module differ."""
+        return self.name
+
+
+def _eager(method: nn.Module, name: str) -> Function:
+    return lambda arguments: list(getattr(method, name)(*arguments))
+
+
+_LEFT = 1e-3
+"""Share of what the quadratic saves that an iteration may leave to the next."""
+
+SOLVERS: dict[str, Callable[[Horizon], GaussNewton | AcceleratedGradient]] = {
+    "gauss_newton": GaussNewton,
+    "apg": AcceleratedGradient,
 }

@@ -153,6 +153,10 @@ class NeuralSDE(Model):
         y = self.residual_inputs(self.system.residual_features(x))
         return {Port(k): self._residual_scale[k] * network(y) for k, network in self.residuals.items()}
 
+    def residual_scale(self, port: Port) -> float:
+        """Size of a typical residual on a port, by which its network is multiplied [unit of the port]."""
+        return self._residual_scale[port.value]
+
     @property
     def residual_ports(self) -> tuple[Port, ...]:
         """Ports that have a residual network."""

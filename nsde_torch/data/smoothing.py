@@ -16,6 +16,8 @@ from nsde_torch.data.run import Run
 _NULLS = 4
 _DEPTH = 3.0  # a fall of e^3 = 20 in power at each of the nulls, where noise gives less than e^1
 _SHORTEST = 6  # samples: below that too few nulls lie under half the sampling rate
+_SHORT = 128  # rows of a part at least; of short runs a part is a run
+_PARTS = 5  # overlapping parts at least: fewer scatter too much
 _HELD = 0.8  # share of rows without a change from which on a command is held: its spectrum has the same nulls
 
 
@@ -66,23 +68,21 @@ def _lowest(
 def _power(
     runs: Sequence[Run], n_inputs: int, dt: float
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]] | None:
-    """Mean log power of the changes of all inputs."""
+    """Mean log power of the changes of all inputs; of short runs that of as many parts as there are."""
+    parts = [np.diff(run.u[a:b, :n_inputs], axis=0) for run in runs for a, b in run.segments]
+    longest = max((len(part) for part in parts), default=0)
+    rows = min(1024, max(256, longest // 3)) if longest >= 2 * 256 else max(longest, _SHORT)
+    if sum(max(2 * len(part) // rows - 1, 0) for part in parts) < _PARTS:
+        return None
     spectra = []
-    for run in runs:
-        for a, b in run.segments:
-            changes = np.diff(run.u[a:b, :n_inputs], axis=0)
-            if len(changes) < 512:
-                continue
-            rows = min(
-                1024, max(256, len(changes) // 3)
-            )  # five overlapping parts: one alone scatters too much
-            _, p = welch(changes, fs=1 / dt, nperseg=rows, axis=0)
-            active = (changes.std(0) > 1e-9) & ((changes == 0).mean(0) < _HELD)
-            if active.any():
-                spectra.append((b - a, np.log(p[:, active] + 1e-30).mean(1)))
+    for changes in parts:
+        if len(changes) < rows:
+            continue
+        _, p = welch(changes, fs=1 / dt, nperseg=rows, axis=0)
+        active = (changes.std(0) > 1e-9) & ((changes == 0).mean(0) < _HELD)
+        if active.any():
+            spectra.append((len(changes), np.log(p[:, active] + 1e-30).mean(1)))
     if not spectra:
         return None
-    length = max(len(s) for _, s in spectra)
-    kept = [(w, s) for w, s in spectra if len(s) == length]
-    total = sum(w for w, _ in kept)
-    return np.linspace(0, 0.5 / dt, length), sum((w / total) * s for w, s in kept)
+    total = sum(w for w, _ in spectra)
+    return np.linspace(0, 0.5 / dt, rows // 2 + 1), sum((w / total) * s for w, s in spectra)

@@ -125,3 +125,16 @@ def test_simulated_flights_were_not_averaged() -> None:
 def test_published_flights_were_averaged_over_four_tenths_of_a_second(published: Path) -> None:
     data = read("published", make_system("hexacopter"), path=str(published / "hexacopter" / "trajs.pkl"))
     assert smoothing_width(list(data.runs), 6) == pytest.approx(0.4, abs=1.01 * DT)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_short_episodes_show_their_average_together(kind: str) -> None:
+    episodes = [run(averaged(commands(kind, seed, 240), 12)[20:220], str(seed)) for seed in range(20)]
+    assert smoothing_width(episodes, 1) == pytest.approx(12 * DT, abs=1.01 * DT)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_short_raw_episodes_show_none(kind: str) -> None:
+    for first in range(0, 200, 20):
+        episodes = [run(commands(kind, first + seed, 200), str(seed)) for seed in range(20)]
+        assert smoothing_width(episodes, 1) == 0.0

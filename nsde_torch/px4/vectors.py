@@ -1,0 +1,93 @@
+"""Small vectors and quaternions as tuples of floats.
+
+Loops at hundreds of hertz on one row: a NumPy call costs more than all the arithmetic of a rotation.
+"""
+
+from __future__ import annotations
+
+from math import atan2, cos, isfinite, sin, sqrt
+
+Vec = tuple[float, float, float]
+Quat = tuple[float, float, float, float]
+
+
+def rotate(q: Quat, v: Vec) -> Vec:
+    """Vector from body to world; `q` (w, x, y, z) of unit length."""
+    w, x, y, z = q
+    a, b, c = v
+    # t = 2 r x v, then v + w t + r x t
+    ta, tb, tc = 2.0 * (y * c - z * b), 2.0 * (z * a - x * c), 2.0 * (x * b - y * a)
+    return (
+        a + w * ta + y * tc - z * tb,
+        b + w * tb + z * ta - x * tc,
+        c + w * tc + x * tb - y * ta,
+    )
+
+
+def rotate_back(q: Quat, v: Vec) -> Vec:
+    """Vector from world to body."""
+    return rotate((q[0], -q[1], -q[2], -q[3]), v)
+
+
+def multiply(a: Quat, b: Quat) -> Quat:
+    """Hamilton product."""
+    w, x, y, z = a
+    d, e, f, g = b
+    return (
+        w * d - x * e - y * f - z * g,
+        w * e + x * d + y * g - z * f,
+        w * f - x * g + y * d + z * e,
+        w * g + x * f - y * e + z * d,
+    )
+
+
+def normalised(q: Quat) -> Quat:
+    """Unit quaternion of the same direction."""
+    n = 1.0 / sqrt(q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3])
+    return (q[0] * n, q[1] * n, q[2] * n, q[3] * n)
+
+
+def rotation_vector(q: Quat) -> Vec:
+    """Rotation vector [rad] of a unit quaternion, the short way round."""
+    w, x, y, z = q if q[0] >= 0 else (-q[0], -q[1], -q[2], -q[3])
+    n = sqrt(x * x + y * y + z * z)
+    k = 2.0 * atan2(n, w) / n if n > 1e-9 else 2.0
+    return (k * x, k * y, k * z)
+
+
+def from_rotation_vector(r: Vec) -> Quat:
+    """Unit quaternion of a rotation vector [rad]."""
+    n = length(r)
+    k = sin(0.5 * n) / n if n > 1e-9 else 0.5
+    return (cos(0.5 * n), k * r[0], k * r[1], k * r[2])
+
+
+def turned_by_rates(q: Quat, w: Vec, dt: float) -> Quat:
+    """Attitude after body rates [rad/s] for a time [s]."""
+    return normalised(multiply(q, from_rotation_vector((w[0] * dt, w[1] * dt, w[2] * dt))))
+
+
+def yaw_of(q: Quat) -> float:
+    """Heading [rad] of the body's x axis, counted from world x towards world y."""
+    w, x, y, z = q
+    return atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
+
+
+def cos_tilt(q: Quat) -> float:
+    """Cosine of the angle between the body's z axis and up."""
+    return 1.0 - 2.0 * (q[1] * q[1] + q[2] * q[2])
+
+
+def length(v: Vec) -> float:
+    """Euclidean norm."""
+    return sqrt(v[0] * v[0] + v[1] * v[1] + v[2] * v[2])
+
+
+def distance(a: Vec, b: Vec) -> float:
+    """Distance of two points."""
+    return length((a[0] - b[0], a[1] - b[1], a[2] - b[2]))
+
+
+def finite(*values: float) -> bool:
+    """Whether all numbers are finite."""
+    return all(map(isfinite, values))

@@ -168,7 +168,14 @@ class Diagnosis:
 
     def _findings(self) -> list[dict[str, Any]]:
         faults = [
-            {"name": f.name, "kind": "recording", "sentence": f.sentence, "p": f.p, "lead": False}
+            {
+                "name": f.name,
+                "kind": "recording",
+                "sentence": f.sentence,
+                "p": f.p,
+                "lead": False,
+                "lead_reason": None,
+            }
             for f in self.recorded.faults
         ]
         effects = [
@@ -178,7 +185,8 @@ class Diagnosis:
                 "sentence": sentence(f),
                 "p": f.trial.p_corrected,
                 "evidence_nats": f.trial.gain,
-                "lead": f.lead,
+                "lead": bool(f.lead),
+                "lead_reason": f.lead or None,
                 "ties": list(f.ties),
                 "separate": self._class(f.name).separate,
             }
@@ -347,7 +355,8 @@ def summary(found: Diagnosis) -> str:
         rest = ", ".join(part for part in (f"{best.channel} on {best.variable}", best.note) if part)
     if found.verdict == "effect_found":
         leads = [f.name for f in found.outcome.found if f.lead]
-        more = f" The residual still depends ({rest}): take {', '.join(leads)} as a lead." if leads else ""
+        more = f" The residual still depends ({rest}): take" if rest else " Take"
+        more = f"{more} {', '.join(leads)} as {'leads' if len(leads) > 1 else 'a lead'}." if leads else ""
         return f"Missing: {names}.{more}"
     if names:
         return (

@@ -175,7 +175,7 @@ def chosen(z: Array, rest: Array) -> tuple[list[int], str]:
     live = np.flatnonzero(size > 1e-9 * max(float(size.max()), 1e-300))
     unit = z[:, live] / size[live]
     try:
-        from pysindy import FROLS  # type: ignore[import-not-found, unused-ignore]
+        from pysindy import FROLS
     except ImportError:
         return [int(live[j]) for j in forward(unit, rest, _TERMS)], "forward orthogonal least squares"
     model = FROLS(max_iter=_TERMS, alpha=1e-10, unbias=False)

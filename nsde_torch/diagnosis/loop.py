@@ -6,7 +6,7 @@ from the chosen one's by less than two standard errors are a tie.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import numpy as np
@@ -20,6 +20,7 @@ from nsde_torch.systems import System
 Verdict = Literal["no_effect", "effect_found", "unexplained"]
 
 _LEAD = 0.1  # of what the effects explain: structure beyond that makes them leads
+_FEWER = 2.0  # nats by which two effects must be better than one that stands in for both
 _SHOWS = 0.9  # level of intervals
 
 
@@ -49,13 +50,13 @@ class Found:
         name: Of the effect.
         trial: Its fit, with all other effects that were added present.
         ties: Effects that explain the data as well in its place.
-        lead: Whether the residual still has structure that it should have explained.
+        lead: Why it is a lead and not the last word; empty where it is.
     """
 
     name: str
     trial: Trial
     ties: tuple[str, ...]
-    lead: bool = False
+    lead: str = ""
 
 
 @dataclass
@@ -124,9 +125,19 @@ def loop(search: Search, system: System, *, max_effects: int) -> Outcome:
         verdict: Verdict = "unexplained" if left else "no_effect"
     else:
         verdict = "unexplained" if rest > explained else "effect_found"
-    if rest > _LEAD * explained:
-        found = [Found(f.name, f.trial, f.ties, lead=True) for f in found]
+    found = [replace(f, lead=_lead(f, found, rest > _LEAD * explained)) for f in found]
     return Outcome(verdict, declared, base, found, rounds, declared_variables, variables, before, after, left)
+
+
+def _lead(f: Found, found: Sequence[Found], structured: bool) -> str:
+    """Why an effect is only a lead: the residual has structure, or two laws of one variable were needed."""
+    if structured:
+        return "something else is there too"
+    own = effect_class(f.name)
+    others = [effect_class(g.name) for g in found if g.name != f.name]
+    if own.along and any((o.along, o.port) == (own.along, own.port) for o in others):
+        return f"two laws of the same {own.along} may stand for one that the catalogue lacks"
+    return ""
 
 
 def _choice(search: Search, trials: Sequence[Trial], added: Sequence[str]) -> Trial | None:
@@ -143,7 +154,7 @@ def _choice(search: Search, trials: Sequence[Trial], added: Sequence[str]) -> Tr
         return simpler[0]
     # one effect in the place of another explains with fewer than two beside each other
     wider = [
-        t for t in accepted if set(effect_class(t.name).includes) & set(added) and not surely_above(best, t)
+        t for t in accepted if set(effect_class(t.name).includes) & set(added) and best.gain < t.gain + _FEWER
     ]
     return wider[0] if wider else best
 

@@ -143,7 +143,8 @@ def _gain(errors: Mapping[str, Any]) -> str:
 
 
 def _finding(finding: Mapping[str, Any], content: Mapping[str, Any]) -> str:
-    lead = ' <span class="lead">a lead: something else is there too</span>' if finding["lead"] else ""
+    reason = escape(finding["lead_reason"] or "")
+    lead = f' <span class="lead">a lead: {reason}</span>' if finding["lead"] else ""
     text = f"<h3><code>{escape(finding['name'])}</code>{lead}</h3><p>{escape(finding['sentence'])}</p>"
     own = {k: p for k, p in content["parameters"].items() if k.startswith(f"{finding['name']}.")}
     if own:

@@ -12,7 +12,7 @@ def lines(content: Mapping[str, Any]) -> list[str]:
     """Lines of text from the content of `diagnosis.json`."""
     out = [f"verdict: {content['verdict']}", content["summary"]]
     for finding in content["findings"]:
-        mark = " (a lead: something else is there too)" if finding["lead"] else ""
+        mark = f" (a lead: {finding['lead_reason']})" if finding["lead"] else ""
         out += ["", f"{finding['name']}{mark}: {finding['sentence']}"]
         p = finding["p"]
         if p is not None:

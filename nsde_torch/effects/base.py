@@ -177,6 +177,8 @@ class Effect(Parametrised, ABC):
             `spectrum` (frequencies are taken from the data, `shapes` has none).
         resolved: Times of a memory -> the least multiple of a step at which explicit steps follow it.
         includes: Simpler effects that it contains as special cases; it stands in for them, not beside them.
+        along: The one variable that it is a law of (`speed`, `position`), if there is one: two of one variable on one
+            port may together stand for a third that nobody listed.
         sentence: What it means, for who runs the machine; {parameter} stands for a value with its unit.
         separate: The experiment that would tell it apart from its likes.
 
@@ -204,6 +206,7 @@ class Effect(Parametrised, ABC):
     relative: ClassVar[Mapping[str, str]] = {}
     resolved: ClassVar[Mapping[str, float]] = {}
     includes: ClassVar[tuple[str, ...]] = ()
+    along: ClassVar[str] = ""
     sentence: ClassVar[str] = ""
     separate: ClassVar[str] = ""
 

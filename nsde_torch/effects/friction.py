@@ -29,6 +29,7 @@ class Viscous(Effect):
     column: ClassVar[int]
     """State that is the velocity."""
     formula = "-b v"
+    along = "speed"
     null = {"damping": 0.0}
     amplitudes = ("damping",)
     separate = SLOW_AND_FAST
@@ -44,6 +45,7 @@ class Coulomb(Effect):
     column: ClassVar[int]
     """State that is the velocity."""
     formula = "-c tanh(v / v0)"
+    along = "speed"
     null = {"size": 0.0}
     amplitudes = ("size",)
     shapes = {"width": WIDTHS}
@@ -105,6 +107,7 @@ class AsymmetricFriction(Effect):
         "size_backward": Parameter(0.1, "m/s2", low=0.0, help="friction over mass where v < 0"),
         "width": width("m/s"),
     }
+    along = "speed"
     null = {"size_forward": 0.0, "size_backward": 0.0}
     amplitudes = ("size_forward", "size_backward")
     shapes = {"width": WIDTHS}
@@ -133,6 +136,7 @@ class StribeckFriction(Effect):
         "speed": Parameter(0.1, "m/s", low=0.0, help="speed at which 37 % of the extra is left"),
         "width": width("m/s"),
     }
+    along = "speed"
     null = {"size": 0.0, "extra": 0.0}
     amplitudes = ("size", "extra")
     shapes = {"speed": (0.1, 0.3), "width": (0.02,)}
@@ -158,6 +162,7 @@ class QuadraticDamping(Effect):
     formula = "-d |v| v"
     source = "drag of a body in a fluid at high Reynolds number"
     PARAMETERS = {"damping": Parameter(0.1, "1/m", low=0.0, help="drag over mass")}
+    along = "speed"
     null = {"damping": 0.0}
     amplitudes = ("damping",)
     sentence = "The motion is braked in proportion to the square of its speed, with {damping} over mass."

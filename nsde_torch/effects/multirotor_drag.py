@@ -27,6 +27,7 @@ class LinearDrag(Effect):
     formula = "-d * v_body"
     source = "Faessler, Franchi, Scaramuzza, IEEE RA-L 3 (2018)"
     PARAMETERS = {"drag": Parameter((0.1, 0.1, 0.1), "1/s", low=0.0, help="drag over mass, body x y z")}
+    along = "speed"
     null = {"drag": 0.0}
     amplitudes = ("drag",)
     sentence = "The air brakes in proportion to the speed: rotor drag of {drag} along forward, left and up."
@@ -46,6 +47,7 @@ class QuadraticDrag(Effect):
     formula = "-d * |v| v_body"
     source = "aerodynamic drag of a bluff body"
     PARAMETERS = {"drag": Parameter((0.02, 0.02, 0.02), "1/m", low=0.0, help="drag over mass, body x y z")}
+    along = "speed"
     null = {"drag": 0.0}
     amplitudes = ("drag",)
     sentence = "The air brakes with the square of the speed: {drag} along forward, left and up."

@@ -20,6 +20,7 @@ class LinearSpring(Effect):
     formula = "-k q"
     source = "supplement B: m q'' = -b q' - k q"
     PARAMETERS = {"stiffness": Parameter(1.0, "1/s2", low=0.0, help="spring constant over mass")}
+    along = "position"
     null = {"stiffness": 0.0}
     amplitudes = ("stiffness",)
     sentence = "A spring pulls to the origin with {stiffness} over mass."
@@ -44,6 +45,7 @@ class CubicStiffness(Effect):
     formula = "-k q^3"
     source = "Duffing (1918)"
     PARAMETERS = {"stiffness": Parameter(0.0, "1/(m2 s2)", scale=1.0, help="cubic constant over mass")}
+    along = "position"
     null = {"stiffness": 0.0}
     amplitudes = ("stiffness",)
     sentence = "The stiffness changes with extension: a force of {stiffness} over mass times the cube of it."

@@ -105,7 +105,7 @@ def test_third_party_imports_are_declared_dependencies(root: Path) -> None:
     text = (root / "pyproject.toml").read_text(encoding="utf-8")
     declared = text[text.index("dependencies = [") : text.index("[project.optional-dependencies]")].lower()
     extra = text[text.index("\npolicy = [") : text.index("\ndev = [")].lower()
-    own_name = {"yaml": "pyyaml", "hydra": "hydra-core"}
+    own_name = {"yaml": "pyyaml", "hydra": "hydra-core", "serial": "pyserial"}
     missing = set()
     for path in [*_modules(root), *sorted((root / "cli").glob("*.py"))]:
         for name in _imports(path, "nsde_torch.cli" if path.parent.name == "cli" else _package(root, path)):

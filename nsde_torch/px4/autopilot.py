@@ -1,0 +1,434 @@
+"""A simulated autopilot that behaves towards MAVLink as a real PX4 was seen to, in steps of its rate loop.
+
+    rates: u = pinv(mixing) (thrust, (kw (w_sp - w) + ki integral) / gains), clipped;      250 Hz
+
+What was measured on a real PX4 and holds here: OFFBOARD is accepted when disarmed without a stream and refused at
+arming; DO_SET_MODE is answered twice, once always ACCEPTED; texts go only to a link on which a ground station is heard;
+setpoints are not sanitised (NaN thrust stops the motors, more than 1 is nearly full, no limits of rates); when the
+stream stops the last rates are held for COM_OF_LOSS_T, then it fails over, and when the stream returns it goes back
+to OFFBOARD by itself; ODOMETRY's velocity is in the local frame; 100 Hz comes as 99.
+"""
+
+from __future__ import annotations
+
+import random
+from collections import deque
+from math import inf, isfinite, nan
+from typing import final
+
+from nsde_torch.px4 import dialect as d
+from nsde_torch.px4 import frames
+from nsde_torch.px4.body import Body
+from nsde_torch.px4.cascade import GRAVITY, Cascade, Point
+from nsde_torch.px4.codec import Codec, Message
+from nsde_torch.px4.dialect import Mode, mavlink
+from nsde_torch.px4.endpoint import NUMBERS
+from nsde_torch.px4.vectors import Quat, Vec, from_rotation_vector, multiply, rotation_vector, yaw_of
+
+PARAMETERS: dict[str, tuple[float, int]] = {
+    "SYS_AUTOSTART": (6001, d.INT32),
+    "COM_OF_LOSS_T": (1.0, d.REAL32),
+    "COM_OBL_RC_ACT": (4, d.INT32),  # 4: land
+    "COM_RC_IN_MODE": (4, d.INT32),  # no sticks
+    "COM_DISARM_LAND": (2.0, d.REAL32),
+    "COM_DISARM_PRFLT": (10.0, d.REAL32),
+    "MPC_THR_HOVER": (0.5, d.REAL32),
+    "MPC_LAND_SPEED": (0.7, d.REAL32),
+    "MC_ROLLRATE_MAX": (220.0, d.REAL32),
+    "MC_PITCHRATE_MAX": (220.0, d.REAL32),
+    "MC_YAWRATE_MAX": (200.0, d.REAL32),
+    "BAT1_N_CELLS": (4, d.INT32),
+    "MAV_SYS_ID": (1, d.INT32),
+}
+"""The parameters that are answered for."""
+OBL_LAND, OBL_HOLD = 4, 5
+BOOT = 1.0
+"""Time until the estimator is ready [s]."""
+RATE_GAINS, RATE_INTEGRAL = (11.0, 11.0, 5.0), (4.0, 4.0, 2.0)
+LOW_BATTERY = 0.1
+NEARLY_FULL = 0.95
+"""What a thrust above 1 becomes."""
+
+
+@final
+class SimulatedAutopilot:
+    """A vehicle without a connection: bytes in by `receive`, bytes out from `advance`, on its own clock.
+
+    Args:
+        body: The machine.
+        system: Its MAVLink system id.
+        key: Signing key; with one, unsigned messages are ignored.
+        seed: Of the estimate's noise.
+        sensor_noise: Factor on it.
+        stream: Whether bytes come as a stream.
+        parameters: Values of parameters other than `PARAMETERS`.
+
+    Attributes:
+        mode: Flight mode in force; `intended` is what was asked for and comes back when a failsafe ends.
+        armed: Whether the motors may turn.
+        clock_error: Added to every time stamp that is sent [s].
+        blind: No state is sent, as when the estimator is lost.
+        stuck: The estimate does not change any more, stamps included.
+    """
+
+    def __init__(
+        self,
+        body: Body,
+        *,
+        system: int = 1,
+        key: bytes | None = None,
+        seed: int = 0,
+        sensor_noise: float = 1.0,
+        stream: bool = False,
+        parameters: dict[str, float] | None = None,
+    ) -> None:
+        self.body = body
+        self.codec = Codec(system, 1, key=key, stream=stream)
+        self.parameters = {k: v for k, (v, _) in PARAMETERS.items()}
+        self.parameters.update(parameters or {})
+        self.mode = self.intended = d.HOLD
+        self.armed = self.failsafe = False
+        self.clock_error, self.blind, self.mute = 0.0, False, False
+        self._random = random.Random(seed)
+        std = body._spec.sensor_std
+        self._std = tuple(s * sensor_noise for s in (std[0], std[3], std[6], std[9]))
+        self._out: deque[bytes] = deque()
+        self._due: dict[str, tuple[float, float]] = {"HEARTBEAT": (0.0, 1.0), "SYS_STATUS": (0.0, 1.0)}
+        self._gcs = -inf
+        self._setpoint: tuple[float, int, Vec, Quat, float] | None = None
+        self._integral: Vec = (0.0, 0.0, 0.0)
+        self._cascade = Cascade()
+        self._point = Point((0.0, 0.0, 0.0))
+        self._armed_at = self._landed_at = 0.0
+        self._estimate: tuple[Vec, Vec, Quat, Vec] = (
+            (0.0,) * 3,
+            (0.0,) * 3,
+            (1.0, 0.0, 0.0, 0.0),
+            (0.0,) * 3,
+        )
+        self._commands: tuple[float, ...] = (0.0,) * body.nu
+        self.flown = False
+
+    # time
+
+    @property
+    def time(self) -> float:
+        """Its clock [s]."""
+        return self.body.time
+
+    def advance(self, until: float) -> list[bytes]:
+        """Run until a time of its clock [s]; returns the frames that it sends."""
+        while self.body.time < until - 1e-9:
+            self._tick()
+        out = list(self._out)
+        self._out.clear()
+        return [] if self.mute else out
+
+    def _tick(self) -> None:
+        now, body = self.body.time, self.body
+        self._estimate = self._sense()
+        self._failsafe(now)
+        if not self.armed:
+            self._commands = (0.0,) * body.nu
+        else:
+            self._commands = self._control(now)
+        body.step(self._commands)
+        self._automatic(now)
+        for name, (due, interval) in list(self._due.items()):
+            if now >= due:
+                # 100 Hz that were asked for come as 99
+                self._due[name] = (max(due + interval * 100.0 / 99.0, now), interval)
+                message = self._message(name, now)
+                if message is not None:
+                    self._send(message)
+
+    # the estimate
+
+    def _sense(self) -> tuple[Vec, Vec, Quat, Vec]:
+        b, gauss = self.body, self._random.gauss
+        sp, sv, sq, sw = self._std
+
+        def noisy(v: Vec, s: float) -> Vec:
+            return (v[0] + gauss(0.0, s), v[1] + gauss(0.0, s), v[2] + gauss(0.0, s))
+
+        turn = from_rotation_vector((gauss(0.0, sq), gauss(0.0, sq), gauss(0.0, sq)))
+        return noisy(b.p, sp), noisy(b.v, sv), multiply(b.q, turn), noisy(b.w, sw)
+
+    # modes
+
+    @property
+    def streaming(self) -> bool:
+        """Whether setpoints come."""
+        if self._setpoint is None:
+            return False
+        return self.time - self._setpoint[0] <= self.parameters["COM_OF_LOSS_T"]
+
+    def set_mode(self, mode: Mode) -> None:
+        """Change the mode, as an operator's switch does."""
+        self.intended = mode
+        self._enter(mode)
+
+    def _enter(self, mode: Mode) -> None:
+        if mode != self.mode:
+            p, yaw = self._estimate[0], yaw_of(self._estimate[2])
+            self._point = Point(p, yaw=yaw)
+            self._cascade.reset()
+            self.mode = mode
+
+    def _failsafe(self, now: float) -> None:
+        if not self.armed:
+            return
+        if self.mode == d.OFFBOARD and not self.streaming:
+            self.failsafe = True
+            self._text(2, "Failsafe activated: offboard control signal lost")
+            self._enter(d.LAND if self.parameters["COM_OBL_RC_ACT"] == OBL_LAND else d.HOLD)
+        elif self.failsafe and self.intended == d.OFFBOARD and self.streaming:
+            self.failsafe = False
+            self._enter(d.OFFBOARD)
+
+    def _automatic(self, now: float) -> None:
+        """Disarming by itself, after landing and before a flight that does not begin."""
+        b = self.body
+        if not self.armed:
+            return
+        if not b.on_ground:
+            self.flown, self._landed_at = True, now
+        wait = self.parameters["COM_DISARM_LAND"]
+        if b.on_ground and self.flown and self.mode == d.LAND and now - self._landed_at > wait > 0:
+            self._disarm("Disarmed by landing")
+        wait = self.parameters["COM_DISARM_PRFLT"]
+        if not self.flown and now - self._armed_at > wait > 0:
+            self._disarm("Disarmed by auto preflight disarming")
+
+    def _disarm(self, text: str) -> None:
+        self.armed = self.failsafe = False
+        self._integral = (0.0, 0.0, 0.0)
+        self._text(6, text)
+
+    # control
+
+    def _control(self, now: float) -> tuple[float, ...]:
+        p, v, q, w = self._estimate
+        dt = self.body.dt
+        if self.mode == d.OFFBOARD:
+            assert self._setpoint is not None
+            _, mask, rates, attitude, thrust = self._setpoint
+            if mask == d.ATTITUDE_MASK:
+                r = rotation_vector(multiply((q[0], -q[1], -q[2], -q[3]), attitude))
+                rates = (6.5 * r[0], 6.5 * r[1], 2.8 * r[2])
+            if not isfinite(thrust):
+                return (0.0,) * self.body.nu  # PX4 does not sanitise it: the motors stop
+            throttle = min(thrust, NEARLY_FULL) if thrust > 1.0 else max(thrust, 0.0)
+            if not all(map(isfinite, rates)):
+                return (0.0,) * self.body.nu
+            # thrust of mean command, as the mixer of PX4 has it
+            lift = self.body._gain * self.body.nu * throttle
+        else:
+            if self.mode == d.LAND:
+                speed = self.parameters["MPC_LAND_SPEED"]
+                x, y, z = self._point.p
+                self._point = Point(
+                    (x, y, max(z - speed * dt, p[2] - 1.0)), (0.0, 0.0, -speed), yaw=self._point.yaw
+                )
+                if self.body.on_ground:
+                    return (0.02,) * self.body.nu
+            elif self.body.on_ground:
+                return (0.1,) * self.body.nu
+            demand = self._cascade(p, v, q, self._point, dt)
+            rates, lift = demand.w, demand.thrust - self.body._offset
+        return self._rates(rates, lift, w, dt)
+
+    def _rates(self, wanted: Vec, lift: float, w: Vec, dt: float) -> tuple[float, ...]:
+        error = (wanted[0] - w[0], wanted[1] - w[1], wanted[2] - w[2])
+        if self.body.on_ground:
+            self._integral = (0.0, 0.0, 0.0)
+        else:
+            self._integral = tuple(  # type: ignore[assignment]
+                min(max(s + k * dt * e, -5.0), 5.0)
+                for s, k, e in zip(self._integral, RATE_INTEGRAL, error, strict=True)
+            )
+        moment = [k * e + s for k, e, s in zip(RATE_GAINS, error, self._integral, strict=True)]
+        demand = (lift, *moment)
+        a = self.body.allocation
+        out = []
+        for motor in range(self.body.nu):
+            u = sum(demand[k] * a[k][motor] for k in range(4))
+            out.append(float(min(max(u, 0.0), 1.0)))
+        return tuple(out)
+
+    # hearing
+
+    def receive(self, data: bytes) -> None:
+        """Take bytes that came."""
+        for message in self.codec.unpack(data, self.time):
+            handler = getattr(self, f"_on_{message.get_type().lower()}", None)
+            if handler is not None:
+                handler(message)
+
+    def _on_heartbeat(self, m: Message) -> None:
+        if m.type == d.GCS:
+            self._gcs = self.time
+
+    def _on_timesync(self, m: Message) -> None:
+        if m.tc1 == 0:
+            self._send(
+                mavlink.MAVLink_timesync_message(int((self.time + self.clock_error) * 1e9) or 1, m.ts1)
+            )
+
+    def _on_set_attitude_target(self, m: Message) -> None:
+        rates = frames.body((m.body_roll_rate, m.body_pitch_rate, m.body_yaw_rate))
+        self._setpoint = (self.time, m.type_mask, rates, frames.attitude(tuple(m.q)), m.thrust)
+
+    def _on_param_request_read(self, m: Message) -> None:
+        name = m.param_id.rstrip("\x00")
+        if name in self.parameters:
+            kind = PARAMETERS[name][1]
+            value = d.parameter_number(self.parameters[name], kind)
+            index = list(self.parameters).index(name)
+            self._send(
+                mavlink.MAVLink_param_value_message(name.encode(), value, kind, len(self.parameters), index)
+            )
+
+    def _on_param_set(self, m: Message) -> None:
+        name = m.param_id.rstrip("\x00")
+        if name in self.parameters and m.param_type == PARAMETERS[name][1]:
+            self.parameters[name] = d.parameter_value(m.param_value, m.param_type)
+            self._on_param_request_read(m)
+
+    def _on_command_long(self, m: Message) -> None:
+        handler = {
+            d.SET_MODE: self._command_mode,
+            d.ARM: self._command_arm,
+            d.SET_INTERVAL: self._command_interval,
+        }.get(m.command)
+        if handler is None:
+            self._ack(m.command, d.UNSUPPORTED)
+        else:
+            handler(m)
+
+    def _command_mode(self, m: Message) -> None:
+        mode = Mode(int(m.param2), int(m.param3))
+        self._ack(d.SET_MODE, d.ACCEPTED)  # always, whatever comes of it
+        if mode not in d.NAMES:
+            self._ack(d.SET_MODE, d.DENIED)
+        elif mode == d.OFFBOARD and self.armed and not self.streaming:
+            self._text(2, "Switching to mode 'Offboard' is currently not available")
+            self._ack(d.SET_MODE, d.TEMPORARILY_REJECTED)
+        else:
+            self.failsafe = False
+            self.set_mode(mode)
+            self._ack(d.SET_MODE, d.ACCEPTED)
+
+    def _command_arm(self, m: Message) -> None:
+        if m.param1 >= 0.5:
+            reason = self._why_not_arm()
+            if reason is not None and m.param2 != d.FORCE:
+                self._text(2, f"Arming denied: {reason}")
+                self._ack(d.ARM, d.TEMPORARILY_REJECTED)
+                return
+            if not self.armed:
+                self.armed, self.flown = True, False
+                self._armed_at = self._landed_at = self.time
+                self._text(6, "Armed by external command")
+            self._ack(d.ARM, d.ACCEPTED)
+        elif self.armed and not self.body.on_ground and m.param2 != d.FORCE:
+            self._text(2, "Disarming denied: not landed")
+            self._ack(d.ARM, d.TEMPORARILY_REJECTED)
+        else:
+            if self.armed:
+                self._disarm("Disarmed by external command")
+            self._ack(d.ARM, d.ACCEPTED)
+
+    def _why_not_arm(self) -> str | None:
+        if self.time < BOOT or self.blind:
+            return "system not ready, no local position estimate"
+        if 1.0 - self.body.used < LOW_BATTERY:
+            return "low battery"
+        if self.mode == d.OFFBOARD and not self.streaming:
+            return "no offboard signal"
+        if self.mode == d.LAND:
+            return "mode not suitable for takeoff"
+        return None
+
+    def _command_interval(self, m: Message) -> None:
+        names = {number: name for name, number in NUMBERS.items()}
+        name = names.get(int(m.param1), "")
+        if name == "HEARTBEAT" or not hasattr(self, f"_make_{name.lower()}"):
+            self._ack(d.SET_INTERVAL, d.DENIED)
+            return
+        if m.param2 < 0:
+            self._due.pop(name, None)
+        else:
+            self._due[name] = (self.time, max(m.param2 * 1e-6, self.body.dt))
+        self._ack(d.SET_INTERVAL, d.ACCEPTED)
+
+    # saying
+
+    def _send(self, message: Message) -> None:
+        self._out.append(self.codec.pack(message))
+
+    def _ack(self, command: int, result: int) -> None:
+        self._send(mavlink.MAVLink_command_ack_message(command, result))
+
+    def _text(self, severity: int, text: str) -> None:
+        if self.time - self._gcs < 5.0:
+            self._send(mavlink.MAVLink_statustext_message(severity, text.encode()[:50]))
+
+    def _message(self, name: str, now: float) -> Message | None:
+        if self.blind and name in ("ODOMETRY", "LOCAL_POSITION_NED"):
+            return None
+        made: Message = getattr(self, f"_make_{name.lower()}")(now + self.clock_error)
+        return made
+
+    def _make_heartbeat(self, now: float) -> Message:
+        flags = 1 | (d.ARMED_FLAG if self.armed else 0)
+        state = 4 if self.armed else 3
+        return mavlink.MAVLink_heartbeat_message(13, d.AUTOPILOT_PX4, flags, self.mode.custom, state, 3)
+
+    def _make_sys_status(self, now: float) -> Message:
+        left = round(100 * (1.0 - self.body.used))
+        return mavlink.MAVLink_sys_status_message(
+            0, 0, 0, 0, round(1000 * self.body.voltage), -1, left, 0, 0, 0, 0, 0, 0
+        )
+
+    def _make_extended_sys_state(self, now: float) -> Message:
+        return mavlink.MAVLink_extended_sys_state_message(0, d.ON_GROUND if self.body.on_ground else d.IN_AIR)
+
+    def _make_odometry(self, now: float) -> Message:
+        p, v, q, w = self._estimate
+        unknown = [nan] * 21
+        return mavlink.MAVLink_odometry_message(
+            int(now * 1e6),
+            1,
+            1,
+            *frames.world(p),
+            frames.attitude(q),
+            *frames.world(v),
+            *frames.body(w),
+            unknown,
+            unknown,
+        )
+
+    def _make_attitude_quaternion(self, now: float) -> Message:
+        _, _, q, w = self._estimate
+        return mavlink.MAVLink_attitude_quaternion_message(
+            int(now * 1e3), *frames.attitude(q), *frames.body(w)
+        )
+
+    def _make_local_position_ned(self, now: float) -> Message:
+        p, v, _, _ = self._estimate
+        return mavlink.MAVLink_local_position_ned_message(int(now * 1e3), *frames.world(p), *frames.world(v))
+
+    def _make_servo_output_raw(self, now: float) -> Message:
+        pulses = [round(1000 + 1000 * u) for u in self._commands]
+        pulses += [0] * (8 - len(pulses))
+        return mavlink.MAVLink_servo_output_raw_message(int(now * 1e6) & 0xFFFFFFFF, 0, *pulses)
+
+    def _make_actuator_output_status(self, now: float) -> Message:
+        row = [*self._commands, *([0.0] * (32 - len(self._commands)))]
+        return mavlink.MAVLink_actuator_output_status_message(int(now * 1e6), self.body.nu, row)
+
+
+def weight_throttle(body: Body) -> float:
+    """Throttle that hovers, for MPC_THR_HOVER of a vehicle that is set up well."""
+    return (GRAVITY - body._offset) / (body._gain * body.nu)

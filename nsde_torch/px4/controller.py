@@ -1,0 +1,74 @@
+"""What a controller is to the link: a callable from a state and a time to body rates and collective thrust."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+from nsde_torch.px4.vectors import Vec
+
+
+@dataclass(frozen=True)
+class Demand:
+    """What is asked of the vehicle at one time.
+
+    Args:
+        w: Body rates, FLU [rad/s].
+        thrust: Collective thrust over mass, along the body's z axis [m/s2].
+    """
+
+    w: Vec
+    thrust: float
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What a controller returns: demands from now on.
+
+    Args:
+        time: From when the first demand holds, on our clock [s].
+        dt: Time between demands [s].
+        demands: One or more; between two of them both are mixed, the last one holds for `dt`.
+        status: One word or two; `failed` in it means that the controller itself does not trust it.
+        solve_ms: Time that it took.
+    """
+
+    time: float
+    dt: float
+    demands: tuple[Demand, ...]
+    status: str = "ok"
+    solve_ms: float = 0.0
+
+    def at(self, time: float) -> Demand:
+        """The demand at a time; before the first and after the last those two."""
+        s = max((time - self.time) / self.dt, 0.0)
+        k = int(s)
+        if k >= len(self.demands) - 1:
+            return self.demands[-1]
+        a, b, share = self.demands[k], self.demands[k + 1], s - k
+        return Demand(
+            (
+                a.w[0] + share * (b.w[0] - a.w[0]),
+                a.w[1] + share * (b.w[1] - a.w[1]),
+                a.w[2] + share * (b.w[2] - a.w[2]),
+            ),
+            a.thrust + share * (b.thrust - a.thrust),
+        )
+
+    @property
+    def end(self) -> float:
+        """Until when it holds [s]."""
+        return self.time + self.dt * len(self.demands)
+
+
+class Controller(Protocol):
+    """A callable with the state's row of 13 numbers, the time that it is valid for, and the time in the reference."""
+
+    def __call__(self, row: tuple[float, ...], time: float, t: float) -> Plan:
+        """Plan.
+
+        Args:
+            row: State, ENU and FLU.
+            time: When it was valid, on our clock [s].
+            t: The same time counted from the start of the reference [s].
+        """

@@ -1,0 +1,187 @@
+"""Our end of a MAVLink connection, without the connection: what to say when, and what was heard.
+
+Time and bytes come in as arguments, so that the same code flies over sockets and, in tests, in virtual time.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+from math import isfinite
+from typing import final
+
+from nsde_torch.px4 import frames
+from nsde_torch.px4.codec import Codec, Message
+from nsde_torch.px4.dialect import (
+    GCS,
+    NO_AUTOPILOT,
+    RATES_MASK,
+    SET_INTERVAL,
+    SET_MODE,
+    Mode,
+    mavlink,
+)
+from nsde_torch.px4.telemetry import Status, Telemetry, VehicleState
+from nsde_torch.px4.vectors import Vec
+
+INTERVALS: dict[str, float] = {
+    "ODOMETRY": 100.0,
+    "ATTITUDE_QUATERNION": 100.0,
+    "LOCAL_POSITION_NED": 50.0,
+    "SERVO_OUTPUT_RAW": 100.0,
+    "EXTENDED_SYS_STATE": 5.0,
+    "SYS_STATUS": 2.0,
+}
+"""Messages that are asked for, with their rates [Hz]."""
+_OTHERS = ("HEARTBEAT", "STATUSTEXT", "COMMAND_ACK", "PARAM_VALUE", "TIMESYNC", "ACTUATOR_OUTPUT_STATUS")
+NUMBERS: dict[str, int] = {kind.msgname: number for number, kind in mavlink.mavlink_map.items()}
+WANTED = frozenset(NUMBERS[name] for name in (*INTERVALS, *_OTHERS))
+CHECKED = 2.0
+"""After this time [s] a message that still comes too slowly is asked for again."""
+SHARE = 0.7
+"""Share of the rate that was asked for with which we are content; PX4 sends 99 Hz for 100."""
+
+
+@final
+class Endpoint:
+    """Says and hears.
+
+    Args:
+        send: Where bytes go.
+        system: Our system id; as a rule that of a ground station.
+        component: Our component id.
+        target: The vehicle's system id; None: the first autopilot that is heard.
+        key: Signing key; None: no signing.
+        stream: Whether bytes come as a stream.
+
+    Attributes:
+        telemetry: What was heard. Hold `lock` to look into it from another thread.
+    """
+
+    def __init__(
+        self,
+        send: Callable[[bytes], None],
+        *,
+        system: int = 245,
+        component: int = 190,
+        target: int | None = None,
+        key: bytes | None = None,
+        stream: bool = False,
+    ) -> None:
+        self.codec = Codec(system, component, key=key, wanted=WANTED, stream=stream)
+        self.telemetry = Telemetry()
+        self.lock = threading.RLock()
+        self.target, self._send = target, send
+        self.codec.only = target
+        self._component = 1
+        self._due = {"heartbeat": 0.0, "timesync": 0.0, "intervals": 0.0}
+        self._counts: dict[str, int] = {}
+        self._counted_since = 0.0
+        self.rates: dict[str, float] = {}
+        self._origin: float | None = None
+
+    # hearing
+
+    def receive(self, data: bytes, now: float) -> int:
+        """Take bytes that came at `now` [s]; returns the number of good messages."""
+        count = 0
+        with self.lock:
+            for message in self.codec.unpack(data, now):
+                if self.target is None and not self._adopt(message):
+                    continue
+                name = message.get_type()
+                if name == "HEARTBEAT" and message.autopilot == NO_AUTOPILOT:
+                    continue  # a camera, or a ground station, of the same system
+                self._counts[name] = self._counts.get(name, 0) + 1
+                self.telemetry.take(message, now)
+                count += 1
+        return count
+
+    def _adopt(self, message: Message) -> bool:
+        """The first autopilot that introduces itself is ours, and no other from then on."""
+        if message.get_type() != "HEARTBEAT" or message.autopilot == NO_AUTOPILOT:
+            return False
+        self.target = self.codec.only = message.get_srcSystem()
+        self._component = message.get_srcComponent()
+        return True
+
+    @property
+    def state(self) -> VehicleState | None:
+        """The newest consistent state."""
+        return self.telemetry.state
+
+    def status(self) -> Status:
+        """What else is known, as a copy."""
+        with self.lock:
+            return self.telemetry.snapshot()
+
+    # saying
+
+    def say(self, message: Message) -> None:
+        """Send one message."""
+        with self.lock:
+            self._send(self.codec.pack(message))
+
+    def poll(self, now: float) -> None:
+        """Say what is due at `now` [s]: heartbeat, time sync, requests for messages. Call it ten times a second."""
+        with self.lock:
+            if now >= self._due["heartbeat"]:
+                self._due["heartbeat"] = now + 1.0
+                # as a ground station: PX4 sends its texts to no other
+                self.say(mavlink.MAVLink_heartbeat_message(GCS, NO_AUTOPILOT, 0, 0, 4, 3))
+            if self.target is None:
+                return
+            if now >= self._due["timesync"]:
+                answers = len(self.telemetry.sync._answers)
+                self._due["timesync"] = now + (0.1 if answers < 8 else 1.0)
+                self.say(mavlink.MAVLink_timesync_message(0, int(now * 1e9)))
+            if now >= self._due["intervals"]:
+                self._check_intervals(now)
+                self._due["intervals"] = now + CHECKED
+
+    def _check_intervals(self, now: float) -> None:
+        span = now - self._counted_since
+        self.rates = {k: n / span for k, n in self._counts.items()} if self._counted_since else {}
+        self._counts, self._counted_since = {}, now
+        for name, rate in INTERVALS.items():
+            if self.rates.get(name, 0.0) < SHARE * rate:
+                self.command(SET_INTERVAL, NUMBERS[name], 1e6 / rate)
+
+    def command(self, number: int, *parameters: float) -> None:
+        """Send a command to the vehicle, once."""
+        values = [*parameters, *([0.0] * (7 - len(parameters)))]
+        self.say(mavlink.MAVLink_command_long_message(self.target or 0, self._component, number, 0, *values))
+
+    def ask_mode(self, mode: Mode) -> None:
+        """Ask for a flight mode."""
+        self.command(SET_MODE, 1, mode.main, mode.sub)
+
+    def ask_parameter(self, name: str) -> None:
+        """Ask for a parameter; it turns up in `status().parameters`."""
+        self.say(
+            mavlink.MAVLink_param_request_read_message(self.target or 0, self._component, name.encode(), -1)
+        )
+
+    def send_rates(self, w: Vec, throttle: float, now: float) -> None:
+        """Send body rates (FLU) [rad/s] and collective throttle [0, 1].
+
+        Nothing that is not finite leaves here, whatever was meant to be checked before: PX4 would stop the motors.
+        """
+        if not all(map(isfinite, (*w, throttle))):
+            return
+        if self._origin is None:
+            self._origin = now
+        x, y, z = frames.body(w)
+        self.say(
+            mavlink.MAVLink_set_attitude_target_message(
+                int((now - self._origin) * 1e3) & 0xFFFFFFFF,
+                self.target or 0,
+                self._component,
+                RATES_MASK,
+                (1.0, 0.0, 0.0, 0.0),
+                x,
+                y,
+                z,
+                min(max(throttle, 0.0), 1.0),
+            )
+        )

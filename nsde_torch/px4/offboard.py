@@ -1,0 +1,611 @@
+"""The flight as a state machine: each step is asked for, and believed when telemetry shows it.
+
+    CONNECT -> PREFLIGHT -> STREAM -> OFFBOARD -> ARM -> TAKEOFF -> HOLD -> TRACK -> RETURN -> LAND -> DISARM -> DONE
+
+Any trouble leads by its action (see `safety`) to SAFE_HOLD, LAND, BLIND or WATCH. In WATCH nothing is streamed, ever
+again: the vehicle is the operator's or PX4's. Landing is PX4's own LAND mode, which needs nothing from us.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from enum import Enum
+from math import inf
+from typing import final
+
+from nsde_torch.px4 import dialect as d
+from nsde_torch.px4 import preflight
+from nsde_torch.px4.cascade import GRAVITY, Cascade, Point
+from nsde_torch.px4.controller import Demand
+from nsde_torch.px4.endpoint import Endpoint
+from nsde_torch.px4.link import why_no_state
+from nsde_torch.px4.path import PathPoints
+from nsde_torch.px4.runner import Runner
+from nsde_torch.px4.safety import Action, Limits, Trouble, Watch
+from nsde_torch.px4.setpoint import Guard, HoverThrottle, SetpointLimits, level
+from nsde_torch.px4.telemetry import Status, VehicleState
+from nsde_torch.px4.vectors import Vec, distance, length, yaw_of
+
+
+class Phase(Enum):
+    """Where in the flight we are."""
+
+    CONNECT = "connect"
+    PREFLIGHT = "preflight"
+    STREAM = "stream"
+    OFFBOARD = "offboard"
+    ARM = "arm"
+    TAKEOFF = "take off"
+    HOLD = "hold"
+    TRACK = "track"
+    RETURN = "return"
+    SAFE_HOLD = "safe hold"
+    BLIND = "blind"
+    LAND = "land"
+    DISARM = "disarm"
+    WATCH = "watch"
+    DONE = "done"
+
+
+FLYING = (Phase.TAKEOFF, Phase.HOLD, Phase.TRACK, Phase.RETURN, Phase.SAFE_HOLD)
+"""Phases in which we fly the vehicle and it must be in OFFBOARD."""
+
+
+@dataclass(frozen=True)
+class FlightOptions:
+    """How a flight goes.
+
+    Args:
+        height: Of take-off [m].
+        climb: Speed of take-off [m/s].
+        hold: Time of hovering before the reference [s].
+        approach: Speed at which the start of the reference is flown to [m/s].
+        safe_hold: Time of holding before landing when something is wrong [s].
+        connect: Longest wait for the vehicle [s].
+        checks: Longest wait for the checks to pass [s].
+        confirm: Longest wait for a step to be confirmed; PX4's heartbeats come once a second [s].
+        idle: Time of streaming before OFFBOARD [s].
+        spool: Time in which the throttle rises before the climb [s].
+        lift: Longest time from arming to being in the air [s].
+        landing: Longest wait for a landing [s].
+        watch: How long a vehicle that is not ours any more is watched [s].
+    """
+
+    height: float = 1.5
+    climb: float = 0.8
+    hold: float = 2.0
+    approach: float = 1.0
+    safe_hold: float = 2.0
+    connect: float = 10.0
+    checks: float = 10.0
+    confirm: float = 5.0
+    idle: float = 1.0
+    spool: float = 0.7
+    lift: float = 6.0
+    landing: float = 40.0
+    watch: float = 40.0
+
+
+@dataclass
+class Outcome:
+    """How a flight ended.
+
+    Args:
+        tracked: The reference was flown to its end.
+        landed: On the ground and disarmed, as telemetry says.
+        trouble: The first thing that went wrong.
+        actions: The phases that were gone through, with their times from the start [s] and the reason.
+    """
+
+    tracked: bool = False
+    landed: bool = False
+    trouble: Trouble | None = None
+    actions: list[tuple[float, str, str]] = field(default_factory=list)
+
+
+@final
+class Offboard:
+    """One flight.
+
+    Args:
+        endpoint: The link's end.
+        runner: The controller of the reference.
+        path: The reference, from the place of take-off.
+        limits: When something is wrong.
+        setpoints: Bounds of what leaves.
+        options: How the flight goes.
+        say: Takes one line about each step.
+
+    Attributes:
+        phase: Where we are.
+        outcome: How it ended.
+        home: Place of take-off [m], once known.
+        sent: Time, rates and throttle that left last.
+        started: When the reference began, on our clock [s].
+    """
+
+    def __init__(
+        self,
+        endpoint: Endpoint,
+        runner: Runner,
+        path: PathPoints,
+        *,
+        limits: Limits | None = None,
+        setpoints: SetpointLimits | None = None,
+        options: FlightOptions | None = None,
+        say: Callable[[str], None] = lambda line: None,
+    ) -> None:
+        self.endpoint, self.runner, self.path = endpoint, runner, path
+        self.limits, self.options = limits or Limits(), options or FlightOptions()
+        self.guard = Guard(setpoints or SetpointLimits())
+        self.phase, self.outcome = Phase.CONNECT, Outcome()
+        self.home: Vec | None = None
+        self.hover = HoverThrottle(0.5)
+        self.sent: tuple[float, Vec, float] | None = None
+        self.started: float | None = None
+        self.streaming = False
+        self._say = say
+        self._cascade = Cascade()
+        self._watch: Watch | None = None
+        self._begun: float | None = None
+        self._since = self._asked = self._now = self._last = 0.0
+        self._good_since: float | None = None
+        self._where = Point((0.0, 0.0, 0.0))
+        self._ground = 0.0
+        self._yaw = 0.0
+        self._seen: VehicleState | None = None
+        self._stop = 0
+        self._lifted = False
+        self._may_resume_after = inf
+        self.reason = ""
+
+    # from outside
+
+    @property
+    def done(self) -> bool:
+        """Whether the flight is over."""
+        return self.phase is Phase.DONE
+
+    def stop(self) -> None:
+        """Ctrl-C: hold and land; twice: land at once; thrice: leave."""
+        self._stop += 1
+
+    def tick(self, now: float) -> None:
+        """Do what is due; call it at the rate of the stream.
+
+        Args:
+            now: [s]
+        """
+        if self._begun is None:
+            self._begun = self._since = self._last = now
+        self._now = now
+        state, status = self.endpoint.state, self.endpoint.telemetry.status
+        if state is not None and state is not self._seen:
+            self._seen = state
+            in_air = self.phase in FLYING and self._lifted and state.p[2] > self._ground + 0.4
+            self.hover.seen(state, learn=in_air and self.streaming)
+        self._supervise(state, status)
+        {
+            Phase.CONNECT: self._connect,
+            Phase.PREFLIGHT: self._preflight,
+            Phase.STREAM: self._idle,
+            Phase.OFFBOARD: self._offboard,
+            Phase.ARM: self._arm,
+            Phase.TAKEOFF: self._takeoff,
+            Phase.HOLD: self._hold,
+            Phase.TRACK: self._track,
+            Phase.RETURN: self._return,
+            Phase.SAFE_HOLD: self._safe_hold,
+            Phase.BLIND: self._blind,
+            Phase.LAND: self._land,
+            Phase.DISARM: self._disarm,
+            Phase.WATCH: self._watching,
+            Phase.DONE: self._nothing,
+        }[self.phase](state, status)
+        self._last = now
+
+    # steps
+
+    def _go(self, phase: Phase, why: str = "") -> None:
+        assert self._begun is not None
+        self.phase, self._since, self._asked = phase, self._now, 0.0
+        self.outcome.actions.append((self._now - self._begun, phase.value, why))
+        self._say(f"{self._now - self._begun:7.2f} s  {phase.value}{': ' + why if why else ''}")
+
+    def _refuse(self, why: str) -> None:
+        """End a flight that has not begun."""
+        self.streaming = False
+        self.outcome.trouble = self.outcome.trouble or Trouble("refused", why, Action.SILENCE)
+        self._go(Phase.DONE, why)
+
+    @property
+    def _elapsed(self) -> float:
+        return self._now - self._since
+
+    def _every(self, period: float) -> bool:
+        """Whether something that is repeated is due, at once when a phase begins."""
+        if self._asked and self._now - self._asked < period:
+            return False
+        self._asked = self._now
+        return True
+
+    def _texts(self, status: Status) -> str:
+        """What the autopilot said since this phase began, warnings and worse first."""
+        new = [t for t in status.texts if t.time >= self._since - 0.5]
+        bad = [t.text for t in new if t.severity <= 4] or [t.text for t in new]
+        return "; ".join(dict.fromkeys(bad)) or "it gave no reason"
+
+    def _nothing(self, state: VehicleState | None, status: Status) -> None:
+        return
+
+    def _connect(self, state: VehicleState | None, status: Status) -> None:
+        if state is not None and status.heartbeat > -inf:
+            self._go(Phase.PREFLIGHT)
+        elif self._elapsed > self.options.connect:
+            self._refuse(why_no_state(self.endpoint, self.options.connect))
+
+    def _preflight(self, state: VehicleState | None, status: Status) -> None:
+        if self._every(0.3):
+            for name in preflight.PARAMETERS:
+                if name not in status.parameters:
+                    self.endpoint.ask_parameter(name)
+        found = preflight.faults(
+            self.endpoint,
+            status,
+            state,
+            self.path,
+            self.limits,
+            height=self.options.height,
+            now=self._now,
+        )
+        if found:
+            self._good_since = None
+            if self._elapsed > self.options.checks:
+                self._refuse("not fit to fly: " + "; ".join(found))
+            return
+        if self._good_since is None:
+            self._good_since = self._now
+        known = all(name in status.parameters for name in preflight.PARAMETERS)
+        if (
+            self._now - self._good_since < 1.0
+            or not (known or self._elapsed > 3.0)
+            or not self._controller_ready()
+        ):
+            return
+        for line in preflight.warnings(self.endpoint, status):
+            self._say(f"           note: {line}")
+        assert state is not None
+        self.home, self._ground, self._yaw = state.p, state.p[2], yaw_of(state.q)
+        self._watch = Watch(self.limits, self.home)
+        hover = status.parameters.get("MPC_THR_HOVER", 0.5)
+        self.hover = HoverThrottle(min(max(hover, 0.1), 0.8))
+        self._go(Phase.STREAM)
+
+    def _controller_ready(self) -> bool:
+        self.runner.collect()
+        if self.runner.fault is not None:
+            self._refuse(f"the controller failed: {self.runner.fault}")
+        return self.runner.ready and self.runner.fault is None
+
+    def _idle(self, state: VehicleState | None, status: Status) -> None:
+        self.streaming = True
+        self._send_idle(0.0)
+        if self._elapsed > self.options.idle:
+            self._go(Phase.OFFBOARD)
+
+    def _offboard(self, state: VehicleState | None, status: Status) -> None:
+        self._send_idle(0.0)
+        if status.mode == d.OFFBOARD:
+            self._go(Phase.ARM)
+        elif self._elapsed > self.options.confirm:
+            self._refuse(f"OFFBOARD was refused, the mode is {status.mode}: {self._texts(status)}")
+        elif self._every(1.0):
+            self.endpoint.ask_mode(d.OFFBOARD)
+
+    def _arm(self, state: VehicleState | None, status: Status) -> None:
+        self._send_idle(0.0)
+        if status.armed:
+            self._cascade.reset()
+            self._go(Phase.TAKEOFF)
+        elif self._elapsed > self.options.confirm:
+            self._refuse(f"arming was refused: {self._texts(status)}")
+        elif self._every(1.0):
+            self.endpoint.command(d.ARM, 1.0)
+
+    def _takeoff(self, state: VehicleState | None, status: Status) -> None:
+        if state is None or self.home is None:
+            return
+        rise = self._elapsed - self.options.spool
+        if rise < 0:
+            self._send_idle(0.4 * self.hover.value * self._elapsed / self.options.spool)
+            return
+        top = self._ground + self.options.height
+        z = min(self._ground + self.options.climb * rise, top)
+        if not self._lifted:
+            # the wanted height does not run away from a vehicle that still stands
+            z = min(z, self._ground + 0.6)
+            if state.p[2] > self._ground + 0.1:
+                self._lifted = True
+                self._since = (
+                    self._now - self.options.spool - (state.p[2] - self._ground) / self.options.climb
+                )
+            elif rise > self.options.lift:
+                self._disarm_or_land(Trouble("lift", "it does not lift off", Action.LAND), status)
+                return
+        speed = self.options.climb if z < top else 0.0
+        self._hold_at(Point((self.home[0], self.home[1], z), (0.0, 0.0, speed), yaw=self._yaw), state)
+        if self._lifted and abs(state.p[2] - top) < 0.15 and length(state.v) < 0.4 and z >= top:
+            self._go(Phase.HOLD)
+
+    def _hold(self, state: VehicleState | None, status: Status) -> None:
+        """Hover, go to the start of the reference, and wait until the controller plans."""
+        if state is None or self.home is None:
+            return
+        start = self.path.at(0.0)
+        goal = self._moved(start.p)
+        if self._elapsed < self.options.hold:
+            at: Vec = (self.home[0], self.home[1], self._ground + self.options.height)
+            yaw = self._yaw
+        else:
+            at = self._towards(self._where.p, goal, self.options.approach)
+            yaw = self._turn_towards(self._where.yaw, start.yaw)
+        self._hold_at(Point(at, yaw=yaw), state)
+        self.runner.offer(self._own(state), state.time, 0.0)
+        self.runner.collect()
+        ready = self.runner.plan is not None and self._now - self.runner.plan.time < self.limits.solver
+        there = distance(state.p, goal) < 0.25 and length(state.v) < 0.3 and at == goal and yaw == start.yaw
+        if self._elapsed > self.options.hold + 1.0 and there and ready:
+            self.started = self._now
+            self._go(Phase.TRACK, self.path.name)
+        elif self._elapsed > self.options.hold + 60.0:
+            why = (
+                "the start of the reference is not reached"
+                if ready
+                else "the controller does not plan in time"
+            )
+            self._act(Trouble("solver" if not ready else "start", why, Action.HOLD), state, status)
+
+    def _track(self, state: VehicleState | None, status: Status) -> None:
+        if state is None or self.started is None:
+            return
+        t = self._now - self.started
+        self.runner.offer(self._own(state), state.time, state.time - self.started)
+        self.runner.collect()
+        plan = self.runner.plan
+        if self.runner.fault is not None:
+            self._act(
+                Trouble("solver", f"the controller failed: {self.runner.fault}", Action.HOLD), state, status
+            )
+        elif plan is None or self._now - plan.time > self.limits.solver:
+            late = inf if plan is None else self._now - plan.time
+            self._act(Trouble("solver", f"the newest plan is {late:.2f} s old", Action.HOLD), state, status)
+        elif "failed" in plan.status:
+            self._act(Trouble("solver", f"the controller says: {plan.status}", Action.HOLD), state, status)
+        elif t > self.path.duration + 0.5:
+            self.outcome.tracked = True
+            self._where = self._stop_point(state)
+            self._go(Phase.RETURN)
+        else:
+            self._send(plan.at(self._now), state)
+            return
+        self._hold_at(self._where, state)
+
+    def _return(self, state: VehicleState | None, status: Status) -> None:
+        if state is None:
+            return
+        self._hold_at(self._where, state)
+        if (self._elapsed > 1.0 and length(state.v) < 0.4) or self._elapsed > 5.0:
+            self._go(Phase.LAND)
+
+    def _safe_hold(self, state: VehicleState | None, status: Status) -> None:
+        if state is None:
+            return
+        self._hold_at(self._where, state)
+        if self._elapsed > self.options.safe_hold:
+            self._go(Phase.LAND)
+
+    def _blind(self, state: VehicleState | None, status: Status) -> None:
+        """No believable state: keep level by what is known, ask PX4 to land, and end the stream soon."""
+        if self._every(0.2):
+            self.endpoint.ask_mode(d.LAND)
+        if status.mode == d.LAND:
+            self.streaming = False
+            self._go(Phase.LAND, "confirmed")
+        elif self._elapsed > 1.2:
+            self._silence("LAND was not confirmed")
+        else:
+            fresh = state is not None and self._now - state.time < 0.5
+            self._send(level(state if fresh else None, 0.97 * GRAVITY), state if fresh else None)
+
+    def _land(self, state: VehicleState | None, status: Status) -> None:
+        if status.mode != d.LAND:
+            if not self.streaming:
+                self._silence(f"the mode is {status.mode}")
+                return
+            if status.mode != d.OFFBOARD:
+                self._hand_back(status)
+                return
+            if self._every(0.5):
+                self.endpoint.ask_mode(d.LAND)
+            if self._elapsed > self.options.confirm:
+                self._silence(f"LAND was not confirmed: {self._texts(status)}")
+            elif state is not None:
+                self._hold_at(self._where, state)
+            return
+        self.streaming = False
+        if not status.armed:
+            self._finished()
+        elif status.landed == d.ON_GROUND and self._elapsed > 1.0:
+            self._go(Phase.DISARM)
+        elif self._elapsed > self.options.landing:
+            self._silence("the landing is not confirmed")
+
+    def _disarm(self, state: VehicleState | None, status: Status) -> None:
+        if self.streaming:
+            self._send_idle(0.0)
+        if not status.armed:
+            self._finished()
+        elif self._elapsed > self.options.confirm:
+            self._silence(f"disarming was refused: {self._texts(status)}")
+        elif self._every(1.0):
+            self.endpoint.command(d.ARM, 0.0)
+
+    def _watching(self, state: VehicleState | None, status: Status) -> None:
+        """Nothing is streamed; if the link lives and the vehicle is still ours by name, PX4 is asked to land it."""
+        heard = self._now - status.heard < self.limits.silence
+        if heard and status.heartbeat > self._since and not status.armed:
+            self._finished()
+        elif self._elapsed > self.options.watch or self._stop > 1:
+            self._go(Phase.DONE, "no longer watched")
+        elif heard and status.mode == d.OFFBOARD and self._every(1.0):
+            self.endpoint.ask_mode(d.LAND)
+
+    def _finished(self) -> None:
+        self.streaming = False
+        self.outcome.landed = True
+        self._go(Phase.DONE, "disarmed")
+
+    # troubles
+
+    def _supervise(self, state: VehicleState | None, status: Status) -> None:
+        """Look for troubles, and act on them."""
+        if self.phase in (Phase.STREAM, Phase.OFFBOARD, Phase.ARM, Phase.PREFLIGHT, Phase.CONNECT):
+            self._supervise_ground(state, status)
+            return
+        if self.phase not in FLYING:
+            return
+        assert self._watch is not None
+        if not status.armed:
+            self._trouble(Trouble("disarmed", f"it is disarmed: {self._texts(status)}", Action.SILENCE))
+            self._finished()
+            return
+        if status.mode != d.OFFBOARD:
+            self._hand_back(status)
+            return
+        trouble = self._watch.look(state, status, self._now)
+        if trouble is None and self._stop:
+            trouble = Trouble("stop", "asked to stop", Action.HOLD if self._stop == 1 else Action.LAND)
+        if trouble is not None:
+            self._act(trouble, state, status)
+
+    def _supervise_ground(self, state: VehicleState | None, status: Status) -> None:
+        """Before the flight every trouble ends it; what may have been armed is disarmed."""
+        if self._stop:
+            why = "asked to stop"
+        elif self.phase in (Phase.CONNECT, Phase.PREFLIGHT):
+            return
+        elif self._now - status.heard > self.limits.silence:
+            why = f"nothing heard for {self._now - status.heard:.1f} s"
+        elif state is None or self._now - state.time > self.limits.estimate:
+            why = "the state is too old"
+        elif self.phase is Phase.ARM and status.mode != d.OFFBOARD:
+            why = f"the operator chose {status.mode}"
+        else:
+            return
+        if self.phase is Phase.ARM:
+            self._trouble(Trouble("stopped", why, Action.LAND))
+            self._go(Phase.DISARM, why)
+        else:
+            self._refuse(why)
+
+    def _trouble(self, trouble: Trouble) -> None:
+        self.outcome.trouble = self.outcome.trouble or trouble
+
+    def _act(self, trouble: Trouble, state: VehicleState | None, status: Status) -> None:
+        """Do what a trouble asks for."""
+        self._trouble(trouble)
+        if trouble.action is Action.SILENCE:
+            self._silence(trouble.text)
+        elif trouble.action is Action.BLIND:
+            self._go(Phase.BLIND, trouble.text)
+        elif not self._lifted:
+            self._disarm_or_land(trouble, status)
+        elif trouble.action is Action.LAND or state is None:
+            if state is not None:
+                self._where = self._stop_point(state)
+            self._go(Phase.LAND, trouble.text)
+        elif self.phase is not Phase.SAFE_HOLD:
+            self._where = self._stop_point(state)
+            self._cascade.reset()
+            self._go(Phase.SAFE_HOLD, trouble.text)
+
+    def _disarm_or_land(self, trouble: Trouble, status: Status) -> None:
+        self._trouble(trouble)
+        if status.landed == d.ON_GROUND:
+            self._go(Phase.DISARM, trouble.text)
+        else:
+            self._go(Phase.LAND, trouble.text)
+
+    def _hand_back(self, status: Status) -> None:
+        """Another mode than ours: whoever chose it has the vehicle."""
+        text = f"the mode is {status.mode}, not ours: {self._texts(status)}"
+        self._trouble(Trouble("mode", text, Action.SILENCE))
+        self._silence(text)
+
+    def _silence(self, why: str) -> None:
+        self.streaming = False
+        self._go(Phase.WATCH, why)
+
+    # flying
+
+    def _own(self, state: VehicleState) -> tuple[float, ...]:
+        """The state in the coordinates of the reference."""
+        assert self.home is not None
+        row = state.row
+        return (row[0] - self.home[0], row[1] - self.home[1], row[2] - self._ground, *row[3:])
+
+    def _moved(self, p: Vec) -> Vec:
+        """A point of the reference in the world."""
+        assert self.home is not None
+        return (p[0] + self.home[0], p[1] + self.home[1], p[2] + self._ground)
+
+    def _stop_point(self, state: VehicleState) -> Point:
+        """Where to hold: where it comes to rest from its speed, inside the fence, above the ground."""
+        assert self._watch is not None
+        ahead = 0.35
+        p: Vec = (
+            state.p[0] + ahead * state.v[0],
+            state.p[1] + ahead * state.v[1],
+            max(state.p[2] + 0.2 * state.v[2], self._ground + 0.5),
+        )
+        return Point(self._watch.inside(p), yaw=yaw_of(state.q))
+
+    def _towards(self, at: Vec, goal: Vec, speed: float) -> Vec:
+        """A point that moves to the goal at a speed."""
+        left, step = distance(at, goal), speed * max(self._now - self._last, 0.0)
+        if left <= step:
+            return goal
+        k = step / left
+        return (at[0] + k * (goal[0] - at[0]), at[1] + k * (goal[1] - at[1]), at[2] + k * (goal[2] - at[2]))
+
+    def _turn_towards(self, yaw: float, goal: float) -> float:
+        from math import pi
+
+        left = (goal - yaw + pi) % (2.0 * pi) - pi
+        step = 0.6 * max(self._now - self._last, 0.0)
+        return goal if abs(left) <= step else yaw + (step if left > 0 else -step)
+
+    def _hold_at(self, to: Point, state: VehicleState) -> None:
+        """Fly the built-in cascade to a point."""
+        self._where = to
+        dt = min(max(self._now - self._last, 0.0), 0.05)
+        self._send(self._cascade(state.p, state.v, state.q, to, dt), state)
+
+    def _send(self, demand: Demand, state: VehicleState | None) -> None:
+        checked = self.guard.check(demand.w, self.hover.throttle(demand.thrust), state)
+        if checked is None:
+            safe = level(state)
+            checked = self.guard.check(safe.w, self.hover.throttle(safe.thrust), state)
+            assert checked is not None
+        self._leave(*checked)
+
+    def _send_idle(self, throttle: float) -> None:
+        self._leave((0.0, 0.0, 0.0), throttle)
+
+    def _leave(self, w: Vec, throttle: float) -> None:
+        if not self.streaming:
+            return
+        self.endpoint.send_rates(w, throttle, self._now)
+        self.hover.sent(self._now, throttle)
+        self.sent = (self._now, w, throttle)

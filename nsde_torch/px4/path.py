@@ -1,0 +1,63 @@
+"""A reference as points for the cascade, moved to where the vehicle took off."""
+
+from __future__ import annotations
+
+from typing import final
+
+import numpy as np
+
+from nsde_torch.control.reference import FlightPath
+from nsde_torch.px4.cascade import Cascade, CascadeGains, Point
+from nsde_torch.px4.controller import Demand, Plan
+from nsde_torch.px4.vectors import Vec
+
+
+@final
+class PathPoints:
+    """Points of a path by time; before its start and after its end at rest.
+
+    Args:
+        path: The path.
+    """
+
+    def __init__(self, path: FlightPath) -> None:
+        self.name, self.duration, self._dt = path.name, path.duration, path.dt
+        yaw_rate = np.gradient(path.yaw, path.dt)
+        self._rows = np.column_stack((path.p, path.v, path.a, path.yaw, yaw_rate)).tolist()
+        self.low: Vec = tuple(path.p.min(0).tolist())
+        self.high: Vec = tuple(path.p.max(0).tolist())
+
+    def at(self, t: float) -> Point:
+        """The point at a time [s]."""
+        s = t / self._dt
+        if s <= 0.0 or s >= len(self._rows) - 1:
+            row = self._rows[0 if s <= 0.0 else -1]
+            return Point((row[0], row[1], row[2]), yaw=row[9])
+        k = int(s)
+        share = s - k
+        r = [a + share * (b - a) for a, b in zip(self._rows[k], self._rows[k + 1], strict=True)]
+        return Point((r[0], r[1], r[2]), (r[3], r[4], r[5]), (r[6], r[7], r[8]), r[9], r[10])
+
+
+@final
+class CascadeController:
+    """The cascade along a path, as a `Controller`.
+
+    Args:
+        path: Points, in the controller's own coordinates.
+        gains: Gains.
+        lead: The acceleration is that of this much later, because attitude follows late [s].
+    """
+
+    def __init__(self, path: PathPoints, gains: CascadeGains | None = None, *, lead: float = 0.16) -> None:
+        self._path, self._cascade, self._lead = path, Cascade(gains), lead
+        self._last: float | None = None
+
+    def __call__(self, row: tuple[float, ...], time: float, t: float) -> Plan:
+        """See `Controller`."""
+        dt = 0.0 if self._last is None else min(max(time - self._last, 0.0), 0.05)
+        self._last = time
+        now, soon = self._path.at(t), self._path.at(t + self._lead)
+        to = Point(now.p, now.v, soon.a, soon.yaw, now.yaw_rate)
+        demand: Demand = self._cascade(row[0:3], row[3:6], row[6:10], to, dt)  # type: ignore[arg-type]
+        return Plan(time, 0.05, (demand,), "cascade")

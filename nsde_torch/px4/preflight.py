@@ -1,0 +1,95 @@
+"""What must be right before anything is armed; each fault with its reason and remedy."""
+
+from __future__ import annotations
+
+from math import acos, degrees, isfinite
+
+from nsde_torch.px4.dialect import IN_AIR
+from nsde_torch.px4.endpoint import INTERVALS, SHARE, Endpoint
+from nsde_torch.px4.path import PathPoints
+from nsde_torch.px4.safety import Limits
+from nsde_torch.px4.telemetry import Status, VehicleState
+from nsde_torch.px4.vectors import cos_tilt, length
+
+PARAMETERS = ("MPC_THR_HOVER", "COM_OF_LOSS_T", "COM_OBL_RC_ACT", "COM_RC_IN_MODE")
+"""Parameters that are asked for."""
+LONGEST_LOSS = 2.0
+"""Time for which PX4 may hold the last rates when the stream stops [s]."""
+
+
+def faults(
+    endpoint: Endpoint,
+    status: Status,
+    state: VehicleState | None,
+    path: PathPoints,
+    limits: Limits,
+    *,
+    height: float,
+    now: float,
+) -> list[str]:
+    """Reasons not to fly; empty: none.
+
+    Args:
+        endpoint: The link.
+        status: See `Status`.
+        state: The newest state.
+        path: Where to fly, from the place of take-off.
+        limits: See `Limits`.
+        height: Of take-off [m].
+        now: [s]
+    """
+    out = []
+    if state is None:
+        return ["no state: neither ODOMETRY nor ATTITUDE_QUATERNION with LOCAL_POSITION_NED"]
+    age = now - state.time
+    if age > limits.estimate:
+        out.append(f"the newest state is {age:.2f} s old")
+    wanted = SHARE * INTERVALS["ODOMETRY"]
+    if endpoint.telemetry.rate < wanted:
+        out.append(
+            f"states come at {endpoint.telemetry.rate:.0f} Hz, less than {wanted:.0f}: a faster link is needed"
+        )
+    if status.armed:
+        out.append("the vehicle is armed already; disarm it")
+    if status.landed == IN_AIR:
+        out.append("the vehicle says that it is in the air")
+    tilt = degrees(acos(min(max(cos_tilt(state.q), -1.0), 1.0)))
+    if tilt > 12.0:
+        out.append(f"it stands tilted by {tilt:.0f} deg")
+    if length(state.v) > 0.5 or length(state.w) > 0.5:
+        out.append(f"it moves: {length(state.v):.1f} m/s, {length(state.w):.1f} rad/s")
+    if isfinite(status.remaining) and status.remaining < limits.battery + 0.1:
+        out.append(f"battery at {100 * status.remaining:.0f} %: charge it")
+    if limits.voltage > 0 and isfinite(status.voltage) and status.voltage < limits.voltage:
+        out.append(f"battery at {status.voltage:.1f} V: charge it")
+    loss = status.parameters.get("COM_OF_LOSS_T")
+    if loss is not None and not 0.0 < loss <= LONGEST_LOSS:
+        out.append(
+            f"COM_OF_LOSS_T is {loss:g} s: so long would PX4 fly on stale rates. Set it to {LONGEST_LOSS:g} or less"
+        )
+    out += _outside(path, limits, height)
+    return out
+
+
+def _outside(path: PathPoints, limits: Limits, height: float) -> list[str]:
+    out = []
+    for axis, low, high, (from_, to) in zip("xyz", path.low, path.high, limits.fence, strict=True):
+        if low < from_ or high > to:
+            out.append(
+                f"the reference leaves the fence: {axis} from {low:.1f} to {high:.1f} m, fence {from_:g} to {to:g}"
+            )
+    if not limits.fence[2][0] <= height <= limits.fence[2][1]:
+        out.append(f"the height of take-off, {height:g} m, is outside the fence")
+    return out
+
+
+def warnings(endpoint: Endpoint, status: Status) -> list[str]:
+    """What is not right and does not forbid to fly."""
+    out = [f"{name} was not answered" for name in PARAMETERS if name not in status.parameters]
+    if not isfinite(status.remaining):
+        out.append("the battery's charge is unknown: nothing will end the flight when it is empty")
+    if endpoint.telemetry.sync.round_trip is None:
+        out.append("TIMESYNC is not answered: the age of states is a guess from below")
+    if not status.motors:
+        out.append("the motors' commands are not sent: the log has no inputs")
+    return out

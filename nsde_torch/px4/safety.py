@@ -1,0 +1,166 @@
+"""What can go wrong in flight, how it is seen, and what is done about it.
+
+| trouble | seen by | action |
+|---|---|---|
+| estimate too old or gone | age of the newest state | level, PX4's own LAND at once; silence if that is not confirmed |
+| link silent | no message at all | silence: PX4 fails over by itself, and we never stream again |
+| solver late, failed, dead | age of the newest plan, its process | hold by the built-in cascade, then LAND |
+| outside the fence, too fast, too steep | the state | hold (inside the fence), then LAND |
+| estimate jumped | announced by the autopilot, or seen | hold, then LAND |
+| battery low | SYS_STATUS | LAND at once |
+| another mode | HEARTBEAT | silence and stay out: the operator, or PX4's failsafe, has the vehicle |
+| disarmed | HEARTBEAT | silence |
+| Ctrl-C | signal | hold, then LAND; twice: LAND at once |
+| crash of a part | exception | hold if the loop lives, else LAND is asked for and the stream ends |
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import Enum
+from math import acos, degrees, inf, isfinite
+from typing import final
+
+from nsde_torch.px4.telemetry import Status, VehicleState
+from nsde_torch.px4.vectors import Vec, cos_tilt, distance, length
+
+
+class Action(Enum):
+    """What is done about a trouble, the strongest last."""
+
+    HOLD = 1
+    LAND = 2
+    BLIND = 3
+    SILENCE = 4
+
+
+@dataclass(frozen=True)
+class Trouble:
+    """Something went wrong: what it is called, in words, and what to do."""
+
+    kind: str
+    text: str
+    action: Action
+
+
+@dataclass(frozen=True)
+class Limits:
+    """When something is wrong.
+
+    Args:
+        fence: Lowest and highest x, y, z from the place of take-off, ENU [m].
+        speed: [m/s]
+        tilt: [deg]
+        battery: Lowest charge, 0 to 1.
+        voltage: Lowest voltage [V], 0: none.
+        estimate: Oldest state [s].
+        silence: Longest time without any message [s].
+        heartbeat: Longest time without a heartbeat [s].
+        solver: Oldest plan [s].
+        jump: Largest step of the position that velocity does not explain [m].
+        patience: A state must be wrong for this long [s].
+    """
+
+    fence: tuple[tuple[float, float], tuple[float, float], tuple[float, float]] = (
+        (-6.0, 6.0),
+        (-6.0, 6.0),
+        (-0.5, 6.0),
+    )
+    speed: float = 7.0
+    tilt: float = 65.0
+    battery: float = 0.15
+    voltage: float = 0.0
+    estimate: float = 0.2
+    silence: float = 1.0
+    heartbeat: float = 3.5
+    solver: float = 0.3
+    jump: float = 0.5
+    patience: float = 0.08
+
+
+@final
+class Watch:
+    """Looks at state and status, and says what is wrong.
+
+    Args:
+        limits: When something is wrong.
+        home: Place of take-off [m].
+    """
+
+    def __init__(self, limits: Limits, home: Vec) -> None:
+        self.limits, self._home = limits, home
+        self._since: dict[str, float] = {}
+        self._last: VehicleState | None = None
+        self._resets: int | None = None
+        self._jumped: str | None = None
+
+    def look(self, state: VehicleState | None, status: Status, now: float) -> Trouble | None:
+        """The strongest trouble at a time [s]; None: all is well."""
+        m = self.limits
+        if now - status.heard > m.silence:
+            return Trouble("link", f"nothing heard for {now - status.heard:.2f} s", Action.SILENCE)
+        age = inf if state is None else now - state.time
+        if state is None or age > m.estimate:
+            return Trouble("estimate", f"the newest state is {age:.2f} s old", Action.BLIND)
+        if now - status.heartbeat > m.heartbeat:
+            return Trouble("heartbeat", f"no heartbeat for {now - status.heartbeat:.1f} s", Action.LAND)
+        battery = self._battery(status, now)
+        if battery is not None:
+            return battery
+        return self._motion(state, status, now)
+
+    def _battery(self, status: Status, now: float) -> Trouble | None:
+        m = self.limits
+        low = isfinite(status.remaining) and status.remaining < m.battery
+        weak = isfinite(status.voltage) and status.voltage < m.voltage
+        if not self._lasting("battery", low or weak, now, 0.5):
+            return None
+        text = f"battery at {100 * status.remaining:.0f} % and {status.voltage:.1f} V"
+        return Trouble("battery", text, Action.LAND)
+
+    def _motion(self, state: VehicleState, status: Status, now: float) -> Trouble | None:
+        m = self.limits
+        at = tuple(a - b for a, b in zip(state.p, self._home, strict=True))
+        outside = any(not low <= c <= high for c, (low, high) in zip(at, m.fence, strict=True))
+        speed = length(state.v)
+        tilt = degrees(acos(min(max(cos_tilt(state.q), -1.0), 1.0)))
+        self._look_for_jumps(state, status)
+        checks = (
+            ("fence", outside, f"outside the fence at ({at[0]:.1f}, {at[1]:.1f}, {at[2]:.1f}) m"),
+            ("speed", speed > m.speed, f"{speed:.1f} m/s is more than {m.speed:g}"),
+            ("tilt", tilt > m.tilt, f"tilt of {tilt:.0f} deg is more than {m.tilt:g}"),
+        )
+        for kind, wrong, text in checks:
+            if self._lasting(kind, wrong, now, m.patience):
+                return Trouble(kind, text, Action.HOLD)
+        if self._jumped is not None:
+            text, self._jumped = self._jumped, None
+            return Trouble("jump", text, Action.HOLD)
+        return None
+
+    def _look_for_jumps(self, state: VehicleState, status: Status) -> None:
+        last = self._last
+        if last is not None and state is not last:
+            dt = state.stamp - last.stamp
+            if 0.0 < dt < 0.5:
+                expected: Vec = tuple(p + dt * v for p, v in zip(last.p, last.v, strict=True))  # type: ignore[assignment]
+                step = distance(state.p, expected)
+                if step > self.limits.jump:
+                    self._jumped = f"the position jumped by {step:.2f} m"
+        self._last = state
+        if self._resets is not None and status.resets > self._resets:
+            self._jumped = self._jumped or "the autopilot announced a reset of its estimate"
+        self._resets = status.resets
+
+    def _lasting(self, kind: str, wrong: bool, now: float, patience: float) -> bool:
+        if not wrong:
+            self._since.pop(kind, None)
+            return False
+        return now - self._since.setdefault(kind, now) >= patience
+
+    def inside(self, p: Vec, margin: float = 0.3) -> Vec:
+        """The nearest point well inside the fence."""
+        out = []
+        for c, h, (low, high) in zip(p, self._home, self.limits.fence, strict=True):
+            out.append(min(max(c, h + min(low + margin, 0.0)), h + high - margin))
+        return (out[0], out[1], out[2])

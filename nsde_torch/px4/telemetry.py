@@ -1,0 +1,254 @@
+"""What the autopilot says, as one consistent state with the time it is valid for, and its status.
+
+The state is ODOMETRY where it comes, else ATTITUDE_QUATERNION with the newest LOCAL_POSITION_NED carried forward to
+the attitude's time, p + v (t_attitude - t_position). The velocity of ODOMETRY is taken in the local frame, as PX4 sends
+it; where LOCAL_POSITION_NED, whose frame is beyond doubt, says that it is in the body, it is turned.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass, field, replace
+from math import inf, isfinite, nan
+from typing import final
+
+from nsde_torch.px4 import frames
+from nsde_torch.px4.codec import Message
+from nsde_torch.px4.dialect import ARMED_FLAG, UNKNOWN, Mode, parameter_value
+from nsde_torch.px4.timesync import TimeSync
+from nsde_torch.px4.vectors import Quat, Vec, distance, finite, length, normalised, rotate
+
+PAIR = 0.1
+"""Longest time over which a position is carried forward to an attitude [s]."""
+BACK = 1.0
+"""A stamp that lies this far back, several times over, is that of a restarted clock [s]."""
+_TEXTS = 200
+
+
+@dataclass(frozen=True)
+class VehicleState:
+    """State of the vehicle, ENU and FLU.
+
+    Args:
+        time: When it was valid, on our monotonic clock [s].
+        stamp: When it was valid, on the autopilot's clock [s].
+        received: When it came, on our clock [s].
+        p: Position [m].
+        v: Velocity in the world [m/s].
+        q: Attitude, body to world, `w x y z`.
+        w: Body rates [rad/s].
+    """
+
+    time: float
+    stamp: float
+    received: float
+    p: Vec
+    v: Vec
+    q: Quat
+    w: Vec
+
+    @property
+    def row(self) -> tuple[float, ...]:
+        """The 13 numbers of a multirotor's state."""
+        return (*self.p, *self.v, *self.q, *self.w)
+
+
+@dataclass(frozen=True)
+class Text:
+    """A STATUSTEXT."""
+
+    time: float
+    severity: int
+    text: str
+
+
+@dataclass(frozen=True)
+class Ack:
+    """An answer to a command."""
+
+    time: float
+    command: int
+    result: int
+
+
+@dataclass
+class Status:
+    """Everything but the state; times on our clock [s], `-inf` where nothing came.
+
+    Args:
+        heard: Any message.
+        heartbeat: HEARTBEAT.
+        mode: Flight mode.
+        armed: Whether motors may turn.
+        landed: `landed_state` of EXTENDED_SYS_STATE, 0 unknown.
+        voltage: Of the battery [V].
+        remaining: Charge left, 0 to 1.
+        motors: Commands of the motors, 0 to 1, as far as the autopilot tells.
+        motors_stamp: Their time on the autopilot's clock [s].
+        resets: Jumps of the estimate that the autopilot announced.
+    """
+
+    heard: float = -inf
+    heartbeat: float = -inf
+    mode: Mode = UNKNOWN
+    armed: bool = False
+    landed: int = 0
+    voltage: float = nan
+    remaining: float = nan
+    motors: tuple[float, ...] = ()
+    motors_stamp: float = nan
+    resets: int = 0
+    texts: deque[Text] = field(default_factory=lambda: deque(maxlen=_TEXTS))
+    acks: deque[Ack] = field(default_factory=lambda: deque(maxlen=_TEXTS))
+    parameters: dict[str, float] = field(default_factory=dict)
+
+
+@final
+class Telemetry:
+    """Takes messages, in whatever order and state they come.
+
+    Attributes:
+        sync: The autopilot's clock.
+        status: See `Status`.
+        state: The newest consistent state, None before the first.
+        rejected: States that were not believed: not finite, no rotation, or older than what is known.
+    """
+
+    def __init__(self) -> None:
+        self.sync = TimeSync()
+        self.status = Status()
+        self.state: VehicleState | None = None
+        self.rejected = 0
+        self.odometry_rate = 0.0
+        self.rate = 0.0
+        """States a second, smoothed over 20 of them."""
+        self._position: tuple[float, Vec, Vec] | None = None
+        self._last_odometry = -inf
+        self._old = 0
+        self._reset_counter: int | None = None
+        self._evidence = [0.0, 0.0]
+
+    def take(self, message: Message, now: float) -> None:
+        """Take one message that came at `now` [s, our clock]."""
+        self.status.heard = now
+        handler = getattr(self, f"_{message.get_type().lower()}", None)
+        if handler is not None:
+            handler(message, now)
+
+    # one method a message, named like it
+
+    def _heartbeat(self, m: Message, now: float) -> None:
+        s = self.status
+        s.heartbeat, s.mode, s.armed = now, Mode.of(m.custom_mode), bool(m.base_mode & ARMED_FLAG)
+
+    def _extended_sys_state(self, m: Message, now: float) -> None:
+        self.status.landed = m.landed_state
+
+    def _sys_status(self, m: Message, now: float) -> None:
+        if m.voltage_battery not in (0, 65535):
+            self.status.voltage = m.voltage_battery * 1e-3
+        if m.battery_remaining >= 0:
+            self.status.remaining = m.battery_remaining * 1e-2
+
+    def _statustext(self, m: Message, now: float) -> None:
+        self.status.texts.append(Text(now, m.severity, m.text.rstrip("\x00").strip()))
+
+    def _command_ack(self, m: Message, now: float) -> None:
+        self.status.acks.append(Ack(now, m.command, m.result))
+
+    def _param_value(self, m: Message, now: float) -> None:
+        self.status.parameters[m.param_id.rstrip("\x00")] = parameter_value(m.param_value, m.param_type)
+
+    def _timesync(self, m: Message, now: float) -> None:
+        if m.tc1 > 0:
+            self.sync.answered(m.tc1 * 1e-9, m.ts1 * 1e-9, now)
+
+    def _servo_output_raw(self, m: Message, now: float) -> None:
+        raw = tuple(float(getattr(m, f"servo{k}_raw")) for k in range(1, 9))
+        self._motors(raw, m.time_usec * 1e-6)
+
+    def _actuator_output_status(self, m: Message, now: float) -> None:
+        self._motors(tuple(float(v) for v in m.actuator[:8]), m.time_usec * 1e-6)
+
+    def _motors(self, raw: tuple[float, ...], stamp: float) -> None:
+        if not all(map(isfinite, raw)):
+            return
+        if max(raw) > 2.0:  # pulse widths in microseconds
+            raw = tuple(min(max((v - 1000.0) * 1e-3, 0.0), 1.0) for v in raw)
+        self.status.motors, self.status.motors_stamp = raw, stamp
+
+    def _odometry(self, m: Message, now: float) -> None:
+        p = frames.world((m.x, m.y, m.z))
+        q = frames.attitude(tuple(m.q))
+        v: Vec = (m.vx, m.vy, m.vz)
+        w = frames.body((m.rollspeed, m.pitchspeed, m.yawspeed))
+        stamp = m.time_usec * 1e-6
+        local = frames.world(v)
+        if finite(*q) and self._in_body(local, rotate(q, frames.body(v)), stamp):
+            local = rotate(q, frames.body(v))
+        if self._reset_counter is not None and m.reset_counter != self._reset_counter:
+            self.status.resets += 1
+        self._reset_counter = m.reset_counter
+        if self._new_state(stamp, now, p, local, q, w):
+            self._last_odometry = now
+
+    def _in_body(self, as_local: Vec, as_body: Vec, stamp: float) -> bool:
+        """Whether ODOMETRY's velocity was seen to be in the body's frame."""
+        if self._position is not None and abs(self._position[0] - stamp) < 0.03:
+            truth = self._position[2]
+            if length(truth) > 0.5:
+                for k, guess in enumerate((as_local, as_body)):
+                    self._evidence[k] += min(distance(guess, truth), 1.0)
+        return self._evidence[0] > 2.0 * self._evidence[1] + 5.0
+
+    def _local_position_ned(self, m: Message, now: float) -> None:
+        p, v = frames.world((m.x, m.y, m.z)), frames.world((m.vx, m.vy, m.vz))
+        if finite(*p, *v):
+            self._position = (m.time_boot_ms * 1e-3, p, v)
+
+    def _attitude_quaternion(self, m: Message, now: float) -> None:
+        if now - self._last_odometry < 0.5 or self._position is None:
+            return
+        stamp = m.time_boot_ms * 1e-3
+        at, p, v = self._position
+        ahead = stamp - at
+        if abs(ahead) > PAIR:
+            return
+        q = frames.attitude((m.q1, m.q2, m.q3, m.q4))
+        w = frames.body((m.rollspeed, m.pitchspeed, m.yawspeed))
+        p = (p[0] + v[0] * ahead, p[1] + v[1] * ahead, p[2] + v[2] * ahead)
+        self._new_state(stamp, now, p, v, q, w)
+
+    def _new_state(self, stamp: float, now: float, p: Vec, v: Vec, q: Quat, w: Vec) -> bool:
+        norm = sum(c * c for c in q)
+        if not finite(*p, *v, *q, *w) or not 0.9 < norm < 1.1:
+            self.rejected += 1
+            return False
+        before = self.state
+        if before is not None and stamp <= before.stamp:
+            # late or repeated; but a clock that starts again says so more than once
+            self._old = self._old + 1 if stamp < before.stamp - BACK else 0
+            if self._old < 5:
+                self.rejected += 1
+                return False
+            self.sync.reset()
+        elif before is not None and stamp > before.stamp + BACK and now - before.received < 0.5 * BACK:
+            # a leap ahead of what time has passed: the same holds
+            self._old += 1
+            if self._old < 5:
+                self.rejected += 1
+                return False
+            self.sync.reset()
+        self._old = 0
+        self.sync.arrived(stamp, now)
+        # nothing is valid in the future: a state that came is at least as old as its way here
+        time = min(self.sync.ours(stamp), now)
+        self.state = VehicleState(time, stamp, now, p, v, normalised(q), w)
+        if before is not None and now > before.received:
+            self.rate += 0.05 * (min(1.0 / (now - before.received), 1000.0) - self.rate)
+        return True
+
+    def snapshot(self) -> Status:
+        """A copy of the status that stays as it is."""
+        s = self.status
+        return replace(s, texts=s.texts.copy(), acks=s.acks.copy(), parameters=dict(s.parameters))

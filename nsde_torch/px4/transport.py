@@ -1,0 +1,320 @@
+"""Ways for bytes: UDP (in and out), TCP (client and server), serial.
+
+    udpin:127.0.0.1:14540     wait for the vehicle there        tcp:127.0.0.1:4560    connect
+    udpout:127.0.0.1:14580    send to the vehicle there         tcpin:127.0.0.1:4560  wait for a connection
+    serial:/dev/ttyACM0:921600
+
+What waits does so on the loopback interface unless told otherwise: MAVLink without signing lets anyone fly.
+"""
+
+from __future__ import annotations
+
+import ipaddress
+import select
+import socket
+import time
+from abc import ABC, abstractmethod
+from typing import Any, final
+
+from nsde_torch.errors import NsdeError
+
+_BUFFER = 1 << 20
+TAKEOVER = 2.0
+"""Silence of the vehicle after which another port of the same host may take its place [s]."""
+
+
+class LinkError(NsdeError, OSError):
+    """A link cannot be opened or is gone; the message names the address and the remedy."""
+
+
+class Transport(ABC):
+    """Bytes in and out.
+
+    Attributes:
+        stream: Whether frames may come in pieces.
+    """
+
+    stream: bool = False
+
+    @abstractmethod
+    def receive(self, timeout: float) -> bytes:
+        """The next bytes, empty after `timeout` [s] without any."""
+
+    @abstractmethod
+    def send(self, data: bytes) -> None:
+        """Send at once, or not at all: never waits."""
+
+    @abstractmethod
+    def close(self) -> None:
+        """Let go of the address."""
+
+    def trust(self) -> None:  # noqa: B027
+        """What was received last came from the vehicle: stay with its address."""
+
+
+def open_transport(url: str, *, expose: bool = False) -> Transport:
+    """The way for bytes that a url names.
+
+    Args:
+        url: See the module's text.
+        expose: Allow to wait on other interfaces than loopback.
+
+    Raises:
+        LinkError: a url that is not understood, an address that cannot be had, or an interface without `expose`.
+    """
+    kind, _, rest = url.partition(":")
+    where, _, number = rest.rpartition(":")
+    if kind not in ("udpin", "udpout", "tcp", "tcpin", "serial") or not where or not number.isdigit():
+        raise LinkError(
+            f"`link.url`: {url!r} is not understood; expected udpin:HOST:PORT, udpout:HOST:PORT, tcp:HOST:PORT, "
+            "tcpin:HOST:PORT or serial:DEVICE:BAUD."
+        )
+    port = int(number)
+    if kind != "serial" and not 0 <= port <= 65535:
+        raise LinkError(f"`link.url`: port {port} of {url!r} is not 0 to 65535.")
+    if kind in ("udpin", "tcpin") and not expose and not _loopback(where):
+        raise LinkError(
+            f"`link.url`: {url!r} would listen on an interface that others reach, and MAVLink lets anyone fly. Use "
+            "127.0.0.1, or add link.expose=true, best with link.key."
+        )
+    try:
+        if kind == "serial":
+            return Serial(where, port)
+        return {"udpin": UdpIn, "udpout": UdpOut, "tcp": Tcp, "tcpin": TcpIn}[kind](where, port)
+    except OSError as error:
+        raise LinkError(
+            f"`link.url`: {url!r} cannot be opened ({error}). Is another program on it?"
+        ) from error
+
+
+def _loopback(host: str) -> bool:
+    if host == "localhost":
+        return True
+    try:
+        return ipaddress.ip_address(host).is_loopback
+    except ValueError:
+        return False
+
+
+def _udp() -> socket.socket:
+    sock = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+    sock.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _BUFFER)
+    sock.setblocking(False)
+    return sock
+
+
+def _readable(sock: socket.socket, timeout: float) -> bool:
+    try:
+        return bool(select.select([sock], [], [], timeout)[0])
+    except (OSError, ValueError):  # closed by another thread
+        return False
+
+
+@final
+class UdpIn(Transport):
+    """Waits for the vehicle; answers to the address from which its first good message came."""
+
+    def __init__(self, host: str, port: int) -> None:
+        self._socket = _udp()
+        try:
+            self._socket.bind((host, port))
+        except OSError:
+            self._socket.close()
+            raise
+        self.address: tuple[str, int] = self._socket.getsockname()
+        self._peer: tuple[str, int] | None = None
+        self._last: tuple[str, int] | None = None
+        self._heard = 0.0
+        self.foreign = 0
+
+    def receive(self, timeout: float) -> bytes:
+        """See `Transport.receive`."""
+        if not _readable(self._socket, timeout):
+            return b""
+        try:
+            data, source = self._socket.recvfrom(65536)
+        except OSError:
+            return b""
+        now = time.monotonic()
+        if self._peer is not None and source != self._peer:
+            # a restarted vehicle has another port; a stranger does not get in while ours is heard
+            if source[0] != self._peer[0] or now - self._heard < TAKEOVER:
+                self.foreign += 1
+                return b""
+        else:
+            self._heard = now
+        self._last = source
+        return data
+
+    def trust(self) -> None:
+        """See `Transport.trust`."""
+        if self._last is not None and self._last != self._peer:
+            self._peer, self._heard = self._last, time.monotonic()
+
+    def send(self, data: bytes) -> None:
+        """See `Transport.send`."""
+        if self._peer is not None:
+            try:
+                self._socket.sendto(data, self._peer)
+            except OSError:  # nobody there, or no room: the next one is due in milliseconds
+                return
+
+    def close(self) -> None:
+        """See `Transport.close`."""
+        self._socket.close()
+
+
+@final
+class UdpOut(Transport):
+    """Sends to an address and hears only it."""
+
+    def __init__(self, host: str, port: int) -> None:
+        self._socket = _udp()
+        try:
+            self._socket.connect((host, port))
+        except OSError:
+            self._socket.close()
+            raise
+
+    def receive(self, timeout: float) -> bytes:
+        """See `Transport.receive`."""
+        if not _readable(self._socket, timeout):
+            return b""
+        try:
+            return self._socket.recv(65536)
+        except OSError:  # "refused": nobody is there yet
+            time.sleep(min(timeout, 0.001))
+            return b""
+
+    def send(self, data: bytes) -> None:
+        """See `Transport.send`."""
+        try:
+            self._socket.send(data)
+        except OSError:
+            return
+
+    def close(self) -> None:
+        """See `Transport.close`."""
+        self._socket.close()
+
+
+class _Connected(Transport):
+    """A TCP connection; when it is gone nothing comes and nothing goes."""
+
+    stream = True
+
+    def __init__(self) -> None:
+        self._connection: socket.socket | None = None
+
+    def _use(self, connection: socket.socket) -> None:
+        connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        connection.setblocking(False)
+        self._connection = connection
+
+    def receive(self, timeout: float) -> bytes:
+        """See `Transport.receive`."""
+        if self._connection is None:
+            time.sleep(min(timeout, 0.01))
+            return b""
+        if not _readable(self._connection, timeout):
+            return b""
+        try:
+            data = self._connection.recv(65536)
+        except BlockingIOError:
+            return b""
+        except OSError:
+            data = b""
+        if not data:
+            self._drop()
+        return data
+
+    def send(self, data: bytes) -> None:
+        """See `Transport.send`."""
+        if self._connection is None:
+            return
+        try:
+            if self._connection.send(data) < len(data):
+                self._drop()  # half a frame went out: nothing after it would be understood
+        except BlockingIOError:
+            return
+        except OSError:
+            self._drop()
+
+    def _drop(self) -> None:
+        if self._connection is not None:
+            self._connection.close()
+            self._connection = None
+
+    def close(self) -> None:
+        """See `Transport.close`."""
+        self._drop()
+
+
+@final
+class Tcp(_Connected):
+    """A connection made by us."""
+
+    def __init__(self, host: str, port: int) -> None:
+        super().__init__()
+        self._use(socket.create_connection((host, port), timeout=5.0))
+
+
+@final
+class TcpIn(_Connected):
+    """A connection made by the other side, one at a time."""
+
+    def __init__(self, host: str, port: int) -> None:
+        super().__init__()
+        self._server = socket.create_server((host, port))
+        self._server.setblocking(False)
+        self.address: tuple[str, int] = self._server.getsockname()
+
+    def receive(self, timeout: float) -> bytes:
+        """See `Transport.receive`."""
+        if self._connection is None:
+            if not _readable(self._server, timeout):
+                return b""
+            try:
+                self._use(self._server.accept()[0])
+            except OSError:
+                return b""
+        return super().receive(timeout)
+
+    def close(self) -> None:
+        """See `Transport.close`."""
+        super().close()
+        self._server.close()
+
+
+@final
+class Serial(Transport):
+    """A serial port."""
+
+    stream = True
+
+    def __init__(self, device: str, baud: int) -> None:
+        import serial
+
+        self._port: Any = serial.Serial(device, baud, timeout=0.0, write_timeout=0.0)
+
+    def receive(self, timeout: float) -> bytes:
+        """See `Transport.receive`."""
+        try:
+            if not select.select([self._port.fileno()], [], [], timeout)[0]:
+                return b""
+            data: bytes = self._port.read(4096)
+        except (OSError, ValueError, TypeError):  # unplugged, or closed by another thread
+            time.sleep(min(timeout, 0.01))
+            return b""
+        return data
+
+    def send(self, data: bytes) -> None:
+        """See `Transport.send`."""
+        try:
+            self._port.write(data)
+        except (OSError, ValueError):
+            return
+
+    def close(self) -> None:
+        """See `Transport.close`."""
+        self._port.close()

@@ -21,7 +21,7 @@ import warnings
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from pathlib import Path
-from typing import Any
+from typing import Any, final
 
 import torch
 from torch import Tensor, nn
@@ -32,11 +32,32 @@ from nsde_torch.plants.cache import cache_folder
 
 Function = Callable[[Sequence[Tensor]], list[Tensor]]
 _SOURCES = (
-    *("control/compiled.py", "control/gauss_newton.py", "control/horizon.py", "control/problem.py"),
-    *("control/predictor.py", "control/joint_network.py", "control/estimator.py", "control/gradient.py"),
-    *("models", "systems", "effects", "sde", "rotation.py", "columns.py"),
+    *("control/compiled.py", "control/gauss_newton.py", "control/gradient.py", "control/horizon.py"),
+    *("control/problem.py", "rotation.py", "columns.py", "sde/deterministic.py"),
 )
 _NAMES = "constants"
+
+
+@final
+class Stage(nn.Module):
+    """A method of a module as a module of its own.
+
+    Args:
+        owner: The module.
+        name: The method.
+    """
+
+    def __init__(self, owner: nn.Module, name: str) -> None:
+        super().__init__()
+        self.owner, self.name = owner, name
+
+    def forward(self, *arguments: Tensor) -> tuple[Tensor, ...]:
+        """See the method."""
+        return tuple(getattr(self.owner, self.name)(*arguments))
+
+    def extra_repr(self) -> str:
+        """The method, by which stages of one module differ."""
+        return self.name
 
 
 class NoCompiler(RuntimeError):
@@ -49,6 +70,7 @@ def compile_ahead(
     *,
     name: str,
     structure: str,
+    fused: bool = False,
     folder: str | Path | None = None,
     say: Callable[[str], None] | None = None,
 ) -> Function:
@@ -59,6 +81,7 @@ def compile_ahead(
         example: Arguments.
         name: What it is, for the file and for messages.
         structure: Every setting of the module that is not one of its tensors.
+        fused: Put columns together in registers instead of in memory.
         folder: Where packages are kept; default: the folder of the package's cache.
         say: Called with one line when something takes long.
 
@@ -72,12 +95,18 @@ def compile_ahead(
     with torch.no_grad(), warnings.catch_warnings():
         warnings.simplefilter("ignore")
         if not path.is_file():
-            _make(module, example, path, name=name, say=say or (lambda line: None))
+            _make(module, example, path, name=name, fused=fused, say=say or (lambda line: None))
         return _load(module, path)
 
 
 def _make(
-    module: nn.Module, example: Sequence[Tensor], path: Path, *, name: str, say: Callable[[str], None]
+    module: nn.Module,
+    example: Sequence[Tensor],
+    path: Path,
+    *,
+    name: str,
+    fused: bool,
+    say: Callable[[str], None],
 ) -> None:
     if not has_compiler():
         raise NoCompiler("there is no C++ compiler (g++ or clang++; CXX names it)")
@@ -100,6 +129,7 @@ def _make(
             inductor_configs={
                 # constants stay constants, however small: other weights can be loaded in their place
                 "always_keep_tensor_constants": True,
+                "force_pointwise_cat": fused,
                 "aot_inductor.metadata": {_NAMES: json.dumps(_constants(graph, module))},
             },
         )
@@ -154,8 +184,9 @@ def _key(module: nn.Module, example: Sequence[Tensor], structure: str) -> str:
     where = (torch.__version__, platform.machine(), torch.backends.cpu.get_cpu_capability())
     for part in (*where, str(torch.get_num_threads()), _source_hash(), structure, str(module)):
         digest.update(str(part).encode() + b"\0")
-    for own in sorted({inspect.getsourcefile(type(m)) or "" for m in module.modules()}):
-        digest.update(_file_hash(own))
+    classes = {kind for m in module.modules() for kind in type(m).__mro__ if kind.__module__ != "builtins"}
+    for own in sorted({inspect.getsourcefile(kind) or "" for kind in classes if _is_ours(kind)}):
+        digest.update(hashlib.sha256(Path(own).read_bytes()).digest())
     for tensor in (*example, *(t for _, t in sorted(_tensors(module).items()))):
         digest.update(f"{tuple(tensor.shape)} {tensor.stride()} {tensor.dtype}".encode())
     return digest.hexdigest()[:32]
@@ -163,22 +194,14 @@ def _key(module: nn.Module, example: Sequence[Tensor], structure: str) -> str:
 
 @functools.cache
 def _source_hash() -> str:
-    """Hash of the source files that an iteration runs through."""
+    """Hash of the source files of functions that an iteration runs through, beside those of its classes."""
     package = Path(__file__).resolve().parents[1]
-    digest = hashlib.sha256()
-    for part in _SOURCES:
-        path = package / part
-        for file in sorted(path.rglob("*.py")) if path.is_dir() else [path][: path.is_file()]:
-            digest.update(file.relative_to(package).as_posix().encode() + b"\0" + file.read_bytes() + b"\0")
-    return digest.hexdigest()
+    return hashlib.sha256(b"\0".join((package / part).read_bytes() for part in _SOURCES)).hexdigest()
 
 
-@functools.cache
-def _file_hash(file: str) -> bytes:
-    """Hash of a file, that of a system or effect of the user's own among them; torch's own come with its version."""
-    if not file or Path(torch.__file__).parent in Path(file).parents:
-        return b""
-    return hashlib.sha256(Path(file).read_bytes()).digest()
+def _is_ours(kind: type) -> bool:
+    """Whether a class is one of the package or of the user; torch's own come with torch's version."""
+    return kind.__module__.split(".")[0] not in ("torch", "abc", "typing")
 
 
 def has_compiler() -> bool:

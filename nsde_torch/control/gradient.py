@@ -38,6 +38,7 @@ class AcceleratedGradient(nn.Module):
     """
 
     stages = ("forward",)
+    fused = ()
 
     def __init__(self, horizon: Horizon) -> None:
         super().__init__()

@@ -11,7 +11,7 @@ from typing import NamedTuple, final
 import torch
 from torch import Tensor, nn
 
-from nsde_torch.control.compiled import Function, NoCompiler, compile_ahead
+from nsde_torch.control.compiled import Function, NoCompiler, Stage, compile_ahead
 from nsde_torch.control.gauss_newton import GaussNewton
 from nsde_torch.control.gradient import AcceleratedGradient
 from nsde_torch.control.horizon import Horizon
@@ -165,7 +165,7 @@ class Solver:
             late = o.deadline is not None and now - started + self._longest > o.deadline
             if len(costs) > o.iterations or late or converged:
                 break
-        seconds = self._clock() - started
+        seconds = now - started
         return Solution(
             u=u,
             z=z,
@@ -197,6 +197,7 @@ class Solver:
                 seen[name],
                 name=f"{self.options.name}-{name}",
                 structure=self._method.structure,
+                fused=name in self._method.fused,
                 folder=self.options.cache,
                 say=say,
             )
@@ -214,28 +215,6 @@ class Solver:
         z = z0[:, None, None].repeat(1, h.particles, h.steps + 1, 1)
         ref = x[:, None].repeat(1, h.steps, 1)
         return (z0, u, z, ref, u[:, 0].clone(), torch.zeros(batch, h.nd, dtype=dtype), *self._method.start(u))
-
-
-@final
-class Stage(nn.Module):
-    """A method of a module as a module of its own.
-
-    Args:
-        owner: The module.
-        name: The method.
-    """
-
-    def __init__(self, owner: nn.Module, name: str) -> None:
-        super().__init__()
-        self.owner, self.name = owner, name
-
-    def forward(self, *arguments: Tensor) -> tuple[Tensor, ...]:
-        """See the method."""
-        return tuple(getattr(self.owner, self.name)(*arguments))
-
-    def extra_repr(self) -> str:
-        """The method, by which stages of one module differ."""
-        return self.name
 
 
 def _eager(method: nn.Module, name: str) -> Function:

@@ -24,7 +24,7 @@ from nsde_torch.errors import ConfigError, DataError
 from nsde_torch.systems.multirotor import GRAVITY
 
 Array = NDArray[np.float64]
-_REST = [(1, 0.0), (2, 0.0), (3, 0.0)]
+_REST = [(order, np.zeros(4)) for order in (1, 2, 3)]
 
 
 def waypoints(

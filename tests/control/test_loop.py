@@ -1,0 +1,176 @@
+"""Closed loops: tracking, latency, pushes, weak motors, lost machines."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+import torch
+
+from nsde_torch.control.autopilots import CascadePilot, PredictivePilot
+from nsde_torch.control.estimator import EstimatorOptions
+from nsde_torch.control.learned_plant import LearnedPlant
+from nsde_torch.control.loop import Flight, fly
+from nsde_torch.control.reference import Reference
+from nsde_torch.control.shapes import hover, lemniscate
+from nsde_torch.control.summary import summarise
+from nsde_torch.errors import ConfigError
+from nsde_torch.models import NeuralSDE
+from nsde_torch.plants import make_plant
+from nsde_torch.systems import System
+from tests.helpers.control_problems import controller_of
+
+SHORT = Reference(lemniscate(duration=4.0, ramp=2.0, speed=2.0))
+
+
+def _flight(
+    declared: System,
+    reference: Reference = SHORT,
+    *,
+    machines: int = 1,
+    latency: float = 0.0,
+    state_latency: float = 0.0,
+    known: float | None = None,
+    duration: float = 2.0,
+    estimator: dict[str, float] | None = None,
+    faults: tuple[object, ...] = (),
+    **plant: object,
+) -> Flight:
+    given = {"declared_only": True, "process_noise": 0.0, "sensor_noise": 0.0, **plant}
+    machine = make_plant(
+        "hexacopter",
+        generator=torch.Generator().manual_seed(0),
+        latency=latency,
+        check=False,
+        **given,  # type: ignore[arg-type]
+    )
+    total = latency + state_latency if known is None else known
+    pilot = PredictivePilot(
+        controller_of(declared, batch=machines),
+        declared,
+        reference,
+        period=0.04,
+        sample=machine.dt,
+        estimator=EstimatorOptions(latency=total, **(estimator or {})),
+        state_latency=state_latency if known is None else 0.0,
+    )
+    return fly(
+        pilot,
+        machine,
+        reference,
+        machines=machines,
+        state_latency=state_latency,
+        duration=duration,
+        faults=faults,  # type: ignore[arg-type]
+    )
+
+
+def _rmse(flight: Flight) -> float:
+    found = summarise([flight])["rmse_m"]
+    assert isinstance(found, float)
+    return found
+
+
+def test_with_the_right_model_and_no_noise_tracking_is_within_a_few_centimetres(declared: System) -> None:
+    flight = _flight(declared)
+    assert _rmse(flight) < 0.03
+    assert {d.status[0] for d in flight.decisions} <= {"converged", "improved"}
+
+
+def test_latency_is_made_up_for_by_prediction(declared: System) -> None:
+    late = {"latency": 0.04, "state_latency": 0.04}
+    known, unknown = _flight(declared, **late), _flight(declared, **late, known=0.0)  # type: ignore[arg-type]
+    assert _rmse(known) < 0.04
+    assert _rmse(known) < 0.7 * _rmse(unknown)
+
+
+def test_a_push_that_lasts_is_learned_in_flight(declared: System) -> None:
+    plain = {"duration": 3.0, "effects": [{"motor_efficiency_loss": {"loss": [0.1] * 6}}]}
+    still = Reference(hover(duration=3.0))
+    without = _flight(declared, still, **plain)  # type: ignore[arg-type]
+    learned = _flight(declared, still, estimator={"force_time": 0.3}, **plain)  # type: ignore[arg-type]
+    off = [abs(float(f.x[-1, 0, 2]) - 1.5) for f in (without, learned)]
+    assert off[0] > 0.03
+    assert off[1] < 0.4 * off[0]
+
+
+def test_one_motor_at_seventy_percent_is_flown_with(declared: System) -> None:
+    weak = [0.3, *[1e-6] * 5]
+    flight = _flight(
+        declared,
+        effects=[{"motor_efficiency_loss": {"loss": weak}}],
+        estimator={"force_time": 0.3, "moment_time": 0.2},
+        duration=3.0,
+    )
+    assert bool(torch.isfinite(flight.x).all())
+    assert 0.0 <= float(flight.u.min()) <= float(flight.u.max()) <= 1.0
+    assert _rmse(flight) < 0.15
+    assert math.isinf(float(flight.lost[0]))
+
+
+def test_states_that_are_lost_on_their_way_for_a_while_do_not_lose_the_machine(declared: System) -> None:
+    def gap(t: float, x: torch.Tensor) -> torch.Tensor:
+        return torch.full_like(x, float("nan")) if 0.8 <= t < 1.1 else x
+
+    flight = _flight(declared, faults=(gap,))
+    words = {d.status[0] for d in flight.decisions}
+    assert "bad_state:kept" in words
+    assert bool(torch.isfinite(flight.u).all())
+    assert _rmse(flight) < 0.1
+
+
+def test_a_state_that_jumps_for_a_sample_changes_little(declared: System) -> None:
+    def jump(t: float, x: torch.Tensor) -> torch.Tensor:
+        return (
+            x + torch.nn.functional.pad(torch.full((len(x), 1), 3.0), (0, 12)) if abs(t - 1.0) < 0.02 else x
+        )
+
+    flight = _flight(declared, faults=(jump,))
+    assert "state_jump:kept" in {d.status[0] for d in flight.decisions}
+    assert _rmse(flight) < 0.04
+
+
+def test_a_reference_outside_the_envelope_is_flown_as_well_as_can_be(declared: System) -> None:
+    flight = _flight(declared, Reference(lemniscate(duration=6.0, ramp=0.5, speed=12.0)))
+    assert bool(torch.isfinite(flight.u).all())
+    assert 0.0 <= float(flight.u.min()) <= float(flight.u.max()) <= 1.0
+
+
+def test_machines_in_one_batch_fly_as_each_alone(declared: System) -> None:
+    alone, together = _flight(declared, duration=0.6), _flight(declared, machines=3, duration=0.6)
+    assert torch.allclose(together.x[:, 1:2], alone.x, atol=2e-3)
+
+
+def test_the_cascade_flies_the_same_references(declared: System) -> None:
+    machine = make_plant(
+        "hexacopter", generator=torch.Generator().manual_seed(0), declared_only=True, check=False
+    )
+    pilot = CascadePilot(declared, SHORT, batch=2, period=machine.dt)
+    flight = fly(pilot, machine, SHORT, machines=2, duration=2.0)
+    assert _rmse(flight) < 0.2
+    assert summarise([flight])["lost"] == 0
+
+
+def test_a_learned_model_can_stand_for_the_machine(model: NeuralSDE) -> None:
+    plant = LearnedPlant(model, dt=0.02, generator=torch.Generator().manual_seed(0), process_noise=0.2)
+    pilot = PredictivePilot(controller_of(model), model, SHORT, period=0.04, sample=0.02)
+    flight = fly(pilot, plant, SHORT, duration=1.0)
+    assert _rmse(flight) < 0.1
+
+
+def test_a_machine_that_is_lost_is_counted_and_when(declared: System) -> None:
+    def elsewhere(t: float, x: torch.Tensor) -> torch.Tensor:
+        return torch.full_like(x, float("nan"))
+
+    flight = _flight(
+        declared, Reference(lemniscate(duration=6.0, ramp=1.0)), faults=(elsewhere,), duration=4.0
+    )
+    found = summarise([flight])
+    assert found["lost"] == 1
+    assert found["rmse_m"] is None
+    assert 0.5 < found["flights"][0]["lost_s"] < 4.0
+
+
+def test_times_that_do_not_fit_into_each_other_are_refused(declared: System) -> None:
+    with pytest.raises(ConfigError, match="state_latency"):
+        _flight(declared, state_latency=0.015, known=0.0)

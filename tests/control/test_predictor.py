@@ -1,0 +1,68 @@
+"""One step of a model as the controller has it."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+
+from nsde_torch.control.predictor import Predictor
+from nsde_torch.errors import ConfigError
+from nsde_torch.models import EnsembleSpec, GaussianEnsemble, NeuralSDE
+from nsde_torch.systems import Hexacopter, System
+
+
+def _rows(n: int) -> tuple[torch.Tensor, torch.Tensor]:
+    g = torch.Generator().manual_seed(1)
+    x = torch.randn(n, 13, generator=g, dtype=torch.float64)
+    x[:, 6:10] = torch.nn.functional.normalize(x[:, 6:10], dim=1)
+    return x, torch.rand(n, 6, generator=g, dtype=torch.float64)
+
+
+@pytest.mark.parametrize("rows", [5, 200])
+def test_a_step_is_the_models_euler_step_without_noise(model: NeuralSDE, rows: int) -> None:
+    x, u = _rows(rows)
+    predictor = Predictor(model, dt=0.05, dtype=torch.float64)
+    rate = model.double().drift(0.0, x, u)
+    model.float()
+    wanted = predictor.system.project(x + 0.05 * rate)
+    assert torch.allclose(predictor(x, u, torch.zeros(rows, 6).double()), wanted, atol=2e-6)
+
+
+def test_steps_are_in_physical_seconds_whatever_the_clock_of_the_log(model: NeuralSDE) -> None:
+    x, u = _rows(3)
+    before = Predictor(model, dt=0.05, dtype=torch.float64)(x, u, torch.zeros(3, 6).double())
+    model.clock_scale.fill_(1.06)
+    try:
+        after = Predictor(model, dt=0.05, dtype=torch.float64)(x, u, torch.zeros(3, 6).double())
+    finally:
+        model.clock_scale.fill_(1.0)
+    assert torch.equal(before, after)
+
+
+def test_a_push_is_an_acceleration_in_body_axes(declared: System) -> None:
+    predictor = Predictor(declared, dt=0.01, dtype=torch.float64)
+    x = torch.zeros(1, 13, dtype=torch.float64)
+    x[:, 6] = 1.0
+    u, none = torch.full((1, 6), 0.4).double(), torch.zeros(1, 6).double()
+    push = torch.tensor([[1.0, 2.0, 3.0, 0.1, 0.2, 0.3]]).double()
+    change = predictor.drift(x, u, push) - predictor.drift(x, u, none)
+    assert torch.allclose(change[0, [3, 4, 5, 10, 11, 12]], push[0])
+
+
+def test_a_predictor_does_not_touch_the_model(model: NeuralSDE) -> None:
+    before = {k: v.clone() for k, v in model.state_dict().items()}
+    Predictor(model, dt=0.02, dtype=torch.float64)
+    assert all(
+        torch.equal(before[k], v) and before[k].dtype == v.dtype for k, v in model.state_dict().items()
+    )
+
+
+def test_models_without_a_drift_are_refused_with_the_choices() -> None:
+    spec = EnsembleSpec("hexacopter", dt=0.05, horizon=20)
+    with pytest.raises(ConfigError, match="nsde, node"):
+        Predictor(GaussianEnsemble(spec, generator=torch.Generator()), dt=0.05)
+
+
+def test_effects_that_read_logged_channels_cannot_be_planned_with() -> None:
+    with pytest.raises(ConfigError, match="battery_voltage"):
+        Predictor(Hexacopter(["battery_voltage"]), dt=0.05)

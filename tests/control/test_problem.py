@@ -1,0 +1,116 @@
+"""Costs of plans."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+
+from nsde_torch.control.predictor import Predictor
+from nsde_torch.control.problem import STATE_WEIGHTS, ProblemOptions, Residual, attitude_error
+from nsde_torch.control.reference import Reference
+from nsde_torch.errors import ConfigError
+from nsde_torch.models import NeuralSDE
+from nsde_torch.systems import Cartpole, System
+from tests.helpers.control_problems import horizon_of, problem_of
+
+
+def _level(n: int = 1) -> torch.Tensor:
+    x = torch.zeros(n, 13, dtype=torch.float64)
+    x[:, 6] = 1.0
+    return x
+
+
+def test_the_attitude_error_is_the_vector_part_of_q_times_the_inverse_reference() -> None:
+    half = 0.15
+    q = torch.tensor([[torch.cos(torch.tensor(half)), 0.0, 0.0, torch.sin(torch.tensor(half))]])
+    e = torch.tensor([[1.0, 0.0, 0.0, 0.0]])
+    assert torch.allclose(attitude_error(q, e), torch.tensor([[0.0, 0.0, torch.sin(torch.tensor(half))]]))
+    assert torch.allclose(attitude_error(-q, e), attitude_error(q, e))
+    # of a reference that is turned too, the error is in the world's axes
+    tilt = torch.tensor([[2**-0.5, 2**-0.5, 0.0, 0.0]])
+    product = torch.tensor(
+        [[q[0, 0] * tilt[0, 0], q[0, 0] * tilt[0, 1], q[0, 3] * tilt[0, 1], q[0, 3] * tilt[0, 0]]]
+    )
+    assert torch.allclose(attitude_error(product, tilt), attitude_error(q, e), atol=1e-6)
+
+
+def test_the_cost_is_the_supplements_sum(declared: System, path: Reference) -> None:
+    h = horizon_of(declared)
+    p = problem_of(h, path, rows=2)
+    u = torch.rand(2, 20, 6, generator=torch.Generator().manual_seed(0)).double()
+    z = h.rollout(p.z0, u, p.d)
+    total = 0.0
+    for k in range(20):
+        x, r = z[1, 0, k + 1], p.ref[1, k]
+        e = torch.cat((x[:6] - r[:6], attitude_error(x[None, 6:10], r[None, 6:10])[0], x[10:] - r[10:]))
+        total += float((torch.tensor(STATE_WEIGHTS) * e * e).sum() + (u[1, k] ** 2).sum())
+    assert float(h.cost(z, u, p.ref, p.last)[1]) == pytest.approx(total)
+
+
+@pytest.mark.parametrize(
+    ("options", "column", "value"),
+    [
+        ({"speed_limit": 2.0}, 3, 2.5),
+        ({"fence": ((-1.0, 1.0), (-1.0, 1.0), (0.0, 2.0))}, 0, 1.2),
+        ({"fence": ((-1.0, 1.0), (-1.0, 1.0), (0.5, 2.0))}, 2, 0.3),
+    ],
+)
+def test_soft_limits_cost_nothing_inside_and_the_square_of_the_excess_outside(
+    declared: System, options: dict[str, object], column: int, value: float
+) -> None:
+    predictor = Predictor(declared, dt=0.05, dtype=torch.float64)
+    residual = Residual(predictor, ProblemOptions(state_weights=(0.0,) * 12, **options))  # type: ignore[arg-type]
+    x = _level()
+    x[:, 2] = 1.0
+    assert float(residual(x, x).square().sum()) == 0.0
+    x[:, column] = value
+    excess = 0.5 if column == 3 else 0.2
+    assert float(residual(x, x).square().sum()) == pytest.approx(100.0 * excess**2, rel=1e-3)
+
+
+def test_tilt_beyond_its_limit_costs(declared: System) -> None:
+    residual = Residual(
+        Predictor(declared, dt=0.05, dtype=torch.float64),
+        ProblemOptions(state_weights=(0.0,) * 12, tilt_limit=30.0),
+    )
+    x = _level(2)
+    for row, degrees in enumerate((29.0, 40.0)):
+        half = torch.deg2rad(torch.tensor(0.5 * degrees))
+        x[row, 6], x[row, 7] = torch.cos(half), torch.sin(half)
+    inside, outside = residual(x, x).square().sum(1)
+    assert float(inside) == 0.0
+    assert float(outside) > 1.0
+
+
+def test_ignorance_costs_where_the_model_knows_of_it(model: NeuralSDE, declared: System) -> None:
+    weighted = Residual(Predictor(model, dt=0.05), ProblemOptions(uncertainty_weight=50.0))
+    x = _level().float()
+    eta = float(model.distance(x))
+    assert float(weighted(x, x).square().sum()) == pytest.approx(50.0 * eta**2, rel=1e-4)
+    with pytest.raises(ConfigError, match="uncertainty_weight"):
+        Residual(Predictor(declared, dt=0.05), ProblemOptions(uncertainty_weight=1.0))
+
+
+def test_the_expectation_is_over_paths_with_the_models_noise(model: NeuralSDE, path: Reference) -> None:
+    one, many = horizon_of(model), horizon_of(model, particles=8)
+    p = problem_of(many, path, rows=2)
+    u = torch.full((2, 20, 6), 0.41).double()
+    z = many.rollout(p.z0, u, p.d)
+    assert z.shape == (2, 8, 21, 13)
+    assert float(z[0, :, -1, 3:6].std(0).min()) > 1e-3
+    each = [one.cost(z[:, k : k + 1], u, p.ref, p.last) for k in range(8)]
+    assert torch.allclose(many.cost(z, u, p.ref, p.last), torch.stack(each).mean(0))
+
+
+def test_machines_without_references_are_refused() -> None:
+    with pytest.raises(ConfigError, match="hexacopter or quadrotor"):
+        Residual(Predictor(Cartpole(), dt=0.05), ProblemOptions())
+
+
+@pytest.mark.parametrize(
+    "options",
+    [{"steps": 0}, {"horizon": 0.0}, {"low": 1.0, "high": 0.0}, {"input_weight": 0.0}, {"rate_weight": -1.0}],
+)
+def test_problems_that_are_none_are_refused(options: dict[str, float]) -> None:
+    with pytest.raises(ConfigError):
+        ProblemOptions(**options)  # type: ignore[arg-type]

@@ -1,0 +1,58 @@
+"""Problems and controllers for the tests of the controller, without compilation."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from nsde_torch.control.controller import Controller, SafetyOptions
+from nsde_torch.control.horizon import Horizon
+from nsde_torch.control.predictor import Predictor
+from nsde_torch.control.problem import ProblemOptions
+from nsde_torch.control.reference import Reference
+from nsde_torch.control.solve import Problem, SolverOptions
+from nsde_torch.models import NeuralSDE
+from nsde_torch.rotation import turned
+from nsde_torch.systems import System
+
+
+def horizon_of(knowledge: NeuralSDE | System, **options: object) -> Horizon:
+    """A horizon in double precision."""
+    given = ProblemOptions(**options)  # type: ignore[arg-type]
+    return Horizon(Predictor(knowledge, dt=given.dt, dtype=torch.float64), given)
+
+
+def problem_of(horizon: Horizon, path: Reference, *, rows: int, off: float = 1.0, seed: int = 0) -> Problem:
+    """Problems along a path, started off it."""
+    g = torch.Generator().manual_seed(seed)
+    dtype = horizon.predictor.dtype
+
+    def draw(width: int, size: float) -> Tensor:
+        return off * size * torch.randn(rows, width, generator=g, dtype=torch.float64)
+
+    t = 8.0 + 20.0 * torch.rand(rows, generator=g, dtype=torch.float64)
+    o = horizon.options
+    ref = torch.stack([path.window(float(s), dt=o.dt, steps=o.steps) for s in t])
+    x = path.at(t)
+    x = torch.cat(
+        (
+            x[:, :3] + draw(3, 0.1),
+            x[:, 3:6] + draw(3, 0.2),
+            turned(x[:, 6:10], draw(3, 0.08)),
+            x[:, 10:] + draw(3, 0.3),
+        ),
+        1,
+    )
+    last = torch.full((rows, horizon.nu), 0.4, dtype=dtype)
+    z0 = horizon.predictor.augment(x.to(dtype), last)
+    return Problem(z0, ref.to(dtype), last, torch.zeros(rows, horizon.nd, dtype=dtype))
+
+
+def controller_of(knowledge: NeuralSDE | System, *, batch: int = 1, **safety: float) -> Controller:
+    """A controller without compilation."""
+    return Controller(
+        knowledge,
+        solver=SolverOptions(compile="off", iterations=3, tolerance=5e-3),
+        safety=SafetyOptions(**safety),  # type: ignore[arg-type]
+        batch=batch,
+    )

@@ -210,8 +210,8 @@ class Body:
         forces = {port: row[0].tolist() for port, row in self._gusts.draw().items()}
         push = tuple(forces.get(Port.WORLD_FORCE, (0.0, 0.0, 0.0)))
         if Port.BODY_FORCE in forces:
-            push = _plus(push, rotate(self.q, tuple(forces[Port.BODY_FORCE])), 1.0)  # type: ignore[arg-type]
-        twist: Vec = tuple(forces.get(Port.BODY_MOMENT, (0.0, 0.0, 0.0)))  # type: ignore[assignment]
+            push = _plus(push, rotate(self.q, tuple(forces[Port.BODY_FORCE])), 1.0)
+        twist: Vec = tuple(forces.get(Port.BODY_MOMENT, (0.0, 0.0, 0.0)))
         if self._others and not self.on_ground:
             row = torch.tensor([[*self.p, *self.v, *self.q, *self.w]], dtype=torch.float64)
             u = [*command, *([self.voltage] if self.system.exogenous else [])]
@@ -223,11 +223,11 @@ class Body:
             rate = self._full.drift(self.time, z, inputs)
             bare, spin = self._bare(self.v, self.q, self.w, self.motors)
             found = rate[0].tolist()
-            push = _plus(push, tuple(a - b for a, b in zip(found[3:6], bare, strict=True)), 1.0)  # type: ignore[arg-type]
-            twist = _plus(twist, tuple(a - b for a, b in zip(found[10:13], spin, strict=True)), 1.0)  # type: ignore[arg-type]
+            push = _plus(push, tuple(a - b for a, b in zip(found[3:6], bare, strict=True)), 1.0)
+            twist = _plus(twist, tuple(a - b for a, b in zip(found[10:13], spin, strict=True)), 1.0)
             self._memory, self._memory_rate = z[:, 13:], rate[:, 13:]
             self._motor_push = self._beyond_lag(rate, command)
-        self._push, self._twist = push, twist  # type: ignore[assignment]
+        self._push, self._twist = push, twist
 
     def _with_motors(self, z: torch.Tensor) -> torch.Tensor:
         """The plant's memory with the motors as they are here."""

@@ -351,7 +351,10 @@ class Offboard:
             at = self._towards(self._where.p, goal, self.options.approach)
             yaw = self._turn_towards(self._where.yaw, start.yaw)
         self._hold_at(Point(at, yaw=yaw), state)
-        self.runner.offer(self._own(state), state.time, 0.0)
+        if (
+            distance(state.p, goal) < 0.5
+        ):  # integrals and the like of the controller should not grow on the way
+            self.runner.offer(self._own(state), state.time, 0.0)
         self.runner.collect()
         ready = self.runner.plan is not None and self._now - self.runner.plan.time < self.limits.solver
         there = distance(state.p, goal) < 0.25 and length(state.v) < 0.3 and at == goal and yaw == start.yaw

@@ -49,7 +49,7 @@ class CascadeController:
         lead: The acceleration is that of this much later, because attitude follows late [s].
     """
 
-    def __init__(self, path: PathPoints, gains: CascadeGains | None = None, *, lead: float = 0.16) -> None:
+    def __init__(self, path: PathPoints, gains: CascadeGains | None = None, *, lead: float = 0.1) -> None:
         self._path, self._cascade, self._lead = path, Cascade(gains), lead
         self._last: float | None = None
 

@@ -14,6 +14,7 @@ import select
 import socket
 import time
 from abc import ABC, abstractmethod
+from collections.abc import Callable
 from typing import Any, final
 
 from nsde_torch.errors import NsdeError
@@ -80,7 +81,9 @@ def open_transport(url: str, *, expose: bool = False) -> Transport:
     try:
         if kind == "serial":
             return Serial(where, port)
-        return {"udpin": UdpIn, "udpout": UdpOut, "tcp": Tcp, "tcpin": TcpIn}[kind](where, port)
+        kinds: dict[str, Callable[[str, int], Transport]]
+        kinds = {"udpin": UdpIn, "udpout": UdpOut, "tcp": Tcp, "tcpin": TcpIn}
+        return kinds[kind](where, port)
     except OSError as error:
         raise LinkError(
             f"`link.url`: {url!r} cannot be opened ({error}). Is another program on it?"

@@ -1,0 +1,249 @@
+"""A flight in real time: the loop that streams, and what it measured."""
+
+from __future__ import annotations
+
+import contextlib
+import gc
+import signal
+import sys
+import threading
+import time
+from array import array
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from nsde_torch.px4 import dialect as d
+from nsde_torch.px4.flight_log import FlightLog
+from nsde_torch.px4.link import Link
+from nsde_torch.px4.offboard import FLYING, FlightOptions, Offboard, Outcome, Phase
+from nsde_torch.px4.path import PathPoints
+from nsde_torch.px4.runner import Runner
+from nsde_torch.px4.safety import Limits
+from nsde_torch.px4.setpoint import SetpointLimits
+from nsde_torch.px4.vectors import distance
+
+RATE = 100.0
+"""Ticks of the loop in a second; each sends a setpoint."""
+LOGGED_FROM = 0.3
+"""Height above which a flight is logged [m]: below, the ground acts on it."""
+
+
+@dataclass
+class FlightReport:
+    """What a flight measured.
+
+    Args:
+        outcome: How it ended.
+        errors: Distance from the reference while it was tracked [m].
+        gaps: Times between setpoints [s].
+        ages: Age of the state at each setpoint [s].
+        solves: Times of the controller [ms].
+        statuses: What it said of its plans.
+        bounded: How often what was bounded in setpoints.
+        hover: Throttle that hovers, as learned.
+        log: The log, None where nothing was flown.
+        link: What became of frames.
+        texts: What the autopilot said.
+    """
+
+    outcome: Outcome
+    errors: list[float] = field(default_factory=list)
+    gaps: list[float] = field(default_factory=list)
+    ages: list[float] = field(default_factory=list)
+    solves: list[float] = field(default_factory=list)
+    statuses: dict[str, int] = field(default_factory=dict)
+    bounded: dict[str, int] = field(default_factory=dict)
+    hover: float = 0.0
+    log: Path | None = None
+    link: dict[str, int] = field(default_factory=dict)
+    texts: list[str] = field(default_factory=list)
+
+    @property
+    def rmse(self) -> float | None:
+        """Of the position while the reference was tracked [m]."""
+        return float(np.sqrt(np.mean(np.square(self.errors)))) if self.errors else None
+
+    def as_dict(self) -> dict[str, Any]:
+        """Numbers with units in their keys."""
+        o = self.outcome
+        return {
+            "tracked": o.tracked,
+            "landed": o.landed,
+            "trouble": None if o.trouble is None else {"kind": o.trouble.kind, "text": o.trouble.text},
+            "phases": [{"t_s": round(t, 3), "phase": p, "reason": why} for t, p, why in o.actions],
+            "rmse_m": self.rmse,
+            "position_error_max_m": max(self.errors, default=None),
+            "setpoint_gap_ms": _spread([1e3 * g for g in self.gaps]),
+            "state_age_ms": _spread([1e3 * a for a in self.ages]),
+            "solve_ms": _spread(self.solves),
+            "status": self.statuses,
+            "bounded": self.bounded,
+            "hover_throttle": self.hover,
+            "frames": self.link,
+            "texts": self.texts,
+        }
+
+
+def _spread(values: list[float]) -> dict[str, float] | None:
+    if not values:
+        return None
+    found = {f"p{p:g}": float(np.percentile(values, p)) for p in (50.0, 99.0, 99.9)}
+    return {**found, "max": float(max(values)), "count": len(values)}
+
+
+class Recorder:
+    """Looks at a flight at every tick.
+
+    Args:
+        flight: The flight.
+        log: Where states go.
+    """
+
+    def __init__(self, flight: Offboard, log: FlightLog | None) -> None:
+        self._flight, self._log = flight, log
+        self.report = FlightReport(flight.outcome)
+        self._sent, self._plan = -1.0, None
+        self._ages, self._gaps = array("d"), array("d")
+
+    def look(self, now: float) -> None:
+        """After a tick at `now` [s]."""
+        f = self._flight
+        state, status = f.endpoint.state, f.endpoint.telemetry.status
+        if f.sent is not None and f.sent[0] != self._sent:
+            if f.phase in FLYING and self._sent >= 0:
+                self._gaps.append(f.sent[0] - self._sent)
+                if state is not None:
+                    self._ages.append(now - state.time)
+            self._sent = f.sent[0]
+        plan = f.runner.plan
+        if plan is not None and plan is not self._plan and f.phase is Phase.TRACK:
+            self._plan = plan  # type: ignore[assignment]
+            self.report.solves.append(plan.solve_ms)
+            self.report.statuses[plan.status] = self.report.statuses.get(plan.status, 0) + 1
+        if state is None or f.home is None:
+            return
+        if f.phase is Phase.TRACK and f.started is not None:
+            # at the time for which the state is valid
+            wanted = f.path.at(state.time - f.started).p
+            at = tuple(a - b for a, b in zip(state.p, f.home, strict=True))
+            self.report.errors.append(distance(at, wanted))  # type: ignore[arg-type]
+        flown = f.phase in FLYING or (f.phase in (Phase.LAND, Phase.WATCH) and status.landed != d.ON_GROUND)
+        if self._log is not None and flown and state.p[2] > f.home[2] + LOGGED_FROM:
+            self._log.add(state, status, f.sent)
+
+    def finish(self) -> FlightReport:
+        """The report."""
+        f, r = self._flight, self.report
+        r.gaps, r.ages = list(self._gaps), list(self._ages)
+        r.bounded, r.hover = dict(f.guard.counts), f.hover.value
+        r.link = dict(f.endpoint.codec.counts)
+        r.texts = [t.text for t in f.endpoint.status().texts]
+        if self._log is not None and self._log.rows:
+            r.log = self._log.file
+        return r
+
+
+def fly(
+    link: Link,
+    runner: Runner,
+    path: PathPoints,
+    *,
+    motors: int,
+    log: Path | None = None,
+    limits: Limits | None = None,
+    setpoints: SetpointLimits | None = None,
+    options: FlightOptions | None = None,
+    say: Callable[[str], None] = lambda line: None,
+    rate: float = RATE,
+    watch: Callable[[Offboard, float], None] | None = None,
+) -> FlightReport:
+    """Fly once, from the ground to the ground.
+
+    Args:
+        link: An open link.
+        runner: The controller.
+        path: Where to fly, from the place of take-off.
+        motors: Number of motors, for the log.
+        log: File of the log; None: none.
+        limits: See `Limits`.
+        setpoints: See `SetpointLimits`.
+        options: See `FlightOptions`.
+        say: Takes a line about each step.
+        rate: Setpoints in a second.
+        watch: Called after every tick, for tests and pictures.
+
+    Returns:
+        What was measured. A flight that went wrong raises nothing: see its outcome.
+    """
+    flight = Offboard(
+        link.endpoint, runner, path, limits=limits, setpoints=setpoints, options=options, say=say
+    )
+    book = None if log is None else FlightLog(log, motors)
+    recorder = Recorder(flight, book)
+    with contextlib.ExitStack() as stack:
+        if book is not None:
+            stack.enter_context(book)
+        stack.enter_context(_undisturbed())
+        stack.enter_context(_signals(flight.stop))
+        try:
+            _loop(link, flight, recorder, 1.0 / rate, watch)
+        except BaseException:
+            # whatever it was: the last thing that PX4 hears from us is to land, and no more rates
+            flight.streaming = False
+            with contextlib.suppress(Exception):
+                for _ in range(3):
+                    link.endpoint.ask_mode(d.LAND)
+            raise
+    return recorder.finish()
+
+
+def _loop(
+    link: Link,
+    flight: Offboard,
+    recorder: Recorder,
+    period: float,
+    watch: Callable[[Offboard, float], None] | None,
+) -> None:
+    due = link.now()
+    while not flight.done:
+        now = link.now()
+        flight.tick(now)
+        recorder.look(now)
+        if watch is not None:
+            watch(flight, now)
+        due = max(due + period, now)  # ticks that were missed are not made up for
+        wait = due - link.now()
+        if wait > 0:
+            time.sleep(wait)
+
+
+@contextlib.contextmanager
+def _undisturbed() -> Iterator[None]:
+    """Threads change quickly, and what was there before the flight is not searched for garbage."""
+    before = sys.getswitchinterval()
+    gc.collect()
+    gc.freeze()
+    sys.setswitchinterval(0.001)
+    try:
+        yield
+    finally:
+        sys.setswitchinterval(before)
+        gc.unfreeze()
+
+
+@contextlib.contextmanager
+def _signals(stop: Callable[[], None]) -> Iterator[None]:
+    """Ctrl-C and SIGTERM ask the flight to end, instead of ending the program in the air."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    before = {s: signal.signal(s, lambda number, frame: stop()) for s in (signal.SIGINT, signal.SIGTERM)}
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)

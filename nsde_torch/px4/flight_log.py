@@ -1,0 +1,66 @@
+"""The log of a flight: a CSV data set as `nsde diagnose` reads it, written while it flies.
+
+One row a state, on the autopilot's clock: state (ENU, FLU), the motors' commands as the autopilot reports them, then
+what was asked for (`rate_sp_*` [rad/s], `throttle_sp`) and `battery_voltage` [V]. What is not known is `nan`.
+"""
+
+from __future__ import annotations
+
+from io import TextIOWrapper
+from pathlib import Path
+from types import TracebackType
+from typing import final
+
+from nsde_torch.px4.telemetry import Status, VehicleState
+from nsde_torch.px4.vectors import Vec
+
+STATE = ("p_x", "p_y", "p_z", "v_x", "v_y", "v_z", "q_w", "q_x", "q_y", "q_z", "w_x", "w_y", "w_z")
+EXTRA = ("rate_sp_x", "rate_sp_y", "rate_sp_z", "throttle_sp", "battery_voltage")
+_NAN = float("nan")
+
+
+@final
+class FlightLog:
+    """Writes one run; a context manager.
+
+    Args:
+        file: The CSV file; its folder is made. It is created with the first row.
+        motors: Number of motors.
+    """
+
+    def __init__(self, file: Path, motors: int) -> None:
+        self.file, self._motors = file, motors
+        self._out: TextIOWrapper | None = None
+        self._last = -1.0
+        self._flushed = 0.0
+        self.rows = 0
+
+    def __enter__(self) -> FlightLog:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if self._out is not None:
+            self._out.close()
+            self._out = None
+
+    def add(self, state: VehicleState, status: Status, sent: tuple[float, Vec, float] | None) -> None:
+        """Log a state, once."""
+        if state.stamp <= self._last:
+            return
+        self._last = state.stamp
+        if self._out is None:
+            self.file.parent.mkdir(parents=True, exist_ok=True)
+            self._out = self.file.open("w", encoding="utf-8", newline="\n")
+            motors = tuple(f"u_{k + 1}" for k in range(self._motors))
+            self._out.write(",".join(("t", *STATE, *motors, *EXTRA)) + "\n")
+        known = status.motors[: self._motors]
+        u = known if len(known) == self._motors else (_NAN,) * self._motors
+        asked = (*sent[1], sent[2]) if sent is not None else (_NAN,) * 4
+        row = (round(state.stamp, 6), *state.row, *u, *asked, status.voltage)
+        self._out.write(",".join(f"{v:.7g}" if k else repr(v) for k, v in enumerate(row)) + "\n")
+        self.rows += 1
+        if state.received - self._flushed > 1.0:
+            self._flushed = state.received
+            self._out.flush()

@@ -1,0 +1,64 @@
+"""The simulated autopilot in real time on a transport."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable
+from types import TracebackType
+from typing import final
+
+from nsde_torch.px4.autopilot import SimulatedAutopilot
+from nsde_torch.px4.transport import Transport
+
+TICK = 0.004
+LONGEST = 0.1
+"""Most that is made up for at once when the machine was busy [s]; beyond, its clock slips."""
+
+
+@final
+class Vehicle:
+    """Runs a simulated autopilot; a context manager that does so in a thread.
+
+    Args:
+        autopilot: The vehicle.
+        transport: Bytes in and out.
+        speed: Seconds of its clock in a second.
+
+    Attributes:
+        slipped: Time that its clock lost because the machine was busy [s].
+    """
+
+    def __init__(self, autopilot: SimulatedAutopilot, transport: Transport, *, speed: float = 1.0) -> None:
+        self.autopilot, self._transport, self._speed = autopilot, transport, speed
+        self._stop = threading.Event()
+        self._thread = threading.Thread(target=self.run, name="vehicle", daemon=True)
+        self.slipped = 0.0
+
+    def run(self, until: Callable[[], bool] = lambda: False) -> None:
+        """Run until told to stop."""
+        begun, offset = time.monotonic(), self.autopilot.time
+        while not (self._stop.is_set() or until()):
+            wanted = offset + (time.monotonic() - begun) * self._speed
+            behind = wanted - self.autopilot.time
+            if behind > LONGEST:
+                self.slipped += behind - LONGEST
+                offset -= behind - LONGEST
+                wanted -= behind - LONGEST
+            for frame in self.autopilot.advance(wanted):
+                self._transport.send(frame)
+            wait = TICK
+            while data := self._transport.receive(wait):
+                self.autopilot.receive(data)
+                wait = 0.0
+
+    def __enter__(self) -> Vehicle:
+        self._thread.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._stop.set()
+        self._thread.join(2.0)
+        self._transport.close()

@@ -1,0 +1,258 @@
+"""Plans of both solvers against CasADi + IPOPT on the same discretised problem: optimality, cost against time, flight.
+
+    python benchmarks/bench_mpc.py RUN [--states 200] [--seconds 40]
+
+RUN is the run directory of a hexacopter (model=nsde without effects, solver=default). CasADi (pip install casadi) gets
+the model's equations and weights written down a second time, in double precision, and IPOPT solves multiple shooting
+from the same cold start (hovering). States are drawn along both references, off them by the errors that a flight has.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+
+import nsde_torch
+from nsde_torch.control.autopilots import PredictivePilot
+from nsde_torch.control.controller import Controller
+from nsde_torch.control.estimator import EstimatorOptions
+from nsde_torch.control.horizon import Horizon
+from nsde_torch.control.hovering import hover_input
+from nsde_torch.control.loop import fly
+from nsde_torch.control.predictor import Predictor
+from nsde_torch.control.problem import ProblemOptions
+from nsde_torch.control.reference import Reference
+from nsde_torch.control.shapes import circle, lemniscate
+from nsde_torch.control.solve import Problem, Solver, SolverOptions
+from nsde_torch.control.summary import summarise
+from nsde_torch.plants import make_plant
+from nsde_torch.rotation import turned
+
+ITERATIONS = {"gauss_newton": 12, "apg": 1500}
+
+
+def problems(horizon: Horizon, count: int) -> Problem:
+    """States along both references, off them, with the references that follow."""
+    g = torch.Generator().manual_seed(0)
+    x, ref = [], []
+    for path in (Reference(circle()), Reference(lemniscate())):
+        t = 1.0 + (path.duration - 3.0) * torch.rand(count // 2, generator=g, dtype=torch.float64)
+        ref += [path.window(float(s), dt=horizon.options.dt, steps=horizon.steps) for s in t]
+        x.append(path.at(t))
+    at = torch.cat(x)
+    off = torch.randn(len(at), 12, generator=g, dtype=torch.float64)
+    off *= torch.tensor([*(0.06,) * 3, *(0.15,) * 3, *(0.05,) * 3, *(0.3,) * 3])
+    at = torch.cat((at[:, :6] + off[:, :6], turned(at[:, 6:10], off[:, 6:9]), at[:, 10:] + off[:, 9:]), 1)
+    dtype = horizon.predictor.dtype
+    last = hover_input(horizon.predictor).expand(len(at), -1).contiguous()
+    return Problem(
+        at.to(dtype), torch.stack(ref).to(dtype), last, at.new_zeros(len(at), horizon.nd).to(dtype)
+    )
+
+
+class Peer:
+    """The problem in CasADi, solved by IPOPT."""
+
+    def __init__(self, horizon: Horizon) -> None:
+        import casadi as ca
+
+        self.steps, p = horizon.steps, horizon.predictor
+        z, u, ref = ca.SX.sym("z", 13), ca.SX.sym("u", 6), ca.SX.sym("ref", 13)
+        step = ca.Function("step", [z, u], [self._step(ca, p, z, u)])
+        e = self._error(ca, z, ref)
+        weights = np.array(horizon.options.state_weights)
+        stage = ca.Function(
+            "stage", [z, u, ref], [ca.dot(weights * e, e) + horizon.options.input_weight * ca.dot(u, u)]
+        )
+        states, inputs = ca.SX.sym("Z", 13, self.steps), ca.SX.sym("U", 6, self.steps)
+        given = ca.SX.sym("p", 13 + 13 * self.steps)
+        total, equal, before = 0, [], given[:13]
+        for k in range(self.steps):
+            equal.append(states[:, k] - step(before, inputs[:, k]))
+            total += stage(states[:, k], inputs[:, k], given[13 * (k + 1) : 13 * (k + 2)])
+            before = states[:, k]
+        self.variables = ca.vertcat(ca.vec(inputs), ca.vec(states))
+        nlp = {"x": self.variables, "p": given, "f": total, "g": ca.vertcat(*equal)}
+        options = {
+            "print_time": False,
+            "ipopt": {"print_level": 0, "sb": "yes", "tol": 1e-8, "max_iter": 500},
+        }
+        self.solver = ca.nlpsol("peer", "ipopt", nlp, options)
+        self.step = step
+
+    @staticmethod
+    def _error(ca: Any, z: Any, ref: Any) -> Any:
+        w, x, y, q = (z[i] for i in range(6, 10))
+        a, b, c, d = (ref[i] for i in range(6, 10))
+        part = ca.vertcat(
+            -w * b + x * a - y * d + q * c, -w * c + x * d + y * a - q * b, -w * d - x * c + y * b + q * a
+        )
+        sign = ca.if_else(w * a + x * b + y * c + q * d < 0, -1, 1)
+        return ca.vertcat(z[:6] - ref[:6], sign * part, z[10:] - ref[10:])
+
+    @staticmethod
+    def _step(ca: Any, p: Predictor, z: Any, u: Any) -> Any:
+        values = {k: float(v) for k, (v, _) in p.system.declared_parameters().items()}
+        mix = np.array(type(p.system).mixing)  # type: ignore[attr-defined]
+        if p.system.nz != 13 or type(p._step).__name__ != "_Euler":
+            raise SystemExit("the peer knows models without memory, stepped by Euler")
+        v, (w, x, y, q), omega = z[3:6], (z[i] for i in range(6, 10)), z[10:13]
+        r = ca.vertcat(x, y, q)
+
+        def rotate(vector: Any, sign: float) -> Any:
+            s = 2 * ca.cross(r, vector)
+            return vector + sign * w * s + ca.cross(r, s)
+
+        collective, moments = ca.sum1(u), ca.DM(mix[1:]) @ u
+        force = ca.vertcat(0, 0, values["thrust_gain"] * collective + values["thrust_offset"])
+        jx, jy = values["inertia_x"], values["inertia_y"]
+        gains = ca.vertcat(values["roll_gain"], values["pitch_gain"], values["yaw_gain"])
+        coupling = ca.vertcat((jy - 1) / jx, (1 - jx) / jy, jx - jy)
+        product = ca.vertcat(omega[1] * omega[2], omega[2] * omega[0], omega[0] * omega[1])
+        angular = gains * moments + coupling * product
+        if p._learned is not None:
+            up = ca.vertcat(2 * (x * q - w * y), 2 * (y * q + w * x))
+            y_in = ca.vertcat(rotate(v, -1.0), omega, up)
+            standard = p._learned.residual_inputs
+            y_in = (y_in - standard.mean.double().numpy()) / standard.scale.double().numpy()
+            for port, network in p._learned.residuals.items():
+                h = y_in
+                for k, layer in enumerate(network.layers):
+                    h = ca.DM(layer.weight.double().numpy()) @ h + layer.bias.double().numpy()
+                    h = ca.tanh(h) if k < len(network.layers) - 1 else h
+                h = h * p._learned._residual_scale[port]
+                force = force + h if port == "body_force" else force
+                angular = angular + h if port == "body_moment" else angular
+        rate = ca.vertcat(-r.T @ omega, w * omega + ca.cross(r, omega)) / 2
+        acceleration = rotate(force, 1.0) + np.array([0, 0, -9.81])
+        after = z + p.dt * ca.vertcat(v, acceleration, rate, angular)
+        return ca.vertcat(after[:6], after[6:10] / ca.norm_2(after[6:10]), after[10:])
+
+    def solve(self, problem: Problem, row: int, start: np.ndarray) -> tuple[float, float, bool, np.ndarray]:
+        """Cost, seconds, success and inputs (K, 6) of one problem."""
+        given = np.concatenate((problem.z0[row].double().numpy(), problem.ref[row].double().numpy().ravel()))
+        n = 6 * self.steps
+        low = np.concatenate((np.zeros(n), np.full(13 * self.steps, -np.inf)))
+        high = np.concatenate((np.ones(n), np.full(13 * self.steps, np.inf)))
+        states, z = [], given[:13]
+        for k in range(self.steps):
+            z = np.asarray(self.step(z, start[k])).ravel()
+            states.append(z)
+        guess = np.concatenate((start.ravel(), np.concatenate(states)))
+        began = time.perf_counter()
+        found = self.solver(x0=guess, p=given, lbx=low, ubx=high, lbg=0, ubg=0)
+        seconds = time.perf_counter() - began
+        u = np.asarray(found["x"]).ravel()[:n].reshape(self.steps, 6)
+        return float(found["f"]), seconds, bool(self.solver.stats()["success"]), u
+
+
+def optimality(model: Any, count: int) -> dict[str, Any]:
+    """Costs of both solvers over IPOPT's, by iteration."""
+    horizon = Horizon(Predictor(model, dt=0.05, dtype=torch.float64), ProblemOptions())
+    given = problems(horizon, count)
+    peer = Peer(horizon)
+    start = given.last[:, None].repeat(1, horizon.steps, 1)
+    rows = [peer.solve(given, k, start[k].numpy()) for k in range(len(start))]
+    u = torch.tensor(np.stack([r[3] for r in rows])).clamp(0.0, 1.0)
+    # judged by one function: IPOPT's inputs rolled out through our model
+    best = horizon.cost(horizon.rollout(given.z0, u, given.d), u, given.ref, given.last)
+    same = np.abs(np.array([r[0] for r in rows]) / best.numpy() - 1.0)
+    out: dict[str, Any] = {
+        "states": count,
+        "ipopt": {
+            "failed": sum(not r[2] for r in rows),
+            "cost_disagreement_max": float(same.max()),
+            "seconds_p50": float(np.median([r[1] for r in rows])),
+        },
+    }
+    paths = horizon.rollout(given.z0, start, given.d)
+    for name, iterations in ITERATIONS.items():
+        options = SolverOptions(name=name, iterations=iterations, tolerance=0.0, compile="off")
+        found = Solver(horizon, options, batch=count).solve(given, start, paths)
+        costs = torch.stack(found.costs)
+        over = (costs / best - 1.0).numpy()
+        shown = sorted({*range(0, 13), 25, 50, 100, 200, 400, 800, iterations} & set(range(len(over))))
+        out[name] = {
+            "monotone": bool((costs.diff(dim=0) <= 1e-9 * costs[1:]).all()),
+            "over_ipopt_max": float(over[-1].max()),
+            "over_ipopt_median": float(np.median(over[-1])),
+            "over_ipopt_by_iteration": {
+                str(k): [float(np.median(over[k])), float(over[k].max())] for k in shown
+            },
+        }
+    return out
+
+
+def closed_loop(model: Any, seconds: float, solver: SolverOptions) -> dict[str, Any]:
+    """The lemniscate at 3.4 m/s with one thread, plan after plan, warm-started."""
+    reference = Reference(lemniscate())
+    plant = make_plant("hexacopter", generator=torch.Generator().manual_seed(0), latency=0.02, check=False)
+    controller = Controller(model, solver=solver, say=print)
+    pilot = PredictivePilot(
+        controller, model, reference, period=0.02, sample=plant.dt, estimator=EstimatorOptions(latency=0.04)
+    )
+    solve, over = controller.solver.solve, []
+    exact = Solver(
+        controller.horizon,
+        SolverOptions(iterations=15, tolerance=0.0, compile="off"),
+        clock=time.perf_counter,
+    )
+    count = 0
+
+    def watched(problem: Problem, u: torch.Tensor, z: torch.Tensor) -> Any:
+        nonlocal count
+        found, count = solve(problem, u, z), count + 1
+        if count % 20 == 0:
+            best = exact.solve(problem, found.u, found.z)
+            over.append(float(found.cost / best.cost) - 1.0)
+        return found
+
+    controller.solver.solve = watched  # type: ignore[method-assign]
+    flight = fly(pilot, plant, reference, duration=seconds)
+    found = summarise([flight])
+    keys = ("rmse_m", "altitude_error_max_m", "solve_ms", "command_ms", "iterations_mean", "status")
+    return {
+        **{k: found[k] for k in keys},
+        "over_optimum_p50": float(np.median(over)),
+        "over_optimum_p99": float(np.percentile(over, 99)),
+        "over_optimum_max": float(np.max(over)),
+    }
+
+
+def main() -> None:
+    """Run the study."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("run", type=Path)
+    parser.add_argument("--states", type=int, default=200)
+    parser.add_argument("--seconds", type=float, default=40.0)
+    parser.add_argument("--only", choices=("optimality", "loop"), default=None)
+    parser.add_argument("--solvers", nargs="*", default=list(ITERATIONS))
+    parser.add_argument("--out", type=Path, default=None)
+    given = parser.parse_args()
+    torch.set_num_threads(1)
+    model = nsde_torch.load(given.run)
+    out: dict[str, Any] = {}
+    if given.only in (None, "optimality"):
+        with torch.no_grad():
+            out["optimality"] = optimality(model, given.states)
+        print(json.dumps(out["optimality"], indent=1), flush=True)
+    if given.only in (None, "loop"):
+        loops = {"gauss_newton": SolverOptions(compile="on", iterations=5, tolerance=5e-3)}
+        loops["apg"] = SolverOptions(name="apg", compile="on", iterations=40, tolerance=5e-3)
+        for name in given.solvers:
+            out[name] = closed_loop(model, given.seconds, loops[name])
+            print(name, json.dumps(out[name], indent=1), flush=True)
+    if given.out is not None:
+        given.out.write_text(json.dumps(out, indent=1))
+
+
+if __name__ == "__main__":
+    main()

@@ -74,7 +74,7 @@ def _columns(regression: Regression) -> tuple[dict[str, Array], Array]:
         columns[name] = features[:, i]
     for i, name in enumerate(system.state_names):
         inside = q is not None and q.start <= i < q.stop
-        seen = name in columns or (q is not None and name.startswith(("v_", "p_x", "p_y")))
+        seen = name in columns or (q is not None and name.startswith("v_"))
         if not (inside or seen):
             columns[name] = x[:, i].numpy()
     inputs = physics.steps.u.numpy()

@@ -1,0 +1,100 @@
+"""`nsde track` from the command line to files."""
+
+from __future__ import annotations
+
+import csv
+import json
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+import torch
+
+from nsde_torch.cli.main import main
+
+FAST = ("mpc.compile=off", "mpc.period=0.04", "mpc.iterations=2")
+
+
+@pytest.fixture(autouse=True)
+def _elsewhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    monkeypatch.chdir(tmp_path)
+    before = torch.get_num_threads()
+    yield
+    torch.set_num_threads(before)
+
+
+def test_a_flight_leaves_numbers_a_log_that_other_commands_read_and_figures(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    words = ["run=declared", "duration=0.8", "beside=[pid]", "animation=gif", "out_dir=out", *FAST]
+    assert main(["track", *words]) == 0
+    printed = capsys.readouterr().out
+    assert "RMSE" in printed
+    assert "solves: p50" in printed
+    content = json.loads(Path("out/tracking.json").read_text())
+    assert set(content["controllers"]) == {"MPC, declared physics", "PID cascade"}
+    own = content["controllers"]["MPC, declared physics"]
+    assert own["lost"] == 0
+    assert 0.0 < own["rmse_m"] < 0.1
+    assert own["solve_ms"]["p50"] > 0.0
+    assert content["reference"]["speed"] == 3.4
+    for name in ("tracking.png", "solve_times.png", "flight.gif"):
+        assert Path(f"out/plots/{name}").stat().st_size > 1000
+    with Path("out/log/flight_0.csv").open() as file:
+        rows = list(csv.reader(file))
+    assert rows[0][:4] == ["t", "p_x", "p_y", "p_z"]
+    assert rows[0][-1] == "u_6"
+    assert len(rows) == 82
+
+
+def test_many_machines_fly_in_one_batch_with_noise_of_their_own() -> None:
+    words = [
+        "run=declared",
+        "duration=0.3",
+        "machines=3",
+        "at_once=3",
+        "reference=hover",
+        "out_dir=out",
+        *FAST,
+    ]
+    assert main(["track", *words]) == 0
+    content = json.loads(Path("out/tracking.json").read_text())
+    flights = content["controllers"]["MPC, declared physics"]["flights"]
+    assert len({f["rmse_m"] for f in flights}) == 3
+    assert len(list(Path("out/log").glob("*.csv"))) == 3
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["run=declared", "reference.speed=9"], "tilts to"),
+        (["run=declared", "reference=waypoints", "reference.points=[[0,0,1]]"], "two or more"),
+        (["run=declared", "mpc.fence=[1,2]"], "mpc.fence"),
+        (["run=nowhere"], "no run directory"),
+        (["run=pid"], "run directory"),
+        (["run=declared", "beside=[declared]"], "twice"),
+        (["run=declared", "plant=learned"], "plant.system"),
+        (["run=declared", "mpc.period=0.015"], "multiple"),
+        (["run=declared", "mpc.speeed_limit=2"], "speed_limit"),
+    ],
+)
+def test_faults_of_the_user_end_in_a_sentence_before_any_flight(
+    words: list[str], said: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["track", *words, "out_dir=out", "mpc.compile=off"]) == 2
+    assert said in capsys.readouterr().err
+    assert not Path("out/tracking.json").exists()
+
+
+def test_a_folder_with_a_flight_is_not_written_over(capsys: pytest.CaptureFixture[str]) -> None:
+    Path("out").mkdir()
+    Path("out/tracking.json").write_text("{}")
+    assert main(["track", "run=declared", "out_dir=out"]) == 2
+    assert "holds a flight already" in capsys.readouterr().err
+
+
+def test_help_lists_the_references_and_what_they_take(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["track", "reference=waypoints", "--help"]) == 0
+    printed = capsys.readouterr().out
+    assert "reference.points" in printed
+    assert "mpc.motor_latency" in printed

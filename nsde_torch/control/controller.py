@@ -19,7 +19,7 @@ from nsde_torch.control.horizon import Horizon
 from nsde_torch.control.hovering import hover_input
 from nsde_torch.control.predictor import Predictor
 from nsde_torch.control.problem import ProblemOptions
-from nsde_torch.control.solve import Clock, Problem, Solver, SolverOptions
+from nsde_torch.control.solve import Clock, Problem, Solution, Solver, SolverOptions
 from nsde_torch.errors import ConfigError, ShapeError
 from nsde_torch.models import Model
 from nsde_torch.systems import System
@@ -191,55 +191,70 @@ class Controller:
         trouble = self._trouble(x, reference, start, known=before is not None)
         bad = torch.tensor([word is not None for word in trouble])
         expected = start.z[:, 0, 0, :nx]
-        x = torch.where(bad[:, None], expected, x)
+        if any(word is not None for word in trouble):
+            x = torch.where(bad[:, None], expected, x)
+            reference = torch.where(bad[:, None, None], start.z[:, 0, 1:, :nx], reference)
         x = torch.cat((x[:, :6], torch.nn.functional.normalize(x[:, 6:10], dim=1), x[:, 10:]), 1)
-        reference = torch.where(bad[:, None, None], start.z[:, 0, 1:, :nx], reference)
         z0 = self.predictor.augment(x, last) if memory is None else torch.cat((x, memory.to(self._dtype)), 1)
-        guess = self.horizon.rollout(z0, start.u, push) if before is None else start.z
-        problem = Problem(z0.contiguous(), reference.contiguous(), last.contiguous(), push.contiguous())
-        found = self.solver.solve(problem, start.u.contiguous(), guess.contiguous())
-        safe = torch.isfinite(found.cost) & torch.isfinite(found.u).flatten(1).all(1) & ~bad
-        status = []
-        for row in range(n):
-            word = trouble[row] or (None if bool(safe[row]) else DIVERGED)
-            if word is None:
-                good = CONVERGED if bool(found.converged[row]) else IMPROVED
-                status.append(good if found.in_time else f"{good}:{LATE}")
-            else:
-                usable = before is not None and float(start.age[row]) <= self.safety.keep
-                status.append(f"{word}:{KEPT if usable else HOVER}")
-        kept = torch.tensor([word.endswith(KEPT) for word in status])
-        hover = torch.tensor([word.endswith(HOVER) for word in status])
-        low, high = self.options.low, self.options.high
-
-        def choose(new: Tensor, old: Tensor, still: Tensor) -> Tensor:
-            shape = (n,) + (1,) * (new.ndim - 1)
-            return torch.where(hover.view(shape), still, torch.where(kept.view(shape), old, new))
-
-        fallback = self.hovering()
-        if bool(hover.any()):
-            fallback = replace(
-                fallback,
-                z=torch.where(torch.isfinite(x).all(1).view(n, 1, 1, 1), self._still(z0), fallback.z),
-            )
-        u = choose(found.u, start.u, fallback.u).clamp(low, high)
-        z = choose(found.z, start.z, fallback.z)
-        return Plan(
-            u=u,
-            x=z[:, 0, :, :nx],
-            cost=choose(found.cost, start.cost, fallback.cost),
-            gap=choose(found.gap, start.gap, fallback.gap),
-            status=tuple(status),
+        if bool(bad.all()):  # there is nothing to plan from
+            found = self.solver.nothing(start.u, start.z)
+        else:
+            guess = self.horizon.rollout(z0, start.u, push) if before is None else start.z
+            problem = Problem(z0.contiguous(), reference.contiguous(), last.contiguous(), push.contiguous())
+            found = self.solver.solve(problem, start.u.contiguous(), guess.contiguous())
+        safe = (torch.isfinite(found.cost) & torch.isfinite(found.u).flatten(1).all(1) & ~bad).tolist()
+        status = self._status(trouble, safe, found, start, known=before is not None)
+        made = Plan(
+            u=found.u,
+            x=found.z[:, 0, :, :nx],
+            cost=found.cost,
+            gap=found.gap,
+            status=status,
             solve_ms=1e3 * found.seconds,
             iterations=len(found.costs) - 1,
             dt=self.options.dt,
-            age=choose(torch.zeros_like(start.age), start.age, torch.full_like(start.age, torch.inf)),
+            age=torch.zeros(n, dtype=self._dtype),
+            z=found.z,
+        )
+        return made if all(safe) else self._mended(made, start, z0)
+
+    def _status(
+        self, trouble: list[str | None], safe: list[bool], found: Solution, start: Plan, *, known: bool
+    ) -> tuple[str, ...]:
+        """How each row's plan came about."""
+        out = []
+        for row, word in enumerate(trouble):
+            if word is None and safe[row]:
+                good = CONVERGED if bool(found.converged[row]) else IMPROVED
+                out.append(good if found.in_time else f"{good}:{LATE}")
+            else:
+                usable = known and float(start.age[row]) <= self.safety.keep
+                out.append(f"{word or DIVERGED}:{KEPT if usable else HOVER}")
+        return tuple(out)
+
+    def _mended(self, made: Plan, start: Plan, z0: Tensor) -> Plan:
+        """A plan whose rows in trouble are those of the plan before, or hover where they are."""
+        n = self.batch
+        kept = torch.tensor([word.endswith(KEPT) for word in made.status])
+        hover = torch.tensor([word.endswith(HOVER) for word in made.status])
+        still = self.hovering()
+        known = torch.isfinite(z0).all(1).view(n, 1, 1, 1)
+        stays = z0[:, None, None].expand_as(still.z)
+
+        def choose(new: Tensor, old: Tensor, rest: Tensor) -> Tensor:
+            shape = (n,) + (1,) * (new.ndim - 1)
+            return torch.where(hover.view(shape), rest, torch.where(kept.view(shape), old, new))
+
+        z = choose(made.z, start.z, torch.where(known, stays, still.z))
+        return replace(
+            made,
+            u=choose(made.u, start.u, still.u).clamp(self.options.low, self.options.high),
+            x=z[:, 0, :, : self.predictor.nx],
+            cost=choose(made.cost, start.cost, still.cost),
+            gap=choose(made.gap, start.gap, still.gap),
+            age=choose(made.age, start.age, still.age),
             z=z,
         )
-
-    def _still(self, z0: Tensor) -> Tensor:
-        """States (N, P, K + 1, nz) that stay where they are."""
-        return z0[:, None, None].repeat(1, self.options.particles, self.options.steps + 1, 1)
 
     def _trouble(self, x: Tensor, reference: Tensor, start: Plan, *, known: bool) -> list[str | None]:
         """What is wrong with each row's state or reference, if anything."""

@@ -177,6 +177,11 @@ class Solver:
             converged=step.gap <= o.tolerance,
         )
 
+    def nothing(self, u: Tensor, z: Tensor) -> Solution:
+        """Plans as they are, without a solve."""
+        nothing = u.new_full((len(u),), torch.inf)
+        return Solution(u, z, nothing, nothing, (nothing,), 0.0, True, torch.zeros(len(u), dtype=torch.bool))
+
     def _compiled(self, batch: int, say: Callable[[str], None] | None) -> dict[str, Function]:
         """The stages as machine code."""
         seen: dict[str, list[Tensor]] = {}

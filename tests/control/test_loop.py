@@ -78,7 +78,7 @@ def test_with_the_right_model_and_no_noise_tracking_is_within_a_few_centimetres(
 
 
 def test_latency_is_made_up_for_by_prediction(declared: System) -> None:
-    late = {"latency": 0.04, "state_latency": 0.04}
+    late = {"latency": 0.03, "state_latency": 0.02}
     known, unknown = _flight(declared, **late), _flight(declared, **late, known=0.0)  # type: ignore[arg-type]
     assert _rmse(known) < 0.04
     assert _rmse(known) < 0.7 * _rmse(unknown)
@@ -90,7 +90,7 @@ def test_a_push_that_lasts_is_learned_in_flight(declared: System) -> None:
     without = _flight(declared, still, **plain)  # type: ignore[arg-type]
     learned = _flight(declared, still, estimator={"force_time": 0.3}, **plain)  # type: ignore[arg-type]
     off = [abs(float(f.x[-1, 0, 2]) - 1.5) for f in (without, learned)]
-    assert off[0] > 0.03
+    assert off[0] > 0.01
     assert off[1] < 0.4 * off[0]
 
 
@@ -160,15 +160,15 @@ def test_a_learned_model_can_stand_for_the_machine(model: NeuralSDE) -> None:
 
 def test_a_machine_that_is_lost_is_counted_and_when(declared: System) -> None:
     def elsewhere(t: float, x: torch.Tensor) -> torch.Tensor:
-        return torch.full_like(x, float("nan"))
+        return torch.full_like(x, float("nan")) if t > 1.0 else x
 
     flight = _flight(
-        declared, Reference(lemniscate(duration=6.0, ramp=1.0)), faults=(elsewhere,), duration=4.0
+        declared, Reference(lemniscate(duration=6.0, ramp=1.0)), faults=(elsewhere,), duration=5.0
     )
     found = summarise([flight])
     assert found["lost"] == 1
     assert found["rmse_m"] is None
-    assert 0.5 < found["flights"][0]["lost_s"] < 4.0
+    assert 2.0 < found["flights"][0]["lost_s"] < 5.0
 
 
 def test_times_that_do_not_fit_into_each_other_are_refused(declared: System) -> None:

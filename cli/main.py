@@ -44,6 +44,8 @@ COMMANDS: dict[str, Command] = {
         ".policy", "Learn a policy in a learned model or on the true machine, and judge it there"
     ),
     "track": Command(".track", "Fly a reference with model predictive control on a learned model"),
+    "fly": Command(".fly", "Fly a controller on a PX4 vehicle over MAVLink, with checks, limits and a log"),
+    "vehicle": Command(".vehicle", "Be a simulated PX4 vehicle, for nsde fly and its tests"),
     "simulate": Command(
         ".simulate", "Write runs of a simulated machine as files that do not say what is in them"
     ),

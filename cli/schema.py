@@ -668,6 +668,94 @@ class TrackConfig:
     mpc: MpcConfig = group(MpcConfig, "the controller")
 
 
+@dataclass
+class LinkConfig:
+    """How the vehicle is reached."""
+
+    url: str = key(
+        "udpin:127.0.0.1:14540",
+        "udpin:HOST:PORT, udpout:HOST:PORT, tcp:HOST:PORT, tcpin:HOST:PORT or serial:DEVICE:BAUD",
+    )
+    expose: bool = key(
+        False, "listen on an interface that other machines reach; without a key anyone may fly"
+    )
+    key_file: str | None = key(
+        None, "file with the signing key (64 hexadecimal digits, or a passphrase); null: no signing"
+    )
+    system: int | None = key(
+        None,
+        "MAVLink system id of the vehicle; null: the first that is heard (nsde vehicle: 1)",
+        low=1,
+        high=250,
+    )
+
+
+@dataclass
+class LimitsConfig:
+    """When something is wrong in flight; what is done about it is in the documentation of nsde fly."""
+
+    fence: Any = key(
+        [[-6.0, 6.0], [-6.0, 6.0], [-0.5, 6.0]],
+        "lowest and highest x, y, z from the place of take-off",
+        unit="m",
+    )
+    speed: float = key(7.0, "largest speed", unit="m/s", above=0)
+    tilt: float = key(65.0, "largest tilt", unit="deg", above=0, high=89)
+    battery: float = key(0.15, "lowest charge, as a share", low=0, high=1)
+    voltage: float = key(0.0, "lowest voltage of the battery; 0: none", unit="V", low=0)
+    estimate: float = key(0.2, "oldest state", unit="s", above=0, high=1)
+    silence: float = key(1.0, "longest time without any message", unit="s", above=0, high=5)
+    solver: float = key(0.3, "oldest plan", unit="s", above=0, high=2)
+    jump: float = key(
+        0.5, "largest step of the position that its velocity does not explain", unit="m", above=0
+    )
+    rate: float = key(6.0, "largest roll and pitch rate that is sent", unit="rad/s", above=0)
+    yaw_rate: float = key(2.5, "largest yaw rate that is sent", unit="rad/s", above=0)
+    throttle: list[float] = key(
+        [0.05, 0.9], "lowest and highest throttle that is sent in flight", low=0, high=1
+    )
+
+
+@dataclass
+class FlyConfig:
+    """`nsde fly`."""
+
+    run: str = key(
+        "???", "run directory of the model to plan with, `declared` physics with the plant's values, or pid"
+    )
+    system: str = key("hexacopter", "machine that run=pid and run=declared fly: hexacopter or quadrotor")
+    height: float = key(1.5, "height of take-off", unit="m", above=0)
+    climb: float = key(0.8, "speed of take-off", unit="m/s", above=0, high=3)
+    hold: float = key(2.0, "time of hovering before the reference", unit="s", low=0)
+    safe_hold: float = key(2.0, "time of hovering before landing when something is wrong", unit="s", low=0)
+    rate: float = key(100.0, "setpoints in a second", unit="Hz", low=50, high=250)
+    lead: float | None = key(
+        None,
+        "how much earlier than needed rates are asked for, because vehicles follow late",
+        unit="s",
+        low=0,
+    )
+    repeats: int = key(1, "flights, one after another", low=1)
+    threads: int = key(1, "CPU threads of torch; more make small solves slower", low=1)
+    out_dir: str = key("???", "folder to write into")
+    reference: ReferenceConfig = group(ReferenceConfig, "where to fly, from the place of take-off")
+    link: LinkConfig = group(LinkConfig, "how the vehicle is reached")
+    limits: LimitsConfig = group(LimitsConfig, "when something is wrong")
+    mpc: MpcConfig = group(MpcConfig, "the controller, unless run=pid")
+
+
+@dataclass
+class VehicleConfig:
+    """`nsde vehicle`."""
+
+    seed: int = key(0, "seed of gusts and noise", low=0)
+    duration: float | None = key(None, "how long to run; null: until Ctrl-C", unit="s", above=0)
+    parameters: dict[str, Any] = key({}, "values of PX4's parameters, parameters.COM_OF_LOSS_T=0.5")
+    threads: int = key(1, "CPU threads of torch", low=1)
+    plant: FlownPlantConfig = group(FlownPlantConfig, "the machine that it flies")
+    link: LinkConfig = group(LinkConfig, "how it is reached")
+
+
 # Choices whose keys are more than those of their group's class.
 CHOICES: dict[str, dict[str, type]] = {
     "data": {"simulated": SimulatedData, "csv": CsvData, "ulog": UlogData, "published": PublishedData},
@@ -696,6 +784,8 @@ COMMAND_SCHEMAS: dict[str, type] = {
     "policy": PolicyConfig,
     "simulate": SimulateConfig,
     "track": TrackConfig,
+    "fly": FlyConfig,
+    "vehicle": VehicleConfig,
 }
 
 

@@ -1,0 +1,84 @@
+"""The work of `nsde vehicle`: make the machine, and be it until told to stop."""
+
+from __future__ import annotations
+
+import time
+
+from hydra.core.hydra_config import HydraConfig
+from omegaconf import DictConfig
+
+from .jobs import LAST, check_config, see_user_modules
+
+
+def task(config: DictConfig) -> None:
+    """What Hydra calls; a failure is left for the command to word."""
+    hydra = HydraConfig.get()
+    see_user_modules(hydra)
+    try:
+        check_config(config, "vehicle", list(hydra.overrides.task))
+        run(config)
+    except Exception as error:
+        LAST.error = error
+
+
+def run(config: DictConfig) -> None:
+    """Be a vehicle.
+
+    Args:
+        config: The composed and checked configuration.
+
+    Raises:
+        ConfigError: no multirotor, or options that it does not have.
+    """
+    # torch is imported here, not above: help and completion do without it.
+    import torch
+
+    from nsde_torch.errors import ConfigError
+    from nsde_torch.px4.autopilot import PARAMETERS, SimulatedAutopilot
+    from nsde_torch.px4.body import Body
+    from nsde_torch.px4.transport import open_transport
+    from nsde_torch.px4.vehicle import Vehicle
+
+    from . import build, link_build
+
+    torch.set_num_threads(config.threads)
+    plant = config.plant
+    if plant.kind == "learned" or plant.dt is not None or plant.state_latency:
+        raise ConfigError(
+            "a vehicle is plant=hexacopter or plant=quadrotor, without plant.dt and plant.state_latency."
+        )
+    parameters = build.options(config)["parameters"]
+    unknown = sorted(set(parameters) - set(PARAMETERS))
+    if unknown:
+        raise ConfigError(f"`parameters` names {unknown}; the vehicle has {', '.join(PARAMETERS)}.")
+    body = Body(
+        plant.system or "hexacopter",
+        seed=config.seed,
+        effects=build.options(plant)["effects"],
+        declared_only=plant.declared_only,
+        process_noise=plant.process_noise,
+        latency=plant.latency,
+    )
+    transport = open_transport(config.link.url, expose=config.link.expose)
+    autopilot = SimulatedAutopilot(
+        body,
+        system=config.link.system or 1,
+        key=link_build.key(config.link),
+        seed=config.seed,
+        sensor_noise=plant.sensor_noise,
+        stream=transport.stream,
+        parameters=parameters,
+    )
+    vehicle = Vehicle(autopilot, transport)
+    print(f"a simulated {body.system.name} on {config.link.url}; Ctrl-C ends it", flush=True)
+    end = None if config.duration is None else time.monotonic() + config.duration
+    try:
+        vehicle.run(lambda: end is not None and time.monotonic() >= end)
+    except KeyboardInterrupt:
+        pass
+    finally:
+        transport.close()
+    print(
+        f"ran {autopilot.time:.1f} s"
+        + (f", {vehicle.slipped:.1f} s lost to a busy machine" if vehicle.slipped else "")
+    )

@@ -34,6 +34,7 @@ INTERVALS: dict[str, float] = {
 }
 """Messages that are asked for, with their rates [Hz]."""
 _OTHERS = ("HEARTBEAT", "STATUSTEXT", "COMMAND_ACK", "PARAM_VALUE", "TIMESYNC", "ACTUATOR_OUTPUT_STATUS")
+_IN_ORDER = frozenset(("HEARTBEAT", "STATUSTEXT", "COMMAND_ACK", "EXTENDED_SYS_STATE", "SYS_STATUS"))
 NUMBERS: dict[str, int] = {kind.msgname: number for number, kind in mavlink.mavlink_map.items()}
 WANTED = frozenset(NUMBERS[name] for name in (*INTERVALS, *_OTHERS))
 CHECKED = 2.0
@@ -79,6 +80,8 @@ class Endpoint:
         self._counted_since = 0.0
         self.rates: dict[str, float] = {}
         self._origin: float | None = None
+        self._newest, self._newest_at = 0, -1.0
+        self._last: dict[str, int] = {}
 
     # hearing
 
@@ -92,10 +95,31 @@ class Endpoint:
                 name = message.get_type()
                 if name == "HEARTBEAT" and message.autopilot == NO_AUTOPILOT:
                     continue  # a camera, or a ground station, of the same system
+                if self._overtaken(name, message.get_seq(), now):
+                    continue
                 self._counts[name] = self._counts.get(name, 0) + 1
                 self.telemetry.take(message, now)
                 count += 1
         return count
+
+    def _overtaken(self, name: str, seq: int, now: float) -> bool:
+        """Whether a message is a copy, or older than the last of its kind; states have stamps that say so better.
+
+        Numbers of frames count to 255 and begin again; they are unwound by the newest frame of all.
+        """
+        ahead = (seq - self._newest) % 256
+        if ahead >= 128 and now - self._newest_at < 0.3:
+            ahead -= 256
+        count = self._newest + ahead
+        if ahead >= 0:
+            self._newest, self._newest_at = count, now
+        if name not in _IN_ORDER:
+            return False
+        if count <= self._last.get(name, -1):
+            self.codec.counts["overtaken"] += 1
+            return True
+        self._last[name] = count
+        return False
 
     def _adopt(self, message: Message) -> bool:
         """The first autopilot that introduces itself is ours, and no other from then on."""

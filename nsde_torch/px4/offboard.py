@@ -157,7 +157,7 @@ class Offboard:
         self._seen: VehicleState | None = None
         self._stop = 0
         self._lifted = False
-        self._may_resume_after = inf
+        self._waiting = False
         self.reason = ""
 
     # from outside
@@ -431,10 +431,12 @@ class Offboard:
                 return
             if self._every(0.5):
                 self.endpoint.ask_mode(d.LAND)
-            if self._elapsed > self.options.confirm:
+            if self._elapsed > self.options.confirm or self._now - status.heard > self.limits.silence:
                 self._silence(f"LAND was not confirmed: {self._texts(status)}")
-            elif state is not None:
+            elif state is not None and self._now - state.time <= self.limits.estimate:
                 self._hold_at(self._where, state)
+            else:
+                self._send(level(None, 0.97 * GRAVITY), None)
             return
         self.streaming = False
         if not status.armed:

@@ -1,0 +1,219 @@
+"""A flight in virtual time: the state machine and a simulated vehicle on a line that can be tampered with.
+
+No sockets, no threads and no waiting: forty seconds of flight take some four seconds, and every fault comes at the
+same time in every run.
+"""
+
+from __future__ import annotations
+
+import random
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from itertools import pairwise
+
+from nsde_torch.control import shapes
+from nsde_torch.px4 import dialect as d
+from nsde_torch.px4.autopilot import SimulatedAutopilot
+from nsde_torch.px4.body import Body
+from nsde_torch.px4.codec import Codec
+from nsde_torch.px4.dialect import mavlink
+from nsde_torch.px4.endpoint import Endpoint
+from nsde_torch.px4.offboard import FlightOptions, Offboard, Phase
+from nsde_torch.px4.path import CascadeController, PathPoints
+from nsde_torch.px4.runner import Inline, Runner
+from nsde_torch.px4.safety import Limits
+from nsde_torch.px4.vectors import Vec, distance
+
+START = 1000.0
+TICK = 0.01
+SETPOINT = mavlink.MAVLINK_MSG_ID_SET_ATTITUDE_TARGET
+
+Line = Callable[[bytes, float], list[tuple[float, bytes]]]
+"""What becomes of a frame that was sent at a time: frames and when they arrive."""
+
+
+def straight(data: bytes, now: float) -> list[tuple[float, bytes]]:
+    """A line on which everything arrives, at once."""
+    return [(now, data)]
+
+
+@dataclass
+class World:
+    """One vehicle, one flight, and what is between them.
+
+    Args:
+        path: The reference; 6 s of hovering by default.
+        down: What becomes of frames from the vehicle; `up`: of those to it.
+        at: Called at every tick with this and the time since take-off of the phase, to make faults happen.
+    """
+
+    path: PathPoints = field(default_factory=lambda: PathPoints(shapes.hover(duration=6.0, height=1.0)))
+    runner: Runner | None = None
+    limits: Limits = field(default_factory=Limits)
+    options: FlightOptions = field(
+        default_factory=lambda: FlightOptions(
+            height=1.0, climb=1.2, hold=0.3, idle=0.4, spool=0.4, safe_hold=0.8, watch=15.0
+        )
+    )
+    system: str = "quadrotor"
+    key: bytes | None = None
+    vehicle_key: bytes | None = None
+    parameters: dict[str, float] = field(default_factory=dict)
+    down: Line = straight
+    up: Line = straight
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        self.body = Body(self.system, seed=self.seed, latency=0.02)
+        self.vehicle = SimulatedAutopilot(
+            self.body, key=self.vehicle_key, seed=self.seed, parameters=self.parameters
+        )
+        self.endpoint = Endpoint(self._up, key=self.key)
+        self.says: list[str] = []
+        self.flight = Offboard(
+            self.endpoint,
+            self.runner or Inline(CascadeController(self.path)),
+            self.path,
+            limits=self.limits,
+            options=self.options,
+            say=self.says.append,
+        )
+        self.now = START
+        self.setpoints: list[float] = []
+        self.errors: list[float] = []
+        self.highest = 0.0
+        self._to_vehicle: list[tuple[float, int, bytes]] = []
+        self._to_us: list[tuple[float, int, bytes]] = []
+        self._count = 0
+        self._reader = Codec(200, 1, wanted=frozenset({SETPOINT}))
+
+    def _up(self, data: bytes) -> None:
+        if int.from_bytes(data[7:10], "little") == SETPOINT:
+            self.setpoints.append(self.now)
+        self._queue(self._to_vehicle, self.up(data, self.now))
+
+    def _queue(self, queue: list[tuple[float, int, bytes]], frames: list[tuple[float, bytes]]) -> None:
+        for time, data in frames:
+            self._count += 1
+            queue.append((time, self._count, data))
+
+    def _due(self, queue: list[tuple[float, int, bytes]]) -> list[bytes]:
+        now = sorted(item for item in queue if item[0] <= self.now + 1e-9)
+        for item in now:
+            queue.remove(item)
+        return [data for _, _, data in now]
+
+    @property
+    def phase(self) -> Phase:
+        """Of the flight."""
+        return self.flight.phase
+
+    @property
+    def phases(self) -> list[str]:
+        """Those that were gone through."""
+        return [p for _, p, _ in self.flight.outcome.actions]
+
+    def inject(self, data: bytes) -> None:
+        """Bytes of a stranger, to us."""
+        self._queue(self._to_us, [(self.now, data)])
+
+    def tick(self) -> None:
+        """One hundredth of a second."""
+        for data in self._due(self._to_vehicle):
+            self.vehicle.receive(data)
+        for data in self.vehicle.advance(self.now - START):
+            self._queue(self._to_us, self.down(data, self.now))
+        for data in self._due(self._to_us):
+            self.endpoint.receive(data, self.now)
+        self.endpoint.poll(self.now)
+        self.flight.tick(self.now)
+        if self.phase is Phase.TRACK and self.flight.started is not None:
+            wanted = self.flight._moved(self.path.at(self.now - self.flight.started).p)
+            self.errors.append(distance(self.body.p, wanted))
+        self.highest = max(self.highest, self.body.p[2])
+        self.now += TICK
+
+    def run(self, at: Callable[[World], None] = lambda world: None, *, longest: float = 120.0) -> World:
+        """Fly until the flight is over, and then until the vehicle has come to rest."""
+        while not self.flight.done:
+            at(self)
+            self.tick()
+            assert self.now < START + longest, f"the flight hangs in {self.phase}"
+        for _ in range(3000):
+            if not self.vehicle.armed:
+                break
+            self.tick()
+        return self
+
+    def until(self, phase: Phase, then: float = 0.0) -> World:
+        """Fly until a phase has lasted for a time [s]."""
+        while not (self.phase is phase and self.flight._elapsed >= then):
+            self.tick()
+            assert self.now < START + 100.0, self.says
+            assert not self.flight.done, self.says
+        return self
+
+    @property
+    def rmse(self) -> float:
+        """Of the true position while the reference was tracked [m]."""
+        return float((sum(e * e for e in self.errors) / len(self.errors)) ** 0.5)
+
+    @property
+    def safe(self) -> bool:
+        """On the ground, disarmed, and nothing streamed any more."""
+        return self.body.on_ground and not self.vehicle.armed and not self.flight.streaming
+
+    def stream_gap(self, since: float, to: float) -> float:
+        """Largest time between setpoints in a span."""
+        times = [since, *(t for t in self.setpoints if since < t < to), to]
+        return max(b - a for a, b in pairwise(times))
+
+
+def lossy(share: float, seed: int = 0) -> Line:
+    """A line that loses frames."""
+    rng = random.Random(seed)
+    return lambda data, now: [] if rng.random() < share else [(now, data)]
+
+
+def delayed(least: float, most: float, seed: int = 0) -> Line:
+    """A line that delays frames by different times, so that they overtake each other."""
+    rng = random.Random(seed)
+    return lambda data, now: [(now + rng.uniform(least, most), data)]
+
+
+def doubled(after: float) -> Line:
+    """A line that delivers everything twice."""
+    return lambda data, now: [(now, data), (now + after, data)]
+
+
+def corrupted(share: float, seed: int = 0) -> Line:
+    """A line that flips bits."""
+    rng = random.Random(seed)
+
+    def line(data: bytes, now: float) -> list[tuple[float, bytes]]:
+        if rng.random() < share:
+            at = rng.randrange(len(data))
+            data = data[:at] + bytes((data[at] ^ (1 << rng.randrange(8)),)) + data[at + 1 :]
+        return [(now, data)]
+
+    return line
+
+
+def stranger(system: int = 1, component: int = 1, key: bytes | None = None) -> Codec:
+    """Someone else who speaks MAVLink."""
+    return Codec(system, component, key=key)
+
+
+def false_mode(codec: Codec) -> bytes:
+    """A heartbeat that says that the vehicle is in another mode, disarmed."""
+    return codec.pack(mavlink.MAVLink_heartbeat_message(13, d.AUTOPILOT_PX4, 1, d.HOLD.custom, 3, 3))
+
+
+def false_state(codec: Codec, stamp: float, p: Vec = (100.0, 0.0, -2.0)) -> bytes:
+    """A state far away."""
+    nothing = [0.0] * 21
+    return codec.pack(
+        mavlink.MAVLink_odometry_message(
+            int(stamp * 1e6), 1, 1, *p, [1.0, 0.0, 0.0, 0.0], 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, nothing, nothing
+        )
+    )

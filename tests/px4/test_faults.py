@@ -1,0 +1,331 @@
+"""Injected faults: each ends in its safe action, none in a crash, a hang or a stale stream."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import pytest
+
+from nsde_torch.control import shapes
+from nsde_torch.px4 import dialect as d
+from nsde_torch.px4.controller import Demand, Plan
+from nsde_torch.px4.offboard import Phase
+from nsde_torch.px4.path import CascadeController, PathPoints
+from nsde_torch.px4.runner import Inline, Runner
+from nsde_torch.px4.safety import Limits
+from tests.helpers.px4_world import (
+    World,
+    corrupted,
+    delayed,
+    doubled,
+    false_mode,
+    false_state,
+    lossy,
+    straight,
+    stranger,
+)
+
+SHORT = PathPoints(shapes.hover(duration=2.5, height=1.0))
+KEY = bytes(range(32))
+
+
+def _cut(world: World) -> None:
+    world.down = world.up = lambda data, now: []
+
+
+def _mend(world: World) -> None:
+    world.down = world.up = straight
+
+
+@pytest.mark.parametrize(
+    "phase",
+    [
+        Phase.PREFLIGHT,
+        Phase.STREAM,
+        Phase.OFFBOARD,
+        Phase.ARM,
+        Phase.TAKEOFF,
+        Phase.HOLD,
+        Phase.TRACK,
+        Phase.RETURN,
+        Phase.LAND,
+    ],
+)
+def test_a_link_cut_in_any_phase_ends_on_the_ground_by_the_autopilots_own_failsafe(phase: Phase) -> None:
+    world = World(path=SHORT).until(phase, 0.3 if phase is not Phase.ARM else 0.05)
+    cut = world.now
+    _cut(world)
+    world.run()
+    assert world.safe, world.says
+    assert max(world.setpoints, default=0.0) < cut + 2.5
+    assert not world.flight.outcome.tracked or phase in (Phase.RETURN, Phase.LAND)
+
+
+def test_a_link_that_comes_back_does_not_bring_the_stream_back() -> None:
+    world = World(path=SHORT).until(Phase.TRACK, 1.0)
+    cut = world.now
+    _cut(world)
+    world.run(lambda w: _mend(w) if w.now > cut + 3.0 else None)
+    assert world.safe
+    assert max(world.setpoints) < cut + 2.0
+    assert world.vehicle.mode == d.LAND
+
+
+def test_only_the_way_to_the_vehicle_is_cut() -> None:
+    world = World(path=SHORT).until(Phase.TRACK, 1.0)
+    world.up = lambda data, now: []
+    world.run()
+    assert world.safe
+    assert world.flight.outcome.trouble is not None
+    assert world.flight.outcome.trouble.kind == "mode"  # PX4's failsafe is not fought
+
+
+def test_only_the_way_from_the_vehicle_is_cut() -> None:
+    world = World(path=SHORT).until(Phase.TRACK, 1.0)
+    world.down = lambda data, now: []
+    world.run()
+    assert world.safe
+    assert world.vehicle.mode == d.LAND
+
+
+def test_a_short_gap_of_the_link_is_flown_through() -> None:
+    world = World(path=SHORT).until(Phase.TRACK, 1.0)
+    cut = world.now
+    _cut(world)
+    world.run(lambda w: _mend(w) if w.now > cut + 0.12 else None)
+    assert world.flight.outcome.tracked, world.says
+
+
+def test_a_lost_estimate_lands() -> None:
+    world = World(path=SHORT).until(Phase.TRACK, 1.0)
+    world.vehicle.blind = True
+    world.run()
+    assert world.flight.outcome.trouble is not None
+    assert world.flight.outcome.trouble.kind == "estimate"
+    assert world.safe
+
+
+@pytest.mark.parametrize("mode", [d.HOLD, d.POSITION, d.MANUAL, d.RETURN, d.LAND])
+def test_the_operators_mode_is_never_fought(mode: d.Mode) -> None:
+    world = World(path=SHORT).until(Phase.TRACK, 1.0)
+    chosen = world.now
+    world.vehicle.set_mode(mode)
+    for _ in range(400):
+        world.tick()
+    assert world.phase in (Phase.WATCH, Phase.DONE)
+    assert max(world.setpoints) < chosen + 1.3  # a heartbeat later at most
+    assert world.vehicle.mode == mode
+
+
+def test_a_disarmed_vehicle_is_not_armed_again() -> None:
+    world = World(path=SHORT).until(Phase.TRACK, 0.5)
+    world.vehicle.armed = False
+    world.run()
+    assert world.flight.outcome.trouble is not None
+    assert world.flight.outcome.trouble.kind == "disarmed"
+    assert world.safe
+
+
+@pytest.mark.parametrize(
+    ("kind", "limits"),
+    [
+        ("fence", Limits(fence=((-6.0, 6.0), (-6.0, 6.0), (-0.5, 1.2)))),
+        ("speed", Limits(speed=2.0)),
+        ("tilt", Limits(tilt=20.0)),
+        ("battery", Limits(battery=0.5)),
+    ],
+)
+def test_limits_hold_and_land(kind: str, limits: Limits) -> None:
+    path = PathPoints(
+        shapes.hover(duration=3.0, height=1.0)
+        if kind in ("fence", "battery")
+        else shapes.circle(duration=14.0)
+    )
+
+    def harm(world: World) -> None:
+        if world.phase is Phase.TRACK and kind == "battery":
+            world.body.used = 0.6
+        if world.phase is Phase.TRACK and kind == "fence" and world.flight._elapsed > 0.5:
+            world.body._push = (0.0, 0.0, 4.0)
+
+    world = World(path=path, limits=limits).run(harm)
+    assert world.flight.outcome.trouble is not None, world.says
+    assert world.flight.outcome.trouble.kind == kind
+    assert ("safe hold" in world.phases) == (kind != "battery")
+    assert world.safe
+
+
+class _Broken:
+    """A controller that goes wrong after a time."""
+
+    def __init__(self, path: PathPoints, how: Callable[[Plan], Plan], after: float = 1.0) -> None:
+        self._good, self._how, self._after = CascadeController(path), how, after
+
+    def __call__(self, row: tuple[float, ...], time: float, t: float) -> Plan:
+        plan = self._good(row, time, t)
+        return self._how(plan) if t > self._after else plan
+
+
+def _crash(plan: Plan) -> Plan:
+    raise ZeroDivisionError("no plan")
+
+
+NAN = float("nan")
+BROKEN: dict[str, Callable[[Plan], Plan]] = {
+    "raises": _crash,
+    "not finite rates": lambda p: Plan(p.time, p.dt, (Demand((NAN, 0.0, 0.0), 9.81),)),
+    "not finite thrust": lambda p: Plan(p.time, p.dt, (Demand((0.0, 0.0, 0.0), NAN),)),
+    "infinite": lambda p: Plan(p.time, p.dt, (Demand((0.0, 0.0, float("inf")), 9.81),)),
+    "says that it failed": lambda p: Plan(p.time, p.dt, p.demands, "failed"),
+    "old plans": lambda p: Plan(p.time - 1.0, p.dt, p.demands),
+    "empty plans": lambda p: Plan(p.time, p.dt, ()),
+}
+
+
+@pytest.mark.parametrize("how", BROKEN)
+def test_a_controller_that_breaks_is_replaced_by_holding_and_landing(how: str) -> None:
+    world = World(path=SHORT, runner=Inline(_Broken(SHORT, BROKEN[how]))).run()
+    assert world.flight.outcome.trouble is not None, world.says
+    assert world.flight.outcome.trouble.kind == "solver"
+    assert "safe hold" in world.phases
+    assert world.safe
+    assert world.highest < 2.2
+
+
+@pytest.mark.parametrize(
+    ("what", "demand"),
+    [
+        ("full thrust and wild rates", Demand((50.0, -50.0, 50.0), 500.0)),
+        ("rolls over", Demand((20.0, 0.0, 0.0), 9.81)),
+        ("motors off", Demand((0.0, 0.0, 0.0), 0.0)),
+    ],
+)
+def test_a_mad_controller_is_bounded_then_stopped_by_the_limits(what: str, demand: Demand) -> None:
+    mad = _Broken(SHORT, lambda p: Plan(p.time, p.dt, (demand,)))
+    world = World(
+        path=PathPoints(shapes.hover(duration=3.0, height=4.0)),
+        runner=Inline(mad),
+        limits=Limits(tilt=50.0, speed=4.0),
+    )
+    world.run()
+    assert world.safe, (what, world.says)
+
+
+class _Dead(Runner):
+    """A process that hangs, or is killed."""
+
+    def __init__(self, path: PathPoints, *, killed: bool, after: float = 1.0) -> None:
+        self._inner, self._killed, self._after = Inline(CascadeController(path)), killed, after
+        self.ready = True
+
+    def offer(self, row: tuple[float, ...], time: float, t: float) -> None:
+        if t < self._after:
+            self._inner.offer(row, time, t)
+            self.plan = self._inner.plan
+        elif self._killed:
+            self.fault = "the controller's process is gone"
+
+
+@pytest.mark.parametrize("killed", [True, False])
+def test_a_solver_that_is_killed_or_hangs_ends_in_a_landing(killed: bool) -> None:
+    world = World(path=SHORT, runner=_Dead(SHORT, killed=killed)).run()
+    assert world.flight.outcome.trouble is not None
+    assert world.flight.outcome.trouble.kind == "solver"
+    assert world.safe
+    assert world.highest < 2.0
+
+
+@pytest.mark.parametrize(
+    "phase", [Phase.PREFLIGHT, Phase.STREAM, Phase.ARM, Phase.TAKEOFF, Phase.HOLD, Phase.TRACK]
+)
+@pytest.mark.parametrize("times", [1, 2])
+def test_asked_to_stop_it_lands_whenever_that_is(phase: Phase, times: int) -> None:
+    world = World(path=SHORT).until(phase, 0.2 if phase is not Phase.ARM else 0.0)
+    for _ in range(times):
+        world.flight.stop()
+    world.run()
+    assert world.safe
+    assert not world.flight.outcome.tracked
+    assert ("safe hold" in world.phases) == (times == 1 and phase in (Phase.HOLD, Phase.TRACK))
+
+
+@pytest.mark.parametrize("by", [0.3, -0.3, 100.0, -100.0])
+def test_a_jump_of_the_autopilots_clock_ends_well(by: float) -> None:
+    world = World(path=SHORT).until(Phase.TRACK, 1.0)
+    world.vehicle.clock_error = by
+    world.run()
+    assert world.safe, world.says
+    assert world.highest < 2.2
+
+
+def test_a_jump_of_the_estimate_holds_and_lands() -> None:
+    world = World(path=SHORT).until(Phase.TRACK, 1.0)
+    world.body.p = (world.body.p[0] + 1.5, world.body.p[1], world.body.p[2])
+    world.run()
+    assert world.flight.outcome.trouble is not None
+    assert world.flight.outcome.trouble.kind == "jump"
+    assert world.safe
+
+
+@pytest.mark.parametrize(
+    ("name", "line"),
+    [
+        ("doubled", doubled(0.05)),
+        ("reordered", delayed(0.0, 0.06, seed=1)),
+        ("corrupted", corrupted(0.1, seed=2)),
+        ("lost", lossy(0.2, seed=3)),
+    ],
+)
+def test_a_bad_line_is_flown_through_or_landed_on(
+    name: str, line: Callable[..., list[tuple[float, bytes]]]
+) -> None:
+    world = World(path=SHORT, down=line, up=line).run()
+    assert world.safe, world.says
+    assert world.flight.outcome.tracked, world.says
+
+
+def test_a_line_that_is_too_late_is_landed_on() -> None:
+    world = World(path=SHORT).until(Phase.TRACK, 1.0)
+    world.down = world.up = delayed(0.4, 0.45)
+    world.run()
+    assert world.safe
+    assert not world.flight.outcome.tracked
+
+
+def test_messages_of_another_system_are_not_believed() -> None:
+    other = stranger(system=7)
+
+    def attack(world: World) -> None:
+        if world.phase is not Phase.CONNECT:
+            world.inject(false_mode(other) + false_state(other, 5000.0))
+
+    world = World(path=SHORT).run(attack)
+    assert world.flight.outcome.tracked
+    assert world.endpoint.codec.counts["foreign"] > 1000
+
+
+@pytest.mark.parametrize("key", [None, bytes(32)])
+def test_with_signing_on_unsigned_and_wrongly_signed_messages_are_dropped(key: bytes | None) -> None:
+    other = stranger(system=1, key=key)
+
+    def attack(world: World) -> None:
+        world.inject(false_mode(other) + false_state(other, world.now - 990.0))
+
+    world = World(path=SHORT, key=KEY, vehicle_key=KEY).run(attack)
+    assert world.flight.outcome.tracked, world.says
+    assert world.safe
+
+
+def test_a_vehicle_without_our_key_is_not_flown() -> None:
+    world = World(path=SHORT, key=KEY, vehicle_key=None).run()
+    assert world.flight.outcome.trouble is not None
+    assert "not signed with our key" in world.flight.outcome.trouble.text
+    assert not world.setpoints
+
+
+def test_rubbish_between_the_frames_changes_nothing() -> None:
+    import random
+
+    rng = random.Random(0)
+    world = World(path=SHORT).run(lambda w: w.inject(rng.randbytes(300)))
+    assert world.flight.outcome.tracked, world.says

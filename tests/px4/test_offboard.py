@@ -1,0 +1,104 @@
+"""Flights that go well, in virtual time, and those that are refused with the autopilot's own words."""
+
+from __future__ import annotations
+
+import pytest
+
+from nsde_torch.control import shapes
+from nsde_torch.px4 import dialect as d
+from nsde_torch.px4.offboard import FlightOptions, Phase
+from nsde_torch.px4.path import PathPoints
+from nsde_torch.px4.safety import Limits
+from tests.helpers.px4_world import World, delayed, lossy
+
+ORDER = ["preflight", "stream", "offboard", "arm", "take off", "hold", "track", "return", "land"]
+
+
+@pytest.mark.parametrize("system", ["quadrotor", "hexacopter"])
+def test_a_flight_goes_through_its_steps_and_ends_on_the_ground_disarmed(system: str) -> None:
+    world = World(system=system, path=PathPoints(shapes.hover(duration=2.0, height=1.0))).run()
+    assert world.phases[: len(ORDER)] == ORDER
+    assert world.flight.outcome.tracked
+    assert world.flight.outcome.landed
+    assert world.flight.outcome.trouble is None
+    assert world.safe
+    assert world.rmse < 0.15
+
+
+def test_the_supplements_circle_is_flown_within_a_quarter_of_a_metre_at_its_speed() -> None:
+    world = World(path=PathPoints(shapes.circle(duration=16.0))).run()
+    assert world.flight.outcome.tracked, world.says
+    assert world.rmse < 0.25
+
+
+def test_setpoints_come_at_a_hundred_hertz_from_stream_to_landing() -> None:
+    world = World(path=PathPoints(shapes.hover(duration=1.0, height=1.0))).until(Phase.STREAM)
+    begun = world.now
+    world.until(Phase.LAND)
+    assert world.stream_gap(begun, world.now) < 0.021
+
+
+def test_nothing_is_streamed_after_landing() -> None:
+    world = World(path=PathPoints(shapes.hover(duration=1.0, height=1.0))).run()
+    landed = next(t for t, p, _ in world.flight.outcome.actions if p == "done")
+    assert max(world.setpoints) < 1000.0 + landed - 1.0
+
+
+def test_hover_throttle_is_learned_from_a_wrong_parameter() -> None:
+    world = World(parameters={"MPC_THR_HOVER": 0.6}, path=PathPoints(shapes.hover(duration=6.0, height=1.0)))
+    world.until(Phase.TRACK, 5.0)
+    assert world.flight.hover.value == pytest.approx(world.body.hover_throttle(), rel=0.04)
+
+
+def test_a_line_with_delays_and_losses_in_both_directions_is_good_enough() -> None:
+    world = World(
+        path=PathPoints(shapes.hover(duration=3.0, height=1.0)),
+        down=delayed(0.0, 0.03),
+        up=lossy(0.05, seed=3),
+        seed=2,
+    ).run()
+    assert world.flight.outcome.tracked, world.says
+    assert world.safe
+
+
+def test_a_refusal_to_arm_is_explained_in_the_autopilots_words() -> None:
+    world = World()
+    world.until(Phase.OFFBOARD)
+    world.body.used = 0.95
+    world.run()
+    assert world.flight.outcome.trouble is not None
+    assert "arming was refused" in world.flight.outcome.trouble.text
+    assert "low battery" in world.flight.outcome.trouble.text
+    assert world.safe
+
+
+def test_flying_is_refused_before_arming_with_every_reason() -> None:
+    world = World(
+        path=PathPoints(shapes.circle(radius=9.0)),
+        parameters={"COM_OF_LOSS_T": 5.0},
+        options=FlightOptions(checks=2.0),
+        limits=Limits(battery=0.95),
+    ).run()
+    trouble = world.flight.outcome.trouble
+    assert trouble is not None
+    for reason in ("leaves the fence", "COM_OF_LOSS_T", "charge it"):
+        assert reason in trouble.text
+    assert not world.setpoints
+
+
+def test_without_a_vehicle_the_flight_says_that_nothing_was_heard() -> None:
+    world = World(down=lambda data, now: [], options=FlightOptions(connect=1.0)).run()
+    assert world.flight.outcome.trouble is not None
+    assert "nothing was heard" in world.flight.outcome.trouble.text
+
+
+def test_an_armed_vehicle_is_left_alone() -> None:
+    world = World(options=FlightOptions(checks=1.5))
+    world.vehicle.armed = True
+    world.vehicle.parameters["COM_DISARM_PRFLT"] = -1.0
+    while not world.flight.done:
+        world.tick()
+    assert world.flight.outcome.trouble is not None
+    assert "armed already" in world.flight.outcome.trouble.text
+    assert not world.setpoints
+    assert world.vehicle.mode == d.HOLD

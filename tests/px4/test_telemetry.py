@@ -1,0 +1,144 @@
+"""One consistent state out of messages in any order, and the time that it is valid for."""
+
+from __future__ import annotations
+
+from math import nan, sqrt
+from typing import Any
+
+import pytest
+
+from nsde_torch.px4.dialect import mavlink
+from nsde_torch.px4.telemetry import Telemetry
+from nsde_torch.px4.timesync import TimeSync
+
+S = sqrt(0.5)
+NOTHING = [nan] * 21
+NORTH_UP = (1.0, 0.0, 0.0, 0.0)
+
+
+def _odometry(
+    stamp: float, p: Any = (1.0, 2.0, -3.0), v: Any = (0.5, 0.0, 0.0), q: Any = NORTH_UP, **more: Any
+) -> Any:
+    return mavlink.MAVLink_odometry_message(
+        int(stamp * 1e6), 1, 1, *p, list(q), *v, 0.1, 0.2, 0.3, NOTHING, NOTHING, **more
+    )
+
+
+def test_odometry_becomes_enu_and_flu_with_its_velocity_in_the_local_frame() -> None:
+    telemetry = Telemetry()
+    # nose east, moving north: were the velocity in the body, it would come out as east
+    telemetry.take(_odometry(5.0, q=(S, 0.0, 0.0, S)), 100.0)
+    state = telemetry.state
+    assert state is not None
+    assert state.p == (2.0, 1.0, 3.0)
+    assert state.v == pytest.approx((0.0, 0.5, 0.0))
+    assert state.q == pytest.approx((1.0, 0.0, 0.0, 0.0))
+    assert state.w == pytest.approx((0.1, -0.2, -0.3))
+    assert state.stamp == 5.0
+
+
+def test_velocity_of_odometry_in_the_body_is_found_out_by_local_position() -> None:
+    telemetry = Telemetry()
+    for k in range(40):
+        t = 5.0 + 0.01 * k
+        telemetry.take(
+            mavlink.MAVLink_local_position_ned_message(int(t * 1e3), 0, 0, 0, 0, 2.0, 0), 100 + 0.01 * k
+        )
+        telemetry.take(_odometry(t, v=(2.0, 0.0, 0.0), q=(S, 0.0, 0.0, S)), 100 + 0.01 * k)
+    assert telemetry.state is not None
+    assert telemetry.state.v == pytest.approx((2.0, 0.0, 0.0))  # east, as LOCAL_POSITION_NED says
+
+
+def test_without_odometry_the_position_is_carried_forward_to_the_attitudes_time() -> None:
+    telemetry = Telemetry()
+    telemetry.take(mavlink.MAVLink_local_position_ned_message(5000, 1.0, 0.0, -1.0, 2.0, 0.0, 0.0), 100.0)
+    telemetry.take(mavlink.MAVLink_attitude_quaternion_message(5050, *NORTH_UP, 0.1, 0.0, 0.0), 100.05)
+    assert telemetry.state is not None
+    assert telemetry.state.p == pytest.approx((0.0, 1.1, 1.0))
+    assert telemetry.state.stamp == pytest.approx(5.05)
+
+
+def test_an_attitude_is_not_joined_with_a_position_of_long_ago() -> None:
+    telemetry = Telemetry()
+    telemetry.take(mavlink.MAVLink_local_position_ned_message(5000, 1.0, 0.0, -1.0, 2.0, 0.0, 0.0), 100.0)
+    telemetry.take(mavlink.MAVLink_attitude_quaternion_message(5300, *NORTH_UP, 0.1, 0.0, 0.0), 100.3)
+    assert telemetry.state is None
+
+
+@pytest.mark.parametrize(
+    "bad",
+    [
+        {"p": (nan, 0.0, 0.0)},
+        {"v": (0.0, float("inf"), 0.0)},
+        {"q": (0.0, 0.0, 0.0, 0.0)},
+        {"q": (nan, 0.0, 0.0, 0.0)},
+        {"q": (2.0, 0.0, 0.0, 0.0)},
+    ],
+)
+def test_a_state_that_cannot_be_is_not_taken(bad: dict[str, Any]) -> None:
+    telemetry = Telemetry()
+    telemetry.take(_odometry(5.0), 100.0)
+    telemetry.take(_odometry(5.01, **bad), 100.01)
+    assert telemetry.state is not None
+    assert telemetry.state.stamp == 5.0
+    assert telemetry.rejected == 1
+
+
+def test_late_and_repeated_states_are_not_taken() -> None:
+    telemetry = Telemetry()
+    for stamp in (5.0, 5.02, 5.01, 5.02):
+        telemetry.take(_odometry(stamp, p=(stamp, 0.0, 0.0)), 100.0)
+    assert telemetry.state is not None
+    assert telemetry.state.p[1] == pytest.approx(5.02)
+    assert telemetry.rejected == 2
+
+
+def test_a_clock_that_starts_again_is_believed_after_it_said_so_five_times() -> None:
+    telemetry = Telemetry()
+    telemetry.take(_odometry(500.0), 100.0)
+    for k in range(8):
+        telemetry.take(_odometry(1.0 + 0.01 * k), 100.01 + 0.01 * k)
+        assert telemetry.state is not None
+        assert (telemetry.state.stamp < 2.0) == (k >= 4)
+    assert telemetry.state.time == pytest.approx(100.08, abs=0.02)
+
+
+def test_one_stamp_from_the_future_does_not_shut_out_the_present() -> None:
+    telemetry = Telemetry()
+    telemetry.take(_odometry(5.0), 100.0)
+    telemetry.take(_odometry(9000.0), 100.01)
+    telemetry.take(_odometry(5.02), 100.02)
+    assert telemetry.state is not None
+    assert telemetry.state.stamp == 5.02
+
+
+def test_time_sync_takes_the_shortest_round_trip() -> None:
+    sync = TimeSync()
+    sync.answered(50.005, 100.0, 100.01)  # offset -50, quick
+    sync.answered(50.9, 100.9, 101.3)  # slow and lopsided
+    assert sync.offset == pytest.approx(-50.0)
+    assert sync.round_trip == pytest.approx(0.01)
+    assert sync.ours(60.0) == pytest.approx(110.0)
+
+
+def test_without_answers_the_fastest_message_tells_the_time() -> None:
+    sync = TimeSync()
+    for k, late in enumerate((0.03, 0.01, 0.05)):
+        sync.arrived(50.0 + k, 100.0 + k + late)
+    assert sync.offset == pytest.approx(-50.01)
+
+
+def test_a_state_is_as_old_as_its_way_here() -> None:
+    telemetry = Telemetry()
+    telemetry.sync.answered(50.0, 100.0, 100.0)
+    telemetry.take(_odometry(51.0), 101.04)
+    assert telemetry.state is not None
+    assert telemetry.state.time == pytest.approx(101.0)
+
+
+def test_motor_commands_come_from_pulse_widths_or_shares() -> None:
+    telemetry = Telemetry()
+    telemetry.take(mavlink.MAVLink_servo_output_raw_message(0, 0, 1500, 2000, 1000, 900, 0, 0, 0, 0), 1.0)
+    assert telemetry.status.motors[:4] == pytest.approx((0.5, 1.0, 0.0, 0.0))
+    telemetry.take(mavlink.MAVLink_actuator_output_status_message(0, 4, [0.25, 0.5] + [0.0] * 30), 1.0)
+    assert telemetry.status.motors[:2] == (0.25, 0.5)

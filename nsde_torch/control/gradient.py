@@ -5,7 +5,8 @@
 
 (Nesterov 1983; Beck and Teboulle, SIAM J. Imaging Sci. 2, 2009, with the monotone choice and the restart of O'Donoghue
 and Candes, Found. Comput. Math. 15, 2015.) The line search is parallel: all candidate steps are rolled out as one
-batch, the best becomes the plan, and its step size is where the next search starts. The gradient is torch's autograd's.
+batch, the best becomes the plan, and its step size is where the next search starts. The gradient comes from
+the forward derivatives of all steps in one batch: a backward pass through the rollout takes minutes more to compile.
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ from typing import final
 import torch
 from torch import Tensor, nn
 
-from nsde_torch.control.gauss_newton import Function, Iterate
+from nsde_torch.control.gauss_newton import Function, GaussNewton, Iterate
 from nsde_torch.control.horizon import Horizon, _repeat
 
 FACTORS = (4.0, 2.0, 1.0, 0.5, 0.25, 0.06)
@@ -26,7 +27,7 @@ FIRST_STEP = 1e-3
 
 @final
 class AcceleratedGradient(nn.Module):
-    """An iteration, `forward`: plain tensors in and out.
+    """An iteration in two stages, each from plain tensors to plain tensors.
 
     The memory between iterations is the plan before (N, K, nu), the momentum's counter (N,) and the step (N,).
 
@@ -34,15 +35,16 @@ class AcceleratedGradient(nn.Module):
         horizon: The problem.
 
     Attributes:
-        stages: Names of the stages, of which there is one.
+        stages, fused: See `GaussNewton`.
     """
 
-    stages = ("forward",)
-    fused = ()
+    stages = ("slope", "search")
+    fused = ("search",)
 
     def __init__(self, horizon: Horizon) -> None:
         super().__init__()
         self.horizon = horizon
+        self._newton = GaussNewton(horizon)  # for its linearisation
         self.factors: Tensor
         self.register_buffer("factors", torch.tensor(FACTORS, dtype=horizon.predictor.dtype))
 
@@ -56,30 +58,44 @@ class AcceleratedGradient(nn.Module):
         one = u.new_ones(len(u))
         return u.clone(), one, FIRST_STEP * one
 
-    def forward(
+    def iterate(
+        self,
+        run: Mapping[str, Function],
+        arguments: Sequence[Tensor],
+        memory: tuple[Tensor, ...],
+        tolerance: float,
+    ) -> tuple[Iterate, tuple[Tensor, ...]]:
+        """Improve plans; see `GaussNewton.iterate`."""
+        z0, u, _, ref, last, d = arguments
+        before, counter, size = memory
+        y, gradient, later = run["slope"]([z0, u, ref, last, d, before, counter])
+        out = run["search"]([z0, u, ref, last, d, y, gradient, later, size])
+        return Iterate(*out[:6]), tuple(out[6:])
+
+    def slope(
+        self, z0: Tensor, u: Tensor, ref: Tensor, last: Tensor, d: Tensor, before: Tensor, counter: Tensor
+    ) -> tuple[Tensor, ...]:
+        """Extrapolated plans (N, K, nu), the gradient there, and the momentum's next counter (N,)."""
+        o = self.horizon.options
+        later = 0.5 * (1.0 + torch.sqrt(1.0 + 4.0 * counter * counter))
+        y = (u + ((counter - 1.0) / later)[:, None, None] * (u - before)).clamp(o.low, o.high)
+        return y, self.gradient(z0, y, ref, last, d), later
+
+    def search(
         self,
         z0: Tensor,
         u: Tensor,
-        z: Tensor,
         ref: Tensor,
         last: Tensor,
         d: Tensor,
-        before: Tensor,
-        counter: Tensor,
+        y: Tensor,
+        gradient: Tensor,
+        later: Tensor,
         size: Tensor,
     ) -> tuple[Tensor, ...]:
-        """Improve plans; arguments as in `GaussNewton.forward`, then the memory.
-
-        Returns:
-            See `Iterate`; then the memory.
-        """
-        h = self.horizon
+        """Roll out steps of several sizes, and keep the best plan; returns an `Iterate`, then the memory."""
+        h, o = self.horizon, self.horizon.options
         n, k, nu = len(u), h.steps, h.nu
-        o = h.options
-        later = 0.5 * (1.0 + torch.sqrt(1.0 + 4.0 * counter * counter))
-        beta = (counter - 1.0) / later
-        y = (u + beta[:, None, None] * (u - before)).clamp(o.low, o.high)
-        gradient = self.gradient(z0, y, ref, last, d)
         steps = size[:, None] * self.factors
         tried = (y[:, None] - steps[..., None, None] * gradient[:, None]).clamp(o.low, o.high)
         s = len(FACTORS) + 1
@@ -93,34 +109,27 @@ class AcceleratedGradient(nn.Module):
         path = paths.view(n, s, -1).gather(1, row.expand(n, 1, paths[0].numel())).view(n, *paths.shape[1:])
         cost = costs.gather(1, best[:, None])[:, 0]
         stuck = best == s - 1  # nothing was better: without momentum, and with shorter steps, from here
-        # Lipschitz steps promise |u - P(u - s g)|^2 / s at least; a multiple of it stands for what is left
         chosen = (
             torch.cat((self.factors, self.factors[-1:])).expand(n, s).gather(1, best[:, None])[:, 0] * size
         )
         chosen = chosen.clamp(1e-7, 1.0)
-        moved = (y - gradient * chosen[:, None, None]).clamp(o.low, o.high) - y
-        promised = (moved * moved).flatten(1).sum(1) / chosen
-        counter = torch.where(stuck, torch.ones_like(counter), later)
+        # the input terms alone curve J by 2 R, which bounds what is left by the projected gradient; a loose bound
+        moved = (y - (y - gradient * chosen[:, None, None]).clamp(o.low, o.high)) / chosen[:, None, None]
+        left = (moved * moved).flatten(1).sum(1) / (4.0 * h.input_weight).clamp_min(1e-6)
+        gap = left / cost.abs().clamp_min(1e-9)
+        counter = torch.where(stuck, torch.ones_like(later), later)
         kept = torch.where(stuck[:, None, None], new, u)
-        gap = promised / cost.abs().clamp_min(1e-9)
         return new, path, cost, costs[:, -1].clone(), gap, gap.max(), kept, counter, chosen
 
-    def iterate(
-        self,
-        run: Mapping[str, Function],
-        arguments: Sequence[Tensor],
-        memory: tuple[Tensor, ...],
-        tolerance: float,
-    ) -> tuple[Iterate, tuple[Tensor, ...]]:
-        """Improve plans; see `GaussNewton.iterate`."""
-        out = run["forward"]([*arguments, *memory])
-        return Iterate(*out[:6]), tuple(out[6:])
-
     def gradient(self, z0: Tensor, u: Tensor, ref: Tensor, last: Tensor, d: Tensor) -> Tensor:
-        """Gradient of the costs (N, K, nu)."""
+        """Gradient of the costs (N, K, nu): slopes of all steps in one batch, put together backwards in time."""
         h = self.horizon
-        with torch.enable_grad():
-            free = u.detach().requires_grad_()
-            total = h.cost(h.rollout(z0, free, d), free, ref, last).sum()
-            (gradient,) = torch.autograd.grad(total, free)
-        return gradient
+        n, p = len(u), h.particles
+        _, r, a, b, c, e = self._newton.linearise(u, h.rollout(z0, u, d), ref, d)
+        back, parts = r.new_zeros(n * p, 1, h.nz), []
+        for k in reversed(range(h.steps)):
+            row = r[:, k, None]
+            parts.append(row @ e[:, k] + back @ b[:, k])
+            back = row @ c[:, k] + back @ a[:, k]
+        along = torch.cat(parts[::-1], 1).view(n, p, h.steps, h.nu).mean(1)
+        return 2.0 * (along + self._newton.input_gradient(u, last).view(n, h.steps, h.nu))

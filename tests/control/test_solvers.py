@@ -8,6 +8,7 @@ import torch
 from scipy.optimize import minimize
 
 from nsde_torch.control.gauss_newton import GaussNewton
+from nsde_torch.control.gradient import AcceleratedGradient
 from nsde_torch.control.horizon import Horizon
 from nsde_torch.control.reference import Reference
 from nsde_torch.control.solve import Problem, Solution, Solver, SolverOptions
@@ -73,6 +74,15 @@ def test_the_gradient_of_the_quadratic_is_that_of_the_cost(model: NeuralSDE, pat
     _, half, value = GaussNewton(h).quadratic(p.z0, u.detach(), z.detach(), p.ref, p.last, p.d)
     assert torch.allclose(2.0 * half, wanted.flatten(1), rtol=1e-6, atol=1e-6)
     assert torch.allclose(value, cost.detach())
+
+
+def test_the_gradient_put_together_from_slopes_is_that_of_the_cost(model: NeuralSDE, path: Reference) -> None:
+    h = horizon_of(model, rate_weight=3.0, input_centre=0.3, particles=2)
+    p = problem_of(h, path, rows=2)
+    u = torch.rand(2, 20, 6, generator=torch.Generator().manual_seed(3)).double().requires_grad_()
+    (wanted,) = torch.autograd.grad(h.cost(h.rollout(p.z0, u, p.d), u, p.ref, p.last).sum(), u)
+    found = AcceleratedGradient(h).gradient(p.z0, u.detach(), p.ref, p.last, p.d)
+    assert torch.allclose(found, wanted, rtol=1e-6, atol=1e-6)
 
 
 @pytest.mark.parametrize(("name", "iterations"), [("gauss_newton", 8), ("apg", 30)])

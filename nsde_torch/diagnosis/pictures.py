@@ -89,7 +89,7 @@ def effect_views(outcome: Outcome, channels: Sequence[ChannelResidual]) -> list[
     before = rates(outcome.declared.regression, outcome.declared_variables)
     after = rates(outcome.final.regression, outcome.variables)
     out: list[Panel] = []
-    for c in _most_reduced(channels)[:_CHANNELS]:
+    for c in _most_reduced(channels)[: 2 * _CHANNELS]:
         if out and c.after > _REDUCED * c.before:
             break
         picked = _surest(outcome.before, c.name)

@@ -24,6 +24,7 @@ from nsde_torch.px4.path import PathPoints
 from nsde_torch.px4.runner import Runner
 from nsde_torch.px4.safety import Limits
 from nsde_torch.px4.setpoint import SetpointLimits
+from nsde_torch.px4.telemetry import VehicleState
 from nsde_torch.px4.vectors import distance
 
 RATE = 100.0
@@ -108,6 +109,7 @@ class Recorder:
         self.report = FlightReport(flight.outcome)
         self._sent, self._plan = -1.0, None
         self._ages, self._gaps = array("d"), array("d")
+        self._logged: VehicleState | None = None
 
     def look(self, now: float) -> None:
         """After a tick at `now` [s]."""
@@ -133,7 +135,21 @@ class Recorder:
             self.report.errors.append(distance(at, wanted))  # type: ignore[arg-type]
         flown = f.phase in FLYING or (f.phase in (Phase.LAND, Phase.WATCH) and status.landed != d.ON_GROUND)
         if self._log is not None and flown and state.p[2] > f.home[2] + LOGGED_FROM:
-            self._log.add(state, status, f.sent)
+            for one in self._new_states():
+                self._log.add(one, status, f.sent)
+
+    def _new_states(self) -> list[VehicleState]:
+        """States that came since the last tick; there may be several where the machine is busy."""
+        found: list[VehicleState] = []
+        with self._flight.endpoint.lock:
+            for state in reversed(self._flight.endpoint.telemetry.history):
+                if state is self._logged:
+                    break
+                found.append(state)
+        if found:
+            self._logged = found[0]
+        # what came before the flight, or long ago, has other setpoints than the present ones
+        return [state for state in reversed(found) if found[0].received - state.received < 0.1]
 
     def finish(self) -> FlightReport:
         """The report."""

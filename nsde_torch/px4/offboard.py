@@ -151,6 +151,7 @@ class Offboard:
         self._begun: float | None = None
         self._since = self._asked = self._now = self._last = 0.0
         self._good_since: float | None = None
+        self._bad_since: float | None = None
         self._where = Point((0.0, 0.0, 0.0))
         self._ground = 0.0
         self._yaw = 0.0
@@ -261,9 +262,12 @@ class Offboard:
         )
         if found:
             self._good_since = None
-            if self._elapsed > self.options.checks:
+            if self._bad_since is None:
+                self._bad_since = self._now
+            if self._now - self._bad_since > self.options.checks:
                 self._refuse("not fit to fly: " + "; ".join(found))
             return
+        self._bad_since = None
         if self._good_since is None:
             self._good_since = self._now
         known = all(name in status.parameters for name in preflight.PARAMETERS)
@@ -324,7 +328,7 @@ class Offboard:
         z = min(self._ground + self.options.climb * rise, top)
         if not self._lifted:
             # the wanted height does not run away from a vehicle that still stands
-            z = min(z, self._ground + 0.6)
+            z = min(z, self._ground + 0.4)
             if state.p[2] > self._ground + 0.1:
                 self._lifted = True
                 self._since = (

@@ -111,6 +111,7 @@ class Telemetry:
         sync: The autopilot's clock.
         status: See `Status`.
         state: The newest consistent state, None before the first.
+        history: The newest ones, for who looks less often than they come.
         rejected: States that were not believed: not finite, no rotation, or older than what is known.
     """
 
@@ -118,6 +119,7 @@ class Telemetry:
         self.sync = TimeSync()
         self.status = Status()
         self.state: VehicleState | None = None
+        self.history: deque[VehicleState] = deque(maxlen=100)
         self.rejected = 0
         self.odometry_rate = 0.0
         self.rate = 0.0
@@ -244,6 +246,7 @@ class Telemetry:
         # nothing is valid in the future: a state that came is at least as old as its way here
         time = min(self.sync.ours(stamp), now)
         self.state = VehicleState(time, stamp, now, p, v, normalised(q), w)
+        self.history.append(self.state)
         if before is not None and now > before.received:
             self.rate += 0.05 * (min(1.0 / (now - before.received), 1000.0) - self.rate)
         return True

@@ -140,7 +140,7 @@ class World:
             self.tick()
             assert self.now < START + longest, f"the flight hangs in {self.phase}"
         for _ in range(3000):
-            if not self.vehicle.armed:
+            if not self.vehicle.armed and self.body.on_ground:
                 break
             self.tick()
         return self

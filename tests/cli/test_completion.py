@@ -18,7 +18,7 @@ from nsde_torch.cli.main import COMMANDS, main
 @pytest.mark.parametrize(
     ("words", "expected"),
     [
-        (["tr"], ["train"]),
+        (["tr"], ["train", "track"]),
         (["completion", "z"], ["zsh"]),
         (["train", "sys"], ["system.", "system="]),
         (["train", "system=c"], ["system=cartpole"]),
@@ -75,7 +75,7 @@ def test_unknown_shell_is_refused(capsys: pytest.CaptureFixture[str]) -> None:
 @pytest.mark.parametrize(
     ("line", "expected"),
     [
-        ("nsde tr", ["train "]),
+        ("nsde trai", ["train "]),
         ("nsde train system=cart", ["cartpole "]),
         ("nsde train trainer.lr", ["trainer.lr=", "trainer.lr_end="]),
         ("nsde train -m loss=paper,d", ["paper,default "]),

@@ -109,9 +109,9 @@ def _runner(config: DictConfig, path: PathPoints, reference: Reference) -> Runne
 
     if config.run == track_build.PID:
         return Inline(CascadeController(path, lead=PID_LEAD if config.lead is None else config.lead))
-    from . import fly_build
+    from .fly_build import predictive
 
-    return fly_build.predictive(config, reference)
+    return predictive(config, reference)
 
 
 def _line(report: FlightReport) -> str:

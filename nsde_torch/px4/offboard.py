@@ -472,7 +472,7 @@ class Offboard:
 
     def _finished(self) -> None:
         self.streaming = False
-        self.outcome.landed = True
+        self.outcome.landed = self.endpoint.telemetry.status.landed != d.IN_AIR
         self._go(Phase.DONE, "disarmed")
 
     # troubles

@@ -1,0 +1,79 @@
+"""A controller in a process of its own: its faults are known to the loop, which never waits."""
+
+from __future__ import annotations
+
+import os
+import signal
+import time
+from collections.abc import Callable
+
+import pytest
+
+from nsde_torch.px4.controller import Controller, Demand, Plan
+from nsde_torch.px4.runner import Process
+
+ROW = (0.0,) * 6 + (1.0,) + (0.0,) * 6
+
+
+def _still(row: tuple[float, ...], time: float, t: float) -> Plan:
+    return Plan(time, 0.05, (Demand((0.0, 0.0, 0.0), 9.81),))
+
+
+def good() -> Controller:
+    """Makes a controller."""
+    return _still
+
+
+def crashing() -> Controller:
+    """Makes one that crashes."""
+
+    def crash(row: tuple[float, ...], time: float, t: float) -> Plan:
+        raise ValueError("no plan today")
+
+    return crash
+
+
+def _wait(runner: Process, until: Callable[[], bool], longest: float = 60.0) -> None:
+    end = time.monotonic() + longest
+    while not until() and time.monotonic() < end:
+        runner.collect()
+        time.sleep(0.01)
+    assert until()
+
+
+def test_plans_come_back_and_a_killed_process_is_noticed() -> None:
+    runner = Process(good)
+    try:
+        _wait(runner, lambda: runner.ready)
+        runner.offer(ROW, 5.0, 0.0)
+        _wait(runner, lambda: runner.plan is not None)
+        assert runner.plan is not None
+        assert runner.plan.demands[0].thrust == 9.81
+        assert runner.pid is not None
+        os.kill(runner.pid, signal.SIGKILL)
+        _wait(runner, lambda: runner.fault is not None)
+        assert "gone" in str(runner.fault)
+        begun = time.monotonic()
+        runner.offer(ROW, 6.0, 0.0)
+        assert time.monotonic() - begun < 0.5
+    finally:
+        runner.close()
+
+
+def test_an_error_over_there_is_told_here_in_its_words() -> None:
+    runner = Process(crashing)
+    try:
+        _wait(runner, lambda: runner.ready)
+        runner.offer(ROW, 5.0, 0.0)
+        _wait(runner, lambda: runner.fault is not None)
+        assert "no plan today" in str(runner.fault)
+    finally:
+        runner.close()
+
+
+@pytest.mark.parametrize("t", [0.0, 0.025, 1.0])
+def test_between_demands_both_are_mixed_and_the_last_holds(t: float) -> None:
+    plan = Plan(10.0, 0.05, (Demand((0.0, 0.0, 0.0), 8.0), Demand((1.0, 0.0, 0.0), 10.0)))
+    share = min(t / 0.05, 1.0)
+    assert plan.at(10.0 + t).thrust == pytest.approx(8.0 + 2.0 * share)
+    assert plan.at(10.0 + t).w[0] == pytest.approx(share)

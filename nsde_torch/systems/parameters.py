@@ -15,7 +15,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from nsde_torch.effects import Effect, Parametrised
+from nsde_torch.effects import Effect, Parametrised, Port
 from nsde_torch.errors import ConfigError
 from nsde_torch.systems.base import System
 
@@ -66,7 +66,8 @@ class ParameterVector:
         start: Values of the system (k,).
         low, high: Bounds (k,), infinite where there are none.
         scale: Typical size of each (k,).
-        moves_memory: Whether the parameter is one of an effect that carries memory (k,).
+        moves_memory: Whether the parameter is one of an effect that carries memory, or of one whose output such an
+            effect follows: a dead band before a lag (k,).
 
     Raises:
         ConfigError: the system declares no parameter.
@@ -81,9 +82,11 @@ class ParameterVector:
         self.units: list[str] = []
         rows: list[tuple[float, float, float, float, bool]] = []
         effects = [(f"{e.name}.", e) for e in self.system.effects if isinstance(e, Effect)]
+        last = max((e.stage for _, e in effects if e.port is Port.INPUT and e.n_memory), default=0)
         for prefix, module in [("", self.system), *effects]:
             assert isinstance(module, Parametrised)
-            carries = isinstance(module, Effect) and module.n_memory > 0
+            followed = isinstance(module, Effect) and module.port is Port.INPUT and module.stage < last
+            carries = isinstance(module, Effect) and (module.n_memory > 0 or followed)
             own: dict[str, slice] = {}
             for name, (value, unit) in module.declared_parameters().items():
                 k, spec = value.numel(), module.parameter(name)

@@ -9,8 +9,11 @@ import torch
 from nsde_torch.data import Run
 from nsde_torch.effects.lag import ActuatorLag
 from nsde_torch.learning.identify.memory import memory_along
+from nsde_torch.learning.identify.physics import Physics
 from nsde_torch.learning.identify.steps import steps_of
 from nsde_torch.systems import make_system
+from nsde_torch.systems.parameters import ParameterVector
+from tests.helpers.diagnosed import recorded
 
 DT, TAU = 0.01, 0.05
 
@@ -132,3 +135,20 @@ def test_memory_that_nobody_knows_exactly_is_integrated_with_what_is_known_held(
         m[k + 1, 0] = u[k, 0] + (m[k, 0] - u[k, 0]) * fade
         m[k + 1, 1] = m[k, 0] + (m[k, 1] - m[k, 0]) * fade
     np.testing.assert_allclose(last, m[-1 - len(steps) : -1, 1], atol=0.02)
+
+
+def test_what_a_lag_follows_moves_its_memory_too() -> None:
+    """The width of a dead band before a lag shows in the slopes as it shows in the residual."""
+    data = recorded("mass_spring_damper", durations=(4.0,) * 2, sensor_noise=0.1)
+    values = {"actuator_lag.time_constant": 0.05, "actuator_deadband.width": 0.1}
+    system = make_system(
+        "mass_spring_damper", effects=["actuator_lag", "actuator_deadband"], values=values
+    ).double()
+    vector = ParameterVector(system)
+    physics = Physics(vector, steps_of(system, data.runs, clock=1.0, smooth=False))
+    j, small = vector.labels.index("actuator_deadband.width"), 1e-4
+    up, down = vector.start.copy(), vector.start.copy()
+    up[j], down[j] = up[j] + small, down[j] - small
+    expected = (physics.residual(down) - physics.residual(up))[:, 1] / (2 * small)
+    slope = physics.slopes(vector.start)[:, 1, j]
+    assert np.linalg.norm(slope - expected) < 0.05 * np.linalg.norm(expected)

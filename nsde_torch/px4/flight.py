@@ -136,7 +136,8 @@ class Recorder:
         flown = f.phase in FLYING or (f.phase in (Phase.LAND, Phase.WATCH) and status.landed != d.ON_GROUND)
         if self._log is not None and flown and state.p[2] > f.home[2] + LOGGED_FROM:
             for one in self._new_states():
-                self._log.add(one, status, f.sent)
+                if one.p[2] > f.home[2] + LOGGED_FROM:
+                    self._log.add(one, status, f.sent)
 
     def _new_states(self) -> list[VehicleState]:
         """States that came since the last tick; there may be several where the machine is busy."""

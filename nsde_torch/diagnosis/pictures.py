@@ -38,6 +38,7 @@ Array = NDArray[np.float64]
 
 _CHANNELS, _UNEXPLAINED = 2, 4
 _COURSE = 120  # points of a course in time
+_SURE = 1e-4  # chance below which a test is as sure as any
 _REDUCED = 0.9  # of the residual before: what is below that was reduced
 
 
@@ -153,10 +154,17 @@ def _most_reduced(channels: Sequence[ChannelResidual]) -> list[ChannelResidual]:
 
 
 def _surest(tests: Sequence[Dependence], channel: str) -> Dependence | None:
-    """The surest test of a channel whose variable can be an axis; a product only where nothing else comes near."""
+    """The test of a channel that explains most among the sure ones, whose variable can be an axis.
+
+    A product is taken only where nothing else comes near.
+    """
     own = [d for d in tests if d.channel == channel and d.variable != "run" and moment(d.where) is None]
     plain = [d for d in own if is_plain(d.variable)]
-    first, product = (min(some, key=lambda d: (d.p, -d.gain), default=None) for some in (plain, own))
+
+    def order(d: Dependence) -> tuple[float, float]:
+        return max(d.p * len(tests), _SURE), d.functions - d.gain
+
+    first, product = (min(some, key=order, default=None) for some in (plain, own))
     if first is None or product is None:
         return product
     alone = first.p * len(tests) > 0.05 and product.p * len(tests) < 0.01

@@ -182,7 +182,7 @@ class Diagnosis:
             {
                 "name": f.name,
                 "kind": "effect",
-                "sentence": sentence(f),
+                "sentence": sentence(self.outcome, f),
                 "p": f.trial.p_corrected,
                 "evidence_nats": f.trial.gain,
                 "lead": bool(f.lead),
@@ -259,18 +259,18 @@ class Diagnosis:
                 interval = None if low is None else [low, high]
                 out[f"{fault.name}.{name}"] = {"value": value, "interval_90": interval, "unit": unit}
         for f in self.outcome.found:
-            for e in estimates(f.trial):
+            for e in self.outcome.estimates(f):
                 interval = None if e.low is None else [e.low, e.high]
                 held = e.name in f.trial.held
                 out[e.name] = {"value": 0.0 if held else e.value, "interval_90": interval, "unit": e.unit}
         return out
 
 
-def sentence(found: Found) -> str:
+def sentence(outcome: Outcome, found: Found) -> str:
     """What an effect means, with its values."""
     values: dict[str, list[str]] = {}
     units: dict[str, str] = {}
-    for e in estimates(found.trial):
+    for e in outcome.estimates(found):
         name = own_name(e.name)
         values.setdefault(name, []).append(f"{0.0 if e.name in found.trial.held else e.value:.3g}")
         units[name] = "" if e.unit == "1" else f" {e.unit}"
@@ -296,7 +296,7 @@ def ranking(outcome: Outcome) -> list[dict[str, Any]]:
                     "evidence_nats": t.gain,
                     "evidence_error": t.error,
                     "p": t.p_corrected,
-                    "parameters": {e.name: e.value for e in estimates(t)},
+                    "parameters": {e.name: e.value for e in estimates(t.regression, t.sure, t.name)},
                     "chosen": look.chosen is not None and t.name == look.chosen.name,
                 }
             )

@@ -7,6 +7,7 @@ from the chosen one's by less than two standard errors are a tie.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Literal
 
 import numpy as np
@@ -15,6 +16,8 @@ from scipy.special import stdtrit
 from nsde_torch.diagnosis.search import Base, Round, Search, Trial, fitted_system, surely_above
 from nsde_torch.diagnosis.structure import Dependence, Regressors, dependences, regressors
 from nsde_torch.effects import effect_class
+from nsde_torch.learning.identify.identify import Regression
+from nsde_torch.learning.identify.spread import Spread
 from nsde_torch.systems import System
 
 Verdict = Literal["no_effect", "effect_found", "unexplained"]
@@ -89,6 +92,14 @@ class Outcome:
     def system(self) -> System:
         """The physics with everything that was added and its fitted values."""
         return fitted_system(self.final.regression)
+
+    def estimates(self, found: Found) -> list[Estimate]:
+        """Parameters of an effect that was added, all others fitted with it."""
+        return estimates(self.final.regression, self._sure, found.name)
+
+    @cached_property
+    def _sure(self) -> Spread:
+        return self.final.regression.spread()
 
 
 def loop(search: Search, system: System, *, max_effects: int) -> Outcome:
@@ -222,14 +233,19 @@ def ties_of(search: Search, chosen: Trial, trials: Sequence[Trial]) -> tuple[str
     return tuple(out)
 
 
-def estimates(trial: Trial) -> list[Estimate]:
-    """Parameters of an effect with 90 % intervals from blocks of time."""
-    regression, sure = trial.regression, trial.sure
+def estimates(regression: Regression, sure: Spread, name: str) -> list[Estimate]:
+    """Parameters of an effect with 90 % intervals from blocks of time.
+
+    Args:
+        regression: With the effect, at its optimum.
+        sure: Its covariance.
+        name: Of the effect.
+    """
     v, basis = regression.vector, regression.shown.basis
     error = np.sqrt(np.clip(np.diag(basis @ sure.covariance @ basis.T), 0.0, None))
     degrees = sure.degrees(basis)
     out = []
-    for j in range(len(v))[trial.own]:
+    for j in [j for j, label in enumerate(v.labels) if label.startswith(f"{name}.")]:
         low = high = None
         if regression.shown.known[j]:
             half = float(stdtrit(max(degrees[j], 1.0), 0.5 * (1 + _SHOWS)) * error[j])

@@ -10,12 +10,14 @@ squares (Billings, Nonlinear System Identification, 2013), by pysindy's FROLS wh
 each brings more log likelihood than its Schwarz price and that of having chosen it among so many.
 """
 
+import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
 from math import log
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import LinAlgWarning
 
 from nsde_torch.diagnosis.shape import own_space, period_of, product_of
 from nsde_torch.diagnosis.structure import Dependence, Regressors
@@ -179,7 +181,9 @@ def chosen(z: Array, rest: Array) -> tuple[list[int], str]:
     except ImportError:
         return [int(live[j]) for j in forward(unit, rest, _TERMS)], "forward orthogonal least squares"
     model = FROLS(max_iter=_TERMS, alpha=1e-10, unbias=False)
-    model.fit(unit, rest[:, None])
+    with warnings.catch_warnings():  # functions that are nearly the same: only their order is of use
+        warnings.simplefilter("ignore", LinAlgWarning)
+        model.fit(unit, rest[:, None])
     order: list[int] = []
     for coefficients in model.history_:
         order += [int(j) for j in np.flatnonzero(coefficients[0]) if int(j) not in order]

@@ -134,7 +134,7 @@ class Solver:
                 if options.compile == "on":
                     raise ConfigError(f"`compile=on`, but {error}. Use compile=off.") from error
                 warnings.warn(
-                    f"the solver runs without compilation, some thirty times slower: {error}.",
+                    f"the solver runs without compilation, much slower: {error}.",
                     CompilationWarning,
                     stacklevel=2,
                 )

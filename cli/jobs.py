@@ -92,6 +92,17 @@ def guarded(run: Callable[[DictConfig, Job], float | None], command: str, config
         return None
 
 
+def guarded_without_folder(run: Callable[[DictConfig], None], command: str, config: DictConfig) -> None:
+    """As `guarded`, for a command that has no run directory: nothing is written for a failure."""
+    hydra = HydraConfig.get()
+    see_user_modules(hydra)
+    try:
+        check_config(config, command, list(hydra.overrides.task))
+        run(config)
+    except Exception as error:
+        LAST.error = error
+
+
 def check_config(config: DictConfig, command: str, words: list[str]) -> None:
     """Refuse keys that no schema has (`+key=...` lets them in), missing values and values out of range.
 

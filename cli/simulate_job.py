@@ -5,21 +5,14 @@ from __future__ import annotations
 import time
 from pathlib import Path
 
-from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig, OmegaConf
 
-from .jobs import LAST, check_config, see_user_modules
+from .jobs import guarded_without_folder
 
 
 def task(config: DictConfig) -> None:
     """What Hydra calls; a failure is left for the command to word, and nothing is written for it."""
-    hydra = HydraConfig.get()
-    see_user_modules(hydra)
-    try:
-        check_config(config, "simulate", list(hydra.overrides.task))
-        run(config)
-    except Exception as error:
-        LAST.error = error
+    guarded_without_folder(run, "simulate", config)
 
 
 def run(config: DictConfig) -> None:

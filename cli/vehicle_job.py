@@ -4,21 +4,14 @@ from __future__ import annotations
 
 import time
 
-from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig
 
-from .jobs import LAST, check_config, see_user_modules
+from .jobs import guarded_without_folder
 
 
 def task(config: DictConfig) -> None:
     """What Hydra calls; a failure is left for the command to word."""
-    hydra = HydraConfig.get()
-    see_user_modules(hydra)
-    try:
-        check_config(config, "vehicle", list(hydra.overrides.task))
-        run(config)
-    except Exception as error:
-        LAST.error = error
+    guarded_without_folder(run, "vehicle", config)
 
 
 def run(config: DictConfig) -> None:

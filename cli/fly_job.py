@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from nsde_torch.px4.runner import Runner
 
 RESULT, LOG = "flight.json", "log"
-PID_LEAD = 0.1
+LEAD = 0.1
 """Measured best on the simulated machines."""
 
 
@@ -107,11 +107,12 @@ def _runner(config: DictConfig, path: PathPoints, reference: Reference) -> Runne
 
     from . import track_build
 
+    lead = LEAD if config.lead is None else config.lead
     if config.run == track_build.PID:
-        return Inline(CascadeController(path, lead=PID_LEAD if config.lead is None else config.lead))
+        return Inline(CascadeController(path, lead=lead))
     from .fly_build import predictive
 
-    return predictive(config, reference)
+    return predictive(config, reference, lead=lead)
 
 
 def _line(report: FlightReport) -> str:

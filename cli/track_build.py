@@ -136,6 +136,23 @@ def _pairs(fence: Any) -> list[Any]:
     return fence
 
 
+def solver(config: DictConfig) -> SolverOptions:
+    """How plans are looked for."""
+    return SolverOptions(
+        name=config.solver,
+        iterations=config.iterations,
+        tolerance=config.tolerance,
+        compile=config.compile,
+        deadline=config.deadline,
+        cache=config.cache,
+    )
+
+
+def safety(config: DictConfig) -> SafetyOptions:
+    """What a controller does about trouble."""
+    return SafetyOptions(keep=config.keep, jump=config.jump)
+
+
 def autopilot(
     name: str,
     known: Model | System,
@@ -153,15 +170,8 @@ def autopilot(
     controller = Controller(
         known,
         problem=problem(mpc),
-        solver=SolverOptions(
-            name=mpc.solver,
-            iterations=mpc.iterations,
-            tolerance=mpc.tolerance,
-            compile=mpc.compile,
-            deadline=mpc.deadline,
-            cache=mpc.cache,
-        ),
-        safety=SafetyOptions(keep=mpc.keep, jump=mpc.jump),
+        solver=solver(mpc),
+        safety=safety(mpc),
         batch=batch,
         say=say,
     )

@@ -3,14 +3,11 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from omegaconf import DictConfig
 
 from .jobs import Job, guarded
-
-if TYPE_CHECKING:
-    from nsde_torch.data import DataSet
 
 
 def task(config: DictConfig) -> float | None:
@@ -35,9 +32,7 @@ def run(config: DictConfig, job: Job) -> float:
     return float(metrics["validation"]["score"])
 
 
-def fit(
-    config: DictConfig, job: Job, run_dir: Path, *, about: dict[str, Any], data: DataSet | None = None
-) -> dict[str, Any]:
+def fit(config: DictConfig, job: Job, run_dir: Path, *, about: dict[str, Any]) -> dict[str, Any]:
     """Build what a configuration describes and train it.
 
     Args:
@@ -45,7 +40,6 @@ def fit(
         job: What is being run.
         run_dir: Where the run directory is made.
         about: The configuration that `metrics.json` tells.
-        data: The data set, if it was read already.
 
     Returns:
         The content of `metrics.json`.
@@ -57,7 +51,7 @@ def fit(
 
     device, dtype = build.settings(config, sweep=job.sweep)
     system = build.system(config.system)
-    data = build.dataset(config.data, system) if data is None else data
+    data = build.dataset(config.data, system)
     split = build.split(config.data, data, system)
     return learning.train(
         build.model_spec(config, system, split),

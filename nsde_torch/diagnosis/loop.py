@@ -245,7 +245,7 @@ def estimates(regression: Regression, sure: Spread, name: str) -> list[Estimate]
     error = np.sqrt(np.clip(np.diag(basis @ sure.covariance @ basis.T), 0.0, None))
     degrees = sure.degrees(basis)
     out = []
-    for j in [j for j, label in enumerate(v.labels) if label.startswith(f"{name}.")]:
+    for j in v.of(name):
         low = high = None
         if regression.shown.known[j]:
             half = float(stdtrit(max(degrees[j], 1.0), 0.5 * (1 + _SHOWS)) * error[j])

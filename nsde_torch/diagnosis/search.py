@@ -265,7 +265,8 @@ class Search:
             self.say("screening effects", i, len(names))
             for start in self._starts(base.system, name, scales, frequencies):
                 system = self._joined(base.system, name, start)
-                labels = [x for x in ParameterVector(system).labels if x.startswith(f"{name}.")]
+                vector = ParameterVector(system)
+                labels = [vector.labels[j] for j in vector.of(name)]
                 for held in alone(name, labels):
                     try:
                         gain, errors = self._screen(base, system, name, held)
@@ -375,7 +376,7 @@ class Search:
         still = shapes(regression)
         sure = regression.spread()
         labels = regression.vector.labels
-        mine = [j for j, label in enumerate(labels) if label.startswith(f"{name}.")]
+        mine = regression.vector.of(name)
         tested = ~still
         tested[[j for j in range(len(labels)) if j not in mine]] = False
         p = p_value(regression, tested, sure, base=base.score, this=this)
@@ -470,7 +471,7 @@ class Search:
         physics = Physics(vector, self.steps)
         theta = vector.inside(_carried(vector, before))
         cls = effect_class(name)
-        mine = [j for j, label in enumerate(vector.labels) if label.startswith(f"{name}.")]
+        mine = vector.of(name)
         moved = [
             j for j in mine if own_name(vector.labels[j]) in cls.amplitudes and vector.labels[j] not in held
         ]

@@ -112,6 +112,10 @@ class ParameterVector:
     def __len__(self) -> int:
         return len(self.start)
 
+    def of(self, effect: str) -> list[int]:
+        """Numbers of the parameters of an effect."""
+        return [j for j, label in enumerate(self.labels) if label.startswith(f"{effect}.")]
+
     def use(self, theta: Tensor) -> None:
         """Take these values (k,), which may carry derivatives, for every following drift of the copy."""
         self._theta[:] = [theta]

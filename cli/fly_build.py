@@ -17,7 +17,7 @@ def predictive(config: DictConfig, reference: Reference, *, lead: float) -> Proc
     return Process(
         PredictiveMaker(
             run=None if config.run == track_build.DECLARED else config.run,
-            system=config.system,
+            system=config.system.name,
             path=reference.path,
             problem=track_build.problem(mpc),
             solver=track_build.solver(mpc),

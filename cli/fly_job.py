@@ -59,7 +59,7 @@ def run(config: DictConfig, job: Job) -> float | None:
         height=config.height, climb=config.climb, hold=config.hold, safe_hold=config.safe_hold
     )
     key = link_build.key(config.link)
-    motors = len(make_system(config.system).input_names)
+    motors = len(make_system(config.system.name).input_names)
     content: dict[str, Any] = {
         "run": config.run,
         "reference": {"name": path.name, "duration_s": path.duration, **reference.path.about},

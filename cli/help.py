@@ -124,7 +124,7 @@ _EXAMPLES: dict[str, list[tuple[str, str]]] = {
     ],
     "policy": [
         ("environment=truth", "on the true machine"),
-        ("environment=runs/model 'reference=[runs/on_truth]'", ""),
+        ("environment=runs/model 'scored_against=[runs/on_truth]'", ""),
         ("truth=published sensor_noise=0", "the machine of the authors' data, clean sensors"),
         ("steps=20000 ppo=short", "for few interactions"),
         ("resume=runs/policy", "continue an interrupted run"),

@@ -36,7 +36,7 @@ def run(config: DictConfig, job: Job) -> float:
     Raises:
         ConfigError: The environment is no model of this system, `propagation` is given for what is no ensemble, or
             the extra is not installed.
-        CheckpointError: The environment is no run directory, or a reference no policy.
+        CheckpointError: The environment is no run directory, or what it is scored against no policy.
     """
     # torch is imported here, not above: a launcher's parent process needs this module, but not torch.
     import torch
@@ -88,7 +88,7 @@ def run(config: DictConfig, job: Job) -> float:
         seed=config.seed,
         folder=job.run_dir,
         about={"environment": about, "truth": str(config.truth), "sensor_noise": noise},
-        reference=list(config.reference),
+        scored_against=list(config.scored_against),
     ).run()
     return float(result["validation"]["score"])
 

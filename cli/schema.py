@@ -432,7 +432,7 @@ class PolicyConfig:
     )
     steps: int = key(600000, "interactions with the environment", low=1)
     seed: int = key(0, "seed of networks, actions and first states", low=0)
-    reference: list[str] = key(
+    scored_against: list[str] = key(
         [], "folders of policies that learned on the same truth; the score is relative to them"
     )
     threads: int = key(1, "CPU threads of torch; more seldom help and hurt on a busy machine", low=1)
@@ -723,7 +723,6 @@ class FlyConfig:
     run: str = key(
         "???", "run directory of the model to plan with, `declared` physics with the plant's values, or pid"
     )
-    system: str = key("hexacopter", "machine that run=pid and run=declared fly: hexacopter or quadrotor")
     height: float = key(1.5, "height of take-off", unit="m", above=0)
     climb: float = key(0.8, "speed of take-off", unit="m/s", above=0, high=3)
     hold: float = key(2.0, "time of hovering before the reference", unit="s", low=0)
@@ -738,6 +737,7 @@ class FlyConfig:
     repeats: int = key(1, "flights, one after another", low=1)
     threads: int = key(1, "CPU threads of torch; more make small solves slower", low=1)
     out_dir: str = key("???", "folder to write into")
+    system: PlantSystem = group(PlantSystem, "the machine that run=pid and run=declared fly")
     reference: ReferenceConfig = group(ReferenceConfig, "where to fly, from the place of take-off")
     link: LinkConfig = group(LinkConfig, "how the vehicle is reached")
     limits: LimitsConfig = group(LimitsConfig, "when something is wrong")

@@ -47,11 +47,11 @@ class PolicyTraining:
         folder: Folder to write into.
         about: Plain values for `policy.json`: `environment` (`kind` and `name`), `truth` and `sensor_noise`, which
             must be those of a reference, and whatever else says what they are.
-        reference: Folders of policies that were trained on this truth; the score compares with them.
+        scored_against: Folders of policies that were trained on this truth; the score compares with them.
         say: Where text for people goes.
 
     Raises:
-        CheckpointError: a reference is none, or its truth is another.
+        CheckpointError: what it is scored against is none, or its truth is another.
     """
 
     def __init__(
@@ -64,13 +64,13 @@ class PolicyTraining:
         seed: int,
         folder: str | Path,
         about: Mapping[str, Any],
-        reference: Sequence[str | Path] = (),
+        scored_against: Sequence[str | Path] = (),
         say: Callable[[str], None] = print,
     ) -> None:
         self.task, self.options, self.seed, self.folder = task, options, seed, Path(folder)
         self._environment, self._truth, self._about, self._say = environment, truth, dict(about), say
-        self._reference = _reference_reward(reference, self._about)
-        self._reference_dirs = [str(path) for path in reference]
+        self._reference = _reference_reward(scored_against, self._about)
+        self._scored_against = [str(path) for path in scored_against]
         self._rows: list[dict[str, float]] = []
         self._started = time.perf_counter()
         self._seconds_before = 0.0
@@ -202,7 +202,7 @@ class PolicyTraining:
             "random_reward": asdict(random),
             "score": value,
             "reference_reward": self._reference,
-            "reference": self._reference_dirs,
+            "scored_against": self._scored_against,
             "units": {
                 "reward": self.task.reward_unit,
                 "interactions": "steps of the environment",
@@ -240,7 +240,7 @@ class PolicyTraining:
         if result["score"] is not None:
             self._say(f"score (0 random, 1 trained on the truth): {result['score']:.3f}")
         else:
-            self._say("no score: name policies trained on the truth, reference=[DIR,...]")
+            self._say("no score: name policies trained on the truth, scored_against=[DIR,...]")
         self._say(f"took {result['seconds']:.0f} s; wrote {self.folder}")
 
     # ---- small things ---------------------------------------------------------------------------------
@@ -267,12 +267,12 @@ def _reference_reward(folders: Sequence[str | Path], about: Mapping[str, Any]) -
             learned_in, reward = other["environment"]["kind"], float(other["truth_reward"]["mean"])
         except (OSError, ValueError, LookupError, TypeError) as error:
             raise CheckpointError(
-                f"`reference`: {folder} holds no finished policy ({error}); give folders that `nsde policy` wrote."
+                f"`scored_against`: {folder} holds no finished policy ({error}); give folders that `nsde policy` wrote."
             ) from error
         wanted = {key: about.get(key) for key in found}
         if found != wanted or learned_in != "truth":
             raise ConfigError(
-                f"`reference`: {folder} must be a policy that was trained on the truth of this one {wanted}; it "
+                f"`scored_against`: {folder} must be a policy that was trained on the truth of this one {wanted}; it "
                 f"was trained in {learned_in} and judged by {found}."
             )
         rewards.append(reward)

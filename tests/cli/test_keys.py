@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from pathlib import Path
 from typing import Any
 
 import pytest
 
+from nsde_torch import conf
 from nsde_torch.cli import schema
 from nsde_torch.cli.keys import check, key, walk
 from nsde_torch.errors import ConfigError
@@ -28,6 +30,14 @@ def test_every_key_has_help_in_plain_words(declared: type) -> None:
 def test_every_default_is_allowed(declared: type) -> None:
     values = {entry.path: entry.default for entry in walk(declared) if "." not in entry.path}
     check(declared, {name: value for name, value in values.items() if value != "???"})
+
+
+@pytest.mark.parametrize("command", schema.COMMAND_SCHEMAS)
+def test_no_plain_key_bears_the_name_of_a_group(command: str) -> None:
+    # Hydra takes `name=value` for a choice of the group `name`, also in a command that does not use that group.
+    groups = {folder.name for folder in Path(conf.__path__[0]).iterdir() if folder.is_dir()}
+    plain = {entry.path for entry in walk(schema.COMMAND_SCHEMAS[command]) if "." not in entry.path}
+    assert not plain & groups
 
 
 def test_a_key_without_help_is_refused() -> None:

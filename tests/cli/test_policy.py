@@ -50,7 +50,7 @@ def test_policies_learn_on_the_truth_and_in_a_model_and_are_scored(
     learned = model(tmp_path / "0_seed=1,dt=2")  # a folder as a sweep names them
     assert main(["policy", "system=cartpole", "environment=truth", f"run_dir={truth}", *TINY]) == 0
     assert "reward per episode on the truth" in capsys.readouterr().out
-    words = [f"environment={learned}", f"reference=[{truth}]", "seed=1"]
+    words = [f"environment={learned}", f"scored_against=[{truth}]", "seed=1"]
     assert main(["policy", *words, f"run_dir={own}", *TINY]) == 0
     first, second = (json.loads((folder / "policy.json").read_text()) for folder in (truth, own))
     assert first["environment"] == {"kind": "truth", "name": "plant"}
@@ -92,7 +92,7 @@ def test_sweep_over_seeds_is_ranked(tmp_path: Path, capsys: pytest.CaptureFixtur
         ("truth=gym", "plant | published"),
         ("ppo.batch=7", "`ppo.batch` must divide"),
         ("sensor_noise=-1", "sensor_noise"),
-        ("reference=[nowhere]", "holds no finished policy"),
+        ("scored_against=[nowhere]", "holds no finished policy"),
         ("stepz=1", "Did you mean `steps`?"),
     ],
 )

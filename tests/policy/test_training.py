@@ -163,14 +163,14 @@ def test_checkpoint_of_another_network_is_refused(tmp_path: Path) -> None:
 
 def test_score_is_relative_to_policies_of_the_same_truth(tmp_path: Path) -> None:
     reference = training(tmp_path / "reference").run()
-    result = training(tmp_path / "own", seed=1, reference=[tmp_path / "reference"]).run()
+    result = training(tmp_path / "own", seed=1, scored_against=[tmp_path / "reference"]).run()
     random, best = result["random_reward"]["mean"], reference["truth_reward"]["mean"]
     assert result["reference_reward"] == best
     assert result["score"] == pytest.approx((result["truth_reward"]["mean"] - random) / (best - random))
     with pytest.raises(ConfigError, match="reference"):
-        training(tmp_path / "x", about={**ABOUT, "truth": "plant"}, reference=[tmp_path / "reference"])
+        training(tmp_path / "x", about={**ABOUT, "truth": "plant"}, scored_against=[tmp_path / "reference"])
     with pytest.raises(CheckpointError, match="no finished policy"):
-        training(tmp_path / "x", reference=[tmp_path / "nowhere"])
+        training(tmp_path / "x", scored_against=[tmp_path / "nowhere"])
 
 
 def test_score_runs_from_chance_to_the_truth() -> None:

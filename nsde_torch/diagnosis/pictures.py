@@ -93,7 +93,7 @@ def effect_views(outcome: Outcome, channels: Sequence[ChannelResidual]) -> list[
     for c in _most_reduced(channels)[: 2 * _CHANNELS]:
         if out and c.after > _REDUCED * c.before:
             break
-        picked = _surest(outcome.before, c.name)
+        picked = _telling(outcome.before, outcome.after, c.name)
         if picked is None:
             continue
         values = _axis(before, outcome.declared.regression, outcome.declared_variables, picked)
@@ -153,16 +153,17 @@ def _most_reduced(channels: Sequence[ChannelResidual]) -> list[ChannelResidual]:
     )
 
 
-def _surest(tests: Sequence[Dependence], channel: str) -> Dependence | None:
-    """The test of a channel that explains most among the sure ones, whose variable can be an axis.
+def _telling(tests: Sequence[Dependence], after: Sequence[Dependence], channel: str) -> Dependence | None:
+    """The sure test of a channel of which the effects took away most, whose variable can be an axis.
 
     A product is taken only where nothing else comes near.
     """
+    stays = {(d.channel, d.variable): d.gain for d in after}
     own = [d for d in tests if d.channel == channel and d.variable != "run" and moment(d.where) is None]
     plain = [d for d in own if is_plain(d.variable)]
 
     def order(d: Dependence) -> tuple[float, float]:
-        return max(d.p * len(tests), _SURE), d.functions - d.gain
+        return max(d.p * len(tests), _SURE), d.functions - d.gain + stays.get((channel, d.variable), 0.0)
 
     first, product = (min(some, key=order, default=None) for some in (plain, own))
     if first is None or product is None:

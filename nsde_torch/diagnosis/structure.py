@@ -26,6 +26,7 @@ Array = NDArray[np.float64]
 Labels = NDArray[np.int64]
 
 _HATS = 7
+_MIXED = ("collective", "roll_command", "pitch_command", "yaw_command")
 _WAVES = 6
 _BUMPS_S = (0.25, 1.0)
 _FEWEST_MOMENTS = 20
@@ -81,9 +82,7 @@ def _columns(regression: Regression) -> tuple[dict[str, Array], Array]:
     labels = [*system.input_names, *system.exogenous]
     mix = getattr(system, "mix", None)
     if mix is not None:
-        columns |= dict(
-            zip(("collective", "roll", "pitch", "yaw"), (inputs[:, : len(mix)] @ mix.numpy()).T, strict=True)
-        )
+        columns |= dict(zip(_MIXED, (inputs[:, : len(mix)] @ mix.numpy()).T, strict=True))
         inputs, labels = inputs[:, len(mix) :], labels[len(mix) :]
     columns |= dict(zip(labels, inputs.T, strict=True))
     single, box = regression.single, regression.box

@@ -1,0 +1,142 @@
+"""Question: does a diagnosis of two published hexacopter flights find the same as of the others, and hold on the third?
+
+    python benchmarks/bench_published_diagnosis.py --data .../hexacopter/trajs.pkl --out results/published_diagnosis
+
+Each flight is held out in turn, and nothing is told. Printed are what was found with its parameters, and on the flight
+held out, with parameters fitted to the other two: the residual as a rate (rms of means over a quarter of a second) and
+the open-loop errors, with the declared physics alone and with what was found. Both see inputs restored with the
+smoothing that the other two flights showed.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+from pathlib import Path
+from typing import Any
+
+os.environ.setdefault("OMP_NUM_THREADS", "1")
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+import numpy as np
+import torch
+
+from nsde_torch.data import Run, Windows, read
+from nsde_torch.diagnosis.diagnose import Diagnosis, Options, diagnose, search_in
+from nsde_torch.diagnosis.held_out import as_model, rollout_squares
+from nsde_torch.diagnosis.recording import restored
+from nsde_torch.diagnosis.search import fitted_system
+from nsde_torch.learning.identify.explained import bump, smooth_rate
+from nsde_torch.learning.identify.physics import Physics
+from nsde_torch.learning.metrics import start_grid, thinned
+from nsde_torch.models.identified import SysidSpec
+from nsde_torch.systems import System, make_system
+from nsde_torch.systems.parameters import ParameterVector
+
+HORIZONS_S = (0.1, 0.25, 0.5, 1.0)
+
+
+def fold(data: Any, system: System, out: int) -> dict[str, Any]:
+    """Diagnose all flights but one, and measure on that one."""
+    spec = SysidSpec(system.name, dt=data.dt, horizon=system.defaults.horizon)
+    rest = [run for i, run in enumerate(data.runs) if i != out]
+    found = diagnose(system, spec, data, rest, Options())
+    widths = [f.values["width"][0] for f in found.recorded.faults if f.name == "input_smoothing"]
+    test = restored(data.runs[out], system.nu, widths[0]) if widths else data.runs[out]
+    content = found.content()
+    return {
+        "flight": data.runs[out].name,
+        "verdict": content["verdict"],
+        "added": content["added"],
+        "parameters": content["parameters"],
+        "residual": rates(found, test),
+        "errors": errors(found, spec, test),
+        "seconds": sum(found.seconds.values()),
+    }
+
+
+def rates(found: Diagnosis, test: Run) -> dict[str, list[float]]:
+    """Residual of each dynamic channel on a run left out: rms [unit/s] without and with effects."""
+    steps = search_in(found.system, [test], found.recorded.clock, found.options).steps
+    out: dict[str, list[float]] = {}
+    for base in (found.outcome.declared, found.outcome.final):
+        fitted = base.regression
+        physics = Physics(ParameterVector(base.system), steps)
+        left = physics.residual(fitted.theta)[:, fitted.rows]
+        smooth = smooth_rate(left, steps.segments, bump(steps.dt), steps.dt)
+        for channel, rms in zip(fitted.rows, np.sqrt(np.square(smooth).mean(0)), strict=True):
+            out.setdefault(physics.names[channel], []).append(float(rms))
+    return out
+
+
+def errors(found: Diagnosis, spec: SysidSpec, test: Run) -> dict[str, dict[str, list[float]]]:
+    """Open-loop errors on a run left out by quantity and horizon, without and with effects."""
+    steps = [round(h / spec.dt) for h in HORIZONS_S]
+    windows = Windows([test], spec.dt, steps[-1], dtype=torch.float64)
+    starts = thinned(start_grid(windows))
+    out: dict[str, dict[str, list[float]]] = {}
+    for base in (found.outcome.declared, found.outcome.final):
+        model = as_model(spec, fitted_system(base.regression), found.recorded.clock)
+        squares = rollout_squares(model, windows, starts, steps)
+        for j, group in enumerate(found.system.error_groups):
+            rms = squares[:, :, j].double().mean(0).sqrt() * group.factor
+            for h, value in zip(HORIZONS_S, rms.tolist(), strict=True):
+                out.setdefault(group.name, {}).setdefault(f"{h:g}", []).append(value)
+    return out
+
+
+def show(results: list[dict[str, Any]]) -> None:
+    """Print what was found in each fold, and the means over folds."""
+    for r in results:
+        print(f"\nheld out: {r['flight']}; {r['verdict']}: {', '.join(r['added'])} ({r['seconds']:.0f} s)")
+    names = sorted({n for r in results for n in r["parameters"]})
+    print("\nparameter: value [90 % interval] without each flight in turn")
+    for name in names:
+        cells = []
+        for r in results:
+            p = r["parameters"].get(name)
+            if p is None:
+                cells.append("-")
+            elif p["interval_90"] is None:
+                cells.append(f"{p['value']:.3g}")
+            else:
+                cells.append(f"{p['value']:.3g} [{p['interval_90'][0]:.3g}, {p['interval_90'][1]:.3g}]")
+        print(f"  {name}: {' | '.join(cells)}")
+    print("\nresidual on the flight held out, rms: declared -> with what was found, mean of folds")
+    for channel in results[0]["residual"]:
+        one, two = np.sqrt(np.square([r["residual"][channel] for r in results]).mean(0))
+        print(f"  {channel}: {one:.3g} -> {two:.3g}")
+    print("\nopen-loop errors on the flight held out: ratio by horizon [s]")
+    for group in results[0]["errors"]:
+        cells = []
+        for h in results[0]["errors"][group]:
+            one, two = np.sqrt(np.square([r["errors"][group][h] for r in results]).mean(0))
+            cells.append(f"{h}: x{two / one:.2f}")
+        print(f"  {group}: {', '.join(cells)}")
+
+
+def main() -> None:
+    """Run the folds that are missing, then print."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--data", type=Path, required=True, help="trajs.pkl of the published hexacopter")
+    parser.add_argument("--out", type=Path, default=Path("results/published_diagnosis"))
+    a = parser.parse_args()
+    torch.set_num_threads(1)
+    system = make_system("hexacopter")
+    data = read("published", system, path=str(a.data))
+    a.out.mkdir(parents=True, exist_ok=True)
+    results = []
+    for k in range(len(data.runs)):
+        path = a.out / f"fold_{k}.json"
+        if not path.is_file():
+            path.write_text(json.dumps(fold(data, system, k), indent=1))
+            print(f"wrote {path}", flush=True)
+        results.append(json.loads(path.read_text()))
+    show(results)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,16 +1,19 @@
 """Rotations by unit quaternions (w, x, y, z), body to world, on rows (..., 4) and (..., 3).
 
 q v q* = v + 2 w (r x v) + 2 r x (r x v),  q = (w, r).  Written by components: the loops fuse when compiled.
+Within `few_operations` the same polynomials are products of q q^T with a constant, which several rotations share.
 """
 
 import torch
 from torch import Tensor
 
-from nsde_torch.columns import columns, split_columns, stack_columns
+from nsde_torch.columns import columns, few, split_columns, stack_columns
 
 
 def cross(a: Tensor, b: Tensor) -> Tensor:
     """Cross product (..., 3)."""
+    if few():
+        return torch.linalg.cross(a, b)
     ax, ay, az = columns(a)
     bx, by, bz = columns(b)
     return stack_columns((ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx))
@@ -18,6 +21,8 @@ def cross(a: Tensor, b: Tensor) -> Tensor:
 
 def rotate(q: Tensor, v: Tensor) -> Tensor:
     """Vector from body to world, (..., 3); `q` (..., 4) must be of unit length (not checked)."""
+    if few():
+        return (matrix(q) * v[..., None, :]).sum(-1)
     w, r = split_columns(q, 1, 3)
     s = 2.0 * cross(r, v)
     return v + w * s + cross(r, s)
@@ -25,6 +30,8 @@ def rotate(q: Tensor, v: Tensor) -> Tensor:
 
 def rotate_back(q: Tensor, v: Tensor) -> Tensor:
     """Vector from world to body, (..., 3)."""
+    if few():
+        return (matrix(q) * v[..., :, None]).sum(-2)
     w, r = split_columns(q, 1, 3)
     s = 2.0 * cross(r, v)
     return v - w * s + cross(r, s)
@@ -32,12 +39,16 @@ def rotate_back(q: Tensor, v: Tensor) -> Tensor:
 
 def gravity_direction(q: Tensor) -> Tensor:
     """World's up axis in the body frame, (..., 3): (0, 0, 1) when level."""
+    if few():
+        return matrix(q)[..., 2, :]
     w, x, y, z = columns(q)
     return stack_columns((2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)))
 
 
 def quaternion_rate(q: Tensor, omega: Tensor) -> Tensor:
     """dq/dt = q (0, omega) / 2, (..., 4), for body rates omega (..., 3) [rad/s]."""
+    if few():
+        return (q[..., :, None] * omega[..., None, :]).flatten(-2) @ _RATE.to(q)
     w, x, y, z = columns(q)
     p, r, s = columns(omega)
     return 0.5 * stack_columns(
@@ -73,3 +84,24 @@ def turned(q: Tensor, r: Tensor) -> Tensor:
             *(w * c - x * d + y * a + z * b, w * d + x * c - y * b + z * a),
         )
     )
+
+
+def matrix(q: Tensor) -> Tensor:
+    """Rotation matrices, body to world (..., 3, 3), for unit quaternions (..., 4)."""
+    square = (q[..., :, None] * q[..., None, :]).flatten(-2)
+    return (torch.eye(3).flatten().to(q) + square @ _SQUARES.to(q)).unflatten(-1, (3, 3))
+
+
+def _squares() -> Tensor:
+    """R - I as a function of q q^T (16, 9), by polarisation of the polynomial that `rotate` is."""
+    axes, eye = torch.eye(4), torch.eye(3)
+
+    def turn(q: Tensor) -> Tensor:
+        return torch.stack([rotate(q, e) - e for e in eye], -1).flatten()
+
+    return torch.stack([0.5 * (turn(a + b) - turn(a) - turn(b)) for a in axes for b in axes])
+
+
+_SQUARES = _squares()
+_RATE = torch.stack([quaternion_rate(a, b) for a in torch.eye(4) for b in torch.eye(3)])
+"""dq/dt as a function of q omega^T (12, 4)."""

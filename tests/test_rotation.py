@@ -9,6 +9,8 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 from torch import Tensor
 
+from nsde_torch.columns import few_operations
+from nsde_torch.control.problem import attitude_error
 from nsde_torch.rotation import (
     cross,
     gravity_direction,
@@ -142,3 +144,21 @@ def test_the_slope_of_the_error_at_zero_is_twice_the_vector_part() -> None:
     expected = torch.zeros(3, 4, dtype=torch.float64)
     expected[:, 1:] = 2 * torch.eye(3)
     torch.testing.assert_close(jacobian.reshape(3, 4), expected)
+
+
+def test_rotations_of_few_operations_are_the_same_rotations() -> None:
+    g = torch.Generator().manual_seed(3)
+    q, p = torch.nn.functional.normalize(torch.randn(2, 9, 4, generator=g, dtype=torch.float64), dim=-1)
+    v, w = torch.randn(2, 9, 3, generator=g, dtype=torch.float64)
+    calls = (
+        lambda: cross(v, w),
+        lambda: rotate(q, v),
+        lambda: rotate_back(q, v),
+        lambda: gravity_direction(q),
+        lambda: quaternion_rate(q, v),
+        lambda: attitude_error(q, p),
+    )
+    for call in calls:
+        plain = call()
+        with few_operations():
+            assert torch.allclose(call(), plain, atol=1e-14)

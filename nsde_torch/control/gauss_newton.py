@@ -214,21 +214,36 @@ class GaussNewton(nn.Module):
             step: Step on the box (N, K nu).
             least: The value of the quadratic there (N,).
         """
-        h = self.horizon
-        n, k, nu, p = len(u), h.steps, h.nu, h.particles
+        h, s = self.horizon, len(self.shares)
+        tried = self.tries(u, step)
+        paths = h.rollout(_repeat(z0, s), tried, _repeat(d, s))
+        return self.choose(paths, tried, ref, last, least)
+
+    def tries(self, u: Tensor, step: Tensor) -> Tensor:
+        """Inputs (N S, K, nu) after S shares of a step (N, K nu) from inputs (N, K, nu), the last of them those."""
+        o, n, k, nu = self.horizon.options, *u.shape
         tried = u.flatten(1)[:, None] + self.shares[:, None] * step[:, None]
-        tried = tried.clamp(h.options.low, h.options.high)
-        s = len(self.shares)
-        candidates = tried.reshape(n * s, k, nu)
-        paths = h.rollout(_repeat(z0, s), candidates, _repeat(d, s))
-        costs = h.cost(paths, candidates, _repeat(ref, s), _repeat(last, s)).view(n, s)
+        return tried.clamp(o.low, o.high).view(n * len(self.shares), k, nu)
+
+    def choose(self, paths: Tensor, tried: Tensor, ref: Tensor, last: Tensor, least: Tensor) -> Iterate:
+        """The best of what was tried.
+
+        Args:
+            paths: States (N S, P, K + 1, nz) that inputs lead to.
+            tried: Inputs (N S, K, nu), the last of each S those before the step.
+            ref, last: As in `forward`.
+            least: The value of the quadratic at the whole step (N,).
+        """
+        h, s = self.horizon, len(self.shares)
+        n = len(tried) // s
+        costs = h.cost(paths, tried, _repeat(ref, s), _repeat(last, s)).view(n, s)
         best = torch.nan_to_num(costs, nan=torch.inf).argmin(1)
         cost, before = _pick(costs[..., None], best)[:, 0], costs[:, -1]
         # near the optimum the quadratic keeps its promise, up to the second order
         gap = (-least - (before - cost)).abs() / cost.abs().clamp_min(1e-9)
         return Iterate(
-            u=_pick(tried, best).view(n, k, nu),
-            z=_pick(paths.view(n, s, -1), best).view(n, p, k + 1, h.nz),
+            u=_pick(tried.view(n, s, -1), best).view(n, *tried.shape[1:]),
+            z=_pick(paths.view(n, s, -1), best).view(n, *paths.shape[1:]),
             cost=cost,
             before=before.clone(),
             gap=gap,

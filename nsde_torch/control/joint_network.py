@@ -13,6 +13,7 @@ from typing import final
 import torch
 from torch import Tensor, nn
 
+from nsde_torch.columns import few
 from nsde_torch.effects import Port
 from nsde_torch.models.neural_sde import NeuralSDE
 
@@ -77,11 +78,12 @@ class JointNetwork(nn.Module):
         for k in range(self.depth):
             h = _affine(h, getattr(self, f"weight_{k}"), getattr(self, f"bias_{k}"))
             if k < self.depth - 1:
-                h = 2.0 * torch.sigmoid(2.0 * h) - 1.0  # tanh, which is slow when compiled
+                # tanh, which is slow when compiled
+                h = torch.tanh(h) if few() else 2.0 * torch.sigmoid(2.0 * h) - 1.0
         return h
 
 
 def _affine(x: Tensor, weight: Tensor, bias: Tensor) -> Tensor:
-    if len(x) > _FEW:
+    if few() or len(x) > _FEW:
         return torch.addmm(bias, x, weight.T)
     return (x[:, None, :] * weight).sum(-1) + bias

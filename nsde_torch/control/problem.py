@@ -21,7 +21,7 @@ from typing import final
 import torch
 from torch import Tensor, nn
 
-from nsde_torch.columns import columns, join_columns, split_columns, stack_columns
+from nsde_torch.columns import columns, few, join_columns, split_columns, stack_columns
 from nsde_torch.control.predictor import Predictor
 from nsde_torch.errors import ConfigError
 from nsde_torch.systems import Multirotor
@@ -149,10 +149,22 @@ class Residual(nn.Module):
 
 def attitude_error(q: Tensor, q_ref: Tensor) -> Tensor:
     """Vector part (..., 3) of q q_ref^-1, of the sign that turns the short way."""
+    if few():
+        turn = (q[..., :, None] * q_ref[..., None, :]).flatten(-2) @ _TURN.to(q)
+        return turn[..., 1:] * torch.where(turn[..., :1] < 0, -1.0, 1.0).to(q)
+    real, *part = _turn(q, q_ref)
+    return stack_columns(part) * torch.where(real < 0, -1.0, 1.0).to(q)[..., None]
+
+
+def _turn(q: Tensor, q_ref: Tensor) -> tuple[Tensor, ...]:
+    """The four parts (...) of q q_ref^-1."""
     w, x, y, z = columns(q)
     a, b, c, d = columns(q_ref)
-    real = w * a + x * b + y * c + z * d
-    part = stack_columns(
-        (-w * b + x * a - y * d + z * c, -w * c + x * d + y * a - z * b, -w * d - x * c + y * b + z * a)
+    return (
+        *(w * a + x * b + y * c + z * d, -w * b + x * a - y * d + z * c),
+        *(-w * c + x * d + y * a - z * b, -w * d - x * c + y * b + z * a),
     )
-    return part * torch.where(real < 0, -1.0, 1.0).to(part)[..., None]
+
+
+_TURN = torch.stack([torch.stack(_turn(a, b)) for a in torch.eye(4) for b in torch.eye(4)])
+"""q q_ref^-1 as a function of q q_ref^T (16, 4)."""

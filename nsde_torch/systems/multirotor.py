@@ -21,7 +21,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from nsde_torch.columns import columns, join_columns, split_columns, stack_columns
+from nsde_torch.columns import columns, few, join_columns, split_columns, stack_columns
 from nsde_torch.effects import Effect, Parameter, Port
 from nsde_torch.errors import ConfigError
 from nsde_torch.rotation import gravity_direction, quaternion_rate, rotate, rotate_back, rotation_between
@@ -139,7 +139,7 @@ class Multirotor(System):
         if self.thrust_degree > 1:
             curve = self.value("thrust_curve")
             u = u + sum(curve[k] * u ** (k + 2) for k in range(self.thrust_degree - 1))
-        collective, moments = split_columns((self.mix.T @ u.T).T, 1, 3)
+        collective, moments = split_columns(u @ self.mix if few() else (self.mix.T @ u.T).T, 1, 3)
         return self.value("thrust_gain") * collective + self.value("thrust_offset"), moments
 
     def _angular(self, omega: Tensor, moments: Tensor) -> Tensor:
@@ -147,6 +147,8 @@ class Multirotor(System):
         gains = torch.cat((self.value("roll_gain"), self.value("pitch_gain"), self.value("yaw_gain")))
         jx, jy = self.value("inertia_x"), self.value("inertia_y")
         coupling = torch.cat(((jy - 1.0) / jx, (1.0 - jx) / jy, jx - jy))
+        if few():
+            return gains * moments + coupling * (omega.roll(-1, -1) * omega.roll(-2, -1))
         wx, wy, wz = columns(omega)
         return gains * moments + coupling * stack_columns((wy * wz, wz * wx, wx * wy))
 

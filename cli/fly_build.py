@@ -1,28 +1,106 @@
-"""From the configuration of `nsde fly` to the predictive controller in a process of its own."""
+"""From the configuration of `nsde fly` to what is known of the machine, and to the controller where it runs."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any
+
 from omegaconf import DictConfig
 
+from nsde_torch.control import feasible
+from nsde_torch.control.knowledge import DECLARED, knowledge, system_of
+from nsde_torch.control.predictor import Predictor
 from nsde_torch.control.reference import Reference
+from nsde_torch.errors import ConfigError
+from nsde_torch.px4.path import CascadeController, PathPoints
 from nsde_torch.px4.predictive import PredictiveMaker
-from nsde_torch.px4.runner import Process
+from nsde_torch.px4.runner import Inline, Process, Runner
+from nsde_torch.systems import Multirotor
 
-from . import track_build
+from . import build, effects_file, track_build
+
+if TYPE_CHECKING:
+    from nsde_torch.models import Model
+    from nsde_torch.systems import System
+
+LEAD = 0.1
+"""Measured best on the simulated machines [s]."""
+_UNUSED = ("motor_latency", "force_time", "moment_time")
 
 
-def predictive(config: DictConfig, reference: Reference, *, lead: float) -> Process:
-    """The predictive controller, which looks `lead` [s] ahead."""
-    mpc = config.mpc
-    return Process(
-        PredictiveMaker(
-            run=None if config.run == track_build.DECLARED else config.run,
-            system=config.system.name,
-            path=reference.path,
-            problem=track_build.problem(mpc),
-            solver=track_build.solver(mpc),
-            safety=track_build.safety(mpc),
-            lead=lead,
-            threads=config.threads,
+def known(config: DictConfig) -> Model | System:
+    """What is known of the machine, for `run=pid` too: its declared physics.
+
+    Raises:
+        ConfigError: no multirotor, or keys of `mpc` that a flight on PX4 does not have.
+        CheckpointError: no such run directory.
+    """
+    plain = build.options(config.mpc)
+    from .schema import MpcConfig
+
+    given = [name for name in _UNUSED if plain[name] != getattr(MpcConfig(), name)]
+    if given:
+        raise ConfigError(
+            f"`mpc.{given[0]}` is of `nsde track`; a flight on PX4 makes up for latency by `lead`, and for what lasts "
+            "by moving the reference."
         )
+    run = DECLARED if config.run == track_build.PID else config.run
+    found = knowledge(run, config.system.name, effects=_effects(config) if config.run == DECLARED else ())
+    if not isinstance(system_of(found), Multirotor):
+        raise ConfigError(
+            f"PX4 flies multirotors here (hexacopter, quadrotor); the machine of run={config.run} is a "
+            f"{system_of(found).name}."
+        )
+    return found
+
+
+def _effects(config: DictConfig) -> list[Any]:
+    """Effects that the declared physics is told of, those of files in the place of their names."""
+    given = build.options(config.system)["effects"]
+    out: list[Any] = []
+    for entry in [given] if isinstance(given, str) else given:
+        if isinstance(entry, str) and effects_file.is_file(entry):
+            of, effects = effects_file.read(entry)
+            if of and of != config.system.name:
+                raise ConfigError(
+                    f"`system.effects`: {entry} was found on system {of!r}, and this is {config.system.name!r}."
+                )
+            out += [{name: values} for name, values in effects.items()]
+        else:
+            out.append(entry)
+    return out
+
+
+def check(config: DictConfig, reference: Reference, machine: Model | System) -> feasible.Envelope:
+    """What the reference asks for; refused where the machine cannot do it.
+
+    Raises:
+        ConfigError: names what is too much.
+    """
+    problem = track_build.problem(config.mpc)
+    predictor = Predictor(machine, dt=problem.dt)
+    if not config.reference.check:
+        return feasible.envelope(reference, predictor)
+    return feasible.check(
+        reference, predictor, low=problem.low, high=problem.high, tilt=config.reference.tilt_limit
     )
+
+
+def runner(config: DictConfig, path: PathPoints, reference: Reference, say: Callable[[str], None]) -> Runner:
+    """The controller, where it runs: a cascade in the loop, the predictive one in a process of its own."""
+    lead = LEAD if config.lead is None else config.lead
+    if config.run == track_build.PID:
+        return Inline(CascadeController(path, lead=lead))
+    mpc = config.mpc
+    maker = PredictiveMaker(
+        run=config.run,
+        system=config.system.name,
+        path=reference.path,
+        problem=track_build.problem(mpc),
+        solver=track_build.solver(mpc),
+        safety=track_build.safety(mpc),
+        lead=lead,
+        effects=_effects(config) if config.run == DECLARED else (),
+        threads=config.threads,
+    )
+    return Process(maker, period=mpc.period, say=say)

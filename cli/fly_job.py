@@ -12,14 +12,9 @@ from omegaconf import DictConfig
 from .jobs import Job, guarded
 
 if TYPE_CHECKING:
-    from nsde_torch.control.reference import Reference
     from nsde_torch.px4.flight import FlightReport
-    from nsde_torch.px4.path import PathPoints
-    from nsde_torch.px4.runner import Runner
 
 RESULT, LOG = "flight.json", "log"
-LEAD = 0.1
-"""Measured best on the simulated machines."""
 
 
 def task(config: DictConfig) -> float | None:
@@ -47,31 +42,40 @@ def run(config: DictConfig, job: Job) -> float | None:
     from nsde_torch.px4.link import open_link
     from nsde_torch.px4.offboard import FlightOptions
     from nsde_torch.px4.path import PathPoints
-    from nsde_torch.systems import make_system
 
-    from . import build, link_build, track_build
+    from . import build, fly_build, link_build, track_build
 
     torch.set_num_threads(config.threads)
+    # whatever can be refused is refused before anything is connected to
     reference = track_build.reference(config.reference)
+    known = fly_build.known(config)
+    asked = fly_build.check(config, reference, known)
     path = PathPoints(reference.path)
     limits, setpoints = link_build.limits(config.limits), link_build.setpoints(config.limits)
     options = FlightOptions(
         height=config.height, climb=config.climb, hold=config.hold, safe_hold=config.safe_hold
     )
     key = link_build.key(config.link)
-    motors = len(make_system(config.system.name).input_names)
+    motors = fly_build.system_of(known).nu
+    print(
+        f"{path.name}: {path.duration:g} s, up to {asked.speed:.2f} m/s and {asked.tilt:.0f} deg of tilt",
+        flush=True,
+    )
     content: dict[str, Any] = {
         "run": config.run,
+        "system": fly_build.system_of(known).name,
         "reference": {"name": path.name, "duration_s": path.duration, **reference.path.about},
         "link": build.options(config.link, "key_file"),
         "flights": [],
     }
     digits = len(str(config.repeats - 1))
     reports: list[FlightReport] = []
-    for k in range(config.repeats):
-        started = time.perf_counter()
-        controller = _runner(config, path, reference)
-        try:
+    # the solver is compiled and warm before the vehicle is spoken to
+    controller = fly_build.runner(config, path, reference, _say)
+    try:
+        controller.wait()
+        for k in range(config.repeats):
+            started = time.perf_counter()
             with open_link(
                 config.link.url, expose=config.link.expose, target=config.link.system, key=key
             ) as link:
@@ -85,34 +89,23 @@ def run(config: DictConfig, job: Job) -> float | None:
                     limits=limits,
                     setpoints=setpoints,
                     options=options,
-                    say=lambda line: print(line, flush=True),
+                    say=_say,
                     rate=config.rate,
                 )
-        finally:
-            controller.close()
-        reports.append(report)
-        content["flights"].append({**report.as_dict(), "took_s": time.perf_counter() - started})
-        _write(job.run_dir, content)
-        print(_line(report), flush=True)
-        if report.outcome.trouble is not None:
-            break
+            reports.append(report)
+            content["flights"].append({**report.as_dict(), "took_s": time.perf_counter() - started})
+            _write(job.run_dir, content)
+            print(_line(report), flush=True)
+            if report.outcome.trouble is not None:
+                break
+    finally:
+        controller.close()
     print(f"wrote {job.run_dir}: {RESULT}" + (f", {LOG}/" if any(r.log for r in reports) else ""))
     return _verdict(reports)
 
 
-def _runner(config: DictConfig, path: PathPoints, reference: Reference) -> Runner:
-    """The controller, where it runs."""
-    from nsde_torch.px4.path import CascadeController
-    from nsde_torch.px4.runner import Inline
-
-    from . import track_build
-
-    lead = LEAD if config.lead is None else config.lead
-    if config.run == track_build.PID:
-        return Inline(CascadeController(path, lead=lead))
-    from .fly_build import predictive
-
-    return predictive(config, reference, lead=lead)
+def _say(line: str) -> None:
+    print(line, flush=True)
 
 
 def _line(report: FlightReport) -> str:

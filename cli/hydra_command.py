@@ -186,6 +186,8 @@ def _refuse_used_folders(words: Sequence[str]) -> None:
             raise ConfigError(f"`out_dir={folder}` holds a diagnosis already; name another folder.")
         if key == "out_dir" and (folder / "tracking.json").is_file():
             raise ConfigError(f"`out_dir={folder}` holds a flight already; name another folder.")
+        if key == "out_dir" and (folder / "flight.json").is_file():
+            raise ConfigError(f"`out_dir={folder}` holds a flight already; name another folder.")
         if key == "sweep_dir" and (folder / "multirun.yaml").is_file():
             raise ConfigError(f"`sweep_dir={folder}` holds a sweep already; name another folder.")
 

@@ -630,9 +630,10 @@ class MpcConfig:
     limit_weight: float = key(100.0, "weight of these soft limits", low=0)
     uncertainty_weight: float = key(0.0, "weight of the model's distance from its data", low=0)
     particles: int = key(1, "paths of a plan: 1 is the mean path, more are sampled", low=1)
-    motor_latency: float = key(
-        0.02,
-        "time that motors add to the latency that is made up for; too little of it makes fast flights oscillate",
+    motor_latency: float | None = key(
+        None,
+        "time that motors add to the latency that is made up for; too little of it makes fast flights oscillate; "
+        "null: 0.02, or 0 for a model that has the lag of its motors",
         unit="s",
         low=0,
     )
@@ -717,6 +718,17 @@ class LimitsConfig:
 
 
 @dataclass
+class FlownSystem:
+    """The machine that a flight takes the vehicle for."""
+
+    name: str = key("???", "name of a multirotor that has a plant")
+    effects: Any = key(
+        [],
+        "effects that run=declared is told of: names, {NAME: {parameter: 1}}, or the file effects.yaml of a diagnosis",
+    )
+
+
+@dataclass
 class FlyConfig:
     """`nsde fly`."""
 
@@ -737,7 +749,7 @@ class FlyConfig:
     repeats: int = key(1, "flights, one after another", low=1)
     threads: int = key(1, "CPU threads of torch; more make small solves slower", low=1)
     out_dir: str = key("???", "folder to write into")
-    system: PlantSystem = group(PlantSystem, "the machine that run=pid and run=declared fly")
+    system: FlownSystem = group(FlownSystem, "the machine, where run= is no model that knows it")
     reference: ReferenceConfig = group(ReferenceConfig, "where to fly, from the place of take-off")
     link: LinkConfig = group(LinkConfig, "how the vehicle is reached")
     limits: LimitsConfig = group(LimitsConfig, "when something is wrong")

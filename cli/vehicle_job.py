@@ -44,6 +44,9 @@ def run(config: DictConfig) -> None:
     unknown = sorted(set(parameters) - set(PARAMETERS))
     if unknown:
         raise ConfigError(f"`parameters` names {unknown}; the vehicle has {', '.join(PARAMETERS)}.")
+    wrong = sorted(k for k, v in parameters.items() if isinstance(v, bool) or not isinstance(v, (int, float)))
+    if wrong:
+        raise ConfigError(f"`parameters.{wrong[0]}` takes a number; got {parameters[wrong[0]]!r}.")
     body = Body(
         plant.system or "hexacopter",
         seed=config.seed,

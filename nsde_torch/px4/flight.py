@@ -7,7 +7,6 @@ import gc
 import signal
 import sys
 import threading
-import time
 from array import array
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
@@ -18,7 +17,7 @@ import numpy as np
 
 from nsde_torch.px4 import dialect as d
 from nsde_torch.px4.flight_log import FlightLog
-from nsde_torch.px4.link import Link
+from nsde_torch.px4.link import Connection
 from nsde_torch.px4.offboard import FLYING, FlightOptions, Offboard, Outcome, Phase
 from nsde_torch.px4.path import PathPoints
 from nsde_torch.px4.runner import Runner
@@ -165,7 +164,7 @@ class Recorder:
 
 
 def fly(
-    link: Link,
+    link: Connection,
     runner: Runner,
     path: PathPoints,
     *,
@@ -219,7 +218,7 @@ def fly(
 
 
 def _loop(
-    link: Link,
+    link: Connection,
     flight: Offboard,
     recorder: Recorder,
     period: float,
@@ -235,7 +234,7 @@ def _loop(
         due = max(due + period, now)  # ticks that were missed are not made up for
         wait = due - link.now()
         if wait > 0:
-            time.sleep(wait)
+            link.pause(wait)
 
 
 @contextlib.contextmanager

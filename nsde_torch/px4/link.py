@@ -9,17 +9,48 @@ from __future__ import annotations
 
 import threading
 import time
+from abc import ABC, abstractmethod
 from types import TracebackType
 from typing import final
 
 from nsde_torch.px4.endpoint import Endpoint
 from nsde_torch.px4.transport import LinkError, Transport, open_transport
 
-_POLL = 0.05
+POLL = 0.05
+"""Time between looks at what is due to be said [s]."""
+
+
+class Connection(ABC):
+    """An endpoint and the clock that it lives on; a context manager.
+
+    Attributes:
+        endpoint: Says and hears.
+    """
+
+    endpoint: Endpoint
+
+    @abstractmethod
+    def now(self) -> float:
+        """Our clock [s]."""
+
+    @abstractmethod
+    def pause(self, seconds: float) -> None:
+        """Let time pass."""
+
+    def __enter__(self) -> Connection:
+        return self
+
+    def __exit__(  # noqa: B027
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        """Let go of what it holds."""
 
 
 @final
-class Link:
+class Link(Connection):
     """A connection to one vehicle; a context manager.
 
     Args:
@@ -57,20 +88,23 @@ class Link:
         self._thread.join(1.0)
         self._transport.close()
 
-    @staticmethod
-    def now() -> float:
-        """Our clock [s]."""
+    def now(self) -> float:
+        """See `Connection.now`."""
         return time.monotonic()
+
+    def pause(self, seconds: float) -> None:
+        """See `Connection.pause`."""
+        time.sleep(seconds)
 
     def _receive(self) -> None:
         polled = 0.0
         while not self._stop.is_set():
             try:
-                data = self._transport.receive(_POLL)
+                data = self._transport.receive(POLL)
                 now = time.monotonic()
                 if data and self.endpoint.receive(data, now):
                     self._transport.trust()
-                if now - polled >= _POLL:
+                if now - polled >= POLL:
                     polled = now
                     self.endpoint.poll(now)
             except Exception as error:  # a fault of ours must not end the hearing; the flight is told of it

@@ -11,6 +11,9 @@ from nsde_torch.px4.cascade import Cascade, CascadeGains, Point
 from nsde_torch.px4.controller import Demand, Plan
 from nsde_torch.px4.vectors import Vec
 
+PAUSE = 0.5
+"""Time without a state after which a flight is a new one [s]."""
+
 
 @final
 class PathPoints:
@@ -55,7 +58,10 @@ class CascadeController:
 
     def __call__(self, row: tuple[float, ...], time: float, t: float) -> Plan:
         """See `Controller`."""
-        dt = 0.0 if self._last is None else min(max(time - self._last, 0.0), 0.05)
+        dt = 0.0 if self._last is None else time - self._last
+        if abs(dt) > PAUSE:
+            self._cascade.reset()
+        dt = min(max(dt, 0.0), 0.05)
         self._last = time
         now, soon = self._path.at(t), self._path.at(t + self._lead)
         to = Point(now.p, now.v, soon.a, soon.yaw, now.yaw_rate)

@@ -13,15 +13,24 @@ import signal
 import time
 import traceback
 from abc import ABC, abstractmethod
+from collections import deque
 from collections.abc import Callable
+from dataclasses import dataclass
+from math import inf
 from multiprocessing.connection import Connection
 from typing import final
 
+from nsde_torch.errors import NsdeError
 from nsde_torch.px4.controller import Controller, Plan
 from nsde_torch.px4.vectors import finite
 
-Maker = Callable[[], Controller]
-"""Makes a controller, in the process that it is to run in."""
+Say = Callable[[str], None]
+Maker = Callable[[Say], Controller]
+"""Makes a controller, in the process that it is to run in, and says what takes long."""
+
+
+class ControllerError(NsdeError, RuntimeError):
+    """A controller cannot be made; the message says why."""
 
 
 class Runner(ABC):
@@ -44,6 +53,18 @@ class Runner(ABC):
     def collect(self) -> None:  # noqa: B027
         """Take what has come."""
 
+    def wait(self) -> None:
+        """Until the controller is made, which may take minutes where it is compiled.
+
+        Raises:
+            ControllerError: it cannot be made.
+        """
+        while not self.ready and self.fault is None:
+            time.sleep(0.02)
+            self.collect()
+        if self.fault is not None:
+            raise ControllerError(self.fault)
+
     def close(self) -> None:  # noqa: B027
         """End it."""
 
@@ -55,21 +76,34 @@ class Runner(ABC):
 
 @final
 class Inline(Runner):
-    """In the loop: for controllers that take microseconds.
+    """In the loop: for controllers that take microseconds, and for flights in virtual time.
 
     Args:
         controller: The controller.
+        period: Shortest time between states that it is given [s].
+        delay: Age of a state at which its plan is taken, where the time of a solve is to be played [s].
     """
 
-    def __init__(self, controller: Controller) -> None:
+    def __init__(self, controller: Controller, *, period: float = 0.0, delay: float = 0.0) -> None:
         self._controller, self.ready = controller, True
+        self._period, self._offered = period, -inf
+        self._delay, self._made = delay, deque[tuple[float, Plan]]()
 
     def offer(self, row: tuple[float, ...], time: float, t: float) -> None:
         """See `Runner.offer`."""
         if self.fault is not None:
             return
+        while self._made and time - self._made[0][0] >= self._delay - 1e-3:
+            self._take(self._made.popleft()[1])
+        if 0.0 <= time - self._offered < self._period - 1e-3:
+            return
+        self._offered = time
         try:
-            self._take(self._controller(row, time, t))
+            plan = self._controller(row, time, t)
+            if self._delay > 0.0:
+                self._made.append((time, plan))
+            else:
+                self._take(plan)
         except Exception as error:  # any fault of a controller ends in the safe action, not in a crash
             self.fault = f"{type(error).__name__}: {error}"
 
@@ -80,9 +114,12 @@ class Process(Runner):
 
     Args:
         maker: Makes the controller over there; it must be importable by name.
+        period: Shortest time between states that it is given [s].
+        say: Takes a line about what takes long over there.
     """
 
-    def __init__(self, maker: Maker) -> None:
+    def __init__(self, maker: Maker, *, period: float = 0.0, say: Say = lambda line: None) -> None:
+        self._period, self._offered, self._say = period, -inf, say
         context = multiprocessing.get_context("spawn")
         self._pipe, theirs = context.Pipe()
         self._process = context.Process(target=_work, args=(maker, theirs), name="controller", daemon=True)
@@ -97,11 +134,12 @@ class Process(Runner):
 
     def offer(self, row: tuple[float, ...], time: float, t: float) -> None:
         """See `Runner.offer`."""
-        if self._busy or self.fault is not None:
+        # a state that is a fraction of a millisecond early is not left for the next tick
+        if self._busy or self.fault is not None or 0.0 <= time - self._offered < self._period - 1e-3:
             return
         try:
             self._pipe.send((row, time, t))
-            self._busy = True
+            self._busy, self._offered = True, time
         except (OSError, ValueError):
             self.fault = self.fault or "the controller's process is gone"
 
@@ -110,11 +148,13 @@ class Process(Runner):
         try:
             while self.fault is None and self._pipe.poll():
                 answer = self._pipe.recv()
-                self._busy = False
-                if answer is None:
-                    self.ready = True
-                elif isinstance(answer, Plan):
+                if isinstance(answer, Plan):
+                    self._busy = False
                     self._take(answer)
+                elif answer is None:
+                    self._busy, self.ready = False, True
+                elif isinstance(answer, _Line):
+                    self._say(answer.text)
                 else:
                     self.fault = str(answer)
         except (EOFError, OSError):
@@ -130,6 +170,13 @@ class Process(Runner):
             self._process.join(1.0)
 
 
+@dataclass(frozen=True)
+class _Line:
+    """Said over there."""
+
+    text: str
+
+
 def _work(maker: Maker, pipe: Connection) -> None:
     """What runs in the process."""
     signal.signal(
@@ -138,7 +185,7 @@ def _work(maker: Maker, pipe: Connection) -> None:
     with contextlib.suppress(OSError, AttributeError):
         os.nice(1)  # the stream goes first
     try:
-        controller = maker()
+        controller = maker(lambda line: pipe.send(_Line(line)))
         pipe.send(None)
         while True:
             row, stamp, t = pipe.recv()
@@ -148,6 +195,9 @@ def _work(maker: Maker, pipe: Connection) -> None:
             pipe.send(Plan(plan.time, plan.dt, plan.demands, plan.status, plan.solve_ms or took))
     except (EOFError, BrokenPipeError, ConnectionResetError):
         return
+    except NsdeError as error:  # of the user's doing: the message says all
+        with contextlib.suppress(OSError):
+            pipe.send(str(error))
     except Exception as error:  # said to the loop, which then lands
         lines = traceback.format_exc().strip().splitlines()
         with contextlib.suppress(OSError):

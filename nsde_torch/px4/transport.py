@@ -76,7 +76,7 @@ def open_transport(url: str, *, expose: bool = False) -> Transport:
     if kind in ("udpin", "tcpin") and not expose and not _loopback(where):
         raise LinkError(
             f"`link.url`: {url!r} would listen on an interface that others reach, and MAVLink lets anyone fly. Use "
-            "127.0.0.1, or add link.expose=true, best with link.key."
+            "127.0.0.1, or add link.expose=true, best with link.key_file."
         )
     try:
         if kind == "serial":

@@ -19,12 +19,12 @@ def _still(row: tuple[float, ...], time: float, t: float) -> Plan:
     return Plan(time, 0.05, (Demand((0.0, 0.0, 0.0), 9.81),))
 
 
-def good() -> Controller:
+def good(say: Callable[[str], None]) -> Controller:
     """Makes a controller."""
     return _still
 
 
-def crashing() -> Controller:
+def crashing(say: Callable[[str], None]) -> Controller:
     """Makes one that crashes."""
 
     def crash(row: tuple[float, ...], time: float, t: float) -> Plan:

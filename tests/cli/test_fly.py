@@ -1,0 +1,156 @@
+"""`nsde fly` from the command line to files: what is wrong is said before anything is connected to."""
+
+from __future__ import annotations
+
+import csv
+import json
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+
+from nsde_torch.cli import effects_file, fly_build
+from nsde_torch.cli.main import main
+from nsde_torch.errors import ConfigError
+from nsde_torch.px4 import link as links
+from nsde_torch.px4.autopilot import SimulatedAutopilot
+from nsde_torch.px4.body import Body
+from nsde_torch.px4.virtual import VirtualLink
+
+SHORT = ("reference=hover", "reference.duration=1", "height=1", "reference.height=1", "hold=0.3")
+
+
+@pytest.fixture(autouse=True)
+def _elsewhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    monkeypatch.chdir(tmp_path)
+    before = torch.get_num_threads()
+    yield
+    torch.set_num_threads(before)
+
+
+@pytest.fixture
+def vehicles(monkeypatch: pytest.MonkeyPatch) -> list[dict[str, Any]]:
+    """Every link that is opened leads to a vehicle in virtual time; what was asked for is listed."""
+    asked: list[dict[str, Any]] = []
+
+    def opened(url: str, **more: Any) -> VirtualLink:
+        asked.append({"url": url, **more})
+        body = Body("quadrotor", seed=len(asked), latency=0.02)
+        return VirtualLink(SimulatedAutopilot(body, seed=len(asked), key=more["key"]), key=more["key"])
+
+    monkeypatch.setattr(links, "open_link", opened)
+    return asked
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        ([], "`run` must be given"),
+        (["run=pid", "system=cartpole"], "multirotors"),
+        (["run=declared", "system=cartpole"], "multirotors"),
+        (["run=pid", "system=boat"], "no such choice"),
+        (["run=nothere"], "no run directory nothere"),
+        (["run=pid", "refernce=hover"], "reference"),
+        (["run=pid", "reference=hovr"], "Did you mean `reference=hover`"),
+        (["run=pid", "reference=csv", "reference.path=nope.csv"], "nope.csv"),
+        (["run=pid", "reference.speed=20"], "reference.check=false"),
+        (["run=pid", "reference.height=-3"], "below the ground"),
+        (["run=pid", "link.key_file=nope"], "`link.key_file`: nope does not exist"),
+        (["run=pid", "limits.fence=[[1,2]]"], "`limits.fence` takes"),
+        (["run=pid", "limits.throttle=[0.9,0.1]"], "`limits.throttle` takes"),
+        (["run=pid", "rate=20"], "from 50 to 250"),
+        (["run=pid", "link.system=400"], "from 1 to 250"),
+        (["run=declared", "mpc.force_time=0.5"], "`mpc.force_time` is of `nsde track`"),
+        (["run=declared", "system.effects=nope.yaml"], "no file 'nope.yaml'"),
+        (["run=declared", "system.effects=[linear_drg]"], "linear_drag"),
+        (["run=pid", "-m", "rate=50,60"], "has no sweeps"),
+    ],
+)
+def test_faults_of_the_user_end_in_a_sentence_before_anything_is_connected(
+    words: list[str], said: str, vehicles: list[dict[str, Any]], capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["fly", *words]) == 2
+    assert said in capsys.readouterr().err
+    assert not vehicles
+    assert not list(Path().rglob("flight.json"))
+
+
+@pytest.mark.parametrize(
+    ("url", "said"),
+    [
+        ("foo:1", "expected udpin"),
+        ("udpin:0.0.0.0:14999", "link.expose=true"),
+        ("udpin:127.0.0.1", "expected"),
+    ],
+)
+def test_a_link_that_cannot_be_opened_is_explained(
+    url: str, said: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["fly", "run=pid", f"link.url={url}"]) == 2
+    assert said in capsys.readouterr().err
+
+
+def test_flights_leave_numbers_and_a_log_each_and_are_not_written_over(
+    vehicles: list[dict[str, Any]], capsys: pytest.CaptureFixture[str]
+) -> None:
+    Path("key").write_text("open sesame\n")
+    words = ["run=pid", "system=quadrotor", "repeats=2", "link.system=1", "link.key_file=key", "out_dir=out"]
+    assert main(["fly", *words, *SHORT]) == 0
+    printed = capsys.readouterr().out
+    assert "the reference was flown; landed and disarmed; RMSE" in printed
+    assert [v["url"] for v in vehicles] == ["udpin:127.0.0.1:14540"] * 2
+    assert vehicles[0]["target"] == 1
+    assert len(vehicles[0]["key"]) == 32
+    content = json.loads(Path("out/flight.json").read_text())
+    assert content["system"] == "quadrotor"
+    assert "key_file" not in content["link"]
+    assert [f["tracked"] for f in content["flights"]] == [True, True]
+    assert all(0.0 < f["rmse_m"] < 0.2 for f in content["flights"])
+    with Path("out/log/flight_1.csv").open() as file:
+        header = next(csv.reader(file))
+    assert header[:4] == ["t", "p_x", "p_y", "p_z"]
+    assert "u_4" in header
+    assert "u_5" not in header
+    assert main(["fly", *words, *SHORT]) == 2
+    assert "holds a flight already" in capsys.readouterr().err
+
+
+def test_the_declared_physics_is_told_of_what_a_diagnosis_found(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def stop(config: Any, reference: Any, machine: Any) -> None:
+        raise ConfigError(f"told of {machine.effect_names[-1]}, {machine.effects[-1].value('drag').tolist()}")
+
+    monkeypatch.setattr(fly_build, "check", stop)
+    effects_file.write(
+        Path("effects.yaml"), "quadrotor", {"linear_drag": {"drag": [0.5, 0.25, 0.125]}}, "found"
+    )
+    words = ["fly", "run=declared", "system.effects=effects.yaml"]
+    assert main([*words, "system=hexacopter"]) == 2
+    assert "was found on system 'quadrotor'" in capsys.readouterr().err
+    assert main([*words, "system=quadrotor"]) == 2
+    assert "told of linear_drag, [0.5, 0.25, 0.125]" in capsys.readouterr().err
+
+
+def test_a_refused_flight_is_a_fault_of_the_user_with_the_reasons(
+    vehicles: list[dict[str, Any]], capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = ["run=pid", "system=quadrotor", "limits.fence=[[-1,1],[-1,1],[0,0.5]]", "out_dir=out"]
+    assert main(["fly", *words, *SHORT]) == 2
+    assert "leaves the fence" in capsys.readouterr().err
+
+
+def test_help_lists_every_key_of_the_link_and_the_limits(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["fly", "--help"]) == 0
+    printed = capsys.readouterr().out
+    for key in (
+        "link.url",
+        "link.key_file",
+        "limits.fence",
+        "mpc.period",
+        "system.effects",
+        "reference.speed",
+    ):
+        assert key in printed

@@ -1,0 +1,73 @@
+"""`nsde vehicle` from the command line: what it is, and what it refuses to be."""
+
+from __future__ import annotations
+
+import socket
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+import torch
+
+from nsde_torch.cli.main import main
+from nsde_torch.px4.codec import Codec, signing_key
+
+
+@pytest.fixture(autouse=True)
+def _elsewhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    monkeypatch.chdir(tmp_path)
+    before = torch.get_num_threads()
+    yield
+    torch.set_num_threads(before)
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["plant=learned"], "plant=hexacopter or plant=quadrotor"),
+        (["plant.dt=0.01"], "without plant.dt"),
+        (["plant.system=cartpole"], "must be a multirotor"),
+        (["plant.effects=[linear_drg]"], "linear_drag"),
+        (["plant.latency=-1"], "`plant.latency` must be at least 0"),
+        (["parameters.FOO=1"], "COM_OF_LOSS_T"),
+        (["parameters.COM_OF_LOSS_T=soon"], "takes a number"),
+        (["link.url=udpin:127.0.0.1:x"], "expected udpin"),
+        (["link.url=udpin:0.0.0.0:14999"], "link.expose=true"),
+        (["link.key_file=nope"], "nope does not exist"),
+        (["sed=1"], "Did you mean `seed`"),
+        (["-m", "seed=1,2"], "has no sweeps"),
+    ],
+)
+def test_what_it_cannot_be_is_said_at_once(
+    words: list[str], said: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["vehicle", "duration=5", *words]) == 2
+    assert said in capsys.readouterr().err
+
+
+def test_a_port_in_use_is_said(capsys: pytest.CaptureFixture[str]) -> None:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other:
+        other.bind(("127.0.0.1", 0))
+        url = f"udpin:127.0.0.1:{other.getsockname()[1]}"
+        assert main(["vehicle", f"link.url={url}", "duration=5"]) == 2
+    assert "another program" in capsys.readouterr().err
+
+
+def test_it_says_what_it_is_and_its_frames_are_signed_and_of_its_system(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    Path("key").write_text("open sesame")
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as ours:
+        ours.bind(("127.0.0.1", 0))
+        words = [f"link.url=udpout:127.0.0.1:{ours.getsockname()[1]}", "link.system=7", "link.key_file=key"]
+        machine = ["plant=quadrotor", "plant.effects=[{linear_drag:{drag:[0.5,0.5,0.1]}}]", "seed=3"]
+        assert main(["vehicle", *words, *machine, "duration=1.5", "parameters.COM_OF_LOSS_T=0.5"]) == 0
+        ours.settimeout(5.0)
+        codec = Codec(1, 1, key=signing_key("open sesame"))
+        heard = codec.unpack(ours.recv(4096), 0.0)
+    printed = capsys.readouterr().out
+    assert "a simulated quadrotor" in printed
+    assert "ran " in printed
+    assert heard[0].get_type() == "HEARTBEAT"
+    assert heard[0].get_srcSystem() == 7
+    assert list(Path().iterdir()) == [Path("key")]

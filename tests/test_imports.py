@@ -32,7 +32,7 @@ MAY_IMPORT = {
     "experiments": {*LEARNED, "learning"},
     "diagnosis": {*LEARNED, "plants", "learning", "control"},
     "px4": {*LEARNED, "plants", "learning", "control"},
-    "export": {*LEARNED, "learning", "control"},
+    "export": {*LEARNED, "plants", "learning", "control"},
 }
 FORBIDDEN = {"hydra", "omegaconf", "hydra_plugins", "cli", "conf", "tests"}
 

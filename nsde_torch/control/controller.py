@@ -281,7 +281,7 @@ class Controller:
         return out
 
 
-def _shift(table: Tensor, steps: float, *, axis: int = 1) -> Tensor:
+def _shift(table: Tensor, steps: float | Tensor, *, axis: int = 1) -> Tensor:
     """Rows at times later by a number of steps, between two of them by interpolation; the end is held."""
     n = table.shape[axis]
     at = (torch.arange(n, dtype=torch.float64) + steps).clamp(0.0, n - 1.0)

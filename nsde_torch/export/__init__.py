@@ -1,0 +1,1 @@
+"""The controller as a file for the flight computer."""

@@ -1,0 +1,184 @@
+"""Functions of plain tensors as graphs of few operations, with all that is constant worked out beforehand.
+
+`make_fx` writes down the operations of a function of fixed shapes, derivatives among them. What an interpreter then
+pays for is their number, so what does nothing is taken out, what repeats is done once, and what follows from constants
+alone becomes a constant.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from operator import getitem
+from typing import Any
+
+import torch
+from torch import Tensor, fx
+from torch._functorch.compile_utils import fx_graph_cse
+from torch.fx.experimental.proxy_tensor import make_fx
+
+from nsde_torch.columns import few_operations
+
+_aten = torch.ops.aten
+_SAME = {_aten.alias.default, _aten.detach.default, _aten.lift_fresh_copy.default, _aten.clone.default}
+"""Give their argument back, in a graph that changes no tensor in place."""
+_FILLED = {
+    *(_aten.zeros_like.default, _aten.ones_like.default, _aten.full_like.default, _aten.new_zeros.default),
+    *(_aten.new_ones.default, _aten.new_full.default, _aten._new_zeros_with_same_feature_meta.default),
+}
+"""Follow from the shape of their argument alone."""
+_SHAPED = {_aten.view.default, _aten._unsafe_view.default, _aten.reshape.default}
+_LARGEST = 1 << 20
+
+
+def graph_of(
+    function: Callable[..., Sequence[Tensor]], example: Sequence[Tensor], *, few: bool = True
+) -> fx.GraphModule:
+    """A function as a graph of torch's operations.
+
+    Args:
+        function: From tensors to tensors, without branches on their values.
+        example: Arguments, whose shapes and types are fixed.
+        few: Write it with as few operations as there can be; else as the function is.
+
+    Returns:
+        A module of the same arguments, which returns a tuple.
+    """
+
+    def run(*arguments: Tensor) -> tuple[Tensor, ...]:
+        return tuple(function(*arguments))
+
+    with torch.no_grad():
+        if few:
+            with few_operations():
+                made = make_fx(run)(*example)
+            size = 0
+            while size != len(made.graph.nodes):
+                size = len(made.graph.nodes)
+                _fold(made, example)
+        else:
+            made = make_fx(run)(*example)
+            made.graph = fx_graph_cse(made.graph)
+            made.graph.eliminate_dead_code()
+    made.recompile()
+    return made
+
+
+def _fold(module: fx.GraphModule, example: Sequence[Tensor]) -> None:
+    """One pass over a graph: constants, operations that do nothing, operations that repeat."""
+    values = _Values(module)
+    values.run(*example)
+    graph, known = module.graph, values.of
+    constant: set[fx.Node] = set()
+    seen: dict[tuple[object, ...], fx.Node] = {}
+    for node in list(graph.nodes):
+        if node.op == "get_attr":
+            constant.add(node)
+            known[node] = _attribute(module, node)
+            same = seen.setdefault(_content(_attribute(module, node)), node)
+            if same is not node:
+                node.replace_all_uses_with(same)
+                graph.erase_node(node)
+            continue
+        if node.op != "call_function":
+            continue
+        value = known.get(node)
+        if not isinstance(value, Tensor):
+            if all(n in constant for n in node.all_input_nodes) and node.all_input_nodes:
+                constant.add(node)
+            continue
+        inputs = node.all_input_nodes
+        source = inputs[0] if inputs else None
+        if (node.target in _FILLED or all(n in constant for n in inputs)) and value.numel() <= _LARGEST:
+            known[_replace_by_constant(module, node, value, constant)] = value
+        elif node.target is _aten.copy_.default and inputs[0] is not inputs[-1]:
+            # derivatives are copied into fresh zeros
+            assert known[inputs[1]].shape == value.shape  # type: ignore[attr-defined]
+            node.replace_all_uses_with(inputs[1])
+            graph.erase_node(node)
+        elif (
+            node.target is getitem
+            and inputs[0].target is _aten.split_with_sizes.default
+            and _same_shape(known[inputs[0].all_input_nodes[0]], value)
+        ):
+            # the one part of a table cut into one
+            node.replace_all_uses_with(inputs[0].all_input_nodes[0])
+            graph.erase_node(node)
+        elif source is not None and _is_nothing(node, known[source], value):
+            node.replace_all_uses_with(source)
+            graph.erase_node(node)
+        elif node.target in _SHAPED and source is not None and source.target in _SHAPED:
+            node.replace_input_with(source, source.all_input_nodes[0])
+        elif node.target is _aten.permute.default and source is not None and source.target is node.target:
+            before = source.args[1]
+            node.args = (source.args[0], [before[k] for k in node.args[1]])
+    graph.eliminate_dead_code()
+    module.graph = fx_graph_cse(graph)
+    module.graph.eliminate_dead_code()
+    module.delete_all_unused_submodules()
+    used = {str(n.target) for n in module.graph.nodes if n.op == "get_attr"}
+    for name in [name for name in module._buffers if name not in used]:
+        del module._buffers[name]
+    module.recompile()
+
+
+def _replace_by_constant(
+    module: fx.GraphModule, node: fx.Node, value: Tensor, constant: set[fx.Node]
+) -> fx.Node:
+    name = next(
+        f"folded_{k}" for k in range(len(module._buffers) + 1) if f"folded_{k}" not in module._buffers
+    )
+    module.register_buffer(name, value.clone().contiguous())
+    with module.graph.inserting_before(node):
+        new = module.graph.get_attr(name)
+    constant.add(new)
+    node.replace_all_uses_with(new)
+    module.graph.erase_node(node)
+    return new
+
+
+def _is_nothing(node: fx.Node, before: object, after: Tensor) -> bool:
+    """Whether an operation gives its first argument back."""
+    if not isinstance(before, Tensor) or before.dtype != after.dtype:
+        return False
+    if node.target in _SAME or node.target is _aten._to_copy.default:
+        return before.stride() == after.stride()
+    if before.shape != after.shape:
+        return False
+    if node.target in (*_SHAPED, _aten.expand.default):
+        return True
+    if node.target is _aten.permute.default:
+        order: Any = node.args[1]
+        return all(before.shape[k] == 1 or k == place for place, k in enumerate(order))
+    if node.target is _aten.slice.Tensor:
+        return True
+    return node.target in (_aten.mul.Tensor, _aten.div.Tensor) and node.args[1] in (1, 1.0)
+
+
+def _same_shape(before: object, after: Tensor) -> bool:
+    return isinstance(before, Tensor) and before.shape == after.shape
+
+
+def _attribute(module: fx.GraphModule, node: fx.Node) -> Tensor:
+    value = getattr(module, str(node.target))
+    assert isinstance(value, Tensor)
+    return value
+
+
+def _content(value: Tensor) -> tuple[object, ...]:
+    """What constants of one value have in common."""
+    value = value.detach().contiguous()
+    return tuple(value.shape), value.dtype, value.view(-1).numpy().tobytes()
+
+
+class _Values(fx.Interpreter):
+    """Values of all nodes for an example."""
+
+    def __init__(self, module: fx.GraphModule) -> None:
+        super().__init__(module, garbage_collect_values=False)
+        self.of: dict[fx.Node, object] = {}
+
+    def run_node(self, n: fx.Node) -> Any:
+        """See `fx.Interpreter.run_node`."""
+        out = super().run_node(n)
+        self.of[n] = out
+        return out

@@ -1,0 +1,128 @@
+"""What goes into the exported step and what comes out: names, shapes, units, frames; and the words of its status.
+
+    step(state, valid, elapsed, reference, last, push, memory, before) -> inputs, rates, thrust, ..., status, after
+
+All tensors are of double precision, on the CPU, without a batch axis. World ENU, body FLU, quaternion w x y z from body
+to world. `after` is what the next step takes as `before`; the first step takes zeros.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+from nsde_torch.control.controller import (
+    BAD_REFERENCE,
+    BAD_STATE,
+    CONVERGED,
+    DIVERGED,
+    HOVER,
+    IMPROVED,
+    JUMP,
+    KEPT,
+)
+
+TROUBLES = (BAD_STATE, BAD_REFERENCE, JUMP, DIVERGED)
+STATUS = (CONVERGED, IMPROVED, *(f"{t}:{done}" for t in TROUBLES for done in (KEPT, HOVER)))
+"""Words of the numbers that `status` takes."""
+
+KNOWN, AGE, JUMPED, COST, GAP = range(5)
+N_HEAD = 5
+"""Places at the head of `before` and `after`; inputs (steps, nu) and states (particles, steps + 1, nz) follow."""
+
+
+@dataclass(frozen=True)
+class Sizes:
+    """Sizes of a controller.
+
+    Args:
+        nx, nu, nz, nd: States, inputs, states with memory, pushes.
+        steps, particles: Steps and paths of a plan.
+    """
+
+    nx: int
+    nu: int
+    nz: int
+    nd: int
+    steps: int
+    particles: int
+
+    @property
+    def n_plan(self) -> int:
+        """Length of `before` and `after`."""
+        return N_HEAD + self.steps * self.nu + self.particles * (self.steps + 1) * self.nz
+
+
+@dataclass(frozen=True)
+class Entry:
+    """One tensor.
+
+    Args:
+        name: What it is called.
+        shape: Its axes.
+        unit: Unit, or one per column.
+        help: What it is.
+    """
+
+    name: str
+    shape: tuple[int, ...]
+    unit: str
+    help: str
+
+    def as_dict(self) -> dict[str, Any]:
+        """Plain containers."""
+        return {"name": self.name, "shape": list(self.shape), "unit": self.unit, "help": self.help}
+
+
+_STATE = "m, m/s, 1, rad/s"
+
+
+def step_inputs(s: Sizes) -> tuple[Entry, ...]:
+    """Arguments of `step`, in order."""
+    return (
+        Entry("state", (s.nx,), _STATE, "measured state at the time from which the plan holds"),
+        Entry("valid", (), "1", "0: the state is not to be believed, whatever it says"),
+        Entry("elapsed", (), "s", "time since the step that `before` comes from"),
+        Entry("reference", (s.steps, s.nx), _STATE, "states to track at the ends of the steps"),
+        Entry("last", (s.nu,), "1", "inputs that act now; nan: those of the plan before"),
+        Entry("push", (s.nd,), "m/s2, rad/s2", "disturbance on the force ports; 0: none"),
+        Entry(
+            "memory", (s.nz - s.nx,), "1", "memory of the model's effects now; nan: stationary under `last`"
+        ),
+        Entry("before", (s.n_plan,), "1", "`after` of the step before; zeros: there was none"),
+    )
+
+
+def step_outputs(s: Sizes) -> tuple[Entry, ...]:
+    """What `step` returns, in order."""
+    return (
+        Entry(
+            "inputs",
+            (s.steps, s.nu),
+            "1",
+            "commands, finite and within bounds; row k holds for the k-th step",
+        ),
+        Entry("rates", (3,), "rad/s", "desired body rates: those that the plan expects one step ahead"),
+        Entry("thrust", (), "1", "mean of the first commands"),
+        Entry("lift", (s.steps,), "m/s2", "collective thrust over mass along the body's z axis, by step"),
+        Entry("states", (s.steps + 1, s.nx), _STATE, "states that the plan expects"),
+        Entry("cost", (), "1", "what the plan costs; infinite for hovering"),
+        Entry("gap", (), "1", "estimated share of the cost that a better plan would save"),
+        Entry("status", (), "1", "number of the word in `status`"),
+        Entry("iterations", (), "1", "iterations of the solver"),
+        Entry("after", (s.n_plan,), "1", "the plan, for the next step"),
+    )
+
+
+def predict_inputs(s: Sizes) -> tuple[Entry, ...]:
+    """Arguments of `predict`, in order."""
+    return (
+        Entry("z", (s.nz,), _STATE, "state with the memory of the model's effects"),
+        Entry("u", (s.nu,), "1", "inputs that act, held"),
+        Entry("push", (s.nd,), "m/s2, rad/s2", "disturbance on the force ports"),
+    )
+
+
+def predict_outputs(s: Sizes) -> tuple[Entry, ...]:
+    """What `predict` returns."""
+    return (Entry("z", (s.nz,), _STATE, "the same one sample later"),)

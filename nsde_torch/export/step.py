@@ -1,0 +1,340 @@
+"""The whole step of the controller as functions of plain tensors of fixed shapes, and the few branches between them.
+
+    begin -> [rollout] -> (prepare -> active_set ... -> tries -> rollout -> choose) ... -> end
+
+Each stage is straight-line arithmetic, which can be written down as a graph; the loops between them compare one number
+each. The same stages are run here in Python, put together by TorchScript, and compiled ahead of time, so that there
+is one source of what the controller does. Checks of the state, the shift of the last plan, its fallback and the bounds
+are those of `control.controller.Controller`, as arithmetic.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import final
+
+import torch
+from torch import Tensor, nn
+
+from nsde_torch.control.controller import Controller, Plan, _shift
+from nsde_torch.control.gauss_newton import GaussNewton
+from nsde_torch.control.horizon import _repeat
+from nsde_torch.control.predictor import Predictor
+from nsde_torch.control.solve import _LEFT
+from nsde_torch.errors import ConfigError
+from nsde_torch.export.layout import (
+    AGE,
+    COST,
+    GAP,
+    JUMPED,
+    KNOWN,
+    N_HEAD,
+    STATUS,
+    TROUBLES,
+    Sizes,
+    step_inputs,
+)
+from nsde_torch.systems import Multirotor
+
+Stage = Callable[..., Sequence[Tensor]]
+STAGES = ("begin", "prepare", "active_set", "tries", "advance", "choose", "end", "predict")
+
+
+@final
+class Step(nn.Module):
+    """The controller's step.
+
+    Args:
+        controller: The controller, a batch of one; its numbers as they are now.
+        sample: Predicts the state over a sample of the fine grid of time.
+
+    Attributes:
+        sizes, iterations, changes, left, tolerance: Sizes; most iterations and changes of the active set; what may be
+            left by them.
+
+    Raises:
+        ConfigError: a controller of several machines, or with a solver that cannot be exported.
+    """
+
+    def __init__(self, controller: Controller, sample: Predictor) -> None:
+        super().__init__()
+        if controller.batch != 1:
+            raise ConfigError(f"a flight computer flies one machine; got a batch of {controller.batch}.")
+        method = controller.solver._method
+        if not isinstance(method, GaussNewton):
+            raise ConfigError("only the solver gauss_newton is exported; got apg. Take mpc=default.")
+        system = controller.predictor.system
+        assert isinstance(system, Multirotor)  # the horizon's residual has seen to it
+        self.method, self.horizon, self.sample = method, controller.horizon, sample
+        self.predictor, self.safety, self.options = (
+            controller.predictor,
+            controller.safety,
+            controller.options,
+        )
+        self.dtype, self._system = controller.predictor.dtype, system
+        p, o = self.predictor, self.options
+        self.sizes = Sizes(p.nx, p.nu, p.nz, p.nd, o.steps, o.particles)
+        self.iterations = controller.solver.options.iterations
+        self.tolerance, self.left = controller.solver.options.tolerance, _LEFT
+        self.changes = method.active_set_steps
+        self.hover_u: Tensor
+        self.hover_z: Tensor
+        still = controller.hovering()
+        self.register_buffer("hover_u", still.u.clone())
+        self.register_buffer("hover_z", still.z.clone())
+
+    # ---- stages -----------------------------------------------------------------------------------------
+
+    def begin(
+        self,
+        state: Tensor,
+        valid: Tensor,
+        elapsed: Tensor,
+        reference: Tensor,
+        last: Tensor,
+        push: Tensor,
+        memory: Tensor,
+        before: Tensor,
+    ) -> tuple[Tensor, ...]:
+        """From what the step is given to the problem; see `layout.step_inputs`.
+
+        Returns:
+            z0 (1, nz), start u (1, K, nu), start z (1, P, K + 1, nz), reference (1, K, nx), last (1, nu), push (1, nd),
+            head (5,): whether there is a plan before, its age, cost and gap, samples that jumped; and the trouble, 0-d.
+        """
+        s, safety, dtype, inf = self.sizes, self.safety, self.dtype, torch.inf
+        head, old_u, old_z = self._unpacked(before)
+        # a plan that the host has not kept as it was is none
+        known = (head[KNOWN] > 0.5) & torch.isfinite(before[N_HEAD:]).all() & torch.isfinite(elapsed)
+        known = known & ~torch.isnan(head[AGE])
+        late = torch.where(known, elapsed, torch.zeros_like(elapsed)).clamp_min(0.0)
+        steps = late / self.options.dt
+        u = torch.where(known, _shift(old_u, steps).clamp(self.options.low, self.options.high), self.hover_u)
+        z = torch.where(known, _shift(old_z, steps, axis=2), self.hover_z)
+        age = torch.where(known, head[AGE].to(dtype) + late.to(dtype), torch.full_like(z[0, 0, 0, 0], inf))
+        x, ref, given = state.to(dtype)[None], reference.to(dtype)[None], last.to(dtype)[None]
+        first = torch.where(torch.isfinite(given).all(), given, u[:, 0])
+        d = push.to(dtype)[None]
+        d = torch.where(torch.isfinite(d).all(), d, torch.zeros_like(d))
+
+        expected = z[:, 0, 0, : s.nx]
+        finite = torch.isfinite(x).all()
+        unit = ((x[:, 6:10] * x[:, 6:10]).sum().sqrt() - 1.0).abs() <= safety.quaternion
+        sane = torch.isfinite(ref).all()
+        gone = x[:, :3] - expected[:, :3]
+        away = (gone * gone).sum().sqrt()
+        turned = 2.0 * torch.arccos((x[:, 6:10] * expected[:, 6:10]).sum().abs().clamp_max(1.0))
+        jumped = finite & known & (age <= safety.keep)
+        jumped = jumped & ((away > safety.jump) | (turned > safety.jump_attitude))
+        count = torch.where(jumped, head[JUMPED] + 1.0, torch.zeros_like(head[JUMPED]))
+        believed = finite & unit & (valid > 0.5)
+        unlikely = jumped & (count < safety.jump_samples)
+        trouble = torch.where(unlikely, 3.0, torch.zeros_like(count))
+        trouble = torch.where(sane, trouble, 2.0)
+        trouble = torch.where(believed, trouble, 1.0)
+        bad = trouble > 0.5
+
+        x = torch.where(bad, expected, x)
+        ref = torch.where(bad, z[:, 0, 1:, : s.nx], ref)
+        q = x[:, 6:10]
+        x = torch.cat((x[:, :6], q / q.norm(dim=1, keepdim=True).clamp_min(1e-12), x[:, 10:]), 1)
+        z0 = self.predictor.augment(x, first)
+        if s.nz > s.nx:
+            rest = memory.to(dtype)[None]
+            rest = torch.where(torch.isfinite(rest).all(), rest, z0[:, s.nx :])
+            z0 = torch.cat((x, rest), 1)
+        kept = torch.stack((known.to(count), age.to(count), count, head[COST], head[GAP]))
+        return z0.clone(), u, z, ref.clone(), first.clone(), d, kept, trouble
+
+    def prepare(self, *arguments: Tensor) -> tuple[Tensor, ...]:
+        """See `GaussNewton.prepare`."""
+        return self.method.prepare(*arguments)
+
+    def active_set(self, *arguments: Tensor) -> tuple[Tensor, ...]:
+        """See `GaussNewton.active_set`."""
+        return self.method.active_set(*arguments)
+
+    def tries(self, z0: Tensor, u: Tensor, step: Tensor) -> tuple[Tensor, ...]:
+        """Inputs to roll out (S, K, nu), the same by step (K, S, nu), and first states (S P, nz)."""
+        tried = self.method.tries(u, step)
+        rows = len(tried) * self.sizes.particles
+        return tried, tried.transpose(0, 1), z0.expand(rows, self.sizes.nz)
+
+    def advance(self, z: Tensor, u: Tensor, d: Tensor, noise: Tensor) -> tuple[Tensor, ...]:
+        """States (S P, nz) a step later, from inputs (S, nu), a push (1, nd) and the step's noise (P, nx)."""
+        s, p = len(u), self.sizes.particles
+        push = d.expand(s * p, self.sizes.nd)
+        return (self.horizon.advance(z, _repeat(u, p), push, noise.repeat(s, 1) if p > 1 else None),)
+
+    def choose(
+        self, paths: Tensor, tried: Tensor, ref: Tensor, last: Tensor, least: Tensor
+    ) -> tuple[Tensor, ...]:
+        """u, z, cost, gap of the best of what was tried, from states (S P, K + 1, nz); see `GaussNewton.choose`."""
+        by_plan = paths.view(len(tried), self.sizes.particles, *paths.shape[1:])
+        best = self.method.choose(by_plan, tried, ref, last, least)
+        return best.u, best.z, best.cost, best.gap
+
+    def end(
+        self,
+        found_u: Tensor,
+        found_z: Tensor,
+        cost: Tensor,
+        gap: Tensor,
+        iterations: Tensor,
+        z0: Tensor,
+        start_u: Tensor,
+        start_z: Tensor,
+        head: Tensor,
+        trouble: Tensor,
+    ) -> tuple[Tensor, ...]:
+        """From the best plan to what leaves, or what takes its place; see `layout.step_outputs`."""
+        s, o, dtype = self.sizes, self.options, torch.float64
+        safe = (trouble < 0.5) & torch.isfinite(cost).all() & torch.isfinite(found_u).all()
+        trouble = torch.where(trouble < 0.5, float(len(TROUBLES)), trouble)
+        usable = (head[KNOWN] > 0.5) & (head[AGE].to(self.dtype) <= self.safety.keep)
+        good = (gap[0] > self.tolerance).to(dtype)  # 0: converged, 1: improved
+        good = torch.where(torch.isnan(gap[0]), 1.0, good)
+        status = torch.where(safe, good, 2.0 * trouble + 1.0 - usable.to(dtype))
+        rest_z = torch.where(
+            torch.isfinite(z0).all(), z0[:, None, None].expand_as(self.hover_z), self.hover_z
+        )
+
+        def chosen(new: Tensor, old: Tensor, rest: Tensor) -> Tensor:
+            return torch.where(safe, new, torch.where(usable, old, rest))
+
+        infinite = torch.full_like(head[AGE], torch.inf)
+        u = chosen(found_u, start_u, self.hover_u).clamp(o.low, o.high)
+        z = chosen(found_z, start_z, rest_z)
+        own_cost = chosen(cost[0].to(dtype), head[COST], infinite)
+        own_gap = chosen(gap[0].to(dtype), head[GAP], infinite)
+        age = chosen(torch.zeros_like(infinite), head[AGE], infinite)
+        kept = torch.stack((torch.ones_like(age), age, head[JUMPED], own_cost, own_gap))
+        x = z[0, 0, :, : s.nx]
+        lift = self._system.quantity("thrust", x[:-1], u[0])[:, 0]
+        after = torch.cat((kept, u.flatten().to(dtype), z.flatten().to(dtype)))
+        return (
+            u[0].to(dtype),
+            x[1, 10:13].to(dtype),
+            u[0, 0].mean().to(dtype),
+            lift.to(dtype),
+            x.to(dtype),
+            own_cost,
+            own_gap,
+            status,
+            iterations.to(dtype),
+            after,
+        )
+
+    def predict(self, z: Tensor, u: Tensor, push: Tensor) -> tuple[Tensor, ...]:
+        """State with memory (nz,) a sample later; see `layout.predict_inputs`."""
+        rows = (t.to(self.dtype)[None] for t in (z, u, push))
+        return (self.sample(*rows)[0].to(torch.float64),)
+
+    def _unpacked(self, before: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        s = self.sizes
+        n = s.steps * s.nu
+        head, u, z = before.split((N_HEAD, n, before.numel() - N_HEAD - n))
+        return (
+            head,
+            u.view(1, s.steps, s.nu).to(self.dtype),
+            z.view(1, s.particles, s.steps + 1, s.nz).to(self.dtype),
+        )
+
+    # ---- what is between them ---------------------------------------------------------------------------
+
+    def examples(self) -> dict[str, list[Tensor]]:
+        """Arguments of every stage, of the shapes and types that it is run with."""
+        seen: dict[str, list[Tensor]] = {}
+
+        def watched(name: str) -> Stage:
+            def run(*arguments: Tensor) -> Sequence[Tensor]:
+                # one tensor in two places would become one argument
+                seen.setdefault(name, [a.clone() for a in arguments])
+                return self.stage(name)(*arguments)
+
+            return run
+
+        stages = {name: watched(name) for name in STAGES}
+        self.run(stages, *self.first())
+        s, of = self.sizes, {"dtype": torch.float64}
+        stages["predict"](
+            self.hover_z[0, 0, 0].double(), self.hover_u[0, 0].double(), torch.zeros(s.nd, **of)
+        )
+        return seen
+
+    def first(self) -> list[Tensor]:
+        """Arguments of a first step: hovering, where the machine is to hover."""
+        made = {e.name: torch.zeros(e.shape, dtype=torch.float64) for e in step_inputs(self.sizes)}
+        x = self.hover_z[0, 0, 0, : self.sizes.nx].double()
+        made |= {
+            "state": x.clone(),
+            "reference": x.repeat(self.sizes.steps, 1),
+            "valid": torch.ones((), dtype=torch.float64),
+        }
+        made["last"].fill_(torch.nan)
+        made["memory"].fill_(torch.nan)
+        return list(made.values())
+
+    @torch.no_grad()
+    def run(self, stages: Mapping[str, Stage], *given: Tensor) -> tuple[Tensor, ...]:
+        """The step, stage after stage, in Python: what the exported forms are tested against.
+
+        Args:
+            stages: The stages, as they are or as graphs.
+            given: See `layout.step_inputs`.
+        """
+        z0, start_u, start_z, ref, last, d, head, trouble = stages["begin"](*given)
+        u, z = start_u, start_z
+        cost = gap = torch.full((1,), torch.inf, dtype=self.dtype)
+        iterations = torch.zeros((), dtype=torch.float64)
+        if float(trouble) < 0.5:
+            if float(head[KNOWN]) < 0.5:
+                still = torch.zeros_like(u).flatten(1)
+                z = self._paths(stages, d, *stages["tries"](z0, u, still)[1:])[None, : self.sizes.particles]
+            while True:
+                quadratic = list(stages["prepare"](z0, u, z, ref, last, d))
+                fixed, (best, least) = quadratic[:5], quadratic[5:]
+                step, slope = torch.zeros_like(best), fixed[1]
+                for _ in range(self.changes):
+                    step, slope, best, least, left = stages["active_set"](*fixed, step, slope, best, least)
+                    if float(left) <= self.left:
+                        break
+                tried, by_step, z = stages["tries"](z0, u, best)
+                paths = self._paths(stages, d, by_step, z)
+                u, z, cost, gap = stages["choose"](paths, tried, ref, last, least)
+                iterations = iterations + 1.0
+                if float(gap) <= self.tolerance or float(iterations) > self.iterations - 0.5:
+                    break
+        return tuple(stages["end"](u, z, cost, gap, iterations, z0, start_u, start_z, head, trouble))
+
+    def _paths(self, stages: Mapping[str, Stage], d: Tensor, by_step: Tensor, z: Tensor) -> Tensor:
+        states = [z]
+        for k, u in enumerate(by_step):
+            (z,) = stages["advance"](z, u, d, self.horizon.noise[k])
+            states.append(z)
+        return torch.stack(states, 1)
+
+    def stage(self, name: str) -> Stage:
+        """A stage, whose results lie in memory row by row, as the next one expects them."""
+        return lambda *arguments: [t.contiguous() for t in getattr(self, name)(*arguments)]
+
+    @property
+    def stages(self) -> dict[str, Stage]:
+        """All stages."""
+        return {name: self.stage(name) for name in STAGES}
+
+
+def packed(plan: Plan, jumped: float) -> Tensor:
+    """A plan of one machine as the `before` of a step.
+
+    Args:
+        plan: The plan.
+        jumped: How many samples have jumped.
+    """
+    head = torch.stack((torch.ones(()), plan.age[0], torch.tensor(jumped), plan.cost[0], plan.gap[0]))
+    return torch.cat([part.double().flatten() for part in (head, plan.u, plan.z)])
+
+
+def status_word(number: float) -> str:
+    """The word of a status."""
+    return STATUS[round(number)]

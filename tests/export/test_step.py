@@ -1,0 +1,74 @@
+"""The exported step does what the controller does, whatever happens, and its stages are graphs."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+
+from nsde_torch.control.reference import Reference
+from nsde_torch.errors import ConfigError
+from nsde_torch.export.graph import graph_of
+from nsde_torch.export.layout import STATUS
+from nsde_torch.export.step import STAGES, packed
+from nsde_torch.models import NeuralSDE
+from nsde_torch.systems import System
+from tests.helpers.exported import flight, small_controller, step_of
+
+
+@pytest.mark.parametrize("form", ["as it is", "graphs"])
+def test_sample_after_sample_the_step_does_what_the_controller_does(
+    form: str, model: NeuralSDE, path: Reference
+) -> None:
+    controller = small_controller(model)
+    step = step_of(controller, model)
+    stages = step.stages
+    if form == "graphs":
+        stages = {name: graph_of(stages[name], e) for name, e in step.examples().items()}
+    words = set()
+    for arguments, plan in flight(controller, path):
+        out = step.run(stages, *arguments)
+        words.add(word := STATUS[int(out[7])])
+        assert word == plan.status[0]
+        assert torch.allclose(out[0], plan.u[0], atol=1e-9)
+        assert torch.allclose(out[4], plan.x[0], atol=1e-9)
+        assert torch.equal(out[1], out[4][1, 10:13])
+        assert float(out[2]) == pytest.approx(float(plan.u[0, 0].mean()))
+        assert int(out[8]) == plan.iterations
+        assert torch.allclose(out[9], packed(plan, float(controller._jumped)), atol=1e-8, equal_nan=True)
+    assert {"bad_state:kept", "bad_state:hover", "bad_reference:kept", "state_jump:kept"} < words
+    assert words & {"converged", "improved"}
+
+
+def test_graphs_of_every_stage_give_its_numbers(declared: System) -> None:
+    step = step_of(small_controller(declared, particles=2, steps=3), declared)
+    for name, example in step.examples().items():
+        graph = graph_of(step.stage(name), example)
+        plain = step.stage(name)(*example)
+        for ours, theirs in zip(graph(*example), plain, strict=True):
+            assert torch.allclose(ours, theirs, rtol=1e-9, atol=1e-9, equal_nan=True), name
+        assert set(STAGES) >= {name}
+
+
+def test_a_plan_that_the_host_has_spoilt_is_none(declared: System, path: Reference) -> None:
+    controller = small_controller(declared)
+    step = step_of(controller, declared)
+    arguments = step.first()
+    cold = step.run(step.stages, *arguments)
+    spoilt = cold[9].clone()
+    spoilt[40] = torch.nan
+    again = step.run(step.stages, *arguments[:-1], spoilt)
+    assert torch.equal(cold[0], again[0])
+
+
+def test_a_state_that_is_not_valid_is_bad_whatever_it_says(declared: System) -> None:
+    step = step_of(small_controller(declared), declared)
+    arguments = step.first()
+    arguments[1] = torch.zeros((), dtype=torch.float64)
+    out = step.run(step.stages, *arguments)
+    assert STATUS[int(out[7])] == "bad_state:hover"
+    assert all(bool(torch.isfinite(out[k]).all()) for k in (0, 1, 2, 3, 4))
+
+
+def test_what_cannot_be_exported_is_refused(declared: System) -> None:
+    with pytest.raises(ConfigError, match="gauss_newton"):
+        step_of(small_controller(declared, solver="apg"), declared)

@@ -1,0 +1,98 @@
+"""Small controllers for the tests of the export, and a flight with every kind of trouble."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import torch
+from torch import Tensor
+
+from nsde_torch.control.controller import Controller, Plan
+from nsde_torch.control.predictor import Predictor
+from nsde_torch.control.problem import ProblemOptions
+from nsde_torch.control.reference import Reference
+from nsde_torch.control.solve import SolverOptions
+from nsde_torch.export.step import Step, packed
+from nsde_torch.models import NeuralSDE
+from nsde_torch.systems import System
+
+SAMPLE = 0.01
+
+
+def small_controller(
+    knowledge: NeuralSDE | System,
+    *,
+    dtype: torch.dtype = torch.float64,
+    solver: str = "gauss_newton",
+    **options: object,
+) -> Controller:
+    """A controller of 6 steps without compilation."""
+    return Controller(
+        knowledge,
+        problem=ProblemOptions(**{"horizon": 0.3, "steps": 6, **options}),  # type: ignore[arg-type]
+        solver=SolverOptions(name=solver, compile="off", iterations=3, tolerance=5e-3),
+        dtype=dtype,
+    )
+
+
+def step_of(controller: Controller, knowledge: NeuralSDE | System) -> Step:
+    """Its step."""
+    return Step(controller, Predictor(knowledge, dt=SAMPLE, dtype=controller.predictor.dtype))
+
+
+def flight(controller: Controller, path: Reference) -> Iterator[tuple[list[Tensor], Plan]]:
+    """What the controller is given along a path, as the step takes it, and the plans that it makes."""
+    o, p = controller.options, controller.predictor
+    g = torch.Generator().manual_seed(5)
+    troubles = (
+        *(None,) * 4,
+        *("nan", "huge", "norm", "reference", None, "jump", "jump", "jump", "jump", None),
+        *("elapsed", "last", "push", None, "gone", None),
+        *("nan",) * 4,
+        None,
+    )
+    before: Plan | None = None
+    n = 5 + o.steps * p.nu + o.particles * (o.steps + 1) * p.nz
+    for k, trouble in enumerate(troubles):
+        t, elapsed = 8.0 + 0.02 * k, 0.02
+        x = path.at(torch.tensor([t]))
+        x[:, :6] += 0.05 * torch.randn(1, 6, generator=g, dtype=torch.float64)
+        ref = path.window(t, dt=o.dt, steps=o.steps)[None].clone()
+        last = push = None
+        if trouble == "nan":
+            x[0, 11] = torch.nan
+            elapsed = 0.2
+        elif trouble == "huge":
+            x[0, 2] = 1e39
+        elif trouble == "norm":
+            x[0, 6:10] *= 1.3
+        elif trouble == "reference":
+            ref[0, 3, 1] = torch.inf
+        elif trouble == "jump":
+            x[0, 0] += 4.0
+        elif trouble == "elapsed":
+            elapsed = 0.11
+        elif trouble == "last":
+            last = torch.full((1, p.nu), 0.41, dtype=torch.float64)
+        elif trouble == "push":
+            push = 0.3 * torch.ones(1, p.nd, dtype=torch.float64)
+        if trouble == "gone":
+            before = None
+        old = (
+            torch.zeros(n, dtype=torch.float64)
+            if before is None
+            else packed(before, float(controller._jumped))
+        )
+        if before is None:
+            old[2] = float(controller._jumped)
+        unknown = torch.full((p.nu,), torch.nan, dtype=torch.float64)
+        arguments = [
+            *(x[0].double(), torch.ones((), dtype=torch.float64), torch.tensor(elapsed, dtype=torch.float64)),
+            *(ref[0], unknown if last is None else last[0]),
+            torch.zeros(p.nd, dtype=torch.float64) if push is None else push[0],
+            torch.full((p.nz - p.nx,), torch.nan, dtype=torch.float64),
+            old,
+        ]
+        plan = controller.plan(x, ref, before, elapsed=elapsed, last=last, push=push)
+        yield arguments, plan
+        before = plan

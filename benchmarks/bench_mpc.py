@@ -246,7 +246,7 @@ def main() -> None:
         print(json.dumps(out["optimality"], indent=1), flush=True)
     if given.only in (None, "loop"):
         loops = {"gauss_newton": SolverOptions(compile="on", iterations=5, tolerance=5e-3)}
-        loops["apg"] = SolverOptions(name="apg", compile="on", iterations=25, tolerance=5e-3)
+        loops["apg"] = SolverOptions(name="apg", compile="on", iterations=20, tolerance=5e-3)
         for name in given.solvers:
             out[name] = closed_loop(model, given.seconds, loops[name])
             print(name, json.dumps(out[name], indent=1), flush=True)

@@ -760,6 +760,10 @@ class FlyConfig:
 class VehicleConfig:
     """`nsde vehicle`."""
 
+    hil: str | None = key(
+        None,
+        "be the simulator of a real PX4 instead, which connects here: tcpin:127.0.0.1:4560 (`--hil` says the same)",
+    )
     seed: int = key(0, "seed of gusts and noise", low=0)
     duration: float | None = key(None, "how long to run; null: until Ctrl-C", unit="s", above=0)
     parameters: dict[str, Any] = key({}, "values of PX4's parameters, parameters.COM_OF_LOSS_T=0.5")

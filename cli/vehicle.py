@@ -15,7 +15,18 @@ COMMAND = HydraCommand(
 
 def main(arguments: Sequence[str]) -> int:
     """Run `nsde vehicle` with these words; returns the exit status."""
-    return COMMAND.main(list(arguments))
+    return COMMAND.main(_keys(arguments))
+
+
+def _keys(arguments: Sequence[str]) -> list[str]:
+    """`--hil URL` and `--hil=URL` as the key that they are."""
+    out: list[str] = []
+    words = iter(arguments)
+    for word in words:
+        if word == "--hil":
+            word = f"--hil={next(words, '')}"
+        out.append(word[2:] if word.startswith("--hil=") else word)
+    return out
 
 
 def complete(words: Sequence[str]) -> list[str]:

@@ -3,10 +3,15 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
+from typing import TYPE_CHECKING
 
 from omegaconf import DictConfig
 
 from .jobs import guarded_without_folder
+
+if TYPE_CHECKING:
+    from nsde_torch.px4.body import Body
 
 
 def task(config: DictConfig) -> None:
@@ -27,12 +32,10 @@ def run(config: DictConfig) -> None:
     import torch
 
     from nsde_torch.errors import ConfigError
-    from nsde_torch.px4.autopilot import PARAMETERS, SimulatedAutopilot
+    from nsde_torch.px4.autopilot import PARAMETERS
     from nsde_torch.px4.body import Body
-    from nsde_torch.px4.transport import open_transport
-    from nsde_torch.px4.vehicle import Vehicle
 
-    from . import build, link_build
+    from . import build
 
     torch.set_num_threads(config.threads)
     plant = config.plant
@@ -47,14 +50,67 @@ def run(config: DictConfig) -> None:
     wrong = sorted(k for k, v in parameters.items() if isinstance(v, bool) or not isinstance(v, (int, float)))
     if wrong:
         raise ConfigError(f"`parameters.{wrong[0]}` takes a number; got {parameters[wrong[0]]!r}.")
-    body = Body(
-        plant.system or "hexacopter",
-        seed=config.seed,
-        effects=build.options(plant)["effects"],
-        declared_only=plant.declared_only,
-        process_noise=plant.process_noise,
-        latency=plant.latency,
+
+    def body() -> Body:
+        return Body(
+            plant.system or "hexacopter",
+            seed=config.seed,
+            effects=build.options(plant)["effects"],
+            declared_only=plant.declared_only,
+            process_noise=plant.process_noise,
+            latency=plant.latency,
+        )
+
+    if config.hil is not None:
+        _simulate(config, body)
+    else:
+        _fly(config, body(), parameters)
+
+
+def _simulate(config: DictConfig, body: Callable[[], Body]) -> None:
+    """Be the simulator of a real PX4."""
+    from nsde_torch.errors import ConfigError
+    from nsde_torch.px4.hil import HilPlant, HilServer, airframe
+    from nsde_torch.px4.transport import open_transport
+
+    if not config.hil.startswith("tcpin:"):
+        raise ConfigError(f"`hil` takes tcpin:HOST:PORT, where PX4 connects; got {config.hil!r}.")
+    seed, noise = config.seed, config.plant.sensor_noise
+    first = body()
+    transport = open_transport(config.hil, expose=config.link.expose, name="hil")
+    server = HilServer(lambda: HilPlant(body(), seed=seed, noise=noise), transport, say=_say)
+    _say(
+        f"a {first.system.name} as PX4's simulator on {config.hil}; Ctrl-C ends it. PX4 must know the machine:"
     )
+    for name, value in airframe(first.system, first.hover_throttle()).items():
+        _say(f"  param set {name} {value:g}")
+    try:
+        server.run(_ends(config.duration))
+    except KeyboardInterrupt:
+        pass
+    finally:
+        transport.close()
+
+
+def _say(line: str) -> None:
+    print(line, flush=True)
+
+
+def _ends(duration: float | None) -> Callable[[], bool]:
+    """Whether the time is over."""
+    end = None if duration is None else time.monotonic() + duration
+    return lambda: end is not None and time.monotonic() >= end
+
+
+def _fly(config: DictConfig, body: Body, parameters: dict[str, float]) -> None:
+    """Be a vehicle with a PX4 in it."""
+    from nsde_torch.px4.autopilot import SimulatedAutopilot
+    from nsde_torch.px4.transport import open_transport
+    from nsde_torch.px4.vehicle import Vehicle
+
+    from . import link_build
+
+    plant = config.plant
     transport = open_transport(config.link.url, expose=config.link.expose)
     autopilot = SimulatedAutopilot(
         body,
@@ -67,9 +123,8 @@ def run(config: DictConfig) -> None:
     )
     vehicle = Vehicle(autopilot, transport)
     print(f"a simulated {body.system.name} on {config.link.url}; Ctrl-C ends it", flush=True)
-    end = None if config.duration is None else time.monotonic() + config.duration
     try:
-        vehicle.run(lambda: end is not None and time.monotonic() >= end)
+        vehicle.run(_ends(config.duration))
     except KeyboardInterrupt:
         pass
     finally:

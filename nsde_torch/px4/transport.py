@@ -49,16 +49,22 @@ class Transport(ABC):
     def close(self) -> None:
         """Let go of the address."""
 
+    @property
+    def connected(self) -> bool:
+        """Whether there is another side, as far as this kind of way can tell."""
+        return True
+
     def trust(self) -> None:  # noqa: B027
         """What was received last came from the vehicle: stay with its address."""
 
 
-def open_transport(url: str, *, expose: bool = False) -> Transport:
+def open_transport(url: str, *, expose: bool = False, name: str = "link.url") -> Transport:
     """The way for bytes that a url names.
 
     Args:
         url: See the module's text.
         expose: Allow to wait on other interfaces than loopback.
+        name: Key that the url was given by.
 
     Raises:
         LinkError: a url that is not understood, an address that cannot be had, or an interface without `expose`.
@@ -67,15 +73,15 @@ def open_transport(url: str, *, expose: bool = False) -> Transport:
     where, _, number = rest.rpartition(":")
     if kind not in ("udpin", "udpout", "tcp", "tcpin", "serial") or not where or not number.isdigit():
         raise LinkError(
-            f"`link.url`: {url!r} is not understood; expected udpin:HOST:PORT, udpout:HOST:PORT, tcp:HOST:PORT, "
+            f"`{name}`: {url!r} is not understood; expected udpin:HOST:PORT, udpout:HOST:PORT, tcp:HOST:PORT, "
             "tcpin:HOST:PORT or serial:DEVICE:BAUD."
         )
     port = int(number)
     if kind != "serial" and not 0 <= port <= 65535:
-        raise LinkError(f"`link.url`: port {port} of {url!r} is not 0 to 65535.")
+        raise LinkError(f"`{name}`: port {port} of {url!r} is not 0 to 65535.")
     if kind in ("udpin", "tcpin") and not expose and not _loopback(where):
         raise LinkError(
-            f"`link.url`: {url!r} would listen on an interface that others reach, and MAVLink lets anyone fly. Use "
+            f"`{name}`: {url!r} would listen on an interface that others reach, and MAVLink lets anyone fly. Use "
             "127.0.0.1, or add link.expose=true, best with link.key_file."
         )
     try:
@@ -85,9 +91,7 @@ def open_transport(url: str, *, expose: bool = False) -> Transport:
         kinds = {"udpin": UdpIn, "udpout": UdpOut, "tcp": Tcp, "tcpin": TcpIn}
         return kinds[kind](where, port)
     except OSError as error:
-        raise LinkError(
-            f"`link.url`: {url!r} cannot be opened ({error}). Is another program on it?"
-        ) from error
+        raise LinkError(f"`{name}`: {url!r} cannot be opened ({error}). Is another program on it?") from error
 
 
 def _loopback(host: str) -> bool:
@@ -208,6 +212,11 @@ class _Connected(Transport):
 
     def __init__(self) -> None:
         self._connection: socket.socket | None = None
+
+    @property
+    def connected(self) -> bool:
+        """See `Transport.connected`."""
+        return self._connection is not None
 
     def _use(self, connection: socket.socket) -> None:
         connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)

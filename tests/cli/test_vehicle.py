@@ -71,3 +71,28 @@ def test_it_says_what_it_is_and_its_frames_are_signed_and_of_its_system(
     assert heard[0].get_type() == "HEARTBEAT"
     assert heard[0].get_srcSystem() == 7
     assert list(Path().iterdir()) == [Path("key")]
+
+
+@pytest.mark.parametrize(
+    "words", [["hil=tcpin:127.0.0.1:0"], ["--hil", "tcpin:127.0.0.1:0"], ["--hil=tcpin:127.0.0.1:0"]]
+)
+def test_as_px4s_simulator_it_waits_and_says_what_px4_must_know(
+    words: list[str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["vehicle", *words, "duration=0.1"]) == 0
+    printed = capsys.readouterr().out
+    assert "waiting for PX4" in printed
+    assert "param set CA_ROTOR_COUNT 6" in printed
+    assert "param set CA_ROTOR0_PY 1" in printed
+
+
+@pytest.mark.parametrize(
+    ("url", "said"),
+    [
+        ("udpin:127.0.0.1:4560", "`hil` takes tcpin"),
+        ("tcpin:0.0.0.0:4560", "`hil`: 'tcpin:0.0.0.0:4560' would listen"),
+    ],
+)
+def test_where_px4_cannot_connect_is_said(url: str, said: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["vehicle", f"hil={url}", "duration=0.1"]) == 2
+    assert said in capsys.readouterr().err

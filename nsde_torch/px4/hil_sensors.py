@@ -1,0 +1,158 @@
+"""What sensors on a machine would show, as the messages that PX4 takes from a simulator.
+
+    accelerometer = R' (v' + g z),      gyroscope = w,      magnetometer = R' B,
+    p = 1013.25 hPa (1 - 2.25577e-5 h)^5.25588          (International Standard Atmosphere, ISO 2533)
+
+in FRD: at rest the accelerometer shows -g along z. `B` and the place are those of PX4's default home (Zurich; World
+Magnetic Model, rounded). The IMU comes with every message, the others more seldom, each with its bits in
+`fields_updated` (PX4 takes a sensor only if all of its bits are set).
+"""
+
+from __future__ import annotations
+
+import random
+from math import atan2, cos, degrees, radians, sin
+from typing import final
+
+from nsde_torch.px4 import frames
+from nsde_torch.px4.cascade import GRAVITY
+from nsde_torch.px4.codec import Message
+from nsde_torch.px4.dialect import mavlink
+from nsde_torch.px4.vectors import Quat, Vec, length, rotate_back
+
+LATITUDE, LONGITUDE, ALTITUDE = 47.397742, 8.545594, 488.0
+"""Of the place of take-off [deg, deg, m]."""
+_STRENGTH, _DECLINATION, _INCLINATION = 0.483, radians(3.0), radians(63.3)
+FIELD_NED: Vec = (
+    _STRENGTH * cos(_INCLINATION) * cos(_DECLINATION),
+    _STRENGTH * cos(_INCLINATION) * sin(_DECLINATION),
+    _STRENGTH * sin(_INCLINATION),
+)
+"""Magnetic field [gauss]."""
+RATE = 250.0
+"""Samples of the IMU in a second; it is what PX4 integrates at in simulation."""
+ACCELEROMETER, GYROSCOPE, MAGNETOMETER = 0b111, 0b111_000, 0b111_000_000
+BAROMETER = 1 << 9 | 1 << 11 | 1 << 12
+"""Bits of `fields_updated`: three axes each; absolute pressure, its altitude and the temperature."""
+_EVERY = {"mag": (4, 1), "baro": (5, 2), "gps": (25, 3), "truth": (5, 4)}
+"""One in so many samples, and which of them, so that they do not all come at once."""
+_EARTH = 6_371_000.0
+HARDEST = 4.0 * GRAVITY
+"""Largest acceleration that is shown; a touch-down within one sample would show more than any sensor [m/s2]."""
+_STD = {"acc": 0.03, "gyro": 0.003, "mag": 0.0015, "baro": 0.01, "p": 0.05, "h": 0.1, "v": 0.03}
+
+
+def pressure(height: float) -> float:
+    """Pressure [hPa] at a height above the sea [m]."""
+    return float(1013.25 * (1.0 - 2.25577e-5 * height) ** 5.25588)
+
+
+@final
+class HilSensors:
+    """Sensors with noise.
+
+    Args:
+        seed: Of the noise.
+        noise: Factor on it.
+    """
+
+    def __init__(self, *, seed: int, noise: float = 1.0) -> None:
+        self._random = random.Random(seed)
+        self._std = {k: v * noise for k, v in _STD.items()}
+        self._before: Vec = (0.0, 0.0, 0.0)
+        self._count = 0
+
+    def messages(self, time: float, p: Vec, v: Vec, q: Quat, w: Vec) -> list[Message]:
+        """What is sent of one state; call it once for each sample.
+
+        Args:
+            time: [s]
+            p: Position from the place of take-off, ENU [m].
+            v: Velocity, ENU [m/s].
+            q: Attitude, FLU to ENU.
+            w: Body rates, FLU [rad/s].
+        """
+        k, self._count = self._count, self._count + 1
+        a, b = v, self._before
+        gained = (RATE * (a[0] - b[0]), RATE * (a[1] - b[1]), RATE * (a[2] - b[2]) + GRAVITY)
+        force = rotate_back(q, gained)
+        self._before = v
+        hardest = HARDEST / max(length(force), HARDEST)
+        acc = self._noisy(tuple(c * hardest for c in frames.body(force)), "acc")  # type: ignore[arg-type]
+        gyro = self._noisy(frames.body(w), "gyro")
+        # the field turned into the body: world to NED first, as the attitude is NED's here
+        mag = self._noisy(rotate_back(frames.attitude(q), FIELD_NED), "mag")
+        height = ALTITUDE + p[2]
+        shown = pressure(height) + self._random.gauss(0.0, self._std["baro"])
+        fields = ACCELEROMETER | GYROSCOPE
+        fields |= MAGNETOMETER if _due("mag", k) else 0
+        fields |= BAROMETER if _due("baro", k) else 0
+        stamp = round(time * 1e6)
+        out = [
+            mavlink.MAVLink_hil_sensor_message(
+                stamp, *acc, *gyro, *mag, shown, 0.0, _height(shown), 15.0 - 0.0065 * height, fields, 0
+            )
+        ]
+        if _due("gps", k):
+            out.append(self._gps(stamp, p, v))
+        if _due("truth", k):
+            out.append(_truth(stamp, p, v, q, w, force))
+        return out
+
+    def _gps(self, stamp: int, p: Vec, v: Vec) -> Message:
+        gauss = self._random.gauss
+        at: Vec = (
+            p[0] + gauss(0.0, self._std["p"]),
+            p[1] + gauss(0.0, self._std["p"]),
+            p[2] + gauss(0.0, self._std["h"]),
+        )
+        n, e, d = frames.world(self._noisy(v, "v"))
+        lat, lon, alt = place(at)
+        course = round(100.0 * degrees(atan2(e, n)) % 36000.0) % 36000
+        ground = round(100.0 * (n * n + e * e) ** 0.5)
+        return mavlink.MAVLink_hil_gps_message(
+            stamp,
+            3,
+            lat,
+            lon,
+            alt,
+            30,
+            40,
+            ground,
+            round(100 * n),
+            round(100 * e),
+            round(100 * d),
+            course,
+            12,
+        )
+
+    def _noisy(self, v: Vec, kind: str) -> Vec:
+        s, gauss = self._std[kind], self._random.gauss
+        return (v[0] + gauss(0.0, s), v[1] + gauss(0.0, s), v[2] + gauss(0.0, s))
+
+
+def _due(sensor: str, count: int) -> bool:
+    every, first = _EVERY[sensor]
+    return count % every == first
+
+
+def _height(shown: float) -> float:
+    """Height above the sea [m] of a pressure [hPa]."""
+    return float((1.0 - (shown / 1013.25) ** (1.0 / 5.25588)) / 2.25577e-5)
+
+
+def place(p: Vec) -> tuple[int, int, int]:
+    """Latitude and longitude [1e-7 deg] and altitude [mm] of a position, on a sphere."""
+    lat = LATITUDE + degrees(p[1] / _EARTH)
+    lon = LONGITUDE + degrees(p[0] / (_EARTH * cos(radians(LATITUDE))))
+    return round(lat * 1e7), round(lon * 1e7), round(1e3 * (ALTITUDE + p[2]))
+
+
+def _truth(stamp: int, p: Vec, v: Vec, q: Quat, w: Vec, force: Vec) -> Message:
+    """The true state, which PX4 writes into its log beside its estimate."""
+    lat, lon, alt = place(p)
+    n, e, d = (round(100 * c) for c in frames.world(v))
+    acc = (round(1e3 * c / GRAVITY) for c in frames.body(force))
+    return mavlink.MAVLink_hil_state_quaternion_message(
+        stamp, frames.attitude(q), *frames.body(w), lat, lon, alt, n, e, d, 0, 0, *acc
+    )

@@ -74,7 +74,7 @@ def diagnose_case(folder: Path, name: str) -> dict[str, Any]:
             for key, values in effects.items()
         ]
         runs = with_channels(system, found.recorded.runs)
-        told = system.with_effects(*made)
+        told = found.system.with_effects(*made)
         oracle = held_out(
             (found.outcome.declared.system, told),
             spec,

@@ -1,6 +1,6 @@
 """Effects of the catalogue as candidates: which a system may have, and where their fits start."""
 
-from collections.abc import Collection, Sequence
+from collections.abc import Sequence
 
 from nsde_torch.effects import Effect, Port, effect_class, effects_of, make_effect
 from nsde_torch.systems import System
@@ -9,14 +9,14 @@ from nsde_torch.systems.parameters import own_name
 Start = dict[str, float | list[float]]
 
 
-def candidate_names(system: System, *, channels: Collection[str] = ()) -> list[str]:
-    """Names of the effects that could be missing from a system, of which the data have the channels."""
+def candidate_names(system: System) -> list[str]:
+    """Names of the effects that could be missing from a system and read no channels but its own."""
     return sorted(
         name
         for name, cls in effects_of(system.name, {*system.ports, Port.INPUT}).items()
         if name not in system.effect_names
         and cls.candidate(system.name)
-        and set(cls.exogenous) <= {*channels, *system.exogenous}
+        and set(cls.exogenous) <= set(system.exogenous)
     )
 
 

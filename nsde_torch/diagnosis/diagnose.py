@@ -22,7 +22,7 @@ from nsde_torch.diagnosis.recording import Recorded, undo
 from nsde_torch.diagnosis.search import Search
 from nsde_torch.diagnosis.shape import Shape, shape, symmetry
 from nsde_torch.diagnosis.views import rates, rates_width
-from nsde_torch.effects import EFFECTS, Effect, effect_class, register
+from nsde_torch.effects import EFFECTS, Effect, effect_class, effects_of, register
 from nsde_torch.errors import ConfigError, DataError
 from nsde_torch.learning.identify.steps import steps_of
 from nsde_torch.models.identified import SysidSpec
@@ -391,13 +391,14 @@ def diagnose(
     """
     started = now()
     seconds: dict[str, float] = {}
+    own = {name: register(name) for name in options.also}  # first: they may read channels that no other does
     say("checking the recording chain", 0, 1)
     recorded = undo(data, runs, system, alpha=options.alpha)
     extended = with_channels(system, recorded.runs)
     if not extended:
         raise DataError("no run to diagnose.")
-    own = {name: register(name) for name in options.also}
-    able = candidate_names(system, channels=logged_channels(system, extended))
+    system = system.reading(*logged_channels(system, extended))
+    able = candidate_names(system)
     for name in options.candidates or ():
         if name not in able:
             raise ConfigError(
@@ -462,7 +463,7 @@ def search_in(
 
     Args:
         system: Declared system.
-        runs: The runs; columns behind the inputs are logged channels (`with_channels`).
+        runs: The runs; columns behind the inputs are logged channels (`with_channels`), which the system reads.
         clock: Physical seconds per logged second.
         options: Settings.
         say: Told stage, number done and number in all.
@@ -484,7 +485,6 @@ def search_in(
         candidates=None
         if options.candidates is None
         else (*options.candidates, *map(register, options.also)),
-        channels=logged_channels(system, runs),
         feedback=not system.sensor_noise,
         say=say,
     )
@@ -492,7 +492,8 @@ def search_in(
 
 def logged_channels(system: System, runs: Sequence[Run]) -> tuple[str, ...]:
     """Logged columns, of all runs and without gaps, that an effect of the catalogue could read."""
-    names = {n for cls in EFFECTS.values() if cls.fits(system.name, system.ports) for n in cls.exogenous}
+    effects = effects_of(system.name, system.ports)
+    names = {name for cls in effects.values() for name in cls.exogenous}
     return tuple(
         n
         for n in sorted(names - set(system.exogenous))

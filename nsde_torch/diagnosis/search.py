@@ -10,7 +10,7 @@ added is dropped if the others have made it superfluous, or exchanged for one th
 
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field
-from math import log
+from math import log, prod
 from typing import final
 
 import numpy as np
@@ -178,7 +178,6 @@ class Search:
         box: Steps per box.
         alpha: Chance of adding an effect where none is missing.
         candidates: Names to choose from; None takes all that the system may have.
-        channels: Logged columns behind the inputs.
         feedback: Take out what kinematic residuals foretell, where inputs react to sensors (`identify.feedback`).
         say: Told what is going on: stage, number done, number in all.
     """
@@ -190,12 +189,11 @@ class Search:
         box: int,
         alpha: float,
         candidates: Sequence[str] | None = None,
-        channels: Sequence[str] = (),
         feedback: bool = False,
         say: Callable[[str, int, int], None] = lambda stage, done, total: None,
     ) -> None:
         self.steps, self.box, self.alpha = steps, box, alpha
-        self.candidates, self.channels, self.say = candidates, tuple(channels), say
+        self.candidates, self.say = candidates, say
         self.held: set[str] = set()
         self.feedback = feedback
 
@@ -251,7 +249,7 @@ class Search:
             base: Where the round starts.
             only: Candidates to look at; None for all. p values count all.
         """
-        names = candidate_names(base.system, channels=self.channels)
+        names = candidate_names(base.system)
         if self.candidates is not None:
             names = [n for n in names if n in self.candidates]
         among = max(len(names), 1)
@@ -391,16 +389,16 @@ class Search:
             error=sum_error(difference),
             rank_score=float(difference.sum()) - price,
             p=p,
-            p_corrected=min(1.0, p * among * self._tries(name)),
+            p_corrected=min(1.0, p * among * self._tries(name, labels[mine[0] : mine[-1] + 1])),
             sure=sure,
             held=held,
         )
 
-    def _tries(self, name: str) -> float:
-        """How many independent starts the best of which was taken: frequencies, where the spectrum was searched."""
-        if not _swings(name):
-            return 1.0
-        return max(1.0, 0.5 * max(b - a for a, b in self.steps.segments))
+    def _tries(self, name: str, labels: Sequence[str]) -> float:
+        """How many starts the best of which was taken: frequencies of the spectrum, or shapes, each for every input."""
+        if _swings(name):
+            return max(1.0, 0.5 * max(b - a for a, b in self.steps.segments))
+        return float(prod(len(grid) for grid in effect_class(name).shapes.values()) * len(alone(name, labels)))
 
     def accept(self, trial: Trial) -> bool:
         """Whether a candidate is there, as far as chance goes and the step of the data can tell."""

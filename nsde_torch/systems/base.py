@@ -156,6 +156,8 @@ class System(Parametrised, ABC):
             )
         self._arrange(made)
 
+    _channels: tuple[str, ...] = ()  # of `reading`
+
     def _arrange(self, effects: Sequence[Effect]) -> None:
         """Take these effects, and work out their order and where each finds its memory and its columns."""
         self.effects = nn.ModuleList(effects)
@@ -188,6 +190,13 @@ class System(Parametrised, ABC):
         out._arrange([*out._all_effects, *(copy.deepcopy(e) for e in effects)])
         return out
 
+    def reading(self, *names: str) -> "System":
+        """A copy of the machine that is given further logged columns, whether an effect reads them or not."""
+        out = copy.deepcopy(self)
+        out._channels = (*self.exogenous, *names)
+        out._arrange(out._all_effects)
+        return out
+
     def without_effects(self, *names: str) -> "System":
         """A copy of the machine, with its present values, without some of its effects."""
         out = copy.deepcopy(self)
@@ -215,8 +224,9 @@ class System(Parametrised, ABC):
 
     @property
     def exogenous(self) -> tuple[str, ...]:
-        """Logged columns, beside the inputs, that effects read."""
-        return tuple(dict.fromkeys(n for e in self.effects for n in e.exogenous))  # type: ignore[union-attr]
+        """Logged columns behind the inputs: those of `reading`, then what other effects read."""
+        read = (n for e in self.effects for n in e.exogenous)  # type: ignore[union-attr]
+        return tuple(dict.fromkeys((*self._channels, *read)))
 
     @property
     def effect_names(self) -> tuple[str, ...]:

@@ -146,3 +146,15 @@ def test_a_copy_with_further_effects_moves_as_one_made_with_them() -> None:
     assert float(less.detach().abs().max()) > 0.01
     with pytest.raises(ConfigError, match="already"):
         grown.with_effects(effects["linear_drag"])  # type: ignore[arg-type]
+
+
+def test_an_effect_finds_its_column_among_those_that_a_machine_is_given() -> None:
+    given = make_system("hexacopter").reading("air_temperature", "battery_voltage")
+    assert given.exogenous == ("air_temperature", "battery_voltage")
+    told = given.with_effects(*make_system("hexacopter", effects=["battery_voltage"]).effects)
+    x, u = torch.zeros(1, 13), torch.full((1, 8), 0.4)
+    x[:, 6] = 1.0
+    u[:, 6:] = torch.tensor([400.0, 16.0])  # at 16 V the effect is nothing, whatever the temperature is
+    torch.testing.assert_close(told.drift(0.0, x, u), given.drift(0.0, x, u))
+    u[:, 7] = 15.0
+    assert told.drift(0.0, x, u)[0, 5] < given.drift(0.0, x, u)[0, 5] - 0.1

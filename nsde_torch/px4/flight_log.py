@@ -1,7 +1,8 @@
 """The log of a flight: a CSV data set as `nsde diagnose` reads it, written while it flies.
 
 One row a state, on the autopilot's clock: state (ENU, FLU), the motors' commands as the autopilot reports them, then
-what was asked for (`rate_sp_*` [rad/s], `throttle_sp`) and `battery_voltage` [V]. What is not known is `nan`.
+what was asked for (`rate_sp_*` [rad/s], `throttle_sp`) and `battery_voltage` [V]. What is not known is `nan`. Beside
+it the same flight as ULog, for PX4's tools.
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ from types import TracebackType
 from typing import final
 
 from nsde_torch.px4.telemetry import Status, VehicleState
+from nsde_torch.px4.ulog_file import UlogFile
 from nsde_torch.px4.vectors import Vec
 
 STATE = ("p_x", "p_y", "p_z", "v_x", "v_y", "v_z", "q_w", "q_x", "q_y", "q_z", "w_x", "w_y", "w_z")
@@ -31,6 +33,7 @@ class FlightLog:
     def __init__(self, file: Path, motors: int) -> None:
         self.file, self._motors = file, motors
         self._out: TextIOWrapper | None = None
+        self._ulog = UlogFile(file.with_suffix(".ulg"))
         self._last = -1.0
         self._flushed = 0.0
         self.rows = 0
@@ -44,6 +47,7 @@ class FlightLog:
         if self._out is not None:
             self._out.close()
             self._out = None
+        self._ulog.close()
 
     def add(self, state: VehicleState, status: Status, sent: tuple[float, Vec, float] | None) -> None:
         """Log a state, once."""
@@ -60,7 +64,13 @@ class FlightLog:
         asked = (*sent[1], sent[2]) if sent is not None else (_NAN,) * 4
         row = (round(state.stamp, 6), *state.row, *u, *asked, status.voltage)
         self._out.write(",".join(f"{v:.7g}" if k else repr(v) for k, v in enumerate(row)) + "\n")
+        self._ulog.state(state.stamp, state.p, state.v, state.q, state.w)
+        self._ulog.motors(state.stamp, known if len(known) == self._motors else ())
+        if sent is not None:
+            self._ulog.setpoint(state.stamp, sent[1], sent[2])
+        self._ulog.voltage(state.stamp, status.voltage)
         self.rows += 1
         if state.received - self._flushed > 1.0:
             self._flushed = state.received
             self._out.flush()
+            self._ulog.flush()

@@ -6,12 +6,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from pyulog import ULog
 
 from nsde_torch.control import shapes
 from nsde_torch.data import read
 from nsde_torch.px4.flight import Recorder
 from nsde_torch.px4.flight_log import FlightLog
 from nsde_torch.px4.path import PathPoints
+from nsde_torch.px4.ulog_file import UlogFile
 from nsde_torch.systems import make_system
 from tests.helpers.px4_world import World
 
@@ -35,3 +37,26 @@ def test_a_flight_is_read_back_as_a_run_with_states_motors_and_setpoints(tmp_pat
     hovering = run.u[(run.x[:, 2] > 0.9)].mean()
     assert hovering == pytest.approx(world.body.hover_throttle(), abs=0.03)
     assert {"rate_sp_x", "throttle_sp", "battery_voltage"} <= set(run.extra)
+    # the same flight as PX4's own log, through NED, FRD and 32 bits
+    (same,) = read("ulog", make_system("quadrotor"), path=tmp_path / "log").runs
+    assert same.t == pytest.approx(run.t, abs=2e-6)
+    assert np.abs(same.x - run.x).max() < 1e-5
+    assert np.abs(same.u - run.u).max() < 1e-6
+    assert same.extra["battery_voltage"] == pytest.approx(run.extra["battery_voltage"], abs=1e-4)
+
+
+def test_the_ulog_is_read_by_pyulog_with_the_setpoints_in_frd(tmp_path: Path) -> None:
+    log = UlogFile(tmp_path / "flight.ulg")
+    for k in range(3):
+        log.state(5.0 + 0.01 * k, (1.0, 2.0, 3.0), (0.1, 0.2, 0.3), (1.0, 0.0, 0.0, 0.0), (0.0, 0.5, 0.0))
+        log.setpoint(5.0 + 0.01 * k, (0.1, 0.2, 0.3), 0.4)
+        log.motors(5.0 + 0.01 * k, (float("nan"),) * 4)  # not known: left out
+    log.close()
+    read_back = ULog(str(tmp_path / "flight.ulg"))
+    assert {d.name for d in read_back.data_list} == {"vehicle_odometry", "vehicle_rates_setpoint"}
+    asked = read_back.get_dataset("vehicle_rates_setpoint").data
+    assert [asked[k][0] for k in ("roll", "pitch", "yaw")] == pytest.approx([0.1, -0.2, -0.3])
+    assert asked["thrust_body[2]"][0] == pytest.approx(-0.4)
+    state = read_back.get_dataset("vehicle_odometry").data
+    assert [state[f"position[{k}]"][0] for k in range(3)] == [2.0, 1.0, -3.0]
+    assert list(state["timestamp"]) == [5_000_000, 5_010_000, 5_020_000]

@@ -72,7 +72,7 @@ def run(config: DictConfig, job: Job) -> None:
     effects_file.write(
         job.run_dir / EFFECTS,
         config.system.name,
-        {key_of(effect_class(f.name)): _values(found, f.name) for f in found.outcome.found},
+        {key_of(effect_class(f.name)): values(found, f.name) for f in found.outcome.found},
         f"found by nsde diagnose; use it with: nsde train system={config.system.name} system.effects=PATH",
     )
     print()
@@ -99,7 +99,7 @@ def _write(job: Job, content: dict[str, Any]) -> None:
     (job.run_dir / RESULT).write_text(json.dumps(content, indent=1, allow_nan=False), encoding="utf-8")
 
 
-def _values(found: Diagnosis, name: str) -> dict[str, Any]:
+def values(found: Diagnosis, name: str) -> dict[str, Any]:
     effect = next(e for e in found.outcome.system.effects if e.name == name)
     values = effect.declared_parameters()  # type: ignore[operator]
     return {key: v.tolist() if v.numel() > 1 else float(v) for key, (v, _) in values.items()}
@@ -110,7 +110,7 @@ def _train(config: DictConfig, job: Job, found: Diagnosis) -> dict[str, Any]:
     from nsde_torch.effects import effect_class, key_of
 
     for f in found.outcome.found:
-        for key, value in _values(found, f.name).items():
+        for key, value in values(found, f.name).items():
             effects_file.add_value(config.system, f.name, key, value)
     for name, value in found.outcome.system.declared_parameters().items():
         effects_file.add_own(config.system, name, value[0])

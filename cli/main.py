@@ -45,7 +45,12 @@ COMMANDS: dict[str, Command] = {
     ),
     "track": Command(".track", "Fly a reference with model predictive control on a learned model"),
     "fly": Command(".fly", "Fly a controller on a PX4 vehicle over MAVLink, with checks, limits and a log"),
+    "export": Command(".export", "Write the predictive controller as a file for a flight computer"),
+    "verify": Command(".verify", "Hold an exported controller against the one that it was made of"),
     "vehicle": Command(".vehicle", "Be a simulated PX4 vehicle, for nsde fly and its tests"),
+    "close-loop": Command(
+        ".close_loop", "Fly, find what the physics lacks, and fly again with it: tracking before and after"
+    ),
     "simulate": Command(
         ".simulate", "Write runs of a simulated machine as files that do not say what is in them"
     ),

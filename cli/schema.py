@@ -652,7 +652,9 @@ class TrackConfig:
     """`nsde track`."""
 
     run: str = key(
-        "???", "run directory of the model to plan with, or `declared`: physics with the plant's values"
+        "???",
+        "run directory of the model to plan with, `declared`: physics with the plant's values, or a file of nsde "
+        "export (controller=FILE says the same)",
     )
     beside: list[str] = key([], "further controllers on the same flights: run directories (same mpc), or pid")
     machines: int = key(1, "flights, each with noise of its own", low=1)
@@ -757,6 +759,47 @@ class FlyConfig:
 
 
 @dataclass
+class ExportConfig:
+    """`nsde export`."""
+
+    run: str = key(
+        "???", "run directory of the model to plan with, or `declared`: physics with the plant's values"
+    )
+    out: str = key("???", "file to write, controller.ts or controller.pt2")
+    overwrite: bool = key(False, "replace a file that is there")
+    format: str = key(
+        "torchscript",
+        "torchscript: for libtorch on any processor; aoti: machine code for this one, made in minutes",
+        choices=("torchscript", "aoti"),
+    )
+    precision: str = key("float32", "arithmetic within", choices=("float32", "float64"))
+    sample: float | None = key(
+        None, "step of the prediction over the latency; null: the plant's sample", unit="s", above=0
+    )
+    threads: int = key(1, "CPU threads of torch", low=1)
+    plant: FlownPlantConfig = group(FlownPlantConfig, "the machine that it is for: its name and latency")
+    mpc: MpcConfig = group(MpcConfig, "the controller")
+
+
+@dataclass
+class VerifyConfig:
+    """`nsde verify`."""
+
+    controller: str = key("???", "file that nsde export wrote; `nsde verify FILE` says the same")
+    run: str = key("???", "run directory that it was made of, or `declared`")
+    log: str | None = key(
+        None,
+        "log/flight_K.csv of nsde track: states of that flight, along reference=; null: states drawn along it",
+    )
+    states: int = key(1000, "states that the file and the controller in Python are given", low=1)
+    adversarial: int = key(10000, "states that no sensor should send", low=0)
+    seed: int = key(0, "seed of what is drawn", low=0)
+    out: str | None = key(None, "JSON file for what was found; null: none")
+    threads: int = key(1, "CPU threads of torch", low=1)
+    reference: ReferenceConfig = group(ReferenceConfig, "where the states are taken from")
+
+
+@dataclass
 class VehicleConfig:
     """`nsde vehicle`."""
 
@@ -770,6 +813,26 @@ class VehicleConfig:
     threads: int = key(1, "CPU threads of torch", low=1)
     plant: FlownPlantConfig = group(FlownPlantConfig, "the machine that it flies")
     link: LinkConfig = group(LinkConfig, "how it is reached")
+
+
+@dataclass
+class CloseLoopConfig:
+    """`nsde close-loop`."""
+
+    logged: int = key(2, "flights that are diagnosed", low=1)
+    flights: int = key(3, "pairs of flights that are compared, each pair in the same gusts", low=1)
+    alpha: float = key(0.01, "chance of naming an effect where nothing is missing", above=0)
+    max_effects: int = key(8, "most effects to add", low=0)
+    candidates: list[str] | None = key(None, "effects to try, by name; null: all that the machine may have")
+    lead: float = key(0.1, "how much earlier than needed rates are asked for", unit="s", low=0)
+    seed: int = key(0, "seed of gusts and noise", low=0)
+    threads: int = key(1, "CPU threads of torch", low=1)
+    out_dir: str = key("???", "folder to write into; what is finished in it is not done again")
+    reference: ReferenceConfig = group(ReferenceConfig, "where to fly, from the place of take-off")
+    plant: FlownPlantConfig = group(
+        FlownPlantConfig, "the machine, with effects that the controller is not told of"
+    )
+    mpc: MpcConfig = group(MpcConfig, "the controller")
 
 
 # Choices whose keys are more than those of their group's class.
@@ -802,6 +865,8 @@ COMMAND_SCHEMAS: dict[str, type] = {
     "track": TrackConfig,
     "fly": FlyConfig,
     "vehicle": VehicleConfig,
+    "export": ExportConfig,
+    "verify": VerifyConfig,
 }
 
 

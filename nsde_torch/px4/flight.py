@@ -39,6 +39,7 @@ class FlightReport:
     Args:
         outcome: How it ended.
         errors: Distance from the reference while it was tracked [m].
+        track: Time in the reference [s] and state from the place of take-off, in rows, while it was tracked.
         gaps: Times between setpoints [s].
         ages: Age of the state at each setpoint [s].
         solves: Times of the controller [ms].
@@ -52,6 +53,7 @@ class FlightReport:
 
     outcome: Outcome
     errors: list[float] = field(default_factory=list)
+    track: list[tuple[float, ...]] = field(default_factory=list)
     gaps: list[float] = field(default_factory=list)
     ages: list[float] = field(default_factory=list)
     solves: list[float] = field(default_factory=list)
@@ -132,6 +134,8 @@ class Recorder:
             wanted = f.path.at(state.time - f.started).p
             at = tuple(a - b for a, b in zip(state.p, f.home, strict=True))
             self.report.errors.append(distance(at, wanted))  # type: ignore[arg-type]
+            if not self.report.track or state.time - f.started > self.report.track[-1][0]:
+                self.report.track.append((state.time - f.started, *at, *state.row[3:]))
         flown = f.phase in FLYING or (f.phase in (Phase.LAND, Phase.WATCH) and status.landed != d.ON_GROUND)
         if self._log is not None and flown and state.p[2] > f.home[2] + LOGGED_FROM:
             for one in self._new_states():

@@ -14,3 +14,8 @@ def quoted(word: str, key: str) -> str:
         return word
     escaped = value.replace("\\", "\\\\").replace("'", "\\'")
     return f"{key}='{escaped}'"
+
+
+def from_file(word: str) -> str:
+    """`controller=FILE` as `run=FILE`: what is flown may be a run directory or a file of `nsde export`."""
+    return f"run={word.partition('=')[2]}" if word.startswith("controller=") else word

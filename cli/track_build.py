@@ -12,8 +12,8 @@ from omegaconf import DictConfig
 
 from nsde_torch.control import shapes
 from nsde_torch.control.autopilots import Autopilot, CascadePilot, PredictivePilot
-from nsde_torch.control.controller import Controller, SafetyOptions
-from nsde_torch.control.estimator import EstimatorOptions
+from nsde_torch.control.controller import Controller, Planner, SafetyOptions
+from nsde_torch.control.estimator import EstimatorOptions, Foresight
 from nsde_torch.control.knowledge import DECLARED, system_of
 from nsde_torch.control.knowledge import knowledge as knowledge_of
 from nsde_torch.control.learned_plant import LearnedPlant
@@ -32,6 +32,7 @@ from . import build
 
 if TYPE_CHECKING:
     from nsde_torch.control.loop import Machine
+    from nsde_torch.export.exported import ExportedController
 
 Say = Callable[[str], None]
 PID = "pid"
@@ -60,6 +61,8 @@ _LAGS = {"motor_lag", "actuator_lag", "input_delay"}
 
 def knowledge(name: str, config: DictConfig) -> Model | System:
     """What `run=` names: a model, or the declared physics with the values of the plant."""
+    if is_exported(name):
+        return exported(name).known
     if name == DECLARED and config.system is None:
         raise ConfigError("`run=declared` needs the machine: plant=hexacopter or plant.system=NAME.")
     return knowledge_of(name, config.system or "")
@@ -166,22 +169,30 @@ def autopilot(
     mpc, flown = config.mpc, config.plant
     if name == PID:
         return CascadePilot(system_of(known), path, batch=batch, period=sample)
-    controller = Controller(
-        known,
-        problem=problem(mpc),
-        solver=solver(mpc),
-        safety=safety(mpc),
-        batch=batch,
-        say=say,
-    )
+    controller: Planner
+    foresight: Model | System | Foresight = known
+    if is_exported(name):
+        if batch != 1:
+            raise ConfigError(f"a file flies one machine at a time; got at_once={batch}. Take at_once=1.")
+        controller = file = exported(name)
+        foresight = file.sample
+    else:
+        controller = Controller(
+            known,
+            problem=problem(mpc),
+            solver=solver(mpc),
+            safety=safety(mpc),
+            batch=batch,
+            say=say,
+        )
     return PredictivePilot(
         controller,
-        known,
+        foresight,
         path,
         period=mpc.period,
         sample=sample,
         estimator=EstimatorOptions(
-            latency=_rounded(flown.latency + flown.state_latency + _motor_latency(mpc, known), sample),
+            latency=_rounded(latency(config, known), sample),
             force_time=mpc.force_time,
             moment_time=mpc.moment_time,
         ),
@@ -190,11 +201,33 @@ def autopilot(
     )
 
 
+def latency(config: DictConfig, known: Model | System) -> float:
+    """Time from a measurement to the effect of the command that follows from it [s]."""
+    flown = config.plant
+    return float(flown.latency + flown.state_latency + _motor_latency(config.mpc, known))
+
+
 def _motor_latency(mpc: DictConfig, known: Model | System) -> float:
     """Stands for the lag of motors [s] where the model does not have it."""
     if mpc.motor_latency is not None:
         return float(mpc.motor_latency)
     return 0.0 if _LAGS & set(system_of(known).effect_names) else _MOTOR_LATENCY
+
+
+def is_exported(name: str) -> bool:
+    """Whether a name in the place of a run directory is a file that `nsde export` wrote."""
+    return Path(name).is_file()
+
+
+def exported(name: str) -> ExportedController:
+    """The controller in a file.
+
+    Raises:
+        ExportError: the file is damaged, changed or of another version.
+    """
+    from nsde_torch.export.exported import ExportedController
+
+    return ExportedController(name)
 
 
 def _rounded(time: float, step: float) -> float:

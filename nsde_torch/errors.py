@@ -27,3 +27,7 @@ class NonFiniteError(NsdeError, ArithmeticError):
 
 class CheckpointError(NsdeError, RuntimeError):
     """A run directory or checkpoint is missing, damaged or from another configuration."""
+
+
+class ExportError(NsdeError, RuntimeError):
+    """An exported controller is damaged, of another version, or cannot be made; the message says why."""

@@ -12,8 +12,8 @@ import torch
 from torch import Tensor
 
 from nsde_torch.control.compiled import Function, NoCompiler, compile_ahead
-from nsde_torch.control.controller import Controller, Plan
-from nsde_torch.control.estimator import Estimator, EstimatorOptions
+from nsde_torch.control.controller import Plan, Planner
+from nsde_torch.control.estimator import Estimator, EstimatorOptions, Foresight
 from nsde_torch.control.predictor import Predictor
 from nsde_torch.control.reference import Reference
 from nsde_torch.errors import ConfigError
@@ -69,7 +69,7 @@ class PredictivePilot(Autopilot):
 
     Args:
         controller: Plans.
-        model: What the estimator predicts with, the controller's own model as a rule.
+        model: What the estimator predicts with, the controller's own model as a rule; or what predicts a sample.
         reference: Where to fly.
         period: Time between commands [s].
         sample: Step on which commands and states are known [s].
@@ -83,8 +83,8 @@ class PredictivePilot(Autopilot):
 
     def __init__(
         self,
-        controller: Controller,
-        model: Model | System,
+        controller: Planner,
+        model: Model | System | Foresight,
         reference: Reference,
         *,
         period: float,
@@ -94,9 +94,15 @@ class PredictivePilot(Autopilot):
         say: Callable[[str], None] | None = None,
     ) -> None:
         self.controller, self.reference, self.period = controller, reference, period
-        self._dtype = controller.predictor.dtype
+        self._dtype = controller.dtype
         options = estimator or EstimatorOptions()
-        predictor = Predictor(model, dt=sample, dtype=self._dtype)
+        predictor: Foresight = (
+            Predictor(model, dt=sample, dtype=self._dtype) if isinstance(model, Model | System) else model
+        )
+        if abs(predictor.dt - sample) > 1e-9:
+            raise ConfigError(
+                f"the model predicts steps of {predictor.dt:g} s, and samples are {sample:g} s apart."
+            )
         self._estimator = Estimator(predictor, options, period=period)
         self._ahead = options.latency - state_latency
         self._plan: Plan | None = None

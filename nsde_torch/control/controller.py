@@ -10,7 +10,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import final
+from typing import Protocol, final
 
 import torch
 from torch import Tensor
@@ -88,6 +88,45 @@ class Plan:
         )
 
 
+class Planner(Protocol):
+    """What makes plans: a `Controller`, or a file that was made of one."""
+
+    batch: int
+    options: ProblemOptions
+    hover: Tensor
+
+    @property
+    def dtype(self) -> torch.dtype:
+        """Precision of plans."""
+
+    @property
+    def solver(self) -> SolverFace:
+        """How plans are found."""
+
+    def hovering(self) -> Plan:
+        """A plan that hovers."""
+
+    def plan(
+        self,
+        x: Tensor,
+        reference: Tensor,
+        before: Plan | None = None,
+        *,
+        elapsed: float = 0.0,
+        last: Tensor | None = None,
+        push: Tensor | None = None,
+        memory: Tensor | None = None,
+    ) -> Plan:
+        """Plan from measured states; see `Controller.plan`."""
+
+
+class SolverFace(Protocol):
+    """What is to be known of a solver."""
+
+    compiled: bool
+    options: SolverOptions
+
+
 @final
 class Controller:
     """Model predictive control of a multirotor.
@@ -129,6 +168,11 @@ class Controller:
         if not bool(torch.isfinite(self.hover).all()):
             raise ConfigError("the model has no hovering input: its rates are not finite. Train it anew.")
         self._jumped = torch.zeros(batch, dtype=torch.long)
+
+    @property
+    def dtype(self) -> torch.dtype:
+        """Precision of plans."""
+        return self._dtype
 
     def hovering(self) -> Plan:
         """A plan that hovers, level and where it is: what there is before the first solve."""

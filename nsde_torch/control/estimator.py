@@ -15,7 +15,7 @@ which removes the lasting part of any error of the model (Pannocchia and Rawling
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import final
+from typing import Protocol, final
 
 import torch
 from torch import Tensor, nn
@@ -24,6 +24,22 @@ from nsde_torch.control.predictor import Predictor
 from nsde_torch.effects import Port
 from nsde_torch.errors import ConfigError
 from nsde_torch.rotation import rotate_back
+
+
+class Foresight(Protocol):
+    """What predicts the state over one step of the fine grid: a `Predictor`, or a file that was made of one."""
+
+    dt: float
+    nx: int
+    nz: int
+    nd: int
+    ports: dict[Port, int]
+
+    def __call__(self, z: Tensor, u: Tensor, d: Tensor) -> Tensor:
+        """States after a step (N, nz), from states (N, nz), inputs (N, nu) and pushes (N, nd)."""
+
+    def augment(self, x: Tensor, u: Tensor) -> Tensor:
+        """States (N, nx) with the memory that is stationary under inputs (N, nu): (N, nz)."""
 
 
 @dataclass(frozen=True)
@@ -58,7 +74,7 @@ class Estimator(nn.Module):
         past, ahead: Steps between updates, and those to predict over.
     """
 
-    def __init__(self, predictor: Predictor, options: EstimatorOptions, *, period: float) -> None:
+    def __init__(self, predictor: Foresight, options: EstimatorOptions, *, period: float) -> None:
         super().__init__()
         self.predictor, self.options = predictor, options
         self.past, self.ahead = (
@@ -74,6 +90,7 @@ class Estimator(nn.Module):
     @property
     def structure(self) -> str:
         """Every setting that is not a tensor, in words."""
+        assert isinstance(self.predictor, Predictor)
         return f"{self.past} {self.ahead} {self.options} {self.predictor.structure}"
 
     def forward(self, x: Tensor, z: Tensor, d: Tensor, commands: Tensor) -> tuple[Tensor, Tensor, Tensor]:

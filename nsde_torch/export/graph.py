@@ -28,6 +28,7 @@ _FILLED = {
 """Follow from the shape of their argument alone."""
 _SHAPED = {_aten.view.default, _aten._unsafe_view.default, _aten.reshape.default}
 _LARGEST = 1 << 20
+_FOLDED = "folded_"
 
 
 def graph_of(
@@ -74,6 +75,12 @@ def _fold(module: fx.GraphModule, example: Sequence[Tensor]) -> None:
         if node.op == "get_attr":
             constant.add(node)
             known[node] = _attribute(module, node)
+            if not str(node.target).startswith(_FOLDED):
+                # a copy: tensors of the model are shared by stages, and constants of a graph are its own
+                own = _replace_by_constant(module, node, _attribute(module, node), constant)
+                known[own] = known[node]
+                seen.setdefault(_content(_attribute(module, own)), own)
+                continue
             same = seen.setdefault(_content(_attribute(module, node)), node)
             if same is not node:
                 node.replace_all_uses_with(same)

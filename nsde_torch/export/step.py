@@ -104,13 +104,15 @@ class Step(nn.Module):
         """
         s, safety, dtype, inf = self.sizes, self.safety, self.dtype, torch.inf
         head, old_u, old_z = self._unpacked(before)
-        # a plan that the host has not kept as it was is none
-        known = (head[KNOWN] > 0.5) & torch.isfinite(before[N_HEAD:]).all() & torch.isfinite(elapsed)
-        known = known & ~torch.isnan(head[AGE])
-        late = torch.where(known, elapsed, torch.zeros_like(elapsed)).clamp_min(0.0)
+        late = torch.where(torch.isfinite(elapsed), elapsed, torch.zeros_like(elapsed)).clamp_min(0.0)
         steps = late / self.options.dt
-        u = torch.where(known, _shift(old_u, steps).clamp(self.options.low, self.options.high), self.hover_u)
-        z = torch.where(known, _shift(old_z, steps, axis=2), self.hover_z)
+        u = _shift(old_u, steps).clamp(self.options.low, self.options.high)
+        z = _shift(old_z, steps, axis=2)
+        # a plan that the host has not kept as it was is none
+        known = (head[KNOWN] > 0.5) & torch.isfinite(elapsed) & ~torch.isnan(head).any()
+        known = known & torch.isfinite(old_u).all() & torch.isfinite(z).all()
+        head = torch.where(known, head, torch.zeros_like(head))
+        u, z = torch.where(known, u, self.hover_u), torch.where(known, z, self.hover_z)
         age = torch.where(known, head[AGE].to(dtype) + late.to(dtype), torch.full_like(z[0, 0, 0, 0], inf))
         x, ref, given = state.to(dtype)[None], reference.to(dtype)[None], last.to(dtype)[None]
         first = torch.where(torch.isfinite(given).all(), given, u[:, 0])
@@ -256,10 +258,8 @@ class Step(nn.Module):
 
         stages = {name: watched(name) for name in STAGES}
         self.run(stages, *self.first())
-        s, of = self.sizes, {"dtype": torch.float64}
-        stages["predict"](
-            self.hover_z[0, 0, 0].double(), self.hover_u[0, 0].double(), torch.zeros(s.nd, **of)
-        )
+        push = torch.zeros(self.sizes.nd, dtype=torch.float64)
+        stages["predict"](self.hover_z[0, 0, 0].double(), self.hover_u[0, 0].double(), push)
         return seen
 
     def first(self) -> list[Tensor]:

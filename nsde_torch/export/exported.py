@@ -1,0 +1,209 @@
+"""An exported controller, loaded: it has the face of `control.controller.Controller`.
+
+A file is code and runs when it is called: the hash in its record guards against accidents. Load files that you trust.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any, final
+
+import torch
+from torch import Tensor, nn
+
+from nsde_torch.control.controller import HOVER, LATE, Plan, SafetyOptions
+from nsde_torch.control.problem import ProblemOptions
+from nsde_torch.control.solve import SolverOptions
+from nsde_torch.effects import Port
+from nsde_torch.errors import ExportError, ShapeError
+from nsde_torch.export import container, jit, record
+from nsde_torch.export.layout import JUMPED, N_HEAD, STATUS, Sizes
+from nsde_torch.export.step import packed
+from nsde_torch.systems import System
+from nsde_torch.systems.frozen import frozen
+
+Function = Callable[..., Sequence[Tensor]]
+
+
+@final
+class Prediction(nn.Module):
+    """One sample of the file's model; see `control.predictor.Predictor`.
+
+    Attributes:
+        system: Declared physics with the model's values; the learned part is in the file alone.
+        nx, nu, nz, nd, ports, dt, dtype: See `Predictor`.
+    """
+
+    def __init__(self, function: Function, about: dict[str, Any], system: System, dt: float) -> None:
+        super().__init__()
+        self._function = function
+        sizes = Sizes(**about["sizes"])
+        self.nx, self.nu, self.nz, self.nd = sizes.nx, sizes.nu, sizes.nz, sizes.nd
+        self.ports = {Port(name): int(width) for name, width in about["ports"].items()}
+        self.dt, self.dtype = dt, getattr(torch, about["dtype"])
+        self.system = frozen(system, dtype=self.dtype)
+
+    def forward(self, z: Tensor, u: Tensor, d: Tensor) -> Tensor:
+        """States a sample later (N, nz), from states (N, nz), inputs (N, nu) and pushes (N, nd)."""
+        rows = zip(z.double(), u.double(), d.double(), strict=True)
+        return torch.stack([self._function(*row)[0] for row in rows]).to(self.dtype)
+
+    def augment(self, x: Tensor, u: Tensor) -> Tensor:
+        """See `Predictor.augment`."""
+        return self.system.augment(x, u)
+
+
+class _NotCompiled:
+    """In the place of a solver: what is in the file is compiled or not, and nothing else is to be."""
+
+    compiled = False
+
+    def __init__(self, options: SolverOptions) -> None:
+        self.options = options
+
+
+@final
+class ExportedController:
+    """A controller out of a file; `plan` and the attributes are those of `Controller`, for one machine.
+
+    Args:
+        path: What `nsde export` wrote.
+
+    Attributes:
+        record: What the file says of itself.
+        known: Declared physics with the model's values.
+
+    Raises:
+        ExportError: the file is damaged, changed, of another version or for another processor.
+    """
+
+    batch = 1
+
+    def __init__(self, path: str | Path) -> None:
+        self.path = Path(path)
+        archive, self.record = container.read(self.path)
+        try:
+            record.check(self.record)
+            self._step, predict = _functions(self.record["kind"], archive, self.path)
+            self.options: ProblemOptions
+            self.safety: SafetyOptions
+            self.options, solver, self.safety = record.options_of(self.record)
+            self.sizes = Sizes(**self.record["sizes"])
+            self.known = record.system_of(self.record)
+            self.hover = torch.tensor(self.record["hover"], dtype=getattr(torch, self.record["dtype"]))
+            sample = float(self.record["sample_s"])
+        except ExportError as error:
+            raise ExportError(f"{path}: {error}") from error
+        except (LookupError, TypeError, ValueError) as error:
+            raise ExportError(f"{path}: its record is of another version ({error}). Export anew.") from error
+        self.solver = _NotCompiled(solver)
+        self.dtype = self.hover.dtype
+        self.predictor = Prediction(predict, self.record, self.known, self.options.dt)
+        self.sample = Prediction(predict, self.record, self.known, sample)
+        self._jumped = 0.0
+
+    def step(self, *arguments: Tensor) -> Sequence[Tensor]:
+        """The step itself; see `layout.step_inputs` and `layout.step_outputs`."""
+        return self._step(*arguments)
+
+    def hovering(self) -> Plan:
+        """A plan that hovers, level and where it is: what there is before the first solve."""
+        s, dtype = self.sizes, self.hover.dtype
+        x = torch.zeros(1, s.nx, dtype=dtype)
+        x[:, 6] = 1.0
+        z = self.predictor.augment(x, self.hover[None])[:, None, None].repeat(1, s.particles, s.steps + 1, 1)
+        nothing = torch.full((1,), torch.inf, dtype=dtype)
+        return Plan(
+            u=self.hover.repeat(1, s.steps, 1),
+            x=z[:, 0, :, : s.nx],
+            cost=nothing,
+            gap=nothing,
+            status=(HOVER,),
+            solve_ms=0.0,
+            iterations=0,
+            dt=self.options.dt,
+            age=nothing,
+            z=z,
+        )
+
+    @torch.no_grad()
+    def plan(
+        self,
+        x: Tensor,
+        reference: Tensor,
+        before: Plan | None = None,
+        *,
+        elapsed: float = 0.0,
+        last: Tensor | None = None,
+        push: Tensor | None = None,
+        memory: Tensor | None = None,
+    ) -> Plan:
+        """See `Controller.plan`.
+
+        Raises:
+            ShapeError: wrong axes or columns.
+        """
+        s = self.sizes
+        if x.shape != (1, s.nx) or reference.shape != (1, s.steps, s.nx):
+            raise ShapeError(
+                f"`x` must be (batch=1, nx={s.nx}) and `reference` (batch=1, steps={s.steps}, nx={s.nx}); got "
+                f"{tuple(x.shape)} and {tuple(reference.shape)}."
+            )
+        old = torch.zeros(s.n_plan, dtype=torch.float64) if before is None else packed(before, self._jumped)
+        old[JUMPED] = self._jumped
+
+        def given(table: Tensor | None, width: int, otherwise: float) -> Tensor:
+            if table is None:
+                return torch.full((width,), otherwise, dtype=torch.float64)
+            return table[0].double().contiguous()
+
+        arguments = (
+            *(x[0].double().contiguous(), torch.ones((), dtype=torch.float64)),
+            *(torch.tensor(elapsed, dtype=torch.float64), reference[0].double().contiguous()),
+            *(
+                given(last, s.nu, torch.nan),
+                given(push, s.nd, 0.0),
+                given(memory, s.nz - s.nx, torch.nan),
+                old,
+            ),
+        )
+        started = time.perf_counter()
+        u, _, _, _, states, cost, gap, status, iterations, after = self._step(*arguments)
+        seconds = time.perf_counter() - started
+        self._jumped = float(after[JUMPED])
+        word, dtype = STATUS[int(status)], self.hover.dtype
+        deadline = self.solver.options.deadline
+        if ":" not in word and deadline is not None and seconds > deadline:
+            word += f":{LATE}"
+        z = after[N_HEAD + s.steps * s.nu :].view(1, s.particles, s.steps + 1, s.nz)
+        return Plan(
+            u=u[None].to(dtype),
+            x=states[None].to(dtype),
+            cost=cost[None].to(dtype),
+            gap=gap[None].to(dtype),
+            status=(word,),
+            solve_ms=1e3 * seconds,
+            iterations=int(iterations),
+            dt=self.options.dt,
+            age=after[1:2].to(dtype),
+            z=z.to(dtype),
+        )
+
+
+def _functions(kind: str, archive: bytes, path: Path) -> tuple[Function, Function]:
+    """`step` and `predict` of a file that has been checked."""
+    if kind == record.TORCHSCRIPT:
+        try:
+            step, predict = jit.loaded(archive, ("step", "predict"))
+            return step, predict
+        except (RuntimeError, AttributeError) as error:
+            raise ExportError(f"torch cannot load it ({str(error).splitlines()[0]}). Export anew.") from error
+    if kind == record.AOTI:
+        from nsde_torch.export.ahead import loaded
+
+        return loaded(path)
+    raise ExportError(
+        f"it is of the kind {kind!r}; this version knows {record.TORCHSCRIPT} and {record.AOTI}."
+    )

@@ -1,0 +1,172 @@
+"""The record of an exported file: what it was made of, and what its tensors are."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import platform
+import time
+from collections.abc import Mapping
+from dataclasses import asdict, fields
+from math import inf, isinf
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from nsde_torch.control.controller import SafetyOptions
+from nsde_torch.control.problem import ProblemOptions
+from nsde_torch.control.solve import SolverOptions
+from nsde_torch.errors import ExportError
+from nsde_torch.export.layout import (
+    STATUS,
+    predict_inputs,
+    predict_outputs,
+    step_inputs,
+    step_outputs,
+)
+from nsde_torch.export.step import Step
+from nsde_torch.models import Model
+from nsde_torch.models.registry import make_spec
+from nsde_torch.models.run_directory import CONFIG, WEIGHTS
+from nsde_torch.plants import make_plant_system
+from nsde_torch.systems import System
+
+FRAMES = "world ENU, body FLU, quaternion w x y z from body to world, SI units, radians"
+TORCHSCRIPT, AOTI = "torchscript", "aoti"
+
+
+def record_of(
+    step: Step, known: Model | System, *, kind: str, run: Path | None, period: float, latency: float
+) -> dict[str, Any]:
+    """The record.
+
+    Args:
+        step: What is exported.
+        known: What the controller knows of the machine.
+        kind: Form of the file.
+        run: Run directory of the model; None for declared physics.
+        period: Time between steps that it was tuned for [s].
+        latency: Time from a measurement to the effect of the command that follows from it [s], that it was tuned for.
+    """
+    system = known if isinstance(known, System) else known.system
+    s = step.sizes
+    stamp = os.environ.get("SOURCE_DATE_EPOCH")
+    return {
+        "kind": kind,
+        "written": time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime(float(stamp) if stamp else None)),
+        "versions": {"nsde_torch": version(), "torch": torch.__version__},
+        "processor": _processor() if kind == AOTI else None,
+        "dtype": str(step.dtype).removeprefix("torch."),
+        "frames": FRAMES,
+        "period_s": period,
+        "sample_s": step.sample.dt,
+        "step_s": step.options.dt,
+        "latency_s": latency,
+        "sizes": asdict(s),
+        "step": {
+            "inputs": [e.as_dict() for e in step_inputs(s)],
+            "outputs": [e.as_dict() for e in step_outputs(s)],
+        },
+        "predict": {
+            "inputs": [e.as_dict() for e in predict_inputs(s)],
+            "outputs": [e.as_dict() for e in predict_outputs(s)],
+        },
+        "status": list(STATUS),
+        "hover": step.hover_u[0, 0].double().tolist(),
+        "ports": {port.value: width for port, width in step.predictor.ports.items()},
+        "state_names": list(system.state_names),
+        "input_names": list(system.input_names),
+        "problem": _plain(asdict(step.options)),
+        "solver": {"name": "gauss_newton", "iterations": step.iterations, "tolerance": step.tolerance},
+        "safety": asdict(step.safety),
+        "model": {
+            "spec": None if isinstance(known, System) else known.spec.as_dict(),
+            "system": system.name,
+            "parameters": {k: v.tolist() for k, (v, _) in system.all_declared().items()},
+            **hashes(known, run),
+        },
+    }
+
+
+def hashes(known: Model | System, run: Path | None) -> dict[str, str]:
+    """What a model is recognised by: hashes of its files, or of the values of declared physics."""
+    if run is not None:
+        return {
+            "weights_sha256": hashlib.sha256((run / WEIGHTS).read_bytes()).hexdigest(),
+            "config_sha256": hashlib.sha256((run / CONFIG).read_bytes()).hexdigest(),
+        }
+    system = known if isinstance(known, System) else known.system
+    values = {k: v.tolist() for k, (v, _) in sorted(system.all_declared().items())}
+    text = json.dumps([system.name, system.effect_names, values])
+    return {"weights_sha256": hashlib.sha256(text.encode()).hexdigest()}
+
+
+def check(record: Mapping[str, Any]) -> None:
+    """Refuse a record of other versions or another processor.
+
+    Raises:
+        ExportError: names what differs.
+    """
+    try:
+        written = record["versions"]
+        for name, own in (("nsde_torch", version()), ("torch", torch.__version__)):
+            if _series(written[name]) != _series(own):
+                raise ExportError(
+                    f"it was written with {name} {written[name]}, and this is {own}. Export anew, or install that "
+                    "version."
+                )
+        if record["kind"] == AOTI and record["processor"] != _processor():
+            raise ExportError(
+                f"it was compiled for {record['processor']}, and this is {_processor()}. Export it here with "
+                "format=aoti."
+            )
+        if tuple(record["status"]) != STATUS:
+            raise ExportError("it knows other words of a status than this version. Export anew.")
+    except (LookupError, TypeError, AttributeError) as error:
+        raise ExportError(f"its record lacks {error}. Export anew.") from error
+
+
+def options_of(record: Mapping[str, Any]) -> tuple[ProblemOptions, SolverOptions, SafetyOptions]:
+    """What the controller in a file was made with."""
+    problem: dict[str, Any] = {
+        k: tuple(v) if isinstance(v, list) else v for k, v in record["problem"].items()
+    }
+    if problem["fence"] is not None:
+        problem["fence"] = tuple(tuple(w) for w in problem["fence"])
+    for field in fields(ProblemOptions):
+        if problem[field.name] is None and field.default == inf:
+            problem[field.name] = inf
+    return (
+        ProblemOptions(**problem),
+        SolverOptions(**record["solver"], compile="off"),
+        SafetyOptions(**record["safety"]),
+    )
+
+
+def system_of(record: Mapping[str, Any]) -> System:
+    """The machine's declared physics with the values of the model in a file; its learned part is in the file alone."""
+    model = record["model"]
+    if model["spec"] is None:
+        return make_plant_system(model["system"], declared_only=True)
+    return make_spec(model["spec"]).make_system(model["parameters"])
+
+
+def version() -> str:
+    """Version of this package."""
+    from importlib import metadata
+
+    return metadata.version("nsde_torch")
+
+
+def _series(text: str) -> tuple[str, ...]:
+    return tuple(text.split("+")[0].split(".")[:2])
+
+
+def _processor() -> str:
+    return f"{platform.system()} {platform.machine()} {torch.backends.cpu.get_cpu_capability()}"
+
+
+def _plain(values: dict[str, Any]) -> dict[str, Any]:
+    return {k: None if isinstance(v, float) and isinf(v) else v for k, v in values.items()}

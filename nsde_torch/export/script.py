@@ -1,0 +1,95 @@
+"""The step as TorchScript: graphs of its stages, and the loops between them in TorchScript's own language.
+
+The loops are those of `step.Step.run`. Interpreting a graph costs 1 to 2 us an operation, whatever its size.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from nsde_torch.export import jit
+from nsde_torch.export.graph import graph_of
+from nsde_torch.export.layout import step_outputs
+from nsde_torch.export.step import Step
+
+_STEP = """
+def step(self, state: Tensor, valid: Tensor, elapsed: Tensor, reference: Tensor, last: Tensor, push: Tensor,
+         memory: Tensor, before: Tensor) -> {results}:
+    z0, start_u, start_z, ref, now, d, head, trouble = self.begin(
+        state, valid, elapsed, reference, last, push, memory, before)
+    u = start_u
+    z = start_z
+    cost = self.infinite
+    gap = self.infinite
+    iterations = 0
+    if bool(trouble < 0.5):
+        if bool(head[0] < 0.5):
+            _, by_step, row = self.tries(z0, u, self.no_step)
+            z = self.paths(row, by_step, d)[:{particles}].unsqueeze(0)
+        going = True
+        while going:
+            hessian, gradient, low, high, value, best, least = self.prepare(z0, u, z, ref, now, d)
+            step = self.no_step
+            slope = gradient
+            change = 0
+            changing = True
+            while changing:
+                step, slope, best, least, left = self.active_set(
+                    hessian, gradient, low, high, value, step, slope, best, least)
+                change += 1
+                changing = change < {changes} and not bool(left <= {left!r})
+            tried, by_step, row = self.tries(z0, u, best)
+            u, z, cost, gap = self.choose(self.paths(row, by_step, d), tried, ref, now, least)
+            iterations += 1
+            going = iterations < {iterations} and not bool(gap <= {tolerance!r})
+    return self.end(u, z, cost, gap, self.counts[iterations], z0, start_u, start_z, head, trouble)
+"""
+_PATHS = """
+def paths(self, row: Tensor, by_step: Tensor, d: Tensor) -> Tensor:
+    states = [row]
+    noise = self.noise.unbind(0)
+    for k, u in enumerate(by_step.unbind(0)):
+        row = self.advance(row, u, d, noise[k])
+        states.append(row)
+    return torch.stack(states, 1)
+"""
+_PREDICT = """
+def predict(self, z: Tensor, u: Tensor, push: Tensor) -> Tuple[Tensor]:
+    return self.foresee(z, u, push)
+"""
+
+
+def scripted(step: Step) -> Any:
+    """The step as a TorchScript module with the methods `step` and `predict` (see `layout`)."""
+    import torch
+
+    parts = {}
+    for name, example in step.examples().items():
+        stage = step.stage(name)
+        graph = graph_of(stage, example)
+        part = jit.traced(_single(graph) if name == "advance" else graph, example)
+        parts["foresee" if name == "predict" else name] = part
+    s = step.sizes
+    tensors = {
+        "infinite": torch.full((1,), torch.inf, dtype=step.dtype),
+        "no_step": torch.zeros(1, s.steps * s.nu, dtype=step.dtype),
+        "noise": step.horizon.noise.clone(),
+        "counts": torch.arange(step.iterations + 1, dtype=torch.float64),
+    }
+    numbers = {
+        "particles": s.particles,
+        "changes": step.changes,
+        "left": step.left,
+        "results": f"Tuple[{', '.join(['Tensor'] * len(step_outputs(s)))}]",
+        "iterations": step.iterations,
+        "tolerance": step.tolerance,
+    }
+    return jit.assembled(parts, tensors, (_PATHS, _STEP.format(**numbers), _PREDICT), ("step", "predict"))
+
+
+def _single(graph: Any) -> Any:
+    """A graph that returns its one result as it is and not as a tuple."""
+    (output,) = (n for n in graph.graph.nodes if n.op == "output")
+    output.args = (output.args[0][0],)
+    graph.recompile()
+    return graph

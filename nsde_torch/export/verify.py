@@ -1,0 +1,340 @@
+"""Is an exported controller the one that it was made of, does it stand whatever it is given, and how fast is it?
+
+Parity: both are given the same states, references and plans before, and must answer with the same inputs and status.
+Adversarial: numbers that no sensor should send; every answer must be finite and within bounds.
+"""
+
+from __future__ import annotations
+
+import resource
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from nsde_torch.control.controller import Controller, Plan
+from nsde_torch.control.reference import Reference
+from nsde_torch.errors import DataError
+from nsde_torch.export.exported import ExportedController
+from nsde_torch.export.layout import STATUS
+from nsde_torch.rotation import turned
+
+TOLERANCE = 1e-4
+"""Largest difference of inputs that is put down to rounding."""
+_EVERY = 50
+"""Samples between cold starts, and between samples that are in trouble, of the states that both are given."""
+
+
+@dataclass
+class Verification:
+    """What was found.
+
+    Args:
+        states: States that both were given.
+        worst: Largest difference of inputs.
+        differing: Samples whose status differs, with both words.
+        words: Status words of the file and how often they came.
+        cost_ratio: Largest ratio of the costs of both, minus one, in size.
+        adversarial: Adversarial states.
+        unsafe: Of these, answers that were not finite or not within bounds, in words.
+        wall_ms, cpu_ms: Times of steps over the states, sorted; of the clock, and of the processor for this thread.
+        memory_mb: Memory of the process before and after loading the file and stepping, its largest resident size.
+    """
+
+    states: int = 0
+    worst: float = 0.0
+    differing: list[str] = field(default_factory=list)
+    words: dict[str, int] = field(default_factory=dict)
+    cost_ratio: float = 0.0
+    adversarial: int = 0
+    unsafe: list[str] = field(default_factory=list)
+    wall_ms: list[float] = field(default_factory=list)
+    cpu_ms: list[float] = field(default_factory=list)
+    memory_mb: tuple[float, float] = (0.0, 0.0)
+
+    @property
+    def passed(self) -> bool:
+        """Whether the file may be flown in the place of the controller in Python."""
+        return self.worst <= TOLERANCE and not self.differing and not self.unsafe
+
+    def as_dict(self) -> dict[str, Any]:
+        """Plain containers."""
+        return {
+            "passed": self.passed,
+            "states": self.states,
+            "input_difference_max": self.worst,
+            "input_difference_allowed": TOLERANCE,
+            "status_differs": self.differing,
+            "status": self.words,
+            "cost_difference_max": self.cost_ratio,
+            "adversarial_states": self.adversarial,
+            "adversarial_unsafe": self.unsafe,
+            "step_ms": percentiles(self.wall_ms),
+            "step_cpu_ms": percentiles(self.cpu_ms),
+            "memory_mb": {"before": self.memory_mb[0], "after": self.memory_mb[1]},
+        }
+
+
+def percentiles(times: Sequence[float]) -> dict[str, float]:
+    """p50, p90, p99, p99.9 and the largest."""
+    if not times:
+        return {}
+    out = {f"p{p:g}": float(np.percentile(times, p)) for p in (50, 90, 99, 99.9)}
+    return {**out, "max": float(max(times))}
+
+
+def histogram(times: Sequence[float], *, width: int = 40, bins: int = 12) -> str:
+    """Times [ms] in lines of text, bins in equal ratios."""
+    if not times:
+        return ""
+    low, high = min(times), max(max(times), 1.01 * min(times))
+    edges = np.geomspace(low, high, bins + 1)
+    counts, _ = np.histogram(np.clip(times, low, high), edges)
+    most = max(int(counts.max()), 1)
+    rows = zip(edges[:-1], edges[1:], counts, strict=True)
+    return "\n".join(f"  {a:8.3f} to {b:8.3f} ms {n:6d} {'#' * round(width * n / most)}" for a, b, n in rows)
+
+
+def compare(
+    exported: ExportedController,
+    controller: Controller,
+    samples: Sequence[tuple[Tensor, Tensor]],
+    out: Verification,
+    *,
+    elapsed: float,
+    progress: Callable[[int], None] | None = None,
+) -> None:
+    """Give both the same states and plans before, sample after sample.
+
+    Args:
+        exported: The file.
+        controller: What it was made of.
+        samples: State (nx,) and reference (K, nx) of each.
+        out: What is found is added here.
+        elapsed: Time between samples [s].
+        progress: Called with the number of the sample.
+    """
+    before: Plan | None = None
+    for k, (state, reference) in enumerate(samples):
+        x, ref = state[None].double(), reference[None].double()
+        if k % _EVERY == 0:
+            before = None
+        if k % _EVERY == _EVERY - 1:  # troubles in turn, each in the middle of a flight
+            x, ref = _troubled(k // _EVERY, x, ref)
+        exported._jumped = float(controller._jumped)
+        started, cpu = time.perf_counter(), time.thread_time()
+        ours = exported.plan(x, ref, before, elapsed=elapsed)
+        out.cpu_ms.append(1e3 * (time.thread_time() - cpu))
+        out.wall_ms.append(1e3 * (time.perf_counter() - started))
+        theirs = controller.plan(x, ref, before, elapsed=elapsed)
+        out.states += 1
+        out.worst = max(out.worst, float((ours.u - theirs.u).abs().max()))
+        if ours.status != theirs.status:
+            out.differing.append(f"sample {k}: {ours.status[0]} in the file, {theirs.status[0]} in Python")
+        out.words[ours.status[0]] = out.words.get(ours.status[0], 0) + 1
+        if bool(torch.isfinite(theirs.cost)):
+            out.cost_ratio = max(out.cost_ratio, abs(float(ours.cost / theirs.cost) - 1.0))
+        before = theirs
+        if progress is not None:
+            progress(k)
+
+
+def _troubled(kind: int, x: Tensor, ref: Tensor) -> tuple[Tensor, Tensor]:
+    x, ref = x.clone(), ref.clone()
+    if kind % 4 == 0:
+        x[0, kind % x.shape[1]] = torch.nan
+    elif kind % 4 == 1:
+        x[0, 6:10] *= 1.4
+    elif kind % 4 == 2:
+        ref[0, -1, 0] = torch.inf
+    else:
+        x[0, :3] += 5.0
+    return x, ref
+
+
+def along(
+    reference: Reference, count: int, *, dt: float, steps: int, period: float, seed: int = 0
+) -> list[tuple[Tensor, Tensor]]:
+    """States along a reference, off it by the errors of a flight, which last for a while, and the references ahead.
+
+    Args:
+        reference: Where to fly.
+        count: How many.
+        dt, steps: Grid of the plans.
+        period: Time between states [s].
+        seed: Seed of the errors.
+    """
+    g = torch.Generator().manual_seed(seed)
+    size = torch.tensor([*(0.06,) * 3, *(0.15,) * 3, *(0.05,) * 3, *(0.3,) * 3], dtype=torch.float64)
+    stay = float(np.exp(-period / 0.3))
+    off = torch.randn(12, generator=g, dtype=torch.float64)
+    out = []
+    for k in range(count):
+        t = (2.0 + k * period) % max(reference.duration - dt * steps, period)
+        new = torch.randn(12, generator=g, dtype=torch.float64)
+        off = stay * off + (1.0 - stay**2) ** 0.5 * new
+        x, e = reference.at(torch.tensor(t, dtype=torch.float64)), off * size
+        x = torch.cat((x[:6] + e[:6], turned(x[6:10], e[6:9]), x[10:] + e[9:]))
+        out.append((x, reference.window(t, dt=dt, steps=steps)))
+    return out
+
+
+def logged(
+    file: Path,
+    reference: Reference,
+    count: int,
+    *,
+    dt: float,
+    steps: int,
+    period: float,
+    names: Sequence[str],
+) -> list[tuple[Tensor, Tensor]]:
+    """States of a flight that `nsde track` logged, and the references ahead.
+
+    Args:
+        file: CSV file with the time `t` in the reference and the states.
+        reference: Where it was flown.
+        count: How many at most.
+        dt, steps: Grid of the plans.
+        period: Time between states [s].
+        names: Columns of the state.
+
+    Raises:
+        DataError: no such file, or columns that are not there.
+    """
+    if not file.is_file():
+        raise DataError(f"no log {file}; `nsde track` writes log/flight_0.csv into its folder.")
+    with file.open(encoding="utf-8") as opened:
+        header = opened.readline().strip().split(",")
+        missing = [name for name in ("t", *names) if name not in header]
+        if missing:
+            raise DataError(f"{file} has no column {', '.join(missing)}; give a log of `nsde track`.")
+        rows = np.loadtxt(opened, delimiter=",", ndmin=2)
+    t = rows[:, header.index("t")]
+    x = torch.from_numpy(rows[:, [header.index(name) for name in names]].copy())
+    out: list[tuple[Tensor, Tensor]] = []
+    due = t[0]
+    for row, time_ in enumerate(t):
+        if time_ >= due - 1e-9 and len(out) < count:
+            out.append((x[row], reference.window(float(time_), dt=dt, steps=steps)))
+            due += period
+    return out
+
+
+def warm(exported: ExportedController, *, steps: int = 5) -> None:
+    """Some steps from hovering, so that what is timed later is none of a cold start."""
+    s, before = exported.sizes, None
+    x = torch.zeros(1, s.nx, dtype=torch.float64)
+    x[:, 6] = 1.0
+    for _ in range(steps):
+        before = exported.plan(x, x[:, None].repeat(1, s.steps, 1), before, elapsed=exported.options.dt)
+        exported.predictor(before.z[0, 0, :1], before.u[0, :1], torch.zeros(1, s.nd))
+
+
+@torch.no_grad()
+def attack(
+    exported: ExportedController,
+    reference: Reference,
+    count: int,
+    out: Verification,
+    *,
+    seed: int = 1,
+    progress: Callable[[int], None] | None = None,
+) -> None:
+    """Give a file numbers that no sensor should send, and look at every answer.
+
+    Args:
+        exported: The file.
+        reference: What sound numbers are taken from.
+        count: How many.
+        out: What is found is added here.
+        seed: Seed.
+        progress: Called with the number of the sample.
+    """
+    g, s, o = torch.Generator().manual_seed(seed), exported.sizes, exported.options
+
+    def draw(*shape: int) -> Tensor:
+        return torch.randn(*shape, generator=g, dtype=torch.float64)
+
+    def pick(n: int) -> int:
+        return int(torch.randint(n, (), generator=g))
+
+    odd = torch.tensor(
+        [torch.nan, torch.inf, -torch.inf, 1e300, -1e300, 1e38, 1e6, -1e3, 0.0], dtype=torch.float64
+    )
+    before = torch.zeros(s.n_plan, dtype=torch.float64)
+    for k in range(count):
+        t = reference.duration * float(torch.rand((), generator=g))
+        x = reference.at(torch.tensor(t, dtype=torch.float64)) + 0.05 * draw(s.nx)
+        x[6:10] = torch.nn.functional.normalize(x[6:10], dim=0)
+        ref = reference.window(t, dt=o.dt, steps=o.steps).clone()
+        given = {
+            "state": x,
+            "valid": torch.tensor(1.0, dtype=torch.float64),
+            "elapsed": torch.tensor(0.02, dtype=torch.float64),
+            "reference": ref,
+            "last": torch.full((s.nu,), torch.nan, dtype=torch.float64),
+            "push": torch.zeros(s.nd, dtype=torch.float64),
+            "memory": torch.full((s.nz - s.nx,), torch.nan, dtype=torch.float64),
+            "before": before.clone(),
+        }
+        for _ in range(1 + pick(3)):
+            kind = pick(10)
+            if kind == 0:
+                x[pick(s.nx)] = odd[pick(len(odd))]
+            elif kind == 1:
+                x[6:10] = odd[pick(len(odd))] * torch.ones(4) if pick(2) else draw(4) * 10.0 ** pick(4)
+            elif kind == 2:
+                x[:] = draw(s.nx) * 10.0 ** (pick(60) - 10)
+            elif kind == 3:
+                ref[:] = ref[0].clone()
+                ref[:, 3:6] = 0.0
+            elif kind == 4:
+                ref[pick(o.steps), pick(s.nx)] = odd[pick(len(odd))]
+            elif kind == 5:
+                ref += draw(1, s.nx) * 10.0 ** pick(30)
+            elif kind == 6:
+                name = ("last", "push", "memory")[pick(3)]
+                given[name] = draw(len(given[name])) * odd[pick(len(odd))]
+            elif kind == 7:
+                given["elapsed"] = odd[pick(len(odd))] * (1.0 if pick(2) else 1e-3)
+            elif kind == 8:
+                table = given["before"]
+                table[pick(len(table))] = odd[pick(len(odd))]
+            else:
+                given["valid"] = odd[pick(len(odd))].clone()
+        answer = exported.step(*given.values())
+        before = answer[-1]
+        wrong = unsafe(answer, o.low, o.high)
+        if wrong is not None:
+            out.unsafe.append(f"sample {k}: {wrong}")
+            before = torch.zeros_like(before)
+        out.adversarial += 1
+        if progress is not None:
+            progress(k)
+
+
+def unsafe(answer: Sequence[Tensor], low: float, high: float) -> str | None:
+    """What is wrong with what a step returned, if anything."""
+    u, rates, thrust, lift, states, cost, gap, status, _, _ = answer
+    named = {"inputs": u, "rates": rates, "thrust": thrust, "lift": lift, "states": states}
+    for name, value in named.items():
+        if not bool(torch.isfinite(value).all()):
+            return f"{name} are not finite"
+    if bool((u < low).any()) or bool((u > high).any()):
+        return f"inputs of {float(u.min()):.3g} to {float(u.max()):.3g} are out of bounds"
+    if bool(torch.isnan(cost)) or bool(torch.isnan(gap)):
+        return "the cost is no number"
+    if not 0 <= float(status) < len(STATUS):
+        return f"a status of {float(status)}"
+    return None
+
+
+def resident_mb() -> float:
+    """Largest resident size of the process so far [MB]."""
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0

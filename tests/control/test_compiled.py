@@ -5,10 +5,11 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
+import sympy
 import torch
 
 from nsde_torch.control import compiled
-from nsde_torch.control.compiled import NoCompiler, Stage, compile_ahead
+from nsde_torch.control.compiled import NoCompiler, Stage, compile_ahead, quick_indices
 from nsde_torch.control.estimator import Estimator, EstimatorOptions
 from nsde_torch.control.gauss_newton import GaussNewton
 from nsde_torch.control.predictor import Predictor
@@ -101,3 +102,11 @@ def test_the_key_follows_the_structure_and_not_the_weights(model: NeuralSDE) -> 
     assert compiled._key(estimator, arguments, "b") != key
     wide = [a.repeat(2, *(1,) * (a.ndim - 1)) for a in arguments]
     assert compiled._key(estimator, wide, "a") != key
+
+
+def test_indices_are_expanded_quickly_and_sympy_is_itself_again_afterwards() -> None:
+    before, i = sympy.simplify, sympy.Symbol("i", integer=True)
+    with quick_indices():
+        assert sympy.simplify(3 * (i + 1) + 2 - 3 * i) == 5
+        assert sympy.simplify(sympy.sin(i) ** 2 + sympy.cos(i) ** 2) == 1  # not a polynomial: as ever
+    assert sympy.simplify is before

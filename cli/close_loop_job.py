@@ -158,7 +158,9 @@ class ClosedLoop:
                 safety=track_build.safety(mpc),
                 say=_say,
             )
-            self._controllers[key] = PredictiveController(controller, self.reference, lead=self.config.lead)
+            self._controllers[key] = PredictiveController(
+                controller, self.reference, delay=self.config.delay, lead=self.config.lead
+            )
         made = self._controllers[key]
         made.reset()
         return made

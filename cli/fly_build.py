@@ -13,7 +13,7 @@ from nsde_torch.control.predictor import Predictor
 from nsde_torch.control.reference import Reference
 from nsde_torch.errors import ConfigError
 from nsde_torch.px4.path import CascadeController, PathPoints
-from nsde_torch.px4.predictive import PredictiveMaker
+from nsde_torch.px4.predictive import LEAD, PredictiveMaker
 from nsde_torch.px4.runner import Inline, Process, Runner
 from nsde_torch.systems import Multirotor
 
@@ -23,8 +23,6 @@ if TYPE_CHECKING:
     from nsde_torch.models import Model
     from nsde_torch.systems import System
 
-LEAD = 0.1
-"""Measured best on the simulated machines [s]."""
 _UNUSED = ("motor_latency", "force_time", "moment_time")
 
 
@@ -41,7 +39,7 @@ def known(config: DictConfig) -> Model | System:
     given = [name for name in _UNUSED if plain[name] != getattr(MpcConfig(), name)]
     if given:
         raise ConfigError(
-            f"`mpc.{given[0]}` is of `nsde track`; a flight on PX4 makes up for latency by `lead`, and for what lasts "
+            f"`mpc.{given[0]}` is of `nsde track`; a flight on PX4 makes up for latency by `delay`, and for what lasts "
             "by moving the reference."
         )
     run = DECLARED if config.run == track_build.PID else config.run
@@ -88,9 +86,10 @@ def check(config: DictConfig, reference: Reference, machine: Model | System) -> 
 
 def runner(config: DictConfig, path: PathPoints, reference: Reference, say: Callable[[str], None]) -> Runner:
     """The controller, where it runs: a cascade in the loop, the predictive one in a process of its own."""
-    lead = LEAD if config.lead is None else config.lead
     if config.run == track_build.PID:
-        return Inline(CascadeController(path, lead=lead))
+        return Inline(
+            CascadeController(path) if config.lead is None else CascadeController(path, lead=config.lead)
+        )
     mpc = config.mpc
     maker = PredictiveMaker(
         run=config.run,
@@ -99,7 +98,8 @@ def runner(config: DictConfig, path: PathPoints, reference: Reference, say: Call
         problem=track_build.problem(mpc),
         solver=track_build.solver(mpc),
         safety=track_build.safety(mpc),
-        lead=lead,
+        delay=config.delay,
+        lead=LEAD if config.lead is None else config.lead,
         effects=_effects(config) if config.run == DECLARED else (),
         threads=config.threads,
     )

@@ -742,9 +742,15 @@ class FlyConfig:
     hold: float = key(2.0, "time of hovering before the reference", unit="s", low=0)
     safe_hold: float = key(2.0, "time of hovering before landing when something is wrong", unit="s", low=0)
     rate: float = key(100.0, "setpoints in a second", unit="Hz", low=50, high=250)
+    delay: float = key(
+        0.08,
+        "time from a setpoint to its effect, over which the predictive controller looks ahead",
+        unit="s",
+        low=0,
+    )
     lead: float | None = key(
         None,
-        "how much earlier than needed rates are asked for, because vehicles follow late",
+        "how much earlier than needed rates are asked for, because they are reached late; null: 0.05 (pid: 0.1)",
         unit="s",
         low=0,
     )
@@ -824,7 +830,10 @@ class CloseLoopConfig:
     alpha: float = key(0.01, "chance of naming an effect where nothing is missing", above=0)
     max_effects: int = key(8, "most effects to add", low=0)
     candidates: list[str] | None = key(None, "effects to try, by name; null: all that the machine may have")
-    lead: float = key(0.1, "how much earlier than needed rates are asked for", unit="s", low=0)
+    delay: float = key(
+        0.08, "time from a setpoint to its effect, over which the controller looks ahead", unit="s", low=0
+    )
+    lead: float = key(0.05, "how much earlier than needed rates are asked for", unit="s", low=0)
     seed: int = key(0, "seed of gusts and noise", low=0)
     threads: int = key(1, "CPU threads of torch", low=1)
     out_dir: str = key("???", "folder to write into; what is finished in it is not done again")

@@ -1,16 +1,19 @@
 """The predictive controller for PX4: body rates and thrust out of its plan.
 
-A plan of motor commands from the newest state gives states x_k and inputs u_k at the ends of its steps. PX4 is sent
+What is sent at t acts at t + delay: the line, the rate loop and the motors follow late. So the state is carried forward
+over the delay by what was asked for meanwhile, and the plan starts there:
 
-    rates(t) = omega(x, t + lead),      thrust(t) = thrust(u, t + lead) / mass,
+    q' = q * w / 2,  v' = R (0, 0, f) - g,  p' = v   with (w, f) asked for a delay before;     x(t + delay) -> plan
+    rates(t) = omega(plan, t + delay + lead),      thrust(t) = thrust(plan, t + delay) / mass
 
-earlier by `lead`, the time in which the rate loop, the motors and the line follow. What lasts and the model does not
-know moves the reference, p_ref + trim with trim' = (p_ref - p) / T.
+`lead` is the time in which a rate that is asked for is reached. What lasts and the model does not know moves the
+reference, p_ref + trim with trim' = (p_ref - p) / T.
 """
 
 from __future__ import annotations
 
 import time as clock
+from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import final
@@ -25,10 +28,17 @@ from nsde_torch.control.reference import FlightPath, Reference
 from nsde_torch.control.solve import SolverOptions
 from nsde_torch.errors import ConfigError
 from nsde_torch.plants.machines import Effects
+from nsde_torch.px4.cascade import GRAVITY
 from nsde_torch.px4.controller import Demand, Plan
 from nsde_torch.px4.path import PAUSE
+from nsde_torch.px4.vectors import Vec, rotate, turned_by_rates
 from nsde_torch.systems import Multirotor
 
+DELAY, LEAD = 0.08, 0.05
+"""Measured best on the simulated machines [s]."""
+TAKEN = 0.02
+"""Age of a state when its plan is there, about [s]."""
+STEP = 0.01
 TRIM_TIME, TRIM_LIMIT = 3.0, 0.3
 """Time constant [s] and largest size [m] of the trim."""
 WARM_UP = 20
@@ -43,17 +53,22 @@ class PredictiveController:
     Args:
         controller: The solver and what it pays for; batch of one.
         reference: Where to fly.
-        lead: How much earlier than the plan says rates and thrust are asked for [s].
+        delay: From a setpoint to its effect [s].
+        lead: How much earlier than the plan says rates are asked for [s].
 
     Raises:
         ConfigError: the model is of no multirotor.
     """
 
-    def __init__(self, controller: Controller, reference: Reference, *, lead: float) -> None:
+    def __init__(
+        self, controller: Controller, reference: Reference, *, delay: float = DELAY, lead: float = LEAD
+    ) -> None:
         system = controller.predictor.system
         if not isinstance(system, Multirotor):
             raise ConfigError(f"PX4 flies multirotors; the model is of a {system.name!r}.")
-        self.controller, self.reference, self._lead = controller, reference, lead
+        self.controller, self.reference = controller, reference
+        self._delay, self._lead = delay, lead
+        self._asked: deque[tuple[float, Plan]] = deque()
         self._system = system
         self._last: tuple[float, MotorPlan] | None = None
         self._trim = torch.zeros(3, dtype=torch.float64)
@@ -61,6 +76,7 @@ class PredictiveController:
     def reset(self) -> None:
         """Forget the last flight."""
         self._last = None
+        self._asked.clear()
         self._trim = torch.zeros(3, dtype=torch.float64)
 
     @torch.no_grad()
@@ -68,29 +84,59 @@ class PredictiveController:
         """See `Controller`."""
         started = clock.perf_counter()
         c, o = self.controller, self.controller.options
-        x = torch.tensor([row], dtype=torch.float64)
-        window = self.reference.window(t, dt=o.dt, steps=o.steps)
+        window = self.reference.window(t + self._delay, dt=o.dt, steps=o.steps)
         elapsed = 0.0 if self._last is None else time - self._last[0]
         if abs(elapsed) > PAUSE:
             self.reset()
         elapsed = max(elapsed, 0.0)  # clocks are compared anew now and then, and a state may seem the older
         if t > 0.0:
             wanted = self.reference.at(torch.tensor(t))[:3]
-            self._trim = self._trim + (wanted - x[0, :3]) * (min(elapsed, 0.1) / TRIM_TIME)
+            off = wanted - torch.tensor(row[:3], dtype=torch.float64)
+            self._trim = self._trim + off * (min(elapsed, 0.1) / TRIM_TIME)
             self._trim = self._trim.clamp(-TRIM_LIMIT, TRIM_LIMIT)
         window[:, :3] += self._trim
         before = None if self._last is None else self._last[1]
+        x = torch.tensor([self._ahead(row, time)], dtype=torch.float64)
         plan = c.plan(x, window[None], before, elapsed=elapsed)
         self._last = (time, plan)
         status = f"{plan.status[0]}: failed" if plan.status[0].endswith(HOVER) else plan.status[0]
         took = 1e3 * (clock.perf_counter() - started)
-        return Plan(time - self._lead, plan.dt, self._demands(plan), status, took)
+        made = Plan(time, plan.dt, self._demands(plan), status, took)
+        self._asked.append((time, made))
+        while len(self._asked) > 1 and self._asked[1][0] < time - self._delay - 2 * TAKEN:
+            self._asked.popleft()
+        return made
 
     def _demands(self, plan: MotorPlan) -> tuple[Demand, ...]:
-        x, u = plan.x[0], plan.u[0]
-        thrust = self._system.quantity("thrust", x[:-1], u)[:, 0].tolist()
-        rates = x[:-1, 10:13].tolist()
+        later = plan.shifted(self._lead)
+        thrust = self._system.quantity("thrust", plan.x[0, :-1], plan.u[0])[:, 0].tolist()
+        rates = later.z[0, 0, :-1, 10:13].tolist()
         return tuple(Demand((w[0], w[1], w[2]), a) for w, a in zip(rates, thrust, strict=True))
+
+    def _demanded(self, time: float) -> Demand | None:
+        """What was asked for at a time, by the newest plan that was there."""
+        for made, plan in reversed(self._asked):
+            if made + TAKEN <= time:
+                return plan.at(time)
+        return None
+
+    def _ahead(self, row: tuple[float, ...], time: float) -> tuple[float, ...]:
+        """The state a delay later."""
+        p, v, q = row[0:3], row[3:6], row[6:10]
+        w: Vec = (row[10], row[11], row[12])
+        steps = max(round(self._delay / STEP), 1)
+        dt = self._delay / steps
+        for k in range(steps):
+            asked = self._demanded(time - self._delay + (k + 0.5) * dt)
+            # before anything is asked for it is kept hovering by whoever flies it
+            push = rotate(q, (0.0, 0.0, asked.thrust)) if asked is not None else (0.0, 0.0, GRAVITY)  # type: ignore[arg-type]
+            if asked is not None:
+                w = asked.w
+            a = (push[0], push[1], push[2] - GRAVITY)
+            p = tuple(pi + dt * vi + 0.5 * dt * dt * ai for pi, vi, ai in zip(p, v, a, strict=True))
+            v = tuple(vi + dt * ai for vi, ai in zip(v, a, strict=True))
+            q = turned_by_rates(q, w, dt)  # type: ignore[arg-type]
+        return (*p, *v, *q, *w)
 
 
 @dataclass(frozen=True)
@@ -104,6 +150,7 @@ class PredictiveMaker:
         problem: What a plan pays for.
         solver: How it is found.
         safety: When to disbelieve.
+        delay: See `PredictiveController`.
         lead: See `PredictiveController`.
         effects: Effects beside the declared ones, for `declared`.
         threads: Threads of torch.
@@ -115,7 +162,8 @@ class PredictiveMaker:
     problem: ProblemOptions
     solver: SolverOptions
     safety: SafetyOptions
-    lead: float
+    delay: float = DELAY
+    lead: float = LEAD
     effects: Effects = ()
     threads: int = 1
 
@@ -132,7 +180,7 @@ class PredictiveMaker:
         known = knowledge(self.run, self.system, effects=self.effects)
         controller = Controller(known, problem=self.problem, solver=self.solver, safety=self.safety, say=say)
         reference = Reference(self.path)
-        made = PredictiveController(controller, reference, lead=self.lead)
+        made = PredictiveController(controller, reference, delay=self.delay, lead=self.lead)
         row = tuple(reference.at(torch.tensor(0.0)).tolist())
         took = sorted(made(row, 0.02 * k, 0.0).solve_ms for k in range(WARM_UP))[WARM_UP // 2]
         how = "compiled" if controller.solver.compiled else "not compiled"
@@ -142,4 +190,4 @@ class PredictiveMaker:
                 "C++ compiler (g++), or make plans shorter: mpc.steps, mpc.iterations."
             )
         say(f"the controller plans in {took:.1f} ms ({how})")
-        return PredictiveController(controller, reference, lead=self.lead)
+        return PredictiveController(controller, reference, delay=self.delay, lead=self.lead)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from math import cos, pi, sin
+
 import pytest
 import torch
 
@@ -11,7 +13,12 @@ from nsde_torch.control.problem import ProblemOptions
 from nsde_torch.control.reference import Reference
 from nsde_torch.control.solve import SolverOptions
 from nsde_torch.plants import make_plant_system
+from nsde_torch.px4.body import Body
+from nsde_torch.px4.controller import Demand, Plan
+from nsde_torch.px4.offboard import FlightOptions
+from nsde_torch.px4.path import PathPoints
 from nsde_torch.px4.predictive import PredictiveController
+from nsde_torch.px4.simulated import fly_simulated
 
 
 @pytest.fixture(scope="module")
@@ -33,12 +40,12 @@ def _row(**moved: float) -> tuple[float, ...]:
 
 
 def test_hovering_at_the_reference_asks_for_no_rates_and_for_the_weight(controller: Controller) -> None:
-    made = PredictiveController(controller, Reference(shapes.hover()), lead=0.05)
+    made = PredictiveController(controller, Reference(shapes.hover()))
     plan = made(_row(), 10.0, 1.0)
     demand = plan.at(10.0)
     assert demand.w == pytest.approx((0.0, 0.0, 0.0), abs=0.05)
     assert demand.thrust == pytest.approx(9.81, abs=0.5)
-    assert plan.time == pytest.approx(9.95)
+    assert plan.time == 10.0
     assert plan.end > 10.3
 
 
@@ -46,5 +53,39 @@ def test_behind_the_reference_it_pitches_forward_and_below_it_climbs(controller:
     made = PredictiveController(controller, Reference(shapes.hover()), lead=0.1)
     behind = made(_row(x=-0.3), 10.0, 1.0)
     assert behind.at(10.0).w[1] > 0.1  # nose down is a positive rate about FLU y
-    below = PredictiveController(controller, Reference(shapes.hover()), lead=0.0)(_row(z=-0.3), 10.0, 1.0)
+    below = PredictiveController(controller, Reference(shapes.hover()))(_row(z=-0.3), 10.0, 1.0)
     assert below.at(10.0).thrust > 10.5
+
+
+def test_a_state_is_carried_forward_over_the_delay_by_what_was_asked_for(controller: Controller) -> None:
+    made = PredictiveController(controller, Reference(shapes.hover()), delay=0.1)
+    # free fall was asked for, and turning to the left at half a turn in a second
+    asked = Demand((0.0, 0.0, pi), 0.0)
+    made._asked.append((9.0, Plan(9.0, 1.0, (asked, asked, asked))))
+    row = made._ahead(_row(), 10.0)
+    assert row[2] == pytest.approx(1.5 - 0.5 * 9.81 * 0.1**2)
+    assert row[5] == pytest.approx(-0.981)
+    assert row[6:10] == pytest.approx((cos(0.05 * pi), 0.0, 0.0, sin(0.05 * pi)))
+    assert row[12] == pytest.approx(pi)
+
+
+def test_a_machine_that_follows_late_is_held_in_its_place() -> None:
+    path = shapes.hover(duration=2.0, height=1.0)
+    known = make_plant_system("quadrotor", declared_only=True)
+    mpc = Controller(
+        known,
+        problem=ProblemOptions(horizon=0.4, steps=4),
+        solver=SolverOptions(compile="off", iterations=1),
+    )
+    report = fly_simulated(
+        Body("quadrotor", seed=0, latency=0.02),
+        PredictiveController(mpc, Reference(path)),
+        PathPoints(path),
+        seed=0,
+        period=0.05,
+        options=FlightOptions(height=1.0, climb=1.2, hold=0.3, idle=0.4, spool=0.4),
+    )
+    assert report.outcome.tracked
+    assert report.outcome.landed
+    assert report.rmse is not None
+    assert report.rmse < 0.1

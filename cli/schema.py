@@ -874,6 +874,7 @@ COMMAND_SCHEMAS: dict[str, type] = {
     "track": TrackConfig,
     "fly": FlyConfig,
     "vehicle": VehicleConfig,
+    "close-loop": CloseLoopConfig,
     "export": ExportConfig,
     "verify": VerifyConfig,
 }

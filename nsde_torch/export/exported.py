@@ -86,7 +86,7 @@ class ExportedController:
         archive, self.record = container.read(self.path)
         try:
             record.check(self.record)
-            self._step, predict = _functions(self.record["kind"], archive, self.path)
+            self._step, predict = _functions(self.record, archive, self.path)
             self.options: ProblemOptions
             self.safety: SafetyOptions
             self.options, solver, self.safety = record.options_of(self.record)
@@ -192,8 +192,9 @@ class ExportedController:
         )
 
 
-def _functions(kind: str, archive: bytes, path: Path) -> tuple[Function, Function]:
+def _functions(about: dict[str, Any], archive: bytes, path: Path) -> tuple[Function, Function]:
     """`step` and `predict` of a file that has been checked."""
+    kind = about["kind"]
     if kind == record.TORCHSCRIPT:
         try:
             step, predict = jit.loaded(archive, ("step", "predict"))
@@ -203,7 +204,7 @@ def _functions(kind: str, archive: bytes, path: Path) -> tuple[Function, Functio
     if kind == record.AOTI:
         from nsde_torch.export.ahead import loaded
 
-        return loaded(path)
+        return loaded(path, about["loops"])
     raise ExportError(
         f"it is of the kind {kind!r}; this version knows {record.TORCHSCRIPT} and {record.AOTI}."
     )

@@ -74,6 +74,7 @@ def record_of(
             "outputs": [e.as_dict() for e in predict_outputs(s)],
         },
         "status": list(STATUS),
+        "loops": asdict(step.loops),
         "hover": step.hover_u[0, 0].double().tolist(),
         "ports": {port.value: width for port, width in step.predictor.ports.items()},
         "state_names": list(system.state_names),

@@ -1,10 +1,11 @@
 """The step as TorchScript: graphs of its stages, and the loops between them in TorchScript's own language.
 
-The loops are those of `step.Step.run`. Interpreting a graph costs 1 to 2 us an operation, whatever its size.
+The loops are those of `step.run`. Interpreting a graph costs 1 to 2 us an operation, whatever its size.
 """
 
 from __future__ import annotations
 
+from dataclasses import asdict
 from typing import Any
 
 from nsde_torch.export import jit
@@ -24,8 +25,8 @@ def step(self, state: Tensor, valid: Tensor, elapsed: Tensor, reference: Tensor,
     iterations = 0
     if bool(trouble < 0.5):
         if bool(head[0] < 0.5):
-            _, by_step, row = self.tries(z0, u, self.no_step)
-            z = self.paths(row, by_step, d)[:{particles}].unsqueeze(0)
+            _, by_step, row, noise = self.tries(z0, u, self.no_step)
+            z = self.paths(row, by_step, d, noise)[:{particles}].unsqueeze(0)
         going = True
         while going:
             hessian, gradient, low, high, value, best, least = self.prepare(z0, u, z, ref, now, d)
@@ -38,18 +39,17 @@ def step(self, state: Tensor, valid: Tensor, elapsed: Tensor, reference: Tensor,
                     hessian, gradient, low, high, value, step, slope, best, least)
                 change += 1
                 changing = change < {changes} and not bool(left <= {left!r})
-            tried, by_step, row = self.tries(z0, u, best)
-            u, z, cost, gap = self.choose(self.paths(row, by_step, d), tried, ref, now, least)
+            tried, by_step, row, noise = self.tries(z0, u, best)
+            u, z, cost, gap = self.choose(self.paths(row, by_step, d, noise), tried, ref, now, least)
             iterations += 1
             going = iterations < {iterations} and not bool(gap <= {tolerance!r})
     return self.end(u, z, cost, gap, self.counts[iterations], z0, start_u, start_z, head, trouble)
 """
 _PATHS = """
-def paths(self, row: Tensor, by_step: Tensor, d: Tensor) -> Tensor:
+def paths(self, row: Tensor, by_step: Tensor, d: Tensor, noise: Tensor) -> Tensor:
     states = [row]
-    noise = self.noise.unbind(0)
-    for k, u in enumerate(by_step.unbind(0)):
-        row = self.advance(row, u, d, noise[k])
+    for u, own in zip(by_step.unbind(0), noise.unbind(0)):
+        row = self.advance(row, u, d, own)
         states.append(row)
     return torch.stack(states, 1)
 """
@@ -73,17 +73,9 @@ def scripted(step: Step) -> Any:
     tensors = {
         "infinite": torch.full((1,), torch.inf, dtype=step.dtype),
         "no_step": torch.zeros(1, s.steps * s.nu, dtype=step.dtype),
-        "noise": step.horizon.noise.clone(),
         "counts": torch.arange(step.iterations + 1, dtype=torch.float64),
     }
-    numbers = {
-        "particles": s.particles,
-        "changes": step.changes,
-        "left": step.left,
-        "results": f"Tuple[{', '.join(['Tensor'] * len(step_outputs(s)))}]",
-        "iterations": step.iterations,
-        "tolerance": step.tolerance,
-    }
+    numbers = {**asdict(step.loops), "results": f"Tuple[{', '.join(['Tensor'] * len(step_outputs(s)))}]"}
     return jit.assembled(parts, tensors, (_PATHS, _STEP.format(**numbers), _PREDICT), ("step", "predict"))
 
 

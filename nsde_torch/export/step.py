@@ -11,6 +11,7 @@ are those of `control.controller.Controller`, as arithmetic.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from typing import final
 
 import torch
@@ -38,6 +39,25 @@ from nsde_torch.systems import Multirotor
 
 Stage = Callable[..., Sequence[Tensor]]
 STAGES = ("begin", "prepare", "active_set", "tries", "advance", "choose", "end", "predict")
+
+
+@dataclass(frozen=True)
+class Loops:
+    """What the loops between the stages go by.
+
+    Args:
+        particles: Paths of a plan.
+        changes: Most changes of the active set in an iteration.
+        left: Share of what the quadratic saves that an iteration may leave.
+        iterations: Most iterations.
+        tolerance: Share of the cost that may be left.
+    """
+
+    particles: int
+    changes: int
+    left: float
+    iterations: int
+    tolerance: float
 
 
 @final
@@ -157,10 +177,10 @@ class Step(nn.Module):
         return self.method.active_set(*arguments)
 
     def tries(self, z0: Tensor, u: Tensor, step: Tensor) -> tuple[Tensor, ...]:
-        """Inputs to roll out (S, K, nu), the same by step (K, S, nu), and first states (S P, nz)."""
+        """Inputs to roll out (S, K, nu), the same by step (K, S, nu), first states (S P, nz), and noise (K, P, nx)."""
         tried = self.method.tries(u, step)
         rows = len(tried) * self.sizes.particles
-        return tried, tried.transpose(0, 1), z0.expand(rows, self.sizes.nz)
+        return tried, tried.transpose(0, 1), z0.expand(rows, self.sizes.nz), self.horizon.noise.clone()
 
     def advance(self, z: Tensor, u: Tensor, d: Tensor, noise: Tensor) -> tuple[Tensor, ...]:
         """States (S P, nz) a step later, from inputs (S, nu), a push (1, nd) and the step's noise (P, nx)."""
@@ -275,44 +295,20 @@ class Step(nn.Module):
         made["memory"].fill_(torch.nan)
         return list(made.values())
 
-    @torch.no_grad()
+    @property
+    def loops(self) -> Loops:
+        """The numbers that the loops between the stages go by."""
+        return Loops(
+            particles=self.sizes.particles,
+            changes=self.changes,
+            left=self.left,
+            iterations=self.iterations,
+            tolerance=self.tolerance,
+        )
+
     def run(self, stages: Mapping[str, Stage], *given: Tensor) -> tuple[Tensor, ...]:
-        """The step, stage after stage, in Python: what the exported forms are tested against.
-
-        Args:
-            stages: The stages, as they are or as graphs.
-            given: See `layout.step_inputs`.
-        """
-        z0, start_u, start_z, ref, last, d, head, trouble = stages["begin"](*given)
-        u, z = start_u, start_z
-        cost = gap = torch.full((1,), torch.inf, dtype=self.dtype)
-        iterations = torch.zeros((), dtype=torch.float64)
-        if float(trouble) < 0.5:
-            if float(head[KNOWN]) < 0.5:
-                still = torch.zeros_like(u).flatten(1)
-                z = self._paths(stages, d, *stages["tries"](z0, u, still)[1:])[None, : self.sizes.particles]
-            while True:
-                quadratic = list(stages["prepare"](z0, u, z, ref, last, d))
-                fixed, (best, least) = quadratic[:5], quadratic[5:]
-                step, slope = torch.zeros_like(best), fixed[1]
-                for _ in range(self.changes):
-                    step, slope, best, least, left = stages["active_set"](*fixed, step, slope, best, least)
-                    if float(left) <= self.left:
-                        break
-                tried, by_step, z = stages["tries"](z0, u, best)
-                paths = self._paths(stages, d, by_step, z)
-                u, z, cost, gap = stages["choose"](paths, tried, ref, last, least)
-                iterations = iterations + 1.0
-                if float(gap) <= self.tolerance or float(iterations) > self.iterations - 0.5:
-                    break
-        return tuple(stages["end"](u, z, cost, gap, iterations, z0, start_u, start_z, head, trouble))
-
-    def _paths(self, stages: Mapping[str, Stage], d: Tensor, by_step: Tensor, z: Tensor) -> Tensor:
-        states = [z]
-        for k, u in enumerate(by_step):
-            (z,) = stages["advance"](z, u, d, self.horizon.noise[k])
-            states.append(z)
-        return torch.stack(states, 1)
+        """The step, in Python: see `run`."""
+        return run(stages, self.loops, *given)
 
     def stage(self, name: str) -> Stage:
         """A stage, whose results lie in memory row by row, as the next one expects them."""
@@ -322,6 +318,48 @@ class Step(nn.Module):
     def stages(self) -> dict[str, Stage]:
         """All stages."""
         return {name: self.stage(name) for name in STAGES}
+
+
+@torch.no_grad()
+def run(stages: Mapping[str, Stage], loops: Loops, *given: Tensor) -> tuple[Tensor, ...]:
+    """The step, stage after stage: what every form of it does.
+
+    Args:
+        stages: The stages, as they are, as graphs or compiled.
+        loops: What the loops go by.
+        given: See `layout.step_inputs`.
+    """
+    z0, start_u, start_z, ref, last, d, head, trouble = stages["begin"](*given)
+    u, z = start_u, start_z
+    cost = gap = torch.full((1,), torch.inf, dtype=u.dtype)
+    iterations = torch.zeros((), dtype=torch.float64)
+    if float(trouble) < 0.5:
+        no_step = torch.zeros_like(u).flatten(1)
+        if float(head[KNOWN]) < 0.5:
+            z = _paths(stages, d, *stages["tries"](z0, u, no_step)[1:])[None, : loops.particles].contiguous()
+        while True:
+            quadratic = list(stages["prepare"](z0, u, z, ref, last, d))
+            fixed, (best, least) = quadratic[:5], quadratic[5:]
+            step, slope = no_step, fixed[1]
+            for _ in range(loops.changes):
+                step, slope, best, least, left = stages["active_set"](*fixed, step, slope, best, least)
+                if float(left) <= loops.left:
+                    break
+            tried, *rest = stages["tries"](z0, u, best)
+            paths = _paths(stages, d, *rest)
+            u, z, cost, gap = stages["choose"](paths, tried, ref, last, least)
+            iterations = iterations + 1.0
+            if float(gap) <= loops.tolerance or float(iterations) > loops.iterations - 0.5:
+                break
+    return tuple(stages["end"](u, z, cost, gap, iterations, z0, start_u, start_z, head, trouble))
+
+
+def _paths(stages: Mapping[str, Stage], d: Tensor, by_step: Tensor, z: Tensor, noise: Tensor) -> Tensor:
+    states = [z]
+    for u, own in zip(by_step, noise, strict=True):
+        (z,) = stages["advance"](z, u, d, own)
+        states.append(z)
+    return torch.stack(states, 1)
 
 
 def packed(plan: Plan, jumped: float) -> Tensor:

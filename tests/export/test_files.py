@@ -1,0 +1,152 @@
+"""Files of controllers: the same bytes for the same controller, the same plans as the controller, and refusals."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+import torch
+
+from nsde_torch.control.controller import SafetyOptions
+from nsde_torch.control.problem import ProblemOptions
+from nsde_torch.control.reference import Reference
+from nsde_torch.control.solve import SolverOptions
+from nsde_torch.errors import ConfigError, ExportError
+from nsde_torch.export import container, verify
+from nsde_torch.export.exported import ExportedController
+from nsde_torch.export.write import controller_of, export
+from nsde_torch.models import NeuralSDE
+from nsde_torch.models.run_directory import save
+
+OPTIONS = {
+    "problem": ProblemOptions(horizon=0.3, steps=6),
+    "solver": SolverOptions(compile="off", iterations=3, tolerance=5e-3),
+    "safety": SafetyOptions(),
+}
+
+
+@pytest.fixture(scope="module")
+def run_dir(model: NeuralSDE, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A run directory of a model that nobody trained."""
+    folder = tmp_path_factory.mktemp("run")
+    save(model, folder)
+    return folder
+
+
+def _export(model: NeuralSDE, run_dir: Path, path: Path, **options: object) -> Path:
+    given = {**OPTIONS, "run": run_dir, "sample": 0.01, "period": 0.02, "latency": 0.04, **options}
+    export(model, path, **given)  # type: ignore[arg-type]
+    return path
+
+
+@pytest.fixture(scope="module")
+def file(model: NeuralSDE, run_dir: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """An exported controller."""
+    folder = tmp_path_factory.mktemp("file")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("SOURCE_DATE_EPOCH", "0")
+        return _export(model, run_dir, folder / "controller.ts")
+
+
+def test_a_file_plans_as_its_controller_and_stands_whatever_it_is_given(
+    file: Path, model: NeuralSDE, path: Reference
+) -> None:
+    exported, out = ExportedController(file), verify.Verification()
+    controller = controller_of(model, **OPTIONS, dtype=torch.float32)  # type: ignore[arg-type]
+    samples = verify.along(path, 100, dt=0.05, steps=6, period=0.02)
+    verify.compare(exported, controller, samples, out, elapsed=0.02)
+    verify.attack(exported, path, 300, out)
+    assert out.passed, (out.worst, out.differing, out.unsafe)
+    assert out.cost_ratio < 1e-4
+    assert {"bad_state:kept", "converged"} <= set(out.words)
+    assert out.as_dict()["states"] == 100
+    assert len(verify.histogram(out.wall_ms).splitlines()) == 12
+
+
+def test_what_differs_and_what_is_unsafe_fails() -> None:
+    good = verify.Verification(states=1)
+    assert good.passed
+    assert not verify.Verification(worst=2e-4).passed
+    assert not verify.Verification(differing=["sample 1"]).passed
+    assert not verify.Verification(unsafe=["sample 1"]).passed
+
+
+def test_the_same_run_makes_the_same_bytes(
+    file: Path, model: NeuralSDE, run_dir: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("SOURCE_DATE_EPOCH", "0")
+    again = _export(model, run_dir, tmp_path / "again.ts")
+    assert again.read_bytes() == file.read_bytes()
+    assert str(Path.cwd()).encode() not in file.read_bytes()
+
+
+def test_a_file_predicts_as_its_model(file: Path, model: NeuralSDE) -> None:
+    exported = ExportedController(file)
+    controller = controller_of(model, **OPTIONS, dtype=torch.float32)  # type: ignore[arg-type]
+    assert exported.sample.dt == 0.01
+    assert exported.sample.ports == controller.predictor.ports
+    assert torch.allclose(exported.hover, controller.hover)
+    still = exported.hovering()
+    z = exported.sample(still.z[0, 0, :2], still.u[0, :2] + 0.01, torch.zeros(2, 6))
+    assert z.shape == (2, 13)
+    assert float(z[0, 5]) > 0.0
+
+
+def _refused(path: Path, why: str) -> None:
+    with pytest.raises(ExportError, match=why):
+        ExportedController(path)
+
+
+def test_damaged_files_are_refused_with_the_reason(file: Path, tmp_path: Path) -> None:
+    content, bad = file.read_bytes(), tmp_path / "bad.ts"
+    bad.write_bytes(content[: len(content) // 2])
+    _refused(bad, "truncated or damaged")
+    bad.write_bytes(b"no archive")
+    _refused(bad, "truncated or damaged")
+    at = content.index(b"converged") - 40  # a number of the record changes nothing that is hashed; code does
+    code = content.index(b"def step")
+    bad.write_bytes(content[: code + 4] + b"S" + content[code + 5 :])
+    assert at > 0
+    _refused(bad, "truncated or damaged|was changed")
+    _refused(tmp_path / "none.ts", "no file")
+
+
+def _rewritten(file: Path, out: Path, *, record: dict[str, object] | None = None, drop: bool = False) -> Path:
+    members = container.members_of(file.read_bytes())
+    about = json.loads(members[container.RECORD])
+    if drop:
+        del members[container.RECORD]
+    else:
+        members[container.RECORD] = json.dumps({**about, **(record or {})}).encode()
+    out.write_bytes(container.archive_of(members))
+    return out
+
+
+def test_files_that_were_changed_or_are_of_another_version_are_refused(file: Path, tmp_path: Path) -> None:
+    bad = tmp_path / "bad.ts"
+    members = container.members_of(file.read_bytes())
+    name = next(n for n in members if n.startswith("constants/") and len(members[n]) > 100)
+    members[name] = members[name][:-1] + bytes([members[name][-1] ^ 1])
+    bad.write_bytes(container.archive_of(members))
+    _refused(bad, "was changed after it was written")
+    _refused(_rewritten(file, bad, record={"format": "nsde_torch controller/0"}), "of the format")
+    _refused(
+        _rewritten(file, bad, record={"versions": {"torch": "1.13.0", "nsde_torch": "0.1.0"}}), "torch 1.13.0"
+    )
+    _refused(_rewritten(file, bad, record={"kind": "else"}), "of the kind 'else'")
+    _refused(
+        _rewritten(file, bad, record={"kind": "aoti", "processor": "Linux 8086"}), "compiled for Linux 8086"
+    )
+    _refused(_rewritten(file, bad, record={"status": ["fine"]}), "other words")
+    _refused(_rewritten(file, bad, record={"sizes": None}), "another version")
+    _refused(_rewritten(file, bad, drop=True), "no exported controller")
+
+
+def test_what_a_file_cannot_hold_is_refused(model: NeuralSDE, run_dir: Path, tmp_path: Path) -> None:
+    out = tmp_path / "c.ts"
+    with pytest.raises(ConfigError, match="needs a clock"):
+        _export(model, run_dir, out, solver=SolverOptions(deadline=0.01))
+    with pytest.raises(ConfigError, match="torchscript or aoti"):
+        _export(model, run_dir, out, kind="onnx")
+    assert not out.exists()

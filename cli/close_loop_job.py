@@ -1,8 +1,9 @@
 """The work of `nsde close-loop`: log, diagnosis, before, after; each stage is kept when it is finished.
 
 Every flight is one on the simulated vehicle in virtual time. The controller knows the declared physics with the values
-of the plant; after the diagnosis it also knows the effects that were found, with the values that were found. Flights
-before and after meet the same gusts, which are others than those of the flights that were diagnosed.
+of the plant; after the diagnosis it also knows the effects that were found, with the values that were found, but for
+lags and delays, which `delay` stands for. Flights before and after meet the same gusts, which are others than those of
+the flights that were diagnosed.
 """
 
 from __future__ import annotations
@@ -46,6 +47,7 @@ def run(config: DictConfig, job: Job) -> float | None:
     from nsde_torch.control import feasible
     from nsde_torch.control.predictor import Predictor
     from nsde_torch.errors import ConfigError
+    from nsde_torch.px4.predictive import told
 
     from . import track_build
 
@@ -65,7 +67,7 @@ def run(config: DictConfig, job: Job) -> float | None:
         )
     for k in range(config.logged):
         loop.flight(LOG, k, [])
-    found = loop.diagnosis()
+    found = told(loop.diagnosis())
     for k in range(config.flights):
         loop.flight(BEFORE, k, [])
     if found:
@@ -256,7 +258,7 @@ class ClosedLoop:
             "plant": {"effects": self._effects, "declared_only": self.config.plant.declared_only},
             "reference": {"name": self.path.name, "duration_s": self.path.duration},
             "verdict": told["verdict"],
-            "found": found,
+            "told": found,
             "findings": [f["sentence"] for f in told["findings"]],
             "rmse_m": pairs,
             "before_mean_m": _mean([p["before_m"] for p in pairs]),
@@ -302,9 +304,11 @@ def _mean(values: list[float | None]) -> float | None:
 
 def text(content: dict[str, Any]) -> str:
     """The result in some lines."""
-    lines = [*content["findings"]] or [
-        "Nothing is missing from the declared physics, as far as the flights show."
-    ]
+    lines = [*content["findings"]]
+    if not lines:
+        lines.append("Nothing is missing from the declared physics, as far as the flights show.")
+    names = ", ".join(name for entry in content["told"] for name in entry)
+    lines.append(f"The controller is told of: {names or 'nothing more than before'}.")
     for p in content["rmse_m"]:
         shown = [f"{100 * v:.1f} cm" if v is not None else "not flown" for v in (p["before_m"], p["after_m"])]
         lines.append(f"seed {p['seed']}: RMSE {shown[0]} before, {shown[1]} after")

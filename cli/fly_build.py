@@ -13,7 +13,7 @@ from nsde_torch.control.predictor import Predictor
 from nsde_torch.control.reference import Reference
 from nsde_torch.errors import ConfigError
 from nsde_torch.px4.path import CascadeController, PathPoints
-from nsde_torch.px4.predictive import LEAD, PredictiveMaker
+from nsde_torch.px4.predictive import LEAD, PredictiveMaker, told
 from nsde_torch.px4.runner import Inline, Process, Runner
 from nsde_torch.systems import Multirotor
 
@@ -53,7 +53,7 @@ def known(config: DictConfig) -> Model | System:
 
 
 def _effects(config: DictConfig) -> list[Any]:
-    """Effects that the declared physics is told of, those of files in the place of their names."""
+    """Effects that the declared physics is told of, those of files in the place of their names; lateness is `delay`."""
     given = build.options(config.system)["effects"]
     out: list[Any] = []
     for entry in [given] if isinstance(given, str) else given:
@@ -66,7 +66,7 @@ def _effects(config: DictConfig) -> list[Any]:
             out += [{name: values} for name, values in effects.items()]
         else:
             out.append(entry)
-    return out
+    return told(out)
 
 
 def check(config: DictConfig, reference: Reference, machine: Model | System) -> feasible.Envelope:

@@ -16,7 +16,7 @@ import time as clock
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import final
+from typing import Any, final
 
 import torch
 
@@ -27,7 +27,7 @@ from nsde_torch.control.problem import ProblemOptions
 from nsde_torch.control.reference import FlightPath, Reference
 from nsde_torch.control.solve import SolverOptions
 from nsde_torch.errors import ConfigError
-from nsde_torch.plants.machines import Effects
+from nsde_torch.plants.machines import Effects, named_effects
 from nsde_torch.px4.cascade import GRAVITY
 from nsde_torch.px4.controller import Demand, Plan
 from nsde_torch.px4.path import PAUSE
@@ -44,6 +44,19 @@ TRIM_TIME, TRIM_LIMIT = 3.0, 0.3
 WARM_UP = 20
 SLOWEST = 0.1
 """Longest time of a plan with which a vehicle can be flown, as the median of the warm-up [s]."""
+
+
+COVERED = ("input_delay", "motor_lag", "actuator_lag")
+"""Effects that `delay` stands for: told of them as well, the controller would make up for them twice."""
+
+
+def told(effects: Effects) -> list[dict[str, Any]]:
+    """Effects that a controller of rates and thrust is to be told of: those that are more than lateness.
+
+    Args:
+        effects: Names, or names with values, as a diagnosis found them.
+    """
+    return [{name: values} for name, values in named_effects(effects).items() if name not in COVERED]
 
 
 @final

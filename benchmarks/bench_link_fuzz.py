@@ -1,0 +1,104 @@
+"""Does a minute of hostile MAVLink bytes delay the loop that flies?
+
+A vehicle in a process of its own is flown by the cascade over UDP, twice: as it is, and while hostile datagrams come
+among the vehicle's own, from its own address, so that no rule about addresses helps. Reported are times between
+setpoints and ages of states at them, in both.
+
+    python benchmarks/bench_link_fuzz.py --seconds 60 --rate 2000
+"""
+
+from __future__ import annotations
+
+import argparse
+import multiprocessing
+import socket
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+
+from nsde_torch.control import shapes
+from nsde_torch.px4.autopilot import SimulatedAutopilot
+from nsde_torch.px4.body import Body
+from nsde_torch.px4.flight import fly
+from nsde_torch.px4.link import open_link
+from nsde_torch.px4.path import CascadeController, PathPoints
+from nsde_torch.px4.runner import Inline
+from nsde_torch.px4.transport import Transport, UdpOut
+from nsde_torch.px4.vehicle import Vehicle
+from tests.helpers.fuzzed import hostile
+
+
+class _Noisy(Transport):
+    """A transport that says hostile things too."""
+
+    def __init__(self, inner: Transport, rate: float) -> None:
+        self._inner, self._rate, self._source = inner, rate, hostile(seed=0)
+        self._due = time.monotonic() + 3.0  # the vehicle introduces itself first
+        self.sent = 0
+
+    def receive(self, timeout: float) -> bytes:
+        while self._rate > 0 and time.monotonic() > self._due:
+            self._inner.send(next(self._source))
+            self._due += 1.0 / self._rate
+            self.sent += 1
+        return self._inner.receive(timeout)
+
+    def send(self, data: bytes) -> None:
+        self._inner.send(data)
+
+    def close(self) -> None:
+        self._inner.close()
+
+
+def _vehicle(port: int, rate: float, stop: Any, sent: Any) -> None:
+    transport = _Noisy(UdpOut("127.0.0.1", port), rate)
+    autopilot = SimulatedAutopilot(Body("quadrotor", seed=0, latency=0.02))
+    Vehicle(autopilot, transport).run(stop.is_set)
+    sent.value = transport.sent
+
+
+def _port() -> int:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        probe.bind(("127.0.0.1", 0))
+        return int(probe.getsockname()[1])
+
+
+def flight(seconds: float, rate: float) -> dict[str, Any]:
+    """Fly, and report."""
+    context = multiprocessing.get_context("spawn")
+    stop, sent, port = context.Event(), context.Value("q", 0), _port()
+    process = context.Process(target=_vehicle, args=(port, rate, stop, sent), daemon=True)
+    process.start()
+    try:
+        path = PathPoints(shapes.hover(duration=seconds))
+        with open_link(f"udpin:127.0.0.1:{port}") as link:
+            link.wait_for_vehicle(60.0)
+            report = fly(link, Inline(CascadeController(path)), path, motors=4)
+    finally:
+        stop.set()
+        process.join(10.0)
+    return {**report.as_dict(), "hostile": sent.value}
+
+
+def main() -> None:
+    """Fly twice and print."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--seconds", type=float, default=60.0, help="length of each flight")
+    parser.add_argument("--rate", type=float, default=2000.0, help="hostile datagrams in a second")
+    arguments = parser.parse_args()
+    for name, rate in (("without", 0.0), ("with", arguments.rate)):
+        r = flight(arguments.seconds, rate)
+        gap, age = r["setpoint_gap_ms"], r["state_age_ms"]
+        print(
+            f"{name:8s} hostile {r['hostile']:7d}  tracked {r['tracked']}  RMSE {100 * (r['rmse_m'] or 0):.1f} cm  "
+            f"gaps [ms] p50 {gap['p50']:.2f} p99 {gap['p99']:.2f} p99.9 {gap['p99.9']:.2f} max {gap['max']:.1f}  "
+            f"ages [ms] p50 {age['p50']:.2f} p99 {age['p99']:.2f}  frames {r['frames']}",
+            flush=True,
+        )
+
+
+if __name__ == "__main__":
+    main()

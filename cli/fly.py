@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from .hydra_command import HydraCommand
-from .quoted import quoted
+from .quoted import from_file, quoted
 
 COMMAND = HydraCommand(
     name="fly",
@@ -16,7 +16,7 @@ COMMAND = HydraCommand(
 
 def main(arguments: Sequence[str]) -> int:
     """Run `nsde fly` with these words; returns the exit status."""
-    return COMMAND.main([quoted(quoted(word, "out_dir"), "run") for word in arguments])
+    return COMMAND.main([quoted(quoted(from_file(word), "out_dir"), "run") for word in arguments])
 
 
 def complete(words: Sequence[str]) -> list[str]:

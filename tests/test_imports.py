@@ -31,7 +31,7 @@ MAY_IMPORT = {
     "policy": {*LEARNED, "plants"},
     "experiments": {*LEARNED, "learning"},
     "diagnosis": {*LEARNED, "plants", "learning", "control"},
-    "px4": {*LEARNED, "plants", "learning", "control"},
+    "px4": {*LEARNED, "plants", "learning", "control", "export"},
     "export": {*LEARNED, "plants", "learning", "control"},
 }
 FORBIDDEN = {"hydra", "omegaconf", "hydra_plugins", "cli", "conf", "tests"}

@@ -103,6 +103,10 @@ class Planner(Protocol):
     def solver(self) -> SolverFace:
         """How plans are found."""
 
+    @property
+    def predictor(self) -> PredictorFace:
+        """What is known of the machine."""
+
     def hovering(self) -> Plan:
         """A plan that hovers."""
 
@@ -118,6 +122,12 @@ class Planner(Protocol):
         memory: Tensor | None = None,
     ) -> Plan:
         """Plan from measured states; see `Controller.plan`."""
+
+
+class PredictorFace(Protocol):
+    """What is to be known of a predictor."""
+
+    system: System
 
 
 class SolverFace(Protocol):

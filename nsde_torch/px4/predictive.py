@@ -16,17 +16,20 @@ import time as clock
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, final
 
 import torch
 
-from nsde_torch.control.controller import HOVER, Controller, SafetyOptions
+from nsde_torch.control.controller import HOVER, Controller, Planner, SafetyOptions
 from nsde_torch.control.controller import Plan as MotorPlan
 from nsde_torch.control.knowledge import knowledge
 from nsde_torch.control.problem import ProblemOptions
 from nsde_torch.control.reference import FlightPath, Reference
+from nsde_torch.control.setpoint import setpoints
 from nsde_torch.control.solve import SolverOptions
 from nsde_torch.errors import ConfigError
+from nsde_torch.export.exported import ExportedController
 from nsde_torch.plants.machines import Effects, named_effects
 from nsde_torch.px4.cascade import GRAVITY
 from nsde_torch.px4.controller import Demand, Plan
@@ -74,7 +77,7 @@ class PredictiveController:
     """
 
     def __init__(
-        self, controller: Controller, reference: Reference, *, delay: float = DELAY, lead: float = LEAD
+        self, controller: Planner, reference: Reference, *, delay: float = DELAY, lead: float = LEAD
     ) -> None:
         system = controller.predictor.system
         if not isinstance(system, Multirotor):
@@ -121,9 +124,7 @@ class PredictiveController:
         return made
 
     def _demands(self, plan: MotorPlan) -> tuple[Demand, ...]:
-        later = plan.shifted(self._lead)
-        thrust = self._system.quantity("thrust", plan.x[0, :-1], plan.u[0])[:, 0].tolist()
-        rates = later.z[0, 0, :-1, 10:13].tolist()
+        rates, thrust = (one[0].tolist() for one in setpoints(plan, self._system, ahead=self._lead))
         return tuple(Demand((w[0], w[1], w[2]), a) for w, a in zip(rates, thrust, strict=True))
 
     def _demanded(self, time: float) -> Demand | None:
@@ -157,7 +158,8 @@ class PredictiveMaker:
     """Makes the controller in the process that it runs in; everything in it can be sent there.
 
     Args:
-        run: Run directory of a model, or `declared`: the declared physics of `system` with its plant's values.
+        run: Run directory of a model, a file of `nsde export`, or `declared`: the declared physics of `system` with its
+            plant's values.
         system: Name of the machine.
         path: Where to fly.
         problem: What a plan pays for.
@@ -190,8 +192,14 @@ class PredictiveMaker:
             ConfigError: plans take too long to fly on.
         """
         torch.set_num_threads(self.threads)
-        known = knowledge(self.run, self.system, effects=self.effects)
-        controller = Controller(known, problem=self.problem, solver=self.solver, safety=self.safety, say=say)
+        controller: Planner
+        if Path(self.run).is_file():
+            controller = ExportedController(self.run)
+        else:
+            known = knowledge(self.run, self.system, effects=self.effects)
+            controller = Controller(
+                known, problem=self.problem, solver=self.solver, safety=self.safety, say=say
+            )
         reference = Reference(self.path)
         made = PredictiveController(controller, reference, delay=self.delay, lead=self.lead)
         row = tuple(reference.at(torch.tensor(0.0)).tolist())

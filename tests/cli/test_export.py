@@ -1,0 +1,118 @@
+"""`nsde export`, `nsde verify` and `nsde track controller=` from the command line."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+import torch
+
+from nsde_torch.cli.main import main
+
+MPC = ("mpc.steps=6", "mpc.horizon=0.3", "mpc.iterations=2")
+
+
+@pytest.fixture(scope="module")
+def file(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A controller on declared physics."""
+    out = tmp_path_factory.mktemp("export") / "controller.ts"
+    assert main(["export", "run=declared", f"out={out}", *MPC]) == 0
+    return out
+
+
+@pytest.fixture(autouse=True)
+def _elsewhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    monkeypatch.chdir(tmp_path)
+    before = torch.get_num_threads()
+    yield
+    torch.set_num_threads(before)
+
+
+def test_a_file_is_written_once_and_verified(file: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["export", "run=declared", f"out={file}", *MPC]) == 2
+    assert "is there already" in capsys.readouterr().err
+    words = ["verify", str(file), "run=declared", "states=60", "adversarial=100", "out=found.json"]
+    assert main(words) == 0
+    printed = capsys.readouterr().out
+    assert "passed" in printed
+    assert "0 answers not finite" in printed
+    found = json.loads(Path("found.json").read_text())
+    assert found["passed"]
+    assert found["states"] == 60
+    assert found["step_ms"]["p99"] > 0.0
+
+
+def test_a_file_of_another_model_is_not_verified(file: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    quad = file.with_name("quad.ts")
+    shutil.copy(file, quad)
+    content = quad.read_bytes()
+    assert main(["verify", str(quad), "run=nowhere"]) == 2
+    assert "no run directory" in capsys.readouterr().err
+    quad.write_bytes(content[:5000])
+    assert main(["verify", str(quad), "run=declared"]) == 2
+    assert "truncated" in capsys.readouterr().err
+
+
+def test_a_file_flies_as_the_controller_that_it_was_made_of(
+    file: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = ["duration=1.2", "mpc.compile=off", "mpc.period=0.04", *MPC]
+    assert main(["track", f"controller={file}", "beside=[declared]", "out_dir=out", *words]) == 0
+    found = json.loads(Path("out/tracking.json").read_text())["controllers"]
+    ours, theirs = found["MPC, controller.ts"], found["MPC, declared physics"]
+    assert ours["lost"] == 0
+    assert ours["rmse_m"] == pytest.approx(theirs["rmse_m"], rel=0.02)
+    assert main(["track", f"controller={file}", "machines=2", "at_once=2", "out_dir=two", *words]) == 2
+    assert "one machine at a time" in capsys.readouterr().err
+    assert main(["verify", str(file), "run=declared", "log=out/log/flight_0.csv", "adversarial=0"]) == 0
+
+
+@pytest.mark.slow
+def test_the_flight_computer_is_built_and_flies_a_recorded_log(
+    file: Path, root: Path, tmp_path: Path
+) -> None:
+    compiler = os.environ.get("CXX") or shutil.which("g++") or shutil.which("clang++")
+    if compiler is None or shutil.which("cmake") is None:
+        pytest.skip("needs a C++ compiler and cmake")
+    source, built = root / "examples" / "flight_computer", tmp_path / "build"
+    prefix = torch.utils.cmake_prefix_path
+    steps = (
+        ["cmake", "-S", str(source), "-B", str(built), f"-DCMAKE_PREFIX_PATH={prefix}"],
+        ["cmake", "--build", str(built)],
+        [sys.executable, str(source / "reference.py"), "lemniscate", "reference.csv"],
+    )
+    for step in steps:
+        done = subprocess.run(step, capture_output=True, text=True, check=False)
+        assert done.returncode == 0, done.stdout[-2000:] + done.stderr[-2000:]
+    program = [str(built / "flight_computer"), "--reference", "reference.csv"]
+
+    def fly(*words: str) -> subprocess.CompletedProcess[str]:
+        return subprocess.run([*program, *words], capture_output=True, text=True, check=False)
+
+    log = Path("log.csv")
+    rows = Path("reference.csv").read_text().splitlines()[:200]
+    rows[120] = ",".join(["1.19", *("nan",) * 13])
+    log.write_text("\n".join(rows) + "\n")
+    done = fly("--controller", str(file), "--log", str(log), "--out", "inputs.csv", "--make-late", "20")
+    assert done.returncode == 0, done.stderr
+    assert "p99" in done.stdout
+    lines = [line.split(",") for line in Path("inputs.csv").read_text().splitlines()]
+    table = [dict(zip(lines[0], line, strict=True)) for line in lines[1:]]
+    inputs = torch.tensor([[float(row[f"u_{i}"]) for i in range(1, 7)] for row in table])
+    assert bool(((inputs >= 0.0) & (inputs <= 1.0)).all())
+    assert table[20]["source"] == "late"
+    assert table[-1]["source"] == "plan"
+    assert {row["status"] for row in table} & {"converged", "improved"}
+    broken = Path("broken.ts")
+    content = bytearray(file.read_bytes())
+    content[content.index(b"def step") + 4] ^= 1
+    broken.write_bytes(content)
+    refused = fly("--controller", str(broken), "--log", str(log))
+    assert refused.returncode == 2
+    assert "changed" in refused.stderr or "damaged" in refused.stderr

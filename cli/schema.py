@@ -735,7 +735,9 @@ class FlyConfig:
     """`nsde fly`."""
 
     run: str = key(
-        "???", "run directory of the model to plan with, `declared` physics with the plant's values, or pid"
+        "???",
+        "run directory of the model to plan with, a file of nsde export (controller=FILE says the same), `declared` "
+        "physics with the plant's values, or pid",
     )
     height: float = key(1.5, "height of take-off", unit="m", above=0)
     climb: float = key(0.8, "speed of take-off", unit="m/s", above=0, high=3)

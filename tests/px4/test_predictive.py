@@ -70,11 +70,11 @@ def test_a_state_is_carried_forward_over_the_delay_by_what_was_asked_for(control
 
 
 def test_a_machine_that_follows_late_is_held_in_its_place() -> None:
-    path = shapes.hover(duration=2.0, height=1.0)
+    path = shapes.hover(duration=1.0, height=1.0)
     known = make_plant_system("quadrotor", declared_only=True)
     mpc = Controller(
         known,
-        problem=ProblemOptions(horizon=0.4, steps=4),
+        problem=ProblemOptions(horizon=0.4, steps=3),
         solver=SolverOptions(compile="off", iterations=1),
     )
     report = fly_simulated(
@@ -82,7 +82,7 @@ def test_a_machine_that_follows_late_is_held_in_its_place() -> None:
         PredictiveController(mpc, Reference(path)),
         PathPoints(path),
         seed=0,
-        period=0.05,
+        period=0.1,
         options=FlightOptions(height=1.0, climb=1.2, hold=0.3, idle=0.4, spool=0.4),
     )
     assert report.outcome.tracked

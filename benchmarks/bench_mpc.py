@@ -100,12 +100,12 @@ class Peer:
     def _step(ca: Any, p: Predictor, z: Any, u: Any) -> Any:
         values = {k: float(v) for k, (v, _) in p.system.declared_parameters().items()}
         mix = np.array(type(p.system).mixing)  # type: ignore[attr-defined]
-        if p.system.nz != 13 or type(p._step).__name__ != "_Euler":
-            raise SystemExit("the peer knows models without memory, stepped by Euler")
+        if p.system.nz != 13 or type(p._step).__name__ != "Turning":
+            raise SystemExit("the peer knows models of multirotors without memory")
         v, (w, x, y, q), omega = z[3:6], (z[i] for i in range(6, 10)), z[10:13]
         r = ca.vertcat(x, y, q)
 
-        def rotate(vector: Any, sign: float) -> Any:
+        def rotate(vector: Any, sign: float, w: Any = w, r: Any = r) -> Any:
             s = 2 * ca.cross(r, vector)
             return vector + sign * w * s + ca.cross(r, s)
 
@@ -129,10 +129,14 @@ class Peer:
                 h = h * p._learned._residual_scale[port]
                 force = force + h if port == "body_force" else force
                 angular = angular + h if port == "body_moment" else angular
-        rate = ca.vertcat(-r.T @ omega, w * omega + ca.cross(r, omega)) / 2
-        acceleration = rotate(force, 1.0) + np.array([0, 0, -9.81])
-        after = z + p.dt * ca.vertcat(v, acceleration, rate, angular)
-        return ca.vertcat(after[:6], after[6:10] / ca.norm_2(after[6:10]), after[10:])
+        middle = omega + p.dt / 2 * angular
+        turned = z[6:10] + p.dt / 2 * ca.vertcat(-r.T @ middle, w * middle + ca.cross(r, middle))
+        turned = turned / ca.norm_2(turned)
+        gravity = np.array([0, 0, -9.81])
+        first = rotate(force, 1.0) + gravity
+        later = rotate(force, 1.0, turned[0], turned[1:]) + gravity
+        position = z[:3] + p.dt * v + p.dt**2 / 6 * (2 * first + later)
+        return ca.vertcat(position, v + p.dt / 2 * (first + later), turned, omega + p.dt * angular)
 
     def solve(self, problem: Problem, row: int, start: np.ndarray) -> tuple[float, float, bool, np.ndarray]:
         """Cost, seconds, success and inputs (K, 6) of one problem."""

@@ -638,7 +638,7 @@ class MpcConfig:
         low=0,
     )
     force_time: float = key(
-        0.0, "time constant of the push that is learned in flight, on the force; 0: none", unit="s", low=0
+        0.5, "time constant of the push that is learned in flight, on the force; 0: none", unit="s", low=0
     )
     moment_time: float = key(0.0, "the same on the moment", unit="s", low=0)
     keep: float = key(

@@ -7,7 +7,7 @@ import torch
 
 from nsde_torch.control.predictor import Predictor
 from nsde_torch.errors import ConfigError
-from nsde_torch.models import EnsembleSpec, GaussianEnsemble, NeuralSDE
+from nsde_torch.models import EnsembleSpec, GaussianEnsemble, NeuralSDE, SDESpec
 from nsde_torch.systems import Hexacopter, System
 
 
@@ -18,14 +18,37 @@ def _rows(n: int) -> tuple[torch.Tensor, torch.Tensor]:
     return x, torch.rand(n, 6, generator=g, dtype=torch.float64)
 
 
-@pytest.mark.parametrize("rows", [5, 200])
-def test_a_step_is_the_models_euler_step_without_noise(model: NeuralSDE, rows: int) -> None:
-    x, u = _rows(rows)
-    predictor = Predictor(model, dt=0.05, dtype=torch.float64)
-    rate = model.double().drift(0.0, x, u)
-    model.float()
-    wanted = predictor.system.project(x + 0.05 * rate)
-    assert torch.allclose(predictor(x, u, torch.zeros(rows, 6).double()), wanted, atol=2e-6)
+def _error(system: System, dt: float) -> tuple[float, float]:
+    """Largest error of position, velocity and attitude after a step and after Euler's, by the method of order four."""
+    x, u = _rows(20)
+    u = 0.4 + 0.05 * u
+    z = system.double().augment(x, u)
+    none = torch.zeros(20, 6).double()
+    exact = Predictor(system, dt=dt, dtype=torch.float64)
+    drift = exact.drift(z, u, none)
+    k2 = exact.drift(z + 0.5 * dt * drift, u, none)
+    k3 = exact.drift(z + 0.5 * dt * k2, u, none)
+    k4 = exact.drift(z + dt * k3, u, none)
+    wanted = system.project(z + dt / 6.0 * (drift + 2.0 * (k2 + k3) + k4))
+    step, euler = exact(z, u, none), system.project(z + dt * drift)
+    return tuple(float((out - wanted)[:, :10].abs().max()) for out in (step, euler))  # type: ignore[return-value]
+
+
+def test_a_step_of_a_multirotor_is_of_second_order_where_eulers_is_of_first(declared: System) -> None:
+    large, first = _error(declared, 0.02)
+    small, second = _error(declared, 0.01)
+    assert small < 0.15 * large  # errors of one step: h^3 and h^2
+    assert second > 0.2 * first
+    assert large < 0.1 * first
+
+
+def test_a_model_that_is_none_but_networks_takes_its_own_step() -> None:
+    spec = SDESpec("hexacopter", kind="blackbox_nsde", dt=0.05, horizon=20, step="milstein", physics=False)
+    made = NeuralSDE(spec, generator=torch.Generator().manual_seed(0))
+    x, u = _rows(5)
+    predictor = Predictor(made, dt=0.05, dtype=torch.float64)
+    wanted = predictor.system.project(x + 0.05 * predictor.drift(x, u, torch.zeros(5, 0).double()))
+    assert torch.equal(predictor(x, u, torch.zeros(5, 0).double()), wanted)
 
 
 def test_steps_are_in_physical_seconds_whatever_the_clock_of_the_log(model: NeuralSDE) -> None:

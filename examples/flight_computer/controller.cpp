@@ -95,6 +95,7 @@ struct Controller::Loaded {
     double left = 0.0, tolerance = 0.0;
 
     Tensors call(const char* name, const Tensors& arguments) {
+        [[maybe_unused]] static thread_local const bool alone = (at::set_num_threads(1), true);  // counted by thread
         c10::InferenceMode guard;
         if (!script) return std::strcmp(name, "step") == 0 ? step(arguments) : stages.at(name)->run(arguments);
         // to specialise a graph at its first calls takes a second and makes it no faster
@@ -146,7 +147,6 @@ struct Controller::Loaded {
 Controller::~Controller() = default;
 
 Controller::Controller(const std::string& file) : loaded_(std::make_unique<Loaded>()) {
-    at::set_num_threads(1);
     Json record = checked(file);
     const Json& s = record.at("sizes");
     auto size = [&](const char* name) { return static_cast<int>(s.at(name).number); };

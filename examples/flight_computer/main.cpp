@@ -287,14 +287,13 @@ void run(const Options& o) {
         job.last = commands.back();
         job.time = now;
         job.hold = k == o.late;
-        const bool given = solver.give(job);
+        solver.give(job);  // not taken while the one before is not done
         std::optional<Clock::time_point> until;
         if (realtime || k == o.late) until = tick + std::chrono::duration_cast<Clock::duration>(std::chrono::duration<double>(deadline));
         if (auto result = solver.wait(until)) {
             solves.push_back(result->milliseconds);
             newest = std::move(result);
         }
-        (void)given;
 
         Numbers inputs = c.hover, rates(3, 0.0);
         double thrust = 0.0;

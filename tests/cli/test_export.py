@@ -37,14 +37,14 @@ def _elsewhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None
 def test_a_file_is_written_once_and_verified(file: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["export", "run=declared", f"out={file}", *MPC]) == 2
     assert "is there already" in capsys.readouterr().err
-    words = ["verify", str(file), "run=declared", "states=60", "adversarial=100", "out=found.json"]
+    words = ["verify", str(file), "run=declared", "states=30", "adversarial=60", "out=found.json"]
     assert main(words) == 0
     printed = capsys.readouterr().out
     assert "passed" in printed
     assert "0 answers not finite" in printed
     found = json.loads(Path("found.json").read_text())
     assert found["passed"]
-    assert found["states"] == 60
+    assert found["states"] == 30
     assert found["step_ms"]["p99"] > 0.0
 
 
@@ -62,7 +62,7 @@ def test_a_file_of_another_model_is_not_verified(file: Path, capsys: pytest.Capt
 def test_a_file_flies_as_the_controller_that_it_was_made_of(
     file: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    words = ["duration=1.2", "mpc.compile=off", "mpc.period=0.04", *MPC]
+    words = ["duration=0.8", "mpc.compile=off", "mpc.period=0.04", *MPC]
     assert main(["track", f"controller={file}", "beside=[declared]", "out_dir=out", *words]) == 0
     found = json.loads(Path("out/tracking.json").read_text())["controllers"]
     ours, theirs = found["MPC, controller.ts"], found["MPC, declared physics"]
@@ -70,7 +70,10 @@ def test_a_file_flies_as_the_controller_that_it_was_made_of(
     assert ours["rmse_m"] == pytest.approx(theirs["rmse_m"], rel=0.02)
     assert main(["track", f"controller={file}", "machines=2", "at_once=2", "out_dir=two", *words]) == 2
     assert "one machine at a time" in capsys.readouterr().err
-    assert main(["verify", str(file), "run=declared", "log=out/log/flight_0.csv", "adversarial=0"]) == 0
+    assert (
+        main(["verify", str(file), "run=declared", "log=out/log/flight_0.csv", "states=10", "adversarial=0"])
+        == 0
+    )
 
 
 @pytest.mark.slow

@@ -15,15 +15,12 @@ from nsde_torch.systems import System
 from tests.helpers.exported import flight, small_controller, step_of
 
 
-@pytest.mark.parametrize("form", ["as it is", "graphs"])
-def test_sample_after_sample_the_step_does_what_the_controller_does(
-    form: str, model: NeuralSDE, path: Reference
+def test_sample_after_sample_graphs_of_the_step_do_what_the_controller_does(
+    model: NeuralSDE, path: Reference
 ) -> None:
     controller = small_controller(model)
     step = step_of(controller, model)
-    stages = step.stages
-    if form == "graphs":
-        stages = {name: graph_of(stages[name], e) for name, e in step.examples().items()}
+    stages = {name: graph_of(step.stage(name), e) for name, e in step.examples().items()}
     words = set()
     for arguments, plan in flight(controller, path):
         out = step.run(stages, *arguments)

@@ -32,6 +32,8 @@ from nsde_torch.systems.parameters import own_name
 _BOX_S = 0.01
 _SHAPES = 6  # dependences that are described in words
 
+_SHORT = "shorter than a step of the log: taken into account, and not named"
+
 TWINS = {"thrust_misalignment": ("frame_misalignment",), "constant_force": ("sensor_bias",)}
 """Faults of the recording chain that no data of the log can tell from an effect."""
 
@@ -123,6 +125,10 @@ class Diagnosis:
             "added": self.added,
             "summary": summary(self),
             "findings": self._findings(),
+            "aside": [
+                {"effect": n, "sentence": self._class(n).sentence.format(**self._told(n)), "reason": _SHORT}
+                for n in o.aside
+            ],
             "ranking": ranking(o),
             "ties": self._ties(),
             "not_shown": self._not_shown(),
@@ -193,6 +199,17 @@ class Diagnosis:
             for f in self.outcome.found
         ]
         return [*faults, *effects]
+
+    def _told(self, name: str) -> dict[str, str]:
+        """Values of an effect with their units, by parameter."""
+        told: dict[str, list[str]] = {}
+        units: dict[str, str] = {}
+        vector, theta = self.outcome.final.regression.vector, self.outcome.final.regression.theta
+        for j in vector.of(name):
+            key = own_name(vector.labels[j])
+            told.setdefault(key, []).append(f"{theta[j]:.3g}")
+            units[key] = "" if vector.units[j] == "1" else f" {vector.units[j]}"
+        return {key: ", ".join(values) + units[key] for key, values in told.items()}
 
     def _class(self, name: str) -> type[Effect]:
         return next(type(e) for e in self.outcome.system.effects if isinstance(e, Effect) and e.name == name)

@@ -3,6 +3,9 @@
 An effect that was added first may have stood in for two that came later: at the end each is left out in turn, dropped
 if it is no longer needed, and compared with every other candidate in its place. Candidates whose evidence differs
 from the chosen one's by less than two standard errors are a tie.
+
+A time shorter than a step of the log (inputs that act a millisecond late) is nothing that data can name, but left out
+it makes other effects look likely. Where it explains more than any of them, it joins what is declared.
 """
 
 from collections.abc import Sequence
@@ -75,6 +78,7 @@ class Outcome:
         declared_variables, variables: What the residuals without and with the effects may depend on.
         before, after: What the residual depends on without and with the effects, all tests.
         structured: The tests that are left over after correction for their number.
+        aside: Effects that joined what is declared because they are shorter than a step.
     """
 
     verdict: Verdict
@@ -87,6 +91,7 @@ class Outcome:
     before: list[Dependence]
     after: list[Dependence]
     structured: list[Dependence] = field(default_factory=list)
+    aside: tuple[str, ...] = ()
 
     @property
     def system(self) -> System:
@@ -112,14 +117,29 @@ def loop(search: Search, system: System, *, max_effects: int) -> Outcome:
     """
     search.say("fitting the declared physics", 0, 1)
     declared = base = search.base(system)
-    declared_variables = regressors(base.regression)
-    before = dependences(base.regression, declared_variables)
     rounds: list[Round] = []
     names: list[str] = []
+    aside: list[str] = []
+    lent: set[str] = set()
     while len(names) < max_effects:
         now = search.look(base)
+        short = search.fraction(now.trials)
+        if short is not None:
+            aside.append(short.name)
+            base = search.base(fitted_system(short.regression), warm=True)
+            declared = (
+                search.base(_with(declared.system, base.system, short.name), warm=True) if names else base
+            )
+            continue
+        chosen = _choice(search, now.trials, names)
+        if chosen is not None and chosen.name not in lent:
+            lent.add(chosen.name)
+            better = _lent(search, base, chosen, names)
+            if better is not None:
+                base = better
+                continue
         rounds.append(now)
-        now.chosen = _choice(search, now.trials, names)
+        now.chosen = chosen
         if now.chosen is None:
             break
         replaced = effect_class(now.chosen.name).includes
@@ -127,6 +147,8 @@ def loop(search: Search, system: System, *, max_effects: int) -> Outcome:
         search.held |= set(now.chosen.held)
         base = search.base(fitted_system(now.chosen.regression), warm=True)
     found, base = _settle(search, declared, base, names, rounds)
+    declared_variables = regressors(declared.regression)
+    before = dependences(declared.regression, declared_variables)
     variables = regressors(base.regression) if found else declared_variables
     after = dependences(base.regression, variables) if found else before
     left = [d for d in after if d.p * len(after) < search.alpha]
@@ -137,7 +159,27 @@ def loop(search: Search, system: System, *, max_effects: int) -> Outcome:
     else:
         verdict = "unexplained" if rest > explained else "effect_found"
     found = [replace(f, lead=_lead(f, found, rest > _LEAD * explained)) for f in found]
-    return Outcome(verdict, declared, base, found, rounds, declared_variables, variables, before, after, left)
+    tests = (declared_variables, variables, before, after, left)
+    return Outcome(verdict, declared, base, found, rounds, *tests, aside=tuple(aside))
+
+
+def _with(system: System, other: System, name: str) -> System:
+    """The system with an effect that another one has."""
+    return system.with_effects(*(e for e in other.effects if e.name == name))  # type: ignore[arg-type]
+
+
+def _lent(search: Search, base: Base, chosen: Trial, names: Sequence[str]) -> Base | None:
+    """The physics whose effects, which `chosen` contains, are fitted from its shapes; None if that is no better.
+
+    What contains an effect may seem better only because the effect was stuck beside its own optimum.
+    """
+    best = base
+    for name in effect_class(chosen.name).includes:
+        if name in names:
+            other = search.reshaped(base, name, chosen)
+            if other.score.fitted > best.score.fitted + _FEWER:
+                best = other
+    return None if best is base else best
 
 
 def _lead(f: Found, found: Sequence[Found], structured: bool) -> str:
@@ -185,14 +227,15 @@ def _settle(
     while i < len(names):
         name = names[i]
         without = search.base(_without(fitted_system(base.regression), declared.system, name), warm=True)
-        now = search.look(without, only={name, *_rivals(search, name, rounds)})
+        contained = effect_class(name).includes
+        now = search.look(without, only={name, *contained, *_rivals(search, name, rounds)})
         own = next((t for t in now.trials if t.name == name), None)
         if own is None or not search.accept(own):
             names.pop(i)  # the others explain it
             base, found, i = without, [], 0
             continue
         best = next(t for t in now.trials if search.accept(t))
-        if best.name != name and surely_above(best, own):
+        if best.name != name and (best.name in contained or surely_above(best, own)):
             names[i] = best.name
             base, found, i = search.base(fitted_system(best.regression), warm=True), [], 0
             if names.count(best.name) > 1 or len(rounds) > 12:

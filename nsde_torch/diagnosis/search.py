@@ -157,6 +157,17 @@ def fitted_system(regression: Regression) -> System:
     return out
 
 
+def _effect(system: System, name: str) -> Effect:
+    return next(e for e in system.effects if isinstance(e, Effect) and e.name == name)
+
+
+def _values(effect: Effect) -> dict[str, float | list[float]]:
+    return {
+        key: value.tolist() if value.numel() > 1 else float(value)
+        for key, (value, _) in effect.declared_parameters().items()
+    }
+
+
 def shapes(regression: Regression) -> NDArray[np.bool_]:
     """Parameters that say where or how fast an effect sets in, not how strong it is (k,)."""
     out = np.zeros(len(regression.vector), dtype=bool)
@@ -317,13 +328,17 @@ class Search:
             assert isinstance(effect, Effect)
             if effect.name not in cls.includes:
                 continue
-            lent = {
-                key: value.tolist() if value.numel() > 1 else float(value)
-                for key, (value, _) in effect.declared_parameters().items()
-                if key in cls.shapes
-            }
+            lent = {key: value for key, value in _values(effect).items() if key in cls.shapes}
             starts += [{**start, **lent} for start in starts] if lent else []
         return starts
+
+    def reshaped(self, base: Base, name: str, like: Trial) -> Base:
+        """The physics with one of its effects fitted again from the shapes that another one of its kind has found."""
+        system = base.system
+        own, other = (_effect(s, n) for s, n in ((system, name), (fitted_system(like.regression), like.name)))
+        lent = {k: v for k, v in _values(other).items() if k in type(own).shapes}
+        start = {**_values(own), **lent}
+        return self.base(self._joined(system.without_effects(name), name, start), warm=True)
 
     def _joined(self, system: System, name: str, start: Start) -> System:
         """The system with a candidate, without what the candidate contains."""
@@ -398,27 +413,36 @@ class Search:
         """How many starts the best of which was taken: frequencies of the spectrum, or shapes, each for every input."""
         if _swings(name):
             return max(1.0, 0.5 * max(b - a for a, b in self.steps.segments))
-        return float(prod(len(grid) for grid in effect_class(name).shapes.values()) * len(alone(name, labels)))
+        return float(
+            prod(len(grid) for grid in effect_class(name).shapes.values()) * len(alone(name, labels))
+        )
 
     def accept(self, trial: Trial) -> bool:
         """Whether a candidate is there, as far as chance goes and the step of the data can tell."""
-        return trial.p_corrected < self.alpha and trial.gain > 0 and self._resolved(trial)
+        return self._sure(trial) and not self._short(trial) and self._swings_back(trial)
 
-    def _resolved(self, trial: Trial) -> bool:
-        """Whether a time is no mere fraction of a step, and a swing comes back within a run.
+    def fraction(self, trials: Sequence[Trial]) -> Trial | None:
+        """The candidate that explains most, if it is a time shorter than a step: there, but nothing to name."""
+        sure = [t for t in trials if self._sure(t) and self._swings_back(t)]
+        best = max(sure, key=lambda t: t.gain, default=None)
+        return best if best is not None and self._short(best) else None
 
-        Below a step, how inputs are held between samples decides; what swings more slowly than a run is long is no
-        swing.
-        """
+    def _sure(self, trial: Trial) -> bool:
+        return trial.p_corrected < self.alpha and trial.gain > 0
+
+    def _short(self, trial: Trial) -> bool:
+        """Whether a time is a mere fraction of a step: below one, how inputs are held between samples decides."""
+        vector, theta = trial.regression.vector, trial.regression.theta
+        own = range(len(vector))[trial.own]
+        times = [j for j in own if vector.moves_memory[j] and vector.units[j] == "s"]
+        return any(theta[j] < _RESOLVED * self.steps.dt for j in times)
+
+    def _swings_back(self, trial: Trial) -> bool:
+        """Whether a swing comes back within a run; what is slower than a run is long is no swing."""
         vector, theta = trial.regression.vector, trial.regression.theta
         longest = max(b - a for a, b in self.steps.segments) * self.steps.dt
         swings = [j for j in range(len(vector))[trial.own] if vector.units[j] == "Hz"]
-        if any(theta[j] * longest < SWINGS for j in swings):
-            return False
-        times = [
-            j for j in range(len(vector))[trial.own] if vector.moves_memory[j] and vector.units[j] == "s"
-        ]
-        return all(theta[j] >= _RESOLVED * self.steps.dt for j in times)
+        return all(theta[j] * longest >= SWINGS for j in swings)
 
     # ---- pieces ---------------------------------------------------------------------------------------
 

@@ -22,6 +22,7 @@ def lines(content: Mapping[str, Any]) -> list[str]:
                 out.append(
                     f"  cannot be told from {', '.join(tie['effects'][1:])}. To tell: {tie['experiment']}."
                 )
+    out += [line for a in content["aside"] for line in ("", f"{a['sentence']} This is {a['reason']}.")]
     if content["parameters"]:
         rows = [
             [name, number(p["value"]), interval(p["interval_90"]), p["unit"]]

@@ -121,3 +121,16 @@ def test_a_machine_at_rest_shows_nothing_and_the_diagnosis_says_so() -> None:
     assert "could not show" in content["summary"]
     never = {n["effect"] for n in content["not_shown"] if n["smallest"] is None}
     assert {"input_delay", "cubic_stiffness", "quadratic_damping"} <= never
+
+
+@pytest.mark.parametrize(
+    "beside", [{}, {"cart_coulomb_friction": {"size": 0.4}}], ids=["alone", "beside friction"]
+)
+def test_inputs_that_act_a_fraction_of_a_step_late_are_taken_into_account_and_not_named(
+    beside: dict[str, Any],
+) -> None:
+    late = {"input_delay": {"delay": 0.003}}
+    _, content = diagnosed("cartpole", late, *([beside] if beside else []), sensor_noise=0.3)
+    assert content["added"] == list(beside)
+    assert [a["effect"] for a in content["aside"]] == ["input_delay"]
+    assert "0.003" in content["aside"][0]["sentence"] or "0.0029" in content["aside"][0]["sentence"]

@@ -62,7 +62,7 @@ def vehicles(monkeypatch: pytest.MonkeyPatch) -> list[dict[str, Any]]:
         (["run=pid", "limits.throttle=[0.9,0.1]"], "`limits.throttle` takes"),
         (["run=pid", "rate=20"], "from 50 to 250"),
         (["run=pid", "link.system=400"], "from 1 to 250"),
-        (["run=declared", "mpc.force_time=0.5"], "`mpc.force_time` is of `nsde track`"),
+        (["run=declared", "mpc.moment_time=0.5"], "`mpc.moment_time` is of `nsde track`"),
         (["run=declared", "system.effects=nope.yaml"], "no file 'nope.yaml'"),
         (["run=declared", "system.effects=[linear_drg]"], "linear_drag"),
         (["run=pid", "-m", "rate=50,60"], "has no sweeps"),

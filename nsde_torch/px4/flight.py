@@ -208,7 +208,8 @@ def fly(
         if book is not None:
             stack.enter_context(book)
         stack.enter_context(_undisturbed())
-        stack.enter_context(_signals(flight.stop))
+        if link.live:
+            stack.enter_context(_signals(flight.stop))
         try:
             _loop(link, flight, recorder, 1.0 / rate, watch)
         except BaseException:

@@ -25,9 +25,11 @@ class Connection(ABC):
 
     Attributes:
         endpoint: Says and hears.
+        live: Whether something flies that must be landed when it is asked to stop.
     """
 
     endpoint: Endpoint
+    live: bool = True
 
     @abstractmethod
     def now(self) -> float:

@@ -29,6 +29,8 @@ class VirtualLink(Connection):
         latency: Of messages, in each direction [s].
     """
 
+    live = False  # Ctrl-C ends the program, not the flight
+
     def __init__(
         self, autopilot: SimulatedAutopilot, *, key: bytes | None = None, latency: float = 0.0
     ) -> None:

@@ -99,8 +99,8 @@ def test_the_flight_computer_is_built_and_flies_a_recorded_log(
         return subprocess.run([*program, *words], capture_output=True, text=True, check=False)
 
     log = Path("log.csv")
-    rows = Path("reference.csv").read_text().splitlines()[:200]
-    rows[120] = ",".join(["1.19", *("nan",) * 13])
+    rows = Path("reference.csv").read_text().splitlines()[:201]
+    rows[121] = ",".join(["1.2", *("nan",) * 13])
     log.write_text("\n".join(rows) + "\n")
     done = fly("--controller", str(file), "--log", str(log), "--out", "inputs.csv", "--make-late", "20")
     assert done.returncode == 0, done.stderr
@@ -110,6 +110,7 @@ def test_the_flight_computer_is_built_and_flies_a_recorded_log(
     inputs = torch.tensor([[float(row[f"u_{i}"]) for i in range(1, 7)] for row in table])
     assert bool(((inputs >= 0.0) & (inputs <= 1.0)).all())
     assert table[20]["source"] == "late"
+    assert table[60]["status"] == "bad_state:kept"
     assert table[-1]["source"] == "plan"
     assert {row["status"] for row in table} & {"converged", "improved"}
     broken = Path("broken.ts")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -61,14 +62,19 @@ class Plan:
         return self.time + self.dt * len(self.demands)
 
 
+Asked = Sequence[tuple[float, Demand]]
+"""What was sent lately, and when it left [s], the oldest first."""
+
+
 class Controller(Protocol):
     """A callable with the state's row of 13 numbers, the time that it is valid for, and the time in the reference."""
 
-    def __call__(self, row: tuple[float, ...], time: float, t: float) -> Plan:
+    def __call__(self, row: tuple[float, ...], time: float, t: float, asked: Asked = ()) -> Plan:
         """Plan.
 
         Args:
             row: State, ENU and FLU.
             time: When it was valid, on our clock [s].
             t: The same time counted from the start of the reference [s].
+            asked: What was sent lately, as it left.
         """

@@ -8,6 +8,7 @@ again: the vehicle is the operator's or PX4's. Landing is PX4's own LAND mode, w
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from enum import Enum
@@ -47,6 +48,9 @@ class Phase(Enum):
     WATCH = "watch"
     DONE = "done"
 
+
+REMEMBERED = 0.3
+"""Time for which a controller is told what was sent [s]."""
 
 FLYING = (Phase.TAKEOFF, Phase.HOLD, Phase.TRACK, Phase.RETURN, Phase.SAFE_HOLD)
 """Phases in which we fly the vehicle and it must be in OFFBOARD."""
@@ -143,6 +147,7 @@ class Offboard:
         self.home: Vec | None = None
         self.hover = HoverThrottle(0.5)
         self.sent: tuple[float, Vec, float] | None = None
+        self._left: deque[tuple[float, Demand]] = deque()
         self.started: float | None = None
         self.streaming = False
         self._say = say
@@ -358,7 +363,7 @@ class Offboard:
         if (
             distance(state.p, goal) < 0.5
         ):  # integrals and the like of the controller should not grow on the way
-            self.runner.offer(self._own(state), state.time, 0.0)
+            self.runner.offer(self._own(state), state.time, 0.0, tuple(self._left))
         self.runner.collect()
         ready = self.runner.plan is not None and self._now - self.runner.plan.time < self.limits.solver
         there = distance(state.p, goal) < 0.25 and length(state.v) < 0.3 and at == goal and yaw == start.yaw
@@ -377,7 +382,7 @@ class Offboard:
         if state is None or self.started is None:
             return
         t = self._now - self.started
-        self.runner.offer(self._own(state), state.time, state.time - self.started)
+        self.runner.offer(self._own(state), state.time, state.time - self.started, tuple(self._left))
         self.runner.collect()
         plan = self.runner.plan
         if self.runner.fault is not None:
@@ -618,3 +623,6 @@ class Offboard:
         self.endpoint.send_rates(w, throttle, self._now)
         self.hover.sent(self._now, throttle)
         self.sent = (self._now, w, throttle)
+        self._left.append((self._now, Demand(w, self.hover.thrust(throttle))))
+        while self._left[0][0] < self._now - REMEMBERED:
+            self._left.popleft()

@@ -8,7 +8,7 @@ import numpy as np
 
 from nsde_torch.control.reference import FlightPath
 from nsde_torch.px4.cascade import Cascade, CascadeGains, Point
-from nsde_torch.px4.controller import Demand, Plan
+from nsde_torch.px4.controller import Asked, Demand, Plan
 from nsde_torch.px4.vectors import Vec
 
 PAUSE = 0.5
@@ -56,7 +56,7 @@ class CascadeController:
         self._path, self._cascade, self._lead = path, Cascade(gains), lead
         self._last: float | None = None
 
-    def __call__(self, row: tuple[float, ...], time: float, t: float) -> Plan:
+    def __call__(self, row: tuple[float, ...], time: float, t: float, asked: Asked = ()) -> Plan:
         """See `Controller`."""
         dt = 0.0 if self._last is None else time - self._last
         if abs(dt) > PAUSE:

@@ -13,7 +13,7 @@ reference, p_ref + trim with trim' = (p_ref - p) / T.
 from __future__ import annotations
 
 import time as clock
-from collections import deque
+from bisect import bisect_right
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -32,15 +32,13 @@ from nsde_torch.errors import ConfigError
 from nsde_torch.export.exported import ExportedController
 from nsde_torch.plants.machines import Effects, named_effects
 from nsde_torch.px4.cascade import GRAVITY
-from nsde_torch.px4.controller import Demand, Plan
+from nsde_torch.px4.controller import Asked, Demand, Plan
 from nsde_torch.px4.path import PAUSE
 from nsde_torch.px4.vectors import Vec, rotate, turned_by_rates
 from nsde_torch.systems import Multirotor
 
 DELAY, LEAD = 0.08, 0.05
 """Measured best on the simulated machines [s]."""
-TAKEN = 0.02
-"""Age of a state when its plan is there, about [s]."""
 STEP = 0.01
 TRIM_TIME, TRIM_LIMIT = 3.0, 0.3
 """Time constant [s] and largest size [m] of the trim."""
@@ -84,7 +82,6 @@ class PredictiveController:
             raise ConfigError(f"PX4 flies multirotors; the model is of a {system.name!r}.")
         self.controller, self.reference = controller, reference
         self._delay, self._lead = delay, lead
-        self._asked: deque[tuple[float, Plan]] = deque()
         self._system = system
         self._last: tuple[float, MotorPlan] | None = None
         self._trim = torch.zeros(3, dtype=torch.float64)
@@ -92,11 +89,10 @@ class PredictiveController:
     def reset(self) -> None:
         """Forget the last flight."""
         self._last = None
-        self._asked.clear()
         self._trim = torch.zeros(3, dtype=torch.float64)
 
     @torch.no_grad()
-    def __call__(self, row: tuple[float, ...], time: float, t: float) -> Plan:
+    def __call__(self, row: tuple[float, ...], time: float, t: float, asked: Asked = ()) -> Plan:
         """See `Controller`."""
         started = clock.perf_counter()
         c, o = self.controller, self.controller.options
@@ -112,40 +108,30 @@ class PredictiveController:
             self._trim = self._trim.clamp(-TRIM_LIMIT, TRIM_LIMIT)
         window[:, :3] += self._trim
         before = None if self._last is None else self._last[1]
-        x = torch.tensor([self._ahead(row, time)], dtype=torch.float64)
+        x = torch.tensor([self._ahead(row, time, asked)], dtype=torch.float64)
         plan = c.plan(x, window[None], before, elapsed=elapsed)
         self._last = (time, plan)
         status = f"{plan.status[0]}: failed" if plan.status[0].endswith(HOVER) else plan.status[0]
         took = 1e3 * (clock.perf_counter() - started)
-        made = Plan(time, plan.dt, self._demands(plan), status, took)
-        self._asked.append((time, made))
-        while len(self._asked) > 1 and self._asked[1][0] < time - self._delay - 2 * TAKEN:
-            self._asked.popleft()
-        return made
+        return Plan(time, plan.dt, self._demands(plan), status, took)
 
     def _demands(self, plan: MotorPlan) -> tuple[Demand, ...]:
         rates, thrust = (one[0].tolist() for one in setpoints(plan, self._system, ahead=self._lead))
         return tuple(Demand((w[0], w[1], w[2]), a) for w, a in zip(rates, thrust, strict=True))
 
-    def _demanded(self, time: float) -> Demand | None:
-        """What was asked for at a time, by the newest plan that was there."""
-        for made, plan in reversed(self._asked):
-            if made + TAKEN <= time:
-                return plan.at(time)
-        return None
-
-    def _ahead(self, row: tuple[float, ...], time: float) -> tuple[float, ...]:
-        """The state a delay later."""
+    def _ahead(self, row: tuple[float, ...], time: float, asked: Asked) -> tuple[float, ...]:
+        """The state a delay later, by what was asked for a delay before."""
         p, v, q = row[0:3], row[3:6], row[6:10]
         w: Vec = (row[10], row[11], row[12])
         steps = max(round(self._delay / STEP), 1)
         dt = self._delay / steps
+        times = [left for left, _ in asked]
         for k in range(steps):
-            asked = self._demanded(time - self._delay + (k + 0.5) * dt)
-            # before anything is asked for it is kept hovering by whoever flies it
-            push = rotate(q, (0.0, 0.0, asked.thrust)) if asked is not None else (0.0, 0.0, GRAVITY)  # type: ignore[arg-type]
-            if asked is not None:
-                w = asked.w
+            newest = bisect_right(times, time - self._delay + (k + 0.5) * dt) - 1
+            thrust = GRAVITY  # where nothing is known it hovers
+            if newest >= 0:
+                w, thrust = asked[newest][1].w, asked[newest][1].thrust
+            push = rotate(q, (0.0, 0.0, thrust))  # type: ignore[arg-type]
             a = (push[0], push[1], push[2] - GRAVITY)
             p = tuple(pi + dt * vi + 0.5 * dt * dt * ai for pi, vi, ai in zip(p, v, a, strict=True))
             v = tuple(vi + dt * ai for vi, ai in zip(v, a, strict=True))

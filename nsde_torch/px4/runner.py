@@ -21,7 +21,7 @@ from multiprocessing.connection import Connection
 from typing import final
 
 from nsde_torch.errors import NsdeError
-from nsde_torch.px4.controller import Controller, Plan
+from nsde_torch.px4.controller import Asked, Controller, Plan
 from nsde_torch.px4.vectors import finite
 
 Say = Callable[[str], None]
@@ -47,7 +47,7 @@ class Runner(ABC):
     ready: bool = False
 
     @abstractmethod
-    def offer(self, row: tuple[float, ...], time: float, t: float) -> None:
+    def offer(self, row: tuple[float, ...], time: float, t: float, asked: Asked = ()) -> None:
         """A new state (see `Controller`); it is planned for now, later or not at all."""
 
     def collect(self) -> None:  # noqa: B027
@@ -89,7 +89,7 @@ class Inline(Runner):
         self._period, self._offered = period, -inf
         self._delay, self._made = delay, deque[tuple[float, Plan]]()
 
-    def offer(self, row: tuple[float, ...], time: float, t: float) -> None:
+    def offer(self, row: tuple[float, ...], time: float, t: float, asked: Asked = ()) -> None:
         """See `Runner.offer`."""
         if self.fault is not None:
             return
@@ -99,7 +99,7 @@ class Inline(Runner):
             return
         self._offered = time
         try:
-            plan = self._controller(row, time, t)
+            plan = self._controller(row, time, t, asked)
             if self._delay > 0.0:
                 self._made.append((time, plan))
             else:
@@ -132,13 +132,13 @@ class Process(Runner):
         """Its process id."""
         return self._process.pid
 
-    def offer(self, row: tuple[float, ...], time: float, t: float) -> None:
+    def offer(self, row: tuple[float, ...], time: float, t: float, asked: Asked = ()) -> None:
         """See `Runner.offer`."""
         # a state that is a fraction of a millisecond early is not left for the next tick
         if self._busy or self.fault is not None or 0.0 <= time - self._offered < self._period - 1e-3:
             return
         try:
-            self._pipe.send((row, time, t))
+            self._pipe.send((row, time, t, tuple(asked)))
             self._busy, self._offered = True, time
         except (OSError, ValueError):
             self.fault = self.fault or "the controller's process is gone"
@@ -188,9 +188,9 @@ def _work(maker: Maker, pipe: Connection) -> None:
         controller = maker(lambda line: pipe.send(_Line(line)))
         pipe.send(None)
         while True:
-            row, stamp, t = pipe.recv()
+            row, stamp, t, asked = pipe.recv()
             started = time.perf_counter()
-            plan = controller(row, stamp, t)
+            plan = controller(row, stamp, t, asked)
             took = 1e3 * (time.perf_counter() - started)
             pipe.send(Plan(plan.time, plan.dt, plan.demands, plan.status, plan.solve_ms or took))
     except (EOFError, BrokenPipeError, ConnectionResetError):

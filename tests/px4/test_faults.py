@@ -8,7 +8,7 @@ import pytest
 
 from nsde_torch.control import shapes
 from nsde_torch.px4 import dialect as d
-from nsde_torch.px4.controller import Demand, Plan
+from nsde_torch.px4.controller import Asked, Demand, Plan
 from nsde_torch.px4.offboard import Phase
 from nsde_torch.px4.path import CascadeController, PathPoints
 from nsde_torch.px4.runner import Inline, Runner
@@ -161,7 +161,7 @@ class _Broken:
     def __init__(self, path: PathPoints, how: Callable[[Plan], Plan], after: float = 1.0) -> None:
         self._good, self._how, self._after = CascadeController(path), how, after
 
-    def __call__(self, row: tuple[float, ...], time: float, t: float) -> Plan:
+    def __call__(self, row: tuple[float, ...], time: float, t: float, asked: Asked = ()) -> Plan:
         plan = self._good(row, time, t)
         return self._how(plan) if t > self._after else plan
 
@@ -218,7 +218,7 @@ class _Dead(Runner):
         self._inner, self._killed, self._after = Inline(CascadeController(path)), killed, after
         self.ready = True
 
-    def offer(self, row: tuple[float, ...], time: float, t: float) -> None:
+    def offer(self, row: tuple[float, ...], time: float, t: float, asked: Asked = ()) -> None:
         if t < self._after:
             self._inner.offer(row, time, t)
             self.plan = self._inner.plan

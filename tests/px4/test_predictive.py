@@ -14,7 +14,7 @@ from nsde_torch.control.reference import Reference
 from nsde_torch.control.solve import SolverOptions
 from nsde_torch.plants import make_plant_system
 from nsde_torch.px4.body import Body
-from nsde_torch.px4.controller import Demand, Plan
+from nsde_torch.px4.controller import Demand
 from nsde_torch.px4.offboard import FlightOptions
 from nsde_torch.px4.path import PathPoints
 from nsde_torch.px4.predictive import PredictiveController
@@ -60,9 +60,11 @@ def test_behind_the_reference_it_pitches_forward_and_below_it_climbs(controller:
 def test_a_state_is_carried_forward_over_the_delay_by_what_was_asked_for(controller: Controller) -> None:
     made = PredictiveController(controller, Reference(shapes.hover()), delay=0.1)
     # free fall was asked for, and turning to the left at half a turn in a second
-    asked = Demand((0.0, 0.0, pi), 0.0)
-    made._asked.append((9.0, Plan(9.0, 1.0, (asked, asked, asked))))
-    row = made._ahead(_row(), 10.0)
+    asked = (
+        (9.85, Demand((0.0, 0.0, pi), 0.0)),
+        (10.0, Demand((9.0, 9.0, 9.0), 99.0)),
+    )  # the last acts later
+    row = made._ahead(_row(), 10.0, asked)
     assert row[2] == pytest.approx(1.5 - 0.5 * 9.81 * 0.1**2)
     assert row[5] == pytest.approx(-0.981)
     assert row[6:10] == pytest.approx((cos(0.05 * pi), 0.0, 0.0, sin(0.05 * pi)))

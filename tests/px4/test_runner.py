@@ -9,13 +9,13 @@ from collections.abc import Callable
 
 import pytest
 
-from nsde_torch.px4.controller import Controller, Demand, Plan
+from nsde_torch.px4.controller import Asked, Controller, Demand, Plan
 from nsde_torch.px4.runner import Process
 
 ROW = (0.0,) * 6 + (1.0,) + (0.0,) * 6
 
 
-def _still(row: tuple[float, ...], time: float, t: float) -> Plan:
+def _still(row: tuple[float, ...], time: float, t: float, asked: Asked = ()) -> Plan:
     return Plan(time, 0.05, (Demand((0.0, 0.0, 0.0), 9.81),))
 
 
@@ -27,7 +27,7 @@ def good(say: Callable[[str], None]) -> Controller:
 def crashing(say: Callable[[str], None]) -> Controller:
     """Makes one that crashes."""
 
-    def crash(row: tuple[float, ...], time: float, t: float) -> Plan:
+    def crash(row: tuple[float, ...], time: float, t: float, asked: Asked = ()) -> Plan:
         raise ValueError("no plan today")
 
     return crash

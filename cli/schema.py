@@ -777,7 +777,7 @@ class ExportConfig:
     overwrite: bool = key(False, "replace a file that is there")
     format: str = key(
         "torchscript",
-        "torchscript: for libtorch on any processor; aoti: machine code for this one, made in minutes",
+        "torchscript: for libtorch on any processor; aoti: machine code for this one (not tried out yet)",
         choices=("torchscript", "aoti"),
     )
     precision: str = key("float32", "arithmetic within", choices=("float32", "float64"))

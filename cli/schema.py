@@ -780,7 +780,7 @@ class ExportConfig:
         "torchscript: for libtorch on any processor; aoti: machine code for this one (not tried out yet)",
         choices=("torchscript", "aoti"),
     )
-    precision: str = key("float32", "arithmetic within", choices=("float32", "float64"))
+    precision: str = key("float64", "arithmetic within", choices=("float32", "float64"))
     sample: float | None = key(
         None, "step of the prediction over the latency; null: the plant's sample", unit="s", above=0
     )

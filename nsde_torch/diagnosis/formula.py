@@ -178,12 +178,13 @@ def chosen(z: Array, rest: Array) -> tuple[list[int], str]:
     unit = z[:, live] / size[live]
     try:
         from pysindy import FROLS
-    except ImportError:
+
+        model = FROLS(max_iter=_TERMS, alpha=1e-10, unbias=False)
+        with warnings.catch_warnings():  # functions that are nearly the same: only their order is of use
+            warnings.simplefilter("ignore", LinAlgWarning)
+            model.fit(unit, rest[:, None])
+    except (ImportError, ValueError):  # not installed, or it refuses functions that depend on each other
         return [int(live[j]) for j in forward(unit, rest, _TERMS)], "forward orthogonal least squares"
-    model = FROLS(max_iter=_TERMS, alpha=1e-10, unbias=False)
-    with warnings.catch_warnings():  # functions that are nearly the same: only their order is of use
-        warnings.simplefilter("ignore", LinAlgWarning)
-        model.fit(unit, rest[:, None])
     order: list[int] = []
     for coefficients in model.history_:
         order += [int(j) for j in np.flatnonzero(coefficients[0]) if int(j) not in order]

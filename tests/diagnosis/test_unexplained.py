@@ -70,3 +70,12 @@ def test_forward_orthogonal_least_squares_finds_the_columns_of_a_sum() -> None:
     order, by = chosen(x, y)
     assert set(order[:2]) == {2, 7}
     assert by in ("pysindy FROLS", "forward orthogonal least squares")
+
+
+def test_functions_that_depend_on_each_other_do_not_end_a_diagnosis() -> None:
+    rng = np.random.default_rng(0)
+    first, second = rng.normal(size=(2, 400))
+    z = np.stack((first, 2.0 * first, first, second), 1)
+    order, _ = chosen(z, first + 0.1 * second)
+    assert order[0] in (0, 1, 2)
+    assert 3 in order

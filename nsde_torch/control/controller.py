@@ -88,6 +88,42 @@ class Plan:
         )
 
 
+def hovering_plan(
+    hover: Tensor,
+    augment: Callable[[Tensor, Tensor], Tensor],
+    nx: int,
+    options: ProblemOptions,
+    *,
+    batch: int,
+) -> Plan:
+    """A plan that hovers, level and at the origin.
+
+    Args:
+        hover: Inputs that hover (nu,).
+        augment: States with memory (N, nz) of states (N, nx) and inputs (N, nu).
+        nx: States.
+        options: Its steps.
+        batch: Rows N.
+    """
+    u = hover.expand(batch, options.steps, -1).contiguous()
+    x = u.new_zeros(batch, nx)
+    x[:, 6] = 1.0
+    z = augment(x, u[:, 0])[:, None, None].repeat(1, options.particles, options.steps + 1, 1)
+    nothing = u.new_full((batch,), torch.inf)
+    return Plan(
+        u=u,
+        x=z[:, 0, :, :nx],
+        cost=nothing,
+        gap=nothing,
+        status=(HOVER,) * batch,
+        solve_ms=0.0,
+        iterations=0,
+        dt=options.dt,
+        age=nothing,
+        z=z,
+    )
+
+
 class Planner(Protocol):
     """What makes plans: a `Controller`, or a file that was made of one."""
 
@@ -186,24 +222,8 @@ class Controller:
 
     def hovering(self) -> Plan:
         """A plan that hovers, level and where it is: what there is before the first solve."""
-        n, k, p = self.batch, self.options.steps, self.options.particles
-        u = self.hover.expand(n, k, -1).contiguous()
-        x = u.new_zeros(n, self.predictor.nx)
-        x[:, 6] = 1.0
-        z = self.predictor.augment(x, u[:, 0])[:, None, None].repeat(1, p, k + 1, 1)
-        nothing = u.new_full((n,), torch.inf)
-        return Plan(
-            u=u,
-            x=z[:, 0, :, : self.predictor.nx],
-            cost=nothing,
-            gap=nothing,
-            status=(HOVER,) * n,
-            solve_ms=0.0,
-            iterations=0,
-            dt=self.options.dt,
-            age=nothing,
-            z=z,
-        )
+        o = self.options
+        return hovering_plan(self.hover, self.predictor.augment, self.predictor.nx, o, batch=self.batch)
 
     @torch.no_grad()
     def plan(

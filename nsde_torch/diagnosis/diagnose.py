@@ -16,7 +16,7 @@ from nsde_torch.diagnosis.candidates import candidate_names
 from nsde_torch.diagnosis.channels import ChannelResidual, channel_residuals
 from nsde_torch.diagnosis.formula import Formula, formula
 from nsde_torch.diagnosis.held_out import HeldOut, held_out
-from nsde_torch.diagnosis.loop import Found, Outcome, estimates, loop
+from nsde_torch.diagnosis.loop import Outcome, estimates, loop
 from nsde_torch.diagnosis.not_shown import not_shown
 from nsde_torch.diagnosis.recording import Recorded, undo
 from nsde_torch.diagnosis.search import Search
@@ -125,10 +125,7 @@ class Diagnosis:
             "added": self.added,
             "summary": summary(self),
             "findings": self._findings(),
-            "aside": [
-                {"effect": n, "sentence": self._class(n).sentence.format(**self._told(n)), "reason": _SHORT}
-                for n in o.aside
-            ],
+            "aside": [{"effect": n, "sentence": sentence(o, n), "reason": _SHORT} for n in o.aside],
             "ranking": ranking(o),
             "ties": self._ties(),
             "not_shown": self._not_shown(),
@@ -188,7 +185,7 @@ class Diagnosis:
             {
                 "name": f.name,
                 "kind": "effect",
-                "sentence": sentence(self.outcome, f),
+                "sentence": sentence(self.outcome, f.name, f.trial.held),
                 "p": f.trial.p_corrected,
                 "evidence_nats": f.trial.gain,
                 "lead": bool(f.lead),
@@ -199,17 +196,6 @@ class Diagnosis:
             for f in self.outcome.found
         ]
         return [*faults, *effects]
-
-    def _told(self, name: str) -> dict[str, str]:
-        """Values of an effect with their units, by parameter."""
-        told: dict[str, list[str]] = {}
-        units: dict[str, str] = {}
-        vector, theta = self.outcome.final.regression.vector, self.outcome.final.regression.theta
-        for j in vector.of(name):
-            key = own_name(vector.labels[j])
-            told.setdefault(key, []).append(f"{theta[j]:.3g}")
-            units[key] = "" if vector.units[j] == "1" else f" {vector.units[j]}"
-        return {key: ", ".join(values) + units[key] for key, values in told.items()}
 
     def _class(self, name: str) -> type[Effect]:
         return next(type(e) for e in self.outcome.system.effects if isinstance(e, Effect) and e.name == name)
@@ -276,23 +262,23 @@ class Diagnosis:
                 interval = None if low is None else [low, high]
                 out[f"{fault.name}.{name}"] = {"value": value, "interval_90": interval, "unit": unit}
         for f in self.outcome.found:
-            for e in self.outcome.estimates(f):
+            for e in self.outcome.estimates(f.name):
                 interval = None if e.low is None else [e.low, e.high]
                 held = e.name in f.trial.held
                 out[e.name] = {"value": 0.0 if held else e.value, "interval_90": interval, "unit": e.unit}
         return out
 
 
-def sentence(outcome: Outcome, found: Found) -> str:
-    """What an effect means, with its values."""
+def sentence(outcome: Outcome, effect: str, held: Sequence[str] = ()) -> str:
+    """What an effect means, with its values; parameters that were held at nothing are nothing."""
     values: dict[str, list[str]] = {}
     units: dict[str, str] = {}
-    for e in outcome.estimates(found):
+    for e in outcome.estimates(effect):
         name = own_name(e.name)
-        values.setdefault(name, []).append(f"{0.0 if e.name in found.trial.held else e.value:.3g}")
+        values.setdefault(name, []).append(f"{0.0 if e.name in held else e.value:.3g}")
         units[name] = "" if e.unit == "1" else f" {e.unit}"
     words = {name: ", ".join(values[name]) + units[name] for name in values}
-    text = effect_class(found.name).sentence
+    text = effect_class(effect).sentence
     try:
         return text.format(**words)
     except (KeyError, IndexError):

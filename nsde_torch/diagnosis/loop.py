@@ -98,9 +98,9 @@ class Outcome:
         """The physics with everything that was added and its fitted values."""
         return fitted_system(self.final.regression)
 
-    def estimates(self, found: Found) -> list[Estimate]:
-        """Parameters of an effect that was added, all others fitted with it."""
-        return estimates(self.final.regression, self._sure, found.name)
+    def estimates(self, effect: str) -> list[Estimate]:
+        """Parameters of an effect that was added or joined what is declared, all others fitted with it."""
+        return estimates(self.final.regression, self._sure, effect)
 
     @cached_property
     def _sure(self) -> Spread:

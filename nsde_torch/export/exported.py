@@ -13,7 +13,7 @@ from typing import Any, final
 import torch
 from torch import Tensor, nn
 
-from nsde_torch.control.controller import HOVER, LATE, Plan, SafetyOptions
+from nsde_torch.control.controller import LATE, Plan, SafetyOptions, hovering_plan
 from nsde_torch.control.problem import ProblemOptions
 from nsde_torch.control.solve import SolverOptions
 from nsde_torch.effects import Port
@@ -110,23 +110,7 @@ class ExportedController:
 
     def hovering(self) -> Plan:
         """A plan that hovers, level and where it is: what there is before the first solve."""
-        s, dtype = self.sizes, self.hover.dtype
-        x = torch.zeros(1, s.nx, dtype=dtype)
-        x[:, 6] = 1.0
-        z = self.predictor.augment(x, self.hover[None])[:, None, None].repeat(1, s.particles, s.steps + 1, 1)
-        nothing = torch.full((1,), torch.inf, dtype=dtype)
-        return Plan(
-            u=self.hover.repeat(1, s.steps, 1),
-            x=z[:, 0, :, : s.nx],
-            cost=nothing,
-            gap=nothing,
-            status=(HOVER,),
-            solve_ms=0.0,
-            iterations=0,
-            dt=self.options.dt,
-            age=nothing,
-            z=z,
-        )
+        return hovering_plan(self.hover, self.predictor.augment, self.sizes.nx, self.options, batch=1)
 
     @torch.no_grad()
     def plan(

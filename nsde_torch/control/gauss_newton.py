@@ -76,10 +76,12 @@ class GaussNewton(nn.Module):
         self.horizon, self.active_set_steps = horizon, active_set_steps
         n = horizon.steps * horizon.nu
         self.eye: Tensor
+        self.steps: Tensor
         self.shares: Tensor
         self.change: Tensor
         dtype = horizon.predictor.dtype
         self.register_buffer("eye", torch.eye(n, dtype=dtype))
+        self.register_buffer("steps", torch.eye(horizon.steps, dtype=dtype))
         self.register_buffer("shares", torch.tensor((*SHARES, 0.0), dtype=dtype))
         # changes of the inputs from step to step, of all inputs
         self.register_buffer(
@@ -258,16 +260,16 @@ class GaussNewton(nn.Module):
         n, k, nu, nz, p = len(u), h.steps, h.nu, h.nz, h.particles
         after, r, a, b, c, e = self.linearise(u, z, ref, d)
         gap = after - z[:, :, 1:].reshape(n * p, k, nz)
-        # what is off, and then the sensitivities to the inputs so far: one column, and nu more with every step
-        table = (_repeat(z0, p) - z[:, :, 0].reshape(n * p, nz))[..., None]
-        rows = []
-        for i in range(k):
-            rows.append(nn.functional.pad(torch.cat((c[:, i] @ table, e[:, i]), 2), (0, (k - 1 - i) * nu)))
-            if i < k - 1:
-                table = torch.cat((a[:, i] @ table, b[:, i]), 2)
-                table = table + nn.functional.pad(gap[:, i, :, None], (0, (i + 1) * nu))
-        w = torch.stack(rows, 1)
-        w = w + nn.functional.pad(r[..., None], (0, k * nu))
+        # what is off, then the sensitivities to all inputs: the later ones are zeros, which cost less than more operations
+        own = (b[..., None, :] * self.steps[:, None, :, None]).flatten(3)
+        add = torch.cat((gap[..., None], own), 3)
+        table = nn.functional.pad((_repeat(z0, p) - z[:, :, 0].reshape(n * p, nz))[..., None], (0, k * nu))
+        tables = [table]
+        for a_i, add_i in zip(a.unbind(1)[:-1], add.unbind(1)[:-1], strict=True):
+            table = torch.baddbmm(add_i, a_i, table)
+            tables.append(table)
+        direct = (e[..., None, :] * self.steps[:, None, :, None]).flatten(3)
+        w = c @ torch.stack(tables, 1) + torch.cat((r[..., None], direct), 3)
         w = w.reshape(n, -1, k * nu + 1)
         gram = w[..., 1:].transpose(1, 2) @ w / p
         cost = (w[..., 0] * w[..., 0]).sum(1) / p + h.input_cost(u, last)

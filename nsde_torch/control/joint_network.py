@@ -17,7 +17,7 @@ from nsde_torch.columns import few
 from nsde_torch.effects import Port
 from nsde_torch.models.neural_sde import NeuralSDE
 
-_FEW = 64
+_FEW = 16
 """Rows up to which products are written as sums."""
 
 

@@ -4,7 +4,6 @@
 #include <ATen/core/grad_mode.h>
 #include <ATen/ops/from_blob.h>
 #include <ATen/ops/full.h>
-#include <ATen/ops/stack.h>
 #include <ATen/ops/zeros.h>
 #include <caffe2/serialize/inline_container.h>
 #include <torch/csrc/inductor/aoti_package/model_package_loader.h>
@@ -91,7 +90,7 @@ std::vector<double> numbers(const at::Tensor& t) {
 struct Controller::Loaded {
     std::optional<torch::jit::Module> script;
     std::map<std::string, std::unique_ptr<torch::inductor::AOTIModelPackageLoader>> stages;
-    int particles = 1, changes = 0, iterations = 0;
+    int changes = 0, iterations = 0;
     double left = 0.0, tolerance = 0.0;
 
     Tensors call(const char* name, const Tensors& arguments) {
@@ -113,17 +112,10 @@ struct Controller::Loaded {
         Tensors begun = run("begin", given);
         const at::Tensor &z0 = begun[0], &ref = begun[3], &last = begun[4], &d = begun[5], &head = begun[6];
         at::Tensor u = begun[1], z = begun[2], cost = at::full({1}, INFINITY, u.options()), gap = cost;
-        auto paths = [&](const Tensors& tries) {
-            Tensors states{tries[2]};
-            for (int64_t k = 0; k < tries[1].size(0); ++k)
-                states.push_back(run("advance", {states.back(), tries[1].select(0, k), d, tries[3].select(0, k)})[0]);
-            return at::stack(states, 1);
-        };
         int done = 0;
         if (number(begun[7]) < 0.5) {
             const at::Tensor no_step = at::zeros({1, u.numel()}, u.options());
-            if (number(head.select(0, 0)) < 0.5)
-                z = paths(run("tries", {z0, u, no_step})).slice(0, 0, particles).unsqueeze(0).contiguous();
+            if (number(head) < 0.5) z = run("finish", {z0, u, ref, last, d, no_step, at::zeros({1}, u.options())})[1];
             for (bool going = true; going; going = done < iterations && !(number(gap) <= tolerance)) {
                 Tensors q = run("prepare", {z0, u, z, ref, last, d});
                 Tensors state{no_step, q[1], q[5], q[6]};
@@ -131,8 +123,7 @@ struct Controller::Loaded {
                     state = run("active_set", {q[0], q[1], q[2], q[3], q[4], state[0], state[1], state[2], state[3]});
                     if (number(state[4]) <= left) break;
                 }
-                Tensors tries = run("tries", {z0, u, state[2]});
-                Tensors best = run("choose", {paths(tries), tries[0], ref, last, state[3]});
+                Tensors best = run("finish", {z0, u, ref, last, d, state[2], state[3]});
                 u = best[0], z = best[1], cost = best[2], gap = best[3];
                 ++done;
             }
@@ -169,10 +160,9 @@ Controller::Controller(const std::string& file) : loaded_(std::make_unique<Loade
         if (kind == "torchscript") {
             loaded_->script = torch::jit::load(file, at::kCPU);
         } else if (kind == "aoti") {
-            for (const char* name : {"begin", "prepare", "active_set", "tries", "advance", "choose", "end", "predict"})
+            for (const char* name : {"begin", "prepare", "active_set", "finish", "end", "predict"})
                 loaded_->stages[name] = std::make_unique<torch::inductor::AOTIModelPackageLoader>(file, name, true);
             const Json& loops = record.at("loops");
-            loaded_->particles = static_cast<int>(loops.at("particles").number);
             loaded_->changes = static_cast<int>(loops.at("changes").number);
             loaded_->iterations = static_cast<int>(loops.at("iterations").number);
             loaded_->left = loops.at("left").number;

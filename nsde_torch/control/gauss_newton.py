@@ -260,7 +260,7 @@ class GaussNewton(nn.Module):
         n, k, nu, nz, p = len(u), h.steps, h.nu, h.nz, h.particles
         after, r, a, b, c, e = self.linearise(u, z, ref, d)
         gap = after - z[:, :, 1:].reshape(n * p, k, nz)
-        # what is off, then the sensitivities to all inputs: the later ones are zeros, which cost less than more operations
+        # what is off, then sensitivities to all inputs: those to later ones are zeros, cheaper than more operations
         own = (b[..., None, :] * self.steps[:, None, :, None]).flatten(3)
         add = torch.cat((gap[..., None], own), 3)
         table = nn.functional.pad((_repeat(z0, p) - z[:, :, 0].reshape(n * p, nz))[..., None], (0, k * nu))

@@ -25,8 +25,7 @@ def step(self, state: Tensor, valid: Tensor, elapsed: Tensor, reference: Tensor,
     iterations = 0
     if bool(trouble < 0.5):
         if bool(head[0] < 0.5):
-            _, by_step, row, noise = self.tries(z0, u, self.no_step)
-            z = self.paths(row, by_step, d, noise)[:{particles}].unsqueeze(0)
+            _, z, _, _ = self.finish(z0, u, ref, now, d, self.no_step, self.nothing)
         going = True
         while going:
             hessian, gradient, low, high, value, best, least = self.prepare(z0, u, z, ref, now, d)
@@ -39,19 +38,20 @@ def step(self, state: Tensor, valid: Tensor, elapsed: Tensor, reference: Tensor,
                     hessian, gradient, low, high, value, step, slope, best, least)
                 change += 1
                 changing = change < {changes} and not bool(left <= {left!r})
-            tried, by_step, row, noise = self.tries(z0, u, best)
-            u, z, cost, gap = self.choose(self.paths(row, by_step, d, noise), tried, ref, now, least)
+            u, z, cost, gap = self.finish(z0, u, ref, now, d, best, least)
             iterations += 1
             going = iterations < {iterations} and not bool(gap <= {tolerance!r})
     return self.end(u, z, cost, gap, self.counts[iterations], z0, start_u, start_z, head, trouble)
 """
-_PATHS = """
-def paths(self, row: Tensor, by_step: Tensor, d: Tensor, noise: Tensor) -> Tensor:
+_FINISH = """
+def finish(self, z0: Tensor, u: Tensor, ref: Tensor, now: Tensor, d: Tensor, step: Tensor,
+           least: Tensor) -> Tuple[Tensor, Tensor, Tensor, Tensor]:
+    tried, by_step, row, noise = self.tries(z0, u, step)
     states = [row]
-    for u, own in zip(by_step.unbind(0), noise.unbind(0)):
-        row = self.advance(row, u, d, own)
+    for own, increment in zip(by_step.unbind(0), noise.unbind(0)):
+        row = self.advance(row, own, d, increment)
         states.append(row)
-    return torch.stack(states, 1)
+    return self.choose(torch.stack(states, 1), tried, ref, now, least)
 """
 _PREDICT = """
 def predict(self, z: Tensor, u: Tensor, push: Tensor) -> Tuple[Tensor]:
@@ -73,10 +73,11 @@ def scripted(step: Step) -> Any:
     tensors = {
         "infinite": torch.full((1,), torch.inf, dtype=step.dtype),
         "no_step": torch.zeros(1, s.steps * s.nu, dtype=step.dtype),
+        "nothing": torch.zeros(1, dtype=step.dtype),
         "counts": torch.arange(step.iterations + 1, dtype=torch.float64),
     }
     numbers = {**asdict(step.loops), "results": f"Tuple[{', '.join(['Tensor'] * len(step_outputs(s)))}]"}
-    return jit.assembled(parts, tensors, (_PATHS, _STEP.format(**numbers), _PREDICT), ("step", "predict"))
+    return jit.assembled(parts, tensors, (_FINISH, _STEP.format(**numbers), _PREDICT), ("step", "predict"))
 
 
 def _single(graph: Any) -> Any:

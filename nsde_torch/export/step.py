@@ -1,6 +1,7 @@
 """The whole step of the controller as functions of plain tensors of fixed shapes, and the few branches between them.
 
-    begin -> [rollout] -> (prepare -> active_set ... -> tries -> rollout -> choose) ... -> end
+    begin -> [finish] -> (prepare -> active_set ... -> finish) ... -> end
+                                       finish = tries -> advance ... -> choose, as stages of their own or as one
 
 Each stage is straight-line arithmetic, which can be written down as a graph; the loops between them compare one number
 each. The same stages are run here in Python, put together by TorchScript, and compiled ahead of time, so that there
@@ -39,6 +40,9 @@ from nsde_torch.systems import Multirotor
 
 Stage = Callable[..., Sequence[Tensor]]
 STAGES = ("begin", "prepare", "active_set", "tries", "advance", "choose", "end", "predict")
+"""Stages whose graphs are small, and are interpreted."""
+WHOLE = ("begin", "prepare", "active_set", "finish", "end", "predict")
+"""The same, with the rollout written out as a part of one stage, to be compiled."""
 
 
 @dataclass(frozen=True)
@@ -46,14 +50,12 @@ class Loops:
     """What the loops between the stages go by.
 
     Args:
-        particles: Paths of a plan.
         changes: Most changes of the active set in an iteration.
         left: Share of what the quadratic saves that an iteration may leave.
         iterations: Most iterations.
         tolerance: Share of the cost that may be left.
     """
 
-    particles: int
     changes: int
     left: float
     iterations: int
@@ -196,6 +198,13 @@ class Step(nn.Module):
         best = self.method.choose(by_plan, tried, ref, last, least)
         return best.u, best.z, best.cost, best.gap
 
+    def finish(
+        self, z0: Tensor, u: Tensor, ref: Tensor, last: Tensor, d: Tensor, step: Tensor, least: Tensor
+    ) -> tuple[Tensor, ...]:
+        """u, z, cost, gap of the best share of a step; see `GaussNewton.finish`."""
+        best = self.method.finish(z0, u, ref, last, d, step, least)
+        return best.u, best.z, best.cost, best.gap
+
     def end(
         self,
         found_u: Tensor,
@@ -264,8 +273,12 @@ class Step(nn.Module):
 
     # ---- what is between them ---------------------------------------------------------------------------
 
-    def examples(self) -> dict[str, list[Tensor]]:
-        """Arguments of every stage, of the shapes and types that it is run with."""
+    def examples(self, names: Sequence[str] = STAGES) -> dict[str, list[Tensor]]:
+        """Arguments of stages, of the shapes and types that they are run with.
+
+        Args:
+            names: `STAGES` or `WHOLE`.
+        """
         seen: dict[str, list[Tensor]] = {}
 
         def watched(name: str) -> Stage:
@@ -276,7 +289,7 @@ class Step(nn.Module):
 
             return run
 
-        stages = {name: watched(name) for name in STAGES}
+        stages = {name: watched(name) for name in names}
         self.run(stages, *self.first())
         push = torch.zeros(self.sizes.nd, dtype=torch.float64)
         stages["predict"](self.hover_z[0, 0, 0].double(), self.hover_u[0, 0].double(), push)
@@ -299,7 +312,6 @@ class Step(nn.Module):
     def loops(self) -> Loops:
         """The numbers that the loops between the stages go by."""
         return Loops(
-            particles=self.sizes.particles,
             changes=self.changes,
             left=self.left,
             iterations=self.iterations,
@@ -325,18 +337,19 @@ def run(stages: Mapping[str, Stage], loops: Loops, *given: Tensor) -> tuple[Tens
     """The step, stage after stage: what every form of it does.
 
     Args:
-        stages: The stages, as they are, as graphs or compiled.
+        stages: The stages, as they are, as graphs or compiled; those of `STAGES` or of `WHOLE`.
         loops: What the loops go by.
         given: See `layout.step_inputs`.
     """
+    finish = stages["finish"] if "finish" in stages else _composed(stages)
     z0, start_u, start_z, ref, last, d, head, trouble = stages["begin"](*given)
     u, z = start_u, start_z
     cost = gap = torch.full((1,), torch.inf, dtype=u.dtype)
     iterations = torch.zeros((), dtype=torch.float64)
     if float(trouble) < 0.5:
         no_step = torch.zeros_like(u).flatten(1)
-        if float(head[KNOWN]) < 0.5:
-            z = _paths(stages, d, *stages["tries"](z0, u, no_step)[1:])[None, : loops.particles].contiguous()
+        if float(head[KNOWN]) < 0.5:  # no step at all is as good as its shares: what is left is the rollout
+            z = finish(z0, u, ref, last, d, no_step, torch.zeros_like(cost))[1]
         while True:
             quadratic = list(stages["prepare"](z0, u, z, ref, last, d))
             fixed, (best, least) = quadratic[:5], quadratic[5:]
@@ -345,21 +358,27 @@ def run(stages: Mapping[str, Stage], loops: Loops, *given: Tensor) -> tuple[Tens
                 step, slope, best, least, left = stages["active_set"](*fixed, step, slope, best, least)
                 if float(left) <= loops.left:
                     break
-            tried, *rest = stages["tries"](z0, u, best)
-            paths = _paths(stages, d, *rest)
-            u, z, cost, gap = stages["choose"](paths, tried, ref, last, least)
+            u, z, cost, gap = finish(z0, u, ref, last, d, best, least)
             iterations = iterations + 1.0
             if float(gap) <= loops.tolerance or float(iterations) > loops.iterations - 0.5:
                 break
     return tuple(stages["end"](u, z, cost, gap, iterations, z0, start_u, start_z, head, trouble))
 
 
-def _paths(stages: Mapping[str, Stage], d: Tensor, by_step: Tensor, z: Tensor, noise: Tensor) -> Tensor:
-    states = [z]
-    for u, own in zip(by_step, noise, strict=True):
-        (z,) = stages["advance"](z, u, d, own)
-        states.append(z)
-    return torch.stack(states, 1)
+def _composed(stages: Mapping[str, Stage]) -> Stage:
+    """`finish` of the stages that it consists of."""
+
+    def finish(
+        z0: Tensor, u: Tensor, ref: Tensor, last: Tensor, d: Tensor, step: Tensor, least: Tensor
+    ) -> Sequence[Tensor]:
+        tried, by_step, z, noise = stages["tries"](z0, u, step)
+        states = [z]
+        for own_u, own_noise in zip(by_step, noise, strict=True):
+            (z,) = stages["advance"](z, own_u, d, own_noise)
+            states.append(z)
+        return stages["choose"](torch.stack(states, 1), tried, ref, last, least)
+
+    return finish
 
 
 def packed(plan: Plan, jumped: float) -> Tensor:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tempfile
 from collections.abc import Callable
 from pathlib import Path
 
@@ -91,10 +90,7 @@ def export(
     else:
         from nsde_torch.export.ahead import compiled
 
-        with tempfile.TemporaryDirectory() as folder:
-            package = Path(folder) / "package.pt2"
-            compiled(step, package, say=say or (lambda line: None))
-            members = container.members_of(package.read_bytes())
+        members = compiled(step, say=say or (lambda line: None))
     if not members:
         raise ExportError("torch wrote an empty archive. Use another version of torch.")
     return container.write(path, members, about)

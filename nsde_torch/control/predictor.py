@@ -91,7 +91,9 @@ class Predictor(nn.Module):
     def forward(self, z: Tensor, u: Tensor, d: Tensor) -> Tensor:
         """States after a step (N, nz), from states (N, nz), inputs (N, nu) and pushes (N, nd)."""
         self._equation.push = d
-        return self.system.project(self._step.advance(self._equation, 0.0, z, u, self.dt, None))
+        after = self._step.advance(self._equation, 0.0, z, u, self.dt, None)
+        # `turning` leaves quaternions of unit length
+        return after if isinstance(self._step, Turning) else self.system.project(after)
 
     def drift(self, z: Tensor, u: Tensor, d: Tensor) -> Tensor:
         """Rates (N, nz) per physical second."""

@@ -50,7 +50,7 @@ class Turning(Step):
         p, v, q, w, m = split_columns(z, *_PARTS, memory)
         _, a, _, turn, change = split_columns(sde.drift(t, z, u), *_PARTS, memory)  # type: ignore[attr-defined]
         after = q + dt * quaternion_rate(q, w + (0.5 * dt) * turn)
-        after = after / torch.linalg.vector_norm(after, dim=-1, keepdim=True)
+        after = after * torch.rsqrt((after * after).sum(-1, keepdim=True))
         later = rotate(after, rotate_back(q, a - gravity)) + gravity
         parts = (
             p + dt * v + (dt * dt / 6.0) * (2.0 * a + later),

@@ -17,6 +17,7 @@ from torch._functorch.compile_utils import fx_graph_cse
 from torch.fx.experimental.proxy_tensor import make_fx
 
 from nsde_torch.columns import few_operations
+from nsde_torch.export.rewrite import rewrite
 
 _aten = torch.ops.aten
 _SAME = {_aten.alias.default, _aten.detach.default, _aten.lift_fresh_copy.default, _aten.clone.default}
@@ -95,7 +96,9 @@ def _fold(module: fx.GraphModule, example: Sequence[Tensor]) -> None:
             continue
         inputs = node.all_input_nodes
         source = inputs[0] if inputs else None
-        if (node.target in _FILLED or all(n in constant for n in inputs)) and value.numel() <= _LARGEST:
+        if (
+            node.target in _FILLED or not value.numel() or all(n in constant for n in inputs)
+        ) and value.numel() <= _LARGEST:
             known[_replace_by_constant(module, node, value, constant)] = value
         elif node.target is _aten.copy_.default and inputs[0] is not inputs[-1]:
             # derivatives are copied into fresh zeros
@@ -118,6 +121,8 @@ def _fold(module: fx.GraphModule, example: Sequence[Tensor]) -> None:
         elif node.target is _aten.permute.default and source is not None and source.target is node.target:
             before = source.args[1]
             node.args = (source.args[0], [before[k] for k in node.args[1]])
+    graph.eliminate_dead_code()
+    rewrite(graph, known)
     graph.eliminate_dead_code()
     module.graph = fx_graph_cse(graph)
     module.graph.eliminate_dead_code()

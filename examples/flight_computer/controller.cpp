@@ -1,6 +1,7 @@
 #include "controller.hpp"
 
 #include <ATen/Parallel.h>
+#include <ATen/Version.h>
 #include <ATen/core/grad_mode.h>
 #include <ATen/ops/from_blob.h>
 #include <ATen/ops/full.h>
@@ -11,6 +12,8 @@
 #include <torch/csrc/jit/runtime/graph_executor.h>
 #include <torch/csrc/jit/serialization/import.h>
 #include <torch/version.h>
+
+#include <sys/utsname.h>
 
 #include <algorithm>
 #include <cmath>
@@ -38,6 +41,12 @@ std::vector<std::string> words(const Json& list) {
     std::vector<std::string> out;
     for (const auto& item : list.items) out.push_back(item.text);
     return out;
+}
+
+std::string processor() {  // as nsde_torch/export/record.py says it: "Linux x86_64 AVX512"
+    utsname own{};
+    uname(&own);
+    return std::string(own.sysname) + " " + own.machine + " " + at::get_cpu_capability();
 }
 
 // The record of a file whose content hashes to what the record says.
@@ -71,6 +80,8 @@ Json checked(const std::string& file) {
     const std::string& version = record.at("versions").at("torch").text;
     if (series(version) != series(TORCH_VERSION))
         throw std::runtime_error(file + " was written with torch " + version + ", and this is libtorch " + TORCH_VERSION);
+    if (record.at("kind").text == "aoti" && record.at("processor").text != processor())
+        throw std::runtime_error(file + " was compiled for " + record.at("processor").text + ", and this is " + processor());
     return record;
 }
 

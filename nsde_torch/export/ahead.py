@@ -11,6 +11,7 @@ package holds what is loaded, and no source.
 from __future__ import annotations
 
 import functools
+import logging
 import os
 import tempfile
 import time
@@ -30,6 +31,7 @@ from nsde_torch.export.graph import graph_of
 from nsde_torch.export.step import WHOLE, Loops, Stage, Step, run
 
 _LEVELS = {"AVX512": "x86-64-v4", "AVX2": "x86-64-v3"}
+"""What the compiler calls what torch finds of a processor; for others it takes the one that it runs on."""
 _FUSED = ("finish",)
 """Stages that compile best with columns put together in registers; see `GaussNewton.fused`."""
 
@@ -52,8 +54,7 @@ def compiled(step: Step, *, say: Callable[[str], None]) -> dict[str, bytes]:
             "format=torchscript."
         )
     files: dict[str, Any] = {}
-    with torch.no_grad(), warnings.catch_warnings(), tempfile.TemporaryDirectory() as name, _built_in(name):
-        warnings.simplefilter("ignore")
+    with torch.no_grad(), _quiet(), tempfile.TemporaryDirectory() as name, _built_in(name):
         examples = step.examples(WHOLE)
         for k, (stage, example) in enumerate(examples.items()):
             say(f"compiling {stage}, {k + 1} of {len(examples)}")
@@ -85,6 +86,20 @@ def _machine_code(step: Step, stage: str, example: Sequence[Tensor]) -> Any:
     }
     with quick_indices():
         return torch._inductor.aot_compile(program.module(), tuple(example), options=options)
+
+
+@contextmanager
+def _quiet() -> Iterator[None]:
+    """Without what torch's compiler says of itself."""
+    log = logging.getLogger("torch._inductor")
+    before = log.level
+    log.setLevel(logging.ERROR)
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            yield
+    finally:
+        log.setLevel(before)
 
 
 @contextmanager

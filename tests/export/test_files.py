@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import json
+import os
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -72,13 +75,28 @@ def test_what_differs_and_what_is_unsafe_fails() -> None:
     assert not verify.Verification(unsafe=["sample 1"]).passed
 
 
-def test_the_same_run_makes_the_same_bytes(
-    file: Path, model: NeuralSDE, run_dir: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+def test_another_process_makes_the_same_bytes_but_for_the_time(
+    file: Path, run_dir: Path, tmp_path: Path, root: Path
 ) -> None:
-    monkeypatch.setenv("SOURCE_DATE_EPOCH", "0")
-    again = _export(model, run_dir, tmp_path / "again.ts")
-    assert again.read_bytes() == file.read_bytes()
-    assert str(Path.cwd()).encode() not in file.read_bytes()
+    program = (
+        "from pathlib import Path; import sys, nsde_torch\n"
+        "sys.path.insert(0, sys.argv[1])\n"
+        "from nsde_torch.export.write import export\n"
+        "from tests.export.test_files import OPTIONS\n"
+        "run, out = Path(sys.argv[2]), Path(sys.argv[3])\n"
+        "export(nsde_torch.load(run), out, run=run, sample=0.01, period=0.02, latency=0.04, **OPTIONS)\n"
+    )
+    again = tmp_path / "again.ts"
+    plain = {k: v for k, v in os.environ.items() if k != "SOURCE_DATE_EPOCH"} | {"PYTHONHASHSEED": "17"}
+    words = [sys.executable, "-c", program, str(root), str(run_dir), str(again)]
+    done = subprocess.run(words, capture_output=True, text=True, check=False, cwd=tmp_path, env=plain)
+    assert done.returncode == 0, done.stderr
+    ours, theirs = container.members_of(file.read_bytes()), container.members_of(again.read_bytes())
+    about, other = (json.loads(members.pop(container.RECORD)) for members in (ours, theirs))
+    assert ours == theirs
+    assert about.pop("written") == "1970-01-01T00:00:00Z" != other.pop("written")
+    assert about == other
+    assert not any(str(root).encode() in content for content in ours.values())
 
 
 def test_a_file_predicts_as_its_model(file: Path, model: NeuralSDE) -> None:

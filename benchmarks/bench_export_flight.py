@@ -1,0 +1,74 @@
+"""Errors of an exported controller on the simulated PX4 vehicle, beside those of the controller in Python.
+
+    python benchmarks/bench_export_flight.py RUN controller.ts [controller.pt2 ...] [--flights 5] [--seconds 24]
+
+RUN is what `nsde train system=hexacopter` writes, and the files are what `nsde export` made of it. Flights are in
+virtual time (the link, the checks and the commands of `nsde fly`), one after the other, in the same gusts for all.
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+from pathlib import Path
+from statistics import fmean
+
+import torch
+
+from nsde_torch.control.controller import SafetyOptions
+from nsde_torch.control.problem import ProblemOptions
+from nsde_torch.control.shapes import lemniscate
+from nsde_torch.control.solve import SolverOptions
+from nsde_torch.px4.body import Body
+from nsde_torch.px4.path import PathPoints
+from nsde_torch.px4.predictive import PredictiveMaker
+from nsde_torch.px4.simulated import fly_simulated
+
+PERIOD = 0.02
+
+
+def main() -> None:
+    """Run the measurement."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("run", type=Path)
+    parser.add_argument("files", type=Path, nargs="+")
+    parser.add_argument("--flights", type=int, default=5)
+    parser.add_argument("--seconds", type=float, default=24.0)
+    given = parser.parse_args()
+    path = lemniscate(duration=given.seconds)
+    errors: dict[str, list[float]] = {}
+    for name in (given.run, *given.files):
+        controller = PredictiveMaker(
+            run=str(name),
+            system="hexacopter",
+            path=path,
+            problem=ProblemOptions(),
+            solver=SolverOptions(iterations=10, tolerance=5e-3),
+            safety=SafetyOptions(),
+        )(print)
+        found = errors.setdefault(name.name, [])
+        for seed in range(given.flights):
+            controller.reset()
+            body = Body("hexacopter", seed=seed, latency=0.02)
+            started = time.perf_counter()
+            report = fly_simulated(body, controller, PathPoints(path), seed=seed, period=PERIOD)
+            if report.rmse is None:
+                raise SystemExit(f"{name}, flight {seed}: {report.outcome.trouble}")
+            found.append(100.0 * report.rmse)
+            print(
+                f"{name.name}, flight {seed}: RMSE {found[-1]:.3f} cm ({time.perf_counter() - started:.0f} s)"
+            )
+    theirs = errors[given.run.name]
+    for name, ours in errors.items():
+        apart = [100.0 * (a / b - 1.0) for a, b in zip(ours, theirs, strict=True)]
+        print(
+            f"{name}: mean {fmean(ours):.3f} cm ({100.0 * (fmean(ours) / fmean(theirs) - 1.0):+.2f} %); "
+            f"flight by flight {', '.join(f'{a:+.2f}' for a in apart)} %"
+        )
+
+
+if __name__ == "__main__":
+    torch.set_num_threads(1)
+    main()

@@ -60,6 +60,7 @@ DURATIONS: dict[str, list[float]] = {
     "cartpole": [4.0] * 20,
     "hexacopter": [45.0] * 4,
 }
+_TURNED = ("frame_misalignment",)
 TIES = (
     {"input_delay", "actuator_lag", "motor_lag"},
     {"thrust_sag", "battery_voltage"},
@@ -97,10 +98,11 @@ class Case:
 
 
 def holdable(system: str) -> list[str]:
-    """Effects of the catalogue that a plant can hold, beyond those declared, and that are not another's twin."""
+    """Effects of the catalogue that a plant can hold, beyond those declared, and that are no fault of the log."""
     declared = make_system(system).effect_names
     found = effects_of(system, system_class(system).ports)
-    return [name for name, cls in found.items() if cls.candidate(system) and name not in declared]
+    beside = {*declared, *_TURNED}
+    return [name for name, cls in found.items() if cls.candidate(system) and name not in beside]
 
 
 def cases(seed: int, n: int, *, systems: Sequence[str] = SYSTEMS, kinds: Sequence[str] = KINDS) -> list[Case]:
@@ -175,7 +177,7 @@ def _pair(system: str, rng: np.random.Generator) -> list[tuple[str, type[Effect]
 
 
 def _faults(system: str) -> list[str]:
-    turned = ["frame_misalignment"] if system == "hexacopter" else []
+    turned = _TURNED if system == "hexacopter" else ()
     return ["input_smoothing", "input_delay", "clock_scale", "sensor_bias", *turned]
 
 

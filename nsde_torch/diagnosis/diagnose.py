@@ -34,7 +34,7 @@ _SHAPES = 6  # dependences that are described in words
 
 _SHORT = "shorter than a step of the log: taken into account, and not named"
 
-TWINS = {"thrust_misalignment": ("frame_misalignment",), "constant_force": ("sensor_bias",)}
+TWINS = {"constant_force": ("sensor_bias",)}
 """Faults of the recording chain that no data of the log can tell from an effect."""
 
 

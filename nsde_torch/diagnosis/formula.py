@@ -88,9 +88,12 @@ def formula(regression: Regression, left: Sequence[Dependence], variables: Regre
     left = [d for d in left if moment(d.where) is None]
     if not left:
         return None
-    name = max(left, key=lambda d: d.gain - d.functions).channel
+    most = max(left, key=lambda d: d.gain - d.functions)
+    name = most.channel
     names = [regression.physics.names[c] for c in regression.rows]
     channel = names.index(name)
+    if most.law is not None:
+        regression = regression.under(channel, most.law)
     names_of, functions = library(regression, channel, [d for d in left if d.channel == name], variables)
     if not names_of:
         return None

@@ -77,7 +77,7 @@ class Outcome:
         rounds: Every look at the catalogue.
         declared_variables, variables: What the residuals without and with the effects may depend on.
         before, after: What the residual depends on without and with the effects, all tests.
-        structured: The tests that are left over after correction for their number.
+        structured: The tests that are left over after correction for their number, what explains most first.
         aside: Effects that joined what is declared because they are shorter than a step.
     """
 
@@ -151,7 +151,7 @@ def loop(search: Search, system: System, *, max_effects: int) -> Outcome:
     before = dependences(declared.regression, declared_variables)
     variables = regressors(base.regression) if found else declared_variables
     after = dependences(base.regression, variables) if found else before
-    left = [d for d in after if d.p * len(after) < search.alpha]
+    left = sorted((d for d in after if d.p * len(after) < search.alpha), key=lambda d: d.functions - d.gain)
     explained = 2.0 * (base.score.fitted - declared.score.fitted)
     rest = max((d.gain - d.functions for d in left), default=0.0)
     if not found:

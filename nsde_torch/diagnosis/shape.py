@@ -3,7 +3,8 @@
 - odd, even: from the test of structure.
 - local: more than 70 % of the squared bin means lie within 30 % of the range of the variable.
 - periodic: a sine in the variable brings at least twice the log likelihood that a cubic brings (a tenth more, if it is
-  a whole part of a turn of an angle).
+  a whole part of a turn of an angle), and what is fitted in the third of the range where it is strongest is at least
+  half as large in the others.
 - one run only: functions that are fitted to each run by itself bring 80 % of their log likelihood in one, and what is
   fitted there is less than half as large in the others.
 """
@@ -24,6 +25,7 @@ _LOCAL_POWER, _LOCAL_RANGE = 0.7, 0.3
 _ONE_RUN, _RUNS, _HOLDS = 0.8, 3, 0.5
 _SINE, _SINE_ANGLE, _SINE_LEAST = 2.0, 1.1, 30.0
 _WHOLE = 0.1
+_PARTS = 3
 
 
 @dataclass(frozen=True)
@@ -70,6 +72,8 @@ def shape(regression: Regression, dependence: Dependence, variables: Regressors,
         seen: The residuals as rates.
     """
     channel = seen.names.index(dependence.channel)
+    if dependence.law is not None:
+        regression = regression.under(channel, dependence.law)
     single = moment(dependence.where)
     if single is not None:
         run, at = single
@@ -171,7 +175,17 @@ def period_of(regression: Regression, channel: int, variable: str, variables: Re
     turns = variable_units(regression.vector.system).get(variable) == "rad"
     part = 2.0 * np.pi / best.period if turns else 0.5
     factor = _SINE_ANGLE if round(part) > 0 and abs(part / round(part) - 1.0) < _WHOLE else _SINE
-    return best.period if best.gain > max(factor * cubic, _SINE_LEAST) else None
+    if not best.gain > max(factor * cubic, _SINE_LEAST):
+        return None
+    place = np.clip(((v - low) / (high - low) * _PARTS).astype(np.int64), 0, _PARTS - 1)
+    wave = 2.0 * np.pi * (v - low) / best.period
+    waves = np.stack((np.sin(wave), np.cos(wave)), 1)
+    parts = [projected(regression, channel, waves * (place == k)[:, None], own) for k in range(_PARTS)]
+    most = int(np.argmax([gain(z, white) for z in parts]))
+    there, whole = parts[most], np.sum(parts, 0)
+    weights = np.linalg.lstsq(there, white, rcond=1e-9)[0]
+    rest = whole - there
+    return best.period if _holds(rest @ weights, white - there @ weights) else None
 
 
 def product_of(regression: Regression, channel: int, variable: str, variables: Regressors) -> str:
@@ -210,6 +224,10 @@ def _only_run(regression: Regression, channel: int, variable: str, variables: Re
     # what is only strongest in one run holds in the others too, as far as they can tell
     rows = of_white == runs[most]
     foretold = z[~rows] @ np.linalg.lstsq(z[rows], white[rows], rcond=1e-9)[0]
-    size = float(foretold @ foretold)
-    slope, error = float(foretold @ white[~rows]) / max(size, 1e-300), max(size, 1e-300) ** -0.5
-    return int(runs[most]) if slope + 2.0 * error < _HOLDS else None
+    return None if _holds(foretold, white[~rows]) else int(runs[most])
+
+
+def _holds(foretold: Array, white: Array) -> bool:
+    """Whether rows may have half of what is foretold of them, as far as they can tell."""
+    size = max(float(foretold @ foretold), 1e-300)
+    return float(foretold @ white) / size + 2.0 * size**-0.5 >= _HOLDS

@@ -7,6 +7,9 @@ can do), the scores s_b = Z_b' w_b of B blocks of time have mean 0 if nothing is
 
 (Hotelling, Annals of Mathematical Statistics 2 (1931)), whatever the noise inside a block looks like. The functions
 are taken at states foreseen from earlier steps, so that gusts and sensor noise are not in them.
+
+What is strong hides twice: the law of the noise has learned it, and it scatters over blocks itself. Where a law without
+it is much likelier (`laws`), it is tested under that law too, with V from leaving blocks out.
 """
 
 from collections.abc import Iterator, Sequence
@@ -17,8 +20,10 @@ from numpy.typing import NDArray
 from scipy.special import chdtrc, fdtrc, ndtr
 
 from nsde_torch.diagnosis.evidence import by_blocks, folds
+from nsde_torch.diagnosis.laws import Laws
 from nsde_torch.diagnosis.repeats import COUNTS, best_repeat
 from nsde_torch.learning.identify.identify import Regression
+from nsde_torch.learning.identify.noise import Noise
 from nsde_torch.learning.identify.series import Series
 from nsde_torch.systems import System
 
@@ -45,6 +50,7 @@ class Dependence:
         gain: Twice the log likelihood that the functions would bring.
         functions: Number of functions.
         where: The moment, of a test of single moments.
+        law: Law of the noise without the functions; None: that of the regression.
     """
 
     channel: str
@@ -55,6 +61,7 @@ class Dependence:
     gain: float
     functions: int
     where: str = ""
+    law: Noise | None = None
 
 
 def _columns(regression: Regression) -> tuple[dict[str, Array], Array]:
@@ -170,27 +177,36 @@ def dependences(regression: Regression, variables: Regressors) -> list[Dependenc
     fold = folds(regression)
     out = []
     spans, moments = _moments(regression)
-    places = _places(regression.vector.system, variables)
+    places, limits = _places(regression.vector.system, variables), regression.carry_limits()
     for i, channel in enumerate(regression.rows):
-        noise, white = regression.noises[i], regression.white[i]
+        white, laws = regression.white[i], Laws(regression, i, float(limits[channel]))
         own = orthonormal(regression.slopes[i])
         for name, (functions, odd) in variables.functions.items():
-            z = regression.whitened(noise, functions * regression.dt)
-            z = z - own @ (own.T @ z)
-            z, kept = _independent(z)
+            z, kept = _independent(_free(regression, i, functions, own))
             if not z.shape[1]:
                 continue
-            squares = np.square(z.T @ white)
-            gain, q = float(squares.sum()), z.shape[1]
+            p, gain, left, law = _chance(z, white, fold, of_white), _gain(z, white), white, None
+            other = laws.without(functions)
+            if other is not None:
+                law, there = other.law, regression.under(i, other.law)
+                of_parameters = orthonormal(there.slopes[i])
+                z, kept = _independent(_free(there, i, functions, of_parameters))
+                # under another law the parameters would be elsewhere
+                left = there.white[i] - of_parameters @ (of_parameters.T @ there.white[i])
+                p = min(1.0, 2.0 * min(p, _chance(z, left, fold, of_white, strong=True)))
+                gain = 2.0 * (other.likelihood - laws.base.likelihood)
+            squares, q = np.square(z.T @ left), z.shape[1]
+            explained = float(squares.sum())
             out.append(
                 Dependence(
                     channel=regression.physics.names[channel],
                     variable=name,
-                    p=_chance(z, white, fold, of_white),
-                    share=max(gain - q, 0.0) / len(white),
-                    odd=float(squares[odd[kept]].sum() / max(gain, 1e-300)),
+                    p=p,
+                    share=max(explained - q, 0.0) / max(float(left @ left), 1e-300),
+                    odd=float(squares[odd[kept]].sum() / max(explained, 1e-300)),
                     gain=gain,
                     functions=q,
+                    law=law,
                 )
             )
         for name in places:
@@ -214,12 +230,27 @@ def dependences(regression: Regression, variables: Regressors) -> list[Dependenc
     return sorted(out, key=lambda d: d.p)
 
 
-def _chance(z: Array, white: Array, fold: Labels, block: Labels) -> float:
-    """p value of orthonormal columns (N, q): twice the smaller one of a test by blocks, and of folds left out."""
-    pull = z.T @ white
-    blockwise: Array = np.zeros((int(block.max()) + 1, z.shape[1]))
-    np.add.at(blockwise, block, z * white[:, None])
-    steady = max(float(chdtrc(z.shape[1], float(pull @ pull))), _hotelling(blockwise))
+def _free(regression: Regression, i: int, functions: Array, own: Array) -> Array:
+    """Functions (M, q) in whitened rows of a channel, without what its parameters can do."""
+    z = regression.whitened(regression.noises[i], functions * regression.dt)
+    return np.asarray(z - own @ (own.T @ z))
+
+
+def _gain(z: Array, white: Array) -> float:
+    return float(np.square(z.T @ white).sum())
+
+
+def _chance(z: Array, white: Array, fold: Labels, block: Labels, *, strong: bool = False) -> float:
+    """p value of orthonormal columns (N, q): twice the smaller one of a test by blocks, and of folds left out.
+
+    Args:
+        z: The columns.
+        white: What they are to explain (N,).
+        fold, block: Labels of rows.
+        strong: Whether they may explain so much that their own scatter over blocks hides it.
+    """
+    by_block = _jackknife if strong else _hotelling
+    steady = max(float(chdtrc(z.shape[1], _gain(z, white))), by_block(z, white, block))
     return min(1.0, 2.0 * min(steady, _left_out(z, white, fold, block)))
 
 
@@ -295,15 +326,36 @@ def _one_moment(
     )
 
 
-def _hotelling(scores: Array) -> float:
-    """p value of the sum of scores (B, q) of blocks."""
-    count, q = scores.shape
+def _hotelling(z: Array, white: Array, block: Labels) -> float:
+    """p value of the sum of scores of blocks, whose scatter is taken with nothing explained."""
+    scores: Array = np.zeros((int(block.max()) + 1, z.shape[1]))
+    np.add.at(scores, block, z * white[:, None])
+    centred = scores - scores.mean(0)
+    return _of_scatter(scores.sum(0), centred.T @ centred, len(scores), len(scores) / (len(scores) - 1))
+
+
+def _jackknife(z: Array, white: Array, block: Labels) -> float:
+    """p value of coefficients whose scatter is that of leaving a block out: with everything explained.
+
+    (Quenouille's and Tukey's jackknife; Bell, McCaffrey, Survey Methodology 28 (2002), for what it does to blocks
+    that decide by themselves.)
+    """
+    pull, eye = z.T @ white, np.eye(z.shape[1])
+    without = []
+    for b in range(int(block.max()) + 1):
+        part = z[block == b]
+        rest = pull - part.T @ white[block == b]
+        without.append(np.linalg.lstsq(eye - part.T @ part, rest, rcond=1e-10)[0])
+    centred = np.array(without) - np.mean(without, 0)
+    return _of_scatter(pull, centred.T @ centred, len(without), (len(without) - 1) / len(without))
+
+
+def _of_scatter(total: Array, scatter: Array, count: int, factor: float) -> float:
+    """Hotelling's test of a total whose covariance is `factor` times a scatter of `count` blocks."""
+    q = len(total)
     if count < 2 * q + 4:
         return 0.0  # too few blocks to say anything of their scatter
-    total = scores.sum(0)
-    centred = scores - scores.mean(0)
-    scatter = centred.T @ centred * (count / (count - 1))
-    t2 = float(total @ np.linalg.pinv(scatter, rcond=1e-10) @ total)
+    t2 = float(total @ np.linalg.pinv(scatter * factor, rcond=1e-10) @ total)
     return float(fdtrc(q, count - q, t2 * (count - q) / (q * (count - 1))))
 
 

@@ -1,7 +1,7 @@
 """Effects: physical terms that act on a system through a port. Declared physics is a sum of them.
 
-An effect returns what it adds at its port: mass-normalised force [m/s2], inertia-normalised torque [rad/s2],
-or, on the port `input`, a change of the input. An effect with memory (a lag) carries `n_memory` states m with
+An effect returns what it adds at its port: mass-normalised force [m/s2], inertia-normalised torque [rad/s2], a wrench
+of both, or, on the port `input`, a change of the input. An effect with memory (a lag) carries `n_memory` states m with
 dm/dt = memory_rate(t, x, u, m).
 
 Effects on the input act one after another, in the order of their `stage`: delay, then what limits a command, then
@@ -30,6 +30,7 @@ class Port(str, Enum):
     WORLD_FORCE = "world_force"
     BODY_FORCE = "body_force"
     BODY_MOMENT = "body_moment"
+    BODY_WRENCH = "body_wrench"
     MOTOR_THRUST = "motor_thrust"
     INPUT = "input"
 

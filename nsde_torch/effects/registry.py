@@ -23,6 +23,7 @@ from nsde_torch.effects.friction import (
 from nsde_torch.effects.lag import ActuatorLag, MotorLag
 from nsde_torch.effects.multirotor_drag import ConstantWind, LinearDrag, QuadraticDrag
 from nsde_torch.effects.multirotor_forces import ConstantWorldForce, GroundEffect, ThrustMisalignment
+from nsde_torch.effects.multirotor_frame import FrameMisalignment
 from nsde_torch.effects.multirotor_moments import (
     AngularDamping,
     ComOffset,
@@ -66,6 +67,7 @@ EFFECTS: dict[str, type[Effect]] = {
         ConstantWorldForce,
         GroundEffect,
         ThrustMisalignment,
+        FrameMisalignment,
         AngularDamping,
         ComOffset,
         GyroscopicMoment,

@@ -51,7 +51,7 @@ class Multirotor(System):
         *("q_w", "q_x", "q_y", "q_z", "w_x", "w_y", "w_z"),
     )
     state_units = (*("m",) * 3, *("m/s",) * 3, *("1",) * 4, *("rad/s",) * 3)
-    ports = {Port.BODY_FORCE: 3, Port.WORLD_FORCE: 3, Port.BODY_MOMENT: 3}
+    ports = {Port.BODY_FORCE: 3, Port.WORLD_FORCE: 3, Port.BODY_MOMENT: 3, Port.BODY_WRENCH: 6}
     # thrust over mass [m/s2]; commands summed by sense of rotation (the yaw signs) [1]; angular acceleration without
     # effects [rad/s2]; Jx / Jz and Jy / Jz
     quantities = {"thrust": 1, "spin": 1, "angular_acceleration": 3, "inertia": 2}
@@ -115,14 +115,17 @@ class Multirotor(System):
         _, v, q, omega = split_columns(x, *_PARTS)
         thrust, moments = self._thrust_and_moments(u)
         force = join_columns((torch.zeros_like(thrust), torch.zeros_like(thrust), thrust))
+        angular = self._angular(omega, moments)
         if Port.BODY_FORCE in forces:
             force = force + forces[Port.BODY_FORCE]
+        if Port.BODY_MOMENT in forces:
+            angular = angular + forces[Port.BODY_MOMENT]
+        if Port.BODY_WRENCH in forces:
+            push, twist = split_columns(forces[Port.BODY_WRENCH], 3, 3)
+            force, angular = force + push, angular + twist
         acceleration = rotate(q, force) + self.gravity
         if Port.WORLD_FORCE in forces:
             acceleration = acceleration + forces[Port.WORLD_FORCE]
-        angular = self._angular(omega, moments)
-        if Port.BODY_MOMENT in forces:
-            angular = angular + forces[Port.BODY_MOMENT]
         return join_columns((v, acceleration, quaternion_rate(q, omega), angular))
 
     def quantity(self, name: str, x: Tensor, u: Tensor) -> Tensor:

@@ -128,3 +128,14 @@ def test_a_single_moment_is_described_without_functions_of_anything() -> None:
     assert (words.only_run, words.extent, words.symmetry) == (None, "local", "")
     assert "3.5 s" in words.sentence
     assert formula(r, [single], variables) is None
+
+
+def test_a_well_in_one_place_is_local_and_not_periodic() -> None:
+    def well(q: Array, t: Array, run: Array) -> Array:
+        return -0.5 * (q - 0.15) / 0.05 * np.exp(-0.5 * ((q - 0.15) / 0.05) ** 2)
+
+    words = described(well, "q")
+    assert words.period is None
+    assert words.extent == "local"
+    assert words.where is not None
+    assert words.where[0] < 0.15 < words.where[1]

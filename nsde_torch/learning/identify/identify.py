@@ -16,6 +16,7 @@ Assumed, not checked: an input or a first state moves the system, and not noise 
 noise), and inputs are those that acted (smoothed ones lose against a law of the noise: take `differences`).
 """
 
+import copy
 from collections.abc import Collection, Sequence
 from dataclasses import replace
 from math import inf
@@ -82,6 +83,7 @@ class Regression:
         rows: Numbers of the channels that depend on a parameter.
         noises: Their laws.
         white, slopes: Whitened residuals (channels, N) and slopes (channels, N, k) at theta.
+        memory: Rows after which noise forgets.
     """
 
     def __init__(
@@ -110,7 +112,7 @@ class Regression:
         self.orders = int(
             np.clip(round(_ORDERS_S / self.dt), 2, min(_ORDERS, max(len(self.series) // 50, 2)))
         )
-        self._memory = memory_s / self.dt
+        self.memory = memory_s / self.dt
         self.theta = self.vector.inside(self.vector.start if start is None else start)
         self.residual = self._residual(self.theta)
         self._relinearise()
@@ -151,7 +153,7 @@ class Regression:
         self.jacobian = self.single.summed(self.physics.slopes(self.theta), self.box)
         self.jacobian[..., self._held] = 0.0
 
-    def _limits(self) -> Array:
+    def carry_limits(self) -> Array:
         """Largest c of each channel: sensor noise reaches a rate through every state that it depends on."""
         p = self.physics
         p.estimate_sensors(p.residual(self.theta))
@@ -166,7 +168,7 @@ class Regression:
     def _whiten(self) -> None:
         """Laws of the noise at theta, and everything in their units."""
         if self._refined < 3 and not self._kept:
-            self.limits = self._limits()
+            self.limits = self.carry_limits()
         noises = []
         for i, channel in enumerate(self.rows):
             r = self.residual[:, channel]
@@ -174,17 +176,17 @@ class Regression:
                 noises.append(white_noise(r, self.series))
                 continue
             if self._kept:
-                noises.append(again(self.noises[i], r, self.series, memory=self._memory))
+                noises.append(again(self.noises[i], r, self.series, memory=self.memory))
                 continue
             limit = float(self.limits[channel])
             if self._rough:
                 noises.append(first_guess(r, self.series, limit))
                 continue
             if self._refined > 3:  # the same kind of law from here on, so that theta can settle
-                noises.append(again(self.noises[i], r, self.series, memory=self._memory))
+                noises.append(again(self.noises[i], r, self.series, memory=self.memory))
                 continue
             orders = self.orders if self._refined > 1 else 1  # theta first: an order would learn its errors
-            noises.append(estimate(r, self.series, limit=limit, orders=orders, memory=self._memory))
+            noises.append(estimate(r, self.series, limit=limit, orders=orders, memory=self.memory))
         self.noises = noises
         pairs = list(zip(noises, self.rows, strict=True))
         if self._feedback and self._refined < 3:
@@ -271,14 +273,28 @@ class Regression:
 
     def own_noises(self, orders: int | None = None) -> list[Noise]:
         """Laws of the noise of the residuals at theta, of whatever kind suits them, up to some order."""
-        limits = self._limits()
+        limits = self.carry_limits()
         most = self.orders if orders is None else orders
         return [
             estimate(
-                self.residual[:, c], self.series, limit=float(limits[c]), orders=most, memory=self._memory
+                self.residual[:, c], self.series, limit=float(limits[c]), orders=most, memory=self.memory
             )
             for c in self.rows
         ]
+
+    def under(self, row: int, law: Noise) -> "Regression":
+        """The same with another law of the noise of one channel; theta stays.
+
+        Args:
+            row: Number of the channel among `rows`.
+            law: Its law.
+        """
+        out = copy.copy(self)
+        out.noises, out.white, out.slopes = list(self.noises), self.white.copy(), self.slopes.copy()
+        out.noises[row], channel = law, self.rows[row]
+        out.white[row] = self.whitened(law, self.residual[:, [channel]])[:, 0]
+        out.slopes[row] = self.whitened(law, self.jacobian[:, channel])
+        return out
 
     def whitened_rows(self, labels: NDArray[np.int64]) -> NDArray[np.int64]:
         """Labels of the rows of `white` from those of the rows of `series`."""

@@ -92,7 +92,15 @@ def first_guess(residual: Array, series: Series, limit: float) -> Noise:
     return Noise(carry, np.zeros(0), _size(summed, len(series)))
 
 
-def estimate(residual: Array, series: Series, *, limit: float, orders: int, memory: float = inf) -> Noise:
+def estimate(
+    residual: Array,
+    series: Series,
+    *,
+    limit: float,
+    orders: int,
+    memory: float = inf,
+    among: Sequence[float] | None = None,
+) -> Noise:
     """Law of the noise of residuals (N,).
 
     Args:
@@ -101,7 +109,11 @@ def estimate(residual: Array, series: Series, *, limit: float, orders: int, memo
         limit: Largest c.
         orders: Largest order of the autoregression.
         memory: Rows after which noise forgets (m).
+        among: Values of c to choose from; None tries all.
     """
+    if among is not None:
+        carry = min(among, key=lambda c: _score(residual, series, c, orders)[0])
+        return _law(residual, series, carry, _score(residual, series, carry, orders)[1], memory)
     grid = np.append(_GRID[limit > _GRID], limit)
     score, carry = min((_score(residual, series, c, orders)[0], c) for c in grid)
     at = int(np.abs(grid - carry).argmin())

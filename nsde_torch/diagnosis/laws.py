@@ -1,0 +1,107 @@
+"""The law of the noise that is left when a dependence is taken out of a residual.
+
+An autoregression that was fitted to a residual has learned what the physics lacks: a strong smooth force passes for
+noise that lasts, and a test under that law does not see it. So each group of functions is given the likelihood that
+it has with a law of its own,
+
+    L(Z) = max over a, b and the law   of   -N log std - orders,         r = J a + Z b + noise
+
+by turns: a and b by generalised least squares under a law, the law from what they leave. With functions one turn is
+enough, from the sensor's noise alone, which has learned nothing, or from the law that is there.
+"""
+
+from dataclasses import dataclass
+from math import log
+from typing import final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nsde_torch.learning.identify.identify import Regression
+from nsde_torch.learning.identify.noise import Noise, estimate, first_guess
+
+Array = NDArray[np.float64]
+
+_TURNS = 4
+_SETTLED = 0.5  # nats
+_STRONG = 30.0  # nats beyond the price of the functions: less could not blind a law
+
+
+@dataclass(frozen=True)
+class Own:
+    """A law and its likelihood.
+
+    Args:
+        law: Of the noise that is left.
+        likelihood: Log likelihood, less one for each parameter of the law.
+    """
+
+    law: Noise
+    likelihood: float
+
+
+@final
+class Laws:
+    """Laws of the noise of one channel with something taken out.
+
+    Args:
+        regression: At its optimum.
+        channel: Number of the channel among its rows.
+        limit: Largest c of the channel (`Regression.carry_limits`).
+
+    Attributes:
+        base: The law with nothing taken out but what the parameters can do.
+    """
+
+    def __init__(self, regression: Regression, channel: int, limit: float) -> None:
+        self._regression, self._limit = regression, limit
+        at = regression.rows[channel]
+        self._residual, self._slopes = regression.residual[:, at], regression.jacobian[:, at]
+        there = regression.noises[channel]
+        self.base = max(
+            Own(there, self._likelihood(there)), self._settled(there), key=lambda own: own.likelihood
+        )
+        rough = first_guess(self._residual, regression.series, limit)
+        self._starts = [(law, *self._whitened(law)) for law in (rough, self.base.law)]
+
+    def without(self, functions: Array) -> Own | None:
+        """The law that is left without functions per unit of time (M, q); None where it is not much likelier."""
+        columns, best = functions * self._regression.dt, self.base
+        for law, slopes, white in self._starts:
+            own = self._regression.whitened(law, columns)
+            this = self._left(columns, np.concatenate((slopes, own), 1), white, law)
+            best = max(best, this, key=lambda found: found.likelihood)
+        more = best.likelihood - self.base.likelihood
+        return best if more > 0.5 * columns.shape[1] + _STRONG else None
+
+    def _settled(self, law: Noise) -> Own:
+        """The law of the residual, from a first one by turns."""
+        best, nothing = Own(law, -np.inf), self._slopes[:, :0]
+        for turn in range(_TURNS):
+            slopes, white = self._whitened(best.law)
+            this = self._left(nothing, slopes, white, best.law, thorough=turn > 0)
+            if this.likelihood < best.likelihood + _SETTLED:
+                break
+            best = this
+        return best
+
+    def _whitened(self, law: Noise) -> tuple[Array, Array]:
+        """Slopes (N, k) and the residual (N,) in whitened rows."""
+        whitened = self._regression.whitened(law, np.column_stack((self._slopes, self._residual)))
+        return whitened[:, :-1], whitened[:, -1]
+
+    def _left(
+        self, columns: Array, slopes: Array, white: Array, law: Noise, *, thorough: bool = False
+    ) -> Own:
+        """The law of what generalised least squares under a law leave; every c is tried where it is to be thorough."""
+        size = np.maximum(np.linalg.norm(slopes, axis=0), 1e-300)
+        gram = (slopes / size).T @ (slopes / size)
+        weights = np.linalg.lstsq(gram, (slopes / size).T @ white, rcond=1e-12)[0] / size
+        left = self._residual - np.concatenate((self._slopes, columns), 1) @ weights
+        r = self._regression
+        among = None if thorough else sorted({0.0, law.carry, self._limit})
+        found = estimate(left, r.series, limit=self._limit, orders=r.orders, memory=r.memory, among=among)
+        return Own(found, self._likelihood(found))
+
+    def _likelihood(self, law: Noise) -> float:
+        return -len(self._regression.series) * log(law.std) - law.parameters

@@ -1,0 +1,55 @@
+"""A law of the noise that has learned what the physics lacks does not hide it."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from nsde_torch.diagnosis.laws import Laws
+from nsde_torch.diagnosis.shape import shape
+from nsde_torch.diagnosis.structure import dependences
+from nsde_torch.diagnosis.views import rates
+from tests.diagnosis.test_shape import Push, pushed
+
+STRONG: list[tuple[str, Push, str]] = [
+    ("a stop that is hit now and then", lambda q, t, run: -20.0 * np.maximum(q - 0.15, 0.0), "even"),
+    ("a strong smooth force", lambda q, t, run: -4.0 * np.tanh(9.0 * q), "odd"),
+]
+
+
+@pytest.mark.parametrize(
+    ("push", "side"), [(p, s) for _, p, s in STRONG], ids=[name for name, _, _ in STRONG]
+)
+def test_a_strong_force_is_seen_through_the_law_of_the_noise_that_it_leaves(push: Push, side: str) -> None:
+    r, variables = pushed(push)
+    laws = Laws(r, 0, float(r.carry_limits()[r.rows[0]]))
+    other = laws.without(variables.functions["q"][0])
+    assert other is not None
+    assert other.likelihood > laws.base.likelihood + 100
+    assert other.law.std < laws.base.law.std
+    most = max(dependences(r, variables), key=lambda d: d.gain - d.functions)
+    assert (most.channel, most.variable) == ("q_dot", "q")
+    assert most.law is not None
+    assert most.law.std == other.law.std
+    assert most.p < 1e-12
+    words = shape(r, most, variables, rates(r, variables))
+    assert (words.variable, words.symmetry) == ("q", side)
+    assert words.period is None
+
+
+def test_functions_that_nothing_depends_on_leave_the_law_as_it_is() -> None:
+    r, variables = pushed(lambda q, t, run: 0.0 * q)
+    laws = Laws(r, 0, float(r.carry_limits()[r.rows[0]]))
+    assert [laws.without(f) for f, _ in variables.functions.values()] == [None] * len(variables.functions)
+    assert min(d.p for d in dependences(r, variables)) > 1e-4
+
+
+def test_another_law_of_one_channel_leaves_theta_and_the_regression_as_they_are() -> None:
+    r, _ = pushed(lambda q, t, run: 4.0 * np.sin(9.0 * q))
+    law = r.own_noises(0)[0]
+    before = r.white.copy()
+    there = r.under(0, law)
+    np.testing.assert_array_equal(r.white, before)
+    np.testing.assert_array_equal(there.theta, r.theta)
+    np.testing.assert_allclose(there.white[0], r.whitened(law, r.residual[:, r.rows])[:, 0])
+    assert there.noises[0] is law

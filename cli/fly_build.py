@@ -44,7 +44,9 @@ def known(config: DictConfig) -> Model | System:
         )
     run = DECLARED if config.run == track_build.PID else config.run
     if track_build.is_exported(run):
-        return track_build.exported(run).known
+        file = track_build.exported(run)
+        track_build.agreed(file, config.mpc)
+        return file.known
     found = knowledge(run, config.system.name, effects=_effects(config) if config.run == DECLARED else ())
     if not isinstance(system_of(found), Multirotor):
         raise ConfigError(

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from dataclasses import asdict
 from math import inf
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import torch
-from omegaconf import DictConfig
+from omegaconf import DictConfig, OmegaConf
 
 from nsde_torch.control import shapes
 from nsde_torch.control.autopilots import Autopilot, CascadePilot, PredictivePilot
@@ -55,6 +56,12 @@ def reference(config: DictConfig) -> Reference:
     return Reference(_PATHS[config.kind](**build.options(config, "kind", "check", "tilt_limit")))
 
 
+_IN_FILES = (
+    *("horizon", "steps", "state_weights", "input_weight", "input_centre", "rate_weight", "speed_limit"),
+    *("tilt_limit", "fence", "limit_weight", "uncertainty_weight", "particles", "iterations", "tolerance"),
+    *("deadline", "keep", "jump"),
+)
+"""Keys of `mpc` that are fixed when a controller is exported."""
 _MOTOR_LATENCY = 0.02  # measured best on machines whose motors lag 50 ms
 _LAGS = {"motor_lag", "actuator_lag", "input_delay"}
 
@@ -175,6 +182,7 @@ def autopilot(
         if batch != 1:
             raise ConfigError(f"a file flies one machine at a time; got at_once={batch}. Take at_once=1.")
         controller = file = exported(name)
+        agreed(file, mpc)
         foresight = file.sample
     else:
         controller = Controller(
@@ -228,6 +236,29 @@ def exported(name: str) -> ExportedController:
     from nsde_torch.export.exported import ExportedController
 
     return ExportedController(name)
+
+
+def agreed(file: ExportedController, mpc: DictConfig) -> None:
+    """Refuse settings of `mpc` that somebody gave and that a file does not have: nothing would come of them.
+
+    Raises:
+        ConfigError: names one of them.
+    """
+    from .schema import MpcConfig
+
+    def settings(config: DictConfig) -> dict[str, Any]:
+        found = {**asdict(problem(config)), **asdict(solver(config)), **asdict(safety(config))}
+        return {**found, "solver": found.pop("name")}
+
+    given, plain = settings(mpc), settings(OmegaConf.structured(MpcConfig))
+    kept = {**asdict(file.options), **asdict(file.solver.options), **asdict(file.safety)}
+    kept["solver"] = kept.pop("name")
+    for name in (*_IN_FILES, "solver"):
+        if given[name] not in (plain[name], kept[name]):
+            raise ConfigError(
+                f"`mpc.{name}` is {given[name]} here, and {file.path} was exported with {kept[name]}, which is what it "
+                "does. Leave it out, or export anew."
+            )
 
 
 def _rounded(time: float, step: float) -> float:

@@ -5,7 +5,8 @@ operations of one graph (`while_loop`) they do not pass torch.export 2.13 when t
 
 Code is made for a level of the processor (x86-64-v4 with AVX-512, x86-64-v3 with AVX2) and not for the very one that
 compiles it: what the record says of the processor is then all that has to fit. Of what the compiler leaves behind, the
-package holds what is loaded, and no source.
+package holds what is loaded: no source, no symbols, and no name of a file or folder in which it was made, so that the
+same controller makes the same bytes.
 """
 
 from __future__ import annotations
@@ -81,6 +82,7 @@ def _machine_code(step: Step, stage: str, example: Sequence[Tensor]) -> Any:
     program = torch.export.export(graph, tuple(example), strict=False)
     options: dict[str, Any] = {
         "aot_inductor.package": True,
+        "aot_inductor.enable_line_tables": False,
         "force_pointwise_cat": stage in _FUSED,
         "cpp.march": _LEVELS.get(torch.backends.cpu.get_cpu_capability()),
     }
@@ -104,12 +106,21 @@ def _quiet() -> Iterator[None]:
 
 @contextmanager
 def _built_in(folder: str) -> Iterator[None]:
-    """While it lasts, the compiler works in this folder, and uses nothing that it made before."""
-    before = os.environ.get("TORCHINDUCTOR_CACHE_DIR")
+    """While it lasts, the compiler works in this folder, uses nothing made before, and keeps names to itself."""
+    from torch._inductor import cpp_builder
+
+    before, flags = os.environ.get("TORCHINDUCTOR_CACHE_DIR"), cpp_builder._get_optimization_cflags
+
+    def nameless(*arguments: Any, **options: Any) -> tuple[list[str], list[str]]:
+        compiling, linking = flags(*arguments, **options)
+        return [*compiling, "D__FILE__='\"controller\"'", "Wno-builtin-macro-redefined", "s"], linking
+
     os.environ["TORCHINDUCTOR_CACHE_DIR"] = folder
+    cpp_builder._get_optimization_cflags = nameless
     try:
         yield
     finally:
+        cpp_builder._get_optimization_cflags = flags
         if before is None:
             del os.environ["TORCHINDUCTOR_CACHE_DIR"]
         else:
@@ -117,7 +128,8 @@ def _built_in(folder: str) -> Iterator[None]:
 
 
 def _is_loaded(member: str) -> bool:
-    return not member.endswith(".cpp") and member != ".data/serialization_id"
+    # names of kernels' files differ from time to time, and what is loaded of them is in the wrappers'
+    return member != ".data/serialization_id" and not member.endswith(".cpp") and ".kernel" not in member
 
 
 def loaded(

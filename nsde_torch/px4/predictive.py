@@ -191,6 +191,8 @@ class PredictiveMaker:
         row = tuple(reference.at(torch.tensor(0.0)).tolist())
         took = sorted(made(row, 0.02 * k, 0.0).solve_ms for k in range(WARM_UP))[WARM_UP // 2]
         how = "compiled" if controller.solver.compiled else "not compiled"
+        if isinstance(controller, ExportedController):
+            how = f"a file, {controller.record['kind']}"
         if took > 1e3 * SLOWEST:
             raise ConfigError(
                 f"a plan takes {took:.0f} ms (solver {how}); at most {1e3 * SLOWEST:.0f} ms can be flown on. Install a "

@@ -76,6 +76,18 @@ def test_a_file_flies_as_the_controller_that_it_was_made_of(
     )
 
 
+def test_settings_that_a_file_does_not_have_are_refused(
+    file: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for command in ("track", "fly"):
+        assert main([command, f"controller={file}", "mpc.speed_limit=3", "out_dir=out"]) == 2
+        said = capsys.readouterr().err
+        assert "`mpc.speed_limit` is 3.0 here" in said
+        assert "exported with inf" in said
+        assert main([command, f"controller={file}", "mpc.deadline=0.01", "out_dir=out"]) == 2
+        assert "exported with None" in capsys.readouterr().err
+
+
 @pytest.mark.slow
 def test_the_flight_computer_is_built_and_flies_a_recorded_log(
     file: Path, root: Path, tmp_path: Path

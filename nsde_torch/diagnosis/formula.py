@@ -2,8 +2,8 @@
 
 The residual rate of a channel is regressed on a library of functions of the variables that it depends on,
 
-    v, v^2, v^3, v^5, v |v|, |v|, sign v,   sin k v, cos k v of an angle,   sin, cos at a period that was found,
-    a b, a^2 b, a b^2
+    v, v^2, v^3, v^5, v |v|, |v|, sign v,   max(v - a, 0), min(v - a, 0) for zero and some a in the range of v,
+    sin k v, cos k v of an angle,   sin, cos at a period that was found,   a b, a^2 b, a b^2
 
 in the whitened weak form, free of what the declared parameters can do. Terms are chosen by forward orthogonal least
 squares (Billings, Nonlinear System Identification, 2013), by pysindy's FROLS where that is installed, and kept while
@@ -31,6 +31,8 @@ Array = NDArray[np.float64]
 _TERMS = 4
 _VARIABLES = 3
 _NEW = 0.03  # of the length of a function: less of it is nothing that the parameters cannot do already
+_KNOTS = (0.02, 0.05, 0.1, 0.2, 0.35, 0.65, 0.8, 0.9, 0.95, 0.98)
+_SAME = 1e-3  # of the largest singular value: functions that are the same but for this
 _SHARPNESS = 20.0  # of a sign, per 90 % quantile of the variable
 
 
@@ -109,10 +111,10 @@ def formula(regression: Regression, left: Sequence[Dependence], variables: Regre
     price = log(int(of_white.max()) + 1) + 2.0 * log(len(names_of))
     kept: list[int] = []
     reached = 0.0
-    for k in range(1, len(order) + 1):
-        this = _explained(z[:, order[:k]], rest)
+    for j in order:
+        this = _explained(z[:, [*kept, j]], rest)
         if this - reached > price:
-            kept, reached = order[:k], this
+            kept, reached = [*kept, j], this
     if not kept:
         return None
     coefficients, errors = _fitted(z[:, kept], rest, of_white)
@@ -153,6 +155,12 @@ def library(
             f"|{name}|": np.abs(v),
             f"sign({name})": np.tanh(_SHARPNESS * v / size),
         }
+        for a in [0.0, *np.quantile(v, _KNOTS)]:
+            shown = f"{name} {'-' if a >= 0 else '+'} {abs(a):.3g}" if a else name
+            out |= {
+                f"max({shown}, 0)": np.clip(v - a, 0.0, None),
+                f"min({shown}, 0)": np.clip(v - a, None, 0.0),
+            }
         if units.get(name) == "rad":
             for k in (1, 2, 3):
                 angle = name if k == 1 else f"{k} {name}"
@@ -217,7 +225,8 @@ def forward(unit: Array, rest: Array, terms: int) -> list[int]:
 
 
 def _explained(z: Array, rest: Array) -> float:
-    return float(rest @ (z @ np.linalg.lstsq(z, rest, rcond=None)[0]))
+    size = np.linalg.norm(z, axis=0)
+    return float(rest @ (z / size @ np.linalg.lstsq(z / size, rest, rcond=_SAME)[0]))
 
 
 def _fitted(z: Array, rest: Array, block: NDArray[np.int64]) -> tuple[Array, Array]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from nsde_torch.diagnosis.formula import formula
 from nsde_torch.diagnosis.laws import Laws
 from nsde_torch.diagnosis.shape import shape
 from nsde_torch.diagnosis.structure import dependences
@@ -53,3 +54,13 @@ def test_another_law_of_one_channel_leaves_theta_and_the_regression_as_they_are(
     np.testing.assert_array_equal(there.theta, r.theta)
     np.testing.assert_allclose(there.white[0], r.whitened(law, r.residual[:, r.rows])[:, 0])
     assert there.noises[0] is law
+
+
+def test_a_stop_has_a_hinge_for_a_formula() -> None:
+    r, variables = pushed(STRONG[0][1])
+    left = sorted(dependences(r, variables), key=lambda d: d.functions - d.gain)[:1]
+    found = formula(r, left, variables)
+    assert found is not None
+    first = found.terms[0]
+    assert first.function.startswith("max(q - 0.")
+    assert first.coefficient == pytest.approx(-20.0, rel=0.3)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+
 import pytest
 import torch
 
@@ -9,7 +11,7 @@ from nsde_torch.control.reference import Reference
 from nsde_torch.errors import ConfigError
 from nsde_torch.export.graph import graph_of
 from nsde_torch.export.layout import STATUS
-from nsde_torch.export.step import STAGES, packed
+from nsde_torch.export.step import STAGES, WHOLE, packed
 from nsde_torch.models import NeuralSDE
 from nsde_torch.systems import System
 from tests.helpers.exported import flight, small_controller, step_of
@@ -44,6 +46,18 @@ def test_graphs_of_every_stage_give_its_numbers(declared: System) -> None:
         for ours, theirs in zip(graph(*example), plain, strict=True):
             assert torch.allclose(ours, theirs, rtol=1e-9, atol=1e-9, equal_nan=True), name
         assert set(STAGES) >= {name}
+
+
+def test_the_rollout_as_one_stage_or_step_by_step_makes_the_same_plans(
+    declared: System, path: Reference
+) -> None:
+    controller = small_controller(declared, particles=2)
+    step = step_of(controller, declared)
+    whole = {name: step.stage(name) for name in WHOLE}
+    assert set(step.examples(WHOLE)) == set(WHOLE)
+    for arguments, _ in itertools.islice(flight(controller, path), 6):
+        one, other = step.run(whole, *arguments), step.run(step.stages, *arguments)
+        assert all(torch.equal(a, b) for a, b in zip(one, other, strict=True))
 
 
 def test_a_plan_that_the_host_has_spoilt_is_none(declared: System, path: Reference) -> None:

@@ -28,7 +28,7 @@
 
 namespace {
 
-const char* const kFormat = "nsde_torch controller/1";
+const char* const kFormat = "nsde_torch controller/2";
 const char* const kRecord = "extra/nsde.json";
 using Tensors = std::vector<at::Tensor>;
 
@@ -65,9 +65,14 @@ Json checked(const std::string& file) {
     Json record = parse_json(members[kRecord]);
     if (record.at("format").text != kFormat)
         throw std::runtime_error(file + " is of the format " + record.at("format").text + "; this program reads " + kFormat);
+    for (const char* name : {"sha256", "written"}) {  // the record is hashed without its own hash, and without the time
+        std::string& text = members[kRecord];
+        const std::string key = std::string("\n \"") + name + "\": \"";
+        const size_t at = text.find(key);
+        if (at != std::string::npos) text.erase(at + key.size(), text.find('"', at + key.size()) - at - key.size());
+    }
     Sha256 digest;
     for (const auto& [name, content] : members) {
-        if (name == kRecord) continue;
         for (const std::string* part : {&name, &content}) {
             uint64_t n = part->size();
             uint8_t length[8];

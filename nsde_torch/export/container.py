@@ -1,6 +1,9 @@
-"""Exported files: zip archives with one JSON record of what they are, and a hash over all the rest.
+"""Exported files: zip archives with one JSON record of what they are, and a hash over everything in them.
 
-    sha256 = H(for every other member by name: len(name), name, len(bytes), bytes),   lengths as 8 bytes, little-endian
+    sha256 = H(for every member by name: len(name), name, len(bytes), bytes),   lengths as 8 bytes, little-endian
+
+where the record stands for itself with two of its values empty: the hash, and the time of writing, without which the
+same controller has the same hash.
 
 Archives are written with fixed times, order and names, so that the same controller makes the same bytes. The hash
 tells a damaged file; it tells nothing about who wrote it, and a TorchScript file or a compiled package is code.
@@ -20,18 +23,18 @@ from typing import Any
 from nsde_torch.errors import ExportError
 
 ROOT, RECORD = "controller", "extra/nsde.json"
-FORMAT = "nsde_torch controller/1"
+FORMAT = "nsde_torch controller/2"
+_BLANK = re.compile(rb'^( "(?:sha256|written)": )"[^"\n]*"', re.MULTILINE)
 _LARGEST = 512 << 20
 _MANGLED = re.compile(rb"\.___torch_mangle_\d+")
 
 
 def digest_of(members: Mapping[str, bytes]) -> str:
-    """Hash (hex) over members by name, the record left out."""
+    """Hash (hex) over members by name."""
     digest = hashlib.sha256()
     for name in sorted(members):
-        if name == RECORD:
-            continue
-        for part in (name.encode(), members[name]):
+        content = _BLANK.sub(rb'\1""', members[name]) if name == RECORD else members[name]
+        for part in (name.encode(), content):
             digest.update(len(part).to_bytes(8, "little") + part)
     return digest.hexdigest()
 
@@ -93,11 +96,14 @@ def write(path: Path, members: Mapping[str, bytes], record: Mapping[str, Any]) -
         members: Everything but the record.
         record: What it is, plain values.
     """
-    digest = digest_of(members)
-    text = json.dumps({"format": FORMAT, "sha256": digest, **record}, indent=1, allow_nan=False)
+
+    def text(digest: str) -> bytes:
+        return json.dumps({"format": FORMAT, "sha256": digest, **record}, indent=1, allow_nan=False).encode()
+
+    digest = digest_of({**members, RECORD: text("")})
     path.parent.mkdir(parents=True, exist_ok=True)
     temporary = path.with_name(path.name + ".partial")
-    temporary.write_bytes(archive_of({**members, RECORD: text.encode()}))
+    temporary.write_bytes(archive_of({**members, RECORD: text(digest)}))
     temporary.replace(path)
     return digest
 

@@ -416,7 +416,8 @@ def diagnose(
                 f"{', '.join(effect_class(name).exogenous) or 'no channel'}."
             )
 
-    search = search_in(system, extended, recorded.clock, options, say=say)
+    acted = all(fault.name != "input_smoothing" for fault in recorded.faults)
+    search = search_in(system, extended, recorded.clock, options, inputs=acted, say=say)
     seconds["recording"] = now() - started
     outcome = loop(search, system, max_effects=options.max_effects)
     seconds["search"] = now() - started - seconds["recording"]
@@ -460,6 +461,7 @@ def search_in(
     clock: float,
     options: Options,
     *,
+    inputs: bool = True,
     say: Callable[[str, int, int], None] = lambda stage, done, total: None,
 ) -> Search:
     """A search in runs whose recording chain was undone.
@@ -469,6 +471,7 @@ def search_in(
         runs: The runs; columns behind the inputs are logged channels (`with_channels`), which the system reads.
         clock: Physical seconds per logged second.
         options: Settings.
+        inputs: Whether the inputs are what acted (see `Search`).
         say: Told stage, number done and number in all.
     """
     box = max(1, int(_BOX_S / (runs[0].dt * clock) + 1e-6))
@@ -489,6 +492,7 @@ def search_in(
         if options.candidates is None
         else (*options.candidates, *map(register, options.also)),
         feedback=not system.sensor_noise,
+        inputs=inputs,
         say=say,
     )
 

@@ -147,9 +147,9 @@ def loop(search: Search, system: System, *, max_effects: int) -> Outcome:
         search.held |= set(now.chosen.held)
         base = search.base(fitted_system(now.chosen.regression), warm=True)
     found, base = _settle(search, declared, base, names, rounds)
-    declared_variables = regressors(declared.regression)
+    declared_variables = regressors(declared.regression, inputs=search.inputs)
     before = dependences(declared.regression, declared_variables)
-    variables = regressors(base.regression) if found else declared_variables
+    variables = regressors(base.regression, inputs=search.inputs) if found else declared_variables
     after = dependences(base.regression, variables) if found else before
     left = sorted((d for d in after if d.p * len(after) < search.alpha), key=lambda d: d.functions - d.gain)
     explained = 2.0 * (base.score.fitted - declared.score.fitted)

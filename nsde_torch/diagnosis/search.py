@@ -190,6 +190,7 @@ class Search:
         alpha: Chance of adding an effect where none is missing.
         candidates: Names to choose from; None takes all that the system may have.
         feedback: Take out what kinematic residuals foretell, where inputs react to sensors (`identify.feedback`).
+        inputs: Whether the inputs are what acted, and not restored from an average.
         say: Told what is going on: stage, number done, number in all.
     """
 
@@ -201,12 +202,13 @@ class Search:
         alpha: float,
         candidates: Sequence[str] | None = None,
         feedback: bool = False,
+        inputs: bool = True,
         say: Callable[[str, int, int], None] = lambda stage, done, total: None,
     ) -> None:
         self.steps, self.box, self.alpha = steps, box, alpha
         self.candidates, self.say = candidates, say
         self.held: set[str] = set()
-        self.feedback = feedback
+        self.feedback, self.inputs = feedback, inputs
 
     def base(self, system: System, *, warm: bool = False) -> Base:
         """The regression of a system, with noise laws of its own.

@@ -64,11 +64,11 @@ class Dependence:
     law: Noise | None = None
 
 
-def _columns(regression: Regression) -> tuple[dict[str, Array], Array]:
+def _columns(regression: Regression, *, inputs: bool) -> tuple[dict[str, Array], Array]:
     """Variables that a residual may depend on, in the middle of each box (M,), and the time in the run (M,) [s].
 
-    States that are foreseen (positions and rates, of a quaternion what the system's features make of it), inputs,
-    and logged channels.
+    States that are foreseen (positions and rates, of a quaternion what the system's features make of it), inputs if
+    asked for, and logged channels.
     """
     physics, system = regression.physics, regression.vector.system
     z = physics.middle(regression.theta)
@@ -85,13 +85,12 @@ def _columns(regression: Regression) -> tuple[dict[str, Array], Array]:
         seen = name in columns or (q is not None and name.startswith("v_"))
         if not (inside or seen):
             columns[name] = x[:, i].numpy()
-    inputs = physics.steps.u.numpy()
-    labels = [*system.input_names, *system.exogenous]
-    mix = getattr(system, "mix", None)
-    if mix is not None:
-        columns |= dict(zip(_MIXED, (inputs[:, : len(mix)] @ mix.numpy()).T, strict=True))
-        inputs, labels = inputs[:, len(mix) :], labels[len(mix) :]
-    columns |= dict(zip(labels, inputs.T, strict=True))
+    u, mix = physics.steps.u.numpy(), getattr(system, "mix", None)
+    if inputs and mix is not None:
+        columns |= dict(zip(_MIXED, (u[:, : system.nu] @ mix.numpy()).T, strict=True))
+    elif inputs:
+        columns |= dict(zip(system.input_names, u[:, : system.nu].T, strict=True))
+    columns |= dict(zip(system.exogenous, u[:, system.nu :].T, strict=True))
     single, box = regression.single, regression.box
     columns = {k: single.summed(v[:, None], box)[:, 0] / box for k, v in columns.items() if v.std() > 1e-9}
     starts = physics.steps.t.numpy()
@@ -135,9 +134,15 @@ class Regressors:
         return self.t if variable == "time" else self.columns[variable]
 
 
-def regressors(regression: Regression) -> Regressors:
-    """Everything that the residuals of a regression may depend on."""
-    columns, t = _columns(regression)
+def regressors(regression: Regression, *, inputs: bool = True) -> Regressors:
+    """Everything that the residuals of a regression may depend on.
+
+    Args:
+        regression: At its optimum.
+        inputs: Whether the inputs are what acted. Those that were restored from an average err, and what a residual
+            holds of such an error depends on them.
+    """
+    columns, t = _columns(regression, inputs=inputs)
     functions = {name: (z, odd) for name, z, odd in _groups(regression, columns, t)}
     return Regressors(columns, t, functions)
 

@@ -30,13 +30,16 @@ def test_a_rate_that_reads_too_much_is_found_where_its_integral_is_logged(
 
 
 def test_inputs_that_were_averaged_are_found_and_restored() -> None:
-    _, averaged = diagnosed(
+    there, averaged = diagnosed(
         "cartpole", options=ALONE, durations=(12.0,) * 4, recording=Recording(input_smoothing=0.2)
     )
     assert averaged["added"] == ["input_smoothing"]
     assert averaged["parameters"]["input_smoothing.width"]["value"] == pytest.approx(0.2)
-    _, raw = diagnosed("cartpole", options=ALONE, durations=(12.0,) * 4)
+    here, raw = diagnosed("cartpole", options=ALONE, durations=(12.0,) * 4)
     assert raw["added"] == []
+    # what was restored errs, and a residual depends on the errors of an input
+    assert "force" not in there.outcome.variables.columns
+    assert "force" in here.outcome.variables.columns
 
 
 def test_restored_inputs_are_nearer_to_those_that_acted_than_their_average() -> None:

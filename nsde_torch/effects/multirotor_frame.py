@@ -15,7 +15,7 @@ from torch import Tensor
 
 from nsde_torch.columns import columns, stack_columns
 from nsde_torch.effects.base import Effect, Parameter, Port
-from nsde_torch.rotation import rotate, rotate_back, turned
+from nsde_torch.rotation import matrix, turned
 
 
 @final
@@ -41,15 +41,15 @@ class FrameMisalignment(Effect):
     def forward(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
         """See `Effect.forward`."""
         thrust, omega = self.channel("thrust", u), x[:, 10:13]
-        turn = self.value("turn").to(x).expand(len(x), 3)
-        zero = torch.zeros_like(thrust)
-        q = turned(torch.cat((zero + 1.0, zero, zero, zero), 1), turn)
+        turn = self.value("turn").to(x)[None]
+        level = torch.tensor([[1.0, 0.0, 0.0, 0.0]]).to(x)
+        r = matrix(turned(level, turn))[0]  # a row times r is turned back
         jx, jy = columns(self.channel("inertia", u))
         coupling = stack_columns(((jy - 1.0) / jx, (1.0 - jx) / jy, jx - jy))
         seen = self.channel("angular_acceleration", u)
-        own = seen + coupling * (_products(rotate(q, omega)) - _products(omega))
-        lift = torch.cat((zero, zero, thrust), 1)
-        return torch.cat((rotate_back(q, lift) - lift, rotate_back(q, own) - seen), 1)
+        own = seen + coupling * (_products(omega @ r.T) - _products(omega))
+        up = torch.tensor([[0.0, 0.0, 1.0]]).to(x)
+        return torch.cat((thrust * (up @ r - up), own @ r - seen), 1)
 
 
 def _products(omega: Tensor) -> Tensor:

@@ -35,6 +35,7 @@ from nsde_torch.systems.parameters import ParameterVector
 Array = NDArray[np.float64]
 
 _LEAD = 5  # steps from which a state is foreseen: sensor noise of one step biases, that of older ones hardly
+_SMALL = 5e-7  # of a parameter's scale: it stays inside the bounds, and errs by a hundred-millionth
 _FOURTH = 70.0  # C(8, 4): variance of a fourth difference of white noise
 
 
@@ -104,7 +105,11 @@ class Physics:
                     strict=True,
                 )
                 moving[:, nx:] = sum(high - low for high, low in ends) / (4.0 * small)
-            columns.append(torch.func.jvp(self._forecast, (at, middle), (direction, moving))[1].numpy())
+            # central differences: forward mode takes ten times as long as the function
+            small = _SMALL * float(self.vector.scale[j])
+            ahead = self._forecast(at + small * direction, middle + small * moving)
+            behind = self._forecast(at - small * direction, middle - small * moving)
+            columns.append(((ahead - behind) / (2.0 * small)).numpy())
         self.vector.use(at)
         return np.stack(columns, 2)
 
@@ -154,7 +159,8 @@ class Physics:
         for j in range(system.nx):
             direction = torch.zeros_like(s.x0)
             direction[:, j] = 1.0
-            slope = torch.func.jvp(rate, (s.x0,), (direction,))[1]
+            small = _SMALL * max(1.0, float(s.x0[:, j].abs().max()))
+            slope = (rate(s.x0 + small * direction) - rate(s.x0 - small * direction)) / (2.0 * small)
             own[j] = float(slope[:, j].mean())
             square[:, j] = slope.square().mean(0).numpy()
         return own, square

@@ -59,7 +59,7 @@ class Noise:
     def whiten(self, values: Array, series: Series) -> Array:
         """Filtered columns (N, k) in units of `std`, one row more per stretch than there were: (N + stretches, k)."""
         summed = _carry(self.carry, values, series)
-        return _lattice(self.reflection, summed, extended(series)) / self.std
+        return _filtered(self.reflection, summed, extended(series)) / self.std
 
     def own_slopes(self, residual: Array, series: Series) -> Array:
         """Slopes of the whitened residual (N,) in a and c, (N + stretches, p + 1), up to factors."""
@@ -67,7 +67,7 @@ class Noise:
         summed = _carry(self.carry, residual[:, None], series)
         columns = [longer.lagged(summed[:, 0], len(self.reflection))]
         if self.carry > 0:
-            white = _lattice(self.reflection, summed, longer)[:, 0]
+            white = _filtered(self.reflection, summed, longer)[:, 0]
             of_carry = np.zeros(len(longer))
             for a, b in longer.edges:
                 of_carry[a + 1 : b] = lfilter([1.0], [1.0, -self.carry], white[a:b])[:-1]
@@ -131,15 +131,13 @@ def again(noise: Noise, residual: Array, series: Series, *, memory: float = inf)
 
 def _law(residual: Array, series: Series, carry: float, reflection: Array, memory: float) -> Noise:
     reflection = forgetting(reflection, memory)
-    white = _lattice(reflection, _carry(carry, residual[:, None], series), extended(series))
+    white = _filtered(reflection, _carry(carry, residual[:, None], series), extended(series))
     return Noise(carry, reflection, _size(white, len(series)))
 
 
 def forgetting(reflection: Array, memory: float) -> Array:
     """Reflection coefficients (p,) of the autoregression whose coefficients are multiplied by exp(-j / memory)."""
-    a: Array = np.ones(1)
-    for k in reflection:
-        a = np.append(a, 0.0) + k * np.append(0.0, a[::-1])
+    a = _polynomial(reflection)
     a = a * np.exp(-np.arange(len(a)) / memory)
     out = np.zeros(len(reflection))
     for m in range(len(reflection), 0, -1):
@@ -217,10 +215,32 @@ def _burg(values: Array, series: Series, orders: int) -> tuple[Array, Array]:
     return np.array(reflection), np.array(left)
 
 
-def _lattice(reflection: Sequence[float] | Array, values: Array, series: Series) -> Array:
+def _polynomial(reflection: Sequence[float] | Array) -> Array:
+    """Coefficients 1, a_1, ..., a_p of an autoregression (p + 1,)."""
+    a: Array = np.ones(1)
+    for k in reflection:
+        a = np.append(a, 0.0) + k * np.append(0.0, a[::-1])
+    return a
+
+
+def _filtered(reflection: Sequence[float] | Array, values: Array, series: Series) -> Array:
     """Columns (N, k) through the whitening filter; rows near a start are scaled to the same variance."""
-    if not len(reflection):
+    p = len(reflection)
+    if not p:
         return values
+    a, out, starts = _polynomial(reflection), np.empty_like(values), []
+    for first, end in series.edges:
+        out[first:end] = lfilter(a, [1.0], values[first:end], axis=0)
+        starts.append(np.arange(first, min(first + p, end)))
+    ends = np.cumsum([len(rows) for rows in starts]).tolist()
+    short = Series(tuple(zip([0, *ends[:-1]], ends, strict=True)))
+    near = np.concatenate(starts)
+    out[near] = _lattice(reflection, values[near], short)
+    return out
+
+
+def _lattice(reflection: Sequence[float] | Array, values: Array, series: Series) -> Array:
+    """The same order by order, as rows near a start need it."""
     place = series.place
     forward, backward = values, values
     for m, k in enumerate(reflection, 1):

@@ -132,3 +132,8 @@ def test_the_flight_computer_is_built_and_flies_a_recorded_log(
     refused = fly("--controller", str(broken), "--log", str(log))
     assert refused.returncode == 2
     assert "changed" in refused.stderr or "damaged" in refused.stderr
+    assert file.read_bytes().count(b'"keep": 0.5') == 1  # also what only the record says
+    broken.write_bytes(file.read_bytes().replace(b'"keep": 0.5', b'"keep": 9.5'))
+    refused = fly("--controller", str(broken), "--log", str(log))
+    assert refused.returncode == 2
+    assert "changed" in refused.stderr

@@ -3,18 +3,22 @@
 from __future__ import annotations
 
 from math import cos, pi, sin
+from pathlib import Path
 
 import pytest
 import torch
 
 from nsde_torch.control import shapes
-from nsde_torch.control.controller import Controller
+from nsde_torch.control.controller import Controller, Planner, SafetyOptions
 from nsde_torch.control.problem import ProblemOptions
-from nsde_torch.control.reference import Reference
+from nsde_torch.control.reference import FlightPath, Reference
 from nsde_torch.control.solve import SolverOptions
+from nsde_torch.export.exported import ExportedController
+from nsde_torch.export.write import export
 from nsde_torch.plants import make_plant_system
 from nsde_torch.px4.body import Body
 from nsde_torch.px4.controller import Demand
+from nsde_torch.px4.flight import FlightReport
 from nsde_torch.px4.offboard import FlightOptions
 from nsde_torch.px4.path import PathPoints
 from nsde_torch.px4.predictive import PredictiveController
@@ -71,23 +75,40 @@ def test_a_state_is_carried_forward_over_the_delay_by_what_was_asked_for(control
     assert row[12] == pytest.approx(pi)
 
 
-def test_a_machine_that_follows_late_is_held_in_its_place() -> None:
-    path = shapes.hover(duration=1.0, height=1.0)
-    known = make_plant_system("quadrotor", declared_only=True)
-    mpc = Controller(
-        known,
-        problem=ProblemOptions(horizon=0.4, steps=3),
-        solver=SolverOptions(compile="off", iterations=1),
-    )
-    report = fly_simulated(
+def _flown(planner: Planner, path: FlightPath) -> FlightReport:
+    return fly_simulated(
         Body("quadrotor", seed=0, latency=0.02),
-        PredictiveController(mpc, Reference(path)),
+        PredictiveController(planner, Reference(path)),
         PathPoints(path),
         seed=0,
         period=0.1,
         options=FlightOptions(height=1.0, climb=1.2, hold=0.3, idle=0.4, spool=0.4),
     )
+
+
+def test_a_machine_that_follows_late_is_held_in_its_place_and_by_a_file_as_by_its_controller(
+    tmp_path: Path,
+) -> None:
+    path = shapes.hover(duration=1.0, height=1.0)
+    known = make_plant_system("quadrotor", declared_only=True)
+    problem, solver = ProblemOptions(horizon=0.4, steps=3), SolverOptions(compile="off", iterations=1)
+    report = _flown(Controller(known, problem=problem, solver=solver), path)
     assert report.outcome.tracked
     assert report.outcome.landed
     assert report.rmse is not None
     assert report.rmse < 0.1
+    file = tmp_path / "controller.ts"
+    export(
+        known,
+        file,
+        problem=problem,
+        solver=solver,
+        safety=SafetyOptions(),
+        sample=0.01,
+        period=0.1,
+        latency=0.0,
+        dtype=torch.float64,
+    )
+    by_file = _flown(ExportedController(file), path)
+    assert by_file.outcome.tracked
+    assert by_file.rmse == pytest.approx(report.rmse, rel=0.02)

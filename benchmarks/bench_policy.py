@@ -187,7 +187,7 @@ def draw(made: Sequence[Cell], found: Sequence[Mapping[str, Any]], out: Path) ->
             random=value["truth"]["random_reward"],
             truth=value["truth"]["reward"],
             limited=value["limited"]["reward"],
-            title=f"cartpole, {data.replace('_', ' ')} data: reward of policies while they learn",
+            title=f"cartpole, {data.replace('_', '-')} data: reward of policies while they learn",
         )
         save(figure, out / f"policies_{data}.png")
 

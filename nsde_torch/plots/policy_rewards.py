@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import textwrap
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
@@ -16,6 +17,8 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 Curve = Sequence[Mapping[str, float]]
+
+_TITLE = 14  # letters on a line above a panel
 
 
 @styled
@@ -65,7 +68,8 @@ def policy_rewards(
         ):
             if value is not None:
                 handles[label] = ax.axhline(value, color=colour, linestyle="--", linewidth=1.0)
-        ax.set_title(name if most == 1 else f"{name}\n{len(runs)} seed{'s' * (len(runs) > 1)}")
+        shown = textwrap.fill(name, _TITLE)
+        ax.set_title(shown if most == 1 else f"{shown}\n{len(runs)} seed{'s' * (len(runs) > 1)}")
         ax.set_xlabel("interactions / 1000")
     axes[0, 0].set_ylabel("reward per episode" + ("\nmean ± std over seeds" if most > 1 else ""))
     legend_below(figure, list(handles.values()), list(handles))

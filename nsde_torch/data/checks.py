@@ -98,9 +98,11 @@ def _unwrap_angles(run: RawRun, system: SystemInfo, report: Report) -> None:
             )
 
 
-def _median_step(runs: Sequence[RawRun]) -> float:
+def _own_step(runs: Sequence[RawRun]) -> float:
+    """The step of a data set [s]: the median, or where times were rounded to it, what their sum says."""
     # times are decimal: 0.01 comes back from differences as 0.00999...
-    return round(float(np.median([np.median(np.diff(run.t)) for run in runs])), 12)
+    median = round(float(np.median([np.median(np.diff(run.t)) for run in runs])), 12)
+    return median if all(times.follows(run.t, median) for run in runs) else times.mean_step(runs, median)
 
 
 def _split_at_jumps(
@@ -186,7 +188,7 @@ def assemble(
         if system.quaternion is not None:
             attitude.check_norms(run, system.quaternion, tuple(system.state_names), report)
         times.order(run, report)
-    own_step = _median_step(raw)
+    own_step = _own_step(raw)
     step = own_step if dt is None else float(dt)
     limit = times.GAP_STEPS * max(step, own_step) if gap is None else float(gap)
     if limit <= step:

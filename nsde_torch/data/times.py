@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +21,9 @@ GAP_STEPS = 2.5
 JITTER = 0.05
 """Share of a step by which a row may lie off the uniform grid before the segment is resampled."""
 MAX_DISORDER = 0.05
+_WHOLE_RATE = 5e-4
+_ROUNDED = 0.4
+"""Share of a step by which the time between two rows may be off a whole number of steps, for the mean step."""
 """Share of rows out of order that is sorted; more is refused."""
 
 
@@ -92,13 +95,31 @@ def cuts_at_gaps(run: RawRun, *, gap: float, report: Report) -> NDArray[np.int64
     return cuts
 
 
+def follows(t: Array, dt: float) -> bool:
+    """Whether times between gaps lie on grids of this step."""
+    edges = [0, *(np.flatnonzero(np.diff(t) > 1.5 * dt) + 1).tolist(), len(t)]
+    return all(is_uniform(t[a:b], dt) for a, b in itertools.pairwise(edges))
+
+
+def mean_step(runs: Sequence[RawRun], about: float) -> float:
+    """Mean step [s] of rows that are a few steps apart, `about` so long; a whole rate where it is one to 0.05 %."""
+    steps = np.concatenate([np.diff(run.t) for run in runs])
+    count = np.rint(steps / about)
+    near = (np.abs(steps / about - count) < _ROUNDED) & (count >= 1) & (count < GAP_STEPS)
+    if not near.any():
+        return about
+    mean = float(steps[near].sum() / count[near].sum())
+    whole = round(1.0 / mean)
+    return round(1.0 / whole, 12) if whole and abs(mean * whole - 1.0) < _WHOLE_RATE else round(mean, 12)
+
+
 def is_uniform(t: Array, dt: float) -> bool:
     """Whether all rows lie within `JITTER` steps of a grid of step `dt` from the first."""
     return bool(np.abs(t - t[0] - dt * np.arange(len(t))).max() <= JITTER * dt)
 
 
 def resample(run: RawRun, start: int, stop: int, *, dt: float, quaternion: slice | None) -> RawRun:
-    """Rows start..stop on a uniform grid: states linear (quaternion slerp), inputs held."""
+    """Rows start..stop on a uniform grid: states linear (quaternion slerp), inputs those of the nearest row."""
     t = run.t[start:stop]
     count = int(np.floor((t[-1] - t[0]) / dt * (1 + 1e-12) + 1e-6)) + 1
     grid = t[0] + dt * np.arange(count)
@@ -108,7 +129,7 @@ def resample(run: RawRun, start: int, stop: int, *, dt: float, quaternion: slice
     x = x0 + share[:, None] * (x1 - x0)
     if quaternion is not None:
         x[:, quaternion] = slerp(x0[:, quaternion], x1[:, quaternion], share)
-    held = np.where(share >= 1.0 - 1e-6, left + 1, left)
+    held = np.where(share > 0.5 + 1e-6, left + 1, left)  # what acts over most of the step that follows
     extra = {k: np.interp(grid, t, v[start:stop]) for k, v in run.extra.items()}
     return RawRun(run.name, grid, x, run.u[start:stop][held], extra=extra, source=run.source)
 
@@ -154,6 +175,9 @@ def uniform(
             "the recording is too sparse for the step. Raise `gap`, or set `dt` to its own step."
         )
     regular = [is_uniform(run.t[a:b], dt) for a, b in whole]
+    for (a, b), same in zip(whole, regular, strict=True):
+        if same and not np.allclose(np.diff(run.t[a:b]), dt, rtol=1e-6, atol=0.0):  # times that were rounded
+            run.t[a:b] = run.t[a] + dt * np.arange(b - a)
     if all(regular) and not short:
         return run, tuple(whole)
     pieces, segments, at, changed = [], [], 0, 0

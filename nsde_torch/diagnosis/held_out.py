@@ -198,5 +198,6 @@ def as_model(spec: SysidSpec, system: System, clock: float) -> IdentifiedModel:
     added = [key_of(type(e)) for e in system.effects if isinstance(e, Effect) and e.name not in have]
     model = IdentifiedModel(replace(spec, effects=(*spec.effects, *added)), generator=torch.Generator())
     model.system = system.with_effects()
+    model.system.set_step(spec.dt)
     model.clock_scale.fill_(clock)
     return model.double().requires_grad_(False)

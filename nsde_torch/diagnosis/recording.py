@@ -75,7 +75,9 @@ class Recorded:
         return {k: v[0] for f in self.faults if f.name == "sensor_bias" for k, v in f.values.items()}
 
 
-def undo(data: DataSet, runs: Sequence[Run], system: System, *, alpha: float) -> Recorded:
+def undo(
+    data: DataSet, runs: Sequence[Run], system: System, *, alpha: float, smoothing: bool = True
+) -> Recorded:
     """Find the faults of a recording chain and undo them.
 
     Args:
@@ -83,6 +85,7 @@ def undo(data: DataSet, runs: Sequence[Run], system: System, *, alpha: float) ->
         runs: Those to look at.
         system: The machine.
         alpha: Chance of finding a fault in a sound log.
+        smoothing: Whether to look for inputs that were averaged.
     """
     faults: list[Fault] = []
     clock = data.clock_scale
@@ -97,7 +100,7 @@ def undo(data: DataSet, runs: Sequence[Run], system: System, *, alpha: float) ->
     if sure:
         runs = [_without(run, system, {k: v.value for k, v in sure.items()}) for run in runs]
         faults.append(_bias(system, sure))
-    width = smoothing_width(runs, system.nu) if system.nu else 0.0
+    width = smoothing_width(runs, system.nu) if system.nu and smoothing else 0.0
     if width > 0:
         runs = [restored(run, system.nu, width) for run in runs]
         faults.append(

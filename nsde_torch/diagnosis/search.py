@@ -36,6 +36,7 @@ Array = NDArray[np.float64]
 _ITERATIONS = 20
 _MEMORY_S = 1.0  # of noise: what lasts longer is structure
 _REFINE = 8  # iterations of a candidate
+_LEAST = 0.5  # nats on runs left out that an effect must bring
 _WORTH = 6.0  # twice the log likelihood below which a candidate is not iterated
 _CLOSE = 0.3  # of the best gain, above which a candidate is iterated
 _FEWEST, _MOST = 3, 9  # candidates that are iterated: those that help at least, all at most
@@ -430,7 +431,7 @@ class Search:
         return best if best is not None and self._short(best) else None
 
     def _sure(self, trial: Trial) -> bool:
-        return trial.p_corrected < self.alpha and trial.gain > 0
+        return trial.p_corrected < self.alpha and trial.gain > _LEAST
 
     def _short(self, trial: Trial) -> bool:
         """Whether a time is a mere fraction of a step: below one, how inputs are held between samples decides."""

@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 
 from nsde_torch.data import DataSet, RawRun, assemble
 from nsde_torch.data.quaternion import rotation_vector, slerp
+from nsde_torch.data.times import resample
 from nsde_torch.errors import DataError
 from tests.helpers.data_systems import CARTPOLE, HEXACOPTER
 from tests.helpers.flights import flight
@@ -60,6 +61,24 @@ def test_alternating_steps_are_resampled_to_one_step_without_cuts() -> None:
     assert len(data[0].segments) == 1
     steps = np.diff(data[0].t)
     np.testing.assert_allclose(steps, data.dt, rtol=1e-9)
+
+
+@pytest.mark.parametrize(("rate", "digits"), [(60, 3), (104, 6)])
+def test_times_that_were_rounded_are_those_of_the_clock_that_was_rounded(rate: int, digits: int) -> None:
+    t, x, u = flight(30.0, dt=1.0 / rate)
+    data = one(np.round(t, digits), x, u)
+    assert data.dt == pytest.approx(1.0 / rate, rel=1e-9)
+    assert data[0].dt == pytest.approx(1.0 / rate, rel=1e-6)
+    assert kinds(data) == []
+    np.testing.assert_array_equal(data[0].u, u)
+    np.testing.assert_allclose(data[0].x, x, atol=1e-12)
+
+
+def test_resampled_rows_have_the_inputs_that_act_over_most_of_the_step_that_follows() -> None:
+    t = 0.1 * np.arange(50.0) + np.where(np.arange(50) > 20, 0.03, 0.0)  # a jump of the clock by 0.3 steps
+    x, u = np.zeros((50, 1)), np.arange(50.0)[:, None]
+    there = resample(RawRun("a", t, x, u), 0, 50, dt=0.1, quaternion=None)
+    np.testing.assert_array_equal(there.u[:30, 0], np.arange(30.0))
 
 
 def test_duplicates_and_rows_out_of_order_are_mended() -> None:

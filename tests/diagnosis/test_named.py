@@ -134,3 +134,6 @@ def test_inputs_that_act_a_fraction_of_a_step_late_are_taken_into_account_and_no
     assert content["added"] == list(beside)
     assert [a["effect"] for a in content["aside"]] == ["input_delay"]
     assert "0.003" in content["aside"][0]["sentence"] or "0.0029" in content["aside"][0]["sentence"]
+    # predictions step over a memory that is faster than they are
+    errors = content["errors"]["after"]["position"]
+    assert all(v is not None and v < 1.0 for v in errors.values())

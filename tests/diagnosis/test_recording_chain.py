@@ -42,6 +42,16 @@ def test_inputs_that_were_averaged_are_found_and_restored() -> None:
     assert "force" in here.outcome.variables.columns
 
 
+def test_inputs_are_not_restored_where_physics_does_worse_with_what_is_restored(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    # as rows that were lost at a regular distance make it look
+    monkeypatch.setattr("nsde_torch.diagnosis.recording.smoothing_width", lambda runs, n: 0.3)
+    found, content = diagnosed("mass_spring_damper", options=ALONE)
+    assert content["added"] == []
+    assert "force" in found.outcome.variables.columns
+
+
 def test_restored_inputs_are_nearer_to_those_that_acted_than_their_average() -> None:
     rng = np.random.default_rng(0)
     u = np.cumsum(rng.normal(size=(600, 2)), 0)  # a command that wanders

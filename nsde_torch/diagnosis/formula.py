@@ -21,7 +21,7 @@ from scipy.linalg import LinAlgWarning
 
 from nsde_torch.diagnosis.shape import own_space, period_of, product_of
 from nsde_torch.diagnosis.structure import Dependence, Regressors
-from nsde_torch.diagnosis.views import is_plain, moment, variable_units
+from nsde_torch.diagnosis.views import is_plain, variable_units
 from nsde_torch.learning.identify.explained import per_second
 from nsde_torch.learning.identify.identify import Regression
 from nsde_torch.learning.report import number
@@ -87,7 +87,7 @@ def formula(regression: Regression, left: Sequence[Dependence], variables: Regre
         left: What the residual depends on beyond chance, the surest first.
         variables: What they may depend on.
     """
-    left = [d for d in left if moment(d.where) is None]
+    left = [d for d in left if not d.where]
     if not left:
         return None
     most = max(left, key=lambda d: d.gain - d.functions)

@@ -17,7 +17,7 @@ from nsde_torch.diagnosis.channels import ChannelResidual, spectrum, white_parts
 from nsde_torch.diagnosis.loop import Outcome
 from nsde_torch.diagnosis.shape import Shape, product_of
 from nsde_torch.diagnosis.structure import Dependence, Regressors
-from nsde_torch.diagnosis.views import Rates, bins, factors, is_plain, moment, rates
+from nsde_torch.diagnosis.views import Rates, bins, factors, is_plain, moment, rates, swing
 from nsde_torch.learning.identify.explained import per_second
 from nsde_torch.learning.identify.identify import Regression
 from nsde_torch.plots.diagnosis import (
@@ -121,6 +121,8 @@ def unexplained_views(
     done: set[tuple[str, str, str]] = set()
     for d in outcome.structured if left is None else left:
         values = _axis(seen, regression, outcome.variables, d)
+        if swing(d.where) is not None:
+            continue  # the picture of the spectrum shows it
         if values is None or len(out) == _UNEXPLAINED:
             continue
         variable, unit, x = values
@@ -159,7 +161,7 @@ def _telling(tests: Sequence[Dependence], after: Sequence[Dependence], channel: 
     A product is taken only where nothing else comes near.
     """
     stays = {(d.channel, d.variable): d.gain for d in after}
-    own = [d for d in tests if d.channel == channel and d.variable != "run" and moment(d.where) is None]
+    own = [d for d in tests if d.channel == channel and d.variable != "run" and not d.where]
     plain = [d for d in own if is_plain(d.variable)]
 
     def order(d: Dependence) -> tuple[float, float]:

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from nsde_torch.diagnosis.repeats import best_repeat
 from nsde_torch.diagnosis.structure import Dependence, Regressors, orthonormal
-from nsde_torch.diagnosis.views import Rates, bins, factors, is_plain, moment, variable_units
+from nsde_torch.diagnosis.views import Rates, bins, factors, is_plain, moment, swing, variable_units
 from nsde_torch.learning.identify.identify import Regression
 
 Array = NDArray[np.float64]
@@ -82,6 +82,19 @@ def shape(regression: Regression, dependence: Dependence, variables: Regressors,
         )
         said = f"The rate of {dependence.channel} departs {note}."
         return Shape(dependence.channel, dependence.variable, "", "local", (at, at), None, None, said, note)
+    frequency = swing(dependence.where)
+    if frequency is not None:
+        of_runs = _swings(regression, channel, frequency)
+        most = max(of_runs, key=lambda run: of_runs[run])
+        alone = len(of_runs) >= _RUNS and of_runs[most] > _ONE_RUN * sum(of_runs.values())
+        note = f"in a swing of {frequency:.4g} Hz" + (
+            f", in run {most} only" if alone else " whose phase differs from run to run"
+        )
+        said = f"The rate of {dependence.channel} departs {note}."
+        only_run = most if alone else None
+        return Shape(
+            dependence.channel, dependence.variable, "", "", None, 1.0 / frequency, only_run, said, note
+        )
     name, unit = dependence.variable, seen.value_units.get(dependence.variable, "")
     extent, where, period = "", None, None
     if is_plain(name):
@@ -119,6 +132,17 @@ def shape(regression: Regression, dependence: Dependence, variables: Regressors,
         ", ".join(words) + ".",
         ", ".join(words[1:]),
     )
+
+
+def _swings(regression: Regression, channel: int, frequency: float) -> dict[int, float]:
+    """Squares of a residual that a sine and a cosine in each stretch explain, by number of the run."""
+    left = regression.residual[:, regression.rows[channel]]
+    out: dict[int, float] = {}
+    for (a, b), run in zip(regression.series.edges, regression.physics.steps.runs, strict=True):
+        angle = 2.0 * np.pi * frequency * regression.dt * np.arange(b - a)
+        waves = np.stack((np.sin(angle), np.cos(angle)), 1)
+        out[int(run)] = out.get(int(run), 0.0) + gain(waves, left[a:b])
+    return out
 
 
 def _extent(

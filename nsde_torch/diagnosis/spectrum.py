@@ -33,10 +33,14 @@ class Line:
     Args:
         frequency: Where it is [Hz].
         p: Chance of one as high anywhere in noise, in any channel.
+        row: Number of the channel, among the rows of the regression, in which it is highest.
+        height: Power over the level of the noise.
     """
 
     frequency: float
     p: float
+    row: int
+    height: float
 
 
 def periodogram(regression: Regression) -> tuple[Array, Array]:
@@ -81,5 +85,6 @@ def lines(regression: Regression) -> list[Line]:
         if height[i] <= 0 or len(out) == _PEAKS:
             break
         if all(abs(frequency[i] - line.frequency) > SWINGS / longest for line in out):
-            out.append(Line(float(frequency[i]), min(1.0, tried * exp(-min(float(height[i]), 700.0)))))
+            p = min(1.0, tried * exp(-min(float(height[i]), 700.0)))
+            out.append(Line(float(frequency[i]), p, int(power[:, i].argmax()), float(height[i])))
     return out

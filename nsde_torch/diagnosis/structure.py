@@ -22,6 +22,7 @@ from scipy.special import chdtrc, fdtrc, ndtr
 from nsde_torch.diagnosis.evidence import by_blocks, folds
 from nsde_torch.diagnosis.laws import Laws
 from nsde_torch.diagnosis.repeats import COUNTS, best_repeat
+from nsde_torch.diagnosis.spectrum import Line, lines
 from nsde_torch.learning.identify.identify import Regression
 from nsde_torch.learning.identify.noise import Noise
 from nsde_torch.learning.identify.series import Series
@@ -49,7 +50,7 @@ class Dependence:
         odd: Share of that by odd functions, the rest by even ones.
         gain: Twice the log likelihood that the functions would bring.
         functions: Number of functions.
-        where: The moment, of a test of single moments.
+        where: The moment, of a test of single moments; the frequency, of a swing that no phase holds together.
         law: Law of the noise without the functions; None: that of the regression.
     """
 
@@ -232,7 +233,39 @@ def dependences(regression: Regression, variables: Regressors) -> list[Dependenc
         found = _one_moment(regression, i, spans, moments)
         if found is not None:
             out.append(found)
+    out += [
+        _swing(regression, line, float(limits[regression.rows[line.row]])) for line in lines(regression)[:1]
+    ]
     return sorted(out, key=lambda d: d.p)
+
+
+def _swing(regression: Regression, line: Line, limit: float) -> Dependence:
+    """A line of the spectrum as a sine and a cosine of its own in each stretch."""
+    angle = 2.0 * np.pi * line.frequency * regression.dt * np.arange(len(regression.series))
+    waves = np.zeros((len(angle), 2 * len(regression.series.edges)))
+    for k, (a, b) in enumerate(regression.series.edges):
+        waves[a:b, 2 * k], waves[a:b, 2 * k + 1] = np.sin(angle[a:b]), np.cos(angle[a:b])
+    laws = Laws(regression, line.row, limit)
+    other = laws.without(waves)
+    z = _independent(_free(regression, line.row, waves, orthonormal(regression.slopes[line.row])))[0]
+    gain = _gain(z, regression.white[line.row])
+    left = regression.residual[:, regression.rows[line.row]]
+    explained = left @ waves @ np.linalg.lstsq(waves, left, rcond=1e-9)[0]
+    return Dependence(
+        channel=regression.physics.names[regression.rows[line.row]],
+        variable="time",
+        p=line.p,
+        share=float(explained) / max(float(left @ left), 1e-300),
+        odd=0.0,
+        gain=gain if other is None else 2.0 * (other.likelihood - laws.base.likelihood),
+        functions=waves.shape[1],
+        where=swing_at(line.frequency),
+    )
+
+
+def swing_at(frequency: float) -> str:
+    """How `Dependence.where` names a frequency [Hz]."""
+    return f"{frequency:.4g} Hz"
 
 
 def _free(regression: Regression, i: int, functions: Array, own: Array) -> Array:

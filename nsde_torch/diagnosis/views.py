@@ -122,6 +122,11 @@ def moment(where: str) -> tuple[int, float] | None:
     return None if found is None else (int(found[1]), float(found[2]))
 
 
+def swing(where: str) -> float | None:
+    """Frequency [Hz] from `Dependence.where`, None where it is none."""
+    return float(where.removesuffix(" Hz")) if where.endswith(" Hz") else None
+
+
 def factors(variable: str) -> str | None:
     """The variable that is multiplied with others, or None."""
     return variable.removesuffix(_OTHERS) if variable.endswith(_OTHERS) else None

@@ -64,3 +64,18 @@ def test_a_stop_has_a_hinge_for_a_formula() -> None:
     first = found.terms[0]
     assert first.function.startswith("max(q - 0.")
     assert first.coefficient == pytest.approx(-20.0, rel=0.3)
+
+
+def test_a_swing_whose_phase_differs_from_run_to_run_is_told_with_its_frequency() -> None:
+    r, variables = pushed(lambda q, t, run: 0.6 * np.sin(2 * np.pi * 1.7 * t + 2.0 * run))
+    found = next(d for d in dependences(r, variables) if d.where.endswith("Hz"))
+    assert found.p < 1e-9
+    assert 0.05 < found.share < 1.0
+    words = shape(r, found, variables, rates(r, variables))
+    assert words.period == pytest.approx(1 / 1.7, rel=0.01)
+    assert "phase differs" in words.sentence
+
+
+def test_noise_does_not_swing() -> None:
+    r, variables = pushed(lambda q, t, run: 0.0 * q)
+    assert all(d.p > 0.01 for d in dependences(r, variables) if d.where.endswith("Hz"))

@@ -40,7 +40,9 @@ def pushed(push: Push) -> tuple[Regression, Regressors]:
 
 def described(push: Push, variable: str) -> Shape:
     r, variables = pushed(push)
-    test = next(d for d in dependences(r, variables) if d.variable == variable)
+    test = max(
+        (d for d in dependences(r, variables) if d.variable == variable), key=lambda d: d.gain - d.functions
+    )
     return shape(r, test, variables, rates(r, variables))
 
 

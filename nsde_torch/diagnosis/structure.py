@@ -124,11 +124,13 @@ class Regressors:
         columns: Variables by name (M,).
         t: Time in the run (M,) [s].
         functions: By variable, products and `time` and `run` too: functions (M, q), and which of them are odd (q,).
+        inputs: Whether the inputs are what acted.
     """
 
     columns: dict[str, Array]
     t: Array
     functions: dict[str, tuple[Array, NDArray[np.bool_]]]
+    inputs: bool = True
 
     def values(self, variable: str) -> Array:
         """A plain variable, or time (M,)."""
@@ -145,7 +147,7 @@ def regressors(regression: Regression, *, inputs: bool = True) -> Regressors:
     """
     columns, t = _columns(regression, inputs=inputs)
     functions = {name: (z, odd) for name, z, odd in _groups(regression, columns, t)}
-    return Regressors(columns, t, functions)
+    return Regressors(columns, t, functions, inputs)
 
 
 def _groups(
@@ -233,9 +235,9 @@ def dependences(regression: Regression, variables: Regressors) -> list[Dependenc
         found = _one_moment(regression, i, spans, moments)
         if found is not None:
             out.append(found)
-    out += [
-        _swing(regression, line, float(limits[regression.rows[line.row]])) for line in lines(regression)[:1]
-    ]
+    # inputs that were restored swing at the nulls of the average
+    for line in lines(regression)[:1] if variables.inputs else []:
+        out.append(_swing(regression, line, float(limits[regression.rows[line.row]])))
     return sorted(out, key=lambda d: d.p)
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -74,6 +76,9 @@ def test_a_swing_whose_phase_differs_from_run_to_run_is_told_with_its_frequency(
     words = shape(r, found, variables, rates(r, variables))
     assert words.period == pytest.approx(1 / 1.7, rel=0.01)
     assert "phase differs" in words.sentence
+    # what was restored from an average swings by itself
+    restored = dependences(r, replace(variables, inputs=False))
+    assert not any(d.where.endswith("Hz") for d in restored)
 
 
 def test_noise_does_not_swing() -> None:

@@ -24,6 +24,8 @@ SWINGS = 1.5
 """Fewest periods in the longest stretch."""
 _FINER = 8
 _BAND = 40  # independent ordinates that the level is the median of
+WHOLE = 0.5 * _BAND
+"""Periods in the longest stretch from which on the band lies to both sides."""
 
 
 @dataclass(frozen=True)
@@ -71,13 +73,19 @@ def periodogram(regression: Regression) -> tuple[Array, Array]:
     return frequency, power / np.maximum(level, 1e-300)
 
 
-def lines(regression: Regression) -> list[Line]:
-    """The highest ordinates over all channels, the surest first, at least a period apart in the longest stretch."""
+def lines(regression: Regression, *, swings: float = SWINGS) -> list[Line]:
+    """The highest ordinates over all channels, the surest first, at least a period apart in the longest stretch.
+
+    Args:
+        regression: At its optimum.
+        swings: Fewest periods in the longest stretch. Below `WHOLE` the level is that of one side of the band, and
+            slow gusts stand above it.
+    """
     longest = max(b - a for a, b in regression.series.edges) * regression.dt
     if longest < _SHORTEST_S:
         return []
     frequency, power = periodogram(regression)
-    usable = (frequency > SWINGS / longest) & (frequency < 0.4 / regression.dt)
+    usable = (frequency > swings / longest) & (frequency < 0.4 / regression.dt)
     height = np.where(usable, power.max(0), 0.0)
     tried = len(power) * max(1.0, 0.5 * longest / regression.dt)
     out: list[Line] = []

@@ -22,7 +22,7 @@ from scipy.special import chdtrc, fdtrc, ndtr
 from nsde_torch.diagnosis.evidence import by_blocks, folds
 from nsde_torch.diagnosis.laws import Laws
 from nsde_torch.diagnosis.repeats import COUNTS, best_repeat
-from nsde_torch.diagnosis.spectrum import Line, lines
+from nsde_torch.diagnosis.spectrum import WHOLE, Line, lines
 from nsde_torch.learning.identify.identify import Regression
 from nsde_torch.learning.identify.noise import Noise
 from nsde_torch.learning.identify.series import Series
@@ -236,7 +236,7 @@ def dependences(regression: Regression, variables: Regressors) -> list[Dependenc
         if found is not None:
             out.append(found)
     # inputs that were restored swing at the nulls of the average
-    for line in lines(regression)[:1] if variables.inputs else []:
+    for line in lines(regression, swings=WHOLE)[:1] if variables.inputs else []:
         out.append(_swing(regression, line, float(limits[regression.rows[line.row]])))
     return sorted(out, key=lambda d: d.p)
 

@@ -69,12 +69,12 @@ def test_a_stop_has_a_hinge_for_a_formula() -> None:
 
 
 def test_a_swing_whose_phase_differs_from_run_to_run_is_told_with_its_frequency() -> None:
-    r, variables = pushed(lambda q, t, run: 0.6 * np.sin(2 * np.pi * 1.7 * t + 2.0 * run))
+    r, variables = pushed(lambda q, t, run: 0.6 * np.sin(2 * np.pi * 4.0 * t + 2.0 * run))
     found = next(d for d in dependences(r, variables) if d.where.endswith("Hz"))
     assert found.p < 1e-9
     assert 0.05 < found.share < 1.0
     words = shape(r, found, variables, rates(r, variables))
-    assert words.period == pytest.approx(1 / 1.7, rel=0.01)
+    assert words.period == pytest.approx(1 / 4.0, rel=0.01)
     assert "phase differs" in words.sentence
     # what was restored from an average swings by itself
     restored = dependences(r, replace(variables, inputs=False))

@@ -4,10 +4,14 @@ q v q* = v + 2 w (r x v) + 2 r x (r x v),  q = (w, r).  Written by components: t
 Within `few_operations` the same polynomials are products of q q^T with a constant, which several rotations share.
 """
 
+from typing import TypeVar
+
 import torch
 from torch import Tensor
 
 from nsde_torch.columns import columns, few, split_columns, stack_columns
+
+Scalar = TypeVar("Scalar", float, Tensor)
 
 
 def cross(a: Tensor, b: Tensor) -> Tensor:
@@ -54,6 +58,19 @@ def quaternion_rate(q: Tensor, omega: Tensor) -> Tensor:
     return 0.5 * stack_columns(
         (-x * p - y * r - z * s, w * p + y * s - z * r, w * r - x * s + z * p, w * s + x * r - y * p)
     )
+
+
+def euler_coupling(jx: Scalar, jy: Scalar) -> tuple[Scalar, Scalar, Scalar]:
+    """Factors of `rate_products` in -J^-1 (omega x J omega), for a diagonal J whose elements are jx, jy and 1."""
+    return (jy - 1.0) / jx, (1.0 - jx) / jy, jx - jy
+
+
+def rate_products(omega: Tensor) -> Tensor:
+    """w_y w_z, w_z w_x, w_x w_y of body rates (..., 3)."""
+    if few():
+        return omega.roll(-1, -1) * omega.roll(-2, -1)
+    wx, wy, wz = columns(omega)
+    return stack_columns((wy * wz, wz * wx, wx * wy))
 
 
 def rotation_between(q_from: Tensor, q_to: Tensor) -> Tensor:

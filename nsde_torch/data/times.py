@@ -21,10 +21,10 @@ GAP_STEPS = 2.5
 JITTER = 0.05
 """Share of a step by which a row may lie off the uniform grid before the segment is resampled."""
 MAX_DISORDER = 0.05
+"""Share of rows out of order that is sorted; more is refused."""
 _WHOLE_RATE = 5e-4
 _ROUNDED = 0.4
 """Share of a step by which the time between two rows may be off a whole number of steps, for the mean step."""
-"""Share of rows out of order that is sorted; more is refused."""
 
 
 def order(run: RawRun, report: Report) -> None:
@@ -175,6 +175,7 @@ def uniform(
             "the recording is too sparse for the step. Raise `gap`, or set `dt` to its own step."
         )
     regular = [is_uniform(run.t[a:b], dt) for a, b in whole]
+    run.t = run.t.copy()
     for (a, b), same in zip(whole, regular, strict=True):
         if same and not np.allclose(np.diff(run.t[a:b]), dt, rtol=1e-6, atol=0.0):  # times that were rounded
             run.t[a:b] = run.t[a] + dt * np.arange(b - a)

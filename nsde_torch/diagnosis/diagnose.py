@@ -20,7 +20,7 @@ from nsde_torch.diagnosis.held_out import HeldOut, held_out
 from nsde_torch.diagnosis.loop import Outcome, estimates, loop
 from nsde_torch.diagnosis.not_shown import not_shown
 from nsde_torch.diagnosis.recording import Recorded, undo
-from nsde_torch.diagnosis.search import Search
+from nsde_torch.diagnosis.search import Search, effect_of
 from nsde_torch.diagnosis.shape import Shape, shape, symmetry
 from nsde_torch.diagnosis.views import rates, rates_width
 from nsde_torch.effects import EFFECTS, Effect, effect_class, effects_of, register
@@ -199,7 +199,7 @@ class Diagnosis:
         return [*faults, *effects]
 
     def _class(self, name: str) -> type[Effect]:
-        return next(type(e) for e in self.outcome.system.effects if isinstance(e, Effect) and e.name == name)
+        return type(effect_of(self.outcome.system, name))
 
     def _ties(self) -> list[dict[str, Any]]:
         out = []
@@ -417,8 +417,9 @@ def diagnose(
                 f"{', '.join(effect_class(name).exogenous) or 'no channel'}."
             )
 
-    acted = all(fault.name != "input_smoothing" for fault in recorded.faults)
-    search = search_in(system, extended, recorded.clock, options, inputs=acted, say=say)
+    search = search_in(
+        system, extended, recorded.clock, options, inputs=not recorded.inputs_restored, say=say
+    )
     seconds["recording"] = now() - started
     outcome = loop(search, system, max_effects=options.max_effects)
     seconds["search"] = now() - started - seconds["recording"]
@@ -462,12 +463,10 @@ def _undone(data: DataSet, runs: Sequence[Run], system: System, options: Options
     Rows that were lost at a regular distance leave nulls in the spectrum of held inputs, as an average does.
     """
     found = undo(data, runs, system, alpha=options.alpha)
-    if all(fault.name != "input_smoothing" for fault in found.faults):
+    if not found.inputs_restored:
         return found
     as_logged = undo(data, runs, system, alpha=options.alpha, smoothing=False)
-    left = [
-        search_in(system, list(r.runs), r.clock, options).quick(system).noises for r in (found, as_logged)
-    ]
+    left = [search_in(system, r.runs, r.clock, options).quick(system).noises for r in (found, as_logged)]
     better, worse = (sum(log(law.std) for law in laws) for laws in left)
     return found if better < worse else as_logged
 

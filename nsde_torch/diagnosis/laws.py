@@ -11,7 +11,6 @@ enough, from the sensor's noise alone, which has learned nothing, or from the la
 """
 
 from dataclasses import dataclass
-from math import log
 from typing import final
 
 import numpy as np
@@ -58,9 +57,7 @@ class Laws:
         at = regression.rows[channel]
         self._residual, self._slopes = regression.residual[:, at], regression.jacobian[:, at]
         there = regression.noises[channel]
-        self.base = max(
-            Own(there, self._likelihood(there)), self._settled(there), key=lambda own: own.likelihood
-        )
+        self.base = max(self._own(there), self._settled(there), key=lambda own: own.likelihood)
         rough = first_guess(self._residual, regression.series, limit)
         self._starts = [(law, *self._whitened(law)) for law in (rough, self.base.law)]
 
@@ -101,7 +98,7 @@ class Laws:
         r = self._regression
         among = None if thorough else sorted({0.0, law.carry, self._limit})
         found = estimate(left, r.series, limit=self._limit, orders=r.orders, memory=r.memory, among=among)
-        return Own(found, self._likelihood(found))
+        return self._own(found)
 
-    def _likelihood(self, law: Noise) -> float:
-        return -len(self._regression.series) * log(law.std) - law.parameters
+    def _own(self, law: Noise) -> Own:
+        return Own(law, law.likelihood(len(self._regression.series)))

@@ -16,7 +16,7 @@ from typing import Literal
 import numpy as np
 from scipy.special import stdtrit
 
-from nsde_torch.diagnosis.search import Base, Round, Search, Trial, fitted_system, surely_above
+from nsde_torch.diagnosis.search import Base, Round, Search, Trial, effect_of, fitted_system, surely_above
 from nsde_torch.diagnosis.structure import Dependence, Regressors, dependences, regressors
 from nsde_torch.effects import effect_class
 from nsde_torch.learning.identify.identify import Regression
@@ -127,9 +127,8 @@ def loop(search: Search, system: System, *, max_effects: int) -> Outcome:
         if short is not None:
             aside.append(short.name)
             base = search.base(fitted_system(short.regression), warm=True)
-            declared = (
-                search.base(_with(declared.system, base.system, short.name), warm=True) if names else base
-            )
+            with_it = declared.system.with_effects(effect_of(base.system, short.name))
+            declared = search.base(with_it, warm=True) if names else base
             continue
         chosen = _choice(search, now.trials, names)
         if chosen is not None and chosen.name not in lent:
@@ -161,11 +160,6 @@ def loop(search: Search, system: System, *, max_effects: int) -> Outcome:
     found = [replace(f, lead=_lead(f, found, rest > _LEAD * explained)) for f in found]
     tests = (declared_variables, variables, before, after, left)
     return Outcome(verdict, declared, base, found, rounds, *tests, aside=tuple(aside))
-
-
-def _with(system: System, other: System, name: str) -> System:
-    """The system with an effect that another one has."""
-    return system.with_effects(*(e for e in other.effects if e.name == name))  # type: ignore[arg-type]
 
 
 def _lent(search: Search, base: Base, chosen: Trial, names: Sequence[str]) -> Base | None:

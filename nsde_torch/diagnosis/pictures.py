@@ -120,9 +120,9 @@ def unexplained_views(
     out: list[Panel] = []
     done: set[tuple[str, str, str]] = set()
     for d in outcome.structured if left is None else left:
-        values = _axis(seen, regression, outcome.variables, d)
         if swing(d.where) is not None:
             continue  # the picture of the spectrum shows it
+        values = _axis(seen, regression, outcome.variables, d)
         if values is None or len(out) == _UNEXPLAINED:
             continue
         variable, unit, x = values

@@ -70,6 +70,11 @@ class Recorded:
     faults: tuple[Fault, ...]
 
     @property
+    def inputs_restored(self) -> bool:
+        """Whether the inputs were averaged in the log, and are restored."""
+        return any(fault.name == "input_smoothing" for fault in self.faults)
+
+    @property
     def biases(self) -> dict[str, float]:
         """What was taken out of rates, by name of the state, in its unit."""
         return {k: v[0] for f in self.faults if f.name == "sensor_bias" for k, v in f.values.items()}

@@ -158,7 +158,8 @@ def fitted_system(regression: Regression) -> System:
     return out
 
 
-def _effect(system: System, name: str) -> Effect:
+def effect_of(system: System, name: str) -> Effect:
+    """The effect of a system that has this name."""
     return next(e for e in system.effects if isinstance(e, Effect) and e.name == name)
 
 
@@ -338,7 +339,9 @@ class Search:
     def reshaped(self, base: Base, name: str, like: Trial) -> Base:
         """The physics with one of its effects fitted again from the shapes that another one of its kind has found."""
         system = base.system
-        own, other = (_effect(s, n) for s, n in ((system, name), (fitted_system(like.regression), like.name)))
+        own, other = (
+            effect_of(s, n) for s, n in ((system, name), (fitted_system(like.regression), like.name))
+        )
         lent = {k: v for k, v in _values(other).items() if k in type(own).shapes}
         start = {**_values(own), **lent}
         return self.base(self._joined(system.without_effects(name), name, start), warm=True)
@@ -563,7 +566,7 @@ def _swings(name: str) -> bool:
 
 def _likelihood(laws: Sequence[Noise], rows: int) -> float:
     """Log likelihood of residuals under laws that were fitted to them, less one per parameter of the laws."""
-    return sum(-rows * log(n.std) - n.parameters for n in laws)
+    return sum(n.likelihood(rows) for n in laws)
 
 
 def _carried(vector: ParameterVector, before: Regression) -> Array:

@@ -15,7 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nsde_torch.diagnosis.repeats import best_repeat
-from nsde_torch.diagnosis.structure import Dependence, Regressors, orthonormal
+from nsde_torch.diagnosis.spectrum import waves_of
+from nsde_torch.diagnosis.structure import Dependence, Regressors, own_space, projected
 from nsde_torch.diagnosis.views import Rates, bins, factors, is_plain, moment, swing, variable_units
 from nsde_torch.learning.identify.identify import Regression
 
@@ -136,12 +137,10 @@ def shape(regression: Regression, dependence: Dependence, variables: Regressors,
 
 def _swings(regression: Regression, channel: int, frequency: float) -> dict[int, float]:
     """Squares of a residual that a sine and a cosine in each stretch explain, by number of the run."""
-    left = regression.residual[:, regression.rows[channel]]
+    left, waves = regression.residual[:, regression.rows[channel]], waves_of(regression, frequency)
     out: dict[int, float] = {}
-    for (a, b), run in zip(regression.series.edges, regression.physics.steps.runs, strict=True):
-        angle = 2.0 * np.pi * frequency * regression.dt * np.arange(b - a)
-        waves = np.stack((np.sin(angle), np.cos(angle)), 1)
-        out[int(run)] = out.get(int(run), 0.0) + gain(waves, left[a:b])
+    for k, run in enumerate(regression.physics.steps.runs):
+        out[int(run)] = out.get(int(run), 0.0) + gain(waves[:, 2 * k : 2 * k + 2], left)
     return out
 
 
@@ -167,17 +166,6 @@ def _extent(
     if width > _LOCAL_RANGE * span:
         return "global", None
     return "local", (float(edges[i]), float(edges[j]))
-
-
-def own_space(regression: Regression, channel: int) -> Array:
-    """Orthonormal columns (N, r) of what the parameters can do to a channel's whitened residual."""
-    return orthonormal(regression.slopes[channel])
-
-
-def projected(regression: Regression, channel: int, functions: Array, own: Array) -> Array:
-    """Functions per unit of time (M, q), whitened and free of `own_space` (N, q)."""
-    z = regression.whitened(regression.noises[channel], functions * regression.dt)
-    return np.asarray(z - own @ (own.T @ z))
 
 
 def gain(z: Array, white: Array) -> float:

@@ -96,3 +96,12 @@ def lines(regression: Regression, *, swings: float = SWINGS) -> list[Line]:
             p = min(1.0, tried * exp(-min(float(height[i]), 700.0)))
             out.append(Line(float(frequency[i]), p, int(power[:, i].argmax()), float(height[i])))
     return out
+
+
+def waves_of(regression: Regression, frequency: float) -> Array:
+    """A sine and a cosine of a frequency [Hz] for each stretch, nothing elsewhere (M, 2 stretches)."""
+    angle = 2.0 * np.pi * frequency * regression.dt * np.arange(len(regression.series))
+    waves: Array = np.zeros((len(angle), 2 * len(regression.series.edges)))
+    for k, (a, b) in enumerate(regression.series.edges):
+        waves[a:b, 2 * k], waves[a:b, 2 * k + 1] = np.sin(angle[a:b]), np.cos(angle[a:b])
+    return waves

@@ -22,7 +22,7 @@ from scipy.special import chdtrc, fdtrc, ndtr
 from nsde_torch.diagnosis.evidence import by_blocks, folds
 from nsde_torch.diagnosis.laws import Laws
 from nsde_torch.diagnosis.repeats import COUNTS, best_repeat
-from nsde_torch.diagnosis.spectrum import WHOLE, Line, lines
+from nsde_torch.diagnosis.spectrum import WHOLE, Line, lines, waves_of
 from nsde_torch.learning.identify.identify import Regression
 from nsde_torch.learning.identify.noise import Noise
 from nsde_torch.learning.identify.series import Series
@@ -186,19 +186,19 @@ def dependences(regression: Regression, variables: Regressors) -> list[Dependenc
     out = []
     spans, moments = _moments(regression)
     places, limits = _places(regression.vector.system, variables), regression.carry_limits()
+    of_channel = [Laws(regression, i, float(limits[c])) for i, c in enumerate(regression.rows)]
     for i, channel in enumerate(regression.rows):
-        white, laws = regression.white[i], Laws(regression, i, float(limits[channel]))
-        own = orthonormal(regression.slopes[i])
+        white, laws, own = regression.white[i], of_channel[i], own_space(regression, i)
         for name, (functions, odd) in variables.functions.items():
-            z, kept = _independent(_free(regression, i, functions, own))
+            z, kept = _independent(projected(regression, i, functions, own))
             if not z.shape[1]:
                 continue
             p, gain, left, law = _chance(z, white, fold, of_white), _gain(z, white), white, None
             other = laws.without(functions)
             if other is not None:
                 law, there = other.law, regression.under(i, other.law)
-                of_parameters = orthonormal(there.slopes[i])
-                z, kept = _independent(_free(there, i, functions, of_parameters))
+                of_parameters = own_space(there, i)
+                z, kept = _independent(projected(there, i, functions, of_parameters))
                 # under another law the parameters would be elsewhere
                 left = there.white[i] - of_parameters @ (of_parameters.T @ there.white[i])
                 p = min(1.0, 2.0 * min(p, _chance(z, left, fold, of_white, strong=True)))
@@ -237,19 +237,15 @@ def dependences(regression: Regression, variables: Regressors) -> list[Dependenc
             out.append(found)
     # inputs that were restored swing at the nulls of the average
     for line in lines(regression, swings=WHOLE)[:1] if variables.inputs else []:
-        out.append(_swing(regression, line, float(limits[regression.rows[line.row]])))
+        out.append(_swing(regression, line, of_channel[line.row]))
     return sorted(out, key=lambda d: d.p)
 
 
-def _swing(regression: Regression, line: Line, limit: float) -> Dependence:
+def _swing(regression: Regression, line: Line, laws: Laws) -> Dependence:
     """A line of the spectrum as a sine and a cosine of its own in each stretch."""
-    angle = 2.0 * np.pi * line.frequency * regression.dt * np.arange(len(regression.series))
-    waves = np.zeros((len(angle), 2 * len(regression.series.edges)))
-    for k, (a, b) in enumerate(regression.series.edges):
-        waves[a:b, 2 * k], waves[a:b, 2 * k + 1] = np.sin(angle[a:b]), np.cos(angle[a:b])
-    laws = Laws(regression, line.row, limit)
+    waves = waves_of(regression, line.frequency)
     other = laws.without(waves)
-    z = _independent(_free(regression, line.row, waves, orthonormal(regression.slopes[line.row])))[0]
+    z = _independent(projected(regression, line.row, waves, own_space(regression, line.row)))[0]
     gain = _gain(z, regression.white[line.row])
     left = regression.residual[:, regression.rows[line.row]]
     explained = left @ waves @ np.linalg.lstsq(waves, left, rcond=1e-9)[0]
@@ -268,12 +264,6 @@ def _swing(regression: Regression, line: Line, limit: float) -> Dependence:
 def swing_at(frequency: float) -> str:
     """How `Dependence.where` names a frequency [Hz]."""
     return f"{frequency:.4g} Hz"
-
-
-def _free(regression: Regression, i: int, functions: Array, own: Array) -> Array:
-    """Functions (M, q) in whitened rows of a channel, without what its parameters can do."""
-    z = regression.whitened(regression.noises[i], functions * regression.dt)
-    return np.asarray(z - own @ (own.T @ z))
 
 
 def _gain(z: Array, white: Array) -> float:
@@ -397,6 +387,17 @@ def _of_scatter(total: Array, scatter: Array, count: int, factor: float) -> floa
         return 0.0  # too few blocks to say anything of their scatter
     t2 = float(total @ np.linalg.pinv(scatter * factor, rcond=1e-10) @ total)
     return float(fdtrc(q, count - q, t2 * (count - q) / (q * (count - 1))))
+
+
+def own_space(regression: Regression, channel: int) -> Array:
+    """Orthonormal columns (N, r) of what the parameters can do to a channel's whitened residual."""
+    return orthonormal(regression.slopes[channel])
+
+
+def projected(regression: Regression, channel: int, functions: Array, own: Array) -> Array:
+    """Functions per unit of time (M, q), whitened and free of `own_space` (N, q)."""
+    z = regression.whitened(regression.noises[channel], functions * regression.dt)
+    return np.asarray(z - own @ (own.T @ z))
 
 
 def orthonormal(x: Array) -> Array:

@@ -15,7 +15,7 @@ from torch import Tensor
 
 from nsde_torch.columns import columns, stack_columns
 from nsde_torch.effects.base import Effect, Parameter, Port
-from nsde_torch.rotation import matrix, turned
+from nsde_torch.rotation import euler_coupling, matrix, rate_products, turned
 
 
 @final
@@ -44,14 +44,8 @@ class FrameMisalignment(Effect):
         turn = self.value("turn").to(x)[None]
         level = torch.tensor([[1.0, 0.0, 0.0, 0.0]]).to(x)
         r = matrix(turned(level, turn))[0]  # a row times r is turned back
-        jx, jy = columns(self.channel("inertia", u))
-        coupling = stack_columns(((jy - 1.0) / jx, (1.0 - jx) / jy, jx - jy))
+        coupling = stack_columns(euler_coupling(*columns(self.channel("inertia", u))))
         seen = self.channel("angular_acceleration", u)
-        own = seen + coupling * (_products(omega @ r.T) - _products(omega))
+        own = seen + coupling * (rate_products(omega @ r.T) - rate_products(omega))
         up = torch.tensor([[0.0, 0.0, 1.0]]).to(x)
         return torch.cat((thrust * (up @ r - up), own @ r - seen), 1)
-
-
-def _products(omega: Tensor) -> Tensor:
-    wx, wy, wz = columns(omega)
-    return stack_columns((wy * wz, wz * wx, wx * wy))

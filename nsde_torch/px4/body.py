@@ -25,6 +25,7 @@ from nsde_torch.plants.battery import ENDURANCE, FULL, HOVER, LOAD, SWING
 from nsde_torch.plants.machines import Effects, machine, make_plant_system, named_effects
 from nsde_torch.plants.noise import Gusts
 from nsde_torch.px4.vectors import Quat, Vec, rotate, rotate_back, turned_by_rates
+from nsde_torch.rotation import euler_coupling
 from nsde_torch.systems import Multirotor
 from nsde_torch.systems.frozen import frozen
 
@@ -89,7 +90,7 @@ class Body:
         self._gain, self._offset = float(declared["thrust_gain"]), float(declared["thrust_offset"])
         self._gains = tuple(float(declared[f"{k}_gain"]) for k in ("roll", "pitch", "yaw"))
         jx, jy = float(declared["inertia_x"]), float(declared["inertia_y"])
-        self._coupling = ((jy - 1.0) / jx, (1.0 - jx) / jy, jx - jy)
+        self._coupling = euler_coupling(jx, jy)
         self._mix = tuple(tuple(row) for row in system.mixing)
         self.allocation = np.linalg.pinv(np.asarray(system.mixing)).T / np.array(
             [self._gain, *self._gains]

@@ -21,10 +21,18 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from nsde_torch.columns import columns, few, join_columns, split_columns, stack_columns
+from nsde_torch.columns import few, join_columns, split_columns
 from nsde_torch.effects import Effect, Parameter, Port
 from nsde_torch.errors import ConfigError
-from nsde_torch.rotation import gravity_direction, quaternion_rate, rotate, rotate_back, rotation_between
+from nsde_torch.rotation import (
+    euler_coupling,
+    gravity_direction,
+    quaternion_rate,
+    rate_products,
+    rotate,
+    rotate_back,
+    rotation_between,
+)
 from nsde_torch.systems.base import Defaults, ErrorGroup, ResidualPort, System
 
 GRAVITY = 9.81
@@ -149,11 +157,7 @@ class Multirotor(System):
         """Angular acceleration (N, 3) under mixed commands, without effects."""
         gains = torch.cat((self.value("roll_gain"), self.value("pitch_gain"), self.value("yaw_gain")))
         jx, jy = self.value("inertia_x"), self.value("inertia_y")
-        coupling = torch.cat(((jy - 1.0) / jx, (1.0 - jx) / jy, jx - jy))
-        if few():
-            return gains * moments + coupling * (omega.roll(-1, -1) * omega.roll(-2, -1))
-        wx, wy, wz = columns(omega)
-        return gains * moments + coupling * stack_columns((wy * wz, wz * wx, wx * wy))
+        return gains * moments + torch.cat(euler_coupling(jx, jy)) * rate_products(omega)
 
     def features(self, x: Tensor) -> Tensor:
         """Body velocity and body rates, the supplement's x_feat seen from the body."""

@@ -21,7 +21,7 @@ How each is found:
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from math import inf
+from math import inf, log
 
 import numpy as np
 from numpy.typing import NDArray
@@ -55,6 +55,10 @@ class Noise:
     def parameters(self) -> int:
         """Number of parameters besides the size."""
         return len(self.reflection) + (self.carry > 0)
+
+    def likelihood(self, rows: int) -> float:
+        """Log likelihood of rows that it was fitted to, less one for each of its parameters (Akaike)."""
+        return -rows * log(self.std) - self.parameters
 
     def whiten(self, values: Array, series: Series) -> Array:
         """Filtered columns (N, k) in units of `std`, one row more per stretch than there were: (N + stretches, k)."""
@@ -112,8 +116,9 @@ def estimate(
         among: Values of c to choose from; None tries all.
     """
     if among is not None:
-        carry = min(among, key=lambda c: _score(residual, series, c, orders)[0])
-        return _law(residual, series, carry, _score(residual, series, carry, orders)[1], memory)
+        scores = {c: _score(residual, series, c, orders) for c in among}
+        carry = min(scores, key=lambda c: scores[c][0])
+        return _law(residual, series, carry, scores[carry][1], memory)
     grid = np.append(_GRID[limit > _GRID], limit)
     score, carry = min((_score(residual, series, c, orders)[0], c) for c in grid)
     at = int(np.abs(grid - carry).argmin())

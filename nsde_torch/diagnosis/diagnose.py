@@ -21,7 +21,8 @@ from nsde_torch.diagnosis.loop import Outcome, estimates, loop
 from nsde_torch.diagnosis.not_shown import not_shown
 from nsde_torch.diagnosis.recording import Recorded, undo
 from nsde_torch.diagnosis.search import Search, effect_of
-from nsde_torch.diagnosis.shape import Shape, shape, symmetry
+from nsde_torch.diagnosis.shape import Shape, called, shape, symmetry
+from nsde_torch.diagnosis.structure import Dependence
 from nsde_torch.diagnosis.views import rates, rates_width
 from nsde_torch.effects import EFFECTS, Effect, effect_class, effects_of, register
 from nsde_torch.errors import ConfigError, DataError
@@ -145,8 +146,8 @@ class Diagnosis:
             },
             "structure": {
                 "tests": {"before": len(o.before), "after": len(o.after)},
-                "before": [_dependence(d, len(o.before)) for d in o.before[:12]],
-                "after": [_dependence(d, len(o.after)) for d in o.after[:12]],
+                "before": [_dependence(d, len(o.before), self.runs) for d in o.before[:12]],
+                "after": [_dependence(d, len(o.after), self.runs) for d in o.after[:12]],
             },
             "unexplained": [self._shape(s) for s in self.shapes],
             "formula": self._formula(),
@@ -325,11 +326,20 @@ def _declared(outcome: Outcome) -> dict[str, Any]:
     }
 
 
-def _dependence(d: Any, tests: int) -> dict[str, Any]:
+def _where(d: Dependence, runs: Sequence[str]) -> str | None:
+    if d.swing is not None:
+        return f"{d.swing:.4g} Hz"
+    if d.run is None:
+        return None
+    name = called(runs[d.run])
+    return f"{name} only" if d.moment is None else f"{name}, {d.moment:.1f} s"
+
+
+def _dependence(d: Dependence, tests: int, runs: Sequence[str]) -> dict[str, Any]:
     return {
         "channel": d.channel,
         "variable": d.variable,
-        "where": d.where or None,
+        "where": _where(d, runs),
         "p": min(1.0, d.p * tests),
         "share": d.share,
         "kind": symmetry(d) or "-",
@@ -441,19 +451,19 @@ def diagnose(
     seconds["errors"] = now() - started - sum(seconds.values())
     residuals = channel_residuals(outcome.declared.regression, outcome.final.regression)
     regression, left = outcome.final.regression, outcome.structured
-    seen = rates(regression, outcome.variables)
+    seen, names = rates(regression, outcome.variables), tuple(run.name for run in runs)
     return Diagnosis(
         system,
         data,
-        tuple(run.name for run in runs),
+        names,
         recorded,
         outcome,
         errors,
         residuals,
         options,
         seconds,
-        shapes=tuple(shape(regression, d, outcome.variables, seen) for d in left[:_SHAPES]),
-        formula=formula(regression, left, outcome.variables),
+        shapes=tuple(shape(regression, d, outcome.variables, seen, names) for d in left[:_SHAPES]),
+        formula=formula(regression, left, outcome.variables, names),
     )
 
 

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import LinAlgWarning
 
-from nsde_torch.diagnosis.shape import period_of, product_of
+from nsde_torch.diagnosis.shape import called, period_of, product_of
 from nsde_torch.diagnosis.structure import Dependence, Regressors, own_space
 from nsde_torch.diagnosis.views import is_plain, variable_units
 from nsde_torch.learning.identify.explained import per_second
@@ -61,6 +61,7 @@ class Formula:
         terms: The terms, in the order in which they were chosen.
         share: Share of the whitened variance that the formula explains.
         by: What chose the terms.
+        only_run: Name of the run that it is of; empty: of all.
     """
 
     channel: str
@@ -68,6 +69,7 @@ class Formula:
     terms: tuple[Term, ...]
     share: float
     by: str
+    only_run: str = ""
 
     @property
     def text(self) -> str:
@@ -76,18 +78,22 @@ class Formula:
             f"{'-' if t.coefficient < 0 else '+'} {number(abs(t.coefficient))} {t.function}"
             for t in self.terms
         ]
-        return f"d {self.channel} / dt lacks {' '.join(parts).removeprefix('+ ')}  [{self.unit}, SI]"
+        where = f"in {self.only_run}, " if self.only_run else ""
+        return f"{where}d {self.channel} / dt lacks {' '.join(parts).removeprefix('+ ')}  [{self.unit}, SI]"
 
 
-def formula(regression: Regression, left: Sequence[Dependence], variables: Regressors) -> Formula | None:
+def formula(
+    regression: Regression, left: Sequence[Dependence], variables: Regressors, runs: Sequence[str]
+) -> Formula | None:
     """A formula for the channel that depends most on something, or None where no function helps.
 
     Args:
         regression: With everything that was found, at its optimum.
         left: What the residual depends on beyond chance, the surest first.
         variables: What they may depend on.
+        runs: Names of the runs, by number.
     """
-    left = [d for d in left if not d.where]
+    left = [d for d in left if d.moment is None and d.swing is None]
     if not left:
         return None
     most = max(left, key=lambda d: d.gain - d.functions)
@@ -99,6 +105,8 @@ def formula(regression: Regression, left: Sequence[Dependence], variables: Regre
     names_of, functions = library(regression, channel, [d for d in left if d.channel == name], variables)
     if not names_of:
         return None
+    if most.run is not None:
+        functions = functions * (regression.owners == most.run)[:, None]
     own, white = own_space(regression, channel), regression.white[channel]
     whole = regression.whitened(regression.noises[channel], functions * regression.dt)
     z, rest = (x - own @ (own.T @ x) for x in (whole, white))
@@ -126,6 +134,7 @@ def formula(regression: Regression, left: Sequence[Dependence], variables: Regre
         ),
         float(np.clip((reached - len(kept)) / max(float(rest @ rest), 1e-300), 0.0, 1.0)),
         by,
+        "" if most.run is None else called(runs[most.run]),
     )
 
 

@@ -7,6 +7,7 @@ depended most surely before; without an effect, what the residual depends on.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from itertools import zip_longest
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -15,9 +16,9 @@ from numpy.typing import NDArray
 
 from nsde_torch.diagnosis.channels import ChannelResidual, spectrum, white_parts
 from nsde_torch.diagnosis.loop import Outcome
-from nsde_torch.diagnosis.shape import Shape, product_of
+from nsde_torch.diagnosis.shape import called, product_of
 from nsde_torch.diagnosis.structure import Dependence, Regressors
-from nsde_torch.diagnosis.views import Rates, bins, factors, is_plain, moment, rates, swing
+from nsde_torch.diagnosis.views import Rates, bins, factors, is_plain, rates
 from nsde_torch.learning.identify.explained import per_second
 from nsde_torch.learning.identify.identify import Regression
 from nsde_torch.plots.diagnosis import (
@@ -54,14 +55,14 @@ def pictures(found: Diagnosis, content: Mapping[str, Any]) -> dict[str, Figure]:
                 views, title=f"What the physics leaves over, without and with {names}"
             )
     if outcome.structured:
-        views = unexplained_views(outcome, shapes=found.shapes)
+        views = unexplained_views(outcome, notes=[s.note for s in found.shapes], runs=found.runs)
         if views:
             out["unexplained"] = residual_views(
                 views, title="What the residual depends on and no effect explains"
             )
     elif not outcome.found:
         views = unexplained_views(
-            outcome, [d for d in outcome.before if is_plain(d.variable) and not d.where][:_CHANNELS]
+            outcome, [d for d in outcome.before if is_plain(d.variable) and d.everywhere][:_CHANNELS]
         )
         if views:
             title = "What the physics leaves over, against what it depends on most: no more than chance"
@@ -111,38 +112,55 @@ def effect_views(outcome: Outcome, channels: Sequence[ChannelResidual]) -> list[
 
 
 def unexplained_views(
-    outcome: Outcome, left: Sequence[Dependence] | None = None, shapes: Sequence[Shape] = ()
+    outcome: Outcome,
+    left: Sequence[Dependence] | None = None,
+    *,
+    notes: Sequence[str] = (),
+    runs: Sequence[str] = (),
 ) -> list[Panel]:
-    """What the residual still depends on, one panel each, with the words of its shape."""
-    notes = {(s.channel, s.variable): s.note for s in shapes}
+    """What the residual still depends on, one panel each.
+
+    Args:
+        outcome: Of the loop.
+        left: Tests; None takes those that found something.
+        notes: Words for the first of them.
+        runs: Names of the runs, by number.
+    """
     regression = outcome.final.regression
     seen = rates(regression, outcome.variables)
     out: list[Panel] = []
-    done: set[tuple[str, str, str]] = set()
-    for d in outcome.structured if left is None else left:
-        if swing(d.where) is not None:
-            continue  # the picture of the spectrum shows it
+    done: set[tuple[str, str, int | None, float | None]] = set()
+    for d, note in zip_longest(outcome.structured if left is None else left, notes, fillvalue=""):
+        if not isinstance(d, Dependence) or d.swing is not None:
+            continue  # the picture of the spectrum shows a swing
         values = _axis(seen, regression, outcome.variables, d)
         if values is None or len(out) == _UNEXPLAINED:
             continue
         variable, unit, x = values
-        if (d.channel, variable, d.where) in done:
+        this = (d.channel, variable, d.run, d.moment)
+        if this in done:
             continue
-        done.add((d.channel, variable, d.where))
+        done.add(this)
         number = seen.names.index(d.channel)
-        single = moment(d.where)
-        if single is None:
-            cloud = _cloud(x, seen.residual[:, number], seen.block)
+        y, there = seen.residual[:, number], seen.run == d.run
+        if d.run is None:
+            clouds = {"residual": _cloud(x, y, seen.block)}
+        elif d.moment is not None:
+            clouds = {"residual": _course(x, y, there)}
+            note = f"one moment: {called(runs[d.run])}, {d.moment:.1f} s"
         else:
-            cloud = _course(x, seen.residual[:, number], seen.run == single[0])
+            clouds = {
+                called(runs[d.run]): _cloud(x[there], y[there], seen.block[there]),
+                "other runs": _cloud(x[~there], y[~there], seen.block[~there]),
+            }
         out.append(
             Panel(
                 d.channel,
                 seen.units[number],
                 variable,
                 unit,
-                {"residual": cloud},
-                note=f"one moment: {d.where}" if single else notes.get((d.channel, variable), ""),
+                clouds,
+                note=note,
             )
         )
     return out
@@ -161,7 +179,7 @@ def _telling(tests: Sequence[Dependence], after: Sequence[Dependence], channel: 
     A product is taken only where nothing else comes near.
     """
     stays = {(d.channel, d.variable): d.gain for d in after}
-    own = [d for d in tests if d.channel == channel and d.variable != "run" and not d.where]
+    own = [d for d in tests if d.channel == channel and d.variable != "run" and d.everywhere]
     plain = [d for d in own if is_plain(d.variable)]
 
     def order(d: Dependence) -> tuple[float, float]:

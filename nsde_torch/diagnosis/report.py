@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from nsde_torch.diagnosis.pictures import pictures, save_pictures
-from nsde_torch.diagnosis.text import chance, interval, unseen
+from nsde_torch.diagnosis.text import chance, interval, placed, unseen
 from nsde_torch.learning.report import number
 
 if TYPE_CHECKING:
@@ -267,7 +267,7 @@ def _structure(content: Mapping[str, Any]) -> str:
     structure, alpha = content["structure"], content["alpha"]
     left = [d for d in structure["after"] if d["p"] < alpha]
     rows = [
-        [d["channel"], d["variable"], d["kind"], chance(d["p"]), f"{d['share']:.1%}"] for d in left[:_DECIDED]
+        [d["channel"], placed(d), d["kind"], chance(d["p"]), f"{d['share']:.1%}"] for d in left[:_DECIDED]
     ]
     if not rows:
         text = f"<p>None of {structure['tests']['after']} tests finds a dependence (alpha {alpha:g}).</p>"

@@ -5,10 +5,11 @@
 - periodic: a sine in the variable brings at least twice the log likelihood that a cubic brings (a tenth more, if it is
   a whole part of a turn of an angle), and what is fitted in the third of the range where it is strongest is at least
   half as large in the others.
-- one run only: functions that are fitted to each run by itself bring 80 % of their log likelihood in one, and what is
-  fitted there is less than half as large in the others.
+- one run only: the test of one run alone says so, or functions that are fitted to each run by itself bring 80 % of
+  their log likelihood in one, and what is fitted there is less than half as large in the others.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,7 +18,7 @@ from numpy.typing import NDArray
 from nsde_torch.diagnosis.repeats import best_repeat
 from nsde_torch.diagnosis.spectrum import waves_of
 from nsde_torch.diagnosis.structure import Dependence, Regressors, own_space, projected
-from nsde_torch.diagnosis.views import Rates, bins, factors, is_plain, moment, swing, variable_units
+from nsde_torch.diagnosis.views import Rates, bins, factors, is_plain, variable_units
 from nsde_torch.learning.identify.identify import Regression
 
 Array = NDArray[np.float64]
@@ -63,7 +64,14 @@ def symmetry(dependence: Dependence) -> str:
     return "odd" if dependence.odd > 0.8 else "even" if dependence.odd < 0.2 else "mixed"
 
 
-def shape(regression: Regression, dependence: Dependence, variables: Regressors, seen: Rates) -> Shape:
+def called(run: str) -> str:
+    """A run in words, by its name."""
+    return run if run.lower().startswith(("run", "flight")) else f"run {run}"
+
+
+def shape(
+    regression: Regression, dependence: Dependence, variables: Regressors, seen: Rates, runs: Sequence[str]
+) -> Shape:
     """Describe a dependence that is there beyond chance.
 
     Args:
@@ -71,25 +79,23 @@ def shape(regression: Regression, dependence: Dependence, variables: Regressors,
         dependence: The test that says so.
         variables: What the residuals may depend on.
         seen: The residuals as rates.
+        runs: Names of the runs, by number.
     """
     channel = seen.names.index(dependence.channel)
     if dependence.law is not None:
         regression = regression.under(channel, dependence.law)
-    single = moment(dependence.where)
-    if single is not None:
-        run, at = single
-        note = (
-            f"most of all at one moment, run {run} at {at:.1f} s"  # other runs may have the same: not tested
-        )
+    run, at, frequency = dependence.run, dependence.moment, dependence.swing
+    if run is not None and at is not None:
+        # other runs may have the same: not tested
+        note = f"most of all at one moment, {called(runs[run])} at {at:.1f} s"
         said = f"The rate of {dependence.channel} departs {note}."
         return Shape(dependence.channel, dependence.variable, "", "local", (at, at), None, None, said, note)
-    frequency = swing(dependence.where)
     if frequency is not None:
         of_runs = _swings(regression, channel, frequency)
         most = max(of_runs, key=lambda run: of_runs[run])
         alone = len(of_runs) >= _RUNS and of_runs[most] > _ONE_RUN * sum(of_runs.values())
         note = f"in a swing of {frequency:.4g} Hz" + (
-            f", in run {most} only" if alone else " whose phase differs from run to run"
+            f", in {called(runs[most])} only" if alone else " whose phase differs from run to run"
         )
         said = f"The rate of {dependence.channel} departs {note}."
         only_run = most if alone else None
@@ -99,17 +105,20 @@ def shape(regression: Regression, dependence: Dependence, variables: Regressors,
     name, unit = dependence.variable, seen.value_units.get(dependence.variable, "")
     extent, where, period = "", None, None
     if is_plain(name):
-        extent, where = _extent(seen.values[name], seen.residual[:, channel], seen.block)
+        there = np.full(len(seen.run), True) if run is None else seen.run == run
+        extent, where = _extent(seen.values[name][there], seen.residual[there, channel], seen.block[there])
         if (
             symmetry(dependence) == "odd"
         ):  # what grows to both sides may have been seen far out on one of them only
             extent, where = "global" if extent else "", None
-        period = period_of(regression, channel, name, variables)
+        period = period_of(regression, channel, name, variables) if run is None else None
     else:
         name = product_of(regression, channel, name, variables)
-    only = _only_run(regression, channel, dependence.variable, variables)
+    only = run if run is not None else _only_run(regression, channel, dependence.variable, variables)
     side = symmetry(dependence)
     words = [f"The rate of {dependence.channel} depends on {name}"]
+    if only is not None:
+        words.append(f"in {called(runs[only])} only")
     if period is not None:
         words.append(f"periodically, every {period:.3g} {unit}".rstrip())
     elif extent == "local" and where is not None:
@@ -120,8 +129,6 @@ def shape(regression: Regression, dependence: Dependence, variables: Regressors,
         words.append(
             {"odd": "as an odd function", "even": "as an even function"}.get(side, "neither odd nor even")
         )
-    if only is not None:
-        words.append("in one run only")
     return Shape(
         dependence.channel,
         name,

@@ -1,15 +1,12 @@
 """What the residual still depends on: tests against flexible functions of everything that was measured.
 
 For a channel with whitened residual w and a group of functions Z of one variable (cut free of what the parameters
-can do), the scores s_b = Z_b' w_b of B blocks of time have mean 0 if nothing is missing; then
-
-    T = S' V^-1 S (B - q) / (q (B - 1)) ~ F(q, B - q),      S = sum s_b,  V from their scatter
-
-(Hotelling, Annals of Mathematical Statistics 2 (1931)), whatever the noise inside a block looks like. The functions
-are taken at states foreseen from earlier steps, so that gusts and sensor noise are not in them.
+can do), the scores s_b = Z_b' w_b of B blocks of time have mean 0 if nothing is missing (`chances`). The functions
+are taken at states foreseen from earlier steps, so that gusts and sensor noise are not in them. Each variable is
+tested in all runs and in the one run that stands out (`one_run`).
 
 What is strong hides twice: the law of the noise has learned it, and it scatters over blocks itself. Where a law without
-it is much likelier (`laws`), it is tested under that law too, with V from leaving blocks out.
+it is much likelier (`laws`), it is tested under that law too, with the scatter from leaving blocks out.
 """
 
 from collections.abc import Iterator, Sequence
@@ -17,10 +14,12 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import chdtrc, fdtrc, ndtr
+from scipy.special import ndtr
 
-from nsde_torch.diagnosis.evidence import by_blocks, folds
+from nsde_torch.diagnosis.chances import chance, gain_of, independent, orthonormal
+from nsde_torch.diagnosis.evidence import folds
 from nsde_torch.diagnosis.laws import Laws
+from nsde_torch.diagnosis.one_run import LIKELY, Alone, alone
 from nsde_torch.diagnosis.repeats import COUNTS, best_repeat
 from nsde_torch.diagnosis.spectrum import WHOLE, Line, lines, waves_of
 from nsde_torch.learning.identify.identify import Regression
@@ -36,6 +35,8 @@ _MIXED = ("collective", "roll_command", "pitch_command", "yaw_command")
 _WAVES = 6
 _BUMPS_S = (0.25, 1.0)
 _FEWEST_MOMENTS = 20
+SMOOTH = 6
+"""How many of `functions_of` are smooth over the whole range, ahead of the hats."""
 
 
 @dataclass(frozen=True)
@@ -50,7 +51,9 @@ class Dependence:
         odd: Share of that by odd functions, the rest by even ones.
         gain: Twice the log likelihood that the functions would bring.
         functions: Number of functions.
-        where: The moment, of a test of single moments; the frequency, of a swing that no phase holds together.
+        run: Number of the run, of a test of one run alone or of a single moment.
+        moment: Time of a single moment [s].
+        swing: Frequency of a swing that no phase holds together [Hz].
         law: Law of the noise without the functions; None: that of the regression.
     """
 
@@ -61,8 +64,15 @@ class Dependence:
     odd: float
     gain: float
     functions: int
-    where: str = ""
+    run: int | None = None
+    moment: float | None = None
+    swing: float | None = None
     law: Noise | None = None
+
+    @property
+    def everywhere(self) -> bool:
+        """Whether it is one of functions that are the same in all runs."""
+        return self.run is None and self.swing is None
 
 
 def _columns(regression: Regression, *, inputs: bool) -> tuple[dict[str, Array], Array]:
@@ -189,34 +199,8 @@ def dependences(regression: Regression, variables: Regressors) -> list[Dependenc
     of_channel = [Laws(regression, i, float(limits[c])) for i, c in enumerate(regression.rows)]
     for i, channel in enumerate(regression.rows):
         white, laws, own = regression.white[i], of_channel[i], own_space(regression, i)
-        for name, (functions, odd) in variables.functions.items():
-            z, kept = _independent(projected(regression, i, functions, own))
-            if not z.shape[1]:
-                continue
-            p, gain, left, law = _chance(z, white, fold, of_white), _gain(z, white), white, None
-            other = laws.without(functions)
-            if other is not None:
-                law, there = other.law, regression.under(i, other.law)
-                of_parameters = own_space(there, i)
-                z, kept = _independent(projected(there, i, functions, of_parameters))
-                # under another law the parameters would be elsewhere
-                left = there.white[i] - of_parameters @ (of_parameters.T @ there.white[i])
-                p = min(1.0, 2.0 * min(p, _chance(z, left, fold, of_white, strong=True)))
-                gain = 2.0 * (other.likelihood - laws.base.likelihood)
-            squares, q = np.square(z.T @ left), z.shape[1]
-            explained = float(squares.sum())
-            out.append(
-                Dependence(
-                    channel=regression.physics.names[channel],
-                    variable=name,
-                    p=p,
-                    share=max(explained - q, 0.0) / max(float(left @ left), 1e-300),
-                    odd=float(squares[odd[kept]].sum() / max(explained, 1e-300)),
-                    gain=gain,
-                    functions=q,
-                    law=law,
-                )
-            )
+        for name in variables.functions:
+            out += _of_variable(regression, i, name, variables, laws, (fold, of_white))
         for name in places:
             again = best_repeat(regression, i, variables.columns[name], own)
             if again is not None:
@@ -225,7 +209,7 @@ def dependences(regression: Regression, variables: Regressors) -> list[Dependenc
                     Dependence(
                         channel=regression.physics.names[channel],
                         variable=name,
-                        p=min(1.0, len(COUNTS) * _chance(again.columns, white, fold, of_white)),
+                        p=min(1.0, len(COUNTS) * chance(again.columns, white, fold, of_white)),
                         share=max(again.gain - 2.0 - price, 0.0) / len(white),
                         odd=0.5,
                         gain=again.gain - price,
@@ -241,12 +225,124 @@ def dependences(regression: Regression, variables: Regressors) -> list[Dependenc
     return sorted(out, key=lambda d: d.p)
 
 
+def _of_variable(
+    regression: Regression,
+    i: int,
+    name: str,
+    variables: Regressors,
+    laws: Laws,
+    labels: tuple[Labels, Labels],
+) -> list[Dependence]:
+    """A channel against one group of functions: in all runs, and of a plain variable in one run alone.
+
+    Args:
+        regression: At its optimum.
+        i: Number of the channel among its rows.
+        name: Of the group.
+        variables: What the residual may depend on.
+        laws: Of the channel.
+        labels: Folds and blocks of whitened rows.
+    """
+    functions, odd = variables.functions[name]
+    there, own = regression, own_space(regression, i)
+    whitened = whitened_functions(there, i, functions)
+    z, kept = independent(whitened - own @ (own.T @ whitened))
+    if not z.shape[1]:
+        return []
+    left, law = regression.white[i], None
+    p, gain = chance(z, left, *labels), gain_of(z, left)
+    other = laws.without(functions)
+    if other is not None:
+        law, there = other.law, regression.under(i, other.law)
+        own = own_space(there, i)
+        whitened = whitened_functions(there, i, functions)
+        z, kept = independent(whitened - own @ (own.T @ whitened))
+        # under another law the parameters would be elsewhere
+        left = there.white[i] - own @ (own.T @ there.white[i])
+        p = min(1.0, 2.0 * min(p, chance(z, left, *labels, strong=True)))
+        gain = 2.0 * (other.likelihood - laws.base.likelihood)
+    channel = regression.physics.names[regression.rows[i]]
+    out = [_dependence(channel, name, z, odd[kept], left, p=p, gain=gain, law=law)]
+    if name in variables.columns:
+        alone = _in_one_run(there, i, (functions, odd), (out[0], gain_of(z, left)), laws)
+        out += [] if alone is None else [alone]
+    return out
+
+
+def _dependence(
+    channel: str,
+    variable: str,
+    z: Array,
+    odd: NDArray[np.bool_],
+    left: Array,
+    *,
+    p: float,
+    gain: float,
+    run: int | None = None,
+    law: Noise | None = None,
+) -> Dependence:
+    """A test of orthonormal columns (N, q) on what is left (N,)."""
+    squares, q = np.square(z.T @ left), z.shape[1]
+    explained = float(squares.sum())
+    share, of_odd = max(explained - q, 0.0) / max(float(left @ left), 1e-300), float(squares[odd].sum())
+    return Dependence(
+        channel, variable, p, share, of_odd / max(explained, 1e-300), gain, functions=q, run=run, law=law
+    )
+
+
+def _in_one_run(
+    regression: Regression,
+    i: int,
+    group: tuple[Array, NDArray[np.bool_]],
+    in_all: tuple[Dependence, float],
+    laws: Laws,
+) -> Dependence | None:
+    """The same variable in the run that stands out; where the evidence for all runs is as good, that is preferred.
+
+    Args:
+        regression: Under the law of the test of all runs.
+        i: Number of the channel among its rows.
+        group: Functions and which of them are odd.
+        in_all: The test of all runs, and the squares that it explains under that law.
+        laws: Of the channel.
+    """
+    functions, odd = group[0][:, :SMOOTH], group[1][:SMOOTH]
+    everywhere, explained = in_all
+    found = _alone(regression, i, group[0])
+    if found is None:
+        return None
+    p, there, law = found.p, regression, everywhere.law
+    gain = everywhere.gain * gain_of(found.columns, regression.white[i]) / max(explained, 1e-300)
+    if p < LIKELY:
+        other = laws.without(functions * (regression.owners == found.run)[:, None])
+        if other is not None:
+            law, there = other.law, regression.under(i, other.law)
+            again = _alone(there, i, group[0])
+            if again is not None and again.run == found.run:
+                found, p = again, min(1.0, 2.0 * min(p, again.p))
+            gain = 2.0 * (other.likelihood - laws.base.likelihood)
+        if gain - found.columns.shape[1] <= everywhere.gain - everywhere.functions:
+            p = 1.0
+    z, kept, left = found.columns, found.kept, there.white[i]
+    return _dependence(
+        everywhere.channel, everywhere.variable, z, odd[kept], left, p=p, gain=gain, run=found.run, law=law
+    )
+
+
+def _alone(regression: Regression, i: int, functions: Array) -> Alone | None:
+    own, white = own_space(regression, i), regression.white[i]
+    whitened = whitened_functions(regression, i, np.column_stack((functions, np.ones(len(functions)))))
+    whole, constant = whitened[:, :-1], whitened[:, -1]
+    owners = regression.whitened_rows(regression.owners)
+    return alone(whole[:, :SMOOTH], whole, constant, white, own, owners, regression.dt)
+
+
 def _swing(regression: Regression, line: Line, laws: Laws) -> Dependence:
     """A line of the spectrum as a sine and a cosine of its own in each stretch."""
     waves = waves_of(regression, line.frequency)
     other = laws.without(waves)
-    z = _independent(projected(regression, line.row, waves, own_space(regression, line.row)))[0]
-    gain = _gain(z, regression.white[line.row])
+    z = independent(projected(regression, line.row, waves, own_space(regression, line.row)))[0]
+    gain = gain_of(z, regression.white[line.row])
     left = regression.residual[:, regression.rows[line.row]]
     explained = left @ waves @ np.linalg.lstsq(waves, left, rcond=1e-9)[0]
     return Dependence(
@@ -257,44 +353,8 @@ def _swing(regression: Regression, line: Line, laws: Laws) -> Dependence:
         odd=0.0,
         gain=gain if other is None else 2.0 * (other.likelihood - laws.base.likelihood),
         functions=waves.shape[1],
-        where=swing_at(line.frequency),
+        swing=line.frequency,
     )
-
-
-def swing_at(frequency: float) -> str:
-    """How `Dependence.where` names a frequency [Hz]."""
-    return f"{frequency:.4g} Hz"
-
-
-def _gain(z: Array, white: Array) -> float:
-    return float(np.square(z.T @ white).sum())
-
-
-def _chance(z: Array, white: Array, fold: Labels, block: Labels, *, strong: bool = False) -> float:
-    """p value of orthonormal columns (N, q): twice the smaller one of a test by blocks, and of folds left out.
-
-    Args:
-        z: The columns.
-        white: What they are to explain (N,).
-        fold, block: Labels of rows.
-        strong: Whether they may explain so much that their own scatter over blocks hides it.
-    """
-    by_block = _jackknife if strong else _hotelling
-    steady = max(float(chdtrc(z.shape[1], _gain(z, white))), by_block(z, white, block))
-    return min(1.0, 2.0 * min(steady, _left_out(z, white, fold, block)))
-
-
-def _left_out(z: Array, white: Array, fold: Labels, block: Labels) -> float:
-    """Chance of the log likelihood that functions, fitted without a fold, gain on it, from its scatter over blocks."""
-    each = np.zeros(len(white))
-    whole, pull = z.T @ z, z.T @ white
-    for f in range(int(fold.max()) + 1):
-        rows = fold == f
-        part = z[rows]
-        weights = np.linalg.lstsq(whole - part.T @ part, pull - part.T @ white[rows], rcond=1e-8)[0]
-        guess = part @ weights
-        each[rows] = guess * (white[rows] - 0.5 * guess)
-    return by_blocks(np.bincount(block, weights=each).astype(np.float64))
 
 
 def _places(system: System, variables: Regressors) -> list[str]:
@@ -352,41 +412,9 @@ def _one_moment(
         odd=0.0,
         gain=largest**2,
         functions=1,
-        where=f"run {regression.owners[spans[k][0]]}, {t:.1f} s",
+        run=int(regression.owners[spans[k][0]]),
+        moment=t,
     )
-
-
-def _hotelling(z: Array, white: Array, block: Labels) -> float:
-    """p value of the sum of scores of blocks, whose scatter is taken with nothing explained."""
-    scores: Array = np.zeros((int(block.max()) + 1, z.shape[1]))
-    np.add.at(scores, block, z * white[:, None])
-    centred = scores - scores.mean(0)
-    return _of_scatter(scores.sum(0), centred.T @ centred, len(scores), len(scores) / (len(scores) - 1))
-
-
-def _jackknife(z: Array, white: Array, block: Labels) -> float:
-    """p value of coefficients whose scatter is that of leaving a block out: with everything explained.
-
-    (Quenouille's and Tukey's jackknife; Bell, McCaffrey, Survey Methodology 28 (2002), for what it does to blocks
-    that decide by themselves.)
-    """
-    pull, eye = z.T @ white, np.eye(z.shape[1])
-    without = []
-    for b in range(int(block.max()) + 1):
-        part = z[block == b]
-        rest = pull - part.T @ white[block == b]
-        without.append(np.linalg.lstsq(eye - part.T @ part, rest, rcond=1e-10)[0])
-    centred = np.array(without) - np.mean(without, 0)
-    return _of_scatter(pull, centred.T @ centred, len(without), (len(without) - 1) / len(without))
-
-
-def _of_scatter(total: Array, scatter: Array, count: int, factor: float) -> float:
-    """Hotelling's test of a total whose covariance is `factor` times a scatter of `count` blocks."""
-    q = len(total)
-    if count < 2 * q + 4:
-        return 0.0  # too few blocks to say anything of their scatter
-    t2 = float(total @ np.linalg.pinv(scatter * factor, rcond=1e-10) @ total)
-    return float(fdtrc(q, count - q, t2 * (count - q) / (q * (count - 1))))
 
 
 def own_space(regression: Regression, channel: int) -> Array:
@@ -396,32 +424,10 @@ def own_space(regression: Regression, channel: int) -> Array:
 
 def projected(regression: Regression, channel: int, functions: Array, own: Array) -> Array:
     """Functions per unit of time (M, q), whitened and free of `own_space` (N, q)."""
-    z = regression.whitened(regression.noises[channel], functions * regression.dt)
+    z = whitened_functions(regression, channel, functions)
     return np.asarray(z - own @ (own.T @ z))
 
 
-def orthonormal(x: Array) -> Array:
-    """Orthonormal columns (N, r) that span those of x (N, k)."""
-    u, s, _ = np.linalg.svd(x, full_matrices=False)
-    return (
-        np.asarray(u[:, s > 1e-9 * max(float(s[0]), 1e-300)])
-        if len(s) and s[0] > 0
-        else np.zeros((len(x), 0))
-    )
-
-
-def _independent(z: Array) -> tuple[Array, NDArray[np.int64]]:
-    """Orthonormal columns in order (odd functions first keep their share), and which columns they came from."""
-    size = np.linalg.norm(z, axis=0)
-    kept: list[int] = []
-    basis = np.zeros((len(z), 0))
-    for k in range(z.shape[1]):
-        if not size[k] > 1e-9 * max(float(size.max()), 1e-300):
-            continue
-        rest = z[:, k] - basis @ (basis.T @ z[:, k])
-        rest = rest - basis @ (basis.T @ rest)
-        length = float(np.linalg.norm(rest))
-        if length > 0.03 * size[k]:
-            basis = np.column_stack((basis, rest / length))
-            kept.append(k)
-    return basis, np.array(kept, dtype=np.int64)
+def whitened_functions(regression: Regression, channel: int, functions: Array) -> Array:
+    """Functions per unit of time (M, q), whitened (N, q)."""
+    return regression.whitened(regression.noises[channel], functions * regression.dt)

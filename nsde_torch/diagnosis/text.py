@@ -54,8 +54,7 @@ def lines(content: Mapping[str, Any]) -> list[str]:
     structured = [d for d in content["structure"]["after"] if d["p"] < content["alpha"]]
     if structured:
         rows = [
-            [d["channel"], d["variable"], d["kind"], chance(d["p"]), f"{d['share']:.1%}"]
-            for d in structured[:5]
+            [d["channel"], placed(d), d["kind"], chance(d["p"]), f"{d['share']:.1%}"] for d in structured[:5]
         ]
         out += ["", table(["the residual still depends: channel", "variable", "kind", "p", "share"], rows)]
     if content["unexplained"]:
@@ -66,6 +65,12 @@ def lines(content: Mapping[str, Any]) -> list[str]:
         out += ["", "these data cannot show (smallest size that would be noticed):"]
         out += [f"  {text}" for text in unseen(content["not_shown"])]
     return out
+
+
+def placed(dependence: Mapping[str, Any]) -> str:
+    """What is depended on, and where if not everywhere."""
+    where = dependence["where"]
+    return f"{dependence['variable']} ({where})" if where else str(dependence["variable"])
 
 
 def unseen(entries: Sequence[Mapping[str, Any]]) -> list[str]:

@@ -8,7 +8,6 @@ ratio of sums over blocks of time,
 so that noise which lasts inside a block does no harm (Cochran, Sampling Techniques, 1977).
 """
 
-import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 
@@ -26,7 +25,6 @@ Labels = NDArray[np.int64]
 _BINS, _FEWEST = 18, 4
 _BLOCK_S = 2.0
 _OTHERS = " times others"
-_MOMENT = re.compile(r"run (\d+), (-?[\d.]+) s")  # as `structure` names it
 
 
 @dataclass(frozen=True)
@@ -114,17 +112,6 @@ def variable_units(system: System) -> dict[str, str]:
 def is_plain(variable: str) -> bool:
     """Whether a variable can be an axis: neither a product with others nor the number of a run."""
     return not variable.endswith(_OTHERS) and variable != "run"
-
-
-def moment(where: str) -> tuple[int, float] | None:
-    """Number of the run and time [s] from `Dependence.where`, None where it is no single moment."""
-    found = _MOMENT.fullmatch(where)
-    return None if found is None else (int(found[1]), float(found[2]))
-
-
-def swing(where: str) -> float | None:
-    """Frequency [Hz] from `Dependence.where`, None where it is none."""
-    return float(where.removesuffix(" Hz")) if where.endswith(" Hz") else None
 
 
 def factors(variable: str) -> str | None:

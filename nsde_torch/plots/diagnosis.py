@@ -18,6 +18,7 @@ from nsde_torch.plots.style import (
     few_ticks,
     key,
     label,
+    legend_below,
     panels,
     plain_logarithm,
     pretty,
@@ -59,7 +60,7 @@ class Panel:
     Args:
         channel, unit: Of the residual rate.
         variable, variable_unit: Of the horizontal axis.
-        clouds: By name, at most two: `before` and `after`, or the residual alone.
+        clouds: By name, at most two: `before` and `after`, one run and the others, or the residual alone.
         note: Words above the panel.
     """
 
@@ -87,7 +88,12 @@ class Spectrum:
     curves: Mapping[str, Array]
 
 
-_LOOKS = {"before": (BEFORE, "o"), "after": (AFTER, "s"), "residual": (BEFORE, "o")}
+_LOOKS = {
+    "before": (BEFORE, "o"),
+    "after": (AFTER, "s"),
+    "residual": (BEFORE, "o"),
+    "other runs": (AFTER, "s"),
+}
 
 
 @styled
@@ -114,7 +120,9 @@ def residual_views(views: Sequence[Panel], *, title: str) -> Figure:
         _draw(ax, view, rng)
     for ax in list(axes.flat)[len(views) :]:
         ax.set_axis_off()
-    key(figure, axes.flat[0])
+    pairs = (pair for ax in axes.flat for pair in zip(*ax.get_legend_handles_labels(), strict=True))
+    marks = {text: mark for mark, text in pairs}
+    legend_below(figure, list(marks.values()), list(marks))
     return figure
 
 
@@ -123,7 +131,7 @@ def _draw(ax: Axes, view: Panel, rng: np.random.Generator) -> None:
     reach = 0.0
     left, right = np.inf, -np.inf
     for name, cloud in view.clouds.items():
-        colour, mark = _LOOKS.get(name, (BLUE, "o"))
+        colour, mark = _LOOKS.get(name, (BEFORE, "o"))
         some = np.arange(len(cloud.x))
         if len(some) > _POINTS:
             some = rng.choice(len(cloud.x), _POINTS, replace=False)

@@ -12,7 +12,7 @@ from nsde_torch.diagnosis.laws import Laws
 from nsde_torch.diagnosis.shape import shape
 from nsde_torch.diagnosis.structure import dependences
 from nsde_torch.diagnosis.views import rates
-from tests.diagnosis.test_shape import Push, pushed
+from tests.diagnosis.test_shape import RUNS, Push, pushed
 
 STRONG: list[tuple[str, Push, str]] = [
     ("a stop that is hit now and then", lambda q, t, run: -20.0 * np.maximum(q - 0.15, 0.0), "even"),
@@ -35,7 +35,7 @@ def test_a_strong_force_is_seen_through_the_law_of_the_noise_that_it_leaves(push
     assert most.law is not None
     assert most.law.std == other.law.std
     assert most.p < 1e-12
-    words = shape(r, most, variables, rates(r, variables))
+    words = shape(r, most, variables, rates(r, variables), RUNS)
     assert (words.variable, words.symmetry) == ("q", side)
     assert words.period is None
 
@@ -61,7 +61,7 @@ def test_another_law_of_one_channel_leaves_theta_and_the_regression_as_they_are(
 def test_a_stop_has_a_hinge_for_a_formula() -> None:
     r, variables = pushed(STRONG[0][1])
     left = sorted(dependences(r, variables), key=lambda d: d.functions - d.gain)[:1]
-    found = formula(r, left, variables)
+    found = formula(r, left, variables, RUNS)
     assert found is not None
     first = found.terms[0]
     assert first.function.startswith("max(q - 0.")
@@ -70,17 +70,17 @@ def test_a_stop_has_a_hinge_for_a_formula() -> None:
 
 def test_a_swing_whose_phase_differs_from_run_to_run_is_told_with_its_frequency() -> None:
     r, variables = pushed(lambda q, t, run: 0.6 * np.sin(2 * np.pi * 4.0 * t + 2.0 * run))
-    found = next(d for d in dependences(r, variables) if d.where.endswith("Hz"))
+    found = next(d for d in dependences(r, variables) if d.swing is not None)
     assert found.p < 1e-9
     assert 0.05 < found.share < 1.0
-    words = shape(r, found, variables, rates(r, variables))
+    words = shape(r, found, variables, rates(r, variables), RUNS)
     assert words.period == pytest.approx(1 / 4.0, rel=0.01)
     assert "phase differs" in words.sentence
     # what was restored from an average swings by itself
     restored = dependences(r, replace(variables, inputs=False))
-    assert not any(d.where.endswith("Hz") for d in restored)
+    assert not any(d.swing is not None for d in restored)
 
 
 def test_noise_does_not_swing() -> None:
     r, variables = pushed(lambda q, t, run: 0.0 * q)
-    assert all(d.p > 0.01 for d in dependences(r, variables) if d.where.endswith("Hz"))
+    assert all(d.p > 0.01 for d in dependences(r, variables) if d.swing is not None)

@@ -21,6 +21,8 @@ from tests.helpers.diagnosed import recorded
 Array = NDArray[np.float64]
 Push = Callable[[Array, Array, Array], Array]
 
+RUNS = ("run_0", "run_1", "run_2", "run_3")
+
 
 def pushed(push: Push) -> tuple[Regression, Regressors]:
     """A spring whose residual rate is that of noise and a push (of q, time, number of the run) [m/s2]."""
@@ -43,7 +45,7 @@ def described(push: Push, variable: str) -> Shape:
     test = max(
         (d for d in dependences(r, variables) if d.variable == variable), key=lambda d: d.gain - d.functions
     )
-    return shape(r, test, variables, rates(r, variables))
+    return shape(r, test, variables, rates(r, variables), RUNS)
 
 
 def test_an_odd_dependence_over_the_whole_range_is_called_so() -> None:
@@ -74,7 +76,7 @@ def test_teeth_along_the_way_are_periodic() -> None:
 def test_what_happens_in_one_run_only_is_said() -> None:
     words = described(lambda q, t, run: np.where(run == 2, -1.5 * q, 0.0), "q")
     assert words.only_run == 2
-    assert "one run only" in words.sentence
+    assert "in run_2 only" in words.sentence
 
 
 def test_a_push_at_one_time_is_local_in_time_and_has_no_symmetry() -> None:
@@ -86,7 +88,7 @@ def test_a_push_at_one_time_is_local_in_time_and_has_no_symmetry() -> None:
 def test_a_formula_has_the_terms_and_coefficients_that_were_put_in() -> None:
     r, variables = pushed(lambda q, t, run: -2.0 * np.abs(q) * q)
     left = [d for d in dependences(r, variables) if d.variable == "q"]
-    found = formula(r, left, variables)
+    found = formula(r, left, variables, RUNS)
     assert found is not None
     assert [t.function for t in found.terms] == ["|q| q"]
     (term,) = found.terms
@@ -97,8 +99,8 @@ def test_a_formula_has_the_terms_and_coefficients_that_were_put_in() -> None:
 
 def test_noise_has_no_formula() -> None:
     r, variables = pushed(lambda q, t, run: 0.0 * q)
-    assert formula(r, dependences(r, variables)[:2], variables) is None
-    assert formula(r, [], variables) is None
+    assert formula(r, dependences(r, variables)[:2], variables, RUNS) is None
+    assert formula(r, [], variables, RUNS) is None
 
 
 def test_bins_give_means_and_errors_that_hold_noise_which_lasts() -> None:
@@ -125,11 +127,11 @@ def test_mean_rates_are_those_of_the_push() -> None:
 
 def test_a_single_moment_is_described_without_functions_of_anything() -> None:
     r, variables = pushed(lambda q, t, run: 0.0 * q)
-    single = Dependence("q_dot", "time", 1e-6, 0.1, 0.0, gain=40.0, functions=1, where="run 1, 3.5 s")
-    words = shape(r, single, variables, rates(r, variables))
+    single = Dependence("q_dot", "time", 1e-6, 0.1, 0.0, gain=40.0, functions=1, run=1, moment=3.5)
+    words = shape(r, single, variables, rates(r, variables), RUNS)
     assert (words.only_run, words.extent, words.symmetry) == (None, "local", "")
     assert "3.5 s" in words.sentence
-    assert formula(r, [single], variables) is None
+    assert formula(r, [single], variables, RUNS) is None
 
 
 def test_a_well_in_one_place_is_local_and_not_periodic() -> None:

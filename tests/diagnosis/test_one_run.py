@@ -1,0 +1,124 @@
+"""What is there in one run only is told as that, and never where every run has it or none."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from nsde_torch.data.checks import assemble
+from nsde_torch.diagnosis.diagnose import Options, diagnose, search_in
+from nsde_torch.diagnosis.one_run import Alone, alone
+from nsde_torch.diagnosis.pictures import unexplained_views
+from nsde_torch.diagnosis.structure import dependences, regressors
+from nsde_torch.diagnosis.text import lines
+from nsde_torch.models.identified import SysidSpec
+from nsde_torch.plants import simulate
+from nsde_torch.systems import make_system
+from tests.helpers.diagnosed import recorded
+
+Array = NDArray[np.float64]
+
+_ROWS = 800
+
+
+def found(push: Array, v: Array, runs: int, seed: int = 0, *, loud: float = 1.0) -> Alone | None:
+    """The test on white noise and a push that depends on `v`, without parameters; the last run may be louder."""
+    rng = np.random.default_rng(seed)
+    owners = np.repeat(np.arange(runs), _ROWS)
+    white = rng.normal(size=len(owners)) * np.where(owners == runs - 1, loud, 1.0) + push
+    z = np.stack((v, np.tanh(5 * v), v**2, np.abs(v)), 1)
+    return alone(z, z, np.ones(len(v)), white, np.zeros((len(v), 0)), owners, 0.01)
+
+
+def moved(runs: int, seed: int = 0) -> tuple[Array, NDArray[np.int64]]:
+    rng = np.random.default_rng([seed, 1])
+    return rng.normal(size=runs * _ROWS), np.repeat(np.arange(runs), _ROWS)
+
+
+@pytest.mark.parametrize("runs", [3, 6])
+def test_the_run_is_named_that_a_friction_acts_in(runs: int) -> None:
+    v, owners = moved(runs)
+    this = found(np.where(owners == 1, -0.5 * np.sign(v), 0.0), v, runs)
+    assert this is not None
+    assert this.run == 1
+    assert this.p < 1e-3
+
+
+def test_a_friction_in_all_runs_or_in_two_of_them_is_in_no_run_only() -> None:
+    v, owners = moved(6)
+    for where in (owners >= 0, (owners == 1) | (owners == 4)):
+        this = found(np.where(where, -0.5 * np.sign(v), 0.0), v, 6)
+        assert this is not None
+        assert this.p > 0.01
+
+
+def test_of_two_runs_nobody_knows_which_is_the_odd_one() -> None:
+    v, owners = moved(2)
+    assert found(np.where(owners == 1, -v, 0.0), v, 2) is None
+
+
+def test_a_push_that_is_constant_in_a_run_depends_on_nothing() -> None:
+    v, owners = moved(4)
+    this = found(np.where(owners == 1, 3.0, 0.0), v, 4)
+    assert this is not None
+    assert this.p > 0.01
+
+
+def test_a_place_that_one_run_alone_goes_to_is_no_matter_of_the_run() -> None:
+    v, owners = moved(4)
+    v = np.clip(v, -1, 1) + np.where(owners == 2, 2.5, 0.0)
+    beyond = np.clip(v - 2.0, 0, None)  # a stop that no other run meets
+    rng = np.random.default_rng(3)
+    z = np.stack((v, v**2), 1)
+    whole = np.column_stack((z, beyond))
+    white = rng.normal(size=len(v)) - 3.0 * beyond
+    this = alone(z, whole, np.ones(len(v)), white, np.zeros((len(v), 0)), owners, 0.01)
+    assert this is None or this.p > 0.01
+
+
+def test_noise_and_a_louder_run_give_chances_that_are_none_too_small() -> None:
+    p = []
+    for seed in range(150):
+        v, _ = moved(4, seed)
+        this = found(np.zeros(len(v)), v, 4, seed, loud=1.0 if seed % 2 else 2.0)
+        p.append(1.0 if this is None else this.p)
+    assert np.mean(np.array(p) < 0.1) <= 0.14
+    assert min(p) > 1e-4
+
+
+@pytest.mark.parametrize("system", ["mass_spring_damper", "cartpole"])
+def test_runs_of_a_sound_plant_are_alike(system: str) -> None:
+    for seed in (11, 12):
+        data = recorded(system, seed=seed, durations=(6.0,) * 4)
+        base = search_in(make_system(system), data.runs, 1.0, Options()).base(make_system(system))
+        tests = dependences(base.regression, regressors(base.regression))
+        of_runs = [d for d in tests if d.run is not None and d.moment is None]
+        assert of_runs
+        assert min(d.p for d in of_runs) * len(tests) > 0.01
+
+
+def test_a_friction_in_one_of_five_runs_is_unexplained_and_said_to_be_in_that_run_only() -> None:
+    rough = {"coulomb_friction": {"size": 0.25, "width": 0.01}}
+    sound, worn = (
+        simulate("mass_spring_damper", effects=e, durations=(8.0,) * 5, seed=3).runs for e in ([], [rough])
+    )
+    system = make_system("mass_spring_damper")
+    data = assemble([*sound[:3], worn[3], sound[4]], system, kind="simulated")
+    name = data.runs[3].name
+    spec = SysidSpec(system.name, dt=data.dt, horizon=system.defaults.horizon)
+    result = diagnose(system, spec, data, data.runs, Options())
+    content = result.content()
+    assert (content["verdict"], content["added"]) == ("unexplained", [])
+    first = content["unexplained"][0]
+    assert (first["channel"], first["variable"], first["symmetry"]) == ("q_dot", "q_dot", "odd")
+    assert first["only_run"] == name
+    assert f"in {name} only" in content["summary"]
+    assert any(d["where"] == f"{name} only" for d in content["structure"]["after"])
+    assert any(f"q_dot ({name} only)" in line for line in lines(content))
+    panel = unexplained_views(result.outcome, runs=result.runs)[0]
+    assert set(panel.clouds) == {name, "other runs"}
+    term = content["formula"]["terms"][0]
+    assert term["function"] == "sign(q_dot)"
+    assert term["coefficient"] == pytest.approx(-0.25, rel=0.2)
+    assert content["formula"]["text"].startswith(f"in {name}, ")

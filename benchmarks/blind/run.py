@@ -144,10 +144,12 @@ def judge(truth: dict[str, Any], answer: dict[str, Any]) -> dict[str, Any]:
             numbers = value if isinstance(value, list) else [value]
             for i, v in enumerate(numbers):
                 label = f"{key}.{parameter}" + (f"[{i}]" if len(numbers) > 1 else "")
-                interval = (answer.get("parameters", {}).get(label) or {}).get("interval_90")
+                said = answer.get("parameters", {}).get(label) or {}
+                interval, bound = said.get("interval_90"), said.get("bound")
                 if interval and abs(v) > 1e-5:
                     total += 1
-                    inside += interval[0] <= v <= interval[1]
+                    over, under = bound == "below" or interval[0] <= v, bound == "above" or v <= interval[1]
+                    inside += over and under
     out["inside"], out["intervals"] = inside, total
     out["seconds"] = answer.get("seconds", 0.0)
     return out

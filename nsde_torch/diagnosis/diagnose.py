@@ -262,12 +262,22 @@ class Diagnosis:
         for fault in self.recorded.faults:
             for name, (value, low, high, unit) in fault.values.items():
                 interval = None if low is None else [low, high]
-                out[f"{fault.name}.{name}"] = {"value": value, "interval_90": interval, "unit": unit}
+                out[f"{fault.name}.{name}"] = {
+                    "value": value,
+                    "interval_90": interval,
+                    "bound": None,
+                    "unit": unit,
+                }
         for f in self.outcome.found:
             for e in self.outcome.estimates(f.name):
                 interval = None if e.low is None else [e.low, e.high]
                 held = e.name in f.trial.held
-                out[e.name] = {"value": 0.0 if held else e.value, "interval_90": interval, "unit": e.unit}
+                out[e.name] = {
+                    "value": 0.0 if held else e.value,
+                    "interval_90": interval,
+                    "bound": e.bound,
+                    "unit": e.unit,
+                }
         return out
 
 

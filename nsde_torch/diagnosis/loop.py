@@ -28,6 +28,10 @@ Verdict = Literal["no_effect", "effect_found", "unexplained"]
 _LEAD = 0.1  # of what the effects explain: structure beyond that makes them leads
 _FEWER = 2.0  # nats by which two effects must be better than one that stands in for both
 _SHOWS = 0.9  # level of intervals
+_BOUNDS: dict[tuple[bool, bool], Literal["below", "above"]] = {
+    (True, False): "below",
+    (False, True): "above",
+}  # by whether the ends are those of the search
 
 
 @dataclass(frozen=True)
@@ -39,6 +43,7 @@ class Estimate:
         value: Estimate.
         low, high: 90 % interval, inside the bounds; None where the data do not show it.
         unit: Unit of all.
+        bound: `below` or `above` where that end alone is what the data say: the other one is the bound of the search.
     """
 
     name: str
@@ -46,6 +51,7 @@ class Estimate:
     low: float | None
     high: float | None
     unit: str
+    bound: Literal["below", "above"] | None = None
 
 
 @dataclass(frozen=True)
@@ -283,17 +289,12 @@ def estimates(regression: Regression, sure: Spread, name: str) -> list[Estimate]
     degrees = sure.degrees(basis)
     out = []
     for j in v.of(name):
-        low = high = None
+        low = high = bound = None
+        value = float(regression.theta[j])
         if regression.shown.known[j]:
             half = float(stdtrit(max(degrees[j], 1.0), 0.5 * (1 + _SHOWS)) * error[j])
-            low, high = max(regression.theta[j] - half, v.low[j]), min(regression.theta[j] + half, v.high[j])
-        out.append(
-            Estimate(
-                v.labels[j],
-                float(regression.theta[j]),
-                None if low is None else float(low),
-                None if high is None else float(high),
-                v.units[j],
-            )
-        )
+            low, high = float(max(value - half, v.low[j])), float(min(value + half, v.high[j]))
+            ends = low <= v.low[j], high >= v.high[j]
+            bound = _BOUNDS.get(ends)
+        out.append(Estimate(v.labels[j], value, low, high, v.units[j], bound))
     return out

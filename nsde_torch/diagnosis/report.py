@@ -149,7 +149,11 @@ def _finding(finding: Mapping[str, Any], content: Mapping[str, Any]) -> str:
     own = {k: p for k, p in content["parameters"].items() if k.startswith(f"{finding['name']}.")}
     if own:
         rows = [
-            [k.partition(".")[2], f"{number(p['value'])} {_unit(p['unit'])}", interval(p["interval_90"])]
+            [
+                k.partition(".")[2],
+                f"{number(p['value'])} {_unit(p['unit'])}",
+                interval(p["interval_90"], p["bound"]),
+            ]
             for k, p in own.items()
         ]
         text += _table(["parameter", "value", "90 % interval"], rows)

@@ -25,7 +25,7 @@ def lines(content: Mapping[str, Any]) -> list[str]:
     out += [line for a in content["aside"] for line in ("", f"{a['sentence']} This is {a['reason']}.")]
     if content["parameters"]:
         rows = [
-            [name, number(p["value"]), interval(p["interval_90"]), p["unit"]]
+            [name, number(p["value"]), interval(p["interval_90"], p["bound"]), p["unit"]]
             for name, p in content["parameters"].items()
         ]
         out += ["", table(["parameter", "value", "90 % interval", "unit"], rows)]
@@ -111,6 +111,10 @@ def chance(p: float) -> str:
     return f"{p:.1g}" if p >= 1e-4 else "< 0.0001"
 
 
-def interval(ends: Sequence[float] | None) -> str:
-    """An interval in words."""
-    return "not shown by the data" if ends is None else f"{number(ends[0])} to {number(ends[1])}"
+def interval(ends: Sequence[float] | None, bound: str | None = None) -> str:
+    """An interval in words; of one that ends at a bound of the search, the other end alone (`below`, `above`)."""
+    if ends is None:
+        return "not shown by the data"
+    if bound is not None:
+        return f"{bound} {number(ends[1] if bound == 'below' else ends[0])}"
+    return f"{number(ends[0])} to {number(ends[1])}"

@@ -12,7 +12,7 @@ import pytest
 
 from nsde_torch.diagnosis.diagnose import Diagnosis
 from nsde_torch.diagnosis.report import write_report
-from nsde_torch.diagnosis.text import lines
+from nsde_torch.diagnosis.text import interval, lines
 from tests.helpers.diagnosed import diagnosed
 
 _VOID = {"meta", "br", "img"}
@@ -140,3 +140,29 @@ def test_the_content_holds_what_the_schema_promises(found: tuple[Diagnosis, dict
     (row,) = content["residual"].values()
     assert row["floor"] <= row["after"] < row["before"] <= row["measured"]
     assert json.loads(json.dumps(content, allow_nan=False)) == json.loads(json.dumps(content))
+
+
+@pytest.mark.parametrize(
+    ("ends", "bound", "words"),
+    [
+        (None, None, "not shown by the data"),
+        ((0.1, 0.2), None, "0.1 to 0.2"),
+        ((0.1, 0.2), "below", "below 0.2"),
+        ((0.1, 0.2), "above", "above 0.1"),
+    ],
+)
+def test_an_interval_that_ends_where_the_search_does_has_one_end(
+    ends: tuple[float, float] | None, bound: str | None, words: str
+) -> None:
+    assert interval(ends, bound) == words
+
+
+def test_a_width_that_is_crossed_within_a_step_is_below_something(tmp_path: Path) -> None:
+    case = diagnosed("mass_spring_damper", {"coulomb_friction": {"size": 0.3, "width": 0.001}})
+    size, width = (case[1]["parameters"][f"coulomb_friction.{name}"] for name in ("size", "width"))
+    assert (size["bound"], width["bound"]) == (None, "below")
+    end = interval(width["interval_90"], "below")
+    assert end.startswith("below 0.0")
+    assert any("coulomb_friction.width" in line and end in line for line in lines(case[1]))
+    page, _ = written(tmp_path, case)
+    assert end in page

@@ -77,7 +77,7 @@ def run(config: DictConfig, job: Job) -> None:
     )
     print()
     print("\n".join(lines(content)))
-    if config.retrain and (found.outcome.found or found.recorded.biases):
+    if config.retrain and (found.outcome.found or set(_taken_out(found)) & set(found.added)):
         print(f"\ntraining the model with {', '.join(found.added)}", flush=True)
         content["model"] = _train(config, job, found)
         _write(job, content)
@@ -105,6 +105,12 @@ def values(found: Diagnosis, name: str) -> dict[str, Any]:
     return {key: v.tolist() if v.numel() > 1 else float(v) for key, (v, _) in values.items()}
 
 
+def _taken_out(found: Diagnosis) -> dict[str, dict[str, float]]:
+    """What was taken out of the states, by key of `data`."""
+    r = found.recorded
+    return {"sensor_bias": r.biases, "sensor_delay": r.delays, "sensor_lag": r.lags}
+
+
 def _train(config: DictConfig, job: Job, found: Diagnosis) -> dict[str, Any]:
     """Train the model of the configuration with the effects; an ordinary run directory."""
     from nsde_torch.effects import effect_class, key_of
@@ -114,10 +120,11 @@ def _train(config: DictConfig, job: Job, found: Diagnosis) -> dict[str, Any]:
             effects_file.add_value(config.system, f.name, key, value)
     for name, value in found.outcome.system.declared_parameters().items():
         effects_file.add_own(config.system, name, value[0])
-    if "sensor_bias" in config.data:  # simulated runs are made by sensors without one
-        with open_dict(config.data.sensor_bias):
-            for name, bias in found.recorded.biases.items():
-                config.data.sensor_bias[name] = config.data.sensor_bias.get(name, 0.0) + bias
+    for fault, found_values in _taken_out(found).items():
+        if fault in config.data:  # simulated runs are made by sensors without one
+            with open_dict(config.data[fault]):
+                for name, value in found_values.items():
+                    config.data[fault][name] = config.data[fault].get(name, 0.0) + value
     config.system.effects = [
         *config.system.effects,
         *(key_of(effect_class(f.name)) for f in found.outcome.found),

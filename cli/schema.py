@@ -98,6 +98,14 @@ class FileData(DataConfig):
     sensor_bias: dict[str, float] = key(
         {}, "what sensors read too much, {STATE: 0.01} in its unit, to take out"
     )
+    sensor_delay: dict[str, float] = key(
+        {},
+        "by how much states are logged late, {STATE: 0.01}, or {p: 0.01} for p_x p_y p_z, to take out",
+        unit="s",
+    )
+    sensor_lag: dict[str, float] = key(
+        {}, "time constants of filters that states went through, {STATE: 0.02}, to undo", unit="s"
+    )
 
 
 @dataclass
@@ -479,6 +487,14 @@ class RecordingConfig:
     )
     clock_scale: float = key(1.0, "physical seconds for each logged second", low=0.5, high=2)
     sensor_bias: dict[str, Any] = key({}, "what is added to a state, recording.sensor_bias.STATE=0.1")
+    sensor_delay: dict[str, Any] = key(
+        {},
+        "by how much a state is logged late, recording.sensor_delay.STATE=0.02 (p for p_x p_y p_z)",
+        unit="s",
+    )
+    sensor_lag: dict[str, Any] = key(
+        {}, "time constant of a filter that a state goes through, recording.sensor_lag.STATE=0.02", unit="s"
+    )
     frame_misalignment: list[float] = key(
         [0.0, 0.0, 0.0], "turn of the log's body frame against the machine's about x, y, z", unit="deg"
     )

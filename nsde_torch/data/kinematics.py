@@ -84,7 +84,7 @@ class Pooled:
     slopes: int
 
 
-def _groups(system: SystemInfo, x: Array, dt: float) -> list[tuple[str, list[str], Array, Array]]:
+def axis_groups(system: SystemInfo, x: Array, dt: float) -> list[tuple[str, list[str], Array, Array]]:
     """(group, axis names, increments (n-1, k), integrals of the rate (n-1, k)) over single steps."""
     out = []
     for group, (i, j) in derivative_columns(system).items():
@@ -126,7 +126,7 @@ def find_jumps(system: SystemInfo, x: Array, *, dt: float) -> list[Jump]:
     if len(x) < 2 * NEIGHBOURHOOD:
         return []
     found: dict[int, Jump] = {}
-    for group, _, increment, integral in _groups(system, x, dt):
+    for group, _, increment, integral in axis_groups(system, x, dt):
         size = np.linalg.norm(increment - integral, axis=1)
         speed = np.linalg.norm(integral, axis=1)
         sigma = 1.4826 * float(np.median(size))
@@ -170,9 +170,9 @@ def clock_slopes(system: SystemInfo, name: str, segments: Sequence[Array], *, dt
             continue
         edges = np.arange(0, len(x), length)
         edges = edges[edges < len(x)]
-        for group, axes, increment, integral in _groups(system, x, dt):
+        for group, axes, increment, integral in axis_groups(system, x, dt):
             del integral
-            rate = _rates(system, group, x)
+            rate = rates_of(system, group, x)
             total = np.add.reduceat(increment, edges[:-1], axis=0)
             total[-1] = increment[edges[-2] : edges[-1]].sum(axis=0)
             # trapezoid over the even samples (ends halved), midpoint rule over the odd samples; both span the
@@ -211,7 +211,7 @@ def _sums(a: Array, edges: NDArray[np.int64]) -> Array:
     return total
 
 
-def _rates(system: SystemInfo, group: str, x: Array) -> Array:
+def rates_of(system: SystemInfo, group: str, x: Array) -> Array:
     if group == "attitude":
         rates = rate_columns(system)
         assert rates is not None

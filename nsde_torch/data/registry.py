@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from math import isfinite
 from typing import Any
 
 from nsde_torch.data.checks import assemble
 from nsde_torch.data.csv_folder import read_csv
+from nsde_torch.data.lateness import on_time
 from nsde_torch.data.published import read_published
 from nsde_torch.data.raw import RawRun
-from nsde_torch.data.run import DataSet
+from nsde_torch.data.run import DataSet, fingerprint
 from nsde_torch.data.system_info import SystemInfo
 from nsde_torch.errors import ConfigError
 
@@ -38,6 +40,8 @@ def read(
     gap: float | None = None,
     clock: str = "rescale",
     sensor_bias: Mapping[str, float] | None = None,
+    sensor_delay: Mapping[str, float] | None = None,
+    sensor_lag: Mapping[str, float] | None = None,
     **options: Any,
 ) -> DataSet:
     """Reads and checks a data set.
@@ -50,6 +54,8 @@ def read(
         gap: Time between rows that counts as a gap [s]; default: 2.5 steps.
         clock: `rescale`, `trust` or `refuse` a clock that disagrees with the kinematics.
         sensor_bias: What sensors read too much, by name of a state, in its unit; taken out before anything else.
+        sensor_delay: By how much states are logged late, by name of a state or common name of several [s of the log].
+        sensor_lag: Time constants of filters that states went through, to undo, by the same names [s of the log].
         options: Further options of the kind.
 
     Returns:
@@ -76,7 +82,12 @@ def read(
         raise
     for name, value in (sensor_bias or {}).items():
         _unbias(raw, system, name, value)
-    return assemble(raw, system, kind=kind, dt=dt, gap=gap, clock=clock)
+    data = assemble(raw, system, kind=kind, dt=dt, gap=gap, clock=clock)
+    if not (sensor_delay or sensor_lag):
+        return data
+    runs = [on_time(run, system, sensor_delay or {}, sensor_lag) for run in data.runs]
+    hashed = fingerprint(runs, system_name=system.name, dt=data.dt, clock_scale=data.clock_scale)
+    return replace(data, runs=runs, fingerprint=hashed)
 
 
 def _unbias(raw: Sequence[RawRun], system: SystemInfo, name: str, value: float) -> None:

@@ -19,7 +19,7 @@ from nsde_torch.diagnosis.formula import Formula, formula
 from nsde_torch.diagnosis.held_out import HeldOut, held_out
 from nsde_torch.diagnosis.loop import Outcome, estimates, loop
 from nsde_torch.diagnosis.not_shown import not_shown
-from nsde_torch.diagnosis.recording import Recorded, undo
+from nsde_torch.diagnosis.recording import Fault, Recorded, undo
 from nsde_torch.diagnosis.search import Search, effect_of
 from nsde_torch.diagnosis.shape import Shape, called, shape, symmetry
 from nsde_torch.diagnosis.structure import Dependence
@@ -104,14 +104,18 @@ class Diagnosis:
     @property
     def verdict(self) -> str:
         """`no_effect`, `effect_found` or `unexplained`; a fault of the recording chain counts as found."""
-        if self.outcome.verdict == "no_effect" and self.recorded.faults:
+        if self.outcome.verdict == "no_effect" and self._faults:
             return "effect_found"
         return self.outcome.verdict
 
     @property
     def added(self) -> list[str]:
         """Names of everything that was found, the recording chain first."""
-        return [fault.name for fault in self.recorded.faults] + [f.name for f in self.outcome.found]
+        return [fault.name for fault in self._faults] + [f.name for f in self.outcome.found]
+
+    @property
+    def _faults(self) -> list[Fault]:
+        return [f for f in self.recorded.faults if not f.short]
 
     @property
     def width(self) -> float:
@@ -127,7 +131,14 @@ class Diagnosis:
             "added": self.added,
             "summary": summary(self),
             "findings": self._findings(),
-            "aside": [{"effect": n, "sentence": sentence(o, n), "reason": _SHORT} for n in o.aside],
+            "aside": [
+                *(
+                    {"effect": f.name, "sentence": f.sentence, "reason": _SHORT}
+                    for f in self.recorded.faults
+                    if f.short
+                ),
+                *({"effect": n, "sentence": sentence(o, n), "reason": _SHORT} for n in o.aside),
+            ],
             "ranking": ranking(o),
             "ties": self._ties(),
             "not_shown": self._not_shown(),
@@ -181,7 +192,7 @@ class Diagnosis:
                 "lead": False,
                 "lead_reason": None,
             }
-            for f in self.recorded.faults
+            for f in self._faults
         ]
         effects = [
             {
@@ -259,7 +270,7 @@ class Diagnosis:
 
     def _parameters(self) -> dict[str, Any]:
         out: dict[str, Any] = {}
-        for fault in self.recorded.faults:
+        for fault in self._faults:
             for name, (value, low, high, unit) in fault.values.items():
                 interval = None if low is None else [low, high]
                 out[f"{fault.name}.{name}"] = {
@@ -417,7 +428,7 @@ def diagnose(
     seconds: dict[str, float] = {}
     own = {name: register(name) for name in options.also}  # first: they may read channels that no other does
     say("checking the recording chain", 0, 1)
-    recorded = _undone(data, runs, system, options)
+    recorded = undone(data, runs, system, options)
     extended = with_channels(system, recorded.runs)
     if not extended:
         raise DataError("no run to diagnose.")
@@ -477,18 +488,13 @@ def diagnose(
     )
 
 
-def _undone(data: DataSet, runs: Sequence[Run], system: System, options: Options) -> Recorded:
-    """The recording chain undone; inputs that were restored from an average only where physics does better with them.
+def undone(data: DataSet, runs: Sequence[Run], system: System, options: Options) -> Recorded:
+    """The recording chain undone, with the declared physics as its judge where kinematics cannot tell."""
 
-    Rows that were lost at a regular distance leave nulls in the spectrum of held inputs, as an average does.
-    """
-    found = undo(data, runs, system, alpha=options.alpha)
-    if not found.inputs_restored:
-        return found
-    as_logged = undo(data, runs, system, alpha=options.alpha, smoothing=False)
-    left = [search_in(system, r.runs, r.clock, options).quick(system).noises for r in (found, as_logged)]
-    better, worse = (sum(log(law.std) for law in laws) for laws in left)
-    return found if better < worse else as_logged
+    def misfit(some: Sequence[Run], clock: float) -> float:
+        return sum(log(law.std) for law in search_in(system, some, clock, options).quick(system).noises)
+
+    return undo(data, runs, system, alpha=options.alpha, misfit=misfit)
 
 
 def search_in(

@@ -2,6 +2,8 @@
 
 clock_scale       p and q move as far as v and omega say only if a logged second is s seconds (data.kinematics)
 input_smoothing   a moving average of width w leaves nulls at k / w in the spectrum of the inputs (data.smoothing)
+sensor_delay,     a position is late against the integral of its rate, or the rate against it (data.lateness), by a time
+sensor_lag        or by a filter of first order
 sensor_bias       p(t + T) - p(t) - integral of v dt = -b T on average, for a rate that reads b too much
 
 Inputs that were averaged over w = n h are restored by regularised least squares: with A the average and D second
@@ -12,7 +14,7 @@ differences,
 which fills in what lies at the nulls with nothing and what lies elsewhere with itself.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -23,6 +25,7 @@ from scipy.special import stdtr, stdtrit
 
 from nsde_torch.data import DataSet, Run
 from nsde_torch.data.kinematics import pool
+from nsde_torch.data.lateness import Late, lateness, on_time
 from nsde_torch.data.quaternion import increments
 from nsde_torch.data.smoothing import smoothing_width
 from nsde_torch.data.system_info import derivative_columns, rate_columns
@@ -35,6 +38,8 @@ _FEWEST = 12
 _FOLDS = 10  # of the jackknife in data.kinematics
 _BEND = 3e-3  # c: what the log of a command rounds off
 _LEVEL = 0.9
+_LEAST_STEPS, _SURE_STEPS = 0.2, 0.6  # a delay that is of consequence, and one that needs no physics to tell
+_NATS = 3.0
 _LEAST_SHARE = 0.02  # of the rate's own rms: a bias below that is of no consequence
 
 
@@ -43,16 +48,18 @@ class Fault:
     """Something that the recording chain did.
 
     Args:
-        name: `clock_scale`, `input_smoothing` or `sensor_bias`.
+        name: `clock_scale`, `sensor_delay`, `sensor_lag`, `sensor_bias` or `input_smoothing`.
         values: By parameter: value, low, high (90 %; None where there is no interval), unit.
         p: Chance of it in a sound log; None where it is not a test of chance.
         sentence: What it means.
+        short: Whether it is shorter than a step, and so undone but not called a finding.
     """
 
     name: str
-    values: dict[str, tuple[float, float | None, float | None, str]]
+    values: Mapping[str, tuple[float, float | None, float | None, str]]
     p: float | None
     sentence: str
+    short: bool = False
 
 
 @dataclass(frozen=True)
@@ -77,20 +84,42 @@ class Recorded:
     @property
     def biases(self) -> dict[str, float]:
         """What was taken out of rates, by name of the state, in its unit."""
-        return {k: v[0] for f in self.faults if f.name == "sensor_bias" for k, v in f.values.items()}
+        return self._values("sensor_bias")
+
+    @property
+    def delays(self) -> dict[str, float]:
+        """By how much channels were late, by name of the state or of several [s of the log]."""
+        return self._values("sensor_delay")
+
+    @property
+    def lags(self) -> dict[str, float]:
+        """Time constants of filters that were undone, by name of the state or of several [s of the log]."""
+        return self._values("sensor_lag")
+
+    def _values(self, name: str) -> dict[str, float]:
+        return {k: v[0] for f in self.faults if f.name == name for k, v in f.values.items()}
 
 
 def undo(
-    data: DataSet, runs: Sequence[Run], system: System, *, alpha: float, smoothing: bool = True
+    data: DataSet,
+    runs: Sequence[Run],
+    system: System,
+    *,
+    alpha: float,
+    misfit: Callable[[Sequence[Run], float], float],
 ) -> Recorded:
     """Find the faults of a recording chain and undo them.
+
+    Two of them can look like something else, and are undone only where the declared physics fits better for it: rows
+    that were lost at a regular distance leave nulls in the spectrum of held inputs, as an average does; and what is
+    half a step late may be how a simulator steps.
 
     Args:
         data: Where the runs are from; it knows the clock.
         runs: Those to look at.
         system: The machine.
         alpha: Chance of finding a fault in a sound log.
-        smoothing: Whether to look for inputs that were averaged.
+        misfit: Negative log likelihood per row [nats] of the declared physics in runs, at a clock.
     """
     faults: list[Fault] = []
     clock = data.clock_scale
@@ -100,23 +129,45 @@ def undo(
             faults.append(fault)
         else:
             clock = 1.0  # the reader decides at three standard errors, however few intervals they are from
+    late = lateness(system, runs, clock=clock)
+    late = [d for d in late if d.p * len(late) < alpha and d.low > _LEAST_STEPS * runs[0].dt]
+    surely = [d for d in late if d.low > _SURE_STEPS * runs[0].dt]
+    runs = _on_time(runs, system, surely)
+    faults += _delays(surely)
     biases = rate_biases(system, runs, clock)
     sure = {k: v for k, v in biases.items() if v.p * len(biases) < 0.5 * alpha and abs(v.value) > v.least}
     if sure:
         runs = [_without(run, system, {k: v.value for k, v in sure.items()}) for run in runs]
         faults.append(_bias(system, sure))
-    width = smoothing_width(runs, system.nu) if system.nu and smoothing else 0.0
+    width = smoothing_width(runs, system.nu) if system.nu else 0.0
     if width > 0:
-        runs = [restored(run, system.nu, width) for run in runs]
-        faults.append(
-            Fault(
-                "input_smoothing",
-                {"width": (width, width - 0.5 * runs[0].dt, width + 0.5 * runs[0].dt, "s")},
-                None,
-                f"The log holds a moving average over {width:.3g} s of the inputs that acted.",
-            )
-        )
+        before = [restored(run, system.nu, width) for run in runs]
+        if misfit(before, clock) < misfit(runs, clock):
+            runs = before
+            faults.append(_smoothing(width, runs[0].dt))
+    for d in late:
+        if d in surely:
+            continue
+        # moved the other way it would be as smooth
+        there, back = (misfit(_on_time(runs, system, [e]), clock) for e in (d, d.early))
+        if there < back - _NATS / sum(len(run) for run in runs):
+            runs = _on_time(runs, system, [d])
+            faults += _delays([d], short=True)
     return Recorded(tuple(runs), clock, tuple(faults))
+
+
+def _on_time(runs: Sequence[Run], system: System, late: Sequence[Late]) -> list[Run]:
+    delays, filters = ({d.channel: d.seconds for d in late if d.filtered == f} for f in (False, True))
+    return [on_time(run, system, delays, filters) if late else run for run in runs]
+
+
+def _smoothing(width: float, dt: float) -> Fault:
+    return Fault(
+        "input_smoothing",
+        {"width": (width, width - 0.5 * dt, width + 0.5 * dt, "s")},
+        None,
+        f"The log holds a moving average over {width:.3g} s of the inputs that acted.",
+    )
 
 
 def _clock(data: DataSet) -> Fault:
@@ -131,6 +182,24 @@ def _clock(data: DataSet) -> Fault:
         p,
         f"A second of the log lasts {clock:.4g} s: positions and attitude move further than their rates say.",
     )
+
+
+def _delays(late: Sequence[Late], *, short: bool = False) -> list[Fault]:
+    """Channels that are late as faults: delays, and filters."""
+    out = []
+    for name, how, filtered in (
+        ("sensor_delay", "later than", False),
+        ("sensor_lag", "late behind a filter, against", True),
+    ):
+        some = [d for d in late if d.filtered == filtered]
+        if some:
+            words = ", ".join(f"{d.channel} is logged {1e3 * d.seconds:.3g} ms {how} {d.other}" for d in some)
+            values = {d.channel: (d.seconds, d.low, d.high, "s") for d in some}
+            told = (
+                f"Channels do not belong to the same time: {words}, as the one is the integral of the other."
+            )
+            out.append(Fault(name, values, min(d.p for d in some), told, short))
+    return out
 
 
 @dataclass(frozen=True)

@@ -1,6 +1,8 @@
 """What a recording chain does to the runs of a plant before they are written.
 
 states late:     x_log(t) = x(t - d), so that the log shows inputs a time d before they act
+a late sensor:   x_log(t) = x(t - d) for some of the states
+a filter:        T x_log' + x_log = x for some of the states
 smoothed inputs: u_log(t) = mean of u over [t - w / 2, t + w / 2]
 biased sensors:  x_log = x + b
 a turned frame:  q_log = q (1, r / 2), omega_log = R(r)^T omega, for the rotation r from body to the log's frame
@@ -12,14 +14,16 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from math import isfinite, pi
+from math import ceil, isfinite, pi
 from typing import Any
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 from scipy.ndimage import convolve1d
+from scipy.signal import lfilter
 
+from nsde_torch.data.lateness import channel_columns, moved
 from nsde_torch.data.raw import RawRun
 from nsde_torch.errors import ConfigError
 from nsde_torch.rotation import rotate_back, turned
@@ -37,6 +41,8 @@ class Recording:
         input_delay: Time by which states are logged late against inputs [s], rounded to rows.
         clock_scale: Physical seconds for each logged second.
         sensor_bias: What is added to states, by name [their units].
+        sensor_delay: By how much states come late, by name of a state or common name of several [s].
+        sensor_lag: Time constants of filters that states go through, by the same names [s].
         frame_misalignment: Turn of the log's body frame against the machine's about x, y, z [deg] (a rotation vector).
         dropout: Share of the rows that is missing.
     """
@@ -45,6 +51,8 @@ class Recording:
     input_delay: float = 0.0
     clock_scale: float = 1.0
     sensor_bias: Mapping[str, float] = field(default_factory=dict)
+    sensor_delay: Mapping[str, float] = field(default_factory=dict)
+    sensor_lag: Mapping[str, float] = field(default_factory=dict)
     frame_misalignment: Sequence[float] = (0.0, 0.0, 0.0)
     dropout: float = 0.0
 
@@ -70,6 +78,11 @@ class Recording:
                 f"`sensor_bias` takes {', '.join(free)} of system {system.name!r}; got {', '.join(unknown)}."
                 + (" An attitude is turned with `frame_misalignment`." if turned_names else "")
             )
+        for key, times in (("sensor_delay", self.sensor_delay), ("sensor_lag", self.sensor_lag)):
+            for name, value in times.items():
+                channel_columns(system, name)
+                if not (isfinite(value) and value >= 0):
+                    raise ConfigError(f"`{key}.{name}` must be a time of 0 s or more; got {value!r}.")
         if len(self.frame_misalignment) != 3:
             raise ConfigError(
                 f"`frame_misalignment` takes three angles [deg]; got {list(self.frame_misalignment)}."
@@ -80,8 +93,8 @@ class Recording:
             )
 
     def rows_late(self, dt: float) -> int:
-        """Rows by which states are late, at a step `dt` [s] of the log."""
-        return round(self.input_delay / dt)
+        """Rows by which some state is late, at a step `dt` [s] of the log."""
+        return round(self.input_delay / dt) + ceil(max(self.sensor_delay.values(), default=0.0) / dt - 1e-9)
 
     def apply(self, run: RawRun, system: System, *, dt: float, rng: np.random.Generator) -> RawRun:
         """A run as the chain logs it.
@@ -96,7 +109,18 @@ class Recording:
         n = len(run.t) - late
         u = _smoothed(run.u, round(self.input_smoothing / dt))[late:]
         extra = {k: np.asarray(v)[late:] for k, v in run.extra.items()}
-        x = run.x[:n].copy()
+        late_states = round(self.input_delay / dt)
+        now = slice(late - late_states, late - late_states + n)
+        x = run.x.copy()
+        for name, lag in self.sensor_lag.items():
+            columns = channel_columns(system, name)
+            x[:, columns] = _filtered(x[:, columns], lag / dt)
+        for name, delay in self.sensor_delay.items():
+            columns = channel_columns(system, name)
+            x[:, columns] = moved(x[:, columns], -delay / dt)
+        if system.quaternion is not None and (self.sensor_delay or self.sensor_lag):
+            x[:, system.quaternion] /= np.linalg.norm(x[:, system.quaternion], axis=1, keepdims=True)
+        x = x[now]
         for name, bias in self.sensor_bias.items():
             x[:, system.state_names.index(name)] += bias
         if any(self.frame_misalignment):
@@ -112,12 +136,16 @@ class Recording:
         out: dict[str, Any] = {}
         if round(self.input_smoothing / dt):
             out["input_smoothing_s"] = round(self.input_smoothing / dt) * dt
-        if self.rows_late(dt):
-            out["input_delay_s"] = self.rows_late(dt) * dt
+        if round(self.input_delay / dt):
+            out["input_delay_s"] = round(self.input_delay / dt) * dt
         if self.clock_scale != 1.0:
             out["clock_scale"] = self.clock_scale
         if any(self.sensor_bias.values()):
             out["sensor_bias"] = {k: v for k, v in self.sensor_bias.items() if v}
+        if any(self.sensor_delay.values()):
+            out["sensor_delay_s"] = {k: v for k, v in self.sensor_delay.items() if v}
+        if any(self.sensor_lag.values()):
+            out["sensor_lag_s"] = {k: v for k, v in self.sensor_lag.items() if v}
         if any(self.frame_misalignment):
             out["frame_misalignment_deg"] = [float(v) for v in self.frame_misalignment]
         if self.dropout:
@@ -134,6 +162,15 @@ def _smoothed(u: Array, steps: int) -> Array:
         return np.asarray(convolve1d(u, np.full(steps, 1.0 / steps), axis=0, mode="nearest"))
     weights[[0, -1]] *= 0.5
     return np.asarray(convolve1d(u, weights, axis=0, mode="nearest"))
+
+
+def _filtered(x: Array, rows: float) -> Array:
+    """A filter of first order with a time constant of `rows`, at rest at the first row, straight between rows."""
+    if rows <= 0:
+        return x
+    keep = float(np.exp(-1.0 / rows))
+    new, old = 1.0 - rows * (1.0 - keep), rows * (1.0 - keep) - keep
+    return np.asarray(lfilter([new, old], [1.0, -keep], x, axis=0, zi=x[:1] * (keep + old))[0])
 
 
 def _turned(x: Array, system: System, r: Array) -> Array:

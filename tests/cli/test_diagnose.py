@@ -240,22 +240,26 @@ def find(tree: Any, key: str) -> Any:
     return tree[key] if key in tree else next((v for v in (find(t, key) for t in tree.values()) if v), None)
 
 
-def test_a_biased_sensor_is_taken_out_of_what_the_model_is_trained_on(tmp_path: Path) -> None:
-    made = simulate(
-        "mass_spring_damper", durations=(6.0,) * 4, seed=1, recording=Recording(sensor_bias={"q_dot": 0.2})
-    )
+def test_a_biased_and_late_sensor_is_put_right_in_what_the_model_is_trained_on(tmp_path: Path) -> None:
+    chain = Recording(sensor_bias={"q_dot": 0.2}, sensor_delay={"q_dot": 0.06})
+    made = simulate("mass_spring_damper", durations=(6.0,) * 4, seed=1, recording=chain)
     write(made, tmp_path / "data")
     few = ["trainer.steps=3", "trainer.polish=0", "trainer.calibrate=false"]
     assert main(["diagnose", SYSTEM, "data=csv", "data.path=data", "out_dir=out", *few]) == 0
-    assert json.loads((tmp_path / "out/diagnosis.json").read_text())["added"] == ["sensor_bias"]
+    assert json.loads((tmp_path / "out/diagnosis.json").read_text())["added"] == [
+        "sensor_delay",
+        "sensor_bias",
+    ]
     about = (tmp_path / "out/model/config.yaml").read_text()
     assert find(yaml.safe_load(about), "sensor_bias")["q_dot"] == pytest.approx(0.2, abs=0.02)
+    assert find(yaml.safe_load(about), "sensor_delay")["q_dot"] == pytest.approx(0.06, abs=0.02)
 
 
+@pytest.mark.parametrize("key", ["sensor_bias", "sensor_delay", "sensor_lag"])
 @pytest.mark.parametrize(("word", "said"), [("q_dt: 0.1", "q_dot"), ("q_dot: nan", "finite")])
-def test_a_bias_of_no_sensor_is_refused(
-    word: str, said: str, runs: Path, capsys: pytest.CaptureFixture[str]
+def test_a_fault_of_no_sensor_is_refused(
+    key: str, word: str, said: str, runs: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    words = [SYSTEM, "data=csv", f"data.path={runs}", "retrain=false", f"data.sensor_bias={{{word}}}"]
+    words = [SYSTEM, "data=csv", f"data.path={runs}", "retrain=false", f"data.{key}={{{word}}}"]
     assert main(["diagnose", *words, "out_dir=out"]) != 0
     assert said in capsys.readouterr().err

@@ -29,6 +29,29 @@ def test_a_rate_that_reads_too_much_is_found_where_its_integral_is_logged(
     assert content["findings"][0]["kind"] == "recording"
 
 
+@pytest.mark.parametrize(("system", "name"), [("mass_spring_damper", "q_dot"), ("cartpole", "theta")])
+def test_a_sensor_that_comes_late_is_found_and_not_taken_for_an_effect(system: str, name: str) -> None:
+    _, content = diagnosed(system, recording=Recording(sensor_delay={name: 0.05}), durations=(10.0,) * 4)
+    assert content["added"] == ["sensor_delay"]
+    late = content["parameters"][f"sensor_delay.{name}"]
+    assert late["interval_90"][0] < 0.05 < late["interval_90"][1]
+    assert f"{name} is logged" in content["findings"][0]["sentence"]
+
+
+def test_a_filtered_sensor_is_told_from_a_delayed_one() -> None:
+    _, content = diagnosed("cartpole", recording=Recording(sensor_lag={"theta_dot": 0.05}))
+    assert content["added"] == ["sensor_lag"]
+    assert content["parameters"]["sensor_lag.theta_dot"]["value"] == pytest.approx(0.05, rel=0.05)
+
+
+def test_less_than_a_step_is_undone_where_physics_is_better_for_it_and_is_no_finding() -> None:
+    there, content = diagnosed("cartpole", recording=Recording(sensor_delay={"theta_dot": 0.009}))
+    assert (content["verdict"], content["added"]) == ("no_effect", [])
+    (aside,) = content["aside"]
+    assert aside["effect"] == "sensor_delay"
+    assert there.recorded.delays["theta_dot"] == pytest.approx(0.009, rel=0.1)
+
+
 def test_inputs_that_were_averaged_are_found_and_restored() -> None:
     there, averaged = diagnosed(
         "cartpole", options=ALONE, durations=(12.0,) * 4, recording=Recording(input_smoothing=0.2)

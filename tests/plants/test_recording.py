@@ -62,6 +62,25 @@ def test_missing_rows_leave_their_times_out() -> None:
     assert after.t[-1] == before.t[-1]
 
 
+def test_late_and_filtered_sensors_lag_behind_the_others() -> None:
+    t = DT * np.arange(600)
+    x = np.stack([np.sin(3 * t), 3 * np.cos(3 * t)], 1)
+    run = RawRun("a", t, x, np.zeros((600, 1)))
+    chain = Recording(sensor_delay={"q": 1.7 * DT}, sensor_lag={"q_dot": 0.1}, input_delay=2 * DT)
+    chain.check(SPRING)
+    assert chain.rows_late(DT) == 4
+    after = chain.apply(run, SPRING, dt=DT, rng=np.random.default_rng(0))
+    then = DT * (np.arange(596) + 2)  # the states are two rows behind the inputs
+    np.testing.assert_allclose(after.x[:, 0], np.sin(3 * (then - 1.7 * DT)), atol=1e-5)
+    settled = np.real(3 * np.exp(3j * then) / (1 + 0.3j))[400:]
+    np.testing.assert_allclose(after.x[400:, 1], settled, atol=2e-3)
+    assert chain.as_dict(DT) == {
+        "input_delay_s": 2 * DT,
+        "sensor_delay_s": {"q": 1.7 * DT},
+        "sensor_lag_s": {"q_dot": 0.1},
+    }
+
+
 def test_a_turned_frame_turns_attitude_and_rates_and_leaves_the_world_alone() -> None:
     rng, n = np.random.default_rng(2), 7
     attitude, mounting = Rotation.random(n, random_state=3), Rotation.from_rotvec([0.1, -0.2, 0.3])
@@ -82,6 +101,8 @@ def test_a_turned_frame_turns_attitude_and_rates_and_leaves_the_world_alone() ->
         (Recording(dropout=0.9), "dropout"),
         (Recording(clock_scale=0.1), "clock_scale"),
         (Recording(sensor_bias={"x": 1.0}), "q, q_dot"),
+        (Recording(sensor_delay={"x": 1.0}), "q, q_dot"),
+        (Recording(sensor_lag={"q": -1.0}), "sensor_lag.q"),
         (Recording(frame_misalignment=(1.0, 0.0, 0.0)), "attitude"),
         (Recording(frame_misalignment=(1.0, 0.0)), "three angles"),
     ],

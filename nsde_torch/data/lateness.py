@@ -1,0 +1,356 @@
+"""Channels that are logged later than others: positions against velocities, an attitude against body rates.
+
+A position that is logged a time d later than its velocity, p_log(t) = p(t - d), changes over T by
+
+    p_log(t + T) - p_log(t) = s * integral of v dt - d (v(t + T) - v(t)) + b T
+
+to first order in d, with a clock s and a bias b of the velocity beside it. T is where the change of the velocity has
+grown as large as the velocity itself. Noise of the velocity would pull d towards nothing; the central difference of the
+position, whose noise is neither in v(t) nor in p(t), is its instrument (instrumental variables; Durbin, 1954).
+Standard errors are from leaving out a twentieth of the intervals at a time (jackknife); axes of one sensor are joined
+as in `kinematics.pool`. Which of two channels is the late one kinematics cannot say outright, but sensors and filters
+delay: a positive d is the position's, a negative one the velocity's.
+
+A filter of first order, d x_log' + x_log = x, is late by d too, at low frequencies. Which of the two it is shows in
+what each leaves of the equation above once it is undone, x(t) = x_log(t + d) or x = x_log + d x_log'. The second makes
+noise larger; therefore both channels are averaged first, which leaves them as late as they are.
+
+Times are seconds of the log's own clock.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from math import isfinite, log
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import CubicSpline
+from scipy.ndimage import uniform_filter1d
+from scipy.special import stdtr, stdtrit
+
+from nsde_torch.data.kinematics import Slope, axis_groups, pool, rates_of
+from nsde_torch.data.run import Run
+from nsde_torch.data.system_info import SystemInfo, derivative_columns, rate_columns
+from nsde_torch.errors import ConfigError
+
+Array = NDArray[np.float64]
+
+_FOLDS = 20
+_FEWEST = 40
+"""Intervals, each beginning in the middle of the one before, from which a time is estimated."""
+_LONGEST_S = 0.5
+_OWN = 0.5  # largest share of a channel's changes that its rate does not explain
+_LEVEL = 0.9
+_ITERATIONS = 3
+_AVERAGED = 4  # times a delay, over which channels are averaged to tell it from a filter
+_NATS = 4.0  # by which a filter must be better than a delay
+
+
+@dataclass(frozen=True)
+class Late:
+    """A channel that is logged late against another.
+
+    Args:
+        channel: The late one: a state, or the common name of several (`p` of `p_x p_y p_z`).
+        other: What it is late against.
+        seconds: By how much, in seconds of the log.
+        low, high: 90 % interval.
+        p: Chance of so much in a log where both are on time.
+        filtered: Whether a filter of first order does better than a delay; then `seconds` is its time constant.
+    """
+
+    channel: str
+    other: str
+    seconds: float
+    low: float
+    high: float
+    p: float
+    filtered: bool = False
+
+    @property
+    def early(self) -> Late:
+        """The same the other way round."""
+        return replace(self, seconds=-self.seconds)
+
+
+def lateness(system: SystemInfo, runs: Sequence[Run], *, clock: float = 1.0) -> list[Late]:
+    """How late positions are logged against their rates, or the other way round, for each sensor that can show it.
+
+    Args:
+        system: Names of the states.
+        runs: The runs.
+        clock: Physical seconds per logged second.
+    """
+    dt = runs[0].dt * clock
+    parts: dict[str, list[tuple[Array, Array, Array]]] = {}
+    for run in runs:
+        for a, b in run.segments:
+            for group, _, change, integral in axis_groups(system, run.x[a:b], dt):
+                rate = rates_of(system, group, run.x[a:b])
+                parts.setdefault(group, []).append((change, integral, rate))
+    out = []
+    for group, pieces in parts.items():
+        rough = _late(group, pieces, dt, filtered=False)
+        if rough is None:
+            continue
+        late, filtered = _finer(group, pieces, dt, rough)
+        value, error = late.value / clock, late.error / clock
+        half = float(stdtrit(late.degrees, 0.5 * (1 + _LEVEL))) * error
+        p = 2.0 * float(stdtr(late.degrees, -abs(value) / error))
+        channel, other = _labels(system, group)[:: 1 if value > 0 else -1]
+        out.append(Late(channel, other, abs(value), abs(value) - half, abs(value) + half, p, filtered))
+    return out
+
+
+@dataclass(frozen=True)
+class _Fit:
+    """How late positions are [s], its standard error and degrees of freedom; and what is left over [nats]."""
+
+    value: float
+    error: float
+    degrees: int
+    left: float
+
+
+def _finer(
+    group: str, pieces: Sequence[tuple[Array, Array, Array]], dt: float, delay: _Fit
+) -> tuple[_Fit, bool]:
+    """A delay that was roughly found, from averaged channels; or the filter that stands for it, and True."""
+    steps = round(_AVERAGED * abs(delay.value) / dt)
+    if abs(delay.value) <= dt or any(len(rate) < 8 * steps for _, _, rate in pieces):
+        return delay, False  # below a step, they are alike
+    smooth = [_averaged(piece, steps) for piece in pieces]
+    one, other = (_late(group, smooth, dt, filtered=f) for f in (False, True))
+    if one is None:
+        return delay, False
+    return (other, True) if other is not None and other.left < one.left - _NATS else (one, False)
+
+
+def _averaged(piece: tuple[Array, Array, Array], steps: int) -> tuple[Array, Array, Array]:
+    """Means of means over so many steps, without the ends."""
+
+    def mean(a: Array) -> Array:
+        return np.asarray(uniform_filter1d(uniform_filter1d(a, steps, axis=0), steps, axis=0)[steps:-steps])
+
+    change, integral, rate = piece
+    return mean(change), mean(integral), mean(rate)
+
+
+def _late(
+    group: str, pieces: Sequence[tuple[Array, Array, Array]], dt: float, *, filtered: bool
+) -> _Fit | None:
+    """The delay or the filter: what is found to first order is undone, until nothing is found."""
+    total = 0.0
+    error, degrees, left = float("inf"), 1, 0.0
+    for _ in range(_ITERATIONS):
+        data = _intervals([_undone(p, total / dt, dt, filtered=filtered) for p in pieces], dt)
+        times = [] if data is None else _times(group, data, dt)
+        if data is None or not times:
+            return None
+        pooled = pool(times)
+        total += pooled.value
+        if abs(total) > _LONGEST_S:
+            return None  # another quantity
+        error, degrees = pooled.error, max(pooled.slopes - 1, _FOLDS - 1)
+        left = sum(log(_rest(data[:, :, int(t.axis)])) for t in times)
+        left *= 0.25 * data.shape[1]  # intervals overlap by half
+    return _Fit(total, error, degrees, left)
+
+
+def _rest(one: Array) -> float:
+    """Square of what is left of a channel's changes."""
+    gap, change, _, moved = one
+    by = np.stack([change, moved, np.ones_like(gap)], 1)
+    size = np.sqrt(np.square(by).mean(0)) + 1e-300
+    left = gap - (by / size) @ np.linalg.lstsq(by / size, gap, rcond=1e-10)[0]
+    return float(left @ left) + 1e-300
+
+
+def _undone(
+    piece: tuple[Array, Array, Array], rows: float, dt: float, *, filtered: bool
+) -> tuple[Array, Array, Array]:
+    """Changes, integrals and rates with one of the two as it was: the changes, or the rates if `rows` is negative."""
+    change, integral, rate = piece
+    lost = 0 if filtered else int(np.ceil(abs(rows)))
+    if rows == 0 or len(rate) < lost + 4:
+        return piece
+    if rows > 0:
+        whole = np.concatenate([np.zeros((1, change.shape[1])), np.cumsum(change, 0)])
+        change = np.diff(unfiltered(whole, rows) if filtered else moved(whole, rows), axis=0)
+    else:
+        rate = unfiltered(rate, -rows) if filtered else moved(rate, -rows)
+        integral = 0.5 * dt * (rate[1:] + rate[:-1])
+    keep = len(rate) - lost
+    return change[: keep - 1], integral[: keep - 1], rate[:keep]
+
+
+def _intervals(pieces: Sequence[tuple[Array, Array, Array]], dt: float) -> Array | None:
+    """Gap, change of the rate (negative), its instrument and integral (4, intervals, axes); None of too few."""
+    n = _span([rate for _, _, rate in pieces], dt)
+    rows = []
+    for change, integral, rate in pieces:
+        starts = np.arange(1, len(rate) - n - 1, max(1, n // 2))
+        if not len(starts):
+            continue
+        over = np.concatenate([np.zeros((1, rate.shape[1])), np.cumsum(change - integral, 0)])
+        moved = np.concatenate([np.zeros((1, rate.shape[1])), np.cumsum(integral, 0)])
+        slope = (change[1:] + change[:-1]) / (2.0 * dt)  # at rows 1, 2, ...
+        ends = starts + n
+        rows.append(
+            np.stack(
+                [
+                    over[ends] - over[starts],
+                    rate[starts] - rate[ends],
+                    slope[starts - 1] - slope[ends - 1],
+                    moved[ends] - moved[starts],
+                ]
+            )
+        )
+    data = np.concatenate(rows, axis=1) if rows else None
+    return data if data is not None and data.shape[1] >= _FEWEST else None
+
+
+def _times(group: str, data: Array, dt: float) -> list[Slope]:
+    """How late the position is by axis [s], of the axes that move."""
+    count = data.shape[1]
+    out = []
+    for axis in range(data.shape[2]):
+        one = data[:, :, axis]
+        if np.square(one[0]).sum() > _OWN * np.square(one[0] + one[3]).sum():
+            continue  # it does not move as its rate says
+        value = _time(one)
+        left_out = np.array(
+            [_time(np.delete(one, f, axis=1)) for f in np.array_split(np.arange(count), _FOLDS)]
+        )
+        if not (isfinite(value) and np.isfinite(left_out).all()):
+            continue
+        error = float(np.sqrt((1 - 1 / _FOLDS) * np.square(left_out - left_out.mean()).sum()))
+        out.append(Slope("", str(axis), group, value, max(error, 1e-9 * dt), count, 0.0))
+    return out
+
+
+def _time(one: Array) -> float:
+    gap, change, instrument, moved = one
+    ones = np.ones_like(gap)
+    z, r = np.stack([instrument, moved, ones]), np.stack([change, moved, ones], 1)
+    scale = np.sqrt(np.square(r).mean(0)) + 1e-300
+    value: float = np.linalg.lstsq(z @ (r / scale), z @ gap, rcond=1e-10)[0][0] / scale[0]
+    return float(value)
+
+
+def _span(rates: Sequence[Array], dt: float) -> int:
+    """Steps over which rates change as much as they vary."""
+
+    def rms(parts: Sequence[Array]) -> float:
+        return float(np.sqrt(np.square(np.concatenate(parts)).mean())) if parts else 0.0
+
+    size = rms([w - w.mean(0) for w in rates])
+    n = 1
+    while n * dt < _LONGEST_S and rms([w[n:] - w[:-n] for w in rates if len(w) > n]) < size:
+        n = max(n + 1, int(1.3 * n))
+    return n
+
+
+def _labels(system: SystemInfo, group: str) -> tuple[str, str]:
+    """Common names of the positions of a group, and of their rates."""
+    names = system.state_names
+    if group in derivative_columns(system):
+        i, j = derivative_columns(system)[group]
+        return _common([names[k] for k in i]), _common([names[k] for k in j])
+    rates = rate_columns(system)
+    assert rates is not None
+    assert system.quaternion is not None
+    columns = range(len(names))[rates] if isinstance(rates, slice) else rates
+    return _common(list(names[system.quaternion])), _common([names[k] for k in columns])
+
+
+def _common(names: Sequence[str]) -> str:
+    return names[0] if len(names) == 1 else names[0].rsplit("_", 1)[0]
+
+
+def channel_columns(system: SystemInfo, channel: str) -> list[int]:
+    """Columns of a state, or of all whose common name this is.
+
+    Raises:
+        ConfigError: there is none, or it is a part of an attitude, which moves as one.
+    """
+    names = list(system.state_names)
+    of_attitude = [] if system.quaternion is None else names[system.quaternion]
+    if channel in of_attitude:
+        raise ConfigError(f"{channel!r} is a part of an attitude; name it whole: {_common(of_attitude)!r}.")
+    if channel in names:
+        return [names.index(channel)]
+    out = [k for k, name in enumerate(names) if name.startswith(channel + "_")] if channel else []
+    if not out:
+        vectors = sorted({n.rsplit("_", 1)[0] for n in names if n not in of_attitude} - set(names))
+        whole = [*([_common(of_attitude)] if of_attitude else []), *(v for v in vectors if v)]
+        raise ConfigError(
+            f"{channel!r} is no state of system {system.name!r}; states: {', '.join(names)}"
+            + (f"; several at once: {', '.join(whole)}." if whole else ".")
+        )
+    return out
+
+
+def on_time(
+    run: Run, system: SystemInfo, late: Mapping[str, float], filters: Mapping[str, float] | None = None
+) -> Run:
+    """A run whose late channels are moved to where they belong, x(t) = x_log(t + d); the ends of its segments go.
+
+    What a filter of first order made late is undone first, x = x_log + T x_log'.
+
+    Args:
+        run: The run.
+        system: Names of the states.
+        late: By state, or by the common name of several: by how much it is late [s of the log]; early, if negative.
+        filters: By state or common name: time constant of a filter [s of the log].
+
+    Raises:
+        ConfigError: an unknown channel, a time that is not a number, or a run that is too short.
+    """
+    moves = [(channel_columns(system, channel), _checked(channel, d) / run.dt) for channel, d in late.items()]
+    sped = [
+        (channel_columns(system, channel), _checked(channel, d)) for channel, d in (filters or {}).items()
+    ]
+    x = run.x.copy()
+    for a, b in run.segments:
+        for columns, seconds in sped:
+            x[a:b, columns] = unfiltered(x[a:b, columns], seconds / run.dt)
+    segments = []
+    first = max((int(np.ceil(-rows - 1e-9)) for _, rows in moves), default=0)
+    last = max((int(np.ceil(rows - 1e-9)) for _, rows in moves), default=0)
+    first, last = max(first, 0), max(last, 0)
+    for a, b in run.segments:
+        if b - a - first - last < 2:
+            continue
+        for columns, rows in moves:
+            x[a:b, columns] = moved(x[a:b, columns], rows)
+        if system.quaternion is not None:
+            x[a:b, system.quaternion] /= np.linalg.norm(x[a:b, system.quaternion], axis=1, keepdims=True)
+        segments.append((a + first, b - last))
+    if not segments:
+        raise ConfigError(f"run {run.name!r} is too short to take out delays of {dict(late)} s.")
+    return replace(run, x=x, segments=tuple(segments))
+
+
+def moved(x: Array, rows: float) -> Array:
+    """Rows as they are `rows` later (earlier, if negative), by a cubic spline; at the end the last one is repeated."""
+    k = np.arange(len(x), dtype=np.float64)
+    at = np.clip(k + rows, 0.0, len(x) - 1.0)
+    if len(x) < 4:
+        return np.stack([np.interp(at, k, column) for column in x.T], 1)
+    return np.asarray(CubicSpline(k, x)(at))
+
+
+def unfiltered(x: Array, rows: float) -> Array:
+    """What a filter of first order with a time constant of `rows` was given, x + rows dx/drow by a cubic spline."""
+    if len(x) < 4:
+        return x
+    return x + rows * np.asarray(CubicSpline(np.arange(len(x), dtype=np.float64), x)(np.arange(len(x)), 1))
+
+
+def _checked(channel: str, d: object) -> float:
+    if isinstance(d, bool) or not isinstance(d, int | float) or not isfinite(d):
+        raise ConfigError(f"the time of {channel!r} must be a finite time [s]; got {d!r}.")
+    return float(d)

@@ -1,0 +1,124 @@
+"""Which of two channels comes late, and by how much, shows in kinematics alone; what is late can be moved back."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from nsde_torch.data import Run
+from nsde_torch.data.lateness import channel_columns, lateness, moved, on_time
+from nsde_torch.data.raw import RawRun
+from nsde_torch.errors import ConfigError
+from nsde_torch.plants import Recording
+from nsde_torch.systems import make_system
+
+SPRING = make_system("mass_spring_damper")
+DT = 0.01
+
+
+def waves(t: np.ndarray, seed: int) -> tuple[np.ndarray, np.ndarray]:
+    """A position and its velocity, many frequencies up to 2 Hz."""
+    rng = np.random.default_rng(seed)
+    f, a, p = rng.uniform(0.1, 2.0, 12), rng.normal(size=12), rng.uniform(0, 6.28, 12)
+    w = 2 * np.pi * f
+    q = (a / w * np.sin(np.outer(t, w) + p)).sum(1)
+    return q, (a * np.cos(np.outer(t, w) + p)).sum(1)
+
+
+def run(seed: int, *, position: float = 0.0, velocity: float = 0.0, noise: float = 0.01) -> Run:
+    t = DT * np.arange(3000)
+    rng = np.random.default_rng(100 + seed)
+    x = np.stack([waves(t - position, seed)[0], waves(t - velocity, seed)[1]], 1)
+    return Run(
+        f"run_{seed}", t, x + noise * np.array([0.1, 1.0]) * rng.normal(size=x.shape), np.zeros((3000, 1))
+    )
+
+
+@pytest.mark.parametrize("seconds", [0.013, 0.04, 0.1])
+@pytest.mark.parametrize("channel", ["q", "q_dot"])
+def test_the_late_channel_is_named_with_its_delay(channel: str, seconds: float) -> None:
+    delays = {"position" if channel == "q" else "velocity": seconds}
+    (late,) = lateness(SPRING, [run(k, **delays, noise=0.1) for k in range(4)])
+    assert (late.channel, late.other) == ((channel, "q_dot") if channel == "q" else (channel, "q"))
+    assert late.seconds == pytest.approx(seconds, rel=0.1)
+    assert late.low < seconds < late.high
+    assert late.p < 1e-6
+
+
+@pytest.mark.parametrize("seconds", [0.04, 0.1])
+@pytest.mark.parametrize("column", [0, 1])
+@pytest.mark.parametrize("filtered", [False, True])
+def test_a_filter_is_told_from_a_delay(seconds: float, column: int, filtered: bool) -> None:
+    chain = Recording(**{"sensor_lag" if filtered else "sensor_delay": {("q", "q_dot")[column]: seconds}})
+    rng = np.random.default_rng(0)
+    runs = []
+    for k in range(4):
+        clean = run(k, noise=0.0)
+        made = chain.apply(RawRun("run", clean.t, clean.x, clean.u), SPRING, dt=DT, rng=rng)
+        noise = 0.03 * np.array([0.1, 1.0]) * rng.normal(size=made.x.shape)
+        runs.append(Run(f"run_{k}", made.t, made.x + noise, made.u))
+    (late,) = lateness(SPRING, runs)
+    assert late.channel == ("q", "q_dot")[column]
+    assert late.seconds == pytest.approx(seconds, rel=0.05)
+    assert late.filtered == filtered
+    back = on_time(
+        runs[0], SPRING, *([{}, {late.channel: seconds}] if filtered else [{late.channel: seconds}])
+    )
+    assert lateness(SPRING, [back])[0].seconds < 0.2 * seconds
+
+
+def test_sensors_that_are_on_time_are_hardly_ever_called_late() -> None:
+    found = [lateness(SPRING, [run(k, noise=0.1)])[0] for k in range(60)]
+    assert sum(late.p < 0.05 for late in found) <= 8
+    assert all(late.low < 0.5 * DT for late in found)
+
+
+def test_a_channel_that_does_not_move_as_its_rate_says_shows_nothing() -> None:
+    stuck = run(0)
+    assert lateness(SPRING, [Run("stuck", stuck.t, stuck.x * [0.0, 1.0] + 0.3, stuck.u)]) == []
+
+
+def test_an_attitude_is_compared_with_body_rates() -> None:
+    hexacopter = make_system("hexacopter")
+    t = DT * np.arange(4000)
+    x = np.zeros((len(t), 13))
+    angle, _ = waves(t, 3)
+    x[:, 6], x[:, 8] = np.cos(0.1 * angle), np.sin(0.1 * angle)  # about y, by 0.2 angle
+    x[:, 11] = 0.2 * waves(t - 0.02, 3)[1]
+    x += 1e-4 * np.random.default_rng(0).normal(size=x.shape)
+    x[:, 6:10] /= np.linalg.norm(x[:, 6:10], axis=1, keepdims=True)
+    late = {d.channel: d for d in lateness(hexacopter, [Run("run", t, x, np.zeros((len(t), 6)))])}
+    assert late["w"].seconds == pytest.approx(0.02, rel=0.1)
+    assert late["w"].other == "q"
+
+
+def test_a_channel_that_was_moved_back_is_on_time_and_the_ends_are_gone() -> None:
+    late = run(1, velocity=0.025, noise=0.0)
+    back = on_time(late, SPRING, {"q_dot": 0.025})
+    assert back.segments == ((0, 2997),)
+    inside = slice(2, 2990)
+    assert np.abs(back.x - run(1, noise=0.0).x)[inside].max() < 1e-4
+    there = on_time(back, SPRING, {"q_dot": -0.025})
+    assert there.segments == ((3, 2997),)
+    assert np.abs(there.x - late.x)[10:2980].max() < 1e-4
+    with pytest.raises(ConfigError, match="too short"):
+        on_time(late.slice(0, 5), SPRING, {"q_dot": 0.1})
+
+
+def test_rows_move_by_whole_and_broken_steps() -> None:
+    x = np.arange(10.0)[:, None] ** 2
+    np.testing.assert_allclose(moved(x, 2.0)[:8], x[2:])
+    np.testing.assert_allclose(moved(x, -0.5)[1:, 0], (np.arange(1, 10) - 0.5) ** 2)
+
+
+def test_names_of_channels_are_states_or_what_several_share() -> None:
+    hexacopter = make_system("hexacopter")
+    assert channel_columns(hexacopter, "v") == [3, 4, 5]
+    assert channel_columns(hexacopter, "q") == [6, 7, 8, 9]
+    assert channel_columns(SPRING, "q") == [0]
+    with pytest.raises(ConfigError, match="name it whole: 'q'"):
+        channel_columns(hexacopter, "q_w")
+    with pytest.raises(ConfigError, match=r"states: q, q_dot\."):
+        channel_columns(SPRING, "v")
+    with pytest.raises(ConfigError, match="finite time"):
+        on_time(run(0), SPRING, {"q": float("nan")})

@@ -4,8 +4,8 @@
 
 Each flight is held out in turn, and nothing is told. Printed are what was found with its parameters, and on the flight
 held out, with parameters fitted to the other two: the residual as a rate (rms of means over a quarter of a second) and
-the open-loop errors, with the declared physics alone and with what was found. Both see inputs restored with the
-smoothing that the other two flights showed.
+the open-loop errors, with the declared physics alone and with what was found. Both see the flight with those
+faults of the recording chain undone that the other two showed.
 """
 
 from __future__ import annotations
@@ -25,7 +25,6 @@ import torch
 from nsde_torch.data import Run, Windows, read
 from nsde_torch.diagnosis.diagnose import Diagnosis, Options, diagnose, search_in
 from nsde_torch.diagnosis.held_out import as_model, rollout_squares
-from nsde_torch.diagnosis.recording import restored
 from nsde_torch.diagnosis.search import fitted_system
 from nsde_torch.learning.identify.explained import bump, smooth_rate
 from nsde_torch.learning.identify.physics import Physics
@@ -42,8 +41,7 @@ def fold(data: Any, system: System, out: int) -> dict[str, Any]:
     spec = SysidSpec(system.name, dt=data.dt, horizon=system.defaults.horizon)
     rest = [run for i, run in enumerate(data.runs) if i != out]
     found = diagnose(system, spec, data, rest, Options())
-    widths = [f.values["width"][0] for f in found.recorded.faults if f.name == "input_smoothing"]
-    test = restored(data.runs[out], system.nu, widths[0]) if widths else data.runs[out]
+    test = found.recorded.like(data.runs[out], system)
     content = found.content()
     return {
         "flight": data.runs[out].name,

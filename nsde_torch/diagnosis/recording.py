@@ -96,6 +96,13 @@ class Recorded:
         """Time constants of filters that were undone, by name of the state or of several [s of the log]."""
         return self._values("sensor_lag")
 
+    def like(self, run: Run, system: System) -> Run:
+        """A further run of the same log with the same faults undone."""
+        run = _without(on_time(run, system, self.delays, self.lags), system, self.biases)
+        for width in (f.values["width"][0] for f in self.faults if f.name == "input_smoothing"):
+            run = restored(run, system.nu, width)
+        return run
+
     def _values(self, name: str) -> dict[str, float]:
         return {k: v[0] for f in self.faults if f.name == name for k, v in f.values.items()}
 

@@ -1,13 +1,13 @@
 """From raw recordings to a data set: every fault is found and handled, reported or refused, in a fixed order.
 
 time order and duplicates -> quaternion norm and sign -> missing values -> gaps in time -> one uniform step ->
-hidden gaps (jumps against the kinematics) -> clock against the kinematics -> range and rank of the inputs ->
-summary
+hidden gaps (jumps against the kinematics) -> clock against the kinematics -> sensors that are late against others ->
+range and rank of the inputs -> summary
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from nsde_torch.data import attitude, inputs, kinematics, missing, times
 from nsde_torch.data import clock as _clock
 from nsde_torch.data.findings import Finding
+from nsde_torch.data.lateness import lateness, on_time, surely_late
 from nsde_torch.data.raw import RawRun
 from nsde_torch.data.run import DataSet, Run, fingerprint
 from nsde_torch.data.summary import summarise
@@ -24,6 +25,7 @@ from nsde_torch.errors import ConfigError, DataError, ShapeError
 
 Array = NDArray[np.float64]
 
+_LATE = 1e-4  # chance of calling a sensor late that is on time
 SHORT_S = 2.0 * kinematics.MIN_INTERVALS * kinematics.INTERVAL_S
 """Runs shorter than this are measured together against the clock [s]; each alone has too few intervals."""
 MAX_RATE = 60.0
@@ -142,6 +144,29 @@ def _split_at_jumps(
     return kept
 
 
+def _report_late(system: SystemInfo, runs: Sequence[Run], clock: float, report: Report) -> None:
+    late = surely_late(lateness(system, runs, clock=clock), runs[0].dt, chance=_LATE)
+    for key, filtered, how in (("sensor_delay", False, "late"), ("sensor_lag", True, "late behind a filter")):
+        some = {d.channel: d for d in late if d.filtered == filtered}
+        if some:
+            told = ", ".join(
+                f"{d.channel} is {1e3 * d.seconds:.3g} ms {how} against {d.other}" for d in some.values()
+            )
+            values = {name: d.seconds for name, d in some.items()}
+            remedy = ", ".join(f"{name}: {value:.3g}" for name, value in values.items())
+            message = f"{told}, by the kinematics; `data.{key}={{{remedy}}}` takes it out"
+            report(
+                Finding(
+                    "late_sensor",
+                    "",
+                    len(some),
+                    message,
+                    "reported",
+                    {f"{k}_s": v for k, v in values.items()},
+                )
+            )
+
+
 def assemble(
     raw: Sequence[RawRun],
     system: SystemInfo,
@@ -150,6 +175,8 @@ def assemble(
     dt: float | None = None,
     gap: float | None = None,
     clock: str = "rescale",
+    sensor_delay: Mapping[str, float] | None = None,
+    sensor_lag: Mapping[str, float] | None = None,
 ) -> DataSet:
     """Checks raw runs and joins them to a data set. The raw runs are used up.
 
@@ -160,6 +187,8 @@ def assemble(
         dt: Step of the data set [s]; default: the median step over the runs.
         gap: Time between rows from which on it is a gap [s]; default: 2.5 steps.
         clock: What to do about a clock that disagrees with the kinematics: `rescale`, `trust` or `refuse`.
+        sensor_delay: By how much states are logged late, by name of a state or common name of several [s of the log].
+        sensor_lag: Time constants of filters that states went through, to undo, by the same names [s of the log].
 
     Returns:
         The data set, with what was found and done in its summary.
@@ -221,6 +250,9 @@ def assemble(
         slopes += kinematics.clock_slopes(system, "short runs together", short, dt=step)
     _clock.check_units(slopes, tuple(system.state_names))
     scale = _clock.decide(slopes, policy=clock, report=report)
+    if sensor_delay or sensor_lag:
+        runs = [on_time(run, system, sensor_delay or {}, sensor_lag) for run in runs]
+    _report_late(system, runs, scale, report)
     nu = len(system.input_names)
     rank = inputs.check_inputs([run.u[:, :nu] for run in runs], system.input_names, report)
     summary = summarise(

@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
 from math import isfinite
 from typing import Any
 
 from nsde_torch.data.checks import assemble
 from nsde_torch.data.csv_folder import read_csv
-from nsde_torch.data.lateness import on_time
 from nsde_torch.data.published import read_published
 from nsde_torch.data.raw import RawRun
-from nsde_torch.data.run import DataSet, fingerprint
+from nsde_torch.data.run import DataSet
 from nsde_torch.data.system_info import SystemInfo
 from nsde_torch.errors import ConfigError
 
@@ -82,12 +80,8 @@ def read(
         raise
     for name, value in (sensor_bias or {}).items():
         _unbias(raw, system, name, value)
-    data = assemble(raw, system, kind=kind, dt=dt, gap=gap, clock=clock)
-    if not (sensor_delay or sensor_lag):
-        return data
-    runs = [on_time(run, system, sensor_delay or {}, sensor_lag) for run in data.runs]
-    hashed = fingerprint(runs, system_name=system.name, dt=data.dt, clock_scale=data.clock_scale)
-    return replace(data, runs=runs, fingerprint=hashed)
+    late = {"sensor_delay": sensor_delay, "sensor_lag": sensor_lag}
+    return assemble(raw, system, kind=kind, dt=dt, gap=gap, clock=clock, **late)
 
 
 def _unbias(raw: Sequence[RawRun], system: SystemInfo, name: str, value: float) -> None:

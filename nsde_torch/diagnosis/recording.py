@@ -25,7 +25,7 @@ from scipy.special import stdtr, stdtrit
 
 from nsde_torch.data import DataSet, Run
 from nsde_torch.data.kinematics import pool
-from nsde_torch.data.lateness import Late, lateness, on_time
+from nsde_torch.data.lateness import Late, lateness, on_time, surely_late
 from nsde_torch.data.quaternion import increments
 from nsde_torch.data.smoothing import smoothing_width
 from nsde_torch.data.system_info import derivative_columns, rate_columns
@@ -38,7 +38,7 @@ _FEWEST = 12
 _FOLDS = 10  # of the jackknife in data.kinematics
 _BEND = 3e-3  # c: what the log of a command rounds off
 _LEVEL = 0.9
-_LEAST_STEPS, _SURE_STEPS = 0.2, 0.6  # a delay that is of consequence, and one that needs no physics to tell
+_LEAST_STEPS = 0.2  # a delay that is of consequence
 _NATS = 3.0
 _LEAST_SHARE = 0.02  # of the rate's own rms: a bias below that is of no consequence
 
@@ -137,8 +137,8 @@ def undo(
         else:
             clock = 1.0  # the reader decides at three standard errors, however few intervals they are from
     late = lateness(system, runs, clock=clock)
+    surely = surely_late(late, runs[0].dt, chance=alpha)
     late = [d for d in late if d.p * len(late) < alpha and d.low > _LEAST_STEPS * runs[0].dt]
-    surely = [d for d in late if d.low > _SURE_STEPS * runs[0].dt]
     runs = _on_time(runs, system, surely)
     faults += _delays(surely)
     biases = rate_biases(system, runs, clock)

@@ -32,6 +32,20 @@ def test_a_sound_flight_passes_untouched() -> None:
     np.testing.assert_allclose(data[0].x, x, atol=1e-12)
 
 
+def test_a_late_sensor_is_reported_with_the_option_that_takes_it_out() -> None:
+    t, x, u = flight(60.0)
+    x[5:, 10:] = x[:-5, 10:]
+    late = one(t, x, u)
+    assert kinds(late) == ["late_sensor"]
+    (finding,) = late.summary.findings
+    assert finding.values["w_s"] == pytest.approx(0.05, rel=0.05)
+    assert "data.sensor_delay={w: 0.05}" in finding.message
+    put_right = one(t, x, u, sensor_delay={"w": 0.05})
+    assert kinds(put_right) == []
+    assert put_right[0].segments == ((0, len(t) - 5),)
+    assert put_right.fingerprint != late.fingerprint
+
+
 def test_gaps_in_time_split_and_the_threshold_can_be_set() -> None:
     t, x, u = flight(10.0)
     keep = np.r_[0:400, 450:1001]

@@ -170,15 +170,15 @@ def _values(effect: Effect) -> dict[str, float | list[float]]:
     }
 
 
-def shapes(regression: Regression) -> NDArray[np.bool_]:
-    """Parameters that say where or how fast an effect sets in, not how strong it is (k,)."""
+def shapes(regression: Regression, *, smooth: bool = True) -> NDArray[np.bool_]:
+    """Parameters that say where or how fast an effect sets in, not how strong it is (k,); or not the smooth of them."""
     out = np.zeros(len(regression.vector), dtype=bool)
-    amplitudes_of = {e.name: e.amplitudes for e in regression.vector.system.effects if isinstance(e, Effect)}
+    effects = {e.name: type(e) for e in regression.vector.system.effects if isinstance(e, Effect)}
     for j, label in enumerate(regression.vector.labels):
         effect, dot, _ = label.partition(".")
-        if dot:
-            amplitudes = amplitudes_of[effect]
-            out[j] = bool(amplitudes) and own_name(label) not in amplitudes
+        if dot and effects[effect].amplitudes:
+            others = effects[effect].amplitudes + (() if smooth else effects[effect].smooth)
+            out[j] = own_name(label) not in others
     return out
 
 
@@ -239,7 +239,7 @@ class Search:
         held: Collection[str],
     ) -> tuple[Regression, Score]:
         """The regression, or one with noise laws of a kind that suits its residuals better; and its score."""
-        still = shapes(regression)
+        still = shapes(regression, smooth=False)
         best = score(regression, fold, block, still=still)
         for orders in (None, 0):
             laws = regression.own_noises(orders)
@@ -370,7 +370,7 @@ class Search:
         if _swings(name):
             regression, this = self._best_noise(regression, system, base.fold, base.block, held)
         else:
-            this = score(regression, base.fold, base.block, still=shapes(regression))
+            this = score(regression, base.fold, base.block, still=shapes(regression, smooth=False))
         return self._judged(base, regression, this, name, among, held)
 
     def _finished(self, base: Base, trial: Trial, among: int) -> Trial:

@@ -173,6 +173,7 @@ class Effect(Parametrised, ABC):
         amplitudes: Parameters of `null` that the term is linear in.
         shapes: First values to try for parameters that it is not linear in; a vector parameter takes one number for
             all axes or a tuple.
+        smooth: Parameters of `shapes` that one linear step fits again to some of the runs, as it does amplitudes.
         relative: Parameters whose `shapes` are multiples of a size of the data: `input`, `speed`, `rate` or
             `position` (95 % quantile of the absolute value that the effect sees), `step` (time between samples), or
             `spectrum` (frequencies are taken from the data, `shapes` has none).
@@ -204,6 +205,7 @@ class Effect(Parametrised, ABC):
     null: ClassVar[Mapping[str, float]] = {}
     amplitudes: ClassVar[tuple[str, ...]] = ()
     shapes: ClassVar[Mapping[str, tuple[float | tuple[float, ...], ...]]] = {}
+    smooth: ClassVar[tuple[str, ...]] = ()
     relative: ClassVar[Mapping[str, str]] = {}
     resolved: ClassVar[Mapping[str, float]] = {}
     includes: ClassVar[tuple[str, ...]] = ()

@@ -74,6 +74,7 @@ class ConstantWind(Effect):
     null = {"drag": 0.0}
     amplitudes = ("drag",)
     shapes = {"wind": ((2.0, 0.0), (-2.0, 0.0), (0.0, 2.0), (0.0, -2.0))}
+    smooth = ("wind",)
     includes = ("linear_drag",)
     sentence = "The air moves with {wind} to east and north and drags with {drag} along forward, left and up."
     separate = "fly the same path twice, the second time turned by a quarter"

@@ -1,8 +1,8 @@
 """From raw recordings to a data set: every fault is found and handled, reported or refused, in a fixed order.
 
 time order and duplicates -> quaternion norm and sign -> missing values -> gaps in time -> one uniform step ->
-hidden gaps (jumps against the kinematics) -> clock against the kinematics -> sensors that are late against others ->
-range and rank of the inputs -> summary
+hidden gaps (jumps against the kinematics) -> columns that stand still -> other conventions of quaternion and velocity
+-> clock against the kinematics -> sensors that are late against others -> range and rank of the inputs -> summary
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from nsde_torch.data import attitude, inputs, kinematics, missing, times
+from nsde_torch.data import attitude, conventions, inputs, kinematics, missing, stuck, times
 from nsde_torch.data import clock as _clock
 from nsde_torch.data.findings import Finding
 from nsde_torch.data.lateness import lateness, on_time, surely_late
@@ -248,6 +248,8 @@ def assemble(
         run.extra = {}
     if short:
         slopes += kinematics.clock_slopes(system, "short runs together", short, dt=step)
+    stuck.check(system, runs, report)
+    conventions.check(system, runs)
     _clock.check_units(slopes, tuple(system.state_names))
     scale = _clock.decide(slopes, policy=clock, report=report)
     if sensor_delay or sensor_lag:

@@ -19,6 +19,7 @@ from scipy.special import stdtrit
 from nsde_torch.diagnosis.search import Base, Round, Search, Trial, effect_of, fitted_system, surely_above
 from nsde_torch.diagnosis.structure import Dependence, Regressors, dependences, regressors
 from nsde_torch.effects import effect_class
+from nsde_torch.errors import NsdeError
 from nsde_torch.learning.identify.identify import Regression
 from nsde_torch.learning.identify.spread import Spread
 from nsde_torch.systems import System
@@ -221,7 +222,7 @@ def _settle(
     if len(names) == 1 and rounds[0].chosen is not None and rounds[0].chosen.name == names[0]:
         trials = rounds[0].trials
         chosen = next(t for t in trials if t.name == names[0])
-        return [Found(chosen.name, chosen, ties_of(search, chosen, trials))], base
+        return [Found(chosen.name, chosen, _ties(search, declared, chosen, rounds[0], names, rounds))], base
     found: list[Found] = []
     i = 0
     while i < len(names):
@@ -242,9 +243,37 @@ def _settle(
                 break
             rounds.append(now)
             continue
-        found.append(Found(name, own, ties_of(search, own, now.trials)))
+        found.append(Found(name, own, _ties(search, without, own, now, names, rounds)))
         i += 1
     return found, base
+
+
+def _ties(
+    search: Search, without: Base, own: Trial, look: Round, names: Sequence[str], rounds: Sequence[Round]
+) -> tuple[str, ...]:
+    """What explains the data as well as an effect that was found: in its place, or in that of a part of it."""
+    ties = ties_of(search, own, look.trials)
+    others = _rivals(search, own.name, rounds) - {*ties, *effect_class(own.name).includes, *names}
+    return (*ties, *_in_part(search, without, own, sorted(others), max(len(look.screened), 1)))
+
+
+def _in_part(search: Search, without: Base, own: Trial, names: Sequence[str], among: int) -> list[str]:
+    """Effects that explain the data as well with a part of the one that was found as all of it does.
+
+    Air that moves is drag and a steady push; a tilted thrust pushes steadily too.
+    """
+    out: list[str] = []
+    for name in names:
+        if own.name in effect_class(name).includes:
+            continue
+        search.say("comparing effects", len(out), len(names))
+        try:
+            other = search.shared(without, own, name, among=among)
+        except (NsdeError, np.linalg.LinAlgError):
+            continue
+        if other is not None and search.accept(other) and not surely_above(own, other):
+            out.append(name)
+    return out
 
 
 def _rivals(search: Search, name: str, rounds: Sequence[Round]) -> set[str]:

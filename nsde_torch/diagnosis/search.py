@@ -41,6 +41,7 @@ _WORTH = 6.0  # twice the log likelihood below which a candidate is not iterated
 _CLOSE = 0.3  # of the best gain, above which a candidate is iterated
 _FEWEST, _MOST = 3, 9  # candidates that are iterated: those that help at least, all at most
 _REFINED, _PROMISING = 2, 0.5  # candidates, and share of the best gain, that get noise laws of their own
+_TAKEN_OVER = 0.5  # of what a part of an effect is alone: below, another one has taken over
 _RESOLVED = 0.5  # steps, the shortest lag or delay that is believed
 _SURELY = 1e-3  # chance below which what contains a simpler effect is preferred to it
 _NATS, _SURE = 3.0, 2.0  # evidence, and standard errors of it, within which two candidates are alike
@@ -345,6 +346,38 @@ class Search:
         lent = {k: v for k, v in _values(other).items() if k in type(own).shapes}
         start = {**_values(own), **lent}
         return self.base(self._joined(system.without_effects(name), name, start), warm=True)
+
+    def shared(self, without: Base, own: Trial, name: str, *, among: int) -> Trial | None:
+        """Another effect that takes over a part of one that was found, beside the rest of it; None where it does not.
+
+        Args:
+            without: The physics without the effect.
+            own: The effect.
+            name: Of the other.
+            among: Number of candidates.
+        """
+        effect = type(effect_of(fitted_system(own.regression), own.name))
+        alone = dict(zip(own.regression.vector.labels, own.regression.theta.tolist(), strict=True))
+        joint = self.quick(self._joined(fitted_system(own.regression), name, {}), warm=True)
+        strong = [
+            j
+            for j in joint.vector.of(own.name)
+            if own_name(joint.vector.labels[j]) in (*effect.amplitudes, *effect.smooth)
+        ]
+        gone = [
+            j
+            for j in strong
+            if own_name(joint.vector.labels[j]) in effect.smooth
+            or abs(joint.theta[j]) < _TAKEN_OVER * abs(alone[joint.vector.labels[j]])
+        ]
+        if not 0 < len(gone) < len(strong):
+            return None
+        theta = joint.theta.copy()
+        theta[gone] = 0.0
+        rest = fitted_system(joint)
+        joint.vector.write(rest, theta)
+        held = tuple(joint.vector.labels[j] for j in gone)
+        return self.trial(without, rest, name, among=among, held=held)
 
     def _joined(self, system: System, name: str, start: Start) -> System:
         """The system with a candidate, without what the candidate contains."""

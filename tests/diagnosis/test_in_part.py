@@ -1,0 +1,17 @@
+"""What may stand for a part of an effect, the rest of which stays, is named as a tie."""
+
+from __future__ import annotations
+
+from nsde_torch.diagnosis.diagnose import Options
+from tests.helpers.diagnosed import diagnosed
+
+RIVALS = Options(candidates=("constant_wind", "linear_drag", "thrust_misalignment"))
+
+
+def test_air_that_moves_is_drag_and_what_else_pushes_steadily() -> None:
+    wind = {"constant_wind": {"drag": [0.2, 0.2, 0.2], "wind": [1.5, 0.5]}}
+    _, content = diagnosed("hexacopter", wind, options=RIVALS, durations=(8.0,) * 4)
+    assert content["added"] == ["constant_wind"]
+    (tie,) = content["ties"]  # all flights point the same way
+    assert tie["effects"] == ["constant_wind", "thrust_misalignment"]
+    assert "turned by a quarter" in tie["experiment"]

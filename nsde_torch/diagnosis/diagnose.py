@@ -17,7 +17,8 @@ from nsde_torch.diagnosis.candidates import candidate_names
 from nsde_torch.diagnosis.channels import ChannelResidual, channel_residuals
 from nsde_torch.diagnosis.formula import Formula, formula
 from nsde_torch.diagnosis.held_out import HeldOut, held_out
-from nsde_torch.diagnosis.loop import Outcome, estimates, loop
+from nsde_torch.diagnosis.in_run import InRun, in_run, odd_run
+from nsde_torch.diagnosis.loop import Estimate, Outcome, estimates, loop
 from nsde_torch.diagnosis.not_shown import not_shown
 from nsde_torch.diagnosis.recording import Fault, Recorded, undo
 from nsde_torch.diagnosis.search import Search, effect_of
@@ -86,6 +87,7 @@ class Diagnosis:
         options: Settings.
         seconds: Time that stages took.
         shapes: What the residual still depends on, in words.
+        in_run: The effect that would explain it in the one run that it is in: a lead, unverified.
         formula: A sparse formula for it: a lead, unverified.
     """
 
@@ -99,6 +101,7 @@ class Diagnosis:
     options: Options
     seconds: dict[str, float] = field(default_factory=dict)
     shapes: tuple[Shape, ...] = ()
+    in_run: InRun | None = None
     formula: Formula | None = None
 
     @property
@@ -161,6 +164,7 @@ class Diagnosis:
                 "after": [_dependence(d, len(o.after), self.runs) for d in o.after[:12]],
             },
             "unexplained": [self._shape(s) for s in self.shapes],
+            "in_run": self._in_run(),
             "formula": self._formula(),
             "errors": {
                 **self.errors.content,
@@ -233,6 +237,21 @@ class Diagnosis:
             "sentence": s.sentence,
         }
 
+    def _in_run(self) -> dict[str, Any] | None:
+        f = self.in_run
+        if f is None:
+            return None
+        name = self.runs[f.run]
+        return {
+            "run": name,
+            "effect": f.effect,
+            "p": f.p,
+            "parameters": {e.name: {"value": e.value, "unit": e.unit} for e in f.estimates},
+            "sentence": f"In {called(name)} alone, {f.effect} would explain it: "
+            + meaning(f.effect, f.estimates, f.held),
+            "verified": False,
+        }
+
     def _formula(self) -> dict[str, Any] | None:
         f = self.formula
         if f is None:
@@ -294,9 +313,14 @@ class Diagnosis:
 
 def sentence(outcome: Outcome, effect: str, held: Sequence[str] = ()) -> str:
     """What an effect means, with its values; parameters that were held at nothing are nothing."""
+    return meaning(effect, outcome.estimates(effect), held)
+
+
+def meaning(effect: str, parameters: Sequence[Estimate], held: Sequence[str] = ()) -> str:
+    """The sentence of an effect with these values."""
     values: dict[str, list[str]] = {}
     units: dict[str, str] = {}
-    for e in outcome.estimates(effect):
+    for e in parameters:
         name = own_name(e.name)
         values.setdefault(name, []).append(f"{0.0 if e.name in held else e.value:.3g}")
         units[name] = "" if e.unit == "1" else f" {e.unit}"
@@ -473,6 +497,7 @@ def diagnose(
     residuals = channel_residuals(outcome.declared.regression, outcome.final.regression)
     regression, left = outcome.final.regression, outcome.structured
     seen, names = rates(regression, outcome.variables), tuple(run.name for run in runs)
+    odd = odd_run(left)
     return Diagnosis(
         system,
         data,
@@ -484,6 +509,7 @@ def diagnose(
         options,
         seconds,
         shapes=tuple(shape(regression, d, outcome.variables, seen, names) for d in left[:_SHAPES]),
+        in_run=None if odd is None else in_run(again([extended[odd]]), outcome.system, odd),
         formula=formula(regression, left, outcome.variables, names),
     )
 

@@ -137,7 +137,7 @@ def loop(search: Search, system: System, *, max_effects: int) -> Outcome:
             with_it = declared.system.with_effects(effect_of(base.system, short.name))
             declared = search.base(with_it, warm=True) if names else base
             continue
-        chosen = _choice(search, now.trials, names)
+        chosen = choice(search, now.trials, names)
         if chosen is not None and chosen.name not in lent:
             lent.add(chosen.name)
             better = _lent(search, base, chosen, names)
@@ -194,7 +194,7 @@ def _lead(f: Found, found: Sequence[Found], structured: bool) -> str:
     return ""
 
 
-def _choice(search: Search, trials: Sequence[Trial], added: Sequence[str]) -> Trial | None:
+def choice(search: Search, trials: Sequence[Trial], added: Sequence[str]) -> Trial | None:
     """The likeliest candidate; of one that contains a simpler one that is there too, the simpler.
 
     What contains it has to be better than it together with any other in the next round.

@@ -173,6 +173,9 @@ def _unexplained(content: Mapping[str, Any], figure: str) -> str:
         return ""
     lines = "".join(f"<li>{escape(s['sentence'])}</li>" for s in content["unexplained"])
     text = f"<h2>What no effect of the catalogue explains</h2><ul>{lines}</ul>{figure}"
+    if content["in_run"] is not None:
+        sentence = escape(content["in_run"]["sentence"])
+        text += f'<p><span class="lead">a lead, unverified</span> {sentence}</p>'
     formula = content["formula"]
     if formula is not None:
         terms = ", ".join(

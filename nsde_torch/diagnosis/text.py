@@ -59,6 +59,8 @@ def lines(content: Mapping[str, Any]) -> list[str]:
         out += ["", table(["the residual still depends: channel", "variable", "kind", "p", "share"], rows)]
     if content["unexplained"]:
         out += ["", *(d["sentence"] for d in content["unexplained"][:_SENTENCES])]
+    if content["in_run"] is not None:
+        out += ["", f"a lead, unverified: {content['in_run']['sentence']}"]
     if content["formula"] is not None:
         out += ["", f"a lead, unverified: {content['formula']['text']}"]
     if content["not_shown"]:

@@ -118,6 +118,10 @@ def test_a_friction_in_one_of_five_runs_is_unexplained_and_said_to_be_in_that_ru
     assert any(f"q_dot ({name} only)" in line for line in lines(content))
     panel = unexplained_views(result.outcome, runs=result.runs)[0]
     assert set(panel.clouds) == {name, "other runs"}
+    lead = content["in_run"]
+    assert (lead["run"], lead["effect"], lead["verified"]) == (name, "coulomb_friction", False)
+    assert lead["parameters"]["coulomb_friction.size"]["value"] == pytest.approx(0.25, rel=0.1)
+    assert any(lead["sentence"] in line for line in lines(content))
     term = content["formula"]["terms"][0]
     assert term["function"] == "sign(q_dot)"
     assert term["coefficient"] == pytest.approx(-0.25, rel=0.2)

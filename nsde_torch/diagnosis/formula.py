@@ -151,21 +151,24 @@ def library(
     wanted = wanted[:_VARIABLES]
     out: dict[str, Array] = {}
     for name in wanted:
-        v = columns[name]
-        if name == "time":
-            v = v - float(v.mean())
+        v, label, start = columns[name], name, 0.0
+        if (
+            name == "time"
+        ):  # where a clock starts means nothing: the middle of the data takes the place of zero
+            start = float(v.mean())
+            v, label = v - start, f"({shifted(name, start)})"
         size = max(float(np.quantile(np.abs(v), 0.9)), 1e-12)
         out |= {
-            name: v,
-            f"{name}^2": v**2,
-            f"{name}^3": v**3,
-            f"{name}^5": v**5,
-            f"|{name}| {name}": np.abs(v) * v,
-            f"|{name}|": np.abs(v),
-            f"sign({name})": np.tanh(_SHARPNESS * v / size),
+            label: v,
+            f"{label}^2": v**2,
+            f"{label}^3": v**3,
+            f"{label}^5": v**5,
+            f"|{label}| {label}": np.abs(v) * v,
+            f"|{label}|": np.abs(v),
+            f"sign{label}" if start else f"sign({label})": np.tanh(_SHARPNESS * v / size),
         }
         for a in [0.0, *np.quantile(v, _KNOTS)]:
-            shown = f"{name} {'-' if a >= 0 else '+'} {abs(a):.3g}" if a else name
+            shown = shifted(name, start + a)
             out |= {
                 f"max({shown}, 0)": np.clip(v - a, 0.0, None),
                 f"min({shown}, 0)": np.clip(v - a, None, 0.0),
@@ -189,6 +192,11 @@ def library(
             }
     kept = {k: v for k, v in out.items() if float(v.std()) > 1e-12}
     return list(kept), np.stack(list(kept.values()), 1) if kept else np.zeros((len(variables.t), 0))
+
+
+def shifted(name: str, by: float) -> str:
+    """`name - by` with the sign that it has."""
+    return f"{name} {'-' if by >= 0 else '+'} {abs(by):.3g}" if by else name
 
 
 def chosen(z: Array, rest: Array) -> tuple[list[int], str]:

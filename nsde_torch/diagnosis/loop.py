@@ -26,6 +26,7 @@ from nsde_torch.systems import System
 
 Verdict = Literal["no_effect", "effect_found", "unexplained"]
 
+_NOTHING = 0.03  # of the structure that is left over: effects that explain less are no leads either
 _LEAD = 0.1  # of what the effects explain: structure beyond that makes them leads
 _FEWER = 2.0  # nats by which two effects must be better than one that stands in for both
 _SHOWS = 0.9  # level of intervals
@@ -157,9 +158,14 @@ def loop(search: Search, system: System, *, max_effects: int) -> Outcome:
     before = dependences(declared.regression, declared_variables)
     variables = regressors(base.regression, inputs=search.inputs) if found else declared_variables
     after = dependences(base.regression, variables) if found else before
-    left = sorted((d for d in after if d.p * len(after) < search.alpha), key=lambda d: d.functions - d.gain)
+    left = _beyond_chance(search, after)
     explained = 2.0 * (base.score.fitted - declared.score.fitted)
     rest = max((d.gain - d.functions for d in left), default=0.0)
+    if (
+        found and explained < _NOTHING * rest
+    ):  # what is missing bends the physics, and any term straightens it a little
+        found, base, variables, after = [], declared, declared_variables, before
+        left = _beyond_chance(search, before)
     if not found:
         verdict: Verdict = "unexplained" if left else "no_effect"
     else:
@@ -167,6 +173,11 @@ def loop(search: Search, system: System, *, max_effects: int) -> Outcome:
     found = [replace(f, lead=_lead(f, found, rest > _LEAD * explained)) for f in found]
     tests = (declared_variables, variables, before, after, left)
     return Outcome(verdict, declared, base, found, rounds, *tests, aside=tuple(aside))
+
+
+def _beyond_chance(search: Search, tests: Sequence[Dependence]) -> list[Dependence]:
+    """Tests that find something after correction for their number, what explains most first."""
+    return sorted((d for d in tests if d.p * len(tests) < search.alpha), key=lambda d: d.functions - d.gain)
 
 
 def _lent(search: Search, base: Base, chosen: Trial, names: Sequence[str]) -> Base | None:

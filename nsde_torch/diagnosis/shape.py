@@ -5,8 +5,9 @@
 - periodic: a sine in the variable brings at least twice the log likelihood that a cubic brings (a tenth more, if it is
   a whole part of a turn of an angle), and what is fitted in the third of the range where it is strongest is at least
   half as large in the others.
-- one run only: the test of one run alone says so, or functions that are fitted to each run by itself bring 80 % of
-  their log likelihood in one, and what is fitted there is less than half as large in the others.
+- one run only: the test of one run alone says so; of products, periods and courses in time, functions that are
+  fitted to each run by itself bring 80 % of their log likelihood in one, and what is fitted there is less than half as
+  large in the others.
 """
 
 from collections.abc import Sequence
@@ -114,7 +115,11 @@ def shape(
         period = period_of(regression, channel, name, variables) if run is None else None
     else:
         name = product_of(regression, channel, name, variables)
-    only = run if run is not None else _only_run(regression, channel, dependence.variable, variables)
+    only = run
+    if (
+        dependence.variable not in variables.columns or period is not None
+    ):  # no test of one run alone was made
+        only = _only_run(regression, channel, dependence.variable, variables)
     side = symmetry(dependence)
     words = [f"The rate of {dependence.channel} depends on {name}"]
     if only is not None:

@@ -10,7 +10,7 @@ it is much likelier (`laws`), it is tested under that law too, with the scatter 
 """
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -222,7 +222,24 @@ def dependences(regression: Regression, variables: Regressors) -> list[Dependenc
     # inputs that were restored swing at the nulls of the average
     for line in lines(regression, swings=WHOLE)[:1] if variables.inputs else []:
         out.append(_swing(regression, line, of_channel[line.row]))
-    return sorted(out, key=lambda d: d.p)
+    return sorted(own_of_runs(out), key=lambda d: d.p)
+
+
+def own_of_runs(tests: Sequence[Dependence]) -> list[Dependence]:
+    """The tests, without chance for what one run alone has where something in all runs explains the channel better.
+
+    What depends on another variable in every run looks like a matter of the run that shows it most.
+    """
+    best: dict[str, float] = {}
+    for d in tests:
+        if d.everywhere:
+            best[d.channel] = max(best.get(d.channel, -np.inf), d.gain - d.functions)
+    return [
+        replace(d, p=1.0)
+        if d.run is not None and d.moment is None and d.gain - d.functions <= best.get(d.channel, -np.inf)
+        else d
+        for d in tests
+    ]
 
 
 def _of_variable(
@@ -297,7 +314,7 @@ def _in_one_run(
     in_all: tuple[Dependence, float],
     laws: Laws,
 ) -> Dependence | None:
-    """The same variable in the run that stands out; where the evidence for all runs is as good, that is preferred.
+    """The same variable in the run that stands out.
 
     Args:
         regression: Under the law of the test of all runs.
@@ -321,8 +338,6 @@ def _in_one_run(
             if again is not None and again.run == found.run:
                 found, p = again, min(1.0, 2.0 * min(p, again.p))
             gain = 2.0 * (other.likelihood - laws.base.likelihood)
-        if gain - found.columns.shape[1] <= everywhere.gain - everywhere.functions:
-            p = 1.0
     z, kept, left = found.columns, found.kept, there.white[i]
     return _dependence(
         everywhere.channel, everywhere.variable, z, odd[kept], left, p=p, gain=gain, run=found.run, law=law

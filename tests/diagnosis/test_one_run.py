@@ -10,7 +10,7 @@ from nsde_torch.data.checks import assemble
 from nsde_torch.diagnosis.diagnose import Options, diagnose, search_in
 from nsde_torch.diagnosis.one_run import Alone, alone
 from nsde_torch.diagnosis.pictures import unexplained_views
-from nsde_torch.diagnosis.structure import dependences, regressors
+from nsde_torch.diagnosis.structure import Dependence, dependences, own_of_runs, regressors
 from nsde_torch.diagnosis.text import lines
 from nsde_torch.models.identified import SysidSpec
 from nsde_torch.plants import simulate
@@ -126,3 +126,11 @@ def test_a_friction_in_one_of_five_runs_is_unexplained_and_said_to_be_in_that_ru
     assert term["function"] == "sign(q_dot)"
     assert term["coefficient"] == pytest.approx(-0.25, rel=0.2)
     assert content["formula"]["text"].startswith(f"in {name}, ")
+
+
+def test_what_all_runs_explain_better_is_no_matter_of_the_run_that_shows_it_most() -> None:
+    def test(run: int | None, gain: float, channel: str = "v", moment: float | None = None) -> Dependence:
+        return Dependence(channel, "x", 1e-9, 0.1, 0.5, gain, functions=4, run=run, moment=moment)
+
+    tests = [test(None, 50.0), test(1, 40.0), test(2, 60.0), test(1, 40.0, "w"), test(1, 40.0, moment=3.0)]
+    assert [d.p for d in own_of_runs(tests)] == [1e-9, 1.0, 1e-9, 1e-9, 1e-9]

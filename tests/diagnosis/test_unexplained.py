@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from nsde_torch.diagnosis.formula import chosen, forward
+from nsde_torch.diagnosis.formula import chosen, forward, shifted
 from tests.helpers.diagnosed import diagnosed
 
 FOLDER = Path(__file__).parents[2] / "benchmarks" / "blind"
@@ -79,3 +79,22 @@ def test_functions_that_depend_on_each_other_do_not_end_a_diagnosis() -> None:
     order, _ = chosen(z, first + 0.1 * second)
     assert order[0] in (0, 1, 2)
     assert 3 in order
+
+
+def test_the_time_in_a_formula_is_that_of_the_log() -> None:
+    assert shifted("time", 12.25) == "time - 12.2"
+    assert shifted("time", -3.0) == "time + 3"
+    assert shifted("x", 0.0) == "x"
+
+
+@needs_outside
+@pytest.mark.usefixtures("_outside")
+def test_effects_that_explain_nothing_of_what_is_missing_are_no_leads(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    case = ("mass_spring_damper", {"outside:QuinticStiffness": {"size": 8.0}})
+    monkeypatch.setattr("nsde_torch.diagnosis.loop._NOTHING", 1e9)
+    found, content = diagnosed(*case, durations=(6.0,) * 4)
+    assert (content["verdict"], content["added"]) == ("unexplained", [])
+    assert found.outcome.final is found.outcome.declared
+    assert content["errors"]["before"] == content["errors"]["after"]

@@ -95,7 +95,10 @@ def decide(slopes: Sequence[Slope], *, policy: str, report: Report) -> float:
     if not off:
         return 1.0
     sides = {p.value > 1 for p in off.values()}
-    if len(off) < len(groups) or len(sides) > 1 or total.error > SURE:
+    clock_like = (
+        IMPLAUSIBLE[0] <= total.value <= IMPLAUSIBLE[1]
+    )  # a log that stands still has a slope of nothing
+    if len(off) < len(groups) or len(sides) > 1 or total.error > SURE or not clock_like:
         report(
             Finding(
                 "kinematic_mismatch",

@@ -9,7 +9,8 @@ else.
 v[k+1]) / 2` is then large once, while its neighbours are small. A row is a jump if its residual (norm over
 one group of axes) exceeds 10 robust standard deviations of all residuals, 4 times the 90 % quantile of its
 neighbourhood, and a whole step of travel at the run's 95 % speed. The middle condition keeps a manoeuvre, or
-a log whose steps alternate, from being cut.
+a log whose steps alternate, from being cut. Two residuals in a row that cancel are a sample that is off, not time
+that is lost.
 
 *A clock that is not what it says*: increments of position over disjoint intervals are regressed on the
 integral of velocity (with an intercept, so that a velocity bias does not count). Noise in the velocity would
@@ -41,6 +42,7 @@ JUMP_SIGMAS = 10.0
 JUMP_ISOLATION = 4.0
 NEIGHBOURHOOD = 25
 """Samples on each side of a jump against which it is judged."""
+_BACK = 0.5  # of a jump that the next one leaves
 INTERVAL_S = 0.5
 """Length of the intervals of the clock regression [s]: long against noise, short against drift of a bias."""
 MIN_INTERVALS = 20
@@ -127,7 +129,8 @@ def find_jumps(system: SystemInfo, x: Array, *, dt: float) -> list[Jump]:
         return []
     found: dict[int, Jump] = {}
     for group, _, increment, integral in axis_groups(system, x, dt):
-        size = np.linalg.norm(increment - integral, axis=1)
+        rest = increment - integral
+        size = np.linalg.norm(rest, axis=1)
         speed = np.linalg.norm(integral, axis=1)
         sigma = 1.4826 * float(np.median(size))
         travel = float(np.quantile(speed, 0.95))
@@ -139,7 +142,9 @@ def find_jumps(system: SystemInfo, x: Array, *, dt: float) -> list[Jump]:
         ):  # a rate of another quantity; the clock check speaks about that
             continue
         usual = percentile_filter(size, 90, size=2 * NEIGHBOURHOOD + 1, mode="nearest")
-        for row in candidates[size[candidates] > JUMP_ISOLATION * usual[candidates]]:
+        back = np.linalg.norm(rest[1:] + rest[:-1], axis=1) < _BACK * size[1:]
+        returns = np.concatenate([back, [False]]) | np.concatenate([[False], back])
+        for row in candidates[(size[candidates] > JUMP_ISOLATION * usual[candidates]) & ~returns[candidates]]:
             near = slice(max(0, row - 3), row + 4)
             missing = dt * float(size[row]) / max(float(np.median(speed[near])), 1e-12)
             jump = Jump(int(row), group, float(size[row]), missing)

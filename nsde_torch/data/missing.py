@@ -13,7 +13,7 @@ from nsde_torch.errors import DataError
 Array = NDArray[np.float64]
 
 
-def _holes(bad: NDArray[np.bool_]) -> list[tuple[int, int]]:
+def holes(bad: NDArray[np.bool_]) -> list[tuple[int, int]]:
     """Index ranges (start, stop) of consecutive True values."""
     edge = np.flatnonzero(np.diff(np.concatenate([[False], bad, [False]]).astype(np.int8)))
     return [(int(a), int(b)) for a, b in zip(edge[::2], edge[1::2], strict=True)]
@@ -63,7 +63,7 @@ def fill(run: RawRun, *, gap: float, report: Report) -> None:
     n = len(run.t)
     drop = np.zeros(n, dtype=bool)
     filled = 0
-    for a, b in _holes(np.asarray(row_bad)):
+    for a, b in holes(np.asarray(row_bad)):
         if a == 0 or b == n or run.t[b] - run.t[a - 1] > gap:
             drop[a:b] = True
         else:

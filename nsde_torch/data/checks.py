@@ -1,9 +1,9 @@
 """From raw recordings to a data set: every fault is found and handled, reported or refused, in a fixed order.
 
 time order and duplicates -> quaternion norm and sign -> missing values -> single samples that are off -> sensors that
-repeat themselves -> gaps in time -> one uniform step -> hidden gaps (jumps against the kinematics) -> columns that
-stand still -> other conventions of quaternion and velocity -> clock against the kinematics -> sensors that are late
-against others -> range and rank of the inputs -> summary
+repeat themselves -> time on the ground -> gaps in time -> one uniform step -> hidden gaps (jumps against the
+kinematics) -> columns that stand still -> other conventions of quaternion and velocity -> clock against the kinematics
+-> sensors that are late against others -> range and rank of the inputs -> summary
 """
 
 from __future__ import annotations
@@ -13,7 +13,18 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from nsde_torch.data import attitude, conventions, glitches, held, inputs, kinematics, missing, stuck, times
+from nsde_torch.data import (
+    attitude,
+    conventions,
+    glitches,
+    ground,
+    held,
+    inputs,
+    kinematics,
+    missing,
+    stuck,
+    times,
+)
 from nsde_torch.data import clock as _clock
 from nsde_torch.data.findings import Finding
 from nsde_torch.data.lateness import lateness, on_time, surely_late
@@ -223,6 +234,7 @@ def assemble(
     limit = times.GAP_STEPS * max(step, own_step) if gap is None else float(gap)
     if limit <= step:
         raise ConfigError(f"`gap` must be longer than the step of {step:.4g} s; got {limit:.4g} s.")
+    commands = ground.commands_in_motion(raw, system)
     runs: list[Run] = []
     slopes: list[kinematics.Slope] = []
     short: list[Array] = []
@@ -235,6 +247,8 @@ def assemble(
         _unwrap_angles(run, system, report)
         glitches.mend(run, system, report)
         held.cut(run, system, report)
+        if commands is not None:
+            ground.cut(run, system, commands, report)
         cuts = times.cuts_at_gaps(run, gap=limit, report=report)
         even, segments = times.uniform(run, cuts, dt=step, quaternion=system.quaternion, report=report)
         segments = _split_at_jumps(system, even, segments, step, report)

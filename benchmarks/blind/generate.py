@@ -61,6 +61,7 @@ DURATIONS: dict[str, list[float]] = {
     "hexacopter": [45.0] * 4,
 }
 _TURNED = ("frame_misalignment",)
+_OF_THE_LOG = (*_TURNED, "angle_bias")
 TIES = (
     {"input_delay", "actuator_lag", "motor_lag"},
     {"thrust_sag", "battery_voltage"},
@@ -101,7 +102,7 @@ def holdable(system: str) -> list[str]:
     """Effects of the catalogue that a plant can hold, beyond those declared, and that are no fault of the log."""
     declared = make_system(system).effect_names
     found = effects_of(system, system_class(system).ports)
-    beside = {*declared, *_TURNED}
+    beside = {*declared, *_OF_THE_LOG}
     return [name for name, cls in found.items() if cls.candidate(system) and name not in beside]
 
 

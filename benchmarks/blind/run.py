@@ -119,6 +119,8 @@ def judge(truth: dict[str, Any], answer: dict[str, Any]) -> dict[str, Any]:
         k.removesuffix("_s").removesuffix("_deg") for k in truth.get("recording", {})
     ]
     added = answer["added"]
+    if "theta" in truth.get("recording", {}).get("sensor_bias", {}):  # of a state that is no rate: an effect
+        added = ["sensor_bias" if name == "angle_bias" else name for name in added]
     out: dict[str, Any] = {
         "kind": case["kind"],
         "system": truth["system"],

@@ -32,6 +32,7 @@ class Port(str, Enum):
     BODY_MOMENT = "body_moment"
     BODY_WRENCH = "body_wrench"
     MOTOR_THRUST = "motor_thrust"
+    ANGLE = "angle"
     INPUT = "input"
 
 

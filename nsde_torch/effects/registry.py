@@ -5,6 +5,7 @@ from collections.abc import Collection, Mapping
 from nsde_torch.effects.actuators import ActuatorDeadband, ActuatorGainDrift, ActuatorSaturation
 from nsde_torch.effects.base import Effect, Port
 from nsde_torch.effects.cartpole import (
+    AngleBias,
     CartCoulombFriction,
     CartViscousFriction,
     PoleCoulombFriction,
@@ -60,6 +61,7 @@ EFFECTS: dict[str, type[Effect]] = {
         PoleCoulombFriction,
         PoleViscousFriction,
         TrackTilt,
+        AngleBias,
         # multirotors
         LinearDrag,
         QuadraticDrag,

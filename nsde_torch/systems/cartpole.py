@@ -8,7 +8,7 @@ With M the total and m the pole's mass (Barto, Sutton, Anderson 1983, as in the 
 
 Only 1/M, m/M and l can be told from motion; these are the parameters. Forces on the port `force` add to a
 [m/s2], on `torque` to theta'' [rad/s2], on `world_force` (what pulls cart and pole alike, so that the pole does not
-turn) to x'' [m/s2].
+turn) to x'' [m/s2]; what adds to `angle` is the angle at which all this is meant [rad].
 """
 
 from collections.abc import Mapping
@@ -33,7 +33,7 @@ class Cartpole(System):
     state_units = ("m", "m/s", "rad", "rad/s")
     input_names = ("force",)
     input_units = ("N",)
-    ports = {Port.FORCE: 1, Port.TORQUE: 1, Port.WORLD_FORCE: 1}
+    ports = {Port.FORCE: 1, Port.TORQUE: 1, Port.WORLD_FORCE: 1, Port.ANGLE: 1}
     residual_ports = {Port.FORCE: ResidualPort(1, 0.5, "m/s2"), Port.TORQUE: ResidualPort(1, 1.0, "rad/s2")}
     defaults = Defaults(0.02, 30, (0.001, 0.01, 0.005, 0.01), 0.05, 1.0, "euler_maruyama")
     error_names = state_names
@@ -56,6 +56,8 @@ class Cartpole(System):
     def dynamics(self, t: float | Tensor, x: Tensor, u: Tensor, forces: Mapping[Port, Tensor]) -> Tensor:
         """See `System.dynamics`."""
         x_dot, theta, theta_dot = x[:, 1:2], x[:, 2:3], x[:, 3:4]
+        if Port.ANGLE in forces:
+            theta = theta + forces[Port.ANGLE]
         share, length = self.value("pole_share"), self.value("half_length")
         sin, cos = torch.sin(theta), torch.cos(theta)
         a = self.value("force_gain") * u + share * length * theta_dot * theta_dot * sin

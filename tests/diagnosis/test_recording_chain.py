@@ -95,3 +95,12 @@ def test_a_clock_that_runs_wrong_is_found() -> None:
     low, high = content["parameters"]["clock_scale.scale"]["interval_90"]
     assert low < 1.08 < high
     assert content["data"]["clock_scale"] == content["parameters"]["clock_scale.scale"]["value"]
+
+
+def test_an_angle_that_reads_too_much_is_named_where_no_kinematics_can_show_it() -> None:
+    _, content = diagnosed(
+        "cartpole", recording=Recording(sensor_bias={"theta": 0.03}), durations=(4.0,) * 6, seed=4
+    )
+    assert (content["verdict"], content["added"]) == ("effect_found", ["angle_bias"])
+    low, high = content["parameters"]["angle_bias.bias"]["interval_90"]
+    assert low < 0.03 < high

@@ -16,6 +16,7 @@ import tests.effects.test_friction
 import tests.effects.test_lag
 import tests.effects.test_multirotor_drag
 import tests.effects.test_multirotor_forces
+import tests.effects.test_multirotor_frame
 import tests.effects.test_multirotor_moments
 import tests.effects.test_multirotor_thrust
 import tests.effects.test_stiffness  # noqa: F401

@@ -497,7 +497,8 @@ def diagnose(
     residuals = channel_residuals(outcome.declared.regression, outcome.final.regression)
     regression, left = outcome.final.regression, outcome.structured
     seen, names = rates(regression, outcome.variables), tuple(run.name for run in runs)
-    odd = odd_run(left)
+    shapes = tuple(shape(regression, d, outcome.variables, seen, names) for d in left[:_SHAPES])
+    odd = odd_run(left, shapes)
     return Diagnosis(
         system,
         data,
@@ -508,7 +509,7 @@ def diagnose(
         residuals,
         options,
         seconds,
-        shapes=tuple(shape(regression, d, outcome.variables, seen, names) for d in left[:_SHAPES]),
+        shapes=shapes,
         in_run=None if odd is None else in_run(again([extended[odd]]), outcome.system, odd),
         formula=formula(regression, left, outcome.variables, names),
     )

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 from nsde_torch.diagnosis.loop import Estimate, choice, estimates
 from nsde_torch.diagnosis.search import Search
+from nsde_torch.diagnosis.shape import Shape
 from nsde_torch.diagnosis.structure import Dependence
 from nsde_torch.errors import DataError
 from nsde_torch.systems import System
@@ -32,10 +33,15 @@ class InRun:
     p: float
 
 
-def odd_run(left: Sequence[Dependence]) -> int | None:
-    """Number of the run that what is left depends on most, where that is one alone."""
-    first = next((d for d in left if d.moment is None and d.swing is None), None)
-    return None if first is None else first.run
+def odd_run(left: Sequence[Dependence], shapes: Sequence[Shape]) -> int | None:
+    """Number of the run that what explains most of what is left is confined to, beside single moments.
+
+    Args:
+        left: What is left over, what explains most first.
+        shapes: The first of them in words.
+    """
+    pairs = zip(left, shapes, strict=False)
+    return next((s.only_run for d, s in pairs if d.moment is None), None)
 
 
 def in_run(search: Search, system: System, run: int) -> InRun | None:

@@ -122,6 +122,9 @@ def shape(
         only = _only_run(regression, channel, dependence.variable, variables)
     side = symmetry(dependence)
     words = [f"The rate of {dependence.channel} depends on {name}"]
+    if name == "run":
+        what = "constants that differ from run to run" if only is None else "a constant"
+        words = [f"The rate of {dependence.channel} is off by {what}"]
     if only is not None:
         words.append(f"in {called(runs[only])} only")
     if period is not None:

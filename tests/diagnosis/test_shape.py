@@ -79,6 +79,13 @@ def test_what_happens_in_one_run_only_is_said() -> None:
     assert "in run_2 only" in words.sentence
 
 
+def test_a_push_that_is_constant_in_one_run_is_called_so() -> None:
+    words = described(lambda q, t, run: np.where(run == 2, 0.5, 0.0), "run")
+    assert words.sentence == "The rate of q_dot is off by a constant, in run_2 only."
+    some = described(lambda q, t, run: 0.3 * np.array([-1.0, 1.0, -1.0, 1.0])[run], "run")
+    assert some.sentence == "The rate of q_dot is off by constants that differ from run to run."
+
+
 def test_a_push_at_one_time_is_local_in_time_and_has_no_symmetry() -> None:
     words = described(lambda q, t, run: 0.5 * np.exp(-(((t - t.min() - 4.0) / 0.4) ** 2)), "time")
     assert words.extent == "local"

@@ -15,6 +15,7 @@ import numpy as np
 from nsde_torch.data import DataSet, Run
 from nsde_torch.diagnosis.candidates import candidate_names
 from nsde_torch.diagnosis.channels import ChannelResidual, channel_residuals
+from nsde_torch.diagnosis.declared import Warned, better_reading, declared, warnings
 from nsde_torch.diagnosis.formula import Formula, formula
 from nsde_torch.diagnosis.held_out import HeldOut, held_out
 from nsde_torch.diagnosis.in_run import InRun, in_run, odd_run
@@ -27,6 +28,7 @@ from nsde_torch.diagnosis.structure import Dependence
 from nsde_torch.diagnosis.views import rates, rates_width
 from nsde_torch.effects import EFFECTS, Effect, effect_class, effects_of, register
 from nsde_torch.errors import ConfigError, DataError
+from nsde_torch.learning.identify.identify import Regression
 from nsde_torch.learning.identify.steps import steps_of
 from nsde_torch.models.identified import SysidSpec
 from nsde_torch.systems import System
@@ -36,6 +38,8 @@ _BOX_S = 0.01
 _SHAPES = 6  # dependences that are described in words
 
 _SHORT = "shorter than a step of the log: taken into account, and not named"
+
+_REREAD = "this is the likely cause: write the columns like that, and diagnose again"
 
 TWINS = {"constant_force": ("sensor_bias",)}
 """Faults of the recording chain that no data of the log can tell from an effect."""
@@ -89,6 +93,8 @@ class Diagnosis:
         shapes: What the residual still depends on, in words.
         in_run: The effect that would explain it in the one run that it is in: a lead, unverified.
         formula: A sparse formula for it: a lead, unverified.
+        warned: Declared parameters that tell of a fault of the columns.
+        reading: How else the columns fit much better; None where no other way does.
     """
 
     system: System
@@ -103,6 +109,8 @@ class Diagnosis:
     shapes: tuple[Shape, ...] = ()
     in_run: InRun | None = None
     formula: Formula | None = None
+    warned: tuple[Warned, ...] = ()
+    reading: str | None = None
 
     @property
     def verdict(self) -> str:
@@ -133,6 +141,7 @@ class Diagnosis:
             "verdict": self.verdict,
             "added": self.added,
             "summary": summary(self),
+            "warnings": self._warnings(),
             "findings": self._findings(),
             "aside": [
                 *(
@@ -146,7 +155,16 @@ class Diagnosis:
             "ties": self._ties(),
             "not_shown": self._not_shown(),
             "parameters": self._parameters(),
-            "declared_parameters": _declared(o),
+            "declared_parameters": {
+                name: {
+                    "value": e.value,
+                    "interval_90": None if e.low is None else [e.low, e.high],
+                    "bound": e.bound,
+                    "unit": e.unit,
+                    "shown": e.low is not None,
+                }
+                for name, e in declared(o).items()
+            },
             "residual": {
                 c.name: {
                     "unit": c.unit,
@@ -185,6 +203,15 @@ class Diagnosis:
             "seed": self.options.seed,
             "seconds": self.seconds,
         }
+
+    def _warnings(self) -> list[dict[str, Any]]:
+        odd: list[dict[str, Any]] = [
+            {"parameter": w.parameter, "kind": w.kind, "sentence": w.sentence, "remedy": w.remedy}
+            for w in self.warned
+        ]
+        if self.reading is None:
+            return odd
+        return [{"parameter": None, "kind": "reading", "sentence": self.reading, "remedy": _REREAD}, *odd]
 
     def _findings(self) -> list[dict[str, Any]]:
         faults = [
@@ -358,19 +385,6 @@ def ranking(outcome: Outcome) -> list[dict[str, Any]]:
     return out
 
 
-def _declared(outcome: Outcome) -> dict[str, Any]:
-    v, theta = outcome.final.regression.vector, outcome.final.regression.theta
-    return {
-        label: {
-            "value": float(theta[j]),
-            "unit": v.units[j],
-            "shown": bool(outcome.final.regression.shown.known[j]),
-        }
-        for j, label in enumerate(v.labels)
-        if label.partition(".")[0] not in {f.name for f in outcome.found}
-    }
-
-
 def _where(d: Dependence, runs: Sequence[str]) -> str | None:
     if d.swing is not None:
         return f"{d.swing:.4g} Hz"
@@ -499,6 +513,11 @@ def diagnose(
     seen, names = rates(regression, outcome.variables), tuple(run.name for run in runs)
     shapes = tuple(shape(regression, d, outcome.variables, seen, names) for d in left[:_SHAPES])
     odd = odd_run(left, shapes)
+    warned = warnings(outcome, system)
+
+    def fit(some: Sequence[Run]) -> Regression:
+        return search_in(system, some, recorded.clock, options).quick(system)
+
     return Diagnosis(
         system,
         data,
@@ -512,6 +531,8 @@ def diagnose(
         shapes=shapes,
         in_run=None if odd is None else in_run(again([extended[odd]]), outcome.system, odd),
         formula=formula(regression, left, outcome.variables, names),
+        warned=tuple(warned),
+        reading=better_reading(system, extended, fit) if warned else None,
     )
 
 

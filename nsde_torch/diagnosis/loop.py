@@ -108,10 +108,11 @@ class Outcome:
 
     def estimates(self, effect: str) -> list[Estimate]:
         """Parameters of an effect that was added or joined what is declared, all others fitted with it."""
-        return estimates(self.final.regression, self._sure, effect)
+        return estimates(self.final.regression, self.sure, effect)
 
     @cached_property
-    def _sure(self) -> Spread:
+    def sure(self) -> Spread:
+        """Covariance of the parameters of `final`."""
         return self.final.regression.spread()
 
 
@@ -324,11 +325,22 @@ def estimates(regression: Regression, sure: Spread, name: str) -> list[Estimate]
         sure: Its covariance.
         name: Of the effect.
     """
+    return estimated(regression, sure, regression.vector.of(name))
+
+
+def estimated(regression: Regression, sure: Spread, columns: Sequence[int]) -> list[Estimate]:
+    """Parameters with 90 % intervals from blocks of time.
+
+    Args:
+        regression: At its optimum.
+        sure: Its covariance.
+        columns: Numbers of the parameters.
+    """
     v, basis = regression.vector, regression.shown.basis
     error = np.sqrt(np.clip(np.diag(basis @ sure.covariance @ basis.T), 0.0, None))
     degrees = sure.degrees(basis)
     out = []
-    for j in v.of(name):
+    for j in columns:
         low = high = bound = None
         value = float(regression.theta[j])
         if regression.shown.known[j]:

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from nsde_torch.diagnosis.pictures import pictures, save_pictures
-from nsde_torch.diagnosis.text import chance, interval, placed, unseen
+from nsde_torch.diagnosis.text import chance, interval, placed, unseen, warning
 from nsde_torch.learning.report import number
 
 if TYPE_CHECKING:
@@ -82,6 +82,7 @@ def page(content: Mapping[str, Any], figures: Mapping[str, Figure], *, width: fl
         f"<h1>Diagnosis of {escape(data['system'])}: {len(data['runs'])} runs, {data['duration_s']:.0f} s</h1>",
         f'<div class="verdict {content["verdict"]}"><b>{_VERDICTS[content["verdict"]]}</b>'
         f"{escape(content['summary'])}{_gain(errors)}</div>",
+        *(f'<p class="finding"><b>Warning.</b> {escape(warning(w))}</p>' for w in content["warnings"]),
         *(_finding(f, content) for f in content["findings"]),
         shown.get("residual", ""),
         _unexplained(content, shown.get("unexplained", "")),
@@ -260,14 +261,12 @@ def _ranking(ranking: Sequence[Mapping[str, Any]]) -> str:
 
 def _declared(parameters: Mapping[str, Any]) -> str:
     rows = [
-        [name, number(p["value"]), _unit(p["unit"]), "" if p["shown"] else "not shown by the data"]
+        [name, f"{number(p['value'])} {_unit(p['unit'])}", interval(p["interval_90"], p["bound"])]
         for name, p in parameters.items()
     ]
-    return (
-        _folded("Declared parameters, fitted again", _table(["parameter", "value", "unit", ""], rows))
-        if rows
-        else ""
-    )
+    if not rows:
+        return ""
+    return _folded("Declared parameters, fitted again", _table(["parameter", "value", "90 % interval"], rows))
 
 
 def _structure(content: Mapping[str, Any]) -> str:

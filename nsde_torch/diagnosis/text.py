@@ -11,6 +11,7 @@ _RANKED, _SENTENCES = 6, 4
 def lines(content: Mapping[str, Any]) -> list[str]:
     """Lines of text from the content of `diagnosis.json`."""
     out = [f"verdict: {content['verdict']}", content["summary"]]
+    out += [line for w in content["warnings"] for line in ("", f"warning: {warning(w)}")]
     for finding in content["findings"]:
         mark = f" (a lead: {finding['lead_reason']})" if finding["lead"] else ""
         out += ["", f"{finding['name']}{mark}: {finding['sentence']}"]
@@ -29,6 +30,12 @@ def lines(content: Mapping[str, Any]) -> list[str]:
             for name, p in content["parameters"].items()
         ]
         out += ["", table(["parameter", "value", "90 % interval", "unit"], rows)]
+    if content["declared_parameters"]:
+        rows = [
+            [name, number(p["value"]), interval(p["interval_90"], p["bound"]), p["unit"]]
+            for name, p in content["declared_parameters"].items()
+        ]
+        out += ["", table(["declared parameter", "value", "90 % interval", "unit"], rows)]
     residual = [
         [
             name,
@@ -67,6 +74,12 @@ def lines(content: Mapping[str, Any]) -> list[str]:
         out += ["", "these data cannot show (smallest size that would be noticed):"]
         out += [f"  {text}" for text in unseen(content["not_shown"])]
     return out
+
+
+def warning(entry: Mapping[str, Any]) -> str:
+    """What is odd about a declared parameter, and what to look at."""
+    remedy = str(entry["remedy"])
+    return f"{entry['sentence']}. {remedy[:1].upper()}{remedy[1:]}."
 
 
 def placed(dependence: Mapping[str, Any]) -> str:

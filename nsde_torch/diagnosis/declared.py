@@ -1,0 +1,208 @@
+"""Parameters of the declared physics after the fit, and those that tell of a fault in the columns.
+
+A parameter may well stand at its bound. It tells of a fault where the data pull beyond: with X the whitened slopes and
+e the whitened residuals at the optimum, the step without bounds
+
+    d = argmin |e - X d|
+
+leads out of the bound by several standard errors: a gain of an input that wants to be negative, as of a force that was
+logged the wrong way round. Then each column that has a direction is turned, and the declared physics fitted again: what
+leaves much less names the cause.
+"""
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from math import exp, log, log10
+
+import numpy as np
+
+from nsde_torch.data import Run
+from nsde_torch.diagnosis.channels import channel_residuals
+from nsde_torch.diagnosis.loop import Estimate, Outcome, estimated
+from nsde_torch.effects import effect_class
+from nsde_torch.learning.identify.identify import Regression
+from nsde_torch.learning.report import number
+from nsde_torch.systems import System
+
+_AT = 1e-5  # typical sizes from the bound; values are kept a millionth off it
+_SURE = 3.0  # standard errors
+_MATTERS = 0.01  # typical sizes beyond it
+_FAR, _LOST = 3.0, 1.5  # powers of ten from the first value, of what the data show and of what they do not
+_BETTER = 0.7  # of what is left, for another way to read a column
+
+
+@dataclass(frozen=True)
+class Warned:
+    """A declared parameter that tells of a fault.
+
+    Args:
+        parameter: Its name.
+        kind: `at_bound`, `far_off`, or `not_shown` where it ran off unseen.
+        sentence: What is odd about it.
+        remedy: What may be the cause, and what to look at.
+    """
+
+    parameter: str
+    kind: str
+    sentence: str
+    remedy: str
+
+
+@dataclass(frozen=True)
+class Reading:
+    """Another way to read the columns.
+
+    Args:
+        words: What is different.
+        runs: The runs, read like that.
+    """
+
+    words: str
+    runs: list[Run]
+
+
+def declared(outcome: Outcome) -> dict[str, Estimate]:
+    """Parameters that the system declared, fitted with everything that was found, by name."""
+    r = outcome.final.regression
+    found = {f.name for f in outcome.found}
+    columns = [j for j, label in enumerate(r.vector.labels) if label.partition(".")[0] not in found]
+    return {e.name: e for e in estimated(r, outcome.sure, columns)}
+
+
+def warnings(outcome: Outcome, system: System) -> list[Warned]:
+    """Declared parameters at a bound that the data pull beyond, and orders of magnitude from their first values.
+
+    Args:
+        outcome: What the loop concluded.
+        system: The declared physics with its first values.
+    """
+    r = outcome.final.regression
+    v, basis = r.vector, r.shown.basis
+    flat = r.slopes.reshape(-1, len(v))
+    pull = basis @ np.linalg.lstsq(flat @ basis, r.white.reshape(-1), rcond=None)[0]
+    error = np.sqrt(np.clip(np.diag(basis @ outcome.sure.covariance @ basis.T), 0.0, None))
+    firsts = _firsts(system)
+    out = []
+    for name in declared(outcome):
+        j = v.labels.index(name)
+        value, first, unit = float(r.theta[j]), firsts.get(name), _unit(v.units[j])
+        beyond = abs(pull[j]) > max(_SURE * error[j], _MATTERS * v.scale[j])
+        for bound, word, outward in ((v.low[j], "lower", pull[j] < 0), (v.high[j], "upper", pull[j] > 0)):
+            if abs(value - bound) <= _AT * v.scale[j] and outward and beyond and not _nothing(name, bound):
+                out.append(
+                    Warned(
+                        name,
+                        "at_bound",
+                        f"{name} stands at its {word} bound, {number(bound)}{unit}: freely, the data would make it "
+                        f"about {number(value + pull[j])}{unit}",
+                        _remedy(system),
+                    )
+                )
+                break
+        else:
+            known = bool(r.shown.known[j])
+            held = min(abs(value - v.low[j]), abs(value - v.high[j])) <= _AT * v.scale[j]
+            if (
+                not held
+                and first
+                and value / first > 0
+                and abs(log10(value / first)) > (_FAR if known else _LOST)
+            ):
+                times = f"{10 ** abs(log10(value / first)):.2g} times {'above' if abs(value) > abs(first) else 'below'}"
+                ran = "" if known else ", and the data do not show it: it ran off"
+                out.append(
+                    Warned(
+                        name,
+                        "far_off" if known else "not_shown",
+                        f"{name} is {number(value)}{unit}, {times} its first value {number(first)}{unit}{ran}",
+                        f"right if the machine is like that; otherwise {_remedy(system)}",
+                    )
+                )
+    return out
+
+
+def readings(system: System, runs: Sequence[Run]) -> Iterator[Reading]:
+    """The runs with one column that has a direction turned: inputs of both signs, angles, where angles start.
+
+    Args:
+        system: The machine.
+        runs: The runs.
+    """
+    for k, name in enumerate(system.input_names):
+        u = np.concatenate([run.u[:, k] for run in runs])
+        if (u > 0).mean() > 0.05 and (u < 0).mean() > 0.05:
+            yield Reading(f"the opposite sign of {name!r}", [_turned(run, "u", [k]) for run in runs])
+    if system.quaternion is not None:
+        return
+    units = dict(zip(system.state_names, system.state_units, strict=True))
+    for position, rate, _ in system.position_derivatives:
+        i, j = (system.state_names.index(n) for n in (position, rate))
+        if len(system.position_derivatives) > 1:  # of one alone, it is the sign of the inputs
+            yield Reading(
+                f"the opposite sign of {position!r} and {rate!r}", [_turned(run, "x", [i, j]) for run in runs]
+            )
+        if units[position] == "rad":
+            yield Reading(
+                f"{position!r} counted from the other side (pi more)", [_shifted(run, i) for run in runs]
+            )
+
+
+def better_reading(
+    system: System, runs: Sequence[Run], fit: Callable[[Sequence[Run]], Regression]
+) -> str | None:
+    """In words, the other way to read the columns in which the declared physics leaves least, if much less.
+
+    Args:
+        system: The declared physics.
+        runs: The runs.
+        fit: Fits the declared physics to runs.
+    """
+    others = list(readings(system, runs))
+    if not others:
+        return None
+    now = fit(runs)
+    left = [channel_residuals(now, fit(other.runs)) for other in others]
+    shares = [exp(float(np.mean([log(c.after / c.before) for c in channels]))) for channels in left]
+    best = int(np.argmin(shares))
+    if shares[best] > _BETTER:
+        return None
+    told = ", ".join(f"{c.name} {number(c.before)} to {number(c.after)} {c.unit}" for c in left[best])
+    return f"With {others[best].words} the declared physics leaves much less of the rates ({told})"
+
+
+def _turned(run: Run, which: str, columns: list[int]) -> Run:
+    values = np.array(getattr(run, which))
+    values[:, columns] *= -1.0
+    return replace(run, u=values) if which == "u" else replace(run, x=values)
+
+
+def _shifted(run: Run, column: int) -> Run:
+    x = np.array(run.x)
+    x[:, column] += np.pi
+    return replace(run, x=x)
+
+
+def _firsts(system: System) -> dict[str, float]:
+    out: dict[str, float] = {}
+    for name, (value, _) in system.all_declared().items():
+        values = value.reshape(-1).tolist()
+        out |= {name: values[0]} if len(values) == 1 else {f"{name}[{i}]": x for i, x in enumerate(values)}
+    return out
+
+
+def _nothing(label: str, bound: float) -> bool:
+    """Whether an effect does nothing at this bound: that there is no friction is no fault."""
+    effect, dot, own = label.partition(".")
+    return bool(dot) and bound == 0.0 and own.partition("[")[0] in effect_class(effect).null
+
+
+def _remedy(system: System) -> str:
+    inputs = ", ".join(repr(n) for n in system.input_names) or "none"
+    return (
+        f"check signs, units and order of the inputs ({inputs}), and signs and origins of the states, against what the "
+        "system declares; or something that acts is missing from the log"
+    )
+
+
+def _unit(unit: str) -> str:
+    return "" if unit == "1" else f" {unit}"

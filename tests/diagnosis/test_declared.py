@@ -1,0 +1,94 @@
+"""Declared parameters are told with their intervals; one that the data pull out of its bounds names a turned column."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import matplotlib.pyplot as plt
+import numpy as np
+import pytest
+
+from nsde_torch.data import Run
+from nsde_torch.diagnosis.diagnose import Diagnosis, Options, diagnose
+from nsde_torch.diagnosis.pictures import pictures
+from nsde_torch.diagnosis.report import page
+from nsde_torch.diagnosis.text import lines
+from nsde_torch.models.identified import SysidSpec
+from nsde_torch.systems import make_system
+from tests.helpers.diagnosed import recorded
+
+
+def told(system: str, change: Callable[[Run], Run], **making: Any) -> tuple[Diagnosis, dict[str, Any]]:
+    """The diagnosis of a sound plant whose log was changed, without candidates, and its content."""
+    data = recorded(system, **making)
+    data = replace(data, runs=[change(run) for run in data.runs])
+    declared = make_system(system)
+    spec = SysidSpec(system, dt=data.dt, horizon=declared.defaults.horizon)
+    found = diagnose(declared, spec, data, data.runs, Options(max_effects=0))
+    return found, found.content()
+
+
+def turned(run: Run) -> Run:
+    return replace(run, u=-np.asarray(run.u))
+
+
+def test_a_force_that_was_logged_the_wrong_way_round_is_named_on_page_and_terminal() -> None:
+    found, content = told("mass_spring_damper", turned, durations=(12.0,) * 4)
+    first, second = content["warnings"]
+    assert first["kind"] == "reading"
+    assert "the opposite sign of 'force'" in first["sentence"]
+    assert (second["kind"], second["parameter"]) == ("at_bound", "force_gain")
+    assert "lower bound, 0 1/kg: freely, the data would make it about -" in second["sentence"]
+    said = "\n".join(lines(content))
+    assert "warning: With the opposite sign of 'force'" in said
+    assert "signs, units and order of the inputs ('force')" in said
+    figures = pictures(found, content)
+    html = page(content, figures, width=found.width)
+    for figure in figures.values():
+        plt.close(figure)
+    assert "<b>Warning.</b> With the opposite sign of &#x27;force&#x27;" in html
+
+
+@pytest.mark.parametrize(
+    ("words", "column", "sign", "shift"),
+    [
+        ("the opposite sign of 'force'", None, -1.0, 0.0),
+        ("'theta' counted from the other side", 2, 1.0, np.pi),
+    ],
+)
+def test_columns_of_a_cart_that_are_turned_are_told_apart(
+    words: str, column: int | None, sign: float, shift: float
+) -> None:
+    def change(run: Run) -> Run:
+        x = np.array(run.x)
+        if column is not None:
+            x[:, column] += shift
+        return replace(run, x=x, u=sign * np.asarray(run.u))
+
+    _, content = told("cartpole", change, durations=(4.0,) * 5)
+    assert words in content["warnings"][0]["sentence"]
+
+
+@pytest.mark.parametrize("system", ["mass_spring_damper", "cartpole"])
+def test_a_sound_log_has_no_warnings_and_its_parameters_are_told_with_intervals(system: str) -> None:
+    _, content = told(system, lambda run: run, seed=4)
+    assert content["warnings"] == []
+    declared = content["declared_parameters"]
+    assert all(p["interval_90"][0] <= p["value"] <= p["interval_90"][1] for p in declared.values())
+    said = "\n".join(lines(content))
+    assert "declared parameter" in said
+    assert "warning" not in said
+    assert all(name in said for name in declared)
+
+
+def test_a_machine_a_thousand_times_heavier_than_thought_is_asked_about() -> None:
+    def change(run: Run) -> Run:
+        return replace(run, u=2e4 * np.asarray(run.u))
+
+    _, content = told("mass_spring_damper", change)
+    (odd,) = content["warnings"]
+    assert (odd["kind"], odd["parameter"]) == ("far_off", "force_gain")
+    assert "times below its first value 1 1/kg" in odd["sentence"]
+    assert odd["remedy"].startswith("right if the machine is like that")

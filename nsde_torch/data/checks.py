@@ -31,7 +31,7 @@ from nsde_torch.data.lateness import lateness, on_time, surely_late
 from nsde_torch.data.raw import RawRun
 from nsde_torch.data.run import DataSet, Run, fingerprint
 from nsde_torch.data.summary import summarise
-from nsde_torch.data.system_info import SystemInfo, rate_columns
+from nsde_torch.data.system_info import RATE_NAMES, SystemInfo, derivative_columns, rate_columns
 from nsde_torch.data.times import Report
 from nsde_torch.errors import ConfigError, DataError, ShapeError
 
@@ -135,8 +135,11 @@ def _split_at_jumps(
     if not jumps:
         return segments
     kept = tuple((a, b) for a, b in out if b - a >= 2)
+    axes = {g: [system.state_names[k] for k in i] for g, (i, _) in derivative_columns(system).items()}
     shown = ", ".join(
-        f"{j.size:.3g} in {j.group} after row {j.row}, about {j.missing_s:.2g} s lost" for j in jumps[:3]
+        f"{j.size:.3g} in {kinematics.called(j.group, axes.get(j.group, RATE_NAMES))} after row {j.row}, about "
+        f"{j.missing_s:.2g} s lost"
+        for j in jumps[:3]
     )
     report(
         Finding(

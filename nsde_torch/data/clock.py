@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from nsde_torch.data.findings import Finding
-from nsde_torch.data.kinematics import Pooled, Slope, pool
+from nsde_torch.data.kinematics import Pooled, Slope, called, pool
 from nsde_torch.data.times import Report
 from nsde_torch.errors import ConfigError, DataError
 
@@ -84,7 +84,8 @@ def decide(slopes: Sequence[Slope], *, policy: str, report: Report) -> float:
     if not groups:
         return 1.0
     total = pool(slopes)
-    text = ", ".join(f"{g}: {p.value:.4f} +- {p.error:.4f}" for g, p in groups.items())
+    axes = {g: list(dict.fromkeys(s.axis for s in slopes if s.group == g)) for g in groups}
+    text = ", ".join(f"{called(g, axes[g])}: {p.value:.4f} +- {p.error:.4f}" for g, p in groups.items())
     values = {
         "scale": total.value,
         "standard_error": total.error,
@@ -104,8 +105,8 @@ def decide(slopes: Sequence[Slope], *, policy: str, report: Report) -> float:
                 "kinematic_mismatch",
                 "",
                 len(off),
-                f"position and velocity disagree in {', '.join(off)} but not in every group, or not "
-                f"surely enough to blame the clock ({text})",
+                f"position and velocity disagree in {', '.join(called(g, axes[g]) for g in off)} but not in every "
+                f"group, or not surely enough to blame the clock ({text})",
                 "reported",
                 values,
             )
@@ -115,6 +116,10 @@ def decide(slopes: Sequence[Slope], *, policy: str, report: Report) -> float:
         f"the logged clock runs wrong: one logged second holds {total.value:.4f} +- {total.error:.4f} "
         f"physical seconds by the kinematics ({text})"
     )
+    if sum(map(len, axes.values())) == 1:
+        (axis,) = next(iter(axes.values()))
+        scaled = f"or the rate of {axis} is {1 / total.value:.4g} times too large"
+        message += f"; {scaled}: a single position and its rate cannot tell"
     if policy == "refuse":
         raise DataError(
             f"{message}. Set `clock` to `rescale` (use the measured scale) or `trust` (keep the logged "

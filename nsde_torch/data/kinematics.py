@@ -224,6 +224,11 @@ def rates_of(system: SystemInfo, group: str, x: Array) -> Array:
     return x[:, derivative_columns(system)[group][1]]
 
 
+def called(group: str, axes: Sequence[str]) -> str:
+    """A group of axes for people: one or two by their names, three as what they are together."""
+    return group if len(axes) > 2 else ", ".join(axes)
+
+
 def pool(slopes: Sequence[Slope]) -> Pooled:
     """Random-effects mean of slopes (DerSimonian and Laird); of none: 1 with an infinite error."""
     if not slopes:

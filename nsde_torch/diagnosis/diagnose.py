@@ -245,7 +245,7 @@ class Diagnosis:
         return type(effect_of(self.outcome.system, name))
 
     def _ties(self) -> list[dict[str, Any]]:
-        out = []
+        out = [{"effects": [f.name, *f.ties], "experiment": f.experiment} for f in self._faults if f.ties]
         for f in self.outcome.found:
             twins = [t for t in TWINS.get(f.name, ()) if t != "sensor_bias" or self._springs()]
             if f.ties or twins:

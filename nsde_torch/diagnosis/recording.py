@@ -53,6 +53,8 @@ class Fault:
         p: Chance of it in a sound log; None where it is not a test of chance.
         sentence: What it means.
         short: Whether it is shorter than a step, and so undone but not called a finding.
+        ties: Other faults that no data of the log tell from it.
+        experiment: What would tell.
     """
 
     name: str
@@ -60,6 +62,8 @@ class Fault:
     p: float | None
     sentence: str
     short: bool = False
+    ties: tuple[str, ...] = ()
+    experiment: str = ""
 
 
 @dataclass(frozen=True)
@@ -131,7 +135,7 @@ def undo(
     faults: list[Fault] = []
     clock = data.clock_scale
     if clock != 1.0:
-        fault = _clock(data)
+        fault = _clock(data, system)
         if fault.p is not None and fault.p < 0.5 * alpha:  # the other half is for biases
             faults.append(fault)
         else:
@@ -177,17 +181,32 @@ def _smoothing(width: float, dt: float) -> Fault:
     )
 
 
-def _clock(data: DataSet) -> Fault:
+def _clock(data: DataSet, system: System) -> Fault:
     pooled = pool(data.summary.slopes)
     degrees = max(pooled.slopes - 1, _FOLDS - 1)  # errors of slopes are from so many folds each
     half = float(stdtrit(degrees, 0.5 * (1 + _LEVEL))) * pooled.error
     clock = data.clock_scale
     p = 2.0 * float(stdtr(degrees, -abs(pooled.value - 1.0) / max(pooled.error, 1e-12)))
+    pairs = [
+        (system.state_names[a], system.state_names[b])
+        for i, j in derivative_columns(system).values()
+        for a, b in zip(i, j, strict=True)
+    ]
+    turns = rate_columns(system) is not None
+    single = len(pairs) == 1 and not turns
+    what = "positions and attitude" if turns else " and ".join(position for position, _ in pairs)
+    moves, says = ("moves", "its rate says") if single else ("move", "their rates say")
+    rate, how = pairs[0][1], "further" if clock > 1.0 else "less far"
     return Fault(
         "clock_scale",
         {"scale": (clock, clock - half, clock + half, "1")},
         p,
-        f"A second of the log lasts {clock:.4g} s: positions and attitude move further than their rates say.",
+        f"A second of the log lasts {clock:.4g} s: {what} {moves} {how} than {says}.",
+        ties=("sensor_scale",) if single else (),
+        experiment="hold the time column against another clock over a few minutes; if it is right, "
+        f"{rate} is logged {1 / clock:.4g} times too large: multiply it by {clock:.4g}"
+        if single
+        else "",
     )
 
 

@@ -8,6 +8,7 @@ import pytest
 from nsde_torch.data import Run
 from nsde_torch.diagnosis.diagnose import Options
 from nsde_torch.diagnosis.recording import restored
+from nsde_torch.diagnosis.text import lines
 from nsde_torch.plants import Recording
 from tests.helpers.diagnosed import diagnosed
 
@@ -95,6 +96,24 @@ def test_a_clock_that_runs_wrong_is_found() -> None:
     low, high = content["parameters"]["clock_scale.scale"]["interval_90"]
     assert low < 1.08 < high
     assert content["data"]["clock_scale"] == content["parameters"]["clock_scale.scale"]["value"]
+    assert "x and theta move further than their rates say" in content["findings"][0]["sentence"]
+    assert content["ties"] == []
+
+
+@pytest.mark.parametrize(("scale", "how"), [(1.06, "further"), (0.94, "less far")])
+def test_a_clock_and_the_scale_of_a_single_speed_are_a_tie(scale: float, how: str) -> None:
+    _, content = diagnosed(
+        "mass_spring_damper", options=ALONE, recording=Recording(clock_scale=scale), durations=(12.0,) * 6
+    )
+    (finding,) = content["findings"]
+    assert f"q moves {how} than its rate says" in finding["sentence"]
+    (tie,) = content["ties"]
+    assert tie["effects"] == ["clock_scale", "sensor_scale"]
+    assert f"q_dot is logged {1 / content['data']['clock_scale']:.4g} times too large" in tie["experiment"]
+    assert any("cannot be told from sensor_scale" in line for line in lines(content))
+    (done,) = (text for text in content["data"]["done"] if "clock" in text)
+    assert "(q: " in done
+    assert "a single position and its rate cannot tell" in done
 
 
 def test_an_angle_that_reads_too_much_is_named_where_no_kinematics_can_show_it() -> None:

@@ -85,7 +85,7 @@ def warnings(outcome: Outcome, system: System) -> list[Warned]:
     out = []
     for name in declared(outcome):
         j = v.labels.index(name)
-        value, first, unit = float(r.theta[j]), firsts.get(name), _unit(v.units[j])
+        value, unit = float(r.theta[j]), _unit(v.units[j])
         beyond = abs(pull[j]) > max(_SURE * error[j], _MATTERS * v.scale[j])
         for bound, word, outward in ((v.low[j], "lower", pull[j] < 0), (v.high[j], "upper", pull[j] > 0)):
             if abs(value - bound) <= _AT * v.scale[j] and outward and beyond and not _nothing(name, bound):
@@ -100,25 +100,24 @@ def warnings(outcome: Outcome, system: System) -> list[Warned]:
                 )
                 break
         else:
-            known = bool(r.shown.known[j])
             held = min(abs(value - v.low[j]), abs(value - v.high[j])) <= _AT * v.scale[j]
-            if (
-                not held
-                and first
-                and value / first > 0
-                and abs(log10(value / first)) > (_FAR if known else _LOST)
-            ):
-                times = f"{10 ** abs(log10(value / first)):.2g} times {'above' if abs(value) > abs(first) else 'below'}"
-                ran = "" if known else ", and the data do not show it: it ran off"
-                out.append(
-                    Warned(
-                        name,
-                        "far_off" if known else "not_shown",
-                        f"{name} is {number(value)}{unit}, {times} its first value {number(first)}{unit}{ran}",
-                        f"right if the machine is like that; otherwise {_remedy(system)}",
-                    )
-                )
+            known = bool(r.shown.known[j])
+            # physics that explains all may be of any size
+            if not held and (not known or outcome.verdict == "unexplained"):
+                out += _apart(name, value, firsts.get(name, 0.0), unit, known, _remedy(system))
     return out
+
+
+def _apart(name: str, value: float, first: float, unit: str, known: bool, remedy: str) -> list[Warned]:
+    """The warning about a value that is orders of magnitude from its first one, or none."""
+    powers = abs(log10(value / first)) if value * first > 0 else 0.0
+    if powers <= (_FAR if known else _LOST):
+        return []
+    times = f"{10**powers:.2g} times {'above' if abs(value) > abs(first) else 'below'}"
+    ran = "" if known else ", and the data do not show it: it ran off"
+    sentence = f"{name} is {number(value)}{unit}, {times} its first value {number(first)}{unit}{ran}"
+    kind = "far_off" if known else "not_shown"
+    return [Warned(name, kind, sentence, f"right if the machine is like that; otherwise {remedy}")]
 
 
 def readings(system: System, runs: Sequence[Run]) -> Iterator[Reading]:

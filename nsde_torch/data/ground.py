@@ -88,8 +88,9 @@ def cut(run: RawRun, system: SystemInfo, commands: float, report: Report) -> Non
 
 def _velocity(system: SystemInfo) -> list[int] | None:
     names = list(system.state_names)
-    if rate_columns(system) is None or not {"v_x", "v_y", "v_z"} <= set(names) or not system.input_names:
-        return None
+    motors = bool(system.input_names) and all(n.startswith("u_") for n in system.input_names)
+    if not motors or rate_columns(system) is None or not {"v_x", "v_y", "v_z"} <= set(names):
+        return None  # what floats or rolls may well stand still on nothing
     return [names.index(n) for n in ("v_x", "v_y", "v_z")]
 
 

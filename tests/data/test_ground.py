@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -70,3 +72,10 @@ def test_a_log_that_never_leaves_the_ground_beside_one_that_flies_is_refused_by_
         DataError, match=r"'parked': the machine stands on the ground throughout\. Leave the run out"
     ):
         assemble([RawRun("log", t, x, u), parked], HEXACOPTER, kind="test", clock="trust")
+
+
+def test_a_machine_without_rotors_may_stand_still_on_nothing() -> None:
+    t, x, u = log(0.1)
+    boat = replace(HEXACOPTER, name="boat", input_names=tuple(f"thruster_{k}" for k in range(6)))
+    data = assemble([RawRun("log", t, x, u)], boat, kind="test", clock="trust")
+    assert not [f for f in data.summary.findings if f.kind == "on_ground"]

@@ -18,7 +18,15 @@ from numpy.typing import NDArray
 
 from nsde_torch.diagnosis.repeats import best_repeat
 from nsde_torch.diagnosis.spectrum import waves_of
-from nsde_torch.diagnosis.structure import Dependence, Regressors, own_space, projected
+from nsde_torch.diagnosis.structure import (
+    BEFORE,
+    BY_RUN,
+    OVER_TIME,
+    Dependence,
+    Regressors,
+    own_space,
+    projected,
+)
 from nsde_torch.diagnosis.views import Rates, bins, factors, is_plain, variable_units
 from nsde_torch.learning.identify.identify import Regression
 
@@ -29,6 +37,11 @@ _ONE_RUN, _RUNS, _HOLDS = 0.8, 3, 0.5
 _SINE, _SINE_ANGLE, _SINE_LEAST = 2.0, 1.1, 30.0
 _WHOLE = 0.1
 _PARTS = 3
+_ENDS = {
+    OVER_TIME: "otherwise early in a run than late: something drifts",
+    BY_RUN: "otherwise in one run than in another: something differs between runs",
+    BEFORE: "as it was a moment before: something has a memory",
+}
 
 
 @dataclass(frozen=True)
@@ -115,6 +128,12 @@ def shape(
         period = period_of(regression, channel, name, variables) if run is None else None
     else:
         name = product_of(regression, channel, name, variables)
+    for end, said in _ENDS.items():
+        if name.endswith(end):
+            note = said
+            name = name.removesuffix(end)
+            said = f"The rate of {dependence.channel} depends on {name} {note}."
+            return Shape(dependence.channel, dependence.variable, "", "", None, None, None, said, note)
     only = run
     if (
         dependence.variable not in variables.columns or period is not None

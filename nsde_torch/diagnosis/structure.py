@@ -3,13 +3,15 @@
 For a channel with whitened residual w and a group of functions Z of one variable (cut free of what the parameters
 can do), the scores s_b = Z_b' w_b of B blocks of time have mean 0 if nothing is missing (`chances`). The functions
 are taken at states foreseen from earlier steps, so that gusts and sensor noise are not in them. Each variable is
-tested in all runs and in the one run that stands out (`one_run`).
+tested in all runs and in the one run that stands out (`one_run`), and times the time in the run and each run, as
+where a parameter drifts or differs between runs; inputs are tested as they were before, as where they act with a
+memory.
 
 What is strong hides twice: the law of the noise has learned it, and it scatters over blocks itself. Where a law without
 it is much likelier (`laws`), it is tested under that law too, with the scatter from leaving blocks out.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -35,6 +37,11 @@ _MIXED = ("collective", "roll_command", "pitch_command", "yaw_command")
 _WAVES = 6
 _BUMPS_S = (0.25, 1.0)
 _FEWEST_MOMENTS = 20
+_MOST_RUNS = 12
+_FAR = 4.0  # standard deviations
+_BEFORE_BOXES = (1, 2, 4, 8)
+OVER_TIME, BY_RUN, BEFORE = " over time", " by run", " before"
+"""Ends of the names of groups: a variable times time or run, and an input as it was before."""
 SMOOTH = 6
 """How many of `functions_of` are smooth over the whole range, ahead of the hats."""
 
@@ -133,7 +140,8 @@ class Regressors:
     Args:
         columns: Variables by name (M,).
         t: Time in the run (M,) [s].
-        functions: By variable, products and `time` and `run` too: functions (M, q), and which of them are odd (q,).
+        functions: By variable; products, drifts, differences between runs, inputs before, `time` and `run` too:
+            functions (M, q), and which of them are odd (q,).
         inputs: Whether the inputs are what acted.
     """
 
@@ -172,16 +180,38 @@ def _groups(
         others = [np.clip(scaled[first] * scaled[second], -6, 6) for second in names[i + 1 :]]
         if others:
             yield f"{first} times others", np.stack(others, 1), np.zeros(len(others), dtype=bool)
-    owners = regression.owners
+    owners, runs = regression.owners, np.unique(regression.owners)
     phase = np.empty(len(t))
-    for run in np.unique(owners):
+    for run in runs:
         own = owners == run
         phase[own] = (t[own] - t[own].min()) / max(float(np.ptp(t[own])), 1e-9)
+    for name, v in scaled.items():
+        s = np.clip(v, -_FAR, _FAR)
+        yield _named(name + OVER_TIME, [s * (2.0 * phase - 1.0), s * (2.0 * phase - 1.0) ** 2])
+        if 1 < len(runs) <= _MOST_RUNS:
+            yield _named(name + BY_RUN, [s * (owners == run) for run in runs])
+    for name in _inputs_of(regression, columns):
+        yield _named(name + BEFORE, [_before(columns[name], regression.series, k) for k in _BEFORE_BOXES])
     waves = [phase - 0.5, *(np.cos(np.pi * k * phase) for k in range(1, _WAVES + 1))]
-    yield "time", np.stack(waves, 1), np.zeros(len(waves), dtype=bool)
-    runs = np.unique(owners)
-    if 1 < len(runs) <= 12:
-        yield "run", np.stack([(owners == run) * 1.0 for run in runs], 1), np.zeros(len(runs), dtype=bool)
+    yield _named("time", waves)
+    if 1 < len(runs) <= _MOST_RUNS:
+        yield _named("run", [(owners == run) * 1.0 for run in runs])
+
+
+def _named(name: str, functions: Sequence[Array]) -> tuple[str, Array, NDArray[np.bool_]]:
+    return name, np.stack(functions, 1), np.zeros(len(functions), dtype=bool)
+
+
+def _inputs_of(regression: Regression, columns: Mapping[str, Array]) -> list[str]:
+    return [n for n in (*_MIXED, *regression.vector.system.input_names) if n in columns]
+
+
+def _before(v: Array, series: Series, boxes: int) -> Array:
+    """A variable (M,) as it was so many boxes before, in the same stretch."""
+    out = v.copy()
+    for a, b in series.edges:
+        out[a:b] = v[np.maximum(np.arange(a, b) - boxes, a)]
+    return out
 
 
 def dependences(regression: Regression, variables: Regressors) -> list[Dependence]:

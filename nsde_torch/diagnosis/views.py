@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from nsde_torch.diagnosis.structure import Regressors
+from nsde_torch.diagnosis.structure import BEFORE, BY_RUN, OVER_TIME, Regressors
 from nsde_torch.learning.identify.explained import bump, per_second, smooth_rate
 from nsde_torch.learning.identify.identify import Regression
 from nsde_torch.systems import System
@@ -110,8 +110,8 @@ def variable_units(system: System) -> dict[str, str]:
 
 
 def is_plain(variable: str) -> bool:
-    """Whether a variable can be an axis: neither a product with others nor the number of a run."""
-    return not variable.endswith(_OTHERS) and variable != "run"
+    """Whether a variable can be an axis: no product, and not the number of a run."""
+    return not variable.endswith((_OTHERS, OVER_TIME, BY_RUN, BEFORE)) and variable != "run"
 
 
 def factors(variable: str) -> str | None:

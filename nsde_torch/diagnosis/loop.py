@@ -135,9 +135,9 @@ def loop(search: Search, system: System, *, max_effects: int) -> Outcome:
         short = search.fraction(now.trials)
         if short is not None:
             aside.append(short.name)
-            base = search.base(fitted_system(short.regression), warm=True)
+            base = search.grown(short)
             with_it = declared.system.with_effects(effect_of(base.system, short.name))
-            declared = search.base(with_it, warm=True) if names else base
+            declared = search.base(with_it, warm=True, like=declared.regression) if names else base
             continue
         chosen = choice(search, now.trials, names)
         if chosen is not None and chosen.name not in lent:
@@ -153,7 +153,7 @@ def loop(search: Search, system: System, *, max_effects: int) -> Outcome:
         replaced = effect_class(now.chosen.name).includes
         names = [*(n for n in names if n not in replaced), now.chosen.name]
         search.held |= set(now.chosen.held)
-        base = search.base(fitted_system(now.chosen.regression), warm=True)
+        base = search.grown(now.chosen)
     found, base = _settle(search, declared, base, names, rounds)
     declared_variables = regressors(declared.regression, inputs=search.inputs)
     before = dependences(declared.regression, declared_variables)
@@ -239,7 +239,8 @@ def _settle(
     i = 0
     while i < len(names):
         name = names[i]
-        without = search.base(_without(fitted_system(base.regression), declared.system, name), warm=True)
+        rest = _without(fitted_system(base.regression), declared.system, name)
+        without = search.base(rest, warm=True, like=base.regression)
         contained = effect_class(name).includes
         now = search.look(without, only={name, *contained, *_rivals(search, name, rounds)})
         own = next((t for t in now.trials if t.name == name), None)
@@ -250,7 +251,7 @@ def _settle(
         best = next(t for t in now.trials if search.accept(t))
         if best.name != name and (best.name in contained or surely_above(best, own)):
             names[i] = best.name
-            base, found, i = search.base(fitted_system(best.regression), warm=True), [], 0
+            base, found, i = search.grown(best), [], 0
             if names.count(best.name) > 1 or len(rounds) > 12:
                 break
             rounds.append(now)

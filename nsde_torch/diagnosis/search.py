@@ -213,17 +213,28 @@ class Search:
         self.held: set[str] = set()
         self.feedback, self.inputs = feedback, inputs
 
-    def base(self, system: System, *, warm: bool = False) -> Base:
+    def base(self, system: System, *, warm: bool = False, like: Regression | None = None) -> Base:
         """The regression of a system, with noise laws of its own.
 
         Args:
             system: Physics.
             warm: Whether its values are near their optimum.
+            like: A regression of physics close to it, whose laws may be better than those that are found from nothing.
         """
         regression = self.quick(system, warm=warm)
         fold, block = folds(regression), regression.whitened_rows(regression.blocks)
         regression, own = self._best_noise(regression, system, fold, block, self.held)
+        if like is not None:
+            other = self._regression(system, like)
+            other.run(_REFINE)
+            other, this = self._best_noise(other, system, fold, block, self.held)
+            if this.fitted > own.fitted:
+                regression, own = other, this
         return Base(system, regression, own, fold, block)
+
+    def grown(self, trial: Trial) -> Base:
+        """The physics with a candidate that was fitted."""
+        return self.base(fitted_system(trial.regression), warm=True, like=trial.regression)
 
     def quick(self, system: System, *, warm: bool = False) -> Regression:
         """The regression of a system alone, without what candidates are compared by."""
@@ -345,7 +356,8 @@ class Search:
         )
         lent = {k: v for k, v in _values(other).items() if k in type(own).shapes}
         start = {**_values(own), **lent}
-        return self.base(self._joined(system.without_effects(name), name, start), warm=True)
+        joined = self._joined(system.without_effects(name), name, start)
+        return self.base(joined, warm=True, like=base.regression)
 
     def shared(self, without: Base, own: Trial, name: str, *, among: int) -> Trial | None:
         """Another effect that takes over a part of one that was found, beside the rest of it; None where it does not.

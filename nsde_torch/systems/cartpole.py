@@ -7,8 +7,9 @@ With M the total and m the pole's mass (Barto, Sutton, Anderson 1983, as in the 
     x''     = a - m l theta'' cos theta / M
 
 Only 1/M, m/M and l can be told from motion; these are the parameters. Forces on the port `force` add to a
-[m/s2], on `torque` to theta'' [rad/s2], on `world_force` (what pulls cart and pole alike, so that the pole does not
-turn) to x'' [m/s2]; what adds to `angle` is the angle at which all this is meant [rad].
+[m/s2]; on `torque`, a torque about the pivot over the pole's inertia about it, 4/3 m l^2, to g sin theta / (4/3 l)
+[rad/s2], so that a cart that is free to move gives way to it; on `world_force` (what pulls cart and pole alike, so that
+the pole does not turn) to x'' [m/s2]; what adds to `angle` is the angle at which all this is meant [rad].
 """
 
 from collections.abc import Mapping
@@ -63,9 +64,10 @@ class Cartpole(System):
         a = self.value("force_gain") * u + share * length * theta_dot * theta_dot * sin
         if Port.FORCE in forces:
             a = a + forces[Port.FORCE]
-        theta_acc = (GRAVITY * sin - cos * a) / (length * (4.0 / 3.0 - share * cos * cos))
+        turning = (GRAVITY * sin - cos * a) / length
         if Port.TORQUE in forces:
-            theta_acc = theta_acc + forces[Port.TORQUE]
+            turning = turning + 4.0 / 3.0 * forces[Port.TORQUE]
+        theta_acc = turning / (4.0 / 3.0 - share * cos * cos)
         x_acc = a - share * length * theta_acc * cos
         if Port.WORLD_FORCE in forces:
             x_acc = x_acc + forces[Port.WORLD_FORCE]

@@ -508,6 +508,11 @@ def diagnose(
         seed=options.seed,
     )
     seconds["errors"] = now() - started - sum(seconds.values())
+    if errors.worse:
+        reason = (
+            f"predictions of the {' and '.join(errors.worse)} on runs left out are worse with what was found"
+        )
+        outcome.found = [replace(f, lead=f.lead or reason) for f in outcome.found]
     residuals = channel_residuals(outcome.declared.regression, outcome.final.regression)
     regression, left = outcome.final.regression, outcome.structured
     seen, names = rates(regression, outcome.variables), tuple(run.name for run in runs)

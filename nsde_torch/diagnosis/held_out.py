@@ -45,6 +45,16 @@ class HeldOut:
     whole_runs: bool
     runs: tuple[str, ...]
 
+    @property
+    def worse(self) -> list[str]:
+        """Quantities that are surely predicted worse, at more than half of the horizons, with the effects."""
+        low = self.content.get("difference", {}).get("low_90", {})
+        return [
+            name
+            for name, of_horizon in low.items()
+            if 2 * sum(v is not None and v > 0 for v in of_horizon.values()) > len(of_horizon)
+        ]
+
 
 def split(runs: Sequence[Run]) -> list[tuple[list[Run], list[Run]]]:
     """Training and test runs of each fold."""

@@ -264,6 +264,14 @@ def _span(rates: Sequence[Array], dt: float) -> int:
     return n
 
 
+def sensors(system: SystemInfo) -> list[tuple[str, str]]:
+    """Channels that one sensor brings: a position and its rate, an attitude and body rates, by their common names."""
+    attitude = system.quaternion is not None and rate_columns(system) is not None
+    return [
+        _labels(system, group) for group in (*derivative_columns(system), *(["attitude"] if attitude else []))
+    ]
+
+
 def _labels(system: SystemInfo, group: str) -> tuple[str, str]:
     """Common names of the positions of a group, and of their rates."""
     names = system.state_names

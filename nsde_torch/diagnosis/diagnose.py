@@ -21,7 +21,7 @@ from nsde_torch.diagnosis.held_out import HeldOut, held_out
 from nsde_torch.diagnosis.in_run import InRun, in_run, odd_run
 from nsde_torch.diagnosis.loop import Estimate, Outcome, estimates, loop
 from nsde_torch.diagnosis.not_shown import not_shown
-from nsde_torch.diagnosis.recording import Fault, Recorded, undo
+from nsde_torch.diagnosis.recording import Fault, Recorded, late_sensor, undo
 from nsde_torch.diagnosis.search import Search, effect_of
 from nsde_torch.diagnosis.shape import Shape, called, shape, symmetry
 from nsde_torch.diagnosis.structure import Dependence
@@ -486,11 +486,22 @@ def diagnose(
                 f"{', '.join(effect_class(name).exogenous) or 'no channel'}."
             )
 
-    search = search_in(
-        system, extended, recorded.clock, options, inputs=not recorded.inputs_restored, say=say
-    )
+    def looking(some: Sequence[Run]) -> Search:
+        moved = bool(recorded.delays or recorded.lags)
+        return search_in(
+            system, some, recorded.clock, options, inputs=not recorded.inputs_restored, moved=moved, say=say
+        )
+
+    search = looking(extended)
     seconds["recording"] = now() - started
     outcome = loop(search, system, max_effects=options.max_effects)
+    if outcome.structured:
+        say("checking the recording chain", 0, 1)
+        moved = _moved(outcome, replace(recorded, runs=tuple(extended)), system, looking)
+        if moved is not None:
+            recorded, extended = moved, list(moved.runs)
+            search = looking(extended)
+            outcome = loop(search, system, max_effects=options.max_effects)
     seconds["search"] = now() - started - seconds["recording"]
 
     def again(some: Sequence[Run]) -> Search:
@@ -541,6 +552,22 @@ def diagnose(
     )
 
 
+def _moved(
+    outcome: Outcome, recorded: Recorded, system: System, looking: Callable[[Sequence[Run]], Search]
+) -> Recorded | None:
+    """The recording chain with a sensor that is late as a whole, where that explains more than effects do."""
+
+    def misfit(some: Sequence[Run]) -> float:
+        return sum(log(law.std) for law in looking(some).quick(system).noises)
+
+    final = outcome.final.regression
+    other = min(
+        sum(log(law.std) for law in laws)
+        for laws in (final.noises, looking(recorded.runs).quick(system).noises)
+    )
+    return late_sensor(recorded, system, misfit, rows=len(final.series), other=other)
+
+
 def undone(data: DataSet, runs: Sequence[Run], system: System, options: Options) -> Recorded:
     """The recording chain undone, with the declared physics as its judge where kinematics cannot tell."""
 
@@ -557,6 +584,7 @@ def search_in(
     options: Options,
     *,
     inputs: bool = True,
+    moved: bool = False,
     say: Callable[[str, int, int], None] = lambda stage, done, total: None,
 ) -> Search:
     """A search in runs whose recording chain was undone.
@@ -567,6 +595,7 @@ def search_in(
         clock: Physical seconds per logged second.
         options: Settings.
         inputs: Whether the inputs are what acted (see `Search`).
+        moved: Whether channels that were late have been moved.
         say: Told stage, number done and number in all.
     """
     box = max(1, int(_BOX_S / (runs[0].dt * clock) + 1e-6))
@@ -588,6 +617,7 @@ def search_in(
         else (*options.candidates, *map(register, options.also)),
         feedback=not system.sensor_noise,
         inputs=inputs,
+        moved=moved,
         say=say,
     )
 

@@ -155,9 +155,11 @@ def loop(search: Search, system: System, *, max_effects: int) -> Outcome:
         search.held |= set(now.chosen.held)
         base = search.grown(now.chosen)
     found, base = _settle(search, declared, base, names, rounds)
-    declared_variables = regressors(declared.regression, inputs=search.inputs)
+    declared_variables = regressors(declared.regression, inputs=search.inputs, moved=search.moved)
     before = dependences(declared.regression, declared_variables)
-    variables = regressors(base.regression, inputs=search.inputs) if found else declared_variables
+    variables = (
+        regressors(base.regression, inputs=search.inputs, moved=search.moved) if found else declared_variables
+    )
     after = dependences(base.regression, variables) if found else before
     left = _beyond_chance(search, after)
     explained = 2.0 * (base.score.fitted - declared.score.fitted)

@@ -4,6 +4,7 @@ clock_scale       p and q move as far as v and omega say only if a logged second
 input_smoothing   a moving average of width w leaves nulls at k / w in the spectrum of the inputs (data.smoothing)
 sensor_delay,     a position is late against the integral of its rate, or the rate against it (data.lateness), by a time
 sensor_lag        or by a filter of first order
+                  (one whose position and rate are late alike shows in physics alone)
 sensor_bias       p(t + T) - p(t) - integral of v dt = -b T on average, for a rate that reads b too much
 
 Inputs that were averaged over w = n h are restored by regularised least squares: with A the average and D second
@@ -20,12 +21,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
+from scipy.optimize import minimize_scalar
 from scipy.sparse.linalg import splu
 from scipy.special import stdtr, stdtrit
 
 from nsde_torch.data import DataSet, Run
 from nsde_torch.data.kinematics import pool
-from nsde_torch.data.lateness import Late, lateness, on_time, surely_late
+from nsde_torch.data.lateness import Late, lateness, on_time, sensors, surely_late
 from nsde_torch.data.quaternion import increments
 from nsde_torch.data.smoothing import smoothing_width
 from nsde_torch.data.system_info import derivative_columns, rate_columns
@@ -39,7 +41,11 @@ _FOLDS = 10  # of the jackknife in data.kinematics
 _BEND = 3e-3  # c: what the log of a command rounds off
 _LEVEL = 0.9
 _LEAST_STEPS = 0.2  # a delay that is of consequence
-_NATS = 3.0
+_NATS, _SURELY = (
+    3.0,
+    20.0,
+)  # by which a log is likelier with a fault undone; and where nothing else tells of it
+_LATEST_S, _Z90 = 0.5, 1.645
 _LEAST_SHARE = 0.02  # of the rate's own rms: a bias below that is of no consequence
 
 
@@ -170,6 +176,58 @@ def undo(
 def _on_time(runs: Sequence[Run], system: System, late: Sequence[Late]) -> list[Run]:
     delays, filters = ({d.channel: d.seconds for d in late if d.filtered == f} for f in (False, True))
     return [on_time(run, system, delays, filters) if late else run for run in runs]
+
+
+def late_sensor(
+    found: Recorded, system: System, misfit: Callable[[Sequence[Run]], float], *, rows: int, other: float
+) -> Recorded | None:
+    """What the log is with one sensor moved, position and rate alike, against all else; None where that is no better.
+
+    Kinematics do not show it, and effects that stand for it pay for one channel with another. So it is asked for where
+    effects leave structure, and has to do better than they.
+
+    Args:
+        found: The recording chain, undone as far as it is known.
+        system: The machine.
+        misfit: Negative log likelihood per row [nats] of the declared physics in runs.
+        rows: Number of rows.
+        other: The misfit of physics with effects.
+    """
+    pairs, step = sensors(system), found.runs[0].dt
+    best: tuple[float, float, tuple[str, str]] | None = None
+    for pair in pairs if len(pairs) > 1 else []:
+
+        def of(steps: float, pair: tuple[str, str] = pair) -> float:
+            return misfit([on_time(run, system, dict.fromkeys(pair, steps * step)) for run in found.runs])
+
+        longest = min(_LATEST_S / step, 0.1 * min(b - a for run in found.runs for a, b in run.segments))
+        at, here = 1.0, of(1.0)
+        while 2.0 * at <= longest and (there := of(2.0 * at)) < here:
+            at, here = 2.0 * at, there
+        if here < other - _NATS / rows and (best is None or here < best[0]):
+            nearer = minimize_scalar(
+                of, bounds=(0.5 * at, 2.0 * at), method="bounded", options={"maxiter": 8}
+            )
+            best = min((here, at, pair), (float(nearer.fun), float(nearer.x), pair))
+    if best is None or best[0] > other - _SURELY / rows:
+        return None
+    here, at, pair = best
+    late = dict.fromkeys(pair, at * step)
+    runs = tuple(on_time(run, system, late) for run in found.runs)
+    bend = (
+        misfit([on_time(run, system, late | dict.fromkeys(pair, 1.5 * at * step)) for run in found.runs])
+        - here
+    )
+    half = _Z90 * 0.5 * at * step / max(2.0 * rows * bend, 1e-12) ** 0.5
+    values = {}
+    for channel in pair:
+        whole = at * step + found.delays.get(channel, 0.0)
+        values[channel] = (whole, whole - half, whole + half, "s")
+    told = (
+        f"{' and '.join(pair)} are logged {1e3 * at * step:.3g} ms later than all else: the declared physics fits "
+        "better so than with any effects."
+    )
+    return replace(found, runs=runs, faults=(*found.faults, Fault("sensor_delay", values, None, told)))
 
 
 def _smoothing(width: float, dt: float) -> Fault:

@@ -194,6 +194,7 @@ class Search:
         candidates: Names to choose from; None takes all that the system may have.
         feedback: Take out what kinematic residuals foretell, where inputs react to sensors (`identify.feedback`).
         inputs: Whether the inputs are what acted, and not restored from an average.
+        moved: Whether channels that were late have been moved.
         say: Told what is going on: stage, number done, number in all.
     """
 
@@ -206,12 +207,13 @@ class Search:
         candidates: Sequence[str] | None = None,
         feedback: bool = False,
         inputs: bool = True,
+        moved: bool = False,
         say: Callable[[str, int, int], None] = lambda stage, done, total: None,
     ) -> None:
         self.steps, self.box, self.alpha = steps, box, alpha
         self.candidates, self.say = candidates, say
         self.held: set[str] = set()
-        self.feedback, self.inputs = feedback, inputs
+        self.feedback, self.inputs, self.moved = feedback, inputs, moved
 
     def base(self, system: System, *, warm: bool = False, like: Regression | None = None) -> Base:
         """The regression of a system, with noise laws of its own.

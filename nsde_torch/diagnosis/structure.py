@@ -155,21 +155,24 @@ class Regressors:
         return self.t if variable == "time" else self.columns[variable]
 
 
-def regressors(regression: Regression, *, inputs: bool = True) -> Regressors:
+def regressors(regression: Regression, *, inputs: bool = True, moved: bool = False) -> Regressors:
     """Everything that the residuals of a regression may depend on.
 
     Args:
         regression: At its optimum.
         inputs: Whether the inputs are what acted. Those that were restored from an average err, and what a residual
             holds of such an error depends on them.
+        moved: Whether channels were moved to where they belong. Between rows, they bend where inputs change, and what
+            moves them does not know.
     """
     columns, t = _columns(regression, inputs=inputs)
-    functions = {name: (z, odd) for name, z, odd in _groups(regression, columns, t)}
+    before = _BEFORE_BOXES[1:] if moved else _BEFORE_BOXES
+    functions = {name: (z, odd) for name, z, odd in _groups(regression, columns, t, before)}
     return Regressors(columns, t, functions, inputs)
 
 
 def _groups(
-    regression: Regression, columns: dict[str, Array], t: Array
+    regression: Regression, columns: dict[str, Array], t: Array, before: Sequence[int]
 ) -> Iterator[tuple[str, Array, NDArray[np.bool_]]]:
     for name, v in columns.items():
         functions, odd = functions_of(v)
@@ -191,7 +194,7 @@ def _groups(
         if 1 < len(runs) <= _MOST_RUNS:
             yield _named(name + BY_RUN, [s * (owners == run) for run in runs])
     for name in _inputs_of(regression, columns):
-        yield _named(name + BEFORE, [_before(columns[name], regression.series, k) for k in _BEFORE_BOXES])
+        yield _named(name + BEFORE, [_before(columns[name], regression.series, k) for k in before])
     waves = [phase - 0.5, *(np.cos(np.pi * k * phase) for k in range(1, _WAVES + 1))]
     yield _named("time", waves)
     if 1 < len(runs) <= _MOST_RUNS:

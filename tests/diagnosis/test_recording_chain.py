@@ -45,6 +45,16 @@ def test_a_filtered_sensor_is_told_from_a_delayed_one() -> None:
     assert content["parameters"]["sensor_lag.theta_dot"]["value"] == pytest.approx(0.05, rel=0.05)
 
 
+def test_a_camera_whose_angle_and_rate_are_late_alike_is_found_where_effects_leave_structure() -> None:
+    chain = Recording(sensor_delay={"theta": 0.04, "theta_dot": 0.04})
+    _, content = diagnosed("cartpole", recording=chain)
+    assert content["added"] == ["sensor_delay"]
+    for channel in ("theta", "theta_dot"):
+        low, high = content["parameters"][f"sensor_delay.{channel}"]["interval_90"]
+        assert low - 0.002 < 0.04 < high + 0.002
+    assert content["unexplained"] == []
+
+
 def test_less_than_a_step_is_undone_where_physics_is_better_for_it_and_is_no_finding() -> None:
     there, content = diagnosed("cartpole", recording=Recording(sensor_delay={"theta_dot": 0.009}))
     assert (content["verdict"], content["added"]) == ("no_effect", [])

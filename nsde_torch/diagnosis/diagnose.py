@@ -11,6 +11,7 @@ from time import perf_counter as now
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from nsde_torch.data import DataSet, Run
 from nsde_torch.diagnosis.candidates import candidate_names
@@ -34,9 +35,12 @@ from nsde_torch.models.identified import SysidSpec
 from nsde_torch.systems import System
 from nsde_torch.systems.parameters import own_name
 
+Array = NDArray[np.float64]
+
 _BOX_S = 0.01
 _SHAPES = 6  # dependences that are described in words
 
+_LITTLE = 0.1
 _SHORT = "shorter than a step of the log: taken into account, and not named"
 
 _REREAD = "this is the likely cause: write the columns like that, and diagnose again"
@@ -499,9 +503,10 @@ def diagnose(
         say("checking the recording chain", 0, 1)
         moved = _moved(outcome, replace(recorded, runs=tuple(extended)), system, looking)
         if moved is not None:
-            recorded, extended = moved, list(moved.runs)
-            search = looking(extended)
-            outcome = loop(search, system, max_effects=options.max_effects)
+            again_in = looking(moved.runs)
+            other = loop(again_in, system, max_effects=options.max_effects)
+            if _structure(other) < _LITTLE * _structure(outcome):  # else something else looks like it
+                recorded, extended, search, outcome = moved, list(moved.runs), again_in, other
     seconds["search"] = now() - started - seconds["recording"]
 
     def again(some: Sequence[Run]) -> Search:
@@ -552,20 +557,22 @@ def diagnose(
     )
 
 
+def _structure(outcome: Outcome) -> float:
+    """Twice the log likelihood that what is left over would bring."""
+    return sum(max(d.gain - d.functions, 0.0) for d in outcome.structured)
+
+
 def _moved(
     outcome: Outcome, recorded: Recorded, system: System, looking: Callable[[Sequence[Run]], Search]
 ) -> Recorded | None:
     """The recording chain with a sensor that is late as a whole, where that explains more than effects do."""
 
-    def misfit(some: Sequence[Run]) -> float:
-        return sum(log(law.std) for law in looking(some).quick(system).noises)
+    def misfits(some: Sequence[Run]) -> Array:
+        return np.log([law.std for law in looking(some).quick(system).noises])
 
     final = outcome.final.regression
-    other = min(
-        sum(log(law.std) for law in laws)
-        for laws in (final.noises, looking(recorded.runs).quick(system).noises)
-    )
-    return late_sensor(recorded, system, misfit, rows=len(final.series), other=other)
+    other = min(sum(log(law.std) for law in final.noises), float(misfits(recorded.runs).sum()))
+    return late_sensor(recorded, system, misfits, rows=len(final.series), other=other)
 
 
 def undone(data: DataSet, runs: Sequence[Run], system: System, options: Options) -> Recorded:

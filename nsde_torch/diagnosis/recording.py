@@ -179,21 +179,26 @@ def _on_time(runs: Sequence[Run], system: System, late: Sequence[Late]) -> list[
 
 
 def late_sensor(
-    found: Recorded, system: System, misfit: Callable[[Sequence[Run]], float], *, rows: int, other: float
+    found: Recorded, system: System, misfits: Callable[[Sequence[Run]], Array], *, rows: int, other: float
 ) -> Recorded | None:
     """What the log is with one sensor moved, position and rate alike, against all else; None where that is no better.
 
     Kinematics do not show it, and effects that stand for it pay for one channel with another. So it is asked for where
-    effects leave structure, and has to do better than they.
+    effects leave structure, has to do better than they, and no channel may pay for it: attitude and rates moved by the
+    time that motors lag behind would otherwise stand for them.
 
     Args:
         found: The recording chain, undone as far as it is known.
         system: The machine.
-        misfit: Negative log likelihood per row [nats] of the declared physics in runs.
+        misfits: Negative log likelihood per row [nats] of the declared physics in runs, by channel.
         rows: Number of rows.
         other: The misfit of physics with effects.
     """
     pairs, step = sensors(system), found.runs[0].dt
+
+    def misfit(runs: Sequence[Run]) -> float:
+        return float(misfits(runs).sum())
+
     best: tuple[float, float, tuple[str, str]] | None = None
     for pair in pairs if len(pairs) > 1 else []:
 
@@ -214,6 +219,8 @@ def late_sensor(
     here, at, pair = best
     late = dict.fromkeys(pair, at * step)
     runs = tuple(on_time(run, system, late) for run in found.runs)
+    if (misfits(runs) > misfits(found.runs) + _NATS / rows).any():
+        return None
     bend = (
         misfit([on_time(run, system, late | dict.fromkeys(pair, 1.5 * at * step)) for run in found.runs])
         - here

@@ -37,6 +37,7 @@ _ONE_RUN, _RUNS, _HOLDS = 0.8, 3, 0.5
 _SINE, _SINE_ANGLE, _SINE_LEAST = 2.0, 1.1, 30.0
 _WHOLE = 0.1
 _PARTS = 3
+_SAME_PHASE = 0.8
 _ENDS = {
     OVER_TIME: "otherwise early in a run than late: something drifts",
     BY_RUN: "otherwise in one run than in another: something differs between runs",
@@ -109,7 +110,7 @@ def shape(
         most = max(of_runs, key=lambda run: of_runs[run])
         alone = len(of_runs) >= _RUNS and of_runs[most] > _ONE_RUN * sum(of_runs.values())
         note = f"in a swing of {frequency:.4g} Hz" + (
-            f", in {called(runs[most])} only" if alone else " whose phase differs from run to run"
+            f", in {called(runs[most])} only" if alone else _of_phase(regression, channel, frequency)
         )
         said = f"The rate of {dependence.channel} departs {note}."
         only_run = most if alone else None
@@ -176,6 +177,25 @@ def _swings(regression: Regression, channel: int, frequency: float) -> dict[int,
     for k, run in enumerate(regression.physics.steps.runs):
         out[int(run)] = out.get(int(run), 0.0) + gain(waves[:, 2 * k : 2 * k + 2], left)
     return out
+
+
+def _of_phase(regression: Regression, channel: int, frequency: float) -> str:
+    """Whether a swing has the same phase in all stretches, by the clock of the log; of what it is a harmonic."""
+    left, waves = regression.residual[:, regression.rows[channel]], waves_of(regression, frequency)
+    turns, steps = 2.0 * np.pi * frequency, regression.physics.steps
+    found = []
+    for k, (a, b) in enumerate(regression.series.edges):
+        sine, cosine = np.linalg.lstsq(waves[a:b, 2 * k : 2 * k + 2], left[a:b], rcond=1e-9)[0]
+        start = float(steps.t[min(a * regression.box, len(steps) - 1)])
+        found.append((b - a) * (cosine - 1j * sine) * np.exp(1j * turns * (a * regression.dt - start)))
+    if len(found) > 1 and abs(sum(found)) < _SAME_PHASE * sum(abs(z) for z in found):
+        return " whose phase differs from run to run"
+    known = dict(zip(regression.vector.labels, regression.theta.tolist(), strict=True))
+    times = frequency / known.get("periodic_force.frequency", np.inf)
+    whole = round(times)
+    return (
+        f", {whole} times the one that is known" if whole > 1 and abs(times - whole) < _WHOLE * times else ""
+    )
 
 
 def _extent(

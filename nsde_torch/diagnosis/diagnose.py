@@ -505,7 +505,8 @@ def diagnose(
         if moved is not None:
             again_in = looking(moved.runs)
             other = loop(again_in, system, max_effects=options.max_effects)
-            if _structure(other) < _LITTLE * _structure(outcome):  # else something else looks like it
+            # else something else looks like it: an input of the other sign, say
+            if _structure(other) < _LITTLE * _structure(outcome) and not _collapsed(other):
                 recorded, extended, search, outcome = moved, list(moved.runs), again_in, other
     seconds["search"] = now() - started - seconds["recording"]
 
@@ -560,6 +561,13 @@ def diagnose(
 def _structure(outcome: Outcome) -> float:
     """Twice the log likelihood that what is left over would bring."""
     return sum(max(d.gain - d.functions, 0.0) for d in outcome.structured)
+
+
+def _collapsed(outcome: Outcome) -> bool:
+    """Whether a declared parameter stands at a bound."""
+    r = outcome.declared.regression
+    margin = 2e-6 * r.vector.scale
+    return bool(((r.theta <= r.vector.low + margin) | (r.theta >= r.vector.high - margin)).any())
 
 
 def _moved(

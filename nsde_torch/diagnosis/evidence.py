@@ -24,7 +24,8 @@ Array = NDArray[np.float64]
 Labels = NDArray[np.int64]
 Flags = NDArray[np.bool_]
 
-_ONE_RUN_FOLDS = 5
+_FEWEST_RUNS = 3  # of which one can be left out
+_STRETCHES = 5
 _MOST_FOLDS = 10
 
 
@@ -44,14 +45,19 @@ class Score:
 
 
 def folds(regression: Regression) -> Labels:
-    """Fold of each whitened row: whole runs, at most ten groups of them; of a single run, five stretches of time."""
+    """Fold of each whitened row: whole runs, at most ten groups of them; of one run or two, five stretches of each.
+
+    One run alone does not say what lasts from run to run: what falls with time over two would have to be foretold.
+    """
     _, number = np.unique(regression.owners, return_inverse=True)
     count = int(number.max()) + 1
-    if count > 1:
-        rows = number * min(count, _MOST_FOLDS) // count
-    else:
-        rows = np.arange(len(number)) * _ONE_RUN_FOLDS // len(number)
-    return regression.whitened_rows(rows.astype(np.int64))
+    if count >= _FEWEST_RUNS:
+        return regression.whitened_rows((number * min(count, _MOST_FOLDS) // count).astype(np.int64))
+    rows = np.zeros(len(number), dtype=np.int64)
+    for run in range(count):
+        own = np.flatnonzero(number == run)
+        rows[own] = _STRETCHES * run + np.arange(len(own)) * _STRETCHES // len(own)
+    return regression.whitened_rows(rows)
 
 
 def score(regression: Regression, fold: Labels, block: Labels, *, still: Flags) -> Score:

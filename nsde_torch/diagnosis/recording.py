@@ -45,7 +45,7 @@ _NATS, _SURELY = (
     3.0,
     20.0,
 )  # by which a log is likelier with a fault undone; and where nothing else tells of it
-_LATEST_S, _Z90 = 0.5, 1.645
+_LATEST_S, _Z90 = 0.2, 1.645
 _LEAST_SHARE = 0.02  # of the rate's own rms: a bias below that is of no consequence
 
 

@@ -42,7 +42,7 @@ _FAR = 4.0  # standard deviations
 _BEFORE_BOXES = (1, 2, 4, 8)
 OVER_TIME, BY_RUN, BEFORE = " over time", " by run", " before"
 """Ends of the names of groups: a variable times time or run, and an input as it was before."""
-SMOOTH = 6
+SMOOTH = 7
 """How many of `functions_of` are smooth over the whole range, ahead of the hats."""
 
 
@@ -122,8 +122,8 @@ def functions_of(v: Array) -> tuple[Array, NDArray[np.bool_]]:
     s = np.clip(about_zero, -3, 3)
     edges = np.quantile(v, np.linspace(0.02, 0.98, _HATS))
     edges = np.unique(edges)
-    columns = [s, s**3, np.tanh(5 * s), s**2, np.abs(s), s**4]
-    odd = [True, True, True, False, False, False]
+    columns = [s, s**3, s**5, np.tanh(5 * s), s**2, np.abs(s), s**4]
+    odd = [True, True, True, True, False, False, False]
     if len(edges) > 3:
         width = np.diff(edges)
         for i in range(1, len(edges) - 1):

@@ -122,8 +122,8 @@ def functions_of(v: Array) -> tuple[Array, NDArray[np.bool_]]:
     s = np.clip(about_zero, -3, 3)
     edges = np.quantile(v, np.linspace(0.02, 0.98, _HATS))
     edges = np.unique(edges)
-    columns = [s, s**3, s**5, np.tanh(5 * s), s**2, np.abs(s), s**4]
-    odd = [True, True, True, True, False, False, False]
+    columns = [s, s**3, np.tanh(5 * s), s**2, np.abs(s), s**4, s**5]
+    odd = [True, True, True, False, False, False, True]
     if len(edges) > 3:
         width = np.diff(edges)
         for i in range(1, len(edges) - 1):

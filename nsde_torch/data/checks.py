@@ -27,7 +27,7 @@ from nsde_torch.data import (
 )
 from nsde_torch.data import clock as _clock
 from nsde_torch.data.findings import Finding
-from nsde_torch.data.lateness import lateness, on_time, surely_late
+from nsde_torch.data.lateness import by_kind, lateness, on_time, surely_late
 from nsde_torch.data.raw import RawRun
 from nsde_torch.data.run import DataSet, Run, fingerprint
 from nsde_torch.data.summary import summarise
@@ -161,25 +161,13 @@ def _split_at_jumps(
 
 def _report_late(system: SystemInfo, runs: Sequence[Run], clock: float, report: Report) -> None:
     late = surely_late(lateness(system, runs, clock=clock), runs[0].dt, chance=_LATE)
-    for key, filtered, how in (("sensor_delay", False, "late"), ("sensor_lag", True, "late behind a filter")):
-        some = {d.channel: d for d in late if d.filtered == filtered}
-        if some:
-            told = ", ".join(
-                f"{d.channel} is {1e3 * d.seconds:.3g} ms {how} against {d.other}" for d in some.values()
-            )
-            values = {name: d.seconds for name, d in some.items()}
-            remedy = ", ".join(f"{name}: {value:.3g}" for name, value in values.items())
-            message = f"{told}, by the kinematics; `data.{key}={{{remedy}}}` takes it out"
-            report(
-                Finding(
-                    "late_sensor",
-                    "",
-                    len(some),
-                    message,
-                    "reported",
-                    {f"{k}_s": v for k, v in values.items()},
-                )
-            )
+    for key, some in by_kind(late).items():
+        how = "late" if key == "sensor_delay" else "late behind a filter"
+        told = ", ".join(f"{d.channel} is {1e3 * d.seconds:.3g} ms {how} against {d.other}" for d in some)
+        remedy = ", ".join(f"{d.channel}: {d.seconds:.3g}" for d in some)
+        message = f"{told}, by the kinematics; `data.{key}={{{remedy}}}` takes it out"
+        values = {f"{d.channel}_s": d.seconds for d in some}
+        report(Finding("late_sensor", "", len(some), message, "reported", values))
 
 
 def assemble(

@@ -125,6 +125,15 @@ def surely_late(late: Sequence[Late], dt: float, *, chance: float) -> list[Late]
     return [d for d in late if d.p * len(late) < chance and d.low > _SURE_STEPS * dt]
 
 
+def by_kind(late: Sequence[Late]) -> dict[str, list[Late]]:
+    """Delays and filters, by the name of the fault and of the option that takes it out; only kinds that there are."""
+    kinds = {
+        "sensor_delay": [d for d in late if not d.filtered],
+        "sensor_lag": [d for d in late if d.filtered],
+    }
+    return {name: some for name, some in kinds.items() if some}
+
+
 def _finer(
     group: str, pieces: Sequence[tuple[Array, Array, Array]], dt: float, delay: _Fit
 ) -> tuple[_Fit, bool]:
@@ -172,8 +181,8 @@ def _late(
 
 def _rest(one: Array) -> float:
     """Square of what is left of a channel's changes."""
-    gap, change, _, moved = one
-    by = np.stack([change, moved, np.ones_like(gap)], 1)
+    gap, change, _, integral = one
+    by = np.stack([change, integral, np.ones_like(gap)], 1)
     size = np.sqrt(np.square(by).mean(0)) + 1e-300
     left = gap - (by / size) @ np.linalg.lstsq(by / size, gap, rcond=1e-10)[0]
     return float(left @ left) + 1e-300
@@ -206,7 +215,7 @@ def _intervals(pieces: Sequence[tuple[Array, Array, Array]], dt: float) -> Array
         if not len(starts):
             continue
         over = np.concatenate([np.zeros((1, rate.shape[1])), np.cumsum(change - integral, 0)])
-        moved = np.concatenate([np.zeros((1, rate.shape[1])), np.cumsum(integral, 0)])
+        foretold = np.concatenate([np.zeros((1, rate.shape[1])), np.cumsum(integral, 0)])
         slope = (change[1:] + change[:-1]) / (2.0 * dt)  # at rows 1, 2, ...
         ends = starts + n
         rows.append(
@@ -215,7 +224,7 @@ def _intervals(pieces: Sequence[tuple[Array, Array, Array]], dt: float) -> Array
                     over[ends] - over[starts],
                     rate[starts] - rate[ends],
                     slope[starts - 1] - slope[ends - 1],
-                    moved[ends] - moved[starts],
+                    foretold[ends] - foretold[starts],
                 ]
             )
         )
@@ -243,9 +252,9 @@ def _times(group: str, data: Array, dt: float) -> list[Slope]:
 
 
 def _time(one: Array) -> float:
-    gap, change, instrument, moved = one
+    gap, change, instrument, integral = one
     ones = np.ones_like(gap)
-    z, r = np.stack([instrument, moved, ones]), np.stack([change, moved, ones], 1)
+    z, r = np.stack([instrument, integral, ones]), np.stack([change, integral, ones], 1)
     scale = np.sqrt(np.square(r).mean(0)) + 1e-300
     value: float = np.linalg.lstsq(z @ (r / scale), z @ gap, rcond=1e-10)[0][0] / scale[0]
     return float(value)
@@ -281,8 +290,7 @@ def _labels(system: SystemInfo, group: str) -> tuple[str, str]:
     rates = rate_columns(system)
     assert rates is not None
     assert system.quaternion is not None
-    columns = range(len(names))[rates] if isinstance(rates, slice) else rates
-    return _common(list(names[system.quaternion])), _common([names[k] for k in columns])
+    return _common(names[system.quaternion]), _common(names[rates])
 
 
 def _common(names: Sequence[str]) -> str:
@@ -337,9 +345,8 @@ def on_time(
         for columns, seconds in sped:
             x[a:b, columns] = unfiltered(x[a:b, columns], seconds / run.dt)
     segments = []
-    first = max((int(np.ceil(-rows - 1e-9)) for _, rows in moves), default=0)
-    last = max((int(np.ceil(rows - 1e-9)) for _, rows in moves), default=0)
-    first, last = max(first, 0), max(last, 0)
+    first = max((0, *(int(np.ceil(-rows - 1e-9)) for _, rows in moves)))
+    last = max((0, *(int(np.ceil(rows - 1e-9)) for _, rows in moves)))
     for a, b in run.segments:
         if b - a - first - last < 2:
             continue

@@ -17,6 +17,7 @@ from nsde_torch.data import DataSet, Run
 from nsde_torch.diagnosis.candidates import candidate_names
 from nsde_torch.diagnosis.channels import ChannelResidual, channel_residuals
 from nsde_torch.diagnosis.declared import Warned, better_reading, declared, warnings
+from nsde_torch.diagnosis.evidence import at_bounds
 from nsde_torch.diagnosis.formula import Formula, formula
 from nsde_torch.diagnosis.held_out import HeldOut, held_out
 from nsde_torch.diagnosis.in_run import InRun, in_run, odd_run
@@ -565,9 +566,7 @@ def _structure(outcome: Outcome) -> float:
 
 def _collapsed(outcome: Outcome) -> bool:
     """Whether a declared parameter stands at a bound."""
-    r = outcome.declared.regression
-    margin = 2e-6 * r.vector.scale
-    return bool(((r.theta <= r.vector.low + margin) | (r.theta >= r.vector.high - margin)).any())
+    return bool(at_bounds(outcome.declared.regression).any())
 
 
 def _moved(
@@ -579,8 +578,8 @@ def _moved(
         return np.log([law.std for law in looking(some).quick(system).noises])
 
     final = outcome.final.regression
-    other = min(sum(log(law.std) for law in final.noises), float(misfits(recorded.runs).sum()))
-    return late_sensor(recorded, system, misfits, rows=len(final.series), other=other)
+    with_effects = sum(log(law.std) for law in final.noises)
+    return late_sensor(recorded, system, misfits, rows=len(final.series), other=with_effects)
 
 
 def undone(data: DataSet, runs: Sequence[Run], system: System, options: Options) -> Recorded:

@@ -92,11 +92,17 @@ def score(regression: Regression, fold: Labels, block: Labels, *, still: Flags) 
     return Score(blocks, fitted, regression.shown.rank)
 
 
+def at_bounds(regression: Regression) -> Flags:
+    """Parameters that stand at a bound (k,)."""
+    v = regression.vector
+    margin = 2e-6 * v.scale
+    return np.asarray((regression.theta <= v.low + margin) | (regression.theta >= v.high - margin))
+
+
 def _free_basis(regression: Regression, still: Flags) -> Array:
     """Directions that the data show, without parameters that are still or stand at a bound."""
     v = regression.vector
-    margin = 2e-6 * v.scale
-    held = still | (regression.theta <= v.low + margin) | (regression.theta >= v.high - margin)
+    held = still | at_bounds(regression)
     basis = regression.shown.basis.copy()
     if not held.any() or not basis.shape[1]:
         return basis

@@ -27,7 +27,7 @@ from scipy.special import stdtr, stdtrit
 
 from nsde_torch.data import DataSet, Run
 from nsde_torch.data.kinematics import pool
-from nsde_torch.data.lateness import Late, lateness, on_time, sensors, surely_late
+from nsde_torch.data.lateness import Late, by_kind, lateness, on_time, sensors, surely_late
 from nsde_torch.data.quaternion import increments
 from nsde_torch.data.smoothing import smoothing_width
 from nsde_torch.data.system_info import derivative_columns, rate_columns
@@ -174,7 +174,8 @@ def undo(
 
 
 def _on_time(runs: Sequence[Run], system: System, late: Sequence[Late]) -> list[Run]:
-    delays, filters = ({d.channel: d.seconds for d in late if d.filtered == f} for f in (False, True))
+    times = {kind: {d.channel: d.seconds for d in some} for kind, some in by_kind(late).items()}
+    delays, filters = times.get("sensor_delay", {}), times.get("sensor_lag")
     return [on_time(run, system, delays, filters) if late else run for run in runs]
 
 
@@ -192,15 +193,19 @@ def late_sensor(
         system: The machine.
         misfits: Negative log likelihood per row [nats] of the declared physics in runs, by channel.
         rows: Number of rows.
-        other: The misfit of physics with effects.
+        other: The misfit of physics with effects, all channels together.
     """
     pairs, step = sensors(system), found.runs[0].dt
+    if len(pairs) < 2:
+        return None
+    unmoved = misfits(found.runs)
+    other = min(other, float(unmoved.sum()))
 
     def misfit(runs: Sequence[Run]) -> float:
         return float(misfits(runs).sum())
 
     best: tuple[float, float, tuple[str, str]] | None = None
-    for pair in pairs if len(pairs) > 1 else []:
+    for pair in pairs:
 
         def of(steps: float, pair: tuple[str, str] = pair) -> float:
             return misfit([on_time(run, system, dict.fromkeys(pair, steps * step)) for run in found.runs])
@@ -219,7 +224,7 @@ def late_sensor(
     here, at, pair = best
     late = dict.fromkeys(pair, at * step)
     runs = tuple(on_time(run, system, late) for run in found.runs)
-    if (misfits(runs) > misfits(found.runs) + _NATS / rows).any():
+    if (misfits(runs) > unmoved + _NATS / rows).any():
         return None
     bend = (
         misfit([on_time(run, system, late | dict.fromkeys(pair, 1.5 * at * step)) for run in found.runs])
@@ -278,18 +283,12 @@ def _clock(data: DataSet, system: System) -> Fault:
 def _delays(late: Sequence[Late], *, short: bool = False) -> list[Fault]:
     """Channels that are late as faults: delays, and filters."""
     out = []
-    for name, how, filtered in (
-        ("sensor_delay", "later than", False),
-        ("sensor_lag", "late behind a filter, against", True),
-    ):
-        some = [d for d in late if d.filtered == filtered]
-        if some:
-            words = ", ".join(f"{d.channel} is logged {1e3 * d.seconds:.3g} ms {how} {d.other}" for d in some)
-            values = {d.channel: (d.seconds, d.low, d.high, "s") for d in some}
-            told = (
-                f"Channels do not belong to the same time: {words}, as the one is the integral of the other."
-            )
-            out.append(Fault(name, values, min(d.p for d in some), told, short))
+    for name, some in by_kind(late).items():
+        how = "later than" if name == "sensor_delay" else "late behind a filter, against"
+        words = ", ".join(f"{d.channel} is logged {1e3 * d.seconds:.3g} ms {how} {d.other}" for d in some)
+        values = {d.channel: (d.seconds, d.low, d.high, "s") for d in some}
+        told = f"Channels do not belong to the same time: {words}, as the one is the integral of the other."
+        out.append(Fault(name, values, min(d.p for d in some), told, short))
     return out
 
 
@@ -340,8 +339,7 @@ def _pairs(system: System, x: Array) -> list[tuple[str, Array, Array]]:
     rates = rate_columns(system)
     if rates is not None and system.quaternion is not None:
         turns = increments(x[:, system.quaternion])
-        columns = range(system.nx)[rates] if isinstance(rates, slice) else rates
-        out += [(system.state_names[c], turns[:, k], x[:, c]) for k, c in enumerate(columns)]
+        out += [(system.state_names[c], turns[:, k], x[:, c]) for k, c in enumerate(range(system.nx)[rates])]
     return out
 
 

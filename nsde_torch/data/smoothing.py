@@ -3,16 +3,29 @@
 An average over a time T multiplies the spectrum by sinc(f T): nothing is left at f = k / T, k = 1, 2, ...
 Raw commands have no reason to be silent at just these frequencies, so the depth of the spectrum at the first
 nulls, against the middle of the lobes between them, is a test of T.
+
+Inputs that were averaged over T = n h are restored by regularised least squares: with A the average and D second
+differences,
+
+    u = argmin |A u - u_logged|^2 + c^2 |D u|^2
+
+which fills in what lies at the nulls with nothing and what lies elsewhere with itself.
 """
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import sparse
 from scipy.signal import welch
+from scipy.sparse.linalg import splu
 
 from nsde_torch.data.run import Run
 
+Array = NDArray[np.float64]
+
+_BEND = 3e-3  # c: what the log of a command rounds off
 _NULLS = 4
 _DEPTH = 3.0  # a fall of e^3 = 20 in power at each of the nulls, where noise gives less than e^1
 _SHORTEST = 6  # samples: below that too few nulls lie under half the sampling rate
@@ -86,3 +99,28 @@ def _power(
         return None
     total = sum(w for w, _ in spectra)
     return np.linspace(0, 0.5 / dt, rows // 2 + 1), sum((w / total) * s for w, s in spectra)
+
+
+def restored(run: Run, n_inputs: int, width: float) -> Run:
+    """A run with inputs as they were before a centred moving average of `width` [s]."""
+    u = run.u.copy()
+    for a, b in run.segments:
+        u[a:b, :n_inputs] = _unaveraged(u[a:b, :n_inputs], round(width / run.dt))
+    return replace(run, u=u)
+
+
+def _unaveraged(u: Array, steps: int) -> Array:
+    n = len(u)
+    if steps < 2 or n < 3 * steps:
+        return u
+    weights = np.full(steps + 1 - steps % 2, 1.0 / steps)
+    if not steps % 2:
+        weights[[0, -1]] *= 0.5
+    half = len(weights) // 2
+    average = sparse.diags(list(weights), list(range(-half, half + 1)), shape=(n, n), format="csc")
+    average = sparse.diags(1.0 / np.asarray(average.sum(1)).ravel()) @ average
+    bend = sparse.diags([1.0, -2.0, 1.0], [0, 1, 2], shape=(n - 2, n), format="csc")
+    inner = slice(half, n - half)  # how the ends were averaged is not known
+    kept = average[inner]
+    normal = (kept.T @ kept + _BEND**2 * bend.T @ bend).tocsc()
+    return np.asarray(splu(normal).solve(np.asarray(kept.T @ u[inner])))

@@ -7,12 +7,7 @@ sensor_lag        or by a filter of first order
                   (one whose position and rate are late alike shows in physics alone)
 sensor_bias       p(t + T) - p(t) - integral of v dt = -b T on average, for a rate that reads b too much
 
-Inputs that were averaged over w = n h are restored by regularised least squares: with A the average and D second
-differences,
-
-    u = argmin |A u - u_logged|^2 + c^2 |D u|^2
-
-which fills in what lies at the nulls with nothing and what lies elsewhere with itself.
+Inputs that were averaged are restored by `data.smoothing.restored`.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -20,16 +15,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import sparse
 from scipy.optimize import minimize_scalar
-from scipy.sparse.linalg import splu
 from scipy.special import stdtr, stdtrit
 
 from nsde_torch.data import DataSet, Run
 from nsde_torch.data.kinematics import pool
 from nsde_torch.data.lateness import Late, by_kind, lateness, on_time, sensors, surely_late
 from nsde_torch.data.quaternion import increments
-from nsde_torch.data.smoothing import smoothing_width
+from nsde_torch.data.smoothing import restored, smoothing_width
 from nsde_torch.data.system_info import derivative_columns, rate_columns
 from nsde_torch.systems import System
 
@@ -38,7 +31,6 @@ Array = NDArray[np.float64]
 _INTERVAL_S = 0.5
 _FEWEST = 12
 _FOLDS = 10  # of the jackknife in data.kinematics
-_BEND = 3e-3  # c: what the log of a command rounds off
 _LEVEL = 0.9
 _LEAST_STEPS = 0.2  # a delay that is of consequence
 _NATS, _SURELY = (
@@ -363,28 +355,3 @@ def _bias(system: System, found: dict[str, Bias]) -> Fault:
         min(bias.p for bias in found.values()),
         f"Sensors read too much: {words}; the integral of these rates says so.",
     )
-
-
-def restored(run: Run, n_inputs: int, width: float) -> Run:
-    """A run with inputs as they were before a centred moving average of `width` [s]."""
-    u = run.u.copy()
-    for a, b in run.segments:
-        u[a:b, :n_inputs] = _unaveraged(u[a:b, :n_inputs], round(width / run.dt))
-    return replace(run, u=u)
-
-
-def _unaveraged(u: Array, steps: int) -> Array:
-    n = len(u)
-    if steps < 2 or n < 3 * steps:
-        return u
-    weights = np.full(steps + 1 - steps % 2, 1.0 / steps)
-    if not steps % 2:
-        weights[[0, -1]] *= 0.5
-    half = len(weights) // 2
-    average = sparse.diags(list(weights), list(range(-half, half + 1)), shape=(n, n), format="csc")
-    average = sparse.diags(1.0 / np.asarray(average.sum(1)).ravel()) @ average
-    bend = sparse.diags([1.0, -2.0, 1.0], [0, 1, 2], shape=(n - 2, n), format="csc")
-    inner = slice(half, n - half)  # how the ends were averaged is not known
-    kept = average[inner]
-    normal = (kept.T @ kept + _BEND**2 * bend.T @ bend).tocsc()
-    return np.asarray(splu(normal).solve(np.asarray(kept.T @ u[inner])))

@@ -13,6 +13,7 @@ import torch
 from torch import Tensor, nn
 
 START_SHARE, FAR_SHARE = 0.25, 0.95
+_HALVINGS = 60
 
 
 class Diffusion(nn.Module):
@@ -43,6 +44,28 @@ class Diffusion(nn.Module):
         """h (N, nx) of eta (N,)."""
         gain = nn.functional.softplus(self.slope)[self.channel]
         return torch.sigmoid(gain[:, None] * eta + self.offset[self.channel, None]).T
+
+    @torch.no_grad()
+    def through(self, eta: Tensor, sigma: Tensor, far: Tensor) -> None:
+        """Set sigma_max and h so that sigma has a given size on the data and at least another far from them.
+
+        Args:
+            eta: Distance of the data (N,).
+            sigma: Root mean square of sigma over them (nx,), > 0.
+            far: Least sigma where eta is 1 (nx,); it is at least `FAR_SHARE` / `START_SHARE` times `sigma`.
+        """
+        largest = torch.maximum(sigma / START_SHARE, far / FAR_SHARE).double()
+        wanted, eta = (sigma / largest).double(), eta.double()
+        top = math.log(FAR_SHARE / (1 - FAR_SHARE))
+        low, high = torch.full_like(wanted, -40.0), torch.full_like(wanted, top - 1e-3)
+        for _ in range(_HALVINGS):  # the share grows with the offset, as h(1) stays
+            offset = 0.5 * (low + high)
+            share = torch.sigmoid((top - offset)[:, None] * eta + offset[:, None]).square().mean(1).sqrt()
+            low, high = torch.where(share < wanted, offset, low), torch.where(share < wanted, high, offset)
+        slope = top - offset
+        self.log_sigma_max.copy_(largest.log())
+        self.offset.copy_(offset)
+        self.slope.copy_(slope + torch.log(-torch.expm1(-slope)))
 
     def forward(self, eta: Tensor) -> Tensor:
         """sigma (N, nx) of eta (N,)."""

@@ -46,6 +46,7 @@ class SDESpec(ModelSpec):
         filter_reach: Taps on each side of the input filter; 0 for none.
         measurement: Whether sensor noise is learned.
         disturbance: Whether the system's disturbed ports carry a lasting disturbance.
+        learn_lag: Whether a lag or a delay of the inputs may be learned that is not declared.
         loss: Kind of loss, for the record.
     """
 
@@ -63,6 +64,7 @@ class SDESpec(ModelSpec):
     filter_reach: int = 0
     measurement: bool = False
     disturbance: bool = False
+    learn_lag: bool = False
     loss: str = "default"
 
 
@@ -161,6 +163,11 @@ class NeuralSDE(Model):
     def residual_ports(self) -> tuple[Port, ...]:
         """Ports that have a residual network."""
         return tuple(Port(name) for name in self.residuals)
+
+    @property
+    def disturbed_ports(self) -> tuple[Port, ...]:
+        """Ports that carry a lasting disturbance."""
+        return tuple(self._disturbed)
 
     @property
     def nz(self) -> int:

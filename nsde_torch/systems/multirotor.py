@@ -84,7 +84,7 @@ class Multirotor(System):
     feature_names = ("v_body_x", "v_body_y", "v_body_z", "w_x", "w_y", "w_z")
     feature_units = (*("m/s",) * 3, *("rad/s",) * 3)
     quaternion = slice(6, 10)
-    disturbed_ports = (Port.BODY_FORCE,)
+    disturbed_ports = (Port.BODY_FORCE, Port.BODY_MOMENT)
     position_derivatives = (("p_x", "v_x", "world"), ("p_y", "v_y", "world"), ("p_z", "v_z", "world"))
     PARAMETERS = {
         "thrust_gain": Parameter(4.5, "m/s2", low=0.0, help="thrust over mass per unit of summed command"),

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from nsde_torch.data import Run
+from nsde_torch.data.smoothing import restored
 from nsde_torch.diagnosis.diagnose import Options
-from nsde_torch.diagnosis.recording import restored
 from nsde_torch.diagnosis.text import lines
 from nsde_torch.plants import Recording
 from tests.helpers.diagnosed import diagnosed

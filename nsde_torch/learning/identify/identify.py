@@ -154,16 +154,8 @@ class Regression:
         self.jacobian[..., self._held] = 0.0
 
     def carry_limits(self) -> Array:
-        """Largest c of each channel: sensor noise reaches a rate through every state that it depends on."""
-        p = self.physics
-        p.estimate_sensors(p.residual(self.theta))
-        own, square = p.state_slopes(self.theta)
-        std = p.sensor_std.copy()
-        if p.turned is not None:  # one sensor noise for a velocity that is turned
-            std[p.turned] = np.sqrt(np.square(std[p.turned]).mean())
-        others = square @ np.square(std) - np.diag(square) * np.square(std)
-        known = p.steps.dt * np.sqrt(self.box * others)
-        return np.array([carry_limit(o, k, s, self.dt) for o, k, s in zip(own, known, std, strict=True)])
+        """Largest c of each channel (see `carry_limits`)."""
+        return carry_limits(self.physics, self.theta, self.box)
 
     def _whiten(self) -> None:
         """Laws of the noise at theta, and everything in their units."""
@@ -319,6 +311,19 @@ class Regression:
         return np.asarray(np.einsum("nck,nk->nc", slopes, parts[of_step]))
 
 
+def carry_limits(physics: Physics, theta: Array, box: int) -> Array:
+    """Largest c of each channel (nx,): sensor noise reaches a rate through every state that it depends on."""
+    physics.estimate_sensors(physics.residual(theta))
+    own, square = physics.state_slopes(theta)
+    std = physics.sensor_std.copy()
+    if physics.turned is not None:  # one sensor noise for a velocity that is turned
+        std[physics.turned] = np.sqrt(np.square(std[physics.turned]).mean())
+    others = square @ np.square(std) - np.diag(square) * np.square(std)
+    known = physics.steps.dt * np.sqrt(box * others)
+    dt = physics.steps.dt * box
+    return np.array([carry_limit(o, k, s, dt) for o, k, s in zip(own, known, std, strict=True)])
+
+
 def identify(
     system: System,
     runs: Sequence[Run],
@@ -352,6 +357,20 @@ def identify(
         >>> found = identify(make_system("hexacopter"), data.runs)  # doctest: +SKIP
         >>> dict(zip(found.vector.labels, found.values))  # doctest: +SKIP
     """
+    regression = regress(system, runs, clock=clock, method=method, width=width, iterations=iterations)
+    return conclude(regression, method=method)
+
+
+def regress(
+    system: System,
+    runs: Sequence[Run],
+    *,
+    clock: float = 1.0,
+    method: str = "weak",
+    width: float | None = None,
+    iterations: int = ITERATIONS,
+) -> Regression:
+    """The regression of `identify`, iterated; arguments and errors are the same."""
     if method not in METHODS:
         raise ConfigError(f"`method` must be {' or '.join(METHODS)}; got {method!r}.")
     weak = method == "weak"
@@ -361,8 +380,14 @@ def identify(
     physics = Physics(vector, steps, curved=weak and system.sensor_noise, foresee=weak)
     regression = Regression(physics, box=box, plain=not weak, feedback=weak)
     regression.run(iterations)
+    return regression
+
+
+def conclude(regression: Regression, *, method: str) -> Identification:
+    """Estimates, covariance and what the data do not show, from a regression at its optimum."""
+    weak, physics, vector = method == "weak", regression.physics, regression.vector
     sure, blocks = regression.spread(), regression.blocks
-    basis, window = regression.shown.basis, bump(steps.dt)
+    basis, window = regression.shown.basis, bump(physics.steps.dt)
     left = physics.residual(regression.theta)[:, regression.rows]
     alone = explained(physics, left + regression.shift(sure.parts @ basis.T, blocks), regression.rows, window)
     channels = explained(physics, left, regression.rows, window)
@@ -378,7 +403,7 @@ def identify(
         ),
         sensor_std=physics.sensor_std,
         unexplained=float(np.mean([c.residual / c.measured for c in alone if c.measured > 0] or [0.0])),
-        width_s=len(window) * steps.dt,
+        width_s=len(window) * physics.steps.dt,
         box_s=regression.dt,
         iterations=regression.iterations,
         converged=regression.converged,

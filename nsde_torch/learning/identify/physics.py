@@ -119,6 +119,16 @@ class Physics:
         at = torch.as_tensor(theta)
         return self._foreseen(at, *self._memory(at))
 
+    @property
+    def attitude(self) -> Tensor:
+        """Attitude in the middle of each step as measured (N, 4), or (N, 0)."""
+        return self._attitude
+
+    def in_channels(self, change: Tensor, states: Tensor) -> Tensor:
+        """Changes of states (N, nx) in the channels of the residuals, at the attitude of some states (N, nz)."""
+        q = self.vector.system.quaternion
+        return change if q is None else self._turn(change, states[:, q])
+
     def kinematic(self, residual: Array, rows: NDArray[np.int64]) -> Array:
         """Residuals (N, m) of the channels beside `rows`; attitude and position of a turned velocity in the body."""
         system, rest = (
@@ -226,8 +236,7 @@ class Physics:
         self.vector.use(theta)
         system, s = self.vector.system, self.steps
         change = s.dt * system.drift(s.t + 0.5 * s.logged_dt, middle, s.u)[:, : system.nx]
-        q = system.quaternion
-        return change if q is None else self._turn(change, middle[:, q])
+        return self.in_channels(change, middle)
 
     def _foreseen(self, theta: Tensor, *memory: Tensor) -> Tensor:
         """State in the middle of each step as the model foresees it from `_LEAD` steps earlier, and memory (N, nz)."""

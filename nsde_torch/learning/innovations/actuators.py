@@ -1,0 +1,80 @@
+"""A lag or a delay of the inputs that declared physics lacks, found by the innovations and learned with the rest.
+
+A network of the state cannot hold what an actuator remembers: in a closed loop it would learn the controller instead.
+So where the declared effects carry no memory of the inputs, each law of the catalogue that does is fitted beside the
+declared parameters, and the likeliest is taken if the log likelihood of the innovations rises by more than `EVIDENCE`
+and its time is not nothing by two half-widths of its interval. It is told as learned; to have it as declared physics,
+name it in system.effects.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from math import log
+from typing import Any
+
+from nsde_torch.data import Run
+from nsde_torch.effects import Effect, Port
+from nsde_torch.errors import NsdeError
+from nsde_torch.learning.identify.identify import Regression, conclude, regress
+from nsde_torch.models.neural_sde import SDESpec
+
+LAWS = ("motor_lag", "actuator_lag", "input_delay")
+"""Effects of the catalogue with which inputs act late, one time each."""
+EVIDENCE = 10.0
+"""Log likelihood that a law must win [nats]; 10 nats for one parameter happen by chance once in 100,000 data sets."""
+
+
+@dataclass(frozen=True)
+class Identified:
+    """Declared physics as it was identified.
+
+    Args:
+        spec: Specification with the law that was learned, if any.
+        regression: At its optimum.
+        learned: Name of the law; empty for none.
+        evidence: Log likelihood that it won [nats].
+    """
+
+    spec: SDESpec
+    regression: Regression
+    learned: str = ""
+    evidence: float = 0.0
+
+
+def identified(spec: SDESpec, runs: Sequence[Run], *, clock: float, values: Mapping[str, Any]) -> Identified:
+    """Identify declared physics, with a lag or a delay of the inputs where the data show one.
+
+    Raises:
+        ConfigError: the system declares no parameter.
+        DataError: nothing moves.
+        NonFiniteError: the physics leaves the finite numbers.
+    """
+    system = spec.make_system(values)
+    base = regress(system, runs, clock=clock)
+    remembers = any(isinstance(e, Effect) and e.port is Port.INPUT and e.n_memory for e in system.effects)
+    found = Identified(spec, base)
+    if not spec.learn_lag or remembers:
+        return found
+    for name in LAWS:
+        wider = replace(spec, effects=(*spec.effects, name))
+        try:
+            regression = regress(wider.make_system(values), runs, clock=clock)
+            sure = conclude(regression, method="weak").parameters()
+        except NsdeError:
+            continue  # a law that does not fit the system, or cannot be followed at this step
+        won = log_likelihood(regression, len(base.series)) - log_likelihood(base, len(base.series))
+        times = [p for key, p in sure.items() if key.startswith(f"{name}.")]
+        shown = all(
+            half is not None and value > 2.0 * half  # type: ignore[operator]
+            for p in times
+            for value, half in zip(p["value"], p["half_width_90"], strict=True)  # type: ignore[call-overload]
+        )
+        if shown and won > max(EVIDENCE, found.evidence):
+            found = Identified(wider, regression, name, won)
+    return found
+
+
+def log_likelihood(regression: Regression, rows: int) -> float:
+    """Log likelihood of so many innovations [nats], up to a constant, less one for each parameter of the noise."""
+    noises = zip(regression.rows.tolist(), regression.noises, strict=True)
+    return sum(-rows * log(noise.std) - noise.parameters for _, noise in noises)

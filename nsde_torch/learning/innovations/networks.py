@@ -1,0 +1,201 @@
+"""Networks fitted to innovations.
+
+    min  sum_k |P (r_k - g(y_k))|^2 / (2 M) + decay,        P whitening filters of the noise of r
+
+r is what is left of the change over a step (`residuals`), g the networks' part of it, of features y_k that were foreseen
+before the step. All steps are one batch: the networks are small, and a filter needs neighbours. They start where they
+say nothing. Blocks of time are left out in turn, all folds advance together, and the number of steps is that with the
+smallest innovations on what was left out; then one fit to everything takes as many. A group of channels whose blocks
+are not better by two standard errors keeps no network: where nothing is missing, nothing is learned.
+
+In a closed loop the state knows the inputs of the past, so a network of the state would stand in for a lag that the
+physics lacks, and be right only as long as the same pilot flies. What the past of the inputs explains linearly is
+therefore taken out of innovations and networks alike (Frisch and Waugh, Econometrica 1 (1933)).
+"""
+
+import copy
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor, nn
+
+from nsde_torch.learning.identify.noise import Noise
+from nsde_torch.learning.identify.series import Series
+from nsde_torch.learning.innovations.whitening import Whitening
+
+SURE = 2.0
+"""Standard errors by which blocks of time left out have to be better for a network."""
+_RATE_END = 0.1  # of the first learning rate
+_RANK = 1e-4  # of the largest singular value
+
+Predict = Callable[[nn.Module], Tensor]
+
+
+@dataclass(frozen=True)
+class Settings:
+    """How networks are fitted.
+
+    Args:
+        steps: Largest number of gradient steps.
+        rate: Adam's first learning rate; it falls to a tenth over `steps`.
+        every: Steps between looks at what was left out.
+        patience: Looks without a better score before it ends.
+        folds: Parts that are left out in turn.
+        block: Rows of a block of time.
+        penalty: Added to the mean of half the squared innovations.
+    """
+
+    steps: int
+    rate: float
+    every: int
+    patience: int
+    folds: int
+    block: int
+    penalty: Callable[[nn.Module], Tensor]
+
+
+@dataclass(frozen=True)
+class Learned:
+    """What networks learned.
+
+    Args:
+        steps: Gradient steps of the fit that was kept.
+        tried: Steps that the folds took.
+        kept: Whether each group keeps its network.
+        before, after: Mean squared innovation on what was left out, without and with the networks.
+        gain: Log likelihood won on what was left out by each group of channels [nats].
+        error: Its standard error over blocks of time.
+        history: Step and mean squared innovation on what was left out.
+    """
+
+    steps: int
+    tried: int
+    kept: tuple[bool, ...]
+    before: float
+    after: float
+    gain: tuple[float, ...]
+    error: tuple[float, ...]
+    history: tuple[tuple[int, float], ...]
+
+
+def fit_networks(
+    module: nn.Module,
+    predict: Predict,
+    change: Tensor,
+    noises: Sequence[Noise],
+    series: Series,
+    groups: Sequence[Sequence[int]],
+    settings: Settings,
+    *,
+    nuisance: Tensor,
+    keep: Sequence[bool],
+    generator: torch.Generator,
+    on_step: Callable[[int], None] = lambda _: None,
+) -> Learned:
+    """Fit networks to changes over steps.
+
+    Args:
+        module: The networks, which say nothing at first; changed in place.
+        predict: Their change over each step (N, channels).
+        change: What they are to explain (N, channels).
+        noises: Noise model of each channel.
+        series: Stretches of the rows.
+        groups: Channels that each network moves.
+        settings: How.
+        nuisance: Columns (N, p) whose linear part in the innovations is nobody's: the past of the inputs.
+        keep: Whether a group keeps its network whatever the blocks say.
+        generator: Chooses the blocks of the folds.
+        on_step: Called with the number of rounds of gradient steps done.
+    """
+    whiten = _Purged(Whitening(noises, series), nuisance, change.shape[1])
+    target = whiten(change)
+    block = torch.from_numpy(series.blocks(settings.block))
+    blocks = int(block.max()) + 1
+    folds = min(settings.folds, blocks)
+    fold = (torch.randperm(blocks, generator=generator) % folds)[block] if folds > 1 else block
+    base = 0.5 * target.square()
+    members = [_Member(copy.deepcopy(module), settings) for _ in range(folds if folds > 1 else 0)]
+    step, best_step, best_score = 0, 0, float(base.sum())
+    looks: list[tuple[int, float, Tensor]] = [(0, best_score, torch.zeros(blocks, len(groups)))]
+    while members and step < settings.steps:
+        for _ in range(min(settings.every, settings.steps - step)):
+            for k, member in enumerate(members):
+                member.step(target, whiten, predict, fold != k)
+            step += 1
+            on_step(step)
+        left = torch.empty_like(base)
+        with torch.no_grad():
+            for k, member in enumerate(members):
+                rows = fold == k
+                left[rows] = 0.5 * (target - whiten(predict(member.module))).square()[rows]
+        won = torch.zeros(blocks, base.shape[1]).index_add(0, block, base - left)
+        looks.append((step, float(left.sum()), torch.stack([won[:, list(g)].sum(1) for g in groups], 1)))
+        if looks[-1][1] < best_score:
+            best_score, best_step = looks[-1][1], step
+        if step - best_step >= settings.patience * settings.every:
+            break
+    gains = torch.stack([gain for *_, gain in looks])  # (looks, blocks, groups)
+    best = gains.sum(1).argmax(0)
+    at_best = torch.stack([gains[int(k), :, g] for g, k in enumerate(best)], 1)
+    gain, error = at_best.sum(0), at_best.std(0) * blocks**0.5
+    kept = [g for g in range(len(groups)) if keep[g] or float(gain[g]) > SURE * float(error[g])]
+    chosen = looks[int(gains[:, :, kept].sum((1, 2)).argmax())][0] if members and kept else 0
+    if not members:
+        chosen, kept = settings.steps, list(range(len(groups)))
+    whole = _Member(module, settings)
+    everything = torch.ones(len(target), dtype=torch.bool)
+    for k in range(chosen):
+        whole.step(target, whiten, predict, everything)
+        on_step(step + k + 1)
+    return Learned(
+        steps=chosen,
+        tried=step,
+        kept=tuple(g in kept for g in range(len(groups))),
+        before=float(2.0 * base.mean()),
+        after=2.0 * next(score for at, score, _ in looks if at == (chosen if members else 0)) / base.numel(),
+        gain=tuple(gain.tolist()),
+        error=tuple(error.tolist()),
+        history=tuple((at, 2.0 * score / base.numel()) for at, score, _ in looks),
+    )
+
+
+class _Purged:
+    """Whitened rows without what nuisance columns explain of them, channel by channel."""
+
+    def __init__(self, whiten: Whitening, nuisance: Tensor, channels: int) -> None:
+        self._whiten = whiten
+        spans = []
+        for column in range(nuisance.shape[1]):
+            spans.append(whiten(nuisance[:, column : column + 1].expand(-1, channels)))
+        # (channels, N, p): the same columns through the filter of each channel
+        rows = torch.stack(spans, 2).transpose(0, 1) if spans else torch.zeros(channels, len(nuisance), 0)
+        size = rows.norm(dim=1, keepdim=True).clamp_min(1e-12)
+        u, value, _ = torch.linalg.svd(rows / size, full_matrices=False)
+        self._basis = u * (value > _RANK * value[:, :1])[:, None, :]
+
+    def __call__(self, rows: Tensor) -> Tensor:
+        """Whitened rows (N, channels) of rows (N, channels)."""
+        white = self._whiten(rows).T[..., None]
+        return (white - self._basis @ (self._basis.transpose(1, 2) @ white))[..., 0].T
+
+
+class _Member:
+    """Networks under optimisation."""
+
+    def __init__(self, module: nn.Module, settings: Settings) -> None:
+        self.module, self._settings = module, settings
+        parameters = [p for p in module.parameters() if p.requires_grad]
+        self._optimiser = torch.optim.Adam(parameters, lr=settings.rate, foreach=True)
+        self._schedule = torch.optim.lr_scheduler.LinearLR(
+            self._optimiser, 1.0, _RATE_END, total_iters=settings.steps
+        )
+
+    def step(self, target: Tensor, whiten: _Purged, predict: Predict, rows: Tensor) -> None:
+        """One gradient step on some rows."""
+        self._optimiser.zero_grad(set_to_none=True)
+        white = target - whiten(predict(self.module))
+        loss = 0.5 * white[rows].square().mean() + self._settings.penalty(self.module)
+        loss.backward()  # type: ignore[no-untyped-call]
+        self._optimiser.step()
+        self._schedule.step()

@@ -3,12 +3,13 @@
     y  = z + f(z) dt + g(z) dW
     z' = z + (f(z) + f(y)) dt / 2 + g dW + (g(s) - g) (dW^2 - dt) / (2 sqrt(dt)),    s = z + f dt + g sqrt(dt)
 
-With noise of size eps its mean square error over a fixed time is O(dt^2 + eps^2 dt) where g_i depends on z_i alone:
-second order as the noise vanishes, where Milstein's is O(dt) for any noise (Milstein and Tretyakov, Stochastic
-Numerics for Mathematical Physics, 2004, chapter 3, small noise). The limit is that of Ito, also with multiplicative
-noise: f(y) is f(z) + f'(z) (f dt + g dW) + f''(z) g^2 dW^2 / 2 + ..., and what stands beside the deterministic terms,
-f' g dW dt / 2, has mean zero and is of order dt^(3/2); half of it is the mean of the iterated integral of dW ds given
-dW, and the mean of the rest is O(dt^2).
+With noise of size eps the error on one Brownian path is O(dt^2 + eps dt) where g_i depends on z_i alone, and that of
+Milstein's step O(dt) however small the noise (Milstein and Tretyakov, Stochastic Numerics for Mathematical Physics,
+2004, chapter 3, numerical methods for equations with small noise).
+
+The limit is that of Ito, also with multiplicative noise: (f(y) - f(z)) dt / 2 is f' f dt^2 / 2 + f' g dW dt / 2 +
+f'' g^2 dW^2 dt / 4 up to higher orders. The first is Heun's, the second the mean of f' g times the integral of W over
+the step, given dW, with mean zero and of order dt^(3/2); the third has the mean f'' g^2 dt^2 / 4 of Ito's formula.
 """
 
 from typing import final

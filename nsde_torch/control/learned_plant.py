@@ -78,6 +78,7 @@ class LearnedPlant:
         self._commands = [*self._commands[1:], u.to(m.clock_scale).clamp(*self._limits)]
         # a sample of physical time is 1 / clock_scale samples of the model's clock
         dt = self.dt / float(m.clock_scale)
+        m.set_step(dt)
         dw = torch.randn(self._z.shape, generator=self._generator).to(self._z) * (self._noise * dt**0.5)
         t = self._samples * dt
         moved = self._step.advance(

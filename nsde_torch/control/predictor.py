@@ -25,7 +25,7 @@ from nsde_torch.errors import ConfigError
 from nsde_torch.models import Model
 from nsde_torch.models.identified import IdentifiedModel
 from nsde_torch.models.neural_sde import NeuralSDE
-from nsde_torch.sde import Calculus, Step, Time, make_step
+from nsde_torch.sde import Calculus, Step, Time, make_step, within
 from nsde_torch.systems import Multirotor, System
 from nsde_torch.systems.frozen import frozen
 
@@ -149,6 +149,7 @@ class _Pushed:
     def __init__(self, predictor: Predictor) -> None:
         self._drift = predictor.drift
         self._project = predictor.system.project
+        self._system = predictor.system
         self.push = torch.empty(0)
 
     def drift(self, t: Time, z: Tensor, u: Tensor) -> Tensor:
@@ -159,6 +160,12 @@ class _Pushed:
 
     def project(self, z: Tensor) -> Tensor:
         return self._project(z)
+
+    def set_step(self, dt: float) -> None:
+        self._system.set_step(dt)
+
+    def inner(self, z: Tensor, y: Tensor) -> Tensor:
+        return self._system.inner(z, y)
 
 
 @final
@@ -191,10 +198,11 @@ class _Trapezoid(Step):
     def advance(self, sde: object, t: Time, z: Tensor, u: Tensor, dt: Time, dw: Tensor | None) -> Tensor:
         """See `Step.advance`."""
         f = sde.drift(t, z, u)  # type: ignore[attr-defined]
-        return z + 0.5 * dt * (f + sde.drift(t, z + f * dt, u))  # type: ignore[attr-defined]
+        y = within(sde, z, z + f * dt)  # type: ignore[arg-type]
+        return z + 0.5 * dt * (f + sde.drift(t, y, u))  # type: ignore[attr-defined]
 
 
 def _without_noise(step: Step) -> Step:
     if step.deterministic:
         return step
-    return _Trapezoid() if step.name == "heun" else _Euler()
+    return _Trapezoid() if step.name in ("heun", "milstein_heun") else _Euler()

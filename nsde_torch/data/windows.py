@@ -105,6 +105,7 @@ class Windows:
             smooth, share = denoised(runs)
             self._smooth = torch.from_numpy(np.concatenate(smooth)).to(self._x)
             self.start_share = torch.from_numpy(share).to(self._x)
+        self._segments = np.array([a for a, _ in ranges], dtype=np.int64)
         self._set_ranges(np.array(ranges, dtype=np.int64))
         if len(self) == 0:
             longest = int((self._ranges[:, 1] - self._ranges[:, 0]).max())
@@ -200,6 +201,29 @@ class Windows:
             [self._t[r][s] for r, s in zip(run, rows - self._first[run], strict=True)], dtype=np.float64
         )
         return x, u, torch.from_numpy(t0).to(device)
+
+    def before(self, indices: Tensor | NDArray[np.int64] | Sequence[int], steps: int) -> Tensor:
+        """Inputs before windows, (B, steps, nu): means over the model's steps that end at the first row, oldest first.
+
+        They are those of the same segment; where it began later, its first input is repeated. Rows that a split has
+        given to others are read all the same: inputs are not what is predicted.
+
+        Args:
+            indices: Window numbers (B,).
+            steps: Model steps, at least 1.
+
+        Raises:
+            ConfigError: no step is asked for.
+            IndexError: a number out of range.
+        """
+        if isinstance(steps, bool) or not isinstance(steps, int) or steps < 1:
+            raise ConfigError(f"`steps` must be a whole number of at least 1; got {steps!r}.")
+        start = self.rows(indices)
+        first = self._segments[np.searchsorted(self._segments, start, side="right") - 1]
+        back = np.arange(-steps * self.stride, 0)
+        at = np.maximum(start[:, None] + back, first[:, None])
+        u = self._u[torch.from_numpy(at).to(self._u.device)]
+        return u.unflatten(1, (steps, self.stride)).mean(dim=2)
 
     def initial_states(self, indices: Tensor | NDArray[np.int64] | Sequence[int]) -> Tensor:
         """States from which paths of the windows start (B, nx): the first rows, without sensor noise if asked for."""

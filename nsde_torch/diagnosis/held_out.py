@@ -18,6 +18,7 @@ from nsde_torch.data import Run, Windows
 from nsde_torch.diagnosis.search import Search, fitted_system
 from nsde_torch.effects import Effect, key_of
 from nsde_torch.errors import DataError
+from nsde_torch.learning.before import inputs_before
 from nsde_torch.learning.bootstrap import make_blocks, paired_bootstrap
 from nsde_torch.learning.metrics import horizons_of, start_grid, thinned
 from nsde_torch.learning.scores import group_squares
@@ -178,8 +179,10 @@ def rollout_squares(model: IdentifiedModel, windows: Windows, starts: Tensor, st
     """
     system = model.system
     x, u, t0 = windows.batch(starts)
-    z, dt = model.augment(x[:, 0], u[:, 0]), windows.dt_model
+    dt = windows.dt_model
+    z = model.remembered(x[:, 0], u[:, 0], inputs_before(system, windows, starts), dt=dt)
     solver = make_step("rk4")
+    model.set_step(dt)
     out = []
     for k in range(max(steps)):
         z = system.project(solver.advance(model, t0[:, None] + k * dt, z, u[:, k], dt, None))

@@ -185,8 +185,9 @@ class Effect(Parametrised, ABC):
         sentence: What it means, for who runs the machine; {parameter} stands for a value with its unit.
         separate: The experiment that would tell it apart from its likes.
 
-        step: Step of the integrator [s], where it is long: memory faster than it keeps its mean delay, and no more. 0:
-            as the formula says.
+        whole_steps: Whether, told the `step`, `memory_rate` is the mean rate over a step that starts from a memory, and
+            `forward` the mean term over it, for inputs that are held: what they are given is then of its start.
+        step: Step of the integrator [s], for effects of `whole_steps`. 0: rate and term are those of the instant.
 
     Args:
         values: First values of parameters.
@@ -213,6 +214,7 @@ class Effect(Parametrised, ABC):
     along: ClassVar[str] = ""
     sentence: ClassVar[str] = ""
     separate: ClassVar[str] = ""
+    whole_steps: ClassVar[bool] = False
 
     def __init__(self, values: Mapping[str, float | list[float]] | None = None, *, n_inputs: int = 1) -> None:
         self.n_inputs = n_inputs

@@ -6,8 +6,12 @@
 
 It is strictly proper, so that a step of the input does not jump through, and right to the third order in s T: the
 phase is within 0.01 rad up to s T = 1. Where inputs are held over steps, as a log has them, the mean of what arrives
-over step k is exact: T = (n + r) h gives (1 - r) u_{k-n} + r u_{k-n-1}. An integrator whose steps are longer than T / 2
-gets a first-order lag of the same mean delay (see `lag`), with a alone.
+over step k is exact: T = (n + r) h gives (1 - r) u_{k-n} + r u_{k-n-1}. An integrator whose steps of h are longer than
+T / 2 gets just that: a is the input of the step before, a + b that of the one before it. With shorter ones it gets the
+exact solution for held inputs, with c = exp(-2 q) cos(w q), s = exp(-2 q) sin(w q) / w, q = h / T and w^2 = 2, and the
+mean of u_eff over the step, which follows from u_eff = u - T d(a + b / 6)/dt:
+
+    da = (c - 1 + 2 s) (a - u) + s b,   db = -6 s (a - u) + (c - 1 - 2 s) b,   mean = u - (da + db / 6) / q
 """
 
 from math import floor
@@ -26,6 +30,7 @@ class InputDelay(Effect):
     name = "input_delay"
     port = Port.INPUT
     stage = 0
+    whole_steps = True
     formula = "u_eff(t) = u(t - T), by a rational approximation"
     source = "Pade approximant [1/2] of exp; Golub, Van Loan, Matrix Computations, section 9.3"
     PARAMETERS = {"delay": Parameter(0.02, "s", low=0.001, scale=0.02, help="time from log to effect")}
@@ -43,26 +48,36 @@ class InputDelay(Effect):
 
     def forward(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
         """See `Effect.forward`."""
-        n, delay = self.n_inputs, self.value("delay")
-        a, b = memory[:, :n], memory[:, n:]
-        fine = a - b / 3.0 - u[:, :n]
+        n = self.n_inputs
+        a, b = memory[:, :n] - u[:, :n], memory[:, n:]
         if not self.step:
-            return fine
-        return torch.where(self._coarse(delay), (a - u[:, :n]) * (delay / self.step).clamp_max(1.0), fine)
+            return a - b / 3.0
+        steps = self.value("delay") / self.step
+        da, db = self._solved(steps, a, b)
+        shifted = torch.where(steps < 1.0, steps * a, a + (steps - 1.0) * b)
+        return torch.where(steps < 2.0, shifted, -steps * (da + db / 6.0))
 
     def memory_rate(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
         """See `Effect.memory_rate`."""
         n, delay = self.n_inputs, self.value("delay")
-        a, b = memory[:, :n], memory[:, n:]
-        fine = torch.cat((b, 6.0 * (u[:, :n] - a) - 4.0 * b), 1) / delay
+        a, b = memory[:, :n] - u[:, :n], memory[:, n:]
         if not self.step:
-            return fine
-        return torch.where(
-            self._coarse(delay), torch.cat((u[:, :n] - a, -b), 1) / delay.clamp_min(self.step), fine
-        )
+            return torch.cat((b, -6.0 * a - 4.0 * b), 1) / delay
+        steps = delay / self.step
+        moves = torch.where(steps < 2.0, torch.cat((-a, a - b), 1), torch.cat(self._solved(steps, a, b), 1))
+        return moves / self.step
 
-    def _coarse(self, delay: Tensor) -> Tensor:
-        return delay < 2.0 * self.step
+    @staticmethod
+    def _solved(steps: Tensor, a: Tensor, b: Tensor) -> tuple[Tensor, Tensor]:
+        """Changes of both states over a step, from their distances to rest; `steps` is the delay in steps."""
+        q = 1.0 / steps
+        w = 2.0**0.5
+        decay = torch.exp(-2.0 * q)
+        s = decay * torch.sin(w * q) / w
+        c = (
+            torch.expm1(-2.0 * q) - 2.0 * decay * torch.sin(0.5 * w * q).square()
+        )  # no difference of near numbers
+        return (c + 2.0 * s) * a + s * b, (c - 2.0 * s) * b - 6.0 * s * a
 
     def held(self, u: Tensor, dt: float) -> Tensor:
         """See `Effect.held`."""

@@ -1,6 +1,10 @@
 """Actuators that follow their command with a first-order lag; each input carries one state m.
 
 u_eff = m,   dm/dt = (u - m) / tau
+
+An integrator whose steps of h hold the input gets the exact memory after each, and the exact mean of m over it:
+
+m' = m + (u - m) (1 - e),   mean = u + (m - u) (1 - e) tau / h,   e = exp(-h / tau)
 """
 
 from math import exp
@@ -16,6 +20,7 @@ class _Lag(Effect):
 
     port = Port.INPUT
     stage = 2
+    whole_steps = True
     formula = "u_eff = m, dm/dt = (u - m) / tau"
     PARAMETERS = {"time_constant": Parameter(0.05, "s", low=0.002, help="time to reach 63 %")}
     null = {"time_constant": 0.0}
@@ -31,11 +36,16 @@ class _Lag(Effect):
     def forward(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
         """See `Effect.forward`."""
         late = memory - u[:, : self.n_inputs]
-        return late if not self.step else late * (self.value("time_constant") / self.step).clamp_max(1.0)
+        return late * self._goes() * (self.value("time_constant") / self.step) if self.step else late
 
     def memory_rate(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
         """See `Effect.memory_rate`."""
-        return (u[:, : self.n_inputs] - memory) / self.value("time_constant").clamp_min(self.step)
+        late = u[:, : self.n_inputs] - memory
+        return late * (self._goes() / self.step) if self.step else late / self.value("time_constant")
+
+    def _goes(self) -> Tensor:
+        """Share of what is left that a step makes good."""
+        return -torch.expm1(-self.step / self.value("time_constant"))
 
     def held(self, u: Tensor, dt: float) -> Tensor:
         """See `Effect.held`."""

@@ -11,6 +11,7 @@ from nsde_torch import plots
 from nsde_torch.data import Run, Windows
 from nsde_torch.experiments.outcome import Check, Outcome
 from nsde_torch.experiments.sampled import prediction, rollout
+from nsde_torch.learning.before import inputs_before
 from nsde_torch.learning.metrics import evaluate
 from nsde_torch.models.model import Model
 from nsde_torch.models.neural_sde import NeuralSDE
@@ -125,10 +126,12 @@ def state_evolution(models: Mapping[str, Sequence[Model]], test: Sequence[Run], 
     first = models["sde"][0]
     dt = first.spec.dt
     windows = Windows(test, dt, round(_SHOWN_S / dt), dtype=first.clock_scale.dtype)
-    x, u, _ = windows.batch(torch.tensor([len(windows) // 2]))
+    at = torch.tensor([len(windows) // 2])
+    x, u, _ = windows.batch(at)
+    before = inputs_before(first.system, windows, at)
     drawn = []
     for kind, members in models.items():
-        paths = rollout(members[0], x[:, 0], u, seed=seed, measurement=True)[:, 0]
+        paths = rollout(members[0], x[:, 0], u, seed=seed, measurement=True, u_before=before)[:, 0]
         drawn.append(prediction(members[0], paths, names[kind], level=0.95))
     s = first.system
     figure = plots.evolution(

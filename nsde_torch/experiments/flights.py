@@ -9,6 +9,7 @@ from nsde_torch import plots
 from nsde_torch.data import DataSet, Run, Windows
 from nsde_torch.experiments.outcome import Check, Outcome
 from nsde_torch.experiments.sampled import prediction, rollout
+from nsde_torch.learning.before import inputs_before
 from nsde_torch.learning.metrics import evaluate
 from nsde_torch.models.model import Model
 from nsde_torch.plots import Prediction
@@ -151,6 +152,7 @@ def _evolution(
     windows = Windows(test, dt, round(_SHOWN_S / dt), dtype=first.clock_scale.dtype)
     at = _typical(windows, [s.state_names.index(n) for n in ("v_x", "v_y", "v_z")])
     x, u, _ = windows.batch(at)
+    before = inputs_before(s, windows, at)
     channels = [*range(3), *range(3, 6), *range(10, 13)]
     v = [s.state_names[i] for i in channels]
     unit = [s.state_units[i] for i in channels]
@@ -161,7 +163,7 @@ def _evolution(
     truth = shown(x[0].double().numpy())
     drawn = []
     for kind, members in models.items():
-        paths = rollout(members[0], x[:, 0], u, seed=seed, measurement=True)[:, 0]
+        paths = rollout(members[0], x[:, 0], u, seed=seed, measurement=True, u_before=before)[:, 0]
         if kind == "sde":
             states = np.stack([shown(p) for p in paths.double().numpy()])
             low, high = np.quantile(states, [0.025, 0.975], axis=0)

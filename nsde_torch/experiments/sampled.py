@@ -13,7 +13,9 @@ PARTICLES = 1999
 
 
 @torch.no_grad()
-def rollout(model: Model, x0: Tensor, u: Tensor, *, seed: int, measurement: bool) -> Tensor:
+def rollout(
+    model: Model, x0: Tensor, u: Tensor, *, seed: int, measurement: bool, u_before: Tensor | None = None
+) -> Tensor:
     """Paths of a model (P, B, T + 1, nx), not-a-number from where one has left the finite numbers.
 
     Args:
@@ -22,6 +24,7 @@ def rollout(model: Model, x0: Tensor, u: Tensor, *, seed: int, measurement: bool
         u: Inputs (B, T, nu) on the model's step.
         seed: Seed of the particles.
         measurement: Whether measurements are predicted, or the state itself.
+        u_before: Inputs of the steps before (B, K, nu); see `Model.sample`.
     """
 
     def sample(steps: int) -> Tensor:
@@ -32,6 +35,7 @@ def rollout(model: Model, x0: Tensor, u: Tensor, *, seed: int, measurement: bool
             particles=PARTICLES,
             generator=torch.Generator().manual_seed(seed),
             measurement=measurement,
+            u_before=u_before,
         )
 
     full = u.shape[1]

@@ -23,6 +23,7 @@ from torch import Tensor
 
 from nsde_torch.data import Run, Windows
 from nsde_torch.errors import DataError, NonFiniteError
+from nsde_torch.learning.before import inputs_before
 from nsde_torch.learning.metrics import horizons_of, interval_quantiles, start_grid
 from nsde_torch.models.neural_sde import NeuralSDE
 
@@ -59,6 +60,7 @@ class Coverage:
             starts = starts[torch.linspace(0, len(starts) - 1, _STARTS).round().long()]
         self.x, self.u, t0 = windows.batch(starts)
         self.t0 = t0.to(like.dtype)
+        self.u_before = inputs_before(model.system, windows, starts)
 
     @torch.no_grad()
     def __call__(self, log_factor: float) -> float:
@@ -77,6 +79,7 @@ class Coverage:
                 generator=torch.Generator().manual_seed(self.seed),
                 compile=self.compile,
                 t0=self.t0,
+                u_before=self.u_before,
             )
         except NonFiniteError:
             return 1.0

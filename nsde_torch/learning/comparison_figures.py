@@ -9,6 +9,7 @@ import torch
 
 from nsde_torch import plots
 from nsde_torch.errors import NonFiniteError
+from nsde_torch.learning.before import inputs_before
 from nsde_torch.learning.common_grid import Candidate, Grid
 from nsde_torch.learning.comparison import Comparison
 from nsde_torch.learning.comparison_text import label
@@ -138,6 +139,7 @@ def _paths(candidate: Candidate, grid: Grid, at: int, seed: int) -> tuple[Any, A
         generator=torch.Generator().manual_seed(seed),
         t0=t0.to(x.dtype),
         measurement_std=candidate.measurement_std,
+        u_before=inputs_before(candidate.model.system, grid.windows, grid.starts[at : at + 1]),
     )
     t = np.arange(grid.windows.horizon + 1) * grid.windows.dt_model
     return t, x[0].cpu().numpy(), samples[:, 0].cpu().numpy()

@@ -16,6 +16,7 @@ from scipy.special import stdtrit
 from torch import Tensor
 
 from nsde_torch.data import Windows
+from nsde_torch.learning.before import inputs_before
 from nsde_torch.models.neural_sde import NeuralSDE
 
 _HORIZON_S, _CLUSTER_S, _WINDOWS = 0.25, 4.0, 600
@@ -44,11 +45,14 @@ def declared_confidence(model: NeuralSDE, windows: Windows, scale: Tensor) -> di
     pick = torch.linspace(0, len(windows) - 1, min(_WINDOWS, len(windows))).round().long()
     x, u, t0 = windows.batch(pick)
     steps = max(1, min(round(_HORIZON_S / windows.dt_model), windows.horizon))
-    u = model.applied_inputs(u, windows.dt_model)[:, :steps]
+    u, before = model.applied_pair(u, windows.dt_model, inputs_before(model.system, windows, pick))
+    u = u[:, :steps]
     start = model.project(windows.initial_states(pick))
 
     def errors() -> Tensor:
-        path = model.paths(start, u, dt=windows.dt_model, noise=None, check=False, t0=t0.to(x.dtype))
+        path = model.paths(
+            start, u, dt=windows.dt_model, noise=None, check=False, t0=t0.to(x.dtype), u_before=before
+        )
         e = model.system.error(path[0, :, steps], x[:, steps]) / scale
         return e.double().cpu()
 

@@ -10,6 +10,7 @@ from torch import Tensor
 
 from nsde_torch import plots
 from nsde_torch.data import DataSet, Run, Windows
+from nsde_torch.learning.before import inputs_before
 from nsde_torch.models.model import Model
 from nsde_torch.models.neural_sde import NeuralSDE
 
@@ -101,6 +102,7 @@ def _rollouts(model: Model, runs: Sequence[Run], horizon_s: float, seed: int, no
         particles=_PARTICLES,
         generator=torch.Generator().manual_seed(seed),
         t0=t0.to(x.dtype),
+        u_before=inputs_before(model.system, windows, at),
     )
     system = model.system
     where = [f"{name}, t = {float(t):.1f} s" for name, t in zip(_names(windows, at), t0, strict=True)]

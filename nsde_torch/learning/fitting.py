@@ -17,6 +17,7 @@ from tqdm.auto import tqdm
 
 from nsde_torch.data import Windows
 from nsde_torch.errors import CheckpointError, NonFiniteError
+from nsde_torch.learning.before import inputs_before
 from nsde_torch.learning.checkpoint import read_checkpoint, write_checkpoint
 from nsde_torch.learning.losses import data_loss, distance_losses, draw_ball, mu_weight
 from nsde_torch.learning.options import LossOptions, TrainerOptions
@@ -103,7 +104,8 @@ class Fit:
         """
         model, system = self.model, self.model.system
         x, u, t0 = windows.batch(indices)
-        u = model.applied_inputs(u, windows.dt_model)
+        before = inputs_before(system, windows, indices)
+        u, before = model.applied_pair(u, windows.dt_model, before)
         drawn = (particles // 2 if paired else particles, len(x), windows.horizon)
         made = {"generator": generator, "device": x.device, "dtype": x.dtype}
 
@@ -123,6 +125,7 @@ class Fit:
             compile=self.compile,
             check=False,
             t0=t0.to(x.dtype),
+            u_before=before,
         )[:, :, 1:]
         if model.spec.measurement:
             path = path + mirrored(_normal(generator, x, *drawn, system.nx)) * std

@@ -20,6 +20,7 @@ from torch import Tensor
 
 from nsde_torch.data import Windows
 from nsde_torch.errors import NonFiniteError
+from nsde_torch.learning.before import inputs_before
 from nsde_torch.learning.losses import crps
 from nsde_torch.models.model import Model
 from nsde_torch.systems import System
@@ -191,6 +192,7 @@ def score(
                 compile=compile,
                 t0=t0.to(x.dtype),
                 measurement_std=measurement_std,
+                u_before=inputs_before(system, windows, starts[part]),
             )
         except NonFiniteError:
             if len(part) > 1:  # look for those at fault; the others are scored

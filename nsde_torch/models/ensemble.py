@@ -212,16 +212,19 @@ class GaussianEnsemble(Model):
         applied: bool = False,
         compile: bool = False,
         t0: float | Tensor = 0.0,
+        u_before: Tensor | None = None,
     ) -> Tensor:
         """See `Model.sample`.
 
         `measurement`, `applied` and `compile` change nothing: an ensemble predicts measurements from inputs as logged,
-        and its time goes into matrix products that a compiler leaves as they are.
+        and its time goes into matrix products that a compiler leaves as they are. `u_before` is checked and changes
+        nothing either: an ensemble has no memory.
 
         Raises:
             ConfigError: `dt` is not the step that the ensemble learned, or `measurement_std` is given.
         """
         x0, u = self.checked(x0, u, particles, generator)
+        self.checked_before(u_before, x0)
         if not abs(dt / self.spec.dt - 1) < 1e-6:
             raise ConfigError(
                 f"`dt` must be {self.spec.dt:g} s, the step that this ensemble learned; got {dt!r}. It predicts the "

@@ -95,6 +95,21 @@ class IdentifiedModel(Model):
         """State (N, nx) with the memory that is stationary under the inputs `u` (N, nu): (N, nz)."""
         return self.system.augment(x, u)
 
+    def remembered(self, x: Tensor, u: Tensor, u_before: Tensor | None, *, dt: float) -> Tensor:
+        """State (N, nx) with the memory that inputs before it left, (N, nz); see `System.remembered`.
+
+        `dt` [s] is on the logged clock.
+        """
+        return self.system.remembered(x, u, u_before, dt=dt * float(self.clock_scale))
+
+    def set_step(self, dt: float) -> None:
+        """Tell the effects the step of the integrator on the logged clock [s]; see `System.set_step`."""
+        self.system.set_step(dt * float(self.clock_scale))
+
+    def inner(self, z: Tensor, y: Tensor) -> Tensor:
+        """See `System.inner`."""
+        return self.system.inner(z, y)
+
     def drift(self, t: float | Tensor, z: Tensor, u: Tensor) -> Tensor:
         """Rate of the state (N, nz) per logged second.
 
@@ -127,15 +142,17 @@ class IdentifiedModel(Model):
         applied: bool = False,
         compile: bool = False,
         t0: float | Tensor = 0.0,
+        u_before: Tensor | None = None,
     ) -> Tensor:
         """See `Model.sample`; all particles are one path, and a measurement is predicted as the state itself."""
         x0, u = self.checked(x0, u, particles, generator)
+        u_before = self.checked_before(u_before, x0)
         if measurement_std is not None:
             if measurement_std.shape != (self.system.nx,):
                 raise ShapeError(f"`measurement_std` must be ({self.system.nx},).")
             raise ConfigError(
                 "`measurement_std` was given, but a model by system identification has no noise. Leave it out."
             )
-        z0 = self.augment(x0, u[:, 0])
+        z0 = self.remembered(x0, u[:, 0], u_before, dt=dt)
         path = rollout(self, z0, u, dt=dt, step=self.step, noise=None, t0=t0, compile=compile)
         return path[..., : self.system.nx].expand(particles, -1, -1, -1)

@@ -99,6 +99,7 @@ class Model(nn.Module, ABC):
         applied: bool = False,
         compile: bool = False,
         t0: float | Tensor = 0.0,
+        u_before: Tensor | None = None,
     ) -> Tensor:
         """Sample predicted trajectories.
 
@@ -115,6 +116,10 @@ class Model(nn.Module, ABC):
                 in which case a smoothed log is restored first.
             compile: Compile the step; pays for many or repeated rows.
             t0: Time of the first state [s], one number or (B,).
+            u_before: Inputs held during the K steps of `dt` just before the start (B, K, nu), oldest first, logged or
+                applied as `u` is. Lags and delays then begin where the log had them: their memory is stationary under
+                the first of these inputs, and the state is held at x0 while it moves, which is assumed. None: memory
+                is stationary under u[:, 0].
 
         Returns:
             States (particles, B, T + 1, nx); the first is x0, projected (a quaternion is normalised).
@@ -173,6 +178,39 @@ class Model(nn.Module, ABC):
         if isinstance(particles, bool) or not isinstance(particles, int) or particles < 1:
             raise ConfigError(f"`particles` must be a whole number of at least 1; got {particles!r}.")
         return self.project(x0.to(self.clock_scale)), u.to(self.clock_scale)
+
+    def checked_before(self, u_before: Tensor | None, x0: Tensor) -> Tensor | None:
+        """`u_before` of `sample`, refused if it does not fit `x0` (B, nx); on the model's device and type.
+
+        Raises:
+            ShapeError: wrong axes or columns.
+            NonFiniteError: not finite.
+        """
+        if u_before is None:
+            return None
+        width = self.system.nu + len(self.system.exogenous)
+        if not isinstance(u_before, Tensor) or u_before.is_complex():
+            raise ShapeError(
+                f"`u_before` must be a real torch.Tensor or None; got {type(u_before).__name__}. Use torch.as_tensor."
+            )
+        if u_before.ndim != 3 or u_before.shape[2] != width:
+            hint = " Add an axis of steps." if u_before.ndim == 2 else ""
+            raise ShapeError(
+                f"`u_before` must be (batch, steps, nu={width}); got {tuple(u_before.shape)}.{hint}"
+            )
+        if u_before.shape[0] != x0.shape[0]:
+            raise ShapeError(
+                f"`x0` has {x0.shape[0]} rows and `u_before` has {u_before.shape[0]}; they must agree."
+            )
+        if u_before.shape[1] == 0:
+            raise ShapeError(
+                "`u_before` must hold at least one step; got none. Leave it out if nothing is known."
+            )
+        bad = ~torch.isfinite(u_before).flatten(1).all(1)
+        if bool(bad.any()):
+            rows = bad.nonzero()[:5, 0].tolist()
+            raise NonFiniteError(f"`u_before` is not finite in rows {rows}. Drop or repair these rows.")
+        return u_before.to(self.clock_scale)
 
 
 def normal(shape: tuple[int, ...], generator: torch.Generator, like: Tensor) -> Tensor:

@@ -196,6 +196,18 @@ class NeuralSDE(Model):
         rate = s.drift(t, own, u, forces)
         return self.clock_scale * join_columns((rate, -d / self.tau))
 
+    def set_step(self, dt: float) -> None:
+        """Tell the effects the step of the integrator on the logged clock [s]; see `System.set_step`."""
+        self.system.set_step(dt * float(self.clock_scale))
+
+    def inner(self, z: Tensor, y: Tensor) -> Tensor:
+        """See `System.inner`; disturbances are those of `y`."""
+        s = self.system
+        if s.nz == s.nx:
+            return y
+        (own, _), (later, d) = (split_columns(v, s.nz, self.nd) for v in (z, y))
+        return join_columns((s.inner(own, later), d))
+
     def diffusion(self, t: float | Tensor, z: Tensor, u: Tensor) -> Tensor:
         """Standard deviation density (N, nz) [state unit per root second]; memory has none.
 
@@ -249,6 +261,7 @@ class NeuralSDE(Model):
         compile: bool = False,
         t0: float | Tensor = 0.0,
         check: bool = True,
+        u_before: Tensor | None = None,
     ) -> Tensor:
         """Paths of the state under given noise: what training and `sample` share.
 
@@ -262,6 +275,8 @@ class NeuralSDE(Model):
             compile: Compile the step.
             t0: Time of the first state.
             check: Raise on a non-finite state.
+            u_before: Applied inputs of the steps before (B, K, nu), which the memory of the effects begins with, or
+                None for memory that is stationary under u[:, 0].
 
         Returns:
             States (P, B, T + 1, nx).
@@ -270,8 +285,12 @@ class NeuralSDE(Model):
         step = make_step("rk4") if noise is None and not self.step.deterministic else self.step
         if step.deterministic:
             noise = None
+        memory = None
+        if u_before is not None and self.system.nz > nx:
+            own = self.system.remembered(x0, u[:, 0], u_before, dt=dt * float(self.clock_scale))
+            memory = split_columns(own, nx, self.system.nz - nx)[1]
         if start is None:
-            z0 = self._augment(x0, u[:, 0], None)
+            z0 = self._augment(x0, u[:, 0], None, memory)
             path = rollout(self, z0, u, dt=dt, step=step, noise=noise, t0=t0, compile=compile, check=check)
             return path[..., :nx]
         p, b = start.shape[:2]
@@ -281,7 +300,8 @@ class NeuralSDE(Model):
             x = x + start[..., :nx] * std
         flat_u = u.expand(p, *u.shape).reshape(p * b, *u.shape[1:])
         disturbance = start[..., -self.nd :].reshape(p * b, self.nd) if self.nd else None
-        z0 = self._augment(self.project(x.reshape(p * b, nx)), flat_u[:, 0], disturbance)
+        memory = None if memory is None else memory.repeat(p, 1)
+        z0 = self._augment(self.project(x.reshape(p * b, nx)), flat_u[:, 0], disturbance, memory)
         path = rollout(
             self,
             z0,
@@ -302,9 +322,9 @@ class NeuralSDE(Model):
         """
         return self._augment(x, u, draw)
 
-    def _augment(self, x: Tensor, u: Tensor, draw: Tensor | None) -> Tensor:
+    def _augment(self, x: Tensor, u: Tensor, draw: Tensor | None, memory: Tensor | None = None) -> Tensor:
         """State, memory and disturbance (N, nz); the disturbance is drawn from its stationary law."""
-        z = self.system.augment(x, u)
+        z = self.system.augment(x, u) if memory is None else join_columns((x, memory))
         if not self.nd:
             return z
         if draw is None:
@@ -327,14 +347,17 @@ class NeuralSDE(Model):
         applied: bool = False,
         compile: bool = False,
         t0: float | Tensor = 0.0,
+        u_before: Tensor | None = None,
     ) -> Tensor:
         """See `Model.sample`."""
         x0, u = self.checked(x0, u, particles, generator)
+        u_before = self.checked_before(u_before, x0)
         if measurement_std is not None and (
             measurement_std.shape != (self.system.nx,) or not bool((measurement_std >= 0).all())
         ):
             raise ShapeError(f"`measurement_std` must be ({self.system.nx},) and not negative.")
-        logged = u if applied or self.filter is None else self._restore(u, dt)
+        if not applied:
+            u, u_before = self.applied_pair(u, dt, u_before)
         shape = (particles, x0.shape[0], u.shape[1])
         made = {"generator": generator, "device": x0.device, "dtype": x0.dtype}
         noise = brownian(*shape, self.nz, dt=dt, **made)  # type: ignore[arg-type]
@@ -346,7 +369,8 @@ class NeuralSDE(Model):
         std = self.measurement_std if measurement_std is None else measurement_std.to(x0)
         std = std if measurement else torch.zeros_like(std)
         start = normal((*shape[:2], self.n_start), generator, x0) if self.n_start else None
-        path = self.paths(x0, logged, dt=dt, noise=noise, start=start, std=std, compile=compile, t0=t0)
+        given = {"noise": noise, "start": start, "std": std, "compile": compile, "t0": t0}
+        path = self.paths(x0, u, dt=dt, u_before=u_before, **given)  # type: ignore[arg-type]
         path = path.expand(particles, *path.shape[1:])
         if not bool((std > 0).any()):
             return path
@@ -363,3 +387,10 @@ class NeuralSDE(Model):
     def applied_inputs(self, u: Tensor, dt: float) -> Tensor:
         """Inputs that acted on the machine (B, T, nu), from those logged."""
         return u if self.filter is None else self._restore(u, dt)
+
+    def applied_pair(self, u: Tensor, dt: float, u_before: Tensor | None) -> tuple[Tensor, Tensor | None]:
+        """Inputs (B, T, nu) and those of the steps before (B, K, nu) as they acted; the filter sees both."""
+        if self.filter is None or u_before is None:
+            return self.applied_inputs(u, dt), u_before
+        restored = self._restore(torch.cat((u_before, u), 1), dt)
+        return restored[:, u_before.shape[1] :], restored[:, : u_before.shape[1]]

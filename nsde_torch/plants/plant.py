@@ -96,6 +96,7 @@ class Plant:
         if not latency >= 0:
             raise ConfigError(f"`latency` must be a time of 0 s or more; got {latency!r}.")
         self.system = frozen(system).to(device=generator.device, dtype=dtype)
+        self.system.set_step(0.0)  # whatever integrator the system came from
         self.dt, self._fine = float(dt), float(dt) / self._substeps
         self._delay = round(latency / self._fine)
         self._limits, self._check, self._dtype = limits, check, dtype

@@ -4,7 +4,7 @@ from nsde_torch.sde.compilation import CompilationWarning, compiled
 from nsde_torch.sde.derivative import diffusion_and_slope, drift_correction, with_calculus
 from nsde_torch.sde.integrate import rollout
 from nsde_torch.sde.noise import brownian, coarsen
-from nsde_torch.sde.protocol import SDE, Calculus, HasDiagonalDerivative, Time
+from nsde_torch.sde.protocol import SDE, Calculus, HasDiagonalDerivative, HoldsColumns, Time, within
 from nsde_torch.sde.registry import STEPS, make_step
 from nsde_torch.sde.step import Step
 
@@ -14,6 +14,7 @@ __all__ = [
     "Calculus",
     "CompilationWarning",
     "HasDiagonalDerivative",
+    "HoldsColumns",
     "Step",
     "Time",
     "brownian",
@@ -24,4 +25,5 @@ __all__ = [
     "make_step",
     "rollout",
     "with_calculus",
+    "within",
 ]

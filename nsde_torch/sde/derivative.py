@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from nsde_torch.errors import SolverError
-from nsde_torch.sde.protocol import SDE, HasDiagonalDerivative, Time
+from nsde_torch.sde.protocol import SDE, HasDiagonalDerivative, HoldsColumns, Time, within
 
 
 def diffusion_and_slope(sde: SDE, t: Time, z: Tensor, u: Tensor) -> tuple[Tensor, Tensor]:
@@ -76,6 +76,13 @@ class _Converted:
 
     def project(self, z: Tensor) -> Tensor:
         return self.source.project(z)
+
+    def set_step(self, dt: float) -> None:
+        if isinstance(self.source, HoldsColumns):
+            self.source.set_step(dt)
+
+    def inner(self, z: Tensor, y: Tensor) -> Tensor:
+        return within(self.source, z, y)
 
 
 def with_calculus(sde: SDE, calculus: Literal["ito", "stratonovich"]) -> SDE:

@@ -10,7 +10,7 @@ from typing import final
 
 from torch import Tensor
 
-from nsde_torch.sde.protocol import SDE, Time
+from nsde_torch.sde.protocol import SDE, Time, within
 from nsde_torch.sde.step import Step
 
 _CONDITION = "sigma = 0; f smooth in z within a step (u is held, so its jumps lie between steps)"
@@ -30,7 +30,8 @@ class Midpoint(Step):
     def advance(self, sde: SDE, t: Time, z: Tensor, u: Tensor, dt: Time, dw: Tensor | None) -> Tensor:
         """See `Step.advance`."""
         half = 0.5 * dt
-        return z + sde.drift(t + half, z + sde.drift(t, z, u) * half, u) * dt
+        middle = z + sde.drift(t, z, u) * half
+        return z + sde.drift(t + half, within(sde, z, middle), u) * dt
 
 
 @final
@@ -48,7 +49,7 @@ class RungeKutta4(Step):
         """See `Step.advance`."""
         half = 0.5 * dt
         k1 = sde.drift(t, z, u)
-        k2 = sde.drift(t + half, z + k1 * half, u)
-        k3 = sde.drift(t + half, z + k2 * half, u)
-        k4 = sde.drift(t + dt, z + k3 * dt, u)
+        k2 = sde.drift(t + half, within(sde, z, z + k1 * half), u)
+        k3 = sde.drift(t + half, within(sde, z, z + k2 * half), u)
+        k4 = sde.drift(t + dt, within(sde, z, z + k3 * dt), u)
         return z + (k1 + 2.0 * (k2 + k3) + k4) * (dt / 6.0)

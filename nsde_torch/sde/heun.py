@@ -8,7 +8,7 @@ from typing import final
 
 from torch import Tensor
 
-from nsde_torch.sde.protocol import SDE, Time
+from nsde_torch.sde.protocol import SDE, Time, within
 from nsde_torch.sde.step import Step
 
 
@@ -32,4 +32,5 @@ class Heun(Step):
         assert dw is not None
         f, g = sde.drift(t, z, u), sde.diffusion(t, z, u)
         y = z + f * dt + g * dw
-        return z + 0.5 * ((f + sde.drift(t + dt, y, u)) * dt + (g + sde.diffusion(t + dt, y, u)) * dw)
+        after = sde.drift(t + dt, within(sde, z, y), u)
+        return z + 0.5 * ((f + after) * dt + (g + sde.diffusion(t + dt, y, u)) * dw)

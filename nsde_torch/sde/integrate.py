@@ -12,7 +12,7 @@ from torch import Tensor
 from nsde_torch.columns import by_column
 from nsde_torch.sde.checks import check_arguments, check_finite
 from nsde_torch.sde.compilation import compiled, eager, quiet_compiler
-from nsde_torch.sde.protocol import SDE, Time
+from nsde_torch.sde.protocol import SDE, HoldsColumns, Time
 from nsde_torch.sde.step import Step
 
 
@@ -59,6 +59,8 @@ def rollout(
         >>> paths = rollout(sde, z0, u, dt=0.01, step=make_step("milstein"), noise=noise)
     """
     particles = check_arguments(sde, z0, u, dt=dt, step=step, noise=noise, t0=t0)
+    if isinstance(sde, HoldsColumns):
+        sde.set_step(dt)
     batch, nz = z0.shape
     rows, horizon = particles * batch, u.shape[1]
 

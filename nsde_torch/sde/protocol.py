@@ -38,6 +38,26 @@ class SDE(Protocol):
 
 
 @runtime_checkable
+class HoldsColumns(Protocol):
+    """An equation whose drift, in some columns, is known as the mean over a whole step and not at an instant.
+
+    Lags of inputs that are held over a step are such: they have a closed form. Before a rollout the equation is told
+    the step; a step that evaluates the drift more than once then asks at which state (see `within`).
+    """
+
+    def set_step(self, dt: float) -> None:
+        """Take the length of the steps that follow [s]."""
+
+    def inner(self, z: Tensor, y: Tensor) -> Tensor:
+        """The state `y` within a step from `z`, both (N, nz), with those columns as they are in `z`."""
+
+
+def within(sde: SDE, z: Tensor, y: Tensor) -> Tensor:
+    """Where to evaluate the drift for a stage at `y` of a step that began at `z`, both (N, nz)."""
+    return sde.inner(z, y) if isinstance(sde, HoldsColumns) else y
+
+
+@runtime_checkable
 class HasDiagonalDerivative(Protocol):
     """An equation that knows the slopes of its own diffusion."""
 

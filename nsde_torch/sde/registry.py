@@ -12,6 +12,7 @@ from nsde_torch.sde.milstein import (
     MilsteinStratonovich,
     MilsteinStratonovichFree,
 )
+from nsde_torch.sde.milstein_heun import MilsteinHeun
 from nsde_torch.sde.step import Step
 from nsde_torch.sde.torchdiffeq_step import TorchDiffEq
 
@@ -22,6 +23,7 @@ _CLASSES: tuple[type[Step], ...] = (
     MilsteinStratonovichFree,
     MilsteinIto,
     MilsteinStratonovich,
+    MilsteinHeun,
     RungeKutta4,
     Midpoint,
     TorchDiffEq,

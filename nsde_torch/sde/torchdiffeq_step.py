@@ -12,7 +12,7 @@ import torchdiffeq
 from torch import Tensor, nn
 
 from nsde_torch.errors import ConfigError
-from nsde_torch.sde.protocol import SDE, Time
+from nsde_torch.sde.protocol import SDE, Time, within
 from nsde_torch.sde.step import Step
 
 FIXED = {"euler": 1, "midpoint": 2, "rk4": 4, "heun3": 3}
@@ -56,12 +56,12 @@ class TorchDiffEq(Step):
         ends = torch.stack((torch.zeros_like(z[0, 0]), torch.ones_like(z[0, 0]) * dt)).detach()
         options: dict[str, Any] = {"method": self.method, "rtol": self.rtol, "atol": self.atol}
         if not self.adjoint:
-            path = torchdiffeq.odeint(lambda s, y: sde.drift(t + s, y, u), z, ends, **options)
+            path = torchdiffeq.odeint(lambda s, y: sde.drift(t + s, within(sde, z, y), u), z, ends, **options)
             return path[-1]
         parameters = tuple(sde.parameters()) if isinstance(sde, nn.Module) else ()
         wanted = tuple(p for p in (*parameters, u) if p.requires_grad)
         return torchdiffeq.odeint_adjoint(
-            lambda s, y: sde.drift(t + s, y, u), z, ends, adjoint_params=wanted, **options
+            lambda s, y: sde.drift(t + s, within(sde, z, y), u), z, ends, adjoint_params=wanted, **options
         )[-1]
 
     def __repr__(self) -> str:

@@ -20,6 +20,7 @@ from torch import Tensor, nn
 from nsde_torch.columns import join_columns, split_columns
 from nsde_torch.effects import Effect, Parametrised, Port, effect_class, make_effect
 from nsde_torch.errors import ConfigError, ShapeError
+from nsde_torch.systems import memory as memory_of
 
 
 @dataclass(frozen=True)
@@ -169,9 +170,38 @@ class System(Parametrised, ABC):
         self._read = tuple(tuple(columns[name] for name in effect.exogenous) for effect in effects)
 
     def set_step(self, dt: float) -> None:
-        """Tell the effects the step of a coarse integrator [s] (see `Effect.step`); 0: as their formulas say."""
+        """Tell the effects the step of the integrator [s] (see `Effect.whole_steps`); 0: as their formulas say."""
         for k in range(len(self.effects)):
             self._effect(k).step = float(dt)
+
+    @property
+    def step(self) -> float:
+        """Step that the effects were told [s]; 0: none."""
+        return self._effect(0).step if len(self.effects) else 0.0
+
+    @property
+    def whole_steps(self) -> bool:
+        """Whether every memory knows whole steps of held inputs exactly, once told the step."""
+        return all(effect.whole_steps for effect in self._all_effects if effect.n_memory)
+
+    @property
+    def held_columns(self) -> tuple[int, ...]:
+        """Columns of (state, memory) whose rate is that of a whole step: memory of effects that know the step."""
+        ends = list(accumulate(self._parts))
+        return tuple(
+            column
+            for effect, start, stop in zip(self._all_effects, ends[:-1], ends[1:], strict=True)
+            if effect.step and effect.whole_steps
+            for column in range(start, stop)
+        )
+
+    def inner(self, z: Tensor, y: Tensor) -> Tensor:
+        """The state `y` (N, nz) at which a step from `z` (N, nz) evaluates the drift again.
+
+        Memory whose rate is that of a whole step stays as it was at the start: every stage then has the mean input
+        over the step, and the memory comes out exact, whatever the method.
+        """
+        return memory_of.held_within(self, z, y)
 
     def with_effects(self, *effects: Effect) -> "System":
         """A copy of the machine, with its present values, that has further effects.
@@ -328,6 +358,22 @@ class System(Parametrised, ABC):
                 if effect.port is Port.INPUT:
                     command = command + effect(0.0, x, own, starts[k])
         return join_columns((x, *(starts[k] for k in sorted(starts))))
+
+    def remembered(self, x: Tensor, u: Tensor, u_before: Tensor | None, *, dt: float) -> Tensor:
+        """State with the memory that the inputs until now have left (N, nz); differentiable.
+
+        Memory is stationary under the first of these inputs, and the state is held at `x` while it moves: assumed.
+
+        Args:
+            x: States now (N, nx).
+            u: Inputs from now on (N, nu + n_exogenous), under which memory is stationary where nothing else is known.
+            u_before: Inputs held during the steps before now, oldest first (N, K, nu + n_exogenous), or None.
+            dt: Length of a step [s].
+
+        Raises:
+            ShapeError: `u_before` does not fit.
+        """
+        return memory_of.remembered(self, x, u, u_before, dt)
 
     def held_memory(self, t: Tensor, x: Tensor, u: Tensor, dt: float) -> tuple[Tensor, Tensor]:
         """What effects on the input know exactly of inputs that are held over steps (see `Effect.held`).

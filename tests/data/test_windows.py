@@ -155,3 +155,33 @@ def test_shortened_windows_are_of_the_same_rows() -> None:
 def test_windows_are_not_lengthened(horizon: int) -> None:
     with pytest.raises(ConfigError, match=r"1\.\.5"):
         Windows([run(50)], 0.02, 5).shortened(horizon)
+
+
+def test_inputs_before_are_means_over_model_steps_of_the_same_segment() -> None:
+    windows = Windows([run(60, ((0, 30), (30, 60))), run(40, offset=1000, name="b")], 0.05, 4)
+    places = windows.locate(range(len(windows)))
+    at = [places.index(p) for p in (("a", 9), ("a", 32), ("a", 30), ("b", 10))]
+    before = windows.before(at, 2)
+    assert before.shape == (4, 2, 1)
+    #   the mean of 0..3 with the first repeated once, then of 4..8
+    assert before[0, :, 0].tolist() == [pytest.approx((0 + 0 + 1 + 2 + 3) / 5), 6]
+    assert before[1, :, 0].tolist() == [30, pytest.approx((3 * 30 + 30 + 31) / 5)]
+    assert before[2, :, 0].tolist() == [30, 30]
+    assert before[3, :, 0].tolist() == [2, 7]
+    torch.testing.assert_close(windows.before(at, 1), before[:, 1:])
+
+
+def test_inputs_before_a_held_out_block_are_read_from_the_block_before() -> None:
+    windows = Windows([run(400)], 0.05, 4)
+    train, held = windows.held_out(0.2, 0.5, torch.Generator().manual_seed(0))
+    for part in (train, held):
+        indices = torch.arange(len(part))
+        rows = torch.from_numpy(part.rows(indices))
+        expected = torch.stack([(rows + k).clamp_min(0) for k in range(-5, 0)], 1).float().mean(1)
+        torch.testing.assert_close(part.before(indices, 1)[:, 0, 0], expected)
+
+
+@pytest.mark.parametrize("steps", [0, -1, 1.5, True])
+def test_inputs_before_need_a_step(steps: object) -> None:
+    with pytest.raises(ConfigError, match="`steps`"):
+        Windows([run(50)], 0.05, 4).before([0], steps)  # type: ignore[arg-type]

@@ -3,7 +3,7 @@
 import pytest
 import torch
 
-from nsde_torch.sde import STEPS, brownian, coarsen, make_step, rollout
+from nsde_torch.sde import STEPS, Time, brownian, coarsen, make_step, rollout
 from tests.helpers.sde_problems import (
     DistanceAware,
     GeometricBrownianMotion,
@@ -82,3 +82,62 @@ def test_derivative_free_milstein_order_drops_to_half_on_coupled_noise() -> None
 def test_heun_order_drops_to_half_on_coupled_noise() -> None:
     errors = coupled_errors("heun")
     assert slope((64, 128, 256, 512), errors) == pytest.approx(0.5, abs=0.12)
+
+
+@pytest.mark.parametrize(("name", "order"), [("milstein_heun", 2.0), ("heun", 2.0), ("milstein", 1.0)])
+def test_the_order_in_the_drift_where_there_is_no_noise(name: str, order: float) -> None:
+    class Swing:
+        """theta'' = -sin(theta) + u."""
+
+        calculus = "either"
+
+        def drift(self, t: Time, z: torch.Tensor, u: torch.Tensor) -> torch.Tensor:
+            return torch.stack((z[:, 1], u[:, 0] - torch.sin(z[:, 0])), -1)
+
+        def diffusion(self, t: Time, z: torch.Tensor, u: torch.Tensor) -> torch.Tensor:
+            return torch.zeros_like(z)
+
+        def project(self, z: torch.Tensor) -> torch.Tensor:
+            return z
+
+    z0 = torch.tensor([[1.0, 0.0]], dtype=torch.float64)
+
+    def end(name: str, steps: int) -> torch.Tensor:
+        step, u = make_step(name), z0.new_full((1, steps, 1), 0.2)
+        noise = None if step.deterministic else z0.new_zeros(1, 1, steps, 2)
+        return rollout(Swing(), z0, u, dt=2 / steps, step=step, noise=noise)[0, 0, -1]
+
+    exact = end("rk4", 1000)
+    errors = [float((end(name, n) - exact).abs().max()) for n in (20, 40, 80)]
+    assert slope((1 / 20, 1 / 40, 1 / 80), errors) == pytest.approx(order, abs=0.15)
+
+
+def test_milstein_heun_is_as_its_drift_where_noise_is_small_and_steps_are_long() -> None:
+    problem = GeometricBrownianMotion(a=1.0, b=0.004)
+    errors = {
+        name: strong_errors(problem, make_step(name), paths=300, finest=64, factors=(4, 8))
+        for name in ("milstein", "milstein_heun")
+    }
+    assert max(errors["milstein_heun"]) < 0.1 * min(errors["milstein"])
+    assert errors["milstein_heun"][1] / errors["milstein_heun"][0] > 3.0  # four, of a second order
+
+
+@pytest.mark.parametrize("kind", [GeometricBrownianMotion, Tangent])
+def test_milstein_heun_has_the_limit_of_milstein_on_multiplicative_noise(kind: type[Problem]) -> None:
+    problem = kind(calculus="ito")
+    fine = brownian(500, 1, 1024, 1, dt=1 / 1024, generator=torch.Generator().manual_seed(8)).double()
+    z0 = torch.full((1, 1), problem.z0, dtype=torch.float64)
+
+    def apart(factor: int) -> tuple[float, float]:
+        dw = coarsen(fine, factor)
+        u = z0.new_zeros(1, dw.shape[2], 1)
+        ends = [
+            rollout(problem, z0, u, dt=factor / 1024, step=make_step(name), noise=dw)[:, :, -1]
+            for name in ("milstein", "milstein_heun")
+        ]
+        return float((ends[0] - ends[1]).mean().abs()), float((ends[0] - ends[1]).abs().mean())
+
+    mean, spread = apart(1)
+    before = apart(16)
+    assert mean < 0.15 * before[0]
+    assert spread < 0.15 * before[1] < 0.05

@@ -1,0 +1,220 @@
+"""Memory of effects: what inputs before a start leave, and whole steps of held inputs against fine integration."""
+
+from __future__ import annotations
+
+from typing import final
+
+import pytest
+import torch
+from torch import Tensor
+
+from nsde_torch.effects import Effect, Parameter, Port
+from nsde_torch.errors import ShapeError
+from nsde_torch.sde import STEPS, Calculus, Time, make_step, rollout
+from nsde_torch.systems import System, make_system
+from tests.helpers.effect_rows import flying
+
+
+@final
+class Slow(Effect):
+    """A push that follows the mean command late, by its formula alone: it knows no whole steps."""
+
+    name, port = "slow", Port.BODY_FORCE
+    formula, source = "m, dm/dt = (u - m) / s", "made up"
+    PARAMETERS = {"time": Parameter(0.03, "s", low=0.001)}
+
+    @property
+    def n_memory(self) -> int:
+        return 1
+
+    def forward(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
+        return memory.expand(-1, 3)
+
+    def memory_rate(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
+        return (u[:, :6].mean(1, keepdim=True) - memory) / self.value("time")
+
+    def memory_start(self, x: Tensor, u: Tensor) -> Tensor:
+        return u[:, :6].mean(1, keepdim=True)
+
+
+@final
+class Equation:
+    """A system without noise, as the steps want it."""
+
+    calculus: Calculus = "either"
+
+    def __init__(self, system: System) -> None:
+        self.system = system
+        self.project, self.inner, self.set_step = system.project, system.inner, system.set_step
+
+    def drift(self, t: Time, z: Tensor, u: Tensor) -> Tensor:
+        return self.system.drift(t, z, u)
+
+    def diffusion(self, t: Time, z: Tensor, u: Tensor) -> Tensor:
+        return torch.zeros_like(z)
+
+
+def hexacopter(*effects: str | Effect, **values: float) -> System:
+    named = {k.replace("__", "."): v for k, v in values.items()}
+    return make_system("hexacopter", effects=list(effects), values=named).double().requires_grad_(False)
+
+
+def level(rows: int) -> Tensor:
+    return flying([0.0, 0.0, 0.0]).double().repeat(rows, 1)
+
+
+def commands(rows: int, steps: int) -> Tensor:
+    g = torch.Generator().manual_seed(3)
+    return 0.3 + 0.2 * torch.rand(rows, steps, 6, generator=g, dtype=torch.float64)
+
+
+def by_fine_steps(s: System, x: Tensor, u: Tensor, dt: float, fine: int) -> Tensor:
+    """Memory after inputs, by Runge and Kutta's steps of dt / fine of the formulas."""
+    s.set_step(0.0)
+    z, step = s.augment(x, u[:, 0]), make_step("rk4")
+    for held in u.repeat_interleave(fine, 1).unbind(1):
+        z = step.advance(Equation(s), 0.0, z, held, dt / fine, None)
+        z = torch.cat((x, z[:, 13:]), 1)
+    return z[:, 13:]
+
+
+@pytest.mark.parametrize("tau", [0.004, 0.05, 0.3])
+def test_a_lag_remembers_as_its_closed_form_also_where_steps_are_longer(tau: float) -> None:
+    s = hexacopter("motor_lag", motor_lag__time_constant=tau)
+    u = commands(2, 6)
+    m = u[:, 0]
+    for k in range(6):
+        m = u[:, k] + (m - u[:, k]) * torch.exp(torch.tensor(-0.05 / tau, dtype=torch.float64))
+    z = s.remembered(level(2), torch.zeros(2, 6).double(), u, dt=0.05)
+    torch.testing.assert_close(z[:, 13:], m)
+    assert torch.equal(z[:, :13], level(2))
+
+
+@pytest.mark.parametrize(
+    ("effects", "values"),
+    [
+        (("motor_lag",), {"motor_lag__time_constant": 0.05}),
+        (("input_delay",), {"input_delay__delay": 0.13}),
+        ((Slow(),), {}),
+    ],
+)
+def test_what_is_remembered_is_what_fine_integration_leaves(
+    effects: tuple[str | Effect, ...], values: dict[str, float]
+) -> None:
+    s = hexacopter(*effects, **values)
+    u = commands(3, 7)
+    z = s.remembered(level(3), u[:, -1], u, dt=0.05)
+    torch.testing.assert_close(z[:, 13:], by_fine_steps(s, level(3), u, 0.05, 50), rtol=0, atol=2e-6)
+    assert (z - s.augment(level(3), u[:, -1])).abs().max() > 1e-3
+
+
+@pytest.mark.parametrize("delay", [0.004, 0.03, 0.05, 0.08, 0.0999])
+def test_a_delay_below_two_steps_brings_the_inputs_of_the_steps_before(delay: float) -> None:
+    dt, u = 0.05, commands(2, 5)
+    s = hexacopter("input_delay", input_delay__delay=delay)
+    z = s.remembered(level(2), u[:, 4], u[:, :4], dt=dt)
+    s.set_step(dt)
+    arrives = u[:, 4] + s.effects[0](0.0, level(2), u[:, 4], z[:, 13:])
+    whole, share = divmod(delay / dt, 1.0)
+    now, before = u[:, 4 - int(whole)], u[:, 3 - int(whole)]
+    torch.testing.assert_close(arrives, (1 - share) * now + share * before)
+
+
+@pytest.mark.parametrize("delay", [0.11, 0.2])
+def test_a_delay_of_more_steps_gives_the_mean_of_its_approximation(delay: float) -> None:
+    s = hexacopter("input_delay", input_delay__delay=delay)
+    x, u, dt, fine = level(1), commands(1, 5), 0.05, 400
+    z = s.remembered(x, u[:, 4], u[:, :4], dt=dt)
+    s.set_step(dt)
+    arrives = s.effects[0](0.0, x, u[:, 4], z[:, 13:])
+    s.set_step(0.0)
+    m, total = z[:, 13:], torch.zeros_like(arrives)
+    for _ in range(fine):  # by the trapezoidal rule, along Heun's steps
+        first = s.effects[0].memory_rate(0.0, x, u[:, 4], m)
+        second = s.effects[0].memory_rate(0.0, x, u[:, 4], m + dt / fine * first)
+        after = m + 0.5 * dt / fine * (first + second)
+        total += 0.5 * (s.effects[0](0.0, x, u[:, 4], m) + s.effects[0](0.0, x, u[:, 4], after)) / fine
+        m = after
+    torch.testing.assert_close(arrives, total, rtol=0, atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("name", "tau"), [*((name, 0.05) for name in STEPS), ("milstein_heun", 0.01), ("rk4", 0.12)]
+)
+def test_every_step_gives_the_roll_rate_of_a_lagging_motor_at_steps_of_50_ms(name: str, tau: float) -> None:
+    s = hexacopter("motor_lag", motor_lag__time_constant=tau)
+    signs = torch.tensor([[-1.0, 1.0, 0.5, -0.5, -0.5, 0.5]], dtype=torch.float64)
+    u = torch.stack([0.35 + 0.03 * a * signs for a in (1.0, 1.0, -1.0, 0.5)], 1)
+    z0 = s.augment(level(1), u[:, 0] * 0 + 0.35)
+    step = make_step(name)
+    noise = None if step.deterministic else torch.zeros(1, 1, 4, s.nz, dtype=torch.float64)
+    with torch.no_grad():
+        path = rollout(Equation(s), z0, u, dt=0.05, step=step, noise=noise)[0, 0]
+        s.set_step(0.0)
+        z = z0
+        for k in range(200):
+            z = make_step("rk4").advance(Fine(s), 0.0, z, u[:, k // 50], 0.001, None)
+    # torchdiffeq is as exact as its tolerances; without the whole step Euler's steps err by half
+    torch.testing.assert_close(path[-1, 10:], z[0, 10:], rtol=1e-4, atol=2e-6)
+
+
+@final
+class Fine:
+    """The formulas by themselves."""
+
+    calculus: Calculus = "either"
+
+    def __init__(self, system: System) -> None:
+        self.drift, self.project = system.drift, system.project
+
+    def diffusion(self, t: Time, z: Tensor, u: Tensor) -> Tensor:
+        return torch.zeros_like(z)
+
+
+def test_memory_that_knows_no_whole_steps_moves_within_a_step_and_the_other_does_not() -> None:
+    s = hexacopter("motor_lag", Slow())
+    z = torch.arange(20.0).double()[None]
+    y = -z
+    assert torch.equal(s.inner(z, y), y)
+    s.set_step(0.05)
+    inner = s.inner(z, y)
+    assert torch.equal(inner[:, 13:19], z[:, 13:19])
+    assert torch.equal(inner[:, :13], y[:, :13])
+    assert torch.equal(inner[:, 19:], y[:, 19:])
+
+
+def test_what_is_remembered_has_derivatives_and_leaves_the_step_as_it_was() -> None:
+    values = {"input_delay.delay": 0.035}
+    s = make_system("hexacopter", effects=["input_delay", "motor_lag"], values=values).double()
+    s.set_step(0.02)
+    u = commands(2, 4).requires_grad_()
+    raw = [s.effects[0].raw["delay"], s.effects[1].raw["time_constant"]]
+
+    def memory(u: Tensor) -> Tensor:
+        return s.remembered(level(2), u[:, -1], u, dt=0.01)[:, 13:]
+
+    assert torch.autograd.gradcheck(memory, (u,))
+    loss = memory(u).square().sum()
+    for p, slope in zip(raw, torch.autograd.grad(loss, raw), strict=True):
+        with torch.no_grad():
+            p += 1e-6
+            high = memory(u).square().sum()
+            p -= 2e-6
+            low = memory(u).square().sum()
+            p += 1e-6
+        assert float(slope.detach()) == pytest.approx(float(high - low) / 2e-6, rel=1e-5)
+        assert float(slope) != 0
+    assert s.step == 0.02
+
+
+def test_without_inputs_before_or_without_memory_a_start_is_stationary() -> None:
+    u = commands(2, 4)
+    s = hexacopter("motor_lag")
+    assert torch.equal(s.remembered(level(2), u[:, 3], None, dt=0.05), s.augment(level(2), u[:, 3]))
+    assert torch.equal(hexacopter().remembered(level(2), u[:, 3], u, dt=0.05), level(2))
+
+
+@pytest.mark.parametrize("shape", [(2, 6), (3, 4, 6), (2, 4, 5), (2, 0, 6)])
+def test_inputs_before_that_do_not_fit_are_refused(shape: tuple[int, ...]) -> None:
+    with pytest.raises(ShapeError, match=r"`u_before` must be \(batch=2, steps, nu=6\)"):
+        hexacopter("motor_lag").remembered(level(2), torch.zeros(2, 6), torch.zeros(shape), dt=0.05)

@@ -168,13 +168,14 @@ def model_spec(config: DictConfig, machine: System, runs: Split) -> ModelSpec:
 
 def _sde_spec(config: DictConfig, machine: System, runs: Split, common: dict[str, Any]) -> ModelSpec:
     model, own = options(config.model), machine.defaults
-    solver = step(config.solver, machine, kind=model["kind"])
+    solver = step(config.solver, machine, kind=model["kind"], loss=config.loss.kind)
     paper = config.loss.kind == "paper"
+    physics = model["kind"] != "blackbox_nsde"
+    innovations = physics and config.loss.kind == "innovations"
     plain = paper or solver.deterministic
     learned = (model.get("sigma") or ("declared" if paper else "learned")) == "learned"
     declared = None if learned else tuple(own.sigma_max)
     widths: dict[str, Any] = {k: tuple(v) for k, v in model.items() if k.endswith("_hidden")}
-    physics = model["kind"] != "blackbox_nsde"
 
     def choice(key: str, default: Any) -> Any:
         return default if model.get(key) is None else model[key]
@@ -192,8 +193,9 @@ def _sde_spec(config: DictConfig, machine: System, runs: Split, common: dict[str
         else 0
         if paper
         else filter_reach(runs.train, machine.nu, common["dt"]),
-        measurement=choice("measurement", not plain and machine.sensor_noise),
+        measurement=choice("measurement", not plain and (innovations or machine.sensor_noise)),
         disturbance=physics and choice("disturbance", not plain and bool(machine.disturbed_ports)),
+        learn_lag=innovations and model["learn_lag"],
         loss=config.loss.kind,
     )
 
@@ -239,13 +241,17 @@ def trainer_options(config: DictConfig) -> TrainerOptions:
     return TrainerOptions(**options(config))
 
 
-def step(config: DictConfig, machine: System, *, kind: str = "nsde") -> Step:
+def step(config: DictConfig, machine: System, *, kind: str = "nsde", loss: str = "replay") -> Step:
     """The integrator of the group `solver`; null is the system's own, and rk4 for a model without diffusion.
+
+    A model of innovations has the parameters of the machine, not those that make up for a coarse step: its own is one
+    of second order in the drift.
 
     Raises:
         ConfigError: There is no such integrator, or it does not fit the kind of model.
     """
-    own = "rk4" if kind in ("node", "sysid") else machine.defaults.step
+    own = "milstein_heun" if loss == "innovations" and kind == "nsde" else machine.defaults.step
+    own = "rk4" if kind in ("node", "sysid") else own
     made = make_step(config.name or own, **options(config, "name"))
     if kind in ("node", "sysid") and not made.deterministic:
         raise ConfigError(

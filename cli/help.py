@@ -112,7 +112,7 @@ _EXAMPLES: dict[str, list[tuple[str, str]]] = {
         ("run_dir=runs/first", "name the folder of the run"),
         ("resume=runs/first", "continue an interrupted run"),
         ("--config-dir DIR system=mine", "your own DIR/system/mine.yaml, modules in DIR"),
-        ("-m loss=paper,default seed=0,1,2", "a sweep, one job for each combination"),
+        ("-m loss=paper,replay seed=0,1,2", "a sweep, one job for each combination"),
         ("-m hydra/launcher=joblib ...", "in parallel (also submitit_local, submitit_slurm, ray)"),
         ("-m hydra/sweeper=optuna 'trainer.lr=tag(log,interval(0.001,0.1))'", ""),
     ],

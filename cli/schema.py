@@ -136,6 +136,7 @@ class ModelConfig:
     kind: str = key("???", "kind of the model, set by model=")
 
 
+_LAG = "learn a lag or a delay of the inputs where the data show one that is not declared (loss=default)"
 _FILTER = "taps on each side of the learned input filter; null: as the log's smoothing asks"
 
 
@@ -146,6 +147,7 @@ class NodeModel(ModelConfig):
     kind: str = key("node", "kind of the model, set by model=", choices=("node",))
     residual_hidden: list[int] = key([8, 16], "widths of the residual networks (tanh)", low=1)
     filter_reach: int | None = key(None, _FILTER, low=0)
+    learn_lag: bool = key(True, _LAG)
 
 
 @dataclass
@@ -161,7 +163,8 @@ class DiffusionModel(ModelConfig):
     )
     filter_reach: int | None = key(None, _FILTER, low=0)
     measurement: bool | None = key(
-        None, "learn the sensor noise beside the diffusion; null: as the system asks"
+        None,
+        "learn the sensor noise beside the diffusion; null: with loss=default yes, else as the system asks",
     )
 
 
@@ -174,6 +177,7 @@ class NsdeModel(DiffusionModel):
     disturbance: bool | None = key(
         None, "carry lasting disturbances (gusts) as states; null: as the system asks"
     )
+    learn_lag: bool = key(True, _LAG)
 
 
 @dataclass
@@ -235,23 +239,29 @@ class SysidModel(ModelConfig):
 class LossConfig:
     """Weights and sizes of the losses (`nsde_torch.learning.LossOptions`)."""
 
-    kind: str = key("???", "kind of the data loss, set by loss=", choices=("default", "paper"))
+    kind: str = key("???", "kind of the loss, set by loss=", choices=("innovations", "replay", "paper"))
     data: float = key(1.0, "weight of the data loss", low=0)
     gradient: float = key(0.01, "weight of the zero-gradient loss (eta flat on the data)", low=0)
     convexity: float = key(0.01, "weight of the strong-convexity loss in a ball around the data", low=0)
     mu: float | None = key(
         None, "weight of the reward on large mu; null: system.lambda_mu with loss=paper, else 0.01", low=0
     )
-    particles: int = key(2, "paths per window; loss=default takes them in pairs", low=1)
+    particles: int = key(2, "paths per window (loss=replay takes them in pairs, loss=paper)", low=1)
     points: int = key(256, "states of a batch that the distance losses look at", low=1)
     ball_samples: int = key(8, "points drawn in the ball around each", low=1)
     far_radius: float = key(
-        16.0, "largest radius that loss=default draws up to", unit="std of the features", above=0
+        16.0,
+        "largest radius that the distance losses draw up to; not with loss=paper",
+        unit="std of the features",
+        above=0,
     )
-    residual_decay: float = key(
-        0.003, "weight of the squared weights of residual networks beside declared physics", low=0
+    residual_decay: float | None = key(
+        None,
+        "weight of the squared weights of residual networks beside declared physics; null: 1e-4, 0.003 with "
+        "loss=replay, 0 with loss=paper",
+        low=0,
     )
-    early: float = key(1.0, "step k of a window weighs k^-early (loss=default)", low=0)
+    early: float = key(1.0, "step k of a window weighs k^-early (loss=replay)", low=0)
 
 
 @dataclass
@@ -275,7 +285,7 @@ class TrainerConfig:
     polish: int = key(
         200, "last steps at lr_end on all windows, the validation ones included", unit="steps", low=0
     )
-    calibrate: bool = key(True, "scale the diffusion by errors across training runs (loss=default)")
+    calibrate: bool = key(True, "scale the diffusion by errors across training runs (not with loss=paper)")
 
 
 @dataclass

@@ -7,9 +7,9 @@
 4. Diffusion, lasting disturbances and sensors from the spectrum of what is left (`innovations.disturbances`), so that
    their mean over the data is that of the spectrum and far from the data at least the declared sigma_max.
 
-Every stage sees one step of the log at a time, given what came before it, so inputs that answer disturbances do not bend
-it. What it gives up: predictions of the pilot's own flights under the pilot's own inputs, which know what disturbed, are
-not the target; `loss=replay` is better at those. Assumed: the controller saw no more than the log holds.
+Every stage sees one step of the log at a time, given what came before it, so inputs that answer disturbances do not
+bend it. What it gives up: predictions of the pilot's own flights under the pilot's own inputs, which know what
+disturbed, are not the target; `loss=replay` is better at those. Assumed: the controller saw no more than the log holds.
 
 Where a port has no declared physics the network is all that is known of it. What is foreseen without it would be
 wrong; features are then those of smoothed states, and the noise is that of the sensors until the network is known.
@@ -49,6 +49,7 @@ from nsde_torch.learning.innovations.residuals import (
 from nsde_torch.learning.progress import Progress
 from nsde_torch.learning.report import number
 from nsde_torch.learning.task import Fitted, Parameters, Task
+from nsde_torch.models.networks import MLP
 from nsde_torch.models.neural_sde import NeuralSDE, SDESpec
 from nsde_torch.systems.parameters import ParameterVector
 
@@ -203,9 +204,7 @@ class _Fit:
         bare = self.found is None
         if first or not bare:
             for network in model.residuals.values():
-                last = network.layers[-1]  # type: ignore[index]
-                nn.init.zeros_(last.weight)
-                nn.init.zeros_(last.bias)
+                _silence(network)
         limits = carry_limits(self.physics, self.theta, 1)
         change = left.change if first or not bare else self._left(left)
         noises = noise_models(left, change, limits, first=first)
@@ -232,23 +231,18 @@ class _Fit:
                 nuisance=torch.zeros(len(change), 0) if bare else input_history(inputs, left.series),
                 keep=[port not in model.system.physics_ports for port, _ in left.ports],
                 generator=torch.Generator().manual_seed(task.seed),
-                on_step=lambda _: bar.update(),
+                on_step=lambda _: _advance(bar),
             )
         for group, (port, _) in enumerate(left.ports):
             if not learned.kept[group]:
-                last = model.residuals[port.value].layers[-1]  # type: ignore[index]
-                nn.init.zeros_(last.weight)
-                nn.init.zeros_(last.bias)
+                _silence(model.residuals[port.value])
         return learned
 
     def _decay(self, networks: nn.Module) -> Tensor:
         """A network beside declared physics is kept small; one that is all there is on its port is not."""
-        assert isinstance(networks, nn.ModuleDict)
-        beside = [
-            networks[port.value].weight_norm()
-            for port in self.model.system.physics_ports & set(self.model.residual_ports)
-        ]  # type: ignore[operator]
-        return self.task.loss.residual_decay * torch.stack(beside).sum() if beside else torch.zeros(())
+        beside = self.model.system.physics_ports & set(self.model.residual_ports)
+        norms = [_network(networks, port).weight_norm() for port in sorted(beside)]
+        return self.task.loss.decay * torch.stack(norms).sum() if norms else torch.zeros(())
 
     def _seen(self, left: Residuals) -> Tensor:
         """What the networks see (N, nr)."""
@@ -256,9 +250,8 @@ class _Fit:
 
     def _pushed(self, networks: nn.Module, left: Residuals, y: Tensor | None = None) -> Tensor:
         """Change over each step by residual networks (N, channels)."""
-        assert isinstance(networks, nn.ModuleDict)
         y = self._seen(left) if y is None else y
-        parts = [self.model.residual_scale(port) * networks[port.value](y) for port, _ in left.ports]
+        parts = [self.model.residual_scale(port) * _network(networks, port)(y) for port, _ in left.ports]
         return (left.response.float() * torch.cat(parts, 1)[:, None]).sum(2)
 
     @torch.no_grad()
@@ -322,6 +315,27 @@ class _Fit:
             },
             "said": _summary(found, networks, learned),
         }
+
+
+def _network(networks: nn.Module, port: Port) -> MLP:
+    """The network of a port."""
+    assert isinstance(networks, nn.ModuleDict)
+    network = networks[port.value]
+    assert isinstance(network, MLP)
+    return network
+
+
+@torch.no_grad()
+def _silence(network: nn.Module) -> None:
+    """Let a network say nothing."""
+    assert isinstance(network, MLP)
+    last = network.layers[-1]
+    for parameter in last.parameters():
+        parameter.zero_()
+
+
+def _advance(bar: tqdm) -> None:
+    bar.update()
 
 
 def _moved(left: Residuals) -> list[list[int]]:

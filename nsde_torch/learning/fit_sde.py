@@ -1,9 +1,12 @@
 """A neural SDE, or the neural ODE that it is without diffusion, fitted to runs."""
 
+from dataclasses import replace
+
 import torch
 
 from nsde_torch.data import Windows
 from nsde_torch.learning.confidence import declared_confidence
+from nsde_torch.learning.fit_innovations import fit_innovations
 from nsde_torch.learning.fitting import Fit
 from nsde_torch.learning.prepare import error_scale, prepare
 from nsde_torch.learning.task import Fitted, Parameters, Task
@@ -13,13 +16,19 @@ _BLOCK_S = 4.0
 
 
 def fit_sde(task: Task) -> Fitted:
-    """Fit by gradient steps on windows.
+    """Fit by innovations, or by gradient steps on windows where that is asked for or there is no physics.
 
     Raises:
+        ConfigError: the system declares no parameter.
+        DataError: a run is too short.
         NonFiniteError: the optimisation left the finite numbers.
     """
     spec = task.spec
     assert isinstance(spec, SDESpec)
+    if task.loss.kind == "innovations" and spec.physics:
+        return fit_innovations(task)
+    # without physics nothing can be taken out of a step: the whole drift is fitted to paths
+    loss = replace(task.loss, kind="replay") if task.loss.kind == "innovations" else task.loss
     model = NeuralSDE(spec, generator=torch.Generator().manual_seed(task.seed), values=task.values)
     model = model.to(device=task.device, dtype=task.dtype)
     windows = Windows(
@@ -28,7 +37,7 @@ def fit_sde(task: Task) -> Fitted:
         spec.horizon,
         dtype=task.dtype,
         device=task.device,
-        denoise=task.loss.kind == "default" and (spec.measurement or model.system.sensor_noise),
+        denoise=loss.kind == "replay" and (spec.measurement or model.system.sensor_noise),
     )
     blocks = torch.Generator().manual_seed(task.seed)
     train, held = windows.held_out(task.validation, _BLOCK_S, blocks)
@@ -40,7 +49,7 @@ def fit_sde(task: Task) -> Fitted:
         held,
         windows,
         scale=scale,
-        loss=task.loss,
+        loss=loss,
         options=task.options,
         seed=task.seed,
         identity=task.identity,

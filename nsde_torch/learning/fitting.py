@@ -135,7 +135,7 @@ class Fit:
         """All losses of one minibatch, weighted; their sum is what is minimised."""
         options, model = self.loss, self.model
         indices = self.source.sample(self.options.batch, self.batches)
-        paired = options.kind == "default" and options.particles > 1
+        paired = options.kind == "replay" and options.particles > 1
         errors, x = self.errors(self.source, indices, options.particles, self.noise, paired=paired)
         loss = data_loss(errors, self.scale, kind=options.kind, early=options.early, paired=paired)
         out = {"data": options.data * loss}
@@ -157,18 +157,18 @@ class Fit:
         out["gradient"] = options.gradient * gradient
         out["convexity"] = options.convexity * convexity
         out["mu"] = mu_weight(options, model) * reward
-        if options.kind == "default" and model.h.log_sigma_max.requires_grad:
+        if options.kind == "replay" and model.h.log_sigma_max.requires_grad:
             declared = x.new_tensor(model.system.defaults.sigma_max).clamp_min(1e-12)
             far = model.h(x.new_ones(1))[0, : len(declared)]
             out["far"] = _FAR * torch.relu((declared / far).log()).square().sum()
-        if options.residual_decay:
+        if options.decay:
             # a network beside declared physics is kept small; one that is all there is on its port is not
             beside = [
                 model.residuals[port.value] for port in model.system.physics_ports & set(model.residual_ports)
             ]
             if beside:
                 norms = [network.weight_norm() for network in beside]  # type: ignore[operator]
-                out["decay"] = options.residual_decay * torch.stack(norms).sum()
+                out["decay"] = options.decay * torch.stack(norms).sum()
         return out
 
     @torch.no_grad()
@@ -177,7 +177,7 @@ class Fit:
         generator = torch.Generator().manual_seed(self.seed)
         count = min(len(self.validation), _VALIDATION_WINDOWS)
         indices = torch.linspace(0, len(self.validation) - 1, count).round().long()
-        particles = _VALIDATION_PARTICLES if self.loss.kind == "default" else self.loss.particles
+        particles = _VALIDATION_PARTICLES if self.loss.kind == "replay" else self.loss.particles
         errors, _ = self.errors(self.validation, indices, particles, generator)
         return float(data_loss(errors, self.scale, kind=self.loss.kind, early=self.loss.early, paired=False))
 

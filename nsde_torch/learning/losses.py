@@ -1,4 +1,4 @@
-"""Losses: what a good prediction is, and what a good distance is.
+"""Losses over windows of the log's own inputs, and what a good distance is (loss=default: `fit_innovations`).
 
 Data loss, loss=paper: squared error of sampled paths, L = E |x_pred - x|^2 / scale^2 (supplement A). Its
 minimum over sigma is sigma = 0: a spread can only add to it. That is why intervals trained with it hold a
@@ -13,7 +13,7 @@ gradients are clipped; the distance losses look at a random part of the states o
 widths 8-16 unless model.residual_hidden=[4,16] says otherwise, and it has a declared spring and damper beside it unless
 system.declared=[] takes them out. trainer=paper adds the supplement's 10,000 steps.
 
-Data loss, loss=default: the continuous ranked probability score of P paths X_p, and the error of their centre,
+Data loss, loss=replay: the continuous ranked probability score of P paths X_p, and the error of their centre,
 
     CRPS = mean_p |X_p - x| - E|X_p - X_q| / 2          centre = |(X_p + X_p') / 2 - x|
 
@@ -40,7 +40,7 @@ Distance losses, for features y of the data and points y' in a ball around them:
     reward      1 / mu(y)
 
 With loss=paper, E is eta itself and the ball has the supplement's radius r, as the supplement has it: eta rises steeply
-within r and is free beyond. With loss=default, E is the argument of eta (which is not bounded, so that it can be
+within r and is free beyond. Else E is the argument of eta (which is not bounded, so that it can be
 convex everywhere) and the radius is drawn log-uniform between r and a multiple of the data's own spread: "far" is
 taught as well as "near". There the data loss does not move eta: a distance that also had to explain noise
 inside the data would stop being a distance.
@@ -103,9 +103,9 @@ def data_loss(errors: Tensor, scale: Tensor, *, kind: str, early: float, paired:
     Args:
         errors: Predicted minus measured (P, B, T, n_error), without the first state.
         scale: Size of the errors that matter (n_error,).
-        kind: "default" or "paper".
-        early: Exponent of the weights of the steps (default loss).
-        paired: Whether the paths have mirrored noise (default loss).
+        kind: "replay" or "paper".
+        early: Exponent of the weights of the steps ("replay").
+        paired: Whether the paths have mirrored noise ("replay").
     """
     relative = errors / scale
     if kind == "paper":
@@ -132,9 +132,9 @@ def distance_losses(
         features: Raw features of data (M, nf).
         directions: Unit vectors (M, K, nf).
         share: Uniform numbers in [0, 1) (M, K, 1).
-        kind: "default" or "paper".
+        kind: Of the loss; "paper" as the supplement has it.
         near: Radius r of the ball [standard deviations].
-        far: Largest radius of the default loss [standard deviations].
+        far: Largest radius, but with "paper", [standard deviations].
 
     Returns:
         gradient, convexity and reward loss, each 0-d.

@@ -65,7 +65,7 @@ class SDESpec(ModelSpec):
     measurement: bool = False
     disturbance: bool = False
     learn_lag: bool = False
-    loss: str = "default"
+    loss: str = "innovations"
 
 
 class NeuralSDE(Model):
@@ -136,7 +136,7 @@ class NeuralSDE(Model):
         self.register_buffer("clock_scale", torch.ones(()))
         self.log_tau = nn.Parameter(torch.zeros(self.nd), requires_grad=self.nd > 0)
         self.log_measurement_std = nn.Parameter(torch.full((s.nx,), -7.0), requires_grad=spec.measurement)
-        self.freeze_distance = spec.loss != "paper"  # the data loss of loss=default does not move eta
+        self.freeze_distance = spec.loss != "paper"  # other data losses do not move eta
 
     @property
     def tau(self) -> Tensor:

@@ -65,7 +65,7 @@ def identified(spec: SDESpec, runs: Sequence[Run], *, clock: float, values: Mapp
         won = log_likelihood(regression, len(base.series)) - log_likelihood(base, len(base.series))
         times = [p for key, p in sure.items() if key.startswith(f"{name}.")]
         shown = all(
-            half is not None and value > 2.0 * half  # type: ignore[operator]
+            half is not None and value > 2.0 * half
             for p in times
             for value, half in zip(p["value"], p["half_width_90"], strict=True)  # type: ignore[call-overload]
         )

@@ -4,9 +4,9 @@
 
     S(f) = h^2 std^2 (1 - a^2) / |1 - a exp(-i f)|^2 + sigma^2 h + s^2 |1 - exp(-i f)|^2,     a = exp(-h / tau)
 
-sigma is a diffusion (per root second), s the white noise of the sensor. The law of r does not depend on how inputs were
-made: what a controller answers is in the inputs, and physics has taken their effect out. The parameters have the largest
-Whittle likelihood, sum_f log S + I / S over the periodogram I (Whittle, Arkiv foer Matematik 2 (1953)). What physics
+sigma is a diffusion (per root second), s the white noise of the sensor. The law of r does not depend on how inputs
+were made: what a controller answers is in the inputs, and physics has taken their effect out. The parameters have the
+largest Whittle likelihood, sum_f log S + I / S over the periodogram I (Whittle, Arkiv foer Matematik 2 (1953)). What physics
 lacks of slow forces is part of d: predictions err by it as by a gust.
 """
 

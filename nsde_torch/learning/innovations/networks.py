@@ -2,8 +2,8 @@
 
     min  sum_k |P (r_k - g(y_k))|^2 / (2 M) + decay,        P whitening filters of the noise of r
 
-r is what is left of the change over a step (`residuals`), g the networks' part of it, of features y_k that were foreseen
-before the step. All steps are one batch: the networks are small, and a filter needs neighbours. They start where they
+r is what is left of the change over a step (`residuals`), g the networks' part of it, of features y_k that were
+foreseen before the step. All steps are one batch: the networks are small, and a filter needs neighbours. They start where they
 say nothing. Blocks of time are left out in turn, all folds advance together, and the number of steps is that with the
 smallest innovations on what was left out; then one fit to everything takes as many. A group of channels whose blocks
 are not better by two standard errors keeps no network: where nothing is missing, nothing is learned.
@@ -196,6 +196,6 @@ class _Member:
         self._optimiser.zero_grad(set_to_none=True)
         white = target - whiten(predict(self.module))
         loss = 0.5 * white[rows].square().mean() + self._settings.penalty(self.module)
-        loss.backward()  # type: ignore[no-untyped-call]
+        loss.backward()
         self._optimiser.step()
         self._schedule.step()

@@ -185,7 +185,7 @@ class _Fit:
         """Declared parameters beside networks that are all that acts on a port, and what is left without them."""
         known = np.zeros_like(left.change)
         with torch.no_grad():
-            known[:, left.rows] = self._pushed(self.model.residuals, left).double().numpy()
+            known[:, left.rows] = self._pushed(self.model.residuals, left).T.double().numpy()
         self.physics.measured = self.physics.measured - known
         try:
             regression = Regression(self.physics)
@@ -223,7 +223,7 @@ class _Fit:
             learned = fit_networks(
                 model.residuals,
                 lambda networks: self._pushed(networks, left, y),
-                torch.from_numpy(left.change[:, left.rows]).float(),
+                torch.from_numpy(left.change[:, left.rows].T).float().contiguous(),
                 noises,
                 left.series,
                 _moved(left),
@@ -249,17 +249,17 @@ class _Fit:
         return self.model.residual_inputs(self.model.system.residual_features(left.states.float()))
 
     def _pushed(self, networks: nn.Module, left: Residuals, y: Tensor | None = None) -> Tensor:
-        """Change over each step by residual networks (N, channels)."""
+        """Change over each step by residual networks (channels, N)."""
         y = self._seen(left) if y is None else y
         parts = [self.model.residual_scale(port) * _network(networks, port)(y) for port, _ in left.ports]
-        return (left.response.float() * torch.cat(parts, 1)[:, None]).sum(2)
+        return torch.einsum("ncw,nw->cn", left.response.float(), torch.cat(parts, 1))
 
     @torch.no_grad()
     def _left(self, left: Residuals) -> Array:
         """What is left of every channel with the networks (N, nx)."""
         out = left.change.copy()
         if left.ports:
-            out[:, left.rows] -= self._pushed(self.model.residuals, left).double().numpy()
+            out[:, left.rows] -= self._pushed(self.model.residuals, left).T.double().numpy()
         return out
 
     # ---- what is told ---------------------------------------------------------------------------------

@@ -97,8 +97,8 @@ def fit_networks(
 
     Args:
         module: The networks, which say nothing at first; changed in place.
-        predict: Their change over each step (N, channels).
-        change: What they are to explain (N, channels).
+        predict: Their change over each step (channels, N).
+        change: What they are to explain (channels, N).
         noises: Noise model of each channel.
         series: Stretches of the rows.
         groups: Channels that each network moves.
@@ -108,7 +108,7 @@ def fit_networks(
         generator: Chooses the blocks of the folds.
         on_step: Called with the number of rounds of gradient steps done.
     """
-    whiten = _Purged(Whitening(noises, series), nuisance, change.shape[1])
+    whiten = _Purged(Whitening(noises, series), nuisance, len(change))
     target = whiten(change)
     block = torch.from_numpy(series.blocks(settings.block))
     blocks = int(block.max()) + 1
@@ -120,17 +120,14 @@ def fit_networks(
     looks: list[tuple[int, float, Tensor]] = [(0, best_score, torch.zeros(blocks, len(groups)))]
     while members and step < settings.steps:
         for _ in range(min(settings.every, settings.steps - step)):
-            for k, member in enumerate(members):
-                member.step(target, whiten, predict, fold != k)
+            _advance(members, target, whiten, predict, [fold != k for k in range(folds)])
             step += 1
             on_step(step)
-        left = torch.empty_like(base)
         with torch.no_grad():
-            for k, member in enumerate(members):
-                rows = fold == k
-                left[rows] = 0.5 * (target - whiten(predict(member.module))).square()[rows]
-        won = torch.zeros(blocks, base.shape[1]).index_add(0, block, base - left)
-        looks.append((step, float(left.sum()), torch.stack([won[:, list(g)].sum(1) for g in groups], 1)))
+            white = target - whiten(torch.stack([predict(member.module) for member in members]))
+            left = 0.5 * white.square().gather(0, fold.expand_as(base)[None])[0]
+        won = torch.zeros(len(base), blocks).index_add(1, block, base - left)
+        looks.append((step, float(left.sum()), torch.stack([won[list(g)].sum(0) for g in groups], 1)))
         if looks[-1][1] < best_score:
             best_score, best_step = looks[-1][1], step
         if step - best_step >= settings.patience * settings.every:
@@ -144,9 +141,9 @@ def fit_networks(
     if not members:
         chosen, kept = settings.steps, list(range(len(groups)))
     whole = _Member(module, settings)
-    everything = torch.ones(len(target), dtype=torch.bool)
+    everything = torch.ones(len(series), dtype=torch.bool)
     for k in range(chosen):
-        whole.step(target, whiten, predict, everything)
+        _advance([whole], target, whiten, predict, [everything])
         on_step(step + k + 1)
     return Learned(
         steps=chosen,
@@ -165,37 +162,54 @@ class _Purged:
 
     def __init__(self, whiten: Whitening, nuisance: Tensor, channels: int) -> None:
         self._whiten = whiten
-        spans = []
-        for column in range(nuisance.shape[1]):
-            spans.append(whiten(nuisance[:, column : column + 1].expand(-1, channels)))
         # (channels, N, p): the same columns through the filter of each channel
-        rows = torch.stack(spans, 2).transpose(0, 1) if spans else torch.zeros(channels, len(nuisance), 0)
+        rows = whiten(nuisance.T[:, None].expand(-1, channels, -1)).permute(1, 2, 0)
         size = rows.norm(dim=1, keepdim=True).clamp_min(1e-12)
         u, value, _ = torch.linalg.svd(rows / size, full_matrices=False)
         self._basis = u * (value > _RANK * value[:, :1])[:, None, :]
 
     def __call__(self, rows: Tensor) -> Tensor:
-        """Whitened rows (N, channels) of rows (N, channels)."""
-        white = self._whiten(rows).T[..., None]
-        return (white - self._basis @ (self._basis.transpose(1, 2) @ white))[..., 0].T
+        """Whitened rows (..., channels, N) of rows (..., channels, N)."""
+        white = self._whiten(rows)
+        if not self._basis.shape[2]:
+            return white
+        flat = white.reshape(-1, *white.shape[-2:]).transpose(0, 1)  # all members read the basis once
+        part = (flat @ self._basis) @ self._basis.transpose(1, 2)
+        return white - part.transpose(0, 1).reshape(white.shape)
 
 
 class _Member:
     """Networks under optimisation."""
 
     def __init__(self, module: nn.Module, settings: Settings) -> None:
-        self.module, self._settings = module, settings
+        self.module, self.penalty = module, lambda: settings.penalty(module)
         parameters = [p for p in module.parameters() if p.requires_grad]
         self._optimiser = torch.optim.Adam(parameters, lr=settings.rate, foreach=True)
         self._schedule = torch.optim.lr_scheduler.LinearLR(
             self._optimiser, 1.0, _RATE_END, total_iters=settings.steps
         )
 
-    def step(self, target: Tensor, whiten: _Purged, predict: Predict, rows: Tensor) -> None:
-        """One gradient step on some rows."""
+    def reset(self) -> None:
+        """Before a backward pass."""
         self._optimiser.zero_grad(set_to_none=True)
-        white = target - whiten(predict(self.module))
-        loss = 0.5 * white[rows].square().mean() + self._settings.penalty(self.module)
-        loss.backward()
+
+    def step(self) -> None:
+        """After it."""
         self._optimiser.step()
         self._schedule.step()
+
+
+def _advance(
+    members: Sequence[_Member], target: Tensor, whiten: _Purged, predict: Predict, rows: Sequence[Tensor]
+) -> None:
+    """One gradient step of all members, each on its own rows."""
+    for member in members:
+        member.reset()
+    white = target - whiten(torch.stack([predict(member.module) for member in members]))
+    losses = [
+        0.5 * own[:, seen].square().mean() + member.penalty()
+        for own, seen, member in zip(white, rows, members, strict=True)
+    ]
+    torch.stack(losses).sum().backward()
+    for member in members:
+        member.step()

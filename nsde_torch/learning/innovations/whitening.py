@@ -60,12 +60,12 @@ class Whitening:
         self._strength = self._per_stretch(self._trace.square()) + 1.0
 
     def _per_stretch(self, rows: Tensor) -> Tensor:
-        """Sums over stretches (channels, stretches) of rows (channels, N)."""
-        return rows.new_zeros(len(rows), self._stretches).index_add(1, self._owner, rows)
+        """Sums over stretches (..., channels, stretches) of rows (..., channels, N)."""
+        return rows.new_zeros(*rows.shape[:-1], self._stretches).index_add(-1, self._owner, rows)
 
     def __call__(self, rows: Tensor) -> Tensor:
-        """Whitened rows (N, channels) of rows (N, channels), in standard deviations."""
-        laid = rows.new_zeros(rows.shape[1], self._size).index_copy(1, self._place, rows.T)
-        filtered = torch.fft.irfft(torch.fft.rfft(laid) * self._response, n=self._size)[:, self._place]
+        """Whitened rows (..., channels, N) of rows (..., channels, N), in standard deviations."""
+        laid = rows.new_zeros(*rows.shape[:-1], self._size).index_copy(-1, self._place, rows)
+        filtered = torch.fft.irfft(torch.fft.rfft(laid) * self._response, n=self._size)[..., self._place]
         before = self._per_stretch(filtered * self._trace) / self._strength
-        return (filtered - self._trace * before[:, self._owner]).T
+        return filtered - self._trace * before[..., self._owner]

@@ -162,6 +162,9 @@ class _Purged:
 
     def __init__(self, whiten: Whitening, nuisance: Tensor, channels: int) -> None:
         self._whiten = whiten
+        self._basis = torch.zeros(channels, len(nuisance), 0)
+        if not nuisance.shape[1]:
+            return
         # (channels, N, p): the same columns through the filter of each channel
         rows = whiten(nuisance.T[:, None].expand(-1, channels, -1)).permute(1, 2, 0)
         size = rows.norm(dim=1, keepdim=True).clamp_min(1e-12)

@@ -6,10 +6,16 @@
 
 It is strictly proper, so that a step of the input does not jump through, and right to the third order in s T: the
 phase is within 0.01 rad up to s T = 1. Where inputs are held over steps, as a log has them, the mean of what arrives
-over step k is exact: T = (n + r) h gives (1 - r) u_{k-n} + r u_{k-n-1}. An integrator whose steps of h are longer than
-T / 2 gets just that: a is the input of the step before, a + b that of the one before it. With shorter ones it gets the
-exact solution for held inputs, with c = exp(-2 q) cos(w q), s = exp(-2 q) sin(w q) / w, q = h / T and w^2 = 2, and the
-mean of u_eff over the step, which follows from u_eff = u - T d(a + b / 6)/dt:
+over step k is exact: T = (n + r) h gives (1 - r) u_{k-n} + r u_{k-n-1}.
+
+An integrator whose steps of h are longer than T / 2 gets just that. With q = h / T and r = T / h - 1 (not below 0), v1
+and v2 are the inputs of the two steps before, less u. Memory holds them so that what is still to arrive and the slope
+of the input mean the same as in the formula: it may be handed from a fine grid to a coarse one.
+
+    a + b / 6 - u = (v1 + r v2) / (1 + r),   b = (v1 - v2) / q
+
+With shorter steps it gets the exact solution for held inputs, c = exp(-2 q) cos(w q), s = exp(-2 q) sin(w q) / w and
+w^2 = 2, and the mean of u_eff over the step, which follows from u_eff = u - T d(a + b / 6)/dt:
 
     da = (c - 1 + 2 s) (a - u) + s b,   db = -6 s (a - u) + (c - 1 - 2 s) b,   mean = u - (da + db / 6) / q
 """
@@ -48,36 +54,24 @@ class InputDelay(Effect):
 
     def forward(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
         """See `Effect.forward`."""
-        n = self.n_inputs
-        a, b = memory[:, :n] - u[:, :n], memory[:, n:]
+        a, b = memory[:, : self.n_inputs] - u[:, : self.n_inputs], memory[:, self.n_inputs :]
         if not self.step:
             return a - b / 3.0
         steps = self.value("delay") / self.step
-        da, db = self._solved(steps, a, b)
-        shifted = torch.where(steps < 1.0, steps * a, a + (steps - 1.0) * b)
+        da, db = _solved(steps, a, b)
+        shifted = steps.clamp_max(1.0) * (a + b / 6.0) - _beyond(steps).square() * b
         return torch.where(steps < 2.0, shifted, -steps * (da + db / 6.0))
 
     def memory_rate(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
         """See `Effect.memory_rate`."""
-        n, delay = self.n_inputs, self.value("delay")
-        a, b = memory[:, :n] - u[:, :n], memory[:, n:]
+        a, b = memory[:, : self.n_inputs] - u[:, : self.n_inputs], memory[:, self.n_inputs :]
+        delay = self.value("delay")
         if not self.step:
             return torch.cat((b, -6.0 * a - 4.0 * b), 1) / delay
         steps = delay / self.step
-        moves = torch.where(steps < 2.0, torch.cat((-a, a - b), 1), torch.cat(self._solved(steps, a, b), 1))
-        return moves / self.step
-
-    @staticmethod
-    def _solved(steps: Tensor, a: Tensor, b: Tensor) -> tuple[Tensor, Tensor]:
-        """Changes of both states over a step, from their distances to rest; `steps` is the delay in steps."""
-        q = 1.0 / steps
-        w = 2.0**0.5
-        decay = torch.exp(-2.0 * q)
-        s = decay * torch.sin(w * q) / w
-        c = (
-            torch.expm1(-2.0 * q) - 2.0 * decay * torch.sin(0.5 * w * q).square()
-        )  # no difference of near numbers
-        return (c + 2.0 * s) * a + s * b, (c - 2.0 * s) * b - 6.0 * s * a
+        first = a + b / 6.0 + _beyond(steps) / steps * b  # v1, which is v2 a step later
+        shifted = torch.cat(((_beyond(steps) + steps / 6.0) * first - a, -steps * first - b), 1)
+        return torch.where(steps < 2.0, shifted, torch.cat(_solved(steps, a, b), 1)) / self.step
 
     def held(self, u: Tensor, dt: float) -> Tensor:
         """See `Effect.held`."""
@@ -92,3 +86,17 @@ class InputDelay(Effect):
         """See `Effect.memory_start`."""
         own = u[:, : self.n_inputs]
         return torch.cat((own, torch.zeros_like(own)), 1)
+
+
+def _beyond(steps: Tensor) -> Tensor:
+    """Share of a delay that is beyond one step, r / (1 + r)."""
+    return (steps - 1.0).clamp_min(0.0) / steps
+
+
+def _solved(steps: Tensor, a: Tensor, b: Tensor) -> tuple[Tensor, Tensor]:
+    """Changes of both states over a step, from their distances to rest; `steps` is the delay in steps."""
+    q, w = 1.0 / steps, 2.0**0.5
+    decay = torch.exp(-2.0 * q)
+    s = decay * torch.sin(w * q) / w
+    c = torch.expm1(-2.0 * q) - 2.0 * decay * torch.sin(0.5 * w * q).square()  # no difference of near numbers
+    return (c + 2.0 * s) * a + s * b, (c - 2.0 * s) * b - 6.0 * s * a

@@ -120,6 +120,26 @@ def test_a_delay_below_two_steps_brings_the_inputs_of_the_steps_before(delay: fl
     torch.testing.assert_close(arrives, (1 - share) * now + share * before)
 
 
+@pytest.mark.parametrize("effect", ["motor_lag", "input_delay"])
+@pytest.mark.parametrize("time", [0.03, 0.08])
+def test_memory_means_the_same_on_a_fine_grid_and_on_a_coarse_one(effect: str, time: float) -> None:
+    key = {"motor_lag": "time_constant", "input_delay": "delay"}[effect]
+    s, x = hexacopter(effect, **{f"{effect}__{key}": time}), level(1)
+    ramp = 0.3 + 0.01 * torch.arange(30, dtype=torch.float64)[None, :, None].expand(1, 30, 6)
+    memory = s.remembered(x, ramp[:, -1], ramp, dt=0.01)[:, 13:]
+    u = ramp[:, -1]
+    arrived = {}
+    for dt, steps in ((0.01, 60), (0.05, 12)):
+        s.set_step(dt)
+        m, arrived[dt] = memory, torch.zeros_like(u)
+        for _ in range(steps):
+            arrived[dt] = arrived[dt] + dt * s.effects[0](0.0, x, u, m)
+            m = m + dt * s.effects[0].memory_rate(0.0, x, u, m)
+    # what is still to arrive does
+    torch.testing.assert_close(arrived[0.05], arrived[0.01], rtol=2e-3, atol=0)
+    assert float(arrived[0.01].abs().max()) > 0.01 * time
+
+
 @pytest.mark.parametrize("delay", [0.11, 0.2])
 def test_a_delay_of_more_steps_gives_the_mean_of_its_approximation(delay: float) -> None:
     s = hexacopter("input_delay", input_delay__delay=delay)

@@ -207,13 +207,12 @@ def _ensemble_spec(config: DictConfig, machine: System, runs: Split, common: dic
 
 def _sysid_spec(config: DictConfig, machine: System, runs: Split, common: dict[str, Any]) -> ModelSpec:
     solver = step(config.solver, machine, kind=config.model.kind)
-    # Smoothed inputs know the future and lack what is fast: weights by the law of the noise would trust them least
-    # where they tell most, and find no effect of an input at all.
-    smoothed = filter_reach(runs.train, machine.nu, common["dt"]) > 0
+    method = config.model.method or "weak"
     return SysidSpec(
         system=config.system.name,
         **common,
-        method=config.model.method or ("differences" if smoothed else "weak"),
+        method=method,
+        filter_reach=filter_reach(runs.train, machine.nu, common["dt"]) if method == "weak" else 0,
         max_iterations=config.model.max_iterations,
         step=solver.name,
         solver=options(config.solver, "name"),

@@ -229,7 +229,7 @@ class SysidModel(ModelConfig):
     method: str | None = key(
         None,
         "equations in integral form, weighted by the noise found (weak), or finite differences of smoothed states in "
-        "ordinary least squares (differences); null: weak, and differences where the log smoothed its inputs",
+        "ordinary least squares (differences); null: weak",
         choices=("weak", "differences"),
     )
     max_iterations: int = key(20, "largest number of least-squares steps", unit="steps", low=1)

@@ -26,7 +26,6 @@ from torch import Tensor, nn
 from tqdm.auto import tqdm
 
 from nsde_torch.data import Run
-from nsde_torch.data.smoothing import restored, smoothing_width
 from nsde_torch.effects import Port
 from nsde_torch.errors import CheckpointError, DataError
 from nsde_torch.learning.checkpoint import read_checkpoint, write_checkpoint
@@ -37,7 +36,7 @@ from nsde_torch.learning.identify.steps import steps_of
 from nsde_torch.learning.innovations.actuators import Identified, identified
 from nsde_torch.learning.innovations.distance import fit_distance
 from nsde_torch.learning.innovations.disturbances import Disturbance
-from nsde_torch.learning.innovations.inputs import fit_filter
+from nsde_torch.learning.innovations.inputs import as_applied, fit_filter
 from nsde_torch.learning.innovations.laws import channel_laws, set_laws
 from nsde_torch.learning.innovations.networks import Learned, Settings, fit_networks
 from nsde_torch.learning.innovations.residuals import (
@@ -74,9 +73,8 @@ def fit_innovations(task: Task) -> Fitted:
     """
     spec = task.spec
     assert isinstance(spec, SDESpec)
-    width = smoothing_width(task.runs, len(spec.make_system().input_names)) if spec.filter_reach else 0.0
-    nu = len(spec.make_system().input_names)
-    runs = [restored(run, nu, width) for run in task.runs] if width else list(task.runs)
+    nu = spec.make_system().nu
+    runs = as_applied(task.runs, nu) if spec.filter_reach else list(task.runs)
     bare = _bare_ports(spec)
     found = None if bare else identified(spec, runs, clock=task.clock, values=task.values)
     generator = torch.Generator().manual_seed(task.seed)
@@ -90,7 +88,7 @@ def fit_innovations(task: Task) -> Fitted:
             {f"{part}.{k}": v for part in ("model", "kept") for k, v in state.items()},
             {"identity": task.identity, **about},
         )
-    if model.filter is not None and width:
+    if model.filter is not None:
         fit_filter(model.filter, task.runs, runs, nu)
     progress = Progress(**about["progress"])
     for row in progress.history:

@@ -13,6 +13,10 @@ from nsde_torch.learning.task import Fitted, Parameters, Task
 from nsde_torch.models.neural_sde import NeuralSDE, SDESpec
 
 _BLOCK_S = 4.0
+_NO_INTERVAL = (
+    "no interval: errors over many steps under the log's own inputs do not tell what an input does if a controller made "
+    "them; take loss=default"
+)
 
 
 def fit_sde(task: Task) -> Fitted:
@@ -57,6 +61,13 @@ def fit_sde(task: Task) -> Fitted:
     fit.run(title=task.name, checkpoint=task.checkpoint, log=task.log)
 
     def parameters() -> Parameters:
-        return declared_confidence(model, train, scale) if spec.physics else {}
+        if not spec.physics:
+            return {}
+        found = declared_confidence(model, train, scale)
+        driven = model.system.nu and any(run.u[:, : model.system.nu].std(0).max() > 0 for run in task.runs)
+        return {
+            name: p | ({"half_width_90": [None] * len(p["value"]), "note": _NO_INTERVAL} if driven else {})
+            for name, p in found.items()
+        }  # type: ignore[arg-type]
 
     return Fitted(model, fit.progress, parameters)

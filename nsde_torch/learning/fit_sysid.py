@@ -4,6 +4,7 @@ import torch
 
 from nsde_torch.learning.identify.identify import identify
 from nsde_torch.learning.identify.result import Identification
+from nsde_torch.learning.innovations.inputs import as_applied, fit_filter
 from nsde_torch.learning.progress import Progress
 from nsde_torch.learning.report import number, table
 from nsde_torch.learning.task import Fitted, Task
@@ -23,11 +24,12 @@ def fit_sysid(task: Task) -> Fitted:
     spec = task.spec
     assert isinstance(spec, SysidSpec)
     model = IdentifiedModel(spec, generator=torch.Generator(), values=task.values)
-    found = identify(
-        model.system, task.runs, clock=task.clock, method=spec.method, iterations=spec.max_iterations
-    )
+    runs = as_applied(task.runs, model.system.nu) if spec.filter_reach else task.runs
+    found = identify(model.system, runs, clock=task.clock, method=spec.method, iterations=spec.max_iterations)
     found.vector.write(model.system, found.values)
     model.clock_scale.fill_(task.clock)
+    if model.filter is not None:
+        fit_filter(model.filter, task.runs, runs, model.system.nu)
     progress = Progress(
         step=found.iterations,
         best_step=found.iterations,

@@ -29,11 +29,11 @@ def parameter_table(parameters: Mapping[str, Mapping[str, Any]]) -> str:
     rows = []
     for name, p in parameters.items():
         pairs = zip(p["value"], p["half_width_90"], strict=True)
-        cells = [
-            number(v) + (" (not shown by the data)" if h is None else f" +- {number(h)}") for v, h in pairs
-        ]
+        none = " (no interval)" if "note" in p else " (not shown by the data)"
+        cells = [number(v) + (none if h is None else f" +- {number(h)}") for v, h in pairs]
         rows.append([name, "  ".join(cells), p["unit"]])
-    return table(["declared parameter", "value +- 90 %", "unit"], rows)
+    notes = dict.fromkeys(str(p["note"]) for p in parameters.values() if "note" in p)
+    return "\n".join([table(["declared parameter", "value +- 90 %", "unit"], rows), *notes])
 
 
 def error_table(test: Mapping[str, Any]) -> str:

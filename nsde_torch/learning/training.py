@@ -89,7 +89,7 @@ class Training:
         self.folder, self.about, self.say, self.other_sensors = Path(run_dir), about, say, other_sensors
         self.compile = options.compile != "off" and not isinstance(spec, SysidSpec)  # done before it compiles
         self.smoothing = smoothing_width(split.train, len(data.input_names))
-        self.filter_reach = spec.filter_reach if isinstance(spec, SDESpec) else 0
+        self.filter_reach = spec.filter_reach if isinstance(spec, SDESpec | SysidSpec) else 0
 
     def run(self) -> dict[str, Any]:
         """Train, calibrate, test and write.

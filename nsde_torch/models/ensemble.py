@@ -91,6 +91,7 @@ class GaussianEnsemble(Model):
         values: Mapping[str, float | list[float]] | None = None,
     ) -> None:
         super().__init__()
+        self.filter = None
         if spec.effects:
             raise ConfigError(
                 f"an ensemble has no physics and takes no effects; got {list(spec.effects)}. "

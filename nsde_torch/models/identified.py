@@ -14,6 +14,7 @@ import torch
 from torch import Tensor
 
 from nsde_torch.errors import ConfigError, ShapeError
+from nsde_torch.models.input_filter import InputFilter
 from nsde_torch.models.model import Model, ModelSpec
 from nsde_torch.sde import Calculus, make_step, rollout
 
@@ -29,6 +30,7 @@ class SysidSpec(ModelSpec):
         solver: Further arguments of the integrator.
         method: "weak" (integral form, whitened) or "differences" (finite differences of smoothed states).
         max_iterations: Largest number of least-squares steps.
+        filter_reach: Taps on each side of the filter that restores smoothed inputs; 0 for none.
     """
 
     kinds = ("sysid",)
@@ -38,6 +40,7 @@ class SysidSpec(ModelSpec):
     solver: Mapping[str, Any] = field(default_factory=dict)
     method: str = "weak"
     max_iterations: int = 20
+    filter_reach: int = 0
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -78,6 +81,7 @@ class IdentifiedModel(Model):
             )
         self.system = spec.make_system(values)
         self.system.set_step(spec.dt)
+        self.filter = InputFilter(spec.filter_reach, spec.dt) if spec.filter_reach else None
         self.clock_scale: Tensor
         self.register_buffer("clock_scale", torch.ones(()))
 
@@ -153,6 +157,8 @@ class IdentifiedModel(Model):
             raise ConfigError(
                 "`measurement_std` was given, but a model by system identification has no noise. Leave it out."
             )
+        if not applied:
+            u, u_before = self.applied_pair(u, dt, u_before)
         z0 = self.remembered(x0, u[:, 0], u_before, dt=dt)
         path = rollout(self, z0, u, dt=dt, step=self.step, noise=None, t0=t0, compile=compile)
         return path[..., : self.system.nx].expand(particles, -1, -1, -1)

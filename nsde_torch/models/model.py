@@ -9,6 +9,7 @@ import torch
 from torch import Tensor, nn
 
 from nsde_torch.errors import ConfigError, NonFiniteError, ShapeError
+from nsde_torch.models.input_filter import InputFilter
 from nsde_torch.systems import System, make_system
 
 
@@ -79,11 +80,13 @@ class Model(nn.Module, ABC):
         spec: What it was built from.
         system: The machine; `system.error` and `system.error_groups` say what an error is.
         clock_scale: Physical seconds per logged second of the training data, 0-d.
+        filter: Restores inputs that the log smoothed; None where it did not.
     """
 
     spec: ModelSpec
     system: System
     clock_scale: Tensor
+    filter: InputFilter | None
 
     @abstractmethod
     def sample(
@@ -128,6 +131,21 @@ class Model(nn.Module, ABC):
             ShapeError: wrong axes or columns.
             NonFiniteError: x0 or u is not finite, or a path leaves the finite numbers.
         """
+
+    def applied_inputs(self, u: Tensor, dt: float) -> Tensor:
+        """Inputs that acted on the machine (B, T, nu), from those logged."""
+        if self.filter is None:
+            return u
+        n = self.system.nu
+        restored = self.filter(u[..., :n], dt)
+        return torch.cat((restored, u[..., n:]), -1) if u.shape[-1] > n else restored
+
+    def applied_pair(self, u: Tensor, dt: float, u_before: Tensor | None) -> tuple[Tensor, Tensor | None]:
+        """Inputs (B, T, nu) and those of the steps before (B, K, nu) as they acted; the filter sees both."""
+        if self.filter is None or u_before is None:
+            return self.applied_inputs(u, dt), u_before
+        restored = self.applied_inputs(torch.cat((u_before, u), 1), dt)
+        return restored[:, u_before.shape[1] :], restored[:, : u_before.shape[1]]
 
     def project(self, z: Tensor) -> Tensor:
         """The nearest valid state."""

@@ -377,20 +377,3 @@ class NeuralSDE(Model):
         later = path[:, :, 1:] + normal((*shape, self.system.nx), generator, x0) * std
         later = self.project(later.flatten(0, 2)).view(later.shape)
         return torch.cat((x0.expand(particles, *x0.shape)[:, :, None], later), 2)
-
-    def _restore(self, u: Tensor, dt: float) -> Tensor:
-        assert self.filter is not None
-        n = self.system.nu
-        restored = self.filter(u[..., :n], dt)
-        return torch.cat((restored, u[..., n:]), -1) if u.shape[-1] > n else restored
-
-    def applied_inputs(self, u: Tensor, dt: float) -> Tensor:
-        """Inputs that acted on the machine (B, T, nu), from those logged."""
-        return u if self.filter is None else self._restore(u, dt)
-
-    def applied_pair(self, u: Tensor, dt: float, u_before: Tensor | None) -> tuple[Tensor, Tensor | None]:
-        """Inputs (B, T, nu) and those of the steps before (B, K, nu) as they acted; the filter sees both."""
-        if self.filter is None or u_before is None:
-            return self.applied_inputs(u, dt), u_before
-        restored = self._restore(torch.cat((u_before, u), 1), dt)
-        return restored[:, u_before.shape[1] :], restored[:, : u_before.shape[1]]

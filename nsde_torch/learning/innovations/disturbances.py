@@ -6,8 +6,9 @@
 
 sigma is a diffusion (per root second), s the white noise of the sensor. The law of r does not depend on how inputs
 were made: what a controller answers is in the inputs, and physics has taken their effect out. The parameters have the
-largest Whittle likelihood, sum_f log S + I / S over the periodogram I (Whittle, Arkiv foer Matematik 2 (1953)). What physics
-lacks of slow forces is part of d: predictions err by it as by a gust.
+largest Whittle likelihood, sum_f log S + I / S over the periodogram I (Whittle, Arkiv foer Matematik 2 (1953)), which
+is tapered by a sine: cut off sharply, the differences of a sensor's errors leak a floor that looks like a diffusion.
+What physics lacks of slow forces is part of d: predictions err by it as by a gust.
 """
 
 from collections.abc import Sequence

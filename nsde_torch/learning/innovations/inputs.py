@@ -10,9 +10,16 @@ import torch
 from numpy.typing import NDArray
 
 from nsde_torch.data import Run
+from nsde_torch.data.smoothing import restored, smoothing_width
 from nsde_torch.models.input_filter import InputFilter
 
 Array = NDArray[np.float64]
+
+
+def as_applied(runs: Sequence[Run], n_inputs: int) -> list[Run]:
+    """Runs with inputs as they acted, where a moving average is found in those logged."""
+    width = smoothing_width(runs, n_inputs)
+    return [restored(run, n_inputs, width) for run in runs] if width else list(runs)
 
 
 @torch.no_grad()

@@ -3,10 +3,10 @@
     min  sum_k |P (r_k - g(y_k))|^2 / (2 M) + decay,        P whitening filters of the noise of r
 
 r is what is left of the change over a step (`residuals`), g the networks' part of it, of features y_k that were
-foreseen before the step. All steps are one batch: the networks are small, and a filter needs neighbours. They start where they
-say nothing. Blocks of time are left out in turn, all folds advance together, and the number of steps is that with the
-smallest innovations on what was left out; then one fit to everything takes as many. A group of channels whose blocks
-are not better by two standard errors keeps no network: where nothing is missing, nothing is learned.
+foreseen before the step. All steps are one batch: the networks are small, and a filter needs neighbours. They start
+where they say nothing. Blocks of time are left out in turn, all folds advance together, and the number of steps is that
+with the smallest innovations on what was left out; then one fit to everything takes as many. A group of channels whose
+blocks are not better by two standard errors keeps no network: where nothing is missing, nothing is learned.
 
 In a closed loop the state knows the inputs of the past, so a network of the state would stand in for a lag that the
 physics lacks, and be right only as long as the same pilot flies. What the past of the inputs explains linearly is

@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+import numpy as np
 import torch
 
 from nsde_torch.data import Windows
@@ -14,8 +15,8 @@ from nsde_torch.models.neural_sde import NeuralSDE, SDESpec
 
 _BLOCK_S = 4.0
 _NO_INTERVAL = (
-    "no interval: errors over many steps under the log's own inputs do not tell what an input does if a controller made "
-    "them; take loss=default"
+    "no interval: errors over many steps under the log's own inputs do not tell what an input does if a controller "
+    "made them; take loss=default"
 )
 
 
@@ -64,10 +65,10 @@ def fit_sde(task: Task) -> Fitted:
         if not spec.physics:
             return {}
         found = declared_confidence(model, train, scale)
-        driven = model.system.nu and any(run.u[:, : model.system.nu].std(0).max() > 0 for run in task.runs)
-        return {
-            name: p | ({"half_width_90": [None] * len(p["value"]), "note": _NO_INTERVAL} if driven else {})
-            for name, p in found.items()
-        }  # type: ignore[arg-type]
+        nu = model.system.nu
+        if not any(np.ptp(run.u[:, :nu], axis=0).any() for run in task.runs):
+            return found
+        none = {name: [None] * value.numel() for name, (value, _) in model.system.all_declared().items()}
+        return {name: {**p, "half_width_90": none[name], "note": _NO_INTERVAL} for name, p in found.items()}
 
     return Fitted(model, fit.progress, parameters)

@@ -72,8 +72,8 @@ class TrainerOptions:
         validate_every: Steps between validations.
         checkpoint_every: Steps between checkpoints.
         compile: "auto" and "on" compile the integrator's step, "off" does not.
-        polish: Steps at `lr_end` on all windows, the held-out ones included, after early stopping chose the weights; not
-            with "innovations".
+        polish: Steps at `lr_end` on all windows, the held-out ones included, after early stopping chose the weights;
+            not with "innovations".
         calibrate: Scale the diffusion by errors across training runs at the end (not with "paper").
     """
 

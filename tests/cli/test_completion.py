@@ -22,7 +22,7 @@ from nsde_torch.cli.main import COMMANDS, main
         (["completion", "z"], ["zsh"]),
         (["train", "sys"], ["system.", "system="]),
         (["train", "system=c"], ["system=cartpole"]),
-        (["train", "-m", "loss=paper,d"], ["loss=paper,default"]),
+        (["train", "-m", "loss=paper,r"], ["loss=paper,replay"]),
         (["train", "trainer.lr"], ["trainer.lr=", "trainer.lr_end="]),
         (["train", "dtype="], ["dtype=float32", "dtype=float64"]),
         (["train", "data.pa"], []),
@@ -78,7 +78,7 @@ def test_unknown_shell_is_refused(capsys: pytest.CaptureFixture[str]) -> None:
         ("nsde trai", ["train "]),
         ("nsde train system=cart", ["cartpole "]),
         ("nsde train trainer.lr", ["trainer.lr=", "trainer.lr_end="]),
-        ("nsde train -m loss=paper,d", ["paper,default "]),
+        ("nsde train -m loss=paper,r", ["paper,replay "]),
         ("nsde train system=cartpole trainer=f", ["fast "]),
     ],
 )

@@ -169,12 +169,12 @@ def test_a_failed_job_does_not_take_the_others_along(launcher: str, probe: Probe
     words = [] if launcher == "basic" else [f"hydra/launcher={launcher}"]
     if launcher == "joblib":
         words.append("hydra.launcher.n_jobs=2")
-    done = probe("-m", "sweep_dir=sweep", "loss=paper,default", "seed=0,13,14", *words)
+    done = probe("-m", "sweep_dir=sweep", "loss=paper,replay", "seed=0,13,14", *words)
     assert done.returncode == 1, done.stderr
     jobs = [job for job in _jobs(tmp_path / "sweep") if job.name[0].isdigit()]
     assert [job.name for job in jobs] == [
         f"{number}_loss={loss},seed={seed}"
-        for number, (loss, seed) in enumerate([(a, b) for a in ("paper", "default") for b in (0, 13, 14)])
+        for number, (loss, seed) in enumerate([(a, b) for a in ("paper", "replay") for b in (0, 13, 14)])
     ]
     assert sum((job / "metrics.json").is_file() for job in jobs) == 2
     assert sum((job / "failed.json").is_file() for job in jobs) == 4

@@ -149,7 +149,7 @@ def test_hexacopter_with_a_further_effect_and_a_second_process_that_loads_it(
     metrics = check(folder, "hexacopter")
     assert len(metrics["parameters"]["linear_drag.drag"]["value"]) == 3
     assert metrics["parameters"]["linear_drag.drag"]["unit"] == "1/s"
-    assert metrics["loss"] == "default"
+    assert metrics["loss"] == "innovations"
     assert metrics["calibration"]["factor"] > 0
     assert len(metrics["calibration"]["left_out"]) == 2
     said = capsys.readouterr().out

@@ -77,7 +77,7 @@ def test_training_errors_of_the_true_model_vanish(windows: Windows) -> None:
         windows,
         windows,
         scale=torch.ones(12, dtype=torch.float64),
-        loss=LossOptions(),
+        loss=LossOptions(kind="replay"),
         options=TrainerOptions(compile="off"),
         seed=0,
     )

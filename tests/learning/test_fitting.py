@@ -46,7 +46,7 @@ def make_fit(
         held,
         windows,
         scale=torch.ones(1),
-        loss=loss or LossOptions(points=8, ball_samples=3),
+        loss=loss or LossOptions(kind="replay", points=8, ball_samples=3),
         options=options,
         seed=seed,
     )
@@ -306,7 +306,7 @@ def test_default_loss_moves_eta_by_the_distance_losses_alone() -> None:
 
 
 def test_weights_multiply_their_losses() -> None:
-    plain = {"points": 8, "ball_samples": 3}
+    plain = {"kind": "replay", "points": 8, "ball_samples": 3}
     one = make_fit(loss=LossOptions(data=1, gradient=1, convexity=1, mu=1, residual_decay=1, **plain)).terms()
     two = make_fit(loss=LossOptions(data=2, gradient=3, convexity=4, mu=5, residual_decay=6, **plain)).terms()
     for name, factor in {"data": 2, "gradient": 3, "convexity": 4, "mu": 5, "decay": 6}.items():

@@ -96,14 +96,14 @@ def losses_over_sigma(kind: str, factors: list[float], particles: int) -> list[f
             path = model.paths(windows[:, 0], u, dt=DT, noise=noise)
             errors = path[:, :, 1:] - windows[:, 1:]
             scores.append(
-                float(data_loss(errors, torch.ones(1), kind=kind, early=0.5, paired=kind == "default"))
+                float(data_loss(errors, torch.ones(1), kind=kind, early=0.5, paired=kind == "replay"))
             )
     return scores
 
 
 def test_default_loss_is_smallest_at_the_true_sigma() -> None:
     factors = [0.0, 0.5, 0.7, 0.85, 1.0, 1.15, 1.4, 2.0]
-    scores = losses_over_sigma("default", factors, particles=4)
+    scores = losses_over_sigma("replay", factors, particles=4)
     assert factors[scores.index(min(scores))] in (0.85, 1.0, 1.15)
     below, above = scores[:4], scores[5:]
     assert below == sorted(below, reverse=True)
@@ -130,7 +130,7 @@ def test_weights_of_the_steps_fall_as_a_power_and_average_one(early: float) -> N
     for k in range(horizon):
         e = torch.zeros(2, 4, horizon, 1)
         e[:, :, k] = 3.0  # both particles: the spread is zero, the score is the error
-        alone.append(float(data_loss(e, torch.ones(1), kind="default", early=early, paired=False)))
+        alone.append(float(data_loss(e, torch.ones(1), kind="replay", early=early, paired=False)))
     assert sum(alone) == pytest.approx(3.0, rel=1e-5)
     for k, value in enumerate(alone):
         assert value / alone[0] == pytest.approx((k + 1) ** -early, rel=1e-5)
@@ -146,7 +146,7 @@ def test_weight_of_mu_is_the_users_then_the_systems_then_that_of_the_default() -
 
 def test_default_loss_refuses_one_particle_and_an_unknown_kind() -> None:
     with pytest.raises(ConfigError, match=r"loss.particles.*at least 2"):
-        LossOptions(particles=1)
+        LossOptions(kind="replay", particles=1)
     with pytest.raises(ConfigError, match=r"loss.kind.*'crps'"):
         LossOptions(kind="crps")
 

@@ -55,7 +55,7 @@ def gradients(sde: NeuralSDE, batch: int, *, compile: bool) -> dict[str, Tensor]
 
 @pytest.mark.usefixtures("compiler")
 @pytest.mark.slow
-@pytest.mark.parametrize("kind", ["default", "paper"])
+@pytest.mark.parametrize("kind", ["replay", "paper"])
 def test_compiled_hexacopter_gives_the_eager_paths_and_gradients(kind: str) -> None:
     sde = model(0, kind)
     fast, slow = gradients(sde, 7, compile=True), gradients(sde, 7, compile=False)

@@ -47,7 +47,7 @@ def test_gradient_loss_has_the_parameter_gradient_of_autograds_second_differenti
         )
 
 
-@pytest.mark.parametrize("kind", ["default", "paper"])
+@pytest.mark.parametrize("kind", ["replay", "paper"])
 def test_distance_losses_equal_those_written_with_autograd(kind: str) -> None:
     eta = make_distance()
     with torch.no_grad():
@@ -107,7 +107,7 @@ def test_convexity_loss_is_zero_exactly_up_to_the_convexity_of_the_energy(mu: fl
         y,
         directions,
         share,
-        kind="default",
+        kind="replay",
         near=0.1,
         far=4.0,
     )
@@ -147,7 +147,7 @@ def test_paper_points_fill_the_supplements_ball_evenly() -> None:
 
 
 def test_default_points_lie_log_uniformly_between_near_and_far() -> None:
-    r = radii("default", 0.1, 10.0)
+    r = radii("replay", 0.1, 10.0)
     assert float(r.min()) >= 0.1 * (1 - 1e-5)
     assert float(r.max()) <= 10 * (1 + 1e-5)
     assert float((r < 1.0).float().mean()) == pytest.approx(0.5, abs=0.02)

@@ -241,7 +241,7 @@ def test_distance_takes_any_leading_axes_and_lies_in_the_unit_interval() -> None
 
 
 def test_default_loss_does_not_move_eta_and_the_papers_does() -> None:
-    for loss, moves in (("default", False), ("paper", True)):
+    for loss, moves in (("replay", False), ("paper", True)):
         model = make_model(Decay, loss=loss)
         x = torch.ones(3, 1)
         model.diffusion(0.0, x, torch.zeros(3, 1)).sum().backward()
@@ -348,7 +348,7 @@ def test_a_model_without_noise_predicts_one_path(step: str) -> None:
     assert torch.equal(out[0], out[1])
 
 
-@pytest.mark.parametrize("loss", ["default", "paper"])
+@pytest.mark.parametrize("loss", ["replay", "paper"])
 def test_slope_of_the_diffusion_is_the_finite_difference_under_every_loss(loss: str) -> None:
     model = make("mass_spring_damper", dtype=torch.float64, loss=loss)
     model.h.slope.fill_(20.0)

@@ -44,6 +44,14 @@ class Disturbance:
     tau: float
     sensor: float
 
+    def without_memory(self, seconds: float) -> "Disturbance":
+        """The law whose diffusion moves the state as far over some seconds as diffusion and force do here."""
+        if not self.std > 0:
+            return self
+        share = self.tau / seconds
+        force = 2.0 * self.std**2 * self.tau * (1.0 + share * np.expm1(-1.0 / share))
+        return Disturbance(float(np.sqrt(self.diffusion**2 + force)), 0.0, self.tau, self.sensor)
+
 
 @dataclass(frozen=True)
 class Spectrum:

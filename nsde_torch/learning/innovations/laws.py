@@ -29,13 +29,16 @@ def channel_laws(physics: Physics, found: Residuals, left: Array, model: NeuralS
     """
     system, q = model.system, model.system.quaternion
     lasting = {int(found.rows[c]) for c in disturbed_channels(model, found)}
+    forced = set(found.rows.tolist())
     shortest = 2.0 * model.spec.dt * float(model.clock_scale)
     out: dict[str, Disturbance] = {}
     for i, name in enumerate(system.state_names):
         if q is not None and q.start <= i < q.stop:
             continue
         seen = spectrum(left[:, [i]], found.series, found.dt)
-        out[name] = fit([seen], lasting=i in lasting, shortest=shortest)
+        law = fit([seen], lasting=i in forced, shortest=shortest)
+        # a force that lasts, of a model that has no state for it, is as much diffusion over a window
+        out[name] = law if i in lasting else law.without_memory(model.spec.horizon * shortest / 2.0)
     if q is not None:
         attitude = physics.attitude
         turn = rotation_between(attitude, attitude + torch.as_tensor(left[:, q])).numpy()

@@ -44,6 +44,7 @@ _REFINED, _PROMISING = 2, 0.5  # candidates, and share of the best gain, that ge
 _TAKEN_OVER = 0.5  # of what a part of an effect is alone: below, another one has taken over
 _RESOLVED = 0.5  # steps, the shortest lag or delay that is believed
 _SURELY = 1e-3  # chance below which what contains a simpler effect is preferred to it
+_MOVES = 1e-6  # of the largest slope of a parameter: below that is rounding
 _NATS, _SURE = 3.0, 2.0  # evidence, and standard errors of it, within which two candidates are alike
 
 
@@ -148,6 +149,14 @@ def dynamic_rows(system: System) -> NDArray[np.int64]:
         if name not in tied and not (q is not None and q.start <= i < q.stop)
     ]
     return np.array(kept, dtype=np.int64)
+
+
+def moved_channels(regression: Regression, effect: str) -> tuple[str, ...]:
+    """Names of the channels that the parameters of an effect move: whose whitened slopes are not zero."""
+    size = np.linalg.norm(regression.slopes[:, :, regression.vector.of(effect)], axis=1)
+    moves = (size > _MOVES * np.maximum(size.max(0), 1e-300)).any(1)
+    names = [regression.physics.names[c] for c in regression.rows]
+    return tuple(name for name, m in zip(names, moves, strict=True) if m)
 
 
 def fitted_system(regression: Regression) -> System:

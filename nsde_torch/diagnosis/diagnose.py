@@ -491,7 +491,7 @@ def diagnose(
 
     say("errors on runs left out", 0, 1)
     errors = held_out(
-        (outcome.declared.system, outcome.final.system),
+        (outcome.declared_system, outcome.system),
         spec,
         extended,
         make=again,

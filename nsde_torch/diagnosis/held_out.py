@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from nsde_torch.data import Run, Windows
-from nsde_torch.diagnosis.innovations import BLOCK_S, Own, Scored, band, finite, joined, one_step, own, scored
+from nsde_torch.diagnosis.innovations import Own, Scored, band, finite, joined, one_step, own, scored
 from nsde_torch.diagnosis.search import Search, fitted_system
 from nsde_torch.effects import Effect, key_of
 from nsde_torch.errors import DataError
@@ -38,6 +38,7 @@ from nsde_torch.systems import System
 
 _FOLDS = 5
 _TAIL = 0.3  # of a single run, left out
+_BLOCK_S = 4.0
 _STAYS = 0.9
 
 
@@ -125,7 +126,7 @@ def held_out(
     """Measure two physics on runs left out.
 
     Args:
-        systems: Without and with the effects.
+        systems: Without and with the effects, their values near the optimum.
         spec: What models of the system are made of.
         runs: All runs.
         make: Makes the search of some runs, with the settings of the diagnosis.
@@ -147,10 +148,11 @@ def held_out(
     counts = [max(1, round(h / spec.dt)) for h in horizons]
     for train, test in folds:
         search = make(train)
-        fitted: dict[int, Regression] = {}  # of systems that are the same, once
+        whole = search.quick(after, warm=True)
+        fitted: dict[int, Regression] = {id(after): whole}  # of systems that are the same, once
         for system in every.values():
             if id(system) not in fitted:
-                fitted[id(system)] = search.quick(system, warm=True)
+                fitted[id(system)] = search.beside(system, whole)
         left = _steps(make, test)
         if left is not None:
             scores = {
@@ -176,11 +178,11 @@ def held_out(
     content |= {"inputs": REPLAYED, "closed_loop": closed_loop, "one_step": None, "residual": {}}
     brought: dict[str, Own] = {}
     if steps_of_all["before"]:
-        whole = {key: joined(parts) for key, parts in steps_of_all.items()}
-        content["one_step"] = one_step(whole["before"], whole["after"], before, seed=seed)
-        content["residual"] = band(whole["before"], whole["after"], seed=seed)
+        of = {key: joined(parts) for key, parts in steps_of_all.items()}
+        content["one_step"] = one_step(of["before"], of["after"], before, seed=seed)
+        content["residual"] = band(of["before"], of["after"], seed=seed)
         for effect in without or {}:
-            mine = own(whole[f"- {effect}"], whole["after"], (moved or {}).get(effect, ()), seed=seed)
+            mine = own(of[f"- {effect}"], of["after"], (moved or {}).get(effect, ()), seed=seed)
             if mine is not None:
                 brought[effect] = mine
     return HeldOut(content, len(runs) > 1, tuple(names), brought, closed_loop)
@@ -227,7 +229,7 @@ def _replayed(
     diverged = [int((~f[:, far - 1]).sum()) for f in finished]
     first, second = first[rows, :far], second[rows, :far]
     places, clocks = np.concatenate(owner)[rows.numpy()], np.concatenate(times)[rows.numpy()]
-    blocks = make_blocks(places, clocks, length=BLOCK_S)
+    blocks = make_blocks(places, clocks, length=_BLOCK_S)
     generator = torch.Generator().manual_seed(seed)
     factor = torch.tensor([g.factor for g in system.error_groups], dtype=torch.float64)
     one, other = (s.double() * factor**2 for s in (first, second))

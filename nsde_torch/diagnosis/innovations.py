@@ -34,7 +34,8 @@ from nsde_torch.systems.parameters import ParameterVector
 Array = NDArray[np.float64]
 Labels = NDArray[np.int64]
 
-BLOCK_S = 4.0
+_BLOCK_S = (1.0, 4.0)  # shortest and longest block of time [s]
+_BLOCKS = 20  # that short data are cut into
 LEVEL = 0.9
 
 
@@ -141,7 +142,7 @@ def one_step(before: Scored, after: Scored, system: System, *, seed: int) -> dic
     gain = after.density - before.density
     members = quantities(system, before.names)
     sums = [gain.sum(1), *gain.T, *(gain[:, at].sum(1) for at in members.values())]
-    blocks = make_blocks(before.run, before.t, length=BLOCK_S)
+    blocks = _blocks(before.run, before.t)
     cells = _totals(np.stack(sums, 1), blocks, seed)
     k = 1 + len(before.names)
     return {
@@ -166,7 +167,7 @@ def band(before: Scored, after: Scored, *, seed: int) -> dict[str, Any]:
     """
     if not len(before.squares):
         return {}
-    blocks = make_blocks(before.band_run, before.band_t, length=BLOCK_S)
+    blocks = _blocks(before.band_run, before.band_t)
     found = _difference(before.squares, after.squares, blocks, seed)
     first, second = (np.sqrt(s.squares.mean(0)) for s in (before, after))
     return {
@@ -242,14 +243,14 @@ def own(without: Scored, full: Scored, moved: Sequence[str], *, seed: int) -> Ow
     if not at:
         return None
     gain = full.density[:, at] - without.density[:, at]
-    cells = _totals(np.column_stack((gain.sum(1), gain)), make_blocks(full.run, full.t, length=BLOCK_S), seed)
+    cells = _totals(np.column_stack((gain.sum(1), gain)), _blocks(full.run, full.t), seed)
     first, second = without.squares[:, at], full.squares[:, at]
     ratio, larger = np.ones(len(at)), False
     if len(first):
         power = np.maximum(first.mean(0), 1e-300)
         ratio = np.sqrt(second.mean(0) / power)
         pooled = [(s / power).mean(1, keepdims=True) for s in (first, second)]
-        blocks = make_blocks(full.band_run, full.band_t, length=BLOCK_S)
+        blocks = _blocks(full.band_run, full.band_t)
         larger = bool(_difference(pooled[0], pooled[1], blocks, seed).low[0] > 0)
     names = [full.names[i] for i in at]
     return Own(
@@ -283,6 +284,12 @@ def _whitened(trained: Regression, residual: Array, series: Series) -> Array:
     """Whitened residuals (channels, N + stretches) under the laws of a regression, nothing foretold taken out."""
     pairs = zip(trained.noises, trained.rows, strict=True)
     return np.stack([noise.whiten(residual[:, [c]], series)[:, 0] for noise, c in pairs])
+
+
+def _blocks(run: Labels, t: Array) -> Blocks:
+    """Blocks of time: innovations are nearly white, so that short data can be cut finer than predictions."""
+    total = sum(float(np.ptp(t[run == r])) for r in np.unique(run))
+    return make_blocks(run, t, length=float(np.clip(total / _BLOCKS, *_BLOCK_S)))
 
 
 def _totals(gain: Array, blocks: Blocks, seed: int) -> list[dict[str, float | None]]:

@@ -112,15 +112,20 @@ class Outcome:
     structured: list[Dependence] = field(default_factory=list)
     aside: tuple[str, ...] = ()
 
-    @property
+    @cached_property
     def system(self) -> System:
         """The physics with everything that was added and its fitted values."""
         return fitted_system(self.final.regression)
 
+    @cached_property
+    def declared_system(self) -> System:
+        """The declared physics and its fitted values; `system` where nothing was added."""
+        return fitted_system(self.declared.regression) if self.found else self.system
+
     def without(self, effect: str) -> System:
         """The physics with everything that was added but one effect; the declared physics where that is all."""
         if len(self.found) == 1:
-            return self.declared.system
+            return self.declared_system
         return _without(self.system, self.declared.system, effect)
 
     def estimates(self, effect: str) -> list[Estimate]:

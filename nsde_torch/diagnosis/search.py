@@ -253,6 +253,26 @@ class Search:
         regression.run(_ITERATIONS)
         return regression
 
+    def beside(self, system: System, like: Regression) -> Regression:
+        """The regression of physics that is compared with another one, with noise laws of the same kind.
+
+        Where each had a kind of its own, chosen by chance where nothing is to choose, the difference would be that
+        of the kinds. A channel gets another kind where that is surely better.
+
+        Args:
+            system: Physics, its values near their optimum.
+            like: The regression of the other.
+        """
+        regression = self._regression(system, like, ParameterVector(system).start)
+        regression.run(_REFINE)
+        rows = len(regression.series)
+        pairs = list(zip(regression.noises, regression.own_noises(), strict=True))
+        laws = [law if law.likelihood(rows) > kept.likelihood(rows) + _NATS else kept for kept, law in pairs]
+        if any(law is not kept for law, (kept, _) in zip(laws, pairs, strict=True)):
+            regression = self._regression(system, regression, regression.theta, laws)
+            regression.run(_REFINE)
+        return regression
+
     def _best_noise(
         self,
         regression: Regression,

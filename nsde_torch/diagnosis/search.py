@@ -45,6 +45,7 @@ _TAKEN_OVER = 0.5  # of what a part of an effect is alone: below, another one ha
 _RESOLVED = 0.5  # steps, the shortest lag or delay that is believed
 _SURELY = 1e-3  # chance below which what contains a simpler effect is preferred to it
 _MOVES = 1e-6  # of the largest slope of a parameter: below that is rounding
+_KIND = 10.0  # nats by which another kind of noise must be likelier to be needed
 _NATS, _SURE = 3.0, 2.0  # evidence, and standard errors of it, within which two candidates are alike
 
 
@@ -256,19 +257,20 @@ class Search:
     def beside(self, system: System, like: Regression) -> Regression:
         """The regression of physics that is compared with another one, with noise laws of the same kind.
 
-        Where each had a kind of its own, chosen by chance where nothing is to choose, the difference would be that
-        of the kinds. A channel gets another kind where that is surely better.
+        Where each had a kind of its own, chosen by chance where there is nothing to choose, that chance would decide
+        the comparison. A channel gets another kind where it needs one: to stand in for an effect that is not there.
 
         Args:
             system: Physics, its values near their optimum.
             like: The regression of the other.
         """
         regression = self._regression(system, like, ParameterVector(system).start)
-        regression.run(_REFINE)
+        regression.run(_ITERATIONS)
         rows = len(regression.series)
         pairs = list(zip(regression.noises, regression.own_noises(), strict=True))
-        laws = [law if law.likelihood(rows) > kept.likelihood(rows) + _NATS else kept for kept, law in pairs]
-        if any(law is not kept for law, (kept, _) in zip(laws, pairs, strict=True)):
+        needed = [law.likelihood(rows) > kept.likelihood(rows) + _KIND for kept, law in pairs]
+        if any(needed):
+            laws = [pair[n] for pair, n in zip(pairs, needed, strict=True)]
             regression = self._regression(system, regression, regression.theta, laws)
             regression.run(_REFINE)
         return regression

@@ -16,6 +16,7 @@ from typing import Literal
 import numpy as np
 from scipy.special import stdtrit
 
+from nsde_torch.diagnosis.evidence import gained_by_channel
 from nsde_torch.diagnosis.search import (
     Base,
     Round,
@@ -195,7 +196,7 @@ def loop(search: Search, system: System, *, max_effects: int) -> Outcome:
         verdict: Verdict = "unexplained" if left else "no_effect"
     else:
         verdict = "unexplained" if rest > explained else "effect_found"
-    gained = _gained(declared.regression, base.regression)
+    gained = gained_by_channel(declared.regression, base.regression)
     found = [replace(f, moves=moved_channels(base.regression, f.name)) for f in found]
     found = [replace(f, lead=_lead(f, found, left, gained)) for f in found]
     tests = (declared_variables, variables, before, after, left)
@@ -219,20 +220,6 @@ def _lent(search: Search, base: Base, chosen: Trial, names: Sequence[str]) -> Ba
             if other.score.fitted > best.score.fitted + _FEWER:
                 best = other
     return None if best is base else best
-
-
-def _gained(before: Regression, after: Regression) -> dict[str, float]:
-    """Twice the log-likelihood that the effects brought, by channel."""
-
-    def fitted(r: Regression) -> dict[str, float]:
-        rows = r.white.shape[1]
-        return {
-            r.physics.names[c]: -0.5 * float(w @ w) + law.likelihood(rows)
-            for c, w, law in zip(r.rows, r.white, r.noises, strict=True)
-        }
-
-    first, second = fitted(before), fitted(after)
-    return {name: 2.0 * (second[name] - first[name]) for name in first}
 
 
 def _lead(f: Found, found: Sequence[Found], left: Sequence[Dependence], gained: Mapping[str, float]) -> str:

@@ -76,7 +76,7 @@ def diagnose_case(folder: Path, name: str) -> dict[str, Any]:
         runs = with_channels(system, found.recorded.runs)
         told = found.system.with_effects(*made)
         oracle = held_out(
-            (found.outcome.declared.system, told),
+            (found.outcome.declared_system, told),
             spec,
             runs,
             make=lambda some: search_in(system, some, found.recorded.clock, Options()),

@@ -27,6 +27,7 @@ from nsde_torch.diagnosis.recording import Fault, Recorded, late_sensor, undo
 from nsde_torch.diagnosis.search import Search, effect_of
 from nsde_torch.diagnosis.shape import Shape, called, shape, symmetry
 from nsde_torch.diagnosis.structure import Dependence
+from nsde_torch.diagnosis.summary import summary
 from nsde_torch.diagnosis.views import rates, rates_width
 from nsde_torch.effects import EFFECTS, Effect, effect_class, effects_of, register
 from nsde_torch.errors import ConfigError, DataError
@@ -145,7 +146,7 @@ class Diagnosis:
             "schema": "nsde_torch.diagnosis/1",
             "verdict": self.verdict,
             "added": self.added,
-            "summary": summary(self),
+            "summary": summary(self.verdict, self.added, o, self.shapes, alpha=self.options.alpha),
             "warnings": self._warnings(),
             "findings": self._findings(),
             "aside": [
@@ -227,6 +228,7 @@ class Diagnosis:
                 "p": f.p,
                 "lead": False,
                 "lead_reason": None,
+                "held_out": None,
             }
             for f in self._faults
         ]
@@ -239,6 +241,8 @@ class Diagnosis:
                 "evidence_nats": f.trial.gain,
                 "lead": bool(f.lead),
                 "lead_reason": f.lead or None,
+                "moves": list(f.moves),
+                "held_out": self.errors.own[f.name].as_dict() if f.name in self.errors.own else None,
                 "ties": list(f.ties),
                 "separate": self._class(f.name).separate,
             }
@@ -410,40 +414,6 @@ def _dependence(d: Dependence, tests: int, runs: Sequence[str]) -> dict[str, Any
     }
 
 
-def summary(found: Diagnosis) -> str:
-    """The verdict in one or two sentences."""
-    names = ", ".join(found.added)
-    if found.verdict == "no_effect":
-        blind = dict.fromkeys(
-            n.effect
-            for n in not_shown(found.outcome.rounds, found=(), alpha=found.options.alpha)
-            if n.smallest is None
-        )
-        if blind:
-            return (
-                "Nothing is missing as far as these data can show: what the declared physics leaves is noise, but they "
-                f"could not show {', '.join(blind)} at any size."
-            )
-        return "Nothing is missing: what the declared physics leaves is noise."
-    left = found.outcome.structured
-    rest = f"{left[0].channel} on {left[0].variable}" if left else ""
-    if found.shapes:
-        # of those that say the same about equally surely, the one with the most to say
-        best = max(found.shapes[:2], key=lambda s: (s.channel == left[0].channel, bool(s.note)))
-        rest = ", ".join(part for part in (f"{best.channel} on {best.variable}", best.note) if part)
-    if found.verdict == "effect_found":
-        leads = [f.name for f in found.outcome.found if f.lead]
-        more = f" The residual still depends ({rest}): take" if rest else " Take"
-        more = f"{more} {', '.join(leads)} as {'leads' if len(leads) > 1 else 'a lead'}." if leads else ""
-        return f"Missing: {names}.{more}"
-    if names:
-        return (
-            f"Something is missing that no effect of the catalogue names: the residual depends on more ({rest}) "
-            f"than {names} can explain, which {'are leads' if len(found.added) > 1 else 'is a lead'}."
-        )
-    return f"Something is missing that no effect of the catalogue names: the residual depends ({rest})."
-
-
 def diagnose(
     system: System,
     spec: SysidSpec,
@@ -451,6 +421,7 @@ def diagnose(
     runs: Sequence[Run],
     options: Options,
     *,
+    closed_loop: bool | None = None,
     say: Callable[[str, int, int], None] = lambda stage, done, total: None,
 ) -> Diagnosis:
     """Diagnose a declared model.
@@ -461,6 +432,8 @@ def diagnose(
         data: The data set.
         runs: Its runs to look at.
         options: Settings.
+        closed_loop: Whether inputs answer the state; None: not known. Where it is not False, errors under replayed
+            inputs judge no effect.
         say: Told stage, number done and number in all.
 
     Raises:
@@ -518,19 +491,18 @@ def diagnose(
 
     say("errors on runs left out", 0, 1)
     errors = held_out(
-        (outcome.declared.system, outcome.final.system),
+        (outcome.declared_system, outcome.system),
         spec,
         extended,
         make=again,
         clock=recorded.clock,
         seed=options.seed,
+        without={f.name: outcome.without(f.name) for f in outcome.found},
+        moved={f.name: f.moves for f in outcome.found},
+        closed_loop=closed_loop,
     )
     seconds["errors"] = now() - started - sum(seconds.values())
-    if errors.worse:
-        reason = (
-            f"predictions of the {' and '.join(errors.worse)} on runs left out are worse with what was found"
-        )
-        outcome.found = [replace(f, lead=f.lead or reason) for f in outcome.found]
+    outcome.found = [replace(f, lead=f.lead or errors.against(f.name)) for f in outcome.found]
     residuals = channel_residuals(outcome.declared.regression, outcome.final.regression)
     regression, left = outcome.final.regression, outcome.structured
     seen, names = rates(regression, outcome.variables), tuple(run.name for run in runs)

@@ -154,3 +154,17 @@ def by_blocks(difference: Array) -> float:
 def sum_error(difference: Array) -> float:
     """Standard error of a sum over blocks, from their scatter."""
     return float(difference.std(ddof=1)) * len(difference) ** 0.5
+
+
+def gained_by_channel(before: Regression, after: Regression) -> dict[str, float]:
+    """Twice the log-likelihood, as fitted, that one regression has beyond another, by channel."""
+
+    def fitted(r: Regression) -> dict[str, float]:
+        rows = r.white.shape[1]
+        return {
+            r.physics.names[c]: -0.5 * float(w @ w) + law.likelihood(rows)
+            for c, w, law in zip(r.rows, r.white, r.noises, strict=True)
+        }
+
+    first, second = fitted(before), fitted(after)
+    return {name: 2.0 * (second[name] - first[name]) for name in first}

@@ -1,12 +1,20 @@
-"""Errors of the declared physics, with and without effects, on runs that it was not fitted to.
+"""The declared physics, with and without effects, on runs that it was not fitted to.
 
 Every run is left out in turn (at most five groups of runs); all parameters, those of the effects too, are fitted to the
-others by the same regression as in the search, and open-loop predictions start from every quarter of a second of what
-was left out. The difference has an interval from resampling blocks of starts (learning.bootstrap).
+others by the same regression as in the search. On what was left out three things are measured, with intervals from
+resampling blocks of time (learning.bootstrap):
+
+- the log-likelihood of each step given the past, and the residual force and moment in the band where they act
+  (`innovations`): they mean the same whether inputs answer disturbances or not, and they judge. Each effect is left
+  out in turn too, so that it is judged by what it brings itself, on the channels that it moves;
+- errors of open-loop predictions from every quarter of a second, inputs replayed from the log. In a closed loop these
+  inputs answer the disturbances of the very time that is predicted: physics that is right about causes may err more
+  than physics that has learned the controller. They are told, and judge nothing unless inputs are known to be
+  exogenous (`judges_replay`).
 """
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -15,11 +23,14 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from nsde_torch.data import Run, Windows
+from nsde_torch.diagnosis.innovations import Own, Scored, band, finite, joined, one_step, own, scored
 from nsde_torch.diagnosis.search import Search, fitted_system
 from nsde_torch.effects import Effect, key_of
 from nsde_torch.errors import DataError
 from nsde_torch.learning.before import inputs_before
 from nsde_torch.learning.bootstrap import make_blocks, paired_bootstrap
+from nsde_torch.learning.identify.identify import Regression
+from nsde_torch.learning.identify.steps import Steps
 from nsde_torch.learning.metrics import horizons_of, start_grid, thinned
 from nsde_torch.learning.scores import group_squares
 from nsde_torch.models.identified import IdentifiedModel, SysidSpec
@@ -32,19 +43,37 @@ _BLOCK_S = 4.0
 _STAYS = 0.9
 
 
-@dataclass(frozen=True)
-class HeldOut:
-    """Errors on runs left out.
+REPLAYED = "replayed"
+"""Where the inputs of open-loop predictions come from (`errors.inputs` of `diagnosis.json`)."""
+
+
+def judges_replay(closed_loop: bool | None) -> bool:
+    """Whether errors of predictions under replayed inputs may judge an effect: only where inputs are exogenous.
 
     Args:
-        content: As `diagnosis.json` has it: `before`, `after`, `ratio`, `difference` by quantity and horizon.
+        closed_loop: Whether inputs answer the state; None: not known, which counts as closed.
+    """
+    return closed_loop is False
+
+
+@dataclass(frozen=True)
+class HeldOut:
+    """How two physics do on runs left out.
+
+    Args:
+        content: As `errors` of `diagnosis.json` has it: `before`, `after`, `ratio`, `difference` by quantity and
+            horizon, of open-loop predictions; `one_step` and `residual` (see `innovations`).
         whole_runs: Whether whole runs were left out; else the last part of the only one.
         runs: Names of the runs that errors were measured on.
+        own: By effect: what it brings itself.
+        closed_loop: Whether inputs answer the state; None: not known.
     """
 
     content: dict[str, Any]
     whole_runs: bool
     runs: tuple[str, ...]
+    own: Mapping[str, Own] = field(default_factory=dict)
+    closed_loop: bool | None = None
 
     @property
     def worse(self) -> list[str]:
@@ -55,6 +84,15 @@ class HeldOut:
             for name, of_horizon in low.items()
             if 2 * sum(v is not None and v > 0 for v in of_horizon.values()) > len(of_horizon)
         ]
+
+    def against(self, effect: str) -> str:
+        """What runs left out say against an effect that was found, in words; empty if nothing."""
+        mine = self.own.get(effect)
+        if mine is not None and mine.against:
+            return mine.against
+        if judges_replay(self.closed_loop) and self.worse:
+            return f"predictions of the {' and '.join(self.worse)} on runs left out are worse with what was found"
+        return ""
 
 
 def split(runs: Sequence[Run]) -> list[tuple[list[Run], list[Run]]]:
@@ -82,59 +120,118 @@ def held_out(
     make: Callable[[Sequence[Run]], Search],
     clock: float,
     seed: int,
+    without: Mapping[str, System] | None = None,
+    moved: Mapping[str, Sequence[str]] | None = None,
+    closed_loop: bool | None = None,
 ) -> HeldOut:
-    """Errors of two physics on runs left out.
+    """Measure two physics on runs left out.
 
     Args:
-        systems: Without and with the effects.
+        systems: Without and with the effects, their values near the optimum.
         spec: What models of the system are made of.
         runs: All runs.
         make: Makes the search of some runs, with the settings of the diagnosis.
         clock: Physical seconds per logged second.
         seed: Seed of the resamples.
+        without: By effect: the physics with all others.
+        moved: By effect: names of the channels that it moves.
+        closed_loop: Whether inputs answer the state; None: not known.
     """
+    before, after = systems
+    every = {"before": before, "after": after, **{f"- {k}": s for k, s in (without or {}).items()}}
+    steps_of_all: dict[str, list[Scored]] = {key: [] for key in every}
     squares: list[list[Tensor]] = [[], []]
     owner: list[NDArray[np.int64]] = []
     times: list[NDArray[np.float64]] = []
     names: list[str] = []
     folds = split(runs)
     horizons = min((horizons_of(test, spec.dt) for _, test in folds), key=len, default=())
+    counts = [max(1, round(h / spec.dt)) for h in horizons]
     for train, test in folds:
-        if not horizons:
-            break
-        steps = [max(1, round(h / spec.dt)) for h in horizons]
-        windows = Windows(test, spec.dt, steps[-1], dtype=torch.float64)
-        starts = thinned(start_grid(windows))
-        if not len(starts):
-            continue
         search = make(train)
-        for k, system in enumerate(systems):
-            model = as_model(spec, fitted_system(search.quick(system, warm=True)), clock)
-            squares[k].append(rollout_squares(model, windows, starts, steps))
-        run, t = _places(windows.rows(starts), test)
-        owner.append(len(names) + run)
-        times.append(t)
+        whole = search.quick(after, warm=True)
+        fitted: dict[int, Regression] = {id(after): whole}  # of systems that are the same, once
+        for system in every.values():
+            if id(system) not in fitted:
+                fitted[id(system)] = search.beside(system, whole)
+        left = _steps(make, test)
+        if left is not None:
+            scores = {
+                k: scored(r, left, feedback=search.feedback, first=len(names)) for k, r in fitted.items()
+            }
+            for key, system in every.items():
+                steps_of_all[key].append(scores[id(system)])
+        if horizons:
+            windows = Windows(test, spec.dt, counts[-1], dtype=torch.float64)
+            starts = thinned(start_grid(windows))
+            if len(starts):
+                models = [as_model(spec, fitted_system(fitted[id(s)]), clock) for s in systems]
+                one = rollout_squares(models[0], windows, starts, counts)
+                squares[0].append(one)
+                squares[1].append(
+                    one if before is after else rollout_squares(models[1], windows, starts, counts)
+                )
+                run, t = _places(windows.rows(starts), test)
+                owner.append(len(names) + run)
+                times.append(t)
         names += [r.name for r in test]
-    if not names:
-        return HeldOut({"horizons_s": [], "before": {}, "after": {}, "ratio": {}}, len(runs) > 1, ())
-    first, second = (torch.cat(s) for s in squares)
-    finite = [torch.isfinite(s).all(2) for s in (first, second)]
-    both = finite[0] & finite[1]
+    content = _replayed(squares, owner, times, horizons, before, seed)
+    content |= {"inputs": REPLAYED, "closed_loop": closed_loop, "one_step": None, "residual": {}}
+    brought: dict[str, Own] = {}
+    if steps_of_all["before"]:
+        of = {key: joined(parts) for key, parts in steps_of_all.items()}
+        content["one_step"] = one_step(of["before"], of["after"], before, seed=seed)
+        content["residual"] = band(of["before"], of["after"], seed=seed)
+        for effect in without or {}:
+            mine = own(of[f"- {effect}"], of["after"], (moved or {}).get(effect, ()), seed=seed)
+            if mine is not None:
+                brought[effect] = mine
+    return HeldOut(content, len(runs) > 1, tuple(names), brought, closed_loop)
+
+
+def _steps(make: Callable[[Sequence[Run]], Search], runs: Sequence[Run]) -> Steps | None:
+    """Steps of runs left out; None where no stretch is long enough."""
+    try:
+        return make(runs).steps
+    except DataError:
+        return None
+
+
+def _replayed(
+    squares: Sequence[Sequence[Tensor]],
+    owner: Sequence[NDArray[np.int64]],
+    times: Sequence[NDArray[np.float64]],
+    horizons: Sequence[float],
+    system: System,
+    seed: int,
+) -> dict[str, Any]:
+    """Errors of open-loop predictions by quantity and horizon, as `diagnosis.json` has them.
+
+    Args:
+        squares: Squared errors of both physics by fold (S, horizons, groups).
+        owner, times: Run and time of the starts of each fold (S,).
+        horizons: Horizons [s].
+        system: The machine.
+        seed: Seed of the resamples.
+    """
+    nothing: dict[str, Any] = {"horizons_s": [], "before": {}, "after": {}, "ratio": {}}
+    if not owner:
+        return nothing
+    first, second = (torch.cat(list(s)) for s in squares)
+    finished = [torch.isfinite(s).all(2) for s in (first, second)]
+    both = finished[0] & finished[1]
     far = int(
         (both.float().mean(0) >= _STAYS).sum()
     )  # horizons at which nearly all predictions are still numbers
     if far == 0:
-        return HeldOut(
-            {"horizons_s": [], "before": {}, "after": {}, "ratio": {}}, len(runs) > 1, tuple(names)
-        )
+        return nothing
     horizons = horizons[:far]
     rows = both[:, far - 1]
-    diverged = [int((~f[:, far - 1]).sum()) for f in finite]
+    diverged = [int((~f[:, far - 1]).sum()) for f in finished]
     first, second = first[rows, :far], second[rows, :far]
     places, clocks = np.concatenate(owner)[rows.numpy()], np.concatenate(times)[rows.numpy()]
     blocks = make_blocks(places, clocks, length=_BLOCK_S)
     generator = torch.Generator().manual_seed(seed)
-    system = systems[0]
     factor = torch.tensor([g.factor for g in system.error_groups], dtype=torch.float64)
     one, other = (s.double() * factor**2 for s in (first, second))
     count = len(horizons) * len(system.error_groups)
@@ -147,28 +244,24 @@ def held_out(
     def table(values: Tensor) -> dict[str, dict[str, float | None]]:
         v = values.reshape(shape)
         return {
-            g.name: {f"{h:g}": _number(v[i, j]) for i, h in enumerate(horizons)}
+            g.name: {f"{h:g}": finite(v[i, j]) for i, h in enumerate(horizons)}
             for j, g in enumerate(system.error_groups)
         }
 
-    return HeldOut(
-        {
-            "horizons_s": list(horizons),
-            "units": {g.name: g.unit for g in system.error_groups},
-            "starts": len(first),
-            "diverged": {"before": diverged[0], "after": diverged[1]},
-            "before": table(before),
-            "after": table(after),
-            "ratio": table(after / before.clamp_min(1e-12)),
-            "difference": {
-                "value": table(difference.value),
-                "low_90": table(difference.low),
-                "high_90": table(difference.high),
-            },
+    return {
+        "horizons_s": list(horizons),
+        "units": {g.name: g.unit for g in system.error_groups},
+        "starts": len(first),
+        "diverged": {"before": diverged[0], "after": diverged[1]},
+        "before": table(before),
+        "after": table(after),
+        "ratio": table(after / before.clamp_min(1e-12)),
+        "difference": {
+            "value": table(difference.value),
+            "low_90": table(difference.low),
+            "high_90": table(difference.high),
         },
-        len(runs) > 1,
-        tuple(names),
-    )
+    }
 
 
 @torch.no_grad()
@@ -198,11 +291,6 @@ def _places(rows: NDArray[np.int64], runs: Sequence[Run]) -> tuple[NDArray[np.in
     run = np.searchsorted(first, rows, side="right") - 1
     t = np.array([runs[r].t[row - first[r]] for r, row in zip(run, rows, strict=True)])
     return run.astype(np.int64), t
-
-
-def _number(value: Tensor) -> float | None:
-    v = float(value)
-    return v if np.isfinite(v) else None
 
 
 def as_model(spec: SysidSpec, system: System, clock: float) -> IdentifiedModel:

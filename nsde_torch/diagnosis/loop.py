@@ -8,7 +8,7 @@ A time shorter than a step of the log (inputs that act a millisecond late) is no
 it makes other effects look likely. Where it explains more than any of them, it joins what is declared.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Literal
@@ -16,7 +16,17 @@ from typing import Literal
 import numpy as np
 from scipy.special import stdtrit
 
-from nsde_torch.diagnosis.search import Base, Round, Search, Trial, effect_of, fitted_system, surely_above
+from nsde_torch.diagnosis.evidence import gained_by_channel
+from nsde_torch.diagnosis.search import (
+    Base,
+    Round,
+    Search,
+    Trial,
+    effect_of,
+    fitted_system,
+    moved_channels,
+    surely_above,
+)
 from nsde_torch.diagnosis.structure import Dependence, Regressors, dependences, regressors
 from nsde_torch.effects import effect_class
 from nsde_torch.errors import NsdeError
@@ -27,7 +37,7 @@ from nsde_torch.systems import System
 Verdict = Literal["no_effect", "effect_found", "unexplained"]
 
 _NOTHING = 0.03  # of the structure that is left over: effects that explain less are no leads either
-_LEAD = 0.1  # of what the effects explain: structure beyond that makes them leads
+_LEAD = 0.1  # of what the effects explain of the channels of one: structure there beyond that makes it a lead
 _FEWER = 2.0  # nats by which two effects must be better than one that stands in for both
 _SHOWS = 0.9  # level of intervals
 _BOUNDS: dict[tuple[bool, bool], Literal["below", "above"]] = {
@@ -64,12 +74,14 @@ class Found:
         name: Of the effect.
         trial: Its fit, with all other effects that were added present.
         ties: Effects that explain the data as well in its place.
-        lead: Why it is a lead and not the last word; empty where it is.
+        moves: Names of the channels that its parameters move.
+        lead: Why it is a lead (provisional) and not the last word; empty where it is.
     """
 
     name: str
     trial: Trial
     ties: tuple[str, ...]
+    moves: tuple[str, ...] = ()
     lead: str = ""
 
 
@@ -101,10 +113,21 @@ class Outcome:
     structured: list[Dependence] = field(default_factory=list)
     aside: tuple[str, ...] = ()
 
-    @property
+    @cached_property
     def system(self) -> System:
         """The physics with everything that was added and its fitted values."""
         return fitted_system(self.final.regression)
+
+    @cached_property
+    def declared_system(self) -> System:
+        """The declared physics and its fitted values; `system` where nothing was added."""
+        return fitted_system(self.declared.regression) if self.found else self.system
+
+    def without(self, effect: str) -> System:
+        """The physics with everything that was added but one effect; the declared physics where that is all."""
+        if len(self.found) == 1:
+            return self.declared_system
+        return _without(self.system, self.declared.system, effect)
 
     def estimates(self, effect: str) -> list[Estimate]:
         """Parameters of an effect that was added or joined what is declared, all others fitted with it."""
@@ -173,7 +196,9 @@ def loop(search: Search, system: System, *, max_effects: int) -> Outcome:
         verdict: Verdict = "unexplained" if left else "no_effect"
     else:
         verdict = "unexplained" if rest > explained else "effect_found"
-    found = [replace(f, lead=_lead(f, found, rest > _LEAD * explained)) for f in found]
+    gained = gained_by_channel(declared.regression, base.regression)
+    found = [replace(f, moves=moved_channels(base.regression, f.name)) for f in found]
+    found = [replace(f, lead=_lead(f, found, left, gained)) for f in found]
     tests = (declared_variables, variables, before, after, left)
     return Outcome(verdict, declared, base, found, rounds, *tests, aside=tuple(aside))
 
@@ -197,9 +222,17 @@ def _lent(search: Search, base: Base, chosen: Trial, names: Sequence[str]) -> Ba
     return None if best is base else best
 
 
-def _lead(f: Found, found: Sequence[Found], structured: bool) -> str:
-    """Why an effect is only a lead: the residual has structure, or two laws of one variable were needed."""
-    if structured:
+def _lead(f: Found, found: Sequence[Found], left: Sequence[Dependence], gained: Mapping[str, float]) -> str:
+    """Why an effect is only a lead: structure is left where it acts, or two laws of one variable were needed.
+
+    Args:
+        f: The effect.
+        found: All effects that were added.
+        left: What the residual still depends on.
+        gained: Twice the log-likelihood that the effects brought, by channel.
+    """
+    rest = max((d.gain - d.functions for d in left if d.channel in f.moves), default=0.0)
+    if rest > _LEAD * sum(gained[name] for name in f.moves):
         return "something else is there too"
     own = effect_class(f.name)
     others = [effect_class(g.name) for g in found if g.name != f.name]

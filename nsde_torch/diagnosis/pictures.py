@@ -25,6 +25,7 @@ from nsde_torch.plots.diagnosis import (
     Cloud,
     Panel,
     Spectrum,
+    before_after,
     errors_before_after,
     residual_spectra,
     residual_views,
@@ -44,7 +45,7 @@ _REDUCED = 0.9  # of the residual before: what is below that was reduced
 
 
 def pictures(found: Diagnosis, content: Mapping[str, Any]) -> dict[str, Figure]:
-    """Figures by name: `residual`, `unexplained`, `errors`, `spectrum`, as far as there is something to show."""
+    """Figures by name: `residual`, `unexplained`, `held_out`, `errors`, `spectrum`, as far as there is any."""
     outcome = found.outcome
     out: dict[str, Figure] = {}
     if outcome.found:
@@ -68,6 +69,8 @@ def pictures(found: Diagnosis, content: Mapping[str, Any]) -> dict[str, Figure]:
             title = "What the physics leaves over, against what it depends on most: no more than chance"
             out["residual"] = residual_views(views, title=title)
     errors = content["errors"]
+    if outcome.found and errors["residual"]:
+        out["held_out"] = _held_out(errors)
     if outcome.found and errors["horizons_s"]:
         out["errors"] = _errors(errors)
     shown = _most_reduced(found.channels)[: 2 * _CHANNELS]
@@ -243,6 +246,19 @@ def _spectrum(outcome: Outcome, channel: str) -> Spectrum:
     return Spectrum(channel, per_second(regression.physics.units[number]), frequency[1:], amplitudes)
 
 
+def _held_out(errors: Mapping[str, Any]) -> Figure:
+    left, gain = errors["residual"], errors["one_step"]["channels"]
+    ratios, nats = {}, {}
+    for name, c in left.items():
+        per = 1.0 / c["before"] if c["before"] > 0 else 0.0
+        low, high = (None if c[k] is None else 1.0 + per * c[k] for k in ("low_90", "high_90"))
+        ratios[name] = (c["ratio"], low, high)
+        nats[name] = (gain[name]["nats"], gain[name]["low_90"], gain[name]["high_90"])
+    return before_after(
+        ratios, nats, title=f"What was found, on {errors['measured_on']}: residual, and one-step predictions"
+    )
+
+
 def _errors(errors: Mapping[str, Any]) -> Figure:
     horizons = errors["horizons_s"]
 
@@ -256,5 +272,5 @@ def _errors(errors: Mapping[str, Any]) -> Figure:
         curves(errors["difference"]["low_90"]),
         curves(errors["difference"]["high_90"]),
         errors["units"],
-        title=f"Error of open-loop predictions on {errors['measured_on']} (rms), without and with what was found",
+        title=f"Open-loop, inputs replayed from the log: error on {errors['measured_on']} (rms)",
     )

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from nsde_torch.diagnosis.pictures import pictures, save_pictures
-from nsde_torch.diagnosis.text import chance, interval, placed, unseen, warning
+from nsde_torch.diagnosis.text import OPEN_LOOP, between, chance, interval, placed, signed, unseen, warning
 from nsde_torch.learning.report import number
 
 if TYPE_CHECKING:
@@ -49,7 +49,12 @@ _CAPTIONS = {
     "residual": "Measured rate less that of the physics: means over {width:.2g} s (points), and their means with 90 % "
     "intervals. A good model lies on zero.",
     "unexplained": "What is left after everything that was found: points are means over {width:.2g} s.",
-    "errors": "Predictions from measured states with logged inputs, on {where}. Bars: 90 % interval of the difference.",
+    "held_out": "Everything is fitted to the other runs and measured on {where}, step by step: what an effect "
+    "brings shows here in a closed loop too. Left: the residual of mean rates, after over before. Right: the gain in "
+    "log-likelihood of one-step predictions. Bars: 90 % intervals.",
+    "errors": "Predictions from measured states, {how}, on {where}. Where a controller answers disturbances, so do "
+    "these inputs: the errors tell how well this log is foretold, and not how right the effects are. Bars: 90 % "
+    "interval of the difference.",
     "spectrum": "Above the dashed floor more is left than white noise: gusts that last, or physics.",
 }
 
@@ -76,7 +81,9 @@ def page(content: Mapping[str, Any], figures: Mapping[str, Figure], *, width: fl
         width: Length of the means in the pictures [s].
     """
     data, errors = content["data"], content["errors"]
-    captions = {k: v.format(width=width, where=errors["measured_on"]) for k, v in _CAPTIONS.items()}
+    captions = {
+        k: v.format(width=width, where=errors["measured_on"], how=OPEN_LOOP) for k, v in _CAPTIONS.items()
+    }
     shown = {k: _figure(f, k, captions.get(k, "")) for k, f in figures.items()}
     parts = [
         f"<h1>Diagnosis of {escape(data['system'])}: {len(data['runs'])} runs, {data['duration_s']:.0f} s</h1>",
@@ -86,6 +93,8 @@ def page(content: Mapping[str, Any], figures: Mapping[str, Figure], *, width: fl
         *(_finding(f, content) for f in content["findings"]),
         shown.get("residual", ""),
         _unexplained(content, shown.get("unexplained", "")),
+        shown.get("held_out", ""),
+        _held_out(errors),
         shown.get("errors", ""),
         _errors(errors),
         "<h2>What is left over, channel by channel</h2>",
@@ -129,18 +138,40 @@ def _folded(title: str, body: str) -> str:
 
 
 def _gain(errors: Mapping[str, Any]) -> str:
-    """The sentence on errors under the verdict: the horizon nearest to a second."""
-    if not errors["horizons_s"]:
+    """The sentence under the verdict on what runs left out say."""
+    gain = errors["one_step"]
+    if gain is None or errors["before"] == errors["after"]:
         return ""
-    horizon = f"{min(errors['horizons_s'], key=lambda h: abs(h - 1.0)):g}"
-    parts = []
-    for name, row in errors["before"].items():
-        first, second = row[horizon], errors["after"][name][horizon]
-        if first and second is not None and abs(second / first - 1.0) > 0.02:
-            parts.append(f"{name} {number(first)} to {number(second)} {errors['units'][name]}")
-    if not parts:
+    parts = [
+        f"{name} {number(left['before'])} to {number(left['after'])} {_unit(left['unit'])}"
+        for name, left in errors["residual"].items()
+        if abs(left["ratio"] - 1.0) > 0.02
+    ]
+    told = f"<br>Residual on {escape(errors['measured_on'])}: {escape('; '.join(parts))}." if parts else ""
+    more = f" nats ({escape(between(gain))})" if gain["low_90"] is not None else " nats"
+    return f"{told}<br>Log-likelihood of one-step predictions: {escape(signed(gain['nats']))}{more}."
+
+
+def _held_out(errors: Mapping[str, Any]) -> str:
+    """Residual and log-likelihood of runs left out by channel."""
+    gain = errors["one_step"]
+    if gain is None or errors["before"] == errors["after"]:
         return ""
-    return f"<br>Error {horizon} s ahead on {escape(errors['measured_on'])}: {escape('; '.join(parts))}."
+    rows = []
+    for name, more in gain["channels"].items():
+        left = errors["residual"].get(name)
+        cells = ["-"] * 4
+        if left is not None:
+            cells = [
+                number(left["before"]),
+                number(left["after"]),
+                f"×{left['ratio']:.2g}",
+                _unit(left["unit"]),
+            ]
+        rows.append([name, *cells, f"{signed(more['nats'])} ({between(more)})"])
+    rows.append(["all", "", "", "", "", f"{signed(gain['nats'])} ({between(gain)})"])
+    head = ["rate of", "left before", "left after", "ratio", "unit", "log-likelihood [nat] (90 % interval)"]
+    return f"<h2>Before and after, on {escape(errors['measured_on'])}</h2>{_table(head, rows)}"
 
 
 def _finding(finding: Mapping[str, Any], content: Mapping[str, Any]) -> str:
@@ -161,6 +192,14 @@ def _finding(finding: Mapping[str, Any], content: Mapping[str, Any]) -> str:
     if finding["p"] is not None:
         text += f'<p class="small">Chance of this if it were not there: p {escape(chance(finding["p"]))}'
         text += ", corrected for the number of effects tried.</p>" if finding["kind"] == "effect" else ".</p>"
+    own_gain = finding["held_out"]
+    if own_gain is not None:
+        ratios = ", ".join(f"{k} ×{v:.2g}" for k, v in own_gain["residual_ratio"].items())
+        where = escape(content["errors"]["measured_on"])
+        text += f'<p class="small">On {where}, beside everything else: log-likelihood '
+        text += (
+            f"{signed(own_gain['nats'])} nats ({escape(between(own_gain))}); residual {escape(ratios)}.</p>"
+        )
     for tie in content["ties"]:
         if tie["effects"][0] == finding["name"]:
             others = ", ".join(f"<code>{escape(e)}</code>" for e in tie["effects"][1:])
@@ -202,9 +241,9 @@ def _errors(errors: Mapping[str, Any]) -> str:
         if same:
             cells = [_value(before[h]) for h in horizons]
         rows.append([f"{name} [{_unit(errors['units'][name])}]", *cells])
-    title = (
-        f"Errors on {errors['measured_on']}{'' if same else ', before → after'} ({errors['starts']} starts)"
-    )
+    how = f"{OPEN_LOOP[:1].upper()}{OPEN_LOOP[1:]}"
+    title = f"{how}: errors on {errors['measured_on']}{'' if same else ', before → after'}"
+    title += f" ({errors['starts']} starts)"
     return _folded(title, _table(["rms error", *(f"{h} s" for h in horizons)], rows))
 
 

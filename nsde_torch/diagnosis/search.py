@@ -44,6 +44,8 @@ _REFINED, _PROMISING = 2, 0.5  # candidates, and share of the best gain, that ge
 _TAKEN_OVER = 0.5  # of what a part of an effect is alone: below, another one has taken over
 _RESOLVED = 0.5  # steps, the shortest lag or delay that is believed
 _SURELY = 1e-3  # chance below which what contains a simpler effect is preferred to it
+_MOVES = 1e-6  # of the largest slope of a parameter: below that is rounding
+_KIND = 10.0  # nats by which another kind of noise must be likelier to be needed
 _NATS, _SURE = 3.0, 2.0  # evidence, and standard errors of it, within which two candidates are alike
 
 
@@ -150,6 +152,14 @@ def dynamic_rows(system: System) -> NDArray[np.int64]:
     return np.array(kept, dtype=np.int64)
 
 
+def moved_channels(regression: Regression, effect: str) -> tuple[str, ...]:
+    """Names of the channels that the parameters of an effect move: whose whitened slopes are not zero."""
+    size = np.linalg.norm(regression.slopes[:, :, regression.vector.of(effect)], axis=1)
+    moves = (size > _MOVES * np.maximum(size.max(0), 1e-300)).any(1)
+    names = [regression.physics.names[c] for c in regression.rows]
+    return tuple(name for name, m in zip(names, moves, strict=True) if m)
+
+
 def fitted_system(regression: Regression) -> System:
     """The physics with the values of a regression."""
     source = regression.origin
@@ -242,6 +252,27 @@ class Search:
         """The regression of a system alone, without what candidates are compared by."""
         regression = self._regression(system, warm=warm)
         regression.run(_ITERATIONS)
+        return regression
+
+    def beside(self, system: System, like: Regression) -> Regression:
+        """The regression of physics that is compared with another one, with noise laws of the same kind.
+
+        Where each had a kind of its own, chosen by chance where there is nothing to choose, that chance would decide
+        the comparison. A channel gets another kind where it needs one: to stand in for an effect that is not there.
+
+        Args:
+            system: Physics, its values near their optimum.
+            like: The regression of the other.
+        """
+        regression = self._regression(system, like, ParameterVector(system).start)
+        regression.run(_ITERATIONS)
+        rows = len(regression.series)
+        pairs = list(zip(regression.noises, regression.own_noises(), strict=True))
+        needed = [law.likelihood(rows) > kept.likelihood(rows) + _KIND for kept, law in pairs]
+        if any(needed):
+            laws = [pair[n] for pair, n in zip(pairs, needed, strict=True)]
+            regression = self._regression(system, regression, regression.theta, laws)
+            regression.run(_REFINE)
         return regression
 
     def _best_noise(

@@ -100,6 +100,25 @@ def unseen(entries: Sequence[Mapping[str, Any]]) -> list[str]:
 
 
 def _errors(errors: Mapping[str, Any]) -> list[str]:
+    """What runs left out say: the residual and the log-likelihood of each step, then predictions."""
+    return [*_held_out(errors), *_replayed(errors)]
+
+
+def _held_out(errors: Mapping[str, Any]) -> list[str]:
+    gain = errors["one_step"]
+    if gain is None or errors["before"] == errors["after"]:
+        return []
+    rows = []
+    for name, more in gain["channels"].items():
+        left = errors["residual"].get(name)
+        cells = ["-"] * 2 if left is None else [changed(left), left["unit"]]
+        rows.append([name, *cells, signed(more["nats"]), between(more)])
+    rows.append(["all", "", "", signed(gain["nats"]), between(gain)])
+    head = [f"on {errors['measured_on']}: rate of", "residual", "unit", "log-likelihood [nat]"]
+    return ["", table([*head, "90 % interval"], rows)]
+
+
+def _replayed(errors: Mapping[str, Any]) -> list[str]:
     horizons: Sequence[float] = errors["horizons_s"]
     if not horizons:
         return ["", "no run is long enough to measure errors on"]
@@ -114,7 +133,28 @@ def _errors(errors: Mapping[str, Any]) -> list[str]:
         ]
         rows.append([f"{name} [{errors['units'][name]}]", *cells])
     head = [f"error on {errors['measured_on']}", *(f"{h:g} s" for h in horizons)]
-    return ["", table(head, rows)]
+    return ["", f"{OPEN_LOOP}:", table(head, rows)]
+
+
+OPEN_LOOP = "open-loop, inputs replayed from the log"
+"""What predictions are whose inputs come from the log, whatever made them."""
+
+
+def changed(left: Mapping[str, Any]) -> str:
+    """A residual before and after."""
+    return f"{left['before']:.3g} -> {left['after']:.3g} (x{left['ratio']:.3g})"
+
+
+def signed(nats: float) -> str:
+    """A difference of log-likelihoods."""
+    return f"{nats:+.1f}"
+
+
+def between(entry: Mapping[str, Any]) -> str:
+    """The interval of a difference of log-likelihoods."""
+    if entry["low_90"] is None or entry["high_90"] is None:
+        return "too few blocks"
+    return f"{signed(entry['low_90'])} to {signed(entry['high_90'])}"
 
 
 def _number(value: float | None) -> str:

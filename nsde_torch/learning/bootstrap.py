@@ -143,19 +143,64 @@ def paired_bootstrap(
     value = difference(both.mean(0))
     alike = (both[:, :k] == both[:, k:]).all(0)  # sums of equal columns may differ in their last bits
     value[alike] = 0.0
-    n = blocks.count
-    if n < FEWEST_BLOCKS:
+    if blocks.count < FEWEST_BLOCKS:
         nothing = torch.full_like(value, torch.nan)
         return Difference(value, nothing, nothing)
+    ends = _ends(difference(_resampled(both, blocks, generator, replicates)), blocks.count, level)
+    ends[:, alike] = 0.0
+    return Difference(value, ends[0], ends[1])
+
+
+def mean_bootstrap(
+    values: Tensor,
+    blocks: Blocks,
+    *,
+    generator: torch.Generator,
+    replicates: int = REPLICATES,
+    level: float = 0.95,
+) -> Difference:
+    """Interval of the mean of what two models differ by at each row, such as their log densities.
+
+    Args:
+        values: Other minus first (S, K).
+        blocks: What to resample.
+        generator: Source of the resamples.
+        replicates: Number of resamples.
+        level: Nominal coverage of the interval.
+
+    Returns:
+        Means and intervals; below five blocks the ends are NaN.
+
+    Raises:
+        ShapeError: the rows do not agree.
+    """
+    if values.ndim != 2 or len(values) != len(blocks.of_start):
+        raise ShapeError(
+            f"`values` must be (rows, K) with {len(blocks.of_start)} rows; got {tuple(values.shape)}."
+        )
+    values = values.double()
+    value = values.mean(0)
+    if blocks.count < FEWEST_BLOCKS:
+        nothing = torch.full_like(value, torch.nan)
+        return Difference(value, nothing, nothing)
+    ends = _ends(_resampled(values, blocks, generator, replicates), blocks.count, level)
+    return Difference(value, ends[0], ends[1])
+
+
+def _resampled(values: Tensor, blocks: Blocks, generator: torch.Generator, replicates: int) -> Tensor:
+    """Means (replicates, K) of rows (S, K) over blocks that are drawn with replacement."""
+    n = blocks.count
     index = torch.from_numpy(blocks.of_start)
-    sums = torch.zeros(n, 2 * k, dtype=torch.float64).index_add_(0, index, both)
+    sums = torch.zeros(n, values.shape[1], dtype=torch.float64).index_add_(0, index, values)
     sizes = torch.bincount(index, minlength=n).double()
     drawn = torch.randint(n, (replicates, n), generator=generator)
     times = torch.zeros(replicates, n, dtype=torch.float64).scatter_add_(
         1, drawn, torch.ones(replicates, n).double()
     )
-    resampled = difference(times @ sums / (times @ sizes)[:, None])
+    return times @ sums / (times @ sizes)[:, None]
+
+
+def _ends(resampled: Tensor, n: int, level: float) -> Tensor:
+    """Both ends (2, K) of the percentile interval, widened for n blocks."""
     outside = float(ndtr(-np.sqrt(n / (n - 1)) * stdtrit(n - 1, 0.5 + level / 2)))
-    ends = torch.quantile(resampled, torch.tensor([outside, 1 - outside], dtype=torch.float64), dim=0)
-    ends[:, alike] = 0.0
-    return Difference(value, ends[0], ends[1])
+    return torch.quantile(resampled, torch.tensor([outside, 1 - outside], dtype=torch.float64), dim=0)

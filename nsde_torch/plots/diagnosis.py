@@ -1,4 +1,4 @@
-"""Figures of a diagnosis: the residual against what explains it, held-out errors, and the residual's spectrum."""
+"""Figures of a diagnosis: the residual against what explains it, runs left out, and the residual's spectrum."""
 
 from __future__ import annotations
 
@@ -166,6 +166,59 @@ def _draw(ax: Axes, view: Panel, rng: np.random.Generator) -> None:
 
 
 @styled
+def before_after(
+    ratios: Mapping[str, tuple[float, float | None, float | None]],
+    nats: Mapping[str, tuple[float, float | None, float | None]],
+    *,
+    title: str,
+) -> Figure:
+    """Residual on runs left out, after over before, and gain in log-likelihood of one-step predictions, by channel.
+
+    Args:
+        ratios: By channel: ratio and the ends of its interval; None where there is none.
+        nats: The same of the log-likelihood [nat].
+        title: What is shown.
+
+    Returns:
+        A figure with two panels beside each other.
+
+    Raises:
+        ShapeError: there is no channel, or the panels have different ones.
+    """
+    if not ratios or list(ratios) != list(nats):
+        raise ShapeError(
+            f"`ratios` and `nats` must have the same channels, at least one; got {list(ratios)} and {list(nats)}."
+        )
+    figure, axes = panels(1, 2, height=1.3 + 0.32 * len(ratios), title=title)
+    words = ("residual of mean rates, after / before", "gain in one-step log-likelihood [nat]")
+    for ax, table, nothing, word in zip(axes.flat, (ratios, nats), (1.0, 0.0), words, strict=True):
+        place = np.arange(len(table))[::-1]
+        value = np.array([v for v, _, _ in table.values()])
+        low, high = (
+            np.array([row[0] if row[k] is None else row[k] for row in table.values()], dtype=float)
+            for k in (1, 2)
+        )
+        ax.axvline(nothing, color=GREY, linewidth=0.8)
+        ax.errorbar(
+            value,
+            place,
+            xerr=np.stack((np.clip(value - low, 0.0, None), np.clip(high - value, 0.0, None))),
+            color=AFTER,
+            marker="s",
+            markersize=4.5,
+            linestyle="none",
+            capsize=3,
+            elinewidth=1.1,
+        )
+        ax.set_yticks(place, list(table))
+        ax.set_ylim(-0.6, len(table) - 0.4)
+        ax.set_xlabel(word)
+        left, right = min(float(low.min()), nothing), max(float(high.max()), nothing)
+        ax.set_xlim(left - 0.08 * (right - left + 1e-9), right + 0.08 * (right - left + 1e-9))
+    return figure
+
+
+@styled
 def errors_before_after(
     horizons: Sequence[float],
     before: Mapping[str, Sequence[float | None]],
@@ -176,7 +229,7 @@ def errors_before_after(
     *,
     title: str,
 ) -> Figure:
-    """Errors on runs left out at each horizon, with the 90 % interval of the difference on the later one.
+    """Errors of predictions under replayed inputs by horizon, with the 90 % interval of the difference on the later.
 
     Args:
         horizons: Horizons (h,) [s].
@@ -223,7 +276,7 @@ def errors_before_after(
             ax.set_ylim(0.6 * both.min(), 1.6 * both.max())
             plain_logarithm(ax)
         seconds_axis(ax, horizons)
-        ax.set_ylabel(f"{name} error [{pretty(unit)}]")
+        ax.set_ylabel(f"{name} error [{pretty(unit)}]\n(inputs replayed)")
     for ax in list(axes.flat)[len(units) :]:
         ax.set_axis_off()
     key(figure, axes.flat[0])

@@ -66,7 +66,7 @@ def test_the_page_loads_nothing_and_fits_a_phone(
     assert 'name="viewport"' in page
     assert len(page) < 1_000_000
     names = {p.name for p in (tmp_path / "plots").iterdir()}
-    assert names >= {"residual.png", "errors.png", "spectrum.png"}
+    assert names >= {"residual.png", "held_out.png", "errors.png", "spectrum.png"}
     assert images == len(names)
 
 
@@ -86,6 +86,13 @@ def test_the_page_names_the_effect_its_values_its_tie_and_the_experiment(
         assert word in text
     assert content["ties"][0]["experiment"] in text
     assert "left before" in text
+    # what runs left out say of steps comes before predictions, which are called what they are
+    first, second = (
+        text.index("Log-likelihood of one-step predictions"),
+        text.index("Open-loop, inputs replayed"),
+    )
+    assert first < text.index("Before and after, on runs left out") < second
+    assert "beside everything else: log-likelihood" in text
     assert "All effects that were tried" in text
     assert "What these data cannot show" in text
 
@@ -132,6 +139,13 @@ def test_the_content_holds_what_the_schema_promises(found: tuple[Diagnosis, dict
     assert {"before", "after", "ratio", "difference", "units", "horizons_s", "measured_on", "runs"} <= set(
         errors
     )
+    assert {"inputs", "closed_loop", "one_step", "residual"} <= set(errors)
+    step = errors["one_step"]
+    assert step["low_90"] < step["nats"] < step["high_90"]
+    assert set(step["channels"]) == set(errors["residual"]) == set(content["residual"])
+    finding = content["findings"][0]
+    assert finding["held_out"]["nats"] == pytest.approx(step["nats"])  # there is no other effect
+    assert finding["moves"] == ["q_dot"]
     for quantity, row in errors["ratio"].items():
         assert set(row) == {f"{h:g}" for h in errors["horizons_s"]}
         for horizon, ratio in row.items():

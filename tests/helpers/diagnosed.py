@@ -26,6 +26,7 @@ def recorded(
     recording: Recording | None = None,
     plant: Mapping[str, Any] | None = None,
     sensor_noise: float = 1.0,
+    dt: float | None = None,
 ) -> DataSet:
     """Runs of a plant with these effects, as `nsde simulate` and `data=csv` would bring them."""
     made = simulate(
@@ -34,6 +35,7 @@ def recorded(
         durations=durations or SHORT[system],
         seed=seed,
         sensor_noise=sensor_noise,
+        dt=dt,
         recording=recording,
         options=plant,
     )

@@ -9,7 +9,7 @@ import pytest
 import torch
 
 from nsde_torch.errors import ShapeError
-from nsde_torch.learning.bootstrap import Blocks, make_blocks, paired_bootstrap, verdict
+from nsde_torch.learning.bootstrap import Blocks, make_blocks, mean_bootstrap, paired_bootstrap, verdict
 
 DT = 0.25
 
@@ -129,3 +129,22 @@ def test_starts_that_do_not_agree_are_refused() -> None:
     blocks = make_blocks(np.zeros(8, dtype=np.int64), DT * np.arange(8), length=4.0)
     with pytest.raises(ShapeError, match="8 starts"):
         paired_bootstrap(torch.rand(9, 1), torch.rand(9, 1), blocks, generator=generator())
+
+
+def test_intervals_of_a_mean_hold_what_they_say_on_rows_correlated_in_time() -> None:
+    rng, n, many = np.random.default_rng(2), 80, 400
+    values = torch.from_numpy(np.concatenate([0.2 + correlated((n, many), 0.5, rng) for _ in range(4)]))
+    blocks = make_blocks(np.repeat(np.arange(4), n), np.tile(DT * np.arange(n), 4), length=4.0)
+    made = mean_bootstrap(values, blocks, generator=generator(), level=0.9)
+    inside = ((made.low < 0.2) & (made.high > 0.2)).double().mean()
+    assert 0.85 < float(inside) < 0.95
+    np.testing.assert_allclose(made.value.numpy(), values.numpy().mean(0))
+
+
+def test_a_mean_of_few_blocks_has_no_interval_and_rows_must_agree() -> None:
+    few = Blocks(np.arange(8) % 2, 2, "runs")
+    made = mean_bootstrap(torch.ones(8, 1), few, generator=generator())
+    assert float(made.value) == 1.0
+    assert math.isnan(float(made.low))
+    with pytest.raises(ShapeError, match="rows"):
+        mean_bootstrap(torch.ones(7, 1), few, generator=generator())

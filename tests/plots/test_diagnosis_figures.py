@@ -13,6 +13,7 @@ from nsde_torch.plots.diagnosis import (
     Cloud,
     Panel,
     Spectrum,
+    before_after,
     errors_before_after,
     residual_spectra,
     residual_views,
@@ -54,10 +55,28 @@ def test_errors_stand_at_their_horizons_with_the_interval_of_the_difference() ->
         title="errors",
     )
     (ax,) = figure.axes
+    assert "inputs replayed" in ax.get_ylabel()
     assert ax.lines[0].get_ydata().tolist() == [0.2, 0.4]
     (bars,) = ax.containers
     segments = [s[:, 1].tolist() for s in bars.lines[2][0].get_segments()]
     assert segments == [pytest.approx([0.08, 0.12]), pytest.approx([0.05, 0.15])]
+
+
+def test_ratios_and_gains_of_runs_left_out_stand_beside_each_other_with_their_intervals() -> None:
+    figure = before_after(
+        {"v_x": (0.8, 0.7, 0.9), "w_z": (1.0, None, None)},
+        {"v_x": (50.0, 30.0, 70.0), "w_z": (-1.0, None, None)},
+        title="runs left out",
+    )
+    left, right = figure.axes
+    assert "after / before" in left.get_xlabel()
+    assert "log-likelihood [nat]" in right.get_xlabel()
+    assert [text.get_text() for text in left.get_yticklabels()] == ["v_x", "w_z"]
+    (bars,) = right.containers
+    segments = [s[:, 0].tolist() for s in bars.lines[2][0].get_segments()]
+    assert segments == [[30.0, 70.0], [-1.0, -1.0]]
+    with pytest.raises(ShapeError, match="same channels"):
+        before_after({"v_x": (1.0, None, None)}, {}, title="none")
 
 
 def test_a_prediction_that_did_not_stay_finite_leaves_a_hole() -> None:

@@ -29,14 +29,41 @@ def past(kinematic: Array, series: Series) -> Array:
         kinematic: Kinematic residuals (N, m).
         series: Their stretches.
     """
-    out = np.zeros((len(kinematic) + len(series.edges), kinematic.shape[1] * len(_FADING)))
+    out = faded(kinematic, series)
     if len(out) < _FEWEST_ROWS * out.shape[1]:
         return out[:, :0]
-    for (a, b), (first, last) in zip(series.edges, extended(series).edges, strict=True):
-        parts = [lfilter([1.0], [1.0, -c], kinematic[a:b], axis=0) for c in _FADING]
-        out[first + 2 : last] = np.concatenate(parts, 1)[:-1]
     length = np.linalg.norm(out, axis=0)
     if not length.any():
         return out[:, :0]
     basis, values, _ = np.linalg.svd(out[:, length > 0] / length[length > 0], full_matrices=False)
     return np.asarray(basis[:, values > 1e-6 * values[0]])
+
+
+def faded(kinematic: Array, series: Series) -> Array:
+    """What is known before each whitened row: fading sums S of earlier kinematic residuals (N + stretches, p).
+
+    Args:
+        kinematic: Kinematic residuals (N, m).
+        series: Their stretches.
+    """
+    out = np.zeros((len(kinematic) + len(series.edges), kinematic.shape[1] * len(_FADING)))
+    for (a, b), (first, last) in zip(series.edges, extended(series).edges, strict=True):
+        parts = [lfilter([1.0], [1.0, -c], kinematic[a:b], axis=0) for c in _FADING]
+        out[first + 2 : last] = np.concatenate(parts, 1)[:-1]
+    return out
+
+
+def foretelling(kinematic: Array, series: Series, white: Array) -> Array:
+    """Coefficients b (p, channels) of `faded` for other data of the same machine; none (0, channels) for short data.
+
+    Args:
+        kinematic: Kinematic residuals (N, m).
+        series: Their stretches.
+        white: Whitened residuals with what is foretold in them (channels, N + stretches).
+    """
+    columns = faded(kinematic, series)
+    size = np.linalg.norm(columns, axis=0)
+    if len(columns) < _FEWEST_ROWS * columns.shape[1] or not size.any():
+        return np.zeros((0, len(white)))
+    size = np.maximum(size, 1e-12 * size.max())
+    return np.asarray(np.linalg.lstsq(columns / size, white.T, rcond=1e-6)[0] / size[:, None])

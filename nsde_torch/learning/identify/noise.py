@@ -34,6 +34,7 @@ Array = NDArray[np.float64]
 _GRID = 1.0 - np.array([1, 0.7, 0.5, 0.35, 0.25, 0.18, 0.12, 0.08, 0.05, 0.03, 0.02, 0.012, 0.008, 0.005])
 _AKAIKE = 2.0
 _FADED = -40.0  # log of what is nothing
+_LONG = 1000  # rows of a stretch
 _ROUNDING = 1e-10  # SI units a step: what double precision leaves of states of everyday size
 
 
@@ -69,6 +70,26 @@ class Noise:
         """Filtered columns (N, k) in units of `std`, one row more per stretch than there were: (N + stretches, k)."""
         summed = _carry(self.carry, values, series)
         return _filtered(self.reflection, summed, extended(series)) / self.std
+
+    def log_density(self, white: Array, series: Series) -> Array:
+        """Log density of each row of `whiten` (N + stretches,) [nat], less the constant log(2 pi) / 2.
+
+        The row before each stretch has no density of its own: what it holds is what the unknown error before the first
+        row costs, -log det / 2 of the moving average; rows near a start are as uncertain as their lower order leaves.
+
+        Args:
+            white: One whitened column (N + stretches,).
+            series: Stretches of the rows (N).
+        """
+        longer = extended(series)
+        kept = np.cumsum(np.append(0.0, np.log1p(-np.square(self.reflection))))
+        near = 0.5 * (kept[-1] - kept[np.minimum(longer.place, len(self.reflection))])
+        out = -0.5 * np.square(white) - log(self.std) + near
+        c = self.carry
+        for a, b in longer.edges:
+            spread = np.log((1 - c ** (2 * (b - a))) / (1 - c * c)) if c > 0 else 0.0
+            out[a] = -0.5 * white[a] ** 2 - 0.5 * spread
+        return np.asarray(out)
 
     def own_slopes(self, residual: Array, series: Series) -> Array:
         """Slopes of the whitened residual (N,) in a and c, (N + stretches, p + 1), up to factors."""
@@ -209,10 +230,20 @@ def _carry(c: float, values: Array, series: Series) -> Array:
 
 def _burg(values: Array, series: Series, orders: int) -> tuple[Array, Array]:
     """Reflection coefficients (orders,) and the variance left after each order (orders + 1,)."""
-    place = series.place
-    forward, backward = values.copy(), values.copy()
     left = [max(float(np.square(values).mean()), 1e-300)]
     reflection = []
+    if len(values) > _LONG * len(series.edges):  # slices of a few stretches are quicker than masks
+        pairs = [(values[a:b], values[a:b]) for a, b in series.edges]
+        for _ in range(orders):
+            pairs = [(f[1:], g[:-1]) for f, g in pairs if len(f) > 1]
+            size = sum(float(f @ f + g @ g) for f, g in pairs)
+            k = -2.0 * sum(float(f @ g) for f, g in pairs) / size if size > 0 else 0.0
+            reflection.append(k)
+            left.append(max(left[-1] * (1.0 - k * k), 1e-300))
+            pairs = [(f + k * g, g + k * f) for f, g in pairs]
+        return np.array(reflection), np.array(left)
+    forward, backward = values.copy(), values.copy()
+    place = series.place
     for m in range(1, orders + 1):
         live = place >= m
         delayed = np.concatenate(([0.0], backward[:-1]))
@@ -227,9 +258,10 @@ def _burg(values: Array, series: Series, orders: int) -> tuple[Array, Array]:
 
 def _polynomial(reflection: Sequence[float] | Array) -> Array:
     """Coefficients 1, a_1, ..., a_p of an autoregression (p + 1,)."""
-    a: Array = np.ones(1)
-    for k in reflection:
-        a = np.append(a, 0.0) + k * np.append(0.0, a[::-1])
+    a: Array = np.zeros(len(reflection) + 1)
+    a[0] = 1.0
+    for m, k in enumerate(reflection, 1):
+        a[: m + 1] += k * a[m::-1]
     return a
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from nsde_torch.learning.identify.feedback import past
+from nsde_torch.learning.identify.feedback import faded, foretelling, past
 from nsde_torch.learning.identify.series import Series
 
 TWO = Series(((0, 500), (500, 3000)))
@@ -27,3 +27,19 @@ def test_columns_are_orthonormal_and_blind_to_the_present_the_future_and_other_s
 def test_few_rows_give_no_columns_that_they_could_not_bear() -> None:
     s = np.random.default_rng(0).normal(size=(900, 1))
     assert past(s, Series(((0, 900),))).shape == (901, 0)
+
+
+def test_what_the_past_foretells_of_one_data_set_is_taken_out_of_another() -> None:
+    rng = np.random.default_rng(1)
+    coefficients = 0.3 * rng.normal(size=(10, 1))
+    left = []
+    for _ in range(2):
+        s = rng.normal(size=(3000, 2))
+        columns = faded(s, TWO)
+        new = rng.normal(size=(3002, 1))
+        left.append((s, columns, columns @ coefficients + new, new))
+    b = foretelling(left[0][0], TWO, left[0][2].T)
+    _, columns, white, new = left[1]
+    np.testing.assert_allclose((white - columns @ b).std(), new.std(), rtol=0.02)
+    assert white.std() > 1.2 * new.std()
+    assert foretelling(left[0][0][:900], Series(((0, 900),)), np.zeros((1, 901))).shape == (0, 1)

@@ -1,0 +1,59 @@
+"""The verdict of a diagnosis in one or two sentences."""
+
+from collections.abc import Sequence
+
+from nsde_torch.diagnosis.loop import Outcome
+from nsde_torch.diagnosis.not_shown import not_shown
+from nsde_torch.diagnosis.shape import Shape
+
+
+def summary(
+    verdict: str, added: Sequence[str], outcome: Outcome, shapes: Sequence[Shape], *, alpha: float
+) -> str:
+    """The verdict in one or two sentences.
+
+    Args:
+        verdict: `no_effect`, `effect_found` or `unexplained`.
+        added: Names of everything that was found.
+        outcome: Of the loop.
+        shapes: What the residual still depends on, in words.
+        alpha: Chance of naming an effect where nothing is missing.
+    """
+    if verdict == "no_effect":
+        unseen = not_shown(outcome.rounds, found=(), alpha=alpha)
+        blind = dict.fromkeys(n.effect for n in unseen if n.smallest is None)
+        if blind:
+            return (
+                "Nothing is missing as far as these data can show: what the declared physics leaves is noise, but they "
+                f"could not show {', '.join(blind)} at any size."
+            )
+        return "Nothing is missing: what the declared physics leaves is noise."
+    names, rest = ", ".join(added), _rest(outcome, shapes)
+    leads = [f.name for f in outcome.found if f.lead]
+    take = f"ake {', '.join(leads)} as {'leads' if len(leads) > 1 else 'a lead'}."
+    if verdict == "effect_found":
+        moved = {name for f in outcome.found for name in f.moves}
+        elsewhere = bool(outcome.structured) and outcome.structured[0].channel not in moved
+        more = f" The residual still depends ({rest})" if rest and (leads or elsewhere) else ""
+        if leads:
+            return f"Missing: {names}.{more}: t{take}" if more else f"Missing: {names}. T{take}"
+        return f"Missing: {names}.{more}{'.' if more else ''}"
+    if not added:
+        return f"Something is missing that no effect of the catalogue names: the residual depends ({rest})."
+    what = (
+        f"Something is missing that no effect of the catalogue names: the residual depends on more ({rest}) "
+        f"than {names} can explain"
+    )
+    if len(leads) == len(added):
+        return f"{what}, which {'are leads' if len(added) > 1 else 'is a lead'}."
+    return f"{what}. T{take}" if leads else f"{what}."
+
+
+def _rest(outcome: Outcome, shapes: Sequence[Shape]) -> str:
+    """What the residual still depends on most, in words."""
+    left = outcome.structured
+    if not shapes:
+        return f"{left[0].channel} on {left[0].variable}" if left else ""
+    # of those that say the same about equally surely, the one with the most to say
+    best = max(shapes[:2], key=lambda s: (s.channel == left[0].channel, bool(s.note)))
+    return ", ".join(part for part in (f"{best.channel} on {best.variable}", best.note) if part)

@@ -1,0 +1,230 @@
+"""Runs left out judge an effect by its own channels, step by step, and not by predictions under replayed inputs."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Any, cast
+
+import numpy as np
+import pytest
+
+from nsde_torch.data import Run
+from nsde_torch.diagnosis.diagnose import Options, diagnose, search_in
+from nsde_torch.diagnosis.held_out import HeldOut, held_out, judges_replay
+from nsde_torch.diagnosis.innovations import Own, Scored, band, one_step, own
+from nsde_torch.diagnosis.loop import Found, _lead
+from nsde_torch.diagnosis.search import Search, Trial, moved_channels
+from nsde_torch.diagnosis.structure import Dependence
+from nsde_torch.diagnosis.text import lines
+from nsde_torch.effects import Port, make_effect
+from nsde_torch.models.identified import SysidSpec
+from nsde_torch.systems import make_system
+from tests.helpers.diagnosed import recorded
+
+SPRING = "mass_spring_damper"
+
+
+def effect_on_runs_left_out(name: str, *, seed: int, values: Mapping[str, float] | None = None) -> HeldOut:
+    """The spring without and with an effect, on runs that hold it if it has values."""
+    system = make_system(SPRING)
+    made = recorded(
+        SPRING, *([] if values is None else [{name: values}]), seed=seed, durations=(5.0,) * 4, dt=0.02
+    )
+    spec = SysidSpec(SPRING, dt=made.dt, horizon=system.defaults.horizon)
+    effect = make_effect(name, system=SPRING, ports={*system.ports, Port.INPUT}, n_inputs=1)
+
+    def make(some: Sequence[Run]) -> Search:
+        return search_in(system, some, 1.0, Options())
+
+    return held_out(
+        (system, system.with_effects(effect)),
+        spec,
+        made.runs,
+        make=make,
+        clock=1.0,
+        seed=0,
+        without={name: system},
+        moved={name: ("q_dot",)},
+    )
+
+
+def test_an_effect_that_is_not_there_does_not_surely_raise_the_log_likelihood() -> None:
+    found = [
+        effect_on_runs_left_out("quadratic_damping", seed=seed).own["quadratic_damping"] for seed in range(4)
+    ]
+    assert sum(bool(f.low is not None and f.low > 0) for f in found) <= 1
+    assert sum(f.nats for f in found) < 0  # what is fitted to nothing costs
+    assert all(f.low is not None and f.high is not None and f.low <= f.nats <= f.high for f in found)
+
+
+def test_an_effect_that_is_there_surely_raises_it_and_leaves_less() -> None:
+    for seed in range(2):
+        measured = effect_on_runs_left_out("coulomb_friction", seed=seed, values={"size": 0.2})
+        mine = measured.own["coulomb_friction"]
+        assert mine.low is not None
+        assert mine.low > 0
+        assert mine.residual_ratio["q_dot"] < 0.9
+        assert mine.against == ""
+        whole = measured.content["one_step"]
+        assert whole["nats"] == pytest.approx(mine.nats)  # it is all that was found
+        assert whole["quantities"]["velocity"]["nats"] == pytest.approx(whole["channels"]["q_dot"]["nats"])
+        left = measured.content["residual"]["q_dot"]
+        assert left["ratio"] == pytest.approx(left["after"] / left["before"])
+        assert left["low_90"] < left["difference"] < left["high_90"] < 0
+        assert left["unit"] == "m/s2"
+        assert measured.content["inputs"] == "replayed"
+
+
+# ---- what judges --------------------------------------------------------------------------------------
+
+
+def scored(density: np.ndarray, rates: np.ndarray) -> Scored:
+    """Two runs of 20 s at 10 Hz, channels v and w."""
+    rows = len(density)
+    run, t = np.arange(rows) * 2 // rows, np.tile(np.arange(rows // 2) / 10.0, 2)
+    return Scored(("v", "w"), ("m/s2", "rad/s2"), density, run, t, np.square(rates), run, t)
+
+
+def two(gain: Sequence[float], grown: Sequence[float], noise: float = 1.0) -> tuple[Scored, Scored]:
+    """Physics without and with an effect that gains so much a step and leaves so much more, by channel."""
+    rng = np.random.default_rng(0)
+    density, rates = rng.normal(size=(400, 2)), rng.normal(size=(400, 2))
+    scatter = rng.normal(size=(400, 2))
+    other = density + np.array(gain) + noise * (scatter - scatter.mean(0))
+    return scored(density, rates), scored(other, rates * np.array(grown))
+
+
+def test_an_effect_is_judged_by_the_channels_that_it_moves() -> None:
+    without, full = two((0.5, -0.5), (0.8, 1.2))
+    on_v, on_w = (own(without, full, [name], seed=0) for name in ("v", "w"))
+    assert on_v is not None
+    assert on_w is not None
+    assert on_v.against == ""
+    assert list(on_v.channels) == ["v"]
+    assert "log-likelihood of w " in on_w.against
+    assert on_v.residual_ratio == {"v": pytest.approx(0.8)}
+    assert own(without, full, ["yaw"], seed=0) is None
+
+
+def test_what_is_left_in_the_band_decides_only_where_the_log_likelihood_does_not() -> None:
+    without, full = two((0.5, 0.0), (1.2, 1.0))
+    sure = own(without, full, ["v"], seed=0)
+    assert sure is not None
+    assert sure.larger
+    assert sure.against == ""
+    without, full = two((0.02, 0.0), (1.2, 1.0))
+    doubtful = own(without, full, ["v", "w"], seed=0)
+    assert doubtful is not None
+    assert doubtful.nats > 0 > cast(float, doubtful.low)
+    assert doubtful.against == "the residual of v and w on runs left out is larger with it"
+
+
+def test_the_gain_of_the_log_likelihood_is_the_sum_over_steps_and_its_interval_holds() -> None:
+    system, inside = make_system(SPRING), 0
+    for seed in range(60):
+        rng = np.random.default_rng(seed)
+        before = np.zeros((400, 1))
+        after = 0.3 + np.repeat(rng.normal(size=(40, 1)), 10, 0)  # what lasts for a second
+        first, second = (
+            replace(
+                scored(np.zeros((400, 2)), np.zeros((400, 2))), names=("q_dot",), units=("m/s2",), density=d
+            )
+            for d in (before, after)
+        )
+        content = one_step(first, second, system, seed=0)
+        assert content["nats"] == pytest.approx(after.sum())
+        inside += content["low_90"] <= 0.3 * 400 <= content["high_90"]
+    assert 48 <= inside <= 60
+
+
+def test_runs_too_short_for_a_mean_rate_have_no_residual() -> None:
+    full = two((0.5, 0.5), (0.8, 0.8))[1]
+    nothing = replace(
+        full, squares=np.zeros((0, 2)), band_run=np.zeros(0, dtype=np.int64), band_t=np.zeros(0)
+    )
+    assert band(nothing, nothing, seed=0) == {}
+    mine = own(nothing, nothing, ["v"], seed=0)
+    assert mine is not None
+    assert not mine.larger
+
+
+def replay(closed_loop: bool | None, *, gain: float = 5.0) -> HeldOut:
+    """Predictions of positions are surely worse; the yaw, which the effect moves, gains."""
+    worse = {"difference": {"low_90": {"position": {"0.5": 0.1, "1": 0.2}, "rate": {"0.5": -0.1, "1": -0.1}}}}
+    cell: dict[str, float | None] = {"nats": gain, "low_90": gain - 1.0, "high_90": gain + 1.0}
+    mine = Own(gain, gain - 1.0, gain + 1.0, {"w_z": cell}, {"w_z": 0.6}, larger=False)
+    return HeldOut(worse, True, ("a", "b"), {"angular_damping": mine}, closed_loop)
+
+
+def test_predictions_under_replayed_inputs_judge_only_where_inputs_are_exogenous() -> None:
+    assert [judges_replay(c) for c in (None, True, False)] == [False, False, True]
+    for closed_loop in (None, True):
+        assert replay(closed_loop).worse == ["position"]
+        assert replay(closed_loop).against("angular_damping") == ""
+    assert "position" in replay(False).against("angular_damping")
+    assert "w_z" in replay(True, gain=-2.0).against("angular_damping")
+
+
+def test_structure_that_is_left_where_an_effect_does_not_act_does_not_make_it_a_lead() -> None:
+    def left(channel: str) -> list[Dependence]:
+        return [Dependence(channel, "time", 1e-9, 0.2, 0.5, gain=200.0, functions=3)]
+
+    drag = Found("linear_drag", cast(Trial, None), (), moves=("v_x (body)", "v_y (body)"))
+    gained = {"v_x (body)": 100.0, "v_y (body)": 50.0, "w_z": 5000.0}
+    assert _lead(drag, [drag], left("w_z"), gained) == ""
+    assert _lead(drag, [drag], left("v_x (body)"), gained) == "something else is there too"
+    assert _lead(drag, [drag], [], gained) == ""
+
+
+# ---- feedback -----------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def flown() -> tuple[dict[str, Any], dict[str, tuple[str, ...]]]:
+    """A diagnosis of short flights, the pilot in the loop, and the channels that effects move there."""
+    made = recorded("hexacopter", seed=3, durations=(20.0,) * 4, dt=0.02, plant={"variants": 2, "rounds": 1})
+    declared = make_system("hexacopter", effects=["motor_lag"])
+    spec = SysidSpec("hexacopter", dt=made.dt, horizon=declared.defaults.horizon, effects=("motor_lag",))
+    candidates = ("linear_drag",)
+    found = diagnose(declared, spec, made, made.runs, Options(candidates=candidates))
+    moves = {}
+    runs = search_in(declared, found.recorded.runs, 1.0, Options())
+    for name in ("angular_damping", "thrust_curve"):
+        effect = make_effect(name, system="hexacopter", ports={*declared.ports, Port.INPUT}, n_inputs=6)
+        moves[name] = moved_channels(runs.quick(declared.with_effects(effect), warm=True), name)
+    return found.content(), moves
+
+
+def test_drag_of_a_machine_in_a_loop_is_named_and_is_no_lead(flown: tuple[dict[str, Any], Any]) -> None:
+    content, _ = flown
+    (finding,) = content["findings"]
+    assert finding["name"] == "linear_drag"
+    assert finding["lead"] is False
+    assert finding["held_out"]["nats"] > 0
+    assert finding["held_out"]["channels"]["v_y (body)"]["low_90"] > 0
+    assert (
+        set(finding["moves"])
+        == {"v_x (body)", "v_y (body)", "v_z (body)"}
+        == set(finding["held_out"]["channels"])
+    )
+    assert min(finding["held_out"]["residual_ratio"].values()) < 0.95
+    errors = content["errors"]
+    assert (errors["inputs"], errors["closed_loop"]) == ("replayed", None)
+    assert {"before", "after", "ratio", "difference", "one_step", "residual"} <= set(errors)
+    # nothing that drag cannot move has moved
+    assert errors["residual"]["w_z"]["ratio"] == pytest.approx(1.0, abs=0.02)
+
+
+def test_what_an_effect_moves_follows_from_its_slopes(flown: tuple[Any, dict[str, tuple[str, ...]]]) -> None:
+    _, moves = flown
+    assert moves["angular_damping"] == ("w_x", "w_y", "w_z")
+    assert "v_z (body)" in moves["thrust_curve"]
+
+
+def test_the_terminal_tells_residual_and_likelihood_before_predictions_and_says_what_those_are(
+    flown: tuple[dict[str, Any], Any],
+) -> None:
+    said = "\n".join(lines(flown[0]))
+    first, second = said.index("log-likelihood [nat]"), said.index("open-loop, inputs replayed from the log")
+    assert first < second < said.index("position [m]")

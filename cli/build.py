@@ -19,7 +19,7 @@ from nsde_torch.sde import Step, make_step
 from nsde_torch.systems import System, make_system
 
 # Keys of a data configuration that are not arguments of the function that makes the data.
-_NOT_FOR_DATA = ("kind", "test", "test_path", "validation", "options")
+_NOT_FOR_DATA = ("kind", "test", "test_path", "validation", "options", "instruments")
 
 
 def settings(config: DictConfig, *, sweep: bool) -> tuple[torch.device, torch.dtype]:

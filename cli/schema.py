@@ -69,6 +69,10 @@ class DataConfig(RunChoice):
         "what to do when the kinematics disagree with the clock",
         choices=("rescale", "trust", "refuse"),
     )
+    instruments: list[str] = key(
+        [],
+        "logged columns that nothing inside the control loop moves: sticks, setpoints, data.instruments=[stick_roll]",
+    )
 
 
 @dataclass

@@ -271,6 +271,22 @@ class Regression:
             used += own.shape[1] + self._past.shape[1]
         return spread(np.stack(purged), self.white, self.whitened_rows(self.blocks), used)
 
+    def at(self, theta: Array) -> "Regression":
+        """The same at other values, with laws of the noise of the same kind."""
+        out = copy.copy(self)
+        out.theta = theta
+        out.residual = out._residual(theta)
+        out._relinearise()
+        out._rough, out._refined = False, 4
+        out._whiten()
+        return out
+
+    def fitted_columns(self, row: int) -> Array:
+        """Columns that the whitened residual of channel `row` of `rows` was fitted with: theta, its law, its past."""
+        own = self.noises[row].own_slopes(self.residual[:, self.rows[row]], self.series)
+        parts = [self.slopes[row] @ self.shown.basis, self._purged(own)]
+        return np.concatenate([*parts, self._past] if self._past.size else parts, 1)
+
     def own_noises(self, orders: int | None = None) -> list[Noise]:
         """Laws of the noise of the residuals at theta, of whatever kind suits them, up to some order."""
         limits = self.carry_limits()
@@ -352,15 +368,15 @@ def identify(
         >>> found = identify(make_system("hexacopter"), data.runs)  # doctest: +SKIP
         >>> dict(zip(found.vector.labels, found.values))  # doctest: +SKIP
     """
-    if method not in METHODS:
-        raise ConfigError(f"`method` must be {' or '.join(METHODS)}; got {method!r}.")
-    weak = method == "weak"
-    vector = ParameterVector(system)
-    box = _box(width, runs[0].dt * clock) if runs else 1
-    steps = steps_of(system, runs, clock=clock, smooth=not weak, shortest=box)
-    physics = Physics(vector, steps, curved=weak and system.sensor_noise, foresee=weak)
-    regression = Regression(physics, box=box, plain=not weak, feedback=weak)
+    regression = regression_of(system, runs, clock=clock, method=method, width=width)
     regression.run(iterations)
+    return identification(regression, method)
+
+
+def identification(regression: Regression, method: str) -> Identification:
+    """What a regression that has settled found; see `identify`."""
+    weak = method == "weak"
+    vector, physics, steps = regression.vector, regression.physics, regression.physics.steps
     sure, blocks = regression.spread(), regression.blocks
     basis, window = regression.shown.basis, bump(steps.dt)
     left = physics.residual(regression.theta)[:, regression.rows]
@@ -385,6 +401,25 @@ def identify(
         linear=physics.linear(regression.theta),
         blocks=int(blocks.max()) + 1,
     )
+
+
+def regression_of(
+    system: System,
+    runs: Sequence[Run],
+    *,
+    clock: float = 1.0,
+    method: str = "weak",
+    width: float | None = None,
+) -> Regression:
+    """The regression of some runs, before its first step; see `identify`."""
+    if method not in METHODS:
+        raise ConfigError(f"`method` must be {' or '.join(METHODS)}; got {method!r}.")
+    weak = method == "weak"
+    vector = ParameterVector(system)
+    box = _box(width, runs[0].dt * clock) if runs else 1
+    steps = steps_of(system, runs, clock=clock, smooth=not weak, shortest=box)
+    physics = Physics(vector, steps, curved=weak and system.sensor_noise, foresee=weak)
+    return Regression(physics, box=box, plain=not weak, feedback=weak)
 
 
 def _box(width: float | None, dt: float) -> int:

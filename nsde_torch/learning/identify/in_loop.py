@@ -1,0 +1,125 @@
+"""Identification that knows of the loop: which estimate to print, and how far feedback may have bent it.
+
+Ordinary estimates are right under feedback from the log. Where the test of the loop says that inputs know more than
+the log (`loop_test`), they are not, and the interval is widened by what cannot be known: with X the whitened slopes,
+e = X b + a part that X foretells and the fit has swallowed. Of channel i let that part be at most `FACTOR` times as
+large as what inputs of earlier steps are seen to foretell, rho_i = sqrt(share). Then the bias of parameter j is at most
+
+    FACTOR sqrt(N) sum_i rho_i sqrt((M^-1 M_i M^-1)_jj),     M_i = X_i' X_i,   M = sum_i M_i
+
+(a bound by partial correlations, benchmarked by what is observed: Cinelli and Hazlett, Journal of the Royal
+Statistical Society B 82 (2020)). FACTOR is an assumption and no data can test it; 1.5 held on simulated loops whose
+truth is known (benchmarks/bench_feedback.py). With instruments that are strong and exogenous nothing is widened: their
+estimates are printed where they differ, or where inputs know more than the log, unless they show that an effect is
+missing.
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nsde_torch.data import Run
+from nsde_torch.data.smoothing import smoothing_width
+from nsde_torch.errors import ConfigError
+from nsde_torch.learning.identify.identify import ITERATIONS, Regression, identification, regression_of
+from nsde_torch.learning.identify.instruments import Instrumented, instrumental, with_columns
+from nsde_torch.learning.identify.loop_test import ALPHA, LoopTest, loop_test
+from nsde_torch.learning.identify.result import Identification
+from nsde_torch.systems import System
+
+Array = NDArray[np.float64]
+
+FACTOR = 1.5
+_UNEXPLAINED = 0.01  # chance below which instruments show that an effect is missing
+
+
+def identify_in_loop(
+    system: System,
+    runs: Sequence[Run],
+    *,
+    clock: float = 1.0,
+    method: str = "weak",
+    width: float | None = None,
+    iterations: int = ITERATIONS,
+    instruments: Sequence[str] = (),
+) -> Identification:
+    """Identify declared parameters, test the loop, and use signals from outside it.
+
+    Args:
+        system: The machine; its values are where the iteration starts. It is not changed.
+        runs: Recordings, all on one step.
+        clock: Physical seconds per logged second.
+        method: See `identify`.
+        width: See `identify`.
+        iterations: Largest number of steps.
+        instruments: Names of logged columns (`Run.extra`) that nothing inside the loop moves: sticks, setpoints.
+
+    Returns:
+        Estimates with `loop`, `instrumented` and `doubt` filled in.
+
+    Raises:
+        DataError: a run lacks an instrument, or one never changes; and as `identify`.
+        ConfigError: instruments with `method="differences"`; and as `identify`.
+    """
+    if instruments:
+        if method != "weak":
+            raise ConfigError(
+                f"`data.instruments` needs model.method=weak; got {method!r} (inputs that were smoothed know the "
+                "future). Leave the instruments out."
+            )
+        system, runs = with_columns(system, runs, instruments)
+    regression = regression_of(system, runs, clock=clock, method=method, width=width)
+    regression.run(iterations)
+    found = identification(regression, method)
+    if method != "weak":
+        why = "finite differences of smoothed states have no innovations"
+        return replace(found, loop=LoopTest(why_not=why))
+    loop = tested(regression, runs)
+    instrumented = instrumental(regression, instruments) if instruments else None
+    if instrumented is not None and adopted(instrumented, loop):
+        found = replace(
+            found,
+            values=instrumented.values,
+            covariance=instrumented.covariance,
+            degrees=instrumented.degrees,
+        )
+        doubt = np.where(instrumented.moved, 0.0, hidden_bias(regression, loop))
+    else:
+        doubt = hidden_bias(regression, loop)
+    return replace(found, loop=loop, instrumented=instrumented, doubt=doubt)
+
+
+def tested(regression: Regression, runs: Sequence[Run]) -> LoopTest:
+    """Test of the loop, or why there is none."""
+    nu = regression.physics.vector.system.nu
+    width = smoothing_width(runs, nu)
+    if width > 0:
+        return LoopTest(why_not=f"the inputs were smoothed over {width:.2g} s and know the future")
+    moving = np.concatenate([run.u[:, :nu] for run in runs]).std(0)
+    names = regression.physics.vector.system.input_names
+    return loop_test(regression, still=[n for n, s in zip(names, moving, strict=True) if not s > 0])
+
+
+def adopted(instrumented: Instrumented, loop: LoopTest) -> bool:
+    """Whether estimates by instruments are those to print."""
+    wanted = instrumented.differs or loop.foretold or loop.saw_more
+    return bool(instrumented.moved.any()) and wanted and instrumented.unexplained >= _UNEXPLAINED
+
+
+def hidden_bias(regression: Regression, loop: LoopTest) -> Array:
+    """Largest bias (k,) of each parameter that knowledge of the inputs may have caused; zero where none was found."""
+    k = len(regression.vector)
+    sure = {a.channel: a.share for a in loop.knowledge if a.chance < ALPHA}
+    if not sure:
+        return np.zeros(k)
+    basis = regression.shown.basis
+    squares = [s.T @ s for s in (slopes @ basis for slopes in regression.slopes)]
+    back = basis @ np.linalg.pinv(sum(squares[1:], squares[0]))
+    out = np.zeros(k)
+    for channel, square in zip(regression.rows, squares, strict=True):
+        share = sure.get(regression.physics.names[channel], 0.0)
+        spread = np.einsum("ja,ab,jb->j", back, square, back).clip(0.0)
+        out += FACTOR * np.sqrt(len(regression.series) * share * spread)
+    return out

@@ -1,0 +1,297 @@
+"""Whether a loop was closed over the data, and whether the controller saw more than the log holds.
+
+With e_k the innovations of the channels that inputs drive (what a step brings that the fitted physics, the law of the
+noise and the past do not foretell), and v_k those of the inputs (against their own past):
+
+- feedback: v_{k+l} on e_k, l = 1, 2, ...: later inputs answer what the physics does not explain. Then an input is not
+  independent of disturbances, and errors of many open-loop steps under logged inputs do not tell what an input does.
+- knowledge: e_k on u_k, u_{k-1}, ..., beyond what the parameters and the law of the noise took out. Inputs that were
+  made from the logged states know nothing of e_k. Where they do, either the controller saw more than the log holds
+  (a faster rate, other sensors), or the inputs act in a way that is not declared (a lag, a delay): from second
+  moments of inputs and states alone the two cannot be told apart, because the same spectra are had with a controller
+  that acts on the log and another response (Ljung, System Identification, 1999, section 13.4).
+- kinematics: residuals of kinematic channels (attitude against rates, position against velocity), which no physics of
+  the inputs can move, on u_k given all that the log knew at k. What is left says that the input knew errors of the
+  sensors of the log: it was made from other ones, or from the same ones at another time.
+- new: the share of the inputs that neither the logged states nor the inputs' own past foretell. Where it is nothing,
+  the inputs are a function of the state, and gains rest on what was assumed of the noise (Soderstrom, Gustavsson and
+  Ljung, International Journal of Control 21 (1975)).
+
+Assumed, not checked: logged inputs are those that were commanded; the step of the log is the step of the inputs.
+"""
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.signal import lfilter
+
+from nsde_torch.data import Run
+from nsde_torch.learning.identify import signals
+from nsde_torch.learning.identify.identify import ITERATIONS, Regression, regression_of
+from nsde_torch.learning.identify.noise import extended
+from nsde_torch.learning.identify.series import Series
+from nsde_torch.learning.identify.signals import Direction
+from nsde_torch.systems import System
+
+Array = NDArray[np.float64]
+
+ALPHA = 0.01  # chance of a finding where there is none, for each of the tests
+_ANSWER_S, _ANSWERS = 0.2, 20  # how long after a disturbance an answer is looked for [s], [rows]
+_KNOWN_S, _KNOWN = 0.08, 8  # how long before a disturbance an input may have known of it
+_OWN = 10  # order of the inputs' own past
+_FADING = (0.0, 0.5, 0.8, 0.9, 0.95)
+_STATES = 3  # rows of states that an input may be a function of
+_NEW = 1e-3  # share of an input's variance below which it is a function of the state
+_FEWEST = 400  # rows
+_MOST_OF_IT = 0.8  # share of an answer by whose time it is told
+
+
+@dataclass(frozen=True)
+class Answer:
+    """How inputs of one direction answer, or foretell, one channel.
+
+    Args:
+        input: Name of the direction.
+        channel: Name of the channel.
+        share: Of the variance of what is new in the input (an answer) or in the channel (knowledge).
+        chance: p value, adjusted for the number of tests (Holm).
+        within_s: Time by which most of it has come [s]; 0 where that means nothing.
+    """
+
+    input: str
+    channel: str
+    share: float
+    chance: float
+    within_s: float = 0.0
+
+
+@dataclass(frozen=True)
+class LoopTest:
+    """What data say of the loop that they were recorded in.
+
+    Args:
+        answers: Inputs on what the physics left unexplained before.
+        knowledge: Innovations on the inputs at and before their step.
+        kinematics: Residuals of kinematics on the inputs at their step.
+        new: Share of the inputs that logged states and past do not foretell, by direction.
+        still: Names of inputs that never move.
+        why_not: Why nothing was tested; empty where it was.
+    """
+
+    answers: tuple[Answer, ...] = ()
+    knowledge: tuple[Answer, ...] = ()
+    kinematics: tuple[Answer, ...] = ()
+    new: dict[str, float] = field(default_factory=dict)
+    still: tuple[str, ...] = ()
+    why_not: str = ""
+
+    @property
+    def closed(self) -> bool:
+        """Whether inputs answer what the physics does not explain."""
+        return any(a.chance < ALPHA for a in self.answers)
+
+    @property
+    def foretold(self) -> bool:
+        """Whether inputs foretell innovations: a controller that saw more, or an undeclared lag, delay or law."""
+        return any(a.chance < ALPHA for a in self.knowledge)
+
+    @property
+    def saw_more(self) -> bool:
+        """Whether inputs foretell what only sensors tell: the controller had other ones, or the log's are late."""
+        return any(a.chance < ALPHA for a in self.kinematics)
+
+    @property
+    def functions_of_state(self) -> tuple[str, ...]:
+        """Names of directions whose inputs are a function of the logged state."""
+        return tuple(name for name, share in self.new.items() if share < _NEW)
+
+    @property
+    def findings(self) -> list[str]:
+        """What was found, and what follows from it, in words."""
+        from nsde_torch.learning.identify.loop_words import sentences
+
+        return sentences(self)
+
+    def as_dict(self) -> dict[str, Any]:
+        """Plain containers, for JSON."""
+        return {
+            "closed_loop": self.closed,
+            "inputs_foretell_innovations": self.foretold,
+            "controller_saw_more_than_the_log": self.saw_more,
+            "functions_of_the_logged_state": list(self.functions_of_state),
+            "inputs_that_never_move": list(self.still),
+            "answers": [asdict(a) for a in self.answers],
+            "knowledge": [asdict(a) for a in self.knowledge],
+            "kinematics": [asdict(a) for a in self.kinematics],
+            "new_share_of_inputs": dict(self.new),
+            "not_tested": self.why_not,
+            "findings": self.findings,
+        }
+
+
+def feedback_summary(system: System, runs: Sequence[Run], clock: float = 1.0) -> LoopTest:
+    """Test recordings for feedback, against the declared physics fitted to them.
+
+    Args:
+        system: The machine; it is not changed.
+        runs: Recordings, all on one step.
+        clock: Physical seconds per logged second.
+
+    Returns:
+        What was found; `why_not` says where nothing could be tested.
+    """
+    moving = np.concatenate([run.u[:, : system.nu] for run in runs]).std(0) if runs else np.zeros(0)
+    still = tuple(n for n, s in zip(system.input_names, moving, strict=True) if not s > 0)
+    if len(still) == system.nu:
+        return LoopTest(still=still, why_not="no input moves")
+    if not any(True for _ in system.declared_parameters()) and not len(system.effects):
+        return LoopTest(still=still, why_not="no physics is declared")
+    regression = regression_of(system, runs, clock=clock)
+    regression.run(ITERATIONS)
+    return loop_test(regression, still=still)
+
+
+def loop_test(regression: Regression, *, still: Sequence[str] = ()) -> LoopTest:
+    """Test the loop by a fitted regression in weak form.
+
+    Args:
+        regression: Where its iteration has settled.
+        still: Names of inputs that never move.
+    """
+    ways = signals.directions(regression)
+    series = extended(regression.series)
+    if not ways:
+        return LoopTest(still=tuple(still), why_not="no channel is driven by an input alone")
+    if len(series) < _FEWEST:
+        return LoopTest(
+            still=tuple(still), why_not=f"the runs are too short ({len(series)} steps of at least {_FEWEST})"
+        )
+    u = signals.inputs_of(regression)
+    driven = u @ np.stack([way.weights for way in ways], 1)
+    known = [*regression.rows]
+    return LoopTest(
+        answers=_answers(regression, ways, driven, signals.principal(u), series),
+        knowledge=_knowledge(regression, ways, driven, known, series),
+        kinematics=_kinematics(regression, ways, driven, series),
+        new=_new(regression, ways, driven, series),
+        still=tuple(still),
+    )
+
+
+# ---- the tests --------------------------------------------------------------------------------------------
+
+
+def own_innovations(values: Array, among: Array, series: Series) -> Array:
+    """What columns (N, n) hold that the past of `among` (N, m) does not foretell, zero near starts."""
+    live = signals.late(series, _OWN)
+    past = signals.lagged(among, series, range(1, _OWN + 1))
+    past = np.column_stack((past, np.ones(len(past))))[live]
+    out = np.zeros_like(values)
+    out[live] = signals.without(values[live], signals.basis_of(past))
+    return out
+
+
+def _answers(
+    regression: Regression, ways: Sequence[Direction], driven: Array, among: Array, series: Series
+) -> tuple[Answer, ...]:
+    new = own_innovations(driven, among, series)
+    rows = max(1, min(_ANSWERS, round(_ANSWER_S / regression.dt)))
+    live = signals.late(series, max(rows, _OWN))
+    nothing = np.zeros((int(live.sum()), 0))
+    found = []
+    for j, way in enumerate(ways):
+        for i, channel in enumerate(regression.rows):
+            columns = signals.lagged(regression.white[i][:, None], series, range(1, rows + 1))[live]
+            chance, share = signals.score_test(new[live, j], columns, nothing)
+            found.append(
+                (way.name, regression.physics.names[channel], share, chance, _within(new[live, j], columns))
+            )
+    return _judged(found, regression.dt)
+
+
+def _within(new: Array, columns: Array) -> int:
+    """Rows by which most of an answer has come."""
+    size = np.square(columns.T @ new) / np.maximum(np.square(columns).sum(0), 1e-300)
+    return int(np.searchsorted(np.cumsum(size), _MOST_OF_IT * size.sum())) + 1
+
+
+def _knowledge(
+    regression: Regression, ways: Sequence[Direction], driven: Array, known: Sequence[int], series: Series
+) -> tuple[Answer, ...]:
+    rows = max(2, min(_KNOWN, round(_KNOWN_S / regression.dt)))
+    live = signals.late(series, rows + 1)
+    found = []
+    for j, way in enumerate(ways):
+        columns = signals.lagged(driven[:, [j]], series, range(rows + 1))[live]
+        for channel in way.channels:
+            i = known.index(channel)
+            fitted = signals.basis_of(regression.fitted_columns(i)[live])
+            chance, share = signals.score_test(regression.white[i][live], columns, fitted)
+            found.append((way.name, regression.physics.names[channel], share, chance, 0))
+    return _judged(found, regression.dt)
+
+
+def _kinematics(
+    regression: Regression, ways: Sequence[Direction], driven: Array, series: Series
+) -> tuple[Answer, ...]:
+    physics = regression.physics
+    kinematic = physics.kinematic(physics.residual(regression.theta), regression.rows)
+    kinematic = signals.spread_out(regression, regression.single.summed(kinematic, regression.box))
+    size = np.sqrt(np.square(kinematic).mean(0))
+    kinematic = kinematic[:, size > 0] / size[size > 0]
+    live = signals.late(series, _OWN)
+    if not kinematic.shape[1]:
+        return ()
+    x = np.asarray(physics.steps.seen0)
+    x = signals.spread_out(regression, x[_first_of_box(regression)])
+    past = np.concatenate((kinematic, regression.white.T), 1)
+    before = [np.ones((len(series), 1)), signals.lagged(x - x.mean(0), series, range(_STATES))]
+    for fade in _FADING:
+        held = np.zeros_like(past)
+        for a, b in series.edges:
+            held[a:b] = lfilter([1.0], [1.0, -fade], past[a:b], axis=0)
+        before.append(signals.lagged(held, series, (1,)))
+    before.append(signals.lagged(driven, series, range(1, _STATES + 1)))
+    basis = signals.basis_of(np.concatenate(before, 1)[live])
+    found = []
+    for j, way in enumerate(ways):
+        for i in range(kinematic.shape[1]):
+            chance, share = signals.score_test(kinematic[live, i], driven[live][:, [j]], basis)
+            found.append((way.name, f"kinematics {i + 1}", share, chance, 0))
+    return _judged(found, regression.dt)
+
+
+def _first_of_box(regression: Regression) -> NDArray[np.int64]:
+    """Row of the steps at which each box begins."""
+    parts = [a + np.arange((b - a) // regression.box) * regression.box for a, b in regression.single.edges]
+    return np.concatenate(parts)
+
+
+def _new(
+    regression: Regression, ways: Sequence[Direction], driven: Array, series: Series
+) -> dict[str, float]:
+    """Share of each direction's variance that logged states of now and just before do not foretell."""
+    system = regression.physics.vector.system
+    x = np.asarray(regression.physics.steps.seen0)[_first_of_box(regression)]
+    x = signals.spread_out(regression, (x - x.mean(0)) / np.maximum(x.std(0), 1e-12))
+    live = signals.late(series, _STATES + 1)
+    columns = [np.ones((len(series), 1)), signals.lagged(x, series, range(_STATES))]
+    pairs = system.nx * (system.nx + 1) // 2
+    if 20 * pairs < len(series):
+        columns.append(np.stack([x[:, i] * x[:, k] for i in range(system.nx) for k in range(i + 1)], 1))
+    basis = signals.basis_of(np.concatenate(columns, 1)[live])
+    values = driven[live] - driven[live].mean(0)
+    left = np.square(signals.without(values, basis)).sum(0)
+    return {
+        way.name: float(a / b) if b > 0 else 0.0
+        for way, a, b in zip(ways, left, np.square(values).sum(0), strict=True)
+    }
+
+
+def _judged(found: Sequence[tuple[str, str, float, float, int]], dt: float) -> tuple[Answer, ...]:
+    chances = signals.holm([chance for *_, chance, _ in found])
+    rows = zip(found, chances, strict=True)
+    return tuple(Answer(a, b, share, chance, dt * within) for (a, b, share, _, within), chance in rows)

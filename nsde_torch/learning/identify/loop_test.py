@@ -31,6 +31,7 @@ from scipy.signal import lfilter
 from nsde_torch.data import Run
 from nsde_torch.learning.identify import signals
 from nsde_torch.learning.identify.identify import ITERATIONS, Regression, regression_of
+from nsde_torch.learning.identify.loop_words import NO_INPUT, sentences
 from nsde_torch.learning.identify.noise import extended
 from nsde_torch.learning.identify.series import Series
 from nsde_torch.learning.identify.signals import Direction
@@ -111,8 +112,6 @@ class LoopTest:
     @property
     def findings(self) -> list[str]:
         """What was found, and what follows from it, in words."""
-        from nsde_torch.learning.identify.loop_words import sentences
-
         return sentences(self)
 
     def as_dict(self) -> dict[str, Any]:
@@ -146,7 +145,7 @@ def feedback_summary(system: System, runs: Sequence[Run], clock: float = 1.0) ->
     moving = np.concatenate([run.u[:, : system.nu] for run in runs]).std(0) if runs else np.zeros(0)
     still = tuple(n for n, s in zip(system.input_names, moving, strict=True) if not s > 0)
     if len(still) == system.nu:
-        return LoopTest(still=still, why_not="no input moves")
+        return LoopTest(still=still, why_not=NO_INPUT)
     if not any(True for _ in system.declared_parameters()) and not len(system.effects):
         return LoopTest(still=still, why_not="no physics is declared")
     regression = regression_of(system, runs, clock=clock)
@@ -161,6 +160,8 @@ def loop_test(regression: Regression, *, still: Sequence[str] = ()) -> LoopTest:
         regression: Where its iteration has settled.
         still: Names of inputs that never move.
     """
+    if len(still) == regression.physics.vector.system.nu:
+        return LoopTest(still=tuple(still), why_not=NO_INPUT)
     ways = signals.directions(regression)
     series = extended(regression.series)
     if not ways:

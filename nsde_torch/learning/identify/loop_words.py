@@ -10,6 +10,7 @@ if TYPE_CHECKING:
     from nsde_torch.learning.identify.instruments import Instrumented
     from nsde_torch.learning.identify.loop_test import Answer, LoopTest
 
+NO_INPUT = "no input moves"
 _SHOWN = 3  # answers that a sentence names
 
 
@@ -17,6 +18,8 @@ def sentences(found: "LoopTest") -> list[str]:
     """One sentence per finding; the first says whether the loop is closed."""
     from nsde_torch.learning.identify.loop_test import ALPHA
 
+    if found.why_not == NO_INPUT:
+        return [f"{NO_INPUT}, so that there is no loop to test"]
     out = [f"input {name} never moves: the data say nothing of what it does" for name in found.still]
     if found.why_not:
         return [*out, f"feedback was not tested: {found.why_not}"]

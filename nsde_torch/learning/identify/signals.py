@@ -166,7 +166,7 @@ def directions(regression: Regression) -> list[Direction]:
             known = out[same[0]]
             out[same[0]] = Direction(known.name, known.weights, (*known.channels, int(channel)))
             continue
-        name = system.input_names[0] if system.nu == 1 else f"what drives {physics.names[channel]}"
+        name = system.input_names[0] if system.nu == 1 else f"the input of {physics.names[channel]}"
         out.append(Direction(name, weights, (int(channel),)))
     return out
 

@@ -10,17 +10,20 @@ actuator has no lag, a lag of 40 ms that is declared, or the same lag undeclared
     sticks             the same with the logged stick as an instrument; how often its estimate is printed
     others             a stick that answers the machine has to be refused, one that moves nothing must not be used
 
-    python -m benchmarks.bench_feedback --seeds 30
+    python benchmarks/bench_feedback.py --seeds 30
 """
 
 import argparse
 import json
+import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import torch
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from nsde_torch.data import Run
 from nsde_torch.learning.identify.in_loop import adopted, identify_in_loop

@@ -35,6 +35,7 @@ from nsde_torch.learning.identify import signals
 from nsde_torch.learning.identify.identify import Regression
 from nsde_torch.learning.identify.loop_test import ALPHA, own_innovations
 from nsde_torch.learning.identify.noise import extended
+from nsde_torch.learning.identify.series import Series
 from nsde_torch.learning.identify.spread import Spread
 from nsde_torch.systems import System
 
@@ -42,7 +43,8 @@ Array = NDArray[np.float64]
 
 _WEAK = 10.0
 _SURE = 0.05  # chance below which two estimates differ
-_LAGS_S = (0.03, 0.1, 0.3, 1.0)  # time constants of what the first stage knows of the past
+_ROWS = (-1, 0, 1, 2)  # rows before that the first stage knows: sticks move between rows too
+_LAGS_S = (0.03, 0.1, 0.3, 1.0)  # time constants of what it knows of the past
 _FOLDS = 5
 _ROUNDS, _SETTLED = 10, 0.02  # standard errors
 _BINS = (1, 2, 3, 4, 6, 9, 14, 21, 31, 46)  # rows after a disturbance between which an answer is summed up
@@ -67,6 +69,8 @@ class Instrumented:
         ordinary: Ordinary estimates (k,).
         difference: Chance of so large a difference from the ordinary estimate (k,), adjusted (Holm); 1 where not moved.
         unexplained: Chance that declared physics explains all that the instruments do (Sargan).
+        misfit: Its statistic.
+        between_rows: Whether inputs were taken to move between rows of the log, and not to be held.
     """
 
     names: tuple[str, ...]
@@ -80,6 +84,8 @@ class Instrumented:
     ordinary: Array
     difference: Array
     unexplained: float
+    misfit: float = 0.0
+    between_rows: bool = False
 
     @property
     def differs(self) -> bool:
@@ -97,6 +103,7 @@ class Instrumented:
         return {
             "used": list(self.names),
             "refused": dict(self.refused),
+            "inputs_move_between_rows": self.between_rows,
             "explains_all_that_they_do_chance": self.unexplained,
             "estimates": {
                 label: {
@@ -176,19 +183,33 @@ def exogenous(regression: Regression, names: Sequence[str]) -> dict[str, str]:
     return out
 
 
-def instrumental(regression: Regression, names: Sequence[str]) -> Instrumented:
+def between(runs: Sequence[Run], nu: int) -> list[Run]:
+    """Runs whose first `nu` inputs are the mean of each row and the next: what acted, if they move between rows."""
+    out = []
+    for run in runs:
+        u = run.u.copy()
+        u[:-1, :nu] = 0.5 * (run.u[:-1, :nu] + run.u[1:, :nu])
+        out.append(replace(run, u=u))
+    return out
+
+
+def instrumental(
+    regression: Regression, names: Sequence[str], *, ordinary: Regression | None = None
+) -> Instrumented:
     """Estimate by instruments.
 
     Args:
-        regression: The ordinary regression, settled, of a system that reads the columns (`with_columns`).
+        regression: A regression that has settled, of a system that reads the columns (`with_columns`).
         names: Instruments.
+        ordinary: The regression whose estimates are the ordinary ones; None takes the same.
     """
-    labels, start = tuple(regression.vector.labels), regression.theta
+    usual = regression if ordinary is None else ordinary
+    labels, start = tuple(usual.vector.labels), usual.theta
     refused = exogenous(regression, names)
     used = [n for n in names if n not in refused]
-    known = np.flatnonzero(regression.shown.known)
-    sure = regression.spread()
-    basis = regression.shown.basis
+    known = np.flatnonzero(regression.shown.known & usual.shown.known)
+    sure = usual.spread()
+    basis = usual.shown.basis
     plain = Instrumented(
         tuple(used), refused, labels, start, basis @ sure.covariance @ basis.T, sure.degrees(basis),
         np.full(len(labels), np.nan), np.zeros(len(labels), dtype=bool), start, np.ones(len(labels)), 1.0,
@@ -199,7 +220,7 @@ def instrumental(regression: Regression, names: Sequence[str]) -> Instrumented:
     here, chosen, strength = regression, list(range(len(known))), np.zeros(len(known))
     for turn in range(_ROUNDS):
         stage = _Stage(here, features, known)
-        if turn < 3:  # then the choice stands, so that theta can settle
+        if turn < 2:  # then the choice stands, so that theta can settle
             chosen, strength = stage.choose()
         if not chosen:
             return replace(plain, strength=_placed(strength, known, len(labels)))
@@ -209,7 +230,7 @@ def instrumental(regression: Regression, names: Sequence[str]) -> Instrumented:
         moved = here.vector.inside(theta) - here.theta
         here = here.at(here.theta + moved)
         small = np.abs(moved[known]) <= _SETTLED * np.sqrt(np.diag(stage.spread(chosen).covariance))
-        if turn >= 3 and small.all():
+        if turn >= 1 and small.all():
             break
     stage = _Stage(here, features, known)
     spread = stage.spread(chosen)
@@ -225,6 +246,7 @@ def instrumental(regression: Regression, names: Sequence[str]) -> Instrumented:
     chances = 2.0 * student.sf(ratio, spread.degrees(np.eye(len(known))).clip(1.0))
     difference = np.ones(len(labels))
     difference[known[chosen]] = signals.holm(chances[chosen].tolist())
+    unexplained, misfit = stage.sargan(chosen)
     return replace(
         plain,
         values=here.theta,
@@ -233,7 +255,8 @@ def instrumental(regression: Regression, names: Sequence[str]) -> Instrumented:
         strength=_placed(strength, known, len(labels)),
         moved=moved_by,
         difference=difference,
-        unexplained=stage.sargan(chosen),
+        unexplained=unexplained,
+        misfit=misfit,
     )
 
 
@@ -321,8 +344,8 @@ class _Stage:
         back = np.linalg.pinv(whole)
         return Spread(parts.T @ parts, parts, back @ w @ back.T)
 
-    def sargan(self, chosen: Sequence[int]) -> float:
-        """Chance that the moments of all instruments are as far from zero as they are by chance."""
+    def sargan(self, chosen: Sequence[int]) -> tuple[float, float]:
+        """Chance of moments as far from zero as these if nothing is missing, and the statistic."""
         bases = [signals.basis_of(z) for z in self.z]
         h = self.slopes.copy()
         for i, z in enumerate(bases):
@@ -335,9 +358,10 @@ class _Stage:
         values, vectors = np.linalg.eigh(moments.T @ moments)
         free = len(values) - len(chosen)
         if free < 1:
-            return 1.0
+            return 1.0, 0.0
         score = (moments.sum(0) @ vectors)[-free:]
-        return float(chi2.sf(np.square(score) @ (1.0 / values[-free:]), free))
+        statistic = float(np.square(score) @ (1.0 / values[-free:]))
+        return float(chi2.sf(statistic, free)), statistic
 
 
 def _columns(regression: Regression, names: Sequence[str]) -> Array:
@@ -355,7 +379,7 @@ def _features(regression: Regression, names: Sequence[str]) -> Array:
     """What the first stage knows (boxes, n): a constant, instruments of now and, fading, of before."""
     z = _boxes(regression, names)
     z = (z - z.mean(0)) / np.maximum(z.std(0), 1e-300)
-    parts = [np.ones((len(z), 1)), z]
+    parts = [np.ones((len(z), 1)), *(_moved(z, regression.series, rows) for rows in _ROWS)]
     for lag in _LAGS_S:
         fade = float(np.exp(-regression.dt / lag))
         held = np.zeros_like(z)
@@ -363,6 +387,14 @@ def _features(regression: Regression, names: Sequence[str]) -> Array:
             held[a:b] = lfilter([1.0 - fade], [1.0, -fade], z[a:b], axis=0)
         parts.append(held)
     return np.concatenate(parts, 1)
+
+
+def _moved(values: Array, series: Series, rows: int) -> Array:
+    """Columns of so many rows before; at the ends of stretches the first or last row stands."""
+    out = np.empty_like(values)
+    for a, b in series.edges:
+        out[a:b] = values[np.clip(np.arange(a, b) - rows, a, b - 1)]
+    return out
 
 
 def _placed(values: Array, known: NDArray[np.int64], k: int) -> Array:

@@ -10,9 +10,6 @@ noise and the past do not foretell), and v_k those of the inputs (against their 
   (a faster rate, other sensors), or the inputs act in a way that is not declared (a lag, a delay): from second
   moments of inputs and states alone the two cannot be told apart, because the same spectra are had with a controller
   that acts on the log and another response (Ljung, System Identification, 1999, section 13.4).
-- kinematics: residuals of kinematic channels (attitude against rates, position against velocity), which no physics of
-  the inputs can move, on u_k given all that the log knew at k. What is left says that the input knew errors of the
-  sensors of the log: it was made from other ones, or from the same ones at another time.
 - new: the share of the inputs that neither the logged states nor the inputs' own past foretell. Where it is nothing,
   the inputs are a function of the state, and gains rest on what was assumed of the noise (Soderstrom, Gustavsson and
   Ljung, International Journal of Control 21 (1975)).
@@ -26,7 +23,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.signal import lfilter
 
 from nsde_torch.data import Run
 from nsde_torch.learning.identify import signals
@@ -43,7 +39,6 @@ ALPHA = 0.01  # chance of a finding where there is none, for each of the tests
 _ANSWER_S, _ANSWERS = 0.2, 20  # how long after a disturbance an answer is looked for [s], [rows]
 _KNOWN_S, _KNOWN = 0.08, 8  # how long before a disturbance an input may have known of it
 _OWN = 10  # order of the inputs' own past
-_FADING = (0.0, 0.5, 0.8, 0.9, 0.95)
 _STATES = 3  # rows of states that an input may be a function of
 _NEW = 1e-3  # share of an input's variance below which it is a function of the state
 _FEWEST = 400  # rows
@@ -76,7 +71,6 @@ class LoopTest:
     Args:
         answers: Inputs on what the physics left unexplained before.
         knowledge: Innovations on the inputs at and before their step.
-        kinematics: Residuals of kinematics on the inputs at their step.
         new: Share of the inputs that logged states and past do not foretell, by direction.
         still: Names of inputs that never move.
         why_not: Why nothing was tested; empty where it was.
@@ -84,7 +78,6 @@ class LoopTest:
 
     answers: tuple[Answer, ...] = ()
     knowledge: tuple[Answer, ...] = ()
-    kinematics: tuple[Answer, ...] = ()
     new: dict[str, float] = field(default_factory=dict)
     still: tuple[str, ...] = ()
     why_not: str = ""
@@ -98,11 +91,6 @@ class LoopTest:
     def foretold(self) -> bool:
         """Whether inputs foretell innovations: a controller that saw more, or an undeclared lag, delay or law."""
         return any(a.chance < ALPHA for a in self.knowledge)
-
-    @property
-    def saw_more(self) -> bool:
-        """Whether inputs foretell what only sensors tell: the controller had other ones, or the log's are late."""
-        return any(a.chance < ALPHA for a in self.kinematics)
 
     @property
     def functions_of_state(self) -> tuple[str, ...]:
@@ -119,12 +107,10 @@ class LoopTest:
         return {
             "closed_loop": self.closed,
             "inputs_foretell_innovations": self.foretold,
-            "controller_saw_more_than_the_log": self.saw_more,
             "functions_of_the_logged_state": list(self.functions_of_state),
             "inputs_that_never_move": list(self.still),
             "answers": [asdict(a) for a in self.answers],
             "knowledge": [asdict(a) for a in self.knowledge],
-            "kinematics": [asdict(a) for a in self.kinematics],
             "new_share_of_inputs": dict(self.new),
             "not_tested": self.why_not,
             "findings": self.findings,
@@ -142,7 +128,7 @@ def feedback_summary(system: System, runs: Sequence[Run], clock: float = 1.0) ->
     Returns:
         What was found; `why_not` says where nothing could be tested.
     """
-    moving = np.concatenate([run.u[:, : system.nu] for run in runs]).std(0) if runs else np.zeros(0)
+    moving = np.ptp(np.concatenate([run.u[:, : system.nu] for run in runs]), axis=0) if runs else np.zeros(0)
     still = tuple(n for n, s in zip(system.input_names, moving, strict=True) if not s > 0)
     if len(still) == system.nu:
         return LoopTest(still=still, why_not=NO_INPUT)
@@ -176,7 +162,6 @@ def loop_test(regression: Regression, *, still: Sequence[str] = ()) -> LoopTest:
     return LoopTest(
         answers=_answers(regression, ways, driven, signals.principal(u), series),
         knowledge=_knowledge(regression, ways, driven, known, series),
-        kinematics=_kinematics(regression, ways, driven, series),
         new=_new(regression, ways, driven, series),
         still=tuple(still),
     )
@@ -232,36 +217,6 @@ def _knowledge(
             fitted = signals.basis_of(regression.fitted_columns(i)[live])
             chance, share = signals.score_test(regression.white[i][live], columns, fitted)
             found.append((way.name, regression.physics.names[channel], share, chance, 0))
-    return _judged(found, regression.dt)
-
-
-def _kinematics(
-    regression: Regression, ways: Sequence[Direction], driven: Array, series: Series
-) -> tuple[Answer, ...]:
-    physics = regression.physics
-    kinematic = physics.kinematic(physics.residual(regression.theta), regression.rows)
-    kinematic = signals.spread_out(regression, regression.single.summed(kinematic, regression.box))
-    size = np.sqrt(np.square(kinematic).mean(0))
-    kinematic = kinematic[:, size > 0] / size[size > 0]
-    live = signals.late(series, _OWN)
-    if not kinematic.shape[1]:
-        return ()
-    x = np.asarray(physics.steps.seen0)
-    x = signals.spread_out(regression, x[_first_of_box(regression)])
-    past = np.concatenate((kinematic, regression.white.T), 1)
-    before = [np.ones((len(series), 1)), signals.lagged(x - x.mean(0), series, range(_STATES))]
-    for fade in _FADING:
-        held = np.zeros_like(past)
-        for a, b in series.edges:
-            held[a:b] = lfilter([1.0], [1.0, -fade], past[a:b], axis=0)
-        before.append(signals.lagged(held, series, (1,)))
-    before.append(signals.lagged(driven, series, range(1, _STATES + 1)))
-    basis = signals.basis_of(np.concatenate(before, 1)[live])
-    found = []
-    for j, way in enumerate(ways):
-        for i in range(kinematic.shape[1]):
-            chance, share = signals.score_test(kinematic[live, i], driven[live][:, [j]], basis)
-            found.append((way.name, f"kinematics {i + 1}", share, chance, 0))
     return _judged(found, regression.dt)
 
 

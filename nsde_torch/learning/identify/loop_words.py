@@ -11,6 +11,15 @@ if TYPE_CHECKING:
     from nsde_torch.learning.identify.loop_test import Answer, LoopTest
 
 NO_INPUT = "no input moves"
+_CLOSED = (
+    "either the controller saw more than was logged (a faster rate, other sensors) or the inputs act in a way that is "
+    "not declared (a lag, a delay). Gains are biased in both cases. Declare the lag (system.effects=[...]) and see "
+    "whether this remains; signals from outside the loop (data.instruments=[...]) tell the two apart"
+)
+_OPEN = (
+    "as the loop is open, the inputs act in a way that is not declared (a lag, a delay), and gains are biased. "
+    "`nsde diagnose` names what is missing"
+)
 _SHOWN = 3  # answers that a sentence names
 
 
@@ -44,21 +53,10 @@ def sentences(found: "LoopTest") -> list[str]:
         told = "; ".join(
             f"{a.input} foretells {a.share:.1%} of what is new in {a.channel}" for a in foretold[:_SHOWN]
         )
-        out.append(
-            f"inputs know what the log does not: {told}; either the controller saw more than was logged (a faster "
-            "rate, other sensors) or the inputs act in a way that is not declared (a lag, a delay). Gains are biased "
-            "in both cases. Declare the lag (system.effects=[...]) and see whether this remains; signals from outside "
-            "the loop (data.instruments=[...]) tell the two apart"
-        )
+        out.append(f"inputs know what the log does not: {told}; {_CLOSED if found.closed else _OPEN}")
     elif found.closed:
         out.append(
             "inputs know nothing that the log does not: one-step estimates are right under this feedback"
-        )
-    if found.saw_more:
-        told = "; ".join(f"{a.input} ({a.channel})" for a in _surely(found.kinematics, ALPHA)[:_SHOWN])
-        out.append(
-            f"the controller saw more than the log holds, or the log's sensors are late: inputs foretell errors of "
-            f"sensors that no physics of the inputs moves: {told}"
         )
     for name in found.functions_of_state:
         out.append(
@@ -78,6 +76,10 @@ def of_instruments(found: "Instrumented", adopted: bool) -> list[str]:
     if not found.names:
         return out
     names = ", ".join(found.names)
+    if found.between_rows:
+        out.append(
+            "what the instruments do is explained with inputs that move between the rows of the log, not held"
+        )
     moved = [n for n, m in zip(found.labels, found.moved, strict=True) if m]
     if not moved:
         return [
@@ -95,6 +97,11 @@ def of_instruments(found: "Instrumented", adopted: bool) -> list[str]:
         )
     else:
         out.append(f"by the instruments ({names}) no estimate surely differs from the ordinary one")
+    if adopted and found.unexplained >= 0.01 and apart:
+        out.append(
+            "the declared physics explains all that the instruments do: what bends ordinary estimates is a controller "
+            "that saw more than the log"
+        )
     if found.unexplained < 0.01:
         out.append(
             "the declared physics does not explain all that the instruments do "
@@ -111,15 +118,34 @@ def of_instruments(found: "Instrumented", adopted: bool) -> list[str]:
 
 
 def widened(
-    labels: Sequence[str], doubt: "NDArray[np.float64] | None", errors: "NDArray[np.float64]"
+    labels: Sequence[str],
+    doubt: "NDArray[np.float64] | None",
+    errors: "NDArray[np.float64]",
+    moved: "NDArray[np.bool_] | None",
 ) -> list[str]:
-    """Which intervals hold what feedback may have done, and why."""
+    """Which intervals are widened by what the data cannot tell, and why.
+
+    Args:
+        labels: Names of the parameters.
+        doubt: By how much their half-widths are widened.
+        errors: Standard errors.
+        moved: Parameters that are printed by instruments; None for none.
+    """
     if doubt is None:
         return []
-    wide = [n for n, d, e in zip(labels, doubt, errors, strict=True) if e == e and d > e]
-    if not wide:
-        return []
-    return [
-        f"intervals of {', '.join(wide)} are widened by what feedback may hide: inputs may know 1.5 times as much of a "
-        "step as they are seen to know of later ones; no data without signals from outside the loop can say more"
-    ]
+    wide = [i for i in range(len(labels)) if errors[i] == errors[i] and doubt[i] > 0.5 * errors[i]]
+    by = [labels[i] for i in wide if moved is not None and moved[i]]
+    rest = [labels[i] for i in wide if moved is None or not moved[i]]
+    out = []
+    if by:
+        out.append(
+            f"intervals of {', '.join(by)} are widened: the data do not tell whether inputs are held between rows of "
+            "the log or move there; log faster"
+        )
+    if rest:
+        out.append(
+            f"intervals of {', '.join(rest)} are widened by what feedback may hide: inputs may know 1.5 times as much "
+            "of a step as they are seen to know of later ones; no data without signals from outside the loop can say "
+            "more"
+        )
+    return out

@@ -115,9 +115,12 @@ class Identification:
         from nsde_torch.learning.identify.loop_words import of_instruments, widened
 
         out = [] if self.loop is None else self.loop.findings
+        moved = None
         if self.instrumented is not None and self.loop is not None:
-            out += of_instruments(self.instrumented, adopted(self.instrumented, self.loop))
-        return [*out, *widened(self.vector.labels, self.doubt, self.standard_errors)]
+            printed = adopted(self.instrumented, self.loop)
+            moved = self.instrumented.moved if printed else None
+            out += of_instruments(self.instrumented, printed)
+        return [*out, *widened(self.vector.labels, self.doubt, self.standard_errors, moved)]
 
     @property
     def findings(self) -> list[str]:

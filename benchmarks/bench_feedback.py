@@ -11,6 +11,11 @@ actuator has no lag, a lag of 40 ms that is declared, or the same lag undeclared
     others             a stick that answers the machine has to be refused, one that moves nothing must not be used
 
     python benchmarks/bench_feedback.py --seeds 30
+
+With --hexacopter: three flights of 45 s for each seed of a hexacopter with motor lag, drag and gusts, flown by sticks
+through an attitude controller (benchmarks/hexacopter_loops.py), true effects declared; means over gains and lag.
+
+    python benchmarks/bench_feedback.py --hexacopter --seeds 5
 """
 
 import argparse
@@ -22,12 +27,15 @@ from typing import Any
 
 import numpy as np
 import torch
+from hexacopter_loops import STICKS, TRUTH
+from hexacopter_loops import fly as fly_hexacopters
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from nsde_torch.data import Run
 from nsde_torch.learning.identify.in_loop import adopted, identify_in_loop
 from nsde_torch.learning.identify.result import Identification
+from nsde_torch.systems import make_system
 from tests.helpers.rate_loops import CONTROLLERS, GAIN, RateLoop, fly
 
 LAGS = {"none": (False, False), "declared": (True, True), "undeclared": (True, False)}
@@ -41,10 +49,14 @@ def main() -> None:
     )
     parser.add_argument("--seeds", type=int, default=30)
     parser.add_argument("--first-seed", type=int, default=0)
+    parser.add_argument("--hexacopter", action="store_true", help="three axes instead of one")
     parser.add_argument("--out", type=Path, default=Path("bench_feedback.json"))
     a = parser.parse_args()
     torch.set_num_threads(1)
     seeds = range(a.first_seed, a.first_seed + a.seeds)
+    if a.hexacopter:
+        a.out.write_text(json.dumps([hexacopters(c, seeds) for c in CONTROLLERS[:3]], indent=1))
+        return
     rows: list[dict[str, Any]] = []
     print(
         "controller lag        | closed foretold |  gain bias%  +-  holds | sticks: gain bias%  +-  holds printed"
@@ -81,6 +93,43 @@ def case(controller: str, seeds: range, lag: bool, told: bool) -> dict[str, Any]
         "sticks": figures(sticks),
         "printed": float(np.mean([by_instruments(found) for found in sticks])),
     }
+
+
+def hexacopters(controller: str, seeds: range) -> dict[str, Any]:
+    """Figures of the gains and the lag of hexacopters, printed and returned."""
+    system = make_system("hexacopter", effects=["linear_drag", "motor_lag"])
+    rows: dict[str, list[tuple[float, float, float, bool, bool]]] = {name: [] for name in TRUTH}
+    told = []
+    for runs in fly_hexacopters(controller, seeds=seeds):
+        plain, found = (identify_in_loop(system, runs, instruments=names) for names in ((), STICKS))
+        assert found.instrumented is not None
+        assert found.loop is not None
+        told.append((found.loop.closed, found.loop.foretold, adopted(found.instrumented, found.loop)))
+        for name, true in TRUTH.items():
+            j = found.vector.labels.index(name)
+            rows[name].append(
+                (
+                    plain.values[j] / true - 1,
+                    found.values[j] / true - 1,
+                    found.half_widths(LEVEL)[j] / true,
+                    bool(abs(plain.values[j] - true) <= plain.half_widths(LEVEL)[j]),
+                    bool(abs(found.values[j] - true) <= found.half_widths(LEVEL)[j]),
+                )
+            )
+    closed, foretold, printed = np.mean(told, axis=0)
+    print(f"{controller}: closed {closed:.0%}, foretold {foretold:.0%}, by instruments {printed:.0%}")
+    print("                          bias without, holds | with sticks: bias, +-, holds")
+    out: dict[str, Any] = {
+        "controller": controller,
+        "closed": closed,
+        "foretold": foretold,
+        "printed": printed,
+    }
+    for name, of_seeds in rows.items():
+        a, b, half, holds_a, holds_b = (float(v) for v in np.mean(of_seeds, axis=0))
+        print(f"{name:25s} {a:+11.1%} {holds_a:7.0%} | {b:+13.1%} {half:6.1%} {holds_b:6.0%}", flush=True)
+        out[name] = {"without": [a, holds_a], "sticks": [b, half, holds_b]}
+    return out
 
 
 def figures(found: Sequence[Identification]) -> dict[str, float]:

@@ -293,8 +293,10 @@ class _Stage:
 
     def choose(self) -> tuple[list[int], Array]:
         """Parameters that the instruments move, the weakest left out one after another, and F of all (k,)."""
-        chosen = list(range(self.slopes.shape[2]))
-        strength = np.zeros(len(chosen))
+        k = self.slopes.shape[2]
+        # one at a time first: the weak ones would make others look weak
+        strength = np.array([self._strength(self.used([j]), j) for j in range(k)])
+        chosen = [j for j in range(k) if strength[j] >= _WEAK]
         while chosen:
             h = self.used(chosen)
             for j in chosen:

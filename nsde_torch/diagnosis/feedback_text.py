@@ -6,7 +6,7 @@ from typing import Any
 
 from nsde_torch.data import Run
 from nsde_torch.learning.identify.identify import Regression
-from nsde_torch.learning.identify.in_loop import tested
+from nsde_torch.learning.identify.loop_test import tested
 
 
 def feedback_content(regression: Regression, runs: Sequence[Run]) -> dict[str, Any]:

@@ -1,5 +1,6 @@
 """One training from data to run directory: fit, calibrate, score on held-out runs, write what was learned."""
 
+import copy
 import json
 import math
 import time
@@ -19,6 +20,7 @@ from nsde_torch.learning.calibration import Coverage, extrapolate, widen
 from nsde_torch.learning.fit_ensemble import fit_ensemble
 from nsde_torch.learning.fit_sde import fit_sde
 from nsde_torch.learning.fit_sysid import fit_sysid
+from nsde_torch.learning.identify.in_loop import identify_in_loop
 from nsde_torch.learning.identify.loop_test import feedback_summary
 from nsde_torch.learning.metrics import evaluate, horizons_of
 from nsde_torch.learning.options import LossOptions, TrainerOptions
@@ -184,10 +186,18 @@ class Training:
         """What the training runs say of the loop that they were recorded in."""
         if not isinstance(model, NeuralSDE) or not model.spec.physics:
             return {}
-        found = feedback_summary(model.system, self.split.train, float(model.clock_scale))
-        for sentence in found.findings:
+        system, clock = copy.deepcopy(model.system).cpu(), float(model.clock_scale)
+        if not self.instruments:
+            found = feedback_summary(system, self.split.train, clock)
+            told, out = found.findings, {"feedback": found.as_dict()}
+        else:
+            known = identify_in_loop(system, self.split.train, clock=clock, instruments=self.instruments)
+            told, out = known.of_the_loop, {"identification_in_loop": known.as_dict()}
+            if known.loop is not None:
+                out["feedback"] = known.loop.as_dict()
+        for sentence in told:
             self.say(f"feedback: {sentence}")
-        return {"feedback": found.as_dict()}
+        return out
 
     def _calibrate(self, model: Model) -> dict[str, Any]:
         stochastic = isinstance(model, NeuralSDE) and not model.step.deterministic

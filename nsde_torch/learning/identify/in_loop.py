@@ -25,11 +25,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nsde_torch.data import Run
-from nsde_torch.data.smoothing import smoothing_width
 from nsde_torch.errors import ConfigError
 from nsde_torch.learning.identify.identify import ITERATIONS, Regression, identification, regression_of
 from nsde_torch.learning.identify.instruments import Instrumented, between, instrumental, with_columns
-from nsde_torch.learning.identify.loop_test import ALPHA, LoopTest, loop_test
+from nsde_torch.learning.identify.loop_test import ALPHA, LoopTest, tested
 from nsde_torch.learning.identify.result import Identification
 from nsde_torch.systems import System
 
@@ -125,17 +124,6 @@ def _by_instruments(
     better = other.misfit - held.misfit
     apart = np.abs(held.values - other.values) if abs(better) < _TOLD else sure
     return (held if better >= 0 else other), apart
-
-
-def tested(regression: Regression, runs: Sequence[Run]) -> LoopTest:
-    """Test of the loop, or why there is none."""
-    nu = regression.physics.vector.system.nu
-    width = smoothing_width(runs, nu)
-    if width > 0:
-        return LoopTest(why_not=f"the inputs were smoothed over {width:.2g} s and know the future")
-    moving = np.ptp(np.concatenate([run.u[:, :nu] for run in runs]), axis=0)
-    names = regression.physics.vector.system.input_names
-    return loop_test(regression, still=[n for n, s in zip(names, moving, strict=True) if not s > 0])
 
 
 def adopted(instrumented: Instrumented, loop: LoopTest) -> bool:

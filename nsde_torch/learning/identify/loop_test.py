@@ -25,6 +25,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nsde_torch.data import Run
+from nsde_torch.data.smoothing import smoothing_width
+from nsde_torch.errors import ConfigError, DataError, NonFiniteError
 from nsde_torch.learning.identify import signals
 from nsde_torch.learning.identify.identify import ITERATIONS, Regression, regression_of
 from nsde_torch.learning.identify.loop_words import NO_INPUT, sentences
@@ -128,15 +130,37 @@ def feedback_summary(system: System, runs: Sequence[Run], clock: float = 1.0) ->
     Returns:
         What was found; `why_not` says where nothing could be tested.
     """
-    moving = np.ptp(np.concatenate([run.u[:, : system.nu] for run in runs]), axis=0) if runs else np.zeros(0)
-    still = tuple(n for n, s in zip(system.input_names, moving, strict=True) if not s > 0)
-    if len(still) == system.nu:
-        return LoopTest(still=still, why_not=NO_INPUT)
-    if not any(True for _ in system.declared_parameters()) and not len(system.effects):
-        return LoopTest(still=still, why_not="no physics is declared")
-    regression = regression_of(system, runs, clock=clock)
-    regression.run(ITERATIONS)
-    return loop_test(regression, still=still)
+    if not runs:
+        return LoopTest(why_not="there is no run")
+    why = _smoothed(runs, system.nu)
+    if why:
+        return LoopTest(why_not=why)
+    if len(still_inputs(runs, system)) == system.nu:
+        return LoopTest(still=tuple(system.input_names), why_not=NO_INPUT)
+    try:
+        regression = regression_of(system, runs, clock=clock)
+        regression.run(ITERATIONS)
+    except (ConfigError, DataError, NonFiniteError) as error:
+        return LoopTest(why_not=str(error).rstrip("."))
+    return tested(regression, runs)
+
+
+def tested(regression: Regression, runs: Sequence[Run]) -> LoopTest:
+    """The test by a regression of runs that has settled, or why there is none."""
+    system = regression.physics.vector.system
+    why = _smoothed(runs, system.nu)
+    return LoopTest(why_not=why) if why else loop_test(regression, still=still_inputs(runs, system))
+
+
+def still_inputs(runs: Sequence[Run], system: System) -> tuple[str, ...]:
+    """Names of inputs that never move."""
+    moving = np.ptp(np.concatenate([run.u[:, : system.nu] for run in runs]), axis=0)
+    return tuple(name for name, size in zip(system.input_names, moving, strict=True) if not size > 0)
+
+
+def _smoothed(runs: Sequence[Run], nu: int) -> str:
+    width = smoothing_width(runs, nu)
+    return f"the inputs were smoothed over {width:.2g} s and know the future" if width > 0 else ""
 
 
 def loop_test(regression: Regression, *, still: Sequence[str] = ()) -> LoopTest:

@@ -42,6 +42,7 @@ from nsde_torch.systems import System
 Array = NDArray[np.float64]
 
 _WEAK = 10.0
+MISSING = 1e-3  # chance below which instruments show that an effect is missing
 _SURE = 0.05  # chance below which two estimates differ
 _ROWS = (-1, 0, 1, 2)  # rows before that the first stage knows: sticks move between rows too
 _LAGS_S = (0.03, 0.1, 0.3, 1.0)  # time constants of what it knows of the past

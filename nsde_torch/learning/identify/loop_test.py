@@ -10,9 +10,9 @@ noise and the past do not foretell), and v_k those of the inputs (against their 
   (a faster rate, other sensors), or the inputs act in a way that is not declared (a lag, a delay): from second
   moments of inputs and states alone the two cannot be told apart, because the same spectra are had with a controller
   that acts on the log and another response (Ljung, System Identification, 1999, section 13.4).
-- new: the share of the inputs that neither the logged states nor the inputs' own past foretell. Where it is nothing,
-  the inputs are a function of the state, and gains rest on what was assumed of the noise (Soderstrom, Gustavsson and
-  Ljung, International Journal of Control 21 (1975)).
+- new: the share of the inputs that is no function (of second degree) of the logged state. Where it is small in a closed
+  loop, gains rest on what was assumed of the noise (Soderstrom, Gustavsson and Ljung, International Journal of Control
+  21 (1975)): with a share of 8 % a simulated gain of 100 came out as 34.
 
 Assumed, not checked: logged inputs are those that were commanded; the step of the log is the step of the inputs.
 """
@@ -41,8 +41,7 @@ ALPHA = 0.01  # chance of a finding where there is none, for each of the tests
 _ANSWER_S, _ANSWERS = 0.2, 20  # how long after a disturbance an answer is looked for [s], [rows]
 _KNOWN_S, _KNOWN = 0.08, 8  # how long before a disturbance an input may have known of it
 _OWN = 10  # order of the inputs' own past
-_STATES = 3  # rows of states that an input may be a function of
-_NEW = 1e-3  # share of an input's variance below which it is a function of the state
+_NEW = 0.1  # share of an input's variance below which it is nearly a function of the state
 _FEWEST = 400  # rows
 _MOST_OF_IT = 0.8  # share of an answer by whose time it is told
 
@@ -73,7 +72,8 @@ class LoopTest:
     Args:
         answers: Inputs on what the physics left unexplained before.
         knowledge: Innovations on the inputs at and before their step.
-        new: Share of the inputs that logged states and past do not foretell, by direction.
+        new: Share of the inputs that is no function of the logged state, by direction.
+        driven: Channels that each direction drives.
         still: Names of inputs that never move.
         why_not: Why nothing was tested; empty where it was.
     """
@@ -81,6 +81,7 @@ class LoopTest:
     answers: tuple[Answer, ...] = ()
     knowledge: tuple[Answer, ...] = ()
     new: dict[str, float] = field(default_factory=dict)
+    driven: dict[str, tuple[str, ...]] = field(default_factory=dict)
     still: tuple[str, ...] = ()
     why_not: str = ""
 
@@ -96,8 +97,8 @@ class LoopTest:
 
     @property
     def functions_of_state(self) -> tuple[str, ...]:
-        """Names of directions whose inputs are a function of the logged state."""
-        return tuple(name for name, share in self.new.items() if share < _NEW)
+        """Names of directions whose inputs are nearly a function of the logged state, in a closed loop."""
+        return tuple(name for name, share in self.new.items() if share < _NEW and self.closed)
 
     @property
     def findings(self) -> list[str]:
@@ -187,6 +188,7 @@ def loop_test(regression: Regression, *, still: Sequence[str] = ()) -> LoopTest:
         answers=_answers(regression, ways, driven, signals.principal(u), series),
         knowledge=_knowledge(regression, ways, driven, known, series),
         new=_new(regression, ways, driven, series),
+        driven={way.name: tuple(regression.physics.names[c] for c in way.channels) for way in ways},
         still=tuple(still),
     )
 
@@ -253,12 +255,12 @@ def _first_of_box(regression: Regression) -> NDArray[np.int64]:
 def _new(
     regression: Regression, ways: Sequence[Direction], driven: Array, series: Series
 ) -> dict[str, float]:
-    """Share of each direction's variance that logged states of now and just before do not foretell."""
+    """Share of each direction's variance that a quadratic function of the logged state does not give."""
     system = regression.physics.vector.system
     x = np.asarray(regression.physics.steps.seen0)[_first_of_box(regression)]
     x = signals.spread_out(regression, (x - x.mean(0)) / np.maximum(x.std(0), 1e-12))
-    live = signals.late(series, _STATES + 1)
-    columns = [np.ones((len(series), 1)), signals.lagged(x, series, range(_STATES))]
+    live = signals.late(series, 1)
+    columns = [np.ones((len(series), 1)), x]
     pairs = system.nx * (system.nx + 1) // 2
     if 20 * pairs < len(series):
         columns.append(np.stack([x[:, i] * x[:, k] for i in range(system.nx) for k in range(i + 1)], 1))

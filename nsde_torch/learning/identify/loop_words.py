@@ -10,6 +10,9 @@ if TYPE_CHECKING:
     from nsde_torch.learning.identify.instruments import Instrumented
     from nsde_torch.learning.identify.loop_test import Answer, LoopTest
 
+FACTOR = 3.0
+"""How much more inputs may know of their own step than they are seen to know of later ones (see `in_loop`)."""
+
 NO_INPUT = "no input moves"
 _CLOSED = (
     "either the controller saw more than was logged (a faster rate, other sensors) or the inputs act in a way that is "
@@ -54,14 +57,15 @@ def sentences(found: "LoopTest") -> list[str]:
             f"{a.input} foretells {a.share:.1%} of what is new in {a.channel}" for a in foretold[:_SHOWN]
         )
         out.append(f"inputs know what the log does not: {told}; {_CLOSED if found.closed else _OPEN}")
-    elif found.closed:
+    elif found.closed and not found.functions_of_state:
         out.append(
             "inputs know nothing that the log does not: one-step estimates are right under this feedback"
         )
     for name in found.functions_of_state:
         out.append(
-            f"{name} is a function of the logged state ({1 - found.new[name]:.2%} of it): its gain cannot be told from "
-            "what the state does by itself but by the assumed law of the noise; move the sticks or add a test signal"
+            f"{name} is nearly a function of the logged state ({1 - found.new[name]:.0%} of it): what it does "
+            f"cannot be told from what {' and '.join(found.driven[name])} would do anyhow, and its gain is not "
+            "identifiable; move the sticks more, or add a test signal"
         )
     return out
 
@@ -72,6 +76,8 @@ def _surely(answers: Sequence["Answer"], alpha: float) -> list["Answer"]:
 
 def of_instruments(found: "Instrumented", adopted: bool) -> list[str]:
     """What instruments say."""
+    from nsde_torch.learning.identify.instruments import MISSING
+
     out = [f"instrument {name} is not used: {why}" for name, why in found.refused.items()]
     if not found.names:
         return out
@@ -97,12 +103,12 @@ def of_instruments(found: "Instrumented", adopted: bool) -> list[str]:
         )
     else:
         out.append(f"by the instruments ({names}) no estimate surely differs from the ordinary one")
-    if adopted and found.unexplained >= 0.01 and apart:
+    if adopted and found.unexplained >= MISSING and apart:
         out.append(
             "the declared physics explains all that the instruments do: what bends ordinary estimates is a controller "
             "that saw more than the log"
         )
-    if found.unexplained < 0.01:
+    if found.unexplained < MISSING:
         out.append(
             "the declared physics does not explain all that the instruments do "
             f"(p = {found.unexplained:.1g}): an effect is missing (a lag, a delay), or an instrument is not exogenous; "
@@ -144,8 +150,8 @@ def widened(
         )
     if rest:
         out.append(
-            f"intervals of {', '.join(rest)} are widened by what feedback may hide: inputs may know 1.5 times as much "
-            "of a step as they are seen to know of later ones; no data without signals from outside the loop can say "
-            "more"
+            f"intervals of {', '.join(rest)} are widened by what feedback may hide: inputs may know {FACTOR:g} times "
+            "as much of a step as they are seen to know of later ones; without signals from outside the loop no data "
+            "can say more"
         )
     return out

@@ -76,7 +76,8 @@ class Identification:
         blocks: Number of blocks of time that the covariance comes from.
         loop: Test of the loop; None where it was not asked for.
         instrumented: What instruments say; None without any.
-        doubt: What half-widths are widened by, because feedback may have bent the estimate (k,); None for nothing.
+        doubt: What half-widths are widened by, because feedback may have bent the estimate (k,), nan for
+            anything; None for nothing.
     """
 
     vector: ParameterVector
@@ -185,6 +186,11 @@ class Identification:
             **(
                 {}
                 if self.doubt is None
-                else {"feedback_may_bias_by": dict(zip(v.labels, self.doubt.tolist(), strict=True))}
+                else {
+                    "feedback_may_bias_by": {  # null: by anything
+                        name: d if np.isfinite(d) else None
+                        for name, d in zip(v.labels, self.doubt.tolist(), strict=True)
+                    }
+                }
             ),
         }

@@ -8,9 +8,10 @@ large as what inputs of earlier steps are seen to foretell, rho_i = sqrt(share).
     FACTOR sqrt(N) sum_i rho_i sqrt((M^-1 M_i M^-1)_jj),     M_i = X_i' X_i,   M = sum_i M_i
 
 (a bound by partial correlations, benchmarked by what is observed: Cinelli and Hazlett, Journal of the Royal
-Statistical Society B 82 (2020)). FACTOR is an assumption, and no data can test it: 3 held on simulated loops whose truth
-is known, with strong and with weak sticks; 1.5 held with strong ones alone (benchmarks/bench_feedback.py). It says
-nothing of an open loop, where inputs that foretell tell of physics that is missing.
+Statistical Society B 82 (2020)). FACTOR is an assumption, and no data can test it: on simulated loops whose truth is
+known 3 held nearly always with strong sticks and mostly with weak ones, 1.5 with strong ones alone (benchmarks, "Does
+the test of feedback say what is so?"). It says nothing of an open loop, where inputs that foretell tell of physics that
+is missing.
 
 With instruments that are strong and exogenous nothing of that is needed: their estimates are printed where they differ,
 or where inputs know more than the log, unless they show that an effect is missing. Where inputs of a faster controller

@@ -19,7 +19,7 @@ from nsde_torch.sde import Step, make_step
 from nsde_torch.systems import System, make_system
 
 # Keys of a data configuration that are not arguments of the function that makes the data.
-_NOT_FOR_DATA = ("kind", "test", "test_path", "validation", "options")
+_NOT_FOR_DATA = ("kind", "test", "test_path", "validation", "options", "instruments")
 
 
 def settings(config: DictConfig, *, sweep: bool) -> tuple[torch.device, torch.dtype]:
@@ -207,12 +207,14 @@ def _ensemble_spec(config: DictConfig, machine: System, runs: Split, common: dic
 
 def _sysid_spec(config: DictConfig, machine: System, runs: Split, common: dict[str, Any]) -> ModelSpec:
     solver = step(config.solver, machine, kind=config.model.kind)
-    method = config.model.method or "weak"
+    reach = filter_reach(runs.train, machine.nu, common["dt"])
+    # Restored inputs lack what is fast: weights by the noise would trust them most where they tell least.
+    method = config.model.method or ("differences" if reach else "weak")
     return SysidSpec(
         system=config.system.name,
         **common,
         method=method,
-        filter_reach=filter_reach(runs.train, machine.nu, common["dt"]) if method == "weak" else 0,
+        filter_reach=reach,
         max_iterations=config.model.max_iterations,
         step=solver.name,
         solver=options(config.solver, "name"),

@@ -69,6 +69,10 @@ class DataConfig(RunChoice):
         "what to do when the kinematics disagree with the clock",
         choices=("rescale", "trust", "refuse"),
     )
+    instruments: list[str] = key(
+        [],
+        "logged columns that nothing inside the control loop moves: sticks, setpoints, data.instruments=[stick_roll]",
+    )
 
 
 @dataclass
@@ -229,7 +233,7 @@ class SysidModel(ModelConfig):
     method: str | None = key(
         None,
         "equations in integral form, weighted by the noise found (weak), or finite differences of smoothed states in "
-        "ordinary least squares (differences); null: weak",
+        "ordinary least squares (differences); null: weak, and differences where the log smoothed its inputs",
         choices=("weak", "differences"),
     )
     max_iterations: int = key(20, "largest number of least-squares steps", unit="steps", low=1)

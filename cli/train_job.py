@@ -67,4 +67,5 @@ def fit(config: DictConfig, job: Job, run_dir: Path, *, about: dict[str, Any]) -
         dtype=dtype,
         about={"command": "train", "config": about},
         other_sensors=config.data.test_path is not None,
+        instruments=list(config.data.instruments),
     )

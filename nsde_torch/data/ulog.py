@@ -2,9 +2,9 @@
 
 State from `vehicle_odometry`, or from `vehicle_attitude` + `vehicle_local_position` +
 `vehicle_angular_velocity`; inputs from `actuator_motors`, else `actuator_outputs`; `battery_status` becomes
-the channel `battery_voltage`. The rows are those of the attitude; slower topics are interpolated (motor
-commands held). Where a topic pauses, is not finite, or the vehicle is landed, the row counts as missing and
-the checks cut the run there.
+the channel `battery_voltage`; sticks and setpoints become further columns (`ulog_setpoints`). The rows are
+those of the attitude; slower topics are interpolated (motor commands held). Where a topic pauses, is not
+finite, or the vehicle is landed, the row counts as missing and the checks cut the run there.
 
 Field meanings: PX4 message definitions (`msg/VehicleOdometry.msg` and so on, PX4 1.13 to 1.16). The velocity
 frame of `vehicle_odometry` is read from its own field, never assumed.
@@ -19,6 +19,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from nsde_torch.data import ulog_setpoints
 from nsde_torch.data.findings import Finding
 from nsde_torch.data.frames import attitude_to_enu, swap_body, swap_world
 from nsde_torch.data.quaternion import continuous_signs, rotate, slerp
@@ -39,6 +40,7 @@ TOPICS = (
     "actuator_outputs",
     "battery_status",
     "vehicle_land_detected",
+    *ulog_setpoints.TOPICS,
 )
 MIN_RATE = 4.0
 """Slowest rate of a state or motor topic that is interpolated [Hz]."""
@@ -284,6 +286,8 @@ def read_ulog_file(
     battery = _first(topics, "battery_status")
     if battery is not None:
         run.extra = {"battery_voltage": np.interp(t, battery.t, battery.fields["voltage_v"])}
+    wanted = {name: (found[0].t, found[0].fields) for name, found in topics.items()}
+    run.extra = {**run.extra, **ulog_setpoints.setpoint_columns(wanted, t)}
     landed = _first(topics, "vehicle_land_detected")
     if in_air and landed is not None:
         ground = (

@@ -18,6 +18,7 @@ from nsde_torch.diagnosis.candidates import candidate_names
 from nsde_torch.diagnosis.channels import ChannelResidual, channel_residuals
 from nsde_torch.diagnosis.declared import Warned, better_reading, declared, warnings
 from nsde_torch.diagnosis.evidence import at_bounds
+from nsde_torch.diagnosis.feedback_text import feedback_content
 from nsde_torch.diagnosis.formula import Formula, formula
 from nsde_torch.diagnosis.held_out import HeldOut, held_out
 from nsde_torch.diagnosis.in_run import InRun, in_run, odd_run
@@ -195,6 +196,7 @@ class Diagnosis:
                 "measured_on": "runs left out" if self.errors.whole_runs else "the last part of the only run",
                 "runs": list(self.errors.runs),
             },
+            "feedback": feedback_content(o.final.regression, self.recorded.runs),
             "data": {
                 "kind": self.data.kind,
                 "system": self.data.system_name,

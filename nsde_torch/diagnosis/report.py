@@ -9,6 +9,7 @@ from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from nsde_torch.diagnosis.feedback_text import feedback_html
 from nsde_torch.diagnosis.pictures import pictures, save_pictures
 from nsde_torch.diagnosis.text import OPEN_LOOP, between, chance, interval, placed, signed, unseen, warning
 from nsde_torch.learning.report import number
@@ -97,6 +98,7 @@ def page(content: Mapping[str, Any], figures: Mapping[str, Figure], *, width: fl
         _held_out(errors),
         shown.get("errors", ""),
         _errors(errors),
+        feedback_html(content),
         "<h2>What is left over, channel by channel</h2>",
         _residuals(content["residual"]),
         shown.get("spectrum", ""),

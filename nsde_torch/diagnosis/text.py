@@ -3,6 +3,7 @@
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from nsde_torch.diagnosis.feedback_text import feedback_lines
 from nsde_torch.learning.report import number, table
 
 _RANKED, _SENTENCES = 6, 4
@@ -48,6 +49,7 @@ def lines(content: Mapping[str, Any]) -> list[str]:
     head = ["residual of the rate of", "measured", "before", "after", "floor", "explained", "unit"]
     out += ["", table(head, residual)]
     out += _errors(content["errors"])
+    out += feedback_lines(content)
     ranked = [r for r in content["ranking"] if r["round"] == 0 and r["p"] is not None][:_RANKED]
     if ranked:
         rows = [

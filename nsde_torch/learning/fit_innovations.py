@@ -29,7 +29,9 @@ from nsde_torch.data import Run
 from nsde_torch.effects import Port
 from nsde_torch.errors import CheckpointError, DataError
 from nsde_torch.learning.checkpoint import read_checkpoint, write_checkpoint
-from nsde_torch.learning.identify.identify import ITERATIONS, Regression, carry_limits, conclude
+from nsde_torch.learning.identify.identify import ITERATIONS, Regression, carry_limits, identification
+from nsde_torch.learning.identify.in_loop import identify_in_loop
+from nsde_torch.learning.identify.noise import white_noise
 from nsde_torch.learning.identify.physics import Physics
 from nsde_torch.learning.identify.result import Identification
 from nsde_torch.learning.identify.steps import steps_of
@@ -75,8 +77,10 @@ def fit_innovations(task: Task) -> Fitted:
     assert isinstance(spec, SDESpec)
     nu = spec.make_system().nu
     runs = as_applied(task.runs, nu) if spec.filter_reach else list(task.runs)
-    bare = _bare_ports(spec)
-    found = None if bare else identified(spec, runs, clock=task.clock, values=task.values)
+    found = None
+    if not _bare_ports(spec):
+        method = "weak" if spec.filter_reach == 0 else "differences"
+        found = identified(spec, runs, clock=task.clock, values=task.values, method=method)
     generator = torch.Generator().manual_seed(task.seed)
     model = NeuralSDE(found.spec if found else spec, generator=generator, values=task.values)
     about = _from_checkpoint(model, task)
@@ -98,7 +102,7 @@ def fit_innovations(task: Task) -> Fitted:
         model.to(device=task.device, dtype=task.dtype),
         progress,
         lambda: parameters,
-        {"innovations": about["innovations"]},
+        about["facts"],
         said=about["said"],
     )
 
@@ -139,9 +143,8 @@ class _Fit:
         self.identification: Identification | None = None
         model.clock_scale.fill_(task.clock)
         if found is not None:
-            self._take(found.regression)
             self.physics = found.regression.physics
-            self.theta = found.regression.theta
+            self.theta = self._in_loop(found)
         else:
             vector = ParameterVector(model.system)
             steps = steps_of(vector.system, runs, clock=task.clock, smooth=False, denoise=True)
@@ -169,10 +172,17 @@ class _Fit:
 
     # ---- stages ---------------------------------------------------------------------------------------
 
-    def _take(self, regression: Regression) -> None:
-        """Declared parameters of a regression."""
-        self.identification = conclude(regression, method="weak")
-        regression.vector.write(self.model.system, regression.theta)
+    def _in_loop(self, found: Identified) -> Array:
+        """Declared parameters, with what the loop and instruments say of them."""
+        self.identification = known = identify_in_loop(
+            found.spec.make_system(self.task.values),
+            self.runs,
+            clock=self.task.clock,
+            method=found.method,
+            instruments=self.task.instruments,
+        )
+        known.vector.write(self.model.system, known.values)
+        return known.values
 
     def _standardise(self, left: Residuals) -> None:
         system, states = self.model.system, left.states.float()
@@ -188,8 +198,9 @@ class _Fit:
         try:
             regression = Regression(self.physics)
             regression.run(ITERATIONS)
-            self._take(regression)
+            self.identification = identification(regression, "weak")
             self.theta = regression.theta
+            regression.vector.write(self.model.system, self.theta)
         except DataError:
             pass  # no input: nothing that is declared moves anything
         self.physics.measured = self.physics.measured + known
@@ -205,7 +216,12 @@ class _Fit:
                 _silence(network)
         limits = carry_limits(self.physics, self.theta, 1)
         change = left.change if first or not bare else self._left(left)
-        noises = noise_models(left, change, limits, first=first)
+        if (
+            self.found is not None and self.found.method != "weak"
+        ):  # smoothed states: no more than a size is known
+            noises = [white_noise(change[:, c], left.series) for c in left.rows]
+        else:
+            noises = noise_models(left, change, limits, first=first)
         y = self._seen(left)
         settings = Settings(
             steps=task.options.steps,
@@ -296,6 +312,16 @@ class _Fit:
         return {
             "progress": asdict(progress),
             "parameters": parameters,
+            "facts": self._facts(networks, laws),
+            "said": _summary(found, self.identification, networks, learned),
+        }
+
+    def _facts(self, networks: dict[str, Any], laws: dict[str, Disturbance]) -> dict[str, Any]:
+        """What `metrics.json` holds of the fit."""
+        found, known = self.found, self.identification
+        loop = {} if known is None or known.loop is None else {"feedback": known.loop.as_dict()}
+        return {
+            **loop,
             "innovations": {
                 "networks": networks,
                 "learned_lag": found.learned if found and found.learned else None,
@@ -309,9 +335,8 @@ class _Fit:
                     }
                     for name, law in laws.items()
                 },
-                "not_shown": self.identification.findings if self.identification else [],
+                "not_shown": known.findings if known else [],
             },
-            "said": _summary(found, networks, learned),
         }
 
 
@@ -347,7 +372,12 @@ def _moved(left: Residuals) -> list[list[int]]:
     return groups
 
 
-def _summary(found: Identified | None, networks: dict[str, dict[str, Any]], learned: Learned | None) -> str:
+def _summary(
+    found: Identified | None,
+    known: Identification | None,
+    networks: dict[str, dict[str, Any]],
+    learned: Learned | None,
+) -> str:
     """What a person reads of the fit."""
     lines = []
     if found is not None:
@@ -367,4 +397,5 @@ def _summary(found: Identified | None, networks: dict[str, dict[str, Any]], lear
             f"network on {port}: {size}: "
             + (f"{learned.steps if learned else 0} steps" if n["kept"] else "none")
         )
+    lines += [f"feedback: {sentence}" for sentence in (known.of_the_loop if known else ())]
     return "\n".join(lines)

@@ -2,7 +2,7 @@
 
 import torch
 
-from nsde_torch.learning.identify.identify import identify
+from nsde_torch.learning.identify.in_loop import identify_in_loop
 from nsde_torch.learning.identify.result import Identification
 from nsde_torch.learning.innovations.inputs import as_applied, fit_filter
 from nsde_torch.learning.progress import Progress
@@ -25,7 +25,14 @@ def fit_sysid(task: Task) -> Fitted:
     assert isinstance(spec, SysidSpec)
     model = IdentifiedModel(spec, generator=torch.Generator(), values=task.values)
     runs = as_applied(task.runs, model.system.nu) if spec.filter_reach else task.runs
-    found = identify(model.system, runs, clock=task.clock, method=spec.method, iterations=spec.max_iterations)
+    found = identify_in_loop(
+        model.system,
+        runs,
+        clock=task.clock,
+        method=spec.method,
+        iterations=spec.max_iterations,
+        instruments=task.instruments,
+    )
     found.vector.write(model.system, found.values)
     model.clock_scale.fill_(task.clock)
     if model.filter is not None:
@@ -44,6 +51,8 @@ def fit_sysid(task: Task) -> Fitted:
         },
         "identification": found.as_dict(),
     }
+    if found.loop is not None:
+        facts["feedback"] = found.loop.as_dict()
     return Fitted(
         model.to(device=task.device, dtype=task.dtype).requires_grad_(False),
         progress,
@@ -63,6 +72,7 @@ def summary(found: Identification) -> str:
         f"condition number {number(found.shown.condition)}; {found.unexplained:.0%} of the rates left unexplained",
     ]
     lines += [f"not shown by the data: {finding}" for finding in found.findings]
+    lines += [f"feedback: {finding}" for finding in found.of_the_loop]
     rows = []
     for i, half in enumerate(found.half_widths(_LEVEL)):
         value, error = found.values[i], found.standard_errors[i]

@@ -35,6 +35,7 @@ class Task:
         dtype: Precision.
         checkpoint: File (without suffix) to write to and to resume from.
         log: Called with step and losses at each validation.
+        instruments: Logged columns from outside the loop (see `identify_in_loop`).
     """
 
     spec: ModelSpec
@@ -50,6 +51,7 @@ class Task:
     dtype: torch.dtype
     checkpoint: Path
     log: Callable[[int, dict[str, float]], None]
+    instruments: Sequence[str] = ()
 
     @property
     def identity(self) -> str:
@@ -67,6 +69,8 @@ class Task:
             "runs": [run.content_hash for run in self.runs],
             "clock": self.clock,
         }
+        if self.instruments:
+            facts["instruments"] = list(self.instruments)
         return hashlib.sha256(json.dumps(facts, sort_keys=True, default=str).encode()).hexdigest()
 
 

@@ -1,5 +1,6 @@
 """One training from data to run directory: fit, calibrate, score on held-out runs, write what was learned."""
 
+import copy
 import json
 import math
 import time
@@ -19,6 +20,8 @@ from nsde_torch.learning.calibration import Coverage, extrapolate, widen
 from nsde_torch.learning.fit_ensemble import fit_ensemble
 from nsde_torch.learning.fit_sde import fit_sde
 from nsde_torch.learning.fit_sysid import fit_sysid
+from nsde_torch.learning.identify.in_loop import identify_in_loop
+from nsde_torch.learning.identify.loop_test import feedback_summary
 from nsde_torch.learning.metrics import evaluate, horizons_of
 from nsde_torch.learning.options import LossOptions, TrainerOptions
 from nsde_torch.learning.prepare import sensor_std
@@ -63,6 +66,7 @@ class Training:
         about: Plain values for `config.yaml`.
         say: Where text for people goes.
         other_sensors: Whether the test runs were recorded by other sensors, whose noise is then estimated.
+        instruments: Logged columns from outside the loop: sticks, setpoints.
     """
 
     def __init__(
@@ -82,10 +86,12 @@ class Training:
         about: Mapping[str, Any] | None = None,
         say: Callable[[str], None] = print,
         other_sensors: bool = False,
+        instruments: Sequence[str] = (),
     ) -> None:
         self.spec, self.data, self.split, self.loss, self.options = spec, data, split, loss, options
         self.validation, self.seed, self.values = validation, seed, values
         self.device, self.dtype = torch.device(device), dtype
+        self.instruments = tuple(instruments)
         self.folder, self.about, self.say, self.other_sensors = Path(run_dir), about, say, other_sensors
         self.compile = options.compile != "off" and not isinstance(spec, SysidSpec)  # done before it compiles
         self.smoothing = smoothing_width(split.train, len(data.input_names))
@@ -117,6 +123,7 @@ class Training:
         )
         save(model, self.folder, about={"calibrated": False, **(self.about or {})})
         calibration = self._calibrate(model)
+        loop = {} if "feedback" in fit.facts else self._feedback(model)
         metrics: dict[str, Any] = {
             "system": self.spec.system,
             "model": self.spec.kind,
@@ -139,6 +146,7 @@ class Training:
             "parameters": fit.parameters(),
             "loss_options": asdict(self.loss),
             "trainer_options": asdict(self.options),
+            **loop,
             **fit.facts,
         }
         if learns_sensors(model):
@@ -170,8 +178,26 @@ class Training:
             dtype=self.dtype,
             checkpoint=self.folder / "checkpoints" / name.replace(" ", "_"),
             log=self._scalars(name),
+            instruments=self.instruments,
         )
         return FITS[type(self.spec)](task)
+
+    def _feedback(self, model: Model) -> dict[str, Any]:
+        """What the training runs say of the loop that they were recorded in."""
+        if not isinstance(model, NeuralSDE) or not model.spec.physics:
+            return {}
+        system, clock = copy.deepcopy(model.system).cpu(), float(model.clock_scale)
+        if not self.instruments:
+            found = feedback_summary(system, self.split.train, clock)
+            told, out = found.findings, {"feedback": found.as_dict()}
+        else:
+            known = identify_in_loop(system, self.split.train, clock=clock, instruments=self.instruments)
+            told, out = known.of_the_loop, {"identification_in_loop": known.as_dict()}
+            if known.loop is not None:
+                out["feedback"] = known.loop.as_dict()
+        for sentence in told:
+            self.say(f"feedback: {sentence}")
+        return out
 
     def _calibrate(self, model: Model) -> dict[str, Any]:
         stochastic = isinstance(model, NeuralSDE) and not model.step.deterministic

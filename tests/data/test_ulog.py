@@ -177,3 +177,30 @@ def test_what_is_no_log_and_systems_that_are_no_multirotor_are_refused(tmp_path:
         read("ulog", CARTPOLE, path=str(tmp_path / "bad.ulg"))
     with pytest.raises(ConfigError, match="`state` must be one of"):
         read("ulog", QUADROTOR, path=str(tmp_path / "bad.ulg"), state="gps")
+
+
+def test_sticks_and_setpoints_become_columns_in_our_frames(tmp_path: Path) -> None:
+    t, x, _, topics = logged()
+    slow, w = 50.0 + t[::4], swap_body(x[::4, 10:])  # setpoints at a quarter of the rate, held in between
+    nan = np.full(len(slow), np.nan)
+    topics["manual_control_setpoint"] = {
+        "timestamp": slow, "roll": np.sin(slow), "pitch": nan, "yaw": 0 * slow, "throttle": 0.5 + 0 * slow,
+    }  # fmt: skip
+    topics["vehicle_attitude_setpoint"] = {
+        "timestamp": slow, "q_d": attitude_to_enu(x[::4, 6:10]),
+        "thrust_body": np.stack([nan, nan, -0.4 + 0 * slow], 1),
+    }  # fmt: skip
+    topics["vehicle_rates_setpoint"] = {
+        "timestamp": slow, "roll": w[:, 0], "pitch": w[:, 1], "yaw": w[:, 2],
+    }  # fmt: skip
+    extra = read("ulog", QUADROTOR, path=str(write_ulog(tmp_path / "log.ulg", topics)))[0].extra
+    held = np.arange(len(t)) // 4 * 4
+    np.testing.assert_allclose(extra["stick_roll"], np.sin(50.0 + t[held]), atol=1e-5)
+    assert "stick_pitch" not in extra  # PX4 leaves what it does not know unset
+    for k, name in enumerate(("setpoint_rate_x", "setpoint_rate_y", "setpoint_rate_z")):
+        np.testing.assert_allclose(extra[name], x[held, 10 + k], atol=1e-5)
+    w_, x_, y_, z_ = x[held, 6:10].T
+    np.testing.assert_allclose(np.sin(extra["setpoint_pitch"]), 2 * (w_ * y_ - z_ * x_), atol=1e-4)
+    yaw = np.arctan2(2 * (w_ * z_ + x_ * y_), 1 - 2 * (y_**2 + z_**2))
+    np.testing.assert_allclose(np.cos(extra["setpoint_yaw"] - yaw), 1.0, atol=1e-4)
+    np.testing.assert_allclose(extra["setpoint_thrust"], 0.4, atol=1e-5)

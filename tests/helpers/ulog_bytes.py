@@ -26,6 +26,16 @@ FORMATS: dict[str, list[tuple[str, str, int]]] = {
     "actuator_outputs": [("uint64_t", "timestamp", 1), ("float", "output", 16)],
     "battery_status": [("uint64_t", "timestamp", 1), ("float", "voltage_v", 1)],
     "vehicle_land_detected": [("uint64_t", "timestamp", 1), ("uint8_t", "landed", 1)],
+    "manual_control_setpoint": [
+        ("uint64_t", "timestamp", 1), ("float", "roll", 1), ("float", "pitch", 1), ("float", "yaw", 1),
+        ("float", "throttle", 1),
+    ],
+    "vehicle_attitude_setpoint": [
+        ("uint64_t", "timestamp", 1), ("float", "q_d", 4), ("float", "thrust_body", 3),
+    ],
+    "vehicle_rates_setpoint": [
+        ("uint64_t", "timestamp", 1), ("float", "roll", 1), ("float", "pitch", 1), ("float", "yaw", 1),
+    ],
 }  # fmt: skip
 
 

@@ -263,6 +263,22 @@ class Regression:
             used += own.shape[1] + self._past.shape[1]
         return spread(np.stack(purged), self.white, self.whitened_rows(self.blocks), used)
 
+    def at(self, theta: Array) -> "Regression":
+        """The same at other values, with laws of the noise of the same kind."""
+        out = copy.copy(self)
+        out.theta = theta
+        out.residual = out._residual(theta)
+        out._relinearise()
+        out._rough, out._refined = False, 4
+        out._whiten()
+        return out
+
+    def fitted_columns(self, row: int) -> Array:
+        """Columns that the whitened residual of channel `row` of `rows` was fitted with: theta, its law, its past."""
+        own = self.noises[row].own_slopes(self.residual[:, self.rows[row]], self.series)
+        parts = [self.slopes[row] @ self.shown.basis, self._purged(own)]
+        return np.concatenate([*parts, self._past] if self._past.size else parts, 1)
+
     def own_noises(self, orders: int | None = None) -> list[Noise]:
         """Laws of the noise of the residuals at theta, of whatever kind suits them, up to some order."""
         limits = self.carry_limits()
@@ -357,37 +373,17 @@ def identify(
         >>> found = identify(make_system("hexacopter"), data.runs)  # doctest: +SKIP
         >>> dict(zip(found.vector.labels, found.values))  # doctest: +SKIP
     """
-    regression = regress(system, runs, clock=clock, method=method, width=width, iterations=iterations)
-    return conclude(regression, method=method)
-
-
-def regress(
-    system: System,
-    runs: Sequence[Run],
-    *,
-    clock: float = 1.0,
-    method: str = "weak",
-    width: float | None = None,
-    iterations: int = ITERATIONS,
-) -> Regression:
-    """The regression of `identify`, iterated; arguments and errors are the same."""
-    if method not in METHODS:
-        raise ConfigError(f"`method` must be {' or '.join(METHODS)}; got {method!r}.")
-    weak = method == "weak"
-    vector = ParameterVector(system)
-    box = _box(width, runs[0].dt * clock) if runs else 1
-    steps = steps_of(system, runs, clock=clock, smooth=not weak, shortest=box)
-    physics = Physics(vector, steps, curved=weak and system.sensor_noise, foresee=weak)
-    regression = Regression(physics, box=box, plain=not weak, feedback=weak)
+    regression = regression_of(system, runs, clock=clock, method=method, width=width)
     regression.run(iterations)
-    return regression
+    return identification(regression, method)
 
 
-def conclude(regression: Regression, *, method: str) -> Identification:
-    """Estimates, covariance and what the data do not show, from a regression at its optimum."""
-    weak, physics, vector = method == "weak", regression.physics, regression.vector
+def identification(regression: Regression, method: str) -> Identification:
+    """What a regression that has settled found; see `identify`."""
+    weak = method == "weak"
+    vector, physics, steps = regression.vector, regression.physics, regression.physics.steps
     sure, blocks = regression.spread(), regression.blocks
-    basis, window = regression.shown.basis, bump(physics.steps.dt)
+    basis, window = regression.shown.basis, bump(steps.dt)
     left = physics.residual(regression.theta)[:, regression.rows]
     alone = explained(physics, left + regression.shift(sure.parts @ basis.T, blocks), regression.rows, window)
     channels = explained(physics, left, regression.rows, window)
@@ -403,13 +399,32 @@ def conclude(regression: Regression, *, method: str) -> Identification:
         ),
         sensor_std=physics.sensor_std,
         unexplained=float(np.mean([c.residual / c.measured for c in alone if c.measured > 0] or [0.0])),
-        width_s=len(window) * physics.steps.dt,
+        width_s=len(window) * steps.dt,
         box_s=regression.dt,
         iterations=regression.iterations,
         converged=regression.converged,
         linear=physics.linear(regression.theta),
         blocks=int(blocks.max()) + 1,
     )
+
+
+def regression_of(
+    system: System,
+    runs: Sequence[Run],
+    *,
+    clock: float = 1.0,
+    method: str = "weak",
+    width: float | None = None,
+) -> Regression:
+    """The regression of some runs, before its first step; see `identify`."""
+    if method not in METHODS:
+        raise ConfigError(f"`method` must be {' or '.join(METHODS)}; got {method!r}.")
+    weak = method == "weak"
+    vector = ParameterVector(system)
+    box = _box(width, runs[0].dt * clock) if runs else 1
+    steps = steps_of(system, runs, clock=clock, smooth=not weak, shortest=box)
+    physics = Physics(vector, steps, curved=weak and system.sensor_noise, foresee=weak)
+    return Regression(physics, box=box, plain=not weak, feedback=weak)
 
 
 def _box(width: float | None, dt: float) -> int:

@@ -69,8 +69,8 @@ class Physics:
             for i in range(self.turned.start, self.turned.stop):
                 self.names[i] += " (body)"
         self._starts = steps.starts
-        self._attitude = self._middle_attitude()
-        self.measured: Array = self._turn(steps.seen1 - steps.seen0, self._attitude).numpy()
+        self.attitude = self._middle_attitude()
+        self.measured: Array = self.turn(steps.seen1 - steps.seen0, self.attitude).numpy()
         self.sensor_std: Array = np.zeros(system.nx)
         self._remembered: tuple[Tensor, tuple[Tensor, ...]] | None = None
 
@@ -119,15 +119,10 @@ class Physics:
         at = torch.as_tensor(theta)
         return self._foreseen(at, *self._memory(at))
 
-    @property
-    def attitude(self) -> Tensor:
-        """Attitude in the middle of each step as measured (N, 4), or (N, 0)."""
-        return self._attitude
-
     def in_channels(self, change: Tensor, states: Tensor) -> Tensor:
         """Changes of states (N, nx) in the channels of the residuals, at the attitude of some states (N, nz)."""
         q = self.vector.system.quaternion
-        return change if q is None else self._turn(change, states[:, q])
+        return change if q is None else self.turn(change, states[:, q])
 
     def kinematic(self, residual: Array, rows: NDArray[np.int64]) -> Array:
         """Residuals (N, m) of the channels beside `rows`; attitude and position of a turned velocity in the body."""
@@ -138,14 +133,14 @@ class Physics:
         parts, q = [], system.quaternion
         if q is not None and set(range(q.start, q.stop)) <= set(rest):
             rest = [i for i in rest if not q.start <= i < q.stop]
-            after = self._attitude + torch.as_tensor(residual[:, q])
-            parts.append(rotation_between(self._attitude, after).numpy())
+            after = self.attitude + torch.as_tensor(residual[:, q])
+            parts.append(rotation_between(self.attitude, after).numpy())
         if self.turned is not None:
             names = list(system.state_names)
             at = [names.index(p) for p, _, frame in system.position_derivatives if frame == "world"]
             if set(at) <= set(rest):
                 rest = [i for i in rest if i not in at]
-                parts.append(rotate_back(self._attitude, torch.as_tensor(residual[:, at])).numpy())
+                parts.append(rotate_back(self.attitude, torch.as_tensor(residual[:, at])).numpy())
         return np.concatenate([residual[:, rest], *parts], 1)
 
     def estimate_sensors(self, residual: Array) -> None:
@@ -215,7 +210,7 @@ class Physics:
         middle = system.project(0.5 * (z0 + z1) + (s.dt / 8) * (f0 - f1))
         fm = self._rate(s.t + 0.5 * s.logged_dt, middle, 0.5)
         change = (s.dt / 6) * (f0 + 4.0 * fm + f1)[:, : system.nx]
-        return self._turn(change, self._attitude)
+        return self.turn(change, self.attitude)
 
     def _rate(self, t: Tensor, z: Tensor, share: float) -> Tensor:
         """f at measured states, without what noise of `share` of the sensors' variance adds to its mean."""
@@ -271,7 +266,8 @@ class Physics:
         both = self.steps.x0[:, q] + self.steps.x1[:, q]
         return both / both.norm(dim=1, keepdim=True)
 
-    def _turn(self, change: Tensor, attitude: Tensor) -> Tensor:
+    def turn(self, change: Tensor, attitude: Tensor) -> Tensor:
+        """Changes (N, nx) with a velocity in the world turned into the body."""
         if self.turned is None:
             return change
         a, b = self.turned.start, self.turned.stop

@@ -1,7 +1,7 @@
 """What an identification found."""
 
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,6 +10,10 @@ from scipy.special import stdtrit
 from nsde_torch.learning.identify.noise import Noise
 from nsde_torch.learning.identify.shown import Shown, sentences
 from nsde_torch.systems.parameters import ParameterVector
+
+if TYPE_CHECKING:
+    from nsde_torch.learning.identify.instruments import Instrumented
+    from nsde_torch.learning.identify.loop_test import LoopTest
 
 Array = NDArray[np.float64]
 
@@ -70,6 +74,10 @@ class Identification:
         converged: Whether its last step was a fiftieth of a standard error at most.
         linear: Whether the drift is linear in the parameters.
         blocks: Number of blocks of time that the covariance comes from.
+        loop: Test of the loop; None where it was not asked for.
+        instrumented: What instruments say; None without any.
+        doubt: What half-widths are widened by, because feedback may have bent the estimate (k,), nan for
+            anything; None for nothing.
     """
 
     vector: ParameterVector
@@ -87,6 +95,9 @@ class Identification:
     converged: bool
     linear: bool
     blocks: int
+    loop: "LoopTest | None" = None
+    instrumented: "Instrumented | None" = None
+    doubt: Array | None = None
 
     @property
     def standard_errors(self) -> Array:
@@ -95,7 +106,22 @@ class Identification:
 
     def half_widths(self, level: float) -> Array:
         """Half-widths of the intervals of this level (k,); nan where the data do not show a parameter."""
-        return np.asarray(stdtrit(self.degrees.clip(1.0), 0.5 * (1 + level)) * self.standard_errors)
+        by_chance = stdtrit(self.degrees.clip(1.0), 0.5 * (1 + level)) * self.standard_errors
+        return np.asarray(by_chance if self.doubt is None else by_chance + self.doubt)
+
+    @property
+    def of_the_loop(self) -> list[str]:
+        """What was found of feedback and by instruments, in words."""
+        from nsde_torch.learning.identify.in_loop import adopted
+        from nsde_torch.learning.identify.loop_words import of_instruments, widened
+
+        out = [] if self.loop is None else self.loop.findings
+        moved = None
+        if self.instrumented is not None and self.loop is not None:
+            printed = adopted(self.instrumented, self.loop)
+            moved = self.instrumented.moved if printed else None
+            out += of_instruments(self.instrumented, printed)
+        return [*out, *widened(self.vector.labels, self.doubt, self.standard_errors, moved)]
 
     @property
     def findings(self) -> list[str]:
@@ -155,4 +181,16 @@ class Identification:
             "channels": {c.name: c.as_dict() for c in self.channels},
             "test_function_s": self.width_s,
             "unexplained": self.unexplained,
+            **({} if self.loop is None else {"feedback": self.loop.as_dict()}),
+            **({} if self.instrumented is None else {"instruments": self.instrumented.as_dict()}),
+            **(
+                {}
+                if self.doubt is None
+                else {
+                    "feedback_may_bias_by": {  # null: by anything
+                        name: d if np.isfinite(d) else None
+                        for name, d in zip(v.labels, self.doubt.tolist(), strict=True)
+                    }
+                }
+            ),
         }

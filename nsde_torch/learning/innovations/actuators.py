@@ -15,8 +15,9 @@ from typing import Any
 from nsde_torch.data import Run
 from nsde_torch.effects import Effect, Port
 from nsde_torch.errors import NsdeError
-from nsde_torch.learning.identify.identify import Regression, conclude, regress
+from nsde_torch.learning.identify.identify import ITERATIONS, Regression, identification, regression_of
 from nsde_torch.models.neural_sde import SDESpec
+from nsde_torch.systems import System
 
 LAWS = ("motor_lag", "actuator_lag", "input_delay")
 """Effects of the catalogue with which inputs act late, one time each."""
@@ -33,16 +34,27 @@ class Identified:
         regression: At its optimum.
         learned: Name of the law; empty for none.
         evidence: Log likelihood that it won [nats].
+        method: Of the identification.
     """
 
     spec: SDESpec
     regression: Regression
     learned: str = ""
     evidence: float = 0.0
+    method: str = "weak"
 
 
-def identified(spec: SDESpec, runs: Sequence[Run], *, clock: float, values: Mapping[str, Any]) -> Identified:
+def identified(
+    spec: SDESpec, runs: Sequence[Run], *, clock: float, values: Mapping[str, Any], method: str = "weak"
+) -> Identified:
     """Identify declared physics, with a lag or a delay of the inputs where the data show one.
+
+    Args:
+        spec: What to build.
+        runs: Runs with inputs as they acted.
+        clock: Physical seconds per logged second.
+        values: Initial values of declared parameters.
+        method: Of the identification; a law is looked for with "weak" alone, whose innovations are white.
 
     Raises:
         ConfigError: the system declares no parameter.
@@ -50,16 +62,16 @@ def identified(spec: SDESpec, runs: Sequence[Run], *, clock: float, values: Mapp
         NonFiniteError: the physics leaves the finite numbers.
     """
     system = spec.make_system(values)
-    base = regress(system, runs, clock=clock)
+    base = _settled(system, runs, clock, method)
     remembers = any(isinstance(e, Effect) and e.port is Port.INPUT and e.n_memory for e in system.effects)
-    found = Identified(spec, base)
-    if not spec.learn_lag or remembers:
+    found = Identified(spec, base, method=method)
+    if not spec.learn_lag or remembers or method != "weak":
         return found
     for name in LAWS:
         wider = replace(spec, effects=(*spec.effects, name))
         try:
-            regression = regress(wider.make_system(values), runs, clock=clock)
-            sure = conclude(regression, method="weak").parameters()
+            regression = _settled(wider.make_system(values), runs, clock, method)
+            sure = identification(regression, method).parameters()
         except NsdeError:
             continue  # a law that does not fit the system, or cannot be followed at this step
         won = log_likelihood(regression, len(base.series)) - log_likelihood(base, len(base.series))
@@ -72,6 +84,12 @@ def identified(spec: SDESpec, runs: Sequence[Run], *, clock: float, values: Mapp
         if shown and won > max(EVIDENCE, found.evidence):
             found = Identified(wider, regression, name, won)
     return found
+
+
+def _settled(system: System, runs: Sequence[Run], clock: float, method: str) -> Regression:
+    regression = regression_of(system, runs, clock=clock, method=method)
+    regression.run(ITERATIONS)
+    return regression
 
 
 def log_likelihood(regression: Regression, rows: int) -> float:

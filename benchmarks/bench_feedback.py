@@ -1,0 +1,182 @@
+"""Question: does the test of feedback say what is so, are estimates by instruments right, and do intervals hold?
+
+A machine that turns about one axis under a rate controller, flown by NumPy at 1 kHz and logged at 100 Hz (no code of
+the package in it: tests/helpers/rate_loops.py). True gain 100 rad/s2; one run of a minute for each seed. The controller
+acts on the logged states, on sensors of its own, or at 1 kHz on sensors of its own; or inputs are played (open). The
+actuator has no lag, a lag of 40 ms that is declared, or the same lag undeclared.
+
+    closed, foretold   how often the loop is said to be closed, and inputs to know more than the log
+    gain, bias         mean estimate and its bias; 90 % intervals: mean half-width and how many hold the truth
+    sticks             the same with the logged stick as an instrument; how often its estimate is printed
+    others             a stick that answers the machine has to be refused, one that moves nothing must not be used
+
+    python benchmarks/bench_feedback.py --seeds 30
+
+With --hexacopter: three flights of 45 s for each seed of a hexacopter with motor lag, drag and gusts, flown by sticks
+through an attitude controller (benchmarks/hexacopter_loops.py), true effects declared; means over gains and lag.
+
+    python benchmarks/bench_feedback.py --hexacopter --seeds 5
+"""
+
+import argparse
+import json
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from hexacopter_loops import STICKS, TRUTH
+from hexacopter_loops import fly as fly_hexacopters
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+
+from nsde_torch.data import Run
+from nsde_torch.learning.identify.in_loop import adopted, identify_in_loop
+from nsde_torch.learning.identify.result import Identification
+from nsde_torch.systems import make_system
+from tests.helpers.rate_loops import CONTROLLERS, GAIN, RateLoop, fly
+
+LAGS = {"none": (False, False), "declared": (True, True), "undeclared": (True, False)}
+LEVEL = 0.9
+
+
+def main() -> None:
+    """Measure, print and write."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--seeds", type=int, default=30)
+    parser.add_argument("--first-seed", type=int, default=0)
+    parser.add_argument("--hexacopter", action="store_true", help="three axes instead of one")
+    parser.add_argument("--out", type=Path, default=Path("bench_feedback.json"))
+    a = parser.parse_args()
+    torch.set_num_threads(1)
+    seeds = range(a.first_seed, a.first_seed + a.seeds)
+    if a.hexacopter:
+        a.out.write_text(json.dumps([hexacopters(c, seeds) for c in CONTROLLERS[:3]], indent=1))
+        return
+    rows: list[dict[str, Any]] = []
+    print(
+        "controller lag        | closed foretold |  gain bias%  +-  holds | sticks: gain bias%  +-  holds printed"
+    )
+    for controller in CONTROLLERS:
+        for name, (lag, told) in LAGS.items():
+            rows.append({"controller": controller, "lag": name, **case(controller, seeds, lag, told)})
+            r = rows[-1]
+            print(
+                f"{controller:10s} {name:10s} |  {r['closed']:4.0%}   {r['foretold']:4.0%}   | "
+                f"{line(r['without'])} |   {line(r['sticks'])}  {r['printed']:4.0%}",
+                flush=True,
+            )
+            a.out.write_text(json.dumps(rows, indent=1))
+    moved = others(seeds)
+    print("; ".join(f"{k} {v:.0%}" for k, v in moved.items()))
+    a.out.write_text(json.dumps([*rows, moved], indent=1))
+
+
+def case(controller: str, seeds: range, lag: bool, told: bool) -> dict[str, Any]:
+    """Figures of one kind of flights."""
+    system = RateLoop(effects=["actuator_lag"] if told else [])
+    plain, sticks = [], []
+    for runs in fly(controller, seeds=seeds, lag=lag):
+        plain.append(identify_in_loop(system, runs))
+        sticks.append(
+            identify_in_loop(system, runs, instruments=["stick"]) if controller != "open" else plain[-1]
+        )
+    loops = [found.loop for found in plain]
+    return {
+        "closed": float(np.mean([loop is not None and loop.closed for loop in loops])),
+        "foretold": float(np.mean([loop is not None and loop.foretold for loop in loops])),
+        "without": figures(plain),
+        "sticks": figures(sticks),
+        "printed": float(np.mean([by_instruments(found) for found in sticks])),
+    }
+
+
+def hexacopters(controller: str, seeds: range) -> dict[str, Any]:
+    """Figures of the gains and the lag of hexacopters, printed and returned."""
+    system = make_system("hexacopter", effects=["linear_drag", "motor_lag"])
+    rows: dict[str, list[tuple[float, float, float, bool, bool]]] = {name: [] for name in TRUTH}
+    told = []
+    for runs in fly_hexacopters(controller, seeds=seeds):
+        plain, found = (identify_in_loop(system, runs, instruments=names) for names in ((), STICKS))
+        assert found.instrumented is not None
+        assert found.loop is not None
+        told.append((found.loop.closed, found.loop.foretold, adopted(found.instrumented, found.loop)))
+        for name, true in TRUTH.items():
+            j = found.vector.labels.index(name)
+            rows[name].append(
+                (
+                    plain.values[j] / true - 1,
+                    found.values[j] / true - 1,
+                    found.half_widths(LEVEL)[j] / true,
+                    bool(abs(plain.values[j] - true) <= plain.half_widths(LEVEL)[j]),
+                    bool(abs(found.values[j] - true) <= found.half_widths(LEVEL)[j]),
+                )
+            )
+    closed, foretold, printed = np.mean(told, axis=0)
+    print(f"{controller}: closed {closed:.0%}, foretold {foretold:.0%}, by instruments {printed:.0%}")
+    print("                          bias without, holds | with sticks: bias, +-, holds")
+    out: dict[str, Any] = {
+        "controller": controller,
+        "closed": closed,
+        "foretold": foretold,
+        "printed": printed,
+    }
+    for name, of_seeds in rows.items():
+        a, b, half, holds_a, holds_b = (float(v) for v in np.mean(of_seeds, axis=0))
+        print(f"{name:25s} {a:+11.1%} {holds_a:7.0%} | {b:+13.1%} {half:6.1%} {holds_b:6.0%}", flush=True)
+        out[name] = {"without": [a, holds_a], "sticks": [b, half, holds_b]}
+    return out
+
+
+def figures(found: Sequence[Identification]) -> dict[str, float]:
+    """Mean gain, its bias, mean half-width, and the share of intervals that hold the truth."""
+    gains = np.array([f.values[0] for f in found])
+    halves = np.array([f.half_widths(LEVEL)[0] for f in found])
+    return {
+        "gain": float(gains.mean()),
+        "bias": float(gains.mean() / GAIN - 1.0),
+        "spread": float(gains.std()),
+        "half_width": float(halves.mean()),
+        "holds": float((np.abs(gains - GAIN) <= halves).mean()),
+    }
+
+
+def by_instruments(found: Identification) -> bool:
+    """Whether the printed gain is the instruments'."""
+    i = found.instrumented
+    return i is not None and found.loop is not None and bool(i.moved[0]) and adopted(i, found.loop)
+
+
+def others(seeds: range) -> dict[str, float]:
+    """Sticks that answer the machine, and signals that move nothing."""
+
+    def refused(runs: Sequence[Run], name: str) -> bool:
+        i = identify_in_loop(RateLoop(), runs, instruments=[name]).instrumented
+        return i is not None and name in i.refused
+
+    def used(runs: Sequence[Run]) -> bool:
+        i = identify_in_loop(RateLoop(), runs, instruments=["idle"]).instrumented
+        return i is not None and bool(i.moved.any())
+
+    out: dict[str, float] = {}
+    for controller in ("logged", "other"):
+        answering, free = fly(controller, seeds=seeds, pilot=True), fly(controller, seeds=seeds)
+        out[f"{controller}: sticks that answer refused"] = float(
+            np.mean([refused(r, "stick") for r in answering])
+        )
+        out[f"{controller}: free sticks refused"] = float(np.mean([refused(r, "stick") for r in free]))
+        out[f"{controller}: idle signal used"] = float(np.mean([used(r) for r in free]))
+    return out
+
+
+def line(f: dict[str, float]) -> str:
+    """One group of figures."""
+    return f"{f['gain']:6.1f} {f['bias']:+5.0%} {f['half_width']:5.1f} {f['holds']:5.0%}"
+
+
+if __name__ == "__main__":
+    main()

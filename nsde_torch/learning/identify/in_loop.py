@@ -1,0 +1,161 @@
+"""Identification that knows of the loop: which estimate to print, and how far feedback may have bent it.
+
+Ordinary estimates are right under feedback from the log. Where the test of the loop says that inputs know more than
+the log (`loop_test`), they are not, and the interval is widened by what cannot be known: with X the whitened slopes,
+e = X b + a part that X foretells and the fit has swallowed. Of channel i let that part be at most `FACTOR` times as
+large as what inputs of earlier steps are seen to foretell, rho_i = sqrt(share). Then the bias of parameter j is at most
+
+    FACTOR sqrt(N) sum_i rho_i sqrt((M^-1 M_i M^-1)_jj),     M_i = X_i' X_i,   M = sum_i M_i
+
+(a bound by partial correlations, benchmarked by what is observed: Cinelli and Hazlett, Journal of the Royal
+Statistical Society B 82 (2020)). FACTOR is an assumption, and no data can test it: on simulated loops whose truth is
+known 3 held nearly always with strong sticks and mostly with weak ones, 1.5 with strong ones alone (benchmarks, "Does
+the test of feedback say what is so?"). It says nothing of an open loop, where inputs that foretell tell of physics that
+is missing.
+
+With instruments that are strong and exogenous nothing of that is needed: their estimates are printed where they differ,
+or where inputs know more than the log, unless they show that an effect is missing. Where inputs of a faster controller
+may have moved between rows of the log, they are made with inputs held and with the mean of each row and the next; the
+smaller statistic of Sargan decides, and what it cannot decide widens the interval.
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nsde_torch.data import Run
+from nsde_torch.errors import ConfigError
+from nsde_torch.learning.identify.identify import ITERATIONS, Regression, identification, regression_of
+from nsde_torch.learning.identify.instruments import (
+    MISSING,
+    Instrumented,
+    between,
+    instrumental,
+    with_columns,
+)
+from nsde_torch.learning.identify.loop_test import ALPHA, LoopTest, tested
+from nsde_torch.learning.identify.loop_words import FACTOR
+from nsde_torch.learning.identify.result import Identification
+from nsde_torch.systems import System
+
+Array = NDArray[np.float64]
+
+_TOLD = 4.0  # difference of statistics from which on data tell what inputs do between rows
+
+
+def identify_in_loop(
+    system: System,
+    runs: Sequence[Run],
+    *,
+    clock: float = 1.0,
+    method: str = "weak",
+    width: float | None = None,
+    iterations: int = ITERATIONS,
+    instruments: Sequence[str] = (),
+) -> Identification:
+    """Identify declared parameters, test the loop, and use signals from outside it.
+
+    Args:
+        system: The machine; its values are where the iteration starts. It is not changed.
+        runs: Recordings, all on one step.
+        clock: Physical seconds per logged second.
+        method: See `identify`.
+        width: See `identify`.
+        iterations: Largest number of steps.
+        instruments: Names of logged columns (`Run.extra`) that nothing inside the loop moves: sticks, setpoints.
+
+    Returns:
+        Estimates with `loop`, `instrumented` and `doubt` filled in.
+
+    Raises:
+        DataError: a run lacks an instrument, or one never changes; and as `identify`.
+        ConfigError: instruments with `method="differences"`; and as `identify`.
+    """
+    if instruments:
+        if method != "weak":
+            raise ConfigError(
+                f"`data.instruments` needs model.method=weak; got {method!r} (inputs that were smoothed know the "
+                "future). Leave the instruments out."
+            )
+        system, runs = with_columns(system, runs, instruments)
+    regression = regression_of(system, runs, clock=clock, method=method, width=width)
+    regression.run(iterations)
+    found = identification(regression, method)
+    if method != "weak":
+        why = "finite differences of smoothed states have no innovations"
+        return replace(found, loop=LoopTest(why_not=why))
+    loop = tested(regression, runs)
+    instrumented, apart = None, np.zeros(len(regression.vector))
+    if instruments:
+        instrumented, apart = _by_instruments(
+            regression, runs, instruments, loop.foretold, clock, width, iterations
+        )
+    if instrumented is not None and adopted(instrumented, loop):
+        found = replace(
+            found,
+            values=instrumented.values,
+            covariance=instrumented.covariance,
+            degrees=instrumented.degrees,
+        )
+        doubt = np.where(instrumented.moved, apart, hidden_bias(regression, loop))
+    else:
+        doubt = hidden_bias(regression, loop)
+    return replace(found, loop=loop, instrumented=instrumented, doubt=doubt)
+
+
+def _by_instruments(
+    regression: Regression,
+    runs: Sequence[Run],
+    names: Sequence[str],
+    foretold: bool,
+    clock: float,
+    width: float | None,
+    iterations: int,
+) -> tuple[Instrumented, Array]:
+    """Estimates by instruments, and by how much (k,) they hang on what inputs do between rows of the log."""
+    held = instrumental(regression, names)
+    sure = np.zeros(len(held.values))
+    if not foretold:  # then the log has the inputs as they were
+        return held, sure
+    system = regression.physics.vector.system
+    moving = regression_of(system, between(runs, system.nu), clock=clock, width=width)
+    moving.run(iterations)
+    other = replace(instrumental(moving, names, ordinary=regression), between_rows=True)
+    if not other.moved.any() or len(other.refused) > len(held.refused):
+        return held, sure
+    if not held.moved.any() or len(other.refused) < len(held.refused):
+        return other, sure
+    better = other.misfit - held.misfit
+    apart = np.abs(held.values - other.values) if abs(better) < _TOLD else sure
+    return (held if better >= 0 else other), apart
+
+
+def adopted(instrumented: Instrumented, loop: LoopTest) -> bool:
+    """Whether estimates by instruments are those to print."""
+    wanted = instrumented.differs or loop.foretold or bool(loop.functions_of_state)
+    return bool(instrumented.moved.any()) and wanted and instrumented.unexplained >= MISSING
+
+
+def hidden_bias(regression: Regression, loop: LoopTest) -> Array:
+    """Largest bias (k,) of each parameter that knowledge of the inputs may have caused; zero where none was found.
+
+    nan of parameters that rest mostly on channels whose inputs are nearly a function of the state: nothing is known.
+    """
+    k = len(regression.vector)
+    sure = {a.channel: a.share for a in loop.knowledge if a.chance < ALPHA}
+    bound = {c for way in loop.functions_of_state for c in loop.driven[way]}
+    if not sure and not bound:
+        return np.zeros(k)
+    names = [regression.physics.names[channel] for channel in regression.rows]
+    of_channels = np.square(regression.slopes).sum(1)
+    free = of_channels[[name not in bound for name in names]].sum(0)
+    basis = regression.shown.basis
+    squares = [s.T @ s for s in (slopes @ basis for slopes in regression.slopes)]
+    back = basis @ np.linalg.pinv(sum(squares[1:], squares[0]))
+    out = np.zeros(k)
+    for name, square in zip(names, squares, strict=True):
+        spread = np.einsum("ja,ab,jb->j", back, square, back).clip(0.0)
+        out += FACTOR * np.sqrt(len(regression.series) * sure.get(name, 0.0) * spread)
+    return np.where(free < 0.5 * of_channels.sum(0), np.nan, out)

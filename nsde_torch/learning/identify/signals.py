@@ -1,0 +1,178 @@
+"""Inputs and instruments on the rows of a regression, and the tests of what they know of its innovations.
+
+An innovation e_k is what one step brings that nothing before it foretold. A score test asks whether columns v_k that
+were known then foretell it after all,
+
+    S = sum_k e_k r_k,    V = sum_k e_k^2 r_k r_k',    S' V^-1 S ~ chi2(rank),    r: v without what was fitted anyway
+
+with the covariance of White (Econometrica 48 (1980)), which does not need noise to be even. Several tests at once are
+judged by Holm's chances (Scandinavian Journal of Statistics 6 (1979)).
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from scipy.stats import chi2
+
+from nsde_torch.learning.identify.identify import Regression
+from nsde_torch.learning.identify.noise import extended
+from nsde_torch.learning.identify.series import Series
+from nsde_torch.learning.identify.steps import Steps
+
+Array = NDArray[np.float64]
+
+_ROWS = 4000  # steps that the mixing of the inputs is read from
+_SAME = 0.99  # cosine between directions that are one
+_STEADY = 0.5  # share of a slope's square that its mean must have to be a direction
+_RANK = 1e-9  # of the largest variance
+
+
+@dataclass(frozen=True)
+class Direction:
+    """A combination of the inputs that drives something.
+
+    Args:
+        name: What it is called in sentences.
+        weights: Its weights (nu,), of length one.
+        channels: Numbers of the channels that it drives.
+    """
+
+    name: str
+    weights: Array
+    channels: tuple[int, ...]
+
+
+def box_means(regression: Regression, values: Array) -> Array:
+    """Means of columns over steps (N, n) over the boxes of a regression (M, n)."""
+    return regression.single.summed(values, regression.box) / regression.box
+
+
+def spread_out(regression: Regression, values: Array) -> Array:
+    """Rows of boxes (M, n) as rows of whitened residuals; the row before each stretch is zero."""
+    longer = extended(regression.series)
+    out = np.zeros((len(longer), values.shape[1]))
+    for (a, b), (c, d) in zip(regression.series.edges, longer.edges, strict=True):
+        out[c + 1 : d] = values[a:b]
+    return out
+
+
+def lagged(values: Array, series: Series, lags: Sequence[int]) -> Array:
+    """Columns (N, n) of so many rows before, side by side (N, n len(lags)); zero where a stretch had not begun."""
+    place = series.place[:, None]
+    parts = []
+    for lag in lags:
+        moved = np.zeros_like(values)
+        moved[lag:] = values[: len(values) - lag] if lag else values
+        parts.append(np.where(place >= lag, moved, 0.0))
+    return np.concatenate(parts, 1)
+
+
+def late(series: Series, rows: int) -> NDArray[np.bool_]:
+    """Rows that have so many before them in their stretch."""
+    return np.asarray(series.place >= rows)
+
+
+def basis_of(columns: Array) -> Array:
+    """Orthonormal columns that span these; none of what rounding leaves."""
+    length = np.linalg.norm(columns, axis=0)
+    columns = columns[:, length > 0] / length[length > 0]
+    if not columns.shape[1]:
+        return columns
+    basis, values, _ = np.linalg.svd(columns, full_matrices=False)
+    return np.asarray(basis[:, values**2 > _RANK * values[0] ** 2])
+
+
+def without(values: Array, basis: Array) -> Array:
+    """Columns without their part along an orthonormal basis."""
+    return np.asarray(values - basis @ (basis.T @ values))
+
+
+def score_test(innovation: Array, columns: Array, fitted: Array) -> tuple[float, float]:
+    """Chance (p value) of a score as large as this if nothing foretells the innovation, and the share foretold.
+
+    Args:
+        innovation: e (N,).
+        columns: What may foretell it (N, n).
+        fitted: Orthonormal columns that e was fitted with (N, p), or that may foretell it.
+    """
+    e = without(innovation[:, None], fitted)[:, 0]
+    rest = without(columns, fitted)
+    kept = np.linalg.norm(rest, axis=0) > 1e-6 * np.maximum(np.linalg.norm(columns, axis=0), 1e-300)
+    rest = basis_of(rest[:, kept])
+    count = rest.shape[1]
+    if not count or not e.any():
+        return 1.0, 0.0
+    score = rest.T @ e
+    scatter = (rest * np.square(e)[:, None]).T @ rest
+    statistic = float(score @ np.linalg.pinv(scatter, hermitian=True) @ score)
+    free = max(len(e) - fitted.shape[1] - count, 1)
+    share = float(score @ score / (e @ e))
+    # what chance alone foretells is taken off
+    return float(chi2.sf(statistic, count)), max(0.0, 1.0 - (1.0 - share) * (free + count) / free)
+
+
+def holm(chances: Sequence[float]) -> list[float]:
+    """Chances adjusted for their number, in their order."""
+    order = np.argsort(chances)
+    out, worst = [1.0] * len(chances), 0.0
+    for i, k in enumerate(order):
+        worst = max(worst, min(1.0, (len(chances) - i) * chances[k]))
+        out[k] = worst
+    return out
+
+
+def principal(values: Array) -> Array:
+    """Columns (N, n) along their principal directions, those without variance left out."""
+    centred = values - values.mean(0)
+    _, sizes, axes = np.linalg.svd(centred / np.sqrt(max(len(values), 1)), full_matrices=False)
+    if not sizes.size or not sizes[0] > 0:
+        return centred[:, :0]
+    return np.asarray(centred @ axes[sizes > 1e-5 * sizes[0]].T)
+
+
+@torch.no_grad()
+def directions(regression: Regression) -> list[Direction]:
+    """Combinations of the inputs that drive the channels of a regression, by the physics where it stands.
+
+    A lag is taken for settled: what counts is the mixing.
+    """
+    physics = regression.physics
+    system, steps = physics.vector.system, physics.steps
+    physics.vector.use(torch.as_tensor(regression.theta))
+    some = torch.linspace(0, len(steps) - 1, min(len(steps), _ROWS)).round().long()
+    t, x, u = steps.t[some], steps.x0[some], steps.u[some]
+    attitude = physics.attitude[some]
+    slopes = np.empty((len(some), len(regression.rows), system.nu))
+    for j in range(system.nu):
+        aside = torch.zeros_like(u)
+        aside[:, j] = 1e-3 * max(float(u[:, j].abs().max()), 1e-3)
+        ends = [system.drift(t, system.augment(x, v), v)[:, : system.nx] for v in (u + aside, u - aside)]
+        slope = physics.turn(ends[0] - ends[1], attitude) / (2.0 * aside[:, [j]])
+        slopes[:, :, j] = slope.numpy()[:, regression.rows]
+    size = np.sqrt(np.square(slopes).mean(0).sum(1))
+    motion = np.asarray(steps.u[:, : system.nu]).std(0)
+    out: list[Direction] = []
+    for i, channel in enumerate(regression.rows):
+        mean = slopes[:, i].mean(0)
+        length = float(np.linalg.norm(mean))
+        if not length > 0 or length**2 < _STEADY * size[i] ** 2 or not np.abs(mean * motion).max() > 0:
+            continue
+        weights = mean / length
+        same = [k for k, d in enumerate(out) if abs(float(d.weights @ weights)) > _SAME]
+        if same:
+            known = out[same[0]]
+            out[same[0]] = Direction(known.name, known.weights, (*known.channels, int(channel)))
+            continue
+        name = system.input_names[0] if system.nu == 1 else f"the input of {physics.names[channel]}"
+        out.append(Direction(name, weights, (int(channel),)))
+    return out
+
+
+def inputs_of(regression: Regression) -> Array:
+    """Inputs on the rows of whitened residuals (N, nu), the mean of each box."""
+    steps: Steps = regression.physics.steps
+    u = np.asarray(steps.u[:, : regression.physics.vector.system.nu])
+    return spread_out(regression, box_means(regression, u))

@@ -190,13 +190,12 @@ def _flown(
 
 
 def _packed(pieces: Sequence[RawRun], gap: float) -> list[list[RawRun]]:
-    """Pieces in lists of those that do not overlap: each goes, in the order of time, to the first list with room."""
+    """Pieces in lists of those that do not overlap: each goes, in the order of time, to the shortest list with room."""
     lists: list[list[RawRun]] = []
     for piece in pieces:
-        for held in lists:
-            if held[-1].name == piece.name and piece.t[0] - held[-1].t[-1] > gap:
-                held.append(piece)
-                break
+        free = [held for held in lists if held[-1].name == piece.name and piece.t[0] - held[-1].t[-1] > gap]
+        if free:
+            min(free, key=len).append(piece)
         else:
             lists.append([piece])
     return lists

@@ -1,15 +1,15 @@
 """Question: how far off is a model of closed-loop flights where inputs are set from outside, and do its intervals hold?
 
     python benchmarks/bench_interventions.py --folder results/interventions --seeds 5
-    python benchmarks/bench_interventions.py --folder results/interventions --models nsde sysid --json out.json seed=3
+    python benchmarks/bench_interventions.py --folder results/interventions --models nsde sysid --json out.json -- seed=3
 
 Models learn from the built-in flights of seed k (of the quadrotor, 100 + k), which a cascade flew in gusts. They are
 judged on 400 interventions on the same machine (`nsde simulate pilot=replay`, from states of the flights of a seed that
-is 1000 higher, which no model has seen): one second of commands of another time, independent of the state and of the gusts, the inputs before the start known.
-Beside them:
+is 1000 higher, which no model has seen): one second of commands of another time, independent of the state and of the
+gusts, the inputs before the start known. Beside them:
 
     oracle   the true parameters and effects from the same noisy start, memory from the inputs before, no gusts,
-             Runge-Kutta 4 at a quarter of a sample: what no model can beat but by luck
+             Runge-Kutta 4 at a quarter of a sample: what no model that starts from that measurement can beat but by luck
     hold     the state stays as it is
 
 A model is named by its kind, with `+effects` where the true effects of the machine are declared. Finished trainings are
@@ -41,7 +41,7 @@ HORIZONS = (0.1, 0.25, 0.5, 1.0)
 GROUPS = {"position": "m", "velocity": "m/s", "attitude": "deg", "rate": "rad/s"}
 DECLARED = "+effects"
 FIRST_SEED = {"hexacopter": 0, "quadrotor": 100}
-"""Added to the seed: the cascade makes equal loops of both machines, and of one seed nearly equal flights and errors."""
+"""Added to the seed: the cascade makes equal loops of both machines, and of one seed nearly equal flights."""
 OTHER_FLIGHTS = 1000
 """Added to the seed of the flights that a model learned from, for those that interventions start from."""
 Errors = dict[str, dict[str, float]]

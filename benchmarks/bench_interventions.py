@@ -1,7 +1,7 @@
 """Question: how far off is a model of closed-loop flights where inputs are set from outside, and do its intervals hold?
 
     python benchmarks/bench_interventions.py --folder results/interventions --seeds 5
-    python benchmarks/bench_interventions.py --folder results/interventions --models nsde sysid --json out.json -- seed=3
+    python benchmarks/bench_interventions.py --folder results/of_seed_3 --models nsde sysid -- seed=3
 
 Models learn from the built-in flights of seed k (of the quadrotor, 100 + k), which a cascade flew in gusts. They are
 judged on 400 interventions on the same machine (`nsde simulate pilot=replay`, from states of the flights of a seed that
@@ -9,7 +9,7 @@ is 1000 higher, which no model has seen): one second of commands of another time
 gusts, the inputs before the start known. Beside them:
 
     oracle   the true parameters and effects from the same noisy start, memory from the inputs before, no gusts,
-             Runge-Kutta 4 at a quarter of a sample: what no model that starts from that measurement can beat but by luck
+             Runge-Kutta 4 at a quarter of a sample: no model that starts from that measurement beats it but by luck
     hold     the state stays as it is
 
 A model is named by its kind, with `+effects` where the true effects of the machine are declared. Finished trainings are

@@ -61,23 +61,23 @@ def report_of(runs: Sequence[Run], report: Report) -> None:
     """Tell how many interventions there are.
 
     Raises:
-        DataError: there is the column, and it never changes from 0 to 1.
+        DataError: the column is 1 somewhere, and never changes from 0 to 1.
     """
-    counts = [len(some) for run in runs if (some := stretches(run)) is not None]
-    if not counts:
+    if not interventional(runs):
         return
-    if not sum(counts):
+    count = sum(len(stretches(run) or ()) for run in runs)
+    if not count:
         raise DataError(
             f"the column {COLUMN!r} never changes from 0 to 1 inside a stretch without a gap, so that there is no "
             "start with the inputs before it. Keep some rows before each intervention, or leave the column out."
         )
-    message = f"{sum(counts)} interventions, from which on inputs do not depend on the state"
-    report(Finding("interventions", "", sum(counts), message, "evaluated from there"))
+    message = f"{count} interventions, from which on inputs do not depend on the state"
+    report(Finding("interventions", "", count, message, "evaluated from there"))
 
 
 def interventional(runs: Sequence[Run]) -> bool:
-    """Whether predictions are to start at interventions."""
-    return any(COLUMN in run.extra for run in runs)
+    """Whether predictions are to start at interventions: there is the column, and it is not zero throughout."""
+    return any(COLUMN in run.extra and bool((run.extra[COLUMN] > 0.5).any()) for run in runs)
 
 
 def stretches(run: Run) -> list[tuple[int, int]] | None:
@@ -98,5 +98,6 @@ def stretches(run: Run) -> list[tuple[int, int]] | None:
 
 def longest_stretch(runs: Sequence[Run]) -> float:
     """Longest time over which a prediction can run [s]: inside a segment, or from an intervention on."""
-    every = [(run, run.segments if COLUMN not in run.extra else stretches(run)) for run in runs]
-    return max((float(run.t[b - 1] - run.t[a]) for run, some in every for a, b in some or ()), default=0.0)
+    there_are = interventional(runs)
+    every = [(run, (stretches(run) or ()) if there_are else run.segments) for run in runs]
+    return max((float(run.t[b - 1] - run.t[a]) for run, some in every for a, b in some), default=0.0)

@@ -50,6 +50,14 @@ def test_horizons_are_those_that_fit_behind_the_starts() -> None:
     assert horizons_of([run([(20, 69)])], 0.05) == (0.1, 0.25)
 
 
+def test_a_column_of_zeros_is_a_log_without_interventions() -> None:
+    plain = run([])
+    assert Windows([plain], 0.01, 5).starts(0.25).tolist() == [0, 25, 50, 75, 100]
+    assert longest_stretch([plain]) == pytest.approx(1.19)
+    assert Windows([plain, run([(40, 60)])], 0.01, 5).locate([0])[0] == ("a", 0)
+    assert longest_stretch([plain, run([(40, 60)])]) == pytest.approx(0.2)
+
+
 def raw(column: np.ndarray | None, name: str = "a") -> RawRun:
     n = 300
     t = 0.01 * np.arange(n)

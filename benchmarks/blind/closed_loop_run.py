@@ -78,7 +78,7 @@ def judge(truth: Mapping[str, Any], answer: Mapping[str, Any], found: Mapping[st
         "tied": any(true in tie for tie in ties),
         "tie": next((tie for tie in ties if true in tie), []),
         "lead": bool(own and own[0]["lead"]),
-        "lead_reason": own[0].get("lead_reason", "") if own else "",
+        "lead_reason": (own[0].get("lead_reason") or "") if own else "",
     }
     cuts = {
         k: r["before"] / r["after"]

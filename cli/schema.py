@@ -516,6 +516,20 @@ class RecordingConfig:
 
 
 @dataclass
+class ReplayConfig:
+    """Interventions, with pilot=replay."""
+
+    starts: int = key(400, "how many", low=1)
+    duration: float = key(1.0, "how long commands of another time are replayed", unit="s", above=0)
+    before: float = key(
+        0.5,
+        "how much of the flight is logged before each start: inputs that lags remember",
+        unit="s",
+        above=0,
+    )
+
+
+@dataclass
 class SimulateConfig:
     """`nsde simulate`."""
 
@@ -528,10 +542,17 @@ class SimulateConfig:
     )
     dt: float | None = key(None, "step of the log; null: the system's own", unit="s", above=0)
     options: dict[str, Any] = key({}, "further options of the system's recording, options.NAME=1")
+    pilot: str = key(
+        "manual",
+        "manual: the system's own recording, in which inputs may answer states; replay: interventions (multirotors): "
+        "from states of such flights, commands of another time, in fresh gusts, marked by the column `intervention`",
+        choices=("manual", "replay"),
+    )
     threads: int = key(1, "CPU threads of torch", low=1)
     system: PlantSystem = group(PlantSystem, "the machine")
     plant: PlantConfig = group(PlantConfig, "what it holds")
     recording: RecordingConfig = group(RecordingConfig, "how it is logged")
+    replay: ReplayConfig = group(ReplayConfig, "interventions, with pilot=replay")
 
 
 @dataclass

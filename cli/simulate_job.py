@@ -25,6 +25,7 @@ def run(config: DictConfig) -> None:
     import torch
 
     from nsde_torch.plants.recording import Recording
+    from nsde_torch.plants.replay import Replay
     from nsde_torch.plants.simulation import check_free, simulate, truth_path, write
 
     from . import build
@@ -40,14 +41,16 @@ def run(config: DictConfig) -> None:
         seed=config.seed,
         dt=config.dt,
         recording=Recording(**build.options(config.recording)),
+        replay=Replay(**build.options(config.replay)) if config.pilot == "replay" else None,
         options=OmegaConf.to_container(config.options),  # type: ignore[arg-type]
         **plant,
     )
     files = write(made, folder, truth=config.truth, overwrite=config.overwrite)
     rows = sum(len(run.t) for run in made.runs)
     seconds = sum(made.truth["durations_s"])
+    of = f"{config.replay.starts} interventions on flights of " if config.pilot == "replay" else ""
     took = time.perf_counter() - started
     print(
-        f"took {took:.0f} s; wrote {len(made.runs)} runs of {config.system.name} ({seconds:g} s, {rows} rows) into "
+        f"took {took:.0f} s; wrote {len(made.runs)} runs of {config.system.name} ({of}{seconds:g} s, {rows} rows) into "
         f"{folder}, and what is in them to {files[-1]}"
     )

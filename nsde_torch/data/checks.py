@@ -20,6 +20,7 @@ from nsde_torch.data import (
     ground,
     held,
     inputs,
+    interventions,
     kinematics,
     missing,
     stuck,
@@ -220,6 +221,7 @@ def assemble(
         if system.quaternion is not None:
             attitude.check_norms(run, system.quaternion, tuple(system.state_names), report)
         times.order(run, report)
+    interventions.check(raw)
     own_step = _own_step(raw)
     step = own_step if dt is None else float(dt)
     limit = times.GAP_STEPS * max(step, own_step) if gap is None else float(gap)
@@ -256,6 +258,7 @@ def assemble(
         run.extra = {}
     if short:
         slopes += kinematics.clock_slopes(system, "short runs together", short, dt=step)
+    interventions.report_of(runs, report)
     stuck.check(system, runs, report)
     conventions.check(system, runs)
     _clock.check_units(slopes, tuple(system.state_names))

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from nsde_torch.data.denoise import denoised
+from nsde_torch.data.interventions import interventional, stretches
 from nsde_torch.data.run import Run
 from nsde_torch.errors import ConfigError, DataError
 
@@ -92,6 +93,7 @@ class Windows:
         self._x = torch.empty(total, runs[0].x.shape[1], dtype=dtype)
         self._u = torch.empty(total, runs[0].u.shape[1], dtype=dtype)
         ranges = []
+        self._interventions = _interventions(runs, self._first)
         for first, run in zip(self._first.tolist(), runs, strict=True):
             # torch.from_numpy wants a writable array; copy_ only reads it
             self._x[first : first + len(run)].numpy()[...] = run.x
@@ -239,11 +241,12 @@ class Windows:
         yield from torch.randperm(len(self), generator=generator).split(size)
 
     def starts(self, every_s: float) -> Tensor:
-        """Windows that start on the regular grid 0, every_s, 2 every_s, ... of their run, for evaluation.
+        """Windows to evaluate: on the regular grid 0, every_s, 2 every_s, ... of their run, or at interventions.
 
         The grid counts samples from the first row of each run, so that every model is scored from the same
         starts; those whose window would leave its segment are left out. Give the windows the longest horizon
-        of interest.
+        of interest. Runs with a column `intervention` are scored from where it changes from 0 to 1 (see
+        `data.interventions`), and from nowhere else.
 
         Args:
             every_s: Distance between starts [s], a whole number of data steps (within 1 %).
@@ -257,6 +260,8 @@ class Windows:
                 f"`every_s` must be a whole multiple of the data's step of {self.dt:.6g} s; got "
                 f"{every_s:.6g}."
             )
+        if self._interventions is not None:
+            return self._at(self._interventions)
         every = round(steps)
         out = []
         for (a, _), count, end in zip(self._ranges, self._counts, self._ends, strict=True):
@@ -266,6 +271,20 @@ class Windows:
             offset = -(a - first) % every
             out.append(np.arange(offset, count, every) + (end - count))
         return torch.from_numpy(np.concatenate(out) if out else np.empty(0, dtype=np.int64))
+
+    def _at(self, stretches: Ranges) -> Tensor:
+        """Windows that start at the first row of a range (start, stop), where they fit into it."""
+        ends = self._ranges[:, 1]
+        out = []
+        for start, stop in stretches:
+            part = int(np.searchsorted(ends, start, side="right"))
+            if (
+                part < len(ends)
+                and self._ranges[part, 0] <= start
+                and start + self.span < min(stop, ends[part])
+            ):
+                out.append(start + self.span - ends[part] + self._ends[part])
+        return torch.from_numpy(np.array(out, dtype=np.int64))
 
     def held_out(
         self, fraction: float, block_s: float, generator: torch.Generator, *, gap_s: float = 0.0
@@ -333,6 +352,14 @@ class Windows:
                 "do not fit. Shorten `horizon`, or use no validation."
             )
         return [a, cut, b]
+
+
+def _interventions(runs: Sequence[Run], first: Ranges) -> Ranges | None:
+    """Rows (start, stop) of interventions in the joined runs, ascending; None where the runs have none."""
+    if not interventional(runs):
+        return None
+    rows = [(a + at, b + at) for run, at in zip(runs, first, strict=True) for a, b in stretches(run) or ()]
+    return np.array(rows, dtype=np.int64).reshape(-1, 2)
 
 
 def _block_edges(a: int, b: int, block: int) -> list[int]:

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from nsde_torch.data import DataSet, Run, Windows
+from nsde_torch.data.interventions import interventional, longest_stretch
 from nsde_torch.data.smoothing import smoothing_width
 from nsde_torch.errors import ConfigError, DataError, NonFiniteError
 from nsde_torch.learning.metrics import HORIZONS, horizons_of, start_grid, thinned
@@ -22,6 +23,10 @@ from nsde_torch.learning.scores import BASELINES
 from nsde_torch.learning.seen import SeenRuns
 from nsde_torch.models.model import Model
 
+INTERVENTIONS = (
+    "these starts are interventions: the inputs were set from outside, whatever the state was, so that errors and "
+    "intervals tell what an input does"
+)
 _CLOCK_TOLERANCE = 0.01  # what two measurements of one clock may differ by
 _STEP_TOLERANCE = 0.01
 _SMOOTHING_TOLERANCE = 0.1
@@ -137,7 +142,7 @@ def common_horizons(
     """
     coarsest = max(candidates, key=lambda c: c.model.spec.dt)
     dt = coarsest.model.spec.dt
-    longest = max(float(run.t[b - 1] - run.t[a]) for run in runs for a, b in run.segments)
+    longest = longest_stretch(runs)
     notes = []
     if given is None:
         wanted = list(horizons_of(runs, dt))
@@ -157,7 +162,7 @@ def common_horizons(
             raise ConfigError(
                 f"`horizons` must not be below the step of {coarsest.name!r}, {dt:g} s; got {wanted[0]:g} s."
             )
-        if wanted[-1] > longest:
+        if wanted[-1] > longest + 1e-6:
             raise DataError(
                 f"`horizons` must fit in the runs, whose longest stretch without a gap is {longest:.4g} s; got "
                 f"{wanted[-1]:g} s."
@@ -195,6 +200,8 @@ def common_grids(
         raise DataError(f"no stretch of {horizons[-1]:g} s without a gap; evaluate on longer runs.")
     smoothing = smoothing_width(data.runs, candidates[0].model.system.nu)
     grids, notes, ahead = [], [], []
+    if interventional(runs):
+        notes.append(note(INTERVENTIONS))
     for c, (own, windows, starts, steps), at in zip(candidates, made, rows, strict=True):
         dt, remark = _own_step(c, data, windows, starts[:1])
         notes += remark

@@ -3,10 +3,11 @@
 `compare` returns what `evaluation.json` holds; numbers are in the units of `units`, times in seconds, and a value that
 is not defined is null:
 
-    system, seed, particles, starts, start_every_s, horizons_s
+    system, seed, particles, starts, start_every_s (null: at interventions), horizons_s
     units           errors, spread, crps and differences: unit by group; nll: of a channel in the units of the state
-    data            kind, fingerprint, dt_s, clock_scale, and `runs`: name, content_hash, duration_s, starts, and
-                    trained_on_by (names of models)
+    data            kind, fingerprint, dt_s, clock_scale, inputs ("as logged", or "interventional": they do not depend
+                    on the state, see `nsde_torch.data.interventions`), and `runs`: name, content_hash, duration_s,
+                    starts, and trained_on_by (names of models)
     models[]        name, folder, kind, dt_s, stochastic, starts, diverged
                     held_out        false if the model was trained on any of the runs
                     trained_on      run -> true or false; trained_on_match: run -> whole, part, by name, same name or ""
@@ -37,6 +38,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from nsde_torch.data import DataSet, Run
+from nsde_torch.data.interventions import interventional
 from nsde_torch.learning.bootstrap import BLOCK_S, REPLICATES, Blocks, make_blocks, paired_bootstrap, verdict
 from nsde_torch.learning.common_grid import (
     Candidate,
@@ -140,7 +142,7 @@ def compare(
         "seed": seed,
         "particles": particles,
         "starts": len(index),
-        "start_every_s": max(1, round(START_EVERY / data.dt)) * data.dt,
+        "start_every_s": None if interventional(runs) else max(1, round(START_EVERY / data.dt)) * data.dt,
         "horizons_s": wanted,
         "units": {
             **dict.fromkeys(("errors", "spread", "crps", "differences"), units),
@@ -153,6 +155,7 @@ def compare(
             "fingerprint": data.fingerprint,
             "dt_s": data.dt,
             "clock_scale": data.clock_scale,
+            "inputs": "interventional" if interventional(runs) else "as logged",
             "runs": [
                 {
                     "name": run.name,

@@ -22,9 +22,11 @@ def lines(content: Mapping[str, Any]) -> Iterator[Line]:
         A line and whether it is red: a figure on runs that the model was trained on, or one not to be believed.
     """
     models = content["models"]
-    count = (
-        f"{content['starts']} starts every {content['start_every_s']:g} s, {content['particles']} paths each"
+    every = content["start_every_s"]
+    where = (
+        "interventions (inputs do not depend on the state)" if every is None else f"starts every {every:g} s"
     )
+    count = f"{content['starts']} {where}, {content['particles']} paths each"
     yield f"{content['system']}: {count}", False
     yield "", False
     yield from _runs(content)

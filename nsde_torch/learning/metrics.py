@@ -12,6 +12,7 @@ import torch
 from torch import Tensor
 
 from nsde_torch.data import Run, Windows
+from nsde_torch.data.interventions import interventional, longest_stretch
 from nsde_torch.errors import DataError
 from nsde_torch.learning.scores import (
     BASELINES,
@@ -49,12 +50,13 @@ MOST_STARTS = 2000
 
 def horizons_of(runs: Sequence[Run], dt: float) -> tuple[float, ...]:
     """Those of 0.1, 0.25, 0.5, 1 and 2 s that are not below a step and fit in the longest stretch."""
-    longest = max(run.t[b - 1] - run.t[a] for run in runs for a, b in run.segments)
-    return tuple(h for h in HORIZONS if h <= longest - dt and h >= 0.99 * dt)
+    # a regular grid of starts needs room to lie in; an intervention is where it is
+    room = longest_stretch(runs) - (-1e-6 if interventional(runs) else dt)
+    return tuple(h for h in HORIZONS if h <= room and h >= 0.99 * dt)
 
 
 def start_grid(windows: Windows) -> Tensor:
-    """Window numbers of the starts: every 0.25 s, or the nearest whole number of data steps."""
+    """Window numbers of the starts: every 0.25 s, or the nearest whole number of data steps; or the interventions."""
     return windows.starts(max(1, round(START_EVERY / windows.dt)) * windows.dt)
 
 

@@ -10,6 +10,7 @@ from nsde_torch.plants.plant import Plant
 from nsde_torch.plants.record import record
 from nsde_torch.plants.recording import Recording
 from nsde_torch.plants.registry import simulated
+from nsde_torch.plants.replay import Replay
 from nsde_torch.plants.simulation import Simulation, simulate, write
 
 __all__ = [
@@ -21,6 +22,7 @@ __all__ = [
     "Making",
     "Plant",
     "Recording",
+    "Replay",
     "Simulation",
     "SwingUp",
     "cartpole_episodes",

@@ -84,6 +84,11 @@ def battery_of(plant: Plant, making: Making | None, durations: Sequence[float], 
     return Battery([starts[i % len(starts)] for i in range(rows)], dt=plant.dt, logged=logged)
 
 
+def used_of(voltage: Array, u: Array) -> Array:
+    """Share of the charge that is gone (B,), from the voltage (B, 1) that was logged under commands (B, nu)."""
+    return np.asarray((FULL - LOAD * u.mean(1) - voltage[:, 0]) / SWING)
+
+
 def battery_column(voltage: Array) -> dict[str, Array]:
     """The voltage (n, 1) or (n, 0) of a run as a further column."""
     return {COLUMN: voltage[:, 0].copy()} if voltage.shape[1] else {}

@@ -8,6 +8,7 @@ moved by what flying added to or took from the wanted figures, and all is flown 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 import torch
@@ -36,6 +37,27 @@ ROOM, FLOOR = 4.0, 0.2
 """Flights stay within this distance of the middle of the room and above this height [m]."""
 
 
+@dataclass(frozen=True)
+class Flown:
+    """Flights, time first; rows of a batch in between where there are several.
+
+    Args:
+        x: Measured states (n, ..., 13).
+        u: Commands given at them (n, ..., nu).
+        voltage: Voltage of the battery (n, ..., 1), or (n, ..., 0) where none is logged.
+        z: True states with the memory of the effects (n, ..., nz), or (n, ..., 0) where they are not kept.
+    """
+
+    x: Array
+    u: Array
+    voltage: Array
+    z: Array
+
+    def one(self, rows: int, index: int) -> Flown:
+        """The first rows of one flight of a batch, copied."""
+        return Flown(*(a[:rows, index].copy() for a in (self.x, self.u, self.voltage, self.z)))
+
+
 def fly(
     name: str,
     paths: Sequence[Path],
@@ -49,7 +71,7 @@ def fly(
 
     Arguments and errors are those of `fly_logged`.
     """
-    x, u, _ = fly_logged(
+    flown = fly_logged(
         name,
         paths,
         generator=generator,
@@ -57,7 +79,7 @@ def fly(
         process_noise=process_noise,
         sensor_noise=sensor_noise,
     )
-    return x, u
+    return flown.x, flown.u
 
 
 def fly_logged(
@@ -70,7 +92,8 @@ def fly_logged(
     sensor_noise: float = 1.0,
     making: Making | None = None,
     durations: Sequence[float] = (),
-) -> tuple[Array, Array, Array]:
+    keep_truth: bool = False,
+) -> Flown:
     """Fly wanted paths at once, with the battery's voltage; the shorter ones hold their end.
 
     Args:
@@ -82,10 +105,10 @@ def fly_logged(
         sensor_noise: Factor on the sensor noise.
         making: How the plant is made.
         durations: Lengths of the runs that take turns on one battery [s]; row i is run i modulo their number.
+        keep_truth: Keep the true states too.
 
     Returns:
-        Measured states (n, B, 13), the commands given at them (n, B, nu), and the battery's voltage (n, B, 1), or
-        (n, B, 0) where none is logged.
+        The flights, (n, B, ...).
 
     Raises:
         NonFiniteError: the flight left the finite numbers.
@@ -116,17 +139,18 @@ def fly_logged(
     start[:, 6], start[:, 9] = torch.cos(0.5 * yaw[0]), torch.sin(0.5 * yaw[0])
     hover = cascade.hover(len(paths))
     x = plant.reset(start, logged.seen_by(plant, hover, logged.voltage(hover)))
-    states, commands, voltages = [], [], []
+    states, commands, voltages, truths = [], [], [], []
     for k in range(n):
         u = cascade(x, p[k], v[k], a[k], yaw[k], yaw_rate[k])
         voltage = logged.voltage(u)
         states.append(x)
         commands.append(u)
         voltages.append(voltage)
+        truths.append(plant.whole_state if keep_truth else x[:, :0])
         if k + 1 < n:
             x = plant.step(logged.seen_by(plant, u, voltage))
             logged.use(u)
-    return _array(states), _array(commands), _array(voltages)
+    return Flown(*(_array(rows) for rows in (states, commands, voltages, truths)))
 
 
 def _array(rows: list[torch.Tensor]) -> Array:
@@ -179,6 +203,67 @@ def _choose(takes: Sequence[Sequence[Array]], targets: Array) -> tuple[float, li
     return left, best
 
 
+def chosen_flights(
+    name: str,
+    *,
+    durations: Sequence[float] | None = None,
+    seed: int,
+    effects: Effects = (),
+    process_noise: float = 1.0,
+    sensor_noise: float = 1.0,
+    making: Making | None = None,
+    variants: int = VARIANTS,
+    rounds: int = ROUNDS,
+    keep_truth: bool = False,
+) -> list[Flown]:
+    """The flights of `manual_flights`, before they are runs.
+
+    Args:
+        keep_truth: Keep the true states too; they change nothing else.
+
+    Arguments beside that, and errors, are those of `manual_flights`.
+    """
+    if min(variants, rounds) < 1:
+        raise ConfigError(f"`variants` and `rounds` must be 1 or more; got {variants!r} and {rounds!r}.")
+    dt = (making or Making()).dt or machine(name).dt
+    lengths = DURATIONS if durations is None else tuple(durations)
+    pilot = Pilot(lengths, dt=dt, seed=seed)
+    generator = torch.Generator().manual_seed(int(np.random.default_rng([seed, 2]).integers(2**62)))
+    aim, sticks = pilot.targets / np.array(RESPONSE), Sticks()
+    best: tuple[float, list[Flown]] = (float("inf"), [])
+    for _ in range(rounds):
+        sticks = pilot.rehearse(sticks, aim)
+        tried = pilot.variants(sticks, variants, 0.1)
+        paths = [path for variant in tried for path in pilot.paths(variant)]
+        made = fly_logged(
+            name,
+            paths,
+            generator=generator,
+            effects=effects,
+            process_noise=process_noise,
+            sensor_noise=sensor_noise,
+            making=making,
+            durations=lengths,
+            keep_truth=keep_truth,
+        )
+        x, count = made.x, len(pilot.rows)
+        takes = [[x[:n, k * count + i] for k in range(len(tried))] for i, n in enumerate(pilot.rows)]
+        miss, choice = _choose(takes, pilot.targets)
+        if miss < best[0]:
+            rows = [k * count + i for i, k in enumerate(choice)]
+            best = (miss, [made.one(n, r) for n, r in zip(pilot.rows, rows, strict=True)])
+        if best[0] < NEAR:
+            break
+        got = figures(np.concatenate([flown(x[:n, i]) for i, n in enumerate(pilot.rows)], axis=1))
+        aim = np.clip(aim * pilot.targets / got, 0.4 * pilot.targets, 1.7 * pilot.targets)
+    if not best[1]:
+        raise ConfigError(
+            f"no flight of the {name} stayed in its room of {2 * ROOM:g} m and above {FLOOR:g} m: `effects` "
+            "or `process_noise` are too strong for the pilot. Make them weaker, or the flights shorter."
+        )
+    return best[1]
+
+
 def manual_flights(
     name: str,
     *,
@@ -212,56 +297,27 @@ def manual_flights(
         ConfigError: an unknown system or effect, a number out of range, or effects that the cascade cannot
             fly.
     """
-    if min(variants, rounds) < 1:
-        raise ConfigError(f"`variants` and `rounds` must be 1 or more; got {variants!r} and {rounds!r}.")
+    flights = chosen_flights(
+        name,
+        durations=durations,
+        seed=seed,
+        effects=effects,
+        process_noise=process_noise,
+        sensor_noise=sensor_noise,
+        making=making,
+        variants=variants,
+        rounds=rounds,
+    )
     dt = (making or Making()).dt or machine(name).dt
-    lengths = DURATIONS if durations is None else tuple(durations)
-    pilot = Pilot(lengths, dt=dt, seed=seed)
-    generator = torch.Generator().manual_seed(int(np.random.default_rng([seed, 2]).integers(2**62)))
-    aim, sticks = pilot.targets / np.array(RESPONSE), Sticks()
-    best: tuple[float, list[tuple[Array, Array, Array]]] = (float("inf"), [])
-    for _ in range(rounds):
-        sticks = pilot.rehearse(sticks, aim)
-        tried = pilot.variants(sticks, variants, 0.1)
-        paths = [path for variant in tried for path in pilot.paths(variant)]
-        x, u, voltage = fly_logged(
-            name,
-            paths,
-            generator=generator,
-            effects=effects,
-            process_noise=process_noise,
-            sensor_noise=sensor_noise,
-            making=making,
-            durations=lengths,
-        )
-        count = len(pilot.rows)
-        takes = [[x[:n, k * count + i] for k in range(len(tried))] for i, n in enumerate(pilot.rows)]
-        miss, choice = _choose(takes, pilot.targets)
-        if miss < best[0]:
-            rows = [k * count + i for i, k in enumerate(choice)]
-            kept = zip(pilot.rows, rows, strict=True)
-            best = (
-                miss,
-                [(x[:n, r].copy(), u[:n, r].copy(), voltage[:n, r].copy()) for n, r in kept],
-            )
-        if best[0] < NEAR:
-            break
-        got = figures(np.concatenate([flown(x[:n, i]) for i, n in enumerate(pilot.rows)], axis=1))
-        aim = np.clip(aim * pilot.targets / got, 0.4 * pilot.targets, 1.7 * pilot.targets)
-    if not best[1]:
-        raise ConfigError(
-            f"no flight of the {name} stayed in its room of {2 * ROOM:g} m and above {FLOOR:g} m: `effects` "
-            "or `process_noise` are too strong for the pilot. Make them weaker, or the flights shorter."
-        )
-    digits = len(str(len(pilot.rows) - 1))
+    digits = len(str(len(flights) - 1))
     return [
         RawRun(
             f"flight_{i:0{digits}d}",
-            dt * np.arange(len(run), dtype=np.float64),
-            run,
-            command,
+            dt * np.arange(len(flight.x), dtype=np.float64),
+            flight.x,
+            flight.u,
             source="simulated",
-            extra=battery_column(voltage),
+            extra=battery_column(flight.voltage),
         )
-        for i, (run, command, voltage) in enumerate(best[1])
+        for i, flight in enumerate(flights)
     ]

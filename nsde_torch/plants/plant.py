@@ -110,11 +110,17 @@ class Plant:
         self._z = torch.empty(0, system.nz, dtype=dtype, device=generator.device)
         self._commands: list[Tensor] = []
         self._samples = 0
+        self._began: Time = 0.0
 
     @property
     def time(self) -> float:
         """Time since the reset [s]."""
         return self._samples * self.dt
+
+    @property
+    def whole_state(self) -> Tensor:
+        """The true state with the memory of the effects (B, nz), which `resume` takes."""
+        return self._z
 
     @property
     def state(self) -> Tensor:
@@ -146,9 +152,38 @@ class Plant:
         u = self._clipped(u)
         self._z = self.system.project(self.system.augment(x, u))
         self._commands = [u] * (1 + -(-self._delay // self._substeps))
-        self._samples = 0
+        self._samples, self._began = 0, 0.0
         self._gusts.reset(len(x))
         return self._sensor(x)
+
+    @torch.no_grad()
+    def resume(self, z: Tensor, before: Tensor, *, t0: float | Tensor = 0.0) -> Tensor:
+        """Put the machines into a state with its memory, as in the middle of a run; gusts are drawn anew.
+
+        Args:
+            z: True states with the memory of the effects (B, nz), as `whole_state` has them.
+            before: Commands given until now, the newest last, (B, K, nu); they fill the latency, and where they are
+                fewer the first of them stands for those before it. K >= 1.
+            t0: Time of the machines' clock now, which effects that drift in time read [s], one number or (B,).
+
+        Returns:
+            Measured states (B, nx).
+
+        Raises:
+            ShapeError: wrong columns, or unequal numbers of rows.
+        """
+        z = self._rows("z", z, self.system.nz)
+        if before.ndim != 3 or before.shape[1] < 1 or len(before) != len(z):
+            raise ShapeError(
+                f"`before` must be (batch={len(z)}, K, {self._width}) with K of 1 or more; got {tuple(before.shape)}."
+            )
+        u = [self._clipped(self._rows("before", row, self._width)) for row in before.unbind(1)]
+        needed = 1 + -(-self._delay // self._substeps)
+        self._z = self.system.project(z)
+        self._commands = [*[u[0]] * (needed - len(u)), *u[-needed:]]
+        self._samples, self._began = 0, t0
+        self._gusts.reset(len(z))
+        return self._sensor(self.state)
 
     @torch.no_grad()
     def restart(self, rows: Tensor, x0: Tensor, u0: Tensor) -> Tensor:
@@ -199,7 +234,7 @@ class Plant:
             )
         self._commands = [*self._commands[1:], self._clipped(u)]
         self._sde.forces = self._gusts.draw()
-        z, start = self._z, self.time
+        z, start = self._z, self._began + self.time
         for k in range(self._substeps):
             # the command that was given `delay` fine steps before this one
             command = self._commands[-1 + (k - self._delay) // self._substeps]

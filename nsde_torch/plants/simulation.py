@@ -28,6 +28,7 @@ from nsde_torch.plants.machines import (
 )
 from nsde_torch.plants.recording import Recording
 from nsde_torch.plants.registry import RECORDINGS
+from nsde_torch.plants.replay import Replay, joined, replayed_flights
 from nsde_torch.systems import System, make_system, system_class
 
 SCHEMA = 1
@@ -35,6 +36,8 @@ EXCITED: dict[str, dict[str, Any]] = {"mass_spring_damper": {"force": "multisine
 """Options of a recording that differ from its own default here, so that the runs show something."""
 DURATIONS = {"mass_spring_damper": (20.0,) * 6}
 """Lengths of runs that differ from the recording's own default here [s]."""
+REPLAYED = {"hexacopter": replayed_flights, "quadrotor": replayed_flights}
+"""System -> function that makes interventions of its recording."""
 _SUBSTEPS = 8
 
 
@@ -70,6 +73,7 @@ def simulate(
     dt: float | None = None,
     battery: bool = False,
     recording: Recording | None = None,
+    replay: Replay | None = None,
     options: Mapping[str, Any] | None = None,
 ) -> Simulation:
     """Runs of a plant, as its recording chain logs them.
@@ -88,6 +92,8 @@ def simulate(
         dt: Step of the log [s]; None: the machine's.
         battery: Log the voltage of a battery though no effect reads it (multirotors).
         recording: Faults of the recording chain.
+        replay: Make interventions of the runs: from states of theirs, commands of another time (see
+            `nsde_torch.plants.replay`). None: the runs themselves.
         options: Further options of the system's recording (`force`, `policy`, `variants`, ...).
 
     Raises:
@@ -112,9 +118,12 @@ def simulate(
     lengths = [float(d) for d in durations or DURATIONS.get(system) or _own_durations(system)]
     used = {**EXCITED.get(system, {}), **(options or {})}
     own = make_plant_system(system, effects=asked, declared_only=declared_only)
+    if replay is not None:
+        _check_replay(system, replay, chain, nominal)
     try:
-        raw = RECORDINGS[system](
+        made: list[list[RawRun]] = _recorded(
             system,
+            replay,
             durations=[(round(d / nominal) + late) * step for d in lengths],
             seed=seed,
             effects=asked,
@@ -132,12 +141,11 @@ def simulate(
             f"the simulation left the finite numbers: {error} Make the effects weaker."
         ) from error
     rng = np.random.default_rng([seed, 3])
-    digits = len(str(len(raw) - 1))
+    digits = len(str(len(made) - 1))
     runs = []
-    for i, run in enumerate(raw):
-        logged = chain.apply(run, own, dt=nominal, rng=rng)
-        logged.name = f"run_{i:0{digits}d}"
-        runs.append(logged)
+    for i, pieces in enumerate(made):
+        logged = [_logged(piece, chain, own, nominal, rng) for piece in pieces]
+        runs.append(joined(logged, f"run_{i:0{digits}d}"))
     truth: dict[str, Any] = {
         "schema": SCHEMA,
         "system": system,
@@ -159,6 +167,12 @@ def simulate(
         "options": used,
         "battery": battery,
     }
+    if replay is not None:
+        truth["replay"] = {
+            "starts": replay.starts,
+            "duration_s": replay.duration,
+            "before_s": replay.before,
+        }
     if latency is not None:
         truth["effects"]["input_delay"] = {
             "parameters": {"delay": latency},
@@ -166,6 +180,43 @@ def simulate(
             "standing": False,
         }
     return Simulation(system, own.state_names, own.input_names, tuple(runs), truth)
+
+
+def _recorded(system: str, replay: Replay | None, **settings: Any) -> list[list[RawRun]]:
+    """The runs of a recording, or the interventions of each run that are made of it."""
+    if replay is None:
+        return [[run] for run in RECORDINGS[system](system, **settings)]
+    return REPLAYED[system](system, replay=replay, **settings)
+
+
+def _logged(run: RawRun, chain: Recording, own: System, dt: float, rng: np.random.Generator) -> RawRun:
+    """A run as the chain logs it, on the clock on which it began."""
+    began, step = run.t[0], run.t[1] - run.t[0]
+    logged = chain.apply(run, own, dt=dt, rng=rng)
+    logged.t = logged.t + began * dt / step
+    return logged
+
+
+def _check_replay(system: str, replay: Replay, chain: Recording, dt: float) -> None:
+    if system not in REPLAYED:
+        raise ConfigError(
+            f"`pilot=replay` makes interventions of flights, and system {system!r} is not flown; it takes "
+            f"{', '.join(REPLAYED)}. "
+            + (
+                "The force on a spring answers no state: its runs are what is asked for as they are."
+                if system == "mass_spring_damper"
+                else "Take runs whose inputs answer no state: options.policy=random."
+                if system == "cartpole"
+                else "Leave it out."
+            )
+        )
+    replay.rows(dt)
+    late = [k for k in ("input_smoothing", "input_delay", "sensor_delay", "sensor_lag") if getattr(chain, k)]
+    if late:
+        raise ConfigError(
+            f"`pilot=replay` and `recording.{late[0]}` do not go together: a chain that mixes times would mix the rows "
+            "before an intervention with those after it. Leave one of them out."
+        )
 
 
 def write(

@@ -93,3 +93,17 @@ def test_a_fault_of_the_user_is_named_and_leaves_nothing_behind(
     assert main(["simulate", *words]) == 2
     assert message in capsys.readouterr().err
     assert list(Path().iterdir()) == []
+
+
+def test_interventions_are_made_of_flights_and_refused_where_nothing_flies(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    words = ["simulate", "out=data", "pilot=replay"]
+    short = ["seed=1", "durations=[3]", "options.variants=12", "options.rounds=1"]
+    asked = ["replay.starts=5", "replay.duration=0.5", "replay.before=0.1"]
+    assert main([*words, "system=hexacopter", *short, *asked]) == 0
+    assert "(5 interventions on flights of 3 s, 305 rows)" in capsys.readouterr().out
+    header = next(Path("data").glob("*.csv")).read_text().splitlines()[0]
+    assert header.endswith("u_6,intervention")
+    assert main([*words, "system=mass_spring_damper", "overwrite=true"]) == 2
+    assert "'mass_spring_damper' is not flown; it takes hexacopter, quadrotor" in capsys.readouterr().err

@@ -283,3 +283,22 @@ def test_inputs_that_are_not_smoothed_as_those_of_training_are_pointed_out(data:
         "a was trained on inputs smoothed over 0.4 s" in text and "all the same" in text for text in texts
     )
     assert not any(text.startswith("b was trained") for text in texts)
+
+
+def test_interventions_are_where_predictions_start_and_the_report_says_so(runs: list[Run]) -> None:
+    raw = []
+    for run in runs:
+        on = np.zeros(len(run))
+        on[200:225] = on[500:520] = 1.0
+        raw.append(RawRun(run.name, run.t, run.x, run.u, extra={"intervention": on}))
+    data = assemble(raw, make_model(Decay).system, kind="csv")
+    done = compare([candidate("true", good())], data, data.runs, seed=0, particles=19)
+    content = done.content
+    assert (content["starts"], content["start_every_s"]) == (4, None)
+    assert content["data"]["inputs"] == "interventional"
+    assert content["horizons_s"][-1] == 1.0  # what fits behind the starts, whatever the length of the runs
+    _, t = done.grids[0].located()
+    np.testing.assert_allclose(np.sort(t), np.sort([run.t[k] for run in runs for k in (200, 500)]))
+    text = "\n".join(line for line, _ in lines(content))
+    assert "4 interventions (inputs do not depend on the state), 19 paths each" in text
+    assert "errors and intervals tell what an input does" in " ".join(text.split())

@@ -1,0 +1,218 @@
+"""Blind closed-loop cases: flights of hexacopters and quadrotors under feedback that hold one effect, or nothing.
+
+    python benchmarks/blind/closed_loop.py --seed 1 --out loop/          # 60 cases in five minutes
+    python benchmarks/blind/closed_loop_run.py --cases loop/
+
+writes `loop/data/case_00/run_0.csv ...` and `loop/truth/case_00.json`. Machines, controllers, gusts, sensors and paths
+are those of `loop_machine` and `loop_flight`, which share no code with `nsde_torch`; files do not say what is in them.
+
+48 cases hold one effect of the catalogue, 12 hold nothing. Systems, the four regimes (see `loop_flight`: what the
+controller sees) and whether sticks and setpoints are logged take turns, so that each effect is seen under three
+regimes, and nothing under all. Four flights of 40 to 45 s a case, on one clock; the battery's voltage is always logged.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import sys
+import time
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+os.environ.setdefault("OMP_NUM_THREADS", "1")
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+sys.path.insert(0, str(Path(__file__).resolve().parent))
+
+import numpy as np
+from loop_flight import PATHS, RATES, REGIMES, STICKS, Flight, Logged, fly
+from loop_machine import SIGNS, Machine
+
+SYSTEMS = ("hexacopter", "quadrotor")
+SINGLES, NULLS = 48, 12
+FLIGHTS = 4
+PAUSE_S = 15.0
+"""Time between two flights on the clock [s]."""
+EFFECTS = (
+    *("linear_drag", "quadratic_drag", "constant_wind", "constant_world_force", "ground_effect"),
+    *("thrust_misalignment", "angular_damping", "com_offset", "gyroscopic_moment", "flapping_moment"),
+    *(
+        "inertia_coupling",
+        "motor_lag",
+        "input_delay",
+        "motor_efficiency_loss",
+        "thrust_sag",
+        "battery_voltage",
+    ),
+)
+STATES = (*("p_x", "p_y", "p_z", "v_x", "v_y", "v_z"), *("q_w", "q_x", "q_y", "q_z", "w_x", "w_y", "w_z"))
+
+
+@dataclass(frozen=True)
+class Case:
+    """One case.
+
+    Args:
+        name: Name of its files; tells nothing.
+        machine: What flies.
+        regime: What its controller sees.
+        sticks: Whether sticks and setpoints are logged.
+        seed: Seed of its flights.
+    """
+
+    name: str
+    machine: Machine
+    regime: str
+    sticks: bool
+    seed: int
+
+
+def cases(seed: int, count: int = SINGLES + NULLS) -> list[Case]:
+    """The cases of a seed, in an order that tells nothing; fewer of them are the first of that order."""
+    order = np.random.default_rng([seed, 0])
+    names = [EFFECTS[i] for i in order.permutation(len(EFFECTS))]
+    plans: list[tuple[str, str, str, bool]] = []
+    for i in range(SINGLES):
+        turn, e = divmod(i, len(EFFECTS))
+        system = SYSTEMS[(e // 8 + (turn + 1) // 2) % 2]
+        plans.append((names[e], system, REGIMES[(e + turn) % 4], (e // 4 + turn) % 2 == 0))
+    plans += [("", SYSTEMS[(i + i // 4) % 2], REGIMES[i % 4], (i // 4) % 2 == 0) for i in range(NULLS)]
+    made = []
+    for k, i in enumerate(order.permutation(len(plans))[:count].tolist()):
+        rng = np.random.default_rng([seed, 1, i])
+        name, system, regime, logged = plans[i]
+        machine = replace(_machine(system, rng), effects={name: _sized(name, system, rng)} if name else {})
+        made.append(Case(f"case_{k:02d}", machine, regime, logged, int(rng.integers(2**31))))
+    return made
+
+
+def _machine(system: str, rng: np.random.Generator) -> Machine:
+    """A machine with random parameters that hovers at 0.33 to 0.5."""
+    offset = float(rng.uniform(-1.2, 0.0))
+    gain = (9.81 - offset) / (SIGNS[system].shape[1] * rng.uniform(0.33, 0.5))
+    roll = rng.uniform(70, 130) if system == "hexacopter" else rng.uniform(40, 75)
+    jx = rng.uniform(0.5, 0.7)
+    return Machine(
+        system,
+        float(gain),
+        offset,
+        (float(roll), float(roll * rng.uniform(0.85, 1.15)), float(rng.uniform(2.5, 5.0))),
+        (float(jx), float(jx * rng.uniform(0.85, 1.15))),
+        gust=tuple(rng.uniform(0.7, 1.3) * np.array([0.15, 0.15, 0.1, 0.5, 0.5, 0.12])),
+        gust_time=(float(rng.uniform(0.3, 1.0)), float(rng.uniform(0.03, 0.12))),
+    )
+
+
+def _sized(name: str, system: str, rng: np.random.Generator) -> dict[str, Any]:
+    """Parameters of an effect of random size, from visible to strong."""
+
+    def size(low: float, high: float) -> float:
+        return float(np.exp(rng.uniform(np.log(low), np.log(high))))
+
+    def signed(low: float, high: float, count: int) -> list[float]:
+        return [float(rng.choice((-1.0, 1.0)) * size(low, high)) for _ in range(count)]
+
+    motors = SIGNS[system].shape[1]
+    side = size(0.12, 0.5)
+    drag = [side, side * float(rng.uniform(0.8, 1.25)), side * float(rng.uniform(0.3, 1.0))]
+    loss = np.zeros(motors)
+    loss[rng.integers(motors)] = size(0.03, 0.12)
+    angle = rng.uniform(0, 2 * np.pi)
+    wind = size(1.0, 3.0) * np.array([np.cos(angle), np.sin(angle)])
+    made: dict[str, dict[str, Any]] = {
+        "linear_drag": {"drag": drag},
+        "quadratic_drag": {"drag": [0.4 * d for d in drag]},
+        "constant_wind": {"drag": drag, "wind": wind.tolist()},
+        "constant_world_force": {"acceleration": signed(0.1, 0.5, 3)},
+        "ground_effect": {"area": size(0.01, 0.05), "height": float(rng.uniform(0.1, 0.3))},
+        "thrust_misalignment": {"tilt": signed(0.01, 0.05, 2)},
+        "angular_damping": {"damping": [size(0.5, 2.5) for _ in range(3)]},
+        "com_offset": {"offset": signed(0.05, 0.3, 2)},
+        "gyroscopic_moment": {"momentum": size(3.0, 15.0)},
+        "flapping_moment": {"gain": [size(0.5, 3.0), size(0.5, 3.0)]},
+        "inertia_coupling": {"product": signed(0.03, 0.12, 3)},
+        "motor_lag": {"time_constant": size(0.02, 0.07)},
+        "input_delay": {"delay": round(size(0.01, 0.04), 3)},
+        "motor_efficiency_loss": {"loss": loss.tolist()},
+        "thrust_sag": {"rate": size(0.0002, 0.0008)},
+        "battery_voltage": {"sensitivity": size(0.02, 0.08)},
+    }
+    return made[name]
+
+
+def flights_of(case: Case) -> list[Flight]:
+    """The four flights of a case: no two paths alike, one of them often flown by stick."""
+    rng = np.random.default_rng([case.seed, 0])
+    paths = [PATHS[i] for i in rng.permutation(len(PATHS))]
+    noise, vigour = float(rng.uniform(0.7, 1.4)), float(rng.uniform(0.9, 1.4))
+    known = tuple(float(v) for v in rng.uniform(0.9, 1.1, 4))
+    out, t0 = [], 0.0
+    for k in range(FLIGHTS):
+        seconds = float(np.round(rng.uniform(40.0, 45.0), 2))
+        out.append(
+            Flight(case.machine, paths[k], case.regime, seconds, t0, case.seed * 8 + k, noise, vigour, known)
+        )
+        t0 = round(t0 + seconds + PAUSE_S, 2)
+    return out
+
+
+def write(case: Case, logged: list[Logged], folder: Path) -> None:
+    """Write the flights of a case to `folder/data/NAME`, and its truth to `folder/truth/NAME.json`, last."""
+    data, truth = folder / "data" / case.name, folder / "truth" / f"{case.name}.json"
+    data.mkdir(parents=True, exist_ok=True)
+    truth.parent.mkdir(parents=True, exist_ok=True)
+    extra = [*(STICKS if case.sticks else ()), *(RATES if case.sticks else ()), "battery_voltage"]
+    for k, run in enumerate(logged):
+        names = ["t", *STATES, *(f"u_{i + 1}" for i in range(run.u.shape[1])), *extra]
+        table = np.column_stack([np.round(run.t, 6), run.x, run.u, *(run.extra[name] for name in extra)])
+        header = ",".join(names)
+        np.savetxt(data / f"run_{k}.csv", table, fmt="%.9g", delimiter=",", header=header, comments="")
+    m = case.machine
+    content = {
+        "system": m.system,
+        "regime": case.regime,
+        "sticks": case.sticks,
+        "exogenous": list(STICKS) if case.sticks else [],
+        "effects": m.effects,
+        "declared": {
+            "thrust_gain": m.thrust_gain,
+            "thrust_offset": m.thrust_offset,
+            **dict(zip(("roll_gain", "pitch_gain", "yaw_gain"), m.gains, strict=True)),
+            **dict(zip(("inertia_x", "inertia_y"), m.inertia, strict=True)),
+        },
+        "gust": m.gust,
+        "gust_time_s": m.gust_time,
+        "flights": [[f.path, f.seconds, f.sensor_noise, f.vigour] for f in flights_of(case)],
+        "seed": case.seed,
+    }
+    truth.write_text(json.dumps(content, indent=1), encoding="utf-8")
+
+
+def main() -> None:
+    """Write the cases that are not there yet, those of one regime in one batch."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--seed", type=int, required=True, help="seed of the cases")
+    parser.add_argument("--count", type=int, default=SINGLES + NULLS, help="the first of them only")
+    parser.add_argument("--names", nargs="+", default=None, help="these alone, case_00 ...")
+    parser.add_argument("--out", type=Path, required=True, help="folder to write into")
+    given = parser.parse_args()
+    todo = [
+        c for c in cases(given.seed, given.count) if not (given.out / "truth" / f"{c.name}.json").is_file()
+    ]
+    todo = [c for c in todo if given.names is None or c.name in given.names]
+    started = time.perf_counter()
+    for regime in REGIMES:
+        some = [c for c in todo if c.regime == regime]
+        if not some:
+            continue
+        logged = fly([f for c in some for f in flights_of(c)])
+        for k, case in enumerate(some):
+            write(case, logged[FLIGHTS * k : FLIGHTS * (k + 1)], given.out)
+        spent = time.perf_counter() - started
+        print(f"{len(some)} cases of one regime written ({spent:.0f} s)", flush=True)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,111 @@
+"""Interventions on a plant: states of flights, commands of other times, nothing else."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from nsde_torch.data import Windows, read
+from nsde_torch.errors import ConfigError, ShapeError
+from nsde_torch.plants import Replay, make_plant, replay, simulate, write
+from nsde_torch.plants.flights import chosen_flights
+from nsde_torch.plants.recording import Recording
+from nsde_torch.systems import make_system
+
+SHORT = {"durations": [6.0, 5.0], "options": {"variants": 12, "rounds": 1}}
+QUIET = {"process_noise": 0.0, "sensor_noise": 0.0}
+
+
+def test_a_plant_resumes_with_its_memory_its_latency_and_its_clock() -> None:
+    effects = {"thrust_sag": {"rate": 0.02}}
+    g = torch.Generator().manual_seed(0)
+    plants = [
+        make_plant("quadrotor", generator=g, effects=effects, latency=0.025, step=0.005, **QUIET)
+        for _ in "ab"
+    ]
+    x = torch.zeros(2, 13, dtype=torch.float64)
+    x[:, 6] = 1.0
+    commands = 0.4 + 0.1 * torch.rand(60, 2, 4, generator=g, dtype=torch.float64)
+    plants[0].reset(x, commands[0])
+    for u in commands[:40]:
+        plants[0].step(u)
+    # as if the two machines had begun 0.4 s and 0.4 s ago, each told so by itself
+    t0 = torch.tensor([0.4, 0.4], dtype=torch.float64)
+    plants[1].resume(plants[0].whole_state, commands[30:40].transpose(0, 1), t0=t0)
+    for u in commands[40:]:
+        expected, found = plants[0].step(u), plants[1].step(u)
+    torch.testing.assert_close(found, expected, rtol=0, atol=1e-12)
+    with pytest.raises(ShapeError, match="`before` must be"):
+        plants[1].resume(plants[0].whole_state, commands[30:40])
+
+
+def test_commands_of_the_same_time_fly_the_same_flight(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(
+        replay, "_drawn", lambda flights, count, *_: ([(0, 80), (1, 300)], [(0, 80), (1, 300)])
+    )
+    settings = {"seed": 1, "durations": [6.0, 5.0], "variants": 12, "rounds": 1, **QUIET}
+    flights = chosen_flights("hexacopter", **settings)
+    found = replay.replayed_flights("hexacopter", replay=Replay(2), **settings)
+    assert [len(some) for some in found] == [1, 1]
+    for i, k in ((0, 80), (1, 300)):
+        run = found[i][0]
+        np.testing.assert_allclose(run.x, flights[i].x[k - 50 : k + 101], atol=1e-9)
+        np.testing.assert_array_equal(run.u, flights[i].u[k - 50 : k + 101])
+        np.testing.assert_allclose(run.t[[0, -1]], [0.01 * (k - 50), 0.01 * (k + 100)])
+        assert run.extra["intervention"].tolist() == [0.0] * 50 + [1.0] * 101
+
+
+def test_a_file_reads_back_as_interventions_with_commands_of_another_time(tmp_path: Path) -> None:
+    asked = Replay(starts=40, duration=0.5, before=0.2)
+    made = simulate("hexacopter", seed=1, replay=asked, **SHORT)
+    write(made, tmp_path / "data")
+    data = read("csv", make_system("hexacopter"), path=str(tmp_path / "data"))
+    windows = Windows(data.runs, 0.05, 10)
+    starts = windows.starts(0.25)
+    assert len(starts) == 40
+    assert made.truth["replay"] == {"starts": 40, "duration_s": 0.5, "before_s": 0.2}
+    flights = chosen_flights("hexacopter", seed=1, durations=[6.0, 5.0], variants=12, rounds=1)
+    logged = np.concatenate([f.u for f in flights])
+    for run in data.runs:
+        for a, b in run.segments:
+            assert b - a == 71
+            began, other = (place(logged, run.u[rows]) for rows in (slice(a, a + 20), slice(a + 20, b)))
+            assert other != began + 20
+
+
+def place(logged: np.ndarray, part: np.ndarray) -> int:
+    """Where these commands are, one after another, in those of the flights."""
+    first = np.flatnonzero((logged[: len(logged) - len(part) + 1] == part[0]).all(1))
+    (found,) = [k for k in first if np.array_equal(logged[k : k + len(part)], part)]
+    return int(found)
+
+
+def test_gusts_are_drawn_anew_in_their_stationary_law() -> None:
+    x = torch.zeros(4000, 19, dtype=torch.float64)
+    x[:, 6] = 1.0
+    x[:, 13:] = 0.39
+    plant = make_plant("hexacopter", generator=torch.Generator().manual_seed(1), sensor_noise=0.0)
+    plant.resume(x, torch.full((4000, 1, 6), 0.39, dtype=torch.float64))
+    quiet = make_plant("hexacopter", generator=torch.Generator().manual_seed(1), **QUIET)
+    quiet.resume(x, torch.full((4000, 1, 6), 0.39, dtype=torch.float64))
+    u = torch.full((4000, 6), 0.39, dtype=torch.float64)
+    push = (plant.step(u) - quiet.step(u))[:, 3:6] / 0.01
+    # the coloured part of 0.15, 0.15, 0.1 m/s2, and the white one of 0.01 over a sample of 0.01 s
+    expected = np.hypot([0.15, 0.15, 0.1], 0.01 / 0.1)
+    np.testing.assert_allclose(push.std(0).numpy(), expected, rtol=0.05)
+
+
+def test_what_has_no_interventions_is_refused_by_name() -> None:
+    with pytest.raises(
+        ConfigError, match=r"'cartpole' is not flown; it takes hexacopter, quadrotor.*policy=random"
+    ):
+        simulate("cartpole", seed=0, replay=Replay())
+    with pytest.raises(ConfigError, match=r"`replay.duration` must be a sample of 0.01 s or longer; got 0.0"):
+        simulate("hexacopter", seed=0, replay=Replay(duration=0.0))
+    with pytest.raises(ConfigError, match=r"`recording.input_smoothing` do not go together"):
+        simulate("hexacopter", seed=0, replay=Replay(), recording=Recording(input_smoothing=0.1))
+    with pytest.raises(ConfigError, match="too short for 50 rows before"):
+        simulate("hexacopter", seed=0, replay=Replay(duration=6.0), **SHORT)

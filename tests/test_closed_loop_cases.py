@@ -1,0 +1,152 @@
+"""The simulator of the closed-loop cases does what physics says, and its files say nothing."""
+
+from __future__ import annotations
+
+import importlib
+import json
+from dataclasses import replace
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+import pytest
+
+from nsde_torch.data import read
+from nsde_torch.systems import make_system
+
+FOLDER = Path(__file__).parents[1] / "benchmarks" / "blind"
+
+pytestmark = pytest.mark.skipif(not FOLDER.is_dir(), reason="the benchmarks are not part of a wheel")
+
+
+@pytest.fixture(autouse=True)
+def _on_path(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.syspath_prepend(FOLDER)
+
+
+@pytest.fixture
+def body() -> ModuleType:
+    return importlib.import_module("loop_machine")
+
+
+def machine(body: ModuleType, system: str = "hexacopter", **effects: Any) -> Any:
+    return body.Machine(system, 4.6, -1.0, (108.0, 100.0, 3.5), (0.54, 0.6), effects)
+
+
+def fall(
+    body: ModuleType, machines: list[Any], seconds: float, u: Any = 0.0, step: float = 0.001, **start: Any
+) -> Any:
+    """Bodies after some time under held commands (a share of hover where it is a number)."""
+    made = body.Bodies(machines, np.zeros(len(machines)), step=step)
+    for name, value in start.items():
+        setattr(made, name, np.tile(np.asarray(value, dtype=float), (len(machines), 1)))
+    commands = made.m * u if np.isscalar(u) else np.tile(u, (len(machines), 1))
+    made.m, made.past = commands.copy(), np.repeat(commands[None], len(made.past), axis=0)
+    for _ in range(round(seconds / step)):
+        made.advance(commands)
+    return made
+
+
+@pytest.mark.parametrize("system", ["hexacopter", "quadrotor"])
+def test_it_falls_freely_and_hovers(body: ModuleType, system: str) -> None:
+    free = replace(machine(body, system), thrust_offset=0.0)
+    dropped = fall(body, [free], 1.0, step=0.01)
+    np.testing.assert_allclose(dropped.p[0], [0, 0, -0.5 * 9.81], atol=1e-9)
+    np.testing.assert_allclose(dropped.v[0], [0, 0, -9.81], atol=1e-9)
+    still = fall(body, [machine(body, system)], 2.0, 1.0, 0.01)
+    np.testing.assert_allclose(np.concatenate([still.p[0], still.v[0], still.w[0]]), 0.0, atol=1e-9)
+
+
+def test_a_tumbling_body_keeps_its_momentum_its_energy_and_a_unit_quaternion(body: ModuleType) -> None:
+    askew = replace(
+        machine(body, inertia_coupling={"product": [0.05, -0.08, 0.1]}), thrust_offset=0.0, gains=(0.0,) * 3
+    )
+    start = np.array([3.0, -2.0, 5.0])
+    made = fall(body, [askew], 1.0, step=0.002, w=start)
+    np.testing.assert_allclose(np.linalg.norm(made.q[0]), 1.0, atol=1e-12)
+    j = made.inertia[0]
+    np.testing.assert_allclose(made.w[0] @ j @ made.w[0], start @ j @ start, rtol=1e-9)
+    np.testing.assert_allclose(body.rotation(made.q)[0] @ j @ made.w[0], j @ start, atol=1e-8)
+    assert np.abs(made.w[0] - start).max() > 1.0  # it does tumble
+
+
+def test_the_step_is_of_fourth_order_and_fine_enough(body: ModuleType) -> None:
+    effects = {
+        "linear_drag": {"drag": [0.3, 0.2, 0.1]},
+        "flapping_moment": {"gain": [2.0, 1.0]},
+        "motor_lag": {"time_constant": 0.05},
+        "gyroscopic_moment": {"momentum": 8.0},
+    }
+    u = np.array([0.42, 0.36, 0.41, 0.4, 0.38, 0.39])
+
+    def at(step: float) -> Any:
+        made = fall(body, [machine(body, **effects)], 0.32, u, step, v=[1.0, -2.0, 0.5], w=[2.0, -1.0, 3.0])
+        return np.concatenate([made.p[0], made.v[0], made.q[0], made.w[0]])
+
+    exact = at(0.002)
+    errors = [np.abs(at(h) - exact).max() for h in (0.016, 0.008, 0.004)]
+    assert errors[-1] < 1e-6
+    assert np.log2(errors[0] / errors[1]) > 3.5
+    assert np.log2(errors[1] / errors[2]) > 3.5
+
+
+def test_lag_and_delay_are_as_in_closed_form(body: ModuleType) -> None:
+    lag, late = machine(body, motor_lag={"time_constant": 0.05}), machine(body, input_delay={"delay": 0.02})
+    made = body.Bodies([lag, late], np.zeros(2))
+    hover = made.m.copy()
+    for _ in range(30):
+        made.advance(1.2 * hover)
+    rise = made.v[:, 2] / (0.2 * (9.81 + 1.0))  # time that the step has acted
+    np.testing.assert_allclose(rise, [0.03 - 0.05 * (1 - np.exp(-0.03 / 0.05)), 0.01], rtol=1e-6)
+
+
+def test_gusts_have_the_spread_that_is_asked_for(body: ModuleType) -> None:
+    flight = importlib.import_module("loop_flight")
+    windy = replace(machine(body), gust=(0.2, 0.3, 0.1, 0.5, 1.0, 0.2), gust_time=(0.05, 0.02))
+    n = 200
+    made = body.Bodies([windy] * n, np.zeros(n), flight._Noise([[k] for k in range(n)], 6))
+    drawn = np.concatenate([made.gust() for _ in range(1200)][::100])
+    np.testing.assert_allclose(drawn.std(0), windy.gust, rtol=0.06)
+
+
+def test_equal_seeds_make_equal_cases_and_regimes_and_systems_take_turns(body: ModuleType) -> None:
+    cases = importlib.import_module("closed_loop")
+    made = cases.cases(3)
+    assert made[:7] == cases.cases(3, 7)
+    assert cases.cases(4) != made
+    assert sum(not c.machine.effects for c in made) == 12
+    assert {(c.regime, c.sticks) for c in made if not c.machine.effects} == {
+        (r, s) for r in "abcd" for s in (True, False)
+    }
+    for name in cases.EFFECTS:
+        assert len({c.regime for c in made if name in c.machine.effects}) == 3
+    for system in cases.SYSTEMS:
+        assert {c.regime for c in made if c.machine.system == system} == set("abcd")
+
+
+@pytest.mark.parametrize("regime", ["a", "c"])
+def test_a_flight_is_flown_and_does_not_depend_on_its_batch(
+    body: ModuleType, regime: str, tmp_path: Path
+) -> None:
+    cases, flight = importlib.import_module("closed_loop"), importlib.import_module("loop_flight")
+    case = next(c for c in cases.cases(3) if c.regime == regime and c.sticks)
+    short = [replace(f, seconds=0.4) for f in cases.flights_of(case)]
+    logged = flight.fly(short)
+    (alone,) = flight.fly(short[1:2])
+    np.testing.assert_allclose(alone.x, logged[1].x, atol=1e-12)
+    far = max(
+        np.abs(run.truth[:, :2] - flight.wanted(f).p[:, :2]).max()
+        for run, f in zip(logged, short, strict=True)
+    )
+    assert far < 1.0
+    cases.write(case, logged, tmp_path)
+    truth = json.loads((tmp_path / "truth" / f"{case.name}.json").read_text())
+    assert set(truth["effects"]) == set(case.machine.effects)
+    header = (tmp_path / "data" / case.name / "run_0.csv").read_text().splitlines()[0]
+    assert header.endswith("setpoint_rate_z,battery_voltage")
+    system = make_system(case.machine.system)
+    data = read("csv", system, path=str(tmp_path / "data" / case.name))
+    assert [len(run) for run in data.runs] == [41] * 4
+    assert data.runs[1].t[0] > data.runs[0].t[-1]
+    assert set(truth["exogenous"]) <= set(data.runs[0].extra)

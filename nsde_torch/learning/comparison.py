@@ -16,6 +16,7 @@ is not defined is null:
                     coverage        level -> group -> horizon -> share of measurements inside the central interval
                     coverage_channels, crps, spread, nll: channel or group -> horizon (see `learning.scores`)
                     calibration     nominal: levels; share: group -> share inside at each level, over all horizons
+                    one_step        channel -> what is left of single steps (see `learning.one_step`), or null
                     by_run          run -> starts, errors, coverage_90
                     sensor_std      state -> noise of the sensors of these runs that was assumed, where it was
     baselines       hold, constant_velocity: errors as above, from all starts, at the times of the first model
@@ -50,6 +51,7 @@ from nsde_torch.learning.common_grid import (
     note,
 )
 from nsde_torch.learning.metrics import START_EVERY, summary
+from nsde_torch.learning.one_step import one_step
 from nsde_torch.learning.scores import LEVELS, PARTICLES, Scores, baseline_squares, score
 from nsde_torch.learning.seen import BY_NAME, NAMESAKE, PART, WHOLE, trained_on
 from nsde_torch.systems import System
@@ -229,6 +231,7 @@ def _model_entry(
         "nll": figures["nll"],
         "calibration": {"nominal": list(LEVELS), "share": share} if stochastic else None,
         "by_run": by_run,
+        "one_step": one_step(candidate.model, grid.runs),
     }
     if candidate.measurement_std is not None:
         std = candidate.measurement_std.tolist()

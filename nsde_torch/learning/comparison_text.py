@@ -4,7 +4,8 @@ import textwrap
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
-from nsde_torch.learning.report import SHOWN_LEVELS, number, table
+from nsde_torch.learning.one_step import one_step_table
+from nsde_torch.learning.report import REPLAYED, SHOWN_LEVELS, number, table
 
 Line = tuple[str, bool]
 SEEN = "TRAINED ON"
@@ -31,6 +32,7 @@ def lines(content: Mapping[str, Any]) -> Iterator[Line]:
     yield "", False
     yield from _runs(content)
     yield "", False
+    yield from _one_step(content)
     yield from _errors(content)
     yield "", False
     yield from _intervals(content)
@@ -64,6 +66,14 @@ def _runs(content: Mapping[str, Any]) -> Iterator[Line]:
     yield from _lines(["run", "seconds", "starts", *(m["name"] for m in models)], rows)
 
 
+def _one_step(content: Mapping[str, Any]) -> Iterator[Line]:
+    for m in content["models"]:
+        if m["one_step"]:
+            yield f"{label(m)}: what it leaves of single steps", not m["held_out"]
+            yield from ((line, not m["held_out"]) for line in one_step_table(m["one_step"]).splitlines())
+            yield "", False
+
+
 def _errors(content: Mapping[str, Any]) -> Iterator[Line]:
     horizons = [f"{h:g}" for h in content["horizons_s"]]
     rows = []
@@ -74,7 +84,10 @@ def _errors(content: Mapping[str, Any]) -> Iterator[Line]:
         for key, name in _BASELINES.items():
             cells = [_cell(content["baselines"][key], group, h) for h in horizons]
             rows.append(([f"{group} [{unit}]", name, *cells], False))
-    yield from _lines(["rms error", "", *(f"{h} s" for h in horizons)], rows)
+    yield from _lines(
+        ["rms error" if content["start_every_s"] is None else REPLAYED, "", *(f"{h} s" for h in horizons)],
+        rows,
+    )
 
 
 def _cell(table: Mapping[str, Any] | None, group: str, horizon: str, form: str = "") -> str:

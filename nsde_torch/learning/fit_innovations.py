@@ -45,6 +45,7 @@ from nsde_torch.learning.innovations.residuals import (
     Residuals,
     input_history,
     noise_models,
+    pushed,
     residuals,
 )
 from nsde_torch.learning.progress import Progress
@@ -193,7 +194,8 @@ class _Fit:
         """Declared parameters beside networks that are all that acts on a port, and what is left without them."""
         known = np.zeros_like(left.change)
         with torch.no_grad():
-            known[:, left.rows] = self._pushed(self.model.residuals, left).T.double().numpy()
+            model = self.model
+            known[:, left.rows] = pushed(model, model.residuals, left).T.double().numpy()
         self.physics.measured = self.physics.measured - known
         try:
             regression = Regression(self.physics)
@@ -222,7 +224,7 @@ class _Fit:
             noises = [white_noise(change[:, c], left.series) for c in left.rows]
         else:
             noises = noise_models(left, change, limits, first=first)
-        y = self._seen(left)
+        y = model.residual_inputs(model.system.residual_features(left.states.float()))
         settings = Settings(
             steps=task.options.steps,
             rate=_RATE * task.options.lr * (_BARE_RATE if bare else 1.0),
@@ -236,7 +238,7 @@ class _Fit:
         with tqdm(total=settings.steps, desc=task.name, unit="step", disable=None, leave=False) as bar:
             learned = fit_networks(
                 model.residuals,
-                lambda networks: self._pushed(networks, left, y),
+                lambda networks: pushed(model, networks, left, y),
                 torch.from_numpy(left.change[:, left.rows].T).float().contiguous(),
                 noises,
                 left.series,
@@ -258,22 +260,12 @@ class _Fit:
         norms = [_network(networks, port).weight_norm() for port in sorted(beside)]
         return self.task.loss.decay * torch.stack(norms).sum() if norms else torch.zeros(())
 
-    def _seen(self, left: Residuals) -> Tensor:
-        """What the networks see (N, nr)."""
-        return self.model.residual_inputs(self.model.system.residual_features(left.states.float()))
-
-    def _pushed(self, networks: nn.Module, left: Residuals, y: Tensor | None = None) -> Tensor:
-        """Change over each step by residual networks (channels, N)."""
-        y = self._seen(left) if y is None else y
-        parts = [self.model.residual_scale(port) * _network(networks, port)(y) for port, _ in left.ports]
-        return torch.einsum("ncw,nw->cn", left.response.float(), torch.cat(parts, 1))
-
     @torch.no_grad()
     def _left(self, left: Residuals) -> Array:
         """What is left of every channel with the networks (N, nx)."""
-        out = left.change.copy()
+        out, model = left.change.copy(), self.model
         if left.ports:
-            out[:, left.rows] -= self._pushed(self.model.residuals, left).T.double().numpy()
+            out[:, left.rows] -= pushed(model, model.residuals, left).T.double().numpy()
         return out
 
     # ---- what is told ---------------------------------------------------------------------------------

@@ -14,6 +14,7 @@ from torch import Tensor
 from nsde_torch.data import Run, Windows
 from nsde_torch.data.interventions import interventional, longest_stretch
 from nsde_torch.errors import DataError
+from nsde_torch.learning.one_step import one_step
 from nsde_torch.learning.scores import (
     BASELINES,
     LEVELS,
@@ -96,7 +97,9 @@ def evaluate(
         JSON-able: `horizons_s`, `starts`, `units`, and by group and then by horizon `errors` (of the model and of
         each baseline, root mean square of the norm), `coverage` (by level), `coverage_channels` (90 %), `crps`,
         `spread` and `nll` (each per channel, averaged; NLL of the channels in the units of the state, None without a
-        spread); `diverged` counts starts without a finite prediction.
+        spread); `diverged` counts starts without a finite prediction; `one_step` is what the model leaves of single
+        steps (see `learning.one_step`), `inputs` whether those of predictions were replayed from the log or are
+        interventional.
 
     Raises:
         DataError: no run is long enough.
@@ -127,6 +130,8 @@ def evaluate(
         "particles": particles,
         "diverged": scores.diverged,
         "units": {g.name: g.unit for g in model.system.error_groups},
+        "inputs": "interventional" if interventional(runs) else "replayed",
+        "one_step": one_step(model, runs),
         **summary(scores, [f"{h:g}" for h in horizons]),
     }
 

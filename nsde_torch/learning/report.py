@@ -3,6 +3,8 @@
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+REPLAYED = "rms error, inputs replayed"
+"""Head of a table of errors whose inputs are the log's own: in a closed loop they answer what disturbed."""
 SHOWN_LEVELS = ("0.5", "0.9", "0.95")
 
 
@@ -45,7 +47,8 @@ def error_table(test: Mapping[str, Any]) -> str:
         for key, name in names.items():
             values = test["errors"][key][group]
             rows.append([f"{group} [{unit}]", name, *(number(values[h]) for h in horizons)])
-    return table(["rms error", "", *(f"{h} s" for h in horizons)], rows)
+    what = "rms error" if test.get("inputs") == "interventional" else REPLAYED
+    return table([what, "", *(f"{h} s" for h in horizons)], rows)
 
 
 def coverage_table(test: Mapping[str, Any]) -> str:

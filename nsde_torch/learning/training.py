@@ -23,6 +23,7 @@ from nsde_torch.learning.fit_sysid import fit_sysid
 from nsde_torch.learning.identify.in_loop import identify_in_loop
 from nsde_torch.learning.identify.loop_test import feedback_summary
 from nsde_torch.learning.metrics import evaluate, horizons_of
+from nsde_torch.learning.one_step import one_step_table
 from nsde_torch.learning.options import LossOptions, TrainerOptions
 from nsde_torch.learning.prepare import sensor_std
 from nsde_torch.learning.progress import Progress
@@ -295,6 +296,8 @@ class Training:
                 f"\nHeld-out runs: {_names(metrics['test_runs'])}; {test['starts']} starts, "
                 f"{test['diverged']} diverged\n"
             )
+            if test["one_step"]:
+                self.say(one_step_table(test["one_step"]) + "\n")
             self.say(error_table(test))
             if any(value > 0 for by in test["spread"].values() for value in by.values()):
                 self.say("\n" + coverage_table(test))

@@ -93,6 +93,15 @@ def spectrum(columns: Array, series: Series, dt: float) -> Spectrum:
     return Spectrum(total / count[live], place / count[live], count[live], dt)
 
 
+def density(law: Disturbance, angle: Array, dt: float) -> Array:
+    """Spectral density of the residuals of a law at some frequencies [rad a step]."""
+    s = law.diffusion**2 * dt + law.sensor**2 * (2.0 - 2.0 * np.cos(angle))
+    if law.std > 0:
+        keep = np.exp(-dt / law.tau)
+        s = s + (dt * law.std) ** 2 * (1.0 - keep**2) / (1.0 + keep**2 - 2.0 * keep * np.cos(angle))
+    return np.asarray(s)
+
+
 def fit(seen: Sequence[Spectrum], *, lasting: bool, shortest: float) -> Disturbance:
     """Law of largest Whittle likelihood.
 
@@ -107,18 +116,14 @@ def fit(seen: Sequence[Spectrum], *, lasting: bool, shortest: float) -> Disturba
     if not size > 0:
         return Disturbance(0.0, 0.0, shortest, 0.0)
     low, high = np.log(_LEAST * size), np.log(30.0 * size)
-    bend = 2.0 - 2.0 * np.cos(angle)
+    root = np.sqrt(h)
 
-    def density(p: Array) -> Array:
-        white, sensor = np.exp(2.0 * p[0]), np.exp(2.0 * p[1])
-        s = white + sensor * bend
-        if lasting:
-            keep = np.exp(-h / np.exp(p[3]))
-            s = s + np.exp(2.0 * p[2]) * (1.0 - keep**2) / (1.0 + keep**2 - 2.0 * keep * np.cos(angle))
-        return np.asarray(s)
+    def law(p: Array) -> Disturbance:
+        std, tau = (np.exp(p[2]) / h, np.exp(p[3])) if lasting else (0.0, shortest)
+        return Disturbance(float(np.exp(p[0]) / root), float(std), float(tau), float(np.exp(p[1])))
 
     def cost(p: Array) -> float:
-        s = density(p)
+        s = density(law(p), angle, h)
         return float((count * (np.log(s) + power / s)).sum() / count.sum())
 
     bounds = [(low, high), (low, high)]
@@ -136,6 +141,4 @@ def fit(seen: Sequence[Spectrum], *, lasting: bool, shortest: float) -> Disturba
         (minimize(cost, np.array(s), method="L-BFGS-B", bounds=bounds) for s in starts),
         key=lambda r: float(r.fun),
     )
-    white, sensor = np.exp(best.x[:2])
-    std, tau = (np.exp(best.x[2]) / h, np.exp(best.x[3])) if lasting else (0.0, shortest)
-    return Disturbance(float(white / np.sqrt(h)), float(std), float(tau), float(sensor))
+    return law(best.x)

@@ -14,12 +14,13 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 from scipy.signal import lfilter
-from torch import Tensor
+from torch import Tensor, nn
 
 from nsde_torch.effects import Port
 from nsde_torch.learning.identify.noise import Noise, estimate, first_guess
 from nsde_torch.learning.identify.physics import Physics
 from nsde_torch.learning.identify.series import Series
+from nsde_torch.models.neural_sde import NeuralSDE
 
 Array = NDArray[np.float64]
 
@@ -98,6 +99,22 @@ def noise_models(found: Residuals, left: Array, limits: Array, *, first: bool = 
         else:
             out.append(estimate(left[:, c], found.series, limit=float(limits[c]), orders=orders))
     return out
+
+
+def pushed(model: NeuralSDE, networks: nn.Module, found: Residuals, y: Tensor | None = None) -> Tensor:
+    """Change over each step by residual networks (channels, N).
+
+    Args:
+        model: Says what networks see and how large their unit is.
+        networks: One by port; those of the model or others of the same form.
+        found: Residuals, whose ports the networks are of.
+        y: What the networks see (N, nr); None works it out.
+    """
+    assert isinstance(networks, nn.ModuleDict)
+    if y is None:
+        y = model.residual_inputs(model.system.residual_features(found.states.float()))
+    parts = [model.residual_scale(port) * networks[port.value](y) for port, _ in found.ports]
+    return torch.einsum("ncw,nw->cn", found.response.float(), torch.cat(parts, 1))
 
 
 def input_history(u: Array, series: Series) -> Tensor:

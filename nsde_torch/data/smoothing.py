@@ -29,6 +29,7 @@ _BEND = 3e-3  # c: what the log of a command rounds off
 _NULLS = 4
 _DEPTH = 3.0  # a fall of e^3 = 20 in power at each of the nulls, where noise gives less than e^1
 _SHORTEST = 6  # samples: below that too few nulls lie under half the sampling rate
+_NEAR = 2  # samples to either side of the width among which the deepest nulls decide
 _SHORT = 128  # rows of a part at least; of short runs a part is a run
 _PARTS = 5  # overlapping parts at least: fewer scatter too much
 _HELD = 0.8  # share of rows without a change from which on a command is held: its spectrum has the same nulls
@@ -50,6 +51,7 @@ def smoothing_width(runs: Sequence[Run], n_inputs: int) -> float:
         return 0.0
     frequency, log_power = power
     best, width = 0.0, 0.0
+    scores: dict[int, float] = {}
     for n in range(_SHORTEST, int(2.0 / dt) + 1):
         nulls = np.arange(1, _NULLS + 1) / (n * dt)
         nulls = nulls[nulls < 0.45 / dt]
@@ -59,7 +61,7 @@ def smoothing_width(runs: Sequence[Run], n_inputs: int) -> float:
         depth = np.interp(nulls + half, frequency, log_power) - _lowest(
             frequency, log_power, nulls, 0.1 * half
         )
-        score = float(np.min(depth))
+        scores[n] = score = float(np.min(depth))
         if score > _DEPTH and score > 1.15 * best:
             best, width = score, n * dt
         elif score > 0.8 * best and score > _DEPTH and n * dt > 1.8 * width:
@@ -67,7 +69,10 @@ def smoothing_width(runs: Sequence[Run], n_inputs: int) -> float:
                 max(score, best),
                 n * dt,
             )  # a wider average has the nulls of a narrower one, and more
-    return width
+    # neighbours share the first nulls: the deepest is meant, one sample more or less ruins what is restored
+    near = round(width / dt)
+    found = max(range(near - _NEAR, near + _NEAR + 1), key=lambda n: scores.get(n, -np.inf)) if width else 0
+    return found * dt
 
 
 def _lowest(

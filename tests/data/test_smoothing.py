@@ -138,3 +138,12 @@ def test_short_raw_episodes_show_none(kind: str) -> None:
     for first in range(0, 200, 20):
         episodes = [run(commands(kind, first + seed, 200), str(seed)) for seed in range(20)]
         assert smoothing_width(episodes, 1) == 0.0
+
+
+@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("kind", ["white", "red"])
+def test_the_width_is_right_to_the_sample(kind: str, seed: int) -> None:
+    u = averaged(commands(kind, seed), 47)
+    u = u + 1e-4 * np.random.default_rng(seed).standard_normal(u.shape)
+    run = Run("a", DT * np.arange(N), np.zeros((N, 2)), u)
+    assert smoothing_width([run], 4) == pytest.approx(47 * DT)

@@ -18,7 +18,6 @@ from nsde_torch.diagnosis.candidates import candidate_names
 from nsde_torch.diagnosis.channels import ChannelResidual, channel_residuals
 from nsde_torch.diagnosis.declared import Warned, better_reading, declared, warnings
 from nsde_torch.diagnosis.evidence import at_bounds
-from nsde_torch.diagnosis.feedback_text import feedback_content
 from nsde_torch.diagnosis.formula import Formula, formula
 from nsde_torch.diagnosis.held_out import HeldOut, held_out
 from nsde_torch.diagnosis.in_run import InRun, in_run, odd_run
@@ -33,6 +32,7 @@ from nsde_torch.diagnosis.views import rates, rates_width
 from nsde_torch.effects import EFFECTS, Effect, effect_class, effects_of, register
 from nsde_torch.errors import ConfigError, DataError
 from nsde_torch.learning.identify.identify import Regression
+from nsde_torch.learning.identify.loop_test import LoopTest, tested
 from nsde_torch.learning.identify.steps import steps_of
 from nsde_torch.models.identified import SysidSpec
 from nsde_torch.systems import System
@@ -102,6 +102,7 @@ class Diagnosis:
         formula: A sparse formula for it: a lead, unverified.
         warned: Declared parameters that tell of a fault of the columns.
         reading: How else the columns fit much better; None where no other way does.
+        feedback: What the data say of the loop that they were recorded in.
     """
 
     system: System
@@ -118,6 +119,7 @@ class Diagnosis:
     formula: Formula | None = None
     warned: tuple[Warned, ...] = ()
     reading: str | None = None
+    feedback: LoopTest = field(default_factory=LoopTest)
 
     @property
     def verdict(self) -> str:
@@ -196,7 +198,7 @@ class Diagnosis:
                 "measured_on": "runs left out" if self.errors.whole_runs else "the last part of the only run",
                 "runs": list(self.errors.runs),
             },
-            "feedback": feedback_content(o.final.regression, self.recorded.runs),
+            "feedback": self.feedback.as_dict(),
             "data": {
                 "kind": self.data.kind,
                 "system": self.data.system_name,
@@ -434,8 +436,8 @@ def diagnose(
         data: The data set.
         runs: Its runs to look at.
         options: Settings.
-        closed_loop: Whether inputs answer the state; None: not known. Where it is not False, errors under replayed
-            inputs judge no effect.
+        closed_loop: Whether inputs answer the state; None asks the test of feedback. Where it is not False, errors
+            under replayed inputs judge no effect.
         say: Told stage, number done and number in all.
 
     Raises:
@@ -491,6 +493,9 @@ def diagnose(
         made.held = set(search.held)
         return made
 
+    feedback = tested(outcome.final.regression, extended)
+    if closed_loop is None and not feedback.why_not:
+        closed_loop = feedback.closed
     say("errors on runs left out", 0, 1)
     errors = held_out(
         (outcome.declared_system, outcome.system),
@@ -530,6 +535,7 @@ def diagnose(
         formula=formula(regression, left, outcome.variables, names),
         warned=tuple(warned),
         reading=better_reading(system, extended, fit) if warned else None,
+        feedback=feedback,
     )
 
 

@@ -4,20 +4,6 @@ from collections.abc import Mapping, Sequence
 from html import escape
 from typing import Any
 
-from nsde_torch.data import Run
-from nsde_torch.learning.identify.identify import Regression
-from nsde_torch.learning.identify.loop_test import tested
-
-
-def feedback_content(regression: Regression, runs: Sequence[Run]) -> dict[str, Any]:
-    """What the key `feedback` of `diagnosis.json` holds.
-
-    Args:
-        regression: Of the physics with what was found.
-        runs: The runs that it was fitted to.
-    """
-    return tested(regression, runs).as_dict()
-
 
 def feedback_lines(content: Mapping[str, Any]) -> list[str]:
     """Lines of text, an empty one first."""

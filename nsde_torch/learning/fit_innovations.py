@@ -17,6 +17,7 @@ wrong; features are then those of smoothed states, and the noise is that of the 
 
 from collections.abc import Sequence
 from dataclasses import asdict
+from math import isfinite
 from typing import Any
 
 import numpy as np
@@ -25,7 +26,7 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 from tqdm.auto import tqdm
 
-from nsde_torch.data import Run
+from nsde_torch.data import Run, Windows
 from nsde_torch.effects import Port
 from nsde_torch.errors import CheckpointError, DataError
 from nsde_torch.learning.checkpoint import read_checkpoint, write_checkpoint
@@ -76,6 +77,9 @@ def fit_innovations(task: Task) -> Fitted:
     """
     spec = task.spec
     assert isinstance(spec, SDESpec)
+    Windows(
+        task.runs, spec.dt, spec.horizon
+    )  # refuses steps that do not divide, and runs shorter than a window
     nu = spec.make_system().nu
     runs = as_applied(task.runs, nu) if spec.filter_reach else list(task.runs)
     found = None
@@ -295,7 +299,7 @@ class _Fit:
         networks = {
             port.value: {
                 "nats": learned.gain[k],
-                "standard_error": learned.error[k],
+                "standard_error": learned.error[k] if isfinite(learned.error[k]) else None,
                 "kept": learned.kept[k],
             }
             for k, (port, _) in enumerate(left.ports)
@@ -384,7 +388,12 @@ def _summary(
                 "model.learn_lag=false leaves it out"
             )
     for port, n in networks.items():
-        size = f"{n['nats']:+.1f} +- {n['standard_error']:.1f} nats on blocks left out"
+        error = n["standard_error"]
+        size = (
+            "one block of time"
+            if error is None
+            else f"{n['nats']:+.1f} +- {error:.1f} nats on blocks left out"
+        )
         lines.append(
             f"network on {port}: {size}: "
             + (f"{learned.steps if learned else 0} steps" if n["kept"] else "none")

@@ -63,9 +63,9 @@ def one_step(model: Model, runs: Sequence[Run]) -> dict[str, dict[str, Any]] | N
     physics = Physics(vector, steps)
     left = residuals(physics, vector.inside(vector.start), tuple(system.residual_ports))
     change = left.change.copy()
-    own = model if isinstance(model, NeuralSDE) else None
+    # networks are evaluated in single precision, whatever the model is in
+    own = copy.deepcopy(model).cpu().float() if isinstance(model, NeuralSDE) else None
     if own is not None and own.residual_ports:
-        own = copy.deepcopy(own).cpu()
         mine = residuals(physics, vector.inside(vector.start), own.residual_ports)
         change[:, mine.rows] -= pushed(own, own.residuals, mine).T.double().numpy()
     window = bump(left.dt)

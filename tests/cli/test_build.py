@@ -12,7 +12,7 @@ import torch
 from hydra import compose, initialize_config_module
 from omegaconf import OmegaConf
 
-from nsde_torch.cli import build, groups, schema
+from nsde_torch.cli import build, schema
 from nsde_torch.cli.schema import CsvData
 from nsde_torch.data import Run, Split
 from nsde_torch.errors import ConfigError, DataError
@@ -94,7 +94,7 @@ def test_keys_and_defaults_are_those_of_the_library(group: str, declared: type, 
     library.pop("ball_radius", None)  # a constant of the machine: system.ball_radius
     keys = {field.name: field.default for field in dataclasses.fields(declared)}
     if group == "loss":
-        keys["kind"] = groups.defaults("train")["loss"]
+        keys["kind"] = build.loss_options(_configuration()).kind
     assert keys == library
 
 

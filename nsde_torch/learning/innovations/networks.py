@@ -135,11 +135,13 @@ def fit_networks(
     gains = torch.stack([gain for *_, gain in looks])  # (looks, blocks, groups)
     best = gains.sum(1).argmax(0)
     at_best = torch.stack([gains[int(k), :, g] for g, k in enumerate(best)], 1)
-    gain, error = at_best.sum(0), at_best.std(0) * blocks**0.5
+    gain = at_best.sum(0)
+    error = at_best.std(0) * blocks**0.5 if members else torch.full_like(gain, torch.inf)
     kept = [g for g in range(len(groups)) if keep[g] or float(gain[g]) > SURE * float(error[g])]
-    chosen = looks[int(gains[:, :, kept].sum((1, 2)).argmax())][0] if members and kept else 0
-    if not members:
-        chosen, kept = settings.steps, list(range(len(groups)))
+    if members:
+        chosen = looks[int(gains[:, :, kept].sum((1, 2)).argmax())][0] if kept else 0
+    else:  # nothing can be left out
+        chosen = settings.steps if kept else 0
     whole = _Member(module, settings)
     everything = torch.ones(len(series), dtype=torch.bool)
     for k in range(chosen):

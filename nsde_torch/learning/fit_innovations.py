@@ -4,8 +4,9 @@
    of the inputs where the data show one that is not declared (`innovations.actuators`).
 2. Residual networks on the whitened residuals of that physics (`innovations.networks`).
 3. The distance eta by its own losses.
-4. Diffusion, lasting disturbances and sensors from the spectrum of what is left (`innovations.disturbances`), so that
-   their mean over the data is that of the spectrum and far from the data at least the declared sigma_max.
+4. Diffusion, lasting disturbances and sensors from the spectrum of what is left (`innovations.disturbances`), and into
+   the diffusion what is not known of the drift: the covariance of the parameters, and the jackknife of the networks over
+   blocks of time. Their mean over the data is as found; far from the data sigma is at least the declared sigma_max.
 
 Every stage sees one step of the log at a time, given what came before it, so inputs that answer disturbances do not
 bend it. What it gives up: predictions of the pilot's own flights under the pilot's own inputs, which know what
@@ -40,7 +41,7 @@ from nsde_torch.learning.innovations.actuators import Identified, identified
 from nsde_torch.learning.innovations.distance import fit_distance
 from nsde_torch.learning.innovations.disturbances import Disturbance
 from nsde_torch.learning.innovations.inputs import as_applied, fit_filter
-from nsde_torch.learning.innovations.laws import channel_laws, set_laws
+from nsde_torch.learning.innovations.laws import channel_laws, set_laws, with_doubt
 from nsde_torch.learning.innovations.networks import Learned, Settings, fit_networks
 from nsde_torch.learning.innovations.residuals import (
     Residuals,
@@ -171,6 +172,10 @@ class _Fit:
         steps = min(_DISTANCE_STEPS, options.steps)
         fit_distance(model, features, loss=self.task.loss, steps=steps, rate=options.lr, seed=self.task.seed)
         laws = channel_laws(self.physics, left, change, model)
+        window = model.spec.horizon * model.spec.dt * self.task.clock
+        for column, rate in zip(left.rows.tolist(), self._doubt(left, learned), strict=True):
+            name = model.system.state_names[column]
+            laws[name] = with_doubt(laws[name], rate, window)
         if not model.step.deterministic:
             set_laws(model, laws, left, features)
         return self._about(left, learned, laws)
@@ -271,6 +276,17 @@ class _Fit:
         if left.ports:
             out[:, left.rows] -= pushed(model, model.residuals, left).T.double().numpy()
         return out
+
+    def _doubt(self, left: Residuals, learned: Learned | None) -> Array:
+        """Standard error of the drift of each channel (channels,), root mean square over the data [per second]."""
+        variance = np.zeros(len(left.rows))
+        if learned is not None:
+            variance += np.square(np.array(learned.spread) / left.dt)
+        if self.identification is not None:
+            slopes = self.physics.slopes(self.theta)[:, left.rows] / left.dt
+            known = np.nan_to_num(self.identification.covariance)
+            variance += np.einsum("nck,kl,ncl->nc", slopes, known, slopes, optimize=True).mean(0).clip(0.0)
+        return np.sqrt(variance)
 
     # ---- what is told ---------------------------------------------------------------------------------
 

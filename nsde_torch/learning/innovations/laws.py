@@ -1,6 +1,7 @@
 """From the laws of residuals to the diffusion, the disturbances and the sensors of a neural SDE."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import torch
@@ -55,6 +56,19 @@ def channel_laws(physics: Physics, found: Residuals, left: Array, model: NeuralS
         )
         out.update({n: Disturbance(diffusion, out[n].std, out[n].tau, sensor) for n in names})
     return out
+
+
+def with_doubt(law: Disturbance, rate: float, seconds: float) -> Disturbance:
+    """A law whose diffusion also holds what is not known of the drift.
+
+    A rate that is off by `rate` moves the state by rate T in a time T, and a diffusion of rate sqrt(T) as far.
+
+    Args:
+        law: Of what disturbs.
+        rate: Standard error of the drift [unit of the state per second].
+        seconds: T [s].
+    """
+    return replace(law, diffusion=math.hypot(law.diffusion, rate * math.sqrt(seconds)))
 
 
 def disturbed_channels(model: NeuralSDE, found: Residuals) -> list[int]:

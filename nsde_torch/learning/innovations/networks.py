@@ -66,6 +66,7 @@ class Learned:
         before, after: Mean squared innovation on what was left out, without and with the networks.
         gain: Log likelihood won on what was left out by each group of channels [nats].
         error: Its standard error over blocks of time.
+        spread: Standard error of the networks' change over a step, by channel; the root of its mean square over the rows.
         history: Step and mean squared innovation on what was left out.
     """
 
@@ -76,6 +77,7 @@ class Learned:
     after: float
     gain: tuple[float, ...]
     error: tuple[float, ...]
+    spread: tuple[float, ...]
     history: tuple[tuple[int, float], ...]
 
 
@@ -147,7 +149,15 @@ def fit_networks(
     for k in range(chosen):
         _advance([whole], target, whiten, predict, [everything])
         on_step(step + k + 1)
+    spread = torch.zeros(len(change))
+    live = [c for g in kept for c in groups[g]]
+    if members and live:
+        with torch.no_grad():
+            said = torch.stack([predict(member.module)[live] for member in members])
+        # the jackknife over folds: what the networks would say of other data
+        spread[live] = ((folds - 1) * said.var(0, correction=0)).mean(1).sqrt()
     return Learned(
+        spread=tuple(spread.tolist()),
         steps=chosen,
         tried=step,
         kept=tuple(g in kept for g in range(len(groups))),

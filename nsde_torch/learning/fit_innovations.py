@@ -5,8 +5,8 @@
 2. Residual networks on the whitened residuals of that physics (`innovations.networks`).
 3. The distance eta by its own losses.
 4. Diffusion, lasting disturbances and sensors from the spectrum of what is left (`innovations.disturbances`), and into
-   the diffusion what is not known of the drift: the covariance of the parameters, and the jackknife of the networks over
-   blocks of time. Their mean over the data is as found; far from the data sigma is at least the declared sigma_max.
+   the diffusion what is not known of the drift: the covariance of the parameters, and the jackknife of the networks
+   over blocks of time. Their mean over the data is as found; far from the data sigma is at least the declared one.
 
 Every stage sees one step of the log at a time, given what came before it, so inputs that answer disturbances do not
 bend it. What it gives up: predictions of the pilot's own flights under the pilot's own inputs, which know what

@@ -66,7 +66,7 @@ class Learned:
         before, after: Mean squared innovation on what was left out, without and with the networks.
         gain: Log likelihood won on what was left out by each group of channels [nats].
         error: Its standard error over blocks of time.
-        spread: Standard error of the networks' change over a step, by channel; the root of its mean square over the rows.
+        spread: Standard error of the networks' change over a step, by channel (root mean square over the rows).
         history: Step and mean squared innovation on what was left out.
     """
 

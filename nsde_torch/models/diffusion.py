@@ -47,13 +47,15 @@ class Diffusion(nn.Module):
 
     @torch.no_grad()
     def through(self, eta: Tensor, sigma: Tensor, far: Tensor) -> None:
-        """Set sigma_max and h so that sigma has a given size on the data and at least another far from them.
+        """Set sigma_max and h so that sigma has a given size on the data and grows away from them.
 
         Args:
             eta: Distance of the data (N,).
-            sigma: Root mean square of sigma over them (nx,), > 0.
+            sigma: Root mean square of sigma over them (nx,), > 0; where that is less than `START_SHARE` of `far`, it is
+                taken to be as much.
             far: Least sigma where eta is 1 (nx,); it is at least `FAR_SHARE` / `START_SHARE` times `sigma`.
         """
+        sigma = torch.maximum(sigma, START_SHARE * far)
         largest = torch.maximum(sigma / START_SHARE, far / FAR_SHARE).double()
         wanted, eta = (sigma / largest).double(), eta.double()
         top = math.log(FAR_SHARE / (1 - FAR_SHARE))

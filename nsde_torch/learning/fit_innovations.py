@@ -50,8 +50,8 @@ from nsde_torch.learning.innovations.residuals import (
     pushed,
     residuals,
 )
+from nsde_torch.learning.innovations.summary import summary
 from nsde_torch.learning.progress import Progress
-from nsde_torch.learning.report import number
 from nsde_torch.learning.task import Fitted, Parameters, Task
 from nsde_torch.models.networks import MLP
 from nsde_torch.models.neural_sde import NeuralSDE, SDESpec
@@ -325,7 +325,7 @@ class _Fit:
             "progress": asdict(progress),
             "parameters": parameters,
             "facts": self._facts(networks, laws),
-            "said": _summary(found, self.identification, networks, learned),
+            "said": summary(found, self.identification, networks, learned),
         }
 
     def _facts(self, networks: dict[str, Any], laws: dict[str, Disturbance]) -> dict[str, Any]:
@@ -382,37 +382,3 @@ def _moved(left: Residuals) -> list[list[int]]:
         groups.append(torch.nonzero(size > 1e-6 * largest)[:, 0].tolist())
         at += width
     return groups
-
-
-def _summary(
-    found: Identified | None,
-    known: Identification | None,
-    networks: dict[str, dict[str, Any]],
-    learned: Learned | None,
-) -> str:
-    """What a person reads of the fit."""
-    lines = []
-    if found is not None:
-        r = found.regression
-        lines.append(
-            f"fitted: declared physics by prediction errors ({r.iterations} iterations, "
-            f"{'settled' if r.converged else 'not settled'})"
-        )
-        if found.learned:
-            lines.append(
-                f"learned: inputs act late, as by {found.learned} ({number(found.evidence)} nats); it is not declared, "
-                "model.learn_lag=false leaves it out"
-            )
-    for port, n in networks.items():
-        error = n["standard_error"]
-        size = (
-            "one block of time"
-            if error is None
-            else f"{n['nats']:+.1f} +- {error:.1f} nats on blocks left out"
-        )
-        lines.append(
-            f"network on {port}: {size}: "
-            + (f"{learned.steps if learned else 0} steps" if n["kept"] else "none")
-        )
-    lines += [f"feedback: {sentence}" for sentence in (known.of_the_loop if known else ())]
-    return "\n".join(lines)

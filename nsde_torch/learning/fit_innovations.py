@@ -147,6 +147,7 @@ class _Fit:
     def __init__(self, model: NeuralSDE, task: Task, runs: Sequence[Run], found: Identified | None) -> None:
         self.model, self.task, self.runs, self.found = model, task, runs, found
         self.identification: Identification | None = None
+        self.size = 0.0  # mean log standard deviation of the innovations
         model.clock_scale.fill_(task.clock)
         if found is not None:
             self.physics = found.regression.physics
@@ -233,6 +234,7 @@ class _Fit:
             noises = [white_noise(change[:, c], left.series) for c in left.rows]
         else:
             noises = noise_models(left, change, limits, first=first)
+        self.size = float(np.mean(np.log([noise.std for noise in noises])))
         y = model.residual_inputs(model.system.residual_features(left.states.float()))
         settings = Settings(
             steps=task.options.steps,
@@ -300,7 +302,7 @@ class _Fit:
         progress = Progress(
             step=learned.tried if learned else 0,
             best_step=learned.steps if learned else 0,
-            best_score=learned.after if learned else 1.0,
+            best_score=self.size + 0.5 * (learned.after if learned else 1.0),
             history=history or [{"step": 0.0, "validation": 1.0}],
             stopped=True,
         )
@@ -324,7 +326,13 @@ class _Fit:
         return {
             "progress": asdict(progress),
             "parameters": parameters,
-            "facts": self._facts(networks, laws),
+            "facts": {
+                "validation": {
+                    "score": progress.best_score,
+                    "unit": "nats a step and channel, on blocks of time left out",
+                },
+                **self._facts(networks, laws),
+            },
             "said": summary(found, self.identification, networks, learned),
         }
 

@@ -66,8 +66,7 @@ def one_step(model: Model, runs: Sequence[Run]) -> dict[str, dict[str, Any]] | N
     # networks are evaluated in single precision, whatever the model is in
     own = copy.deepcopy(model).cpu().float() if isinstance(model, NeuralSDE) else None
     if own is not None and own.residual_ports:
-        mine = residuals(physics, vector.inside(vector.start), own.residual_ports)
-        change[:, mine.rows] -= pushed(own, own.residuals, mine).T.double().numpy()
+        change[:, left.rows] -= pushed(own, own.residuals, left).T.double().numpy()
     window = bump(left.dt)
     physics.estimate_sensors(change)
     laws = _laws(own, left) if own is not None and not own.step.deterministic else {}

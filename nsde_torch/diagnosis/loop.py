@@ -179,7 +179,7 @@ def loop(search: Search, system: System, *, max_effects: int) -> Outcome:
         base = search.grown(now.chosen)
     found, base = _settle(search, declared, base, names, rounds)
     declared_variables = regressors(declared.regression, inputs=search.inputs, moved=search.moved)
-    before = dependences(declared.regression, declared_variables)
+    before = dependences(declared.regression, declared_variables, overview=bool(found))
     variables = (
         regressors(base.regression, inputs=search.inputs, moved=search.moved) if found else declared_variables
     )
@@ -190,6 +190,7 @@ def loop(search: Search, system: System, *, max_effects: int) -> Outcome:
     if (
         found and explained < _NOTHING * rest
     ):  # what is missing bends the physics, and any term straightens it a little
+        before = dependences(declared.regression, declared_variables)
         found, base, variables, after = [], declared, declared_variables, before
         left = _beyond_chance(search, before)
     if not found:

@@ -52,6 +52,7 @@ def run(config: DictConfig, job: Job) -> None:
         candidates=None if config.candidates is None else tuple(config.candidates),
         also=tuple(config.also),
         seed=config.seed,
+        instruments=tuple(config.data.instruments),
     )
     system = build.system(config.system)
     data = build.dataset(config.data, system)

@@ -20,6 +20,7 @@ from nsde_torch.diagnosis.declared import Warned, better_reading, declared, warn
 from nsde_torch.diagnosis.evidence import at_bounds
 from nsde_torch.diagnosis.formula import Formula, formula
 from nsde_torch.diagnosis.held_out import HeldOut, held_out
+from nsde_torch.diagnosis.hidden import shown_by_instruments
 from nsde_torch.diagnosis.in_run import InRun, in_run, odd_run
 from nsde_torch.diagnosis.loop import Estimate, Outcome, estimates, loop
 from nsde_torch.diagnosis.not_shown import not_shown
@@ -32,7 +33,10 @@ from nsde_torch.diagnosis.views import rates, rates_width
 from nsde_torch.effects import EFFECTS, Effect, effect_class, effects_of, register
 from nsde_torch.errors import ConfigError, DataError
 from nsde_torch.learning.identify.identify import Regression
+from nsde_torch.learning.identify.in_loop import adopted, identify_in_loop
+from nsde_torch.learning.identify.instruments import with_columns
 from nsde_torch.learning.identify.loop_test import LoopTest, tested
+from nsde_torch.learning.identify.result import Identification
 from nsde_torch.learning.identify.steps import steps_of
 from nsde_torch.models.identified import SysidSpec
 from nsde_torch.systems import System
@@ -62,6 +66,7 @@ class Options:
         candidates: Names of the effects to try; None tries all that the system may have.
         also: Effects of the user's own to try beside them, `module:Class`.
         seed: Seed of the resamples.
+        instruments: Names of logged columns that nothing inside the control loop moves: sticks, setpoints.
     """
 
     alpha: float = 0.01
@@ -69,6 +74,7 @@ class Options:
     candidates: tuple[str, ...] | None = None
     also: tuple[str, ...] = ()
     seed: int = 0
+    instruments: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         if not 0 < self.alpha <= 0.5:
@@ -103,6 +109,7 @@ class Diagnosis:
         warned: Declared parameters that tell of a fault of the columns.
         reading: How else the columns fit much better; None where no other way does.
         feedback: What the data say of the loop that they were recorded in.
+        instrumented: Estimates with signals from outside the loop; None without any.
     """
 
     system: System
@@ -120,6 +127,7 @@ class Diagnosis:
     warned: tuple[Warned, ...] = ()
     reading: str | None = None
     feedback: LoopTest = field(default_factory=LoopTest)
+    instrumented: Identification | None = None
 
     @property
     def verdict(self) -> str:
@@ -159,6 +167,14 @@ class Diagnosis:
                     if f.short
                 ),
                 *({"effect": n, "sentence": sentence(o, n), "reason": _SHORT} for n in o.aside),
+                *(
+                    {
+                        "effect": h.name,
+                        "sentence": f"{h.name} would explain something, and is not named.",
+                        "reason": h.reason,
+                    }
+                    for h in o.hidden
+                ),
             ],
             "ranking": ranking(o),
             "ties": self._ties(),
@@ -198,7 +214,7 @@ class Diagnosis:
                 "measured_on": "runs left out" if self.errors.whole_runs else "the last part of the only run",
                 "runs": list(self.errors.runs),
             },
-            "feedback": self.feedback.as_dict(),
+            "feedback": self._feedback(),
             "data": {
                 "kind": self.data.kind,
                 "system": self.data.system_name,
@@ -253,6 +269,16 @@ class Diagnosis:
             for f in self.outcome.found
         ]
         return [*faults, *effects]
+
+    def _feedback(self) -> dict[str, Any]:
+        if self.instrumented is None:
+            return self.feedback.as_dict()
+        told = self.instrumented.instrumented
+        return {
+            **self.feedback.as_dict(),
+            "findings": self.instrumented.of_the_loop,
+            "instruments": None if told is None else told.as_dict(),
+        }
 
     def _class(self, name: str) -> type[Effect]:
         return type(effect_of(self.outcome.system, name))
@@ -444,6 +470,8 @@ def diagnose(
         DataError: too few rows, or nothing moves.
         ConfigError: an option is out of range, or a candidate that the system cannot have.
     """
+    if options.instruments:  # a column that is not there is told before any work
+        with_columns(system, runs, options.instruments)
     started = now()
     seconds: dict[str, float] = {}
     own = {name: register(name) for name in options.also}  # first: they may read channels that no other does
@@ -474,15 +502,24 @@ def diagnose(
             system, some, recorded.clock, options, inputs=not recorded.inputs_restored, moved=moved, say=say
         )
 
+    def test(regression: Regression) -> LoopTest:
+        return tested(regression, extended)
+
+    def in_loop(physics: System) -> Identification:
+        return identify_in_loop(physics, extended, clock=recorded.clock, instruments=options.instruments)
+
+    def shown(physics: System, effect: str) -> bool:
+        return bool(options.instruments) and shown_by_instruments(in_loop(physics), effect, options.alpha)
+
     search = looking(extended)
     seconds["recording"] = now() - started
-    outcome = loop(search, system, max_effects=options.max_effects)
+    outcome = loop(search, system, max_effects=options.max_effects, test=test, shown=shown)
     if outcome.structured:
         say("checking the recording chain", 0, 1)
         moved = _moved(outcome, replace(recorded, runs=tuple(extended)), system, looking)
         if moved is not None:
             again_in = looking(moved.runs)
-            other = loop(again_in, system, max_effects=options.max_effects)
+            other = loop(again_in, system, max_effects=options.max_effects, test=test, shown=shown)
             # else something else looks like it: an input of the other sign, say
             if _structure(other) < _LITTLE * _structure(outcome) and not _collapsed(other):
                 recorded, extended, search, outcome = moved, list(moved.runs), again_in, other
@@ -493,9 +530,16 @@ def diagnose(
         made.held = set(search.held)
         return made
 
-    feedback = tested(outcome.final.regression, extended)
-    if closed_loop is None and not feedback.why_not:
+    feedback = outcome.test
+    if closed_loop is None and (feedback.closed or feedback.open):
         closed_loop = feedback.closed
+    instrumented = None
+    if options.instruments and not feedback.why_not:
+        say("estimates from signals outside the loop", 0, 1)
+        instrumented = in_loop(outcome.system)
+        if instrumented.instrumented is not None and adopted(instrumented.instrumented, feedback):
+            outcome.printed = instrumented
+            vars(outcome).pop("system", None)  # its values are the instruments' from here on
     say("errors on runs left out", 0, 1)
     errors = held_out(
         (outcome.declared_system, outcome.system),
@@ -536,6 +580,7 @@ def diagnose(
         warned=tuple(warned),
         reading=better_reading(system, extended, fit) if warned else None,
         feedback=feedback,
+        instrumented=instrumented,
     )
 
 

@@ -13,8 +13,8 @@ Regimes, which say what the controller sees:
     a   the logged measurements, at 100 Hz
     b   other sensors, as good as those of the log, at 100 Hz
     c   other sensors, four times as good, and setpoints at 1 kHz; every tenth command is logged
-    d   the outer loops as in a, and the rate loop on its own gyroscope at 1 kHz: each logged command is the first of ten,
-        after a step of its setpoint, and larger than their mean (5 % where the rate loop closes at 11 rad/s)
+    d   the outer loops as in a, and the rate loop on its own gyroscope at 1 kHz: each logged command is the first of
+        ten, after a step of its setpoint, and larger than their mean (5 % where the rate loop closes at 11 rad/s)
 """
 
 from __future__ import annotations

@@ -9,9 +9,9 @@ large as what inputs of earlier steps are seen to foretell, rho_i = sqrt(share).
 
 (a bound by partial correlations, benchmarked by what is observed: Cinelli and Hazlett, Journal of the Royal
 Statistical Society B 82 (2020)). FACTOR is an assumption, and no data can test it: on simulated loops whose truth is
-known 3 held nearly always with strong sticks and mostly with weak ones, 1.5 with strong ones alone (benchmarks, "Does
-the test of feedback say what is so?"). It says nothing of an open loop, where inputs that foretell tell of physics that
-is missing.
+known 3 held nearly always with strong sticks and mostly with weak ones, 1.5 with strong ones alone
+(docs/content/results/feedback.md). It says nothing of an open loop, where inputs that foretell tell of physics that is
+missing.
 
 With instruments that are strong and exogenous nothing of that is needed: their estimates are printed where they differ,
 or where inputs know more than the log, unless they show that an effect is missing. Where inputs of a faster controller

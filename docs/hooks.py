@@ -303,7 +303,11 @@ def _first(text: str | None) -> str:
 
 
 def _text(value: str) -> str:
-    return re.sub(r"([*_<>\[\]\\])", r"\\\1", value)
+    """Plain words as Markdown that shows them as they are; code in backticks is left alone."""
+    parts = re.split(r"(`[^`]+`)", value)
+    return "".join(
+        part if k % 2 else re.sub(r"([*_<>\[\]\\])", r"\\\1", part) for k, part in enumerate(parts)
+    )
 
 
 def _cell(value: str) -> str:

@@ -151,7 +151,7 @@ class Diagnosis:
         return rates_width(self.outcome.final.regression)
 
     def content(self) -> dict[str, Any]:
-        """What `diagnosis.json` holds; docs in the README."""
+        """What `diagnosis.json` holds; its keys are in docs/content/reference/diagnosis-json.md."""
         o = self.outcome
         return {
             "schema": "nsde_torch.diagnosis/1",

@@ -37,8 +37,9 @@ class Hidden:
     def reason(self) -> str:
         """Why, in words."""
         return (
-            f"inputs may know more of {' and '.join(self.channels)} than the log does, and it explains no more than "
-            "that may hide; name signals from outside the loop (data.instruments=[...]), or log what the controller saw"
+            f"what feedback may hide: inputs may know more of {' and '.join(self.channels)} than the log does, and the "
+            "effect explains no more than that; name signals from outside the loop (data.instruments=[...]), or log "
+            "what the controller saw"
         )
 
 

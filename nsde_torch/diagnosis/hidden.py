@@ -44,8 +44,12 @@ class Hidden:
 
 
 def allowances(test: LoopTest) -> dict[str, float]:
-    """Twice the log-likelihood that feedback may hide, by channel; channels where it may hide nothing are left out."""
-    return {c: z**2 for c, z in test.hidden.items()}
+    """Twice the log-likelihood that feedback may hide, by channel; channels where it may hide nothing are left out.
+
+    Of inputs that were made from the logged measurement, or in an open loop, what they foretell is physics that is
+    missing, and has to be looked for.
+    """
+    return {c: z**2 for c, z in test.hidden.items() if c in test.other_sensors}
 
 
 def chance_beyond(

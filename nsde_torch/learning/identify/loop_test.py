@@ -3,17 +3,18 @@
 With e_k the innovations of the channels that inputs drive (what a step brings that the fitted physics, the law of the
 noise and the past do not foretell), and v_k those of the inputs (against their own past):
 
-- feedback: v_{k+l} on e_k, l = 1, 2, ...: later inputs answer what the physics does not explain. Then an input is not
-  independent of disturbances, and errors of many open-loop steps under logged inputs do not tell what an input does.
+- feedback: v_{k+l} on e_k, l = 1, 2, ..., in six bins: later inputs answer what the physics does not explain, one of
+  them surely or all together (Fisher's sum over the channels that each drives). Then an input is not independent of
+  disturbances, and errors of many open-loop steps under logged inputs do not tell what an input does.
 - knowledge: e_k on u_k, u_{k-1}, ..., beyond what the parameters and the law of the noise took out. Inputs that were
   made from the logged states know nothing of e_k. Where they do, either the controller saw more than the log holds
   (a faster rate, other sensors), or the inputs act in a way that is not declared (a lag, a delay): from second
   moments of inputs and states alone the two cannot be told apart, because the same spectra are had with a controller
   that acts on the log and another response (Ljung, System Identification, 1999, section 13.4).
 - other sensors: an input that was made from a logged state answers the noise of its sensor too, which is most of an
-  innovation. Of a loop that is closed, or whose inputs know more than the log, a direction that hardly answers the
-  channel which it drives was made from something else. On simulated flights the share of the answer was 0.27 to 0.73
-  where the controller had the logged measurement, and at most 0.006 where it had a sensor of its own.
+  innovation. Of a loop that is closed, a direction that is a function of the state to a quarter at least, and hardly
+  answers the channel which it drives, was made from something else. On simulated flights the share of the answer was
+  0.27 to 0.77 where the controller had the logged measurement, and at most 0.006 where it had a sensor of its own.
 - new: the share of the inputs that is no function (of second degree) of the logged state. Where it is small in a closed
   loop, gains rest on what was assumed of the noise (Soderstrom, Gustavsson and Ljung, International Journal of Control
   21 (1975)): with a share of 8 % a simulated gain of 100 came out as 34.
@@ -23,10 +24,12 @@ Assumed, not checked: logged inputs are those that were commanded; the step of t
 
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field, replace
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.stats import chi2
 
 from nsde_torch.data import Run
 from nsde_torch.data.smoothing import smoothing_width
@@ -43,8 +46,11 @@ Array = NDArray[np.float64]
 
 ALPHA = 0.01  # chance of a finding where there is none, for each of the tests
 _ANSWER_S, _ANSWERS = 0.2, 20  # how long after a disturbance an answer is looked for [s], [rows]
+_BINS = (1, 2, 3, 5, 9, 14, 21)  # rows between which it is summed up: an answer to what lasts is smooth
 _KNOWN_S, _KNOWN = 0.08, 8  # how long before a disturbance an input may have known of it
 _OWN = 10  # order of the inputs' own past
+_FOREKNOWN = 1e-6  # share of an input that is new: below, it is known beforehand and answers nothing
+_PLAYED = 0.75  # share of an input that is no function of the logged state, above which no controller made it
 _OWN_ANSWER = 0.02  # share of what is new in an input, below which it hardly answers a channel
 _UPPER = 1.645  # standard deviations of the upper limit of a share
 _NEW = 0.1  # share of an input's variance below which it is nearly a function of the state
@@ -82,6 +88,7 @@ class LoopTest:
         knowledge: Innovations on the inputs at and before their step.
         new: Share of the inputs that is no function of the logged state, by direction.
         driven: Channels that each direction drives.
+        together: Chance of all answers of inputs to the channels that they drive, if there is none.
         rows: Number of innovations of each channel.
         between: By channel: standard errors by which inputs that move between rows may bend an estimate.
         still: Names of inputs that never move.
@@ -92,6 +99,7 @@ class LoopTest:
     knowledge: tuple[Answer, ...] = ()
     new: dict[str, float] = field(default_factory=dict)
     driven: dict[str, tuple[str, ...]] = field(default_factory=dict)
+    together: float = 1.0
     rows: int = 0
     between: dict[str, float] = field(default_factory=dict)
     still: tuple[str, ...] = ()
@@ -100,7 +108,7 @@ class LoopTest:
     @property
     def closed(self) -> bool:
         """Whether inputs answer what the physics does not explain."""
-        return any(a.chance < ALPHA for a in self.answers)
+        return self.together < ALPHA or any(a.chance < ALPHA for a in self.answers)
 
     @property
     def open(self) -> bool:
@@ -109,13 +117,14 @@ class LoopTest:
 
     @property
     def other_sensors(self) -> tuple[str, ...]:
-        """Channels whose inputs were not made from the logged measurement of that channel, as far as the data show."""
-        if not (self.closed or self.foretold):
+        """Channels of a closed loop whose inputs were not made from the logged measurement of that channel."""
+        if not self.closed:
             return ()
         answered = {(a.input, a.channel) for a in self.answers if a.chance < ALPHA and a.share >= _OWN_ANSWER}
-        moved = dict.fromkeys(c for channels in self.driven.values() for c in channels)
+        made = {way: own for way, own in self.driven.items() if self.new.get(way, 0.0) < _PLAYED}
+        moved = dict.fromkeys(c for channels in made.values() for c in channels)
         return tuple(
-            c for c in moved if not any((way, c) in answered for way, own in self.driven.items() if c in own)
+            c for c in moved if not any((way, c) in answered for way, own in made.items() if c in own)
         )
 
     @property
@@ -229,8 +238,10 @@ def loop_test(regression: Regression, *, still: Sequence[str] = ()) -> LoopTest:
     u = signals.inputs_of(regression)
     driven = u @ np.stack([way.weights for way in ways], 1)
     known = [*regression.rows]
+    answers, together = _answers(regression, ways, driven, signals.principal(u), series)
     return LoopTest(
-        answers=_answers(regression, ways, driven, signals.principal(u), series),
+        answers=answers,
+        together=together,
         knowledge=_knowledge(regression, ways, driven, known, series),
         new=_new(regression, ways, driven, series),
         driven={way.name: tuple(regression.physics.names[c] for c in way.channels) for way in ways},
@@ -255,20 +266,26 @@ def own_innovations(values: Array, among: Array, series: Series) -> Array:
 
 def _answers(
     regression: Regression, ways: Sequence[Direction], driven: Array, among: Array, series: Series
-) -> tuple[Answer, ...]:
+) -> tuple[tuple[Answer, ...], float]:
+    """Every answer, and the chance of all own ones together."""
     new = own_innovations(driven, among, series)
     rows = max(1, min(_ANSWERS, round(_ANSWER_S / regression.dt)))
     live = signals.late(series, max(rows, _OWN))
     nothing = np.zeros((int(live.sum()), 0))
-    found = []
+    found, own = [], []
     for j, way in enumerate(ways):
+        known = np.square(new[live, j]).mean() <= _FOREKNOWN * driven[live, j].var()
         for i, channel in enumerate(regression.rows):
             columns = signals.lagged(regression.white[i][:, None], series, range(1, rows + 1))[live]
-            chance, share = signals.score_test(new[live, j], columns, nothing)
+            parts = [columns[:, a - 1 : b - 1].sum(1) for a, b in pairwise(_BINS) if a <= rows]
+            score = signals.score_test(new[live, j], np.stack(parts, 1), nothing)
+            chance, share = (1.0, 0.0) if known else score
             found.append(
                 (way.name, regression.physics.names[channel], share, chance, _within(new[live, j], columns))
             )
-    return _judged(found, regression.dt)
+            own += [chance] if channel in way.channels else []
+    statistic = -2.0 * float(np.log(np.maximum(own, 1e-300)).sum())
+    return _judged(found, regression.dt), float(chi2.sf(statistic, 2 * len(own))) if own else 1.0
 
 
 def _within(new: Array, columns: Array) -> int:

@@ -44,6 +44,11 @@ def sentences(found: "LoopTest") -> list[str]:
             f"the loop is closed: {told}{rest}; errors of predictions over many steps under these inputs do not tell "
             "what an input does"
         )
+    elif found.closed:
+        out.append(
+            "the loop is closed: inputs together answer what the physics leaves unexplained of what they drive; errors "
+            "of predictions over many steps under these inputs do not tell what an input does"
+        )
     elif found.open:
         out.append(
             "the loop is open as far as the data show: no input answers what the physics leaves unexplained"

@@ -15,7 +15,6 @@ from typing import TYPE_CHECKING, Any
 
 from omegaconf import DictConfig
 
-from . import effects_file
 from .jobs import Job, guarded
 
 if TYPE_CHECKING:
@@ -196,17 +195,14 @@ class ClosedLoop:
 
     def diagnosis(self) -> list[Any]:
         """Effects that the logged flights show, unless that is known."""
-        from nsde_torch.data import read
-        from nsde_torch.diagnosis.diagnose import Options, diagnose
+        import nsde_torch
+        from nsde_torch.diagnosis.files import EFFECTS, REPORT, write_content, write_effects
+        from nsde_torch.diagnosis.files import RESULT as FOUND
         from nsde_torch.diagnosis.report import write_report
         from nsde_torch.diagnosis.text import lines
-        from nsde_torch.effects import effect_class, key_of
+        from nsde_torch.effects.files import read
         from nsde_torch.errors import DataError
-        from nsde_torch.models.identified import SysidSpec
-        from nsde_torch.systems import make_system
 
-        from .diagnose_job import EFFECTS, REPORT, values
-        from .diagnose_job import RESULT as FOUND
         from .stages import Stages
 
         folder = self.folder / DIAGNOSIS
@@ -214,25 +210,28 @@ class ClosedLoop:
             if not list((self.folder / LOG).glob("*.csv")):
                 raise DataError(f"no flight was logged: see {self.folder / LOG}.")
             folder.mkdir(parents=True, exist_ok=True)
-            system = make_system(self.system)
-            data = read("csv", system, path=str(self.folder / LOG))
+            data = nsde_torch.read(self.folder / LOG, system=self.system, kind="csv")
             print(data.summary)
-            spec = SysidSpec(self.system, dt=data.dt, horizon=system.defaults.horizon)
             c = self.config
-            candidates = None if c.candidates is None else tuple(c.candidates)
-            options = Options(alpha=c.alpha, max_effects=c.max_effects, candidates=candidates, seed=c.seed)
             stages = Stages()
-            found = diagnose(system, spec, data, list(data.runs), options, say=stages)
+            found = nsde_torch.diagnose(
+                data,
+                system=self.system,
+                alpha=c.alpha,
+                max_effects=c.max_effects,
+                candidates=None if c.candidates is None else list(c.candidates),
+                seed=c.seed,
+                say=stages,
+            )
             stages.close()
             content = found.content()
-            effects = {key_of(effect_class(f.name)): values(found, f.name) for f in found.outcome.found}
-            effects_file.write(folder / EFFECTS, self.system, effects, "found by nsde close-loop")
+            write_effects(found, folder, system=self.system, note="found by nsde close-loop")
             write_report(folder / REPORT, found, content)
             print()
             print("\n".join(lines(content)))
             # last, because it says that the stage is finished
-            (folder / FOUND).write_text(json.dumps(content, indent=1, allow_nan=False), encoding="utf-8")
-        _, effects = effects_file.read(folder / EFFECTS)
+            write_content(content, folder)
+        _, effects = read(folder / EFFECTS)
         return [{name: given} for name, given in effects.items()]
 
     def _flown(self, stage: str) -> list[dict[str, Any]]:
@@ -242,7 +241,7 @@ class ClosedLoop:
 
     def result(self, found: list[Any]) -> dict[str, Any]:
         """What `close_loop.json` holds."""
-        from .diagnose_job import RESULT as FOUND
+        from nsde_torch.diagnosis.files import RESULT as FOUND
 
         before = self._flown(BEFORE)
         after = self._flown(AFTER) if found else before  # nothing found: nothing to fly with

@@ -10,35 +10,23 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-from .keys import group, key
+from nsde_torch.learning.options import LossOptions, TrainerOptions
+from nsde_torch.models.options import (
+    BlackboxOptions,
+    EnsembleOptions,
+    NodeOptions,
+    NsdeOptions,
+    SysidOptions,
+)
+from nsde_torch.sde.options import IntegratorOptions, TorchDiffEqOptions
+from nsde_torch.systems.options import SystemOptions
+
+from .keys import group, key, mirrors, of
 
 
-@dataclass
+@mirrors(SystemOptions)
 class SystemConfig:
     """The machine. A value of null is the system's own: its class has the constants of the supplement."""
-
-    name: str = key("???", "name of a system of the package, or module:Class of your own")
-    effects: list[str] = key(
-        [],
-        "physical terms to add to the declared physics: names, module:Class, or an effects.yaml of nsde diagnose",
-    )
-    declared: list[str] | None = key(None, "physical terms instead of the declared ones; null: keep those")
-    parameters: dict[str, Any] = key({}, "initial values, system.parameters.NAME=1 or ...EFFECT.NAME=1")
-    options: dict[str, Any] = key({}, "further arguments of the system's class, system.options.NAME=1")
-    dt: float | None = key(None, "step of the model; null: the system's own", unit="s", above=0)
-    horizon: int | None = key(None, "steps of a training window; null: the system's own", unit="steps", low=1)
-    sigma_max: list[float] | None = key(
-        None, "largest diffusion, one per state; null: the system's own", unit="state/s^0.5", low=0
-    )
-    ball_radius: float | None = key(
-        None,
-        "radius of the ball of the convexity loss; null: the system's own",
-        unit="std of the features",
-        above=0,
-    )
-    lambda_mu: float | None = key(
-        None, "weight of the reward on strong convexity; null: the system's own", low=0
-    )
 
 
 @dataclass
@@ -140,181 +128,51 @@ class ModelConfig:
     kind: str = key("???", "kind of the model, set by model=")
 
 
-_LAG = "learn a lag or a delay of the inputs where the data show one that is not declared (loss=default)"
-_FILTER = "taps on each side of the learned input filter; null: as the log's smoothing asks"
-
-
-@dataclass
+@mirrors(NodeOptions)
 class NodeModel(ModelConfig):
-    """Neural ODE: the same drift, no diffusion."""
-
-    kind: str = key("node", "kind of the model, set by model=", choices=("node",))
-    residual_hidden: list[int] = key([8, 16], "widths of the residual networks (tanh)", low=1)
-    filter_reach: int | None = key(None, _FILTER, low=0)
-    learn_lag: bool = key(True, _LAG)
+    """Neural ODE."""
 
 
-@dataclass
-class DiffusionModel(ModelConfig):
-    """What every neural SDE has."""
-
-    distance_hidden: list[int] = key([32, 32], "widths of the distance network eta (swish)", low=1)
-    mu_hidden: list[int] = key([8, 8], "widths of the strong-convexity network mu (tanh)", low=1)
-    sigma: str | None = key(
-        None,
-        "sigma_max is learned or the system's; null: declared with loss=paper, else learned",
-        choices=("learned", "declared"),
-    )
-    filter_reach: int | None = key(None, _FILTER, low=0)
-    measurement: bool | None = key(
-        None,
-        "learn the sensor noise beside the diffusion; null: with loss=default yes, else as the system asks",
-    )
+@mirrors(NsdeOptions)
+class NsdeModel(ModelConfig):
+    """Neural SDE."""
 
 
-@dataclass
-class NsdeModel(DiffusionModel):
-    """Neural SDE: declared physics, residual networks, distance-aware diffusion."""
-
-    kind: str = key("nsde", "kind of the model, set by model=", choices=("nsde",))
-    residual_hidden: list[int] = key([8, 16], "widths of the residual networks (tanh)", low=1)
-    disturbance: bool | None = key(
-        None, "carry lasting disturbances (gusts) as states; null: as the system asks"
-    )
-    learn_lag: bool = key(True, _LAG)
+@mirrors(BlackboxOptions)
+class BlackboxModel(ModelConfig):
+    """Neural SDE without physics."""
 
 
-@dataclass
-class BlackboxModel(DiffusionModel):
-    """Neural SDE without physics: a network of state and input is the whole drift."""
-
-    kind: str = key("blackbox_nsde", "kind of the model, set by model=", choices=("blackbox_nsde",))
-    drift_hidden: list[int] = key([64, 64], "widths of the drift network (tanh)", low=1)
-
-
-@dataclass
+@mirrors(EnsembleOptions)
 class EnsembleModel(ModelConfig):
-    """Gaussian ensemble: networks that predict mean and variance of the next state."""
-
-    kind: str = key(
-        "ensemble",
-        "kind of the model, set by model=; it has no physics, no path loss and no integrator: loss=, solver=, "
-        "system.parameters, trainer.batch, trainer.polish, trainer.compile and trainer.calibrate do not apply",
-        choices=("ensemble",),
-    )
-    members: int = key(5, "networks in the ensemble", low=1)
-    hidden: list[int] = key([64, 64], "widths of each network (silu)", low=1)
-    batch: int = key(32, "pairs of states per network and gradient step", low=1)
-    steps: int | None = key(
-        None,
-        "largest number of gradient steps; null: 10 trainer.steps, as batches are small. trainer.patience is "
-        "stretched alike",
-        unit="steps",
-        low=1,
-    )
-    propagation: str = key(
-        "fixed",
-        "a sampled path keeps the network it drew at the start (fixed, TS-infinity) or draws one at every step "
-        "(redrawn, TS-1)",
-        choices=("fixed", "redrawn"),
-    )
+    """Gaussian ensemble."""
 
 
-@dataclass
+@mirrors(SysidOptions)
 class SysidModel(ModelConfig):
-    """Least-squares system identification: the declared physics and nothing else, in seconds."""
-
-    kind: str = key(
-        "sysid",
-        "kind of the model, set by model=; there are no gradient steps: loss=, trainer=, seed and data.validation "
-        "do not apply",
-        choices=("sysid",),
-    )
-    method: str | None = key(
-        None,
-        "equations in integral form, weighted by the noise found (weak), or finite differences of smoothed states in "
-        "ordinary least squares (differences); null: weak, and differences where the log smoothed its inputs",
-        choices=("weak", "differences"),
-    )
-    max_iterations: int = key(20, "largest number of least-squares steps", unit="steps", low=1)
+    """Least-squares system identification."""
 
 
-@dataclass
+@mirrors(LossOptions, without=("ball_radius",))
 class LossConfig:
-    """Weights and sizes of the losses (`nsde_torch.learning.LossOptions`)."""
+    """Weights and sizes of the losses; the radius of the ball is a constant of the machine."""
 
-    kind: str = key("???", "kind of the loss, set by loss=", choices=("innovations", "replay", "paper"))
-    data: float = key(1.0, "weight of the data loss", low=0)
-    gradient: float = key(0.01, "weight of the zero-gradient loss (eta flat on the data)", low=0)
-    convexity: float = key(0.01, "weight of the strong-convexity loss in a ball around the data", low=0)
-    mu: float | None = key(
-        None, "weight of the reward on large mu; null: system.lambda_mu with loss=paper, else 0.01", low=0
-    )
-    particles: int = key(2, "paths per window (loss=replay takes them in pairs, loss=paper)", low=1)
-    points: int = key(256, "states of a batch that the distance losses look at", low=1)
-    ball_samples: int = key(8, "points drawn in the ball around each", low=1)
-    far_radius: float = key(
-        16.0,
-        "largest radius that the distance losses draw up to; not with loss=paper",
-        unit="std of the features",
-        above=0,
-    )
-    residual_decay: float | None = key(
-        None,
-        "weight of the squared weights of residual networks beside declared physics; null: 1e-4, 0.003 with "
-        "loss=replay, 0 with loss=paper",
-        low=0,
-    )
-    early: float = key(1.0, "step k of a window weighs k^-early (loss=replay)", low=0)
+    kind: str = of(LossOptions, "kind", default="???")
 
 
-@dataclass
+@mirrors(TrainerOptions)
 class TrainerConfig:
-    """Optimisation (`nsde_torch.learning.TrainerOptions`)."""
-
-    steps: int = key(1000, "largest number of gradient steps", unit="steps", low=1)
-    batch: int = key(512, "windows per gradient step", low=1)
-    lr: float = key(0.01, "learning rate at the start", above=0)
-    lr_end: float = key(0.001, "learning rate after the decay", above=0)
-    decay_steps: int | None = key(
-        None, "steps over which the learning rate falls linearly; null: trainer.steps", unit="steps", low=1
-    )
-    patience: int = key(10, "validations without a better score before training stops", low=1)
-    clip: float | None = key(10.0, "largest norm of the gradient; null: no clipping", above=0)
-    validate_every: int = key(50, "steps between validations", unit="steps", low=1)
-    checkpoint_every: int = key(100, "steps between checkpoints", unit="steps", low=1)
-    compile: str = key(
-        "auto", "compile the step (auto: where a C++ compiler is found)", choices=("auto", "on", "off")
-    )
-    polish: int = key(
-        200, "last steps at lr_end on all windows, the validation ones included", unit="steps", low=0
-    )
-    calibrate: bool = key(True, "scale the diffusion by errors across training runs (not with loss=paper)")
+    """Optimisation."""
 
 
-@dataclass
+@mirrors(IntegratorOptions)
 class SolverConfig:
     """The integrator."""
 
-    name: str | None = key(None, "name of the integrator, set by solver=; null: the system's own")
 
-
-@dataclass
+@mirrors(TorchDiffEqOptions)
 class TorchDiffEqSolver(SolverConfig):
-    """A method of torchdiffeq, for models without diffusion."""
-
-    name: str | None = key("torchdiffeq", "name of the integrator, set by solver=")
-    method: str = key(
-        "dopri5",
-        "method of torchdiffeq; the first four take fixed steps",
-        choices=(
-            *("euler", "midpoint", "rk4", "heun3"),
-            *("dopri5", "dopri8", "bosh3", "adaptive_heun", "fehlberg2"),
-        ),
-    )
-    rtol: float = key(1e-5, "relative tolerance of adaptive methods", above=0)
-    atol: float = key(1e-6, "absolute tolerance of adaptive methods", unit="state", above=0)
-    adjoint: bool = key(False, "gradients by the adjoint equation: less memory, more time")
+    """A method of torchdiffeq."""
 
 
 @dataclass

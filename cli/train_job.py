@@ -45,27 +45,28 @@ def fit(config: DictConfig, job: Job, run_dir: Path, *, about: dict[str, Any]) -
         The content of `metrics.json`.
     """
     # torch is imported here, not above: a launcher's parent process needs this module, but not torch.
-    from nsde_torch import learning
+    import nsde_torch
 
     from . import build
 
     device, dtype = build.settings(config, sweep=job.sweep)
-    system = build.system(config.system)
-    data = build.dataset(config.data, system)
-    split = build.split(config.data, data, system)
-    return learning.train(
-        build.model_spec(config, system, split),
-        data,
-        split,
-        loss=build.loss_options(config),
-        options=build.trainer_options(config.trainer),
+    machine = build.system_options(config.system)
+    system = machine.make()
+    model = nsde_torch.train(
+        build.dataset(config.data, system),
+        system=machine,
+        model=build.model_options(config.model),
+        loss=build.loss_options(config.loss),
+        trainer=build.trainer_options(config.trainer),
+        solver=build.integrator(config.solver),
+        test=None if config.data.test is None else list(config.data.test),
+        test_data=build.test_data(config.data, system),
         validation=config.data.validation,
+        instruments=list(config.data.instruments),
         seed=config.seed,
         run_dir=run_dir,
-        values=build.parameter_values(config.system),
         device=device,
         dtype=dtype,
         about={"command": "train", "config": about},
-        other_sensors=config.data.test_path is not None,
-        instruments=list(config.data.instruments),
     )
+    return dict(model.metrics)

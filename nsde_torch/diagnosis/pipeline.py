@@ -7,6 +7,7 @@ The stages: undo the recording chain (`recording`), look for effects (`loop`), m
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from math import log
+from pathlib import Path
 from time import perf_counter as now
 from typing import Any
 
@@ -23,13 +24,15 @@ from nsde_torch.diagnosis.held_out import HeldOut, held_out
 from nsde_torch.diagnosis.in_run import InRun, in_run, odd_run
 from nsde_torch.diagnosis.loop import Estimate, Outcome, estimates, loop
 from nsde_torch.diagnosis.not_shown import not_shown
+from nsde_torch.diagnosis.options import Options
 from nsde_torch.diagnosis.recording import Fault, Recorded, late_sensor, undo
 from nsde_torch.diagnosis.search import Search, effect_of
 from nsde_torch.diagnosis.shape import Shape, called, shape, symmetry
 from nsde_torch.diagnosis.structure import Dependence
 from nsde_torch.diagnosis.summary import summary
+from nsde_torch.diagnosis.text import lines
 from nsde_torch.diagnosis.views import rates, rates_width
-from nsde_torch.effects import EFFECTS, Effect, effect_class, effects_of, register
+from nsde_torch.effects import Effect, effect_class, effects_of, key_of, register
 from nsde_torch.errors import ConfigError, DataError
 from nsde_torch.learning.identify.identify import Regression
 from nsde_torch.learning.identify.loop_test import LoopTest, tested
@@ -52,37 +55,6 @@ TWINS = {"constant_force": ("sensor_bias",)}
 """Faults of the recording chain that no data of the log can tell from an effect."""
 
 
-@dataclass(frozen=True)
-class Options:
-    """Settings of a diagnosis.
-
-    Args:
-        alpha: Chance of naming an effect where nothing is missing.
-        max_effects: Most effects to add.
-        candidates: Names of the effects to try; None tries all that the system may have.
-        also: Effects of the user's own to try beside them, `module:Class`.
-        seed: Seed of the resamples.
-    """
-
-    alpha: float = 0.01
-    max_effects: int = 8
-    candidates: tuple[str, ...] | None = None
-    also: tuple[str, ...] = ()
-    seed: int = 0
-
-    def __post_init__(self) -> None:
-        if not 0 < self.alpha <= 0.5:
-            raise ConfigError(f"`alpha` must lie in (0, 0.5]; got {self.alpha!r}.")
-        if self.max_effects < 0:
-            raise ConfigError(f"`max_effects` must be 0 or more; got {self.max_effects!r}.")
-        for name in self.candidates or ():
-            if name not in EFFECTS:
-                raise ConfigError(
-                    f"`candidates` names {name!r}, which `nsde effects` does not list; one of your own goes into "
-                    "`also`."
-                )
-
-
 @dataclass
 class Diagnosis:
     """What was found.
@@ -103,6 +75,7 @@ class Diagnosis:
         warned: Declared parameters that tell of a fault of the columns.
         reading: How else the columns fit much better; None where no other way does.
         feedback: What the data say of the loop that they were recorded in.
+        system_name: Name that makes the system, `module:Class` for one of the user's own.
     """
 
     system: System
@@ -120,6 +93,7 @@ class Diagnosis:
     warned: tuple[Warned, ...] = ()
     reading: str | None = None
     feedback: LoopTest = field(default_factory=LoopTest)
+    system_name: str = ""
 
     @property
     def verdict(self) -> str:
@@ -132,6 +106,58 @@ class Diagnosis:
     def added(self) -> list[str]:
         """Names of everything that was found, the recording chain first."""
         return [fault.name for fault in self._faults] + [f.name for f in self.outcome.found]
+
+    @property
+    def effects(self) -> dict[str, dict[str, Any]]:
+        """Effects that were found, with values: `{name: {parameter: value}}`, `module:Class` for one of the user's own.
+
+        What `effects=` of `nsde_torch.train` and `nsde_torch.simulate` takes.
+        """
+        return {
+            key_of(effect_class(f.name)): {
+                k: v.tolist() if v.numel() > 1 else float(v)
+                for k, (v, _) in effect_of(self.outcome.system, f.name).declared_parameters().items()
+            }
+            for f in self.outcome.found
+        }
+
+    @property
+    def parameters(self) -> dict[str, Any]:
+        """Parameters of everything that was found: `effect.name` -> `value`, `interval_90`, `bound`, `unit`."""
+        return self._parameters()
+
+    @property
+    def declared_values(self) -> dict[str, float | list[float]]:
+        """Parameters of the declared physics as they are with what was found."""
+        values = {k: v.tolist() for k, (v, _) in self.outcome.system.declared_parameters().items()}
+        return {k: v[0] if len(v) == 1 else v for k, v in values.items()}
+
+    @property
+    def sensor_faults(self) -> dict[str, dict[str, float]]:
+        """What sensors were found to do to the states: arguments of `nsde_torch.read` that undo it."""
+        r = self.recorded
+        return {"sensor_bias": r.biases, "sensor_delay": r.delays, "sensor_lag": r.lags}
+
+    @property
+    def report(self) -> str:
+        """What was found, in words and tables, as `nsde diagnose` prints it."""
+        return "\n".join(lines(self.content()))
+
+    def __str__(self) -> str:
+        return self.report
+
+    def save(self, folder: str | Path) -> Path:
+        """Write `diagnosis.json`, `effects.yaml`, `report.html` and `plots/`.
+
+        Args:
+            folder: Where to; made where it is missing.
+
+        Returns:
+            The page `report.html`.
+        """
+        from nsde_torch.diagnosis.files import save
+
+        return save(self, folder)
 
     @property
     def _faults(self) -> list[Fault]:
@@ -536,6 +562,7 @@ def diagnose(
         warned=tuple(warned),
         reading=better_reading(system, extended, fit) if warned else None,
         feedback=feedback,
+        system_name=spec.system,
     )
 
 

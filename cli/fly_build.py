@@ -35,7 +35,7 @@ def known(config: DictConfig) -> Model | System:
         CheckpointError: no such run directory.
     """
     plain = build.options(config.mpc)
-    from .schema import MpcConfig
+    from .schemas.control import MpcConfig
 
     given = [name for name in _UNUSED if plain[name] != getattr(MpcConfig(), name)]
     if given:

@@ -9,7 +9,7 @@ from __future__ import annotations
 import dataclasses
 import inspect
 import types
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, TypeVar, Union, get_args, get_origin, get_type_hints
 
 from nsde_torch.options import Key, check, declared, default_of, key, walk
@@ -70,7 +70,7 @@ def _listed_value(value: Any) -> Any:
 
 
 def _listed(hint: Any) -> Any:
-    """A type with lists in the place of tuples, `Any` for what OmegaConf does not know."""
+    """A type with lists and dicts in the place of tuples, sequences and mappings."""
     origin, inner = get_origin(hint), get_args(hint)
     if origin in (Union, types.UnionType):
         members = [_listed(member) for member in inner]
@@ -78,6 +78,8 @@ def _listed(hint: Any) -> Any:
         for member in members[1:]:
             made = made | member
         return made
-    if origin is tuple:
+    if origin in (tuple, Sequence):
         return list[_listed(inner[0])]  # type: ignore[misc]
+    if origin is Mapping:
+        return dict[str, Any]
     return hint

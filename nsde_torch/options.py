@@ -132,8 +132,8 @@ def check(schema: type, values: Mapping[str, Any], prefix: str = "") -> None:
         if "." in entry.path:
             continue
         value = values.get(entry.path)
-        if value is None:
-            continue
+        if value is None or (value == math.inf and entry.default == math.inf):
+            continue  # infinity says that there is no limit
         for item in value if isinstance(value, (list, tuple)) else [value]:
             if not _allowed(entry, item):
                 raise ConfigError(f"`{prefix}{entry.path}` must be {entry.allowed}; got {item!r}.")

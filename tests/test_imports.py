@@ -110,8 +110,9 @@ def test_third_party_imports_are_declared_dependencies(root: Path) -> None:
     extra = text[text.index("\npolicy = [") : text.index("\ndev = [")].lower()
     own_name = {"yaml": "pyyaml", "hydra": "hydra-core", "serial": "pyserial"}
     missing = set()
-    for path in [*_modules(root), *sorted((root / "cli").glob("*.py"))]:
-        for name in _imports(path, "nsde_torch.cli" if path.parent.name == "cli" else _package(root, path)):
+    for path in [*_modules(root), *sorted((root / "cli").rglob("*.py"))]:
+        package = _package(root, path)
+        for name in _imports(path, package if package.startswith("nsde_torch") else f"nsde_torch.{package}"):
             top = name.split(".")[0]
             if top in sys.stdlib_module_names or top in ("nsde_torch", "__future__", ""):
                 continue

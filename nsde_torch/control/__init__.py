@@ -6,15 +6,14 @@ from nsde_torch.lazy import resolver
 
 if TYPE_CHECKING:
     from nsde_torch.control.autopilots import Autopilot, CascadePilot, PredictivePilot
-    from nsde_torch.control.controller import Controller, Plan, Planner, SafetyOptions
-    from nsde_torch.control.estimator import EstimatorOptions
+    from nsde_torch.control.controller import Controller, Plan, Planner
     from nsde_torch.control.learned_plant import LearnedPlant
     from nsde_torch.control.loop import Flight, Machine, fly
+    from nsde_torch.control.options import EstimatorOptions, ProblemOptions, SafetyOptions, SolverOptions
     from nsde_torch.control.predictor import Predictor
-    from nsde_torch.control.problem import ProblemOptions
     from nsde_torch.control.reference import FlightPath, Reference
     from nsde_torch.control.shapes import circle, lemniscate
-    from nsde_torch.control.solve import Solution, Solver, SolverOptions
+    from nsde_torch.control.solve import Solution, Solver
 
 __all__ = [
     "Autopilot",
@@ -46,7 +45,7 @@ __getattr__ = resolver(
         "Autopilot": "autopilots",
         "CascadePilot": "autopilots",
         "Controller": "controller",
-        "EstimatorOptions": "estimator",
+        "EstimatorOptions": "options",
         "Flight": "loop",
         "FlightPath": "reference",
         "LearnedPlant": "learned_plant",
@@ -55,12 +54,12 @@ __getattr__ = resolver(
         "Planner": "controller",
         "PredictivePilot": "autopilots",
         "Predictor": "predictor",
-        "ProblemOptions": "problem",
+        "ProblemOptions": "options",
         "Reference": "reference",
-        "SafetyOptions": "controller",
+        "SafetyOptions": "options",
         "Solution": "solve",
         "Solver": "solve",
-        "SolverOptions": "solve",
+        "SolverOptions": "options",
         "circle": "shapes",
         "fly": "loop",
         "lemniscate": "shapes",

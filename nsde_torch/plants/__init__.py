@@ -11,6 +11,7 @@ if TYPE_CHECKING:
     from nsde_torch.plants.machines import MACHINES, Machine, Making, make_plant, make_plant_system
     from nsde_torch.plants.mass_spring_damper import spring_runs
     from nsde_torch.plants.noise import Gust
+    from nsde_torch.plants.options import RecordingOptions, ReplayOptions
     from nsde_torch.plants.plant import Plant
     from nsde_torch.plants.recorder import record
     from nsde_torch.plants.recording import Recording
@@ -27,7 +28,9 @@ __all__ = [
     "Making",
     "Plant",
     "Recording",
+    "RecordingOptions",
     "Replay",
+    "ReplayOptions",
     "Simulation",
     "SwingUp",
     "cartpole_episodes",
@@ -52,7 +55,9 @@ __getattr__ = resolver(
         "Making": "machines",
         "Plant": "plant",
         "Recording": "recording",
+        "RecordingOptions": "options",
         "Replay": "replay",
+        "ReplayOptions": "options",
         "Simulation": "simulation",
         "SwingUp": "cartpole",
         "cartpole_episodes": "cartpole",

@@ -10,11 +10,10 @@ from nsde_torch.lazy import resolver
 if TYPE_CHECKING:
     from nsde_torch.px4.flight import FlightReport, fly
     from nsde_torch.px4.link import Link, open_link
-    from nsde_torch.px4.offboard import FlightOptions, Outcome
+    from nsde_torch.px4.offboard import Outcome
+    from nsde_torch.px4.options import FlightOptions, Limits, SetpointLimits
     from nsde_torch.px4.path import CascadeController, PathPoints
     from nsde_torch.px4.predictive import PredictiveController
-    from nsde_torch.px4.safety import Limits
-    from nsde_torch.px4.setpoint import SetpointLimits
     from nsde_torch.px4.simulated import fly_simulated
     from nsde_torch.px4.vehicle import Vehicle
 
@@ -38,14 +37,14 @@ __getattr__ = resolver(
     __name__,
     {
         "CascadeController": "path",
-        "FlightOptions": "offboard",
+        "FlightOptions": "options",
         "FlightReport": "flight",
-        "Limits": "safety",
+        "Limits": "options",
         "Link": "link",
         "Outcome": "offboard",
         "PathPoints": "path",
         "PredictiveController": "predictive",
-        "SetpointLimits": "setpoint",
+        "SetpointLimits": "options",
         "Vehicle": "vehicle",
         "fly": "flight",
         "fly_simulated": "simulated",

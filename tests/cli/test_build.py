@@ -13,8 +13,10 @@ import torch
 from hydra import compose, initialize_config_module
 from omegaconf import OmegaConf
 
-from nsde_torch.cli import build, schema
-from nsde_torch.cli.schema import CsvData
+from nsde_torch.cli import build
+from nsde_torch.cli.registry import hydra_command
+from nsde_torch.cli.schemas.data import CsvData
+from nsde_torch.cli.store import store
 from nsde_torch.data import Run, Split
 from nsde_torch.errors import ConfigError, DataError
 from nsde_torch.learning import structure
@@ -84,7 +86,7 @@ def _still(machine: System) -> Split:
 
 
 def _configuration(*words: str) -> Any:
-    schema.register()
+    store(hydra_command("train"))
     with initialize_config_module("nsde_torch.conf", version_base="1.3"):
         return compose("train", overrides=list(words))
 

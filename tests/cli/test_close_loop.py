@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 import torch
 
-from nsde_torch.cli.close_loop_job import ClosedLoop
+from nsde_torch.cli.commands.close_loop import ClosedLoop
 from nsde_torch.cli.main import main
 from nsde_torch.effects import files
 from nsde_torch.px4 import simulated

@@ -11,24 +11,29 @@ import pytest
 from hydra import compose, initialize_config_module
 from omegaconf import OmegaConf
 
-from nsde_torch.cli import groups, schema
+from nsde_torch.cli import groups
 from nsde_torch.cli.help import value_text
 from nsde_torch.cli.keys import walk
-from nsde_torch.cli.main import COMMANDS, main
+from nsde_torch.cli.main import main
+from nsde_torch.cli.registry import COMMANDS, hydra_commands
+from nsde_torch.cli.schemas.choices import CHOICES
+from nsde_torch.cli.store import store
 from tests.golden.kept import same_text, same_values
 
 HERE = Path(__file__).parent
+HYDRA = hydra_commands()
 
 
 @pytest.fixture(scope="module")
 def hydra_ready() -> Iterator[None]:
-    schema.register()
+    for command in HYDRA.values():
+        store(command)
     with initialize_config_module("nsde_torch.conf", version_base="1.3"):
         yield
 
 
 @pytest.mark.usefixtures("hydra_ready")
-@pytest.mark.parametrize("command", schema.COMMAND_SCHEMAS)
+@pytest.mark.parametrize("command", HYDRA)
 def test_a_command_composes_what_it_did(command: str, regenerate: bool) -> None:
     text = OmegaConf.to_yaml(compose(command))
     same_text(HERE / "config" / f"{command}.yaml", text, regenerate=regenerate)
@@ -37,7 +42,7 @@ def test_a_command_composes_what_it_did(command: str, regenerate: bool) -> None:
 @pytest.mark.usefixtures("hydra_ready")
 def test_every_choice_of_every_group_sets_what_it_did(regenerate: bool) -> None:
     found: dict[str, Any] = {}
-    for command in schema.COMMAND_SCHEMAS:
+    for command in HYDRA:
         for group in groups.defaults(command):
             for choice in groups.choices(group):
                 if f"{group}={choice}" not in found:
@@ -47,10 +52,11 @@ def test_every_choice_of_every_group_sets_what_it_did(regenerate: bool) -> None:
 
 
 def test_every_key_has_the_default_unit_range_and_help_that_it_had(regenerate: bool) -> None:
-    own = {f"{group}={name}": cls for group, of in schema.CHOICES.items() for name, cls in of.items()}
+    own = {f"{group}={name}": cls for group, of in CHOICES.items() for name, cls in of.items()}
+    every = {**{name: command.schema for name, command in HYDRA.items()}, **own}
     lines = [
         f"{name}: {e.path}={value_text(e.default)} [{e.unit}] ({e.allowed}) {e.help}"
-        for name, cls in {**schema.COMMAND_SCHEMAS, **own}.items()
+        for name, cls in sorted(every.items())
         for e in walk(cls)
     ]
     same_text(HERE / "keys.txt", "\n".join(lines) + "\n", regenerate=regenerate)

@@ -1,5 +1,6 @@
 # make run    a virtual environment, the package in it, and the hexacopter trained
-# make test   the same plus the tools of development: style, types, tests
+# make test   the same plus the tools of development: style, types, documentation, tests
+# make docs   the documentation as a site, into build/docs
 # make golden writes the files anew that tests/golden holds behaviour against
 # make clean  removes the environment and the caches; runs stay
 #
@@ -13,13 +14,13 @@ PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check $(PIP_FL
 # Tests run one torch thread: more make small rollouts slower, up to a thousand times on a busy machine.
 TEST_ENV := OMP_NUM_THREADS=1 MPLBACKEND=Agg
 
-.PHONY: run test lint types pytest golden clean
+.PHONY: run test lint types docs pytest golden clean
 .DEFAULT_GOAL := run
 
 run: $(VENV)/.installed
 	$(BIN)/nsde train system=hexacopter
 
-test: lint types pytest
+test: lint types docs pytest
 
 lint: $(VENV)/.installed-dev
 	$(BIN)/ruff check .
@@ -28,7 +29,11 @@ lint: $(VENV)/.installed-dev
 types: $(VENV)/.installed-dev
 	$(BIN)/mypy
 
-pytest: $(VENV)/.installed-dev lint types
+# Strict: a warning (a link that leads nowhere, a name that the code lost) ends it.
+docs: $(VENV)/.installed-dev
+	NO_MKDOCS_2_WARNING=1 $(TEST_ENV) $(BIN)/mkdocs build --strict --quiet --config-file docs/mkdocs.yml
+
+pytest: $(VENV)/.installed-dev lint types docs
 	$(TEST_ENV) $(BIN)/python -m pytest
 
 golden: $(VENV)/.installed-dev
@@ -41,7 +46,7 @@ $(VENV)/.installed: pyproject.toml constraints.txt
 	@touch $@
 
 $(VENV)/.installed-dev: $(VENV)/.installed
-	$(PIP) --editable '.[dev]'
+	$(PIP) --editable '.[dev,docs]'
 	@touch $@
 
 clean:

@@ -204,7 +204,7 @@ def _recorded() -> Figure:
         data = read("published", system, path=str(settings.published / "hexacopter" / "trajs.pkl"))
         lost = (
             "The published file holds less than the flights that the supplement describes: seconds by its own clock, "
-            "which is slow (README, section Data), and without the rows of two hidden gaps."
+            "which is slow (docs/content/how-to/data.md), and without the rows of two hidden gaps."
         )
         return recorded(data, system, data_name="published flights", note=lost)
 

@@ -12,8 +12,9 @@ Regimes, which say what the controller sees:
 
     a   the logged measurements, at 100 Hz
     b   other sensors, as good as those of the log, at 100 Hz
-    c   other sensors, four times as good, at 1 kHz; every tenth command is logged
-    d   the outer loops as in a, and the rate loop on its own gyroscope at 1 kHz
+    c   other sensors, four times as good, and setpoints at 1 kHz; every tenth command is logged
+    d   the outer loops as in a, and the rate loop on its own gyroscope at 1 kHz: each logged command is the first of
+        ten, after a step of its setpoint, and larger than their mean (5 % where the rate loop closes at 11 rad/s)
 """
 
 from __future__ import annotations
@@ -248,9 +249,11 @@ def fly(flights: list[Flight]) -> list[Logged]:
     used = np.array([f.t0 / 320.0 for f in flights])
     rows: list[tuple[Array, ...]] = []
     for k in range(max(n)):
-        now = tuple(part[k] for part in asked)
         u = np.empty(0)
         for tick in range(TICKS):
+            # what a controller at 1 kHz is asked for moves between rows too
+            ahead = tick / TICKS if regime == "c" and k + 1 < max(n) else 0.0
+            now = tuple(part[k] + ahead * (part[min(k + 1, max(n) - 1)] - part[k]) for part in asked)
             logged = measured(body, std * log_noise()) if tick == 0 else None
             fast = regime in "cd"
             other = measured(body, own * own_noise()) if fast or (tick == 0 and regime == "b") else None

@@ -104,6 +104,7 @@ def run(config: DictConfig, job: Job) -> None:
         also=list(config.also),
         test=None if config.data.test is None else list(config.data.test),
         test_data=build.test_data(config.data, system),
+        instruments=list(config.data.instruments),
         seed=config.seed,
         say=stages,
     )

@@ -31,6 +31,7 @@ def diagnose(
     also: Sequence[str] = (),
     test: Sequence[int | str] | None = None,
     test_data: Data | None = None,
+    instruments: Sequence[str] = (),
     seed: int = 0,
     say: Callable[[str, int, int], None] = _silent,
 ) -> Diagnosis:
@@ -48,6 +49,7 @@ def diagnose(
         also: Effects of your own to try beside them, `module:Class`.
         test: Runs to keep back, by index or name; None looks at all.
         test_data: Further runs that are kept back; a run of theirs among `data` is refused.
+        instruments: Logged columns that nothing inside the control loop moves: sticks, setpoints.
         seed: Seed of the resamples.
         say: Told stage, number done and number in all.
 
@@ -78,6 +80,7 @@ def diagnose(
         candidates=None if candidates is None else tuple(candidates),
         also=tuple(also),
         seed=seed,
+        instruments=tuple(instruments),
     )
     machine_options = system_options(system, effects=effects, declared=declared, parameters=parameters)
     machine = machine_options.make()

@@ -18,7 +18,7 @@ import numpy as np
 
 from nsde_torch.data import Run
 from nsde_torch.diagnosis.channels import channel_residuals
-from nsde_torch.diagnosis.loop import Estimate, Outcome, estimated
+from nsde_torch.diagnosis.loop import Estimate, Outcome
 from nsde_torch.effects import effect_class
 from nsde_torch.learning.identify.identify import Regression
 from nsde_torch.learning.report import number
@@ -66,7 +66,7 @@ def declared(outcome: Outcome) -> dict[str, Estimate]:
     r = outcome.final.regression
     found = {f.name for f in outcome.found}
     columns = [j for j, label in enumerate(r.vector.labels) if label.partition(".")[0] not in found]
-    return {e.name: e for e in estimated(r, outcome.sure, columns)}
+    return {e.name: e for e in outcome.estimated(columns)}
 
 
 def warnings(outcome: Outcome, system: System) -> list[Warned]:

@@ -8,15 +8,17 @@ A time shorter than a step of the log (inputs that act a millisecond late) is no
 it makes other effects look likely. Where it explains more than any of them, it joins what is declared.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Literal
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.special import stdtrit
 
 from nsde_torch.diagnosis.evidence import gained_by_channel
+from nsde_torch.diagnosis.hidden import Hidden, allowances, chance_beyond
 from nsde_torch.diagnosis.search import (
     Base,
     Round,
@@ -31,9 +33,13 @@ from nsde_torch.diagnosis.structure import Dependence, Regressors, dependences, 
 from nsde_torch.effects import effect_class
 from nsde_torch.errors import NsdeError
 from nsde_torch.learning.identify.identify import Regression
+from nsde_torch.learning.identify.in_loop import hidden_bias
+from nsde_torch.learning.identify.loop_test import LoopTest
+from nsde_torch.learning.identify.result import Identification
 from nsde_torch.learning.identify.spread import Spread
 from nsde_torch.systems import System
 
+Array = NDArray[np.float64]
 Verdict = Literal["no_effect", "effect_found", "unexplained"]
 
 _NOTHING = 0.03  # of the structure that is left over: effects that explain less are no leads either
@@ -99,6 +105,9 @@ class Outcome:
         before, after: What the residual depends on without and with the effects, all tests.
         structured: The tests that are left over after correction for their number, what explains most first.
         aside: Effects that joined what is declared because they are shorter than a step.
+        hidden: Effects that are not named because feedback may have made them.
+        test: What the data say of the loop that they were recorded in, by `final`.
+        printed: Estimates by signals from outside the loop, where these are the ones to print.
     """
 
     verdict: Verdict
@@ -112,11 +121,17 @@ class Outcome:
     after: list[Dependence]
     structured: list[Dependence] = field(default_factory=list)
     aside: tuple[str, ...] = ()
+    hidden: tuple[Hidden, ...] = ()
+    test: LoopTest = field(default_factory=LoopTest)
+    printed: Identification | None = None
 
     @cached_property
     def system(self) -> System:
-        """The physics with everything that was added and its fitted values."""
-        return fitted_system(self.final.regression)
+        """The physics with everything that was added and its values."""
+        out = fitted_system(self.final.regression)
+        if self.printed is not None:
+            self.printed.vector.write(out, self.printed.values)
+        return out
 
     @cached_property
     def declared_system(self) -> System:
@@ -131,7 +146,22 @@ class Outcome:
 
     def estimates(self, effect: str) -> list[Estimate]:
         """Parameters of an effect that was added or joined what is declared, all others fitted with it."""
-        return estimates(self.final.regression, self.sure, effect)
+        return self.estimated(self.final.regression.vector.of(effect))
+
+    def estimated(self, columns: Sequence[int]) -> list[Estimate]:
+        """Parameters of `final` with 90 % intervals, which feedback widens where it may hide something.
+
+        Args:
+            columns: Numbers of the parameters.
+        """
+        if self.printed is None:
+            return estimated(self.final.regression, self.sure, columns, self.doubt)
+        return by_instruments(self.printed, [self.final.regression.vector.labels[j] for j in columns])
+
+    @cached_property
+    def doubt(self) -> Array:
+        """By how much feedback may have bent each parameter of `final` (k,); nan for by anything."""
+        return hidden_bias(self.final.regression, self.test)
 
     @cached_property
     def sure(self) -> Spread:
@@ -139,13 +169,22 @@ class Outcome:
         return self.final.regression.spread()
 
 
-def loop(search: Search, system: System, *, max_effects: int) -> Outcome:
+def loop(
+    search: Search,
+    system: System,
+    *,
+    max_effects: int,
+    test: Callable[[Regression], LoopTest] = lambda regression: LoopTest(),
+    shown: Callable[[System, str], bool] = lambda system, effect: False,
+) -> Outcome:
     """Add effects until none helps.
 
     Args:
         search: Data and settings.
         system: Declared physics.
         max_effects: Most effects to add.
+        test: Tests the loop by a regression that has settled.
+        shown: Whether signals from outside the loop show an effect of a system with fitted values.
     """
     search.say("fitting the declared physics", 0, 1)
     declared = base = search.base(system)
@@ -178,20 +217,25 @@ def loop(search: Search, system: System, *, max_effects: int) -> Outcome:
         search.held |= set(now.chosen.held)
         base = search.grown(now.chosen)
     found, base = _settle(search, declared, base, names, rounds)
+    found, base, hidden = _told_apart(search, declared, base, found, rounds, test, shown)
+    tested = test(base.regression)
+    allowed = allowances(tested)
     declared_variables = regressors(declared.regression, inputs=search.inputs, moved=search.moved)
-    before = dependences(declared.regression, declared_variables)
+    before = dependences(declared.regression, declared_variables, overview=bool(found))
     variables = (
         regressors(base.regression, inputs=search.inputs, moved=search.moved) if found else declared_variables
     )
     after = dependences(base.regression, variables) if found else before
-    left = _beyond_chance(search, after)
+    left = _beyond_chance(search, after, allowed)
     explained = 2.0 * (base.score.fitted - declared.score.fitted)
     rest = max((d.gain - d.functions for d in left), default=0.0)
     if (
         found and explained < _NOTHING * rest
     ):  # what is missing bends the physics, and any term straightens it a little
+        before = dependences(declared.regression, declared_variables)
         found, base, variables, after = [], declared, declared_variables, before
-        left = _beyond_chance(search, before)
+        tested = test(base.regression)
+        left = _beyond_chance(search, before, allowances(tested))
     if not found:
         verdict: Verdict = "unexplained" if left else "no_effect"
     else:
@@ -200,12 +244,62 @@ def loop(search: Search, system: System, *, max_effects: int) -> Outcome:
     found = [replace(f, moves=moved_channels(base.regression, f.name)) for f in found]
     found = [replace(f, lead=_lead(f, found, left, gained)) for f in found]
     tests = (declared_variables, variables, before, after, left)
-    return Outcome(verdict, declared, base, found, rounds, *tests, aside=tuple(aside))
+    return Outcome(
+        verdict, declared, base, found, rounds, *tests, aside=tuple(aside), hidden=tuple(hidden), test=tested
+    )
 
 
-def _beyond_chance(search: Search, tests: Sequence[Dependence]) -> list[Dependence]:
-    """Tests that find something after correction for their number, what explains most first."""
-    return sorted((d for d in tests if d.p * len(tests) < search.alpha), key=lambda d: d.functions - d.gain)
+def _told_apart(
+    search: Search,
+    declared: Base,
+    base: Base,
+    found: list[Found],
+    rounds: list[Round],
+    test: Callable[[Regression], LoopTest],
+    shown: Callable[[System, str], bool],
+) -> tuple[list[Found], Base, list[Hidden]]:
+    """Effects that explain more than feedback may hide, the physics with them, and the others."""
+    hidden: list[Hidden] = []
+    while found:
+        allowed = allowances(test(base.regression))
+        weakest: tuple[float, Found, Base] | None = None
+        for f in found if allowed else ():
+            moved = moved_channels(base.regression, f.name)
+            if not set(moved) & set(allowed):
+                continue
+            rest = _without(fitted_system(base.regression), declared.system, f.name)
+            without = declared if len(found) == 1 else search.base(rest, warm=True, like=base.regression)
+            count = len(base.regression.vector.of(f.name))
+            gained = gained_by_channel(without.regression, base.regression)
+            chance = chance_beyond(gained, moved, allowed, count) * max(len(rounds[0].screened), 1)
+            if chance >= search.alpha and (weakest is None or chance > weakest[0]):
+                weakest = (chance, f, without)
+        if weakest is None or shown(fitted_system(base.regression), weakest[1].name):
+            break
+        f = weakest[1]
+        hidden.append(
+            Hidden(f.name, tuple(c for c in moved_channels(base.regression, f.name) if c in allowed))
+        )
+        found, base = [g for g in found if g is not f], weakest[2]
+    return found, base, hidden
+
+
+def _beyond_chance(
+    search: Search, tests: Sequence[Dependence], allowed: Mapping[str, float]
+) -> list[Dependence]:
+    """Tests that find something after correction for their number, what explains most first.
+
+    Args:
+        search: Settings.
+        tests: All tests.
+        allowed: Twice the log-likelihood that feedback may hide, by channel (`hidden`).
+    """
+    sure = (
+        d
+        for d in tests
+        if d.p * len(tests) < search.alpha and d.gain - d.functions > allowed.get(d.channel, 0.0)
+    )
+    return sorted(sure, key=lambda d: d.functions - d.gain)
 
 
 def _lent(search: Search, base: Base, chosen: Trial, names: Sequence[str]) -> Base | None:
@@ -364,13 +458,16 @@ def estimates(regression: Regression, sure: Spread, name: str) -> list[Estimate]
     return estimated(regression, sure, regression.vector.of(name))
 
 
-def estimated(regression: Regression, sure: Spread, columns: Sequence[int]) -> list[Estimate]:
+def estimated(
+    regression: Regression, sure: Spread, columns: Sequence[int], doubt: Array | None = None
+) -> list[Estimate]:
     """Parameters with 90 % intervals from blocks of time.
 
     Args:
         regression: At its optimum.
         sure: Its covariance.
         columns: Numbers of the parameters.
+        doubt: What half-widths are widened by (k,), nan for anything; None for nothing.
     """
     v, basis = regression.vector, regression.shown.basis
     error = np.sqrt(np.clip(np.diag(basis @ sure.covariance @ basis.T), 0.0, None))
@@ -378,11 +475,32 @@ def estimated(regression: Regression, sure: Spread, columns: Sequence[int]) -> l
     out = []
     for j in columns:
         low = high = bound = None
-        value = float(regression.theta[j])
+        half, value = np.nan, float(regression.theta[j])
         if regression.shown.known[j]:
             half = float(stdtrit(max(degrees[j], 1.0), 0.5 * (1 + _SHOWS)) * error[j])
+            half += 0.0 if doubt is None else float(doubt[j])
+        if regression.shown.known[j] and np.isfinite(half):
             low, high = float(max(value - half, v.low[j])), float(min(value + half, v.high[j]))
             ends = low <= v.low[j], high >= v.high[j]
             bound = _BOUNDS.get(ends)
         out.append(Estimate(v.labels[j], value, low, high, v.units[j], bound))
+    return out
+
+
+def by_instruments(found: Identification, labels: Sequence[str]) -> list[Estimate]:
+    """Estimates with 90 % intervals of an identification by instruments.
+
+    Args:
+        found: The identification.
+        labels: Names of the parameters.
+    """
+    v, half = found.vector, found.half_widths(_SHOWS)
+    out = []
+    for label in labels:
+        j = v.labels.index(label)
+        value, low, high, bound = float(found.values[j]), None, None, None
+        if np.isfinite(half[j]):
+            low, high = float(max(value - half[j], v.low[j])), float(min(value + half[j], v.high[j]))
+            bound = _BOUNDS.get((low <= v.low[j], high >= v.high[j]))
+        out.append(Estimate(label, value, low, high, v.units[j], bound))
     return out

@@ -20,6 +20,9 @@ class Options:
     )
     also: tuple[str, ...] = key((), "effects of your own to try beside them, `module:Class`")
     seed: int = key(0, "seed of the resamples", low=0)
+    instruments: tuple[str, ...] = key(
+        (), "logged columns that nothing inside the control loop moves: sticks, setpoints"
+    )
 
     def __post_init__(self) -> None:
         check(type(self), vars(self))

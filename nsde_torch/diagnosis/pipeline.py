@@ -21,6 +21,7 @@ from nsde_torch.diagnosis.declared import Warned, better_reading, declared, warn
 from nsde_torch.diagnosis.evidence import at_bounds
 from nsde_torch.diagnosis.formula import Formula, formula
 from nsde_torch.diagnosis.held_out import HeldOut, held_out
+from nsde_torch.diagnosis.hidden import shown_by_instruments
 from nsde_torch.diagnosis.in_run import InRun, in_run, odd_run
 from nsde_torch.diagnosis.loop import Estimate, Outcome, estimates, loop
 from nsde_torch.diagnosis.not_shown import not_shown
@@ -35,7 +36,10 @@ from nsde_torch.diagnosis.views import rates, rates_width
 from nsde_torch.effects import Effect, effect_class, effects_of, key_of, register
 from nsde_torch.errors import ConfigError, DataError
 from nsde_torch.learning.identify.identify import Regression
+from nsde_torch.learning.identify.in_loop import adopted, identify_in_loop
+from nsde_torch.learning.identify.instruments import with_columns
 from nsde_torch.learning.identify.loop_test import LoopTest, tested
+from nsde_torch.learning.identify.result import Identification
 from nsde_torch.learning.identify.steps import steps_of
 from nsde_torch.models.identified import SysidSpec
 from nsde_torch.systems import System
@@ -75,6 +79,7 @@ class Diagnosis:
         warned: Declared parameters that tell of a fault of the columns.
         reading: How else the columns fit much better; None where no other way does.
         feedback: What the data say of the loop that they were recorded in.
+        instrumented: Estimates with signals from outside the loop; None without any.
         system_name: Name that makes the system, `module:Class` for one of the user's own.
     """
 
@@ -93,6 +98,7 @@ class Diagnosis:
     warned: tuple[Warned, ...] = ()
     reading: str | None = None
     feedback: LoopTest = field(default_factory=LoopTest)
+    instrumented: Identification | None = None
     system_name: str = ""
 
     @property
@@ -169,7 +175,7 @@ class Diagnosis:
         return rates_width(self.outcome.final.regression)
 
     def content(self) -> dict[str, Any]:
-        """What `diagnosis.json` holds; docs in the README."""
+        """What `diagnosis.json` holds; its keys are in docs/content/reference/diagnosis-json.md."""
         o = self.outcome
         return {
             "schema": "nsde_torch.diagnosis/1",
@@ -185,6 +191,14 @@ class Diagnosis:
                     if f.short
                 ),
                 *({"effect": n, "sentence": sentence(o, n), "reason": _SHORT} for n in o.aside),
+                *(
+                    {
+                        "effect": h.name,
+                        "sentence": f"{h.name} would explain something, and is not named.",
+                        "reason": h.reason,
+                    }
+                    for h in o.hidden
+                ),
             ],
             "ranking": ranking(o),
             "ties": self._ties(),
@@ -224,7 +238,7 @@ class Diagnosis:
                 "measured_on": "runs left out" if self.errors.whole_runs else "the last part of the only run",
                 "runs": list(self.errors.runs),
             },
-            "feedback": self.feedback.as_dict(),
+            "feedback": self._feedback(),
             "data": {
                 "kind": self.data.kind,
                 "system": self.data.system_name,
@@ -279,6 +293,16 @@ class Diagnosis:
             for f in self.outcome.found
         ]
         return [*faults, *effects]
+
+    def _feedback(self) -> dict[str, Any]:
+        if self.instrumented is None:
+            return self.feedback.as_dict()
+        told = self.instrumented.instrumented
+        return {
+            **self.feedback.as_dict(),
+            "findings": self.instrumented.of_the_loop,
+            "instruments": None if told is None else told.as_dict(),
+        }
 
     def _class(self, name: str) -> type[Effect]:
         return type(effect_of(self.outcome.system, name))
@@ -470,6 +494,8 @@ def diagnose(
         DataError: too few rows, or nothing moves.
         ConfigError: an option is out of range, or a candidate that the system cannot have.
     """
+    if options.instruments:  # a column that is not there is told before any work
+        with_columns(system, runs, options.instruments)
     started = now()
     seconds: dict[str, float] = {}
     own = {name: register(name) for name in options.also}  # first: they may read channels that no other does
@@ -500,15 +526,24 @@ def diagnose(
             system, some, recorded.clock, options, inputs=not recorded.inputs_restored, moved=moved, say=say
         )
 
+    def test(regression: Regression) -> LoopTest:
+        return tested(regression, extended)
+
+    def in_loop(physics: System) -> Identification:
+        return identify_in_loop(physics, extended, clock=recorded.clock, instruments=options.instruments)
+
+    def shown(physics: System, effect: str) -> bool:
+        return bool(options.instruments) and shown_by_instruments(in_loop(physics), effect, options.alpha)
+
     search = looking(extended)
     seconds["recording"] = now() - started
-    outcome = loop(search, system, max_effects=options.max_effects)
+    outcome = loop(search, system, max_effects=options.max_effects, test=test, shown=shown)
     if outcome.structured:
         say("checking the recording chain", 0, 1)
         moved = _moved(outcome, replace(recorded, runs=tuple(extended)), system, looking)
         if moved is not None:
             again_in = looking(moved.runs)
-            other = loop(again_in, system, max_effects=options.max_effects)
+            other = loop(again_in, system, max_effects=options.max_effects, test=test, shown=shown)
             # else something else looks like it: an input of the other sign, say
             if _structure(other) < _LITTLE * _structure(outcome) and not _collapsed(other):
                 recorded, extended, search, outcome = moved, list(moved.runs), again_in, other
@@ -519,9 +554,16 @@ def diagnose(
         made.held = set(search.held)
         return made
 
-    feedback = tested(outcome.final.regression, extended)
-    if closed_loop is None and not feedback.why_not:
+    feedback = outcome.test
+    if closed_loop is None and (feedback.closed or feedback.open):
         closed_loop = feedback.closed
+    instrumented = None
+    if options.instruments and not feedback.why_not:
+        say("estimates from signals outside the loop", 0, 1)
+        instrumented = in_loop(outcome.system)
+        if instrumented.instrumented is not None and adopted(instrumented.instrumented, feedback):
+            outcome.printed = instrumented
+            vars(outcome).pop("system", None)  # its values are the instruments' from here on
     say("errors on runs left out", 0, 1)
     errors = held_out(
         (outcome.declared_system, outcome.system),
@@ -562,6 +604,7 @@ def diagnose(
         warned=tuple(warned),
         reading=better_reading(system, extended, fit) if warned else None,
         feedback=feedback,
+        instrumented=instrumented,
         system_name=spec.system,
     )
 

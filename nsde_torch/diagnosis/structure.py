@@ -217,12 +217,14 @@ def _before(v: Array, series: Series, boxes: int) -> Array:
     return out
 
 
-def dependences(regression: Regression, variables: Regressors) -> list[Dependence]:
+def dependences(regression: Regression, variables: Regressors, *, overview: bool = False) -> list[Dependence]:
     """Every channel against every variable, the surest first.
 
     Args:
         regression: At its optimum.
         variables: What it may depend on.
+        overview: Whether single variables, inputs before, time and run are enough, without products of variables and
+            what differs over time or between runs: what effects that were found had left to explain.
     """
     of_white = regression.whitened_rows(regression.blocks)
     fold = folds(regression)
@@ -233,6 +235,8 @@ def dependences(regression: Regression, variables: Regressors) -> list[Dependenc
     for i, channel in enumerate(regression.rows):
         white, laws, own = regression.white[i], of_channel[i], own_space(regression, i)
         for name in variables.functions:
+            if overview and not _is_overview(name, variables):
+                continue
             out += _of_variable(regression, i, name, variables, laws, (fold, of_white))
         for name in places:
             again = best_repeat(regression, i, variables.columns[name], own)
@@ -256,6 +260,10 @@ def dependences(regression: Regression, variables: Regressors) -> list[Dependenc
     for line in lines(regression, swings=WHOLE)[:1] if variables.inputs else []:
         out.append(_swing(regression, line, of_channel[line.row]))
     return sorted(own_of_runs(out), key=lambda d: d.p)
+
+
+def _is_overview(name: str, variables: Regressors) -> bool:
+    return name in (*variables.columns, "time", "run") or name.endswith(BEFORE)
 
 
 def own_of_runs(tests: Sequence[Dependence]) -> list[Dependence]:

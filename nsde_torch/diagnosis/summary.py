@@ -19,6 +19,11 @@ def summary(
         shapes: What the residual still depends on, in words.
         alpha: Chance of naming an effect where nothing is missing.
     """
+    if verdict == "no_effect" and outcome.test.hidden:
+        return (
+            "Nothing is missing beyond what a controller that saw more than the log may hide: the rest of what the "
+            "declared physics leaves is noise."
+        )
     if verdict == "no_effect":
         unseen = not_shown(outcome.rounds, found=(), alpha=alpha)
         blind = dict.fromkeys(n.effect for n in unseen if n.smallest is None)

@@ -1,17 +1,22 @@
 """Identification that knows of the loop: which estimate to print, and how far feedback may have bent it.
 
 Ordinary estimates are right under feedback from the log. Where the test of the loop says that inputs know more than
-the log (`loop_test`), they are not, and the interval is widened by what cannot be known: with X the whitened slopes,
-e = X b + a part that X foretells and the fit has swallowed. Of channel i let that part be at most `FACTOR` times as
-large as what inputs of earlier steps are seen to foretell, rho_i = sqrt(share). Then the bias of parameter j is at most
+the log, or were made from other sensors (`loop_test`), they are not, and the interval is widened by what cannot be
+known: with X the whitened slopes, e = X b + a part that X foretells and the fit has swallowed. Of channel i let that
+part have length z_i. Then the bias of parameter j is at most (a bound by partial correlations: Cinelli and Hazlett,
+Journal of the Royal Statistical Society B 82 (2020))
 
-    FACTOR sqrt(N) sum_i rho_i sqrt((M^-1 M_i M^-1)_jj),     M_i = X_i' X_i,   M = sum_i M_i
+    sum_i z_i sqrt((M^-1 M_i M^-1)_jj),     M_i = X_i' X_i,   M = sum_i M_i
 
-(a bound by partial correlations, benchmarked by what is observed: Cinelli and Hazlett, Journal of the Royal
-Statistical Society B 82 (2020)). FACTOR is an assumption, and no data can test it: on simulated loops whose truth is
-known 3 held nearly always with strong sticks and mostly with weak ones, 1.5 with strong ones alone (benchmarks, "Does
-the test of feedback say what is so?"). It says nothing of an open loop, where inputs that foretell tell of physics that
-is missing.
+z_i is the larger one of two (`LoopTest.hidden`). Both are assumptions that no data can test:
+
+- inputs know `FACTOR` = 3 times as much of a step as inputs of earlier steps may be seen to foretell of it, which is
+  the upper 95 % limit of the share: that it is not significant does not say that it is nothing. On simulated loops
+  whose truth is known 3 held nearly always with strong sticks and mostly with weak ones
+  (docs/content/results/feedback.md);
+- inputs that were made from other sensors may have moved between rows of the log, by half of what they move from row to
+  row, always to the same side of what was logged. A rate loop at 1 kHz below an attitude loop at 100 Hz does so: each
+  logged command stands at the start of a decay, and a gain seems 5 % too small whatever moves the sticks.
 
 With instruments that are strong and exogenous nothing of that is needed: their estimates are printed where they differ,
 or where inputs know more than the log, unless they show that an effect is missing. Where inputs of a faster controller
@@ -35,8 +40,7 @@ from nsde_torch.learning.identify.instruments import (
     instrumental,
     with_columns,
 )
-from nsde_torch.learning.identify.loop_test import ALPHA, LoopTest, tested
-from nsde_torch.learning.identify.loop_words import FACTOR
+from nsde_torch.learning.identify.loop_test import LoopTest, tested
 from nsde_torch.learning.identify.result import Identification
 from nsde_torch.systems import System
 
@@ -90,7 +94,7 @@ def identify_in_loop(
     instrumented, apart = None, np.zeros(len(regression.vector))
     if instruments:
         instrumented, apart = _by_instruments(
-            regression, runs, instruments, loop.foretold, clock, width, iterations
+            regression, runs, instruments, bool(loop.hidden), clock, width, iterations
         )
     if instrumented is not None and adopted(instrumented, loop):
         found = replace(
@@ -99,7 +103,10 @@ def identify_in_loop(
             covariance=instrumented.covariance,
             degrees=instrumented.degrees,
         )
-        doubt = np.where(instrumented.moved, apart, hidden_bias(regression, loop))
+        decay = hidden_bias(
+            regression, replace(loop, knowledge=tuple(replace(a, upper=0.0) for a in loop.knowledge))
+        )
+        doubt = np.where(instrumented.moved, np.maximum(apart, decay), hidden_bias(regression, loop))
     else:
         doubt = hidden_bias(regression, loop)
     return replace(found, loop=loop, instrumented=instrumented, doubt=doubt)
@@ -109,7 +116,7 @@ def _by_instruments(
     regression: Regression,
     runs: Sequence[Run],
     names: Sequence[str],
-    foretold: bool,
+    hidden: bool,
     clock: float,
     width: float | None,
     iterations: int,
@@ -117,7 +124,7 @@ def _by_instruments(
     """Estimates by instruments, and by how much (k,) they hang on what inputs do between rows of the log."""
     held = instrumental(regression, names)
     sure = np.zeros(len(held.values))
-    if not foretold:  # then the log has the inputs as they were
+    if not hidden:  # then the log has the inputs as they were
         return held, sure
     system = regression.physics.vector.system
     moving = regression_of(system, between(runs, system.nu), clock=clock, width=width)
@@ -134,7 +141,7 @@ def _by_instruments(
 
 def adopted(instrumented: Instrumented, loop: LoopTest) -> bool:
     """Whether estimates by instruments are those to print."""
-    wanted = instrumented.differs or loop.foretold or bool(loop.functions_of_state)
+    wanted = instrumented.differs or bool(loop.hidden) or bool(loop.functions_of_state)
     return bool(instrumented.moved.any()) and wanted and instrumented.unexplained >= MISSING
 
 
@@ -144,9 +151,9 @@ def hidden_bias(regression: Regression, loop: LoopTest) -> Array:
     nan of parameters that rest mostly on channels whose inputs are nearly a function of the state: nothing is known.
     """
     k = len(regression.vector)
-    sure = {a.channel: a.share for a in loop.knowledge if a.chance < ALPHA}
+    hidden = loop.hidden
     bound = {c for way in loop.functions_of_state for c in loop.driven[way]}
-    if not sure and not bound:
+    if not hidden and not bound:
         return np.zeros(k)
     names = [regression.physics.names[channel] for channel in regression.rows]
     of_channels = np.square(regression.slopes).sum(1)
@@ -157,5 +164,5 @@ def hidden_bias(regression: Regression, loop: LoopTest) -> Array:
     out = np.zeros(k)
     for name, square in zip(names, squares, strict=True):
         spread = np.einsum("ja,ab,jb->j", back, square, back).clip(0.0)
-        out += FACTOR * np.sqrt(len(regression.series) * sure.get(name, 0.0) * spread)
+        out += hidden.get(name, 0.0) * np.sqrt(spread)
     return np.where(free < 0.5 * of_channels.sum(0), np.nan, out)

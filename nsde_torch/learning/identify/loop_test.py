@@ -10,6 +10,10 @@ noise and the past do not foretell), and v_k those of the inputs (against their 
   (a faster rate, other sensors), or the inputs act in a way that is not declared (a lag, a delay): from second
   moments of inputs and states alone the two cannot be told apart, because the same spectra are had with a controller
   that acts on the log and another response (Ljung, System Identification, 1999, section 13.4).
+- other sensors: an input that was made from a logged state answers the noise of its sensor too, which is most of an
+  innovation. Of a loop that is closed, or whose inputs know more than the log, a direction that hardly answers the
+  channel which it drives was made from something else. On simulated flights the share of the answer was 0.27 to 0.73
+  where the controller had the logged measurement, and at most 0.006 where it had a sensor of its own.
 - new: the share of the inputs that is no function (of second degree) of the logged state. Where it is small in a closed
   loop, gains rest on what was assumed of the noise (Soderstrom, Gustavsson and Ljung, International Journal of Control
   21 (1975)): with a share of 8 % a simulated gain of 100 came out as 34.
@@ -18,7 +22,7 @@ Assumed, not checked: logged inputs are those that were commanded; the step of t
 """
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -29,7 +33,7 @@ from nsde_torch.data.smoothing import smoothing_width
 from nsde_torch.errors import ConfigError, DataError, NonFiniteError
 from nsde_torch.learning.identify import signals
 from nsde_torch.learning.identify.identify import ITERATIONS, Regression, regression_of
-from nsde_torch.learning.identify.loop_words import NO_INPUT, sentences
+from nsde_torch.learning.identify.loop_words import FACTOR, NO_INPUT, sentences
 from nsde_torch.learning.identify.noise import extended
 from nsde_torch.learning.identify.series import Series
 from nsde_torch.learning.identify.signals import Direction
@@ -41,6 +45,8 @@ ALPHA = 0.01  # chance of a finding where there is none, for each of the tests
 _ANSWER_S, _ANSWERS = 0.2, 20  # how long after a disturbance an answer is looked for [s], [rows]
 _KNOWN_S, _KNOWN = 0.08, 8  # how long before a disturbance an input may have known of it
 _OWN = 10  # order of the inputs' own past
+_OWN_ANSWER = 0.02  # share of what is new in an input, below which it hardly answers a channel
+_UPPER = 1.645  # standard deviations of the upper limit of a share
 _NEW = 0.1  # share of an input's variance below which it is nearly a function of the state
 _FEWEST = 400  # rows
 _MOST_OF_IT = 0.8  # share of an answer by whose time it is told
@@ -56,6 +62,7 @@ class Answer:
         share: Of the variance of what is new in the input (an answer) or in the channel (knowledge).
         chance: p value, adjusted for the number of tests (Holm).
         within_s: Time by which most of it has come [s]; 0 where that means nothing.
+        upper: Upper 95 % limit of `share`.
     """
 
     input: str
@@ -63,6 +70,7 @@ class Answer:
     share: float
     chance: float
     within_s: float = 0.0
+    upper: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -74,6 +82,8 @@ class LoopTest:
         knowledge: Innovations on the inputs at and before their step.
         new: Share of the inputs that is no function of the logged state, by direction.
         driven: Channels that each direction drives.
+        rows: Number of innovations of each channel.
+        between: By channel: standard errors by which inputs that move between rows may bend an estimate.
         still: Names of inputs that never move.
         why_not: Why nothing was tested; empty where it was.
     """
@@ -82,6 +92,8 @@ class LoopTest:
     knowledge: tuple[Answer, ...] = ()
     new: dict[str, float] = field(default_factory=dict)
     driven: dict[str, tuple[str, ...]] = field(default_factory=dict)
+    rows: int = 0
+    between: dict[str, float] = field(default_factory=dict)
     still: tuple[str, ...] = ()
     why_not: str = ""
 
@@ -89,6 +101,38 @@ class LoopTest:
     def closed(self) -> bool:
         """Whether inputs answer what the physics does not explain."""
         return any(a.chance < ALPHA for a in self.answers)
+
+    @property
+    def open(self) -> bool:
+        """Whether nothing speaks for a closed loop: neither answers nor inputs that know more than the log."""
+        return not (self.why_not or self.closed or self.foretold)
+
+    @property
+    def other_sensors(self) -> tuple[str, ...]:
+        """Channels whose inputs were not made from the logged measurement of that channel, as far as the data show."""
+        if not (self.closed or self.foretold):
+            return ()
+        answered = {(a.input, a.channel) for a in self.answers if a.chance < ALPHA and a.share >= _OWN_ANSWER}
+        moved = dict.fromkeys(c for channels in self.driven.values() for c in channels)
+        return tuple(
+            c for c in moved if not any((way, c) in answered for way, own in self.driven.items() if c in own)
+        )
+
+    @property
+    def hidden(self) -> dict[str, float]:
+        """By channel: standard errors by which what inputs know beyond the log may bend an estimate.
+
+        Inputs may know `FACTOR` times as much of a step as they may be seen to foretell of later ones; those that were
+        made from other sensors may also move between rows (`between`).
+        """
+        most: dict[str, float] = {}
+        others = self.other_sensors
+        for a in self.knowledge:
+            if a.channel in others or a.chance < ALPHA:
+                known = FACTOR * float(np.sqrt(self.rows * a.upper))
+                moves = self.between.get(a.channel, 0.0) if a.channel in others else 0.0
+                most[a.channel] = max(most.get(a.channel, 0.0), known, moves)
+        return most
 
     @property
     def foretold(self) -> bool:
@@ -108,7 +152,8 @@ class LoopTest:
     def as_dict(self) -> dict[str, Any]:
         """Plain containers, for JSON."""
         return {
-            "closed_loop": self.closed,
+            "closed_loop": True if self.closed else (False if self.open else None),
+            "made_from_other_sensors": list(self.other_sensors),
             "inputs_foretell_innovations": self.foretold,
             "functions_of_the_logged_state": list(self.functions_of_state),
             "inputs_that_never_move": list(self.still),
@@ -189,6 +234,8 @@ def loop_test(regression: Regression, *, still: Sequence[str] = ()) -> LoopTest:
         knowledge=_knowledge(regression, ways, driven, known, series),
         new=_new(regression, ways, driven, series),
         driven={way.name: tuple(regression.physics.names[c] for c in way.channels) for way in ways},
+        rows=len(regression.series),
+        between=_between(regression, ways),
         still=tuple(still),
     )
 
@@ -243,7 +290,32 @@ def _knowledge(
             fitted = signals.basis_of(regression.fitted_columns(i)[live])
             chance, share = signals.score_test(regression.white[i][live], columns, fitted)
             found.append((way.name, regression.physics.names[channel], share, chance, 0))
-    return _judged(found, regression.dt)
+    n, count = max(int(live.sum()), 1), rows + 1
+    return tuple(
+        replace(a, upper=min(1.0, a.share + _UPPER * float(np.sqrt(2 * count + 4 * n * a.share)) / n))
+        for a in _judged(found, regression.dt)
+    )
+
+
+def _between(regression: Regression, ways: Sequence[Direction]) -> dict[str, float]:
+    """What inputs do in whitened rows, times half of what they move from row to row over what they move at all."""
+    physics, known = regression.physics, [*regression.rows]
+    u = np.asarray(physics.steps.u[:, : physics.vector.system.nu])
+    later = np.ones(len(u), dtype=bool)
+    later[[b - 1 for _, b in regression.single.edges]] = False
+    at = np.flatnonzero(later)
+    out: dict[str, float] = {}
+    for way in ways:
+        v = u @ way.weights
+        share = 0.5 * float((v[at + 1] - v[at]).std() / max(float(v.std()), 1e-300))
+        for channel, slope in zip(way.channels, way.slopes, strict=True):
+            acts = (
+                slope * regression.single.summed((v - v.mean())[:, None], regression.box) * physics.steps.dt
+            )
+            white = regression.whitened(regression.noises[known.index(channel)], acts)
+            name = physics.names[channel]
+            out[name] = float(np.hypot(out.get(name, 0.0), share * np.linalg.norm(white)))
+    return out
 
 
 def _first_of_box(regression: Regression) -> NDArray[np.int64]:

@@ -14,14 +14,11 @@ FACTOR = 3.0
 """How much more inputs may know of their own step than they are seen to know of later ones (see `in_loop`)."""
 
 NO_INPUT = "no input moves"
-_CLOSED = (
+_EITHER = (
     "either the controller saw more than was logged (a faster rate, other sensors) or the inputs act in a way that is "
-    "not declared (a lag, a delay). Gains are biased in both cases. Declare the lag (system.effects=[...]) and see "
-    "whether this remains; signals from outside the loop (data.instruments=[...]) tell the two apart"
-)
-_OPEN = (
-    "as the loop is open, the inputs act in a way that is not declared (a lag, a delay), and gains are biased. "
-    "`nsde diagnose` names what is missing"
+    "not declared (a lag, a delay). Gains are biased in both cases. Declare the lag (system.effects=[...]; `nsde "
+    "diagnose` names what is missing) and see whether this remains; signals from outside the loop "
+    "(data.instruments=[...]) tell the two apart"
 )
 _SHOWN = 3  # answers that a sentence names
 
@@ -47,16 +44,24 @@ def sentences(found: "LoopTest") -> list[str]:
             f"the loop is closed: {told}{rest}; errors of predictions over many steps under these inputs do not tell "
             "what an input does"
         )
-    else:
+    elif found.open:
         out.append(
             "the loop is open as far as the data show: no input answers what the physics leaves unexplained"
         )
+    else:
+        out.append("no input answers what the physics leaves unexplained, yet the loop may be closed")
     foretold = _surely(found.knowledge, ALPHA)
     if foretold:
         told = "; ".join(
             f"{a.input} foretells {a.share:.1%} of what is new in {a.channel}" for a in foretold[:_SHOWN]
         )
-        out.append(f"inputs know what the log does not: {told}; {_CLOSED if found.closed else _OPEN}")
+        out.append(f"inputs know what the log does not: {told}; {_EITHER}")
+    elif found.other_sensors:
+        out.append(
+            f"the inputs that move {' and '.join(found.other_sensors)} hardly answer the noise of the logged "
+            "measurement: the controller had other sensors or another rate there, and may know what the log does not. "
+            "Gains may be biased; signals from outside the loop (data.instruments=[...]) take most of that out"
+        )
     elif found.closed and not found.functions_of_state:
         out.append(
             "inputs know nothing that the log does not: one-step estimates are right under this feedback"
@@ -145,13 +150,13 @@ def widened(
     out = []
     if by:
         out.append(
-            f"intervals of {', '.join(by)} are widened: the data do not tell whether inputs are held between rows of "
-            "the log or move there; log faster"
+            f"intervals of {', '.join(by)} are widened: the data do not tell how inputs move between rows of the log; "
+            "log faster"
         )
     if rest:
         out.append(
             f"intervals of {', '.join(rest)} are widened by what feedback may hide: inputs may know {FACTOR:g} times "
-            "as much of a step as they are seen to know of later ones; without signals from outside the loop no data "
-            "can say more"
+            "as much of a step as they can be seen to know of later ones; without signals from outside the loop no "
+            "data can say more"
         )
     return out

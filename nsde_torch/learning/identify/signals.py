@@ -38,11 +38,13 @@ class Direction:
         name: What it is called in sentences.
         weights: Its weights (nu,), of length one.
         channels: Numbers of the channels that it drives.
+        slopes: Rate of each of these per unit of the combination.
     """
 
     name: str
     weights: Array
     channels: tuple[int, ...]
+    slopes: tuple[float, ...]
 
 
 def box_means(regression: Regression, values: Array) -> Array:
@@ -164,10 +166,11 @@ def directions(regression: Regression) -> list[Direction]:
         same = [k for k, d in enumerate(out) if abs(float(d.weights @ weights)) > _SAME]
         if same:
             known = out[same[0]]
-            out[same[0]] = Direction(known.name, known.weights, (*known.channels, int(channel)))
+            channels, gains = (*known.channels, int(channel)), (*known.slopes, float(mean @ known.weights))
+            out[same[0]] = Direction(known.name, known.weights, channels, gains)
             continue
         name = system.input_names[0] if system.nu == 1 else f"the input of {physics.names[channel]}"
-        out.append(Direction(name, weights, (int(channel),)))
+        out.append(Direction(name, weights, (int(channel),), (length,)))
     return out
 
 

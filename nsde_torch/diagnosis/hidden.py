@@ -1,0 +1,81 @@
+"""What an effect or a dependence has to explain beyond what feedback may hide.
+
+Where a controller saw more than the log holds, its inputs know of a step what the log does not, and any term that
+correlates with inputs explains a part of it: a damping where none is. With z_i as in `learning.identify.in_loop` such a
+term can bring at most
+
+    2 log L = z_i^2
+
+of channel i. An effect counts by what it brings beyond that on the channels that it moves, and so does what is left
+over. An effect that does not reach it is not named; it is set aside with its reason, unless signals from outside the
+loop show it (`learning.identify.instruments`).
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.stats import chi2
+
+from nsde_torch.learning.identify.loop_test import LoopTest
+from nsde_torch.learning.identify.result import Identification
+
+
+@dataclass(frozen=True)
+class Hidden:
+    """An effect that is not named because feedback may have made it.
+
+    Args:
+        name: Of the effect.
+        channels: Channels that it moves, of which inputs may know more than the log.
+    """
+
+    name: str
+    channels: tuple[str, ...]
+
+    @property
+    def reason(self) -> str:
+        """Why, in words."""
+        return (
+            f"what feedback may hide: inputs may know more of {' and '.join(self.channels)} than the log does, and the "
+            "effect explains no more than that; name signals from outside the loop (data.instruments=[...]), or log "
+            "what the controller saw"
+        )
+
+
+def allowances(test: LoopTest) -> dict[str, float]:
+    """Twice the log-likelihood that feedback may hide, by channel; channels where it may hide nothing are left out."""
+    return {c: z**2 for c, z in test.hidden.items()}
+
+
+def chance_beyond(
+    gained: Mapping[str, float], moved: Sequence[str], allowed: Mapping[str, float], count: int
+) -> float:
+    """Chance of what an effect explains beyond what feedback may hide.
+
+    Args:
+        gained: Twice the log-likelihood that it brings, by channel.
+        moved: Names of the channels that it moves.
+        allowed: What feedback may hide, by channel.
+        count: Number of its parameters.
+    """
+    beyond = sum(max(gained[c] - allowed.get(c, 0.0), 0.0) for c in moved)
+    return float(chi2.sf(beyond, max(count, 1)))
+
+
+def shown_by_instruments(found: Identification, effect: str, alpha: float) -> bool:
+    """Whether estimates by instruments show an effect: some parameter of it is surely not nothing.
+
+    Args:
+        found: Of physics with the effect, by `identify_in_loop`.
+        effect: Its name.
+        alpha: Chance of showing one that is not there.
+    """
+    i = found.instrumented
+    if i is None:
+        return False
+    own = [j for j, label in enumerate(i.labels) if label.partition(".")[0] == effect and i.moved[j]]
+    if not own:
+        return False
+    half = i.half_widths(1.0 - alpha / len(own))
+    return bool((np.abs(i.values[own]) > half[own]).any())

@@ -1,0 +1,62 @@
+"""What feedback may hide: which effects and which structure count."""
+
+import pytest
+
+from nsde_torch.diagnosis.hidden import Hidden, allowances, chance_beyond
+from nsde_torch.learning.identify.loop_test import Answer, LoopTest
+from nsde_torch.learning.identify.loop_words import FACTOR
+
+DRIVEN = {"the input of w_x": ("w_x",), "the input of w_z": ("w_z",)}
+
+
+def loop(*, own: float, elsewhere: float, upper: float = 0.002, between: float = 5.0) -> LoopTest:
+    """A loop whose inputs answer the channel that they drive, and another one, by these shares."""
+    ways = list(DRIVEN.items())
+    answers = tuple(
+        Answer(way, channel, share, 1e-9 if share else 1.0)
+        for way, (own_channel,) in ways
+        for channel, share in ((own_channel, own), ("v_y", elsewhere))
+    )
+    knowledge = tuple(Answer(way, c, 0.0, 0.5, upper=upper) for way, (c,) in ways)
+    return LoopTest(answers, knowledge, driven=DRIVEN, rows=10_000, between={"w_x": between, "w_z": 1.0})
+
+
+def test_inputs_made_from_the_logged_measurement_hide_nothing() -> None:
+    test = loop(own=0.3, elsewhere=0.3)
+    assert test.closed
+    assert test.other_sensors == ()
+    assert allowances(test) == {}
+
+
+def test_inputs_that_answer_other_channels_alone_were_made_from_other_sensors() -> None:
+    test = loop(own=0.001, elsewhere=0.3)
+    assert test.other_sensors == ("w_x", "w_z")
+    assert allowances(test)["w_x"] == pytest.approx(FACTOR**2 * 10_000 * 0.002)
+    assert "other sensors" in " ".join(test.findings)
+    # what moves between rows counts where it is more
+    assert allowances(loop(own=0.001, elsewhere=0.3, between=30.0))["w_x"] == pytest.approx(900.0)
+
+
+def test_an_open_loop_hides_nothing() -> None:
+    test = loop(own=0.0, elsewhere=0.0)
+    assert test.open
+    assert allowances(test) == {}
+    assert test.as_dict()["closed_loop"] is False
+
+
+def test_inputs_that_foretell_leave_open_whether_the_loop_is() -> None:
+    knowledge = (Answer("the input of w_x", "w_x", 0.002, 1e-6, upper=0.003),)
+    test = LoopTest((), knowledge, driven=DRIVEN, rows=10_000)
+    assert not test.closed
+    assert not test.open
+    assert test.as_dict()["closed_loop"] is None
+    assert "may be closed" in test.findings[0]
+
+
+def test_an_effect_counts_by_what_it_brings_beyond_what_may_be_hidden() -> None:
+    allowed = {"w_x": 180.0}
+    assert chance_beyond({"w_x": 150.0, "w_y": 0.0}, ["w_x"], allowed, 1) == pytest.approx(1.0)
+    assert chance_beyond({"w_x": 260.0}, ["w_x"], allowed, 1) < 1e-12
+    # of an effect that moves another channel too, that one shows it
+    assert chance_beyond({"w_x": 150.0, "v_y": 60.0}, ["w_x", "v_y"], allowed, 2) < 1e-9
+    assert "data.instruments" in Hidden("angular_damping", ("w_x",)).reason

@@ -1,0 +1,119 @@
+"""The documentation says what is so: links lead somewhere, commands exist, and the code of the pages runs."""
+
+from __future__ import annotations
+
+import re
+import shlex
+import textwrap
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+import torch
+
+from nsde_torch.cli import groups
+from nsde_torch.cli.main import main
+from nsde_torch.cli.registry import COMMANDS, hydra_commands
+from nsde_torch.effects import Effect
+
+ROOT = Path(__file__).resolve().parents[1]
+CONTENT = ROOT / "docs" / "content"
+PAGES = sorted(CONTENT.rglob("*.md"))
+OUTSIDE = [
+    ROOT / "README.md",
+    *sorted((ROOT / "benchmarks").glob("*.md")),
+    *sorted(ROOT.glob("examples/*/*.md")),
+]
+"""Pages that a code host shows; mkdocs checks the links of the others."""
+
+ALIASES = ("controller",)
+"""Other names of a key: `controller=FILE` is `run=FILE`."""
+
+FREE = ("plant.parameters.", "system.parameters.", "system.options.", "options.", "plant.options.", "hydra")
+"""Beginnings of keys whose names are not those of the schema."""
+
+
+def code(page: Path, language: str) -> list[str]:
+    """The code blocks of a page, blocks in tabs and lists included."""
+    text = page.read_text(encoding="utf-8")
+    found = re.findall(rf"^( *)```{language}\n(.*?)^ *```", text, flags=re.MULTILINE | re.DOTALL)
+    return [textwrap.dedent(block) for _, block in found]
+
+
+def commands() -> Iterator[tuple[str, list[str]]]:
+    """Every `nsde ...` of every page, as words without comments."""
+    for page in [*PAGES, *OUTSIDE]:
+        inline = re.findall(r"`(nsde [^`]+)`", page.read_text(encoding="utf-8"))
+        lines = [line for block in code(page, "bash") for line in block.replace("\\\n", " ").splitlines()]
+        for line in [*inline, *lines]:
+            for part in re.findall(r"(?:^|\s)(nsde .*)", " ".join(line.split())):
+                yield f"{page.relative_to(ROOT)}: {part}", shlex.split(part, comments=True)[1:]
+
+
+def keys_of(command: str) -> set[str]:
+    """Every key that some choice of groups gives a command, and the groups themselves."""
+    chosen = groups.defaults(command)
+    found = set(chosen)
+    for group in chosen:
+        for choice in groups.choices(group):
+            found |= {key.path for key in groups.keys(command, {**chosen, group: choice})}
+    return found | {key.path for key in groups.keys(command, chosen)}
+
+
+def test_the_readme_is_one_page(root: Path) -> None:
+    assert len((root / "README.md").read_bytes()) <= 8000
+
+
+@pytest.mark.parametrize("page", OUTSIDE, ids=lambda page: str(page.relative_to(ROOT)))
+def test_links_of_pages_outside_the_site_lead_somewhere(page: Path) -> None:
+    text = page.read_text(encoding="utf-8")
+    for target in re.findall(r"\]\(([^)#]+)[^)]*\)", text):
+        assert "://" in target or (page.parent / target).exists(), target
+
+
+def test_commands_of_the_pages_exist_and_take_what_is_typed() -> None:
+    known = {command: keys_of(command) for command in hydra_commands()}
+    checked = 0
+    for where, words in commands():
+        command, *rest = words
+        if command.startswith("-") or command == "COMMAND":
+            continue
+        assert command in COMMANDS, where
+        for word in rest if command in known else ():
+            key, equals, value = word.partition("=")
+            if not equals or key in ALIASES or key.startswith(("-", *FREE)):
+                continue
+            assert key in known[command], f"{where}: no key {key}"
+            if key in groups.defaults(command) and re.fullmatch(r"\w+", value) and "--config-dir" not in rest:
+                assert value in groups.choices(key), f"{where}: no choice {word}"
+            checked += 1
+    assert checked > 150
+
+
+def test_the_effect_of_the_page_is_one(root: Path) -> None:
+    (block,) = code(CONTENT / "how-to" / "effects.md", "python")
+    names: dict[str, type[Effect]] = {}
+    exec(block, names)
+    effect = names["Cogging"]({"size": 2.0, "pitch": 0.4})
+    force = effect(torch.tensor(0.0), torch.tensor([[0.1, 0.0]]), torch.zeros(1, 1), torch.zeros(1, 0))
+    assert float(force.detach()) == pytest.approx(-2.0)
+
+
+@pytest.mark.slow
+def test_the_python_of_the_tutorial_finds_what_it_says_and_the_reference_lists_every_key(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    page = CONTENT / "tutorials" / "own-log.md"
+    monkeypatch.chdir(tmp_path)
+    simulate = next(block for block in code(page, "bash") if block.startswith("nsde simulate"))
+    assert main([*shlex.split(simulate)[1:], "durations=[4,4,4,4]"]) == 0
+    (block,) = code(page, "python")
+    names: dict[str, object] = {}
+    exec(block, names)
+    found = names["found"]
+    assert found.added == ["cart_coulomb_friction", "pole_viscous_friction"]  # type: ignore[attr-defined]
+    assert "verdict: effect_found" in capsys.readouterr().out
+    table = (CONTENT / "reference" / "diagnosis-json.md").read_text(encoding="utf-8")
+    first = [line.split("|")[1] for line in table.splitlines() if line.startswith("| `")]
+    listed = {key for cell in first for key in re.findall(r"`(\w+)`", cell)} | {"summary"}
+    assert set(found.content()) == listed - {"model"}  # type: ignore[attr-defined]

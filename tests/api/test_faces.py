@@ -11,12 +11,8 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
 PACKAGES = [
-    "nsde_torch",
-    *(
-        f"nsde_torch.{folder.name}"
-        for folder in sorted((ROOT / "nsde_torch").iterdir())
-        if (folder / "__init__.py").is_file()
-    ),
+    ".".join(file.parent.relative_to(ROOT).parts)
+    for file in sorted((ROOT / "nsde_torch").rglob("__init__.py"))
 ]
 
 

@@ -1,6 +1,7 @@
 # make run    a virtual environment, the package in it, and the hexacopter trained
 # make test   the same plus the tools of development: style, types, documentation, tests
 # make docs   the documentation as a site, into build/docs
+# make golden writes the files anew that tests/golden holds behaviour against
 # make clean  removes the environment and the caches; runs stay
 #
 # PYTHON chooses the interpreter, PIP_FLAGS goes to every `pip install` (an index of CPU builds of torch, say).
@@ -13,7 +14,7 @@ PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check $(PIP_FL
 # Tests run one torch thread: more make small rollouts slower, up to a thousand times on a busy machine.
 TEST_ENV := OMP_NUM_THREADS=1 MPLBACKEND=Agg
 
-.PHONY: run test lint types docs pytest clean
+.PHONY: run test lint types docs pytest golden clean
 .DEFAULT_GOAL := run
 
 run: $(VENV)/.installed
@@ -34,6 +35,9 @@ docs: $(VENV)/.installed-dev
 
 pytest: $(VENV)/.installed-dev lint types docs
 	$(TEST_ENV) $(BIN)/python -m pytest
+
+golden: $(VENV)/.installed-dev
+	$(TEST_ENV) $(BIN)/python -m pytest tests/golden --regenerate
 
 # The stamps make a second `make` quick; a changed requirement installs anew.
 $(VENV)/.installed: pyproject.toml constraints.txt

@@ -199,7 +199,12 @@ def closed_loop(model: Any, seconds: float, solver: SolverOptions) -> dict[str, 
     plant = make_plant("hexacopter", generator=torch.Generator().manual_seed(0), latency=0.02, check=False)
     controller = Controller(model, solver=solver, say=print)
     pilot = PredictivePilot(
-        controller, model, reference, period=0.02, sample=plant.dt, estimator=EstimatorOptions(latency=0.04)
+        controller,
+        model,
+        reference,
+        period=0.02,
+        sample=plant.dt,
+        estimator=EstimatorOptions(latency=0.04, force_time=0.0),
     )
     solve, over = controller.solver.solve, []
     exact = Solver(

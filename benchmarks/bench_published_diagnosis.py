@@ -23,8 +23,8 @@ import numpy as np
 import torch
 
 from nsde_torch.data import Run, Windows, read
-from nsde_torch.diagnosis.diagnose import Diagnosis, Options, diagnose, search_in
 from nsde_torch.diagnosis.held_out import as_model, rollout_squares
+from nsde_torch.diagnosis.pipeline import Diagnosis, Options, diagnose, search_in
 from nsde_torch.diagnosis.search import fitted_system
 from nsde_torch.learning.identify.explained import bump, smooth_rate
 from nsde_torch.learning.identify.physics import Physics

@@ -11,7 +11,6 @@ from nsde_torch.data import DataSet, Run, SystemInfo
 from nsde_torch.data import split as split_runs
 from nsde_torch.data.run import resolve
 from nsde_torch.errors import ConfigError, DataError
-from nsde_torch.systems import System
 
 from . import build
 from .evaluated_runs import TrainedRun
@@ -32,36 +31,6 @@ class Chosen:
     data: DataSet
     runs: Sequence[Run]
     other_sensors: bool
-
-
-@dataclass(frozen=True)
-class Columns:
-    """A system as readers see it, with further columns beside the inputs."""
-
-    name: str
-    state_names: tuple[str, ...]
-    state_units: tuple[str, ...]
-    input_names: tuple[str, ...]
-    input_units: tuple[str, ...]
-    exogenous: tuple[str, ...]
-    quaternion: slice | None
-    position_derivatives: tuple[tuple[str, str, str], ...]
-
-
-def all_columns(systems: Sequence[System]) -> SystemInfo:
-    """The first system, with the further columns that any of them reads."""
-    first = systems[0]
-    every = tuple(dict.fromkeys(name for system in systems for name in system.exogenous))
-    return Columns(
-        first.name,
-        first.state_names,
-        first.state_units,
-        first.input_names,
-        first.input_units,
-        every,
-        first.quaternion,
-        first.position_derivatives,
-    )
 
 
 def choose(config: DictConfig, trained: TrainedRun, machine: SystemInfo) -> Chosen:
@@ -119,6 +88,23 @@ def training_runs(trained: TrainedRun) -> Sequence[Run]:
     """
     own, machine = trained_data(trained), trained.model.system
     return build.split(own, build.dataset(own, machine), machine).train
+
+
+def record_sensors(runs: Sequence[TrainedRun]) -> None:
+    """Tell models of older versions, which did not record it, what sensors their training data had.
+
+    Raises:
+        ConfigError: one was trained without the command line.
+        DataError: its data cannot be read any more.
+    """
+    from nsde_torch.learning.prepare import sensor_std
+    from nsde_torch.learning.training import learns_sensors
+
+    for run in runs:
+        if learns_sensors(run.model) and "train_sensor_std" not in run.metrics:
+            std = sensor_std(training_runs(run)).tolist()
+            known = dict(zip(run.model.system.state_names, std, strict=True))
+            run.model.metrics = {**run.metrics, "train_sensor_std": known}
 
 
 def _runs_of(config: DictConfig, machine: SystemInfo, *, every: bool) -> Chosen:

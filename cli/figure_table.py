@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from .schema import CHOICES
+from .schemas.choices import CHOICES
 
 if TYPE_CHECKING:
     from nsde_torch.data import Split

@@ -11,13 +11,14 @@ from nsde_torch.control import feasible
 from nsde_torch.control.knowledge import DECLARED, knowledge, system_of
 from nsde_torch.control.predictor import Predictor
 from nsde_torch.control.reference import Reference
+from nsde_torch.effects import files
 from nsde_torch.errors import ConfigError
 from nsde_torch.px4.path import CascadeController, PathPoints
 from nsde_torch.px4.predictive import LEAD, PredictiveMaker, told
 from nsde_torch.px4.runner import Inline, Process, Runner
 from nsde_torch.systems import Multirotor
 
-from . import build, effects_file, track_build
+from . import build, track_build
 
 if TYPE_CHECKING:
     from nsde_torch.models import Model
@@ -34,7 +35,7 @@ def known(config: DictConfig) -> Model | System:
         CheckpointError: no such run directory.
     """
     plain = build.options(config.mpc)
-    from .schema import MpcConfig
+    from .schemas.control import MpcConfig
 
     given = [name for name in _UNUSED if plain[name] != getattr(MpcConfig(), name)]
     if given:
@@ -61,13 +62,8 @@ def _effects(config: DictConfig) -> list[Any]:
     given = build.options(config.system)["effects"]
     out: list[Any] = []
     for entry in [given] if isinstance(given, str) else given:
-        if isinstance(entry, str) and effects_file.is_file(entry):
-            of, effects = effects_file.read(entry)
-            if of and of != config.system.name:
-                raise ConfigError(
-                    f"`system.effects`: {entry} was found on system {of!r}, and this is {config.system.name!r}."
-                )
-            out += [{name: values} for name, values in effects.items()]
+        if isinstance(entry, str) and files.is_file(entry):
+            out += [{name: values} for name, values in files.read_for(entry, config.system.name).items()]
         else:
             out.append(entry)
     return told(out)

@@ -15,7 +15,8 @@ from typing import Any
 import yaml
 
 from .keys import Key, walk
-from .schema import CHOICES, COMMAND_SCHEMAS
+from .registry import hydra_command
+from .schemas.choices import CHOICES
 
 _CONF = "nsde_torch.conf"
 NOTHING = "null"
@@ -31,27 +32,21 @@ def config_dir(words: Sequence[str]) -> Path | None:
     return None
 
 
+def schema(command: str) -> type:
+    """The dataclass of a command's keys."""
+    return hydra_command(command).schema
+
+
 def defaults(command: str) -> dict[str, str]:
     """The config groups of a command with the choice that each has by default, in order; `null` for none."""
-    found: dict[str, str] = {}
-    for item in _primary(command).get("defaults", []):
-        if isinstance(item, dict):
-            found.update(
-                {str(name): NOTHING if choice is None else str(choice) for name, choice in item.items()}
-            )
-    return found
-
-
-def _primary(command: str) -> dict[str, Any]:
-    """The content of a command's own YAML file."""
-    text = resources.files(_CONF).joinpath(f"{command}.yaml").read_text(encoding="utf-8")
-    content: dict[str, Any] = yaml.safe_load(text)
-    return content
+    return {
+        name: NOTHING if choice is None else choice for name, choice in hydra_command(command).groups.items()
+    }
 
 
 def has(command: str, name: str) -> bool:
     """Whether a command has a key or group of this name."""
-    return name in {field.name for field in dataclasses.fields(COMMAND_SCHEMAS[command])}
+    return name in {field.name for field in dataclasses.fields(schema(command))}
 
 
 def sweeps(command: str) -> bool:
@@ -79,13 +74,13 @@ def selected(command: str, words: Sequence[str]) -> dict[str, str]:
 
 def keys(command: str, chosen: dict[str, str], extra: Path | None = None) -> Iterator[Key]:
     """Every key of a command for one choice of each group; defaults are what the choice's file says."""
-    own_values = _primary(command)
+    own_values = hydra_command(command).values
     values = {
         group: choice_values(group, choice, extra) if choice != NOTHING else own_values.get(group) or {}
         for group, choice in chosen.items()
     }
     done: set[str] = set()
-    for entry in walk(COMMAND_SCHEMAS[command]):
+    for entry in walk(schema(command)):
         group = entry.path.split(".")[0]
         if group not in chosen:
             yield entry
@@ -104,7 +99,7 @@ def group_schema(command: str, group: str, choice: str, extra: Path | None = Non
     for name in [choice, *_parents(group, choice, extra)]:
         if name in own:
             return own[name]
-    found: type = get_type_hints(COMMAND_SCHEMAS[command])[group]
+    found: type = get_type_hints(schema(command))[group]
     return found
 
 

@@ -9,21 +9,21 @@ from typing import Any
 
 from . import groups
 from .keys import Key
-from .schema import CHOICES
+from .registry import hydra_command
+from .schemas.choices import CHOICES
 
 WIDTH = 100
 _COLUMN = 38
 
 
-def describe(command: str, summary: str, words: Sequence[str]) -> str:
+def describe(command: str, words: Sequence[str]) -> str:
     """The help text of a command, for the choices that are on the command line.
 
     Args:
-        command: Name of the command, also of its primary config file.
-        summary: What the command does, one line.
+        command: Name of the command.
         words: The rest of the command line; `data=csv` among them shows the keys of that choice.
     """
-    extra = groups.config_dir(words)
+    extra, summary = groups.config_dir(words), hydra_command(command).help
     chosen = groups.selected(command, words)
     lines = [
         f"nsde {command}: {summary[0].lower()}{summary[1:]}",
@@ -105,43 +105,8 @@ def _others(section: str | None, chosen: dict[str, str]) -> list[str]:
     return lines
 
 
-_EXAMPLES: dict[str, list[tuple[str, str]]] = {
-    "train": [
-        ("trainer.lr=0.003 'data.test=[0]'", "set keys; lists in brackets, quoted"),
-        ("system=cartpole trainer=fast", "choose from groups"),
-        ("run_dir=runs/first", "name the folder of the run"),
-        ("resume=runs/first", "continue an interrupted run"),
-        ("--config-dir DIR system=mine", "your own DIR/system/mine.yaml, modules in DIR"),
-        ("-m loss=paper,replay seed=0,1,2", "a sweep, one job for each combination"),
-        ("-m hydra/launcher=joblib ...", "in parallel (also submitit_local, submitit_slurm, ray)"),
-        ("-m hydra/sweeper=optuna 'trainer.lr=tag(log,interval(0.001,0.1))'", ""),
-    ],
-    "diagnose": [
-        ("system=hexacopter data=csv data.path=flights/", "what do these flights show that the model lacks?"),
-        ("'system.effects=[motor_lag]'", "with physics that is known already"),
-        ("'candidates=[linear_drag,quadratic_drag]'", "try these alone"),
-        ("retrain=false", "do not train with what was found"),
-    ],
-    "policy": [
-        ("environment=truth", "on the true machine"),
-        ("environment=runs/model 'scored_against=[runs/on_truth]'", ""),
-        ("truth=published sensor_noise=0", "the machine of the authors' data, clean sensors"),
-        ("steps=20000 ppo=short", "for few interactions"),
-        ("resume=runs/policy", "continue an interrupted run"),
-        ("-m seed=0,1,2", "a sweep, one job for each seed"),
-    ],
-    "evaluate": [
-        ("run=runs/a", "on the runs that it was tested on"),
-        ("'run=[runs/a,runs/b]'", "several, and how each differs from the first"),
-        ("run=runs/a 'data.test=[0]'", "on another run of its data"),
-        ("run=runs/a data=csv data.path=flights/", "on other data, all runs of them"),
-        ("run=runs/a 'horizons=[0.2,1,5]'", "lists in brackets, quoted"),
-    ],
-}
-
-
 def _usage(command: str) -> list[str]:
-    rows = [*_EXAMPLES.get(command, []), ("--cfg job", "print the configuration and stop")]
+    rows = [*hydra_command(command).examples, ("--cfg job", "print the configuration and stop")]
     lines = ["How to override (NSDE_TRACEBACK=1 shows the traceback of an error)"]
     for words, meaning in rows:
         left = f"  nsde {command} {words}"

@@ -3,20 +3,23 @@
 from __future__ import annotations
 
 import contextlib
-import importlib
 import os
 import signal
 import sys
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
 from itertools import chain
 from pathlib import Path
+from typing import Any
 
 from nsde_torch.errors import CheckpointError, ConfigError, NsdeError
 
 from . import complete, groups, help, messages
 from .exit_status import CRASHED, FAILED_JOBS, INTERRUPTED, OK, USER_ERROR
-from .schema import CHOICES, COMMAND_SCHEMAS, register
+from .quoted import quoted
+from .registry import hydra_commands
+from .schemas.choices import CHOICES
+from .store import store
 
 _CONFIG_PATH = "pkg://nsde_torch.conf"
 _TRACEBACK = "NSDE_TRACEBACK"
@@ -35,26 +38,45 @@ _WITH_VALUE = {
 }
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class HydraCommand:
-    """A command whose configuration is composed by Hydra from `conf/NAME.yaml`.
+    """A command whose configuration is composed by Hydra, from its schema and the choices of its groups in `conf/`.
 
     Attributes:
-        name: Name of the command, of its config file and of its schema.
-        summary: What it does, one line.
-        module: Module whose function `task(config)` does the work, imported when there is some; a launcher
-            sends the function to other processes by its name.
+        name: Name of the command.
+        help: What it does, one line, the head of `nsde NAME --help`.
+        schema: Dataclass of its keys (`nsde_torch.cli.keys`).
+        module: Module whose function `run(config, job)` does the work, imported when there is some.
+        groups: Config groups with the choice that each has by default, in order; None for none.
+        values: Values beside the defaults of the schema, as nested mappings.
+        folder: Pattern of the folder of a run, for the key `run_dir` or `out_dir`; None for a command without one.
+        result: File that a finished run holds, and what it is called: a folder that has it is not written over.
+        unnamed: Keys that do not name the jobs of a sweep.
+        paths: Keys whose values are files or folders, which may be typed without Hydra's quotes.
+        words: What is typed, one word at a time, as Hydra is to have it.
+        examples: Words and what they do, for the help.
     """
 
     name: str
-    summary: str
+    help: str
+    schema: type
     module: str
+    groups: Mapping[str, str | None] = field(default_factory=dict)
+    values: Mapping[str, Any] = field(default_factory=dict)
+    folder: str | None = None
+    result: tuple[str, str] | None = None
+    unnamed: tuple[str, ...] = ()
+    paths: tuple[str, ...] = ()
+    words: Callable[[Sequence[str]], list[str]] = list
+    examples: tuple[tuple[str, str], ...] = ()
 
     def main(self, arguments: Sequence[str]) -> int:
         """Run the command; returns the exit status."""
-        words = list(arguments)
+        words = self.words(arguments)
+        if not _is_sweep(words):  # there a comma is between two folders
+            words = [quoted(word, self.paths) for word in words]
         if "-h" in words or "--help" in words:
-            print(help.describe(self.name, self.summary, words))
+            print(help.describe(self.name, words))
             return OK
         # A queue that ends a job sends SIGTERM: it is told how to resume, as after Ctrl-C. Only the main thread can.
         with contextlib.suppress(ValueError):
@@ -105,15 +127,15 @@ class HydraCommand:
     def _run(self, words: list[str]) -> int:
         import hydra
 
-        from .jobs import LAST
+        from .jobs import LAST, Task
 
         LAST.reset()
-        register()
+        store(self)
         # Hydra prints errors and exits by itself unless told to raise them, which lets us word them.
         os.environ["HYDRA_FULL_ERROR"] = "1"
         old, sys.argv = sys.argv, [f"nsde {self.name}", *words]
         try:
-            task = importlib.import_module(self.module, package=__package__).task
+            task = Task(self.name, self.module, folder=self.folder is not None)
             hydra.main(version_base="1.3", config_path=_CONFIG_PATH, config_name=self.name)(task)()
         finally:
             sys.argv = old
@@ -173,6 +195,7 @@ def _check_sweep(words: Sequence[str]) -> None:
 
 def _refuse_used_folders(words: Sequence[str]) -> None:
     """A run is never written over another; the check comes before Hydra touches the folder."""
+    results = [command.result for command in hydra_commands().values() if command.result is not None]
     for word in words:
         key, _, value = word.partition("=")
         folder = Path(value.strip("'\""))
@@ -180,14 +203,9 @@ def _refuse_used_folders(words: Sequence[str]) -> None:
             raise ConfigError(
                 f"`run_dir={folder}` holds a run already. Continue it with resume={folder}, or name another."
             )
-        if key == "out_dir" and (folder / "evaluation.json").is_file():
-            raise ConfigError(f"`out_dir={folder}` holds an evaluation already; name another folder.")
-        if key == "out_dir" and (folder / "diagnosis.json").is_file():
-            raise ConfigError(f"`out_dir={folder}` holds a diagnosis already; name another folder.")
-        if key == "out_dir" and (folder / "tracking.json").is_file():
-            raise ConfigError(f"`out_dir={folder}` holds a flight already; name another folder.")
-        if key == "out_dir" and (folder / "flight.json").is_file():
-            raise ConfigError(f"`out_dir={folder}` holds a flight already; name another folder.")
+        for file, called in results if key == "out_dir" else ():
+            if (folder / file).is_file():
+                raise ConfigError(f"`out_dir={folder}` holds {called} already; name another folder.")
         if key == "sweep_dir" and (folder / "multirun.yaml").is_file():
             raise ConfigError(f"`sweep_dir={folder}` holds a sweep already; name another folder.")
 
@@ -209,7 +227,7 @@ def _opened(word: str, command: str) -> str:
 
     path = word.split("=", 1)[0]
     own = [walk(schema, f"{group}.") for group, choices in CHOICES.items() for schema in choices.values()]
-    for entry in chain(walk(COMMAND_SCHEMAS[command]), *own):
+    for entry in chain(walk(groups.schema(command)), *own):
         if entry.default == {} and (path == entry.path or path.startswith(f"{entry.path}.")):
             return f"++{word}"
     return word

@@ -6,12 +6,12 @@ failure is written to `failed.json` in its own folder, and the command counts th
 
 from __future__ import annotations
 
+import importlib
 import json
 import logging
 import re
 import sys
 import traceback
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -70,37 +70,44 @@ class Job:
     sweep: bool
 
 
-def guarded(run: Callable[[DictConfig, Job], float | None], command: str, config: DictConfig) -> float | None:
-    """Check a composed configuration, run a job on it, and record its failure instead of raising.
+@dataclass(frozen=True)
+class Task:
+    """What Hydra calls for a job, and a launcher sends to other processes: names, and nothing that must be pickled.
 
-    Returns:
-        The objective of the job (smaller is better, for the Optuna sweeper); None if it failed or has none.
+    Attributes:
+        command: Name of the command.
+        module: Module whose function `run(config, job)` does the work, imported when there is some.
+        folder: Whether the job has a folder, into which a failure is written.
     """
-    hydra = HydraConfig.get()
-    job = Job(run_dir=Path(hydra.runtime.output_dir), sweep=hydra.mode == RunMode.MULTIRUN)
-    LAST.run_dir, LAST.error = job.run_dir, None
-    (job.run_dir / FAILED).unlink(missing_ok=True)
-    see_user_modules(hydra)
-    try:
-        check_config(config, command, list(hydra.overrides.task))
-        return run(config, job)
-    except Exception as error:
-        LAST.error = error
-        _record(error, job)
-        if job.sweep:
-            log.error("job failed: %s", error)  # a single run's error is printed by the command
-        return None
 
+    command: str
+    module: str
+    folder: bool
 
-def guarded_without_folder(run: Callable[[DictConfig], None], command: str, config: DictConfig) -> None:
-    """As `guarded`, for a command that has no run directory: nothing is written for a failure."""
-    hydra = HydraConfig.get()
-    see_user_modules(hydra)
-    try:
-        check_config(config, command, list(hydra.overrides.task))
-        run(config)
-    except Exception as error:
-        LAST.error = error
+    def __call__(self, config: DictConfig) -> float | None:
+        """Check a composed configuration, run the job on it, and record its failure instead of raising.
+
+        Returns:
+            The objective of the job (smaller is better, for the Optuna sweeper); None if it failed or has none.
+        """
+        hydra = HydraConfig.get()
+        job = Job(run_dir=Path(hydra.runtime.output_dir), sweep=hydra.mode == RunMode.MULTIRUN)
+        LAST.error = None
+        if self.folder:
+            LAST.run_dir = job.run_dir
+            (job.run_dir / FAILED).unlink(missing_ok=True)
+        see_user_modules(hydra)
+        try:
+            check_config(config, self.command, list(hydra.overrides.task))
+            objective: float | None = importlib.import_module(self.module).run(config, job)
+            return objective
+        except Exception as error:
+            LAST.error = error
+            if self.folder:
+                _record(error, job)
+            if job.sweep:
+                log.error("job failed: %s", error)  # a single run's error is printed by the command
+            return None
 
 
 def check_config(config: DictConfig, command: str, words: list[str]) -> None:

@@ -1,46 +1,22 @@
-"""Keys of a configuration: dataclass fields that carry their help, unit and range.
+"""Keys of a configuration, made of the options of the library (`nsde_torch.options`).
 
-One declaration serves the check of names and types (OmegaConf), that of ranges (`check`), `--help` and the
-suggestion of the nearest key when one is mistyped.
+A key stands for an option (`of`), or is the command line's own (`key`); `mirrors` makes a key of every option of a
+dataclass of the library. OmegaConf wants lists where the library has tuples, and classes that are not frozen.
 """
 
 from __future__ import annotations
 
-import copy
 import dataclasses
-import math
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
-from typing import Any, get_type_hints
+import inspect
+import types
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, TypeVar, Union, get_args, get_origin, get_type_hints
 
-from nsde_torch.errors import ConfigError
+from nsde_torch.options import Key, check, declared, default_of, key, walk
 
+__all__ = ["Key", "check", "group", "key", "mirrors", "of", "walk"]
 
-def key(
-    default: Any,
-    help: str,
-    *,
-    unit: str = "",
-    choices: tuple[str, ...] | None = None,
-    low: float | None = None,
-    above: float | None = None,
-    high: float | None = None,
-) -> Any:
-    """A dataclass field that documents itself.
-
-    Args:
-        default: Default; a list or dict is copied for every instance.
-        help: One sentence for `--help`, without a full stop.
-        unit: Unit of the value, empty if it has none.
-        choices: The words that are allowed.
-        low: Smallest value allowed (of every entry, if the value is a list).
-        above: Bound that the value must exceed.
-        high: Largest value allowed.
-    """
-    metadata = {"help": help, "unit": unit, "choices": choices, "low": low, "above": above, "high": high}
-    if isinstance(default, (list, dict)):
-        return dataclasses.field(default_factory=lambda: copy.deepcopy(default), metadata=metadata)
-    return dataclasses.field(default=default, metadata=metadata)
+T = TypeVar("T")
 
 
 def group(default: type, help: str) -> Any:
@@ -48,81 +24,62 @@ def group(default: type, help: str) -> Any:
     return dataclasses.field(default_factory=default, metadata={"help": help, "group": True})
 
 
-@dataclass(frozen=True)
-class Key:
-    """One key as `--help` shows it; `owner` is the dataclass that declares it."""
-
-    path: str
-    annotation: str
-    default: Any
-    help: str
-    unit: str
-    choices: tuple[str, ...] | None
-    low: float | None
-    above: float | None
-    high: float | None
-    owner: type
-
-    @property
-    def allowed(self) -> str:
-        """The range in words, empty if anything of the right type is allowed."""
-        if self.choices is not None:
-            return " | ".join(self.choices)
-        if self.low is not None and self.high is not None:
-            return f"from {self.low:g} to {self.high:g}"
-        if self.above is not None and self.high is not None:
-            return f"above {self.above:g}, at most {self.high:g}"
-        if self.low is not None:
-            return f"at least {self.low:g}"
-        if self.above is not None:
-            return f"above {self.above:g}"
-        return f"at most {self.high:g}" if self.high is not None else ""
-
-
-def walk(schema: type, prefix: str = "") -> Iterator[Key]:
-    """Every key of a schema with its dotted path, those of its groups included, in order."""
-    hints = get_type_hints(schema)
-    for field in dataclasses.fields(schema):
-        path = f"{prefix}{field.name}"
-        if dataclasses.is_dataclass(hints[field.name]):
-            yield from walk(hints[field.name], f"{path}.")
-            continue
-        if "help" not in field.metadata:
-            raise AssertionError(f"{schema.__name__}.{field.name} has no help: declare it with `key(...)`")
-        default = field.default if field.default_factory is dataclasses.MISSING else field.default_factory()
-        yield Key(path=path, annotation=str(field.type), default=default, owner=schema, **field.metadata)
-
-
-def check(schema: type, values: Mapping[str, Any], prefix: str = "") -> None:
-    """Check every value against the choices and the range that its key declares.
+def of(library: type, name: str, **changed: Any) -> Any:
+    """A key that stands for an option of the library.
 
     Args:
-        schema: Dataclass of the keys.
-        values: The configuration as plain containers.
-        prefix: Path of `values` within the whole configuration, with a final dot.
-
-    Raises:
-        ConfigError: A value is outside what its key allows; the message names key, range and value.
+        library: Dataclass of the library.
+        name: Name of the option.
+        changed: What is another here: `default`, `help`, `unit`, `choices`, `low`, `above`, `high`.
     """
-    for entry in walk(schema):
-        if "." in entry.path:
-            continue
-        value = values.get(entry.path)
-        if value is None:
-            continue
-        for item in value if isinstance(value, (list, tuple)) else [value]:
-            if not _allowed(entry, item):
-                raise ConfigError(f"`{prefix}{entry.path}` must be {entry.allowed}; got {item!r}.")
+    field = {f.name: f for f in dataclasses.fields(library)}[name]
+    default = changed.pop("default", default_of(field))
+    return declared(_listed_value(default), {**field.metadata, **changed})
 
 
-def _allowed(entry: Key, value: Any) -> bool:
-    if entry.choices is not None:
-        return str(value) in entry.choices
-    if isinstance(value, bool) or not isinstance(value, (int, float)):
-        return True
-    return (
-        math.isfinite(value)
-        and (entry.low is None or value >= entry.low)
-        and (entry.above is None or value > entry.above)
-        and (entry.high is None or value <= entry.high)
-    )
+def mirrors(library: type, *, without: tuple[str, ...] = ()) -> Callable[[type[T]], type[T]]:
+    """Class decorator: a dataclass with a key for every option of the library's, before those of the class itself.
+
+    Args:
+        library: Dataclass of the library.
+        without: Options that the command line does not have.
+
+    An option that the class declares itself keeps its place and is what the class says.
+    """
+
+    def make(cls: type[T]) -> type[T]:
+        own = dict(inspect.get_annotations(cls))
+        hints = get_type_hints(library)
+        annotations: dict[str, Any] = {}
+        for field in dataclasses.fields(library):
+            if field.name in without:
+                continue
+            if field.name in own:
+                annotations[field.name] = own.pop(field.name)
+            else:
+                annotations[field.name] = _listed(hints[field.name])
+                setattr(cls, field.name, of(library, field.name))
+        cls.__annotations__ = {**annotations, **own}
+        return dataclasses.dataclass(cls)
+
+    return make
+
+
+def _listed_value(value: Any) -> Any:
+    return [_listed_value(item) for item in value] if isinstance(value, tuple) else value
+
+
+def _listed(hint: Any) -> Any:
+    """A type with lists and dicts in the place of tuples, sequences and mappings."""
+    origin, inner = get_origin(hint), get_args(hint)
+    if origin in (Union, types.UnionType):
+        members = [_listed(member) for member in inner]
+        made = members[0]
+        for member in members[1:]:
+            made = made | member
+        return made
+    if origin in (tuple, Sequence):
+        return list[_listed(inner[0])]  # type: ignore[misc]
+    if origin is Mapping:
+        return dict[str, Any]
+    return hint

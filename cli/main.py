@@ -1,63 +1,15 @@
-"""`nsde COMMAND ...`: the table of commands.
-
-A command is one module with `main(arguments) -> exit status` and, if it has something to complete,
-`complete(words) -> choices`. Adding a command is adding one line to `COMMANDS`. A module is imported when its
-command is called, so that listing the commands costs no import of Hydra or torch.
-"""
+"""`nsde COMMAND ...`: what is typed, to the command that it names."""
 
 from __future__ import annotations
 
 import difflib
-import importlib
 import os
 import sys
 from collections.abc import Sequence
-from dataclasses import dataclass
-from types import ModuleType
 from typing import NoReturn
 
 from .exit_status import OK, USER_ERROR
-
-
-@dataclass(frozen=True)
-class Command:
-    """One row of the table: the module that holds the command and the line that describes it."""
-
-    module: str
-    summary: str
-
-    def load(self) -> ModuleType:
-        """Import the command's module."""
-        return importlib.import_module(self.module, package=__package__)
-
-
-COMMANDS: dict[str, Command] = {
-    "train": Command(".train", "Learn a neural SDE of a machine from simulated or measured runs"),
-    "diagnose": Command(
-        ".diagnose", "Find the effect that the declared physics lacks, add it, and report the errors"
-    ),
-    "evaluate": Command(".evaluate", "Score trained models on runs, against baselines and each other"),
-    "figures": Command(
-        ".figures", "Make the supplement's figures anew, each with its claim and what was measured"
-    ),
-    "policy": Command(
-        ".policy", "Learn a policy in a learned model or on the true machine, and judge it there"
-    ),
-    "track": Command(".track", "Fly a reference with model predictive control on a learned model"),
-    "fly": Command(".fly", "Fly a controller on a PX4 vehicle over MAVLink, with checks, limits and a log"),
-    "export": Command(".export", "Write the predictive controller as a file for a flight computer"),
-    "verify": Command(".verify", "Hold an exported controller against the one that it was made of"),
-    "vehicle": Command(".vehicle", "Be a simulated PX4 vehicle, for nsde fly and its tests"),
-    "close-loop": Command(
-        ".close_loop", "Fly, find what the physics lacks, and fly again with it: tracking before and after"
-    ),
-    "simulate": Command(
-        ".simulate", "Write runs of a simulated machine as files that do not say what is in them"
-    ),
-    "effects": Command(".effects", "List the physical effects that a system or a plant can be given"),
-    "sweep-report": Command(".sweep_report", "Rank the jobs of a sweep, and name those that failed and why"),
-    "completion": Command(".completion", "Print the shell completion script for bash, zsh or fish"),
-}
+from .registry import COMMANDS
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -80,8 +32,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if name not in COMMANDS:
         print(unknown_command(name), file=sys.stderr)
         return USER_ERROR
-    status: int = COMMANDS[name].load().main(rest)
-    return status
+    return COMMANDS[name].load().main(rest)
 
 
 def entry() -> NoReturn:

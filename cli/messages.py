@@ -9,7 +9,7 @@ from collections.abc import Sequence
 
 from . import groups
 from .keys import walk
-from .schema import CHOICES, COMMAND_SCHEMAS
+from .schemas.choices import CHOICES
 
 # Arguments of the library whose key on the command line has another name.
 _KEYS = {"path": "data.path", "dt_model": "system.dt", "horizon": "system.horizon", "dt": "data.dt"}
@@ -130,7 +130,7 @@ def _known_keys(command: str, words: Sequence[str]) -> tuple[list[str], dict[str
     """Keys and groups that exist now, and keys of other choices with the choices that have them."""
     chosen = groups.selected(command, words)
     known = [entry.path for entry in groups.keys(command, chosen, groups.config_dir(words))]
-    known += [field.name for field in dataclasses.fields(COMMAND_SCHEMAS[command]) if field.name not in known]
+    known += [field.name for field in dataclasses.fields(groups.schema(command)) if field.name not in known]
     elsewhere: dict[str, list[str]] = {}
     for group, options in CHOICES.items():
         for choice, schema in options.items():

@@ -244,7 +244,7 @@ def agreed(file: ExportedController, mpc: DictConfig) -> None:
     Raises:
         ConfigError: names one of them.
     """
-    from .schema import MpcConfig
+    from .schemas.control import MpcConfig
 
     def settings(config: DictConfig) -> dict[str, Any]:
         found = {**asdict(problem(config)), **asdict(solver(config)), **asdict(safety(config))}

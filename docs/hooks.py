@@ -73,8 +73,7 @@ def on_page_content(text: str, page: Any, config: Any, files: Files) -> str:
 
 def _commands() -> str:
     from nsde_torch.cli import groups
-    from nsde_torch.cli.main import COMMANDS
-    from nsde_torch.cli.schema import COMMAND_SCHEMAS
+    from nsde_torch.cli.registry import COMMANDS, hydra_commands
 
     lines = [
         "# Commands",
@@ -86,8 +85,9 @@ def _commands() -> str:
         "| command | what it does | config groups | sweeps with `-m` |",
         "|---|---|---|---|",
     ]
+    configured = hydra_commands()
     for name, command in COMMANDS.items():
-        known = name in COMMAND_SCHEMAS
+        known = name in configured
         chosen = ", ".join(f"`{group}`" for group in groups.defaults(name)) if known else ""
         label = f"[`{name}`](configuration.md#nsde-{name})" if known else f"`{name}`"
         sweeps = "yes" if known and groups.sweeps(name) else ""
@@ -97,7 +97,7 @@ def _commands() -> str:
 
 def _configuration() -> str:
     from nsde_torch.cli import groups
-    from nsde_torch.cli.schema import COMMAND_SCHEMAS
+    from nsde_torch.cli.registry import hydra_commands
 
     lines = [
         "# Configuration",
@@ -109,7 +109,7 @@ def _configuration() -> str:
         "## Commands",
     ]
     seen: dict[str, str] = {}
-    for command in COMMAND_SCHEMAS:
+    for command in hydra_commands():
         chosen = groups.defaults(command)
         own = [key for key in groups.keys(command, chosen) if key.path.split(".")[0] not in chosen]
         lines += ["", f"### nsde {command}", ""]
@@ -212,7 +212,7 @@ def _parameter_row(name: str, spec: Any) -> str:
 
 
 def _effects() -> str:
-    from nsde_torch.cli.effects import catalogue
+    from nsde_torch.cli.commands.effects import catalogue
 
     rows = catalogue()
     lines = [

@@ -1,22 +1,56 @@
-"""Learn a controlled stochastic model of a machine from minutes of data, and know where it is ignorant."""
+"""Learn a controlled stochastic model of a machine from minutes of data, and know where it is ignorant.
 
-from typing import TYPE_CHECKING, Any
+Five verbs, each what the command of the same name does:
+
+    found = nsde_torch.diagnose("logs/", system="hexacopter")                       what the declared physics lacks
+    model = nsde_torch.train("logs/", system="hexacopter", effects=found.effects)   a model with it
+    scores = nsde_torch.evaluate(model, "more_logs/")                               its errors and intervals
+    made = nsde_torch.simulate("hexacopter", effects=["linear_drag"], seed=0)       runs of a simulated machine
+    model = nsde_torch.load("runs/hexacopter")                                      a model that was trained before
+
+`System` and `Effect` are what a machine and a physical term of your own derive from.
+"""
+
+from typing import TYPE_CHECKING
+
+from nsde_torch.lazy import resolver
 
 if TYPE_CHECKING:
-    from nsde_torch.models import NeuralSDE
+    from nsde_torch.api.diagnosing import diagnose
+    from nsde_torch.api.evaluation import evaluate
+    from nsde_torch.api.reading import read
+    from nsde_torch.api.training import train
+    from nsde_torch.effects.base import Effect
+    from nsde_torch.models.neural_sde import NeuralSDE
     from nsde_torch.models.run_directory import load
+    from nsde_torch.plants.simulation import simulate
+    from nsde_torch.systems.base import System
 
 __version__ = "0.1.0"
-__all__ = ["NeuralSDE", "__version__", "load"]
+__all__ = [
+    "Effect",
+    "NeuralSDE",
+    "System",
+    "__version__",
+    "diagnose",
+    "evaluate",
+    "load",
+    "read",
+    "simulate",
+    "train",
+]
 
-
-def __getattr__(name: str) -> Any:
-    if name == "load":
-        from nsde_torch.models.run_directory import load
-
-        return load
-    if name == "NeuralSDE":
-        from nsde_torch.models import NeuralSDE
-
-        return NeuralSDE
-    raise AttributeError(f"module 'nsde_torch' has no attribute {name!r}")
+__getattr__ = resolver(
+    __name__,
+    {
+        "Effect": "effects.base",
+        "NeuralSDE": "models.neural_sde",
+        "System": "systems.base",
+        "diagnose": "api.diagnosing",
+        "evaluate": "api.evaluation",
+        "load": "models.run_directory",
+        "read": "api.reading",
+        "simulate": "plants.simulation",
+        "train": "api.training",
+    },
+)

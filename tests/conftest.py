@@ -14,6 +14,11 @@ os.environ.setdefault("MPLBACKEND", "Agg")
 ROOT = Path(__file__).resolve().parents[1]
 
 
+def pytest_addoption(parser: pytest.Parser) -> None:
+    """`--regenerate` writes the files of tests/golden anew."""
+    parser.addoption("--regenerate", action="store_true", help="write the files of tests/golden anew")
+
+
 @pytest.fixture(scope="session", autouse=True)
 def _one_torch_thread() -> Iterator[None]:
     """More threads make small rollouts slower, up to a thousand times on a busy machine."""

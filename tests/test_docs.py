@@ -12,8 +12,8 @@ import pytest
 import torch
 
 from nsde_torch.cli import groups
-from nsde_torch.cli.main import COMMANDS, main
-from nsde_torch.cli.schema import COMMAND_SCHEMAS
+from nsde_torch.cli.main import main
+from nsde_torch.cli.registry import COMMANDS, hydra_commands
 from nsde_torch.effects import Effect
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -72,7 +72,7 @@ def test_links_of_pages_outside_the_site_lead_somewhere(page: Path) -> None:
 
 
 def test_commands_of_the_pages_exist_and_take_what_is_typed() -> None:
-    known = {command: keys_of(command) for command in COMMAND_SCHEMAS}
+    known = {command: keys_of(command) for command in hydra_commands()}
     checked = 0
     for where, words in commands():
         command, *rest = words

@@ -32,8 +32,8 @@ from torch import Tensor
 
 import nsde_torch
 from nsde_torch.data import DataSet, Run, Windows, read
-from nsde_torch.diagnosis.diagnose import Options, diagnose, search_in
 from nsde_torch.diagnosis.held_out import as_model, rollout_squares
+from nsde_torch.diagnosis.pipeline import Options, diagnose, search_in
 from nsde_torch.diagnosis.search import fitted_system
 from nsde_torch.learning.metrics import horizons_of, start_grid, thinned
 from nsde_torch.learning.scores import group_squares

@@ -1,1 +1,67 @@
 """Model predictive control: plans, solvers, references and closed loops."""
+
+from typing import TYPE_CHECKING
+
+from nsde_torch.lazy import resolver
+
+if TYPE_CHECKING:
+    from nsde_torch.control.autopilots import Autopilot, CascadePilot, PredictivePilot
+    from nsde_torch.control.controller import Controller, Plan, Planner
+    from nsde_torch.control.learned_plant import LearnedPlant
+    from nsde_torch.control.loop import Flight, Machine, fly
+    from nsde_torch.control.options import EstimatorOptions, ProblemOptions, SafetyOptions, SolverOptions
+    from nsde_torch.control.predictor import Predictor
+    from nsde_torch.control.reference import FlightPath, Reference
+    from nsde_torch.control.shapes import circle, lemniscate
+    from nsde_torch.control.solve import Solution, Solver
+
+__all__ = [
+    "Autopilot",
+    "CascadePilot",
+    "Controller",
+    "EstimatorOptions",
+    "Flight",
+    "FlightPath",
+    "LearnedPlant",
+    "Machine",
+    "Plan",
+    "Planner",
+    "PredictivePilot",
+    "Predictor",
+    "ProblemOptions",
+    "Reference",
+    "SafetyOptions",
+    "Solution",
+    "Solver",
+    "SolverOptions",
+    "circle",
+    "fly",
+    "lemniscate",
+]
+
+__getattr__ = resolver(
+    __name__,
+    {
+        "Autopilot": "autopilots",
+        "CascadePilot": "autopilots",
+        "Controller": "controller",
+        "EstimatorOptions": "options",
+        "Flight": "loop",
+        "FlightPath": "reference",
+        "LearnedPlant": "learned_plant",
+        "Machine": "loop",
+        "Plan": "controller",
+        "Planner": "controller",
+        "PredictivePilot": "autopilots",
+        "Predictor": "predictor",
+        "ProblemOptions": "options",
+        "Reference": "reference",
+        "SafetyOptions": "options",
+        "Solution": "solve",
+        "Solver": "solve",
+        "SolverOptions": "options",
+        "circle": "shapes",
+        "fly": "loop",
+        "lemniscate": "shapes",
+    },
+)

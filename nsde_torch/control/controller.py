@@ -17,6 +17,7 @@ from torch import Tensor
 
 from nsde_torch.control.horizon import Horizon
 from nsde_torch.control.hovering import hover_input
+from nsde_torch.control.options import SafetyOptions
 from nsde_torch.control.predictor import Predictor
 from nsde_torch.control.problem import ProblemOptions
 from nsde_torch.control.solve import Clock, Problem, Solution, Solver, SolverOptions
@@ -28,26 +29,6 @@ CONVERGED, IMPROVED, LATE = "converged", "improved", "late"
 BAD_STATE, JUMP, DIVERGED, BAD_REFERENCE = "bad_state", "state_jump", "diverged", "bad_reference"
 KEPT, HOVER = "kept", "hover"
 """Words of a status: how good a plan is, what was wrong, and what was done about it (`bad_state:kept`)."""
-
-
-@dataclass(frozen=True)
-class SafetyOptions:
-    """When a controller does not believe what it is given.
-
-    Args:
-        jump: Largest step of the measured position from where the plan expects it [m]; beyond it the state is not
-            believed until it has been seen `jump_samples` times.
-        jump_attitude: The same for the attitude [rad].
-        jump_samples: Samples after which a new state is believed.
-        keep: How long the last safe plan is flown on [s]; then hover.
-        quaternion: Largest departure of a quaternion's norm from 1.
-    """
-
-    jump: float = 0.75
-    jump_attitude: float = 0.8
-    jump_samples: int = 3
-    keep: float = 0.5
-    quaternion: float = 0.05
 
 
 @dataclass(frozen=True)

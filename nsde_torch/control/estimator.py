@@ -14,12 +14,12 @@ which removes the lasting part of any error of the model (Pannocchia and Rawling
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Protocol, final
 
 import torch
 from torch import Tensor, nn
 
+from nsde_torch.control.options import EstimatorOptions
 from nsde_torch.control.predictor import Predictor
 from nsde_torch.effects import Port
 from nsde_torch.errors import ConfigError
@@ -40,25 +40,6 @@ class Foresight(Protocol):
 
     def augment(self, x: Tensor, u: Tensor) -> Tensor:
         """States (N, nx) with the memory that is stationary under inputs (N, nu): (N, nz)."""
-
-
-@dataclass(frozen=True)
-class EstimatorOptions:
-    """What is known of times, and how fast pushes are learned.
-
-    Args:
-        latency: Time from a measurement to the effect of the command that follows from it [s]; made up for.
-        force_time: Time constant of the push on the body force [s]; 0: none.
-        moment_time: The same for the body moment.
-        force_limit: Largest push [m/s2].
-        moment_limit: Largest push [rad/s2].
-    """
-
-    latency: float = 0.0
-    force_time: float = 0.0
-    moment_time: float = 0.0
-    force_limit: float = 4.0
-    moment_limit: float = 20.0
 
 
 @final

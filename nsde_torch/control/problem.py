@@ -14,7 +14,6 @@ vector part is that of the short way round.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from math import cos, inf, radians
 from typing import final
 
@@ -22,73 +21,12 @@ import torch
 from torch import Tensor, nn
 
 from nsde_torch.columns import columns, few, join_columns, split_columns, stack_columns
+from nsde_torch.control.options import ProblemOptions
 from nsde_torch.control.predictor import Predictor
 from nsde_torch.errors import ConfigError
 from nsde_torch.systems import Multirotor
 
-STATE_WEIGHTS = (100.0, 100.0, 200.0, 5.0, 5.0, 10.0, 1.0, 1.0, 100.0, 1.0, 1.0, 1.0)
-"""The supplement's Q."""
 _PARTS = (3, 3, 4, 3)
-
-
-@dataclass(frozen=True)
-class ProblemOptions:
-    """What a plan pays for.
-
-    Args:
-        horizon: Length of the plan [s].
-        steps: Steps of the plan.
-        state_weights: Q, one per error channel (position, velocity, attitude, rates).
-        input_weight: R, the same for all inputs.
-        input_centre: What R measures inputs from.
-        rate_weight: D, on the change of inputs from one step to the next.
-        low, high: Bounds of the inputs.
-        speed_limit: Speed beyond which a plan pays [m/s].
-        tilt_limit: Tilt beyond which it pays [deg].
-        fence: Lowest and highest p_x, p_y, p_z [m], (3, 2); None: no fence.
-        limit_weight: Weight of soft limits (per m2/s2, per square of the cosine's excess in tilt, per m2).
-        uncertainty_weight: Weight of the distance eta from the training data.
-        particles: Paths; 1 is the mean path, more are sampled with the model's diffusion, the same noise in every
-            solve.
-        seed: Seed of that noise.
-    """
-
-    horizon: float = 1.0
-    steps: int = 20
-    state_weights: tuple[float, ...] = STATE_WEIGHTS
-    input_weight: float = 1.0
-    input_centre: float = 0.0
-    rate_weight: float = 0.0
-    low: float = 0.0
-    high: float = 1.0
-    speed_limit: float = inf
-    tilt_limit: float = inf
-    fence: tuple[tuple[float, float], ...] | None = None
-    limit_weight: float = 100.0
-    uncertainty_weight: float = 0.0
-    particles: int = 1
-    seed: int = 0
-
-    def __post_init__(self) -> None:
-        if not (self.horizon > 0 and self.steps >= 1 and self.particles >= 1):
-            raise ConfigError(
-                "`horizon` must be above 0 s, `steps` and `particles` at least 1; got "
-                f"{self.horizon!r}, {self.steps!r}, {self.particles!r}."
-            )
-        if not self.low < self.high:
-            raise ConfigError(f"`low` must lie below `high`; got {self.low!r} and {self.high!r}.")
-        weights = (*self.state_weights, self.input_weight, self.rate_weight, self.limit_weight)
-        if min(*weights, self.uncertainty_weight) < 0:
-            raise ConfigError(f"weights must be 0 or more; got {weights}, {self.uncertainty_weight}.")
-        if self.input_weight + self.rate_weight <= 0:
-            raise ConfigError(
-                "`input_weight` or `rate_weight` must be above 0: the best plan is not one else."
-            )
-
-    @property
-    def dt(self) -> float:
-        """Step of the plan [s]."""
-        return self.horizon / self.steps
 
 
 @final

@@ -13,6 +13,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from nsde_torch.control.options import CircleOptions, HoverOptions, LemniscateOptions
 from nsde_torch.control.reference import FlightPath
 from nsde_torch.errors import ConfigError
 
@@ -20,6 +21,8 @@ Array = NDArray[np.float64]
 
 GRID = 0.01
 """Step of references [s]."""
+
+_CIRCLE, _LEMNISCATE, _HOVER = CircleOptions(), LemniscateOptions(), HoverOptions()
 
 
 def _phase(duration: float, ramp: float, rate: float) -> Array:
@@ -47,12 +50,12 @@ def _check(name: str, **positive: float) -> None:
 
 def circle(
     *,
-    speed: float = 3.6,
-    duration: float = 35.0,
-    radius: float = 2.2,
-    height: float = 1.5,
-    yaw: float = 120.0,
-    ramp: float = 6.0,
+    speed: float = _CIRCLE.speed,
+    duration: float = _CIRCLE.duration,
+    radius: float = _CIRCLE.radius,
+    height: float = _CIRCLE.height,
+    yaw: float = _CIRCLE.yaw,
+    ramp: float = _CIRCLE.ramp,
 ) -> FlightPath:
     """A circle at constant speed, while the heading turns once to `yaw` and back.
 
@@ -82,13 +85,13 @@ def circle(
 
 def lemniscate(
     *,
-    speed: float = 3.4,
-    duration: float = 40.0,
-    length: float = 1.9,
-    width: float = 1.75,
-    height: float = 1.5,
-    yaw: float = 13.0,
-    ramp: float = 6.0,
+    speed: float = _LEMNISCATE.speed,
+    duration: float = _LEMNISCATE.duration,
+    length: float = _LEMNISCATE.length,
+    width: float = _LEMNISCATE.width,
+    height: float = _LEMNISCATE.height,
+    yaw: float = _LEMNISCATE.yaw,
+    ramp: float = _LEMNISCATE.ramp,
 ) -> FlightPath:
     """A figure of eight (Gerono's lemniscate), while the heading swings.
 
@@ -122,7 +125,9 @@ def lemniscate(
     return FlightPath("lemniscate", GRID, p, v, a, heading, about)
 
 
-def hover(*, duration: float = 10.0, height: float = 1.5, yaw: float = 0.0) -> FlightPath:
+def hover(
+    *, duration: float = _HOVER.duration, height: float = _HOVER.height, yaw: float = _HOVER.yaw
+) -> FlightPath:
     """Standing still.
 
     Args:

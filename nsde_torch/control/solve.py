@@ -15,43 +15,11 @@ from nsde_torch.control.compiled import Function, NoCompiler, Stage, compile_ahe
 from nsde_torch.control.gauss_newton import GaussNewton
 from nsde_torch.control.gradient import AcceleratedGradient
 from nsde_torch.control.horizon import Horizon
+from nsde_torch.control.options import SolverOptions
 from nsde_torch.errors import ConfigError
 from nsde_torch.sde import CompilationWarning
 
 Clock = Callable[[], float]
-
-
-@dataclass(frozen=True)
-class SolverOptions:
-    """How plans are found.
-
-    Args:
-        name: Key in `SOLVERS`.
-        iterations: Most iterations of a solve.
-        tolerance: A plan is good enough when its `gap` is no more than this share of its cost.
-        compile: "on", "off", or "auto": where one plan is made at a time.
-        deadline: Time for a solve [s]; the best plan so far is returned when the next iteration would not fit. None:
-            no deadline.
-        cache: Folder of compiled packages; None: the package's cache.
-    """
-
-    name: str = "gauss_newton"
-    iterations: int = 10
-    tolerance: float = 1e-3
-    compile: str = "auto"
-    deadline: float | None = None
-    cache: str | None = None
-
-    def __post_init__(self) -> None:
-        if self.iterations < 1 or not self.tolerance >= 0:
-            raise ConfigError(
-                f"`iterations` must be at least 1 and `tolerance` 0 or more; got {self.iterations!r}, "
-                f"{self.tolerance!r}."
-            )
-        if self.compile not in ("auto", "on", "off"):
-            raise ConfigError(f"`compile` must be auto, on or off; got {self.compile!r}.")
-        if self.deadline is not None and not self.deadline > 0:
-            raise ConfigError(f"`deadline` must be a time above 0 s; got {self.deadline!r}.")
 
 
 class Problem(NamedTuple):

@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import make_interp_spline
 
+from nsde_torch.control.options import WaypointOptions
 from nsde_torch.control.reference import FlightPath
 from nsde_torch.control.shapes import GRID
 from nsde_torch.errors import ConfigError, DataError
@@ -26,13 +27,15 @@ from nsde_torch.systems.multirotor import GRAVITY
 Array = NDArray[np.float64]
 _REST = [(order, np.zeros(4)) for order in (1, 2, 3)]
 
+_LIMITS = WaypointOptions()
+
 
 def waypoints(
     points: Sequence[Sequence[float]],
     *,
     times: Sequence[float] | None = None,
-    speed: float = 2.0,
-    tilt: float = 30.0,
+    speed: float = _LIMITS.speed,
+    tilt: float = _LIMITS.tilt,
     name: str = "waypoints",
 ) -> FlightPath:
     """A path through points.
@@ -84,7 +87,7 @@ def waypoints(
     return _through(table, np.concatenate(([0.0], np.cumsum(legs))) * stretch, name)
 
 
-def from_csv(file: str | Path, *, speed: float = 2.0, tilt: float = 30.0) -> FlightPath:
+def from_csv(file: str | Path, *, speed: float = _LIMITS.speed, tilt: float = _LIMITS.tilt) -> FlightPath:
     """A path through the rows of a CSV file: `p_x p_y p_z` [m], and if there are `yaw` [rad] and `t` [s].
 
     Raises:

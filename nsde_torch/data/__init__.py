@@ -3,10 +3,9 @@
 Names are resolved on first use, so that torch loads only for windows and pyulog only for logs.
 """
 
-from __future__ import annotations
+from typing import TYPE_CHECKING
 
-from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from nsde_torch.lazy import resolver
 
 if TYPE_CHECKING:
     from nsde_torch.data.checks import assemble
@@ -20,23 +19,6 @@ if TYPE_CHECKING:
     from nsde_torch.data.system_info import SystemInfo
     from nsde_torch.data.unpickler import read_pickle
     from nsde_torch.data.windows import Windows
-
-_HOME = {
-    "assemble": "checks",
-    "write_csv": "csv_folder",
-    "Finding": "findings",
-    "RawRun": "raw",
-    "READERS": "registry",
-    "read": "registry",
-    "DataSet": "run",
-    "Run": "run",
-    "Split": "splits",
-    "split": "splits",
-    "DataSummary": "summary",
-    "SystemInfo": "system_info",
-    "read_pickle": "unpickler",
-    "Windows": "windows",
-}
 
 __all__ = [
     "READERS",
@@ -55,10 +37,22 @@ __all__ = [
     "write_csv",
 ]
 
-
-def __getattr__(name: str) -> Any:
-    if name not in _HOME:
-        raise AttributeError(f"module 'nsde_torch.data' has no attribute {name!r}")
-    value = getattr(import_module(f"nsde_torch.data.{_HOME[name]}"), name)
-    globals()[name] = value
-    return value
+__getattr__ = resolver(
+    __name__,
+    {
+        "READERS": "registry",
+        "DataSet": "run",
+        "DataSummary": "summary",
+        "Finding": "findings",
+        "RawRun": "raw",
+        "Run": "run",
+        "Split": "splits",
+        "SystemInfo": "system_info",
+        "Windows": "windows",
+        "assemble": "checks",
+        "read": "registry",
+        "read_pickle": "unpickler",
+        "split": "splits",
+        "write_csv": "csv_folder",
+    },
+)

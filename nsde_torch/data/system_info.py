@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Protocol
 
 RATE_NAMES = ("w_x", "w_y", "w_z")
@@ -46,6 +48,36 @@ class SystemInfo(Protocol):
 
     @property
     def position_derivatives(self) -> tuple[tuple[str, str, str], ...]: ...
+
+
+@dataclass(frozen=True)
+class Columns:
+    """A system as readers see it, with further columns beside the inputs."""
+
+    name: str
+    state_names: tuple[str, ...]
+    state_units: tuple[str, ...]
+    input_names: tuple[str, ...]
+    input_units: tuple[str, ...]
+    exogenous: tuple[str, ...]
+    quaternion: slice | None
+    position_derivatives: tuple[tuple[str, str, str], ...]
+
+
+def all_columns(systems: Sequence[SystemInfo]) -> SystemInfo:
+    """The first system, with the further columns that any of them reads."""
+    first = systems[0]
+    every = tuple(dict.fromkeys(name for system in systems for name in system.exogenous))
+    return Columns(
+        first.name,
+        first.state_names,
+        first.state_units,
+        first.input_names,
+        first.input_units,
+        every,
+        first.quaternion,
+        first.position_derivatives,
+    )
 
 
 def rate_columns(system: SystemInfo) -> slice | None:

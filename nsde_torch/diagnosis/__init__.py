@@ -1,1 +1,27 @@
 """From the residual of a declared model to the effect that it lacks."""
+
+from typing import TYPE_CHECKING
+
+from nsde_torch.lazy import resolver
+
+if TYPE_CHECKING:
+    from nsde_torch.diagnosis.options import Options
+    from nsde_torch.diagnosis.pipeline import Diagnosis, diagnose
+    from nsde_torch.diagnosis.report import write_report
+
+__all__ = [
+    "Diagnosis",
+    "Options",
+    "diagnose",
+    "write_report",
+]
+
+__getattr__ = resolver(
+    __name__,
+    {
+        "Diagnosis": "pipeline",
+        "Options": "options",
+        "diagnose": "pipeline",
+        "write_report": "report",
+    },
+)

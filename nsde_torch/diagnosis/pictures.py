@@ -34,7 +34,7 @@ from nsde_torch.plots.diagnosis import (
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from nsde_torch.diagnosis.diagnose import Diagnosis
+    from nsde_torch.diagnosis.pipeline import Diagnosis
 
 Array = NDArray[np.float64]
 

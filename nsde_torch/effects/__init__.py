@@ -19,8 +19,13 @@ An effect of your own is a class in a file of yours, named `module:Class` wherev
 grid `shapes`, and `amplitudes` are what is nothing without it.
 """
 
-from nsde_torch.effects.base import Effect, Parameter, Parametrised, Port
-from nsde_torch.effects.registry import EFFECTS, effect_class, effects_of, key_of, make_effect, register
+from typing import TYPE_CHECKING
+
+from nsde_torch.lazy import resolver
+
+if TYPE_CHECKING:
+    from nsde_torch.effects.base import Effect, Parameter, Parametrised, Port
+    from nsde_torch.effects.registry import EFFECTS, effect_class, effects_of, key_of, make_effect, register
 
 __all__ = [
     "EFFECTS",
@@ -34,3 +39,19 @@ __all__ = [
     "make_effect",
     "register",
 ]
+
+__getattr__ = resolver(
+    __name__,
+    {
+        "EFFECTS": "registry",
+        "Effect": "base",
+        "Parameter": "base",
+        "Parametrised": "base",
+        "Port": "base",
+        "effect_class": "registry",
+        "effects_of": "registry",
+        "key_of": "registry",
+        "make_effect": "registry",
+        "register": "registry",
+    },
+)

@@ -29,8 +29,10 @@ is not defined is null:
 A model's own figures leave out the starts at which it diverged; a difference is taken where both are finite.
 """
 
+import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -56,6 +58,7 @@ from nsde_torch.learning.scores import LEVELS, PARTICLES, Scores, baseline_squar
 from nsde_torch.learning.seen import BY_NAME, NAMESAKE, PART, WHOLE, trained_on
 from nsde_torch.systems import System
 
+RESULT = "evaluation.json"
 _LEVEL = 0.95
 
 
@@ -74,6 +77,39 @@ class Comparison:
     candidates: Sequence[Candidate]
     grids: Sequence[Grid]
     scores: Sequence[Scores]
+
+    @property
+    def errors(self) -> dict[str, dict[str, float]]:
+        """Errors of the first model: group -> horizon in seconds, as text -> root mean square, in `units`."""
+        errors: dict[str, dict[str, float]] = self.content["models"][0]["errors"]
+        return errors
+
+    @property
+    def report(self) -> str:
+        """The scores in tables, as `nsde evaluate` prints them."""
+        from nsde_torch.learning.comparison_text import lines
+
+        return "\n".join(text for text, _ in lines(self.content))
+
+    def __str__(self) -> str:
+        return self.report
+
+    def save(self, folder: str | Path) -> list[Path]:
+        """Write `evaluation.json` and the figures in `plots/`.
+
+        Args:
+            folder: Where to; made where it is missing.
+
+        Returns:
+            The files.
+        """
+        from nsde_torch.learning.comparison_figures import write_figures
+
+        folder = Path(folder)
+        folder.mkdir(parents=True, exist_ok=True)
+        file = folder / RESULT
+        file.write_text(json.dumps(self.content, indent=1, allow_nan=False), encoding="utf-8")
+        return [file, *write_figures(folder / "plots", self)]
 
 
 def _silent(text: str) -> None:

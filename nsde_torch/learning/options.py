@@ -3,48 +3,51 @@
 from dataclasses import dataclass
 
 from nsde_torch.errors import ConfigError
+from nsde_torch.options import check, documented, key
 
-KINDS = ("innovations", "replay", "paper")
 _DECAY = {"innovations": 1e-4, "replay": 0.003, "paper": 0.0}
 
 
+@documented
 @dataclass(frozen=True)
 class LossOptions:
-    """Weights of the losses.
+    """Kind, weights and sizes of the losses (supplement: weights 1, 0.01, 0.01 and 1).
 
-    Args:
-        kind: "innovations" (what is new at each step of the log, see `nsde_torch.learning.fit_innovations`), "replay"
-            (CRPS of paths under the log's own inputs) or "paper" (squared error of one such path).
-        data: Weight of the data loss (supplement: 1).
-        gradient: Weight of the zero-gradient loss (supplement: 0.01).
-        convexity: Weight of the strong-convexity loss (supplement: 0.01).
-        mu: Weight of the reward on large mu; None takes the system's (supplement: 1) for "paper", 0.01 else.
-        particles: Paths per window; "replay" takes them in pairs.
-        points: States of a batch that the distance losses look at.
-        ball_samples: Points drawn in the ball around each.
-        ball_radius: Radius of the ball [standard deviations of the features]; None takes the system's.
-        far_radius: Largest radius that the distance losses draw up to [standard deviations]; not with "paper".
-        residual_decay: Weight of the squared weights of residual networks beside declared physics; None takes 1e-4
-            with "innovations" and 0.003 with "replay", whose terms are of another size, and 0 with "paper".
-        early: Weight of a step k of the window is k ** -early ("replay").
+    The kinds: "innovations" (what is new at each step of the log, see `nsde_torch.learning.fit_innovations`), "replay"
+    (CRPS of paths under the log's own inputs), "paper" (squared error of one such path).
     """
 
-    kind: str = "innovations"
-    data: float = 1.0
-    gradient: float = 0.01
-    convexity: float = 0.01
-    mu: float | None = None
-    particles: int = 2
-    points: int = 256
-    ball_samples: int = 8
-    ball_radius: float | None = None
-    far_radius: float = 16.0
-    residual_decay: float | None = None
-    early: float = 1.0
+    kind: str = key(
+        "innovations", "kind of the loss, set by loss=", choices=("innovations", "replay", "paper")
+    )
+    data: float = key(1.0, "weight of the data loss", low=0)
+    gradient: float = key(0.01, "weight of the zero-gradient loss (eta flat on the data)", low=0)
+    convexity: float = key(0.01, "weight of the strong-convexity loss in a ball around the data", low=0)
+    mu: float | None = key(
+        None, "weight of the reward on large mu; null: system.lambda_mu with loss=paper, else 0.01", low=0
+    )
+    particles: int = key(2, "paths per window (loss=replay takes them in pairs, loss=paper)", low=1)
+    points: int = key(256, "states of a batch that the distance losses look at", low=1)
+    ball_samples: int = key(8, "points drawn in the ball around each", low=1)
+    ball_radius: float | None = key(
+        None, "radius of the ball; null: the system's own", unit="std of the features", above=0
+    )
+    far_radius: float = key(
+        16.0,
+        "largest radius that the distance losses draw up to; not with loss=paper",
+        unit="std of the features",
+        above=0,
+    )
+    residual_decay: float | None = key(
+        None,
+        "weight of the squared weights of residual networks beside declared physics; null: 1e-4, 0.003 with "
+        "loss=replay, 0 with loss=paper",
+        low=0,
+    )
+    early: float = key(1.0, "step k of a window weighs k^-early (loss=replay)", low=0)
 
     def __post_init__(self) -> None:
-        if self.kind not in KINDS:
-            raise ConfigError(f"`loss.kind` must be one of {', '.join(KINDS)}; got {self.kind!r}.")
+        check(type(self), vars(self), "loss.")
         if self.kind == "replay" and (self.particles < 2 or self.particles % 2):
             raise ConfigError(
                 "`loss.particles` must be an even number of at least 2 with loss=replay (paths come in pairs of "
@@ -57,40 +60,80 @@ class LossOptions:
         return _DECAY[self.kind] if self.residual_decay is None else self.residual_decay
 
 
+@documented
 @dataclass(frozen=True)
 class TrainerOptions:
-    """Settings of the optimisation.
+    """Optimisation with Adam (supplement: batch 512, rate 0.01 to 0.001 over 10,000 steps).
 
-    Args:
-        steps: Largest number of gradient steps.
-        batch: Windows per gradient step (supplement: 512); with "innovations" all data are one batch.
-        lr: Adam's learning rate at the start (supplement: 0.01).
-        lr_end: Learning rate after the decay (supplement: 0.001).
-        decay_steps: Steps over which it falls linearly (supplement: 10,000); None takes `steps`.
-        patience: Validations without a better score before training stops.
-        clip: Largest norm of the gradient, None for no clipping.
-        validate_every: Steps between validations.
-        checkpoint_every: Steps between checkpoints.
-        compile: "auto" and "on" compile the integrator's step, "off" does not.
-        polish: Steps at `lr_end` on all windows, the held-out ones included, after early stopping chose the weights;
-            not with "innovations".
-        calibrate: Scale the diffusion by errors across training runs at the end (not with "paper").
+    With loss="innovations" all data are one batch, and there is no polish.
     """
 
-    steps: int = 1000
-    batch: int = 512
-    lr: float = 0.01
-    lr_end: float = 0.001
-    decay_steps: int | None = None
-    patience: int = 10
-    clip: float | None = 10.0
-    validate_every: int = 50
-    checkpoint_every: int = 100
-    compile: str = "auto"
-    polish: int = 200
-    calibrate: bool = True
+    steps: int = key(1000, "largest number of gradient steps", unit="steps", low=1)
+    batch: int = key(512, "windows per gradient step", low=1)
+    lr: float = key(0.01, "learning rate at the start", above=0)
+    lr_end: float = key(0.001, "learning rate after the decay", above=0)
+    decay_steps: int | None = key(
+        None, "steps over which the learning rate falls linearly; null: trainer.steps", unit="steps", low=1
+    )
+    patience: int = key(10, "validations without a better score before training stops", low=1)
+    clip: float | None = key(10.0, "largest norm of the gradient; null: no clipping", above=0)
+    validate_every: int = key(50, "steps between validations", unit="steps", low=1)
+    checkpoint_every: int = key(100, "steps between checkpoints", unit="steps", low=1)
+    compile: str = key(
+        "auto", "compile the step (auto: where a C++ compiler is found)", choices=("auto", "on", "off")
+    )
+    polish: int = key(
+        200, "last steps at lr_end on all windows, the validation ones included", unit="steps", low=0
+    )
+    calibrate: bool = key(True, "scale the diffusion by errors across training runs (not with loss=paper)")
+
+    def __post_init__(self) -> None:
+        check(type(self), vars(self), "trainer.")
 
     def rate(self, step: int) -> float:
         """Learning rate of a step, counted from 0."""
         share = min(step / max(self.decay_steps or self.steps, 1), 1.0)
         return self.lr + (self.lr_end - self.lr) * share
+
+
+LOSSES: dict[str, LossOptions] = {
+    "innovations": LossOptions(),
+    "replay": LossOptions(kind="replay"),
+    "paper": LossOptions(kind="paper", particles=1),
+}
+"""Losses by name; "paper" has the supplement's single path."""
+
+TRAINERS: dict[str, TrainerOptions] = {
+    "default": TrainerOptions(),
+    "fast": TrainerOptions(steps=60, batch=64, validate_every=20, checkpoint_every=20, polish=20),
+    "paper": TrainerOptions(steps=10_000, decay_steps=10_000, polish=0),
+}
+"""Optimisations by name: a good model in minutes, a look in seconds, the supplement's."""
+
+
+def loss_options(loss: str | LossOptions) -> LossOptions:
+    """A loss by its name; options as they are.
+
+    Raises:
+        ConfigError: no such loss.
+    """
+    if isinstance(loss, LossOptions):
+        return loss
+    if loss not in LOSSES:
+        raise ConfigError(f"`loss` must be one of {', '.join(LOSSES)}, or LossOptions; got {loss!r}.")
+    return LOSSES[loss]
+
+
+def trainer_options(trainer: str | TrainerOptions) -> TrainerOptions:
+    """An optimisation by its name; options as they are.
+
+    Raises:
+        ConfigError: no such name.
+    """
+    if isinstance(trainer, TrainerOptions):
+        return trainer
+    if trainer not in TRAINERS:
+        raise ConfigError(
+            f"`trainer` must be one of {', '.join(TRAINERS)}, or TrainerOptions; got {trainer!r}."
+        )
+    return TRAINERS[trainer]

@@ -44,11 +44,6 @@ _LEFT_OUT = 3  # training runs that calibration leaves out in turn, at most
 _AUXILIARY_SHARE = 0.5  # of the gradient steps
 
 
-def filter_reach(runs: Sequence[Run], n_inputs: int, dt: float) -> int:
-    """Taps that an input filter needs on each side to undo the smoothing found in the runs; 0 for none."""
-    return math.ceil(smoothing_width(runs, n_inputs) / dt - 1e-6)
-
-
 class Training:
     """One training. `run` does all of it; killed at any moment and run again, it ends in the same numbers.
 

@@ -3,6 +3,7 @@
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import KW_ONLY, asdict, dataclass, field
+from pathlib import Path
 from typing import Any, ClassVar, Self
 
 import torch
@@ -81,12 +82,16 @@ class Model(nn.Module, ABC):
         system: The machine; `system.error` and `system.error_groups` say what an error is.
         clock_scale: Physical seconds per logged second of the training data, 0-d.
         filter: Restores inputs that the log smoothed; None where it did not.
+        metrics: What `metrics.json` of its run directory holds; empty for a model that was not trained.
+        folder: Its run directory; None without one.
     """
 
     spec: ModelSpec
     system: System
     clock_scale: Tensor
     filter: InputFilter | None
+    metrics: Mapping[str, Any] = {}
+    folder: Path | None = None
 
     @abstractmethod
     def sample(

@@ -1,5 +1,6 @@
 """Run directories: `config.yaml` says what the model is, `model.safetensors` holds its numbers. No pickle."""
 
+import json
 import os
 from collections.abc import Mapping
 from pathlib import Path
@@ -45,8 +46,8 @@ def load(run_dir: str | Path, *, device: str | torch.device = "cpu") -> Model:
         device: Where to put it.
 
     Returns:
-        The model, in evaluation mode, without gradients. A system of the user's own is imported by the name that
-        `config.yaml` gives: load run directories that you trust.
+        The model, in evaluation mode, without gradients; `model.metrics` holds what `metrics.json` does. A system of
+        the user's own is imported by the name that `config.yaml` gives: load run directories that you trust.
 
     Raises:
         CheckpointError: the folder or a file in it is missing, damaged or from another version.
@@ -99,4 +100,18 @@ def load(run_dir: str | Path, *, device: str | torch.device = "cpu") -> Model:
         )
     dtype = tensors["clock_scale"].dtype
     model.to(dtype=dtype).load_state_dict(tensors)
+    model.folder, model.metrics = folder, _metrics(folder)
     return model.to(device).eval().requires_grad_(False)
+
+
+def _metrics(folder: Path) -> Mapping[str, Any]:
+    """The content of `metrics.json`; empty where there is none yet."""
+    if not (folder / METRICS).is_file():
+        return {}
+    try:
+        content = json.loads((folder / METRICS).read_text(encoding="utf-8"))
+    except (json.JSONDecodeError, UnicodeDecodeError) as error:
+        raise CheckpointError(f"{folder / METRICS} is damaged ({error}). Train again.") from error
+    if not isinstance(content, dict):
+        raise CheckpointError(f"{folder / METRICS} is damaged. Train again.")
+    return content

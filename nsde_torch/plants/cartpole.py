@@ -23,7 +23,7 @@ from torch import Tensor
 from nsde_torch.data.raw import RawRun
 from nsde_torch.errors import ConfigError
 from nsde_torch.plants.machines import Effects, Making, make_plant, make_plant_system, plant_options
-from nsde_torch.plants.record import record
+from nsde_torch.plants.recorder import record
 from nsde_torch.systems import Cartpole
 from nsde_torch.systems.cartpole import GRAVITY
 

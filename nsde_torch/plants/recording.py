@@ -12,8 +12,7 @@ dropped rows
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from math import ceil, isfinite, pi
 from typing import Any
 
@@ -26,6 +25,7 @@ from scipy.signal import lfilter
 from nsde_torch.data.lateness import channel_columns, moved
 from nsde_torch.data.raw import RawRun
 from nsde_torch.errors import ConfigError
+from nsde_torch.plants.options import RecordingOptions
 from nsde_torch.rotation import rotate_back, turned
 from nsde_torch.systems import System
 
@@ -33,28 +33,8 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class Recording:
-    """Faults of a recording chain; the default has none.
-
-    Args:
-        input_smoothing: Width of the centred moving average of the inputs [s]; 0 for none.
-        input_delay: Time by which states are logged late against inputs [s], rounded to rows.
-        clock_scale: Physical seconds for each logged second.
-        sensor_bias: What is added to states, by name [their units].
-        sensor_delay: By how much states come late, by name of a state or common name of several [s].
-        sensor_lag: Time constants of filters that states go through, by the same names [s].
-        frame_misalignment: Turn of the log's body frame against the machine's about x, y, z [deg] (a rotation vector).
-        dropout: Share of the rows that is missing.
-    """
-
-    input_smoothing: float = 0.0
-    input_delay: float = 0.0
-    clock_scale: float = 1.0
-    sensor_bias: Mapping[str, float] = field(default_factory=dict)
-    sensor_delay: Mapping[str, float] = field(default_factory=dict)
-    sensor_lag: Mapping[str, float] = field(default_factory=dict)
-    frame_misalignment: Sequence[float] = (0.0, 0.0, 0.0)
-    dropout: float = 0.0
+class Recording(RecordingOptions):
+    """Faults of a recording chain, and what they do to runs; `RecordingOptions` lists them."""
 
     def check(self, system: System) -> None:
         """Refuse what this system cannot have.

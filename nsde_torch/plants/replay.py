@@ -29,6 +29,7 @@ from nsde_torch.errors import ConfigError
 from nsde_torch.plants.battery import Battery, battery_column, used_of
 from nsde_torch.plants.flights import Flown, chosen_flights
 from nsde_torch.plants.machines import Effects, Making, machine, make_plant, plant_options
+from nsde_torch.plants.options import ReplayOptions
 from nsde_torch.plants.plant import Plant
 
 Array = NDArray[np.float64]
@@ -38,18 +39,8 @@ GAP_ROWS = 10
 
 
 @dataclass(frozen=True)
-class Replay:
-    """Interventions that are made of flights.
-
-    Args:
-        starts: How many, >= 1.
-        duration: How long the commands of another time are replayed [s], > 0.
-        before: How much of the flight is logged before the start [s], at least a sample.
-    """
-
-    starts: int = 400
-    duration: float = 1.0
-    before: float = 0.5
+class Replay(ReplayOptions):
+    """Interventions that are made of flights; `ReplayOptions` says what."""
 
     def rows(self, dt: float) -> tuple[int, int]:
         """Samples before the start, and of the replay.

@@ -59,6 +59,12 @@ class Simulation:
     runs: tuple[RawRun, ...]
     truth: Mapping[str, Any] = field(repr=False)
 
+    def save(
+        self, folder: str | Path, *, truth: str | Path | None = None, overwrite: bool = False
+    ) -> list[Path]:
+        """Write the runs as CSV files, and the truth beside the folder (see `write`)."""
+        return write(self, folder, truth=truth, overwrite=overwrite)
+
 
 def simulate(
     system: str,

@@ -21,6 +21,7 @@ from nsde_torch.px4.cascade import GRAVITY, Cascade, Point
 from nsde_torch.px4.controller import Demand
 from nsde_torch.px4.endpoint import Endpoint
 from nsde_torch.px4.link import why_no_state
+from nsde_torch.px4.options import FlightOptions
 from nsde_torch.px4.path import PathPoints
 from nsde_torch.px4.runner import Runner
 from nsde_torch.px4.safety import Action, Limits, Trouble, Watch
@@ -54,41 +55,6 @@ REMEMBERED = 0.3
 
 FLYING = (Phase.TAKEOFF, Phase.HOLD, Phase.TRACK, Phase.RETURN, Phase.SAFE_HOLD)
 """Phases in which we fly the vehicle and it must be in OFFBOARD."""
-
-
-@dataclass(frozen=True)
-class FlightOptions:
-    """How a flight goes.
-
-    Args:
-        height: Of take-off [m].
-        climb: Speed of take-off [m/s].
-        hold: Time of hovering before the reference [s].
-        approach: Speed at which the start of the reference is flown to [m/s].
-        safe_hold: Time of holding before landing when something is wrong [s].
-        connect: Longest wait for the vehicle [s].
-        checks: Longest wait for the checks to pass [s].
-        confirm: Longest wait for a step to be confirmed; PX4's heartbeats come once a second [s].
-        idle: Time of streaming before OFFBOARD [s].
-        spool: Time in which the throttle rises before the climb [s].
-        lift: Longest time from arming to being in the air [s].
-        landing: Longest wait for a landing [s].
-        watch: How long a vehicle that is not ours any more is watched [s].
-    """
-
-    height: float = 1.5
-    climb: float = 0.8
-    hold: float = 2.0
-    approach: float = 1.0
-    safe_hold: float = 2.0
-    connect: float = 10.0
-    checks: float = 10.0
-    confirm: float = 5.0
-    idle: float = 1.0
-    spool: float = 0.7
-    lift: float = 6.0
-    landing: float = 40.0
-    watch: float = 40.0
 
 
 @dataclass

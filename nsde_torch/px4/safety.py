@@ -21,6 +21,7 @@ from enum import Enum
 from math import acos, degrees, inf, isfinite
 from typing import final
 
+from nsde_torch.px4.options import Limits
 from nsde_torch.px4.telemetry import Status, VehicleState
 from nsde_torch.px4.vectors import Vec, cos_tilt, distance, length
 
@@ -41,41 +42,6 @@ class Trouble:
     kind: str
     text: str
     action: Action
-
-
-@dataclass(frozen=True)
-class Limits:
-    """When something is wrong.
-
-    Args:
-        fence: Lowest and highest x, y, z from the place of take-off, ENU [m].
-        speed: [m/s]
-        tilt: [deg]
-        battery: Lowest charge, 0 to 1.
-        voltage: Lowest voltage [V], 0: none.
-        estimate: Oldest state [s].
-        silence: Longest time without any message [s].
-        heartbeat: Longest time without a heartbeat [s].
-        solver: Oldest plan [s].
-        jump: Largest step of the position that velocity does not explain [m].
-        patience: A state must be wrong for this long [s].
-    """
-
-    fence: tuple[tuple[float, float], tuple[float, float], tuple[float, float]] = (
-        (-6.0, 6.0),
-        (-6.0, 6.0),
-        (-0.5, 6.0),
-    )
-    speed: float = 7.0
-    tilt: float = 65.0
-    battery: float = 0.15
-    voltage: float = 0.0
-    estimate: float = 0.2
-    silence: float = 1.0
-    heartbeat: float = 3.5
-    solver: float = 0.3
-    jump: float = 0.5
-    patience: float = 0.08
 
 
 @final

@@ -9,31 +9,14 @@ it was a motor's lag before.
 from __future__ import annotations
 
 from collections import Counter, deque
-from dataclasses import dataclass
-from math import acos, cos, degrees, radians
+from math import acos, cos, degrees
 from typing import final
 
 from nsde_torch.px4.cascade import GRAVITY, levelling
 from nsde_torch.px4.controller import Demand
+from nsde_torch.px4.options import SetpointLimits
 from nsde_torch.px4.telemetry import VehicleState
 from nsde_torch.px4.vectors import Vec, cos_tilt, finite, rotate_back
-
-
-@dataclass(frozen=True)
-class SetpointLimits:
-    """Bounds of what leaves.
-
-    Args:
-        rate: Roll and pitch rate [rad/s].
-        yaw_rate: Yaw rate [rad/s].
-        throttle: Lowest and highest in the air.
-        tilt: Beyond this tilt rates may only level [rad].
-    """
-
-    rate: float = 6.0
-    yaw_rate: float = 2.5
-    throttle: tuple[float, float] = (0.05, 0.9)
-    tilt: float = radians(60.0)
 
 
 @final

@@ -1,62 +1,16 @@
 """Machines: states, inputs, units, frames and declared physics."""
 
-from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import TYPE_CHECKING
 
-from nsde_torch.effects import Effect
-from nsde_torch.errors import ConfigError
-from nsde_torch.lookup import class_by_name
-from nsde_torch.systems.base import Defaults, ErrorGroup, ResidualPort, System
-from nsde_torch.systems.cartpole import Cartpole
-from nsde_torch.systems.multirotor import Hexacopter, Multirotor, Quadrotor
-from nsde_torch.systems.one_dof import MassSpringDamper
+from nsde_torch.lazy import resolver
 
-SYSTEMS: dict[str, type[System]] = {
-    cls.name: cls for cls in (MassSpringDamper, Cartpole, Hexacopter, Quadrotor)
-}
-
-
-def system_class(name: str) -> type[System]:
-    """Class of a system: a key of `SYSTEMS`, or `package.module:Class` of the user's own.
-
-    Raises:
-        ConfigError: unknown name (lists the choices), no such module or class, or not a System.
-    """
-    return class_by_name(name, SYSTEMS, System, kind="system", home="nsde_torch.systems")
-
-
-def make_system(
-    name: str,
-    *,
-    effects: Sequence[str | Effect] = (),
-    declared: Sequence[str] | None = None,
-    values: Mapping[str, float | list[float]] | None = None,
-    **options: Any,
-) -> System:
-    """Make a system by name.
-
-    Args:
-        name: Key of `SYSTEMS`, or `package.module:Class`.
-        effects: Effects to add to the declared physics.
-        declared: Effects that replace the declared ones; None keeps them.
-        values: Initial values of parameters, `name` or `effect.name`.
-        options: Further arguments of the class (`thrust_degree` of multirotors).
-
-    Raises:
-        ConfigError: unknown system, effect, parameter or option.
-
-    Example:
-        >>> make_system("hexacopter", effects=["linear_drag"]).effect_names
-        ('linear_drag',)
-    """
-    cls = system_class(name)
-    try:
-        return cls(effects, declared=declared, values=values, **options)
-    except TypeError as error:
-        if "unexpected keyword" not in str(error):
-            raise
-        raise ConfigError(f"system {name!r} does not take one of the options {sorted(options)}.") from error
-
+if TYPE_CHECKING:
+    from nsde_torch.systems.base import Defaults, ErrorGroup, ResidualPort, System
+    from nsde_torch.systems.cartpole import Cartpole
+    from nsde_torch.systems.multirotor import Hexacopter, Multirotor, Quadrotor
+    from nsde_torch.systems.one_dof import MassSpringDamper
+    from nsde_torch.systems.options import SystemOptions
+    from nsde_torch.systems.registry import SYSTEMS, make_system, system_class
 
 __all__ = [
     "SYSTEMS",
@@ -69,6 +23,26 @@ __all__ = [
     "Quadrotor",
     "ResidualPort",
     "System",
+    "SystemOptions",
     "make_system",
     "system_class",
 ]
+
+__getattr__ = resolver(
+    __name__,
+    {
+        "SYSTEMS": "registry",
+        "Cartpole": "cartpole",
+        "Defaults": "base",
+        "ErrorGroup": "base",
+        "Hexacopter": "multirotor",
+        "MassSpringDamper": "one_dof",
+        "Multirotor": "multirotor",
+        "Quadrotor": "multirotor",
+        "ResidualPort": "base",
+        "System": "base",
+        "SystemOptions": "options",
+        "make_system": "registry",
+        "system_class": "registry",
+    },
+)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import json
 from pathlib import Path
 from typing import Any
 
@@ -12,11 +13,16 @@ import torch
 from hydra import compose, initialize_config_module
 from omegaconf import OmegaConf
 
-from nsde_torch.cli import build, schema
-from nsde_torch.cli.schema import CsvData
+from nsde_torch.cli import build
+from nsde_torch.cli.registry import hydra_command
+from nsde_torch.cli.schemas.data import CsvData
+from nsde_torch.cli.store import store
 from nsde_torch.data import Run, Split
 from nsde_torch.errors import ConfigError, DataError
-from nsde_torch.learning.options import LossOptions, TrainerOptions
+from nsde_torch.learning import structure
+from nsde_torch.learning.options import LOSSES, TRAINERS, LossOptions
+from nsde_torch.learning.structure import machine_losses, model_spec
+from nsde_torch.models.options import MODELS, model_options
 from nsde_torch.systems import System, make_system
 
 
@@ -80,56 +86,71 @@ def _still(machine: System) -> Split:
 
 
 def _configuration(*words: str) -> Any:
-    schema.register()
+    store(hydra_command("train"))
     with initialize_config_module("nsde_torch.conf", version_base="1.3"):
         return compose("train", overrides=list(words))
 
 
-@pytest.mark.parametrize(
-    ("group", "declared", "known"),
-    [("loss", schema.LossConfig, LossOptions), ("trainer", schema.TrainerConfig, TrainerOptions)],
-)
-def test_keys_and_defaults_are_those_of_the_library(group: str, declared: type, known: type) -> None:
-    library = {field.name: field.default for field in dataclasses.fields(known)}
-    library.pop("ball_radius", None)  # a constant of the machine: system.ball_radius
-    keys = {field.name: field.default for field in dataclasses.fields(declared)}
-    if group == "loss":
-        keys["kind"] = build.loss_options(_configuration()).kind
-    assert keys == library
+def _spec(config: Any) -> Any:
+    machine = build.system(config.system)
+    return model_spec(
+        build.model_options(config.model),
+        build.system_options(config.system),
+        machine,
+        _still(machine).train,
+        loss=config.loss.kind,
+        integrator=build.integrator(config.solver),
+    )
+
+
+def _losses(*words: str) -> LossOptions:
+    config = _configuration(*words)
+    return machine_losses(build.loss_options(config.loss), build.system_options(config.system))
+
+
+@pytest.mark.parametrize(("choice", "name"), [("default", "innovations"), ("replay",) * 2, ("paper",) * 2])
+def test_a_loss_by_name_is_that_of_the_command_line(choice: str, name: str) -> None:
+    assert build.loss_options(_configuration(f"loss={choice}").loss) == LOSSES[name]
+
+
+@pytest.mark.parametrize("choice", ["default", "fast", "paper"])
+def test_a_trainer_by_name_is_that_of_the_command_line(choice: str) -> None:
+    assert build.trainer_options(_configuration(f"trainer={choice}").trainer) == TRAINERS[choice]
+
+
+@pytest.mark.parametrize("kind", MODELS)
+def test_a_model_by_name_is_that_of_the_command_line(kind: str) -> None:
+    given = build.model_options(_configuration(f"model={kind}").model)
+    known = model_options(kind)
+    assert type(given) is type(known)
+    assert json.loads(json.dumps(dataclasses.asdict(given))) == json.loads(
+        json.dumps(dataclasses.asdict(known))
+    )
 
 
 def test_constants_that_are_not_set_are_the_systems_own() -> None:
     config = _configuration("system=cartpole", "loss=paper")
-    machine = build.system(config.system)
-    spec = build.model_spec(config, machine, _still(machine))
-    assert (spec.dt, spec.horizon, spec.step) == (
-        machine.defaults.dt,
-        machine.defaults.horizon,
-        machine.defaults.step,
-    )
-    assert spec.sigma_max == tuple(machine.defaults.sigma_max)
-    assert build.loss_options(config).mu is None
-    assert build.loss_options(config).ball_radius is None
+    own, spec = build.system(config.system).defaults, _spec(config)
+    assert (spec.dt, spec.horizon, spec.step) == (own.dt, own.horizon, own.step)
+    assert spec.sigma_max == tuple(own.sigma_max)
+    assert _losses("system=cartpole", "loss=paper").mu is None
+    assert _losses("system=cartpole", "loss=paper").ball_radius is None
 
 
 def test_constants_that_are_set_win() -> None:
     words = ["system=mass_spring_damper", "system.dt=0.02", "system.horizon=7", "system.sigma_max=[1,2]"]
-    config = _configuration(*words, "system.lambda_mu=3", "system.ball_radius=0.5", "solver=heun")
-    machine = build.system(config.system)
-    spec = build.model_spec(config, machine, _still(machine))
+    words += ["system.lambda_mu=3", "system.ball_radius=0.5", "solver=heun"]
+    spec = _spec(_configuration(*words))
     assert (spec.dt, spec.horizon, spec.sigma_max, spec.step) == (0.02, 7, (1.0, 2.0), "heun")
-    assert build.loss_options(config).mu == 3
-    assert build.loss_options(config).ball_radius == 0.5
-    assert build.loss_options(_configuration("system.lambda_mu=3", "loss.mu=4")).mu == 4
+    assert _losses(*words).mu == 3
+    assert _losses(*words).ball_radius == 0.5
+    assert _losses("system.lambda_mu=3", "loss.mu=4").mu == 4
 
 
 @pytest.mark.parametrize("words", [[], ["loss=paper"], ["model.sigma=declared"], ["trainer=paper"]])
 def test_sigma_is_learned_unless_the_loss_or_the_user_declares_it(words: list[str]) -> None:
-    config = _configuration("system=cartpole", *words)
-    machine = build.system(config.system)
-    spec = build.model_spec(config, machine, _still(machine))
+    spec = _spec(_configuration("system=cartpole", *words))
     assert (spec.sigma_max is None) == (words in ([], ["trainer=paper"]))
-    build.trainer_options(config.trainer)
 
 
 @pytest.mark.parametrize(
@@ -139,11 +160,15 @@ def test_sigma_is_learned_unless_the_loss_or_the_user_declares_it(words: list[st
 def test_system_identification_takes_plain_differences_where_the_log_smoothed_its_inputs(
     asked: list[str], reach: int, expected: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(build, "filter_reach", lambda *given: reach)
-    config = _configuration("system=cartpole", "model=sysid", *asked)
-    machine = build.system(config.system)
-    spec = build.model_spec(config, machine, _still(machine))
+    monkeypatch.setattr(structure, "filter_reach", lambda *given: reach)
+    spec = _spec(_configuration("system=cartpole", "model=sysid", *asked))
     assert (spec.method, spec.step, spec.max_iterations) == (expected, "rk4", 20)
+
+
+@pytest.mark.parametrize("words", [["model=sysid", "solver=heun"], ["model=blackbox_nsde", "solver=rk4"]])
+def test_an_integrator_that_does_not_fit_the_model_is_refused(words: list[str]) -> None:
+    with pytest.raises(ConfigError, match="solver="):
+        _spec(_configuration("system=cartpole", *words))
 
 
 def test_simulated_runs_are_made_as_configured() -> None:

@@ -10,9 +10,9 @@ from typing import Any
 import pytest
 import torch
 
-from nsde_torch.cli import effects_file
-from nsde_torch.cli.close_loop_job import ClosedLoop
+from nsde_torch.cli.commands.close_loop import ClosedLoop
 from nsde_torch.cli.main import main
+from nsde_torch.effects import files
 from nsde_torch.px4 import simulated
 from nsde_torch.px4.path import CascadeController
 
@@ -47,7 +47,7 @@ def _diagnosed(effects: dict[str, Any]) -> None:
     """A diagnosis as an earlier start of the command left it."""
     folder = Path("out/diagnosis")
     folder.mkdir(parents=True)
-    effects_file.write(folder / "effects.yaml", "quadrotor", effects, "found")
+    files.write(folder / "effects.yaml", "quadrotor", effects, "found")
     findings = [{"sentence": f"There is {name}."} for name in effects]
     content = {"verdict": "effect_found" if effects else "no_effect", "findings": findings}
     (folder / "diagnosis.json").write_text(json.dumps(content))

@@ -11,8 +11,9 @@ from pathlib import Path
 import pytest
 
 from nsde_torch.cli import groups
-from nsde_torch.cli.completion import SCRIPTS, query
-from nsde_torch.cli.main import COMMANDS, main
+from nsde_torch.cli.commands.completion import SCRIPTS, query
+from nsde_torch.cli.main import main
+from nsde_torch.cli.registry import COMMANDS
 
 
 @pytest.mark.parametrize(

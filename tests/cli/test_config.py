@@ -10,8 +10,11 @@ import pytest
 from hydra import compose, initialize_config_module
 from omegaconf import OmegaConf
 
-from nsde_torch.cli import groups, jobs, schema
+from nsde_torch.cli import groups, jobs
+from nsde_torch.cli.commands.train import TrainConfig
 from nsde_torch.cli.main import main
+from nsde_torch.cli.registry import hydra_command
+from nsde_torch.cli.store import store
 from nsde_torch.errors import ConfigError
 
 CHOICES = [(group, choice) for group in groups.defaults("train") for choice in groups.choices(group)]
@@ -19,7 +22,7 @@ CHOICES = [(group, choice) for group in groups.defaults("train") for choice in g
 
 @pytest.fixture
 def hydra_ready() -> Iterator[None]:
-    schema.register()
+    store(hydra_command("train"))
     with initialize_config_module("nsde_torch.conf", version_base="1.3"):
         yield
 
@@ -34,7 +37,7 @@ def test_every_choice_of_every_group_composes_and_passes_its_checks(group: str, 
         words.append("data.path=somewhere")
     config = compose("train", overrides=words)
     jobs.check_config(config, "train", words)
-    assert OmegaConf.get_type(config) is schema.TrainConfig
+    assert OmegaConf.get_type(config) is TrainConfig
 
 
 @pytest.mark.usefixtures("hydra_ready")
@@ -61,11 +64,12 @@ def test_system_choices_are_the_systems_of_the_library() -> None:
 @pytest.mark.parametrize("name", groups.choices("system"))
 def test_every_system_is_built_from_its_configuration(name: str) -> None:
     from nsde_torch.cli import build
+    from nsde_torch.learning.structure import integrator_step
 
     config = compose("train", overrides=[f"system={name}"])
     system = build.system(config.system)
     assert system.name == name
-    assert build.step(config.solver, system).name == system.defaults.step
+    assert integrator_step(build.integrator(config.solver), system).name == system.defaults.step
 
 
 @pytest.mark.usefixtures("hydra_ready")

@@ -6,7 +6,7 @@ import json
 
 import pytest
 
-from nsde_torch.cli import effects
+from nsde_torch.cli.commands import effects
 from nsde_torch.cli.main import main
 from nsde_torch.effects import EFFECTS
 

@@ -12,11 +12,13 @@ import yaml
 from hydra import compose, initialize_config_module
 from omegaconf import OmegaConf
 
-from nsde_torch.cli import groups, schema
-from nsde_torch.cli.completion import query
+from nsde_torch.cli import groups
+from nsde_torch.cli.commands.completion import query
 from nsde_torch.cli.evaluated_runs import short_names
 from nsde_torch.cli.help import WIDTH
 from nsde_torch.cli.main import main
+from nsde_torch.cli.registry import hydra_command
+from nsde_torch.cli.store import store
 from tests.cli.test_train_end_to_end import FAST, folder_of_runs
 
 SPRING = (
@@ -269,7 +271,7 @@ def test_help_shows_every_key_and_agrees_with_hydra(
     text = capsys.readouterr().out
     assert max(map(len, text.splitlines())) <= WIDTH
     chosen = groups.selected("evaluate", words)
-    schema.register()
+    store(hydra_command("evaluate"))
     given = [*words, "out_dir=o", *(["data.path=p"] if "data=csv" in words else [])]
     with initialize_config_module("nsde_torch.conf", version_base="1.3"):
         config: Any = compose("evaluate", overrides=given)

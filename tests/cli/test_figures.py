@@ -90,7 +90,7 @@ def test_a_mistake_is_one_clean_message(
 
 
 def test_every_figure_names_trainings_that_the_command_understands() -> None:
-    from nsde_torch.cli.figures_job import chosen
+    from nsde_torch.cli.commands.figures import chosen
 
     settings = figure_table.Settings(
         fast=True, published=None, seeds=1, models=Path("models"), policies=None, seed=0

@@ -11,8 +11,9 @@ from typing import Any
 import pytest
 import torch
 
-from nsde_torch.cli import effects_file, fly_build
+from nsde_torch.cli import fly_build
 from nsde_torch.cli.main import main
+from nsde_torch.effects import files
 from nsde_torch.errors import ConfigError
 from nsde_torch.px4 import link as links
 from nsde_torch.px4.autopilot import SimulatedAutopilot
@@ -124,9 +125,7 @@ def test_the_declared_physics_is_told_of_what_a_diagnosis_found(
         raise ConfigError(f"told of {machine.effect_names[-1]}, {machine.effects[-1].value('drag').tolist()}")
 
     monkeypatch.setattr(fly_build, "check", stop)
-    effects_file.write(
-        Path("effects.yaml"), "quadrotor", {"linear_drag": {"drag": [0.5, 0.25, 0.125]}}, "found"
-    )
+    files.write(Path("effects.yaml"), "quadrotor", {"linear_drag": {"drag": [0.5, 0.25, 0.125]}}, "found")
     words = ["fly", "run=declared", "system.effects=effects.yaml"]
     assert main([*words, "system=hexacopter"]) == 2
     assert "was found on system 'quadrotor'" in capsys.readouterr().err

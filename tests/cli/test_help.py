@@ -11,7 +11,7 @@ from nsde_torch.cli.help import WIDTH, describe, value_text
 
 
 def _help(*words: str) -> str:
-    return describe("train", "Learn a model", list(words))
+    return describe("train", list(words))
 
 
 def test_help_shows_every_group_with_every_choice() -> None:

@@ -6,7 +6,8 @@ import time
 
 import pytest
 
-from nsde_torch.cli.main import COMMANDS, main, unknown_command
+from nsde_torch.cli.main import main, unknown_command
+from nsde_torch.cli.registry import COMMANDS
 
 
 @pytest.mark.parametrize("words", [[], ["--help"], ["-h"], ["help"]])
@@ -41,11 +42,11 @@ def test_version_is_that_of_the_package(capsys: pytest.CaptureFixture[str]) -> N
     assert capsys.readouterr().out.split()[0] == "nsde"
 
 
-def test_help_starts_within_half_a_second(nsde) -> None:  # type: ignore[no-untyped-def]
+def test_help_starts_within_three_tenths_of_a_second(nsde) -> None:  # type: ignore[no-untyped-def]
     nsde("--help")
     times = []
-    for _ in range(3):
+    for _ in range(5):
         start = time.perf_counter()
         assert nsde("--help").returncode == 0
         times.append(time.perf_counter() - start)
-    assert min(times) < 0.5
+    assert min(times) < 0.3

@@ -19,7 +19,6 @@ import pytest
 
 PROBE = """
 import json, os, time
-from nsde_torch.cli.jobs import guarded
 from nsde_torch.errors import DataError
 
 def run(config, job):
@@ -38,14 +37,12 @@ def run(config, job):
     metrics = {"validation": {"score": score}, "pid": os.getpid(), "run_dir": 1.0}
     (job.run_dir / "metrics.json").write_text(json.dumps(metrics))
     return score
-
-def task(config):
-    return guarded(run, "train", config)
 """
 START = """
 import sys
-from nsde_torch.cli.hydra_command import HydraCommand
-sys.exit(HydraCommand("train", "Probe", "nsde_probe").main(sys.argv[1:]))
+from dataclasses import replace
+from nsde_torch.cli.commands.train import COMMAND
+sys.exit(replace(COMMAND, module="nsde_probe").main(sys.argv[1:]))
 """
 
 Probe = Callable[..., subprocess.CompletedProcess[str]]

@@ -9,9 +9,9 @@ from typing import Any
 
 import pytest
 
+from nsde_torch.cli.commands.sweep_report import SCORES
 from nsde_torch.cli.main import main
 from nsde_torch.cli.sweep_jobs import grouped, numbers, read_jobs
-from nsde_torch.cli.sweep_report import SCORES
 
 
 def _job(folder: Path, number: int, overrides: list[str], metrics: Any = None, failed: Any = None) -> None:

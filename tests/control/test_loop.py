@@ -51,7 +51,7 @@ def _flight(
         reference,
         period=0.04,
         sample=machine.dt,
-        estimator=EstimatorOptions(latency=total, **(estimator or {})),
+        estimator=EstimatorOptions(latency=total, **{"force_time": 0.0, **(estimator or {})}),
         state_latency=state_latency if known is None else 0.0,
     )
     return fly(

@@ -5,8 +5,9 @@ from __future__ import annotations
 import pytest
 import torch
 
+from nsde_torch.control.options import STATE_WEIGHTS, ProblemOptions
 from nsde_torch.control.predictor import Predictor
-from nsde_torch.control.problem import STATE_WEIGHTS, ProblemOptions, Residual, attitude_error
+from nsde_torch.control.problem import Residual, attitude_error
 from nsde_torch.control.reference import Reference
 from nsde_torch.errors import ConfigError
 from nsde_torch.models import NeuralSDE

@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 from nsde_torch.data import Run
-from nsde_torch.diagnosis.diagnose import Diagnosis, Options, diagnose
 from nsde_torch.diagnosis.pictures import pictures
+from nsde_torch.diagnosis.pipeline import Diagnosis, Options, diagnose
 from nsde_torch.diagnosis.report import page
 from nsde_torch.diagnosis.text import lines
 from nsde_torch.models.identified import SysidSpec

@@ -7,9 +7,9 @@ import pytest
 from numpy.typing import NDArray
 
 from nsde_torch.data.checks import assemble
-from nsde_torch.diagnosis.diagnose import Options, diagnose, search_in
 from nsde_torch.diagnosis.one_run import Alone, alone
 from nsde_torch.diagnosis.pictures import unexplained_views
+from nsde_torch.diagnosis.pipeline import Options, diagnose, search_in
 from nsde_torch.diagnosis.structure import Dependence, dependences, own_of_runs, regressors
 from nsde_torch.diagnosis.text import lines
 from nsde_torch.models.identified import SysidSpec

@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 
-from nsde_torch.diagnosis.diagnose import Diagnosis
+from nsde_torch.diagnosis.pipeline import Diagnosis
 from nsde_torch.diagnosis.report import write_report
 from nsde_torch.diagnosis.text import interval, lines
 from tests.helpers.diagnosed import diagnosed

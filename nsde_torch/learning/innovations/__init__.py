@@ -5,3 +5,5 @@ prediction over h under the log's own inputs is not that of the same inputs set 
 controller. An innovation is free of this: input and state at step k are known before it (Ljung, System Identification,
 1999, sections 7.2 and 13.4).
 """
+
+__all__: list[str] = []

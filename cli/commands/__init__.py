@@ -1,0 +1,1 @@
+"""The commands, a file each (see `nsde_torch.cli.registry`)."""

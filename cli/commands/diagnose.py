@@ -1,0 +1,159 @@
+"""`nsde diagnose`: read runs, look for what is missing, print, write, and train with it."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from nsde_torch.diagnosis.options import Options
+
+from ..hydra_command import HydraCommand
+from ..keys import group, key, of
+from ..schemas.data import DataConfig
+from ..schemas.model import LossConfig, ModelConfig, SolverConfig, SystemConfig, TrainerConfig
+from .train import TrainConfig, fit
+
+if TYPE_CHECKING:
+    from omegaconf import DictConfig
+
+    from nsde_torch.diagnosis import Diagnosis
+
+    from ..jobs import Job
+
+MODEL = "model"
+
+
+@dataclass
+class DiagnoseConfig:
+    """`nsde diagnose`."""
+
+    alpha: float = of(Options, "alpha")
+    max_effects: int = of(Options, "max_effects")
+    candidates: list[str] | None = of(Options, "candidates")
+    also: list[str] = of(Options, "also")
+    retrain: bool = key(True, "train the model of the group `model` with what was found, into OUT_DIR/model")
+    seed: int = of(Options, "seed", help="seed of resamples and of the training")
+    device: str = key("cpu", "where the training's tensors live: cpu, cuda or cuda:N")
+    dtype: str = key("float32", "precision of the training", choices=("float32", "float64"))
+    threads: int = key(1, "CPU threads of torch; more seldom help and hurt on a busy machine", low=1)
+    out_dir: str = key("???", "folder to write into")
+    system: SystemConfig = group(SystemConfig, "the machine, with the physics that is declared")
+    data: DataConfig = group(DataConfig, "where the runs come from")
+    model: ModelConfig = group(ModelConfig, "what is trained with the effects")
+    loss: LossConfig = group(LossConfig, "what a good model is")
+    trainer: TrainerConfig = group(TrainerConfig, "how it is optimised")
+    solver: SolverConfig = group(SolverConfig, "how paths are integrated")
+
+
+COMMAND = HydraCommand(
+    name="diagnose",
+    help="Find the effect that the declared physics lacks, add it, and report the error before and after",
+    schema=DiagnoseConfig,
+    module=__name__,
+    groups={
+        "system": "hexacopter",
+        "data": "simulated",
+        "model": "nsde",
+        "loss": "default",
+        "trainer": "default",
+        "solver": "default",
+    },
+    folder="diagnoses/${now:%Y-%m-%d}/${now:%H-%M-%S}_${hydra:runtime.choices.system}",
+    result=("diagnosis.json", "a diagnosis"),
+    examples=(
+        ("system=hexacopter data=csv data.path=flights/", "what do these flights show that the model lacks?"),
+        ("'system.effects=[motor_lag]'", "with physics that is known already"),
+        ("'candidates=[linear_drag,quadratic_drag]'", "try these alone"),
+        ("retrain=false", "do not train with what was found"),
+    ),
+    paths=("out_dir",),
+)
+
+
+def run(config: DictConfig, job: Job) -> None:
+    """Diagnose a declared model.
+
+    Args:
+        config: The composed and checked configuration.
+        job: Where to write.
+    """
+    # torch is imported here, not above: help and completion do without it.
+    import nsde_torch
+    from nsde_torch.diagnosis.files import EFFECTS, PLOTS, REPORT, RESULT, write_content, write_effects
+    from nsde_torch.diagnosis.report import write_report
+    from nsde_torch.diagnosis.text import lines
+
+    from .. import build, effects_file
+    from ..stages import Stages
+
+    started = time.perf_counter()
+    build.settings(config, sweep=job.sweep)
+    effects_file.expand(config.system)
+    machine = build.system_options(config.system)
+    system = machine.make()
+    data = build.dataset(config.data, system)
+    print(data.summary)
+    stages = Stages()
+    found = nsde_torch.diagnose(
+        data,
+        system=machine,
+        alpha=config.alpha,
+        max_effects=config.max_effects,
+        candidates=None if config.candidates is None else list(config.candidates),
+        also=list(config.also),
+        test=None if config.data.test is None else list(config.data.test),
+        test_data=build.test_data(config.data, system),
+        instruments=list(config.data.instruments),
+        seed=config.seed,
+        say=stages,
+    )
+    stages.close()
+    content = found.content()
+    write_content(content, job.run_dir)
+    note = f"found by nsde diagnose; use it with: nsde train system={config.system.name} system.effects=PATH"
+    write_effects(found, job.run_dir, system=config.system.name, note=note)
+    print()
+    print("\n".join(lines(content)))
+    if config.retrain and (found.effects or set(found.sensor_faults) & set(found.added)):
+        print(f"\ntraining the model with {', '.join(found.added)}", flush=True)
+        content["model"] = _train(config, job, found)
+        write_content(content, job.run_dir)
+    write_report(job.run_dir / REPORT, found, content)
+    wrote = [RESULT, REPORT, f"{PLOTS}/", EFFECTS, *([f"{MODEL}/"] if "model" in content else [])]
+    print(f"\ntook {time.perf_counter() - started:.0f} s; wrote {job.run_dir}: {', '.join(wrote)}")
+
+
+def _train(config: DictConfig, job: Job, found: Diagnosis) -> dict[str, Any]:
+    """Train the model of the configuration with the effects; an ordinary run directory."""
+    from omegaconf import open_dict
+
+    from nsde_torch.effects.files import own_name
+
+    from .. import effects_file
+
+    for effect, values in found.effects.items():
+        for parameter, value in values.items():
+            effects_file.add_value(config.system, own_name(effect), parameter, value)
+    for name, value in found.declared_values.items():
+        effects_file.add_own(config.system, name, value)
+    for fault, found_values in found.sensor_faults.items():
+        if fault in config.data:  # simulated runs are made by sensors without one
+            with open_dict(config.data[fault]):
+                for name, value in found_values.items():
+                    config.data[fault][name] = config.data[fault].get(name, 0.0) + value
+    config.system.effects = [*config.system.effects, *found.effects]
+    metrics = fit(config, job, job.run_dir / MODEL, about=_train_config(config))
+    test = metrics.get("test", {})
+    return {
+        "path": MODEL,
+        "test_runs": metrics["test_runs"],
+        "errors": test.get("errors", {}).get("model", {}),
+    }
+
+
+def _train_config(config: DictConfig) -> dict[str, Any]:
+    """The configuration as `nsde train` would have it."""
+    from .. import build
+
+    return {k: v for k, v in build.options(config).items() if k in TrainConfig.__dataclass_fields__}

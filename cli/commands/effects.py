@@ -1,0 +1,199 @@
+"""`nsde effects [system=NAME] [format=text|json]`: the catalogue of physical effects."""
+
+from __future__ import annotations
+
+import difflib
+import json
+import os
+import shutil
+import sys
+import textwrap
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+from nsde_torch.errors import ConfigError, NsdeError
+
+from ..exit_status import OK, USER_ERROR
+from ..registry import PlainCommand
+
+if TYPE_CHECKING:
+    from nsde_torch.effects import Effect
+
+KEYS = {"system": "only those that this system can have", "format": "text or json"}
+FORMATS = ("text", "json")
+_GAP = "  "
+_SMALLEST = 100
+"""Characters below which the table is not squeezed."""
+
+
+def main(arguments: Sequence[str]) -> int:
+    """Print the catalogue; returns the exit status."""
+    if {"-h", "--help"} & set(arguments):
+        print(usage())
+        return OK
+    try:
+        given = _given(arguments)
+        rows = catalogue(given.get("system"))
+    except NsdeError as error:
+        print(f"nsde effects: {error}", file=sys.stderr)
+        return USER_ERROR
+    if given.get("format") == "json":
+        print(json.dumps({"effects": rows}, indent=1))
+    else:
+        width = shutil.get_terminal_size((120, 24)).columns
+        print(table(rows, max(width, _SMALLEST), systems="system" not in given))
+        print(
+            "\nAdd some to the declared physics with system.effects=[NAME,...], to a simulated machine with\n"
+            "plant.effects=[NAME,...]; `module:Class` names one of your own."
+        )
+    return OK
+
+
+def complete(words: Sequence[str]) -> list[str]:
+    """Completions of the last word."""
+    current = words[-1] if words else ""
+    key, equals, value = current.partition("=")
+    if not equals:
+        return [f"{k}=" for k in KEYS if k.startswith(key)]
+    if key == "system":
+        from nsde_torch.systems import SYSTEMS
+
+        return [name for name in SYSTEMS if name.startswith(value)]
+    return [name for name in FORMATS if name.startswith(value)] if key == "format" else []
+
+
+def usage() -> str:
+    """Help of the command."""
+    keys = "\n".join(f"  {name}=...  {what}" for name, what in KEYS.items())
+    return (
+        "nsde effects: list the physical effects that a system or a plant can be given\n\n"
+        f"Usage: nsde effects [system=NAME] [format=text]\n\n{keys}"
+    )
+
+
+def catalogue(system: str | None = None) -> list[dict[str, Any]]:
+    """What the catalogue says of every effect, or of those that one system can have.
+
+    Args:
+        system: Key of `SYSTEMS`, or `module:Class`; None for all.
+
+    Raises:
+        ConfigError: There is no such system.
+    """
+    from nsde_torch.effects import EFFECTS, effects_of
+    from nsde_torch.systems import SYSTEMS, system_class
+
+    if system is None:
+        chosen = dict(EFFECTS)
+    else:
+        sys.path.insert(0, os.getcwd())  # a system of the user's own, in a file beside
+        try:
+            machine = system_class(system)
+        finally:
+            sys.path.remove(os.getcwd())
+        chosen = effects_of(machine.name, machine.ports)
+    fits = {
+        name: [s for s, cls in SYSTEMS.items() if name in effects_of(s, cls.ports)]
+        for name in (chosen if system is None else ())
+    }
+    rows = [_row(cls, fits.get(name, [system or ""])) for name, cls in chosen.items()]
+    order = list(dict.fromkeys(tuple(row["systems"]) for row in rows))
+    return sorted(rows, key=lambda row: order.index(tuple(row["systems"])))
+
+
+def _row(cls: type[Effect], systems: Sequence[str]) -> dict[str, Any]:
+    parameters = [
+        {
+            "name": name,
+            "unit": spec.unit,
+            "low": spec.low,
+            "high": spec.high,
+            "axes": "inputs" if spec.per_input else _axes(spec.initial),
+            "help": spec.help,
+        }
+        for name, spec in cls.PARAMETERS.items()
+    ]
+    return {
+        "name": cls.name,
+        "port": cls.port.value,
+        "formula": cls.formula,
+        "parameters": parameters,
+        "memory_per_input": cls(n_inputs=1).n_memory,
+        "exogenous": list(cls.exogenous),
+        "systems": list(systems),
+        "includes": list(cls.includes),
+        "sentence": cls.sentence,
+        "separate": cls.separate,
+        "source": cls.source,
+    }
+
+
+def _axes(initial: float | tuple[float, ...]) -> int:
+    return len(initial) if isinstance(initial, tuple) else 1
+
+
+def table(rows: Sequence[dict[str, Any]], width: int, *, systems: bool) -> str:
+    """The catalogue as aligned tables, the source of each effect under it.
+
+    Args:
+        rows: Of `catalogue`.
+        width: Characters that a line may have; longer cells are wrapped.
+        systems: Whether to head the effects with the systems of the package that they are for.
+    """
+    cells = [(row["name"], row["port"], row["formula"], _parameters(row)) for row in rows]
+    fixed = [max(map(len, column)) for column in list(zip(*cells, strict=True))[:3]]
+    fixed[2] = min(fixed[2], (width - sum(fixed[:2])) // 2)
+    widths = [*fixed, width - sum(fixed) - len(_GAP) * len(fixed)]
+    lines = _wrapped(("effect", "port", "formula", "parameters [unit]"), widths)
+    lines.append(_GAP.join("-" * w for w in widths))
+    heading = ""
+    for row, cell in zip(rows, cells, strict=True):
+        who = ", ".join(row["systems"])
+        if systems and who != heading:
+            heading = who
+            lines += ["", f"for {who}:"]
+        lines += _wrapped(cell, widths)
+        indent = " " * (fixed[0] + len(_GAP))
+        lines += textwrap.wrap(
+            f"source: {row['source']}", width, initial_indent=indent, subsequent_indent=indent
+        )
+    return "\n".join(lines)
+
+
+def _wrapped(cells: Sequence[str], widths: Sequence[int]) -> list[str]:
+    columns = [textwrap.wrap(cell, w) or [""] for cell, w in zip(cells, widths, strict=True)]
+    count = max(map(len, columns))
+    padded = [[*column, *[""] * (count - len(column))] for column in columns]
+    rows = zip(*padded, strict=True)
+    return [_GAP.join(c.ljust(w) for c, w in zip(row, widths, strict=True)).rstrip() for row in rows]
+
+
+def _parameters(row: dict[str, Any]) -> str:
+    text = ", ".join(_parameter(p) for p in row["parameters"])
+    memory = row["memory_per_input"]
+    if memory:
+        text += f"; memory: {memory} state{'s' * (memory > 1)} per input"
+    return text + (f"; reads {', '.join(row['exogenous'])}" if row["exogenous"] else "")
+
+
+def _parameter(parameter: dict[str, Any]) -> str:
+    axes = parameter["axes"]
+    many = " per input" if axes == "inputs" else f" x {axes}" if axes > 1 else ""
+    return f"{parameter['name']}{many} [{parameter['unit']}]"
+
+
+def _given(arguments: Sequence[str]) -> dict[str, str]:
+    out: dict[str, str] = {}
+    for word in arguments:
+        key, equals, value = word.partition("=")
+        if not equals or key not in KEYS:
+            near = difflib.get_close_matches(key, KEYS, n=1)
+            hint = f" Did you mean `{near[0]}=`?" if near else ""
+            raise ConfigError(f"`{word}` is none of {', '.join(f'{k}=' for k in KEYS)}.{hint}")
+        out[key] = value
+    if out.get("format", "text") not in FORMATS:
+        raise ConfigError(f"`format` must be one of {', '.join(FORMATS)}; got {out['format']!r}.")
+    return out
+
+
+COMMAND = PlainCommand(main, complete)

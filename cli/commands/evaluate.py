@@ -1,0 +1,110 @@
+"""`nsde evaluate`: read runs and data, score, print, write."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from ..hydra_command import HydraCommand
+from ..keys import group, key
+from ..schemas.data import RunChoice
+
+if TYPE_CHECKING:
+    from omegaconf import DictConfig
+
+    from ..jobs import Job
+
+
+@dataclass
+class EvaluateConfig:
+    """`nsde evaluate`."""
+
+    run: Any = key("???", "run directory to evaluate, or several to compare: run=[A,B]")
+    names: list[str] | None = key(None, "name of each run in tables and figures; null: its folder")
+    seed: int = key(0, "seed of the sampled paths and of the bootstrap", low=0)
+    device: str = key("cpu", "where tensors live: cpu, cuda or cuda:N")
+    threads: int = key(1, "CPU threads of torch; more seldom help and hurt on a busy machine", low=1)
+    particles: int = key(199, "paths sampled from each start", low=2)
+    horizons: list[float] | None = key(
+        None, "horizons; null: those of 0.1, 0.25, 0.5, 1 and 2 that fit", unit="s", above=0
+    )
+    bootstrap: int = key(2000, "resamples of the paired bootstrap", low=100)
+    sensor_noise: str | None = key(
+        None,
+        "sensors that predictions of measurements assume: those of the training data, or those that the runs show; "
+        "null: data with data.test_path, else train",
+        choices=("train", "data"),
+    )
+    compile: bool = key(False, "compile the step: half a minute or more, which some thousand starts repay")
+    out_dir: str = key("???", "folder to write into")
+    data: RunChoice = group(RunChoice, "runs to score on; null: those that the first run was tested on")
+
+
+COMMAND = HydraCommand(
+    name="evaluate",
+    help="Score trained models on runs, against baselines and each other",
+    schema=EvaluateConfig,
+    module=__name__,
+    groups={"data": None},
+    values={"data": {"kind": "trained"}},
+    folder="evaluations/${now:%Y-%m-%d}/${now:%H-%M-%S}",
+    result=("evaluation.json", "an evaluation"),
+    examples=(
+        ("run=runs/a", "on the runs that it was tested on"),
+        ("'run=[runs/a,runs/b]'", "several, and how each differs from the first"),
+        ("run=runs/a 'data.test=[0]'", "on another run of its data"),
+        ("run=runs/a data=csv data.path=flights/", "on other data, all runs of them"),
+        ("run=runs/a 'horizons=[0.2,1,5]'", "lists in brackets, quoted"),
+    ),
+    paths=("run",),
+)
+
+
+def run(config: DictConfig, job: Job) -> None:
+    """Evaluate one or several models.
+
+    Args:
+        config: The composed and checked configuration.
+        job: Where to write.
+    """
+    # torch is imported here, not above: help and completion do without it.
+    import torch
+    from omegaconf import OmegaConf
+
+    import nsde_torch
+    from nsde_torch.data.system_info import all_columns
+    from nsde_torch.learning.comparison import RESULT
+    from nsde_torch.learning.comparison_text import lines
+
+    from .. import build, colour, evaluate_data
+    from ..evaluated_runs import read_runs
+
+    started = time.perf_counter()
+    torch.set_num_threads(config.threads)
+    given = OmegaConf.to_container(config.run) if OmegaConf.is_config(config.run) else config.run
+    names = None if config.names is None else list(config.names)
+    trained = read_runs(given, names, build.make_device(config.device))
+    chosen = evaluate_data.choose(config.data, trained[0], all_columns([r.model.system for r in trained]))
+    sensors = config.sensor_noise or ("data" if chosen.other_sensors else "train")
+    if sensors == "data":
+        evaluate_data.record_sensors(trained)
+        print("sensor noise is taken from the runs' own fourth differences; nothing else of them is used")
+    done = nsde_torch.evaluate(
+        {r.name: r.model for r in trained},
+        chosen.data,
+        runs=chosen.runs,
+        sensor_noise=sensors,
+        seed=config.seed,
+        particles=config.particles,
+        horizons=None if config.horizons is None else list(config.horizons),
+        bootstrap=config.bootstrap,
+        compile=config.compile,
+        say=print,
+    )
+    _, *pictures = done.save(job.run_dir)
+    print()
+    for text, red in lines(done.content):
+        print(colour.red(text) if red else text)
+    wrote = ", ".join([RESULT, *(f"plots/{path.name}" for path in pictures)])
+    print(f"\ntook {time.perf_counter() - started:.0f} s; wrote {job.run_dir}: {wrote}")

@@ -1,0 +1,98 @@
+"""`nsde export`: read the model, write the file, say what is in it."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from ..hydra_command import HydraCommand
+from ..keys import group, key
+from ..schemas.control import FlownPlantConfig, MpcConfig
+
+if TYPE_CHECKING:
+    from omegaconf import DictConfig
+
+    from ..jobs import Job
+
+
+@dataclass
+class ExportConfig:
+    """`nsde export`."""
+
+    run: str = key(
+        "???", "run directory of the model to plan with, or `declared`: physics with the plant's values"
+    )
+    out: str = key("???", "file to write, controller.ts or controller.pt2")
+    overwrite: bool = key(False, "replace a file that is there")
+    format: str = key(
+        "torchscript",
+        "torchscript: for libtorch on any processor; aoti: machine code for processors of this kind, three times as "
+        "fast (needs g++, takes minutes)",
+        choices=("torchscript", "aoti"),
+    )
+    precision: str = key("float64", "arithmetic within", choices=("float32", "float64"))
+    sample: float | None = key(
+        None, "step of the prediction over the latency; null: the plant's sample", unit="s", above=0
+    )
+    threads: int = key(1, "CPU threads of torch", low=1)
+    plant: FlownPlantConfig = group(FlownPlantConfig, "the machine that it is for: its name and latency")
+    mpc: MpcConfig = group(MpcConfig, "the controller")
+
+
+COMMAND = HydraCommand(
+    name="export",
+    help="Write the predictive controller as a file for a flight computer",
+    schema=ExportConfig,
+    module=__name__,
+    groups={"plant": "hexacopter", "mpc": "default"},
+    paths=("out", "run"),
+)
+
+
+def run(config: DictConfig, job: Job) -> None:
+    """Write one controller.
+
+    Args:
+        config: The composed and checked configuration.
+        job: The job.
+
+    Raises:
+        ConfigError: the file is there already, or a setting that a file cannot hold.
+    """
+    # torch is imported here, not above: help and completion do without it.
+    import torch
+
+    from nsde_torch.control.knowledge import DECLARED, system_of
+    from nsde_torch.errors import ConfigError
+    from nsde_torch.export.write import export
+    from nsde_torch.plants.machines import machine
+
+    from .. import track_build
+
+    started = time.perf_counter()
+    torch.set_num_threads(config.threads)
+    path = Path(config.out)
+    if path.exists() and not config.overwrite:
+        raise ConfigError(f"`out={path}` is there already; name another file, or say overwrite=true.")
+    known = track_build.knowledge(config.run, config.plant)
+    mpc = config.mpc
+    digest = export(
+        known,
+        path,
+        problem=track_build.problem(mpc),
+        solver=track_build.solver(mpc),
+        safety=track_build.safety(mpc),
+        kind=config.format,
+        run=None if config.run == DECLARED else Path(config.run),
+        sample=config.sample or config.plant.dt or machine(system_of(known).name).dt,
+        period=mpc.period,
+        latency=track_build.latency(config, known),
+        dtype=getattr(torch, config.precision),
+        say=lambda line: print(line, flush=True),
+    )
+    print(
+        f"took {time.perf_counter() - started:.0f} s; wrote {path} ({path.stat().st_size / 1024:.0f} kB, "
+        f"{config.format}, sha256 {digest[:16]}...); check it with: nsde verify {path} run={config.run}"
+    )

@@ -1,0 +1,234 @@
+"""`nsde fly`: connect, fly, print, write."""
+
+from __future__ import annotations
+
+import json
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from nsde_torch.px4.options import FlightOptions, Limits, SetpointLimits
+
+from ..hydra_command import HydraCommand
+from ..keys import group, key, mirrors, of
+from ..quoted import from_file
+from ..schemas.control import LinkConfig, MpcConfig
+from ..schemas.reference import ReferenceConfig
+
+if TYPE_CHECKING:
+    from omegaconf import DictConfig
+
+    from nsde_torch.px4.flight import FlightReport
+
+    from ..jobs import Job
+
+RESULT, LOG = "flight.json", "log"
+
+
+@mirrors(Limits, without=("heartbeat", "patience"))
+class LimitsConfig:
+    """When something is wrong in flight; what is done about it is in the documentation of nsde fly."""
+
+    fence: Any = of(Limits, "fence")
+    rate: float = of(SetpointLimits, "rate")
+    yaw_rate: float = of(SetpointLimits, "yaw_rate")
+    throttle: list[float] = of(SetpointLimits, "throttle")
+
+
+@dataclass
+class FlownSystem:
+    """The machine that a flight takes the vehicle for."""
+
+    name: str = key("???", "name of a multirotor that has a plant")
+    effects: Any = key(
+        [],
+        "effects that run=declared is told of: names, {NAME: {parameter: 1}}, or the file effects.yaml of a diagnosis",
+    )
+
+
+@dataclass
+class FlyConfig:
+    """`nsde fly`."""
+
+    run: str = key(
+        "???",
+        "run directory of the model to plan with, a file of nsde export (controller=FILE says the same), `declared` "
+        "physics with the plant's values, or pid",
+    )
+    height: float = of(FlightOptions, "height")
+    climb: float = of(FlightOptions, "climb")
+    hold: float = of(FlightOptions, "hold")
+    safe_hold: float = of(FlightOptions, "safe_hold")
+    rate: float = key(100.0, "setpoints in a second", unit="Hz", low=50, high=250)
+    delay: float = key(
+        0.08,
+        "time from a setpoint to its effect, over which the predictive controller looks ahead",
+        unit="s",
+        low=0,
+    )
+    lead: float | None = key(
+        None,
+        "how much earlier than needed rates are asked for, because they are reached late; null: 0.05 (pid: 0.1)",
+        unit="s",
+        low=0,
+    )
+    repeats: int = key(1, "flights, one after another", low=1)
+    threads: int = key(1, "CPU threads of torch; more make small solves slower", low=1)
+    out_dir: str = key("???", "folder to write into")
+    system: FlownSystem = group(FlownSystem, "the machine, where run= is no model that knows it")
+    reference: ReferenceConfig = group(ReferenceConfig, "where to fly, from the place of take-off")
+    link: LinkConfig = group(LinkConfig, "how the vehicle is reached")
+    limits: LimitsConfig = group(LimitsConfig, "when something is wrong")
+    mpc: MpcConfig = group(MpcConfig, "the controller, unless run=pid")
+
+
+COMMAND = HydraCommand(
+    name="fly",
+    help="Fly a controller on a PX4 vehicle over MAVLink, with checks, limits and a log",
+    schema=FlyConfig,
+    module=__name__,
+    groups={
+        "system": "hexacopter",
+        "reference": "lemniscate",
+        "link": "default",
+        "mpc": "default",
+    },
+    folder="flights/${now:%Y-%m-%d}/${now:%H-%M-%S}_${hydra:runtime.choices.reference}",
+    result=("flight.json", "a flight"),
+    paths=("out_dir", "run"),
+    words=from_file,
+)
+
+
+def run(config: DictConfig, job: Job) -> float | None:
+    """Fly a reference once or several times.
+
+    Args:
+        config: The composed and checked configuration.
+        job: Where to write.
+
+    Returns:
+        RMSE of the position over all flights [m]; None if the reference was not flown.
+
+    Raises:
+        NsdeError: nothing was flown, and why.
+    """
+    # torch is imported here, not above: help and completion do without it.
+    import torch
+
+    from nsde_torch.px4.flight import fly
+    from nsde_torch.px4.link import open_link
+    from nsde_torch.px4.offboard import FlightOptions
+    from nsde_torch.px4.path import PathPoints
+
+    from .. import build, fly_build, link_build, track_build
+
+    torch.set_num_threads(config.threads)
+    # whatever can be refused is refused before anything is connected to
+    reference = track_build.reference(config.reference)
+    known = fly_build.known(config)
+    asked = fly_build.check(config, reference, known)
+    path = PathPoints(reference.path)
+    limits, setpoints = link_build.limits(config.limits), link_build.setpoints(config.limits)
+    options = FlightOptions(
+        height=config.height, climb=config.climb, hold=config.hold, safe_hold=config.safe_hold
+    )
+    key = link_build.key(config.link)
+    motors = fly_build.system_of(known).nu
+    print(
+        f"{path.name}: {path.duration:g} s, up to {asked.speed:.2f} m/s and {asked.tilt:.0f} deg of tilt",
+        flush=True,
+    )
+    content: dict[str, Any] = {
+        "run": config.run,
+        "system": fly_build.system_of(known).name,
+        "reference": {"name": path.name, "duration_s": path.duration, **reference.path.about},
+        "link": build.options(config.link, "key_file"),
+        "flights": [],
+    }
+    digits = len(str(config.repeats - 1))
+    reports: list[FlightReport] = []
+    # the solver is compiled and warm before the vehicle is spoken to
+    controller = fly_build.runner(config, path, reference, _say)
+    try:
+        controller.wait()
+        for k in range(config.repeats):
+            started = time.perf_counter()
+            with open_link(
+                config.link.url, expose=config.link.expose, target=config.link.system, key=key
+            ) as link:
+                print(f"flight {k + 1} of {config.repeats} on {config.link.url}", flush=True)
+                report = fly(
+                    link,
+                    controller,
+                    path,
+                    motors=motors,
+                    log=job.run_dir / LOG / f"flight_{k:0{digits}d}.csv",
+                    limits=limits,
+                    setpoints=setpoints,
+                    options=options,
+                    say=_say,
+                    rate=config.rate,
+                )
+            reports.append(report)
+            content["flights"].append({**report.as_dict(), "took_s": time.perf_counter() - started})
+            _write(job.run_dir, content)
+            print(_line(report), flush=True)
+            if report.outcome.trouble is not None:
+                break
+    finally:
+        controller.close()
+    print(f"wrote {job.run_dir}: {RESULT}" + (f", {LOG}/" if any(r.log for r in reports) else ""))
+    return _verdict(reports)
+
+
+def _say(line: str) -> None:
+    print(line, flush=True)
+
+
+def _line(report: FlightReport) -> str:
+    """One flight in some lines."""
+    o, found = report.outcome, report.as_dict()
+    ends = "landed and disarmed" if o.landed else "NOT seen to land"
+    if o.trouble is not None:
+        ends += f"; {o.trouble.kind}: {o.trouble.text}"
+    lines = [
+        f"{'the reference was flown' if o.tracked else 'the reference was not flown to its end'}; {ends}"
+    ]
+    if report.rmse is not None:
+        lines[0] += f"; RMSE {100 * report.rmse:.1f} cm, largest {100 * max(report.errors):.1f} cm"
+    gap, age, solve = found["setpoint_gap_ms"], found["state_age_ms"], found["solve_ms"]
+    if gap is not None:
+        lines.append(
+            f"  setpoints: {gap['count']}, gaps p50 {gap['p50']:.1f} ms, p99.9 {gap['p99.9']:.1f} ms, largest "
+            f"{gap['max']:.1f} ms; state age p50 {age['p50']:.1f} ms, p99 {age['p99']:.1f} ms"
+        )
+    if solve is not None:
+        lines.append(
+            f"  plans: {solve['count']}, p50 {solve['p50']:.2f} ms, p99 {solve['p99']:.2f} ms; "
+            + ", ".join(f"{n} {word}" for word, n in found["status"].items())
+        )
+    return "\n".join(lines)
+
+
+def _write(folder: Path, content: dict[str, Any]) -> None:
+    folder.mkdir(parents=True, exist_ok=True)
+    (folder / RESULT).write_text(json.dumps(content, indent=1, allow_nan=False), encoding="utf-8")
+
+
+def _verdict(reports: list[FlightReport]) -> float | None:
+    """RMSE over all flights.
+
+    Raises:
+        LinkError: the flight was refused before it began.
+    """
+    from nsde_torch.px4.transport import LinkError
+
+    last = reports[-1].outcome
+    if last.trouble is not None and last.trouble.kind == "refused":
+        raise LinkError(last.trouble.text)
+    errors = [e for r in reports for e in r.errors]
+    if not errors or not all(r.outcome.tracked for r in reports):
+        return None
+    return float((sum(e * e for e in errors) / len(errors)) ** 0.5)

@@ -1,0 +1,131 @@
+"""`nsde simulate`: make the runs, write them, and the truth elsewhere."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from nsde_torch.plants.options import RecordingOptions, ReplayOptions
+
+from ..hydra_command import HydraCommand
+from ..keys import group, key, mirrors
+
+if TYPE_CHECKING:
+    from omegaconf import DictConfig
+
+    from ..jobs import Job
+
+
+@dataclass
+class PlantSystem:
+    """The machine that a plant stands for."""
+
+    name: str = key("???", "name of a system that has a plant")
+
+
+@dataclass
+class PlantConfig:
+    """What the simulated machine holds."""
+
+    effects: Any = key(
+        [],
+        "effects that nobody declares: names, module:Class of your own, or {NAME: {parameter: 1}}; a size that is not "
+        "given is a typical one (`nsde effects` lists them)",
+    )
+    parameters: dict[str, Any] = key({}, "values of these effects, plant.parameters.EFFECT.NAME=1")
+    declared_only: bool = key(
+        False,
+        "leave out the undeclared effects that the machine has anyway (multirotors: rotor drag, motor lag)",
+    )
+    process_noise: float = key(1.0, "strength of the gusts, relative to the machine's own", low=0)
+    sensor_noise: float = key(1.0, "strength of the measurement noise, relative to the machine's own", low=0)
+    battery: bool = key(False, "log the battery's voltage though no effect reads it (multirotors)")
+
+
+@mirrors(RecordingOptions)
+class RecordingConfig:
+    """Faults of the recording chain."""
+
+
+@mirrors(ReplayOptions)
+class ReplayConfig:
+    """Interventions, with pilot=replay."""
+
+
+@dataclass
+class SimulateConfig:
+    """`nsde simulate`."""
+
+    out: str = key("???", "folder of the data set: one CSV file per run, and nothing else")
+    truth: str | None = key(None, "file that says what is in it; null: OUT.truth.json, beside the folder")
+    overwrite: bool = key(False, "replace the CSV files of a folder that holds something, and the truth")
+    seed: int = key(0, "seed of first states, inputs and noise", low=0)
+    durations: list[float] | None = key(
+        None, "length of each run on the clock of the log; null: the system's own", unit="s", above=0
+    )
+    dt: float | None = key(None, "step of the log; null: the system's own", unit="s", above=0)
+    options: dict[str, Any] = key({}, "further options of the system's recording, options.NAME=1")
+    pilot: str = key(
+        "manual",
+        "manual: the system's own recording, in which inputs may answer states; replay: interventions (multirotors): "
+        "from states of such flights, commands of another time, in fresh gusts, marked by the column `intervention`",
+        choices=("manual", "replay"),
+    )
+    threads: int = key(1, "CPU threads of torch", low=1)
+    system: PlantSystem = group(PlantSystem, "the machine")
+    plant: PlantConfig = group(PlantConfig, "what it holds")
+    recording: RecordingConfig = group(RecordingConfig, "how it is logged")
+    replay: ReplayConfig = group(ReplayConfig, "interventions, with pilot=replay")
+
+
+COMMAND = HydraCommand(
+    name="simulate",
+    help="Write runs of a simulated machine as files that do not say what is in them",
+    schema=SimulateConfig,
+    module=__name__,
+    groups={"system": "hexacopter"},
+    paths=("out", "truth"),
+)
+
+
+def run(config: DictConfig, job: Job) -> None:
+    """Make and write one data set.
+
+    Args:
+        config: The composed and checked configuration.
+    """
+    # torch is imported here, not above: help and completion do without it.
+    import torch
+
+    from nsde_torch.plants.recording import Recording
+    from nsde_torch.plants.replay import Replay
+    from nsde_torch.plants.simulation import check_free, simulate, truth_path, write
+
+    from .. import build
+
+    started = time.perf_counter()
+    torch.set_num_threads(config.threads)
+    folder = Path(config.out)
+    check_free(folder, truth_path(folder, config.truth), overwrite=config.overwrite)
+    plant = build.options(config.plant)
+    made = simulate(
+        config.system.name,
+        durations=None if config.durations is None else list(config.durations),
+        seed=config.seed,
+        dt=config.dt,
+        recording=Recording(**build.options(config.recording)),
+        replay=Replay(**build.options(config.replay)) if config.pilot == "replay" else None,
+        options=build.options(config)["options"],
+        **plant,
+    )
+    files = write(made, folder, truth=config.truth, overwrite=config.overwrite)
+    rows = sum(len(run.t) for run in made.runs)
+    seconds = sum(made.truth["durations_s"])
+    of = f"{config.replay.starts} interventions on flights of " if config.pilot == "replay" else ""
+    took = time.perf_counter() - started
+    print(
+        f"took {took:.0f} s; wrote {len(made.runs)} runs of {config.system.name} ({of}{seconds:g} s, {rows} rows) into "
+        f"{folder}, and what is in them to {files[-1]}"
+    )

@@ -1,0 +1,211 @@
+"""`nsde track`: read the model, fly, print, write."""
+
+from __future__ import annotations
+
+import json
+import time
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from ..hydra_command import HydraCommand
+from ..keys import group, key
+from ..quoted import from_file
+from ..schemas.control import FlownPlantConfig, MpcConfig
+from ..schemas.reference import ReferenceConfig
+
+if TYPE_CHECKING:
+    from omegaconf import DictConfig
+
+    from nsde_torch.control.loop import Flight
+    from nsde_torch.control.reference import Reference
+    from nsde_torch.models import Model
+    from nsde_torch.systems import System
+
+    from ..jobs import Job
+
+RESULT, LOG, PLOTS = "tracking.json", "log", "plots"
+_ONE_BY_ONE = 32
+
+
+@dataclass
+class TrackConfig:
+    """`nsde track`."""
+
+    run: str = key(
+        "???",
+        "run directory of the model to plan with, `declared`: physics with the plant's values, or a file of nsde "
+        "export (controller=FILE says the same)",
+    )
+    beside: list[str] = key([], "further controllers on the same flights: run directories (same mpc), or pid")
+    machines: int = key(1, "flights, each with noise of its own", low=1)
+    at_once: int | None = key(
+        None, "machines in one batch; null: 1 up to 32 machines, else all of them (Monte Carlo)", low=1
+    )
+    duration: float | None = key(None, "length of a flight; null: that of the reference", unit="s", above=0)
+    seed: int = key(0, "seed of the plant's noise", low=0)
+    animation: str | None = key(None, "film of the first flight: gif or mp4", choices=("gif", "mp4"))
+    threads: int = key(1, "CPU threads of torch; more make small solves slower", low=1)
+    out_dir: str = key("???", "folder to write into")
+    reference: ReferenceConfig = group(ReferenceConfig, "where to fly")
+    plant: FlownPlantConfig = group(FlownPlantConfig, "what is flown")
+    mpc: MpcConfig = group(MpcConfig, "the controller")
+
+
+COMMAND = HydraCommand(
+    name="track",
+    help="Fly a reference with model predictive control on a learned model, and report errors and times",
+    schema=TrackConfig,
+    module=__name__,
+    groups={"reference": "lemniscate", "plant": "hexacopter", "mpc": "default"},
+    folder="tracks/${now:%Y-%m-%d}/${now:%H-%M-%S}_${hydra:runtime.choices.reference}",
+    result=("tracking.json", "a flight"),
+    paths=("out_dir", "run"),
+    words=from_file,
+)
+
+
+def run(config: DictConfig, job: Job) -> float | None:
+    """Fly one reference with one or several controllers.
+
+    Args:
+        config: The composed and checked configuration.
+        job: Where to write.
+
+    Returns:
+        RMSE of the position [m]; None if all machines were lost.
+    """
+    # torch is imported here, not above: help and completion do without it.
+    import torch
+
+    from nsde_torch.control import feasible
+    from nsde_torch.control.predictor import Predictor
+    from nsde_torch.control.summary import summarise, write_log
+    from nsde_torch.errors import ConfigError
+
+    from .. import build, track_build
+
+    started = time.perf_counter()
+    torch.set_num_threads(config.threads)
+    names = [config.run, *config.beside]
+    if len(set(names)) < len(names):
+        raise ConfigError(f"`beside` names a controller twice: {names}.")
+    if config.run == track_build.PID:
+        raise ConfigError("`run` is the model's run directory (or declared); pid can fly beside=[pid].")
+    known = {name: track_build.knowledge(name, config.plant) for name in names if name != track_build.PID}
+    first = known[config.run]
+    path = track_build.reference(config.reference)
+    options = track_build.problem(config.mpc)
+    predictor = Predictor(first, dt=options.dt)
+    asked = (
+        feasible.check(path, predictor, low=options.low, high=options.high, tilt=config.reference.tilt_limit)
+        if config.reference.check
+        else feasible.envelope(path, predictor)
+    )
+    print(
+        f"{path.name}: {path.duration:g} s, up to {asked.speed:.2f} m/s and {asked.tilt:.0f} deg of tilt, commands "
+        f"{asked.input_low:.2f} to {asked.input_high:.2f}"
+    )
+    content: dict[str, Any] = {
+        "reference": {
+            "name": path.name,
+            "duration_s": path.duration,
+            **path.path.about,
+            "envelope": vars(asked),
+        },
+        "plant": build.options(config.plant),
+        "mpc": build.options(config.mpc),
+        "seed": config.seed,
+        "controllers": {},
+    }
+    flights: dict[str, list[Flight]] = {}
+    for name in names:
+        label = track_build.label(name)
+        flights[label] = _fly(config, name, known.get(name, first), first, path)
+        content["controllers"][label] = {"run": name, **summarise(flights[label])}
+        print(_line(label, content["controllers"][label]), flush=True)
+    (job.run_dir / RESULT).write_text(json.dumps(content, indent=1, allow_nan=False), encoding="utf-8")
+    own = flights[track_build.label(config.run)]
+    write_log(own, track_build.system_of(first), job.run_dir / LOG)
+    wrote = [RESULT, f"{LOG}/", *_pictures(config, job, flights, path)]
+    print(f"\ntook {time.perf_counter() - started:.0f} s; wrote {job.run_dir}: {', '.join(wrote)}")
+    rmse: float | None = content["controllers"][track_build.label(config.run)]["rmse_m"]
+    return rmse
+
+
+def _fly(
+    config: DictConfig, name: str, known: Model | System, first: Model | System, path: Reference
+) -> list[Flight]:
+    """The flights of one controller; every controller meets the same noise of the plant."""
+    from nsde_torch.control.loop import fly
+
+    from .. import track_build
+
+    together = config.at_once or (1 if config.machines <= _ONE_BY_ONE else config.machines)
+    autopilot, size, out = None, 0, []
+    for k, at in enumerate(range(0, config.machines, together)):
+        count = min(together, config.machines - at)
+        plant = track_build.plant(config.plant, first, seed=config.seed * 100_003 + k)
+        if autopilot is None or count != size:
+            size = count
+            autopilot = track_build.autopilot(
+                name,
+                known,
+                config,
+                path,
+                batch=count,
+                sample=plant.dt,
+                say=lambda line: print(line, flush=True),
+            )
+        out.append(
+            fly(
+                autopilot,
+                plant,
+                path,
+                machines=count,
+                state_latency=config.plant.state_latency,
+                duration=config.duration,
+            )
+        )
+    return out
+
+
+def _line(label: str, found: dict[str, Any]) -> str:
+    """One controller in one line or two."""
+    if found["rmse_m"] is None:
+        return f"{label}: all {found['machines']} machines were lost"
+    text = (
+        f"{label}: RMSE {100 * found['rmse_m']:.1f} cm, largest {100 * found['position_error_max_m']:.1f} cm, altitude "
+        f"within {100 * found['altitude_error_max_m']:.1f} cm, {found['lost']} of {found['machines']} lost"
+    )
+    if "solve_ms" in found:
+        ms = found["solve_ms"]
+        text += f"\n  solves: p50 {ms['p50']:.2f} ms, p99 {ms['p99']:.2f} ms; "
+        text += ", ".join(f"{count} {word}" for word, count in found["status"].items())
+    return text
+
+
+def _pictures(config: DictConfig, job: Job, flights: dict[str, list[Flight]], path: Reference) -> list[str]:
+    import numpy as np
+
+    from nsde_torch.plots import save
+    from nsde_torch.plots.tracking import film, solve_times, tracking
+
+    folder = job.run_dir / PLOTS
+    folder.mkdir(exist_ok=True)
+    first = next(iter(flights.values()))[0]
+    t, ref = first.t.numpy(), first.ref.numpy()
+    states = {name: np.concatenate([f.x.numpy() for f in fs], 1) for name, fs in flights.items()}
+    save(tracking(t, ref, states, title=f"Tracking of the {path.name}"), folder / "tracking.png")
+    wrote = [f"{PLOTS}/tracking.png"]
+    times = {
+        name: np.array([d.solve_ms for f in fs for d in f.decisions[1:] if d.cost is not None])
+        for name, fs in flights.items()
+    }
+    times = {name: v for name, v in times.items() if len(v)}
+    if times:
+        save(solve_times(times, title="Times of solves in the closed loop"), folder / "solve_times.png")
+        wrote.append(f"{PLOTS}/solve_times.png")
+    if config.animation is not None:
+        file = film(t, ref, next(iter(states.values()))[:, 0], folder / f"flight.{config.animation}")
+        wrote.append(f"{PLOTS}/{file.name}")
+    return wrote

@@ -1,0 +1,121 @@
+"""`nsde train`: build what the configuration describes and hand it to the library."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from ..hydra_command import HydraCommand
+from ..keys import group, key
+from ..schemas.data import DataConfig
+from ..schemas.model import LossConfig, ModelConfig, SolverConfig, SystemConfig, TrainerConfig
+
+if TYPE_CHECKING:
+    from omegaconf import DictConfig
+
+    from ..jobs import Job
+
+
+@dataclass
+class TrainConfig:
+    """`nsde train`."""
+
+    seed: int = key(0, "seed of initial weights, batches and noise", low=0)
+    device: str = key("cpu", "where tensors live: cpu, cuda or cuda:N")
+    dtype: str = key("float32", "precision", choices=("float32", "float64"))
+    threads: int = key(1, "CPU threads of torch; more seldom help and hurt on a busy machine", low=1)
+    run_dir: str = key("???", "folder of this run")
+    sweep_dir: str = key("???", "folder of a sweep (-m); its jobs lie inside")
+    resume: str | None = key(None, "folder of an interrupted run to continue, with its configuration")
+    system: SystemConfig = group(SystemConfig, "the machine")
+    data: DataConfig = group(DataConfig, "where the runs come from")
+    model: ModelConfig = group(ModelConfig, "what is learned")
+    loss: LossConfig = group(LossConfig, "what a good model is")
+    trainer: TrainerConfig = group(TrainerConfig, "how it is optimised")
+    solver: SolverConfig = group(SolverConfig, "how paths are integrated")
+
+
+COMMAND = HydraCommand(
+    name="train",
+    help="Learn a neural SDE of a machine from simulated or measured runs",
+    schema=TrainConfig,
+    module=__name__,
+    groups={
+        "system": "hexacopter",
+        "data": "simulated",
+        "model": "nsde",
+        "loss": "default",
+        "trainer": "default",
+        "solver": "default",
+    },
+    folder="runs/${now:%Y-%m-%d}/${now:%H-%M-%S}_${hydra:runtime.choices.system}",
+    unnamed=("sweep_dir", "device", "threads", "data.path"),
+    examples=(
+        ("trainer.lr=0.003 'data.test=[0]'", "set keys; lists in brackets, quoted"),
+        ("system=cartpole trainer=fast", "choose from groups"),
+        ("run_dir=runs/first", "name the folder of the run"),
+        ("resume=runs/first", "continue an interrupted run"),
+        ("--config-dir DIR system=mine", "your own DIR/system/mine.yaml, modules in DIR"),
+        ("-m loss=paper,replay seed=0,1,2", "a sweep, one job for each combination"),
+        ("-m hydra/launcher=joblib ...", "in parallel (also submitit_local, submitit_slurm, ray)"),
+        ("-m hydra/sweeper=optuna 'trainer.lr=tag(log,interval(0.001,0.1))'", ""),
+    ),
+)
+
+
+def run(config: DictConfig, job: Job) -> float:
+    """Train one model.
+
+    Args:
+        config: The composed and checked configuration.
+        job: Where this job writes.
+
+    Returns:
+        The validation score of the kept model.
+    """
+    from .. import build, effects_file
+
+    effects_file.expand(config.system)
+    metrics = fit(config, job, job.run_dir, about=build.options(config))
+    return float(metrics["validation"]["score"])
+
+
+def fit(config: DictConfig, job: Job, run_dir: Path, *, about: dict[str, Any]) -> dict[str, Any]:
+    """Build what a configuration describes and train it.
+
+    Args:
+        config: The composed and checked configuration, effects files expanded.
+        job: What is being run.
+        run_dir: Where the run directory is made.
+        about: The configuration that `metrics.json` tells.
+
+    Returns:
+        The content of `metrics.json`.
+    """
+    # torch is imported here, not above: a launcher's parent process needs this module, but not torch.
+    import nsde_torch
+
+    from .. import build
+
+    device, dtype = build.settings(config, sweep=job.sweep)
+    machine = build.system_options(config.system)
+    system = machine.make()
+    model = nsde_torch.train(
+        build.dataset(config.data, system),
+        system=machine,
+        model=build.model_options(config.model),
+        loss=build.loss_options(config.loss),
+        trainer=build.trainer_options(config.trainer),
+        solver=build.integrator(config.solver),
+        test=None if config.data.test is None else list(config.data.test),
+        test_data=build.test_data(config.data, system),
+        validation=config.data.validation,
+        instruments=list(config.data.instruments),
+        seed=config.seed,
+        run_dir=run_dir,
+        device=device,
+        dtype=dtype,
+        about={"command": "train", "config": about},
+    )
+    return dict(model.metrics)

@@ -1,0 +1,173 @@
+"""`nsde vehicle`: make the machine, and be it until told to stop."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from ..hydra_command import HydraCommand
+from ..keys import group, key
+from ..schemas.control import FlownPlantConfig, LinkConfig
+
+if TYPE_CHECKING:
+    from omegaconf import DictConfig
+
+    from nsde_torch.px4.body import Body
+
+    from ..jobs import Job
+
+
+@dataclass
+class VehicleConfig:
+    """`nsde vehicle`."""
+
+    hil: str | None = key(
+        None,
+        "be the simulator of a real PX4 instead, which connects here: tcpin:127.0.0.1:4560 (`--hil` says the same)",
+    )
+    seed: int = key(0, "seed of gusts and noise", low=0)
+    duration: float | None = key(None, "how long to run; null: until Ctrl-C", unit="s", above=0)
+    parameters: dict[str, Any] = key({}, "values of PX4's parameters, parameters.COM_OF_LOSS_T=0.5")
+    threads: int = key(1, "CPU threads of torch", low=1)
+    plant: FlownPlantConfig = group(FlownPlantConfig, "the machine that it flies")
+    link: LinkConfig = group(LinkConfig, "how it is reached")
+
+
+def _keys(arguments: Sequence[str]) -> list[str]:
+    """`--hil URL` and `--hil=URL` as the key that they are."""
+    out: list[str] = []
+    words = iter(arguments)
+    for word in words:
+        if word == "--hil":
+            word = f"--hil={next(words, '')}"
+        out.append(word[2:] if word.startswith("--hil=") else word)
+    return out
+
+
+COMMAND = HydraCommand(
+    name="vehicle",
+    help="Be a simulated PX4 vehicle, for nsde fly and its tests",
+    schema=VehicleConfig,
+    module=__name__,
+    groups={"plant": "hexacopter", "link": "vehicle"},
+    words=_keys,
+)
+
+
+def run(config: DictConfig, job: Job) -> None:
+    """Be a vehicle.
+
+    Args:
+        config: The composed and checked configuration.
+        job: The job.
+
+    Raises:
+        ConfigError: no multirotor, or options that it does not have.
+    """
+    # torch is imported here, not above: help and completion do without it.
+    import torch
+
+    from nsde_torch.errors import ConfigError
+    from nsde_torch.px4.autopilot import PARAMETERS
+    from nsde_torch.px4.body import Body
+
+    from .. import build
+
+    torch.set_num_threads(config.threads)
+    plant = config.plant
+    if plant.kind == "learned" or plant.dt is not None or plant.state_latency:
+        raise ConfigError(
+            "a vehicle is plant=hexacopter or plant=quadrotor, without plant.dt and plant.state_latency."
+        )
+    parameters = build.options(config)["parameters"]
+    unknown = sorted(set(parameters) - set(PARAMETERS))
+    if unknown:
+        raise ConfigError(f"`parameters` names {unknown}; the vehicle has {', '.join(PARAMETERS)}.")
+    wrong = sorted(k for k, v in parameters.items() if isinstance(v, bool) or not isinstance(v, (int, float)))
+    if wrong:
+        raise ConfigError(f"`parameters.{wrong[0]}` takes a number; got {parameters[wrong[0]]!r}.")
+
+    def body() -> Body:
+        return Body(
+            plant.system or "hexacopter",
+            seed=config.seed,
+            effects=build.options(plant)["effects"],
+            declared_only=plant.declared_only,
+            process_noise=plant.process_noise,
+            latency=plant.latency,
+        )
+
+    if config.hil is not None:
+        _simulate(config, body)
+    else:
+        _fly(config, body(), parameters)
+
+
+def _simulate(config: DictConfig, body: Callable[[], Body]) -> None:
+    """Be the simulator of a real PX4."""
+    from nsde_torch.errors import ConfigError
+    from nsde_torch.px4.hil import HilPlant, HilServer, airframe
+    from nsde_torch.px4.transport import open_transport
+
+    if not config.hil.startswith("tcpin:"):
+        raise ConfigError(f"`hil` takes tcpin:HOST:PORT, where PX4 connects; got {config.hil!r}.")
+    seed, noise = config.seed, config.plant.sensor_noise
+    first = body()
+    transport = open_transport(config.hil, expose=config.link.expose, name="hil")
+    server = HilServer(lambda: HilPlant(body(), seed=seed, noise=noise), transport, say=_say)
+    _say(
+        f"a {first.system.name} as PX4's simulator on {config.hil}; Ctrl-C ends it. PX4 must know the machine:"
+    )
+    for name, value in airframe(first.system, first.hover_throttle()).items():
+        _say(f"  param set {name} {value:g}")
+    try:
+        server.run(_ends(config.duration))
+    except KeyboardInterrupt:
+        pass
+    finally:
+        transport.close()
+
+
+def _say(line: str) -> None:
+    print(line, flush=True)
+
+
+def _ends(duration: float | None) -> Callable[[], bool]:
+    """Whether the time is over."""
+    end = None if duration is None else time.monotonic() + duration
+    return lambda: end is not None and time.monotonic() >= end
+
+
+def _fly(config: DictConfig, body: Body, parameters: dict[str, float]) -> None:
+    """Be a vehicle with a PX4 in it."""
+    from nsde_torch.px4.autopilot import SimulatedAutopilot
+    from nsde_torch.px4.transport import open_transport
+    from nsde_torch.px4.vehicle import Vehicle
+
+    from .. import link_build
+
+    plant = config.plant
+    transport = open_transport(config.link.url, expose=config.link.expose)
+    autopilot = SimulatedAutopilot(
+        body,
+        system=config.link.system or 1,
+        key=link_build.key(config.link),
+        seed=config.seed,
+        sensor_noise=plant.sensor_noise,
+        stream=transport.stream,
+        parameters=parameters,
+    )
+    vehicle = Vehicle(autopilot, transport)
+    print(f"a simulated {body.system.name} on {config.link.url}; Ctrl-C ends it", flush=True)
+    try:
+        vehicle.run(_ends(config.duration))
+    except KeyboardInterrupt:
+        pass
+    finally:
+        transport.close()
+    print(
+        f"ran {autopilot.time:.1f} s"
+        + (f", {vehicle.slipped:.1f} s lost to a busy machine" if vehicle.slipped else "")
+    )

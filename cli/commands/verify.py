@@ -1,0 +1,153 @@
+"""`nsde verify`: load the file and the model, compare, attack, time, print."""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from ..hydra_command import HydraCommand
+from ..keys import group, key
+from ..schemas.reference import ReferenceConfig
+
+if TYPE_CHECKING:
+    from omegaconf import DictConfig
+    from torch import Tensor
+
+    from nsde_torch.control.reference import Reference
+    from nsde_torch.export.exported import ExportedController
+
+    from ..jobs import Job
+
+
+@dataclass
+class VerifyConfig:
+    """`nsde verify`."""
+
+    controller: str = key("???", "file that nsde export wrote; `nsde verify FILE` says the same")
+    run: str = key("???", "run directory that it was made of, or `declared`")
+    log: str | None = key(
+        None,
+        "log/flight_K.csv of nsde track: states of that flight, along reference=; null: states drawn along it",
+    )
+    states: int = key(1000, "states that the file and the controller in Python are given", low=1)
+    adversarial: int = key(10000, "states that no sensor should send", low=0)
+    seed: int = key(0, "seed of what is drawn", low=0)
+    out: str | None = key(None, "JSON file for what was found; null: none")
+    threads: int = key(1, "CPU threads of torch", low=1)
+    reference: ReferenceConfig = group(ReferenceConfig, "where the states are taken from")
+
+
+def _file_first(words: Sequence[str]) -> list[str]:
+    """`nsde verify FILE` as `controller=FILE`."""
+    return [f"controller={w}" if k == 0 and w[:1] != "-" and "=" not in w else w for k, w in enumerate(words)]
+
+
+COMMAND = HydraCommand(
+    name="verify",
+    help="Hold an exported controller against the one that it was made of",
+    schema=VerifyConfig,
+    module=__name__,
+    groups={"reference": "lemniscate"},
+    paths=("controller", "run", "log", "out"),
+    words=_file_first,
+)
+
+
+def run(config: DictConfig, job: Job) -> None:
+    """Verify one file.
+
+    Args:
+        config: The composed and checked configuration.
+        job: The job.
+
+    Raises:
+        ExportError: the file is damaged, of another model, or does not do what its model does.
+    """
+    # torch is imported here, not above: help and completion do without it.
+    import torch
+
+    from nsde_torch.control.knowledge import DECLARED, knowledge
+    from nsde_torch.errors import ExportError
+    from nsde_torch.export import verify
+    from nsde_torch.export.exported import ExportedController
+    from nsde_torch.export.record import hashes
+    from nsde_torch.export.write import controller_of
+
+    from .. import track_build
+
+    started = time.perf_counter()
+    torch.set_num_threads(config.threads)
+    out = verify.Verification()
+    memory = verify.resident_mb()
+    exported = ExportedController(config.controller)
+    about = exported.record
+    print(
+        f"{config.controller}: {about['kind']}, {about['dtype']}, torch {about['versions']['torch']}, written "
+        f"{about['written']}, content as its hash says"
+    )
+    known = knowledge(config.run, about["model"]["system"])
+    found = hashes(known, None if config.run == DECLARED else Path(config.run))
+    for name, value in found.items():
+        if about["model"].get(name) != value:
+            raise ExportError(
+                f"{config.controller} was not made of {config.run}: its {name} is {about['model'].get(name)}, and "
+                f"that of the run is {value}. Name the run that it was made of, or export anew."
+            )
+    reference = track_build.reference(config.reference)
+    with torch.no_grad():
+        verify.warm(exported)
+        out.memory_mb = (memory, verify.resident_mb())
+    problem, solver, safety = exported.options, exported.solver.options, exported.safety
+    controller = controller_of(
+        known, problem=problem, solver=solver, safety=safety, dtype=exported.hover.dtype
+    )
+    samples = _samples(config, exported, reference)
+    verify.compare(exported, controller, samples, out, elapsed=about["period_s"])
+    print(
+        f"{out.states} states: inputs differ by {out.worst:.2g} at most ({verify.TOLERANCE:g} allowed), costs by "
+        f"{100 * out.cost_ratio:.2g} %, {len(out.differing)} words of status differ"
+    )
+    print("  " + ", ".join(f"{n} {word}" for word, n in sorted(out.words.items(), key=lambda p: -p[1])))
+    verify.attack(exported, reference, config.adversarial, out, seed=config.seed + 1)
+    print(f"{out.adversarial} adversarial states: {len(out.unsafe)} answers not finite or out of bounds")
+    clock, cpu = (verify.percentiles(t) for t in (out.wall_ms, out.cpu_ms))
+    print(f"time of a step: {_row(clock)}; of the processor alone: {_row(cpu)}")
+    print(verify.histogram(out.cpu_ms))
+    print(f"memory: {out.memory_mb[1] - out.memory_mb[0]:.0f} MB more after loading and the first steps")
+    if config.out is not None:
+        file = Path(config.out)
+        file.parent.mkdir(parents=True, exist_ok=True)
+        file.write_text(json.dumps(out.as_dict(), indent=1, allow_nan=False), encoding="utf-8")
+    took = f"took {time.perf_counter() - started:.0f} s"
+    if not out.passed:
+        examples = "; ".join([*out.differing[:3], *out.unsafe[:3]]) or f"inputs differ by {out.worst:.2g}"
+        raise ExportError(f"{config.controller} must not be flown: {examples}. Export anew. ({took})")
+    print(f"passed; {took}")
+
+
+def _samples(
+    config: DictConfig, exported: ExportedController, reference: Reference
+) -> list[tuple[Tensor, Tensor]]:
+    """States and the references ahead, of a flight or drawn."""
+    from nsde_torch.export import verify
+
+    o, period = exported.options, exported.record["period_s"]
+    if config.log is None:
+        return verify.along(reference, config.states, dt=o.dt, steps=o.steps, period=period, seed=config.seed)
+    return verify.logged(
+        Path(config.log),
+        reference,
+        config.states,
+        dt=o.dt,
+        steps=o.steps,
+        period=period,
+        names=exported.record["state_names"],
+    )
+
+
+def _row(times: dict[str, float]) -> str:
+    return ", ".join(f"{name} {value:.2f} ms" for name, value in times.items())

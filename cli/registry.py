@@ -1,0 +1,104 @@
+"""The commands of `nsde`, each one line here and one file.
+
+The file holds a `COMMAND`: a `HydraCommand` (name, help, schema, groups, folder) beside the function `run(config, job)`
+that does its work, or a `PlainCommand` for one that Hydra does not configure. It is imported when its command is
+called, so that listing the commands costs no import of Hydra or torch; what is heavy is imported inside `run`.
+"""
+
+from __future__ import annotations
+
+import importlib
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Protocol
+
+if TYPE_CHECKING:
+    from .hydra_command import HydraCommand
+
+
+class Command(Protocol):
+    """What a file of a command holds under the name `COMMAND`."""
+
+    def main(self, arguments: Sequence[str], /) -> int:
+        """Run the command with the words after its name; returns the exit status."""
+
+    def complete(self, words: Sequence[str], /) -> list[str]:
+        """Completions of the last of these words."""
+
+
+@dataclass(frozen=True)
+class PlainCommand:
+    """A command that reads its words itself."""
+
+    main: Callable[[Sequence[str]], int]
+    complete: Callable[[Sequence[str]], list[str]]
+
+
+@dataclass(frozen=True)
+class Entry:
+    """One line of the table: the file of a command, and what `nsde --help` says of it."""
+
+    module: str
+    summary: str
+
+    def load(self) -> Command:
+        """Import the file of the command."""
+        command: Command = importlib.import_module(self.module, package=__package__).COMMAND
+        return command
+
+
+COMMANDS: dict[str, Entry] = {
+    "train": Entry(".commands.train", "Learn a neural SDE of a machine from simulated or measured runs"),
+    "diagnose": Entry(
+        ".commands.diagnose",
+        "Find the effect that the declared physics lacks, add it, and report the errors",
+    ),
+    "evaluate": Entry(".commands.evaluate", "Score trained models on runs, against baselines and each other"),
+    "figures": Entry(
+        ".commands.figures", "Make the supplement's figures anew, each with its claim and what was measured"
+    ),
+    "policy": Entry(
+        ".commands.policy", "Learn a policy in a learned model or on the true machine, and judge it there"
+    ),
+    "track": Entry(".commands.track", "Fly a reference with model predictive control on a learned model"),
+    "fly": Entry(
+        ".commands.fly", "Fly a controller on a PX4 vehicle over MAVLink, with checks, limits and a log"
+    ),
+    "export": Entry(".commands.export", "Write the predictive controller as a file for a flight computer"),
+    "verify": Entry(".commands.verify", "Hold an exported controller against the one that it was made of"),
+    "vehicle": Entry(".commands.vehicle", "Be a simulated PX4 vehicle, for nsde fly and its tests"),
+    "close-loop": Entry(
+        ".commands.close_loop",
+        "Fly, find what the physics lacks, and fly again with it: tracking before and after",
+    ),
+    "simulate": Entry(
+        ".commands.simulate", "Write runs of a simulated machine as files that do not say what is in them"
+    ),
+    "effects": Entry(".commands.effects", "List the physical effects that a system or a plant can be given"),
+    "sweep-report": Entry(
+        ".commands.sweep_report", "Rank the jobs of a sweep, and name those that failed and why"
+    ),
+    "completion": Entry(".commands.completion", "Print the shell completion script for bash, zsh or fish"),
+}
+
+
+def hydra_command(name: str) -> HydraCommand:
+    """A command that Hydra configures.
+
+    Raises:
+        KeyError: there is none of that name.
+    """
+    from .hydra_command import HydraCommand
+
+    command = COMMANDS[name].load()
+    if not isinstance(command, HydraCommand):
+        raise KeyError(name)
+    return command
+
+
+def hydra_commands() -> dict[str, HydraCommand]:
+    """All commands that Hydra configures, by name."""
+    from .hydra_command import HydraCommand
+
+    loaded = {name: entry.load() for name, entry in COMMANDS.items()}
+    return {name: command for name, command in loaded.items() if isinstance(command, HydraCommand)}

@@ -1,0 +1,100 @@
+"""Keys of the group `data`."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+from ..keys import key
+
+
+@dataclass
+class RunChoice:
+    """Which runs of a data set are held out, or scored on."""
+
+    kind: str = key("???", "kind of the data set, set by data=")
+    test: list[Any] | None = key(
+        None, "runs to test on, by index or name; null: the last run (evaluate with data=: all)"
+    )
+    test_path: str | None = key(
+        None, "file or folder of further runs to test on, recorded by sensors of another noise perhaps"
+    )
+
+
+@dataclass
+class DataConfig(RunChoice):
+    """What every data set has."""
+
+    validation: float = key(
+        0.15, "share of the training runs' time that early stopping looks at", low=0.01, high=0.5
+    )
+    gap: float | None = key(
+        None, "a longer pause between rows splits a run; null: 2.5 steps of the data", unit="s", above=0
+    )
+    clock: str = key(
+        "rescale",
+        "what to do when the kinematics disagree with the clock",
+        choices=("rescale", "trust", "refuse"),
+    )
+    instruments: list[str] = key(
+        [],
+        "logged columns that nothing inside the control loop moves: sticks, setpoints, data.instruments=[stick_roll]",
+    )
+
+
+@dataclass
+class SimulatedData(DataConfig):
+    """Runs made by a plant in the package."""
+
+    kind: str = key("simulated", "kind of the data set, set by data=")
+    durations: list[float] | None = key(None, "length of each run; null: the system's own", unit="s", above=0)
+    seed: int = key(0, "seed of the simulated flights and their noise", low=0)
+    effects: Any = key(
+        [], "effects that the plant has and the model is not told of: names, or {NAME: {parameter: 1}}"
+    )
+    process_noise: float = key(1.0, "strength of the gusts, relative to the plant's own", low=0)
+    sensor_noise: float = key(1.0, "strength of the measurement noise, relative to the plant's own", low=0)
+    cache: str | None = key(
+        None, "folder that keeps simulated runs; null: NSDE_CACHE or the user's cache folder"
+    )
+    options: dict[str, Any] = key({}, "further options of the system's recording, data.options.NAME=1")
+
+
+@dataclass
+class FileData(DataConfig):
+    """Runs read from files."""
+
+    path: str = key("???", "file or folder to read")
+    dt: float | None = key(None, "step to resample to; null: the step of the data", unit="s", above=0)
+    sensor_bias: dict[str, float] = key(
+        {}, "what sensors read too much, {STATE: 0.01} in its unit, to take out"
+    )
+    sensor_delay: dict[str, float] = key(
+        {},
+        "by how much states are logged late, {STATE: 0.01}, or {p: 0.01} for p_x p_y p_z, to take out",
+        unit="s",
+    )
+    sensor_lag: dict[str, float] = key(
+        {}, "time constants of filters that states went through, {STATE: 0.02}, to undo", unit="s"
+    )
+
+
+@dataclass
+class CsvData(FileData):
+    """A folder with one CSV file per run."""
+
+    kind: str = key("csv", "kind of the data set, set by data=")
+
+
+@dataclass
+class UlogData(FileData):
+    """One PX4 log or a folder of them."""
+
+    kind: str = key("ulog", "kind of the data set, set by data=")
+
+
+@dataclass
+class PublishedData(FileData):
+    """The authors' published files."""
+
+    kind: str = key("published", "kind of the data set, set by data=")

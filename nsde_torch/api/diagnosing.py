@@ -1,0 +1,100 @@
+"""`nsde_torch.diagnose`: what `nsde diagnose` does."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+from nsde_torch.api.reading import Data, read, split_runs
+from nsde_torch.diagnosis.options import Options
+from nsde_torch.diagnosis.pipeline import Diagnosis
+from nsde_torch.diagnosis.pipeline import diagnose as diagnose_runs
+from nsde_torch.models.identified import SysidSpec
+from nsde_torch.systems.base import System
+from nsde_torch.systems.options import Effects, SystemOptions, system_options
+
+
+def _silent(stage: str, done: int, total: int) -> None:
+    return None
+
+
+def diagnose(
+    data: Data,
+    *,
+    system: str | type[System] | SystemOptions,
+    effects: Effects = (),
+    declared: Sequence[str] | None = None,
+    parameters: Mapping[str, Any] | None = None,
+    alpha: float = 0.01,
+    max_effects: int = 8,
+    candidates: Sequence[str] | None = None,
+    also: Sequence[str] = (),
+    test: Sequence[int | str] | None = None,
+    test_data: Data | None = None,
+    instruments: Sequence[str] = (),
+    seed: int = 0,
+    say: Callable[[str, int, int], None] = _silent,
+) -> Diagnosis:
+    """Find what the declared physics of a machine lacks, as `nsde diagnose` does.
+
+    Args:
+        data: Folder of CSV files, PX4 log, simulation, arrays or data set (see `nsde_torch.read`).
+        system: The machine: key of `nsde_torch.systems.SYSTEMS`, `module:Class`, a class, or `SystemOptions`.
+        effects: Physics that is known already: names, `{name: {parameter: value}}` or a file `effects.yaml`.
+        declared: Effects that replace the declared ones; None keeps them.
+        parameters: Initial values of declared parameters, `name` or `effect.name`, in their units.
+        alpha: Chance of naming an effect where nothing is missing, in (0, 0.5].
+        max_effects: Most effects to add.
+        candidates: Names of the effects to try; None: all that the system may have.
+        also: Effects of your own to try beside them, `module:Class`.
+        test: Runs to keep back, by index or name; None looks at all.
+        test_data: Further runs that are kept back; a run of theirs among `data` is refused.
+        instruments: Logged columns that nothing inside the control loop moves: sticks, setpoints.
+        seed: Seed of the resamples.
+        say: Told stage, number done and number in all.
+
+    Returns:
+        The diagnosis: `verdict` ("no_effect", "effect_found" or "unexplained"), `added` (names), `effects` (names with
+        values, for `nsde_torch.train`), `parameters` (value, 90 % interval and unit), `report` (text), `content()`
+        (what `diagnosis.json` holds) and `save(folder)`.
+
+    Raises:
+        DataError: too few rows, or nothing moves.
+        ConfigError: an option is out of range, or a candidate that the system cannot have.
+
+    Example:
+        >>> import nsde_torch
+        >>> dry = [{"coulomb_friction": {"size": 0.3}}]
+        >>> made = nsde_torch.simulate("mass_spring_damper", effects=dry, durations=[6.0] * 3, seed=1)
+        >>> found = nsde_torch.diagnose(
+        ...     made, system="mass_spring_damper", candidates=["coulomb_friction", "quadratic_damping"]
+        ... )
+        >>> found.verdict, found.added
+        ('effect_found', ['coulomb_friction'])
+        >>> round(found.parameters["coulomb_friction.size"]["value"], 2)
+        0.3
+    """
+    options = Options(
+        alpha=alpha,
+        max_effects=max_effects,
+        candidates=None if candidates is None else tuple(candidates),
+        also=tuple(also),
+        seed=seed,
+        instruments=tuple(instruments),
+    )
+    machine_options = system_options(system, effects=effects, declared=declared, parameters=parameters)
+    machine = machine_options.make()
+    runs = read(data, system=machine)
+    looked_at = list(runs.runs)
+    if test is not None or test_data is not None:
+        other = None if test_data is None else read(test_data, system=machine)
+        looked_at = list(split_runs(runs, test, test_data=other).train)
+    spec = SysidSpec(
+        machine_options.name,
+        dt=runs.dt,
+        horizon=machine.defaults.horizon,
+        effects=tuple(machine_options.effects),
+        declared=None if machine_options.declared is None else tuple(machine_options.declared),
+        system_options=dict(machine_options.options),
+    )
+    return diagnose_runs(machine, spec, runs, looked_at, options, say=say)

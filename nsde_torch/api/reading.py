@@ -1,0 +1,147 @@
+"""Runs from wherever a user has them: a folder, a log, a simulation, arrays."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TypeAlias
+
+from nsde_torch.data.checks import assemble
+from nsde_torch.data.raw import RawRun
+from nsde_torch.data.registry import read as read_kind
+from nsde_torch.data.run import DataSet, Run
+from nsde_torch.data.splits import Split, split
+from nsde_torch.data.system_info import SystemInfo
+from nsde_torch.errors import ConfigError, DataError
+from nsde_torch.plants.simulation import Simulation
+from nsde_torch.systems.base import System
+from nsde_torch.systems.options import SystemOptions, system_options
+
+Data: TypeAlias = str | Path | DataSet | Simulation | Sequence[RawRun]
+"""What functions of `nsde_torch` take as data (see `read`)."""
+
+
+def read(
+    data: Data,
+    *,
+    system: str | type[System] | SystemOptions | SystemInfo,
+    kind: str | None = None,
+    dt: float | None = None,
+    gap: float | None = None,
+    clock: str = "rescale",
+    sensor_bias: Mapping[str, float] | None = None,
+    sensor_delay: Mapping[str, float] | None = None,
+    sensor_lag: Mapping[str, float] | None = None,
+) -> DataSet:
+    """Read and check runs: units, times, gaps, kinematics.
+
+    Args:
+        data: Folder with one CSV file per run (header row; `t` [s], the states and inputs of the system in SI units,
+            and any further channels), a PX4 log or a folder of them, what `nsde_torch.simulate` made, or a list of
+            `nsde_torch.data.RawRun` with arrays t (n,), x (n, nx) and u (n, nu). A data set is returned as it is.
+        system: The machine: key of `nsde_torch.systems.SYSTEMS`, `module:Class`, a class, or an instance.
+        kind: Reader, a key of `nsde_torch.data.READERS`; None tells by the names of the files.
+        dt: Step to resample to [s]; None: the step of the data.
+        gap: A longer pause between rows splits a run [s]; None: 2.5 steps of the data.
+        clock: What to do when the kinematics disagree with the clock: "rescale", "trust" or "refuse".
+        sensor_bias: What sensors read too much, by name of a state, in its unit; taken out.
+        sensor_delay: By how much states are logged late [s], by name of a state or common name of several; undone.
+        sensor_lag: Time constants of filters that states went through [s], by the same names; undone.
+
+    Returns:
+        The data set; `print(data.summary)` tells what was found and done.
+
+    Raises:
+        DataError: data that cannot be used; the message says where and what to do.
+        ConfigError: an unknown system or kind, or an option out of range.
+
+    Example:
+        >>> import nsde_torch
+        >>> made = nsde_torch.simulate("mass_spring_damper", durations=[4.0, 4.0], seed=1)
+        >>> data = nsde_torch.read(made, system="mass_spring_damper")
+        >>> data.names, data.dt
+        (('run_0', 'run_1'), 0.01)
+    """
+    if isinstance(data, DataSet):
+        return data
+    machine: SystemInfo = (
+        system_options(system).make() if isinstance(system, str | type | SystemOptions) else system
+    )
+    if isinstance(data, str | Path):
+        return read_kind(
+            kind or kind_of(data),
+            machine,
+            path=str(data),
+            dt=dt,
+            gap=gap,
+            clock=clock,
+            sensor_bias=sensor_bias,
+            sensor_delay=sensor_delay,
+            sensor_lag=sensor_lag,
+        )
+    if sensor_bias:
+        raise ConfigError("`sensor_bias` is taken out of files; subtract it from the arrays of your own.")
+    runs = data.runs if isinstance(data, Simulation) else data
+    copies = [RawRun(r.name, r.t.copy(), r.x.copy(), r.u.copy(), dict(r.extra), r.source) for r in runs]
+    return assemble(
+        copies,
+        machine,
+        kind=kind or ("simulated" if isinstance(data, Simulation) else "arrays"),
+        dt=dt,
+        gap=gap,
+        clock=clock,
+        sensor_delay=sensor_delay,
+        sensor_lag=sensor_lag,
+    )
+
+
+def kind_of(path: str | Path) -> str:
+    """Kind of the data in a file or folder, by the names of the files; csv where nothing says otherwise."""
+    file = Path(path)
+    names = [file, *file.iterdir()] if file.is_dir() else [file]
+    suffixes = {name.suffix.lower() for name in names}
+    if ".ulg" in suffixes:
+        return "ulog"
+    return "published" if file.suffix in (".pkl", ".pickle") else "csv"
+
+
+def split_runs(
+    data: DataSet, test: Sequence[int | str] | None = None, *, test_data: DataSet | None = None
+) -> Split:
+    """Training runs and runs held out for the test.
+
+    Args:
+        data: The data set.
+        test: Runs to hold out, by index or name; None holds out the last.
+        test_data: Another data set, all of which is the test; then all runs train but those that `test` names.
+
+    Raises:
+        DataError: there is no such run, no run is left on a side, or one is on both.
+    """
+    if test_data is None:
+        return split(data, test)
+    left = split(data, test or [])
+    train = {run.content_hash: run.name for run in left.train}
+    for run in test_data.runs:
+        if run.content_hash in train:
+            raise DataError(
+                f"`data.test_path`: run {run.name!r} has the same content as the training run "
+                f"{train[run.content_hash]!r}; a test on training data says nothing."
+            )
+    return Split(train=left.train, test=tuple(test_data.runs))
+
+
+def runs_named(data: DataSet, names: Sequence[int | str | Run] | None) -> list[Run]:
+    """Runs of a data set, by index or name; None: all.
+
+    Raises:
+        DataError: there is no such run.
+    """
+    from nsde_torch.data.run import resolve
+
+    if names is None:
+        return list(data.runs)
+    found: list[Run] = []
+    for name in names:
+        found.append(name if isinstance(name, Run) else data.runs[resolve(data.runs, [name])[0]])
+    return found

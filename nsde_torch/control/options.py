@@ -1,0 +1,163 @@
+"""Settings of model predictive control: what a plan pays for, how it is found, and what is believed."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import inf
+
+from nsde_torch.errors import ConfigError
+from nsde_torch.options import check, documented, key
+
+STATE_WEIGHTS = (100.0, 100.0, 200.0, 5.0, 5.0, 10.0, 1.0, 1.0, 100.0, 1.0, 1.0, 1.0)
+"""The supplement's Q."""
+
+
+@documented
+@dataclass(frozen=True)
+class ProblemOptions:
+    """What a plan pays for.
+
+    Soft limits are weighed per m2/s2, per square of the cosine's excess in tilt, and per m2. More than one particle is
+    sampled with the model's diffusion, the same noise in every solve.
+    """
+
+    horizon: float = key(1.0, "length of a plan", unit="s", above=0)
+    steps: int = key(20, "steps of a plan", low=1)
+    state_weights: tuple[float, ...] = key(STATE_WEIGHTS, "Q: position, velocity, attitude, rates", low=0)
+    input_weight: float = key(1.0, "R, of every input", low=0)
+    input_centre: float = key(0.0, "input that R measures from")
+    rate_weight: float = key(0.0, "weight of changes of the inputs from step to step", low=0)
+    low: float = key(0.0, "lowest input")
+    high: float = key(1.0, "highest input")
+    speed_limit: float = key(inf, "speed beyond which a plan pays; null: none", unit="m/s", above=0)
+    tilt_limit: float = key(inf, "tilt beyond which a plan pays; null: none", unit="deg", above=0, high=89)
+    fence: tuple[tuple[float, float], ...] | None = key(
+        None, "lowest and highest p_x, p_y, p_z, [[-5,5],[-5,5],[0,4]]; null: none", unit="m"
+    )
+    limit_weight: float = key(100.0, "weight of these soft limits", low=0)
+    uncertainty_weight: float = key(0.0, "weight of the model's distance from its data", low=0)
+    particles: int = key(1, "paths of a plan: 1 is the mean path, more are sampled", low=1)
+    seed: int = key(0, "seed of their noise", low=0)
+
+    def __post_init__(self) -> None:
+        check(type(self), vars(self))
+        if not self.low < self.high:
+            raise ConfigError(f"`low` must lie below `high`; got {self.low!r} and {self.high!r}.")
+        if self.input_weight + self.rate_weight <= 0:
+            raise ConfigError(
+                "`input_weight` or `rate_weight` must be above 0: the best plan is not one else."
+            )
+
+    @property
+    def dt(self) -> float:
+        """Step of the plan [s]."""
+        return self.horizon / self.steps
+
+
+@documented
+@dataclass(frozen=True)
+class SolverOptions:
+    """How plans are found."""
+
+    name: str = key("gauss_newton", "how plans are found", choices=("gauss_newton", "apg"))
+    iterations: int = key(10, "most iterations of a solve", low=1)
+    tolerance: float = key(
+        0.005, "a plan is good enough when this share of its cost, or less, is left", low=0
+    )
+    compile: str = key(
+        "auto",
+        "machine code of the solver, made once in some minutes (auto: where one machine is flown at a time)",
+        choices=("auto", "on", "off"),
+    )
+    deadline: float | None = key(
+        None, "time for a solve; then the best plan so far is taken; null: none", unit="s", above=0
+    )
+    cache: str | None = key(None, "folder that keeps it; null: NSDE_CACHE or the user's cache folder")
+
+    def __post_init__(self) -> None:
+        check(type(self), vars(self))
+
+
+@documented
+@dataclass(frozen=True)
+class SafetyOptions:
+    """When a controller does not believe what it is given, and for how long it flies on."""
+
+    jump: float = key(0.75, "step of the measured position that is not believed at once", unit="m", above=0)
+    jump_attitude: float = key(0.8, "the same for the attitude", unit="rad", above=0)
+    jump_samples: int = key(3, "samples after which a new state is believed", low=1)
+    keep: float = key(
+        0.5, "how long the last safe plan is flown when there is trouble; then hover", unit="s", low=0
+    )
+    quaternion: float = key(0.05, "largest departure of a quaternion's norm from 1", above=0)
+
+    def __post_init__(self) -> None:
+        check(type(self), vars(self))
+
+
+@documented
+@dataclass(frozen=True)
+class EstimatorOptions:
+    """What is known of times, and how fast pushes are learned in flight."""
+
+    latency: float = key(
+        0.0,
+        "time from a measurement to the effect of the command that follows from it; made up for",
+        unit="s",
+        low=0,
+    )
+    force_time: float = key(
+        0.5, "time constant of the push that is learned in flight, on the force; 0: none", unit="s", low=0
+    )
+    moment_time: float = key(0.0, "the same on the moment", unit="s", low=0)
+    force_limit: float = key(4.0, "largest push on the force", unit="m/s2", above=0)
+    moment_limit: float = key(20.0, "largest push on the moment", unit="rad/s2", above=0)
+
+    def __post_init__(self) -> None:
+        check(type(self), vars(self))
+
+
+@documented
+@dataclass(frozen=True)
+class CircleOptions:
+    """A circle at constant speed, while the heading turns and comes back."""
+
+    speed: float = key(3.6, "speed after the start", unit="m/s", above=0)
+    duration: float = key(35.0, "length from rest to rest", unit="s", above=0)
+    radius: float = key(2.2, "radius", unit="m", above=0)
+    height: float = key(1.5, "height", unit="m")
+    yaw: float = key(120.0, "farthest heading", unit="deg")
+    ramp: float = key(6.0, "time to reach the speed, and to lose it", unit="s", above=0)
+
+
+@documented
+@dataclass(frozen=True)
+class LemniscateOptions:
+    """A figure of eight (Gerono's lemniscate), while the heading swings."""
+
+    speed: float = key(3.4, "largest speed, where the branches cross", unit="m/s", above=0)
+    duration: float = key(40.0, "length from rest to rest", unit="s", above=0)
+    length: float = key(1.9, "half of its extent along x", unit="m", above=0)
+    width: float = key(1.75, "its extent along y", unit="m", above=0)
+    height: float = key(1.5, "height", unit="m")
+    yaw: float = key(13.0, "farthest heading", unit="deg")
+    ramp: float = key(6.0, "time to reach the speed, and to lose it", unit="s", above=0)
+
+
+@documented
+@dataclass(frozen=True)
+class HoverOptions:
+    """Standing still."""
+
+    duration: float = key(10.0, "how long", unit="s", above=0)
+    height: float = key(1.5, "height", unit="m")
+    yaw: float = key(0.0, "heading", unit="deg")
+
+
+@documented
+@dataclass(frozen=True)
+class WaypointOptions:
+    """How a path through points is flown where times are not given."""
+
+    speed: float = key(2.0, "largest speed, where times are not given", unit="m/s", above=0)
+    tilt: float = key(30.0, "largest tilt, where times are not given", unit="deg", above=0, high=79)

@@ -1,0 +1,39 @@
+"""Settings of a diagnosis."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from nsde_torch.errors import ConfigError
+from nsde_torch.options import check, documented, key
+
+
+@documented
+@dataclass(frozen=True)
+class Options:
+    """Settings of a diagnosis."""
+
+    alpha: float = key(0.01, "chance of naming an effect where nothing is missing", above=0)
+    max_effects: int = key(8, "most effects to add", low=0)
+    candidates: tuple[str, ...] | None = key(
+        None, "effects to try, by name; null: all that the system may have"
+    )
+    also: tuple[str, ...] = key((), "effects of your own to try beside them, `module:Class`")
+    seed: int = key(0, "seed of the resamples", low=0)
+    instruments: tuple[str, ...] = key(
+        (), "logged columns that nothing inside the control loop moves: sticks, setpoints"
+    )
+
+    def __post_init__(self) -> None:
+        check(type(self), vars(self))
+        if not 0 < self.alpha <= 0.5:
+            raise ConfigError(f"`alpha` must lie in (0, 0.5]; got {self.alpha!r}.")
+        if self.candidates:
+            from nsde_torch.effects.registry import EFFECTS
+
+            for name in self.candidates:
+                if name not in EFFECTS:
+                    raise ConfigError(
+                        f"`candidates` names {name!r}, which `nsde effects` does not list; one of your own goes into "
+                        "`also`."
+                    )

@@ -1,0 +1,73 @@
+"""Settings of a flight on PX4: how it goes, when something is wrong, and what is sent at most."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import radians
+
+from nsde_torch.options import check, documented, key
+
+
+@documented
+@dataclass(frozen=True)
+class FlightOptions:
+    """How a flight goes."""
+
+    height: float = key(1.5, "height of take-off", unit="m", above=0)
+    climb: float = key(0.8, "speed of take-off", unit="m/s", above=0, high=3)
+    hold: float = key(2.0, "time of hovering before the reference", unit="s", low=0)
+    approach: float = key(1.0, "speed at which the start of the reference is flown to", unit="m/s", above=0)
+    safe_hold: float = key(2.0, "time of hovering before landing when something is wrong", unit="s", low=0)
+    connect: float = key(10.0, "longest wait for the vehicle", unit="s", low=0)
+    checks: float = key(10.0, "longest wait for the checks to pass", unit="s", low=0)
+    confirm: float = key(
+        5.0,
+        "longest wait for a step to be confirmed; PX4's heartbeats come once a second",
+        unit="s",
+        low=0,
+    )
+    idle: float = key(1.0, "time of streaming before OFFBOARD", unit="s", low=0)
+    spool: float = key(0.7, "time in which the throttle rises before the climb", unit="s", low=0)
+    lift: float = key(6.0, "longest time from arming to being in the air", unit="s", low=0)
+    landing: float = key(40.0, "longest wait for a landing", unit="s", low=0)
+    watch: float = key(40.0, "how long a vehicle that is not ours any more is watched", unit="s", low=0)
+
+    def __post_init__(self) -> None:
+        check(type(self), vars(self))
+
+
+@documented
+@dataclass(frozen=True)
+class Limits:
+    """When something is wrong."""
+
+    fence: tuple[tuple[float, float], tuple[float, float], tuple[float, float]] = key(
+        ((-6.0, 6.0), (-6.0, 6.0), (-0.5, 6.0)),
+        "lowest and highest x, y, z from the place of take-off",
+        unit="m",
+    )
+    speed: float = key(7.0, "largest speed", unit="m/s", above=0)
+    tilt: float = key(65.0, "largest tilt", unit="deg", above=0, high=89)
+    battery: float = key(0.15, "lowest charge, as a share", low=0, high=1)
+    voltage: float = key(0.0, "lowest voltage of the battery; 0: none", unit="V", low=0)
+    estimate: float = key(0.2, "oldest state", unit="s", above=0, high=1)
+    silence: float = key(1.0, "longest time without any message", unit="s", above=0, high=5)
+    heartbeat: float = key(3.5, "longest time without a heartbeat", unit="s", above=0)
+    solver: float = key(0.3, "oldest plan", unit="s", above=0, high=2)
+    jump: float = key(
+        0.5, "largest step of the position that its velocity does not explain", unit="m", above=0
+    )
+    patience: float = key(0.08, "how long a state must be wrong", unit="s", low=0)
+
+
+@documented
+@dataclass(frozen=True)
+class SetpointLimits:
+    """Bounds of what is sent."""
+
+    rate: float = key(6.0, "largest roll and pitch rate that is sent", unit="rad/s", above=0)
+    yaw_rate: float = key(2.5, "largest yaw rate that is sent", unit="rad/s", above=0)
+    throttle: tuple[float, float] = key(
+        (0.05, 0.9), "lowest and highest throttle that is sent in flight", low=0, high=1
+    )
+    tilt: float = key(radians(60.0), "tilt beyond which rates may only level", unit="rad", above=0)

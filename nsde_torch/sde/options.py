@@ -1,0 +1,50 @@
+"""What a user chooses of an integrator."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+from typing import Any
+
+from nsde_torch.options import check, documented, key
+
+
+@documented
+@dataclass(frozen=True)
+class IntegratorOptions:
+    """An integrator by name."""
+
+    name: str | None = key(None, "name of the integrator, set by solver=; null: the system's own")
+
+    def __post_init__(self) -> None:
+        check(type(self), vars(self))
+
+    @property
+    def settings(self) -> dict[str, Any]:
+        """Arguments of the integrator's class."""
+        return {f.name: getattr(self, f.name) for f in fields(self) if f.name != "name"}
+
+
+@documented
+@dataclass(frozen=True)
+class TorchDiffEqOptions(IntegratorOptions):
+    """A method of torchdiffeq, for models without diffusion."""
+
+    name: str | None = key("torchdiffeq", "name of the integrator, set by solver=")
+    method: str = key(
+        "dopri5",
+        "method of torchdiffeq; the first four take fixed steps",
+        choices=(
+            *("euler", "midpoint", "rk4", "heun3"),
+            *("dopri5", "dopri8", "bosh3", "adaptive_heun", "fehlberg2"),
+        ),
+    )
+    rtol: float = key(1e-5, "relative tolerance of adaptive methods", above=0)
+    atol: float = key(1e-6, "absolute tolerance of adaptive methods", unit="state", above=0)
+    adjoint: bool = key(False, "gradients by the adjoint equation: less memory, more time")
+
+
+def integrator_options(solver: str | IntegratorOptions | None) -> IntegratorOptions:
+    """An integrator by its name, with its own settings; options as they are."""
+    if isinstance(solver, IntegratorOptions):
+        return solver
+    return TorchDiffEqOptions() if solver == "torchdiffeq" else IntegratorOptions(solver)

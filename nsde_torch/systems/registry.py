@@ -1,0 +1,58 @@
+"""The systems by name: those of the package, and `package.module:Class` of the user's own."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from nsde_torch.effects.base import Effect
+from nsde_torch.errors import ConfigError
+from nsde_torch.lookup import class_by_name
+from nsde_torch.systems.base import System
+from nsde_torch.systems.cartpole import Cartpole
+from nsde_torch.systems.multirotor import Hexacopter, Quadrotor
+from nsde_torch.systems.one_dof import MassSpringDamper
+
+SYSTEMS: dict[str, type[System]] = {
+    cls.name: cls for cls in (MassSpringDamper, Cartpole, Hexacopter, Quadrotor)
+}
+
+
+def system_class(name: str) -> type[System]:
+    """Class of a system: a key of `SYSTEMS`, or `package.module:Class` of the user's own.
+
+    Raises:
+        ConfigError: unknown name (lists the choices), no such module or class, or not a System.
+    """
+    return class_by_name(name, SYSTEMS, System, kind="system", home="nsde_torch.systems")
+
+
+def make_system(
+    name: str,
+    *,
+    effects: Sequence[str | Effect] = (),
+    declared: Sequence[str] | None = None,
+    values: Mapping[str, float | list[float]] | None = None,
+    **options: Any,
+) -> System:
+    """Make a system by name.
+
+    Args:
+        name: Key of `SYSTEMS`, or `package.module:Class`.
+        effects: Effects to add to the declared physics.
+        declared: Effects that replace the declared ones; None keeps them.
+        values: Initial values of parameters, `name` or `effect.name`.
+        options: Further arguments of the class (`thrust_degree` of multirotors).
+
+    Raises:
+        ConfigError: unknown system, effect, parameter or option.
+
+    Example:
+        >>> make_system("hexacopter", effects=["linear_drag"]).effect_names
+        ('linear_drag',)
+    """
+    cls = system_class(name)
+    try:
+        return cls(effects, declared=declared, values=values, **options)
+    except TypeError as error:
+        if "unexpected keyword" not in str(error):
+            raise
+        raise ConfigError(f"system {name!r} does not take one of the options {sorted(options)}.") from error

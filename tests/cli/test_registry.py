@@ -1,0 +1,122 @@
+"""A command is one file and one line of the table: a scratch command is registered here and used."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from nsde_torch.cli.commands.completion import query
+from nsde_torch.cli.main import main
+from nsde_torch.cli.registry import COMMANDS, Entry, hydra_command, hydra_commands
+
+SCRATCH = '''
+"""`nsde scratch`: weigh a system."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+
+from nsde_torch.cli.hydra_command import HydraCommand
+from nsde_torch.cli.keys import group, key, of
+from nsde_torch.cli.schemas.model import SystemConfig
+from nsde_torch.learning.options import TrainerOptions
+
+
+@dataclass
+class ScratchConfig:
+    """`nsde scratch`."""
+
+    factor: float = key(2.0, "factor on the mass", unit="1", above=0)
+    steps: int = of(TrainerOptions, "steps", default=7)
+    out_dir: str = key("???", "folder to write into")
+    system: SystemConfig = group(SystemConfig, "the machine")
+
+
+COMMAND = HydraCommand(
+    name="scratch",
+    help="Weigh a system",
+    schema=ScratchConfig,
+    module=__name__,
+    groups={"system": "cartpole"},
+    folder="scratches/${now:%Y-%m-%d}",
+    result=("weight.json", "a weight"),
+    paths=("out_dir",),
+    examples=(("factor=3", "three times as heavy"),),
+)
+
+
+def run(config, job):
+    """Write the weight."""
+    content = {"system": config.system.name, "steps": config.steps, "factor": config.factor}
+    (job.run_dir / "weight.json").write_text(json.dumps(content))
+'''
+
+
+@pytest.fixture
+def scratch(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A command in a file of its own, registered with one line."""
+    (tmp_path / "nsde_scratch.py").write_text(SCRATCH)
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.setitem(COMMANDS, "scratch", Entry("nsde_scratch", "Weigh a system"))
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def test_a_command_of_one_file_and_one_line_has_help_completion_checks_and_a_folder(
+    scratch: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["--help"]) == 0
+    assert "scratch       Weigh a system" in capsys.readouterr().out
+    assert main(["scratch", "--help"]) == 0
+    text = capsys.readouterr().out
+    assert text.startswith("nsde scratch: weigh a system")
+    for part in (
+        "factor=2 [1]",
+        "steps=7 [steps]",
+        "largest number of gradient steps (at least 1)",
+        "factor=3",
+    ):
+        assert part in text
+    assert query(["scratch", "system=cart"]) == ["system=cartpole"]
+    assert query(["scra"]) == ["scratch"]
+    assert main(["scratch", "system=hexacopter", "factor=4", "out_dir=here, or there"]) == 0
+    content = json.loads((scratch / "here, or there" / "weight.json").read_text())
+    assert content == {"system": "hexacopter", "steps": 7, "factor": 4.0}
+    assert main(["scratch", "out_dir=here, or there"]) == 2
+    assert "holds a weight already" in capsys.readouterr().err
+    assert main(["scratch"]) == 0
+    assert list(scratch.glob("scratches/*/weight.json"))
+
+
+@pytest.mark.parametrize(
+    ("word", "message"),
+    [
+        ("factr=1", "Did you mean `factor`?"),
+        ("factor=0", "`factor` must be above 0"),
+        ("steps=0", "`steps` must be at least 1"),
+        ("system=cartpol", "Did you mean `system=cartpole`?"),
+        ("-m", "has no sweeps"),
+    ],
+)
+@pytest.mark.usefixtures("scratch")
+def test_its_mistakes_are_worded_as_those_of_the_others(
+    word: str, message: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["scratch", word]) == 2
+    assert message in capsys.readouterr().err
+
+
+def test_the_objects_of_the_commands_bear_the_names_of_the_table() -> None:
+    assert {name: command.name for name, command in hydra_commands().items()} == {
+        name: name for name in hydra_commands()
+    }
+    with pytest.raises(KeyError, match="effects"):
+        hydra_command("effects")
+
+
+def test_no_file_of_the_commands_is_longer_than_four_hundred_lines(root: Path) -> None:
+    lengths = {path: len(path.read_text().splitlines()) for path in (root / "cli").rglob("*.py")}
+    assert not {str(path): count for path, count in lengths.items() if count > 400}

@@ -18,10 +18,11 @@ z_i is the larger one of two (`LoopTest.hidden`). Both are assumptions that no d
   row, always to the same side of what was logged. A rate loop at 1 kHz below an attitude loop at 100 Hz does so: each
   logged command stands at the start of a decay, and a gain seems 5 % too small whatever moves the sticks.
 
-With instruments that are strong and exogenous nothing of that is needed: their estimates are printed where they differ,
-or where inputs know more than the log, unless they show that an effect is missing. Where inputs of a faster controller
-may have moved between rows of the log, they are made with inputs held and with the mean of each row and the next; the
-smaller statistic of Sargan decides, and what it cannot decide widens the interval.
+With instruments that are strong and exogenous only the second is needed, and what estimates lean on parameters that the
+instruments do not show. Their estimates are printed where they differ, or where inputs know more than the log, unless
+they show that an effect is missing. Where inputs of a faster controller may have moved between rows of the log, they are
+made with inputs held and with the mean of each row and the next; the smaller statistic of Sargan decides, and what it
+cannot decide widens the interval.
 """
 
 from collections.abc import Sequence
@@ -103,10 +104,14 @@ def identify_in_loop(
             covariance=instrumented.covariance,
             degrees=instrumented.degrees,
         )
+        bias = hidden_bias(regression, loop)
+        ordinary = np.where(instrumented.moved, 0.0, bias)
         decay = hidden_bias(
             regression, replace(loop, knowledge=tuple(replace(a, upper=0.0) for a in loop.knowledge))
         )
-        doubt = np.where(instrumented.moved, np.maximum(apart, decay), hidden_bias(regression, loop))
+        leans = np.abs(instrumented.leans)
+        leaning = np.where(leans > 0, leans * np.where(leans > 0, ordinary, 0.0), 0.0).sum(1)
+        doubt = np.where(instrumented.moved, np.maximum(apart, decay) + leaning, bias)
     else:
         doubt = hidden_bias(regression, loop)
     return replace(found, loop=loop, instrumented=instrumented, doubt=doubt)

@@ -18,7 +18,7 @@ and Krueger, Journal of Applied Econometrics 14 (1999)). Three things are tested
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from typing import Any
 
@@ -72,6 +72,7 @@ class Instrumented:
         unexplained: Chance that declared physics explains all that the instruments do (Sargan).
         misfit: Its statistic.
         between_rows: Whether inputs were taken to move between rows of the log, and not to be held.
+        leans: Change of each estimate by instruments per error of each ordinary one beside it (k, k).
     """
 
     names: tuple[str, ...]
@@ -87,6 +88,7 @@ class Instrumented:
     unexplained: float
     misfit: float = 0.0
     between_rows: bool = False
+    leans: Array = field(default_factory=lambda: np.zeros((0, 0)))
 
     @property
     def differs(self) -> bool:
@@ -214,6 +216,7 @@ def instrumental(
     plain = Instrumented(
         tuple(used), refused, labels, start, basis @ sure.covariance @ basis.T, sure.degrees(basis),
         np.full(len(labels), np.nan), np.zeros(len(labels), dtype=bool), start, np.ones(len(labels)), 1.0,
+        leans=np.zeros((len(labels), len(labels))),
     )  # fmt: skip
     if not used or not len(known):
         return plain
@@ -248,6 +251,8 @@ def instrumental(
     difference = np.ones(len(labels))
     difference[known[chosen]] = signals.holm(chances[chosen].tolist())
     unexplained, misfit = stage.sargan(chosen)
+    leans = np.zeros_like(covariance)
+    leans[np.ix_(known, known)] = stage.leans(chosen)
     return replace(
         plain,
         values=here.theta,
@@ -258,6 +263,7 @@ def instrumental(
         difference=difference,
         unexplained=unexplained,
         misfit=misfit,
+        leans=leans,
     )
 
 
@@ -291,6 +297,19 @@ class _Stage:
         h = self.used(chosen)
         a = np.einsum("cnj,cnk->jk", h, self.slopes)
         return np.asarray(np.linalg.lstsq(a, np.einsum("cnj,cn->j", h, self.white), rcond=None)[0])
+
+    def leans(self, chosen: Sequence[int]) -> Array:
+        """Change of each chosen parameter per error of each other one (k, k)."""
+        k = self.slopes.shape[2]
+        others = [j for j in range(k) if j not in chosen]
+        out = np.zeros((k, k))
+        if chosen and others:
+            a = np.einsum("cnj,cnk->jk", self.used(chosen), self.slopes)
+            inside = a[np.ix_(list(chosen), list(chosen))]
+            out[np.ix_(list(chosen), others)] = -np.linalg.lstsq(
+                inside, a[np.ix_(list(chosen), others)], rcond=None
+            )[0]
+        return out
 
     def choose(self) -> tuple[list[int], Array]:
         """Parameters that the instruments move, the weakest left out one after another, and F of all (k,)."""

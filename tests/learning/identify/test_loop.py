@@ -157,3 +157,20 @@ def test_chances_of_the_score_test_are_even_where_nothing_foretells_anything() -
 
 def test_holm_multiplies_the_smallest_chance_by_the_number_of_tests() -> None:
     assert holm([0.04, 0.01, 0.5]) == pytest.approx([0.08, 0.03, 0.5])
+
+
+def test_estimates_by_instruments_lean_on_what_the_instruments_do_not_show() -> None:
+    """With a lag declared that the stick hardly shows, its ordinary estimate bends the gain, and the interval says so."""
+    system = RateLoop(effects=["actuator_lag"])
+    found = [
+        identify_in_loop(system, runs, instruments=["stick"])
+        for runs in fly("other", seeds=range(7, 10), lag=True)
+    ]
+    leaning = [f for f in found if f.instrumented is not None and list(f.instrumented.moved) == [True, False]]
+    sure = [f for f in found if f.instrumented is not None and f.instrumented.moved.all()]
+    assert leaning
+    assert sure
+    assert all(holds(f) for f in found)
+    assert min(f.half_widths(0.9)[0] for f in leaning) > max(f.half_widths(0.9)[0] for f in sure)
+    # by chance alone the interval of one of them would not hold
+    assert any(abs(f.values[0] - GAIN) > 1.7 * f.standard_errors[0] for f in leaning)

@@ -20,9 +20,9 @@ z_i is the larger one of two (`LoopTest.hidden`). Both are assumptions that no d
 
 With instruments that are strong and exogenous only the second is needed, and what estimates lean on parameters that the
 instruments do not show. Their estimates are printed where they differ, or where inputs know more than the log, unless
-they show that an effect is missing. Where inputs of a faster controller may have moved between rows of the log, they are
-made with inputs held and with the mean of each row and the next; the smaller statistic of Sargan decides, and what it
-cannot decide widens the interval.
+they show that an effect is missing. Where inputs of a faster controller may have moved between rows of the log, they
+are made with inputs held and with the mean of each row and the next; the smaller statistic of Sargan decides, and what
+it cannot decide widens the interval.
 """
 
 from collections.abc import Sequence

@@ -160,7 +160,7 @@ def test_holm_multiplies_the_smallest_chance_by_the_number_of_tests() -> None:
 
 
 def test_estimates_by_instruments_lean_on_what_the_instruments_do_not_show() -> None:
-    """With a lag declared that the stick hardly shows, its ordinary estimate bends the gain, and the interval says so."""
+    """The ordinary estimate of a declared lag that the stick hardly shows bends the gain, and the interval says so."""
     system = RateLoop(effects=["actuator_lag"])
     found = [
         identify_in_loop(system, runs, instruments=["stick"])

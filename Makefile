@@ -4,10 +4,12 @@
 # make golden writes the files anew that tests/golden holds behaviour against
 # make clean  removes the environment and the caches; runs stay
 #
-# PYTHON chooses the interpreter, PIP_FLAGS goes to every `pip install` (an index of CPU builds of torch, say).
+# PYTHON chooses the interpreter, PIP_FLAGS goes to every `pip install` (an index of CPU builds of torch, say), JOBS is
+# the number of test files that run at a time, one core each.
 
 PYTHON ?= python3
 PIP_FLAGS ?=
+JOBS ?= 2
 VENV := .venv
 BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check $(PIP_FLAGS) --constraint constraints.txt
@@ -34,7 +36,7 @@ docs: $(VENV)/.installed-dev
 	NO_MKDOCS_2_WARNING=1 $(TEST_ENV) $(BIN)/mkdocs build --strict --quiet --config-file docs/mkdocs.yml
 
 pytest: $(VENV)/.installed-dev lint types docs
-	$(TEST_ENV) $(BIN)/python -m pytest
+	$(TEST_ENV) $(BIN)/python -m pytest --numprocesses $(JOBS) --dist loadfile
 
 golden: $(VENV)/.installed-dev
 	$(TEST_ENV) $(BIN)/python -m pytest tests/golden --regenerate

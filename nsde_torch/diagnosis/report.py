@@ -92,6 +92,7 @@ def page(content: Mapping[str, Any], figures: Mapping[str, Figure], *, width: fl
         f"{escape(content['summary'])}{_gain(errors)}</div>",
         *(f'<p class="finding"><b>Warning.</b> {escape(warning(w))}</p>' for w in content["warnings"]),
         *(_finding(f, content) for f in content["findings"]),
+        *(f"<p>{escape(a['sentence'])} This is {escape(a['reason'])}.</p>" for a in content["aside"]),
         shown.get("residual", ""),
         _unexplained(content, shown.get("unexplained", "")),
         shown.get("held_out", ""),

@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 
 from nsde_torch.diagnosis.pipeline import Diagnosis
-from nsde_torch.diagnosis.report import write_report
+from nsde_torch.diagnosis.report import page, write_report
 from nsde_torch.diagnosis.text import interval, lines
 from tests.helpers.diagnosed import diagnosed
 
@@ -180,3 +180,13 @@ def test_a_width_that_is_crossed_within_a_step_is_below_something(tmp_path: Path
     assert any("coulomb_friction.width" in line and end in line for line in lines(case[1]))
     page, _ = written(tmp_path, case)
     assert end in page
+
+
+def test_what_was_set_aside_stands_on_the_page_with_its_reason(
+    nothing: tuple[Diagnosis, dict[str, Any]],
+) -> None:
+    aside = {"effect": "x", "sentence": "x would explain something.", "reason": "what <feedback> may hide"}
+    content = {**nothing[1], "aside": [aside]}
+    told = "x would explain something. This is what <feedback> may hide."
+    assert told in lines(content)
+    assert told.replace("<", "&lt;").replace(">", "&gt;") in page(content, {}, width=0.25)

@@ -36,7 +36,7 @@ def sentences(found: "LoopTest") -> list[str]:
     if answers:
         told = "; ".join(
             f"{a.input} answers what the physics leaves unexplained of {a.channel} within "
-            f"{1e3 * a.within_s:.0f} ms ({a.share:.0%} of what is new in it)"
+            f"{1e3 * a.within_s:.0f} ms ({_percent(a.share)} of what is new in it)"
             for a in answers[:_SHOWN]
         )
         rest = f"; {len(answers) - _SHOWN} further pairs" if len(answers) > _SHOWN else ""
@@ -78,6 +78,10 @@ def sentences(found: "LoopTest") -> list[str]:
             "identifiable; move the sticks more, or add a test signal"
         )
     return out
+
+
+def _percent(share: float) -> str:
+    return f"{share:.0%}" if share >= 0.01 else f"{share:.1%}"
 
 
 def _surely(answers: Sequence["Answer"], alpha: float) -> list["Answer"]:

@@ -67,6 +67,8 @@ class HeldOut:
         runs: Names of the runs that errors were measured on.
         own: By effect: what it brings itself.
         closed_loop: Whether inputs answer the state; None: not known.
+        inputs: Whether the inputs are what acted, and not restored from an average. Those know the future, and the
+            density of a step given them says nothing of causes: the residual alone judges.
     """
 
     content: dict[str, Any]
@@ -74,6 +76,7 @@ class HeldOut:
     runs: tuple[str, ...]
     own: Mapping[str, Own] = field(default_factory=dict)
     closed_loop: bool | None = None
+    inputs: bool = True
 
     @property
     def worse(self) -> list[str]:
@@ -88,8 +91,10 @@ class HeldOut:
     def against(self, effect: str) -> str:
         """What runs left out say against an effect that was found, in words; empty if nothing."""
         mine = self.own.get(effect)
-        if mine is not None and mine.against:
-            return mine.against
+        if mine is not None:
+            against = mine.against if self.inputs else mine.against_by_residual
+            if against:
+                return against
         if judges_replay(self.closed_loop) and self.worse:
             return f"predictions of the {' and '.join(self.worse)} on runs left out are worse with what was found"
         return ""
@@ -123,6 +128,7 @@ def held_out(
     without: Mapping[str, System] | None = None,
     moved: Mapping[str, Sequence[str]] | None = None,
     closed_loop: bool | None = None,
+    inputs: bool = True,
 ) -> HeldOut:
     """Measure two physics on runs left out.
 
@@ -136,6 +142,7 @@ def held_out(
         without: By effect: the physics with all others.
         moved: By effect: names of the channels that it moves.
         closed_loop: Whether inputs answer the state; None: not known.
+        inputs: Whether the inputs are what acted, and not restored from an average.
     """
     before, after = systems
     every = {"before": before, "after": after, **{f"- {k}": s for k, s in (without or {}).items()}}
@@ -186,7 +193,7 @@ def held_out(
             mine = own(of[f"- {effect}"], of["after"], (moved or {}).get(effect, ()), seed=seed)
             if mine is not None:
                 brought[effect] = mine
-    return HeldOut(content, len(runs) > 1, tuple(names), brought, closed_loop)
+    return HeldOut(content, len(runs) > 1, tuple(names), brought, closed_loop, inputs)
 
 
 def _steps(make: Callable[[Sequence[Run]], Search], runs: Sequence[Run]) -> Steps | None:

@@ -210,14 +210,22 @@ class Own:
         The log-likelihood comes first: what is left in the band can fall where an input answers gusts and the physics
         has learned so. It decides only where the log-likelihood does not surely rise.
         """
-        where = " and ".join(
+        if self.nats <= 0:
+            return f"it does not raise the log-likelihood of {self._where} on runs left out"
+        if self.low is not None and self.low > 0:
+            return ""
+        return self.against_by_residual
+
+    @property
+    def against_by_residual(self) -> str:
+        """What the residual alone says against the effect, in words; empty if nothing."""
+        return f"the residual of {self._where} on runs left out is larger with it" if self.larger else ""
+
+    @property
+    def _where(self) -> str:
+        return " and ".join(
             [", ".join([*self.channels][:-1]), [*self.channels][-1]][len(self.channels) < 2 :]
         )
-        if self.nats <= 0:
-            return f"it does not raise the log-likelihood of {where} on runs left out"
-        if self.larger and not (self.low is not None and self.low > 0):
-            return f"the residual of {where} on runs left out is larger with it"
-        return ""
 
     def as_dict(self) -> dict[str, Any]:
         """Plain containers, for JSON."""

@@ -527,6 +527,8 @@ def diagnose(
         )
 
     def test(regression: Regression) -> LoopTest:
+        if recorded.inputs_restored:
+            return LoopTest(why_not="the inputs were logged as an average and know the future")
         return tested(regression, extended)
 
     def in_loop(physics: System) -> Identification:
@@ -575,6 +577,7 @@ def diagnose(
         without={f.name: outcome.without(f.name) for f in outcome.found},
         moved={f.name: f.moves for f in outcome.found},
         closed_loop=closed_loop,
+        inputs=not recorded.inputs_restored,
     )
     seconds["errors"] = now() - started - sum(seconds.values())
     outcome.found = [replace(f, lead=f.lead or errors.against(f.name)) for f in outcome.found]

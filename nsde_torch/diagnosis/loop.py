@@ -33,7 +33,7 @@ from nsde_torch.diagnosis.structure import Dependence, Regressors, dependences, 
 from nsde_torch.effects import effect_class
 from nsde_torch.errors import NsdeError
 from nsde_torch.learning.identify.identify import Regression
-from nsde_torch.learning.identify.in_loop import hidden_bias
+from nsde_torch.learning.identify.in_loop import hidden_bias, largest_bias
 from nsde_torch.learning.identify.loop_test import LoopTest
 from nsde_torch.learning.identify.result import Identification
 from nsde_torch.learning.identify.spread import Spread
@@ -160,8 +160,14 @@ class Outcome:
 
     @cached_property
     def doubt(self) -> Array:
-        """By how much feedback may have bent each parameter of `final` (k,); nan for by anything."""
-        return hidden_bias(self.final.regression, self.test)
+        """By how much feedback may have bent each parameter of `final` (k,); nan for by anything.
+
+        Effects that were found are bent by what was made from other sensors alone, as in `hidden.allowances`.
+        """
+        r, found = self.final.regression, {f.name for f in self.found}
+        of_effects = np.array([label.partition(".")[0] in found for label in r.vector.labels], dtype=bool)
+        others = {c: z for c, z in self.test.hidden.items() if c in self.test.other_sensors}
+        return np.where(of_effects, largest_bias(r, others), hidden_bias(r, self.test))
 
     @cached_property
     def sure(self) -> Spread:

@@ -25,7 +25,7 @@ are made with inputs held and with the mean of each row and the next; the smalle
 it cannot decide widens the interval.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -155,19 +155,30 @@ def hidden_bias(regression: Regression, loop: LoopTest) -> Array:
 
     nan of parameters that rest mostly on channels whose inputs are nearly a function of the state: nothing is known.
     """
-    k = len(regression.vector)
-    hidden = loop.hidden
     bound = {c for way in loop.functions_of_state for c in loop.driven[way]}
-    if not hidden and not bound:
-        return np.zeros(k)
+    out = largest_bias(regression, loop.hidden)
+    if not bound:
+        return out
     names = [regression.physics.names[channel] for channel in regression.rows]
     of_channels = np.square(regression.slopes).sum(1)
     free = of_channels[[name not in bound for name in names]].sum(0)
+    return np.where(free < 0.5 * of_channels.sum(0), np.nan, out)
+
+
+def largest_bias(regression: Regression, hidden: Mapping[str, float]) -> Array:
+    """The largest bias (k,) of each parameter that a hidden part of such lengths may cause.
+
+    Args:
+        regression: At its optimum.
+        hidden: Length of the part by channel (`LoopTest.hidden`).
+    """
+    out = np.zeros(len(regression.vector))
+    if not hidden:
+        return out
     basis = regression.shown.basis
     squares = [s.T @ s for s in (slopes @ basis for slopes in regression.slopes)]
     back = basis @ np.linalg.pinv(sum(squares[1:], squares[0]))
-    out = np.zeros(k)
-    for name, square in zip(names, squares, strict=True):
+    for channel, square in zip(regression.rows, squares, strict=True):
         spread = np.einsum("ja,ab,jb->j", back, square, back).clip(0.0)
-        out += hidden.get(name, 0.0) * np.sqrt(spread)
-    return np.where(free < 0.5 * of_channels.sum(0), np.nan, out)
+        out += hidden.get(regression.physics.names[channel], 0.0) * np.sqrt(spread)
+    return out

@@ -13,7 +13,7 @@ noise and the past do not foretell), and v_k those of the inputs (against their 
   that acts on the log and another response (Ljung, System Identification, 1999, section 13.4).
 - other sensors: an input that was made from a logged state answers the noise of its sensor too, which is most of an
   innovation. Of a loop that is closed, a direction that is a function of the state to a quarter at least, and hardly
-  answers the channel which it drives, was made from something else. On simulated flights the share of the answer was
+  answers any channel which it drives, was made from something else. On simulated flights the share of the answer was
   0.27 to 0.77 where the controller had the logged measurement, and at most 0.006 where it had a sensor of its own.
 - new: the share of the inputs that is no function (of second degree) of the logged state. Where it is small in a closed
   loop, gains rest on what was assumed of the noise (Soderstrom, Gustavsson and Ljung, International Journal of Control
@@ -122,10 +122,8 @@ class LoopTest:
             return ()
         answered = {(a.input, a.channel) for a in self.answers if a.chance < ALPHA and a.share >= _OWN_ANSWER}
         made = {way: own for way, own in self.driven.items() if self.new.get(way, 0.0) < _PLAYED}
-        moved = dict.fromkeys(c for channels in made.values() for c in channels)
-        return tuple(
-            c for c in moved if not any((way, c) in answered for way, own in made.items() if c in own)
-        )
+        from_log = {c for way, own in made.items() if any((way, c) in answered for c in own) for c in own}
+        return tuple(dict.fromkeys(c for own in made.values() for c in own if c not in from_log))
 
     @property
     def hidden(self) -> dict[str, float]:

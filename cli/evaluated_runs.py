@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -13,7 +12,7 @@ import yaml
 
 from nsde_torch.errors import CheckpointError, ConfigError
 from nsde_torch.models import Model
-from nsde_torch.models.run_directory import CONFIG, METRICS, load
+from nsde_torch.models.run_directory import CONFIG, METRICS, load, read_metrics
 
 from .jobs import FAILED
 
@@ -100,13 +99,7 @@ def _metrics(folder: Path) -> Mapping[str, Any]:
         raise CheckpointError(f"`run={folder}`: no such folder; give the folder that `nsde train` printed.")
     if not (folder / METRICS).is_file():
         raise CheckpointError(f"`run={folder}`: {_what_is_wrong(folder)}")
-    try:
-        content = json.loads((folder / METRICS).read_text(encoding="utf-8"))
-    except (json.JSONDecodeError, UnicodeDecodeError) as error:
-        raise CheckpointError(f"`run={folder}`: {METRICS} is damaged ({error}). Train again.") from error
-    if not isinstance(content, dict):
-        raise CheckpointError(f"`run={folder}`: {METRICS} is damaged. Train again.")
-    return content
+    return read_metrics(folder, f"`run={folder}`: {METRICS}")
 
 
 def _what_is_wrong(folder: Path) -> str:

@@ -100,18 +100,26 @@ def load(run_dir: str | Path, *, device: str | torch.device = "cpu") -> Model:
         )
     dtype = tensors["clock_scale"].dtype
     model.to(dtype=dtype).load_state_dict(tensors)
-    model.folder, model.metrics = folder, _metrics(folder)
+    model.folder = folder
+    model.metrics = read_metrics(folder) if (folder / METRICS).is_file() else {}
     return model.to(device).eval().requires_grad_(False)
 
 
-def _metrics(folder: Path) -> Mapping[str, Any]:
-    """The content of `metrics.json`; empty where there is none yet."""
-    if not (folder / METRICS).is_file():
-        return {}
+def read_metrics(folder: Path, called: str = "") -> Mapping[str, Any]:
+    """The content of the `metrics.json` of a run directory.
+
+    Args:
+        folder: The run directory.
+        called: What messages call the file; its path if empty.
+
+    Raises:
+        CheckpointError: the file is damaged.
+    """
+    called = called or str(folder / METRICS)
     try:
         content = json.loads((folder / METRICS).read_text(encoding="utf-8"))
     except (json.JSONDecodeError, UnicodeDecodeError) as error:
-        raise CheckpointError(f"{folder / METRICS} is damaged ({error}). Train again.") from error
+        raise CheckpointError(f"{called} is damaged ({error}). Train again.") from error
     if not isinstance(content, dict):
-        raise CheckpointError(f"{folder / METRICS} is damaged. Train again.")
+        raise CheckpointError(f"{called} is damaged. Train again.")
     return content

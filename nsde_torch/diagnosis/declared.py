@@ -18,7 +18,8 @@ import numpy as np
 
 from nsde_torch.data import Run
 from nsde_torch.diagnosis.channels import channel_residuals
-from nsde_torch.diagnosis.loop import Estimate, Outcome
+from nsde_torch.diagnosis.estimates import Estimate
+from nsde_torch.diagnosis.loop import Outcome
 from nsde_torch.effects import effect_class
 from nsde_torch.learning.identify.identify import Regression
 from nsde_torch.learning.report import number

@@ -49,7 +49,7 @@ def allowances(test: LoopTest) -> dict[str, float]:
     Of inputs that were made from the logged measurement, or in an open loop, what they foretell is physics that is
     missing, and has to be looked for.
     """
-    return {c: z**2 for c, z in test.hidden.items() if c in test.other_sensors}
+    return {c: z**2 for c, z in test.hidden_by_sensors.items()}
 
 
 def chance_beyond(

@@ -6,7 +6,8 @@ The physics with everything that was found is fitted to that run, and the catalo
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from nsde_torch.diagnosis.loop import Estimate, choice, estimates
+from nsde_torch.diagnosis.estimates import Estimate, estimates
+from nsde_torch.diagnosis.loop import choice
 from nsde_torch.diagnosis.search import Search
 from nsde_torch.diagnosis.shape import Shape
 from nsde_torch.diagnosis.structure import Dependence

@@ -15,8 +15,8 @@ from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import stdtrit
 
+from nsde_torch.diagnosis.estimates import Estimate, by_instruments, estimated
 from nsde_torch.diagnosis.evidence import gained_by_channel
 from nsde_torch.diagnosis.hidden import Hidden, allowances, chance_beyond
 from nsde_torch.diagnosis.search import (
@@ -45,31 +45,6 @@ Verdict = Literal["no_effect", "effect_found", "unexplained"]
 _NOTHING = 0.03  # of the structure that is left over: effects that explain less are no leads either
 _LEAD = 0.1  # of what the effects explain of the channels of one: structure there beyond that makes it a lead
 _FEWER = 2.0  # nats by which two effects must be better than one that stands in for both
-_SHOWS = 0.9  # level of intervals
-_BOUNDS: dict[tuple[bool, bool], Literal["below", "above"]] = {
-    (True, False): "below",
-    (False, True): "above",
-}  # by whether the ends are those of the search
-
-
-@dataclass(frozen=True)
-class Estimate:
-    """A parameter of an effect with its interval.
-
-    Args:
-        name: `effect.parameter`, with an index where there are axes.
-        value: Estimate.
-        low, high: 90 % interval, inside the bounds; None where the data do not show it.
-        unit: Unit of all.
-        bound: `below` or `above` where that end alone is what the data say: the other one is the bound of the search.
-    """
-
-    name: str
-    value: float
-    low: float | None
-    high: float | None
-    unit: str
-    bound: Literal["below", "above"] | None = None
 
 
 @dataclass(frozen=True)
@@ -166,8 +141,7 @@ class Outcome:
         """
         r, found = self.final.regression, {f.name for f in self.found}
         of_effects = np.array([label.partition(".")[0] in found for label in r.vector.labels], dtype=bool)
-        others = {c: z for c, z in self.test.hidden.items() if c in self.test.other_sensors}
-        return np.where(of_effects, largest_bias(r, others), hidden_bias(r, self.test))
+        return np.where(of_effects, largest_bias(r, self.test.hidden_by_sensors), hidden_bias(r, self.test))
 
     @cached_property
     def sure(self) -> Spread:
@@ -223,16 +197,14 @@ def loop(
         search.held |= set(now.chosen.held)
         base = search.grown(now.chosen)
     found, base = _settle(search, declared, base, names, rounds)
-    found, base, hidden = _told_apart(search, declared, base, found, rounds, test, shown)
-    tested = test(base.regression)
-    allowed = allowances(tested)
+    found, base, hidden, tested = _told_apart(search, declared, base, found, rounds, test, shown)
     declared_variables = regressors(declared.regression, inputs=search.inputs, moved=search.moved)
     before = dependences(declared.regression, declared_variables, overview=bool(found))
     variables = (
         regressors(base.regression, inputs=search.inputs, moved=search.moved) if found else declared_variables
     )
     after = dependences(base.regression, variables) if found else before
-    left = _beyond_chance(search, after, allowed)
+    left = _beyond_chance(search, after, allowances(tested))
     explained = 2.0 * (base.score.fitted - declared.score.fitted)
     rest = max((d.gain - d.functions for d in left), default=0.0)
     if (
@@ -263,12 +235,13 @@ def _told_apart(
     rounds: list[Round],
     test: Callable[[Regression], LoopTest],
     shown: Callable[[System, str], bool],
-) -> tuple[list[Found], Base, list[Hidden]]:
-    """Effects that explain more than feedback may hide, the physics with them, and the others."""
+) -> tuple[list[Found], Base, list[Hidden], LoopTest]:
+    """Effects that explain more than feedback may hide, the physics with them, the others, and the test by it."""
     hidden: list[Hidden] = []
+    tested = test(base.regression)
     while found:
-        allowed = allowances(test(base.regression))
-        weakest: tuple[float, Found, Base] | None = None
+        allowed = allowances(tested)
+        weakest: tuple[float, Found, Base, tuple[str, ...]] | None = None
         for f in found if allowed else ():
             moved = moved_channels(base.regression, f.name)
             if not set(moved) & set(allowed):
@@ -279,15 +252,14 @@ def _told_apart(
             gained = gained_by_channel(without.regression, base.regression)
             chance = chance_beyond(gained, moved, allowed, count) * max(len(rounds[0].screened), 1)
             if chance >= search.alpha and (weakest is None or chance > weakest[0]):
-                weakest = (chance, f, without)
+                weakest = (chance, f, without, tuple(c for c in moved if c in allowed))
         if weakest is None or shown(fitted_system(base.regression), weakest[1].name):
             break
-        f = weakest[1]
-        hidden.append(
-            Hidden(f.name, tuple(c for c in moved_channels(base.regression, f.name) if c in allowed))
-        )
-        found, base = [g for g in found if g is not f], weakest[2]
-    return found, base, hidden
+        _, f, base, channels = weakest
+        hidden.append(Hidden(f.name, channels))
+        found = [g for g in found if g is not f]
+        tested = test(base.regression)
+    return found, base, hidden, tested
 
 
 def _beyond_chance(
@@ -451,62 +423,3 @@ def ties_of(search: Search, chosen: Trial, trials: Sequence[Trial]) -> tuple[str
         if t.name != chosen.name and not contains and search.accept(t) and not surely_above(chosen, t):
             out.append(t.name)
     return tuple(out)
-
-
-def estimates(regression: Regression, sure: Spread, name: str) -> list[Estimate]:
-    """Parameters of an effect with 90 % intervals from blocks of time.
-
-    Args:
-        regression: With the effect, at its optimum.
-        sure: Its covariance.
-        name: Of the effect.
-    """
-    return estimated(regression, sure, regression.vector.of(name))
-
-
-def estimated(
-    regression: Regression, sure: Spread, columns: Sequence[int], doubt: Array | None = None
-) -> list[Estimate]:
-    """Parameters with 90 % intervals from blocks of time.
-
-    Args:
-        regression: At its optimum.
-        sure: Its covariance.
-        columns: Numbers of the parameters.
-        doubt: What half-widths are widened by (k,), nan for anything; None for nothing.
-    """
-    v, basis = regression.vector, regression.shown.basis
-    error = np.sqrt(np.clip(np.diag(basis @ sure.covariance @ basis.T), 0.0, None))
-    degrees = sure.degrees(basis)
-    out = []
-    for j in columns:
-        low = high = bound = None
-        half, value = np.nan, float(regression.theta[j])
-        if regression.shown.known[j]:
-            half = float(stdtrit(max(degrees[j], 1.0), 0.5 * (1 + _SHOWS)) * error[j])
-            half += 0.0 if doubt is None else float(doubt[j])
-        if regression.shown.known[j] and np.isfinite(half):
-            low, high = float(max(value - half, v.low[j])), float(min(value + half, v.high[j]))
-            ends = low <= v.low[j], high >= v.high[j]
-            bound = _BOUNDS.get(ends)
-        out.append(Estimate(v.labels[j], value, low, high, v.units[j], bound))
-    return out
-
-
-def by_instruments(found: Identification, labels: Sequence[str]) -> list[Estimate]:
-    """Estimates with 90 % intervals of an identification by instruments.
-
-    Args:
-        found: The identification.
-        labels: Names of the parameters.
-    """
-    v, half = found.vector, found.half_widths(_SHOWS)
-    out = []
-    for label in labels:
-        j = v.labels.index(label)
-        value, low, high, bound = float(found.values[j]), None, None, None
-        if np.isfinite(half[j]):
-            low, high = float(max(value - half[j], v.low[j])), float(min(value + half[j], v.high[j]))
-            bound = _BOUNDS.get((low <= v.low[j], high >= v.high[j]))
-        out.append(Estimate(label, value, low, high, v.units[j], bound))
-    return out

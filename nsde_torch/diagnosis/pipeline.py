@@ -18,12 +18,13 @@ from nsde_torch.data import DataSet, Run
 from nsde_torch.diagnosis.candidates import candidate_names
 from nsde_torch.diagnosis.channels import ChannelResidual, channel_residuals
 from nsde_torch.diagnosis.declared import Warned, better_reading, declared, warnings
+from nsde_torch.diagnosis.estimates import Estimate, estimates
 from nsde_torch.diagnosis.evidence import at_bounds
 from nsde_torch.diagnosis.formula import Formula, formula
 from nsde_torch.diagnosis.held_out import HeldOut, held_out
 from nsde_torch.diagnosis.hidden import shown_by_instruments
 from nsde_torch.diagnosis.in_run import InRun, in_run, odd_run
-from nsde_torch.diagnosis.loop import Estimate, Outcome, estimates, loop
+from nsde_torch.diagnosis.loop import Outcome, loop
 from nsde_torch.diagnosis.not_shown import not_shown
 from nsde_torch.diagnosis.options import Options
 from nsde_torch.diagnosis.recording import Fault, Recorded, late_sensor, undo
@@ -557,8 +558,8 @@ def diagnose(
         return made
 
     feedback = outcome.test
-    if closed_loop is None and (feedback.closed or feedback.open):
-        closed_loop = feedback.closed
+    if closed_loop is None:
+        closed_loop = feedback.closed_loop
     instrumented = None
     if options.instruments and not feedback.why_not:
         say("estimates from signals outside the loop", 0, 1)

@@ -106,12 +106,10 @@ def identify_in_loop(
         )
         bias = hidden_bias(regression, loop)
         ordinary = np.where(instrumented.moved, 0.0, bias)
-        decay = hidden_bias(
-            regression, replace(loop, knowledge=tuple(replace(a, upper=0.0) for a in loop.knowledge))
-        )
         leans = np.abs(instrumented.leans)
-        leaning = np.where(leans > 0, leans * np.where(leans > 0, ordinary, 0.0), 0.0).sum(1)
-        doubt = np.where(instrumented.moved, np.maximum(apart, decay) + leaning, bias)
+        leaning = (leans * np.where(leans > 0, ordinary, 0.0)).sum(1)
+        moving = largest_bias(regression, loop.moving)
+        doubt = np.where(instrumented.moved, np.maximum(apart, moving) + leaning, bias)
     else:
         doubt = hidden_bias(regression, loop)
     return replace(found, loop=loop, instrumented=instrumented, doubt=doubt)

@@ -19,7 +19,6 @@ and Krueger, Journal of Applied Econometrics 14 (1999)). Three things are tested
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -168,13 +167,11 @@ def exogenous(regression: Regression, names: Sequence[str]) -> dict[str, str]:
     nothing = np.ones((int(live.sum()), 1)) / np.sqrt(max(int(live.sum()), 1))
     found = []
     for j, name in enumerate(names):
-        if np.square(new[live, j]).mean() <= _FOREKNOWN * z[live, j].var():
+        if signals.foreknown(new[live, j], z[live, j], _FOREKNOWN):
             continue
         for i, channel in enumerate(regression.rows):
             late = signals.lagged(regression.white[i][:, None], series, range(1, _BINS[-1]))
-            ends = pairwise(_BINS)
-            columns = np.stack([late[live, a - 1 : b - 1].sum(1) for a, b in ends], 1)
-            chance, share = signals.score_test(new[live, j], columns, nothing)
+            chance, share = signals.score_test(new[live, j], signals.binned(late[live], _BINS), nothing)
             found.append((name, regression.physics.names[channel], chance, share))
     out: dict[str, str] = {}
     for (name, channel, _, share), chance in zip(found, signals.holm([f[2] for f in found]), strict=True):

@@ -24,7 +24,6 @@ Assumed, not checked: logged inputs are those that were commanded; the step of t
 
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field, replace
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -116,6 +115,11 @@ class LoopTest:
         return not (self.why_not or self.closed or self.foretold)
 
     @property
+    def closed_loop(self) -> bool | None:
+        """Whether the loop is closed; None where inputs know more than the log, or nothing was tested."""
+        return True if self.closed else (False if self.open else None)
+
+    @property
     def other_sensors(self) -> tuple[str, ...]:
         """Channels of a closed loop whose inputs were not made from the logged measurement of that channel."""
         if not self.closed:
@@ -132,14 +136,23 @@ class LoopTest:
         Inputs may know `FACTOR` times as much of a step as they may be seen to foretell of later ones; those that were
         made from other sensors may also move between rows (`between`).
         """
-        most: dict[str, float] = {}
-        others = self.other_sensors
+        most, others = self.moving, self.other_sensors
         for a in self.knowledge:
             if a.channel in others or a.chance < ALPHA:
                 known = FACTOR * float(np.sqrt(self.rows * a.upper))
-                moves = self.between.get(a.channel, 0.0) if a.channel in others else 0.0
-                most[a.channel] = max(most.get(a.channel, 0.0), known, moves)
+                most[a.channel] = max(most.get(a.channel, 0.0), known)
         return most
+
+    @property
+    def hidden_by_sensors(self) -> dict[str, float]:
+        """The part of `hidden` on channels of `other_sensors`."""
+        hidden = self.hidden
+        return {c: hidden[c] for c in self.other_sensors}
+
+    @property
+    def moving(self) -> dict[str, float]:
+        """By channel of `other_sensors`: the standard errors of `between`."""
+        return {c: self.between.get(c, 0.0) for c in self.other_sensors}
 
     @property
     def foretold(self) -> bool:
@@ -159,7 +172,7 @@ class LoopTest:
     def as_dict(self) -> dict[str, Any]:
         """Plain containers, for JSON."""
         return {
-            "closed_loop": True if self.closed else (False if self.open else None),
+            "closed_loop": self.closed_loop,
             "made_from_other_sensors": list(self.other_sensors),
             "inputs_foretell_innovations": self.foretold,
             "functions_of_the_logged_state": list(self.functions_of_state),
@@ -272,11 +285,10 @@ def _answers(
     nothing = np.zeros((int(live.sum()), 0))
     found, own = [], []
     for j, way in enumerate(ways):
-        known = np.square(new[live, j]).mean() <= _FOREKNOWN * driven[live, j].var()
+        known = signals.foreknown(new[live, j], driven[live, j], _FOREKNOWN)
         for i, channel in enumerate(regression.rows):
             columns = signals.lagged(regression.white[i][:, None], series, range(1, rows + 1))[live]
-            parts = [columns[:, a - 1 : b - 1].sum(1) for a, b in pairwise(_BINS) if a <= rows]
-            score = signals.score_test(new[live, j], np.stack(parts, 1), nothing)
+            score = signals.score_test(new[live, j], signals.binned(columns, _BINS), nothing)
             chance, share = (1.0, 0.0) if known else score
             found.append(
                 (way.name, regression.physics.names[channel], share, chance, _within(new[live, j], columns))

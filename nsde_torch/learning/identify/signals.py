@@ -11,6 +11,7 @@ judged by Holm's chances (Scandinavian Journal of Statistics 6 (1979)).
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 import torch
@@ -70,6 +71,18 @@ def lagged(values: Array, series: Series, lags: Sequence[int]) -> Array:
         moved[lag:] = values[: len(values) - lag] if lag else values
         parts.append(np.where(place >= lag, moved, 0.0))
     return np.concatenate(parts, 1)
+
+
+def binned(columns: Array, edges: Sequence[int]) -> Array:
+    """Sums of columns of 1, 2, ... rows before (N, n) between rows `edges`, of bins that begin among them."""
+    return np.stack(
+        [columns[:, a - 1 : b - 1].sum(1) for a, b in pairwise(edges) if a <= columns.shape[1]], 1
+    )
+
+
+def foreknown(new: Array, values: Array, share: float) -> bool:
+    """Whether at most this share of the variance of values (N,) is new (N,): such a signal answers nothing."""
+    return bool(np.square(new).mean() <= share * values.var())
 
 
 def late(series: Series, rows: int) -> NDArray[np.bool_]:

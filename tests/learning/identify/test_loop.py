@@ -174,3 +174,14 @@ def test_estimates_by_instruments_lean_on_what_the_instruments_do_not_show() -> 
     assert min(f.half_widths(0.9)[0] for f in leaning) > max(f.half_widths(0.9)[0] for f in sure)
     # by chance alone the interval of one of them would not hold
     assert any(abs(f.values[0] - GAIN) > 1.7 * f.standard_errors[0] for f in leaning)
+
+
+def test_instruments_show_the_gain_of_inputs_that_are_a_function_of_the_state() -> None:
+    (runs,) = fly("logged", seeds=range(1), stick=0.03, seconds=500.0)
+    plain = identify_in_loop(RateLoop(), runs)
+    assert plain.loop is not None
+    assert plain.loop.functions_of_state
+    assert not np.isfinite(plain.half_widths(0.9)[0])
+    found = identify_in_loop(RateLoop(), runs, instruments=["stick"])
+    assert found.half_widths(0.9)[0] < 20
+    assert holds(found)

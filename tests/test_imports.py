@@ -28,14 +28,15 @@ MAY_IMPORT = {
     "sde": {*MACHINES, "data"},
     "plants": {*MACHINES, "data", "sde"},
     "models": {*MACHINES, "data", "sde"},
-    "learning": LEARNED,
+    "sysid": LEARNED,
+    "learning": {*LEARNED, "sysid"},
     "control": {*LEARNED, "plants"},
     "policy": {*LEARNED, "plants"},
-    "experiments": {*LEARNED, "learning"},
-    "api": {*LEARNED, "plants", "learning", "diagnosis"},
-    "diagnosis": {*LEARNED, "plants", "learning", "control"},
-    "px4": {*LEARNED, "plants", "learning", "control", "export"},
-    "export": {*LEARNED, "plants", "learning", "control"},
+    "experiments": {*LEARNED, "learning", "sysid"},
+    "api": {*LEARNED, "plants", "learning", "sysid", "diagnosis"},
+    "diagnosis": {*LEARNED, "plants", "learning", "sysid", "control"},
+    "px4": {*LEARNED, "plants", "learning", "sysid", "control", "export"},
+    "export": {*LEARNED, "plants", "learning", "sysid", "control"},
 }
 FORBIDDEN = {"hydra", "omegaconf", "hydra_plugins", "cli", "conf", "tests"}
 

@@ -6,7 +6,7 @@ both are white, and the spectrum
     S(f) = s_w^2 + 4 sin^2(pi f h) s_e^2
 
 gives their sizes, by non-negative least squares over the upper three quarters of the band, each frequency weighed by
-its own size. The floor is what these two leave of a mean rate over a test function (`learning.identify.explained`).
+its own size. The floor is what these two leave of a mean rate over a test function (`sysid.explained`).
 """
 
 from dataclasses import dataclass
@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 from scipy.optimize import nnls
 from scipy.signal import welch
 
-from nsde_torch.learning.identify.explained import bump, per_second, smooth_rate
-from nsde_torch.learning.identify.identify import Regression
+from nsde_torch.sysid.explained import bump, per_second, smooth_rate
+from nsde_torch.sysid.regression import Regression
 
 Array = NDArray[np.float64]
 

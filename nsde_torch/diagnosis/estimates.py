@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import stdtrit
 
-from nsde_torch.learning.identify.identify import Regression
-from nsde_torch.learning.identify.result import Identification
-from nsde_torch.learning.identify.spread import Spread
+from nsde_torch.sysid.regression import Regression
+from nsde_torch.sysid.result import Identification
+from nsde_torch.sysid.spread import Spread
 from nsde_torch.systems.parameters import ParameterVector
 
 Array = NDArray[np.float64]

@@ -17,8 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import fdtrc, stdtr
 
-from nsde_torch.learning.identify.identify import Regression
-from nsde_torch.learning.identify.spread import Spread
+from nsde_torch.sysid.regression import Regression
+from nsde_torch.sysid.spread import Spread
 
 Array = NDArray[np.float64]
 Labels = NDArray[np.int64]

@@ -29,12 +29,12 @@ from nsde_torch.effects import Effect, key_of
 from nsde_torch.errors import DataError
 from nsde_torch.learning.before import inputs_before
 from nsde_torch.learning.bootstrap import make_blocks, paired_bootstrap
-from nsde_torch.learning.identify.identify import Regression
-from nsde_torch.learning.identify.steps import Steps
 from nsde_torch.learning.metrics import horizons_of, start_grid, thinned
 from nsde_torch.learning.scores import group_squares
 from nsde_torch.models.identified import IdentifiedModel, SysidSpec
 from nsde_torch.sde import make_step
+from nsde_torch.sysid.regression import Regression
+from nsde_torch.sysid.steps import Steps
 from nsde_torch.systems import System
 
 _FOLDS = 5

@@ -1,14 +1,14 @@
 """What an effect or a dependence has to explain beyond what feedback may hide.
 
 Where a controller saw more than the log holds, its inputs know of a step what the log does not, and any term that
-correlates with inputs explains a part of it: a damping where none is. With z_i as in `learning.identify.in_loop` such a
+correlates with inputs explains a part of it: a damping where none is. With z_i as in `sysid.in_loop` such a
 term can bring at most
 
     2 log L = z_i^2
 
 of channel i. An effect counts by what it brings beyond that on the channels that it moves, and so does what is left
 over. An effect that does not reach it is not named; it is set aside with its reason, unless signals from outside the
-loop show it (`learning.identify.instruments`).
+loop show it (`sysid.instruments`).
 """
 
 from collections.abc import Mapping, Sequence
@@ -17,8 +17,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.stats import chi2
 
-from nsde_torch.learning.identify.loop_test import LoopTest
-from nsde_torch.learning.identify.result import Identification
+from nsde_torch.sysid.loop_test import LoopTest
+from nsde_torch.sysid.result import Identification
 
 
 @dataclass(frozen=True)

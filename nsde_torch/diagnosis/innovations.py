@@ -9,7 +9,7 @@ input answers the past or not: where errors of long predictions under logged inp
 what a controller does about a gust, this does not. It is still bent where the controller saw more than the log holds.
 
 What is left of forces and moments is told in the band where they act: root mean square of mean residual rates over a
-quarter of a second (`learning.identify.explained`). Differences have intervals from resampling blocks of time.
+quarter of a second (`sysid.explained`). Differences have intervals from resampling blocks of time.
 """
 
 from collections.abc import Sequence
@@ -22,12 +22,12 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from nsde_torch.learning.bootstrap import Blocks, Difference, make_blocks, mean_bootstrap, paired_bootstrap
-from nsde_torch.learning.identify.explained import bump, per_second, smooth_rate
-from nsde_torch.learning.identify.feedback import faded, foretelling
-from nsde_torch.learning.identify.identify import Regression
-from nsde_torch.learning.identify.physics import Physics
-from nsde_torch.learning.identify.series import Series
-from nsde_torch.learning.identify.steps import Steps
+from nsde_torch.sysid.explained import bump, per_second, smooth_rate
+from nsde_torch.sysid.feedback import faded, foretelling
+from nsde_torch.sysid.physics import Physics
+from nsde_torch.sysid.regression import Regression
+from nsde_torch.sysid.series import Series
+from nsde_torch.sysid.steps import Steps
 from nsde_torch.systems import System
 from nsde_torch.systems.parameters import ParameterVector
 

@@ -16,8 +16,8 @@ from typing import final
 import numpy as np
 from numpy.typing import NDArray
 
-from nsde_torch.learning.identify.identify import Regression
-from nsde_torch.learning.identify.noise import Noise, estimate, first_guess
+from nsde_torch.sysid.noise import Noise, estimate, first_guess
+from nsde_torch.sysid.regression import Regression
 
 Array = NDArray[np.float64]
 

@@ -32,11 +32,11 @@ from nsde_torch.diagnosis.search import (
 from nsde_torch.diagnosis.structure import Dependence, Regressors, dependences, regressors
 from nsde_torch.effects import effect_class
 from nsde_torch.errors import NsdeError
-from nsde_torch.learning.identify.identify import Regression
-from nsde_torch.learning.identify.in_loop import hidden_bias, largest_bias
-from nsde_torch.learning.identify.loop_test import LoopTest
-from nsde_torch.learning.identify.result import Identification
-from nsde_torch.learning.identify.spread import Spread
+from nsde_torch.sysid.in_loop import hidden_bias, largest_bias
+from nsde_torch.sysid.loop_test import LoopTest
+from nsde_torch.sysid.regression import Regression
+from nsde_torch.sysid.result import Identification
+from nsde_torch.sysid.spread import Spread
 from nsde_torch.systems import System
 
 Array = NDArray[np.float64]

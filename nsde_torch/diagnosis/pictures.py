@@ -19,8 +19,6 @@ from nsde_torch.diagnosis.loop import Outcome
 from nsde_torch.diagnosis.shape import called, product_of
 from nsde_torch.diagnosis.structure import Dependence, Regressors
 from nsde_torch.diagnosis.views import Rates, bins, factors, is_plain, rates
-from nsde_torch.learning.identify.explained import per_second
-from nsde_torch.learning.identify.identify import Regression
 from nsde_torch.plots.diagnosis import (
     Cloud,
     Panel,
@@ -30,6 +28,8 @@ from nsde_torch.plots.diagnosis import (
     residual_spectra,
     residual_views,
 )
+from nsde_torch.sysid.explained import per_second
+from nsde_torch.sysid.regression import Regression
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -36,13 +36,13 @@ from nsde_torch.diagnosis.text import lines
 from nsde_torch.diagnosis.views import rates, rates_width
 from nsde_torch.effects import Effect, effect_class, effects_of, key_of, register
 from nsde_torch.errors import ConfigError, DataError
-from nsde_torch.learning.identify.identify import Regression
-from nsde_torch.learning.identify.in_loop import adopted, identify_in_loop
-from nsde_torch.learning.identify.instruments import with_columns
-from nsde_torch.learning.identify.loop_test import LoopTest, tested
-from nsde_torch.learning.identify.result import Identification
-from nsde_torch.learning.identify.steps import steps_of
 from nsde_torch.models.identified import SysidSpec
+from nsde_torch.sysid.in_loop import adopted, identify_in_loop
+from nsde_torch.sysid.instruments import with_columns
+from nsde_torch.sysid.loop_test import LoopTest, tested
+from nsde_torch.sysid.regression import Regression
+from nsde_torch.sysid.result import Identification
+from nsde_torch.sysid.steps import steps_of
 from nsde_torch.systems import System
 from nsde_torch.systems.parameters import own_name
 

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from nsde_torch.learning.identify.identify import Regression
+from nsde_torch.sysid.regression import Regression
 
 Array = NDArray[np.float64]
 

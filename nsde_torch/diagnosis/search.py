@@ -1,7 +1,7 @@
 """Which effect is missing: candidates fitted one at a time beside the declared physics, the best one added, again.
 
 A round fits every candidate of the catalogue with all declared parameters free, in the weak form with the noise
-law of the round (learning.identify). What enters nonlinearly is screened on a grid by one linearised step; the most
+law of the round (sysid). What enters nonlinearly is screened on a grid by one linearised step; the most
 promising are iterated. They are ranked by evidence on runs left out (`evidence`), less half the logarithm of the number
 of blocks of time for each parameter, so that of two that explain alike the simpler one leads. One is added while its
 p value, times the number of candidates, is below alpha and the evidence is positive. Then every effect that was
@@ -22,12 +22,12 @@ from nsde_torch.diagnosis.evidence import Score, folds, p_value, score, sum_erro
 from nsde_torch.diagnosis.spectrum import SWINGS, lines
 from nsde_torch.effects import Effect, effect_class
 from nsde_torch.errors import NonFiniteError, NsdeError
-from nsde_torch.learning.identify.identify import Regression
-from nsde_torch.learning.identify.noise import Noise
-from nsde_torch.learning.identify.physics import Physics
-from nsde_torch.learning.identify.sizes import data_sizes
-from nsde_torch.learning.identify.spread import Spread
-from nsde_torch.learning.identify.steps import Steps
+from nsde_torch.sysid.noise import Noise
+from nsde_torch.sysid.physics import Physics
+from nsde_torch.sysid.regression import Regression
+from nsde_torch.sysid.sizes import data_sizes
+from nsde_torch.sysid.spread import Spread
+from nsde_torch.sysid.steps import Steps
 from nsde_torch.systems import System
 from nsde_torch.systems.parameters import ParameterVector, own_name
 

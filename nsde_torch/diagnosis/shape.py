@@ -28,7 +28,7 @@ from nsde_torch.diagnosis.structure import (
     projected,
 )
 from nsde_torch.diagnosis.views import Rates, bins, factors, is_plain, variable_units
-from nsde_torch.learning.identify.identify import Regression
+from nsde_torch.sysid.regression import Regression
 
 Array = NDArray[np.float64]
 

@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import median_filter
 
-from nsde_torch.learning.identify.identify import Regression
-from nsde_torch.learning.identify.noise import extended
+from nsde_torch.sysid.noise import extended
+from nsde_torch.sysid.regression import Regression
 
 Array = NDArray[np.float64]
 

@@ -24,9 +24,9 @@ from nsde_torch.diagnosis.laws import Laws
 from nsde_torch.diagnosis.one_run import LIKELY, Alone, alone
 from nsde_torch.diagnosis.repeats import COUNTS, best_repeat
 from nsde_torch.diagnosis.spectrum import WHOLE, Line, lines, waves_of
-from nsde_torch.learning.identify.identify import Regression
-from nsde_torch.learning.identify.noise import Noise
-from nsde_torch.learning.identify.series import Series
+from nsde_torch.sysid.noise import Noise
+from nsde_torch.sysid.regression import Regression
+from nsde_torch.sysid.series import Series
 from nsde_torch.systems import System
 
 Array = NDArray[np.float64]

@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nsde_torch.diagnosis.structure import BEFORE, BY_RUN, OVER_TIME, Regressors
-from nsde_torch.learning.identify.explained import bump, per_second, smooth_rate
-from nsde_torch.learning.identify.identify import Regression
+from nsde_torch.sysid.explained import bump, per_second, smooth_rate
+from nsde_torch.sysid.regression import Regression
 from nsde_torch.systems import System
 
 Array = NDArray[np.float64]

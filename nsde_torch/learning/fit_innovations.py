@@ -1,6 +1,6 @@
 """A neural SDE fitted by what is new at each step of the log: physics, then networks, then what disturbs.
 
-1. Declared parameters, with their covariance, by the prediction-error identification of `learning.identify`, and a lag
+1. Declared parameters, with their covariance, by the prediction-error identification of `sysid`, and a lag
    of the inputs where the data show one that is not declared (`innovations.actuators`).
 2. Residual networks on the whitened residuals of that physics (`innovations.networks`).
 3. The distance eta by its own losses.
@@ -31,12 +31,6 @@ from nsde_torch.data import Run, Windows
 from nsde_torch.effects import Port
 from nsde_torch.errors import CheckpointError, DataError
 from nsde_torch.learning.checkpoint import read_checkpoint, write_checkpoint
-from nsde_torch.learning.identify.identify import ITERATIONS, Regression, carry_limits, identification
-from nsde_torch.learning.identify.in_loop import identify_in_loop
-from nsde_torch.learning.identify.noise import white_noise
-from nsde_torch.learning.identify.physics import Physics
-from nsde_torch.learning.identify.result import Identification
-from nsde_torch.learning.identify.steps import steps_of
 from nsde_torch.learning.innovations.actuators import Identified, identified
 from nsde_torch.learning.innovations.distance import fit_distance
 from nsde_torch.learning.innovations.disturbances import Disturbance
@@ -55,6 +49,13 @@ from nsde_torch.learning.progress import Progress
 from nsde_torch.learning.task import Fitted, Parameters, Task
 from nsde_torch.models.networks import MLP
 from nsde_torch.models.neural_sde import NeuralSDE, SDESpec
+from nsde_torch.sysid.identify import identification
+from nsde_torch.sysid.in_loop import identify_in_loop
+from nsde_torch.sysid.noise import white_noise
+from nsde_torch.sysid.physics import Physics
+from nsde_torch.sysid.regression import ITERATIONS, Regression, carry_limits
+from nsde_torch.sysid.result import Identification
+from nsde_torch.sysid.steps import steps_of
 from nsde_torch.systems.parameters import ParameterVector
 
 Array = NDArray[np.float64]

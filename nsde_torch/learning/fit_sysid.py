@@ -1,14 +1,14 @@
-"""Declared physics fitted to runs by least squares, on the step of the data (see `nsde_torch.learning.identify`)."""
+"""Declared physics fitted to runs by least squares, on the step of the data (see `nsde_torch.sysid`)."""
 
 import torch
 
-from nsde_torch.learning.identify.in_loop import identify_in_loop
-from nsde_torch.learning.identify.result import Identification
 from nsde_torch.learning.innovations.inputs import as_applied, fit_filter
 from nsde_torch.learning.progress import Progress
 from nsde_torch.learning.report import number, table
 from nsde_torch.learning.task import Fitted, Task
 from nsde_torch.models.identified import IdentifiedModel, SysidSpec
+from nsde_torch.sysid.in_loop import identify_in_loop
+from nsde_torch.sysid.result import Identification
 
 _LEVEL = 0.95
 

@@ -20,8 +20,6 @@ from nsde_torch.learning.calibration import Coverage, extrapolate, widen
 from nsde_torch.learning.fit_ensemble import fit_ensemble
 from nsde_torch.learning.fit_sde import fit_sde
 from nsde_torch.learning.fit_sysid import fit_sysid
-from nsde_torch.learning.identify.in_loop import identify_in_loop
-from nsde_torch.learning.identify.loop_test import feedback_summary
 from nsde_torch.learning.metrics import evaluate, horizons_of
 from nsde_torch.learning.one_step import one_step_table
 from nsde_torch.learning.options import LossOptions, TrainerOptions
@@ -34,6 +32,8 @@ from nsde_torch.models.identified import SysidSpec
 from nsde_torch.models.model import Model, ModelSpec
 from nsde_torch.models.neural_sde import NeuralSDE, SDESpec
 from nsde_torch.models.run_directory import METRICS, save
+from nsde_torch.sysid.in_loop import identify_in_loop
+from nsde_torch.sysid.loop_test import feedback_summary
 
 FITS: dict[type[ModelSpec], Callable[[Task], Fitted]] = {
     SDESpec: fit_sde,

@@ -3,8 +3,8 @@
 import pytest
 
 from nsde_torch.diagnosis.hidden import Hidden, allowances, chance_beyond
-from nsde_torch.learning.identify.loop_test import Answer, LoopTest
-from nsde_torch.learning.identify.loop_words import FACTOR
+from nsde_torch.sysid.loop_test import Answer, LoopTest
+from nsde_torch.sysid.loop_words import FACTOR
 
 DRIVEN = {"the input of w_x": ("w_x",), "the input of w_z": ("w_z",)}
 

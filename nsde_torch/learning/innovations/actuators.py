@@ -15,8 +15,9 @@ from typing import Any
 from nsde_torch.data import Run
 from nsde_torch.effects import Effect, Port
 from nsde_torch.errors import NsdeError
-from nsde_torch.learning.identify.identify import ITERATIONS, Regression, identification, regression_of
 from nsde_torch.models.neural_sde import SDESpec
+from nsde_torch.sysid.identify import identification, regression_of
+from nsde_torch.sysid.regression import ITERATIONS, Regression
 from nsde_torch.systems import System
 
 LAWS = ("motor_lag", "actuator_lag", "input_delay")

@@ -8,11 +8,11 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from nsde_torch.learning.identify.physics import Physics
 from nsde_torch.learning.innovations.disturbances import Disturbance, fit, spectrum
 from nsde_torch.learning.innovations.residuals import Residuals
 from nsde_torch.models.neural_sde import NeuralSDE
 from nsde_torch.rotation import rotation_between
+from nsde_torch.sysid.physics import Physics
 
 Array = NDArray[np.float64]
 

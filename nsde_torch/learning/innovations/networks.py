@@ -20,9 +20,9 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor, nn
 
-from nsde_torch.learning.identify.noise import Noise
-from nsde_torch.learning.identify.series import Series
 from nsde_torch.learning.innovations.whitening import Whitening
+from nsde_torch.sysid.noise import Noise
+from nsde_torch.sysid.series import Series
 
 SURE = 2.0
 """Standard errors by which blocks of time left out have to be better for a network."""

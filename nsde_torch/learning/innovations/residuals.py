@@ -17,10 +17,10 @@ from scipy.signal import lfilter
 from torch import Tensor, nn
 
 from nsde_torch.effects import Port
-from nsde_torch.learning.identify.noise import Noise, estimate, first_guess
-from nsde_torch.learning.identify.physics import Physics
-from nsde_torch.learning.identify.series import Series
 from nsde_torch.models.neural_sde import NeuralSDE
+from nsde_torch.sysid.noise import Noise, estimate, first_guess
+from nsde_torch.sysid.physics import Physics
+from nsde_torch.sysid.series import Series
 
 Array = NDArray[np.float64]
 

@@ -2,10 +2,10 @@
 
 from typing import Any
 
-from nsde_torch.learning.identify.result import Identification
 from nsde_torch.learning.innovations.actuators import Identified
 from nsde_torch.learning.innovations.networks import Learned
 from nsde_torch.learning.report import number
+from nsde_torch.sysid.result import Identification
 
 
 def summary(

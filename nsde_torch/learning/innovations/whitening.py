@@ -16,8 +16,8 @@ from scipy.fft import next_fast_len
 from scipy.signal import lfilter
 from torch import Tensor
 
-from nsde_torch.learning.identify.noise import Noise
-from nsde_torch.learning.identify.series import Series
+from nsde_torch.sysid.noise import Noise
+from nsde_torch.sysid.series import Series
 
 _NOTHING = 1e-7  # of the first tap: below that an impulse response has ended
 

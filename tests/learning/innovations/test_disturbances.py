@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from nsde_torch.learning.identify.series import Series
 from nsde_torch.learning.innovations.disturbances import Disturbance, fit, spectrum
+from nsde_torch.sysid.series import Series
 
 H, N = 0.01, 6000
 

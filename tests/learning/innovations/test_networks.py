@@ -5,10 +5,10 @@ import torch
 from scipy.signal import lfilter
 from torch import Tensor, nn
 
-from nsde_torch.learning.identify.noise import Noise
-from nsde_torch.learning.identify.series import Series
 from nsde_torch.learning.innovations.networks import Learned, Settings, fit_networks
 from nsde_torch.models.networks import MLP
+from nsde_torch.sysid.noise import Noise
+from nsde_torch.sysid.series import Series
 
 N = 3000
 SERIES = Series(((0, 1200), (1200, N)))

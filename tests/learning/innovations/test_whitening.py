@@ -3,9 +3,9 @@
 import numpy as np
 import torch
 
-from nsde_torch.learning.identify.noise import Noise
-from nsde_torch.learning.identify.series import Series
 from nsde_torch.learning.innovations.whitening import Whitening
+from nsde_torch.sysid.noise import Noise
+from nsde_torch.sysid.series import Series
 
 NOISES = (
     Noise(0.0, np.zeros(0), 2.0),

@@ -33,12 +33,13 @@ from scipy.stats import chi2
 from nsde_torch.data import Run
 from nsde_torch.data.smoothing import smoothing_width
 from nsde_torch.errors import ConfigError, DataError, NonFiniteError
-from nsde_torch.learning.identify import signals
-from nsde_torch.learning.identify.identify import ITERATIONS, Regression, regression_of
-from nsde_torch.learning.identify.loop_words import FACTOR, NO_INPUT, sentences
-from nsde_torch.learning.identify.noise import extended
-from nsde_torch.learning.identify.series import Series
-from nsde_torch.learning.identify.signals import Direction
+from nsde_torch.sysid import signals
+from nsde_torch.sysid.identify import regression_of
+from nsde_torch.sysid.loop_words import FACTOR, NO_INPUT, sentences
+from nsde_torch.sysid.noise import extended
+from nsde_torch.sysid.regression import ITERATIONS, Regression
+from nsde_torch.sysid.series import Series
+from nsde_torch.sysid.signals import Direction
 from nsde_torch.systems import System
 
 Array = NDArray[np.float64]

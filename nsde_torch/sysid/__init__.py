@@ -5,9 +5,9 @@ from typing import TYPE_CHECKING
 from nsde_torch.lazy import resolver
 
 if TYPE_CHECKING:
-    from nsde_torch.learning.identify.in_loop import identify_in_loop
-    from nsde_torch.learning.identify.loop_test import LoopTest, feedback_summary
-    from nsde_torch.learning.identify.result import Identification
+    from nsde_torch.sysid.in_loop import identify_in_loop
+    from nsde_torch.sysid.loop_test import LoopTest, feedback_summary
+    from nsde_torch.sysid.result import Identification
 
 __all__ = [
     "Identification",

@@ -25,10 +25,10 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from nsde_torch.columns import split_columns
-from nsde_torch.learning.identify.memory import memory_along
-from nsde_torch.learning.identify.sizes import data_sizes
-from nsde_torch.learning.identify.steps import Steps
 from nsde_torch.rotation import rotate_back, rotation_between
+from nsde_torch.sysid.memory import memory_along
+from nsde_torch.sysid.sizes import data_sizes
+from nsde_torch.sysid.steps import Steps
 from nsde_torch.systems import System
 from nsde_torch.systems.parameters import ParameterVector
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from nsde_torch.learning.identify.feedback import faded, foretelling, past
-from nsde_torch.learning.identify.series import Series
+from nsde_torch.sysid.feedback import faded, foretelling, past
+from nsde_torch.sysid.series import Series
 
 TWO = Series(((0, 500), (500, 3000)))
 

@@ -8,8 +8,8 @@ from scipy.linalg import toeplitz
 from scipy.signal import lfilter
 from scipy.stats import multivariate_normal
 
-from nsde_torch.learning.identify.noise import Noise, again, carry_limit, estimate, extended, white_noise
-from nsde_torch.learning.identify.series import Series
+from nsde_torch.sysid.noise import Noise, again, carry_limit, estimate, extended, white_noise
+from nsde_torch.sysid.series import Series
 
 ONE = Series(((0, 6000),))
 

@@ -10,8 +10,8 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from nsde_torch.learning.identify.physics import Physics
-from nsde_torch.learning.identify.result import Channel
+from nsde_torch.sysid.physics import Physics
+from nsde_torch.sysid.result import Channel
 
 Array = NDArray[np.float64]
 

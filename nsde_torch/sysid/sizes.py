@@ -3,7 +3,7 @@
 import numpy as np
 from torch import Tensor
 
-from nsde_torch.learning.identify.steps import Steps
+from nsde_torch.sysid.steps import Steps
 from nsde_torch.systems import System
 
 _COLUMNS = {"position": 0, "speed": 1, "rate": 3}

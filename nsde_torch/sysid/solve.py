@@ -4,7 +4,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import lsq_linear
 
-from nsde_torch.learning.identify.shown import Shown
+from nsde_torch.sysid.shown import Shown
 
 Array = NDArray[np.float64]
 

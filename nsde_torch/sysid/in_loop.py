@@ -33,16 +33,17 @@ from numpy.typing import NDArray
 
 from nsde_torch.data import Run
 from nsde_torch.errors import ConfigError
-from nsde_torch.learning.identify.identify import ITERATIONS, Regression, identification, regression_of
-from nsde_torch.learning.identify.instruments import (
+from nsde_torch.sysid.identify import identification, regression_of
+from nsde_torch.sysid.instruments import (
     MISSING,
     Instrumented,
     between,
     instrumental,
     with_columns,
 )
-from nsde_torch.learning.identify.loop_test import LoopTest, tested
-from nsde_torch.learning.identify.result import Identification
+from nsde_torch.sysid.loop_test import LoopTest, tested
+from nsde_torch.sysid.regression import ITERATIONS, Regression
+from nsde_torch.sysid.result import Identification
 from nsde_torch.systems import System
 
 Array = NDArray[np.float64]

@@ -10,10 +10,10 @@ import pytest
 
 from nsde_torch.data import Run
 from nsde_torch.errors import DataError
-from nsde_torch.learning.identify.in_loop import adopted, identify_in_loop
-from nsde_torch.learning.identify.loop_test import feedback_summary
-from nsde_torch.learning.identify.result import Identification
-from nsde_torch.learning.identify.signals import holm, score_test
+from nsde_torch.sysid.in_loop import adopted, identify_in_loop
+from nsde_torch.sysid.loop_test import feedback_summary
+from nsde_torch.sysid.result import Identification
+from nsde_torch.sysid.signals import holm, score_test
 from tests.helpers.rate_loops import CONTROLLERS, GAIN, RateLoop, fly
 
 SEEDS = range(4)

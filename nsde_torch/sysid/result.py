@@ -7,13 +7,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import stdtrit
 
-from nsde_torch.learning.identify.noise import Noise
-from nsde_torch.learning.identify.shown import Shown, sentences
+from nsde_torch.sysid.noise import Noise
+from nsde_torch.sysid.shown import Shown, sentences
 from nsde_torch.systems.parameters import ParameterVector
 
 if TYPE_CHECKING:
-    from nsde_torch.learning.identify.instruments import Instrumented
-    from nsde_torch.learning.identify.loop_test import LoopTest
+    from nsde_torch.sysid.instruments import Instrumented
+    from nsde_torch.sysid.loop_test import LoopTest
 
 Array = NDArray[np.float64]
 
@@ -112,8 +112,8 @@ class Identification:
     @property
     def of_the_loop(self) -> list[str]:
         """What was found of feedback and by instruments, in words."""
-        from nsde_torch.learning.identify.in_loop import adopted
-        from nsde_torch.learning.identify.loop_words import of_instruments, widened
+        from nsde_torch.sysid.in_loop import adopted
+        from nsde_torch.sysid.loop_words import of_instruments, widened
 
         out = [] if self.loop is None else self.loop.findings
         moved = None

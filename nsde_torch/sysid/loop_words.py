@@ -7,8 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 if TYPE_CHECKING:
-    from nsde_torch.learning.identify.instruments import Instrumented
-    from nsde_torch.learning.identify.loop_test import Answer, LoopTest
+    from nsde_torch.sysid.instruments import Instrumented
+    from nsde_torch.sysid.loop_test import Answer, LoopTest
 
 FACTOR = 3.0
 """How much more inputs may know of their own step than they are seen to know of later ones (see `in_loop`)."""
@@ -25,7 +25,7 @@ _SHOWN = 3  # answers that a sentence names
 
 def sentences(found: "LoopTest") -> list[str]:
     """One sentence per finding; the first says whether the loop is closed."""
-    from nsde_torch.learning.identify.loop_test import ALPHA
+    from nsde_torch.sysid.loop_test import ALPHA
 
     if found.why_not == NO_INPUT:
         return [f"{NO_INPUT}, so that there is no loop to test"]
@@ -90,7 +90,7 @@ def _surely(answers: Sequence["Answer"], alpha: float) -> list["Answer"]:
 
 def of_instruments(found: "Instrumented", adopted: bool) -> list[str]:
     """What instruments say."""
-    from nsde_torch.learning.identify.instruments import MISSING
+    from nsde_torch.sysid.instruments import MISSING
 
     out = [f"instrument {name} is not used: {why}" for name, why in found.refused.items()]
     if not found.names:

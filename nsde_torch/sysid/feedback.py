@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import lfilter
 
-from nsde_torch.learning.identify.noise import extended
-from nsde_torch.learning.identify.series import Series
+from nsde_torch.sysid.noise import extended
+from nsde_torch.sysid.series import Series
 
 Array = NDArray[np.float64]
 

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from scipy.optimize import lsq_linear
 
-from nsde_torch.learning.identify.shown import shown
-from nsde_torch.learning.identify.solve import bounded_step
+from nsde_torch.sysid.shown import shown
+from nsde_torch.sysid.solve import bounded_step
 
 SCALE = np.array([1.0, 10.0, 0.1])
 

@@ -1,0 +1,116 @@
+"""Identify the declared parameters of a system in one call; the regression itself is `regression`."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from nsde_torch.data import Run
+from nsde_torch.errors import ConfigError
+from nsde_torch.models.identified import METHODS
+from nsde_torch.sysid.explained import bump, explained
+from nsde_torch.sysid.physics import Physics
+from nsde_torch.sysid.regression import ITERATIONS, Regression
+from nsde_torch.sysid.result import Identification
+from nsde_torch.sysid.steps import steps_of
+from nsde_torch.systems import System
+from nsde_torch.systems.parameters import ParameterVector
+
+_BOX_S = 0.01  # data on a shorter step are summed to about this
+
+
+def identify(
+    system: System,
+    runs: Sequence[Run],
+    *,
+    clock: float = 1.0,
+    method: str = "weak",
+    width: float | None = None,
+    iterations: int = ITERATIONS,
+) -> Identification:
+    """Identify the declared parameters of a system by least squares.
+
+    Args:
+        system: The machine; its values are where the iteration starts. It is not changed.
+        runs: Recordings, all on one step.
+        clock: Physical seconds per logged second.
+        method: "weak" as above, or "differences": finite differences of states that a spline has smoothed, in
+            ordinary least squares, the classical way; only its covariance is that of above.
+        width: Length of the boxes that the equations are integrated over [s]; None takes one step of the data, or
+            10 ms if that is longer.
+        iterations: Largest number of steps.
+
+    Returns:
+        Estimates, their covariance, and what the data do not show.
+
+    Raises:
+        ConfigError: no such method, no declared parameter, or a width that is shorter than a step.
+        DataError: no run, or nothing moves.
+        NonFiniteError: the physics leaves the finite numbers.
+
+    Example:
+        >>> found = identify(make_system("hexacopter"), data.runs)  # doctest: +SKIP
+        >>> dict(zip(found.vector.labels, found.values))  # doctest: +SKIP
+    """
+    regression = regression_of(system, runs, clock=clock, method=method, width=width)
+    regression.run(iterations)
+    return identification(regression, method)
+
+
+def identification(regression: Regression, method: str) -> Identification:
+    """What a regression that has settled found; see `identify`."""
+    weak = method == "weak"
+    vector, physics, steps = regression.vector, regression.physics, regression.physics.steps
+    sure, blocks = regression.spread(), regression.blocks
+    basis, window = regression.shown.basis, bump(steps.dt)
+    left = physics.residual(regression.theta)[:, regression.rows]
+    alone = explained(physics, left + regression.shift(sure.parts @ basis.T, blocks), regression.rows, window)
+    channels = explained(physics, left, regression.rows, window)
+    return Identification(
+        vector=vector,
+        method=method,
+        values=regression.theta,
+        covariance=basis @ sure.covariance @ basis.T,
+        degrees=sure.degrees(basis),
+        shown=regression.shown,
+        channels=tuple(
+            replace(c, noise=n if weak else None) for c, n in zip(channels, regression.noises, strict=True)
+        ),
+        sensor_std=physics.sensor_std,
+        unexplained=float(np.mean([c.residual / c.measured for c in alone if c.measured > 0] or [0.0])),
+        width_s=len(window) * steps.dt,
+        box_s=regression.dt,
+        iterations=regression.iterations,
+        converged=regression.converged,
+        linear=physics.linear(regression.theta),
+        blocks=int(blocks.max()) + 1,
+    )
+
+
+def regression_of(
+    system: System,
+    runs: Sequence[Run],
+    *,
+    clock: float = 1.0,
+    method: str = "weak",
+    width: float | None = None,
+) -> Regression:
+    """The regression of some runs, before its first step; see `identify`."""
+    if method not in METHODS:
+        raise ConfigError(f"`method` must be {' or '.join(METHODS)}; got {method!r}.")
+    weak = method == "weak"
+    vector = ParameterVector(system)
+    box = _box(width, runs[0].dt * clock) if runs else 1
+    steps = steps_of(system, runs, clock=clock, smooth=not weak, shortest=box)
+    physics = Physics(vector, steps, curved=weak and system.sensor_noise, foresee=weak)
+    return Regression(physics, box=box, plain=not weak, feedback=weak)
+
+
+def _box(width: float | None, dt: float) -> int:
+    if width is None:
+        return max(1, int(_BOX_S / dt + 1e-6))
+    if round(width / dt) < 1:
+        raise ConfigError(
+            f"`model.width` must be a step of the data ({dt:.4g} s) or longer; got {width:g} s."
+        )
+    return round(width / dt)

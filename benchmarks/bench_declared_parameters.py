@@ -17,12 +17,12 @@ from typing import Any
 import numpy as np
 import torch
 
-from nsde_torch.learning import LossOptions, TrainerOptions
-from nsde_torch.learning.fit_sde import fit_sde
-from nsde_torch.learning.task import Task
 from nsde_torch.models import SDESpec
 from nsde_torch.plants import MACHINES, simulated
 from nsde_torch.systems import make_system
+from nsde_torch.training import LossOptions, TrainerOptions
+from nsde_torch.training.fit_sde import fit_sde
+from nsde_torch.training.task import Task
 
 FIRST_SEED = {"hexacopter": 0, "quadrotor": 100}
 """Added to the seed: of one seed both machines fly nearly the same."""

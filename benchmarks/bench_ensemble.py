@@ -33,12 +33,12 @@ import torch
 from torch import Tensor
 
 from nsde_torch.data import DataSet, Windows, read, split
-from nsde_torch.learning import TrainerOptions
-from nsde_torch.learning.ensemble_loop import EnsembleLoop, Pairs
-from nsde_torch.learning.fit_ensemble import STEPS_FACTOR, cut_pairs, standardised_pairs
 from nsde_torch.models import EnsembleSpec, GaussianEnsemble
 from nsde_torch.plants import simulated
 from nsde_torch.systems import make_system
+from nsde_torch.training import TrainerOptions
+from nsde_torch.training.ensemble_loop import EnsembleLoop, Pairs
+from nsde_torch.training.fit_ensemble import STEPS_FACTOR, cut_pairs, standardised_pairs
 
 MEMBERS, HIDDEN, BATCH = 5, 64, 32
 EPISODES_HELD_OUT = 0.2

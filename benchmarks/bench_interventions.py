@@ -28,10 +28,10 @@ from common import train_all
 
 import nsde_torch
 from nsde_torch.data import DataSet, Windows, read
-from nsde_torch.learning.common_grid import Candidate
-from nsde_torch.learning.comparison import compare
-from nsde_torch.learning.metrics import group_rms, start_grid
-from nsde_torch.learning.seen import SeenRuns
+from nsde_torch.evaluation.common_grid import Candidate
+from nsde_torch.evaluation.comparison import compare
+from nsde_torch.evaluation.metrics import group_rms, start_grid
+from nsde_torch.evaluation.seen import SeenRuns
 from nsde_torch.plants import MACHINES, Replay, make_plant, make_plant_system, simulate, write
 from nsde_torch.systems import make_system
 

@@ -26,7 +26,7 @@ from nsde_torch.data import Run, Windows, read
 from nsde_torch.diagnosis.held_out import as_model, rollout_squares
 from nsde_torch.diagnosis.pipeline import Diagnosis, Options, diagnose, search_in
 from nsde_torch.diagnosis.search import fitted_system
-from nsde_torch.learning.metrics import start_grid, thinned
+from nsde_torch.evaluation.metrics import start_grid, thinned
 from nsde_torch.models.identified import SysidSpec
 from nsde_torch.sysid.explained import bump, smooth_rate
 from nsde_torch.sysid.physics import Physics

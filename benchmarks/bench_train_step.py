@@ -29,10 +29,10 @@ from pathlib import Path
 import torch
 from torch import Tensor
 
-from nsde_torch.learning.losses import data_loss, distance_losses, draw_ball
-from nsde_torch.learning.options import LossOptions
 from nsde_torch.models import NeuralSDE, SDESpec
 from nsde_torch.sde import brownian
+from nsde_torch.training.losses import data_loss, distance_losses, draw_ball
+from nsde_torch.training.options import LossOptions
 
 DT, STEPS, TRAIN_BATCH = 0.05, 20, 512
 

@@ -10,11 +10,11 @@ from omegaconf import DictConfig, OmegaConf
 from nsde_torch.api.reading import split_runs
 from nsde_torch.data import DataSet, Split, SystemInfo, read
 from nsde_torch.errors import ConfigError
-from nsde_torch.learning import LossOptions, TrainerOptions
 from nsde_torch.models import MODELS, ModelOptions
 from nsde_torch.plants import simulated
 from nsde_torch.sde import IntegratorOptions, TorchDiffEqOptions
 from nsde_torch.systems import System, SystemOptions
+from nsde_torch.training import LossOptions, TrainerOptions
 
 # Keys of a data configuration that are not arguments of the function that makes the data.
 _NOT_FOR_DATA = ("kind", "test", "test_path", "validation", "options", "instruments")

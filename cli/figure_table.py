@@ -95,8 +95,8 @@ def _spring(name: str) -> Figure:
         }
 
     def draw(settings: Settings) -> Outcome:
-        from nsde_torch import load
         from nsde_torch.experiments.spring import state_evolution, together
+        from nsde_torch.models import load
 
         def models(*kinds: str) -> list[list[Model]]:
             names = settings.run_dirs(*(f"spring_{region}_{k}" for k in kinds))
@@ -149,8 +149,8 @@ def _cartpole_map(policy: str) -> Figure:
     words = _CARTPOLE_SETS[policy][1]
 
     def draw(settings: Settings) -> Outcome:
-        from nsde_torch import load
         from nsde_torch.experiments.cartpole import uncertainty_map
+        from nsde_torch.models import load
 
         ((folder, *_),) = settings.run_dirs(name)
         split = held_out(folder)
@@ -171,8 +171,8 @@ def _cartpole_map(policy: str) -> Figure:
 
 def _cartpole_evolution() -> Figure:
     def draw(settings: Settings) -> Outcome:
-        from nsde_torch import load
         from nsde_torch.experiments.cartpole import state_evolution
+        from nsde_torch.models import load
 
         sde, ensemble = settings.run_dirs("cartpole_learned_sde", "cartpole_learned_ensemble")
         return state_evolution(
@@ -233,8 +233,8 @@ def _identification() -> Figure:
         }
 
     def draw(settings: Settings) -> Outcome:
-        from nsde_torch import load
         from nsde_torch.experiments.flights import against_identification
+        from nsde_torch.models import load
 
         sde, sysid = (
             [

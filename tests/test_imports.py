@@ -14,6 +14,7 @@ import pytest
 BASE = {"errors", "columns", "rotation", "lookup", "options", "lazy"}
 MACHINES = {*BASE, "systems", "effects"}
 LEARNED = {*MACHINES, "data", "sde", "models", "plots"}
+TRAINED = {"sysid", "innovations", "evaluation", "training"}
 MAY_IMPORT = {
     "errors": set(),
     "lazy": set(),
@@ -29,14 +30,16 @@ MAY_IMPORT = {
     "plants": {*MACHINES, "data", "sde"},
     "models": {*MACHINES, "data", "sde"},
     "sysid": LEARNED,
-    "learning": {*LEARNED, "sysid"},
+    "innovations": {*LEARNED, "sysid"},
+    "evaluation": {*LEARNED, "sysid", "innovations"},
+    "training": {*LEARNED, "sysid", "innovations", "evaluation"},
     "control": {*LEARNED, "plants"},
     "policy": {*LEARNED, "plants"},
-    "experiments": {*LEARNED, "learning", "sysid"},
-    "api": {*LEARNED, "plants", "learning", "sysid", "diagnosis"},
-    "diagnosis": {*LEARNED, "plants", "learning", "sysid", "control"},
-    "px4": {*LEARNED, "plants", "learning", "sysid", "control", "export"},
-    "export": {*LEARNED, "plants", "learning", "sysid", "control"},
+    "experiments": {*LEARNED, *TRAINED},
+    "api": {*LEARNED, "plants", *TRAINED, "diagnosis"},
+    "diagnosis": {*LEARNED, "plants", *TRAINED, "control"},
+    "px4": {*LEARNED, "plants", *TRAINED, "control", "export"},
+    "export": {*LEARNED, "plants", *TRAINED, "control"},
 }
 FORBIDDEN = {"hydra", "omegaconf", "hydra_plugins", "cli", "conf", "tests"}
 

@@ -74,8 +74,8 @@ def run(config: DictConfig, job: Job) -> None:
 
     import nsde_torch
     from nsde_torch.data.system_info import all_columns
-    from nsde_torch.learning.comparison import RESULT
-    from nsde_torch.learning.comparison_text import lines
+    from nsde_torch.evaluation.comparison import RESULT
+    from nsde_torch.evaluation.comparison_text import lines
 
     from .. import build, colour, evaluate_data
     from ..evaluated_runs import read_runs

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from nsde_torch.learning.options import LossOptions, TrainerOptions
 from nsde_torch.models.options import (
     BlackboxOptions,
     EnsembleOptions,
@@ -14,6 +13,7 @@ from nsde_torch.models.options import (
 )
 from nsde_torch.sde.options import IntegratorOptions, TorchDiffEqOptions
 from nsde_torch.systems.options import SystemOptions
+from nsde_torch.training.options import LossOptions, TrainerOptions
 
 from ..keys import key, mirrors, of
 

@@ -12,15 +12,15 @@ import torch
 
 from nsde_torch.api.reading import Data, read, split_runs
 from nsde_torch.errors import ConfigError
-from nsde_torch.learning.options import LossOptions, TrainerOptions, loss_options, trainer_options
-from nsde_torch.learning.structure import machine_losses, model_spec
-from nsde_torch.learning.training import train as train_model
 from nsde_torch.models.model import Model
 from nsde_torch.models.options import ModelOptions, model_options
 from nsde_torch.models.run_directory import load
 from nsde_torch.sde.options import IntegratorOptions, integrator_options
 from nsde_torch.systems.base import System
 from nsde_torch.systems.options import Effects, SystemOptions, system_options
+from nsde_torch.training.options import LossOptions, TrainerOptions, loss_options, trainer_options
+from nsde_torch.training.session import train as train_model
+from nsde_torch.training.structure import machine_losses, model_spec
 
 DTYPES = {"float32": torch.float32, "float64": torch.float64}
 
@@ -50,7 +50,7 @@ def train(
     """Train a model on runs and score it on runs held out, as `nsde train` does.
 
     What the user does not choose of the model's structure (input filter, sensor noise, disturbance, integrator) is as
-    the system and the data ask for (`nsde_torch.learning.structure`).
+    the system and the data ask for (`nsde_torch.training.structure`).
 
     Args:
         data: Folder of CSV files, PX4 log, simulation, arrays or data set (see `nsde_torch.read`).
@@ -62,8 +62,8 @@ def train(
             `found.effects` of a diagnosis.
         declared: Effects that replace the declared ones; None keeps them.
         parameters: Initial values of declared parameters, `name` or `effect.name`, in their units.
-        loss: "innovations", "replay" or "paper", or `nsde_torch.learning.LossOptions`.
-        trainer: "default", "fast" or "paper", or `nsde_torch.learning.TrainerOptions`.
+        loss: "innovations", "replay" or "paper", or `nsde_torch.training.LossOptions`.
+        trainer: "default", "fast" or "paper", or `nsde_torch.training.TrainerOptions`.
         solver: Integrator, a key of `nsde_torch.sde.STEPS`, or its options; None: the one that fits.
         test: Runs to hold out, by index or name; None holds out the last; [] holds out none.
         test_data: Further runs, recorded by other sensors perhaps, that are the test.

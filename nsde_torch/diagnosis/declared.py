@@ -21,7 +21,7 @@ from nsde_torch.diagnosis.channels import channel_residuals
 from nsde_torch.diagnosis.estimates import Estimate
 from nsde_torch.diagnosis.loop import Outcome
 from nsde_torch.effects import effect_class
-from nsde_torch.learning.report import number
+from nsde_torch.evaluation.report import number
 from nsde_torch.sysid.regression import Regression
 from nsde_torch.systems import System
 

@@ -22,7 +22,7 @@ from scipy.linalg import LinAlgWarning
 from nsde_torch.diagnosis.shape import called, period_of, product_of
 from nsde_torch.diagnosis.structure import Dependence, Regressors, own_space
 from nsde_torch.diagnosis.views import is_plain, variable_units
-from nsde_torch.learning.report import number
+from nsde_torch.evaluation.report import number
 from nsde_torch.sysid.explained import per_second
 from nsde_torch.sysid.regression import Regression
 

@@ -2,7 +2,7 @@
 
 Every run is left out in turn (at most five groups of runs); all parameters, those of the effects too, are fitted to the
 others by the same regression as in the search. On what was left out three things are measured, with intervals from
-resampling blocks of time (learning.bootstrap):
+resampling blocks of time (evaluation.bootstrap):
 
 - the log-likelihood of each step given the past, and the residual force and moment in the band where they act
   (`innovations`): they mean the same whether inputs answer disturbances or not, and they judge. Each effect is left
@@ -27,10 +27,10 @@ from nsde_torch.diagnosis.innovations import Own, Scored, band, finite, joined, 
 from nsde_torch.diagnosis.search import Search, fitted_system
 from nsde_torch.effects import Effect, key_of
 from nsde_torch.errors import DataError
-from nsde_torch.learning.before import inputs_before
-from nsde_torch.learning.bootstrap import make_blocks, paired_bootstrap
-from nsde_torch.learning.metrics import horizons_of, start_grid, thinned
-from nsde_torch.learning.scores import group_squares
+from nsde_torch.evaluation.before import inputs_before
+from nsde_torch.evaluation.bootstrap import make_blocks, paired_bootstrap
+from nsde_torch.evaluation.metrics import horizons_of, start_grid, thinned
+from nsde_torch.evaluation.scores import group_squares
 from nsde_torch.models.identified import IdentifiedModel, SysidSpec
 from nsde_torch.sde import make_step
 from nsde_torch.sysid.regression import Regression

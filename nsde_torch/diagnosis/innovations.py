@@ -21,7 +21,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from nsde_torch.learning.bootstrap import Blocks, Difference, make_blocks, mean_bootstrap, paired_bootstrap
+from nsde_torch.evaluation.bootstrap import Blocks, Difference, make_blocks, mean_bootstrap, paired_bootstrap
 from nsde_torch.sysid.explained import bump, per_second, smooth_rate
 from nsde_torch.sysid.feedback import faded, foretelling
 from nsde_torch.sysid.physics import Physics

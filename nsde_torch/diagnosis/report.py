@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 from nsde_torch.diagnosis.feedback_text import feedback_html
 from nsde_torch.diagnosis.pictures import pictures, save_pictures
 from nsde_torch.diagnosis.text import OPEN_LOOP, between, chance, interval, placed, signed, unseen, warning
-from nsde_torch.learning.report import number
+from nsde_torch.evaluation.report import number
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from nsde_torch.diagnosis.feedback_text import feedback_lines
-from nsde_torch.learning.report import number, table
+from nsde_torch.evaluation.report import number, table
 
 _RANKED, _SENTENCES = 6, 4
 

@@ -9,10 +9,10 @@ from numpy.typing import NDArray
 
 from nsde_torch import plots
 from nsde_torch.data import Run, Windows
+from nsde_torch.evaluation.before import inputs_before
+from nsde_torch.evaluation.metrics import evaluate
 from nsde_torch.experiments.outcome import Check, Outcome
 from nsde_torch.experiments.sampled import prediction, rollout
-from nsde_torch.learning.before import inputs_before
-from nsde_torch.learning.metrics import evaluate
 from nsde_torch.models.model import Model
 from nsde_torch.models.neural_sde import NeuralSDE
 

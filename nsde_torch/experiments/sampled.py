@@ -4,7 +4,7 @@ import torch
 from torch import Tensor
 
 from nsde_torch.errors import NonFiniteError
-from nsde_torch.learning.metrics import interval_quantiles, mean_state
+from nsde_torch.evaluation.metrics import interval_quantiles, mean_state
 from nsde_torch.models.model import Model
 from nsde_torch.plots import Prediction
 

@@ -1,4 +1,4 @@
-"""What a user chooses of a model; null leaves it to what the system and the data ask for (`learning.structure`)."""
+"""What a user chooses of a model; null leaves it to what the system and the data ask for (`training.structure`)."""
 
 from __future__ import annotations
 

@@ -18,9 +18,9 @@ from nsde_torch.cli.main import main
 from nsde_torch.data import RawRun
 from nsde_torch.effects import Effect
 from nsde_torch.errors import ConfigError, DataError
-from nsde_torch.learning import TrainerOptions, options
 from nsde_torch.models import NsdeOptions
 from nsde_torch.systems import MassSpringDamper, SystemOptions
+from nsde_torch.training import TrainerOptions, options
 
 SYSTEM = "mass_spring_damper"
 QUICK = {"steps": 3, "polish": 1, "validate_every": 2, "batch": 16, "compile": "off", "calibrate": False}

@@ -19,11 +19,11 @@ from nsde_torch.cli.schemas.data import CsvData
 from nsde_torch.cli.store import store
 from nsde_torch.data import Run, Split
 from nsde_torch.errors import ConfigError, DataError
-from nsde_torch.learning import structure
-from nsde_torch.learning.options import LOSSES, TRAINERS, LossOptions
-from nsde_torch.learning.structure import machine_losses, model_spec
 from nsde_torch.models.options import MODELS, model_options
 from nsde_torch.systems import System, make_system
+from nsde_torch.training import structure
+from nsde_torch.training.options import LOSSES, TRAINERS, LossOptions
+from nsde_torch.training.structure import machine_losses, model_spec
 
 
 @pytest.mark.parametrize("name", ["gpu", "mps", "cpu:x"])

@@ -64,7 +64,7 @@ def test_system_choices_are_the_systems_of_the_library() -> None:
 @pytest.mark.parametrize("name", groups.choices("system"))
 def test_every_system_is_built_from_its_configuration(name: str) -> None:
     from nsde_torch.cli import build
-    from nsde_torch.learning.structure import integrator_step
+    from nsde_torch.training.structure import integrator_step
 
     config = compose("train", overrides=[f"system={name}"])
     system = build.system(config.system)

@@ -25,7 +25,7 @@ TINY = [
 
 def tiny_figure(words: list[str]) -> figure_table.Figure:
     def draw(settings: figure_table.Settings) -> Outcome:
-        from nsde_torch import load
+        from nsde_torch.models import load
         from nsde_torch.plots import learning_curves
 
         ((folder,),) = settings.run_dirs("tiny")

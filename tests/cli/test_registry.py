@@ -22,7 +22,7 @@ from dataclasses import dataclass
 from nsde_torch.cli.hydra_command import HydraCommand
 from nsde_torch.cli.keys import group, key, of
 from nsde_torch.cli.schemas.model import SystemConfig
-from nsde_torch.learning.options import TrainerOptions
+from nsde_torch.training.options import TrainerOptions
 
 
 @dataclass

@@ -9,7 +9,7 @@ import torch
 from nsde_torch.data import DataSet, RawRun, Run, Windows, assemble
 from nsde_torch.data.interventions import COLUMN, longest_stretch, stretches
 from nsde_torch.errors import DataError
-from nsde_torch.learning.metrics import horizons_of
+from nsde_torch.evaluation.metrics import horizons_of
 from tests.helpers.data_systems import MSD
 
 

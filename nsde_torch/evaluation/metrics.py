@@ -1,0 +1,176 @@
+"""Held-out errors, interval coverage and scores of a model on runs that it has not seen.
+
+Starts lie on a regular grid of every run; a start whose longest horizon would cross a gap is left out, so that
+every horizon is scored from the same starts. What is scored is in `nsde_torch.evaluation.scores`.
+"""
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from nsde_torch.data import Run, Windows
+from nsde_torch.data.interventions import interventional, longest_stretch
+from nsde_torch.errors import DataError
+from nsde_torch.evaluation.one_step import one_step
+from nsde_torch.evaluation.scores import (
+    BASELINES,
+    LEVELS,
+    PARTICLES,
+    Scores,
+    baselines,
+    group_squares,
+    interval_quantiles,
+    mean_state,
+    score,
+)
+from nsde_torch.models.model import Model
+from nsde_torch.systems import System
+
+__all__ = [
+    "HORIZONS",
+    "LEVELS",
+    "PARTICLES",
+    "baselines",
+    "evaluate",
+    "group_rms",
+    "horizons_of",
+    "interval_quantiles",
+    "mean_state",
+    "start_grid",
+    "summary",
+    "thinned",
+]
+
+HORIZONS = (0.1, 0.25, 0.5, 1.0, 2.0)
+START_EVERY = 0.25
+MOST_STARTS = 2000
+
+
+def horizons_of(runs: Sequence[Run], dt: float) -> tuple[float, ...]:
+    """Those of 0.1, 0.25, 0.5, 1 and 2 s that are not below a step and fit in the longest stretch."""
+    # a regular grid of starts needs room to lie in; an intervention is where it is
+    room = longest_stretch(runs) - (-1e-6 if interventional(runs) else dt)
+    return tuple(h for h in HORIZONS if h <= room and h >= 0.99 * dt)
+
+
+def start_grid(windows: Windows) -> Tensor:
+    """Window numbers of the starts: every 0.25 s, or the nearest whole number of data steps; or the interventions."""
+    return windows.starts(max(1, round(START_EVERY / windows.dt)) * windows.dt)
+
+
+def thinned(starts: Tensor) -> Tensor:
+    """At most 2000 of the starts, evenly spread."""
+    if len(starts) <= MOST_STARTS:
+        return starts
+    return starts[torch.linspace(0, len(starts) - 1, MOST_STARTS).round().long()]
+
+
+def group_rms(system: System, errors: Tensor) -> dict[str, float]:
+    """Root mean square of the norm of each error group, errors (B, n_error), in the group's unit."""
+    rms = group_squares(system, errors).mean(0).sqrt()
+    return {g.name: float(rms[i]) * g.factor for i, g in enumerate(system.error_groups)}
+
+
+def evaluate(
+    model: Model,
+    runs: Sequence[Run],
+    *,
+    seed: int,
+    particles: int = PARTICLES,
+    compile: bool = False,
+    measurement_std: Tensor | None = None,
+) -> dict[str, Any]:
+    """Score a model on runs.
+
+    Args:
+        model: The model.
+        runs: Held-out runs.
+        seed: Seed of the particles.
+        particles: Paths per start.
+        compile: Compile the integrator's step.
+        measurement_std: Sensor noise of these runs if it is not that of the training data (nx,).
+
+    Returns:
+        JSON-able: `horizons_s`, `starts`, `units`, and by group and then by horizon `errors` (of the model and of
+        each baseline, root mean square of the norm), `coverage` (by level), `coverage_channels` (90 %), `crps`,
+        `spread` and `nll` (each per channel, averaged; NLL of the channels in the units of the state, None without a
+        spread); `diverged` counts starts without a finite prediction; `one_step` is what the model leaves of single
+        steps (see `evaluation.one_step`), `inputs` whether those of predictions were replayed from the log or are
+        interventional.
+
+    Raises:
+        DataError: no run is long enough.
+    """
+    dt = model.spec.dt
+    horizons = horizons_of(runs, dt)
+    if not horizons:
+        raise DataError("no run is long enough for a horizon of 0.1 s; evaluate on longer runs.")
+    steps = [max(1, round(h / dt)) for h in horizons]
+    device = model.clock_scale.device
+    windows = Windows(runs, dt, steps[-1], dtype=model.clock_scale.dtype, device=device)
+    starts = thinned(start_grid(windows))
+    if len(starts) == 0:
+        raise DataError(f"no stretch of {horizons[-1]} s without a gap; evaluate on longer runs.")
+    scores = score(
+        model,
+        windows,
+        starts,
+        steps,
+        seed=seed,
+        particles=particles,
+        compile=compile,
+        measurement_std=measurement_std,
+    )
+    return {
+        "horizons_s": list(horizons),
+        "starts": len(starts),
+        "particles": particles,
+        "diverged": scores.diverged,
+        "units": {g.name: g.unit for g in model.system.error_groups},
+        "inputs": "interventional" if interventional(runs) else "replayed",
+        "one_step": one_step(model, runs),
+        **summary(scores, [f"{h:g}" for h in horizons]),
+    }
+
+
+def summary(scores: Scores, horizons: Sequence[str]) -> dict[str, Any]:
+    """Means over the starts.
+
+    Args:
+        scores: Scores by start.
+        horizons: Name of each horizon, the keys of the result.
+
+    Returns:
+        `errors`, `coverage`, `coverage_channels`, `crps`, `spread` and `nll`, as `evaluate` has them; without a
+        finite start they are empty.
+    """
+    result: dict[str, Any] = {
+        "errors": {},
+        "coverage": {f"{level:g}": {} for level in LEVELS},
+        "coverage_channels": {},
+        "crps": {},
+        "spread": {},
+        "nll": {},
+    }
+    if len(scores.kept) == 0:
+        return result
+    system, dtype = scores.system, scores.crps.dtype
+    result["errors"] = {name: scores.errors(name, horizons) for name in ("model", *BASELINES)}
+    inside = scores.inside.to(dtype).mean(0)
+    crps, spread = scores.crps.mean(0), scores.spread.square().mean(0).sqrt()
+    nll = scores.nll.mean(0)
+    for k, h in enumerate(horizons):
+        for i, name in enumerate(system.error_names):
+            result["coverage_channels"].setdefault(name, {})[h] = float(inside[k, LEVELS.index(0.9), i])
+        for g in system.error_groups:
+            at = list(g.channels)
+            for j, level in enumerate(LEVELS):
+                result["coverage"][f"{level:g}"].setdefault(g.name, {})[h] = float(inside[k, j, at].mean())
+            result["crps"].setdefault(g.name, {})[h] = float(crps[k, at].mean()) * g.factor
+            result["spread"].setdefault(g.name, {})[h] = float(spread[k, at].mean()) * g.factor
+            value = float(nll[k, at].mean())
+            result["nll"].setdefault(g.name, {})[h] = value if math.isfinite(value) else None
+    return result

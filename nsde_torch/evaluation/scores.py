@@ -1,0 +1,268 @@
+"""Scores of one model at every start and every horizon: what means over starts, and bootstraps, are made of.
+
+With e = sample - measured in the system's error channels, over P particles, at one start and horizon:
+
+    prediction   mean of the particles (quaternions: of the aligned and normalised ones)
+    interval     quantiles of e at the plotting position p (P + 1): with 199 particles their ends are order
+                 statistics, and a calibrated ensemble holds just these shares
+    CRPS         the fair one, see `nsde_torch.training.losses.crps`
+    NLL          ln(2 pi v) / 2 + m^2 / (2 v), with m and v the mean and the (unbiased) variance of e: the negative
+                 log density of the measurement under a Gaussian of the particles' moments [nat]; not defined (NaN)
+                 where v = 0, as for a model without noise
+"""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from nsde_torch.data import Windows
+from nsde_torch.errors import NonFiniteError
+from nsde_torch.evaluation.before import inputs_before
+from nsde_torch.models.model import Model
+from nsde_torch.systems import System
+
+LEVELS = (0.1, 0.25, 0.5, 0.75, 0.9, 0.95)
+PARTICLES = 199  # every level of LEVELS falls on an order statistic; their mean adds 0.25 % to the error
+BASELINES = ("hold", "constant_velocity")
+_BATCH = 256
+
+
+def crps(errors: Tensor) -> Tensor:
+    """Fair CRPS of an ensemble, element by element.
+
+    Args:
+        errors: Ensemble minus truth (P, ...); a point forecast, P = 1, scores its absolute error.
+
+    Returns:
+        Score (...), in the unit of the errors.
+    """
+    p = errors.shape[0]
+    distance = errors.abs().mean(0)
+    if p == 1:
+        return distance
+    if p == 2:
+        return distance - (errors[0] - errors[1]).abs() / 2
+    ordered = errors.sort(0).values
+    rank = torch.arange(1, p + 1, device=errors.device, dtype=errors.dtype)
+    weight = (2 * rank - p - 1).reshape(p, *[1] * (errors.ndim - 1))
+    return distance - (weight * ordered).sum(0) / (p * (p - 1))
+
+
+def mean_state(system: System, samples: Tensor) -> Tensor:
+    """Mean of particles (P, ..., nx) -> (..., nx); the quaternion aligned, averaged, normalised."""
+    mean = samples.mean(0)
+    if system.quaternion is None:
+        return mean
+    q = samples[..., system.quaternion]
+    sign = torch.where((q * q[:1]).sum(-1, keepdim=True) < 0, -1.0, 1.0).to(q)
+    q = (q * sign).mean(0)
+    mean[..., system.quaternion] = q / q.norm(dim=-1, keepdim=True).clamp_min(1e-12)
+    return mean
+
+
+def interval_quantiles(errors: Tensor, level: float) -> tuple[Tensor, Tensor]:
+    """Lower and upper end of the central interval of an ensemble (P, ...)."""
+    return _interval(errors.sort(0).values, level)
+
+
+def _interval(ordered: Tensor, level: float) -> tuple[Tensor, Tensor]:
+    p = ordered.shape[0]
+
+    def quantile(share: float) -> Tensor:
+        at = min(max(share * (p + 1) - 1, 0.0), p - 1.0)
+        low = int(at)
+        high = min(low + 1, p - 1)
+        return ordered[low] + (at - low) * (ordered[high] - ordered[low])
+
+    return quantile((1 - level) / 2), quantile((1 + level) / 2)
+
+
+def gaussian_nll(errors: Tensor) -> Tensor:
+    """Negative log density of the truth under a Gaussian of the ensemble's mean and variance.
+
+    Args:
+        errors: Ensemble minus truth (P, ...).
+
+    Returns:
+        NLL (...) in float64 [nat, for a density in the unit of the errors]; NaN where the ensemble has no spread.
+    """
+    e = errors.double()
+    variance = e.var(0, correction=min(1, len(e) - 1))
+    nll = 0.5 * (math.log(2 * math.pi) + variance.log() + e.mean(0).square() / variance)
+    return torch.where((errors == errors[:1]).all(0), math.nan, nll)  # rounding may leave a variance
+
+
+def baselines(system: System, x0: Tensor, elapsed: float) -> dict[str, Tensor]:
+    """States (B, nx) after `elapsed` seconds if the state, or the velocity, stayed as it is."""
+    moving = x0.clone()
+    names = list(system.state_names)
+    for position, velocity, _ in system.position_derivatives:
+        moving[:, names.index(position)] += elapsed * x0[:, names.index(velocity)]
+    return {"hold": x0, "constant_velocity": moving}
+
+
+def group_squares(system: System, errors: Tensor) -> Tensor:
+    """Squared norm of each error group (B, n_groups) of errors (B, n_error), in the unit of the channels."""
+    return torch.stack([errors[:, list(g.channels)].square().sum(1) for g in system.error_groups], 1)
+
+
+@dataclass(frozen=True)
+class Scores:
+    """Scores of the S starts from which a model stayed in the finite numbers.
+
+    Args:
+        system: The system, for groups and channels.
+        starts: Number of starts tried.
+        kept: Positions, among those tried, of the S starts (S,).
+        squares: Squared norms of the prediction's error, by "model" and baseline: (S, horizons, groups).
+        inside: Whether the intervals hold the measurement (S, horizons, levels, channels).
+        crps: Fair CRPS (S, horizons, channels).
+        spread: Standard deviation of the particles (S, horizons, channels).
+        nll: Gaussian negative log likelihood (S, horizons, channels), NaN where there is no spread.
+    """
+
+    system: System
+    starts: int
+    kept: Tensor
+    squares: Mapping[str, Tensor]
+    inside: Tensor
+    crps: Tensor
+    spread: Tensor
+    nll: Tensor
+
+    @property
+    def diverged(self) -> int:
+        """Starts without a finite prediction."""
+        return self.starts - len(self.kept)
+
+    @property
+    def stochastic(self) -> bool:
+        """Whether any channel ever has a spread."""
+        return bool((self.spread > 0).any())
+
+    def at(self, rows: Tensor) -> "Scores":
+        """The scores of some of the S starts alone, by row."""
+        return Scores(
+            self.system,
+            len(rows),
+            self.kept[rows],
+            {name: s[rows] for name, s in self.squares.items()},
+            self.inside[rows],
+            self.crps[rows],
+            self.spread[rows],
+            self.nll[rows],
+        )
+
+    def errors(self, name: str, horizons: Sequence[str]) -> dict[str, dict[str, float]]:
+        """Root mean square over starts of the norm of each group, in its unit: group -> horizon -> error."""
+        rms = self.squares[name].mean(0).sqrt()
+        return self._by_group({h: rms[k] for k, h in enumerate(horizons)})
+
+    def _by_group(self, rows: Mapping[str, Tensor]) -> dict[str, dict[str, float]]:
+        groups = self.system.error_groups
+        return {
+            g.name: {h: float(row[i]) * g.factor for h, row in rows.items()} for i, g in enumerate(groups)
+        }
+
+
+@torch.no_grad()
+def score(
+    model: Model,
+    windows: Windows,
+    starts: Tensor,
+    steps: Sequence[int],
+    *,
+    seed: int,
+    particles: int = PARTICLES,
+    dt: float | None = None,
+    compile: bool = False,
+    measurement_std: Tensor | None = None,
+) -> Scores:
+    """Score a model from some starts.
+
+    Args:
+        model: The model.
+        windows: Windows of its step that reach the longest horizon.
+        starts: Window numbers (B,).
+        steps: Horizons [model steps].
+        seed: Seed of the particles.
+        particles: Paths per start.
+        dt: Step on the clock of the training data if it is not the model's own [s].
+        compile: Compile the integrator's step.
+        measurement_std: Sensor noise of these runs if it is not that of the training data (nx,).
+    """
+    system = model.system
+    generator = torch.Generator().manual_seed(seed)
+    rows: list[tuple[Tensor, ...]] = []
+    kept: list[Tensor] = []
+    parts = list(torch.arange(len(starts)).split(_BATCH))
+    while parts:
+        part = parts.pop(0)
+        x, u, t0 = windows.batch(starts[part])
+        try:
+            samples = model.sample(
+                x[:, 0],
+                u,
+                dt=model.spec.dt if dt is None else dt,
+                particles=particles,
+                generator=generator,
+                compile=compile,
+                t0=t0.to(x.dtype),
+                measurement_std=measurement_std,
+                u_before=inputs_before(system, windows, starts[part]),
+            )
+        except NonFiniteError:
+            if len(part) > 1:  # look for those at fault; the others are scored
+                parts[:0] = part.chunk(2)
+            continue
+        kept.append(part)
+        of_horizons = [
+            _of_horizon(system, samples[:, :, k], x[:, 0], x[:, k], k * windows.dt_model) for k in steps
+        ]
+        rows.append(tuple(torch.stack(column, 1).cpu() for column in zip(*of_horizons, strict=True)))
+    names = ("model", *BASELINES)
+    if not rows:
+        h, c, g = len(steps), len(system.error_names), len(system.error_groups)
+        empty = [torch.empty(0, h, *tail) for tail in ((g,), (g,), (g,), (len(LEVELS), c), (c,), (c,), (c,))]
+        joined = tuple(empty)
+    else:
+        joined = tuple(torch.cat(column) for column in zip(*rows, strict=True))
+    squares = dict(zip(names, joined[:3], strict=True))
+    indices = torch.cat(kept) if kept else torch.empty(0, dtype=torch.long)
+    return Scores(system, len(starts), indices, squares, *joined[3:])
+
+
+def baseline_squares(
+    system: System, windows: Windows, starts: Tensor, steps: Sequence[int]
+) -> dict[str, Tensor]:
+    """Squared norms of the errors of the baselines from all starts: name -> (B, horizons, groups)."""
+    rows: dict[str, list[Tensor]] = {name: [] for name in BASELINES}
+    for part in starts.split(_BATCH):
+        x = windows.batch(part)[0]
+        made: dict[str, list[Tensor]] = {name: [] for name in BASELINES}
+        for k in steps:
+            for name, state in baselines(system, x[:, 0], k * windows.dt_model).items():
+                made[name].append(group_squares(system, system.error(state, x[:, k])))
+        for name, squares in made.items():
+            rows[name].append(torch.stack(squares, 1).cpu())
+    return {name: torch.cat(parts) for name, parts in rows.items()}
+
+
+def _of_horizon(system: System, sample: Tensor, x0: Tensor, y: Tensor, elapsed: float) -> tuple[Tensor, ...]:
+    """Squares of the model and of the baselines, inside, CRPS, spread and NLL at one horizon."""
+    p = len(sample)
+    predictions = {"model": mean_state(system, sample), **baselines(system, x0, elapsed)}
+    squares = (group_squares(system, system.error(made, y)) for made in predictions.values())
+    e = system.error(sample, y.expand_as(sample))
+    ordered = e.sort(0).values
+    inside = []
+    for level in LEVELS:
+        low, high = _interval(ordered, level)
+        inside.append((low <= 0) & (high >= 0))
+    # equal particles have no spread, whatever rounding makes of their errors
+    alike = (e == e[:1]).all(0) | (sample == sample[:1]).flatten(2).all(2).all(0)[:, None]
+    spread = e.std(0, correction=min(1, p - 1)).masked_fill(alike, 0.0)
+    return (*squares, torch.stack(inside, 1), crps(e), spread, gaussian_nll(e).masked_fill(alike, math.nan))

@@ -1,0 +1,363 @@
+"""One training from data to run directory: fit, calibrate, score on held-out runs, write what was learned."""
+
+import copy
+import json
+import math
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, replace
+from pathlib import Path
+from typing import Any, TypeGuard
+
+import torch
+
+from nsde_torch.data import DataSet, Run, Split
+from nsde_torch.data.clock import of_runs
+from nsde_torch.data.smoothing import smoothing_width
+from nsde_torch.errors import DataError, NonFiniteError
+from nsde_torch.evaluation import seen
+from nsde_torch.evaluation.calibration import Coverage, extrapolate, widen
+from nsde_torch.evaluation.metrics import evaluate, horizons_of
+from nsde_torch.evaluation.one_step import one_step_table
+from nsde_torch.evaluation.report import coverage_table, error_table, lookahead, parameter_table
+from nsde_torch.models.ensemble import EnsembleSpec
+from nsde_torch.models.identified import SysidSpec
+from nsde_torch.models.model import Model, ModelSpec
+from nsde_torch.models.neural_sde import NeuralSDE, SDESpec
+from nsde_torch.models.run_directory import METRICS, save
+from nsde_torch.sysid.in_loop import identify_in_loop
+from nsde_torch.sysid.loop_test import feedback_summary
+from nsde_torch.training.fit_ensemble import fit_ensemble
+from nsde_torch.training.fit_sde import fit_sde
+from nsde_torch.training.fit_sysid import fit_sysid
+from nsde_torch.training.options import LossOptions, TrainerOptions
+from nsde_torch.training.prepare import sensor_std
+from nsde_torch.training.progress import Progress
+from nsde_torch.training.task import Fitted, Task
+
+FITS: dict[type[ModelSpec], Callable[[Task], Fitted]] = {
+    SDESpec: fit_sde,
+    EnsembleSpec: fit_ensemble,
+    SysidSpec: fit_sysid,
+}
+_LEFT_OUT = 3  # training runs that calibration leaves out in turn, at most
+_AUXILIARY_SHARE = 0.5  # of the gradient steps
+
+
+class Training:
+    """One training. `run` does all of it; killed at any moment and run again, it ends in the same numbers.
+
+    Args:
+        spec: The model.
+        data: The data set.
+        split: Runs to train on and runs to test on.
+        loss: Weights of the losses.
+        options: Settings of the optimisation.
+        validation: Share of the training runs' time that early stopping looks at.
+        seed: Seed of weights, batches and noise.
+        run_dir: Folder to write into.
+        values: Initial values of declared parameters.
+        device: Where tensors live.
+        dtype: Precision.
+        about: Plain values for `config.yaml`.
+        say: Where text for people goes.
+        other_sensors: Whether the test runs were recorded by other sensors, whose noise is then estimated.
+        instruments: Logged columns from outside the loop: sticks, setpoints.
+    """
+
+    def __init__(
+        self,
+        spec: ModelSpec,
+        data: DataSet,
+        split: Split,
+        *,
+        loss: LossOptions,
+        options: TrainerOptions,
+        validation: float,
+        seed: int,
+        run_dir: str | Path,
+        values: Mapping[str, Any] | None = None,
+        device: str | torch.device = "cpu",
+        dtype: torch.dtype = torch.float32,
+        about: Mapping[str, Any] | None = None,
+        say: Callable[[str], None] = print,
+        other_sensors: bool = False,
+        instruments: Sequence[str] = (),
+    ) -> None:
+        self.spec, self.data, self.split, self.loss, self.options = spec, data, split, loss, options
+        self.validation, self.seed, self.values = validation, seed, values
+        self.device, self.dtype = torch.device(device), dtype
+        self.instruments = tuple(instruments)
+        self.folder, self.about, self.say, self.other_sensors = Path(run_dir), about, say, other_sensors
+        self.compile = options.compile != "off" and not isinstance(spec, SysidSpec)  # done before it compiles
+        self.smoothing = smoothing_width(split.train, len(data.input_names))
+        self.filter_reach = spec.filter_reach if isinstance(spec, SDESpec | SysidSpec) else 0
+
+    def run(self) -> dict[str, Any]:
+        """Train, calibrate, test and write.
+
+        Returns:
+            What `metrics.json` holds.
+        """
+        started = time.perf_counter()
+        self.say(str(self.data.summary))
+        self._say_split()
+        if self.split.test and not horizons_of(self.split.test, self.spec.dt):
+            names = ", ".join(run.name for run in self.split.test)
+            raise DataError(
+                f"the test runs ({names}) are too short for a horizon of 0.1 s; hold out longer ones."
+            )
+        fit = self._fit(self.split.train, self.seed, "train", self.options)
+        model, p = fit.model, fit.progress
+        fitted = time.perf_counter()
+        ended = "validation no longer fell" if p.stopped else "all steps done"
+        self.say(
+            fit.said
+            or f"fitted: {p.step} steps in {fitted - started:.0f} s ({ended}); kept step {p.best_step}, "
+            f"validation {p.best_score:.4f}"
+            + (f"; then {p.polished} steps on all windows" if p.polished else "")
+        )
+        save(model, self.folder, about={"calibrated": False, **(self.about or {})})
+        calibration = self._calibrate(model)
+        loop = {} if "feedback" in fit.facts else self._feedback(model)
+        metrics: dict[str, Any] = {
+            "system": self.spec.system,
+            "model": self.spec.kind,
+            "loss": self.loss.kind,
+            "seed": self.seed,
+            "steps": p.step,
+            "best_step": p.best_step,
+            "polish_steps": p.polished,
+            "validation": {"score": p.best_score, "unit": "share of the error scale"},
+            "seconds": {"fit": fitted - started, "calibration": time.perf_counter() - fitted},
+            "calibration": calibration,
+            "clock_scale": float(model.clock_scale),
+            "input_smoothing_s": self.smoothing,
+            "input_filter": {"reach_steps": self.filter_reach, "reach_s": self.filter_reach * self.spec.dt},
+            "train_runs": [run.name for run in self.split.train],
+            **seen.record(self.split.train),
+            "train_sensor_std": self._of_states(sensor_std(self.split.train).tolist()),
+            "test_runs": [run.name for run in self.split.test],
+            "data_fingerprint": self.data.fingerprint,
+            "parameters": fit.parameters(),
+            "loss_options": asdict(self.loss),
+            "trainer_options": asdict(self.options),
+            **loop,
+            **fit.facts,
+        }
+        if learns_sensors(model):
+            metrics["sensor_std"] = self._of_states(model.measurement_std.tolist())
+        save(model, self.folder, about=self.about)
+        if self.split.test:
+            metrics["test"] = self._test(model)
+        self._write(model, metrics, p)
+        metrics["seconds"]["total"] = time.perf_counter() - started
+        (self.folder / METRICS).write_text(json.dumps(metrics, indent=1, allow_nan=False))
+        self._conclude(metrics)
+        return metrics
+
+    # ---- stages ---------------------------------------------------------------------------------------
+
+    def _fit(self, runs: Sequence[Run], seed: int, name: str, options: TrainerOptions) -> Fitted:
+        clock = of_runs(self.data.summary.slopes, [r.name for r in runs], measured=self.data.clock_scale)
+        task = Task(
+            spec=self.spec,
+            runs=runs,
+            seed=seed,
+            name=name,
+            loss=self.loss,
+            options=options,
+            validation=self.validation,
+            clock=clock,
+            values=self.values or {},
+            device=self.device,
+            dtype=self.dtype,
+            checkpoint=self.folder / "checkpoints" / name.replace(" ", "_"),
+            log=self._scalars(name),
+            instruments=self.instruments,
+        )
+        return FITS[type(self.spec)](task)
+
+    def _feedback(self, model: Model) -> dict[str, Any]:
+        """What the training runs say of the loop that they were recorded in."""
+        if not isinstance(model, NeuralSDE) or not model.spec.physics:
+            return {}
+        system, clock = copy.deepcopy(model.system).cpu(), float(model.clock_scale)
+        if not self.instruments:
+            found = feedback_summary(system, self.split.train, clock)
+            told, out = found.findings, {"feedback": found.as_dict()}
+        else:
+            known = identify_in_loop(system, self.split.train, clock=clock, instruments=self.instruments)
+            told, out = known.of_the_loop, {"identification_in_loop": known.as_dict()}
+            if known.loop is not None:
+                out["feedback"] = known.loop.as_dict()
+        for sentence in told:
+            self.say(f"feedback: {sentence}")
+        return out
+
+    def _calibrate(self, model: Model) -> dict[str, Any]:
+        stochastic = isinstance(model, NeuralSDE) and not model.step.deterministic
+        if not self.options.calibrate or self.loss.kind == "paper" or not stochastic:
+            return {"factor": 1.0}
+        assert isinstance(model, NeuralSDE)
+        runs = self.split.train
+        fitted = Coverage(model, runs, seed=self.seed, compile=self.compile).log_factor()
+        new = []
+        short = replace(
+            self.options, steps=max(1, round(self.options.steps * _AUXILIARY_SHARE)), decay_steps=None
+        )
+        count = min(len(runs), _LEFT_OUT) if len(runs) > 1 else 0
+        for turn, k in enumerate(round(i) for i in torch.linspace(0, len(runs) - 1, count).tolist()):
+            others = [run for i, run in enumerate(runs) if i != k]
+            name = f"calibrate {turn + 1} of {count}"
+            try:
+                auxiliary = self._fit(others, self.seed + 1000 + turn, name, short).model
+                assert isinstance(auxiliary, NeuralSDE)
+                coverage = Coverage(auxiliary, [runs[k]], seed=self.seed, compile=self.compile)
+            except (DataError, NonFiniteError) as error:
+                self.say(f"calibration without {runs[k].name!r} left out: {error}")
+                continue
+            new.append(coverage.log_factor())
+        total = extrapolate(fitted, new, len(runs))
+        widen(model, total)
+        factor = math.exp(total)
+        self.say(
+            f"calibrated: sigma times {factor:.2f} (right on the fitted runs at {math.exp(fitted):.2f}"
+            + (", on a run left out at " + ", ".join(f"{math.exp(f):.2f}" for f in new) if new else "")
+            + ")"
+        )
+        return {"factor": factor, "fitted": math.exp(fitted), "left_out": [math.exp(f) for f in new]}
+
+    def _test(self, model: Model) -> dict[str, Any]:
+        std = None
+        if self.other_sensors and learns_sensors(model):
+            ratio = sensor_std(self.split.test) / sensor_std(self.split.train).clamp_min(1e-12)
+            std = model.measurement_std * ratio.to(model.measurement_std)
+        result = evaluate(model, self.split.test, seed=self.seed, compile=self.compile, measurement_std=std)
+        if std is not None:
+            self.say(
+                "the test runs come from another file: their sensor noise is taken from their own fourth "
+                "differences, nothing else of them is used"
+            )
+            result["sensor_std"] = self._of_states(std.tolist())
+        return result
+
+    def _of_states(self, values: Sequence[float]) -> dict[str, float]:
+        return dict(zip(self.data.state_names, values, strict=True))
+
+    def _write(self, model: Model, metrics: dict[str, Any], progress: Progress) -> None:
+        from nsde_torch.evaluation.figures import write_figures
+
+        figures = write_figures(
+            self.folder / "plots",
+            model,
+            self.data,
+            train=self.split.train,
+            test=self.split.test,
+            metrics=metrics,
+            history=progress.history,
+            seed=self.seed,
+            note=self.note(),
+        )
+        from torch.utils.tensorboard import SummaryWriter
+
+        with SummaryWriter(str(self.folder / "tensorboard")) as writer:
+            for name, figure in figures.items():
+                _canvas(figure)
+                writer.add_figure(name, figure, progress.step, close=False)
+            for group, by_horizon in metrics.get("test", {}).get("errors", {}).get("model", {}).items():
+                for horizon, value in by_horizon.items():
+                    writer.add_scalar(f"test/{group}_{horizon}s", value, progress.step)
+        (self.folder / "data_summary.json").write_text(self.data.summary.to_json())
+
+    def note(self) -> str:
+        """What the inputs of a rollout see of the future, in words; empty if nothing."""
+        return lookahead(self.smoothing, self.filter_reach * self.spec.dt)
+
+    # ---- text -----------------------------------------------------------------------------------------
+
+    def _say_split(self) -> None:
+        train, test = ([run.name for run in side] for side in (self.split.train, self.split.test))
+        self.say(f"training on {_names(train)}; testing on {_names(test)}")
+        if self.note():
+            self.say(f"note: {self.note()}")
+
+    def _conclude(self, metrics: Mapping[str, Any]) -> None:
+        if metrics["parameters"] and "identification" not in metrics:
+            self.say("\n" + parameter_table(metrics["parameters"]))
+        test = metrics.get("test")
+        if test and test["errors"]:
+            self.say(
+                f"\nHeld-out runs: {_names(metrics['test_runs'])}; {test['starts']} starts, "
+                f"{test['diverged']} diverged\n"
+            )
+            if test["one_step"]:
+                self.say(one_step_table(test["one_step"]) + "\n")
+            self.say(error_table(test))
+            if any(value > 0 for by in test["spread"].values() for value in by.values()):
+                self.say("\n" + coverage_table(test))
+            else:
+                self.say("\nthe model is deterministic: it has no intervals")
+        if self.note():
+            self.say(f"\nnote: {self.note()}")
+        self.say(f"\ntook {metrics['seconds']['total']:.0f} s; wrote {self.folder}")
+
+    def _scalars(self, name: str) -> Callable[[int, dict[str, float]], None]:
+        from torch.utils.tensorboard import SummaryWriter
+
+        writer: list[SummaryWriter] = []
+
+        def log(step: int, row: dict[str, float]) -> None:
+            if not writer:
+                writer.append(SummaryWriter(str(self.folder / "tensorboard" / name.replace(" ", "_"))))
+            for key, value in row.items():
+                if key != "step" and math.isfinite(value):
+                    writer[0].add_scalar(key, value, step)
+            writer[0].flush()
+
+        return log
+
+
+def learns_sensors(model: Model) -> TypeGuard[NeuralSDE]:
+    """Whether the model has a sensor noise of its own."""
+    return isinstance(model, NeuralSDE) and model.spec.measurement
+
+
+def _names(runs: Sequence[str]) -> str:
+    if len(runs) > 4:
+        return f"{runs[0]} ... {runs[-1]} ({len(runs)} runs)"
+    return ", ".join(runs) or "nothing"
+
+
+def _canvas(figure: Any) -> None:
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+
+    FigureCanvasAgg(figure)
+
+
+def train(
+    spec: ModelSpec,
+    data: DataSet,
+    split: Split,
+    *,
+    loss: LossOptions,
+    options: TrainerOptions,
+    seed: int,
+    run_dir: str | Path,
+    **settings: Any,
+) -> dict[str, Any]:
+    """Train a model on runs and write a run directory; see `Training` for the arguments.
+
+    Returns:
+        What `metrics.json` holds; `["validation"]["score"]` is the validation score (smaller is better).
+
+    Raises:
+        DataError: the data cannot be used.
+        NonFiniteError: the optimisation left the finite numbers.
+    """
+    settings.setdefault("validation", 0.15)
+    if not split.train:
+        raise DataError("no run to train on.")
+    return Training(
+        spec, data, split, loss=loss, options=options, seed=seed, run_dir=run_dir, **settings
+    ).run()

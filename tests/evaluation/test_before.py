@@ -1,0 +1,85 @@
+"""Inputs before windows reach every rollout that is scored, fitted or shown."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+
+from nsde_torch.data import Run, Windows
+from nsde_torch.diagnosis.held_out import rollout_squares
+from nsde_torch.evaluation.before import inputs_before
+from nsde_torch.evaluation.scores import score
+from nsde_torch.models import IdentifiedModel, NeuralSDE, SDESpec, SysidSpec
+from nsde_torch.systems import make_system
+from nsde_torch.training.fitting import Fit
+from nsde_torch.training.options import LossOptions, TrainerOptions
+from tests.models.test_inputs_before import DT, VALUES, flight
+
+STEPS = 10
+
+
+@pytest.fixture(scope="module")
+def windows() -> Windows:
+    x, u = flight("motor_lag")
+    t = DT * np.arange(len(x))
+    commands = torch.cat((u, u[-1:])).numpy()
+    return Windows([Run("a", t, x.numpy(), commands)], DT, STEPS, dtype=torch.float64)
+
+
+def truth() -> IdentifiedModel:
+    spec = SysidSpec("hexacopter", dt=DT, horizon=STEPS, effects=("motor_lag",))
+    made = IdentifiedModel(spec, generator=torch.Generator(), values=VALUES["motor_lag"])
+    return made.double().requires_grad_(False)
+
+
+def test_they_are_as_long_as_memory_lasts_and_none_where_there_is_none(windows: Windows) -> None:
+    at = torch.tensor([0, 30])
+    found = inputs_before(make_system("hexacopter", effects=["motor_lag"]), windows, at)
+    assert found is not None
+    assert found.shape == (2, 25, 6)
+    assert inputs_before(make_system("hexacopter", effects=["linear_drag"]), windows, at) is None
+
+
+def test_the_true_model_is_scored_without_error_from_anywhere_in_a_run(windows: Windows) -> None:
+    starts = torch.arange(25, len(windows))
+    scores = score(truth(), windows, starts, [5, STEPS], seed=0, particles=3)
+    assert float(scores.squares["model"].max()) < 1e-6
+    squares = rollout_squares(truth(), windows, starts, [5, STEPS])
+    assert float(squares.max()) < 1e-6
+    stationary = truth().sample(
+        windows.batch(starts)[0][:, 0],
+        windows.batch(starts)[1],
+        dt=DT,
+        particles=1,
+        generator=torch.Generator(),
+    )
+    assert float((stationary[0] - windows.batch(starts)[0]).square().max()) > 1e-2
+
+
+def test_training_errors_of_the_true_model_vanish(windows: Windows) -> None:
+    spec = SDESpec(
+        "hexacopter",
+        dt=DT,
+        horizon=STEPS,
+        step="milstein_heun",
+        effects=("motor_lag",),
+        sigma_max=(1e-9,) * 13,
+    )
+    generator = torch.Generator().manual_seed(0)
+    model = NeuralSDE(spec, generator=generator, values=VALUES["motor_lag"]).double()
+    with torch.no_grad():
+        for network in model.residuals.values():
+            network.layers[-1].weight.zero_()  # type: ignore[union-attr, operator, index]
+    fit = Fit(
+        model,
+        windows,
+        windows,
+        windows,
+        scale=torch.ones(12, dtype=torch.float64),
+        loss=LossOptions(kind="replay"),
+        options=TrainerOptions(compile="off"),
+        seed=0,
+    )
+    errors, _ = fit.errors(windows, torch.arange(25, len(windows)), 2, generator)
+    assert float(errors.detach().abs().max()) < 1e-3

@@ -1,0 +1,91 @@
+"""Calibration: the factor on sigma that makes intervals right is found, and carried to a new run by the formula."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+import torch
+
+from nsde_torch.data import Run
+from nsde_torch.evaluation.calibration import Coverage, extrapolate, widen
+from tests.helpers.toy_systems import Decay, decay_runs, fix_sigma, make_model
+
+SIGMA = 0.5
+
+
+@pytest.fixture(scope="module")
+def runs() -> list[Run]:
+    """300 s of a decay with noise."""
+    return decay_runs(3, 100.0, sigma=SIGMA)
+
+
+@pytest.mark.parametrize("wrong", [0.5, 1.0, 2.0])
+def test_the_factor_undoes_a_sigma_that_is_deliberately_wrong(runs: list[Run], wrong: float) -> None:
+    model = fix_sigma(make_model(Decay), wrong * SIGMA)
+    found = Coverage(model, runs, seed=0, compile=False).log_factor()
+    assert found == pytest.approx(-math.log(wrong), abs=0.2)
+
+
+def test_the_factor_stays_at_one_where_the_intervals_hold_already() -> None:
+    class Fixed(Coverage):
+        def __init__(self, held: float) -> None:
+            self.held = held
+
+        def __call__(self, log_factor: float) -> float:
+            return self.held
+
+    assert Fixed(0.91).log_factor() == 0.0
+    assert Fixed(0.89).log_factor() == pytest.approx(math.log(6.0))
+
+
+def test_a_factor_under_which_paths_diverge_counts_as_too_large(runs: list[Run]) -> None:
+    coverage = Coverage(fix_sigma(make_model(Decay), SIGMA), runs, seed=0, compile=False)
+    assert coverage(300.0) == 1.0
+
+
+def test_coverage_rises_with_the_factor_and_is_nine_tenths_at_the_truth(runs: list[Run]) -> None:
+    coverage = Coverage(fix_sigma(make_model(Decay), SIGMA), runs, seed=0, compile=False)
+    values = [coverage(f) for f in (-1.0, -0.3, 0.0, 0.3, 1.0)]
+    assert values == sorted(values)
+    assert values[2] == pytest.approx(0.9, abs=0.04)
+
+
+def test_looking_for_the_factor_leaves_the_model_as_it_was(runs: list[Run]) -> None:
+    model = fix_sigma(make_model(Decay), SIGMA)
+    before = {k: v.clone() for k, v in model.state_dict().items()}
+    Coverage(model, runs, seed=0, compile=False).log_factor()
+    for name, value in model.state_dict().items():
+        assert torch.equal(value, before[name]), name
+
+
+def test_the_factor_stays_within_its_bracket(runs: list[Run]) -> None:
+    low = Coverage(fix_sigma(make_model(Decay), 1e-3), runs, seed=0, compile=False).log_factor()
+    high = Coverage(fix_sigma(make_model(Decay), 1e3), runs, seed=0, compile=False).log_factor()
+    assert low == pytest.approx(math.log(6.0), abs=0.02)
+    assert high == pytest.approx(math.log(0.25), abs=0.02)
+
+
+def test_widening_multiplies_sigma() -> None:
+    model = fix_sigma(make_model(Decay), SIGMA)
+    x, u = torch.zeros(1, 1), torch.zeros(1, 1)
+    before = model.diffusion(0.0, x, u)
+    widen(model, math.log(1.7))
+    torch.testing.assert_close(model.diffusion(0.0, x, u), 1.7 * before)
+
+
+def test_extrapolation_takes_the_share_of_the_excess_that_a_new_run_still_sees() -> None:
+    assert extrapolate(0.2, [], 1) == 0.2
+    assert extrapolate(0.1, [0.4, 0.6], 2) == pytest.approx(0.1 + 0.4 / 2)
+    assert extrapolate(0.1, [0.4, 0.6, 0.5], 3) == pytest.approx(0.1 + 0.4 * 2 / 3)
+    assert extrapolate(0.1, [0.4, 0.6, 0.5], 10) == pytest.approx(0.1 + 0.4 * 9 / 10)
+
+
+def test_a_run_left_out_never_narrows_what_the_fitted_runs_ask_for() -> None:
+    assert extrapolate(0.3, [0.0, 0.1], 2) == 0.3
+
+
+def test_an_excess_that_falls_as_one_over_the_runs_is_extrapolated_exactly() -> None:
+    """With excess a / n, models of N - 1 runs show a / (N - 1), and one of N runs needs a / N."""
+    fitted, a, n = 0.1, 0.6, 4
+    assert extrapolate(fitted, [fitted + a / (n - 1)] * 3, n) == pytest.approx(fitted + a / n)

@@ -1,0 +1,304 @@
+"""Models on a common grid: figures that agree with `evaluate`, differences, marks of training runs."""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+
+from nsde_torch.data import DataSet, RawRun, Run, assemble
+from nsde_torch.errors import ConfigError, DataError, NonFiniteError
+from nsde_torch.evaluation import evaluate
+from nsde_torch.evaluation.common_grid import Candidate
+from nsde_torch.evaluation.comparison import Comparison, compare
+from nsde_torch.evaluation.comparison_figures import write_figures
+from nsde_torch.evaluation.comparison_text import lines
+from nsde_torch.evaluation.scores import gaussian_nll
+from nsde_torch.evaluation.seen import SeenRuns, record
+from nsde_torch.models import NeuralSDE
+from nsde_torch.systems import make_system
+from tests.helpers.toy_systems import DT, Decay, Gusty, decay_runs, fix_sigma, make_model
+
+NEW = SeenRuns([], {}, {})
+
+
+def data_set(*runs: Run) -> DataSet:
+    return assemble([RawRun(r.name, r.t, r.x, r.u) for r in runs], make_model(Decay).system, kind="csv")
+
+
+def candidate(name: str, model: NeuralSDE, seen: SeenRuns = NEW, **more: Any) -> Candidate:
+    return Candidate(name=name, model=model, seen=seen, **more)
+
+
+def good(**spec: Any) -> NeuralSDE:
+    return fix_sigma(make_model(Decay, **spec), 0.5)
+
+
+@torch.no_grad()
+def bad() -> NeuralSDE:
+    """A decay five times too fast."""
+    model = good()
+    model.system.load_state_dict(make_system(model.spec.system, values={"rate": 5.0}).state_dict())
+    return model
+
+
+@pytest.fixture(scope="module")
+def runs() -> list[Run]:
+    return decay_runs(2, 30.0, sigma=0.5)
+
+
+@pytest.fixture(scope="module")
+def data(runs: list[Run]) -> DataSet:
+    return data_set(*runs)
+
+
+@pytest.fixture(scope="module")
+def three(data: DataSet) -> Comparison:
+    """The true model, itself again, and one that is wrong; the last was trained on the first run."""
+    seen = SeenRuns.of({"train_runs": ["run_0"], **record(data.runs[:1])})
+    models = [candidate("true", good()), candidate("again", good()), candidate("wrong", bad(), seen)]
+    return compare(models, data, data.runs, seed=0, particles=39)
+
+
+def test_figures_of_one_model_are_those_of_a_training(three: Comparison, data: DataSet) -> None:
+    expected = evaluate(good(), data.runs, seed=0, particles=39)
+    made = three.content["models"][0]
+    assert made["errors"] == expected["errors"]["model"]
+    for name in ("coverage", "coverage_channels", "crps", "spread", "nll"):
+        assert made[name] == expected[name]
+    for name in ("hold", "constant_velocity"):
+        for group, row in expected["errors"][name].items():
+            assert three.content["baselines"][name][group] == pytest.approx(row)
+    assert three.content["starts"] == expected["starts"]
+
+
+def test_equal_models_show_no_difference_and_a_wrong_one_is_worse(three: Comparison) -> None:
+    against = three.content["differences"]["against"]
+    assert three.content["differences"]["first"] == "true"
+    for h in three.content["horizons_s"]:
+        same, wrong = (against[name]["errors"]["position"][f"{h:g}"] for name in ("again", "wrong"))
+        assert (same["difference"], same["verdict"]) == (0.0, "no difference")
+        assert wrong["difference"] == pytest.approx(wrong["other"] - wrong["first"], abs=1e-12)
+    assert against["wrong"]["errors"]["position"]["0.25"]["verdict"] == "worse"
+    assert {"hold", "constant_velocity"} <= set(against)
+
+
+def test_a_run_of_training_is_marked_in_every_part(three: Comparison, tmp_path: Path) -> None:
+    content = three.content
+    true, _, wrong = content["models"]
+    assert true["held_out"]
+    assert not wrong["held_out"]
+    assert wrong["trained_on"] == {"run_0": True, "run_1": False}
+    assert content["data"]["runs"][0]["trained_on_by"] == ["wrong"]
+    assert not content["differences"]["against"]["wrong"]["held_out"]
+    assert content["differences"]["against"]["again"]["held_out"]
+    assert any(n["red"] and "wrong was trained on run_0" in n["text"] for n in content["notes"])
+    text = list(lines(content))
+    marked = [line for line, red in text if red]
+    assert any(line.startswith("run_0") for line in marked)
+    assert not any(line.startswith("run_1") for line in marked)
+    assert all(
+        ("TRAINED ON" in line) == red
+        for line, red in text
+        if "wrong" in line and "note" not in line and "run " not in line
+    )
+    files = write_figures(tmp_path, three)
+    assert [file.name for file in files] == ["errors.png", "calibration.png", "rollouts.png"]
+    assert all(file.read_bytes()[:4] == b"\x89PNG" for file in files)
+
+
+def test_the_content_is_json_with_a_figure_for_every_run(three: Comparison) -> None:
+    content = json.loads(json.dumps(three.content, allow_nan=False))
+    for model in content["models"]:
+        assert sum(r["starts"] for r in model["by_run"].values()) == content["starts"]
+        squares = [r["starts"] * r["errors"]["position"]["1"] ** 2 for r in model["by_run"].values()]
+        assert math.sqrt(sum(squares) / content["starts"]) == pytest.approx(model["errors"]["position"]["1"])
+        assert len(model["calibration"]["nominal"]) == len(model["calibration"]["share"]["position"])
+
+
+def test_models_of_different_steps_are_scored_from_the_same_starts(data: DataSet) -> None:
+    models = [candidate("fine", good()), candidate("coarse", good(dt=4 * DT))]
+    done = compare(models, data, data.runs, seed=0, particles=9)
+    fine, coarse = done.grids
+    assert np.array_equal(fine.windows.rows(fine.starts), coarse.windows.rows(coarse.starts))
+    assert done.content["horizons_s"] == [0.25, 0.5, 1.0, 2.0]
+    texts = " ".join(n["text"] for n in done.content["notes"])
+    assert "0.1 s left out: below the step of coarse, 0.2 s" in texts
+    assert "0.25 s at 0.2 s, 0.5 s at 0.4 s" in texts
+    assert done.content["models"][1]["evaluated_at_s"] == {"0.25": 0.2, "0.5": 0.4, "1": 1.0, "2": 2.0}
+    against = done.content["differences"]["against"]["coarse"]["errors"]["position"]
+    assert against["0.25"] is None
+    assert against["0.5"] is None
+    assert against["1"]["difference"] == pytest.approx(
+        done.content["models"][1]["errors"]["position"]["1"]
+        - done.content["models"][0]["errors"]["position"]["1"],
+        abs=1e-6,
+    )
+    assert any("0.25 s" in line and " - " in line for line, _ in lines(done.content))
+
+
+class Fragile(NeuralSDE):
+    """Leaves the finite numbers from starts above a tenth."""
+
+    def sample(self, x0: torch.Tensor, u: torch.Tensor, **more: Any) -> torch.Tensor:
+        if bool((x0 > 0.1).any()):
+            raise NonFiniteError("too far")
+        return super().sample(x0, u, **more)
+
+
+def test_divergence_is_counted_and_said_and_pairs_are_of_starts_where_both_are_finite(
+    data: DataSet, tmp_path: Path
+) -> None:
+    fragile = good()
+    fragile.__class__ = Fragile
+    done = compare(
+        [candidate("fragile", fragile), candidate("true", good())], data, data.runs, seed=0, particles=9
+    )
+    first, second = done.content["models"]
+    x0 = done.grids[0].windows.batch(done.grids[0].starts)[0][:, 0, 0]
+    assert first["diverged"] == int((x0 > 0.1).sum()) > 0
+    assert first["starts"] + first["diverged"] == second["starts"] == done.content["starts"]
+    assert done.content["differences"]["against"]["true"]["starts"] == first["starts"]
+    assert any(
+        n["red"] and f"diverged from {first['diverged']} of" in n["text"] for n in done.content["notes"]
+    )
+    assert "rollouts.png" in [file.name for file in write_figures(tmp_path, done)]
+
+
+def test_a_model_that_diverges_everywhere_has_no_figures_and_the_others_have(
+    data: DataSet, tmp_path: Path
+) -> None:
+    class Lost(NeuralSDE):
+        def sample(self, x0: torch.Tensor, u: torch.Tensor, **more: Any) -> torch.Tensor:
+            raise NonFiniteError("lost")
+
+    lost = good()
+    lost.__class__ = Lost
+    for models in ([candidate("lost", lost), candidate("true", good())], [candidate("lost", lost)]):
+        done = compare(models, data, data.runs, seed=0, particles=9)
+        json.dumps(done.content, allow_nan=False)
+        assert done.content["models"][0]["errors"] == {}
+        assert any("lost diverged from" in line for line, red in lines(done.content) if red)
+        assert len(write_figures(tmp_path / models[-1].name, done)) == (3 if len(models) == 2 else 0)
+
+
+def test_a_deterministic_model_has_neither_intervals_nor_likelihood(data: DataSet, tmp_path: Path) -> None:
+    node = make_model(Decay, step="rk4", kind="node")
+    done = compare([candidate("node", node)], data, data.runs, seed=0, particles=9)
+    model = done.content["models"][0]
+    assert not model["stochastic"]
+    assert model["coverage"] is None
+    assert model["calibration"] is None
+    assert set(model["nll"]["position"].values()) == {None}
+    text = "\n".join(line for line, _ in lines(done.content))
+    assert "node is deterministic" in text
+    assert "interval" not in text.split("node is")[0].replace("intervals and scores", "")
+    assert [file.name for file in write_figures(tmp_path, done)] == ["errors.png", "rollouts.png"]
+
+
+def test_given_horizons_are_taken_and_blocks_grow_with_them(data: DataSet) -> None:
+    done = compare(
+        [candidate("true", good())], data, data.runs, seed=0, particles=9, horizons=[3.0, 0.15, 3.0]
+    )
+    assert done.content["horizons_s"] == [0.15, 3.0]
+    assert done.content["differences"]["unit"] == "blocks of 6 s"
+
+
+def test_starts_of_another_clock_take_steps_of_the_models_clock(data: DataSet) -> None:
+    model = good()
+    model.clock_scale.fill_(1.25)
+    done = compare([candidate("slow", model)], data, data.runs, seed=0, particles=9)
+    assert done.grids[0].dt == pytest.approx(DT / 1.25)
+    assert any("holds 1 s in these data and 1.25 s" in n["text"] for n in done.content["notes"])
+
+
+def test_a_model_that_knows_no_other_step_keeps_its_own_and_that_is_red(data: DataSet) -> None:
+    class Stubborn(NeuralSDE):
+        def sample(self, x0: torch.Tensor, u: torch.Tensor, *, dt: float, **more: Any) -> torch.Tensor:
+            if dt != self.spec.dt:
+                raise ConfigError("no other step")
+            return super().sample(x0, u, dt=dt, **more)
+
+    model = good()
+    model.__class__ = Stubborn
+    model.clock_scale.fill_(1.25)
+    done = compare([candidate("stubborn", model)], data, data.runs, seed=0, particles=9)
+    assert done.grids[0].dt == DT
+    assert any(n["red"] and "knows no step but its own" in n["text"] for n in done.content["notes"])
+
+
+@pytest.mark.parametrize(
+    ("names", "models", "horizons", "error", "words"),
+    [
+        (["a", "a"], [good, good], None, ConfigError, "name of two models"),
+        (["hold"], [good], None, ConfigError, "baseline"),
+        (["a", "b"], [good, lambda: make_model(Gusty)], None, ConfigError, "only models of one system"),
+        (["a"], [lambda: good(dt=0.07)], None, ConfigError, "no whole multiple of the data's 0.05 s"),
+        (["a"], [good], [0.01], ConfigError, "below the step of 'a'"),
+        (["a"], [good], [], ConfigError, "empty"),
+        (["a"], [good], [100.0], DataError, "longest stretch"),
+    ],
+)
+def test_what_cannot_be_compared_is_refused_before_any_work(
+    data: DataSet, names: list[str], models: list[Any], horizons: Any, error: type[Exception], words: str
+) -> None:
+    made = [candidate(name, model()) for name, model in zip(names, models, strict=True)]
+    with pytest.raises(error, match=words):
+        compare(made, data, data.runs, seed=0, horizons=horizons)
+
+
+def test_nll_is_that_of_torchs_gaussian() -> None:
+    g = torch.Generator().manual_seed(0)
+    e = 0.3 + 2.0 * torch.randn(199, 20, 2, generator=g, dtype=torch.float64)
+    expected = -torch.distributions.Normal(e.mean(0), e.std(0)).log_prob(torch.zeros(20, 2))
+    torch.testing.assert_close(gaussian_nll(e), expected, check_dtype=False)
+
+
+def test_a_model_takes_the_columns_that_it_reads(runs: list[Run]) -> None:
+    """Data read for several models may hold more than one of them reads."""
+    wide = [Run(r.name, r.t, r.x, np.column_stack([r.u, np.full(len(r), 9.0)])) for r in runs]
+    data = data_set(*runs)
+    both = replace(data, runs=tuple(wide), input_names=("u", "voltage"))
+    seen = SeenRuns.of({"train_runs": ["run_0"], **record(runs[:1])})
+    made, expected = (
+        compare([candidate("true", good(), seen)], d, d.runs, seed=0, particles=9) for d in (both, data)
+    )
+    assert made.content["models"] == expected.content["models"]
+    assert made.content["models"][0]["trained_on_match"]["run_0"] == "whole"
+    with pytest.raises(DataError, match="needs the columns x, u"):
+        compare([candidate("true", good())], replace(data, input_names=("w",)), data.runs, seed=0)
+
+
+def test_inputs_that_are_not_smoothed_as_those_of_training_are_pointed_out(data: DataSet) -> None:
+    models = [candidate("a", good(), smoothing=0.4, reach=0.2), candidate("b", good())]
+    done = compare(models, data, data.runs, seed=0, particles=9)
+    texts = [n["text"] for n in done.content["notes"]]
+    assert any(
+        "a was trained on inputs smoothed over 0.4 s" in text and "all the same" in text for text in texts
+    )
+    assert not any(text.startswith("b was trained") for text in texts)
+
+
+def test_interventions_are_where_predictions_start_and_the_report_says_so(runs: list[Run]) -> None:
+    raw = []
+    for run in runs:
+        on = np.zeros(len(run))
+        on[200:225] = on[500:520] = 1.0
+        raw.append(RawRun(run.name, run.t, run.x, run.u, extra={"intervention": on}))
+    data = assemble(raw, make_model(Decay).system, kind="csv")
+    done = compare([candidate("true", good())], data, data.runs, seed=0, particles=19)
+    content = done.content
+    assert (content["starts"], content["start_every_s"]) == (4, None)
+    assert content["data"]["inputs"] == "interventional"
+    assert content["horizons_s"][-1] == 1.0  # what fits behind the starts, whatever the length of the runs
+    _, t = done.grids[0].located()
+    np.testing.assert_allclose(np.sort(t), np.sort([run.t[k] for run in runs for k in (200, 500)]))
+    text = "\n".join(line for line, _ in lines(content))
+    assert "4 interventions (inputs do not depend on the state), 19 paths each" in text
+    assert "errors and intervals tell what an input does" in " ".join(text.split())

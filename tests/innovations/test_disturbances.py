@@ -1,0 +1,59 @@
+"""Laws of residuals are recovered from noise whose parts are known."""
+
+import numpy as np
+import pytest
+from scipy.signal import lfilter
+
+from nsde_torch.innovations.disturbances import Disturbance, fit, spectrum
+from nsde_torch.sysid.series import Series
+
+H, N = 0.01, 6000
+
+
+def residual(seed: int, *, std: float, tau: float, sigma: float, sensor: float) -> np.ndarray:
+    """Exact Ornstein-Uhlenbeck force, diffusion and differences of a sensor's errors."""
+    rng = np.random.default_rng(seed)
+    keep = np.exp(-H / tau)
+    push = std * np.sqrt(1 - keep**2) * rng.standard_normal(N + 2000)
+    force = lfilter([1.0], [1.0, -keep], push)[2000:]
+    error = sensor * rng.standard_normal(N + 1)
+    return np.asarray(H * force + sigma * H**0.5 * rng.standard_normal(N) + np.diff(error))
+
+
+def test_force_diffusion_and_sensor_are_told_apart() -> None:
+    truth = {"std": 0.6, "tau": 0.3, "sigma": 0.1, "sensor": 0.02}
+    series = Series(((0, N),))
+    found = [
+        fit([spectrum(residual(s, **truth)[:, None], series, H)], lasting=True, shortest=0.1)
+        for s in range(8)
+    ]
+    for name, value in (("std", 0.6), ("diffusion", 0.1), ("sensor", 0.02)):
+        values = [getattr(law, name) for law in found]
+        assert np.mean(values) == pytest.approx(value, rel=0.12), name
+    assert np.median([law.tau for law in found]) == pytest.approx(0.3, rel=0.35)
+
+
+def test_a_force_without_a_state_moves_the_machine_as_far_over_a_window() -> None:
+    law = Disturbance(0.1, 0.6, 0.3, 0.02)
+    rng = np.random.default_rng(0)
+    keep, steps = np.exp(-H / 0.3), 100
+    push = 0.6 * np.sqrt(1 - keep**2) * rng.standard_normal((4000, 2000 + steps))
+    force = lfilter([1.0], [1.0, -keep], push, axis=1)[:, 2000:]
+    moved = H * force.sum(1) + 0.1 * np.sqrt(H * steps) * rng.standard_normal(4000)
+    plain = law.without_memory(H * steps)
+    assert plain.std == 0.0
+    assert plain.diffusion * (H * steps) ** 0.5 == pytest.approx(moved.std(), rel=0.05)
+
+
+def test_a_sensor_alone_is_not_taken_for_a_diffusion() -> None:
+    series = Series(tuple((k * 500, k * 500 + 500) for k in range(4)))
+    for seed in range(5):
+        r = residual(seed, std=1e-9, tau=1.0, sigma=1e-9, sensor=0.01)[:2000, None]
+        law = fit([spectrum(r, series, H)], lasting=False, shortest=0.1)
+        assert law.sensor == pytest.approx(0.01, rel=0.1)
+        assert law.diffusion < 0.1 * 0.01 / H**0.5 * 0.3
+
+
+def test_nothing_is_nothing() -> None:
+    law = fit([spectrum(np.zeros((100, 1)), Series(((0, 100),)), H)], lasting=True, shortest=0.1)
+    assert law.std == law.diffusion == law.sensor == 0.0

@@ -1,0 +1,375 @@
+"""Fitting an ensemble: its likelihood, what it recovers, members that do not see each other, exact resume."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from safetensors.torch import load_file, save_file
+from torch.distributions import Normal
+
+from nsde_torch.data import Run, Windows
+from nsde_torch.errors import CheckpointError, NonFiniteError
+from nsde_torch.models import EnsembleSpec, GaussianEnsemble
+from nsde_torch.training import LossOptions, TrainerOptions
+from nsde_torch.training.ensemble_loop import EnsembleLoop, Pairs, nll
+from nsde_torch.training.fit_ensemble import cut_pairs, fit_ensemble, standardised_pairs
+from nsde_torch.training.task import Task
+from tests.helpers.toy_systems import DT
+
+DECAY = "tests.helpers.toy_systems:Decay"
+OPTIONS = TrainerOptions(steps=12, validate_every=3, checkpoint_every=2, patience=100)
+
+
+class Killed(Exception):
+    """Stands for the power failing."""
+
+
+def std_of(x: Any) -> Any:
+    """Noise of a step: five times as large on the right as on the left."""
+    return 0.05 + 0.2 / (1.0 + np.e ** (-2.0 * x))
+
+
+def noisy_runs(count: int = 4, rows: int = 400, seed: int = 0) -> list[Run]:
+    """x' = 0.9 x + 0.1 u + std_of(x) e, u uniform in [-8, 8]."""
+    rng = np.random.default_rng(seed)
+    runs = []
+    for k in range(count):
+        x, u = np.zeros((rows, 1)), rng.uniform(-8, 8, (rows, 1))
+        for i in range(rows - 1):
+            x[i + 1] = 0.9 * x[i] + 0.1 * u[i] + std_of(x[i]) * rng.standard_normal()
+        runs.append(Run(f"run_{k}", DT * np.arange(rows), x, u))
+    return runs
+
+
+def make_model(seed: int = 0, **spec: Any) -> GaussianEnsemble:
+    given: dict[str, Any] = {"members": 3, "hidden": (8, 8), "batch": 8, **spec}
+    return GaussianEnsemble(
+        EnsembleSpec(DECAY, dt=DT, horizon=5, **given), generator=torch.Generator().manual_seed(seed)
+    )
+
+
+def make_loop(
+    *, seed: int = 0, options: TrainerOptions = OPTIONS, steps: int = 12, **spec: Any
+) -> EnsembleLoop:
+    model = make_model(seed, **spec)
+    windows = Windows(noisy_runs(2, 200), DT, 5)
+    train, held = windows.held_out(0.2, 2.0, torch.Generator().manual_seed(seed))
+    pairs = standardised_pairs(model, train, clock_scale=1.0)
+    validation = cut_pairs(model, held, most=50)
+    return EnsembleLoop(model, pairs, validation, steps=steps, options=options, seed=seed)
+
+
+def make_task(tmp_path: Path, **spec: Any) -> Task:
+    rows: list[int] = []
+    return Task(
+        spec=EnsembleSpec(DECAY, dt=DT, horizon=5, **spec),
+        runs=noisy_runs(),
+        seed=0,
+        name="t",
+        loss=LossOptions(),
+        options=replace(OPTIONS, patience=1000),
+        validation=0.15,
+        clock=1.25,
+        values={},
+        device=torch.device("cpu"),
+        dtype=torch.float32,
+        checkpoint=tmp_path / "c",
+        log=lambda step, row: rows.append(step),
+    )
+
+
+def kill_at(loop: EnsembleLoop, count: int) -> None:
+    """Raise in the middle of gradient step number `count`."""
+    terms, calls = loop.terms, [0]
+
+    def counted() -> dict[str, torch.Tensor]:
+        calls[0] += 1
+        if calls[0] == count:
+            raise Killed
+        return terms()
+
+    loop.terms = counted  # type: ignore[method-assign]
+
+
+def same(a: EnsembleLoop, b: EnsembleLoop) -> None:
+    assert a.progress == b.progress
+    assert torch.equal(a.best_score, b.best_score)
+    assert torch.equal(a.best_step, b.best_step)
+    for (name, p), q in zip(a.model.state_dict().items(), b.model.state_dict().values(), strict=True):
+        assert torch.equal(p, q), name
+
+
+# ---- likelihood and pairs -------------------------------------------------------------------------------
+
+
+def test_the_likelihood_is_that_of_torchs_normal() -> None:
+    loop = make_loop()
+    y, c = loop.train.inputs[:20].expand(3, -1, -1), loop.train.changes[:20].expand(3, -1, -1)
+    mean, v = loop.model.standard(y)
+    expected = -Normal(mean, torch.exp(0.5 * v)).log_prob(c).mean((1, 2))
+    torch.testing.assert_close(nll(loop.model, y, c), expected)
+
+
+def test_the_loss_weighs_the_distance_of_the_bounds_with_a_twentieth() -> None:
+    loop = make_loop()
+    torch.testing.assert_close(loop.terms()["bounds"], torch.tensor(0.05 * 10.5))
+
+
+def test_pairs_are_consecutive_states_with_the_mean_input_of_the_step() -> None:
+    """A model step of two data steps: pairs start at every sample."""
+    runs = noisy_runs(1, 60)
+    model = GaussianEnsemble(EnsembleSpec(DECAY, dt=2 * DT, horizon=4), generator=torch.Generator())
+    pairs = standardised_pairs(model, Windows(runs, 2 * DT, 4), clock_scale=1.0)
+    x, u = runs[0].x[:, 0], runs[0].u[:, 0]
+    raw = pairs.inputs * model.standardise.scale + model.standardise.mean
+    change = pairs.changes * model.change_scale.scale + model.change_scale.mean
+    assert len(raw) == 58
+    np.testing.assert_allclose(raw[:, 0], x[:-2], atol=1e-5)
+    np.testing.assert_allclose(raw[:, 1], 0.5 * (u[:-1] + u[1:])[:-1], atol=1e-5)
+    np.testing.assert_allclose(change[:, 0], x[2:] - x[:-2], atol=1e-5)
+
+
+def test_training_pairs_are_standardised_and_held_out_pairs_with_the_same_numbers() -> None:
+    loop = make_loop()
+    for table in (loop.train.inputs, loop.train.changes):
+        torch.testing.assert_close(table.mean(0), torch.zeros(table.shape[1]), atol=1e-5, rtol=0)
+        torch.testing.assert_close(table.std(0), torch.ones(table.shape[1]))
+    assert float(loop.validation.inputs.mean(0).abs().max()) > 1e-4
+
+
+def test_each_member_has_a_bootstrap_of_its_own() -> None:
+    loop = make_loop()
+    count = len(loop.train.inputs)
+    assert loop.bootstrap.shape == (3, count)
+    for row in loop.bootstrap:
+        assert len(row.unique()) / count == pytest.approx(0.632, abs=0.05)
+    assert not torch.equal(loop.bootstrap[0], loop.bootstrap[1])
+    at = loop.draw()
+    assert at.shape == (3, 8)
+    for m in range(3):
+        assert set(at[m].tolist()) <= set(loop.bootstrap[m].tolist())
+
+
+# ---- what is learned ------------------------------------------------------------------------------------
+
+
+def test_mean_and_variance_of_a_known_heteroscedastic_system_are_recovered(tmp_path: Path) -> None:
+    options = TrainerOptions(validate_every=100, checkpoint_every=1000)
+    task = replace(make_task(tmp_path, steps=1500, members=3), runs=noisy_runs(8, 1000), options=options)
+    fit = fit_ensemble(task)
+    assert isinstance(fit.model, GaussianEnsemble)
+    x = torch.linspace(-1.2, 1.2, 13).repeat_interleave(5)[:, None]
+    u = torch.linspace(-7, 7, 5).repeat(13)[:, None]
+    with torch.no_grad():
+        mean, std = fit.model.predict(x, u)
+    expected = 0.9 * x + 0.1 * u - x
+    assert float((mean.mean(0) - expected).abs().mean()) < 0.015  # the noise is 0.07 to 0.23
+    assert float((mean.mean(0) - expected).abs().max()) < 0.05
+    ratio = std.square().mean(0).sqrt() / std_of(x)
+    assert float(ratio.log().abs().mean()) < 0.08
+    assert float(ratio.min()) > 0.8
+    assert float(ratio.max()) < 1.35
+    truth = -Normal(0, torch.as_tensor(std_of(x))).entropy().mean()
+    after = x + expected + std_of(x) * torch.randn(65, 1, generator=torch.Generator().manual_seed(3))
+    with torch.no_grad():
+        density = fit.model.log_density(x, u, after).mean()
+    assert float(density) > float(truth) - 0.2
+
+
+def test_the_fit_says_what_its_members_reached(tmp_path: Path) -> None:
+    fit = fit_ensemble(make_task(tmp_path, steps=9, members=2, hidden=(8,)))
+    assert fit.progress.step == 9
+    assert len(fit.facts["members"]["validation"]) == 2
+    assert fit.facts["validation"]["score"] == pytest.approx(np.mean(fit.facts["members"]["validation"]))
+    assert "nats" in fit.facts["validation"]["unit"]
+    assert fit.parameters() == {}
+    assert float(fit.model.clock_scale) == 1.25
+
+
+def test_without_a_number_of_its_own_it_takes_ten_times_the_trainers_steps(tmp_path: Path) -> None:
+    assert fit_ensemble(make_task(tmp_path, members=2, hidden=(8,))).progress.step == 120
+
+
+def test_training_never_sees_the_validation_rows() -> None:
+    windows = Windows(noisy_runs(2, 200), DT, 5)
+    train, held = windows.held_out(0.2, 2.0, torch.Generator().manual_seed(0))
+    rows = []
+    for side in (train.shortened(1), held.shortened(1)):
+        rows.append({(n, s + k) for n, s in side.locate(range(len(side))) for k in (0, 1)})
+    assert rows[0]
+    assert rows[1]
+    assert not rows[0] & rows[1]
+
+
+# ---- members do not see each other ------------------------------------------------------------------------
+
+
+def test_a_member_ends_in_the_same_weights_whatever_the_others_do() -> None:
+    a, b = make_loop(options=replace(OPTIONS, clip=0.5)), make_loop(options=replace(OPTIONS, clip=0.5))
+    with torch.no_grad():
+        for name, p in b.model.named_parameters():
+            if name.startswith("networks."):
+                p[1].mul_(5.0)
+        b.average = [p.detach().clone() for p in b.parameters]
+    for loop in (a, b):
+        loop.run(title="t", quiet=True)
+    for (name, p), q in zip(a.model.named_parameters(), b.model.parameters(), strict=True):
+        if p.requires_grad:
+            torch.testing.assert_close(p[0], q[0], rtol=1e-4, atol=1e-6, msg=name)
+            torch.testing.assert_close(p[2], q[2], rtol=1e-4, atol=1e-6, msg=name)
+    assert not torch.equal(a.model.networks.weights[0][1], b.model.networks.weights[0][1])
+
+
+def test_the_gradient_of_each_member_is_clipped_by_itself() -> None:
+    loop = make_loop(options=replace(OPTIONS, clip=0.01))
+    loop.terms()["data"].backward()
+    for p in loop.parameters:
+        p.grad = torch.randn(p.shape, generator=torch.Generator().manual_seed(0))
+        p.grad[1] *= 1e-6
+    before = [p.grad.clone() for p in loop.parameters if p.grad is not None]
+    loop._clip(0.0)
+    after = [p.grad for p in loop.parameters if p.grad is not None]
+    norm = torch.stack([g.flatten(1).square().sum(1) for g in after]).sum(0).sqrt()
+    torch.testing.assert_close(norm[[0, 2]], torch.full((2,), 0.01))
+    assert all(torch.equal(g[1], h[1]) for g, h in zip(before, after, strict=True))
+
+
+def test_every_member_keeps_its_own_best_weights_and_all_stop_together() -> None:
+    loop = make_loop(options=replace(OPTIONS, patience=2), steps=100)
+    # stretched: patience 2 of 12 steps are 17 of 100
+    assert loop.patience == 17 * 3
+    loop.patience = 9
+    best = torch.tensor([3.0, 6.0, 9.0])
+    loop.validate = lambda: (loop.progress.step - best).abs()  # type: ignore[method-assign]
+    averages: dict[int, list[torch.Tensor]] = {}
+    score = loop._score
+
+    def watched(losses: dict[str, torch.Tensor]) -> dict[str, float]:
+        averages[loop.progress.step] = [a.clone() for a in loop.average]
+        return score(losses)
+
+    loop._score = watched  # type: ignore[method-assign]
+    progress = loop.run(title="t", quiet=True)
+    assert progress.stopped
+    assert (progress.step, progress.best_step, progress.best_score) == (18, 9, 0.0)
+    assert loop.best_step.tolist() == [3, 6, 9]
+    for i, p in enumerate(loop.parameters):
+        for m, step in enumerate((3, 6, 9)):
+            assert torch.equal(p[m], averages[step][i][m])
+
+
+def test_the_rate_falls_from_its_start_to_its_end() -> None:
+    loop = make_loop(steps=120)
+    assert [loop.rate(k) for k in (0, 60, 120, 500)] == pytest.approx([0.01, 0.0055, 0.001, 0.001])
+    loop.options = replace(OPTIONS, decay_steps=10)
+    assert [loop.rate(k) for k in (5, 10, 120)] == pytest.approx([0.0055, 0.001, 0.001])
+
+
+def test_weights_decay_and_bounds_do_not() -> None:
+    groups = make_loop().optimiser.param_groups
+    assert [g["weight_decay"] for g in groups] == [1e-4, 0.0]
+    assert len(groups[1]["params"]) == 2
+
+
+def test_the_history_starts_before_the_first_step_and_has_a_row_per_validation() -> None:
+    loop = make_loop()
+    history = loop.run(title="t", quiet=True).history
+    assert [row["step"] for row in history] == [0, 3, 6, 9, 12]
+    assert {"loss", "data", "bounds", "validation"} <= set(history[-1])
+
+
+# ---- resume -----------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("killed", [1, 3, 6, 11, 12])
+def test_a_fit_killed_at_any_step_and_resumed_ends_in_the_same_bits(killed: int, tmp_path: Path) -> None:
+    whole = make_loop()
+    whole.run(title="t", quiet=True)
+    first = make_loop()
+    kill_at(first, killed)
+    with pytest.raises(Killed):
+        first.run(title="t", checkpoint=tmp_path / "c", quiet=True)
+    second = make_loop()
+    second.run(title="t", checkpoint=tmp_path / "c", quiet=True)
+    same(whole, second)
+
+
+def test_a_fit_killed_again_and_again_ends_in_the_same_bits(tmp_path: Path) -> None:
+    whole = make_loop()
+    whole.run(title="t", quiet=True)
+    for _ in range(20):
+        loop = make_loop()
+        kill_at(loop, 3)
+        try:
+            loop.run(title="t", checkpoint=tmp_path / "c", quiet=True)
+        except Killed:
+            continue
+        break
+    same(whole, loop)
+
+
+def test_a_finished_fit_run_again_takes_no_step(tmp_path: Path) -> None:
+    first = make_loop()
+    first.run(title="t", checkpoint=tmp_path / "c", quiet=True)
+    again = make_loop()
+    kill_at(again, 1)
+    again.run(title="t", checkpoint=tmp_path / "c", quiet=True)
+    same(first, again)
+
+
+def test_the_same_seed_gives_the_same_bits_another_seed_others_and_the_global_generator_plays_no_part() -> (
+    None
+):
+    a, b, c = (make_loop(seed=s) for s in (1, 1, 2))
+    for k, loop in enumerate((a, b, c)):
+        torch.manual_seed(k)
+        loop.run(title="t", quiet=True)
+    same(a, b)
+    assert a.progress.history != c.progress.history
+
+
+def test_a_checkpoint_of_another_training_is_refused(tmp_path: Path) -> None:
+    fit_ensemble(make_task(tmp_path, steps=6, members=2, hidden=(8,)))
+    with pytest.raises(CheckpointError, match="another training"):
+        fit_ensemble(make_task(tmp_path, steps=7, members=2, hidden=(8,)))
+    with pytest.raises(CheckpointError, match="another model"):
+        fit_ensemble(make_task(tmp_path, steps=6, members=2, hidden=(9,)))
+
+
+@pytest.mark.parametrize("lost", ["batches", "best_score", "average.0"])
+def test_a_checkpoint_that_lacks_a_part_is_refused(lost: str, tmp_path: Path) -> None:
+    from safetensors import safe_open
+
+    make_loop().run(title="t", checkpoint=tmp_path / "c", quiet=True)
+    file = tmp_path / "c.safetensors"
+    with safe_open(str(file), framework="pt") as opened:
+        about = opened.metadata()
+    tensors = load_file(file)
+    del tensors[lost]
+    save_file(tensors, file, metadata=about)
+    with pytest.raises(CheckpointError, match="parts are missing"):
+        make_loop().run(title="t", checkpoint=tmp_path / "c", quiet=True)
+
+
+# ---- faults -----------------------------------------------------------------------------------------------
+
+
+def test_a_gradient_that_is_not_finite_stops_with_the_step_and_the_remedy() -> None:
+    loop = make_loop()
+    bad = loop.train.changes.clone()
+    bad[:] = float("inf")
+    loop.train = Pairs(loop.train.inputs, bad)
+    with pytest.raises(NonFiniteError, match=r"step 1 .*trainer\.lr"):
+        loop.run(title="t", quiet=True)
+
+
+def test_a_validation_score_that_is_not_finite_stops_with_the_remedy() -> None:
+    loop = make_loop()
+    loop.validation = Pairs(loop.validation.inputs, loop.validation.changes * float("nan"))
+    with pytest.raises(NonFiniteError, match=r"validation score is not finite at step 0.*trainer\.lr"):
+        loop.run(title="t", quiet=True)

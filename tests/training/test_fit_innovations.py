@@ -1,0 +1,138 @@
+"""Models fitted by innovations: what is declared, learned and disturbed comes out as it was put in."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from numpy.typing import NDArray
+
+from nsde_torch.data.checks import assemble
+from nsde_torch.data.raw import RawRun
+from nsde_torch.errors import CheckpointError
+from nsde_torch.models.neural_sde import NeuralSDE, SDESpec
+from nsde_torch.systems import make_system
+from nsde_torch.training import LossOptions, TrainerOptions
+from nsde_torch.training.fit_innovations import fit_innovations
+from nsde_torch.training.task import Fitted, Task
+
+H = 0.02
+SPEC = SDESpec(
+    "mass_spring_damper",
+    dt=H,
+    horizon=20,
+    step="milstein_heun",
+    measurement=True,
+    learn_lag=True,
+)
+
+
+def closed_loop(seed: int, *, lag: float, drag: float = 0.0) -> list[RawRun]:
+    """A mass on a spring, pushed by a controller that follows steps, answers sensors, and acts late; Heun at 1 ms."""
+    runs = []
+    for k in range(2):
+        rng = np.random.default_rng([seed, k])
+        n, fine = 1500, 20
+        dt = H / fine
+        q = v = m = gust = want = 0.0
+        rows: list[tuple[float, float, float]] = []
+        for i in range(n):
+            if i % 100 == 0:
+                want = float(rng.uniform(-1, 1))
+            seen_q, seen_v = q + 0.002 * rng.standard_normal(), v + 0.01 * rng.standard_normal()
+            u = 6.0 * (want - seen_q) - 2.0 * seen_v + 0.2 * rng.standard_normal()
+            rows.append((seen_q, seen_v, u))
+            gust += -gust * H / 0.5 + 0.3 * (2 * H / 0.5) ** 0.5 * rng.standard_normal()
+            for _ in range(fine):
+                m += (u - m) * dt / lag if lag else u - m
+
+                def pull(q: float, v: float, m: float = m, g: float = gust) -> float:
+                    return m - 1.0 * q - 0.5 * v - drag * v * abs(v) + g
+
+                a = pull(q, v)
+                q, v, b = q + dt * v + 0.5 * dt * dt * a, v + dt * a, pull(q + dt * v, v + dt * a)
+                v += 0.5 * dt * (b - a)
+        table: NDArray[np.float64] = np.array(rows)
+        runs.append(RawRun(f"run_{k}", H * np.arange(n), table[:, :2], table[:, 2:]))
+    return runs
+
+
+def fitted(raw: list[RawRun], folder: Path, spec: SDESpec = SPEC, *, seed: int = 0, **options: int) -> Fitted:
+    data = assemble(raw, make_system("mass_spring_damper"), kind="csv")
+    task = Task(
+        spec=spec,
+        runs=data.runs,
+        seed=seed,
+        name="train",
+        loss=LossOptions(),
+        options=TrainerOptions(**{"steps": 60, **options}),
+        validation=0.3,
+        clock=1.0,
+        values={},
+        device=torch.device("cpu"),
+        dtype=torch.float32,
+        checkpoint=folder / "train",
+        log=lambda *_: None,
+    )
+    return fit_innovations(task)
+
+
+def test_a_controller_in_the_loop_bends_neither_gains_nor_the_lag(tmp_path: Path) -> None:
+    found = fitted(closed_loop(0, lag=0.08), tmp_path)
+    p = found.parameters()
+    assert found.facts["innovations"]["learned_lag"] == "actuator_lag"
+    for name, truth in (
+        ("force_gain", 1.0),
+        ("linear_spring.stiffness", 1.0),
+        ("viscous_friction.damping", 0.5),
+        ("actuator_lag.time_constant", 0.08),
+    ):
+        (value,), (half,) = p[name]["value"], p[name]["half_width_90"]  # type: ignore[misc]
+        assert abs(value - truth) < max(2.0 * half, 0.02 * truth), (name, value, half)
+    assert not any(n["kept"] for n in found.facts["innovations"]["networks"].values())
+
+
+def test_a_lag_is_learned_only_where_there_is_one_and_it_may_be(tmp_path: Path) -> None:
+    prompt = fitted(closed_loop(1, lag=0.0), tmp_path / "a")
+    assert prompt.facts["innovations"]["learned_lag"] is None
+    kept_out = fitted(closed_loop(1, lag=0.08), tmp_path / "b", replace(SPEC, learn_lag=False))
+    assert kept_out.facts["innovations"]["learned_lag"] is None
+    assert kept_out.model.spec.effects == ()
+
+
+def test_noise_of_sensors_and_gusts_is_that_of_the_machine(tmp_path: Path) -> None:
+    noise = fitted(closed_loop(2, lag=0.0), tmp_path).facts["innovations"]["noise"]
+    assert noise["q"]["sensor_std"] == pytest.approx(0.002, rel=0.15)
+    assert noise["q_dot"]["sensor_std"] == pytest.approx(0.01, rel=0.15)
+    assert 0.05 < noise["q_dot"]["diffusion"] < 0.5  # the gust, which this system has no state for
+
+
+def test_a_second_call_finds_the_first_one_finished_and_another_task_is_refused(tmp_path: Path) -> None:
+    first, again = (fitted(closed_loop(3, lag=0.0), tmp_path, steps=20) for _ in range(2))
+    for name, value in first.model.state_dict().items():
+        assert torch.equal(value, again.model.state_dict()[name]), name
+    assert again.parameters() == first.parameters()
+    with pytest.raises(CheckpointError, match="another training"):
+        fitted(closed_loop(3, lag=0.0), tmp_path, steps=20, seed=1)
+
+
+def test_a_port_without_declared_physics_is_all_network(tmp_path: Path) -> None:
+    found = fitted(closed_loop(4, lag=0.0), tmp_path, replace(SPEC, declared=()), steps=400)
+    model = found.model
+    assert isinstance(model, NeuralSDE)
+    x = torch.tensor([[0.3, 0.0], [-0.3, 0.0], [0.0, 0.4]])
+    (push,) = model.residual(x).values()
+    assert torch.allclose(push[:, 0].detach(), torch.tensor([-0.3, 0.3, -0.2]), atol=0.08)
+
+
+def test_sigma_over_the_data_is_that_of_the_law_and_grows_to_what_is_declared(tmp_path: Path) -> None:
+    found = fitted(closed_loop(5, lag=0.0), tmp_path)
+    model, noise = found.model, found.facts["innovations"]["noise"]
+    assert isinstance(model, NeuralSDE)
+    data = assemble(closed_loop(5, lag=0.0), make_system("mass_spring_damper"), kind="csv")
+    x = torch.from_numpy(np.concatenate([run.x for run in data.runs])).float()
+    sigma = model.diffusion(0.0, x, torch.zeros(len(x), 1)).detach()
+    assert float(sigma[:, 1].square().mean().sqrt()) == pytest.approx(noise["q_dot"]["diffusion"], rel=0.1)
+    far = model.h(torch.ones(1))[0].detach()
+    assert bool((far >= 0.94 * torch.tensor(model.system.defaults.sigma_max)).all())

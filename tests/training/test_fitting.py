@@ -1,0 +1,313 @@
+"""The optimisation: exact resume, determinism, early stopping, checkpoints that do not fit."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+from safetensors import safe_open
+from safetensors.torch import load_file, save_file
+
+from nsde_torch.data import Windows
+from nsde_torch.errors import CheckpointError, NonFiniteError
+from nsde_torch.training import LossOptions, TrainerOptions
+from nsde_torch.training.fitting import Fit
+from tests.helpers.toy_systems import DT, Decay, Gusty, decay_runs, make_model
+
+OPTIONS = TrainerOptions(
+    steps=12, batch=8, validate_every=3, checkpoint_every=2, patience=100, compile="off", polish=5
+)
+
+
+class Killed(Exception):
+    """Stands for the power failing."""
+
+
+def make_fit(
+    *,
+    seed: int = 0,
+    options: TrainerOptions = OPTIONS,
+    loss: LossOptions | None = None,
+    gusty: bool = True,
+    **spec: Any,
+) -> Fit:
+    system = Gusty if gusty else Decay
+    model = make_model(system, seed=seed, measurement=True, disturbance=gusty, filter_reach=2, **spec)
+    windows = Windows(decay_runs(2, 20.0, sigma=0.5), DT, 5)
+    train, held = windows.held_out(0.2, 2.0, torch.Generator().manual_seed(seed))
+    return Fit(
+        model,
+        train,
+        held,
+        windows,
+        scale=torch.ones(1),
+        loss=loss or LossOptions(kind="replay", points=8, ball_samples=3),
+        options=options,
+        seed=seed,
+    )
+
+
+def kill_at(fit: Fit, count: int) -> None:
+    """Raise in the middle of gradient step number `count` (the steps on all windows are counted on)."""
+    terms, calls = fit.terms, [0]
+
+    def counted() -> dict[str, torch.Tensor]:
+        calls[0] += 1
+        if calls[0] == count:
+            raise Killed
+        return terms()
+
+    fit.terms = counted  # type: ignore[method-assign]
+
+
+def same(a: Fit, b: Fit) -> None:
+    assert a.progress == b.progress
+    for (name, p), q in zip(a.model.state_dict().items(), b.model.state_dict().values(), strict=True):
+        assert torch.equal(p, q), name
+
+
+@pytest.mark.parametrize("killed", [1, 3, 6, 12, 13, 14, 17])
+def test_a_fit_killed_at_any_step_and_resumed_ends_in_the_same_bits(killed: int, tmp_path: Path) -> None:
+    whole = make_fit()
+    whole.run(title="t", quiet=True)
+    assert (whole.progress.step, whole.progress.polished) == (12, 5)
+    first = make_fit()
+    kill_at(first, killed)
+    with pytest.raises(Killed):
+        first.run(title="t", checkpoint=tmp_path / "c", quiet=True)
+    second = make_fit()
+    second.run(title="t", checkpoint=tmp_path / "c", quiet=True)
+    same(whole, second)
+
+
+def test_a_fit_killed_again_and_again_ends_in_the_same_bits(tmp_path: Path) -> None:
+    whole = make_fit()
+    whole.run(title="t", quiet=True)
+    for _ in range(20):
+        fit = make_fit()
+        kill_at(fit, 3)
+        try:
+            fit.run(title="t", checkpoint=tmp_path / "c", quiet=True)
+        except Killed:
+            continue
+        break
+    same(whole, fit)
+
+
+def test_a_finished_fit_run_again_changes_nothing_and_takes_no_step(tmp_path: Path) -> None:
+    first = make_fit()
+    first.run(title="t", checkpoint=tmp_path / "c", quiet=True)
+    again = make_fit()
+    kill_at(again, 1)
+    again.run(title="t", checkpoint=tmp_path / "c", quiet=True)
+    same(first, again)
+
+
+def test_the_same_seed_gives_the_same_bits_and_another_seed_others() -> None:
+    a, b, c = (make_fit(seed=s) for s in (1, 1, 2))
+    for fit in (a, b, c):
+        fit.run(title="t", quiet=True)
+    same(a, b)
+    assert a.progress.history != c.progress.history
+
+
+def test_the_global_generator_plays_no_part() -> None:
+    a, b = make_fit(), make_fit()
+    torch.manual_seed(1)
+    a.run(title="t", quiet=True)
+    torch.manual_seed(2)
+    state = torch.random.get_rng_state()
+    b.run(title="t", quiet=True)
+    same(a, b)
+    assert torch.equal(state, torch.random.get_rng_state())
+
+
+def scripted(fit: Fit, score: Callable[[int], float]) -> None:
+    fit.validate = lambda: score(fit.progress.step)  # type: ignore[method-assign]
+
+
+def test_early_stopping_ends_after_the_patience_and_keeps_the_best_weights() -> None:
+    options = replace(OPTIONS, steps=100, patience=3, polish=0)
+    fit = make_fit(options=options)
+    scripted(fit, lambda step: abs(step - 9))  # best at step 9
+    averages: dict[int, list[torch.Tensor]] = {}
+    score = fit._score
+
+    def watched(losses: dict[str, torch.Tensor]) -> dict[str, float]:
+        averages[fit.progress.step] = [a.clone() for a in fit.average]
+        return score(losses)
+
+    fit._score = watched  # type: ignore[method-assign]
+    progress = fit.run(title="t", quiet=True)
+    assert progress.stopped
+    assert (progress.best_step, progress.step, progress.best_score) == (9, 18, 0)
+    for value, best in zip(fit.parameters, averages[9], strict=True):
+        assert torch.equal(value, best)
+    assert any(not torch.equal(a, b) for a, b in zip(averages[9], averages[18], strict=True))
+
+
+def test_the_last_steps_start_from_the_kept_weights_and_see_all_windows() -> None:
+    fit = make_fit(options=replace(OPTIONS, steps=9, lr_end=1e-12, polish=4))
+    scripted(fit, lambda step: abs(step - 3))
+    averages: dict[int, list[torch.Tensor]] = {}
+    score, errors = fit._score, fit.errors
+    seen: list[Windows] = []
+
+    def watched(losses: dict[str, torch.Tensor]) -> dict[str, float]:
+        averages[fit.progress.step] = [a.clone() for a in fit.average]
+        return score(losses)
+
+    def noted(windows: Windows, *rest: Any, **options: Any) -> Any:
+        seen.append(windows)
+        return errors(windows, *rest, **options)
+
+    fit._score, fit.errors = watched, noted  # type: ignore[method-assign]
+    progress = fit.run(title="t", quiet=True)
+    assert (progress.step, progress.best_step, progress.polished) == (9, 3, 4)
+    for value, kept in zip(fit.parameters, averages[3], strict=True):
+        torch.testing.assert_close(value.detach(), kept, rtol=0, atol=1e-6)  # a rate of 1e-12 moves nothing
+    assert seen == [fit.train] * 9 + [fit.everything] * 4
+
+
+def test_a_score_that_keeps_falling_never_stops_early() -> None:
+    fit = make_fit(options=replace(OPTIONS, patience=1, polish=0))
+    scripted(fit, lambda step: -step)
+    progress = fit.run(title="t", quiet=True)
+    assert not progress.stopped
+    assert (progress.step, progress.best_step) == (12, 12)
+
+
+def test_training_never_sees_the_validation_windows() -> None:
+    fit = make_fit()
+    train = {(n, s) for n, s in fit.train.locate(range(len(fit.train)))}
+    held = {(n, s) for n, s in fit.validation.locate(range(len(fit.validation)))}
+    rows = {(n, s + k) for n, s in train for k in range(fit.train.span + 1)}
+    assert not rows & {(n, s + k) for n, s in held for k in range(fit.train.span + 1)}
+    seen = []
+    batch = fit.errors
+    fit.errors = lambda windows, *rest, **o: (seen.append(windows), batch(windows, *rest, **o))[1]  # type: ignore[method-assign]
+    fit.terms()
+    assert seen == [fit.train]
+
+
+def test_validation_repeats_and_leaves_the_training_noise_alone() -> None:
+    fit = make_fit()
+    before = fit.noise.get_state(), fit.batches.get_state()
+    assert fit.validate() == fit.validate()
+    assert torch.equal(before[0], fit.noise.get_state())
+    assert torch.equal(before[1], fit.batches.get_state())
+
+
+def test_learning_rate_falls_linearly_and_then_stays() -> None:
+    options = TrainerOptions(lr=0.01, lr_end=0.001, decay_steps=10_000)
+    assert options.rate(0) == pytest.approx(0.01)
+    assert options.rate(5_000) == pytest.approx(0.0055)
+    assert options.rate(10_000) == pytest.approx(0.001)
+    assert options.rate(50_000) == pytest.approx(0.001)
+    assert TrainerOptions(steps=100).rate(50) == pytest.approx(0.0055)
+
+
+def test_the_loss_falls() -> None:
+    fit = make_fit(options=replace(OPTIONS, steps=60, batch=64, validate_every=20))
+    history = fit.run(title="t", quiet=True).history
+    assert history[-1]["validation"] < history[0]["validation"]
+
+
+def test_gradients_are_clipped_to_the_limit() -> None:
+    limit = 1e-3
+    fit = make_fit(options=replace(OPTIONS, clip=limit))
+    norms = []
+    step = fit.optimiser.step
+
+    def watched(*args: Any, **rest: Any) -> None:
+        norms.append(float(torch.stack([p.grad.norm() for p in fit.parameters if p.grad is not None]).norm()))
+        step(*args, **rest)
+
+    fit.optimiser.step = watched  # type: ignore[method-assign, assignment]
+    fit.run(title="t", quiet=True)
+    assert norms
+    assert max(norms) <= limit * (1 + 1e-4)
+
+
+def test_a_loss_that_is_not_finite_stops_with_the_step_and_the_remedy() -> None:
+    fit = make_fit()
+    with torch.no_grad():
+        fit.model.h.offset.fill_(float("nan"))
+    with pytest.raises(NonFiniteError, match=r"not finite at step 1.*trainer\.lr"):
+        fit.run(title="t", quiet=True)
+
+
+@pytest.fixture
+def checkpoint(tmp_path: Path) -> Path:
+    """A checkpoint, without its suffix."""
+    make_fit().run(title="t", checkpoint=tmp_path / "c", quiet=True)
+    return tmp_path / "c"
+
+
+def test_checkpoints_are_safetensors_with_plain_json(checkpoint: Path) -> None:
+    assert [p.name for p in checkpoint.parent.iterdir()] == ["c.safetensors"]
+    with safe_open(str(checkpoint.with_suffix(".safetensors")), framework="pt") as opened:
+        assert json.loads(opened.metadata()["about"])["step"] == 12
+
+
+@pytest.mark.parametrize("kept", [0, 7, 500, -1])
+def test_a_damaged_checkpoint_is_refused_by_name_with_the_remedy(checkpoint: Path, kept: int) -> None:
+    file = checkpoint.with_suffix(".safetensors")
+    file.write_bytes(file.read_bytes()[:kept])
+    with pytest.raises(CheckpointError, match=rf"{file} is damaged.*Remove it"):
+        make_fit().run(title="t", checkpoint=checkpoint, quiet=True)
+
+
+def test_a_checkpoint_without_its_progress_is_refused(checkpoint: Path) -> None:
+    file = checkpoint.with_suffix(".safetensors")
+    save_file(load_file(file), file)
+    with pytest.raises(CheckpointError, match=str(file)):
+        make_fit().run(title="t", checkpoint=checkpoint, quiet=True)
+
+
+@pytest.mark.parametrize("other", [{"gusty": False}, {"residual_hidden": (4,)}, {"distance_hidden": (8, 8)}])
+def test_a_checkpoint_of_another_model_is_refused_and_says_where_it_differs(
+    checkpoint: Path, other: dict[str, Any]
+) -> None:
+    with pytest.raises(CheckpointError, match=r"another model \(they differ in .*configuration of the run"):
+        make_fit(**other).run(title="t", checkpoint=checkpoint, quiet=True)
+
+
+def test_a_checkpoint_of_another_precision_is_refused(checkpoint: Path) -> None:
+    with pytest.raises(CheckpointError, match="another model"):
+        make_fit(dtype=torch.float64).run(title="t", checkpoint=checkpoint, quiet=True)
+
+
+@pytest.mark.parametrize("lost", ["batches", "noise", "kept.h.offset"])
+def test_a_checkpoint_that_lacks_a_part_is_refused(checkpoint: Path, lost: str) -> None:
+    file = checkpoint.with_suffix(".safetensors")
+    with safe_open(str(file), framework="pt") as opened:
+        about = opened.metadata()
+    tensors = load_file(file)
+    del tensors[lost]
+    save_file(tensors, file, metadata=about)
+    with pytest.raises(CheckpointError, match=str(file)):
+        make_fit().run(title="t", checkpoint=checkpoint, quiet=True)
+
+
+def test_default_loss_moves_eta_by_the_distance_losses_alone() -> None:
+    fit = make_fit()
+    losses = fit.terms()
+    weights = list(fit.model.eta.energy_network.parameters())
+    got = torch.autograd.grad(losses["data"], weights, allow_unused=True, retain_graph=True)
+    assert all(g is None for g in got)
+    got = torch.autograd.grad(losses["convexity"] + losses["gradient"], weights, allow_unused=True)
+    assert any(g is not None and float(g.abs().max()) > 0 for g in got)
+
+
+def test_weights_multiply_their_losses() -> None:
+    plain = {"kind": "replay", "points": 8, "ball_samples": 3}
+    one = make_fit(loss=LossOptions(data=1, gradient=1, convexity=1, mu=1, residual_decay=1, **plain)).terms()
+    two = make_fit(loss=LossOptions(data=2, gradient=3, convexity=4, mu=5, residual_decay=6, **plain)).terms()
+    for name, factor in {"data": 2, "gradient": 3, "convexity": 4, "mu": 5, "decay": 6}.items():
+        torch.testing.assert_close(two[name], factor * one[name])

@@ -1,0 +1,168 @@
+"""Data losses: the fair CRPS, what it is minimised by, and what the paper's loss is minimised by."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+import torch
+
+from nsde_torch.errors import ConfigError
+from nsde_torch.evaluation.scores import crps
+from nsde_torch.sde import brownian
+from nsde_torch.training import LossOptions
+from nsde_torch.training.losses import data_loss, mu_weight, paired_score
+from tests.helpers.toy_systems import DT, Decay, decay_runs, fix_sigma, make_model
+
+
+def generator(seed: int = 0) -> torch.Generator:
+    return torch.Generator().manual_seed(seed)
+
+
+@pytest.mark.parametrize("particles", [2, 3, 8])
+def test_crps_equals_the_double_loop_over_particles(particles: int) -> None:
+    e = torch.randn(particles, 5, 4, generator=generator(), dtype=torch.float64)
+    spread = torch.zeros(5, 4, dtype=torch.float64)
+    for i in range(particles):
+        for j in range(particles):
+            spread += (e[i] - e[j]).abs()
+    expected = e.abs().mean(0) - spread / (2 * particles * (particles - 1))
+    torch.testing.assert_close(crps(e), expected, rtol=1e-12, atol=1e-12)
+
+
+def test_crps_of_a_point_forecast_is_its_absolute_error() -> None:
+    e = torch.randn(1, 7, generator=generator())
+    torch.testing.assert_close(crps(e), e[0].abs())
+
+
+@pytest.mark.parametrize("particles", [2, 5])
+@pytest.mark.parametrize(("mean", "sigma"), [(0.0, 1.0), (0.7, 0.4), (-2.0, 1.5)])
+def test_expected_crps_is_that_of_the_gaussian_whatever_the_number_of_particles(
+    particles: int, mean: float, sigma: float
+) -> None:
+    n = 200_000
+    e = mean + sigma * torch.randn(particles, n, generator=generator(particles), dtype=torch.float64)
+    score = crps(e)
+    z = -mean / sigma
+    density = math.exp(-0.5 * z * z) / math.sqrt(2 * math.pi)
+    share = 0.5 * (1 + math.erf(z / math.sqrt(2)))
+    expected = sigma * (z * (2 * share - 1) + 2 * density - 1 / math.sqrt(math.pi))
+    assert float(score.mean()) == pytest.approx(expected, abs=4 * float(score.std()) / math.sqrt(n))
+
+
+def test_crps_gradient_equals_finite_differences() -> None:
+    e = torch.randn(4, 3, generator=generator(), dtype=torch.float64, requires_grad=True)
+    assert torch.autograd.gradcheck(crps, (e,))
+
+
+@pytest.mark.parametrize("particles", [2, 4, 6])
+@pytest.mark.parametrize(("mean", "sigma"), [(0.0, 1.0), (0.7, 0.4), (-2.0, 1.5)])
+def test_expected_paired_score_is_the_crps_of_the_gaussian_and_the_error_of_its_mean(
+    particles: int, mean: float, sigma: float
+) -> None:
+    n = 200_000
+    draw = sigma * torch.randn(particles // 2, n, generator=generator(particles), dtype=torch.float64)
+    score = paired_score(mean + torch.cat((draw, -draw)))
+    z = -mean / sigma
+    density = math.exp(-0.5 * z * z) / math.sqrt(2 * math.pi)
+    share = 0.5 * (1 + math.erf(z / math.sqrt(2)))
+    expected = sigma * (z * (2 * share - 1) + 2 * density - 1 / math.sqrt(math.pi)) + abs(mean)
+    assert float(score.mean()) == pytest.approx(expected, abs=4 * float(score.std()) / math.sqrt(n))
+
+
+def test_paired_score_of_a_point_forecast_is_its_absolute_error() -> None:
+    e = torch.randn(1, 7, generator=generator())
+    torch.testing.assert_close(paired_score(e), e[0].abs())
+
+
+@pytest.mark.parametrize("particles", [2, 4])
+def test_paired_score_gradient_equals_finite_differences(particles: int) -> None:
+    e = torch.randn(particles, 3, generator=generator(), dtype=torch.float64, requires_grad=True)
+    assert torch.autograd.gradcheck(paired_score, (e,))
+
+
+def losses_over_sigma(kind: str, factors: list[float], particles: int) -> list[float]:
+    """Data loss of a model with the right drift and `factor` times the right sigma, on one noise."""
+    sigma, horizon, batch = 0.5, 20, 3000
+    model = fix_sigma(make_model(Decay), sigma)
+    x = torch.tensor(decay_runs(1, batch * horizon * DT, sigma=sigma)[0].x[:, 0], dtype=torch.float32)
+    windows = torch.stack([x[k * horizon : (k + 1) * horizon + 1] for k in range(batch)])[..., None]
+    noise = brownian(max(1, particles // 2), batch, horizon, 1, dt=DT, generator=generator(1))
+    noise = torch.cat((noise, -noise))[:particles]
+    u = torch.zeros(batch, horizon, 1)
+    scores = []
+    with torch.no_grad():
+        for factor in factors:
+            fix_sigma(model, max(sigma * factor, 1e-12))
+            path = model.paths(windows[:, 0], u, dt=DT, noise=noise)
+            errors = path[:, :, 1:] - windows[:, 1:]
+            scores.append(
+                float(data_loss(errors, torch.ones(1), kind=kind, early=0.5, paired=kind == "replay"))
+            )
+    return scores
+
+
+def test_default_loss_is_smallest_at_the_true_sigma() -> None:
+    factors = [0.0, 0.5, 0.7, 0.85, 1.0, 1.15, 1.4, 2.0]
+    scores = losses_over_sigma("replay", factors, particles=4)
+    assert factors[scores.index(min(scores))] in (0.85, 1.0, 1.15)
+    below, above = scores[:4], scores[5:]
+    assert below == sorted(below, reverse=True)
+    assert above == sorted(above)
+
+
+def test_paper_loss_is_smallest_without_any_spread() -> None:
+    scores = losses_over_sigma("paper", [0.0, 0.3, 0.6, 1.0, 1.5], particles=1)
+    assert scores == sorted(scores)
+    assert scores[3] > 1.5 * scores[0]
+
+
+def test_paper_loss_is_the_mean_square_of_errors_in_units_of_their_scale() -> None:
+    e = torch.randn(2, 5, 3, 2, generator=generator())
+    scale = torch.tensor([0.5, 4.0])
+    expected = ((e[..., 0] / 0.5).square().mean() + (e[..., 1] / 4.0).square().mean()) / 2
+    torch.testing.assert_close(data_loss(e, scale, kind="paper", early=0.5, paired=False), expected)
+
+
+@pytest.mark.parametrize("early", [0.0, 0.5, 2.0])
+def test_weights_of_the_steps_fall_as_a_power_and_average_one(early: float) -> None:
+    horizon = 6
+    alone = []
+    for k in range(horizon):
+        e = torch.zeros(2, 4, horizon, 1)
+        e[:, :, k] = 3.0  # both particles: the spread is zero, the score is the error
+        alone.append(float(data_loss(e, torch.ones(1), kind="replay", early=early, paired=False)))
+    assert sum(alone) == pytest.approx(3.0, rel=1e-5)
+    for k, value in enumerate(alone):
+        assert value / alone[0] == pytest.approx((k + 1) ** -early, rel=1e-5)
+
+
+def test_weight_of_mu_is_the_users_then_the_systems_then_that_of_the_default() -> None:
+    model = make_model(Decay)
+    assert mu_weight(LossOptions(mu=0.3), model) == 0.3
+    assert mu_weight(LossOptions(kind="paper", particles=1), model) == Decay.defaults.lambda_mu
+    assert mu_weight(LossOptions(), model) == 0.01
+    assert mu_weight(LossOptions(mu=0.0), model) == 0.0
+
+
+def test_default_loss_refuses_one_particle_and_an_unknown_kind() -> None:
+    with pytest.raises(ConfigError, match=r"loss.particles.*at least 2"):
+        LossOptions(kind="replay", particles=1)
+    with pytest.raises(ConfigError, match=r"loss.kind.*'crps'"):
+        LossOptions(kind="crps")
+
+
+def test_expected_gradient_of_the_default_loss_vanishes_at_the_true_sigma() -> None:
+    """A pair of paths gives an unbiased gradient: averaged, it is zero at the truth and points to it elsewhere."""
+
+    def slope(log_factor: float) -> float:
+        log_sigma = torch.tensor(log_factor, dtype=torch.float64, requires_grad=True)
+        g = generator(3)
+        pair = torch.randn(2, 100_000, generator=g, dtype=torch.float64) * log_sigma.exp()
+        truth = torch.randn(100_000, generator=g, dtype=torch.float64)
+        (slope,) = torch.autograd.grad(crps(pair - truth).mean(), log_sigma)
+        return float(slope)
+
+    assert abs(slope(0.0)) < 0.01
+    assert slope(0.4) > 0.03
+    assert slope(-0.4) < -0.03

@@ -1,0 +1,67 @@
+"""A whole training through Python: what odd sets of runs do to it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from nsde_torch.data import RawRun, assemble, split
+from nsde_torch.errors import DataError
+from nsde_torch.models import SDESpec
+from nsde_torch.systems import make_system
+from nsde_torch.training import LossOptions, TrainerOptions, train
+
+OPTIONS = TrainerOptions(steps=2, batch=8, polish=1, compile="off")
+
+
+def swing(name: str, seconds: float, seed: int) -> RawRun:
+    t = 0.02 * np.arange(round(seconds / 0.02) + 1)
+    x = np.stack((0.1 * np.sin(t + seed), 0.1 * np.cos(t + seed)), 1)
+    x += 0.002 * np.random.default_rng(seed).standard_normal(x.shape)
+    return RawRun(name, t, x, np.zeros((len(t), 1)))
+
+
+def run(
+    seconds: list[float], folder: Path, *, test: list[int] | None, horizon: int = 10
+) -> tuple[dict[str, Any], str]:
+    raw = [swing(f"swing_{k}", s, k) for k, s in enumerate(seconds)]
+    data = assemble(raw, make_system("mass_spring_damper"), kind="csv")
+    said: list[str] = []
+    metrics = train(
+        SDESpec("mass_spring_damper", dt=0.02, horizon=horizon, step="euler_maruyama"),
+        data,
+        split(data, test),
+        loss=LossOptions(points=8),
+        options=OPTIONS,
+        seed=0,
+        run_dir=folder,
+        say=said.append,
+    )
+    return metrics, "\n".join(said)
+
+
+def test_a_training_run_too_short_to_test_on_is_not_left_out_and_that_is_said(tmp_path: Path) -> None:
+    metrics, said = run([8.0, 6.0, 0.08], tmp_path, test=[], horizon=3)
+    assert len(metrics["calibration"]["left_out"]) == 2
+    assert "calibration without 'swing_2' left out" in said
+
+
+def test_a_run_that_the_others_cannot_replace_is_not_left_out_and_that_is_said(tmp_path: Path) -> None:
+    metrics, said = run([8.0, 0.15], tmp_path, test=[])
+    assert len(metrics["calibration"]["left_out"]) == 1
+    assert "calibration without 'swing_0' left out" in said
+    assert (tmp_path / "metrics.json").is_file()
+
+
+def test_a_test_run_that_is_too_short_is_refused_before_the_first_step(tmp_path: Path) -> None:
+    with pytest.raises(DataError, match=r"swing_1\) are too short.*hold out longer"):
+        run([8.0, 0.08], tmp_path, test=[1])
+    assert not (tmp_path / "checkpoints").exists()
+
+
+def test_data_without_a_training_window_are_refused_with_the_remedy(tmp_path: Path) -> None:
+    with pytest.raises(DataError, match="Shorten `horizon`"):
+        run([0.5, 6.0], tmp_path, test=[1], horizon=100)

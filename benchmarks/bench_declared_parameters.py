@@ -18,8 +18,8 @@ import numpy as np
 import torch
 
 from nsde_torch.models import SDESpec
-from nsde_torch.plants import MACHINES, simulated
-from nsde_torch.systems import make_system
+from nsde_torch.simulation import simulated
+from nsde_torch.systems import MACHINES, make_system
 from nsde_torch.training import LossOptions, TrainerOptions
 from nsde_torch.training.fit_sde import fit_sde
 from nsde_torch.training.task import Task

@@ -34,7 +34,7 @@ from torch import Tensor
 
 from nsde_torch.data import DataSet, Windows, read, split
 from nsde_torch.models import EnsembleSpec, GaussianEnsemble
-from nsde_torch.plants import simulated
+from nsde_torch.simulation import simulated
 from nsde_torch.systems import make_system
 from nsde_torch.training import TrainerOptions
 from nsde_torch.training.ensemble_loop import EnsembleLoop, Pairs

@@ -32,8 +32,8 @@ from nsde_torch.evaluation.common_grid import Candidate
 from nsde_torch.evaluation.comparison import compare
 from nsde_torch.evaluation.metrics import group_rms, start_grid
 from nsde_torch.evaluation.seen import SeenRuns
-from nsde_torch.plants import MACHINES, Replay, make_plant, make_plant_system, simulate, write
-from nsde_torch.systems import make_system
+from nsde_torch.simulation import Replay, make_plant, simulate, write
+from nsde_torch.systems import MACHINES, make_plant_system, make_system
 
 SYSTEMS = ("hexacopter", "quadrotor")
 KINDS = ("nsde", "sysid", "node", "blackbox_nsde", "ensemble")

@@ -31,8 +31,8 @@ from nsde_torch.control.reference import Reference
 from nsde_torch.control.shapes import circle, lemniscate
 from nsde_torch.control.solve import Problem, Solver, SolverOptions
 from nsde_torch.control.summary import summarise
-from nsde_torch.plants import make_plant
 from nsde_torch.rotation import turned
+from nsde_torch.simulation import make_plant
 
 ITERATIONS = {"gauss_newton": 12, "apg": 1500}
 

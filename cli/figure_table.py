@@ -195,7 +195,7 @@ def _recorded() -> Figure:
     def draw(settings: Settings) -> Outcome:
         from nsde_torch.data import read
         from nsde_torch.experiments.flights import recorded
-        from nsde_torch.plants import simulated
+        from nsde_torch.simulation import simulated
         from nsde_torch.systems import make_system
 
         system = make_system("hexacopter")

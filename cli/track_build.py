@@ -17,7 +17,6 @@ from nsde_torch.control.controller import Controller, Planner, SafetyOptions
 from nsde_torch.control.estimator import EstimatorOptions, Foresight
 from nsde_torch.control.knowledge import DECLARED, system_of
 from nsde_torch.control.knowledge import knowledge as knowledge_of
-from nsde_torch.control.learned_plant import LearnedPlant
 from nsde_torch.control.problem import ProblemOptions
 from nsde_torch.control.reference import FlightPath, Reference
 from nsde_torch.control.solve import SolverOptions
@@ -25,9 +24,10 @@ from nsde_torch.control.waypoints import from_csv, waypoints
 from nsde_torch.errors import ConfigError
 from nsde_torch.models import Model
 from nsde_torch.models.run_directory import load
-from nsde_torch.plants import make_plant
-from nsde_torch.plants.machines import machine
+from nsde_torch.simulation import make_plant
+from nsde_torch.simulation.learned_plant import LearnedPlant
 from nsde_torch.systems import System
+from nsde_torch.systems.machines import machine
 
 from . import build
 

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from nsde_torch.effects.base import Effect
     from nsde_torch.models.neural_sde import NeuralSDE
     from nsde_torch.models.run_directory import load
-    from nsde_torch.plants.simulation import simulate
+    from nsde_torch.simulation.generate import simulate
     from nsde_torch.systems.base import System
 
 __version__ = "0.1.0"
@@ -50,7 +50,7 @@ __getattr__ = resolver(
         "evaluate": "api.evaluation",
         "load": "models.run_directory",
         "read": "api.reading",
-        "simulate": "plants.simulation",
+        "simulate": "simulation.generate",
         "train": "api.training",
     },
 )

@@ -37,8 +37,8 @@ from sizes import Values, amplitudes, shapes
 
 from nsde_torch.effects import Effect, effect_class, effects_of
 from nsde_torch.errors import ConfigError, NsdeError
-from nsde_torch.plants import Recording, simulate
-from nsde_torch.plants import write as write_data
+from nsde_torch.simulation import Recording, simulate
+from nsde_torch.simulation import write as write_data
 from nsde_torch.systems import make_system, system_class
 
 SYSTEMS = ("mass_spring_damper", "cartpole", "hexacopter")

@@ -18,9 +18,9 @@ import torch
 from torch import Tensor
 
 from nsde_torch.effects import Effect
-from nsde_torch.plants import make_plant_system, simulate
-from nsde_torch.plants.battery import COLUMN
-from nsde_torch.systems import System
+from nsde_torch.simulation import simulate
+from nsde_torch.simulation.battery import COLUMN
+from nsde_torch.systems import System, make_plant_system
 
 Values = dict[str, float | list[float]]
 

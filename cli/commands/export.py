@@ -67,7 +67,7 @@ def run(config: DictConfig, job: Job) -> None:
     from nsde_torch.control.knowledge import DECLARED, system_of
     from nsde_torch.errors import ConfigError
     from nsde_torch.export.write import export
-    from nsde_torch.plants.machines import machine
+    from nsde_torch.systems.machines import machine
 
     from .. import track_build
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from nsde_torch.plants.options import RecordingOptions, ReplayOptions
+from nsde_torch.simulation.options import RecordingOptions, ReplayOptions
 
 from ..hydra_command import HydraCommand
 from ..keys import group, key, mirrors
@@ -99,9 +99,10 @@ def run(config: DictConfig, job: Job) -> None:
     # torch is imported here, not above: help and completion do without it.
     import torch
 
-    from nsde_torch.plants.recording import Recording
-    from nsde_torch.plants.replay import Replay
-    from nsde_torch.plants.simulation import check_free, simulate, truth_path, write
+    from nsde_torch.simulation.files import check_free, truth_path, write
+    from nsde_torch.simulation.generate import simulate
+    from nsde_torch.simulation.recording import Recording
+    from nsde_torch.simulation.replay import Replay
 
     from .. import build
 

@@ -13,7 +13,7 @@ from nsde_torch.data.run import DataSet, Run
 from nsde_torch.data.splits import Split, split
 from nsde_torch.data.system_info import SystemInfo
 from nsde_torch.errors import ConfigError, DataError
-from nsde_torch.plants.simulation import Simulation
+from nsde_torch.simulation.generate import Simulation
 from nsde_torch.systems.base import System
 from nsde_torch.systems.options import SystemOptions, system_options
 

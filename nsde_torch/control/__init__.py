@@ -6,8 +6,8 @@ from nsde_torch.lazy import resolver
 
 if TYPE_CHECKING:
     from nsde_torch.control.autopilots import Autopilot, CascadePilot, PredictivePilot
+    from nsde_torch.control.cascade import Cascade, Gains
     from nsde_torch.control.controller import Controller, Plan, Planner
-    from nsde_torch.control.learned_plant import LearnedPlant
     from nsde_torch.control.loop import Flight, Machine, fly
     from nsde_torch.control.options import EstimatorOptions, ProblemOptions, SafetyOptions, SolverOptions
     from nsde_torch.control.predictor import Predictor
@@ -17,12 +17,13 @@ if TYPE_CHECKING:
 
 __all__ = [
     "Autopilot",
+    "Cascade",
     "CascadePilot",
     "Controller",
     "EstimatorOptions",
     "Flight",
     "FlightPath",
-    "LearnedPlant",
+    "Gains",
     "Machine",
     "Plan",
     "Planner",
@@ -43,12 +44,13 @@ __getattr__ = resolver(
     __name__,
     {
         "Autopilot": "autopilots",
+        "Cascade": "cascade",
         "CascadePilot": "autopilots",
         "Controller": "controller",
         "EstimatorOptions": "options",
         "Flight": "loop",
         "FlightPath": "reference",
-        "LearnedPlant": "learned_plant",
+        "Gains": "cascade",
         "Machine": "loop",
         "Plan": "controller",
         "Planner": "controller",

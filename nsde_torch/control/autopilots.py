@@ -11,6 +11,7 @@ from typing import final
 import torch
 from torch import Tensor
 
+from nsde_torch.control.cascade import Cascade, Gains
 from nsde_torch.control.compiled import Function, NoCompiler, compile_ahead
 from nsde_torch.control.controller import Plan, Planner
 from nsde_torch.control.estimator import Estimator, EstimatorOptions, Foresight
@@ -18,7 +19,6 @@ from nsde_torch.control.predictor import Predictor
 from nsde_torch.control.reference import Reference
 from nsde_torch.errors import ConfigError
 from nsde_torch.models import Model
-from nsde_torch.plants.cascade import Cascade, Gains
 from nsde_torch.systems import Multirotor, System
 
 

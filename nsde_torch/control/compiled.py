@@ -29,7 +29,7 @@ from torch import Tensor, nn
 from torch._functorch.compile_utils import fx_graph_cse
 from torch.fx.experimental.proxy_tensor import make_fx
 
-from nsde_torch.plants.cache import cache_folder
+from nsde_torch.cache import cache_folder
 
 Function = Callable[[Sequence[Tensor]], list[Tensor]]
 _SOURCES = (

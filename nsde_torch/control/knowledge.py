@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from nsde_torch.models import Model
 from nsde_torch.models.run_directory import load
-from nsde_torch.plants import make_plant_system
-from nsde_torch.plants.machines import Effects
-from nsde_torch.systems import System
+from nsde_torch.systems import System, make_plant_system
+from nsde_torch.systems.machines import Effects
 
 DECLARED = "declared"
 """Stands for the declared physics in the place of a run directory."""

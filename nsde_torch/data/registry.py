@@ -66,7 +66,7 @@ def read(
     if kind not in READERS:
         raise ConfigError(
             f"`kind` of data must be one of {', '.join(sorted(READERS))}; got {kind!r}. (Simulated data come "
-            "from `nsde_torch.plants`.)"
+            "from `nsde_torch.simulation`.)"
         )
     if kind == "published" and dt is not None:
         options["dt"] = dt

@@ -30,8 +30,7 @@ from nsde_torch.export.step import Step
 from nsde_torch.models import Model
 from nsde_torch.models.registry import make_spec
 from nsde_torch.models.run_directory import CONFIG, WEIGHTS
-from nsde_torch.plants import make_plant_system
-from nsde_torch.systems import System
+from nsde_torch.systems import System, make_plant_system
 
 FRAMES = "world ENU, body FLU, quaternion w x y z from body to world, SI units, radians"
 TORCHSCRIPT, AOTI = "torchscript", "aoti"

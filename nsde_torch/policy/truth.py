@@ -14,9 +14,10 @@ import torch
 from torch import Tensor
 
 from nsde_torch.errors import ConfigError
-from nsde_torch.plants import make_plant, make_plant_system
-from nsde_torch.plants.noise import Sensor
 from nsde_torch.policy.dynamics import Dynamics
+from nsde_torch.simulation import make_plant
+from nsde_torch.simulation.noise import Sensor
+from nsde_torch.systems import make_plant_system
 
 TRUTHS = ("plant", "published")
 PUBLISHED_VARIANCES = (0.005, 0.01, 0.009, 0.05)

@@ -21,13 +21,13 @@ import torch
 
 from nsde_torch.effects import Port
 from nsde_torch.errors import ConfigError
-from nsde_torch.plants.battery import ENDURANCE, FULL, HOVER, LOAD, SWING
-from nsde_torch.plants.machines import Effects, machine, make_plant_system, named_effects
-from nsde_torch.plants.noise import Gusts
 from nsde_torch.px4.vectors import Quat, Vec, rotate, rotate_back, turned_by_rates
 from nsde_torch.rotation import euler_coupling
+from nsde_torch.simulation.battery import ENDURANCE, FULL, HOVER, LOAD, SWING
+from nsde_torch.simulation.noise import Gusts
 from nsde_torch.systems import Multirotor
 from nsde_torch.systems.frozen import frozen
+from nsde_torch.systems.machines import Effects, machine, make_plant_system, named_effects
 
 GRAVITY = 9.81
 HELD = 0.01

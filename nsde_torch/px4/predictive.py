@@ -30,12 +30,12 @@ from nsde_torch.control.setpoint import setpoints
 from nsde_torch.control.solve import SolverOptions
 from nsde_torch.errors import ConfigError
 from nsde_torch.export.exported import ExportedController
-from nsde_torch.plants.machines import Effects, named_effects
 from nsde_torch.px4.cascade import GRAVITY
 from nsde_torch.px4.controller import Asked, Demand, Plan
 from nsde_torch.px4.path import PAUSE
 from nsde_torch.px4.vectors import Vec, rotate, turned_by_rates
 from nsde_torch.systems import Multirotor
+from nsde_torch.systems.machines import Effects, named_effects
 
 DELAY, LEAD = 0.08, 0.05
 """Measured best on the simulated machines [s]."""

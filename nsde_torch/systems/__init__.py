@@ -7,23 +7,28 @@ from nsde_torch.lazy import resolver
 if TYPE_CHECKING:
     from nsde_torch.systems.base import Defaults, ErrorGroup, ResidualPort, System
     from nsde_torch.systems.cartpole import Cartpole
+    from nsde_torch.systems.machines import MACHINES, Gust, Machine, make_plant_system
     from nsde_torch.systems.multirotor import Hexacopter, Multirotor, Quadrotor
     from nsde_torch.systems.one_dof import MassSpringDamper
     from nsde_torch.systems.options import SystemOptions
     from nsde_torch.systems.registry import SYSTEMS, make_system, system_class
 
 __all__ = [
+    "MACHINES",
     "SYSTEMS",
     "Cartpole",
     "Defaults",
     "ErrorGroup",
+    "Gust",
     "Hexacopter",
+    "Machine",
     "MassSpringDamper",
     "Multirotor",
     "Quadrotor",
     "ResidualPort",
     "System",
     "SystemOptions",
+    "make_plant_system",
     "make_system",
     "system_class",
 ]
@@ -31,17 +36,21 @@ __all__ = [
 __getattr__ = resolver(
     __name__,
     {
+        "MACHINES": "machines",
         "SYSTEMS": "registry",
         "Cartpole": "cartpole",
         "Defaults": "base",
         "ErrorGroup": "base",
+        "Gust": "machines",
         "Hexacopter": "multirotor",
+        "Machine": "machines",
         "MassSpringDamper": "one_dof",
         "Multirotor": "multirotor",
         "Quadrotor": "multirotor",
         "ResidualPort": "base",
         "System": "base",
         "SystemOptions": "options",
+        "make_plant_system": "machines",
         "make_system": "registry",
         "system_class": "registry",
     },

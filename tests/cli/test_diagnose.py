@@ -19,8 +19,8 @@ from nsde_torch.cli import effects_file
 from nsde_torch.cli.main import main
 from nsde_torch.errors import ConfigError
 from nsde_torch.models import IdentifiedModel
-from nsde_torch.plants import Recording, simulate
-from nsde_torch.plants.simulation import write
+from nsde_torch.simulation import Recording, simulate
+from nsde_torch.simulation.files import write
 
 SYSTEM = "system=mass_spring_damper"
 

@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 
 import nsde_torch
-from nsde_torch import conf, plants
+from nsde_torch import conf, simulation
 from nsde_torch.cli import groups
 from nsde_torch.cli.keys import check, key, mirrors, of, walk
 from nsde_torch.cli.registry import hydra_commands
@@ -124,7 +124,7 @@ SIGNATURES = [
     ),
     *(("train", f"data.{k}", nsde_torch.read, k) for k in ("gap", "clock")),
     *(
-        ("train", f"data.{k}", plants.simulated, k)
+        ("train", f"data.{k}", simulation.simulated, k)
         for k in ("durations", "seed", "process_noise", "sensor_noise", "cache", "gap", "clock")
     ),
 ]

@@ -9,14 +9,14 @@ import torch
 
 from nsde_torch.control.autopilots import CascadePilot, PredictivePilot
 from nsde_torch.control.estimator import EstimatorOptions
-from nsde_torch.control.learned_plant import LearnedPlant
 from nsde_torch.control.loop import Flight, fly
 from nsde_torch.control.reference import Reference
 from nsde_torch.control.shapes import hover, lemniscate
 from nsde_torch.control.summary import summarise
 from nsde_torch.errors import ConfigError
 from nsde_torch.models import NeuralSDE
-from nsde_torch.plants import make_plant
+from nsde_torch.simulation import make_plant
+from nsde_torch.simulation.learned_plant import LearnedPlant
 from nsde_torch.systems import System
 from tests.helpers.control_problems import controller_of
 

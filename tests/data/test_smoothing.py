@@ -116,7 +116,7 @@ def test_runs_and_segments_of_unequal_length_are_pooled() -> None:
 
 
 def test_simulated_flights_were_not_averaged() -> None:
-    from nsde_torch.plants import simulated
+    from nsde_torch.simulation import simulated
 
     data = simulated("hexacopter", durations=[10.0])
     assert smoothing_width(list(data.runs), 6) == 0.0

@@ -13,7 +13,7 @@ from nsde_torch.diagnosis.pipeline import Options, diagnose, search_in
 from nsde_torch.diagnosis.structure import Dependence, dependences, own_of_runs, regressors
 from nsde_torch.diagnosis.text import lines
 from nsde_torch.models.identified import SysidSpec
-from nsde_torch.plants import simulate
+from nsde_torch.simulation import simulate
 from nsde_torch.systems import make_system
 from tests.helpers.diagnosed import recorded
 

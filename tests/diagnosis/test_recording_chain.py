@@ -9,7 +9,7 @@ from nsde_torch.data import Run
 from nsde_torch.data.smoothing import restored
 from nsde_torch.diagnosis.pipeline import Options
 from nsde_torch.diagnosis.text import lines
-from nsde_torch.plants import Recording
+from nsde_torch.simulation import Recording
 from tests.helpers.diagnosed import diagnosed
 
 ALONE = Options(max_effects=0)  # the recording chain is looked at before any effect

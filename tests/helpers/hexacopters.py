@@ -8,8 +8,7 @@ import torch
 from nsde_torch.control.reference import Reference
 from nsde_torch.control.shapes import lemniscate
 from nsde_torch.models import NeuralSDE, SDESpec
-from nsde_torch.plants import make_plant_system
-from nsde_torch.systems import System
+from nsde_torch.systems import System, make_plant_system
 
 VALUES = {"thrust_gain": 4.6, "thrust_offset": -1.0, "roll_gain": 80.0, "pitch_gain": 80.0, "yaw_gain": 3.4}
 

@@ -16,7 +16,7 @@ from nsde_torch.models import (
     SDESpec,
     SysidSpec,
 )
-from nsde_torch.plants.plant import Plant
+from nsde_torch.simulation.plant import Plant
 from nsde_torch.systems import make_system
 
 DT, BEFORE, AHEAD = 0.02, 25, 15

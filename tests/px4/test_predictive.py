@@ -15,7 +15,6 @@ from nsde_torch.control.reference import FlightPath, Reference
 from nsde_torch.control.solve import SolverOptions
 from nsde_torch.export.exported import ExportedController
 from nsde_torch.export.write import export
-from nsde_torch.plants import make_plant_system
 from nsde_torch.px4.body import Body
 from nsde_torch.px4.controller import Demand
 from nsde_torch.px4.flight import FlightReport
@@ -23,6 +22,7 @@ from nsde_torch.px4.offboard import FlightOptions
 from nsde_torch.px4.path import PathPoints
 from nsde_torch.px4.predictive import PredictiveController
 from nsde_torch.px4.simulated import fly_simulated
+from nsde_torch.systems import make_plant_system
 
 
 @pytest.fixture(scope="module")

@@ -8,7 +8,7 @@ import torch
 
 from nsde_torch.data import Run, Windows
 from nsde_torch.models import NeuralSDE, SDESpec
-from nsde_torch.plants import simulated
+from nsde_torch.simulation import simulated
 from nsde_torch.training.prepare import error_scale, prepare, sensor_std
 from tests.helpers.toy_systems import DT, Decay, decay_runs, make_model
 

@@ -10,10 +10,11 @@ from torch import Tensor
 
 from nsde_torch.effects import Port
 from nsde_torch.errors import ConfigError, NonFiniteError, ShapeError
-from nsde_torch.plants import Gust, Plant, make_plant, make_plant_system
-from nsde_torch.plants.noise import Gusts, turned
 from nsde_torch.rotation import rotation_between
-from nsde_torch.systems import make_system
+from nsde_torch.simulation import Plant, make_plant
+from nsde_torch.simulation.noise import Gusts, turned
+from nsde_torch.systems import make_plant_system, make_system
+from nsde_torch.systems.machines import Gust
 
 
 def generator(seed: int = 0) -> torch.Generator:

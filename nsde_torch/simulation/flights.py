@@ -14,14 +14,15 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from nsde_torch.control.cascade import Cascade
 from nsde_torch.data.quaternion import euler_zyx
 from nsde_torch.data.raw import RawRun
 from nsde_torch.errors import ConfigError
-from nsde_torch.plants.battery import battery_column, battery_of
-from nsde_torch.plants.cascade import Cascade
-from nsde_torch.plants.machines import Effects, Making, machine, make_plant, make_plant_system, plant_options
-from nsde_torch.plants.pilot import Path, Pilot, Sticks, figures
+from nsde_torch.simulation.battery import battery_column, battery_of
+from nsde_torch.simulation.make import Making, make_plant, plant_options
+from nsde_torch.simulation.pilot import Path, Pilot, Sticks, figures
 from nsde_torch.systems import Multirotor
+from nsde_torch.systems.machines import Effects, machine, make_plant_system
 
 Array = NDArray[np.float64]
 

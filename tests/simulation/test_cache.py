@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-import nsde_torch.plants.registry as registry
-from nsde_torch.plants import cache, simulated, spring_runs
+import nsde_torch.simulation.registry as registry
+from nsde_torch.simulation import cache, simulated, spring_runs
 
 
 @pytest.fixture

@@ -10,9 +10,9 @@ import torch
 
 from nsde_torch.data import Windows, read
 from nsde_torch.errors import ConfigError, ShapeError
-from nsde_torch.plants import Replay, make_plant, replay, simulate, write
-from nsde_torch.plants.flights import chosen_flights
-from nsde_torch.plants.recording import Recording
+from nsde_torch.simulation import Replay, make_plant, replay, simulate, write
+from nsde_torch.simulation.flights import chosen_flights
+from nsde_torch.simulation.recording import Recording
 from nsde_torch.systems import make_system
 
 SHORT = {"durations": [6.0, 5.0], "options": {"variants": 12, "rounds": 1}}

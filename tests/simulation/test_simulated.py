@@ -5,13 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-import nsde_torch.plants.registry as registry
+import nsde_torch.simulation.registry as registry
 from nsde_torch.data import DataSet
 from nsde_torch.data.summary import Envelope
 from nsde_torch.errors import ConfigError
-from nsde_torch.plants import MACHINES, cartpole_episodes, simulated
-from nsde_torch.plants.pilot import TARGETS, Pilot, Sticks, attained, figures
-from nsde_torch.systems import Hexacopter, make_system
+from nsde_torch.simulation import cartpole_episodes, simulated
+from nsde_torch.simulation.pilot import TARGETS, Pilot, Sticks, attained, figures
+from nsde_torch.systems import MACHINES, Hexacopter, make_system
 
 FIGURES = ("speed_q95", "speed_max", "roll_q95", "roll_max", "pitch_q95", "pitch_max", "yaw_q95", "yaw_max")
 

@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from nsde_torch.errors import ConfigError
-from nsde_torch.plants.machines import Making
-from nsde_torch.plants.plant import Plant
+from nsde_torch.simulation.make import Making
+from nsde_torch.simulation.plant import Plant
 
 Array = NDArray[np.float64]
 

@@ -26,11 +26,12 @@ from numpy.typing import NDArray
 from nsde_torch.data.interventions import COLUMN
 from nsde_torch.data.raw import RawRun
 from nsde_torch.errors import ConfigError
-from nsde_torch.plants.battery import Battery, battery_column, used_of
-from nsde_torch.plants.flights import Flown, chosen_flights
-from nsde_torch.plants.machines import Effects, Making, machine, make_plant, plant_options
-from nsde_torch.plants.options import ReplayOptions
-from nsde_torch.plants.plant import Plant
+from nsde_torch.simulation.battery import Battery, battery_column, used_of
+from nsde_torch.simulation.flights import Flown, chosen_flights
+from nsde_torch.simulation.make import Making, make_plant, plant_options
+from nsde_torch.simulation.options import ReplayOptions
+from nsde_torch.simulation.plant import Plant
+from nsde_torch.systems.machines import Effects, machine
 
 Array = NDArray[np.float64]
 

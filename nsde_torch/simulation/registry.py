@@ -13,12 +13,12 @@ from typing import Any
 
 from nsde_torch.data import DataSet, RawRun, SystemInfo, assemble
 from nsde_torch.errors import ConfigError, DataError
-from nsde_torch.plants import cache as _cache
-from nsde_torch.plants.cartpole import cartpole_episodes
-from nsde_torch.plants.flights import manual_flights
-from nsde_torch.plants.machines import Effects, machine, make_plant_system, named_effects
-from nsde_torch.plants.mass_spring_damper import spring_runs
+from nsde_torch.simulation import cache as _cache
+from nsde_torch.simulation.cartpole import cartpole_episodes
+from nsde_torch.simulation.flights import manual_flights
+from nsde_torch.simulation.mass_spring_damper import spring_runs
 from nsde_torch.systems import make_system
+from nsde_torch.systems.machines import Effects, machine, make_plant_system, named_effects
 
 RECORDINGS: dict[str, Callable[..., list[RawRun]]] = {
     "hexacopter": manual_flights,

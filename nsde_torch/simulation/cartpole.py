@@ -22,10 +22,11 @@ from torch import Tensor
 
 from nsde_torch.data.raw import RawRun
 from nsde_torch.errors import ConfigError
-from nsde_torch.plants.machines import Effects, Making, make_plant, make_plant_system, plant_options
-from nsde_torch.plants.recorder import record
+from nsde_torch.simulation.make import Making, make_plant, plant_options
+from nsde_torch.simulation.recorder import record
 from nsde_torch.systems import Cartpole
 from nsde_torch.systems.cartpole import GRAVITY
+from nsde_torch.systems.machines import Effects, make_plant_system
 
 DURATIONS = (4.0,) * 20
 POLICIES = ("mixed", "random", "on_policy")

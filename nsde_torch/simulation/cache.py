@@ -21,9 +21,18 @@ from typing import Any
 
 import numpy as np
 
+from nsde_torch.cache import cache_folder
 from nsde_torch.data.raw import RawRun
 
-_SOURCES = ("plants", "systems", "effects", "sde", "rotation.py", "data/quaternion.py")
+_SOURCES = (
+    "simulation",
+    "control/cascade.py",
+    "systems",
+    "effects",
+    "sde",
+    "rotation.py",
+    "data/quaternion.py",
+)
 
 
 @functools.cache
@@ -36,18 +45,6 @@ def code_hash() -> str:
         for file in sorted(path.rglob("*.py")) if path.is_dir() else [path]:
             digest.update(file.relative_to(package).as_posix().encode() + b"\0" + file.read_bytes() + b"\0")
     return digest.hexdigest()
-
-
-def cache_folder(folder: str | Path | None = None) -> Path:
-    """Folder of the cache: `folder`, else NSDE_CACHE, else nsde_torch in the user's cache folder."""
-    if folder is not None:
-        return Path(folder).expanduser()
-    if os.environ.get("NSDE_CACHE"):
-        return Path(os.environ["NSDE_CACHE"]).expanduser()
-    if os.name == "nt" and os.environ.get("LOCALAPPDATA"):
-        return Path(os.environ["LOCALAPPDATA"]) / "nsde_torch" / "cache"
-    base = os.environ.get("XDG_CACHE_HOME")
-    return (Path(base) if base else Path.home() / ".cache") / "nsde_torch"
 
 
 def key_of(settings: Mapping[str, Any]) -> str:

@@ -10,8 +10,8 @@ from torch import Tensor
 from nsde_torch.errors import ConfigError
 from nsde_torch.models import Model
 from nsde_torch.models.neural_sde import NeuralSDE
-from nsde_torch.plants.noise import Sensor
 from nsde_torch.sde import make_step
+from nsde_torch.simulation.noise import Sensor
 
 
 @final

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from nsde_torch.data.raw import RawRun
 from nsde_torch.errors import ConfigError
-from nsde_torch.plants.plant import Plant
+from nsde_torch.simulation.plant import Plant
 
 Array = NDArray[np.float64]
 Control = Callable[[float, torch.Tensor], torch.Tensor]

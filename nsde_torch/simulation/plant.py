@@ -16,10 +16,11 @@ from torch import Tensor
 
 from nsde_torch.effects import Port
 from nsde_torch.errors import ConfigError, NonFiniteError, ShapeError
-from nsde_torch.plants.noise import Gust, Gusts, Sensor
 from nsde_torch.sde import Calculus, Time, make_step
+from nsde_torch.simulation.noise import Gusts, Sensor
 from nsde_torch.systems import System
 from nsde_torch.systems.frozen import frozen
+from nsde_torch.systems.machines import Gust
 
 
 @final

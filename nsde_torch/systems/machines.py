@@ -1,4 +1,4 @@
-"""The machines that plants stand for: constants, undeclared effects, noise and rates.
+"""The machines that are simulated: constants, undeclared effects, noise and rates.
 
 Hexacopter: DJI F550 frame (550 mm motor to motor, supplement D), mass m = 2.3 kg with battery, computer and
 flight controller (take-off mass of the kit: 1.2 to 2.4 kg, DJI F550 manual); six motors with controller of
@@ -27,23 +27,34 @@ noise.
 
 from __future__ import annotations
 
-import copy
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from math import ceil, inf, radians
+from math import radians
 from typing import Any
-
-import torch
 
 from nsde_torch.effects import Port, effect_class
 from nsde_torch.errors import ConfigError
-from nsde_torch.plants.noise import Gust
-from nsde_torch.plants.plant import Plant
-from nsde_torch.systems import System, make_system
+from nsde_torch.systems.base import System
+from nsde_torch.systems.registry import make_system
 
 Values = dict[str, float | list[float]]
 Effects = Sequence[str | Mapping[str, Mapping[str, float | list[float]] | None]] | Mapping[str, Any]
 """Effects as a user names them: `name`, or `{name: {parameter: value}}`, in a list or as one mapping."""
+
+
+@dataclass(frozen=True)
+class Gust:
+    """What pushes one port; one number for every axis, or one for each.
+
+    Args:
+        std: Standard deviation of the coloured part [unit of the port].
+        time_constant: Its correlation time [s], > 0.
+        white: Intensity of the white part [unit of the port times root second].
+    """
+
+    std: tuple[float, ...] = (0.0,)
+    time_constant: float = 1.0
+    white: tuple[float, ...] = (0.0,)
 
 
 @dataclass(frozen=True)
@@ -126,36 +137,6 @@ MACHINES: dict[str, Machine] = {
 }
 
 
-@dataclass(frozen=True)
-class Making:
-    """How a plant is made for a recording, beside its effects and noise; None takes the machine's own.
-
-    Args:
-        declared_only: Leave out the effects that the declared physics does not have.
-        latency: Time from a command to its effect [s].
-        dt: Sample [s].
-        step: Fine step of the integration [s].
-        battery: Log the voltage of a battery though no effect reads it (multirotors).
-    """
-
-    declared_only: bool = False
-    latency: float | None = None
-    dt: float | None = None
-    step: float | None = None
-    battery: bool = False
-
-
-def plant_options(making: Making | None) -> dict[str, Any]:
-    """Arguments of `make_plant` that a `Making` stands for."""
-    made = making or Making()
-    return {
-        "declared_only": made.declared_only,
-        "latency": made.latency,
-        "dt": made.dt,
-        "step": made.step,
-    }
-
-
 def machine(name: str) -> Machine:
     """Machine of a system.
 
@@ -220,87 +201,3 @@ def make_plant_system(name: str, *, effects: Effects = (), declared_only: bool =
         own = effect_class(key).name
         parameters.update({f"{own}.{parameter}": value for parameter, value in given.items()})
     return make_system(name, effects=[k for k in present if k not in declared], values=parameters)
-
-
-@torch.no_grad()
-def _longest_step(system: System) -> float:
-    """The longest step that follows a system from rest: half the time of its fastest mode there [s].
-
-    Rest is where smoothed friction is stiffest; lags and delays are as fast everywhere.
-    """
-    system = copy.deepcopy(system).double()
-    x = torch.zeros(1, system.nx, dtype=torch.float64)
-    if system.quaternion is not None:
-        x[:, system.quaternion.start] = 1.0
-    u = torch.zeros(1, system.nu + len(system.exogenous), dtype=torch.float64)
-
-    def rate(z: torch.Tensor) -> torch.Tensor:
-        return system.drift(0.0, z, u)[0]
-
-    slopes = torch.func.jacfwd(rate)(system.augment(x, u))[:, 0]
-    if not bool(torch.isfinite(slopes).all()):
-        return inf
-    fastest = float(torch.linalg.eigvals(slopes).abs().max())
-    return 0.5 / fastest if fastest > 0 else inf
-
-
-def make_plant(
-    name: str,
-    *,
-    generator: torch.Generator,
-    effects: Effects = (),
-    declared_only: bool = False,
-    process_noise: float = 1.0,
-    sensor_noise: float = 1.0,
-    latency: float | None = None,
-    dt: float | None = None,
-    step: float | None = None,
-    check: bool = True,
-    dtype: torch.dtype = torch.float64,
-) -> Plant:
-    """The plant of a system.
-
-    Args:
-        name: Name of the system.
-        generator: Source of all randomness; it also sets the device.
-        effects: Effects beyond those that the plant has: `name` or `{name: {parameter: value}}`.
-        declared_only: Leave out the effects that the declared physics does not have.
-        process_noise: Factor on the machine's gusts.
-        sensor_noise: Factor on the machine's sensor noise.
-        latency: Time from a command to its effect [s]; default: the machine's.
-        dt: Sample [s]; default: the machine's.
-        step: Fine step [s]; default: the machine's, or less to fit into `dt` and to follow the fastest effect.
-        check: Raise when a state is not finite.
-        dtype: Precision.
-
-    Raises:
-        ConfigError: no plant of that name, an unknown effect or parameter, or a number out of range.
-
-    Example:
-        >>> plant = make_plant("hexacopter", generator=torch.Generator().manual_seed(0),
-        effects=["quadratic_drag"])
-    """
-    spec = machine(name)
-    if not spec.gusts and process_noise not in (0.0, 1.0):
-        raise ConfigError(
-            f"the plant of {name!r} has no process noise that `process_noise` could scale; got "
-            f"{process_noise!r}. Leave it at 1."
-        )
-    sample = spec.dt if dt is None else dt
-    system = make_plant_system(name, effects=effects, declared_only=declared_only)
-    if step is None:
-        step = sample / max(1, ceil(sample / min(spec.step, _longest_step(system)) - 1e-6))
-    return Plant(
-        system,
-        dt=sample,
-        generator=generator,
-        step=step,
-        gusts=spec.gusts,
-        sensor_std=spec.sensor_std,
-        process_noise=process_noise,
-        sensor_noise=sensor_noise,
-        latency=spec.latency if latency is None else latency,
-        limits=spec.limits,
-        check=check,
-        dtype=dtype,
-    )

@@ -6,7 +6,6 @@ is a folder `run_0.csv`, `run_1.csv`, ...: header, times, states, inputs, logged
 
 from __future__ import annotations
 
-import json
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from math import isfinite
@@ -18,18 +17,12 @@ import numpy as np
 from nsde_torch.data.raw import RawRun
 from nsde_torch.effects import Effect, Parameter, effect_class
 from nsde_torch.errors import ConfigError, NonFiniteError
-from nsde_torch.plants.machines import (
-    Effects,
-    Making,
-    Values,
-    machine,
-    make_plant_system,
-    named_effects,
-)
-from nsde_torch.plants.recording import Recording
-from nsde_torch.plants.registry import RECORDINGS
-from nsde_torch.plants.replay import Replay, joined, replayed_flights
+from nsde_torch.simulation.make import Making
+from nsde_torch.simulation.recording import Recording
+from nsde_torch.simulation.registry import RECORDINGS
+from nsde_torch.simulation.replay import Replay, joined, replayed_flights
 from nsde_torch.systems import System, make_system, system_class
+from nsde_torch.systems.machines import Effects, Values, machine, make_plant_system, named_effects
 
 SCHEMA = 1
 EXCITED: dict[str, dict[str, Any]] = {"mass_spring_damper": {"force": "multisine", "force_size": 0.5}}
@@ -63,6 +56,8 @@ class Simulation:
         self, folder: str | Path, *, truth: str | Path | None = None, overwrite: bool = False
     ) -> list[Path]:
         """Write the runs as CSV files, and the truth beside the folder (see `write`)."""
+        from nsde_torch.simulation.files import write  # which needs `Simulation`
+
         return write(self, folder, truth=truth, overwrite=overwrite)
 
 
@@ -99,7 +94,7 @@ def simulate(
         battery: Log the voltage of a battery though no effect reads it (multirotors).
         recording: Faults of the recording chain.
         replay: Make interventions of the runs: from states of theirs, commands of another time (see
-            `nsde_torch.plants.replay`). None: the runs themselves.
+            `nsde_torch.simulation.replay`). None: the runs themselves.
         options: Further options of the system's recording (`force`, `policy`, `variants`, ...).
 
     Raises:
@@ -225,70 +220,6 @@ def _check_replay(system: str, replay: Replay, chain: Recording, dt: float) -> N
         )
 
 
-def write(
-    made: Simulation, folder: str | Path, *, truth: str | Path | None = None, overwrite: bool = False
-) -> list[Path]:
-    """Write a data set, and its truth beside it.
-
-    Args:
-        made: What `simulate` made.
-        folder: Folder of the CSV files; made where it is missing.
-        truth: File of the truth, outside the folder; None: the folder's name with `.truth.json`.
-        overwrite: Replace the CSV files of a folder that holds something, and the truth.
-
-    Returns:
-        The CSV files and the truth.
-
-    Raises:
-        ConfigError: the folder holds something, the truth exists or would lie in the folder.
-    """
-    folder, beside = Path(folder), truth_path(folder, truth)
-    check_free(folder, beside, overwrite=overwrite)
-    folder.mkdir(parents=True, exist_ok=True)
-    for old in folder.glob("*.csv"):
-        old.unlink()
-    files = [_write_run(made, run, folder / f"{run.name}.csv") for run in made.runs]
-    beside.parent.mkdir(parents=True, exist_ok=True)
-    content = {**made.truth, "files": [file.name for file in files]}
-    beside.write_text(json.dumps(content, indent=1, allow_nan=False) + "\n", encoding="utf-8")
-    return [*files, beside]
-
-
-def truth_path(folder: str | Path, truth: str | Path | None = None) -> Path:
-    """Where the truth of a data set is written: `truth`, or beside the folder."""
-    folder = Path(folder)
-    return folder.parent / f"{folder.name}.truth.json" if truth is None else Path(truth)
-
-
-def check_free(folder: Path, truth: Path, *, overwrite: bool) -> None:
-    """Refuse to write over what is there, or a truth into the folder of the data.
-
-    Raises:
-        ConfigError: says what is there and the remedy.
-    """
-    if truth.resolve().is_relative_to(folder.resolve()):
-        raise ConfigError(f"`truth`: {truth} lies in the folder of the data; name a file outside {folder}.")
-    if folder.is_file():
-        raise ConfigError(f"`out`: {folder} is a file; name a folder.")
-    if overwrite:
-        return
-    if folder.is_dir() and any(folder.iterdir()):
-        raise ConfigError(f"`out`: {folder} holds something; name another folder, or add overwrite=true.")
-    if truth.exists():
-        raise ConfigError(f"`truth`: {truth} exists; name another file, or add overwrite=true.")
-
-
-def _write_run(made: Simulation, run: RawRun, file: Path) -> Path:
-    names = ("t", *made.state_names, *made.input_names, *run.extra)
-    table = np.column_stack([run.t, run.x, run.u, *run.extra.values()])
-    # times to the nanosecond: sums of steps would show their last digits
-    table[:, 0] = np.round(table[:, 0], 9)
-    with file.open("w", encoding="utf-8", newline="\n") as out:
-        out.write(",".join(names) + "\n")
-        out.writelines(",".join(map(repr, row)) + "\n" for row in table.tolist())
-    return file
-
-
 def _with_parameters(
     asked: dict[str, Values], parameters: Mapping[str, Any], system: str
 ) -> dict[str, Values]:
@@ -356,7 +287,7 @@ def _latency(values: Values | None, step: float, fine: float) -> tuple[float | N
 
 
 def _own_durations(system: str) -> tuple[float, ...]:
-    from nsde_torch.plants import cartpole, flights, mass_spring_damper
+    from nsde_torch.simulation import cartpole, flights, mass_spring_damper
 
     return {
         "cartpole": cartpole.DURATIONS,

@@ -1,0 +1,63 @@
+"""Simulation: plants, which are machines that stand for the real ones, and the data sets made with them."""
+
+from typing import TYPE_CHECKING
+
+from nsde_torch.lazy import resolver
+
+if TYPE_CHECKING:
+    from nsde_torch.simulation.cartpole import SwingUp, cartpole_episodes
+    from nsde_torch.simulation.files import write
+    from nsde_torch.simulation.flights import manual_flights
+    from nsde_torch.simulation.generate import Simulation, simulate
+    from nsde_torch.simulation.learned_plant import LearnedPlant
+    from nsde_torch.simulation.make import Making, make_plant
+    from nsde_torch.simulation.mass_spring_damper import spring_runs
+    from nsde_torch.simulation.options import RecordingOptions, ReplayOptions
+    from nsde_torch.simulation.plant import Plant
+    from nsde_torch.simulation.recorder import record
+    from nsde_torch.simulation.recording import Recording
+    from nsde_torch.simulation.registry import simulated
+    from nsde_torch.simulation.replay import Replay
+
+__all__ = [
+    "LearnedPlant",
+    "Making",
+    "Plant",
+    "Recording",
+    "RecordingOptions",
+    "Replay",
+    "ReplayOptions",
+    "Simulation",
+    "SwingUp",
+    "cartpole_episodes",
+    "make_plant",
+    "manual_flights",
+    "record",
+    "simulate",
+    "simulated",
+    "spring_runs",
+    "write",
+]
+
+__getattr__ = resolver(
+    __name__,
+    {
+        "LearnedPlant": "learned_plant",
+        "Making": "make",
+        "Plant": "plant",
+        "Recording": "recording",
+        "RecordingOptions": "options",
+        "Replay": "replay",
+        "ReplayOptions": "options",
+        "Simulation": "generate",
+        "SwingUp": "cartpole",
+        "cartpole_episodes": "cartpole",
+        "make_plant": "make",
+        "manual_flights": "flights",
+        "record": "recorder",
+        "simulate": "generate",
+        "simulated": "registry",
+        "spring_runs": "mass_spring_damper",
+        "write": "files",
+    },
+)

@@ -1,0 +1,129 @@
+"""Plants by the name of their system."""
+
+from __future__ import annotations
+
+import copy
+from dataclasses import dataclass
+from math import ceil, inf
+from typing import Any
+
+import torch
+
+from nsde_torch.errors import ConfigError
+from nsde_torch.simulation.plant import Plant
+from nsde_torch.systems import System
+from nsde_torch.systems.machines import Effects, machine, make_plant_system
+
+
+@dataclass(frozen=True)
+class Making:
+    """How a plant is made for a recording, beside its effects and noise; None takes the machine's own.
+
+    Args:
+        declared_only: Leave out the effects that the declared physics does not have.
+        latency: Time from a command to its effect [s].
+        dt: Sample [s].
+        step: Fine step of the integration [s].
+        battery: Log the voltage of a battery though no effect reads it (multirotors).
+    """
+
+    declared_only: bool = False
+    latency: float | None = None
+    dt: float | None = None
+    step: float | None = None
+    battery: bool = False
+
+
+def plant_options(making: Making | None) -> dict[str, Any]:
+    """Arguments of `make_plant` that a `Making` stands for."""
+    made = making or Making()
+    return {
+        "declared_only": made.declared_only,
+        "latency": made.latency,
+        "dt": made.dt,
+        "step": made.step,
+    }
+
+
+@torch.no_grad()
+def _longest_step(system: System) -> float:
+    """The longest step that follows a system from rest: half the time of its fastest mode there [s].
+
+    Rest is where smoothed friction is stiffest; lags and delays are as fast everywhere.
+    """
+    system = copy.deepcopy(system).double()
+    x = torch.zeros(1, system.nx, dtype=torch.float64)
+    if system.quaternion is not None:
+        x[:, system.quaternion.start] = 1.0
+    u = torch.zeros(1, system.nu + len(system.exogenous), dtype=torch.float64)
+
+    def rate(z: torch.Tensor) -> torch.Tensor:
+        return system.drift(0.0, z, u)[0]
+
+    slopes = torch.func.jacfwd(rate)(system.augment(x, u))[:, 0]
+    if not bool(torch.isfinite(slopes).all()):
+        return inf
+    fastest = float(torch.linalg.eigvals(slopes).abs().max())
+    return 0.5 / fastest if fastest > 0 else inf
+
+
+def make_plant(
+    name: str,
+    *,
+    generator: torch.Generator,
+    effects: Effects = (),
+    declared_only: bool = False,
+    process_noise: float = 1.0,
+    sensor_noise: float = 1.0,
+    latency: float | None = None,
+    dt: float | None = None,
+    step: float | None = None,
+    check: bool = True,
+    dtype: torch.dtype = torch.float64,
+) -> Plant:
+    """The plant of a system.
+
+    Args:
+        name: Name of the system.
+        generator: Source of all randomness; it also sets the device.
+        effects: Effects beyond those that the plant has: `name` or `{name: {parameter: value}}`.
+        declared_only: Leave out the effects that the declared physics does not have.
+        process_noise: Factor on the machine's gusts.
+        sensor_noise: Factor on the machine's sensor noise.
+        latency: Time from a command to its effect [s]; default: the machine's.
+        dt: Sample [s]; default: the machine's.
+        step: Fine step [s]; default: the machine's, or less to fit into `dt` and to follow the fastest effect.
+        check: Raise when a state is not finite.
+        dtype: Precision.
+
+    Raises:
+        ConfigError: no plant of that name, an unknown effect or parameter, or a number out of range.
+
+    Example:
+        >>> plant = make_plant("hexacopter", generator=torch.Generator().manual_seed(0),
+        effects=["quadratic_drag"])
+    """
+    spec = machine(name)
+    if not spec.gusts and process_noise not in (0.0, 1.0):
+        raise ConfigError(
+            f"the plant of {name!r} has no process noise that `process_noise` could scale; got "
+            f"{process_noise!r}. Leave it at 1."
+        )
+    sample = spec.dt if dt is None else dt
+    system = make_plant_system(name, effects=effects, declared_only=declared_only)
+    if step is None:
+        step = sample / max(1, ceil(sample / min(spec.step, _longest_step(system)) - 1e-6))
+    return Plant(
+        system,
+        dt=sample,
+        generator=generator,
+        step=step,
+        gusts=spec.gusts,
+        sensor_std=spec.sensor_std,
+        process_noise=process_noise,
+        sensor_noise=sensor_noise,
+        latency=spec.latency if latency is None else latency,
+        limits=spec.limits,
+        check=check,
+        dtype=dtype,
+    )

@@ -19,10 +19,10 @@ from nsde_torch.control.controller import SafetyOptions
 from nsde_torch.control.problem import ProblemOptions
 from nsde_torch.control.shapes import lemniscate
 from nsde_torch.control.solve import SolverOptions
-from nsde_torch.px4.body import Body
-from nsde_torch.px4.path import PathPoints
-from nsde_torch.px4.predictive import PredictiveMaker
-from nsde_torch.px4.simulated import fly_simulated
+from nsde_torch.px4.flight.path import PathPoints
+from nsde_torch.px4.flight.predictive import PredictiveMaker
+from nsde_torch.px4.simulator.body import Body
+from nsde_torch.px4.simulator.simulated import fly_simulated
 
 PERIOD = 0.02
 

@@ -13,9 +13,9 @@ from nsde_torch.control.predictor import Predictor
 from nsde_torch.control.reference import Reference
 from nsde_torch.effects import files
 from nsde_torch.errors import ConfigError
-from nsde_torch.px4.path import CascadeController, PathPoints
-from nsde_torch.px4.predictive import LEAD, PredictiveMaker, told
-from nsde_torch.px4.runner import Inline, Process, Runner
+from nsde_torch.px4.flight.path import CascadeController, PathPoints
+from nsde_torch.px4.flight.predictive import LEAD, PredictiveMaker, told
+from nsde_torch.px4.flight.runner import Inline, Process, Runner
 from nsde_torch.systems import Multirotor
 
 from . import build, track_build

@@ -9,9 +9,9 @@ from typing import Any
 from omegaconf import DictConfig
 
 from nsde_torch.errors import ConfigError
-from nsde_torch.px4.codec import signing_key
-from nsde_torch.px4.safety import Limits
-from nsde_torch.px4.setpoint import SetpointLimits
+from nsde_torch.px4.flight.safety import Limits
+from nsde_torch.px4.flight.setpoint import SetpointLimits
+from nsde_torch.px4.link.codec import signing_key
 
 from . import build
 

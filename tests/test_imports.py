@@ -42,6 +42,8 @@ MAY_IMPORT = {
     "px4": {*LEARNED, "control", "export", "simulation"},
     "export": {*LEARNED, "control"},
 }
+INSIDE_PX4 = {"link": (), "flight": ("link",), "simulator": ("link", "flight")}
+"""Folder of `px4` -> the others that it may import; the simulator of machines is for the simulated autopilot alone."""
 FORBIDDEN = {"hydra", "omegaconf", "hydra_plugins", "cli", "conf", "tests"}
 
 
@@ -86,6 +88,21 @@ def test_imports_inside_the_package_point_one_way(root: Path) -> None:
             other = _part(name)
             if other in MAY_IMPORT and other != part and other not in MAY_IMPORT[part]:
                 wrong.append(f"{path.relative_to(root)} imports {name}")
+    assert not wrong
+
+
+def test_inside_px4_the_link_knows_no_flight_and_neither_knows_the_simulator(root: Path) -> None:
+    wrong, looked = [], 0
+    for folder, allowed in INSIDE_PX4.items():
+        for path in sorted((root / "nsde_torch" / "px4" / folder).glob("*.py")):
+            looked += 1
+            for name in _imports(path, _package(root, path)):
+                pieces = name.split(".")
+                other = pieces[2] if pieces[:2] == ["nsde_torch", "px4"] and len(pieces) > 2 else folder
+                simulates = folder != "simulator" and _part(name) == "simulation"
+                if simulates or (other in INSIDE_PX4 and other not in (folder, *allowed)):
+                    wrong.append(f"{path.relative_to(root)} imports {name}")
+    assert looked > 30
     assert not wrong
 
 

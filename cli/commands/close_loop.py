@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from omegaconf import DictConfig
 
     from nsde_torch.control.reference import Reference
-    from nsde_torch.px4.predictive import PredictiveController
+    from nsde_torch.px4.flight.predictive import PredictiveController
 
     from ..jobs import Job
 
@@ -86,7 +86,7 @@ def run(config: DictConfig, job: Job) -> float | None:
     from nsde_torch.control import feasible
     from nsde_torch.control.predictor import Predictor
     from nsde_torch.errors import ConfigError
-    from nsde_torch.px4.predictive import told
+    from nsde_torch.px4.flight.predictive import told
 
     from .. import track_build
 
@@ -152,7 +152,7 @@ class ClosedLoop:
     """
 
     def __init__(self, config: DictConfig, folder: Path) -> None:
-        from nsde_torch.px4.path import PathPoints
+        from nsde_torch.px4.flight.path import PathPoints
 
         from .. import build, track_build
 
@@ -171,7 +171,7 @@ class ClosedLoop:
         return knowledge(DECLARED, self.system, effects=effects)
 
     def _body(self, seed: int) -> Any:
-        from nsde_torch.px4.body import Body
+        from nsde_torch.px4.simulator.body import Body
 
         plant = self.config.plant
         return Body(
@@ -186,7 +186,7 @@ class ClosedLoop:
     def _controller(self, effects: list[Any]) -> PredictiveController:
         """Made once for all flights with the same knowledge."""
         from nsde_torch.control.controller import Controller
-        from nsde_torch.px4.predictive import PredictiveController
+        from nsde_torch.px4.flight.predictive import PredictiveController
 
         from .. import track_build
 
@@ -208,7 +208,7 @@ class ClosedLoop:
 
     def flight(self, stage: str, number: int, effects: list[Any]) -> None:
         """Fly once, unless that is done."""
-        from nsde_torch.px4.simulated import fly_simulated
+        from nsde_torch.px4.simulator.simulated import fly_simulated
 
         file = self.folder / stage / f"flight_{number}.json"
         if file.is_file():

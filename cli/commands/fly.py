@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from nsde_torch.px4.options import FlightOptions, Limits, SetpointLimits
+from nsde_torch.px4.flight.options import FlightOptions, Limits, SetpointLimits
 
 from ..hydra_command import HydraCommand
 from ..keys import group, key, mirrors, of
@@ -19,7 +19,7 @@ from ..schemas.reference import ReferenceConfig
 if TYPE_CHECKING:
     from omegaconf import DictConfig
 
-    from nsde_torch.px4.flight import FlightReport
+    from nsde_torch.px4.flight.flying import FlightReport
 
     from ..jobs import Job
 
@@ -117,10 +117,10 @@ def run(config: DictConfig, job: Job) -> float | None:
     # torch is imported here, not above: help and completion do without it.
     import torch
 
-    from nsde_torch.px4.flight import fly
-    from nsde_torch.px4.link import open_link
-    from nsde_torch.px4.offboard import FlightOptions
-    from nsde_torch.px4.path import PathPoints
+    from nsde_torch.px4.flight.flying import fly
+    from nsde_torch.px4.flight.options import FlightOptions
+    from nsde_torch.px4.flight.path import PathPoints
+    from nsde_torch.px4.link.connection import open_link
 
     from .. import build, fly_build, link_build, track_build
 
@@ -223,7 +223,7 @@ def _verdict(reports: list[FlightReport]) -> float | None:
     Raises:
         LinkError: the flight was refused before it began.
     """
-    from nsde_torch.px4.transport import LinkError
+    from nsde_torch.px4.link.transport import LinkError
 
     last = reports[-1].outcome
     if last.trouble is not None and last.trouble.kind == "refused":

@@ -14,7 +14,7 @@ from ..schemas.control import FlownPlantConfig, LinkConfig
 if TYPE_CHECKING:
     from omegaconf import DictConfig
 
-    from nsde_torch.px4.body import Body
+    from nsde_torch.px4.simulator.body import Body
 
     from ..jobs import Job
 
@@ -70,8 +70,8 @@ def run(config: DictConfig, job: Job) -> None:
     import torch
 
     from nsde_torch.errors import ConfigError
-    from nsde_torch.px4.autopilot import PARAMETERS
-    from nsde_torch.px4.body import Body
+    from nsde_torch.px4.simulator.autopilot import PARAMETERS
+    from nsde_torch.px4.simulator.body import Body
 
     from .. import build
 
@@ -108,8 +108,8 @@ def run(config: DictConfig, job: Job) -> None:
 def _simulate(config: DictConfig, body: Callable[[], Body]) -> None:
     """Be the simulator of a real PX4."""
     from nsde_torch.errors import ConfigError
-    from nsde_torch.px4.hil import HilPlant, HilServer, airframe
-    from nsde_torch.px4.transport import open_transport
+    from nsde_torch.px4.link.transport import open_transport
+    from nsde_torch.px4.simulator.hil import HilPlant, HilServer, airframe
 
     if not config.hil.startswith("tcpin:"):
         raise ConfigError(f"`hil` takes tcpin:HOST:PORT, where PX4 connects; got {config.hil!r}.")
@@ -142,9 +142,9 @@ def _ends(duration: float | None) -> Callable[[], bool]:
 
 def _fly(config: DictConfig, body: Body, parameters: dict[str, float]) -> None:
     """Be a vehicle with a PX4 in it."""
-    from nsde_torch.px4.autopilot import SimulatedAutopilot
-    from nsde_torch.px4.transport import open_transport
-    from nsde_torch.px4.vehicle import Vehicle
+    from nsde_torch.px4.link.transport import open_transport
+    from nsde_torch.px4.simulator.autopilot import SimulatedAutopilot
+    from nsde_torch.px4.simulator.vehicle import Vehicle
 
     from .. import link_build
 

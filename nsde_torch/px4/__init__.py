@@ -8,14 +8,14 @@ from typing import TYPE_CHECKING
 from nsde_torch.lazy import resolver
 
 if TYPE_CHECKING:
-    from nsde_torch.px4.flight import FlightReport, fly
-    from nsde_torch.px4.link import Link, open_link
-    from nsde_torch.px4.offboard import Outcome
-    from nsde_torch.px4.options import FlightOptions, Limits, SetpointLimits
-    from nsde_torch.px4.path import CascadeController, PathPoints
-    from nsde_torch.px4.predictive import PredictiveController
-    from nsde_torch.px4.simulated import fly_simulated
-    from nsde_torch.px4.vehicle import Vehicle
+    from nsde_torch.px4.flight.flying import FlightReport, fly
+    from nsde_torch.px4.flight.options import FlightOptions, Limits, SetpointLimits
+    from nsde_torch.px4.flight.path import CascadeController, PathPoints
+    from nsde_torch.px4.flight.phases import Outcome
+    from nsde_torch.px4.flight.predictive import PredictiveController
+    from nsde_torch.px4.link.connection import Link, open_link
+    from nsde_torch.px4.simulator.simulated import fly_simulated
+    from nsde_torch.px4.simulator.vehicle import Vehicle
 
 __all__ = [
     "CascadeController",
@@ -36,18 +36,18 @@ __all__ = [
 __getattr__ = resolver(
     __name__,
     {
-        "CascadeController": "path",
-        "FlightOptions": "options",
-        "FlightReport": "flight",
-        "Limits": "options",
-        "Link": "link",
-        "Outcome": "offboard",
-        "PathPoints": "path",
-        "PredictiveController": "predictive",
-        "SetpointLimits": "options",
-        "Vehicle": "vehicle",
-        "fly": "flight",
-        "fly_simulated": "simulated",
-        "open_link": "link",
+        "CascadeController": "flight.path",
+        "FlightOptions": "flight.options",
+        "FlightReport": "flight.flying",
+        "Limits": "flight.options",
+        "Link": "link.connection",
+        "Outcome": "flight.phases",
+        "PathPoints": "flight.path",
+        "PredictiveController": "flight.predictive",
+        "SetpointLimits": "flight.options",
+        "Vehicle": "simulator.vehicle",
+        "fly": "flight.flying",
+        "fly_simulated": "simulator.simulated",
+        "open_link": "link.connection",
     },
 )

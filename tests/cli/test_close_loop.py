@@ -13,8 +13,8 @@ import torch
 from nsde_torch.cli.commands.close_loop import ClosedLoop
 from nsde_torch.cli.main import main
 from nsde_torch.effects import files
-from nsde_torch.px4 import simulated
-from nsde_torch.px4.path import CascadeController
+from nsde_torch.px4.flight.path import CascadeController
+from nsde_torch.px4.simulator import simulated
 
 SHORT = (
     *("plant=quadrotor", "plant.effects=[{linear_drag:{drag:[0.6,0.6,0.2]}}]", "reference=hover"),

@@ -15,10 +15,10 @@ from nsde_torch.cli import fly_build
 from nsde_torch.cli.main import main
 from nsde_torch.effects import files
 from nsde_torch.errors import ConfigError
-from nsde_torch.px4 import link as links
-from nsde_torch.px4.autopilot import SimulatedAutopilot
-from nsde_torch.px4.body import Body
-from nsde_torch.px4.virtual import VirtualLink
+from nsde_torch.px4.link import connection as links
+from nsde_torch.px4.simulator.autopilot import SimulatedAutopilot
+from nsde_torch.px4.simulator.body import Body
+from nsde_torch.px4.simulator.virtual import VirtualLink
 
 SHORT = ("reference=hover", "reference.duration=1", "height=1", "reference.height=1", "hold=0.3")
 

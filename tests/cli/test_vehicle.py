@@ -10,7 +10,7 @@ import pytest
 import torch
 
 from nsde_torch.cli.main import main
-from nsde_torch.px4.codec import Codec, signing_key
+from nsde_torch.px4.link.codec import Codec, signing_key
 
 
 @pytest.fixture(autouse=True)

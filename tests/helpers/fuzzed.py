@@ -5,8 +5,8 @@ from __future__ import annotations
 import random
 from collections.abc import Iterator
 
-from nsde_torch.px4.codec import Codec
-from nsde_torch.px4.dialect import mavlink
+from nsde_torch.px4.link.codec import Codec
+from nsde_torch.px4.link.dialect import mavlink
 
 NOTHING = [float("nan")] * 21
 

@@ -12,17 +12,19 @@ from dataclasses import dataclass, field
 from itertools import pairwise
 
 from nsde_torch.control import shapes
-from nsde_torch.px4 import dialect as d
-from nsde_torch.px4.autopilot import SimulatedAutopilot
-from nsde_torch.px4.body import Body
-from nsde_torch.px4.codec import Codec
-from nsde_torch.px4.dialect import mavlink
-from nsde_torch.px4.endpoint import Endpoint
-from nsde_torch.px4.offboard import FlightOptions, Offboard, Phase
-from nsde_torch.px4.path import CascadeController, PathPoints
-from nsde_torch.px4.runner import Inline, Runner
-from nsde_torch.px4.safety import Limits
-from nsde_torch.px4.vectors import Vec, distance
+from nsde_torch.px4.flight.offboard import Offboard
+from nsde_torch.px4.flight.options import FlightOptions
+from nsde_torch.px4.flight.path import CascadeController, PathPoints
+from nsde_torch.px4.flight.phases import Phase
+from nsde_torch.px4.flight.runner import Inline, Runner
+from nsde_torch.px4.flight.safety import Limits
+from nsde_torch.px4.link import dialect as d
+from nsde_torch.px4.link.codec import Codec
+from nsde_torch.px4.link.dialect import mavlink
+from nsde_torch.px4.link.endpoint import Endpoint
+from nsde_torch.px4.link.vectors import Vec, distance
+from nsde_torch.px4.simulator.autopilot import SimulatedAutopilot
+from nsde_torch.px4.simulator.body import Body
 
 START = 1000.0
 TICK = 0.01

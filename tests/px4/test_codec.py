@@ -9,9 +9,9 @@ import pytest
 from pymavlink.generator.mavcrc import x25crc
 
 from nsde_torch.errors import ConfigError
-from nsde_torch.px4.codec import BUDGET, Codec, crc16, signing_key
-from nsde_torch.px4.dialect import INT32, REAL32, mavlink, parameter_number, parameter_value
-from nsde_torch.px4.endpoint import WANTED
+from nsde_torch.px4.link.codec import BUDGET, Codec, crc16, signing_key
+from nsde_torch.px4.link.dialect import INT32, REAL32, mavlink, parameter_number, parameter_value
+from nsde_torch.px4.link.endpoint import WANTED
 
 KEY = bytes(range(32))
 

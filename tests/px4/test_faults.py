@@ -7,12 +7,12 @@ from collections.abc import Callable
 import pytest
 
 from nsde_torch.control import shapes
-from nsde_torch.px4 import dialect as d
-from nsde_torch.px4.controller import Asked, Demand, Plan
-from nsde_torch.px4.offboard import Phase
-from nsde_torch.px4.path import CascadeController, PathPoints
-from nsde_torch.px4.runner import Inline, Runner
-from nsde_torch.px4.safety import Limits
+from nsde_torch.px4.flight.controller import Asked, Demand, Plan
+from nsde_torch.px4.flight.path import CascadeController, PathPoints
+from nsde_torch.px4.flight.phases import Phase
+from nsde_torch.px4.flight.runner import Inline, Runner
+from nsde_torch.px4.flight.safety import Limits
+from nsde_torch.px4.link import dialect as d
 from tests.helpers.px4_world import (
     World,
     corrupted,

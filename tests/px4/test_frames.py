@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from nsde_torch.data.frames import attitude_to_enu, swap_body, swap_world
-from nsde_torch.px4 import frames
-from nsde_torch.px4.vectors import Quat, Vec, normalised, rotate, rotate_back, yaw_of
+from nsde_torch.px4.link import frames
+from nsde_torch.px4.link.vectors import Quat, Vec, normalised, rotate, rotate_back, yaw_of
 
 S = sqrt(0.5)
 

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from nsde_torch.control import shapes
-from nsde_torch.px4.offboard import Phase
-from nsde_torch.px4.path import PathPoints
+from nsde_torch.px4.flight.path import PathPoints
+from nsde_torch.px4.flight.phases import Phase
 from tests.helpers.fuzzed import hostile
 from tests.helpers.px4_world import World
 

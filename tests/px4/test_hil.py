@@ -13,13 +13,20 @@ from typing import Any
 
 import pytest
 
-from nsde_torch.px4.body import Body
-from nsde_torch.px4.codec import Codec
-from nsde_torch.px4.dialect import mavlink
-from nsde_torch.px4.hil import HilPlant, HilServer, airframe
-from nsde_torch.px4.hil_sensors import BAROMETER, FIELD_NED, MAGNETOMETER, HilSensors, place, pressure
-from nsde_torch.px4.transport import TcpIn
-from nsde_torch.px4.vectors import Quat, Vec
+from nsde_torch.px4.link.codec import Codec
+from nsde_torch.px4.link.dialect import mavlink
+from nsde_torch.px4.link.transport import TcpIn
+from nsde_torch.px4.link.vectors import Quat, Vec
+from nsde_torch.px4.simulator.body import Body
+from nsde_torch.px4.simulator.hil import HilPlant, HilServer, airframe
+from nsde_torch.px4.simulator.hil_sensors import (
+    BAROMETER,
+    FIELD_NED,
+    MAGNETOMETER,
+    HilSensors,
+    place,
+    pressure,
+)
 
 S = sqrt(0.5)
 REST: Vec = (0.0, 0.0, 0.0)

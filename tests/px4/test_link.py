@@ -8,11 +8,11 @@ import time
 
 import pytest
 
-from nsde_torch.px4.autopilot import SimulatedAutopilot
-from nsde_torch.px4.body import Body
-from nsde_torch.px4.link import Link
-from nsde_torch.px4.transport import LinkError, UdpIn, UdpOut, open_transport
-from nsde_torch.px4.vehicle import Vehicle
+from nsde_torch.px4.link.connection import Link
+from nsde_torch.px4.link.transport import LinkError, UdpIn, UdpOut, open_transport
+from nsde_torch.px4.simulator.autopilot import SimulatedAutopilot
+from nsde_torch.px4.simulator.body import Body
+from nsde_torch.px4.simulator.vehicle import Vehicle
 
 
 def test_the_newest_state_comes_and_a_flood_of_rubbish_changes_nothing() -> None:

@@ -5,10 +5,11 @@ from __future__ import annotations
 import pytest
 
 from nsde_torch.control import shapes
-from nsde_torch.px4 import dialect as d
-from nsde_torch.px4.offboard import FlightOptions, Phase
-from nsde_torch.px4.path import PathPoints
-from nsde_torch.px4.safety import Limits
+from nsde_torch.px4.flight.options import FlightOptions
+from nsde_torch.px4.flight.path import PathPoints
+from nsde_torch.px4.flight.phases import Phase
+from nsde_torch.px4.flight.safety import Limits
+from nsde_torch.px4.link import dialect as d
 from tests.helpers.px4_world import World, delayed, lossy
 
 ORDER = ["preflight", "stream", "offboard", "arm", "take off", "hold", "track", "return", "land"]

@@ -15,13 +15,13 @@ from nsde_torch.control.reference import FlightPath, Reference
 from nsde_torch.control.solve import SolverOptions
 from nsde_torch.export.exported import ExportedController
 from nsde_torch.export.write import export
-from nsde_torch.px4.body import Body
-from nsde_torch.px4.controller import Demand
-from nsde_torch.px4.flight import FlightReport
-from nsde_torch.px4.offboard import FlightOptions
-from nsde_torch.px4.path import PathPoints
-from nsde_torch.px4.predictive import PredictiveController
-from nsde_torch.px4.simulated import fly_simulated
+from nsde_torch.px4.flight.controller import Demand
+from nsde_torch.px4.flight.flying import FlightReport
+from nsde_torch.px4.flight.options import FlightOptions
+from nsde_torch.px4.flight.path import PathPoints
+from nsde_torch.px4.flight.predictive import PredictiveController
+from nsde_torch.px4.simulator.body import Body
+from nsde_torch.px4.simulator.simulated import fly_simulated
 from nsde_torch.systems import make_plant_system
 
 

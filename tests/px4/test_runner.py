@@ -9,8 +9,8 @@ from collections.abc import Callable
 
 import pytest
 
-from nsde_torch.px4.controller import Asked, Controller, Demand, Plan
-from nsde_torch.px4.runner import Process
+from nsde_torch.px4.flight.controller import Asked, Controller, Demand, Plan
+from nsde_torch.px4.flight.runner import Process
 
 ROW = (0.0,) * 6 + (1.0,) + (0.0,) * 6
 

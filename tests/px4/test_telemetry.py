@@ -7,9 +7,9 @@ from typing import Any
 
 import pytest
 
-from nsde_torch.px4.dialect import mavlink
-from nsde_torch.px4.telemetry import Telemetry
-from nsde_torch.px4.timesync import TimeSync
+from nsde_torch.px4.link.dialect import mavlink
+from nsde_torch.px4.link.telemetry import Telemetry
+from nsde_torch.px4.link.timesync import TimeSync
 
 S = sqrt(0.5)
 NOTHING = [nan] * 21

@@ -13,8 +13,8 @@ from dataclasses import dataclass
 from math import atan2, cos, radians, sin, sqrt, tan
 from typing import final
 
-from nsde_torch.px4.controller import Demand
-from nsde_torch.px4.vectors import Quat, Vec, length, multiply, rotate, rotation_vector
+from nsde_torch.px4.flight.controller import Demand
+from nsde_torch.px4.link.vectors import Quat, Vec, length, multiply, rotate, rotation_vector
 
 GRAVITY = 9.81
 

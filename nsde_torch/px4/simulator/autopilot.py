@@ -13,17 +13,18 @@ from __future__ import annotations
 
 import random
 from collections import deque
-from math import inf, isfinite, nan
+from math import inf, isfinite
 from typing import final
 
-from nsde_torch.px4 import dialect as d
-from nsde_torch.px4 import frames
-from nsde_torch.px4.body import Body
-from nsde_torch.px4.cascade import GRAVITY, Cascade, Point
-from nsde_torch.px4.codec import Codec, Message
-from nsde_torch.px4.dialect import Mode, mavlink
-from nsde_torch.px4.endpoint import NUMBERS
-from nsde_torch.px4.vectors import Quat, Vec, from_rotation_vector, multiply, rotation_vector, yaw_of
+from nsde_torch.px4.flight.cascade import GRAVITY, Cascade, Point
+from nsde_torch.px4.link import dialect as d
+from nsde_torch.px4.link import frames
+from nsde_torch.px4.link.codec import Codec, Message
+from nsde_torch.px4.link.dialect import Mode, mavlink
+from nsde_torch.px4.link.endpoint import NUMBERS
+from nsde_torch.px4.link.vectors import Quat, Vec, from_rotation_vector, multiply, rotation_vector, yaw_of
+from nsde_torch.px4.simulator.body import Body
+from nsde_torch.px4.simulator.messages import MESSAGES
 
 PARAMETERS: dict[str, tuple[float, int]] = {
     "SYS_AUTOSTART": (6001, d.INT32),
@@ -69,6 +70,8 @@ class SimulatedAutopilot:
         clock_error: Added to every time stamp that is sent [s].
         blind: No state is sent, as when the estimator is lost.
         stuck: The estimate does not change any more, stamps included.
+        estimate: Position, velocity, attitude and rates as its estimator has them.
+        commands: What the motors are told.
     """
 
     def __init__(
@@ -100,13 +103,13 @@ class SimulatedAutopilot:
         self._cascade = Cascade()
         self._point = Point((0.0, 0.0, 0.0))
         self._armed_at = self._landed_at = 0.0
-        self._estimate: tuple[Vec, Vec, Quat, Vec] = (
+        self.estimate: tuple[Vec, Vec, Quat, Vec] = (
             (0.0,) * 3,
             (0.0,) * 3,
             (1.0, 0.0, 0.0, 0.0),
             (0.0,) * 3,
         )
-        self._commands: tuple[float, ...] = (0.0,) * body.nu
+        self.commands: tuple[float, ...] = (0.0,) * body.nu
         self.flown = False
 
     # time
@@ -126,13 +129,13 @@ class SimulatedAutopilot:
 
     def _tick(self) -> None:
         now, body = self.body.time, self.body
-        self._estimate = self._sense()
+        self.estimate = self._sense()
         self._failsafe(now)
         if not self.armed:
-            self._commands = (0.0,) * body.nu
+            self.commands = (0.0,) * body.nu
         else:
-            self._commands = self._control(now)
-        body.step(self._commands)
+            self.commands = self._control(now)
+        body.step(self.commands)
         self._automatic(now)
         for name, (due, interval) in list(self._due.items()):
             if now >= due:
@@ -170,7 +173,7 @@ class SimulatedAutopilot:
 
     def _enter(self, mode: Mode) -> None:
         if mode != self.mode:
-            p, yaw = self._estimate[0], yaw_of(self._estimate[2])
+            p, yaw = self.estimate[0], yaw_of(self.estimate[2])
             self._point = Point(p, yaw=yaw)
             self._cascade.reset()
             self.mode = mode
@@ -208,7 +211,7 @@ class SimulatedAutopilot:
     # control
 
     def _control(self, now: float) -> tuple[float, ...]:
-        p, v, q, w = self._estimate
+        p, v, q, w = self.estimate
         dt = self.body.dt
         if self.mode == d.OFFBOARD:
             assert self._setpoint is not None
@@ -353,7 +356,7 @@ class SimulatedAutopilot:
     def _command_interval(self, m: Message) -> None:
         names = {number: name for name, number in NUMBERS.items()}
         name = names.get(int(m.param1), "")
-        if name == "HEARTBEAT" or not hasattr(self, f"_make_{name.lower()}"):
+        if name == "HEARTBEAT" or name not in MESSAGES:
             self._ack(d.SET_INTERVAL, d.DENIED)
             return
         if m.param2 < 0:
@@ -377,56 +380,7 @@ class SimulatedAutopilot:
     def _message(self, name: str, now: float) -> Message | None:
         if self.blind and name in ("ODOMETRY", "LOCAL_POSITION_NED"):
             return None
-        made: Message = getattr(self, f"_make_{name.lower()}")(now + self.clock_error)
-        return made
-
-    def _make_heartbeat(self, now: float) -> Message:
-        flags = 1 | (d.ARMED_FLAG if self.armed else 0)
-        state = 4 if self.armed else 3
-        return mavlink.MAVLink_heartbeat_message(13, d.AUTOPILOT_PX4, flags, self.mode.custom, state, 3)
-
-    def _make_sys_status(self, now: float) -> Message:
-        left = round(100 * (1.0 - self.body.used))
-        return mavlink.MAVLink_sys_status_message(
-            0, 0, 0, 0, round(1000 * self.body.voltage), -1, left, 0, 0, 0, 0, 0, 0
-        )
-
-    def _make_extended_sys_state(self, now: float) -> Message:
-        return mavlink.MAVLink_extended_sys_state_message(0, d.ON_GROUND if self.body.on_ground else d.IN_AIR)
-
-    def _make_odometry(self, now: float) -> Message:
-        p, v, q, w = self._estimate
-        unknown = [nan] * 21
-        return mavlink.MAVLink_odometry_message(
-            int(now * 1e6),
-            1,
-            1,
-            *frames.world(p),
-            frames.attitude(q),
-            *frames.world(v),
-            *frames.body(w),
-            unknown,
-            unknown,
-        )
-
-    def _make_attitude_quaternion(self, now: float) -> Message:
-        _, _, q, w = self._estimate
-        return mavlink.MAVLink_attitude_quaternion_message(
-            int(now * 1e3), *frames.attitude(q), *frames.body(w)
-        )
-
-    def _make_local_position_ned(self, now: float) -> Message:
-        p, v, _, _ = self._estimate
-        return mavlink.MAVLink_local_position_ned_message(int(now * 1e3), *frames.world(p), *frames.world(v))
-
-    def _make_servo_output_raw(self, now: float) -> Message:
-        pulses = [round(1000 + 1000 * u) for u in self._commands]
-        pulses += [0] * (8 - len(pulses))
-        return mavlink.MAVLink_servo_output_raw_message(int(now * 1e6) & 0xFFFFFFFF, 0, *pulses)
-
-    def _make_actuator_output_status(self, now: float) -> Message:
-        row = [*self._commands, *([0.0] * (32 - len(self._commands)))]
-        return mavlink.MAVLink_actuator_output_status_message(int(now * 1e6), self.body.nu, row)
+        return MESSAGES[name](self, now + self.clock_error)
 
 
 def weight_throttle(body: Body) -> float:

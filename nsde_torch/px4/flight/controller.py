@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
-from nsde_torch.px4.vectors import Vec
+from nsde_torch.px4.link.vectors import Vec
 
 
 @dataclass(frozen=True)

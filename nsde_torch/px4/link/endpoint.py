@@ -10,9 +10,9 @@ from collections.abc import Callable
 from math import isfinite
 from typing import final
 
-from nsde_torch.px4 import frames
-from nsde_torch.px4.codec import Codec, Message
-from nsde_torch.px4.dialect import (
+from nsde_torch.px4.link import frames
+from nsde_torch.px4.link.codec import Codec, Message
+from nsde_torch.px4.link.dialect import (
     GCS,
     NO_AUTOPILOT,
     RATES_MASK,
@@ -21,8 +21,8 @@ from nsde_torch.px4.dialect import (
     Mode,
     mavlink,
 )
-from nsde_torch.px4.telemetry import Status, Telemetry, VehicleState
-from nsde_torch.px4.vectors import Vec
+from nsde_torch.px4.link.telemetry import Status, Telemetry, VehicleState
+from nsde_torch.px4.link.vectors import Vec
 
 INTERVALS: dict[str, float] = {
     "ODOMETRY": 100.0,

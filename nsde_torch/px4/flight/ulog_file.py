@@ -14,8 +14,8 @@ from math import isfinite, nan
 from pathlib import Path
 from typing import final
 
-from nsde_torch.px4 import frames
-from nsde_torch.px4.vectors import Quat, Vec
+from nsde_torch.px4.link import frames
+from nsde_torch.px4.link.vectors import Quat, Vec
 
 _MAGIC = bytes((0x55, 0x4C, 0x6F, 0x67, 0x01, 0x12, 0x35, 1))
 _NED = 1

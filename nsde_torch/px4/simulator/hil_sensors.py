@@ -14,11 +14,11 @@ import random
 from math import atan2, cos, degrees, radians, sin
 from typing import final
 
-from nsde_torch.px4 import frames
-from nsde_torch.px4.cascade import GRAVITY
-from nsde_torch.px4.codec import Message
-from nsde_torch.px4.dialect import mavlink
-from nsde_torch.px4.vectors import Quat, Vec, length, rotate_back
+from nsde_torch.px4.flight.cascade import GRAVITY
+from nsde_torch.px4.link import frames
+from nsde_torch.px4.link.codec import Message
+from nsde_torch.px4.link.dialect import mavlink
+from nsde_torch.px4.link.vectors import Quat, Vec, length, rotate_back
 
 LATITUDE, LONGITUDE, ALTITUDE = 47.397742, 8.545594, 488.0
 """Of the place of take-off [deg, deg, m]."""

@@ -12,9 +12,9 @@ from pathlib import Path
 from types import TracebackType
 from typing import final
 
-from nsde_torch.px4.telemetry import Status, VehicleState
-from nsde_torch.px4.ulog_file import UlogFile
-from nsde_torch.px4.vectors import Vec
+from nsde_torch.px4.flight.ulog_file import UlogFile
+from nsde_torch.px4.link.telemetry import Status, VehicleState
+from nsde_torch.px4.link.vectors import Vec
 
 STATE = ("p_x", "p_y", "p_z", "v_x", "v_y", "v_z", "q_w", "q_x", "q_y", "q_z", "w_x", "w_y", "w_z")
 EXTRA = ("rate_sp_x", "rate_sp_y", "rate_sp_z", "throttle_sp", "battery_voltage")

@@ -22,7 +22,7 @@ from collections.abc import Callable, Iterator
 from typing import Any, final
 
 from nsde_torch.errors import ConfigError
-from nsde_torch.px4.dialect import mavlink
+from nsde_torch.px4.link.dialect import mavlink
 
 Message = Any
 """A message of pymavlink; which fields it has depends on its type."""

@@ -5,15 +5,15 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
-from nsde_torch.px4.autopilot import SimulatedAutopilot
-from nsde_torch.px4.body import Body
-from nsde_torch.px4.controller import Controller
-from nsde_torch.px4.flight import FlightReport, fly
-from nsde_torch.px4.offboard import FlightOptions
-from nsde_torch.px4.path import PathPoints
-from nsde_torch.px4.runner import Inline
-from nsde_torch.px4.safety import Limits
-from nsde_torch.px4.virtual import VirtualLink
+from nsde_torch.px4.flight.controller import Controller
+from nsde_torch.px4.flight.flying import FlightReport, fly
+from nsde_torch.px4.flight.options import FlightOptions
+from nsde_torch.px4.flight.path import PathPoints
+from nsde_torch.px4.flight.runner import Inline
+from nsde_torch.px4.flight.safety import Limits
+from nsde_torch.px4.simulator.autopilot import SimulatedAutopilot
+from nsde_torch.px4.simulator.body import Body
+from nsde_torch.px4.simulator.virtual import VirtualLink
 
 LINE = 0.005
 """Time that a message takes on the simulated line [s]."""

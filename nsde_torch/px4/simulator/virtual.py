@@ -9,9 +9,9 @@ from __future__ import annotations
 from collections import deque
 from typing import final
 
-from nsde_torch.px4.autopilot import SimulatedAutopilot
-from nsde_torch.px4.endpoint import Endpoint
-from nsde_torch.px4.link import POLL, Connection
+from nsde_torch.px4.link.connection import POLL, Connection
+from nsde_torch.px4.link.endpoint import Endpoint
+from nsde_torch.px4.simulator.autopilot import SimulatedAutopilot
 
 START = 1000.0
 """First time of our clock; the vehicle's begins at 0 [s]."""

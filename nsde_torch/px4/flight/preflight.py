@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from math import acos, degrees, isfinite
 
-from nsde_torch.px4.dialect import IN_AIR
-from nsde_torch.px4.endpoint import INTERVALS, SHARE, Endpoint
-from nsde_torch.px4.path import PathPoints
-from nsde_torch.px4.safety import Limits
-from nsde_torch.px4.telemetry import Status, VehicleState
-from nsde_torch.px4.vectors import cos_tilt, length
+from nsde_torch.px4.flight.path import PathPoints
+from nsde_torch.px4.flight.safety import Limits
+from nsde_torch.px4.link.dialect import IN_AIR
+from nsde_torch.px4.link.endpoint import INTERVALS, SHARE, Endpoint
+from nsde_torch.px4.link.telemetry import Status, VehicleState
+from nsde_torch.px4.link.vectors import cos_tilt, length
 
 PARAMETERS = ("MPC_THR_HOVER", "COM_OF_LOSS_T", "COM_OBL_RC_ACT", "COM_RC_IN_MODE")
 """Parameters that are asked for."""

@@ -19,12 +19,12 @@ from collections.abc import Callable
 from math import isfinite
 from typing import final
 
-from nsde_torch.px4.body import Body
-from nsde_torch.px4.codec import Codec
-from nsde_torch.px4.dialect import ARMED_FLAG
-from nsde_torch.px4.endpoint import NUMBERS
-from nsde_torch.px4.hil_sensors import RATE, HilSensors
-from nsde_torch.px4.transport import Transport
+from nsde_torch.px4.link.codec import Codec
+from nsde_torch.px4.link.dialect import ARMED_FLAG
+from nsde_torch.px4.link.endpoint import NUMBERS
+from nsde_torch.px4.link.transport import Transport
+from nsde_torch.px4.simulator.body import Body
+from nsde_torch.px4.simulator.hil_sensors import RATE, HilSensors
 from nsde_torch.systems import Multirotor
 
 PATIENCE = 0.1

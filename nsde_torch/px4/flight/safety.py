@@ -21,9 +21,9 @@ from enum import Enum
 from math import acos, degrees, inf, isfinite
 from typing import final
 
-from nsde_torch.px4.options import Limits
-from nsde_torch.px4.telemetry import Status, VehicleState
-from nsde_torch.px4.vectors import Vec, cos_tilt, distance, length
+from nsde_torch.px4.flight.options import Limits
+from nsde_torch.px4.link.telemetry import Status, VehicleState
+from nsde_torch.px4.link.vectors import Vec, cos_tilt, distance, length
 
 
 class Action(Enum):

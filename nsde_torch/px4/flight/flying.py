@@ -15,16 +15,18 @@ from typing import Any
 
 import numpy as np
 
-from nsde_torch.px4 import dialect as d
-from nsde_torch.px4.flight_log import FlightLog
-from nsde_torch.px4.link import Connection
-from nsde_torch.px4.offboard import FLYING, FlightOptions, Offboard, Outcome, Phase
-from nsde_torch.px4.path import PathPoints
-from nsde_torch.px4.runner import Runner
-from nsde_torch.px4.safety import Limits
-from nsde_torch.px4.setpoint import SetpointLimits
-from nsde_torch.px4.telemetry import VehicleState
-from nsde_torch.px4.vectors import distance
+from nsde_torch.px4.flight.flight_log import FlightLog
+from nsde_torch.px4.flight.offboard import Offboard
+from nsde_torch.px4.flight.options import FlightOptions
+from nsde_torch.px4.flight.path import PathPoints
+from nsde_torch.px4.flight.phases import FLYING, Outcome, Phase
+from nsde_torch.px4.flight.runner import Runner
+from nsde_torch.px4.flight.safety import Limits
+from nsde_torch.px4.flight.setpoint import SetpointLimits
+from nsde_torch.px4.link import dialect as d
+from nsde_torch.px4.link.connection import Connection
+from nsde_torch.px4.link.telemetry import VehicleState
+from nsde_torch.px4.link.vectors import distance
 
 RATE = 100.0
 """Ticks of the loop in a second; each sends a setpoint."""

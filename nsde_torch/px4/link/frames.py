@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from math import sqrt
 
-from nsde_torch.px4.vectors import Quat, Vec
+from nsde_torch.px4.link.vectors import Quat, Vec
 
 _S = sqrt(0.5)
 

@@ -7,9 +7,9 @@ from typing import final
 import numpy as np
 
 from nsde_torch.control.reference import FlightPath
-from nsde_torch.px4.cascade import Cascade, CascadeGains, Point
-from nsde_torch.px4.controller import Asked, Demand, Plan
-from nsde_torch.px4.vectors import Vec
+from nsde_torch.px4.flight.cascade import Cascade, CascadeGains, Point
+from nsde_torch.px4.flight.controller import Asked, Demand, Plan
+from nsde_torch.px4.link.vectors import Vec
 
 PAUSE = 0.5
 """Time without a state after which a flight is a new one [s]."""

@@ -12,11 +12,11 @@ from collections import Counter, deque
 from math import acos, cos, degrees
 from typing import final
 
-from nsde_torch.px4.cascade import GRAVITY, levelling
-from nsde_torch.px4.controller import Demand
-from nsde_torch.px4.options import SetpointLimits
-from nsde_torch.px4.telemetry import VehicleState
-from nsde_torch.px4.vectors import Vec, cos_tilt, finite, rotate_back
+from nsde_torch.px4.flight.cascade import GRAVITY, levelling
+from nsde_torch.px4.flight.controller import Demand
+from nsde_torch.px4.flight.options import SetpointLimits
+from nsde_torch.px4.link.telemetry import VehicleState
+from nsde_torch.px4.link.vectors import Vec, cos_tilt, finite, rotate_back
 
 
 @final

@@ -8,8 +8,8 @@ from collections.abc import Callable
 from types import TracebackType
 from typing import final
 
-from nsde_torch.px4.autopilot import SimulatedAutopilot
-from nsde_torch.px4.transport import Transport
+from nsde_torch.px4.link.transport import Transport
+from nsde_torch.px4.simulator.autopilot import SimulatedAutopilot
 
 TICK = 0.004
 LONGEST = 0.1

@@ -21,7 +21,7 @@ import torch
 
 from nsde_torch.effects import Port
 from nsde_torch.errors import ConfigError
-from nsde_torch.px4.vectors import Quat, Vec, rotate, rotate_back, turned_by_rates
+from nsde_torch.px4.link.vectors import Quat, Vec, rotate, rotate_back, turned_by_rates
 from nsde_torch.rotation import euler_coupling
 from nsde_torch.simulation.battery import ENDURANCE, FULL, HOVER, LOAD, SWING
 from nsde_torch.simulation.noise import Gusts

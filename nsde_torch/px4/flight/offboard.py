@@ -8,147 +8,27 @@ again: the vehicle is the operator's or PX4's. Landing is PX4's own LAND mode, w
 
 from __future__ import annotations
 
-from collections import deque
-from collections.abc import Callable
-from dataclasses import dataclass, field
-from enum import Enum
 from math import inf
 from typing import final
 
-from nsde_torch.px4 import dialect as d
-from nsde_torch.px4 import preflight
-from nsde_torch.px4.cascade import GRAVITY, Cascade, Point
-from nsde_torch.px4.controller import Demand
-from nsde_torch.px4.endpoint import Endpoint
-from nsde_torch.px4.link import why_no_state
-from nsde_torch.px4.options import FlightOptions
-from nsde_torch.px4.path import PathPoints
-from nsde_torch.px4.runner import Runner
-from nsde_torch.px4.safety import Action, Limits, Trouble, Watch
-from nsde_torch.px4.setpoint import Guard, HoverThrottle, SetpointLimits, level
-from nsde_torch.px4.telemetry import Status, VehicleState
-from nsde_torch.px4.vectors import Vec, distance, length, yaw_of
-
-
-class Phase(Enum):
-    """Where in the flight we are."""
-
-    CONNECT = "connect"
-    PREFLIGHT = "preflight"
-    STREAM = "stream"
-    OFFBOARD = "offboard"
-    ARM = "arm"
-    TAKEOFF = "take off"
-    HOLD = "hold"
-    TRACK = "track"
-    RETURN = "return"
-    SAFE_HOLD = "safe hold"
-    BLIND = "blind"
-    LAND = "land"
-    DISARM = "disarm"
-    WATCH = "watch"
-    DONE = "done"
-
-
-REMEMBERED = 0.3
-"""Time for which a controller is told what was sent [s]."""
-
-FLYING = (Phase.TAKEOFF, Phase.HOLD, Phase.TRACK, Phase.RETURN, Phase.SAFE_HOLD)
-"""Phases in which we fly the vehicle and it must be in OFFBOARD."""
-
-
-@dataclass
-class Outcome:
-    """How a flight ended.
-
-    Args:
-        tracked: The reference was flown to its end.
-        landed: On the ground and disarmed, as telemetry says.
-        trouble: The first thing that went wrong.
-        actions: The phases that were gone through, with their times from the start [s] and the reason.
-    """
-
-    tracked: bool = False
-    landed: bool = False
-    trouble: Trouble | None = None
-    actions: list[tuple[float, str, str]] = field(default_factory=list)
+from nsde_torch.px4.flight import preflight
+from nsde_torch.px4.flight.cascade import GRAVITY, Point
+from nsde_torch.px4.flight.phases import FLYING, Phase
+from nsde_torch.px4.flight.safety import Action, Trouble, Watch
+from nsde_torch.px4.flight.setpoint import HoverThrottle, level
+from nsde_torch.px4.flight.supervised import Supervised
+from nsde_torch.px4.link import dialect as d
+from nsde_torch.px4.link.connection import why_no_state
+from nsde_torch.px4.link.telemetry import Status, VehicleState
+from nsde_torch.px4.link.vectors import Vec, distance, length, yaw_of
 
 
 @final
-class Offboard:
-    """One flight.
-
-    Args:
-        endpoint: The link's end.
-        runner: The controller of the reference.
-        path: The reference, from the place of take-off.
-        limits: When something is wrong.
-        setpoints: Bounds of what leaves.
-        options: How the flight goes.
-        say: Takes one line about each step.
-
-    Attributes:
-        phase: Where we are.
-        outcome: How it ended.
-        home: Place of take-off [m], once known.
-        sent: Time, rates and throttle that left last.
-        started: When the reference began, on our clock [s].
-    """
-
-    def __init__(
-        self,
-        endpoint: Endpoint,
-        runner: Runner,
-        path: PathPoints,
-        *,
-        limits: Limits | None = None,
-        setpoints: SetpointLimits | None = None,
-        options: FlightOptions | None = None,
-        say: Callable[[str], None] = lambda line: None,
-    ) -> None:
-        self.endpoint, self.runner, self.path = endpoint, runner, path
-        self.limits, self.options = limits or Limits(), options or FlightOptions()
-        self.guard = Guard(setpoints or SetpointLimits())
-        self.phase, self.outcome = Phase.CONNECT, Outcome()
-        self.home: Vec | None = None
-        self.hover = HoverThrottle(0.5)
-        self.sent: tuple[float, Vec, float] | None = None
-        self._left: deque[tuple[float, Demand]] = deque()
-        self.started: float | None = None
-        self.streaming = False
-        self._say = say
-        self._cascade = Cascade()
-        self._watch: Watch | None = None
-        self._begun: float | None = None
-        self._since = self._asked = self._now = self._last = 0.0
-        self._good_since: float | None = None
-        self._bad_since: float | None = None
-        self._where = Point((0.0, 0.0, 0.0))
-        self._ground = 0.0
-        self._yaw = 0.0
-        self._seen: VehicleState | None = None
-        self._stop = 0
-        self._lifted = False
-        self._waiting = False
-        self.reason = ""
-
-    # from outside
-
-    @property
-    def done(self) -> bool:
-        """Whether the flight is over."""
-        return self.phase is Phase.DONE
-
-    def stop(self) -> None:
-        """Ctrl-C: hold and land; twice: land at once; thrice: leave."""
-        self._stop += 1
+class Offboard(Supervised):
+    """One flight; see `Supervised` for what it takes and shows."""
 
     def tick(self, now: float) -> None:
-        """Do what is due; call it at the rate of the stream.
-
-        Args:
-            now: [s]
-        """
+        """See `Supervised.tick`."""
         if self._begun is None:
             self._begun = self._since = self._last = now
         self._now = now
@@ -176,37 +56,6 @@ class Offboard:
             Phase.DONE: self._nothing,
         }[self.phase](state, status)
         self._last = now
-
-    # steps
-
-    def _go(self, phase: Phase, why: str = "") -> None:
-        assert self._begun is not None
-        self.phase, self._since, self._asked = phase, self._now, 0.0
-        self.outcome.actions.append((self._now - self._begun, phase.value, why))
-        self._say(f"{self._now - self._begun:7.2f} s  {phase.value}{': ' + why if why else ''}")
-
-    def _refuse(self, why: str) -> None:
-        """End a flight that has not begun."""
-        self.streaming = False
-        self.outcome.trouble = self.outcome.trouble or Trouble("refused", why, Action.SILENCE)
-        self._go(Phase.DONE, why)
-
-    @property
-    def _elapsed(self) -> float:
-        return self._now - self._since
-
-    def _every(self, period: float) -> bool:
-        """Whether something that is repeated is due, at once when a phase begins."""
-        if self._asked and self._now - self._asked < period:
-            return False
-        self._asked = self._now
-        return True
-
-    def _texts(self, status: Status) -> str:
-        """What the autopilot said since this phase began, warnings and worse first."""
-        new = [t for t in status.texts if t.time >= self._since - 0.5]
-        bad = [t.text for t in new if t.severity <= 4] or [t.text for t in new]
-        return "; ".join(dict.fromkeys(bad)) or "it gave no reason"
 
     def _nothing(self, state: VehicleState | None, status: Status) -> None:
         return
@@ -440,155 +289,3 @@ class Offboard:
             self._go(Phase.DONE, "no longer watched")
         elif heard and status.mode == d.OFFBOARD and self._every(1.0):
             self.endpoint.ask_mode(d.LAND)
-
-    def _finished(self) -> None:
-        self.streaming = False
-        self.outcome.landed = self.endpoint.telemetry.status.landed != d.IN_AIR
-        self._go(Phase.DONE, "disarmed")
-
-    # troubles
-
-    def _supervise(self, state: VehicleState | None, status: Status) -> None:
-        """Look for troubles, and act on them."""
-        if self.phase in (Phase.STREAM, Phase.OFFBOARD, Phase.ARM, Phase.PREFLIGHT, Phase.CONNECT):
-            self._supervise_ground(state, status)
-            return
-        if self.phase not in FLYING:
-            return
-        assert self._watch is not None
-        if not status.armed:
-            self._trouble(Trouble("disarmed", f"it is disarmed: {self._texts(status)}", Action.SILENCE))
-            self._finished()
-            return
-        if status.mode != d.OFFBOARD:
-            self._hand_back(status)
-            return
-        trouble = self._watch.look(state, status, self._now)
-        if trouble is None and self._stop:
-            trouble = Trouble("stop", "asked to stop", Action.HOLD if self._stop == 1 else Action.LAND)
-        if trouble is not None:
-            self._act(trouble, state, status)
-
-    def _supervise_ground(self, state: VehicleState | None, status: Status) -> None:
-        """Before the flight every trouble ends it; what may have been armed is disarmed."""
-        if self._stop:
-            why = "asked to stop"
-        elif self.phase in (Phase.CONNECT, Phase.PREFLIGHT):
-            return
-        elif self._now - status.heard > self.limits.silence:
-            why = f"nothing heard for {self._now - status.heard:.1f} s"
-        elif state is None or self._now - state.time > self.limits.estimate:
-            why = "the state is too old"
-        elif self.phase is Phase.ARM and status.mode != d.OFFBOARD:
-            why = f"the operator chose {status.mode}"
-        else:
-            return
-        if self.phase is Phase.ARM:
-            self._trouble(Trouble("stopped", why, Action.LAND))
-            self._go(Phase.DISARM, why)
-        else:
-            self._refuse(why)
-
-    def _trouble(self, trouble: Trouble) -> None:
-        self.outcome.trouble = self.outcome.trouble or trouble
-
-    def _act(self, trouble: Trouble, state: VehicleState | None, status: Status) -> None:
-        """Do what a trouble asks for."""
-        self._trouble(trouble)
-        if trouble.action is Action.SILENCE:
-            self._silence(trouble.text)
-        elif trouble.action is Action.BLIND:
-            self._go(Phase.BLIND, trouble.text)
-        elif not self._lifted:
-            self._disarm_or_land(trouble, status)
-        elif trouble.action is Action.LAND or state is None:
-            if state is not None:
-                self._where = self._stop_point(state)
-            self._go(Phase.LAND, trouble.text)
-        elif self.phase is not Phase.SAFE_HOLD:
-            self._where = self._stop_point(state)
-            self._cascade.reset()
-            self._go(Phase.SAFE_HOLD, trouble.text)
-
-    def _disarm_or_land(self, trouble: Trouble, status: Status) -> None:
-        self._trouble(trouble)
-        if status.landed == d.ON_GROUND:
-            self._go(Phase.DISARM, trouble.text)
-        else:
-            self._go(Phase.LAND, trouble.text)
-
-    def _hand_back(self, status: Status) -> None:
-        """Another mode than ours: whoever chose it has the vehicle."""
-        text = f"the mode is {status.mode}, not ours: {self._texts(status)}"
-        self._trouble(Trouble("mode", text, Action.SILENCE))
-        self._silence(text)
-
-    def _silence(self, why: str) -> None:
-        self.streaming = False
-        self._go(Phase.WATCH, why)
-
-    # flying
-
-    def _own(self, state: VehicleState) -> tuple[float, ...]:
-        """The state in the coordinates of the reference."""
-        assert self.home is not None
-        row = state.row
-        return (row[0] - self.home[0], row[1] - self.home[1], row[2] - self._ground, *row[3:])
-
-    def _moved(self, p: Vec) -> Vec:
-        """A point of the reference in the world."""
-        assert self.home is not None
-        return (p[0] + self.home[0], p[1] + self.home[1], p[2] + self._ground)
-
-    def _stop_point(self, state: VehicleState) -> Point:
-        """Where to hold: where it comes to rest from its speed, inside the fence, above the ground."""
-        assert self._watch is not None
-        ahead = 0.35
-        p: Vec = (
-            state.p[0] + ahead * state.v[0],
-            state.p[1] + ahead * state.v[1],
-            max(state.p[2] + 0.2 * state.v[2], self._ground + 0.5),
-        )
-        return Point(self._watch.inside(p), yaw=yaw_of(state.q))
-
-    def _towards(self, at: Vec, goal: Vec, speed: float) -> Vec:
-        """A point that moves to the goal at a speed."""
-        left, step = distance(at, goal), speed * max(self._now - self._last, 0.0)
-        if left <= step:
-            return goal
-        k = step / left
-        return (at[0] + k * (goal[0] - at[0]), at[1] + k * (goal[1] - at[1]), at[2] + k * (goal[2] - at[2]))
-
-    def _turn_towards(self, yaw: float, goal: float) -> float:
-        from math import pi
-
-        left = (goal - yaw + pi) % (2.0 * pi) - pi
-        step = 0.6 * max(self._now - self._last, 0.0)
-        return goal if abs(left) <= step else yaw + (step if left > 0 else -step)
-
-    def _hold_at(self, to: Point, state: VehicleState) -> None:
-        """Fly the built-in cascade to a point."""
-        self._where = to
-        dt = min(max(self._now - self._last, 0.0), 0.05)
-        self._send(self._cascade(state.p, state.v, state.q, to, dt), state)
-
-    def _send(self, demand: Demand, state: VehicleState | None) -> None:
-        checked = self.guard.check(demand.w, self.hover.throttle(demand.thrust), state)
-        if checked is None:
-            safe = level(state)
-            checked = self.guard.check(safe.w, self.hover.throttle(safe.thrust), state)
-            assert checked is not None
-        self._leave(*checked)
-
-    def _send_idle(self, throttle: float) -> None:
-        self._leave((0.0, 0.0, 0.0), throttle)
-
-    def _leave(self, w: Vec, throttle: float) -> None:
-        if not self.streaming:
-            return
-        self.endpoint.send_rates(w, throttle, self._now)
-        self.hover.sent(self._now, throttle)
-        self.sent = (self._now, w, throttle)
-        self._left.append((self._now, Demand(w, self.hover.thrust(throttle))))
-        while self._left[0][0] < self._now - REMEMBERED:
-            self._left.popleft()

@@ -12,11 +12,11 @@ from dataclasses import dataclass, field, replace
 from math import inf, isfinite, nan
 from typing import final
 
-from nsde_torch.px4 import frames
-from nsde_torch.px4.codec import Message
-from nsde_torch.px4.dialect import ARMED_FLAG, UNKNOWN, Mode, parameter_value
-from nsde_torch.px4.timesync import TimeSync
-from nsde_torch.px4.vectors import Quat, Vec, distance, finite, length, normalised, rotate
+from nsde_torch.px4.link import frames
+from nsde_torch.px4.link.codec import Message
+from nsde_torch.px4.link.dialect import ARMED_FLAG, UNKNOWN, Mode, parameter_value
+from nsde_torch.px4.link.timesync import TimeSync
+from nsde_torch.px4.link.vectors import Quat, Vec, distance, finite, length, normalised, rotate
 
 PAIR = 0.1
 """Longest time over which a position is carried forward to an attitude [s]."""

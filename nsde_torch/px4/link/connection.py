@@ -13,8 +13,8 @@ from abc import ABC, abstractmethod
 from types import TracebackType
 from typing import final
 
-from nsde_torch.px4.endpoint import Endpoint
-from nsde_torch.px4.transport import LinkError, Transport, open_transport
+from nsde_torch.px4.link.endpoint import Endpoint
+from nsde_torch.px4.link.transport import LinkError, Transport, open_transport
 
 POLL = 0.05
 """Time between looks at what is due to be said [s]."""

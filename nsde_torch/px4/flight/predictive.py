@@ -30,10 +30,10 @@ from nsde_torch.control.setpoint import setpoints
 from nsde_torch.control.solve import SolverOptions
 from nsde_torch.errors import ConfigError
 from nsde_torch.export.exported import ExportedController
-from nsde_torch.px4.cascade import GRAVITY
-from nsde_torch.px4.controller import Asked, Demand, Plan
-from nsde_torch.px4.path import PAUSE
-from nsde_torch.px4.vectors import Vec, rotate, turned_by_rates
+from nsde_torch.px4.flight.cascade import GRAVITY
+from nsde_torch.px4.flight.controller import Asked, Demand, Plan
+from nsde_torch.px4.flight.path import PAUSE
+from nsde_torch.px4.link.vectors import Vec, rotate, turned_by_rates
 from nsde_torch.systems import Multirotor
 from nsde_torch.systems.machines import Effects, named_effects
 
@@ -62,7 +62,7 @@ def told(effects: Effects) -> list[dict[str, Any]]:
 
 @final
 class PredictiveController:
-    """Plans with a model; see `nsde_torch.px4.controller.Controller`.
+    """Plans with a model; see `nsde_torch.px4.flight.controller.Controller`.
 
     Args:
         controller: The solver and what it pays for; batch of one.

@@ -21,8 +21,8 @@ from multiprocessing.connection import Connection
 from typing import final
 
 from nsde_torch.errors import NsdeError
-from nsde_torch.px4.controller import Asked, Controller, Plan
-from nsde_torch.px4.vectors import finite
+from nsde_torch.px4.flight.controller import Asked, Controller, Plan
+from nsde_torch.px4.link.vectors import finite
 
 Say = Callable[[str], None]
 Maker = Callable[[Say], Controller]

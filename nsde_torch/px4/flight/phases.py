@@ -1,0 +1,49 @@
+"""The phases of a flight, and how one ended."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from enum import Enum
+
+from nsde_torch.px4.flight.safety import Trouble
+
+
+class Phase(Enum):
+    """Where in the flight we are."""
+
+    CONNECT = "connect"
+    PREFLIGHT = "preflight"
+    STREAM = "stream"
+    OFFBOARD = "offboard"
+    ARM = "arm"
+    TAKEOFF = "take off"
+    HOLD = "hold"
+    TRACK = "track"
+    RETURN = "return"
+    SAFE_HOLD = "safe hold"
+    BLIND = "blind"
+    LAND = "land"
+    DISARM = "disarm"
+    WATCH = "watch"
+    DONE = "done"
+
+
+FLYING = (Phase.TAKEOFF, Phase.HOLD, Phase.TRACK, Phase.RETURN, Phase.SAFE_HOLD)
+"""Phases in which we fly the vehicle and it must be in OFFBOARD."""
+
+
+@dataclass
+class Outcome:
+    """How a flight ended.
+
+    Args:
+        tracked: The reference was flown to its end.
+        landed: On the ground and disarmed, as telemetry says.
+        trouble: The first thing that went wrong.
+        actions: The phases that were gone through, with their times from the start [s] and the reason.
+    """
+
+    tracked: bool = False
+    landed: bool = False
+    trouble: Trouble | None = None
+    actions: list[tuple[float, str, str]] = field(default_factory=list)

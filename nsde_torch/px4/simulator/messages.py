@@ -1,0 +1,82 @@
+"""What the simulated autopilot tells of itself, by the name of the message."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from math import nan
+from typing import TYPE_CHECKING
+
+from nsde_torch.px4.link import dialect as d
+from nsde_torch.px4.link import frames
+from nsde_torch.px4.link.codec import Message
+from nsde_torch.px4.link.dialect import mavlink
+
+if TYPE_CHECKING:
+    from nsde_torch.px4.simulator.autopilot import SimulatedAutopilot
+
+
+def _heartbeat(a: SimulatedAutopilot, now: float) -> Message:
+    flags = 1 | (d.ARMED_FLAG if a.armed else 0)
+    state = 4 if a.armed else 3
+    return mavlink.MAVLink_heartbeat_message(13, d.AUTOPILOT_PX4, flags, a.mode.custom, state, 3)
+
+
+def _sys_status(a: SimulatedAutopilot, now: float) -> Message:
+    left = round(100 * (1.0 - a.body.used))
+    return mavlink.MAVLink_sys_status_message(
+        0, 0, 0, 0, round(1000 * a.body.voltage), -1, left, 0, 0, 0, 0, 0, 0
+    )
+
+
+def _extended_sys_state(a: SimulatedAutopilot, now: float) -> Message:
+    return mavlink.MAVLink_extended_sys_state_message(0, d.ON_GROUND if a.body.on_ground else d.IN_AIR)
+
+
+def _odometry(a: SimulatedAutopilot, now: float) -> Message:
+    p, v, q, w = a.estimate
+    unknown = [nan] * 21
+    return mavlink.MAVLink_odometry_message(
+        int(now * 1e6),
+        1,
+        1,
+        *frames.world(p),
+        frames.attitude(q),
+        *frames.world(v),
+        *frames.body(w),
+        unknown,
+        unknown,
+    )
+
+
+def _attitude_quaternion(a: SimulatedAutopilot, now: float) -> Message:
+    _, _, q, w = a.estimate
+    return mavlink.MAVLink_attitude_quaternion_message(int(now * 1e3), *frames.attitude(q), *frames.body(w))
+
+
+def _local_position_ned(a: SimulatedAutopilot, now: float) -> Message:
+    p, v, _, _ = a.estimate
+    return mavlink.MAVLink_local_position_ned_message(int(now * 1e3), *frames.world(p), *frames.world(v))
+
+
+def _servo_output_raw(a: SimulatedAutopilot, now: float) -> Message:
+    pulses = [round(1000 + 1000 * u) for u in a.commands]
+    pulses += [0] * (8 - len(pulses))
+    return mavlink.MAVLink_servo_output_raw_message(int(now * 1e6) & 0xFFFFFFFF, 0, *pulses)
+
+
+def _actuator_output_status(a: SimulatedAutopilot, now: float) -> Message:
+    row = [*a.commands, *([0.0] * (32 - len(a.commands)))]
+    return mavlink.MAVLink_actuator_output_status_message(int(now * 1e6), a.body.nu, row)
+
+
+MESSAGES: dict[str, Callable[[SimulatedAutopilot, float], Message]] = {
+    "HEARTBEAT": _heartbeat,
+    "SYS_STATUS": _sys_status,
+    "EXTENDED_SYS_STATE": _extended_sys_state,
+    "ODOMETRY": _odometry,
+    "ATTITUDE_QUATERNION": _attitude_quaternion,
+    "LOCAL_POSITION_NED": _local_position_ned,
+    "SERVO_OUTPUT_RAW": _servo_output_raw,
+    "ACTUATOR_OUTPUT_STATUS": _actuator_output_status,
+}
+"""Name -> function of the autopilot and the time that it stamps [s]."""

@@ -32,8 +32,9 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from nsde_torch.data import DataSet, Windows, read, split
+from nsde_torch.data import DataSet, Windows, split
 from nsde_torch.models import EnsembleSpec, GaussianEnsemble
+from nsde_torch.recording import read
 from nsde_torch.simulation import simulated
 from nsde_torch.systems import make_system
 from nsde_torch.training import TrainerOptions

@@ -27,11 +27,12 @@ import torch
 from common import train_all
 
 import nsde_torch
-from nsde_torch.data import DataSet, Windows, read
+from nsde_torch.data import DataSet, Windows
 from nsde_torch.evaluation.common_grid import Candidate
 from nsde_torch.evaluation.comparison import compare
 from nsde_torch.evaluation.metrics import group_rms, start_grid
 from nsde_torch.evaluation.seen import SeenRuns
+from nsde_torch.recording import read
 from nsde_torch.simulation import Replay, make_plant, simulate, write
 from nsde_torch.systems import MACHINES, make_plant_system, make_system
 

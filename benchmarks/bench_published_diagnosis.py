@@ -22,12 +22,13 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 import numpy as np
 import torch
 
-from nsde_torch.data import Run, Windows, read
+from nsde_torch.data import Run, Windows
 from nsde_torch.diagnosis.held_out import as_model, rollout_squares
 from nsde_torch.diagnosis.pipeline import Diagnosis, Options, diagnose, search_in
 from nsde_torch.diagnosis.search import fitted_system
 from nsde_torch.evaluation.metrics import start_grid, thinned
 from nsde_torch.models.identified import SysidSpec
+from nsde_torch.recording import read
 from nsde_torch.sysid.explained import bump, smooth_rate
 from nsde_torch.sysid.physics import Physics
 from nsde_torch.systems import System, make_system

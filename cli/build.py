@@ -8,9 +8,10 @@ import torch
 from omegaconf import DictConfig, OmegaConf
 
 from nsde_torch.api.reading import split_runs
-from nsde_torch.data import DataSet, Split, SystemInfo, read
+from nsde_torch.data import DataSet, Split, SystemInfo
 from nsde_torch.errors import ConfigError
 from nsde_torch.models import MODELS, ModelOptions
+from nsde_torch.recording import read
 from nsde_torch.sde import IntegratorOptions, TorchDiffEqOptions
 from nsde_torch.simulation import simulated
 from nsde_torch.systems import System, SystemOptions

@@ -193,8 +193,8 @@ def _cartpole_evolution() -> Figure:
 
 def _recorded() -> Figure:
     def draw(settings: Settings) -> Outcome:
-        from nsde_torch.data import read
         from nsde_torch.experiments.flights import recorded
+        from nsde_torch.recording import read
         from nsde_torch.simulation import simulated
         from nsde_torch.systems import make_system
 

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from nsde_torch.data import read
+from nsde_torch.recording import read
 from nsde_torch.systems import make_system
 
 FOLDER = Path(__file__).parents[1] / "benchmarks" / "blind"

@@ -13,7 +13,7 @@ import pytest
 # Each part may import itself and what it names here.
 BASE = {"errors", "columns", "rotation", "lookup", "options", "lazy", "cache"}
 MACHINES = {*BASE, "systems", "effects"}
-LEARNED = {*MACHINES, "data", "sde", "models", "plots"}
+LEARNED = {*MACHINES, "data", "recording", "sde", "models", "plots"}
 TRAINED = {"sysid", "innovations", "evaluation", "training"}
 MAY_IMPORT = {
     "errors": set(),
@@ -27,6 +27,7 @@ MAY_IMPORT = {
     "effects": {*BASE, "systems"},
     "systems": {*BASE, "effects"},
     "data": MACHINES,
+    "recording": {*MACHINES, "data"},
     "sde": {*MACHINES, "data"},
     "models": {*MACHINES, "data", "sde"},
     "sysid": LEARNED,

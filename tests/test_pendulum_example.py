@@ -16,7 +16,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from nsde_torch.data import read
+from nsde_torch.recording import read
 from nsde_torch.systems import System, make_system
 from tests.helpers.system_contract import SystemContract, solve
 

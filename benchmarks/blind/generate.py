@@ -37,7 +37,8 @@ from sizes import Values, amplitudes, shapes
 
 from nsde_torch.effects import Effect, effect_class, effects_of
 from nsde_torch.errors import ConfigError, NsdeError
-from nsde_torch.simulation import Recording, simulate
+from nsde_torch.recording import Recording
+from nsde_torch.simulation import simulate
 from nsde_torch.simulation import write as write_data
 from nsde_torch.systems import make_system, system_class
 

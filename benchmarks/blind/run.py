@@ -33,11 +33,11 @@ def diagnose_case(folder: Path, name: str) -> dict[str, Any]:
     import torch
     from outside import OUTSIDE
 
-    from nsde_torch.data import read
     from nsde_torch.diagnosis.held_out import held_out
     from nsde_torch.diagnosis.pipeline import Options, diagnose, search_in, with_channels
     from nsde_torch.effects import Port, make_effect
     from nsde_torch.models.identified import SysidSpec
+    from nsde_torch.recording import read
     from nsde_torch.systems import make_system
 
     torch.set_num_threads(1)

@@ -7,7 +7,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from nsde_torch.simulation.options import RecordingOptions, ReplayOptions
+from nsde_torch.recording.options import RecordingOptions
+from nsde_torch.simulation.options import ReplayOptions
 
 from ..hydra_command import HydraCommand
 from ..keys import group, key, mirrors
@@ -99,9 +100,9 @@ def run(config: DictConfig, job: Job) -> None:
     # torch is imported here, not above: help and completion do without it.
     import torch
 
+    from nsde_torch.recording.simulated import Recording
     from nsde_torch.simulation.files import check_free, truth_path, write
     from nsde_torch.simulation.generate import simulate
-    from nsde_torch.simulation.recording import Recording
     from nsde_torch.simulation.replay import Replay
 
     from .. import build

@@ -6,13 +6,13 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TypeAlias
 
-from nsde_torch.data.checks import assemble
 from nsde_torch.data.raw import RawRun
-from nsde_torch.data.registry import read as read_kind
 from nsde_torch.data.run import DataSet, Run
 from nsde_torch.data.splits import Split, split
 from nsde_torch.data.system_info import SystemInfo
 from nsde_torch.errors import ConfigError, DataError
+from nsde_torch.recording.checks import assemble
+from nsde_torch.recording.readers import read as read_kind
 from nsde_torch.simulation.generate import Simulation
 from nsde_torch.systems.base import System
 from nsde_torch.systems.options import SystemOptions, system_options

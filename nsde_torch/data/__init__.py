@@ -1,4 +1,4 @@
-"""Data sets: readers, checks, splits and windows.
+"""Data sets: runs, what reads them from files, splits and windows.
 
 Names are resolved on first use, so that torch loads only for windows and pyulog only for logs.
 """
@@ -8,11 +8,9 @@ from typing import TYPE_CHECKING
 from nsde_torch.lazy import resolver
 
 if TYPE_CHECKING:
-    from nsde_torch.data.checks import assemble
     from nsde_torch.data.csv_folder import write_csv
     from nsde_torch.data.findings import Finding
     from nsde_torch.data.raw import RawRun
-    from nsde_torch.data.registry import READERS, read
     from nsde_torch.data.run import DataSet, Run
     from nsde_torch.data.splits import Split, split
     from nsde_torch.data.summary import DataSummary
@@ -21,7 +19,6 @@ if TYPE_CHECKING:
     from nsde_torch.data.windows import Windows
 
 __all__ = [
-    "READERS",
     "DataSet",
     "DataSummary",
     "Finding",
@@ -30,8 +27,6 @@ __all__ = [
     "Split",
     "SystemInfo",
     "Windows",
-    "assemble",
-    "read",
     "read_pickle",
     "split",
     "write_csv",
@@ -40,7 +35,6 @@ __all__ = [
 __getattr__ = resolver(
     __name__,
     {
-        "READERS": "registry",
         "DataSet": "run",
         "DataSummary": "summary",
         "Finding": "findings",
@@ -49,8 +43,6 @@ __getattr__ = resolver(
         "Split": "splits",
         "SystemInfo": "system_info",
         "Windows": "windows",
-        "assemble": "checks",
-        "read": "registry",
         "read_pickle": "unpickler",
         "split": "splits",
         "write_csv": "csv_folder",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
@@ -34,3 +35,7 @@ class Finding:
     def __str__(self) -> str:
         place = f"{self.run}: " if self.run else ""
         return f"{place}{self.message} -> {self.action}"
+
+
+Report = Callable[[Finding], None]
+"""Takes what a check found."""

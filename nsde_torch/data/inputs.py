@@ -14,8 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from nsde_torch.data.findings import Finding
-from nsde_torch.data.times import Report
+from nsde_torch.data.findings import Finding, Report
 from nsde_torch.errors import DataError
 
 Array = NDArray[np.float64]

@@ -18,11 +18,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from nsde_torch.data.findings import Finding
-from nsde_torch.data.missing import holes
-from nsde_torch.data.raw import RawRun
+from nsde_torch.data.findings import Finding, Report
+from nsde_torch.data.raw import RawRun, holes
 from nsde_torch.data.run import Run
-from nsde_torch.data.times import Report
 from nsde_torch.errors import DataError
 
 COLUMN = "intervention"

@@ -15,7 +15,7 @@ Array = NDArray[np.float64]
 
 @dataclass
 class RawRun:
-    """What a reader returns; `nsde_torch.data.assemble` turns it into a `Run`.
+    """What a reader returns; `nsde_torch.recording.assemble` turns it into a `Run`.
 
     Args:
         name: Name of the run.
@@ -48,3 +48,9 @@ class RawRun:
         self.t, self.x, self.u = self.t[index], self.x[index], self.u[index]
         self.extra = {k: v[index] for k, v in self.extra.items()}
         self.first_line = None
+
+
+def holes(bad: NDArray[np.bool_]) -> list[tuple[int, int]]:
+    """Index ranges (start, stop) of consecutive True values."""
+    edge = np.flatnonzero(np.diff(np.concatenate([[False], bad, [False]]).astype(np.int8)))
+    return [(int(a), int(b)) for a, b in zip(edge[::2], edge[1::2], strict=True)]

@@ -91,7 +91,7 @@ class Run:
                 row = int(np.argwhere(~np.isfinite(array))[0][0])
                 raise DataError(
                     f"run {self.name!r}: `{name}` is not finite in row {row}. Read it through "
-                    "`nsde_torch.data.read`, which treats missing values."
+                    "`nsde_torch.recording.read`, which treats missing values."
                 )
         if not (np.diff(self.t) > 0).all():
             row = int(np.argmax(np.diff(self.t) <= 0))

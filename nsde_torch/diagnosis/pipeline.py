@@ -27,7 +27,6 @@ from nsde_torch.diagnosis.in_run import InRun, in_run, odd_run
 from nsde_torch.diagnosis.loop import Outcome, loop
 from nsde_torch.diagnosis.not_shown import not_shown
 from nsde_torch.diagnosis.options import Options
-from nsde_torch.diagnosis.recording import Fault, Recorded, late_sensor, undo
 from nsde_torch.diagnosis.search import Search, effect_of
 from nsde_torch.diagnosis.shape import Shape, called, shape, symmetry
 from nsde_torch.diagnosis.structure import Dependence
@@ -37,6 +36,7 @@ from nsde_torch.diagnosis.views import rates, rates_width
 from nsde_torch.effects import Effect, effect_class, effects_of, key_of, register
 from nsde_torch.errors import ConfigError, DataError
 from nsde_torch.models.identified import SysidSpec
+from nsde_torch.recording.undo import Fault, Recorded, late_sensor, undo
 from nsde_torch.sysid.in_loop import adopted, identify_in_loop
 from nsde_torch.sysid.instruments import with_columns
 from nsde_torch.sysid.loop_test import LoopTest, tested

@@ -15,13 +15,13 @@ from torch import Tensor
 
 from nsde_torch.data import DataSet, Run, Windows
 from nsde_torch.data.interventions import interventional, longest_stretch
-from nsde_torch.data.smoothing import smoothing_width
 from nsde_torch.errors import ConfigError, DataError, NonFiniteError
 from nsde_torch.evaluation.metrics import HORIZONS, horizons_of, start_grid, thinned
 from nsde_torch.evaluation.report import lookahead
 from nsde_torch.evaluation.scores import BASELINES
 from nsde_torch.evaluation.seen import SeenRuns
 from nsde_torch.models.model import Model
+from nsde_torch.recording.smoothing import smoothing_width
 
 INTERVENTIONS = (
     "these starts are interventions: the inputs were set from outside, whatever the state was, so that errors and "

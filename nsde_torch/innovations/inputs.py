@@ -1,4 +1,4 @@
-"""A model's input filter for logs whose inputs were averaged, from inputs that were restored (`data.smoothing`).
+"""A model's input filter for logs whose inputs were averaged, from inputs that were restored (`recording.smoothing`).
 
 The filter's taps are those with which the logged inputs come nearest to the restored ones, in means over model steps.
 """
@@ -10,8 +10,8 @@ import torch
 from numpy.typing import NDArray
 
 from nsde_torch.data import Run
-from nsde_torch.data.smoothing import restored, smoothing_width
 from nsde_torch.models.input_filter import InputFilter
+from nsde_torch.recording.smoothing import restored, smoothing_width
 
 Array = NDArray[np.float64]
 

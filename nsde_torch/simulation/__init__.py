@@ -12,10 +12,9 @@ if TYPE_CHECKING:
     from nsde_torch.simulation.learned_plant import LearnedPlant
     from nsde_torch.simulation.make import Making, make_plant
     from nsde_torch.simulation.mass_spring_damper import spring_runs
-    from nsde_torch.simulation.options import RecordingOptions, ReplayOptions
+    from nsde_torch.simulation.options import ReplayOptions
     from nsde_torch.simulation.plant import Plant
     from nsde_torch.simulation.recorder import record
-    from nsde_torch.simulation.recording import Recording
     from nsde_torch.simulation.registry import simulated
     from nsde_torch.simulation.replay import Replay
 
@@ -23,8 +22,6 @@ __all__ = [
     "LearnedPlant",
     "Making",
     "Plant",
-    "Recording",
-    "RecordingOptions",
     "Replay",
     "ReplayOptions",
     "Simulation",
@@ -45,8 +42,6 @@ __getattr__ = resolver(
         "LearnedPlant": "learned_plant",
         "Making": "make",
         "Plant": "plant",
-        "Recording": "recording",
-        "RecordingOptions": "options",
         "Replay": "replay",
         "ReplayOptions": "options",
         "Simulation": "generate",

@@ -11,8 +11,9 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
-from nsde_torch.data import DataSet, RawRun, SystemInfo, assemble
+from nsde_torch.data import DataSet, RawRun, SystemInfo
 from nsde_torch.errors import ConfigError, DataError
+from nsde_torch.recording import assemble
 from nsde_torch.simulation import cache as _cache
 from nsde_torch.simulation.cartpole import cartpole_episodes
 from nsde_torch.simulation.flights import manual_flights
@@ -55,7 +56,7 @@ def simulated(
         sensor_noise: Factor on the machine's sensor noise.
         cache: Folder that keeps the runs; default: NSDE_CACHE, else the user's cache folder.
         use_cache: Whether to read and write the cache.
-        gap: Time between rows that counts as a gap [s] (see `nsde_torch.data.read`).
+        gap: Time between rows that counts as a gap [s] (see `nsde_torch.recording.read`).
         clock: What to do about a clock that disagrees with the kinematics.
         options: Further options of the system's recording: `force`, `region` (mass_spring_damper), `policy`,
             `exploration` (cartpole).

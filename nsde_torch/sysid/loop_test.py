@@ -31,8 +31,8 @@ from numpy.typing import NDArray
 from scipy.stats import chi2
 
 from nsde_torch.data import Run
-from nsde_torch.data.smoothing import smoothing_width
 from nsde_torch.errors import ConfigError, DataError, NonFiniteError
+from nsde_torch.recording.smoothing import smoothing_width
 from nsde_torch.sysid import signals
 from nsde_torch.sysid.identify import regression_of
 from nsde_torch.sysid.loop_words import FACTOR, NO_INPUT, sentences

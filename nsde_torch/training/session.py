@@ -12,8 +12,6 @@ from typing import Any, TypeGuard
 import torch
 
 from nsde_torch.data import DataSet, Run, Split
-from nsde_torch.data.clock import of_runs
-from nsde_torch.data.smoothing import smoothing_width
 from nsde_torch.errors import DataError, NonFiniteError
 from nsde_torch.evaluation import seen
 from nsde_torch.evaluation.calibration import Coverage, extrapolate, widen
@@ -25,6 +23,8 @@ from nsde_torch.models.identified import SysidSpec
 from nsde_torch.models.model import Model, ModelSpec
 from nsde_torch.models.neural_sde import NeuralSDE, SDESpec
 from nsde_torch.models.run_directory import METRICS, save
+from nsde_torch.recording.clock import of_runs
+from nsde_torch.recording.smoothing import smoothing_width
 from nsde_torch.sysid.in_loop import identify_in_loop
 from nsde_torch.sysid.loop_test import feedback_summary
 from nsde_torch.training.fit_ensemble import fit_ensemble

@@ -13,7 +13,6 @@ from dataclasses import fields, replace
 from typing import Any
 
 from nsde_torch.data.run import Run
-from nsde_torch.data.smoothing import smoothing_width
 from nsde_torch.errors import ConfigError
 from nsde_torch.models.ensemble import EnsembleSpec
 from nsde_torch.models.identified import SysidSpec
@@ -27,6 +26,7 @@ from nsde_torch.models.options import (
     NsdeOptions,
     SysidOptions,
 )
+from nsde_torch.recording.smoothing import smoothing_width
 from nsde_torch.sde.options import IntegratorOptions
 from nsde_torch.sde.registry import make_step
 from nsde_torch.sde.step import Step

@@ -19,7 +19,8 @@ from nsde_torch.cli import effects_file
 from nsde_torch.cli.main import main
 from nsde_torch.errors import ConfigError
 from nsde_torch.models import IdentifiedModel
-from nsde_torch.simulation import Recording, simulate
+from nsde_torch.recording import Recording
+from nsde_torch.simulation import simulate
 from nsde_torch.simulation.files import write
 
 SYSTEM = "system=mass_spring_damper"

@@ -8,8 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from nsde_torch.data import RawRun, assemble, read, write_csv
+from nsde_torch.data import RawRun, write_csv
 from nsde_torch.errors import ConfigError, DataError
+from nsde_torch.recording import assemble, read
 from tests.helpers.data_systems import CARTPOLE, HEXACOPTER, MSD, multirotor
 from tests.helpers.flights import flight
 

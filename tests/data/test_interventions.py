@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 import torch
 
-from nsde_torch.data import DataSet, RawRun, Run, Windows, assemble
+from nsde_torch.data import DataSet, RawRun, Run, Windows
 from nsde_torch.data.interventions import COLUMN, longest_stretch, stretches
 from nsde_torch.errors import DataError
 from nsde_torch.evaluation.metrics import horizons_of
+from nsde_torch.recording import assemble
 from tests.helpers.data_systems import MSD
 
 

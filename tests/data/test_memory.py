@@ -7,7 +7,8 @@ import tracemalloc
 import numpy as np
 import torch
 
-from nsde_torch.data import RawRun, Windows, assemble
+from nsde_torch.data import RawRun, Windows
+from nsde_torch.recording import assemble
 from tests.helpers.data_systems import HEXACOPTER
 
 

@@ -8,8 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from nsde_torch.data import Windows, read
+from nsde_torch.data import Windows
 from nsde_torch.errors import ConfigError, DataError
+from nsde_torch.recording import read
 from tests.helpers.data_systems import CARTPOLE, HEXACOPTER, MSD, QUADROTOR
 from tests.helpers.flights import flight
 

@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from nsde_torch.data import DataSet, RawRun, assemble, split
+from nsde_torch.data import DataSet, RawRun, split
 from nsde_torch.errors import DataError
+from nsde_torch.recording import assemble
 from tests.helpers.data_systems import MSD
 
 

@@ -9,7 +9,8 @@ import sys
 import numpy as np
 import pytest
 
-from nsde_torch.data import RawRun, assemble
+from nsde_torch.data import RawRun
+from nsde_torch.recording import assemble
 from tests.helpers.data_systems import HEXACOPTER
 from tests.helpers.flights import flight
 

@@ -7,10 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from nsde_torch.data import read
 from nsde_torch.data.frames import attitude_to_enu, swap_body, swap_world
 from nsde_torch.data.quaternion import rotate
 from nsde_torch.errors import ConfigError, DataError
+from nsde_torch.recording import read
 from tests.helpers.data_systems import CARTPOLE, QUADROTOR, multirotor
 from tests.helpers.flights import flight
 from tests.helpers.ulog_bytes import write_ulog

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from nsde_torch.data.checks import assemble
 from nsde_torch.data.raw import RawRun
 from nsde_torch.diagnosis.pipeline import Options, diagnose
 from nsde_torch.models.identified import SysidSpec
+from nsde_torch.recording.checks import assemble
 from nsde_torch.systems import make_system
 
 Array = NDArray[np.float64]

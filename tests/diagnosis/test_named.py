@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 from nsde_torch.diagnosis.pipeline import Options
-from nsde_torch.simulation import Recording
+from nsde_torch.recording import Recording
 from tests.helpers.diagnosed import diagnosed
 
 ALONE: list[tuple[str, str, dict[str, Any]]] = [

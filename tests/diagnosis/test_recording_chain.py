@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from nsde_torch.data import Run
-from nsde_torch.data.smoothing import restored
 from nsde_torch.diagnosis.pipeline import Options
 from nsde_torch.diagnosis.text import lines
-from nsde_torch.simulation import Recording
+from nsde_torch.recording import Recording
+from nsde_torch.recording.smoothing import restored
 from tests.helpers.diagnosed import diagnosed
 
 ALONE = Options(max_effects=0)  # the recording chain is looked at before any effect
@@ -80,7 +80,7 @@ def test_inputs_are_not_restored_where_physics_does_worse_with_what_is_restored(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     # as rows that were lost at a regular distance make it look
-    monkeypatch.setattr("nsde_torch.diagnosis.recording.smoothing_width", lambda runs, n: 0.3)
+    monkeypatch.setattr("nsde_torch.recording.undo.smoothing_width", lambda runs, n: 0.3)
     found, content = diagnosed("mass_spring_damper", options=ALONE)
     assert content["added"] == []
     assert "force" in found.outcome.variables.columns

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from nsde_torch.diagnosis.pipeline import Options
-from nsde_torch.simulation import Recording
+from nsde_torch.recording import Recording
 from tests.helpers.diagnosed import diagnosed
 
 TURN_DEG = [2.0, -1.0, 15.0]

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 import torch
 
-from nsde_torch.data import DataSet, RawRun, Run, assemble
+from nsde_torch.data import DataSet, RawRun, Run
 from nsde_torch.errors import ConfigError, DataError, NonFiniteError
 from nsde_torch.evaluation import evaluate
 from nsde_torch.evaluation.common_grid import Candidate
@@ -22,6 +22,7 @@ from nsde_torch.evaluation.comparison_text import lines
 from nsde_torch.evaluation.scores import gaussian_nll
 from nsde_torch.evaluation.seen import SeenRuns, record
 from nsde_torch.models import NeuralSDE
+from nsde_torch.recording import assemble
 from nsde_torch.systems import make_system
 from tests.helpers.toy_systems import DT, Decay, Gusty, decay_runs, fix_sigma, make_model
 

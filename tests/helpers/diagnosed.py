@@ -6,10 +6,11 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from nsde_torch.data import DataSet
-from nsde_torch.data.checks import assemble
 from nsde_torch.diagnosis.pipeline import Diagnosis, Options, diagnose
 from nsde_torch.models.identified import SysidSpec
-from nsde_torch.simulation import Recording, simulate
+from nsde_torch.recording import Recording
+from nsde_torch.recording.checks import assemble
+from nsde_torch.simulation import simulate
 from nsde_torch.systems import make_system
 
 SHORT: Mapping[str, tuple[float, ...]] = {

@@ -10,14 +10,14 @@ import numpy as np
 import pytest
 import torch
 
-from nsde_torch.data import read
 from nsde_torch.effects import effects_of
 from nsde_torch.errors import ConfigError
+from nsde_torch.recording import read
+from nsde_torch.recording.simulated import Recording
 from nsde_torch.simulation import make_plant
 from nsde_torch.simulation.battery import FULL, LOAD
 from nsde_torch.simulation.files import write
 from nsde_torch.simulation.generate import Simulation, simulate
-from nsde_torch.simulation.recording import Recording
 from nsde_torch.systems import MACHINES, make_plant_system, make_system, system_class
 
 SHORT: dict[str, dict[str, Any]] = {

@@ -8,11 +8,12 @@ import numpy as np
 import pytest
 import torch
 
-from nsde_torch.data import Windows, read
+from nsde_torch.data import Windows
 from nsde_torch.errors import ConfigError, ShapeError
+from nsde_torch.recording import read
+from nsde_torch.recording.simulated import Recording
 from nsde_torch.simulation import Replay, make_plant, replay, simulate, write
 from nsde_torch.simulation.flights import chosen_flights
-from nsde_torch.simulation.recording import Recording
 from nsde_torch.systems import make_system
 
 SHORT = {"durations": [6.0, 5.0], "options": {"variants": 12, "rounds": 1}}

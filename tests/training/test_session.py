@@ -8,9 +8,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from nsde_torch.data import RawRun, assemble, split
+from nsde_torch.data import RawRun, split
 from nsde_torch.errors import DataError
 from nsde_torch.models import SDESpec
+from nsde_torch.recording import assemble
 from nsde_torch.systems import make_system
 from nsde_torch.training import LossOptions, TrainerOptions, train
 

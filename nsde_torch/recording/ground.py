@@ -16,11 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter1d
 
-from nsde_torch.data.findings import Finding
-from nsde_torch.data.missing import holes
-from nsde_torch.data.raw import RawRun
+from nsde_torch.data.findings import Finding, Report
+from nsde_torch.data.raw import RawRun, holes
 from nsde_torch.data.system_info import SystemInfo, rate_columns
-from nsde_torch.data.times import Report
 from nsde_torch.errors import DataError
 
 Array = NDArray[np.float64]

@@ -9,8 +9,9 @@ import pytest
 from numpy.typing import NDArray
 from scipy.signal import lfilter
 
-from nsde_torch.data import Run, read
-from nsde_torch.data.smoothing import smoothing_width
+from nsde_torch.data import Run
+from nsde_torch.recording import read
+from nsde_torch.recording.smoothing import smoothing_width
 from nsde_torch.systems import make_system
 
 Array = NDArray[np.float64]

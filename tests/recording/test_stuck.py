@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from nsde_torch.data import DataSet, RawRun, assemble
+from nsde_torch.data import DataSet, RawRun
 from nsde_torch.errors import DataError
+from nsde_torch.recording import assemble
 from tests.helpers.data_systems import CARTPOLE, HEXACOPTER
 from tests.helpers.flights import flight
 

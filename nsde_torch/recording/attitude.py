@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from nsde_torch.data.findings import Finding
+from nsde_torch.data.findings import Finding, Report
 from nsde_torch.data.quaternion import continuous_signs
 from nsde_torch.data.raw import RawRun
-from nsde_torch.data.times import Report
 from nsde_torch.errors import DataError
 
 ROUNDING = 1e-4

@@ -7,10 +7,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from nsde_torch.data import DataSet, RawRun, assemble
+from nsde_torch.data import DataSet, RawRun
 from nsde_torch.data.quaternion import rotation_vector, slerp
-from nsde_torch.data.times import resample
 from nsde_torch.errors import DataError
+from nsde_torch.recording import assemble
+from nsde_torch.recording.times import resample
 from tests.helpers.data_systems import CARTPOLE, HEXACOPTER
 from tests.helpers.flights import flight
 

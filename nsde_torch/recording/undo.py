@@ -1,13 +1,13 @@
 """Faults of the recording chain, which need no dynamics to show: they are looked for, and undone, before any physics.
 
-clock_scale       p and q move as far as v and omega say only if a logged second is s seconds (data.kinematics)
-input_smoothing   a moving average of width w leaves nulls at k / w in the spectrum of the inputs (data.smoothing)
-sensor_delay,     a position is late against the integral of its rate, or the rate against it (data.lateness), by a time
+clock_scale       p and q move as far as v and omega say only if a logged second is s seconds (`data.kinematics`)
+input_smoothing   a moving average of width w leaves nulls at k / w in the spectrum of the inputs (`smoothing`)
+sensor_delay,     a position is late against the integral of its rate, or the rate against it (`lateness`), by a time
 sensor_lag        or by a filter of first order
                   (one whose position and rate are late alike shows in physics alone)
 sensor_bias       p(t + T) - p(t) - integral of v dt = -b T on average, for a rate that reads b too much
 
-Inputs that were averaged are restored by `data.smoothing.restored`.
+Inputs that were averaged are restored by `smoothing.restored`.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -20,10 +20,10 @@ from scipy.special import stdtr, stdtrit
 
 from nsde_torch.data import DataSet, Run
 from nsde_torch.data.kinematics import pool
-from nsde_torch.data.lateness import Late, by_kind, lateness, on_time, sensors, surely_late
 from nsde_torch.data.quaternion import increments
-from nsde_torch.data.smoothing import restored, smoothing_width
 from nsde_torch.data.system_info import derivative_columns, rate_columns
+from nsde_torch.recording.lateness import Late, by_kind, lateness, on_time, sensors, surely_late
+from nsde_torch.recording.smoothing import restored, smoothing_width
 from nsde_torch.systems import System
 
 Array = NDArray[np.float64]

@@ -12,11 +12,10 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from nsde_torch.data.findings import Finding
+from nsde_torch.data.findings import Finding, Report
 from nsde_torch.data.quaternion import increments
 from nsde_torch.data.run import Run
 from nsde_torch.data.system_info import SystemInfo, derivative_columns, rate_columns
-from nsde_torch.data.times import Report
 from nsde_torch.errors import DataError
 
 Array = NDArray[np.float64]

@@ -3,18 +3,17 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
-from nsde_torch.data.findings import Finding
+from nsde_torch.data.findings import Finding, Report
 from nsde_torch.data.quaternion import slerp
 from nsde_torch.data.raw import RawRun
 from nsde_torch.errors import DataError
 
 Array = NDArray[np.float64]
-Report = Callable[[Finding], None]
 
 GAP_STEPS = 2.5
 """Steps without a row from which on the time between two rows is a gap, unless the caller says how long."""

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from nsde_torch.data.findings import Finding
+from nsde_torch.data.findings import Finding, Report
 from nsde_torch.data.kinematics import Pooled, Slope, called, pool
-from nsde_torch.data.times import Report
 from nsde_torch.errors import ConfigError, DataError
 
 POLICIES = ("rescale", "trust", "refuse")

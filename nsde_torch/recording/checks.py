@@ -13,28 +13,16 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from nsde_torch.data import (
-    attitude,
-    conventions,
-    glitches,
-    ground,
-    held,
-    inputs,
-    interventions,
-    kinematics,
-    missing,
-    stuck,
-    times,
-)
-from nsde_torch.data import clock as _clock
-from nsde_torch.data.findings import Finding
-from nsde_torch.data.lateness import by_kind, lateness, on_time, surely_late
+from nsde_torch.data import inputs, interventions, kinematics
+from nsde_torch.data.findings import Finding, Report
 from nsde_torch.data.raw import RawRun
 from nsde_torch.data.run import DataSet, Run, fingerprint
 from nsde_torch.data.summary import summarise
 from nsde_torch.data.system_info import RATE_NAMES, SystemInfo, derivative_columns, rate_columns
-from nsde_torch.data.times import Report
 from nsde_torch.errors import ConfigError, DataError, ShapeError
+from nsde_torch.recording import attitude, conventions, glitches, ground, held, missing, stuck, times
+from nsde_torch.recording import clock as _clock
+from nsde_torch.recording.lateness import by_kind, lateness, on_time, surely_late
 
 Array = NDArray[np.float64]
 

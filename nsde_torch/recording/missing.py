@@ -5,18 +5,11 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from nsde_torch.data.findings import Finding
-from nsde_torch.data.raw import RawRun
-from nsde_torch.data.times import Report
+from nsde_torch.data.findings import Finding, Report
+from nsde_torch.data.raw import RawRun, holes
 from nsde_torch.errors import DataError
 
 Array = NDArray[np.float64]
-
-
-def holes(bad: NDArray[np.bool_]) -> list[tuple[int, int]]:
-    """Index ranges (start, stop) of consecutive True values."""
-    edge = np.flatnonzero(np.diff(np.concatenate([[False], bad, [False]]).astype(np.int8)))
-    return [(int(a), int(b)) for a, b in zip(edge[::2], edge[1::2], strict=True)]
 
 
 def fill(run: RawRun, *, gap: float, report: Report) -> None:

@@ -16,11 +16,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import percentile_filter
 
-from nsde_torch.data.findings import Finding
+from nsde_torch.data.findings import Finding, Report
 from nsde_torch.data.raw import RawRun
-from nsde_torch.data.scatter import off_curve, quantum
 from nsde_torch.data.system_info import SystemInfo, derivative_columns
-from nsde_torch.data.times import Report
+from nsde_torch.recording.scatter import off_curve, quantum
 
 Array = NDArray[np.float64]
 

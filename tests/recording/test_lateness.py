@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from nsde_torch.data import Run
-from nsde_torch.data.lateness import channel_columns, lateness, moved, on_time
 from nsde_torch.data.raw import RawRun
 from nsde_torch.errors import ConfigError
-from nsde_torch.simulation import Recording
+from nsde_torch.recording import Recording
+from nsde_torch.recording.lateness import channel_columns, lateness, moved, on_time
 from nsde_torch.systems import make_system
 
 SPRING = make_system("mass_spring_damper")

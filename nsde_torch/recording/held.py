@@ -18,13 +18,12 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
-from nsde_torch.data.findings import Finding
-from nsde_torch.data.missing import holes
+from nsde_torch.data.findings import Finding, Report
 from nsde_torch.data.quaternion import increments
-from nsde_torch.data.raw import RawRun
-from nsde_torch.data.scatter import quantum, white
+from nsde_torch.data.raw import RawRun, holes
 from nsde_torch.data.system_info import SystemInfo, derivative_columns, rate_columns
-from nsde_torch.data.times import GAP_STEPS, Report
+from nsde_torch.recording.scatter import quantum, white
+from nsde_torch.recording.times import GAP_STEPS
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]

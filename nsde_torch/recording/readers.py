@@ -6,13 +6,13 @@ from collections.abc import Callable, Mapping, Sequence
 from math import isfinite
 from typing import Any
 
-from nsde_torch.data.checks import assemble
 from nsde_torch.data.csv_folder import read_csv
 from nsde_torch.data.published import read_published
 from nsde_torch.data.raw import RawRun
 from nsde_torch.data.run import DataSet
 from nsde_torch.data.system_info import SystemInfo
 from nsde_torch.errors import ConfigError
+from nsde_torch.recording.checks import assemble
 
 
 def _read_ulog(system: SystemInfo, **options: Any) -> Sequence[RawRun]:

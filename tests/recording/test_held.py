@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from nsde_torch.data import DataSet, Finding, RawRun, assemble
+from nsde_torch.data import DataSet, Finding, RawRun
+from nsde_torch.recording import assemble
 from tests.helpers.data_systems import HEXACOPTER, MSD
 from tests.helpers.flights import flight
 

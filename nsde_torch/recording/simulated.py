@@ -22,11 +22,11 @@ from numpy.typing import NDArray
 from scipy.ndimage import convolve1d
 from scipy.signal import lfilter
 
-from nsde_torch.data.lateness import channel_columns, moved
 from nsde_torch.data.raw import RawRun
 from nsde_torch.errors import ConfigError
+from nsde_torch.recording.lateness import channel_columns, moved
+from nsde_torch.recording.options import RecordingOptions
 from nsde_torch.rotation import rotate_back, turned
-from nsde_torch.simulation.options import RecordingOptions
 from nsde_torch.systems import System
 
 Array = NDArray[np.float64]

@@ -58,5 +58,8 @@ def test_roll_pitch_yaw_are_those_of_the_attitude() -> None:
 
 
 def test_reading_data_needs_no_torch() -> None:
-    code = "import sys, nsde_torch.data as d; d.read, d.split; assert 'torch' not in sys.modules; d.Windows"
+    code = (
+        "import sys, nsde_torch.data as d, nsde_torch.recording as r; r.read, d.split; "
+        "assert 'torch' not in sys.modules; d.Windows"
+    )
     subprocess.run([sys.executable, "-c", code], check=True)

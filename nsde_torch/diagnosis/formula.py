@@ -19,8 +19,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import LinAlgWarning
 
+from nsde_torch.diagnosis.dependence import Dependence
+from nsde_torch.diagnosis.regressors import Regressors, own_space
 from nsde_torch.diagnosis.shape import called, period_of, product_of
-from nsde_torch.diagnosis.structure import Dependence, Regressors, own_space
 from nsde_torch.diagnosis.views import is_plain, variable_units
 from nsde_torch.learning.identify.explained import per_second
 from nsde_torch.learning.identify.identify import Regression

@@ -6,11 +6,11 @@ The physics with everything that was found is fitted to that run, and the catalo
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from nsde_torch.diagnosis.dependence import Dependence
 from nsde_torch.diagnosis.estimates import Estimate, estimates
 from nsde_torch.diagnosis.loop import choice
 from nsde_torch.diagnosis.search import Search
 from nsde_torch.diagnosis.shape import Shape
-from nsde_torch.diagnosis.structure import Dependence
 from nsde_torch.errors import DataError
 from nsde_torch.systems import System
 

@@ -16,9 +16,11 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from nsde_torch.diagnosis.dependence import Dependence
 from nsde_torch.diagnosis.estimates import Estimate, by_instruments, estimated
 from nsde_torch.diagnosis.evidence import gained_by_channel
 from nsde_torch.diagnosis.hidden import Hidden, allowances, chance_beyond
+from nsde_torch.diagnosis.regressors import Regressors, regressors
 from nsde_torch.diagnosis.search import (
     Base,
     Round,
@@ -29,7 +31,7 @@ from nsde_torch.diagnosis.search import (
     moved_channels,
     surely_above,
 )
-from nsde_torch.diagnosis.structure import Dependence, Regressors, dependences, regressors
+from nsde_torch.diagnosis.specification import dependences
 from nsde_torch.effects import effect_class
 from nsde_torch.errors import NsdeError
 from nsde_torch.learning.identify.identify import Regression

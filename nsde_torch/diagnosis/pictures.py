@@ -15,9 +15,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nsde_torch.diagnosis.channels import ChannelResidual, spectrum, white_parts
+from nsde_torch.diagnosis.dependence import Dependence
 from nsde_torch.diagnosis.loop import Outcome
+from nsde_torch.diagnosis.regressors import Regressors
 from nsde_torch.diagnosis.shape import called, product_of
-from nsde_torch.diagnosis.structure import Dependence, Regressors
 from nsde_torch.diagnosis.views import Rates, bins, factors, is_plain, rates
 from nsde_torch.learning.identify.explained import per_second
 from nsde_torch.learning.identify.identify import Regression

@@ -18,6 +18,7 @@ from nsde_torch.data import DataSet, Run
 from nsde_torch.diagnosis.candidates import candidate_names
 from nsde_torch.diagnosis.channels import ChannelResidual, channel_residuals
 from nsde_torch.diagnosis.declared import Warned, better_reading, declared, warnings
+from nsde_torch.diagnosis.dependence import Dependence
 from nsde_torch.diagnosis.estimates import Estimate, estimates
 from nsde_torch.diagnosis.evidence import at_bounds
 from nsde_torch.diagnosis.formula import Formula, formula
@@ -30,7 +31,6 @@ from nsde_torch.diagnosis.options import Options
 from nsde_torch.diagnosis.recording import Fault, Recorded, late_sensor, undo
 from nsde_torch.diagnosis.search import Search, effect_of
 from nsde_torch.diagnosis.shape import Shape, called, shape, symmetry
-from nsde_torch.diagnosis.structure import Dependence
 from nsde_torch.diagnosis.summary import summary
 from nsde_torch.diagnosis.text import lines
 from nsde_torch.diagnosis.views import rates, rates_width

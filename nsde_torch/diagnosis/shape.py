@@ -16,17 +16,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from nsde_torch.diagnosis.dependence import Dependence
+from nsde_torch.diagnosis.regressors import BEFORE, BY_RUN, OVER_TIME, Regressors, own_space, projected
 from nsde_torch.diagnosis.repeats import best_repeat
 from nsde_torch.diagnosis.spectrum import waves_of
-from nsde_torch.diagnosis.structure import (
-    BEFORE,
-    BY_RUN,
-    OVER_TIME,
-    Dependence,
-    Regressors,
-    own_space,
-    projected,
-)
 from nsde_torch.diagnosis.views import Rates, bins, factors, is_plain, variable_units
 from nsde_torch.learning.identify.identify import Regression
 

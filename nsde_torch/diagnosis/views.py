@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from nsde_torch.diagnosis.structure import BEFORE, BY_RUN, OVER_TIME, Regressors
+from nsde_torch.diagnosis.regressors import BEFORE, BY_RUN, OVER_TIME, Regressors
 from nsde_torch.learning.identify.explained import bump, per_second, smooth_rate
 from nsde_torch.learning.identify.identify import Regression
 from nsde_torch.systems import System

@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 
 from nsde_torch.data import Run
+from nsde_torch.diagnosis.dependence import Dependence
 from nsde_torch.diagnosis.held_out import HeldOut, held_out, judges_replay
 from nsde_torch.diagnosis.innovations import Own, Scored, band, one_step, own
 from nsde_torch.diagnosis.loop import Found, _lead
 from nsde_torch.diagnosis.pipeline import Options, diagnose, search_in
 from nsde_torch.diagnosis.search import Search, Trial, moved_channels
-from nsde_torch.diagnosis.structure import Dependence
 from nsde_torch.diagnosis.text import lines
 from nsde_torch.effects import Port, make_effect
 from nsde_torch.models.identified import SysidSpec

@@ -7,10 +7,12 @@ import pytest
 from numpy.typing import NDArray
 
 from nsde_torch.data.checks import assemble
+from nsde_torch.diagnosis.dependence import Dependence
 from nsde_torch.diagnosis.one_run import Alone, alone
 from nsde_torch.diagnosis.pictures import unexplained_views
 from nsde_torch.diagnosis.pipeline import Options, diagnose, search_in
-from nsde_torch.diagnosis.structure import Dependence, dependences, own_of_runs, regressors
+from nsde_torch.diagnosis.regressors import regressors
+from nsde_torch.diagnosis.specification import dependences, own_of_runs
 from nsde_torch.diagnosis.text import lines
 from nsde_torch.models.identified import SysidSpec
 from nsde_torch.plants import simulate

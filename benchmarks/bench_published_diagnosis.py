@@ -23,9 +23,12 @@ import numpy as np
 import torch
 
 from nsde_torch.data import Run, Windows, read
+from nsde_torch.diagnosis.fitted import fitted_system
 from nsde_torch.diagnosis.held_out import as_model, rollout_squares
-from nsde_torch.diagnosis.pipeline import Diagnosis, Options, diagnose, search_in
-from nsde_torch.diagnosis.search import fitted_system
+from nsde_torch.diagnosis.options import Options
+from nsde_torch.diagnosis.pipeline import diagnose
+from nsde_torch.diagnosis.result import Diagnosis
+from nsde_torch.diagnosis.search import search_in
 from nsde_torch.learning.identify.explained import bump, smooth_rate
 from nsde_torch.learning.identify.physics import Physics
 from nsde_torch.learning.metrics import start_grid, thinned

@@ -17,9 +17,9 @@ Array = NDArray[np.float64]
 Labels = NDArray[np.int64]
 
 
-def gain_of(z: Array, white: Array) -> float:
-    """Twice the log likelihood that orthonormal columns (N, q) bring to whitened residuals (N,)."""
-    return float(np.square(z.T @ white).sum())
+def nats_of(z: Array, white: Array) -> float:
+    """Log-likelihood that orthonormal columns (N, q) bring to whitened residuals (N,) [nats]."""
+    return 0.5 * float(np.square(z.T @ white).sum())
 
 
 def chance(z: Array, white: Array, fold: Labels, block: Labels, *, strong: bool = False) -> float:
@@ -32,7 +32,7 @@ def chance(z: Array, white: Array, fold: Labels, block: Labels, *, strong: bool 
         strong: Whether they may explain so much that their own scatter over blocks hides it.
     """
     by_block = jackknife if strong else hotelling
-    steady = max(float(chdtrc(z.shape[1], gain_of(z, white))), by_block(z, white, block))
+    steady = max(float(chdtrc(z.shape[1], 2.0 * nats_of(z, white))), by_block(z, white, block))
     return min(1.0, 2.0 * min(steady, left_out(z, white, fold, block)))
 
 

@@ -19,7 +19,7 @@ import numpy as np
 from nsde_torch.data import Run
 from nsde_torch.diagnosis.channels import channel_residuals
 from nsde_torch.diagnosis.estimates import Estimate
-from nsde_torch.diagnosis.loop import Outcome
+from nsde_torch.diagnosis.outcome import Outcome
 from nsde_torch.effects import effect_class
 from nsde_torch.learning.identify.identify import Regression
 from nsde_torch.learning.report import number
@@ -81,7 +81,7 @@ def warnings(outcome: Outcome, system: System) -> list[Warned]:
     v, basis = r.vector, r.shown.basis
     flat = r.slopes.reshape(-1, len(v))
     pull = basis @ np.linalg.lstsq(flat @ basis, r.white.reshape(-1), rcond=None)[0]
-    error = np.sqrt(np.clip(np.diag(basis @ outcome.sure.covariance @ basis.T), 0.0, None))
+    error = np.sqrt(np.clip(np.diag(basis @ outcome.spread.covariance @ basis.T), 0.0, None))
     firsts = _firsts(system)
     out = []
     for name in declared(outcome):

@@ -15,12 +15,12 @@ class Dependence:
         p: Chance of this without any dependence, not corrected for the number of tests.
         share: Share of the whitened variance that the functions explain, corrected for their number.
         odd: Share of that by odd functions, the rest by even ones.
-        gain: Twice the log likelihood that the functions would bring.
+        gain: Log-likelihood that the functions would bring [nats].
         functions: Number of functions.
         run: Number of the run, of a test of one run alone or of a single moment.
         moment: Time of a single moment [s].
-        swing: Frequency of a swing that no phase holds together [Hz].
-        law: Law of the noise without the functions; None: that of the regression.
+        swing: Frequency of a sinusoid that no phase holds together [Hz].
+        law: ARMA noise model without the functions; None: that of the regression.
     """
 
     channel: str
@@ -34,6 +34,11 @@ class Dependence:
     moment: float | None = None
     swing: float | None = None
     law: Noise | None = None
+
+    @property
+    def excess(self) -> float:
+        """Nats beyond what as many functions bring in noise, half a nat each."""
+        return self.gain - 0.5 * self.functions
 
     @property
     def everywhere(self) -> bool:

@@ -156,8 +156,8 @@ def sum_error(difference: Array) -> float:
     return float(difference.std(ddof=1)) * len(difference) ** 0.5
 
 
-def gained_by_channel(before: Regression, after: Regression) -> dict[str, float]:
-    """Twice the log-likelihood, as fitted, that one regression has beyond another, by channel."""
+def nats_by_channel(before: Regression, after: Regression) -> dict[str, float]:
+    """Log-likelihood, as fitted, that one regression has beyond another, by channel [nats]."""
 
     def fitted(r: Regression) -> dict[str, float]:
         rows = r.white.shape[1]
@@ -167,4 +167,4 @@ def gained_by_channel(before: Regression, after: Regression) -> dict[str, float]
         }
 
     first, second = fitted(before), fitted(after)
-    return {name: 2.0 * (second[name] - first[name]) for name in first}
+    return {name: second[name] - first[name] for name in first}

@@ -97,7 +97,7 @@ def formula(
     left = [d for d in left if d.moment is None and d.swing is None]
     if not left:
         return None
-    most = max(left, key=lambda d: d.gain - d.functions)
+    most = max(left, key=lambda d: d.excess)
     name = most.channel
     names = [regression.physics.names[c] for c in regression.rows]
     channel = names.index(name)
@@ -117,11 +117,11 @@ def formula(
     names_of, z = [n for n, is_new in zip(names_of, new, strict=True) if is_new], z[:, new]
     order, by = chosen(z, rest)
     of_white = regression.whitened_rows(regression.blocks)
-    price = log(int(of_white.max()) + 1) + 2.0 * log(len(names_of))
+    price = 0.5 * log(int(of_white.max()) + 1) + log(len(names_of))  # nats
     kept: list[int] = []
     reached = 0.0
     for j in order:
-        this = _explained(z[:, [*kept, j]], rest)
+        this = _nats(z[:, [*kept, j]], rest)
         if this - reached > price:
             kept, reached = [*kept, j], this
     if not kept:
@@ -133,7 +133,7 @@ def formula(
         tuple(
             Term(names_of[j], float(c), float(e)) for j, c, e in zip(kept, coefficients, errors, strict=True)
         ),
-        float(np.clip((reached - len(kept)) / max(float(rest @ rest), 1e-300), 0.0, 1.0)),
+        float(np.clip((2.0 * reached - len(kept)) / max(float(rest @ rest), 1e-300), 0.0, 1.0)),
         by,
         "" if most.run is None else called(runs[most.run]),
     )
@@ -242,9 +242,10 @@ def forward(unit: Array, rest: Array, terms: int) -> list[int]:
     return order
 
 
-def _explained(z: Array, rest: Array) -> float:
+def _nats(z: Array, rest: Array) -> float:
+    """Log-likelihood that columns bring to a whitened residual [nats]."""
     size = np.linalg.norm(z, axis=0)
-    return float(rest @ (z / size @ np.linalg.lstsq(z / size, rest, rcond=_SAME)[0]))
+    return 0.5 * float(rest @ (z / size @ np.linalg.lstsq(z / size, rest, rcond=_SAME)[0]))
 
 
 def _fitted(z: Array, rest: Array, block: NDArray[np.int64]) -> tuple[Array, Array]:

@@ -23,8 +23,11 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from nsde_torch.data import Run, Windows
+from nsde_torch.diagnosis.fitted import fitted_system
 from nsde_torch.diagnosis.innovations import Own, Scored, band, finite, joined, one_step, own, scored
-from nsde_torch.diagnosis.search import Search, fitted_system
+from nsde_torch.diagnosis.outcome import Outcome
+from nsde_torch.diagnosis.reading import Log
+from nsde_torch.diagnosis.search import Search
 from nsde_torch.effects import Effect, key_of
 from nsde_torch.errors import DataError
 from nsde_torch.learning.before import inputs_before
@@ -194,6 +197,32 @@ def held_out(
             if mine is not None:
                 brought[effect] = mine
     return HeldOut(content, len(runs) > 1, tuple(names), brought, closed_loop, inputs)
+
+
+def cross_validated(
+    log: Log, search: Search, outcome: Outcome, spec: SysidSpec, *, closed_loop: bool | None
+) -> HeldOut:
+    """Measure what was concluded on runs left out, each effect left out in turn too.
+
+    Args:
+        log: The log.
+        search: The search in all its runs.
+        outcome: What was concluded.
+        spec: What models of the system are made of.
+        closed_loop: Whether inputs answer the state; None: not known.
+    """
+    return held_out(
+        (outcome.declared_system, outcome.system),
+        spec,
+        log.runs,
+        make=lambda some: log.again(search, some),
+        clock=log.recorded.clock,
+        seed=log.options.seed,
+        without={f.name: outcome.without(f.name) for f in outcome.found},
+        moved={f.name: f.moves for f in outcome.found},
+        closed_loop=closed_loop,
+        inputs=not log.recorded.inputs_restored,
+    )
 
 
 def _steps(make: Callable[[Sequence[Run]], Search], runs: Sequence[Run]) -> Steps | None:

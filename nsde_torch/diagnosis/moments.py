@@ -67,7 +67,7 @@ def largest_moment(
         p=min(1.0, 2.0 * float(ndtr(-largest)) * len(z)),
         share=max(largest**2 - 1.0, 0.0) / len(white),
         odd=0.0,
-        gain=largest**2,
+        gain=0.5 * largest**2,
         functions=1,
         run=int(regression.owners[spans[k][0]]),
         moment=t,

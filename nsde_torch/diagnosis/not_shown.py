@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from math import inf, isfinite
 
-from nsde_torch.diagnosis.search import Round
+from nsde_torch.diagnosis.rounds import Round
 from nsde_torch.effects import effect_class
 from nsde_torch.systems.parameters import own_name
 

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from nsde_torch.diagnosis.channels import ChannelResidual, spectrum, white_parts
 from nsde_torch.diagnosis.dependence import Dependence
-from nsde_torch.diagnosis.loop import Outcome
+from nsde_torch.diagnosis.outcome import Outcome
 from nsde_torch.diagnosis.regressors import Regressors
 from nsde_torch.diagnosis.shape import called, product_of
 from nsde_torch.diagnosis.views import Rates, bins, factors, is_plain, rates
@@ -35,7 +35,7 @@ from nsde_torch.plots.diagnosis import (
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from nsde_torch.diagnosis.pipeline import Diagnosis
+    from nsde_torch.diagnosis.result import Diagnosis
 
 Array = NDArray[np.float64]
 
@@ -50,14 +50,14 @@ def pictures(found: Diagnosis, content: Mapping[str, Any]) -> dict[str, Figure]:
     outcome = found.outcome
     out: dict[str, Figure] = {}
     if outcome.found:
-        views = effect_views(outcome, found.channels)
+        views = effect_views(outcome, found.explanation.channels)
         if views:
             names = ", ".join(f.name for f in outcome.found)
             out["residual"] = residual_views(
                 views, title=f"What the physics leaves over, without and with {names}"
             )
     if outcome.structured:
-        views = unexplained_views(outcome, notes=[s.note for s in found.shapes], runs=found.runs)
+        views = unexplained_views(outcome, notes=[s.note for s in found.explanation.shapes], runs=found.runs)
         if views:
             out["unexplained"] = residual_views(
                 views, title="What the residual depends on and no effect explains"
@@ -74,7 +74,7 @@ def pictures(found: Diagnosis, content: Mapping[str, Any]) -> dict[str, Figure]:
         out["held_out"] = _held_out(errors)
     if outcome.found and errors["horizons_s"]:
         out["errors"] = _errors(errors)
-    shown = _most_reduced(found.channels)[: 2 * _CHANNELS]
+    shown = _most_reduced(found.explanation.channels)[: 2 * _CHANNELS]
     if shown:
         out["spectrum"] = residual_spectra(
             [_spectrum(outcome, c.name) for c in shown],
@@ -187,7 +187,7 @@ def _telling(tests: Sequence[Dependence], after: Sequence[Dependence], channel: 
     plain = [d for d in own if is_plain(d.variable)]
 
     def order(d: Dependence) -> tuple[float, float]:
-        return max(d.p * len(tests), _SURE), d.functions - d.gain + stays.get((channel, d.variable), 0.0)
+        return max(d.p * len(tests), _SURE), stays.get((channel, d.variable), 0.0) - d.excess
 
     first, product = (min(some, key=order, default=None) for some in (plain, own))
     if first is None or product is None:

@@ -17,7 +17,7 @@ from nsde_torch.learning.report import number
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from nsde_torch.diagnosis.pipeline import Diagnosis
+    from nsde_torch.diagnosis.result import Diagnosis
 
 _DPI = 100
 _RANKED, _DECIDED = 8, 6

@@ -27,7 +27,7 @@ Array = NDArray[np.float64]
 
 _LOCAL_POWER, _LOCAL_RANGE = 0.7, 0.3
 _ONE_RUN, _RUNS, _HOLDS = 0.8, 3, 0.5
-_SINE, _SINE_ANGLE, _SINE_LEAST = 2.0, 1.1, 30.0
+_SINE, _SINE_ANGLE, _SINE_LEAST = 2.0, 1.1, 15.0
 _WHOLE = 0.1
 _PARTS = 3
 _SAME_PHASE = 0.8
@@ -164,11 +164,11 @@ def shape(
 
 
 def _swings(regression: Regression, channel: int, frequency: float) -> dict[int, float]:
-    """Squares of a residual that a sine and a cosine in each stretch explain, by number of the run."""
+    """What a sine and a cosine in each stretch explain of a residual (half its squares), by number of the run."""
     left, waves = regression.residual[:, regression.rows[channel]], waves_of(regression, frequency)
     out: dict[int, float] = {}
     for k, run in enumerate(regression.physics.steps.runs):
-        out[int(run)] = out.get(int(run), 0.0) + gain(waves[:, 2 * k : 2 * k + 2], left)
+        out[int(run)] = out.get(int(run), 0.0) + nats(waves[:, 2 * k : 2 * k + 2], left)
     return out
 
 
@@ -215,10 +215,10 @@ def _extent(
     return "local", (float(edges[i]), float(edges[j]))
 
 
-def gain(z: Array, white: Array) -> float:
-    """Twice the log likelihood that columns (N, q) bring to whitened residuals (N,)."""
+def nats(z: Array, white: Array) -> float:
+    """Log-likelihood that columns (N, q) bring to whitened residuals (N,) [nats]."""
     fit = z @ np.linalg.lstsq(z, white, rcond=1e-9)[0]
-    return float(fit @ white)
+    return 0.5 * float(fit @ white)
 
 
 def period_of(regression: Regression, channel: int, variable: str, variables: Regressors) -> float | None:
@@ -229,18 +229,18 @@ def period_of(regression: Regression, channel: int, variable: str, variables: Re
         return None
     low, high = np.quantile(v, [0.005, 0.995])
     s = np.clip((v - 0.5 * (low + high)) / (high - low), -1, 1)
-    cubic = gain(projected(regression, channel, np.stack((s, s**2, s**3), 1), own), white)
+    cubic = nats(projected(regression, channel, np.stack((s, s**2, s**3), 1), own), white)
     # an angle is expected to repeat every turn or part of one: of two turns a cubic makes much too
     turns = variable_units(regression.vector.system).get(variable) == "rad"
     part = 2.0 * np.pi / best.period if turns else 0.5
     factor = _SINE_ANGLE if round(part) > 0 and abs(part / round(part) - 1.0) < _WHOLE else _SINE
-    if not best.gain > max(factor * cubic, _SINE_LEAST):
+    if not best.nats > max(factor * cubic, _SINE_LEAST):
         return None
     place = np.clip(((v - low) / (high - low) * _PARTS).astype(np.int64), 0, _PARTS - 1)
     wave = 2.0 * np.pi * (v - low) / best.period
     waves = np.stack((np.sin(wave), np.cos(wave)), 1)
     parts = [projected(regression, channel, waves * (place == k)[:, None], own) for k in range(_PARTS)]
-    most = int(np.argmax([gain(z, white) for z in parts]))
+    most = int(np.argmax([nats(z, white) for z in parts]))
     there, whole = parts[most], np.sum(parts, 0)
     weights = np.linalg.lstsq(there, white, rcond=1e-9)[0]
     rest = whole - there
@@ -276,7 +276,7 @@ def _only_run(regression: Regression, channel: int, variable: str, variables: Re
     gains = []
     for run in runs:
         rows = of_white == run
-        gains.append(max(gain(z[rows], white[rows]) - z.shape[1], 0.0))
+        gains.append(max(nats(z[rows], white[rows]) - 0.5 * z.shape[1], 0.0))
     most = int(np.argmax(gains))
     if not gains[most] > _ONE_RUN * sum(gains) > 0:
         return None

@@ -15,7 +15,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from nsde_torch.diagnosis.chances import chance, gain_of, independent
+from nsde_torch.diagnosis.chances import chance, independent, nats_of
 from nsde_torch.diagnosis.dependence import Dependence
 from nsde_torch.diagnosis.evidence import folds
 from nsde_torch.diagnosis.laws import Laws
@@ -63,15 +63,15 @@ def dependences(regression: Regression, variables: Regressors, *, overview: bool
         for name in places:
             again = best_repeat(regression, i, variables.columns[name], own)
             if again is not None:
-                price = 2.0 * np.log(len(COUNTS))
+                price = float(np.log(len(COUNTS)))
                 out.append(
                     Dependence(
                         channel=regression.physics.names[channel],
                         variable=name,
                         p=min(1.0, len(COUNTS) * chance(again.columns, white, fold, of_white)),
-                        share=max(again.gain - 2.0 - price, 0.0) / len(white),
+                        share=2.0 * max(again.nats - 1.0 - price, 0.0) / len(white),
                         odd=0.5,
-                        gain=again.gain - price,
+                        gain=again.nats - price,
                         functions=2,
                     )
                 )
@@ -96,10 +96,10 @@ def own_of_runs(tests: Sequence[Dependence]) -> list[Dependence]:
     best: dict[str, float] = {}
     for d in tests:
         if d.everywhere:
-            best[d.channel] = max(best.get(d.channel, -np.inf), d.gain - d.functions)
+            best[d.channel] = max(best.get(d.channel, -np.inf), d.excess)
     return [
         replace(d, p=1.0)
-        if d.run is not None and d.moment is None and d.gain - d.functions <= best.get(d.channel, -np.inf)
+        if d.run is not None and d.moment is None and d.excess <= best.get(d.channel, -np.inf)
         else d
         for d in tests
     ]
@@ -130,7 +130,7 @@ def _of_variable(
     if not z.shape[1]:
         return []
     left, law = regression.white[i], None
-    p, gain = chance(z, left, *labels), gain_of(z, left)
+    p, gain = chance(z, left, *labels), nats_of(z, left)
     other = laws.without(functions)
     if other is not None:
         law, there = other.law, regression.under(i, other.law)
@@ -140,11 +140,11 @@ def _of_variable(
         # under another law the parameters would be elsewhere
         left = there.white[i] - own @ (own.T @ there.white[i])
         p = min(1.0, 2.0 * min(p, chance(z, left, *labels, strong=True)))
-        gain = 2.0 * (other.likelihood - laws.base.likelihood)
+        gain = other.likelihood - laws.base.likelihood
     channel = regression.physics.names[regression.rows[i]]
     out = [_dependence(channel, name, z, odd[kept], left, p=p, gain=gain, law=law)]
     if name in variables.columns:
-        alone = _in_one_run(there, i, (functions, odd), (out[0], gain_of(z, left)), laws)
+        alone = _in_one_run(there, i, (functions, odd), (out[0], nats_of(z, left)), laws)
         out += [] if alone is None else [alone]
     return out
 
@@ -192,7 +192,7 @@ def _in_one_run(
     if found is None:
         return None
     p, there, law = found.p, regression, everywhere.law
-    gain = everywhere.gain * gain_of(found.columns, regression.white[i]) / max(explained, 1e-300)
+    gain = everywhere.gain * nats_of(found.columns, regression.white[i]) / max(explained, 1e-300)
     if p < LIKELY:
         other = laws.without(functions * (regression.owners == found.run)[:, None])
         if other is not None:
@@ -200,7 +200,7 @@ def _in_one_run(
             again = _alone(there, i, group[0])
             if again is not None and again.run == found.run:
                 found, p = again, min(1.0, 2.0 * min(p, again.p))
-            gain = 2.0 * (other.likelihood - laws.base.likelihood)
+            gain = other.likelihood - laws.base.likelihood
     z, kept, left = found.columns, found.kept, there.white[i]
     return _dependence(
         everywhere.channel, everywhere.variable, z, odd[kept], left, p=p, gain=gain, run=found.run, law=law
@@ -220,7 +220,7 @@ def _swing(regression: Regression, line: Line, laws: Laws) -> Dependence:
     waves = waves_of(regression, line.frequency)
     other = laws.without(waves)
     z = independent(projected(regression, line.row, waves, own_space(regression, line.row)))[0]
-    gain = gain_of(z, regression.white[line.row])
+    gain = nats_of(z, regression.white[line.row])
     left = regression.residual[:, regression.rows[line.row]]
     explained = left @ waves @ np.linalg.lstsq(waves, left, rcond=1e-9)[0]
     return Dependence(
@@ -229,7 +229,7 @@ def _swing(regression: Regression, line: Line, laws: Laws) -> Dependence:
         p=line.p,
         share=float(explained) / max(float(left @ left), 1e-300),
         odd=0.0,
-        gain=gain if other is None else 2.0 * (other.likelihood - laws.base.likelihood),
+        gain=gain if other is None else other.likelihood - laws.base.likelihood,
         functions=waves.shape[1],
         swing=line.frequency,
     )

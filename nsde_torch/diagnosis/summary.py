@@ -2,8 +2,8 @@
 
 from collections.abc import Sequence
 
-from nsde_torch.diagnosis.loop import Outcome
 from nsde_torch.diagnosis.not_shown import not_shown
+from nsde_torch.diagnosis.outcome import Outcome
 from nsde_torch.diagnosis.shape import Shape
 
 

@@ -7,7 +7,7 @@ import pytest
 
 from nsde_torch.data import Run
 from nsde_torch.data.smoothing import restored
-from nsde_torch.diagnosis.pipeline import Options
+from nsde_torch.diagnosis.options import Options
 from nsde_torch.diagnosis.text import lines
 from nsde_torch.plants import Recording
 from tests.helpers.diagnosed import diagnosed

@@ -93,7 +93,7 @@ def test_effects_that_explain_nothing_of_what_is_missing_are_no_leads(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     case = ("mass_spring_damper", {"outside:QuinticStiffness": {"size": 8.0}})
-    monkeypatch.setattr("nsde_torch.diagnosis.loop._NOTHING", 1e9)
+    monkeypatch.setattr("nsde_torch.diagnosis.decision._NOTHING", 1e9)
     found, content = diagnosed(*case, durations=(6.0,) * 4)
     assert (content["verdict"], content["added"]) == ("unexplained", [])
     assert found.outcome.final is found.outcome.declared

@@ -7,7 +7,9 @@ from typing import Any
 
 from nsde_torch.data import DataSet
 from nsde_torch.data.checks import assemble
-from nsde_torch.diagnosis.pipeline import Diagnosis, Options, diagnose
+from nsde_torch.diagnosis.options import Options
+from nsde_torch.diagnosis.pipeline import diagnose
+from nsde_torch.diagnosis.result import Diagnosis
 from nsde_torch.models.identified import SysidSpec
 from nsde_torch.plants import Recording, simulate
 from nsde_torch.systems import make_system

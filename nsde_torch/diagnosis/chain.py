@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nsde_torch.data import DataSet, Run
+from nsde_torch.diagnosis.decisions import Budgets, Decisions
 from nsde_torch.diagnosis.evidence import at_bounds
 from nsde_torch.diagnosis.options import Options
 from nsde_torch.diagnosis.outcome import Outcome
@@ -18,10 +19,15 @@ from nsde_torch.systems import System
 
 Array = NDArray[np.float64]
 
-_LITTLE = 0.1  # of the structure that is left over: what a late sensor may leave to be the better explanation
 
-
-def undone(data: DataSet, runs: Sequence[Run], system: System, options: Options) -> Recorded:
+def undone(
+    data: DataSet,
+    runs: Sequence[Run],
+    system: System,
+    options: Options,
+    decisions: Decisions,
+    budgets: Budgets,
+) -> Recorded:
     """The recording chain undone as far as kinematics and spectra tell.
 
     Args:
@@ -29,12 +35,15 @@ def undone(data: DataSet, runs: Sequence[Run], system: System, options: Options)
         runs: Those to look at.
         system: Declared system.
         options: Settings.
+        decisions: What is decided by.
+        budgets: How much is tried.
     """
 
     def misfit(some: Sequence[Run], clock: float) -> float:
-        return sum(log(law.std) for law in search_in(system, some, clock, options).quick(system).noises)
+        search = search_in(system, some, clock, options, decisions=decisions, budgets=budgets)
+        return sum(log(law.std) for law in search.quick(system).noises)
 
-    return undo(data, runs, system, alpha=options.alpha, misfit=misfit)
+    return undo(data, runs, system, alpha=decisions.alpha, misfit=misfit)
 
 
 def with_a_late_sensor(read: Log, outcome: Outcome) -> Log | None:
@@ -61,7 +70,7 @@ def explains_more(moved: Outcome, outcome: Outcome) -> bool:
     Else something else looks like it: an input of the other sign, say.
     """
     at_a_bound = bool(at_bounds(moved.declared.regression).any())
-    return _structure(moved) < _LITTLE * _structure(outcome) and not at_a_bound
+    return _structure(moved) < outcome.decisions.late_sensor_share * _structure(outcome) and not at_a_bound
 
 
 def _structure(outcome: Outcome) -> float:

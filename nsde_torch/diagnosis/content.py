@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
+from nsde_torch.diagnosis.decisions import Wording
 from nsde_torch.diagnosis.declared import declared
 from nsde_torch.diagnosis.dependence import Dependence
 from nsde_torch.diagnosis.estimates import Estimate, estimates
@@ -31,6 +32,7 @@ TWINS = {"constant_force": ("sensor_bias",)}
 def content(found: Diagnosis) -> dict[str, Any]:
     """What `diagnosis.json` holds; its keys are in docs/content/reference/diagnosis-json.md."""
     o, left = found.outcome, found.explanation
+    wording = o.decisions.wording
     return {
         "schema": "nsde_torch.diagnosis/1",
         "verdict": found.verdict,
@@ -81,8 +83,8 @@ def content(found: Diagnosis) -> dict[str, Any]:
         },
         "structure": {
             "tests": {"before": len(o.before), "after": len(o.after)},
-            "before": [_dependence(d, len(o.before), found.runs) for d in o.before[:_DEPENDENCES]],
-            "after": [_dependence(d, len(o.after), found.runs) for d in o.after[:_DEPENDENCES]],
+            "before": [_dependence(d, len(o.before), found.runs, wording) for d in o.before[:_DEPENDENCES]],
+            "after": [_dependence(d, len(o.after), found.runs, wording) for d in o.after[:_DEPENDENCES]],
         },
         "unexplained": [_shape(found, s) for s in left.shapes],
         "in_run": _in_run(found),
@@ -215,8 +217,7 @@ def _formula(found: Diagnosis) -> dict[str, Any] | None:
         "channel": f.channel,
         "unit": f.unit,
         "terms": [
-            {"function": t.function, "coefficient": t.coefficient, "standard_error": t.error}
-            for t in f.terms
+            {"function": t.function, "coefficient": t.coefficient, "standard_error": t.error} for t in f.terms
         ],
         "text": f.text,
         "share": f.share,
@@ -236,7 +237,12 @@ def _not_shown(found: Diagnosis) -> list[dict[str, Any]]:
             "unit": n.unit,
             "experiment": n.separate,
         }
-        for n in not_shown(found.outcome.rounds, found=names, alpha=found.options.alpha)
+        for n in not_shown(
+            found.outcome.rounds,
+            found=names,
+            alpha=found.options.alpha,
+            decisions=found.outcome.decisions,
+        )
     ]
 
 
@@ -327,12 +333,12 @@ def _where(d: Dependence, runs: Sequence[str]) -> str | None:
     return f"{name} only" if d.moment is None else f"{name}, {d.moment:.1f} s"
 
 
-def _dependence(d: Dependence, tests: int, runs: Sequence[str]) -> dict[str, Any]:
+def _dependence(d: Dependence, tests: int, runs: Sequence[str], wording: Wording) -> dict[str, Any]:
     return {
         "channel": d.channel,
         "variable": d.variable,
         "where": _where(d, runs),
         "p": bonferroni(d.p, tests),
         "share": d.share,
-        "kind": symmetry(d) or "-",
+        "kind": symmetry(d, wording) or "-",
     }

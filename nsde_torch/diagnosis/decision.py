@@ -8,6 +8,7 @@ in noise, which is taken off first.
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
+from nsde_torch.diagnosis.decisions import DECISIONS, Decisions
 from nsde_torch.diagnosis.dependence import Dependence
 from nsde_torch.diagnosis.elimination import Retained
 from nsde_torch.diagnosis.evidence import nats_by_channel
@@ -16,14 +17,11 @@ from nsde_torch.diagnosis.held_out import HeldOut
 from nsde_torch.diagnosis.hidden import Feedback, Hidden, allowances, chance_beyond, likelihood_ratios
 from nsde_torch.diagnosis.multiplicity import bonferroni
 from nsde_torch.diagnosis.outcome import Found, Outcome, Verdict, without_effect
-from nsde_torch.diagnosis.regressors import regressors
+from nsde_torch.diagnosis.regressors import Regressors, regressors
 from nsde_torch.diagnosis.search import Base, Search
 from nsde_torch.diagnosis.selection import Selection
 from nsde_torch.diagnosis.specification import dependences
 from nsde_torch.effects import effect_class
-
-_NOTHING = 0.03  # of the structure that is left over: effects that explain less are no leads either
-_LEAD = 0.1  # of what the effects explain of the channels of one: structure there beyond that makes it provisional
 
 
 def set_aside(search: Search, chosen: Selection, kept: Retained, feedback: Feedback) -> Retained:
@@ -72,16 +70,16 @@ def decide(search: Search, chosen: Selection, kept: Retained, feedback: Feedback
         feedback: What is asked of the loop.
     """
     declared, base, found, tested = chosen.declared, kept.final, kept.found, kept.feedback
-    declared_variables = regressors(declared.regression, inputs=search.inputs, moved=search.moved)
+    declared_variables = _variables(search, declared)
     before = dependences(declared.regression, declared_variables, overview=bool(found))
     variables, after = declared_variables, before
     if found:
-        variables = regressors(base.regression, inputs=search.inputs, moved=search.moved)
+        variables = _variables(search, base)
         after = dependences(base.regression, variables)
     left = beyond_chance(after, allowances(tested), alpha=search.alpha)
     explained = base.score.fitted - declared.score.fitted
     rest = max((d.excess for d in left), default=0.0)
-    if found and explained < _NOTHING * rest:
+    if found and explained < search.decisions.negligible_share * rest:
         # what is missing bends the physics, and any term straightens it a little
         before = after = dependences(declared.regression, declared_variables)
         found, base, variables = [], declared, declared_variables
@@ -93,7 +91,7 @@ def decide(search: Search, chosen: Selection, kept: Retained, feedback: Feedback
         verdict=_verdict(found, explained=explained, rest=rest, left=left),
         declared=declared,
         final=base,
-        found=[replace(f, lead=provisional(f, found, left, brought)) for f in found],
+        found=[replace(f, lead=provisional(f, found, left, brought, search.decisions)) for f in found],
         rounds=chosen.rounds,
         declared_variables=declared_variables,
         variables=variables,
@@ -103,6 +101,18 @@ def decide(search: Search, chosen: Selection, kept: Retained, feedback: Feedback
         aside=chosen.aside,
         hidden=kept.hidden,
         test=tested,
+        decisions=search.decisions,
+    )
+
+
+def _variables(search: Search, base: Base) -> Regressors:
+    """What the residuals of physics may depend on."""
+    return regressors(
+        base.regression,
+        inputs=search.inputs,
+        moved=search.moved,
+        decisions=search.decisions,
+        budgets=search.budgets,
     )
 
 
@@ -132,7 +142,11 @@ def beyond_chance(
 
 
 def provisional(
-    f: Found, found: Sequence[Found], left: Sequence[Dependence], brought: Mapping[str, float]
+    f: Found,
+    found: Sequence[Found],
+    left: Sequence[Dependence],
+    brought: Mapping[str, float],
+    decisions: Decisions = DECISIONS,
 ) -> str:
     """Why an effect is provisional: structure is left where it acts, or two laws of one variable were needed.
 
@@ -141,12 +155,13 @@ def provisional(
         found: All effects that were added.
         left: What the residual still depends on.
         brought: Log-likelihood that the effects brought, by channel [nats].
+        decisions: How much structure there is too much.
 
     Returns:
         The reason in words; empty where it is the last word.
     """
     rest = max((d.excess for d in left if d.channel in f.moves), default=0.0)
-    if rest > _LEAD * sum(brought[name] for name in f.moves):
+    if rest > decisions.provisional_share * sum(brought[name] for name in f.moves):
         return "something else is there too"
     own = effect_class(f.name)
     others = [effect_class(g.name) for g in found if g.name != f.name]

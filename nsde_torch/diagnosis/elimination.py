@@ -23,9 +23,6 @@ from nsde_torch.errors import NsdeError
 from nsde_torch.learning.identify.loop_test import LoopTest
 from nsde_torch.systems.parameters import own_name
 
-_TAKEN_OVER = 0.5  # of what a part of an effect is alone: below, another one has taken over
-_EXCHANGES = 12  # looks at the catalogue, in all, beyond which nothing is exchanged any more
-
 
 @dataclass(frozen=True)
 class Retained:
@@ -72,10 +69,10 @@ def eliminate(search: Search, chosen: Selection) -> Retained:
             base, found, i = without, [], 0
             continue
         best = next(t for t in now.trials if accept(search, t))
-        if best.name != name and (best.name in contained or surely_above(best, this)):
+        if best.name != name and (best.name in contained or surely_above(best, this, search.decisions)):
             names[i] = best.name
             base, found, i = search.grown(best.regression), [], 0
-            if names.count(best.name) > 1 or len(rounds) > _EXCHANGES:
+            if names.count(best.name) > 1 or len(rounds) > search.budgets.exchanges:
                 break
             rounds.append(now)
             continue
@@ -98,7 +95,12 @@ def _in_its_place(search: Search, chosen: Trial, trials: Sequence[Trial]) -> lis
     out = []
     for t in trials:
         contains = chosen.name in effect_class(t.name).includes
-        if t.name != chosen.name and not contains and accept(search, t) and not surely_above(chosen, t):
+        if (
+            t.name != chosen.name
+            and not contains
+            and accept(search, t)
+            and not surely_above(chosen, t, search.decisions)
+        ):
             out.append(t.name)
     return out
 
@@ -117,7 +119,7 @@ def _in_part(search: Search, without: Base, own: Trial, names: Sequence[str], am
             other = _shared(search, without, own, name, among=among)
         except (NsdeError, np.linalg.LinAlgError):
             continue
-        if other is not None and accept(search, other) and not surely_above(own, other):
+        if other is not None and accept(search, other) and not surely_above(own, other, search.decisions):
             out.append(name)
     return out
 
@@ -155,7 +157,7 @@ def _shared(search: Search, without: Base, own: Trial, name: str, *, among: int)
         j
         for j in strong
         if own_name(joint.vector.labels[j]) in effect.smooth
-        or abs(joint.theta[j]) < _TAKEN_OVER * abs(alone[joint.vector.labels[j]])
+        or abs(joint.theta[j]) < search.decisions.taken_over_share * abs(alone[joint.vector.labels[j]])
     ]
     if not 0 < len(gone) < len(strong):
         return None

@@ -10,12 +10,10 @@ from nsde_torch.diagnosis.formula import Formula, formula
 from nsde_torch.diagnosis.in_run import InRun, in_run, odd_run
 from nsde_torch.diagnosis.outcome import Outcome
 from nsde_torch.diagnosis.reading import Log
-from nsde_torch.diagnosis.search import Search, search_in
+from nsde_torch.diagnosis.search import Search
 from nsde_torch.diagnosis.shape import Shape, shape
 from nsde_torch.diagnosis.views import rates
 from nsde_torch.learning.identify.identify import Regression
-
-_SHAPES = 6  # dependences that are described in words
 
 
 @dataclass(frozen=True)
@@ -50,12 +48,12 @@ def explained(log: Log, search: Search, outcome: Outcome, runs: tuple[str, ...])
     """
     regression, left = outcome.final.regression, outcome.structured
     seen = rates(regression, outcome.variables)
-    shapes = tuple(shape(regression, d, outcome.variables, seen, runs) for d in left[:_SHAPES])
+    shapes = tuple(shape(regression, d, outcome.variables, seen, runs) for d in left[: log.budgets.shapes])
     odd = odd_run(left, shapes)
     warned = warnings(outcome, log.system)
 
     def fit(some: Sequence[Run]) -> Regression:
-        return search_in(log.system, some, log.recorded.clock, log.options).quick(log.system)
+        return log.plain_search(some).quick(log.system)
 
     return Explanation(
         channel_residuals(outcome.declared.regression, regression),
@@ -63,5 +61,5 @@ def explained(log: Log, search: Search, outcome: Outcome, runs: tuple[str, ...])
         in_run=None if odd is None else in_run(log.again(search, [log.runs[odd]]), outcome.system, odd),
         formula=formula(regression, left, outcome.variables, runs),
         warned=tuple(warned),
-        reading=better_reading(log.system, log.runs, fit) if warned else None,
+        reading=better_reading(log.system, log.runs, fit, log.decisions) if warned else None,
     )

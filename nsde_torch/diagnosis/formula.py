@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import LinAlgWarning
 
+from nsde_torch.diagnosis.decisions import BUDGETS, Budgets
 from nsde_torch.diagnosis.dependence import Dependence
 from nsde_torch.diagnosis.regressors import Regressors, own_space
 from nsde_torch.diagnosis.shape import called, period_of, product_of
@@ -29,10 +30,8 @@ from nsde_torch.learning.report import number
 
 Array = NDArray[np.float64]
 
-_TERMS = 4
-_VARIABLES = 3
 _NEW = 0.03  # of the length of a function: less of it is nothing that the parameters cannot do already
-_KNOTS = (0.02, 0.05, 0.1, 0.2, 0.35, 0.65, 0.8, 0.9, 0.95, 0.98)
+_KNOTS = (0.02, 0.05, 0.1, 0.2, 0.35, 0.65, 0.8, 0.9, 0.95, 0.98)  # quantiles of hinges
 _SAME = 1e-3  # of the largest singular value: functions that are the same but for this
 _SHARPNESS = 20.0  # of a sign, per 90 % quantile of the variable
 
@@ -115,7 +114,7 @@ def formula(
     if not new.any():
         return None
     names_of, z = [n for n, is_new in zip(names_of, new, strict=True) if is_new], z[:, new]
-    order, by = chosen(z, rest)
+    order, by = chosen(z, rest, variables.budgets)
     of_white = regression.whitened_rows(regression.blocks)
     price = 0.5 * log(int(of_white.max()) + 1) + log(len(names_of))  # nats
     kept: list[int] = []
@@ -149,7 +148,7 @@ def library(
     for d in left:
         pair = product_of(regression, channel, d.variable, variables)
         wanted += [v for v in pair.split(" * ") if v in columns and v not in wanted]
-    wanted = wanted[:_VARIABLES]
+    wanted = wanted[: variables.budgets.formula_variables]
     out: dict[str, Array] = {}
     for name in wanted:
         v, label, start = columns[name], name, 0.0
@@ -200,24 +199,24 @@ def shifted(name: str, by: float) -> str:
     return f"{name} {'-' if by >= 0 else '+'} {abs(by):.3g}" if by else name
 
 
-def chosen(z: Array, rest: Array) -> tuple[list[int], str]:
+def chosen(z: Array, rest: Array, budgets: Budgets = BUDGETS) -> tuple[list[int], str]:
     """Columns in the order of forward orthogonal least squares, and what made the choice."""
-    size = np.linalg.norm(z, axis=0)
+    most, size = budgets.formula_terms, np.linalg.norm(z, axis=0)
     live = np.flatnonzero(size > 1e-9 * max(float(size.max()), 1e-300))
     unit = z[:, live] / size[live]
     try:
         from pysindy import FROLS
 
-        model = FROLS(max_iter=_TERMS, alpha=1e-10, unbias=False)
+        model = FROLS(max_iter=most, alpha=1e-10, unbias=False)
         with warnings.catch_warnings():  # functions that are nearly the same: only their order is of use
             warnings.simplefilter("ignore", LinAlgWarning)
             model.fit(unit, rest[:, None])
     except (ImportError, ValueError):  # not installed, or it refuses functions that depend on each other
-        return [int(live[j]) for j in forward(unit, rest, _TERMS)], "forward orthogonal least squares"
+        return [int(live[j]) for j in forward(unit, rest, most)], "forward orthogonal least squares"
     order: list[int] = []
     for coefficients in model.history_:
         order += [int(j) for j in np.flatnonzero(coefficients[0]) if int(j) not in order]
-    return [int(live[j]) for j in order[:_TERMS]], "pysindy FROLS"
+    return [int(live[j]) for j in order[:most]], "pysindy FROLS"
 
 
 def forward(unit: Array, rest: Array, terms: int) -> list[int]:

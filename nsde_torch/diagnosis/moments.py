@@ -9,16 +9,14 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtr
 
+from nsde_torch.diagnosis.decisions import DECISIONS, Decisions
 from nsde_torch.diagnosis.dependence import Dependence
 from nsde_torch.learning.identify.identify import Regression
 from nsde_torch.learning.identify.series import Series
 
 Array = NDArray[np.float64]
 
-_BUMPS_S = (0.25, 1.0)
-
-
-_FEWEST_MOMENTS = 20
+_BUMPS_S = (0.25, 1.0)  # widths of bumps
 
 
 def bumps(regression: Regression) -> tuple[list[tuple[int, int]], list[Array]]:
@@ -34,7 +32,11 @@ def bumps(regression: Regression) -> tuple[list[tuple[int, int]], list[Array]]:
 
 
 def largest_moment(
-    regression: Regression, i: int, spans: Sequence[tuple[int, int]], moments: Sequence[Array]
+    regression: Regression,
+    i: int,
+    spans: Sequence[tuple[int, int]],
+    moments: Sequence[Array],
+    decisions: Decisions = DECISIONS,
 ) -> Dependence | None:
     """The moment at which a channel is pushed most, if that is more than all other moments let expect."""
     noise, white = regression.noises[i], regression.white[i]
@@ -52,7 +54,7 @@ def largest_moment(
         stop = min(start + 2 * n, len(white))
         template = known[n][: stop - start]
         z.append(float(template @ white[start:stop]) / max(float(np.linalg.norm(template)), 1e-300))
-    if len(z) < _FEWEST_MOMENTS:
+    if len(z) < decisions.moments_fewest:
         return None
     size = np.abs(np.array(z))
     scale = max(1.0, float(np.median(size)) / 0.6745)

@@ -8,6 +8,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from nsde_torch.diagnosis.decisions import DECISIONS, Decisions
 from nsde_torch.diagnosis.dependence import Dependence
 from nsde_torch.diagnosis.estimates import Estimate, by_instruments, estimated
 from nsde_torch.diagnosis.fitted import fitted_system
@@ -63,6 +64,7 @@ class Outcome:
         hidden: Effects that are not named because feedback may have made them.
         test: What the data say of the loop that they were recorded in, by `final`.
         printed: Estimates by signals from outside the loop, where these are the ones to print.
+        decisions: What was decided by.
     """
 
     verdict: Verdict
@@ -79,6 +81,7 @@ class Outcome:
     hidden: tuple[Hidden, ...] = ()
     test: LoopTest = field(default_factory=LoopTest)
     printed: Identification | None = None
+    decisions: Decisions = DECISIONS
 
     @cached_property
     def system(self) -> System:

@@ -39,7 +39,8 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
-_CHANNELS, _UNEXPLAINED = 2, 4
+_CHANNELS, _UNEXPLAINED = 2, 4  # panels
+_PLAIN, _PRODUCT = 0.05, 0.01  # chances between which a product is drawn and no plain variable
 _COURSE = 120  # points of a course in time
 _SURE = 1e-4  # chance below which a test is as sure as any
 _REDUCED = 0.9  # of the residual before: what is below that was reduced
@@ -192,7 +193,7 @@ def _telling(tests: Sequence[Dependence], after: Sequence[Dependence], channel: 
     first, product = (min(some, key=order, default=None) for some in (plain, own))
     if first is None or product is None:
         return product
-    alone = first.p * len(tests) > 0.05 and product.p * len(tests) < 0.01
+    alone = first.p * len(tests) > _PLAIN and product.p * len(tests) < _PRODUCT
     return product if alone else first
 
 

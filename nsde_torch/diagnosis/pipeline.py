@@ -18,6 +18,7 @@ from time import perf_counter
 from nsde_torch.data import DataSet, Run
 from nsde_torch.diagnosis.chain import explains_more, undone, with_a_late_sensor
 from nsde_torch.diagnosis.decision import decide, judged_on_runs_left_out, set_aside
+from nsde_torch.diagnosis.decisions import BUDGETS, DECISIONS, Budgets, Decisions
 from nsde_torch.diagnosis.elimination import eliminate
 from nsde_torch.diagnosis.explanation import explained
 from nsde_torch.diagnosis.held_out import cross_validated
@@ -32,8 +33,6 @@ from nsde_torch.learning.identify.result import Identification
 from nsde_torch.models.identified import SysidSpec
 from nsde_torch.systems import System
 
-_CHAIN = "checking the recording chain"
-
 
 def diagnose(
     system: System,
@@ -43,6 +42,8 @@ def diagnose(
     options: Options,
     *,
     closed_loop: bool | None = None,
+    decisions: Decisions = DECISIONS,
+    budgets: Budgets = BUDGETS,
     say: Callable[[str, int, int], None] = lambda stage, done, total: None,
 ) -> Diagnosis:
     """Diagnose a declared model.
@@ -55,30 +56,32 @@ def diagnose(
         options: Settings.
         closed_loop: Whether inputs answer the state; None asks the test of feedback. Where it is not False, errors
             under replayed inputs judge no effect.
+        decisions: What is decided by, but for alpha and the most effects, which the options give.
+        budgets: How much is tried.
         say: Told stage, number done and number in all.
 
     Raises:
         DataError: too few rows, or nothing moves.
-        ConfigError: an option is out of range, or a candidate that the system cannot have.
+        ConfigError: a candidate that the system cannot have.
     """
     watch = _Stopwatch()
+    decisions = replace(decisions, alpha=options.alpha, most_effects=options.max_effects)
     own_effects = read_effects(system, runs, options)
-    say(_CHAIN, 0, 1)
-    recorded = undone(data, runs, system, options)
-    log = read_log(system, recorded, options, own_effects, say)
+    say("checking the recording chain", 0, 1)
+    recorded = undone(data, runs, system, options, decisions, budgets)
+    log = read_log(system, recorded, options, own_effects, decisions=decisions, budgets=budgets, say=say)
     search = log.search(log.runs)
     watch.lap("recording")
     outcome = searched(log, search)
     if outcome.structured:
-        say(_CHAIN, 0, 1)
+        say("checking the recording chain", 0, 1)
         log, search, outcome = _read_again(log, search, outcome)
     watch.lap("search")
     outcome, instrumented = _by_instruments(log, outcome)
     feedback = outcome.test
     say("errors on runs left out", 0, 1)
-    errors = cross_validated(
-        log, search, outcome, spec, closed_loop=feedback.closed_loop if closed_loop is None else closed_loop
-    )
+    closed_loop = feedback.closed_loop if closed_loop is None else closed_loop
+    errors = cross_validated(log, search, outcome, spec, closed_loop=closed_loop)
     watch.lap("errors")
     outcome = judged_on_runs_left_out(outcome, errors)
     names = tuple(run.name for run in runs)
@@ -107,7 +110,7 @@ def searched(log: Log, search: Search) -> Outcome:
     """
     search.say("fitting the declared physics", 0, 1)
     declared = search.base(log.system)
-    chosen = forward_selection(search, declared, most=log.options.max_effects)
+    chosen = forward_selection(search, declared)
     kept = eliminate(search, chosen)
     kept = set_aside(search, chosen, kept, log.feedback)
     return decide(search, chosen, kept, log.feedback)

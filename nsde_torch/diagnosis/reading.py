@@ -7,6 +7,7 @@ import numpy as np
 
 from nsde_torch.data import Run
 from nsde_torch.diagnosis.candidates import candidate_names
+from nsde_torch.diagnosis.decisions import Budgets, Decisions
 from nsde_torch.diagnosis.hidden import Feedback, shown_by_instruments
 from nsde_torch.diagnosis.options import Options
 from nsde_torch.diagnosis.recording import Recorded
@@ -30,6 +31,8 @@ class Log:
         recorded: The recording chain, undone.
         runs: Its runs, with the logged channels behind the inputs.
         options: Settings.
+        decisions: What is decided by.
+        budgets: How much is tried.
         say: Told stage, number done and number in all.
     """
 
@@ -37,19 +40,38 @@ class Log:
     recorded: Recorded
     runs: tuple[Run, ...]
     options: Options
+    decisions: Decisions
+    budgets: Budgets
     say: Callable[[str, int, int], None]
 
     def search(self, runs: Sequence[Run]) -> Search:
         """A search in runs of the log."""
         r = self.recorded
         moved, acted = bool(r.delays or r.lags), not r.inputs_restored
-        return search_in(self.system, runs, r.clock, self.options, inputs=acted, moved=moved, say=self.say)
+        return self._search(runs, inputs=acted, moved=moved)
 
     def again(self, search: Search, runs: Sequence[Run]) -> Search:
         """A search in some of the runs, with what another one holds at nothing."""
-        made = search_in(self.system, runs, self.recorded.clock, self.options, say=self.say)
+        made = self.plain_search(runs)
         made.held = set(search.held)
         return made
+
+    def plain_search(self, runs: Sequence[Run]) -> Search:
+        """A search in runs whose inputs acted, and whose channels were in time."""
+        return self._search(runs, inputs=True, moved=False)
+
+    def _search(self, runs: Sequence[Run], *, inputs: bool, moved: bool) -> Search:
+        return search_in(
+            self.system,
+            runs,
+            self.recorded.clock,
+            self.options,
+            inputs=inputs,
+            moved=moved,
+            decisions=self.decisions,
+            budgets=self.budgets,
+            say=self.say,
+        )
 
     @property
     def feedback(self) -> Feedback:
@@ -69,7 +91,7 @@ class Log:
 
     def _shown(self, physics: System, effect: str) -> bool:
         return bool(self.options.instruments) and shown_by_instruments(
-            self.by_instruments(physics), effect, self.options.alpha
+            self.by_instruments(physics), effect, self.decisions.alpha
         )
 
 
@@ -97,6 +119,9 @@ def read_log(
     recorded: Recorded,
     options: Options,
     own: Mapping[str, str],
+    *,
+    decisions: Decisions,
+    budgets: Budgets,
     say: Callable[[str, int, int], None],
 ) -> Log:
     """The log with its channels, for a machine that can have the candidates.
@@ -106,6 +131,8 @@ def read_log(
         recorded: Its runs, the recording chain undone.
         options: Settings.
         own: Names of effects of one's own by their keys.
+        decisions: What is decided by.
+        budgets: How much is tried.
         say: Told stage, number done and number in all.
 
     Raises:
@@ -130,7 +157,7 @@ def read_log(
                 f"{effect_class(name).port.value!r} and reads "
                 f"{', '.join(effect_class(name).exogenous) or 'no channel'}."
             )
-    return Log(system, recorded, runs, options, say)
+    return Log(system, recorded, runs, options, decisions, budgets, say)
 
 
 def logged_channels(system: System, runs: Sequence[Run]) -> tuple[str, ...]:

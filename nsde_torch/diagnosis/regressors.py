@@ -12,27 +12,28 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nsde_torch.diagnosis.chances import orthonormal
+from nsde_torch.diagnosis.decisions import BUDGETS, DECISIONS, Budgets, Decisions
 from nsde_torch.learning.identify.identify import Regression
 from nsde_torch.learning.identify.series import Series
 
 Array = NDArray[np.float64]
 
-_HATS = 7
+_HATS = 7  # bumps over the range of a variable
 
 
 _MIXED = ("collective", "roll_command", "pitch_command", "yaw_command")
 
 
-_WAVES = 6
+_WAVES = 6  # cosines over the length of a run
 
 
-_MOST_RUNS = 12
+_MOST_RUNS = 12  # up to which each run has functions of its own
 
 
 _FAR = 4.0  # standard deviations
 
 
-_BEFORE_BOXES = (1, 2, 4, 8)
+_BEFORE_BOXES = (1, 2, 4, 8)  # how long before, in boxes
 
 
 OVER_TIME, BY_RUN, BEFORE = " over time", " by run", " before"
@@ -104,19 +105,30 @@ class Regressors:
         functions: By variable; products, drifts, differences between runs, inputs before, `time` and `run` too:
             functions (M, q), and which of them are odd (q,).
         inputs: Whether the inputs are what acted.
+        decisions: What tests of them decide by.
+        budgets: How much they try.
     """
 
     columns: dict[str, Array]
     t: Array
     functions: dict[str, tuple[Array, NDArray[np.bool_]]]
     inputs: bool = True
+    decisions: Decisions = DECISIONS
+    budgets: Budgets = BUDGETS
 
     def values(self, variable: str) -> Array:
         """A plain variable, or time (M,)."""
         return self.t if variable == "time" else self.columns[variable]
 
 
-def regressors(regression: Regression, *, inputs: bool = True, moved: bool = False) -> Regressors:
+def regressors(
+    regression: Regression,
+    *,
+    inputs: bool = True,
+    moved: bool = False,
+    decisions: Decisions = DECISIONS,
+    budgets: Budgets = BUDGETS,
+) -> Regressors:
     """Everything that the residuals of a regression may depend on.
 
     Args:
@@ -125,11 +137,13 @@ def regressors(regression: Regression, *, inputs: bool = True, moved: bool = Fal
             holds of such an error depends on them.
         moved: Whether channels were moved to where they belong. Between rows, they bend where inputs change, and what
             moves them does not know.
+        decisions: What tests of them decide by.
+        budgets: How much they try.
     """
     columns, t = _columns(regression, inputs=inputs)
     before = _BEFORE_BOXES[1:] if moved else _BEFORE_BOXES
     functions = {name: (z, odd) for name, z, odd in _groups(regression, columns, t, before)}
-    return Regressors(columns, t, functions, inputs)
+    return Regressors(columns, t, functions, inputs, decisions, budgets)
 
 
 def _groups(

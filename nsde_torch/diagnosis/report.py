@@ -19,8 +19,8 @@ if TYPE_CHECKING:
 
     from nsde_torch.diagnosis.result import Diagnosis
 
-_DPI = 100
-_RANKED, _DECIDED = 8, 6
+_DPI = 100  # of the pictures
+_RANKED, _DECIDED = 8, 6  # candidates and tests of structure that are listed
 
 _STYLE = """
 :root { color-scheme: light }

@@ -21,11 +21,6 @@ from nsde_torch.learning.identify.sizes import data_sizes
 from nsde_torch.systems import System
 from nsde_torch.systems.parameters import ParameterVector
 
-_WORTH = 3.0  # nats below which a candidate is not iterated
-_CLOSE = 0.3  # of the best candidate's nats, above which a candidate is iterated
-_FEWEST, _MOST = 3, 9  # candidates that are iterated: those that help at least, all at most
-_REFINED, _PROMISING = 2, 0.5  # candidates, and share of the best's nats, that get noise models of their own
-
 
 @dataclass
 class Round:
@@ -73,7 +68,7 @@ def look(search: Search, base: Base, *, only: Collection[str] | None = None) -> 
     if only is not None:
         names = [n for n in names if n in only]
     out = Round(added=base.system.effect_names, trials=[], screened={})
-    peaks = lines(base.regression)
+    peaks = lines(base.regression, decisions=search.decisions, budgets=search.budgets)
     best = _screened(search, base, names, [peak.frequency for peak in peaks], out)
     # from without what it contains, a first step says nothing of a candidate that stands in for it
     sure = [n for n in best if set(effect_class(n).includes) & set(base.system.effect_names)]
@@ -113,17 +108,18 @@ def _fit_promising(
     search: Search, base: Base, best: dict[str, _Start], sure: Sequence[str], among: int, out: Round
 ) -> None:
     """Iterate the candidates whose first step promises most, and those that are sure to be fitted."""
+    budgets = search.budgets
     rest = sorted((n for n in best if n not in sure), key=lambda n: -out.screened[n])
-    order = [*sure, *(n for n in rest if out.screened[n] > _WORTH)]
+    order = [*sure, *(n for n in rest if out.screened[n] > budgets.worth_nats)]
     helped = 0
     for i, name in enumerate(order):
         best_yet = max((t.nats for t in out.trials), default=0.0)
-        enough = helped >= _FEWEST and out.screened[name] < _CLOSE * best_yet
+        enough = helped >= budgets.helping_fewest and out.screened[name] < budgets.close_share * best_yet
         # what is part of a candidate that was fitted may do as well as it
         part = any(name in effect_class(t.name).includes for t in out.trials)
-        if (enough or i >= _MOST) and name not in sure and not part:
+        if (enough or i >= budgets.iterated_most) and name not in sure and not part:
             continue
-        search.say("fitting effects", i, min(len(order), _MOST))
+        search.say("fitting effects", i, min(len(order), budgets.iterated_most))
         start = best[name]
         try:
             trial = fit_candidate(search, base, start.system, name, among=among, held=start.held)
@@ -139,7 +135,7 @@ def _finish_best(search: Search, base: Base, among: int, out: Round) -> None:
     """Give the best candidates noise models of their own, and rank all anew."""
     most = out.trials[0].nats if out.trials else 0.0
     for i, trial in enumerate(out.trials):
-        if i < _REFINED or trial.nats > _PROMISING * most:
+        if i < search.budgets.finished_fewest or trial.nats > search.budgets.finished_share * most:
             search.say("comparing effects", i, len(out.trials))
             out.trials[i] = finished(search, base, trial, among)
-    out.trials = simplest_first(sorted(out.trials, key=lambda t: -t.rank_score))
+    out.trials = simplest_first(sorted(out.trials, key=lambda t: -t.rank_score), search.decisions)

@@ -1,13 +1,14 @@
 """Physics fitted to the data of a diagnosis: regressions with noise models, and their scores on runs left out."""
 
 from collections.abc import Callable, Collection, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from nsde_torch.data import Run
+from nsde_torch.diagnosis.decisions import BUDGETS, DECISIONS, Budgets, Decisions
 from nsde_torch.diagnosis.evidence import Score, folds, score
 from nsde_torch.diagnosis.fitted import carried, dynamic_rows, fitted_system, nonlinear
 from nsde_torch.diagnosis.options import Options
@@ -21,11 +22,8 @@ from nsde_torch.systems.parameters import ParameterVector
 
 Array = NDArray[np.float64]
 
-_BOX_S = 0.01
-_ITERATIONS = 20
-_MEMORY_S = 1.0  # of noise: what lasts longer is structure
-REFINE = 8  # iterations of a candidate
-_KIND = 10.0  # nats by which another kind of noise must be likelier to be needed
+_BOX_S = 0.01  # over which steps are summed: what the weak form resolves
+_SHORTEST = 20  # steps of a stretch that is looked at
 
 
 @dataclass(frozen=True)
@@ -58,6 +56,8 @@ class Search:
         feedback: Take out what kinematic residuals foretell, where inputs react to sensors (`identify.feedback`).
         inputs: Whether the inputs are what acted, and not restored from an average.
         moved: Whether channels that were late have been moved.
+        decisions: What it decides by, but for alpha.
+        budgets: How much it tries.
         say: Told what is going on: stage, number done, number in all.
     """
 
@@ -71,9 +71,12 @@ class Search:
         feedback: bool = False,
         inputs: bool = True,
         moved: bool = False,
+        decisions: Decisions = DECISIONS,
+        budgets: Budgets = BUDGETS,
         say: Callable[[str, int, int], None] = lambda stage, done, total: None,
     ) -> None:
         self.steps, self.box, self.alpha = steps, box, alpha
+        self.decisions, self.budgets = replace(decisions, alpha=alpha), budgets
         self.candidates, self.say = candidates, say
         self.held: set[str] = set()
         self.feedback, self.inputs, self.moved = feedback, inputs, moved
@@ -92,11 +95,11 @@ class Search:
             like: A regression of physics close to it, whose laws may be better than those that are found from nothing.
         """
         regression = self.quick(system, warm=warm)
-        fold, block = folds(regression), regression.whitened_rows(regression.blocks)
+        fold, block = folds(regression, self.decisions), regression.whitened_rows(regression.blocks)
         regression, own = self.best_noise(regression, system, fold, block, self.held)
         if like is not None:
             other = self.regression(system, like)
-            other.run(REFINE)
+            other.run(self.budgets.refinements)
             other, this = self.best_noise(other, system, fold, block, self.held)
             if this.fitted > own.fitted:
                 regression, own = other, this
@@ -109,7 +112,7 @@ class Search:
     def quick(self, system: System, *, warm: bool = False) -> Regression:
         """The regression of a system alone, without what candidates are compared by."""
         regression = self.regression(system, warm=warm)
-        regression.run(_ITERATIONS)
+        regression.run(self.budgets.iterations)
         return regression
 
     def beside(self, system: System, like: Regression) -> Regression:
@@ -123,14 +126,17 @@ class Search:
             like: The regression of the other.
         """
         regression = self.regression(system, like, ParameterVector(system).start)
-        regression.run(_ITERATIONS)
+        regression.run(self.budgets.iterations)
         rows = len(regression.series)
         pairs = list(zip(regression.noises, regression.own_noises(), strict=True))
-        needed = [law.likelihood(rows) > kept.likelihood(rows) + _KIND for kept, law in pairs]
+        needed = [
+            law.likelihood(rows) > kept.likelihood(rows) + self.decisions.noise_kind_nats
+            for kept, law in pairs
+        ]
         if any(needed):
             laws = [pair[n] for pair, n in zip(pairs, needed, strict=True)]
             regression = self.regression(system, regression, regression.theta, laws)
-            regression.run(REFINE)
+            regression.run(self.budgets.refinements)
         return regression
 
     def best_noise(
@@ -148,11 +154,11 @@ class Search:
             laws = regression.own_noises(orders)
             if (
                 _likelihood(laws, len(regression.series))
-                < _likelihood(regression.noises, len(regression.series)) + 1
+                < _likelihood(regression.noises, len(regression.series)) + self.budgets.noise_nats
             ):
                 continue
             other = self.regression(system, regression, regression.theta, laws, held)
-            other.run(REFINE)
+            other.run(self.budgets.refinements)
             this = score(other, fold, block, still=still)
             if this.fitted > best.fitted:
                 regression, best = other, this
@@ -189,7 +195,7 @@ class Search:
                 held=still,
                 feedback=self.feedback,
                 warm=warm,
-                memory_s=_MEMORY_S,
+                memory_s=self.decisions.noise_memory,
             )
         physics.sensor_std = before.physics.sensor_std
         laws = before.noises if noises is None else noises
@@ -203,7 +209,7 @@ class Search:
             origin=system,
             held=still,
             feedback=self.feedback,
-            memory_s=_MEMORY_S,
+            memory_s=self.decisions.noise_memory,
         )
 
 
@@ -220,6 +226,8 @@ def search_in(
     *,
     inputs: bool = True,
     moved: bool = False,
+    decisions: Decisions | None = None,
+    budgets: Budgets = BUDGETS,
     say: Callable[[str, int, int], None] = lambda stage, done, total: None,
 ) -> Search:
     """A search in runs whose recording chain was undone.
@@ -231,6 +239,8 @@ def search_in(
         options: Settings.
         inputs: Whether the inputs are what acted (see `Search`).
         moved: Whether channels that were late have been moved.
+        decisions: What it decides by; None takes the options'.
+        budgets: How much it tries.
         say: Told stage, number done and number in all.
     """
     box = max(1, int(_BOX_S / (runs[0].dt * clock) + 1e-6))
@@ -240,7 +250,7 @@ def search_in(
         clock=clock,
         smooth=False,
         denoise=system.sensor_noise,
-        shortest=max(box, 20),
+        shortest=max(box, _SHORTEST),
         run_in=True,
     )
     return Search(
@@ -253,5 +263,7 @@ def search_in(
         feedback=not system.sensor_noise,
         inputs=inputs,
         moved=moved,
+        decisions=options.decisions if decisions is None else decisions,
+        budgets=budgets,
         say=say,
     )

@@ -17,8 +17,6 @@ from nsde_torch.diagnosis.search import Base, Search
 from nsde_torch.diagnosis.trials import Trial, accept, below_a_step
 from nsde_torch.effects import effect_class
 
-_FEWER = 2.0  # nats by which two effects must be better than one that stands in for both
-
 
 @dataclass(frozen=True)
 class Selection:
@@ -39,20 +37,19 @@ class Selection:
     aside: tuple[str, ...]
 
 
-def forward_selection(search: Search, declared: Base, *, most: int) -> Selection:
+def forward_selection(search: Search, declared: Base) -> Selection:
     """Add effects to the declared physics until none helps.
 
     Args:
         search: Data and settings.
         declared: The declared physics, fitted.
-        most: Most effects to add.
     """
     base = declared
     rounds: list[Round] = []
     names: list[str] = []
     aside: list[str] = []
     lent: set[str] = set()
-    while len(names) < most:
+    while len(names) < search.decisions.most_effects:
         now = look(search, base)
         short = below_a_step(search, now.trials)
         if short is not None:
@@ -97,8 +94,9 @@ def choice(search: Search, trials: Sequence[Trial], added: Sequence[str]) -> Tri
     if simpler:
         return simpler[0]
     # one effect in the place of another explains with fewer than two beside each other
+    price = search.decisions.wider_nats
     wider = [
-        t for t in accepted if set(effect_class(t.name).includes) & set(added) and best.nats < t.nats + _FEWER
+        t for t in accepted if set(effect_class(t.name).includes) & set(added) and best.nats < t.nats + price
     ]
     return wider[0] if wider else best
 
@@ -112,7 +110,7 @@ def _better_start(search: Search, base: Base, chosen: Trial, names: Sequence[str
     for name in effect_class(chosen.name).includes:
         if name in names:
             other = _reshaped(search, base, name, chosen)
-            if other.score.fitted > best.score.fitted + _FEWER:
+            if other.score.fitted > best.score.fitted + search.decisions.restart_nats:
                 best = other
     return None if best is base else best
 

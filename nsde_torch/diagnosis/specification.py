@@ -20,7 +20,7 @@ from nsde_torch.diagnosis.dependence import Dependence
 from nsde_torch.diagnosis.evidence import folds
 from nsde_torch.diagnosis.laws import Laws
 from nsde_torch.diagnosis.moments import bumps, largest_moment
-from nsde_torch.diagnosis.one_run import LIKELY, Alone, alone
+from nsde_torch.diagnosis.one_run import Alone, alone
 from nsde_torch.diagnosis.regressors import (
     BEFORE,
     SMOOTH,
@@ -49,11 +49,15 @@ def dependences(regression: Regression, variables: Regressors, *, overview: bool
             what differs over time or between runs: what effects that were found had left to explain.
     """
     of_white = regression.whitened_rows(regression.blocks)
-    fold = folds(regression)
+    decisions, budgets = variables.decisions, variables.budgets
+    fold = folds(regression, decisions)
     out = []
     spans, moments = bumps(regression)
     places, limits = _places(regression.vector.system, variables), regression.carry_limits()
-    of_channel = [Laws(regression, i, float(limits[c])) for i, c in enumerate(regression.rows)]
+    of_channel = [
+        Laws(regression, i, float(limits[c]), decisions=decisions, budgets=budgets)
+        for i, c in enumerate(regression.rows)
+    ]
     for i, channel in enumerate(regression.rows):
         white, laws, own = regression.white[i], of_channel[i], own_space(regression, i)
         for name in variables.functions:
@@ -68,18 +72,23 @@ def dependences(regression: Regression, variables: Regressors, *, overview: bool
                     Dependence(
                         channel=regression.physics.names[channel],
                         variable=name,
-                        p=min(1.0, len(COUNTS) * chance(again.columns, white, fold, of_white)),
+                        p=min(
+                            1.0,
+                            len(COUNTS) * chance(again.columns, white, fold, of_white, decisions=decisions),
+                        ),
                         share=2.0 * max(again.nats - 1.0 - price, 0.0) / len(white),
                         odd=0.5,
                         gain=again.nats - price,
                         functions=2,
                     )
                 )
-        found = largest_moment(regression, i, spans, moments)
+        found = largest_moment(regression, i, spans, moments, decisions)
         if found is not None:
             out.append(found)
     # inputs that were restored swing at the nulls of the average
-    for line in lines(regression, swings=WHOLE)[:1] if variables.inputs else []:
+    for line in (
+        lines(regression, fewest=WHOLE, decisions=decisions, budgets=budgets)[:1] if variables.inputs else []
+    ):
         out.append(_swing(regression, line, of_channel[line.row]))
     return sorted(own_of_runs(out), key=lambda d: d.p)
 
@@ -130,7 +139,7 @@ def _of_variable(
     if not z.shape[1]:
         return []
     left, law = regression.white[i], None
-    p, gain = chance(z, left, *labels), nats_of(z, left)
+    p, gain = chance(z, left, *labels, decisions=variables.decisions), nats_of(z, left)
     other = laws.without(functions)
     if other is not None:
         law, there = other.law, regression.under(i, other.law)
@@ -139,12 +148,12 @@ def _of_variable(
         z, kept = independent(whitened - own @ (own.T @ whitened))
         # under another law the parameters would be elsewhere
         left = there.white[i] - own @ (own.T @ there.white[i])
-        p = min(1.0, 2.0 * min(p, chance(z, left, *labels, strong=True)))
+        p = min(1.0, 2.0 * min(p, chance(z, left, *labels, strong=True, decisions=variables.decisions)))
         gain = other.likelihood - laws.base.likelihood
     channel = regression.physics.names[regression.rows[i]]
     out = [_dependence(channel, name, z, odd[kept], left, p=p, gain=gain, law=law)]
     if name in variables.columns:
-        alone = _in_one_run(there, i, (functions, odd), (out[0], nats_of(z, left)), laws)
+        alone = _in_one_run(there, i, (functions, odd), (out[0], nats_of(z, left)), laws, variables)
         out += [] if alone is None else [alone]
     return out
 
@@ -176,6 +185,7 @@ def _in_one_run(
     group: tuple[Array, NDArray[np.bool_]],
     in_all: tuple[Dependence, float],
     laws: Laws,
+    variables: Regressors,
 ) -> Dependence | None:
     """The same variable in the run that stands out.
 
@@ -183,21 +193,22 @@ def _in_one_run(
         regression: Under the law of the test of all runs.
         i: Number of the channel among its rows.
         group: Functions and which of them are odd.
-        in_all: The test of all runs, and the squares that it explains under that law.
+        in_all: The test of all runs, and the nats that it explains under that law.
         laws: Of the channel.
+        variables: What the residual may depend on.
     """
     functions, odd = group[0][:, :SMOOTH], group[1][:SMOOTH]
     everywhere, explained = in_all
-    found = _alone(regression, i, group[0])
+    found = _alone(regression, i, group[0], variables)
     if found is None:
         return None
     p, there, law = found.p, regression, everywhere.law
     gain = everywhere.gain * nats_of(found.columns, regression.white[i]) / max(explained, 1e-300)
-    if p < LIKELY:
+    if p < variables.budgets.closer_chance:
         other = laws.without(functions * (regression.owners == found.run)[:, None])
         if other is not None:
             law, there = other.law, regression.under(i, other.law)
-            again = _alone(there, i, group[0])
+            again = _alone(there, i, group[0], variables)
             if again is not None and again.run == found.run:
                 found, p = again, min(1.0, 2.0 * min(p, again.p))
             gain = other.likelihood - laws.base.likelihood
@@ -207,12 +218,16 @@ def _in_one_run(
     )
 
 
-def _alone(regression: Regression, i: int, functions: Array) -> Alone | None:
+def _alone(regression: Regression, i: int, functions: Array, variables: Regressors) -> Alone | None:
     own, white = own_space(regression, i), regression.white[i]
     whitened = whitened_functions(regression, i, np.column_stack((functions, np.ones(len(functions)))))
     whole, constant = whitened[:, :-1], whitened[:, -1]
     owners = regression.whitened_rows(regression.owners)
-    return alone(whole[:, :SMOOTH], whole, constant, white, own, owners, regression.dt)
+    return alone(
+        *(whole[:, :SMOOTH], whole, constant, white, own, owners, regression.dt),
+        decisions=variables.decisions,
+        budgets=variables.budgets,
+    )
 
 
 def _swing(regression: Regression, line: Line, laws: Laws) -> Dependence:

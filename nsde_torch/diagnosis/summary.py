@@ -25,7 +25,7 @@ def summary(
             "declared physics leaves is noise."
         )
     if verdict == "no_effect":
-        unseen = not_shown(outcome.rounds, found=(), alpha=alpha)
+        unseen = not_shown(outcome.rounds, found=(), alpha=alpha, decisions=outcome.decisions)
         blind = dict.fromkeys(n.effect for n in unseen if n.smallest is None)
         if blind:
             return (

@@ -12,28 +12,17 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtrc
 
+from nsde_torch.diagnosis.decisions import DECISIONS, Decisions
 from nsde_torch.diagnosis.evidence import Score, p_value, score, sum_error
 from nsde_torch.diagnosis.fitted import nonlinear
 from nsde_torch.diagnosis.multiplicity import bonferroni, starts_of, swings
-from nsde_torch.diagnosis.search import REFINE, Base, Search
-from nsde_torch.diagnosis.spectrum import SWINGS
+from nsde_torch.diagnosis.search import Base, Search
 from nsde_torch.effects import effect_class
 from nsde_torch.learning.identify.identify import Regression
 from nsde_torch.learning.identify.spread import Spread
 from nsde_torch.systems import System
 
 Array = NDArray[np.float64]
-
-_LEAST = 0.5  # nats on runs left out that an effect must bring
-
-
-_RESOLVED = 0.5  # steps, the shortest lag or delay that is believed
-
-
-_SURELY = 1e-3  # chance below which what contains a simpler effect is preferred to it
-
-
-_NATS, _SURE = 3.0, 2.0  # evidence, and standard errors of it, within which two candidates are alike
 
 
 @dataclass(frozen=True)
@@ -67,7 +56,7 @@ class Trial:
     held: tuple[str, ...] = ()
 
 
-def simplest_first(trials: Sequence[Trial]) -> list[Trial]:
+def simplest_first(trials: Sequence[Trial], decisions: Decisions = DECISIONS) -> list[Trial]:
     """Candidates in order, what contains another one behind it unless it is surely better."""
     out = list(trials)
     for trial in trials:
@@ -76,16 +65,18 @@ def simplest_first(trials: Sequence[Trial]) -> list[Trial]:
                 continue
             more = max((trial.own.stop - trial.own.start) - (simple.own.stop - simple.own.start), 1)
             ratio = 2.0 * (trial.score.fitted - simple.score.fitted)
-            if chdtrc(more, max(ratio, 0.0)) > _SURELY or not surely_above(trial, simple):
+            if chdtrc(more, max(ratio, 0.0)) > decisions.nested_alpha or not surely_above(
+                trial, simple, decisions
+            ):
                 out.remove(trial)
                 out.insert(out.index(simple) + 1, trial)
     return out
 
 
-def surely_above(better: Trial, worse: Trial) -> bool:
+def surely_above(better: Trial, worse: Trial, decisions: Decisions = DECISIONS) -> bool:
     """Whether the evidence for one candidate is above that for another by more than chance."""
     difference = better.score.blocks - worse.score.blocks
-    return float(difference.sum()) > max(_NATS, _SURE * sum_error(difference))
+    return float(difference.sum()) > max(decisions.alike_nats, decisions.alike_errors * sum_error(difference))
 
 
 def fit_candidate(
@@ -102,7 +93,7 @@ def fit_candidate(
         held: Labels of its parameters that stay at nothing.
     """
     regression = search.regression(system, base.regression, held=held)
-    regression.run(REFINE)
+    regression.run(search.budgets.refinements)
     if swings(name):
         regression, this = search.best_noise(regression, system, base.fold, base.block, held)
     else:
@@ -172,7 +163,7 @@ def below_a_step(search: Search, trials: Sequence[Trial]) -> Trial | None:
 
 
 def _beyond_chance(search: Search, trial: Trial) -> bool:
-    return trial.p_corrected < search.alpha and trial.nats > _LEAST
+    return trial.p_corrected < search.alpha and trial.nats > search.decisions.least_nats
 
 
 def _shorter_than_a_step(search: Search, trial: Trial) -> bool:
@@ -180,7 +171,7 @@ def _shorter_than_a_step(search: Search, trial: Trial) -> bool:
     vector, theta = trial.regression.vector, trial.regression.theta
     own = range(len(vector))[trial.own]
     times = [j for j in own if vector.moves_memory[j] and vector.units[j] == "s"]
-    return any(theta[j] < _RESOLVED * search.steps.dt for j in times)
+    return any(theta[j] < search.decisions.resolution * search.steps.dt for j in times)
 
 
 def _comes_back(search: Search, trial: Trial) -> bool:
@@ -188,4 +179,4 @@ def _comes_back(search: Search, trial: Trial) -> bool:
     vector, theta = trial.regression.vector, trial.regression.theta
     longest = search.longest * search.steps.dt
     frequencies = [j for j in range(len(vector))[trial.own] if vector.units[j] == "Hz"]
-    return all(theta[j] * longest >= SWINGS for j in frequencies)
+    return all(theta[j] * longest >= search.decisions.least_periods for j in frequencies)

@@ -34,7 +34,10 @@ def diagnose_case(folder: Path, name: str) -> dict[str, Any]:
     from outside import OUTSIDE
 
     from nsde_torch.diagnosis.held_out import held_out
-    from nsde_torch.diagnosis.pipeline import Options, diagnose, search_in, with_channels
+    from nsde_torch.diagnosis.options import Options
+    from nsde_torch.diagnosis.pipeline import diagnose
+    from nsde_torch.diagnosis.reading import with_channels
+    from nsde_torch.diagnosis.search import search_in
     from nsde_torch.effects import Port, make_effect
     from nsde_torch.models.identified import SysidSpec
     from nsde_torch.recording import read

@@ -7,8 +7,8 @@ from typing import Any
 
 from nsde_torch.api.reading import Data, read, split_runs
 from nsde_torch.diagnosis.options import Options
-from nsde_torch.diagnosis.pipeline import Diagnosis
 from nsde_torch.diagnosis.pipeline import diagnose as diagnose_runs
+from nsde_torch.diagnosis.result import Diagnosis
 from nsde_torch.models.identified import SysidSpec
 from nsde_torch.systems.base import System
 from nsde_torch.systems.options import Effects, SystemOptions, system_options

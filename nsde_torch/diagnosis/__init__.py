@@ -6,8 +6,9 @@ from nsde_torch.lazy import resolver
 
 if TYPE_CHECKING:
     from nsde_torch.diagnosis.options import Options
-    from nsde_torch.diagnosis.pipeline import Diagnosis, diagnose
+    from nsde_torch.diagnosis.pipeline import diagnose
     from nsde_torch.diagnosis.report import write_report
+    from nsde_torch.diagnosis.result import Diagnosis
 
 __all__ = [
     "Diagnosis",
@@ -19,7 +20,7 @@ __all__ = [
 __getattr__ = resolver(
     __name__,
     {
-        "Diagnosis": "pipeline",
+        "Diagnosis": "result",
         "Options": "options",
         "diagnose": "pipeline",
         "write_report": "report",

@@ -18,18 +18,15 @@ import numpy as np
 
 from nsde_torch.data import Run
 from nsde_torch.diagnosis.channels import channel_residuals
+from nsde_torch.diagnosis.decisions import DECISIONS, Decisions
 from nsde_torch.diagnosis.estimates import Estimate
-from nsde_torch.diagnosis.loop import Outcome
+from nsde_torch.diagnosis.outcome import Outcome
 from nsde_torch.effects import effect_class
 from nsde_torch.evaluation.report import number
 from nsde_torch.sysid.regression import Regression
 from nsde_torch.systems import System
 
 _AT = 1e-5  # typical sizes from the bound; values are kept a millionth off it
-_SURE = 3.0  # standard errors
-_MATTERS = 0.01  # typical sizes beyond it
-_FAR, _LOST = 3.0, 1.5  # powers of ten from the first value, of what the data show and of what they do not
-_BETTER = 0.7  # of what is left, for another way to read a column
 
 
 @dataclass(frozen=True)
@@ -77,17 +74,17 @@ def warnings(outcome: Outcome, system: System) -> list[Warned]:
         outcome: What the loop concluded.
         system: The declared physics with its first values.
     """
-    r = outcome.final.regression
+    r, decisions = outcome.final.regression, outcome.decisions
     v, basis = r.vector, r.shown.basis
     flat = r.slopes.reshape(-1, len(v))
     pull = basis @ np.linalg.lstsq(flat @ basis, r.white.reshape(-1), rcond=None)[0]
-    error = np.sqrt(np.clip(np.diag(basis @ outcome.sure.covariance @ basis.T), 0.0, None))
+    error = np.sqrt(np.clip(np.diag(basis @ outcome.spread.covariance @ basis.T), 0.0, None))
     firsts = _firsts(system)
     out = []
     for name in declared(outcome):
         j = v.labels.index(name)
         value, unit = float(r.theta[j]), _unit(v.units[j])
-        beyond = abs(pull[j]) > max(_SURE * error[j], _MATTERS * v.scale[j])
+        beyond = abs(pull[j]) > max(decisions.bound_errors * error[j], decisions.bound_sizes * v.scale[j])
         for bound, word, outward in ((v.low[j], "lower", pull[j] < 0), (v.high[j], "upper", pull[j] > 0)):
             if abs(value - bound) <= _AT * v.scale[j] and outward and beyond and not _nothing(name, bound):
                 out.append(
@@ -105,14 +102,24 @@ def warnings(outcome: Outcome, system: System) -> list[Warned]:
             known = bool(r.shown.known[j])
             # physics that explains all may be of any size
             if not held and (not known or outcome.verdict == "unexplained"):
-                out += _apart(name, value, firsts.get(name, 0.0), unit, known, _remedy(system))
+                out += _apart(
+                    name,
+                    value,
+                    firsts.get(name, 0.0),
+                    unit,
+                    _remedy(system),
+                    known=known,
+                    decisions=decisions,
+                )
     return out
 
 
-def _apart(name: str, value: float, first: float, unit: str, known: bool, remedy: str) -> list[Warned]:
+def _apart(
+    name: str, value: float, first: float, unit: str, remedy: str, *, known: bool, decisions: Decisions
+) -> list[Warned]:
     """The warning about a value that is orders of magnitude from its first one, or none."""
     powers = abs(log10(value / first)) if value * first > 0 else 0.0
-    if powers <= (_FAR if known else _LOST):
+    if powers <= (decisions.far_powers if known else decisions.lost_powers):
         return []
     times = f"{10**powers:.2g} times {'above' if abs(value) > abs(first) else 'below'}"
     ran = "" if known else ", and the data do not show it: it ran off"
@@ -121,16 +128,17 @@ def _apart(name: str, value: float, first: float, unit: str, known: bool, remedy
     return [Warned(name, kind, sentence, f"right if the machine is like that; otherwise {remedy}")]
 
 
-def readings(system: System, runs: Sequence[Run]) -> Iterator[Reading]:
+def readings(system: System, runs: Sequence[Run], decisions: Decisions = DECISIONS) -> Iterator[Reading]:
     """The runs with one column that has a direction turned: inputs of both signs, angles, where angles start.
 
     Args:
         system: The machine.
         runs: The runs.
+        decisions: From which share on an input has both signs.
     """
     for k, name in enumerate(system.input_names):
         u = np.concatenate([run.u[:, k] for run in runs])
-        if (u > 0).mean() > 0.05 and (u < 0).mean() > 0.05:
+        if min((u > 0).mean(), (u < 0).mean()) > decisions.both_signs_share:
             yield Reading(f"the opposite sign of {name!r}", [_turned(run, "u", [k]) for run in runs])
     if system.quaternion is not None:
         return
@@ -148,7 +156,10 @@ def readings(system: System, runs: Sequence[Run]) -> Iterator[Reading]:
 
 
 def better_reading(
-    system: System, runs: Sequence[Run], fit: Callable[[Sequence[Run]], Regression]
+    system: System,
+    runs: Sequence[Run],
+    fit: Callable[[Sequence[Run]], Regression],
+    decisions: Decisions = DECISIONS,
 ) -> str | None:
     """In words, the other way to read the columns in which the declared physics leaves least, if much less.
 
@@ -156,15 +167,16 @@ def better_reading(
         system: The declared physics.
         runs: The runs.
         fit: Fits the declared physics to runs.
+        decisions: How much less.
     """
-    others = list(readings(system, runs))
+    others = list(readings(system, runs, decisions))
     if not others:
         return None
     now = fit(runs)
     left = [channel_residuals(now, fit(other.runs)) for other in others]
     shares = [exp(float(np.mean([log(c.after / c.before) for c in channels]))) for channels in left]
     best = int(np.argmin(shares))
-    if shares[best] > _BETTER:
+    if shares[best] > decisions.turned_share:
         return None
     told = ", ".join(f"{c.name} {number(c.before)} to {number(c.after)} {c.unit}" for c in left[best])
     return f"With {others[best].words} the declared physics leaves much less of the rates ({told})"

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import stdtrit
 
+from nsde_torch.diagnosis.decisions import INTERVAL_LEVEL
 from nsde_torch.sysid.regression import Regression
 from nsde_torch.sysid.result import Identification
 from nsde_torch.sysid.spread import Spread
@@ -15,7 +16,6 @@ from nsde_torch.systems.parameters import ParameterVector
 
 Array = NDArray[np.float64]
 
-_SHOWS = 0.9  # level of intervals
 _BOUNDS: dict[tuple[bool, bool], Literal["below", "above"]] = {
     (True, False): "below",
     (False, True): "above",
@@ -66,7 +66,7 @@ def estimated(
     """
     v, basis = regression.vector, regression.shown.basis
     error = np.sqrt(np.clip(np.diag(basis @ sure.covariance @ basis.T), 0.0, None))
-    half = stdtrit(sure.degrees(basis).clip(1.0), 0.5 * (1 + _SHOWS)) * error
+    half = stdtrit(sure.degrees(basis).clip(1.0), 0.5 * (1 + INTERVAL_LEVEL)) * error
     half = np.where(regression.shown.known, half if doubt is None else half + doubt, np.nan)
     return [_inside(v, j, float(regression.theta[j]), float(half[j])) for j in columns]
 
@@ -78,7 +78,7 @@ def by_instruments(found: Identification, labels: Sequence[str]) -> list[Estimat
         found: The identification.
         labels: Names of the parameters.
     """
-    v, half = found.vector, found.half_widths(_SHOWS)
+    v, half = found.vector, found.half_widths(INTERVAL_LEVEL)
     columns = [v.labels.index(label) for label in labels]
     return [_inside(v, j, float(found.values[j]), float(half[j])) for j in columns]
 

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import fdtrc, stdtr
 
+from nsde_torch.diagnosis.decisions import DECISIONS, Decisions
 from nsde_torch.sysid.regression import Regression
 from nsde_torch.sysid.spread import Spread
 
@@ -24,9 +25,9 @@ Array = NDArray[np.float64]
 Labels = NDArray[np.int64]
 Flags = NDArray[np.bool_]
 
-_FEWEST_RUNS = 3  # of which one can be left out
-_STRETCHES = 5
-_MOST_FOLDS = 10
+_AT_BOUND = 2e-6  # typical sizes from a bound; the optimiser keeps values a millionth off it
+_FLAT = 1e-9  # of the largest singular value: directions that move nothing
+_LIVE = 1e-12  # of the largest variance: parameters that the data do not see
 
 
 @dataclass(frozen=True)
@@ -44,19 +45,23 @@ class Score:
     free: int
 
 
-def folds(regression: Regression) -> Labels:
-    """Fold of each whitened row: whole runs, at most ten groups of them; of one run or two, five stretches of each.
+def folds(regression: Regression, decisions: Decisions = DECISIONS) -> Labels:
+    """Fold of each whitened row: whole runs, or groups of them; of one run or two, stretches of each.
 
     One run alone does not say what lasts from run to run: what falls with time over two would have to be foretold.
+
+    Args:
+        regression: The regression.
+        decisions: Numbers of folds.
     """
     _, number = np.unique(regression.owners, return_inverse=True)
     count = int(number.max()) + 1
-    if count >= _FEWEST_RUNS:
-        return regression.whitened_rows((number * min(count, _MOST_FOLDS) // count).astype(np.int64))
-    rows = np.zeros(len(number), dtype=np.int64)
+    if count >= decisions.folds_fewest_runs:
+        return regression.whitened_rows((number * min(count, decisions.folds) // count).astype(np.int64))
+    rows, stretches = np.zeros(len(number), dtype=np.int64), decisions.folds_stretches
     for run in range(count):
         own = np.flatnonzero(number == run)
-        rows[own] = _STRETCHES * run + np.arange(len(own)) * _STRETCHES // len(own)
+        rows[own] = stretches * run + np.arange(len(own)) * stretches // len(own)
     return regression.whitened_rows(rows)
 
 
@@ -95,7 +100,7 @@ def score(regression: Regression, fold: Labels, block: Labels, *, still: Flags) 
 def at_bounds(regression: Regression) -> Flags:
     """Parameters that stand at a bound (k,)."""
     v = regression.vector
-    margin = 2e-6 * v.scale
+    margin = _AT_BOUND * v.scale
     return np.asarray((regression.theta <= v.low + margin) | (regression.theta >= v.high - margin))
 
 
@@ -108,7 +113,7 @@ def _free_basis(regression: Regression, still: Flags) -> Array:
         return basis
     # directions in the span of `basis` that do not move what is held
     _, values, rows = np.linalg.svd((basis / v.scale[:, None])[held])
-    rank = int((values > 1e-9 * max(values[0], 1e-300)).sum())
+    rank = int((values > _FLAT * max(values[0], 1e-300)).sum())
     return np.asarray(basis @ rows[rank:].T)
 
 
@@ -132,7 +137,7 @@ def p_value(regression: Regression, tested: Flags, sure: Spread, *, base: Score,
     flat = (regression.slopes @ regression.shown.basis).reshape(regression.white.size, regression.shown.rank)
     model = np.linalg.pinv(flat.T @ flat)
     robust, plain = np.diag(basis @ sure.covariance @ basis.T), np.diag(basis @ model @ basis.T)
-    live = plain > 1e-12 * max(float(plain.max()), 1e-300)
+    live = plain > _LIVE * max(float(plain.max()), 1e-300)
     if not live.any():
         return 1.0
     widened = max(1.0, float((robust[live] / plain[live]).mean()))
@@ -156,8 +161,8 @@ def sum_error(difference: Array) -> float:
     return float(difference.std(ddof=1)) * len(difference) ** 0.5
 
 
-def gained_by_channel(before: Regression, after: Regression) -> dict[str, float]:
-    """Twice the log-likelihood, as fitted, that one regression has beyond another, by channel."""
+def nats_by_channel(before: Regression, after: Regression) -> dict[str, float]:
+    """Log-likelihood, as fitted, that one regression has beyond another, by channel [nats]."""
 
     def fitted(r: Regression) -> dict[str, float]:
         rows = r.white.shape[1]
@@ -167,4 +172,4 @@ def gained_by_channel(before: Regression, after: Regression) -> dict[str, float]
         }
 
     first, second = fitted(before), fitted(after)
-    return {name: 2.0 * (second[name] - first[name]) for name in first}
+    return {name: second[name] - first[name] for name in first}

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 from nsde_torch.effects import files as effects_files
 
 if TYPE_CHECKING:
-    from nsde_torch.diagnosis.pipeline import Diagnosis
+    from nsde_torch.diagnosis.result import Diagnosis
 
 RESULT, EFFECTS, REPORT, PLOTS = "diagnosis.json", "effects.yaml", "report.html", "plots"
 

@@ -19,8 +19,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import LinAlgWarning
 
+from nsde_torch.diagnosis.decisions import BUDGETS, Budgets
+from nsde_torch.diagnosis.dependence import Dependence
+from nsde_torch.diagnosis.regressors import Regressors, own_space
 from nsde_torch.diagnosis.shape import called, period_of, product_of
-from nsde_torch.diagnosis.structure import Dependence, Regressors, own_space
 from nsde_torch.diagnosis.views import is_plain, variable_units
 from nsde_torch.evaluation.report import number
 from nsde_torch.sysid.explained import per_second
@@ -28,10 +30,8 @@ from nsde_torch.sysid.regression import Regression
 
 Array = NDArray[np.float64]
 
-_TERMS = 4
-_VARIABLES = 3
 _NEW = 0.03  # of the length of a function: less of it is nothing that the parameters cannot do already
-_KNOTS = (0.02, 0.05, 0.1, 0.2, 0.35, 0.65, 0.8, 0.9, 0.95, 0.98)
+_KNOTS = (0.02, 0.05, 0.1, 0.2, 0.35, 0.65, 0.8, 0.9, 0.95, 0.98)  # quantiles of hinges
 _SAME = 1e-3  # of the largest singular value: functions that are the same but for this
 _SHARPNESS = 20.0  # of a sign, per 90 % quantile of the variable
 
@@ -96,7 +96,7 @@ def formula(
     left = [d for d in left if d.moment is None and d.swing is None]
     if not left:
         return None
-    most = max(left, key=lambda d: d.gain - d.functions)
+    most = max(left, key=lambda d: d.excess)
     name = most.channel
     names = [regression.physics.names[c] for c in regression.rows]
     channel = names.index(name)
@@ -114,13 +114,13 @@ def formula(
     if not new.any():
         return None
     names_of, z = [n for n, is_new in zip(names_of, new, strict=True) if is_new], z[:, new]
-    order, by = chosen(z, rest)
+    order, by = chosen(z, rest, variables.budgets)
     of_white = regression.whitened_rows(regression.blocks)
-    price = log(int(of_white.max()) + 1) + 2.0 * log(len(names_of))
+    price = 0.5 * log(int(of_white.max()) + 1) + log(len(names_of))  # nats
     kept: list[int] = []
     reached = 0.0
     for j in order:
-        this = _explained(z[:, [*kept, j]], rest)
+        this = _nats(z[:, [*kept, j]], rest)
         if this - reached > price:
             kept, reached = [*kept, j], this
     if not kept:
@@ -132,7 +132,7 @@ def formula(
         tuple(
             Term(names_of[j], float(c), float(e)) for j, c, e in zip(kept, coefficients, errors, strict=True)
         ),
-        float(np.clip((reached - len(kept)) / max(float(rest @ rest), 1e-300), 0.0, 1.0)),
+        float(np.clip((2.0 * reached - len(kept)) / max(float(rest @ rest), 1e-300), 0.0, 1.0)),
         by,
         "" if most.run is None else called(runs[most.run]),
     )
@@ -148,7 +148,7 @@ def library(
     for d in left:
         pair = product_of(regression, channel, d.variable, variables)
         wanted += [v for v in pair.split(" * ") if v in columns and v not in wanted]
-    wanted = wanted[:_VARIABLES]
+    wanted = wanted[: variables.budgets.formula_variables]
     out: dict[str, Array] = {}
     for name in wanted:
         v, label, start = columns[name], name, 0.0
@@ -199,24 +199,24 @@ def shifted(name: str, by: float) -> str:
     return f"{name} {'-' if by >= 0 else '+'} {abs(by):.3g}" if by else name
 
 
-def chosen(z: Array, rest: Array) -> tuple[list[int], str]:
+def chosen(z: Array, rest: Array, budgets: Budgets = BUDGETS) -> tuple[list[int], str]:
     """Columns in the order of forward orthogonal least squares, and what made the choice."""
-    size = np.linalg.norm(z, axis=0)
+    most, size = budgets.formula_terms, np.linalg.norm(z, axis=0)
     live = np.flatnonzero(size > 1e-9 * max(float(size.max()), 1e-300))
     unit = z[:, live] / size[live]
     try:
         from pysindy import FROLS
 
-        model = FROLS(max_iter=_TERMS, alpha=1e-10, unbias=False)
+        model = FROLS(max_iter=most, alpha=1e-10, unbias=False)
         with warnings.catch_warnings():  # functions that are nearly the same: only their order is of use
             warnings.simplefilter("ignore", LinAlgWarning)
             model.fit(unit, rest[:, None])
     except (ImportError, ValueError):  # not installed, or it refuses functions that depend on each other
-        return [int(live[j]) for j in forward(unit, rest, _TERMS)], "forward orthogonal least squares"
+        return [int(live[j]) for j in forward(unit, rest, most)], "forward orthogonal least squares"
     order: list[int] = []
     for coefficients in model.history_:
         order += [int(j) for j in np.flatnonzero(coefficients[0]) if int(j) not in order]
-    return [int(live[j]) for j in order[:_TERMS]], "pysindy FROLS"
+    return [int(live[j]) for j in order[:most]], "pysindy FROLS"
 
 
 def forward(unit: Array, rest: Array, terms: int) -> list[int]:
@@ -241,9 +241,10 @@ def forward(unit: Array, rest: Array, terms: int) -> list[int]:
     return order
 
 
-def _explained(z: Array, rest: Array) -> float:
+def _nats(z: Array, rest: Array) -> float:
+    """Log-likelihood that columns bring to a whitened residual [nats]."""
     size = np.linalg.norm(z, axis=0)
-    return float(rest @ (z / size @ np.linalg.lstsq(z / size, rest, rcond=_SAME)[0]))
+    return 0.5 * float(rest @ (z / size @ np.linalg.lstsq(z / size, rest, rcond=_SAME)[0]))
 
 
 def _fitted(z: Array, rest: Array, block: NDArray[np.int64]) -> tuple[Array, Array]:

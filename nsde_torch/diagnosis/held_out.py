@@ -23,8 +23,12 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from nsde_torch.data import Run, Windows
+from nsde_torch.diagnosis.decisions import DECISIONS, INTERVAL_LEVEL, Decisions
+from nsde_torch.diagnosis.fitted import fitted_system
 from nsde_torch.diagnosis.innovations import Own, Scored, band, finite, joined, one_step, own, scored
-from nsde_torch.diagnosis.search import Search, fitted_system
+from nsde_torch.diagnosis.outcome import Outcome
+from nsde_torch.diagnosis.reading import Log
+from nsde_torch.diagnosis.search import Search
 from nsde_torch.effects import Effect, key_of
 from nsde_torch.errors import DataError
 from nsde_torch.evaluation.before import inputs_before
@@ -36,12 +40,6 @@ from nsde_torch.sde import make_step
 from nsde_torch.sysid.regression import Regression
 from nsde_torch.sysid.steps import Steps
 from nsde_torch.systems import System
-
-_FOLDS = 5
-_TAIL = 0.3  # of a single run, left out
-_BLOCK_S = 4.0
-_STAYS = 0.9
-
 
 REPLAYED = "replayed"
 """Where the inputs of open-loop predictions come from (`errors.inputs` of `diagnosis.json`)."""
@@ -69,6 +67,7 @@ class HeldOut:
         closed_loop: Whether inputs answer the state; None: not known.
         inputs: Whether the inputs are what acted, and not restored from an average. Those know the future, and the
             density of a step given them says nothing of causes: the residual alone judges.
+        decisions: At how many horizons a quantity has to be worse.
     """
 
     content: dict[str, Any]
@@ -77,15 +76,17 @@ class HeldOut:
     own: Mapping[str, Own] = field(default_factory=dict)
     closed_loop: bool | None = None
     inputs: bool = True
+    decisions: Decisions = DECISIONS
 
     @property
     def worse(self) -> list[str]:
-        """Quantities that are surely predicted worse, at more than half of the horizons, with the effects."""
+        """Quantities that are surely predicted worse with the effects, at most horizons (`decisions`)."""
         low = self.content.get("difference", {}).get("low_90", {})
         return [
             name
             for name, of_horizon in low.items()
-            if 2 * sum(v is not None and v > 0 for v in of_horizon.values()) > len(of_horizon)
+            if sum(v is not None and v > 0 for v in of_horizon.values())
+            > self.decisions.replay_worse_share * len(of_horizon)
         ]
 
     def against(self, effect: str) -> str:
@@ -100,17 +101,17 @@ class HeldOut:
         return ""
 
 
-def split(runs: Sequence[Run]) -> list[tuple[list[Run], list[Run]]]:
+def split(runs: Sequence[Run], decisions: Decisions = DECISIONS) -> list[tuple[list[Run], list[Run]]]:
     """Training and test runs of each fold."""
     if len(runs) > 1:
-        number = [i * min(len(runs), _FOLDS) // len(runs) for i in range(len(runs))]
+        number = [i * min(len(runs), decisions.refit_folds) // len(runs) for i in range(len(runs))]
         folds = []
         for f in range(max(number) + 1):
             test = [r for r, k in zip(runs, number, strict=True) if k == f]
             folds.append(([r for r, k in zip(runs, number, strict=True) if k != f], test))
         return folds
     run = runs[0]
-    cut = round(len(run) * (1 - _TAIL))
+    cut = round(len(run) * (1 - decisions.refit_tail))
     try:
         return [([run.slice(0, cut)], [run.slice(cut, len(run))])]
     except DataError:
@@ -129,6 +130,7 @@ def held_out(
     moved: Mapping[str, Sequence[str]] | None = None,
     closed_loop: bool | None = None,
     inputs: bool = True,
+    decisions: Decisions = DECISIONS,
 ) -> HeldOut:
     """Measure two physics on runs left out.
 
@@ -143,6 +145,7 @@ def held_out(
         moved: By effect: names of the channels that it moves.
         closed_loop: Whether inputs answer the state; None: not known.
         inputs: Whether the inputs are what acted, and not restored from an average.
+        decisions: Folds, and blocks of time.
     """
     before, after = systems
     every = {"before": before, "after": after, **{f"- {k}": s for k, s in (without or {}).items()}}
@@ -151,7 +154,7 @@ def held_out(
     owner: list[NDArray[np.int64]] = []
     times: list[NDArray[np.float64]] = []
     names: list[str] = []
-    folds = split(runs)
+    folds = split(runs, decisions)
     horizons = min((horizons_of(test, spec.dt) for _, test in folds), key=len, default=())
     counts = [max(1, round(h / spec.dt)) for h in horizons]
     for train, test in folds:
@@ -182,18 +185,47 @@ def held_out(
                 owner.append(len(names) + run)
                 times.append(t)
         names += [r.name for r in test]
-    content = _replayed(squares, owner, times, horizons, before, seed)
+    content = _replayed(squares, owner, times, horizons, before, seed, decisions)
     content |= {"inputs": REPLAYED, "closed_loop": closed_loop, "one_step": None, "residual": {}}
     brought: dict[str, Own] = {}
     if steps_of_all["before"]:
         of = {key: joined(parts) for key, parts in steps_of_all.items()}
-        content["one_step"] = one_step(of["before"], of["after"], before, seed=seed)
-        content["residual"] = band(of["before"], of["after"], seed=seed)
+        content["one_step"] = one_step(of["before"], of["after"], before, seed=seed, decisions=decisions)
+        content["residual"] = band(of["before"], of["after"], seed=seed, decisions=decisions)
         for effect in without or {}:
-            mine = own(of[f"- {effect}"], of["after"], (moved or {}).get(effect, ()), seed=seed)
+            mine = own(
+                of[f"- {effect}"], of["after"], (moved or {}).get(effect, ()), seed=seed, decisions=decisions
+            )
             if mine is not None:
                 brought[effect] = mine
-    return HeldOut(content, len(runs) > 1, tuple(names), brought, closed_loop, inputs)
+    return HeldOut(content, len(runs) > 1, tuple(names), brought, closed_loop, inputs, decisions)
+
+
+def cross_validated(
+    log: Log, search: Search, outcome: Outcome, spec: SysidSpec, *, closed_loop: bool | None
+) -> HeldOut:
+    """Measure what was concluded on runs left out, each effect left out in turn too.
+
+    Args:
+        log: The log.
+        search: The search in all its runs.
+        outcome: What was concluded.
+        spec: What models of the system are made of.
+        closed_loop: Whether inputs answer the state; None: not known.
+    """
+    return held_out(
+        (outcome.declared_system, outcome.system),
+        spec,
+        log.runs,
+        make=lambda some: log.again(search, some),
+        clock=log.recorded.clock,
+        seed=log.options.seed,
+        without={f.name: outcome.without(f.name) for f in outcome.found},
+        moved={f.name: f.moves for f in outcome.found},
+        closed_loop=closed_loop,
+        inputs=not log.recorded.inputs_restored,
+        decisions=log.decisions,
+    )
 
 
 def _steps(make: Callable[[Sequence[Run]], Search], runs: Sequence[Run]) -> Steps | None:
@@ -211,6 +243,7 @@ def _replayed(
     horizons: Sequence[float],
     system: System,
     seed: int,
+    decisions: Decisions,
 ) -> dict[str, Any]:
     """Errors of open-loop predictions by quantity and horizon, as `diagnosis.json` has them.
 
@@ -220,6 +253,7 @@ def _replayed(
         horizons: Horizons [s].
         system: The machine.
         seed: Seed of the resamples.
+        decisions: Blocks of time, and which horizons are told.
     """
     nothing: dict[str, Any] = {"horizons_s": [], "before": {}, "after": {}, "ratio": {}}
     if not owner:
@@ -228,7 +262,7 @@ def _replayed(
     finished = [torch.isfinite(s).all(2) for s in (first, second)]
     both = finished[0] & finished[1]
     far = int(
-        (both.float().mean(0) >= _STAYS).sum()
+        (both.float().mean(0) >= decisions.replay_finite_share).sum()
     )  # horizons at which nearly all predictions are still numbers
     if far == 0:
         return nothing
@@ -237,13 +271,13 @@ def _replayed(
     diverged = [int((~f[:, far - 1]).sum()) for f in finished]
     first, second = first[rows, :far], second[rows, :far]
     places, clocks = np.concatenate(owner)[rows.numpy()], np.concatenate(times)[rows.numpy()]
-    blocks = make_blocks(places, clocks, length=_BLOCK_S)
+    blocks = make_blocks(places, clocks, length=decisions.replay_block)
     generator = torch.Generator().manual_seed(seed)
     factor = torch.tensor([g.factor for g in system.error_groups], dtype=torch.float64)
     one, other = (s.double() * factor**2 for s in (first, second))
     count = len(horizons) * len(system.error_groups)
     difference = paired_bootstrap(
-        one.reshape(-1, count), other.reshape(-1, count), blocks, generator=generator, level=0.9
+        one.reshape(-1, count), other.reshape(-1, count), blocks, generator=generator, level=INTERVAL_LEVEL
     )
     before, after = (s.mean(0).sqrt() for s in (one, other))
     shape = (len(horizons), len(system.error_groups))

@@ -11,14 +11,29 @@ over. An effect that does not reach it is not named; it is set aside with its re
 loop show it (`sysid.instruments`).
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from scipy.stats import chi2
 
 from nsde_torch.sysid.loop_test import LoopTest
+from nsde_torch.sysid.regression import Regression
 from nsde_torch.sysid.result import Identification
+from nsde_torch.systems import System
+
+
+@dataclass(frozen=True)
+class Feedback:
+    """What is asked of the loop that the data were recorded in.
+
+    Args:
+        test: Tests the loop by a regression that has settled.
+        shown: Whether signals from outside the loop show an effect of a system with fitted values.
+    """
+
+    test: Callable[[Regression], LoopTest]
+    shown: Callable[[System, str], bool]
 
 
 @dataclass(frozen=True)
@@ -44,12 +59,17 @@ class Hidden:
 
 
 def allowances(test: LoopTest) -> dict[str, float]:
-    """Twice the log-likelihood that feedback may hide, by channel; channels where it may hide nothing are left out.
+    """Likelihood ratio (2 log L) that feedback may hide, by channel; where it may hide nothing, none.
 
     Of inputs that were made from the logged measurement, or in an open loop, what they foretell is physics that is
     missing, and has to be looked for.
     """
     return {c: z**2 for c, z in test.hidden_by_sensors.items()}
+
+
+def likelihood_ratios(nats: Mapping[str, float]) -> dict[str, float]:
+    """Log-likelihood differences [nats] as the statistics 2 log L that a chi-squared distribution judges."""
+    return {channel: 2.0 * value for channel, value in nats.items()}
 
 
 def chance_beyond(
@@ -58,7 +78,7 @@ def chance_beyond(
     """Chance of what an effect explains beyond what feedback may hide.
 
     Args:
-        gained: Twice the log-likelihood that it brings, by channel.
+        gained: Likelihood ratio (2 log L) that it brings, by channel.
         moved: Names of the channels that it moves.
         allowed: What feedback may hide, by channel.
         count: Number of its parameters.

@@ -6,11 +6,12 @@ The physics with everything that was found is fitted to that run, and the catalo
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from nsde_torch.diagnosis.dependence import Dependence
 from nsde_torch.diagnosis.estimates import Estimate, estimates
-from nsde_torch.diagnosis.loop import choice
+from nsde_torch.diagnosis.rounds import look
 from nsde_torch.diagnosis.search import Search
+from nsde_torch.diagnosis.selection import choice
 from nsde_torch.diagnosis.shape import Shape
-from nsde_torch.diagnosis.structure import Dependence
 from nsde_torch.errors import DataError
 from nsde_torch.systems import System
 
@@ -54,11 +55,11 @@ def in_run(search: Search, system: System, run: int) -> InRun | None:
         run: Number of the run.
     """
     try:
-        trials = search.look(search.base(system)).trials
+        trials = look(search, search.base(system)).trials
     except DataError:  # it moves too little to be fitted by itself
         return None
     found = choice(search, trials, ())
     if found is None:
         return None
-    values = tuple(estimates(found.regression, found.sure, found.name))
+    values = tuple(estimates(found.regression, found.spread, found.name))
     return InRun(run, found.name, values, tuple(found.held), found.p_corrected)

@@ -21,6 +21,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from nsde_torch.diagnosis.decisions import DECISIONS, INTERVAL_LEVEL, Decisions
 from nsde_torch.evaluation.bootstrap import Blocks, Difference, make_blocks, mean_bootstrap, paired_bootstrap
 from nsde_torch.sysid.explained import bump, per_second, smooth_rate
 from nsde_torch.sysid.feedback import faded, foretelling
@@ -33,10 +34,6 @@ from nsde_torch.systems.parameters import ParameterVector
 
 Array = NDArray[np.float64]
 Labels = NDArray[np.int64]
-
-_BLOCK_S = (1.0, 4.0)  # shortest and longest block of time [s]
-_BLOCKS = 20  # that short data are cut into
-LEVEL = 0.9
 
 
 @dataclass(frozen=True)
@@ -127,13 +124,16 @@ def joined(parts: Sequence[Scored]) -> Scored:
     )
 
 
-def one_step(before: Scored, after: Scored, system: System, *, seed: int) -> dict[str, Any]:
+def one_step(
+    before: Scored, after: Scored, system: System, *, seed: int, decisions: Decisions = DECISIONS
+) -> dict[str, Any]:
     """Gain in held-out log-likelihood, as `diagnosis.json` has it.
 
     Args:
         before, after: Two physics on the same runs.
         system: Of both, for the names of its quantities.
         seed: Seed of the resamples.
+        decisions: Blocks of time.
 
     Returns:
         `unit`, `steps`, `blocks`, and `nats`, `low_90`, `high_90`: of all channels, by channel (`channels`), and by
@@ -142,7 +142,7 @@ def one_step(before: Scored, after: Scored, system: System, *, seed: int) -> dic
     gain = after.density - before.density
     members = quantities(system, before.names)
     sums = [gain.sum(1), *gain.T, *(gain[:, at].sum(1) for at in members.values())]
-    blocks = _blocks(before.run, before.t)
+    blocks = _blocks(before.run, before.t, decisions)
     cells = _totals(np.stack(sums, 1), blocks, seed)
     k = 1 + len(before.names)
     return {
@@ -155,19 +155,20 @@ def one_step(before: Scored, after: Scored, system: System, *, seed: int) -> dic
     }
 
 
-def band(before: Scored, after: Scored, *, seed: int) -> dict[str, Any]:
+def band(before: Scored, after: Scored, *, seed: int, decisions: Decisions = DECISIONS) -> dict[str, Any]:
     """Residual rates of runs left out by channel, as `diagnosis.json` has them; nothing where none is long enough.
 
     Args:
         before, after: Two physics on the same runs.
         seed: Seed of the resamples.
+        decisions: Blocks of time.
 
     Returns:
         By channel: `unit`, `before`, `after`, `ratio`, and `difference` with `low_90` and `high_90`.
     """
     if not len(before.squares):
         return {}
-    blocks = _blocks(before.band_run, before.band_t)
+    blocks = _blocks(before.band_run, before.band_t, decisions)
     found = _difference(before.squares, after.squares, blocks, seed)
     first, second = (np.sqrt(s.squares.mean(0)) for s in (before, after))
     return {
@@ -238,7 +239,9 @@ class Own:
         }
 
 
-def own(without: Scored, full: Scored, moved: Sequence[str], *, seed: int) -> Own | None:
+def own(
+    without: Scored, full: Scored, moved: Sequence[str], *, seed: int, decisions: Decisions = DECISIONS
+) -> Own | None:
     """What an effect brings; None where it moves no channel.
 
     Args:
@@ -246,19 +249,20 @@ def own(without: Scored, full: Scored, moved: Sequence[str], *, seed: int) -> Ow
         full: Everything that was found.
         moved: Names of the channels that the effect's parameters move.
         seed: Seed of the resamples.
+        decisions: Blocks of time.
     """
     at = [i for i, name in enumerate(full.names) if name in moved]
     if not at:
         return None
     gain = full.density[:, at] - without.density[:, at]
-    cells = _totals(np.column_stack((gain.sum(1), gain)), _blocks(full.run, full.t), seed)
+    cells = _totals(np.column_stack((gain.sum(1), gain)), _blocks(full.run, full.t, decisions), seed)
     first, second = without.squares[:, at], full.squares[:, at]
     ratio, larger = np.ones(len(at)), False
     if len(first):
         power = np.maximum(first.mean(0), 1e-300)
         ratio = np.sqrt(second.mean(0) / power)
         pooled = [(s / power).mean(1, keepdims=True) for s in (first, second)]
-        blocks = _blocks(full.band_run, full.band_t)
+        blocks = _blocks(full.band_run, full.band_t, decisions)
         larger = bool(_difference(pooled[0], pooled[1], blocks, seed).low[0] > 0)
     names = [full.names[i] for i in at]
     return Own(
@@ -294,16 +298,17 @@ def _whitened(trained: Regression, residual: Array, series: Series) -> Array:
     return np.stack([noise.whiten(residual[:, [c]], series)[:, 0] for noise, c in pairs])
 
 
-def _blocks(run: Labels, t: Array) -> Blocks:
+def _blocks(run: Labels, t: Array, decisions: Decisions) -> Blocks:
     """Blocks of time: innovations are nearly white, so that short data can be cut finer than predictions."""
     total = sum(float(np.ptp(t[run == r])) for r in np.unique(run))
-    return make_blocks(run, t, length=float(np.clip(total / _BLOCKS, *_BLOCK_S)))
+    ends = decisions.step_block_shortest, decisions.step_block_longest
+    return make_blocks(run, t, length=float(np.clip(total / decisions.step_blocks, *ends)))
 
 
 def _totals(gain: Array, blocks: Blocks, seed: int) -> list[dict[str, float | None]]:
     """Sums over the rows (N, K) with intervals."""
     found = mean_bootstrap(
-        torch.from_numpy(gain), blocks, generator=torch.Generator().manual_seed(seed), level=LEVEL
+        torch.from_numpy(gain), blocks, generator=torch.Generator().manual_seed(seed), level=INTERVAL_LEVEL
     )
     n = len(gain)
     return [
@@ -318,5 +323,5 @@ def _difference(first: Array, other: Array, blocks: Blocks, seed: int) -> Differ
         torch.from_numpy(other),
         blocks,
         generator=torch.Generator().manual_seed(seed),
-        level=LEVEL,
+        level=INTERVAL_LEVEL,
     )

@@ -16,14 +16,13 @@ from typing import final
 import numpy as np
 from numpy.typing import NDArray
 
+from nsde_torch.diagnosis.decisions import BUDGETS, DECISIONS, Budgets, Decisions
 from nsde_torch.sysid.noise import Noise, estimate, first_guess
 from nsde_torch.sysid.regression import Regression
 
 Array = NDArray[np.float64]
 
-_TURNS = 4
-_SETTLED = 0.5  # nats
-_STRONG = 30.0  # nats beyond the price of the functions: less could not blind a law
+_SETTLED = 0.5  # nats: turns between parameters and noise model that bring less have converged
 
 
 @dataclass(frozen=True)
@@ -47,13 +46,24 @@ class Laws:
         regression: At its optimum.
         channel: Number of the channel among its rows.
         limit: Largest c of the channel (`Regression.carry_limits`).
+        decisions: How much likelier a model must be.
+        budgets: How many turns are made.
 
     Attributes:
         base: The law with nothing taken out but what the parameters can do.
     """
 
-    def __init__(self, regression: Regression, channel: int, limit: float) -> None:
+    def __init__(
+        self,
+        regression: Regression,
+        channel: int,
+        limit: float,
+        *,
+        decisions: Decisions = DECISIONS,
+        budgets: Budgets = BUDGETS,
+    ) -> None:
         self._regression, self._limit = regression, limit
+        self._decisions, self._budgets = decisions, budgets
         at = regression.rows[channel]
         self._residual, self._slopes = regression.residual[:, at], regression.jacobian[:, at]
         there = regression.noises[channel]
@@ -69,12 +79,12 @@ class Laws:
             this = self._left(columns, np.concatenate((slopes, own), 1), white, law)
             best = max(best, this, key=lambda found: found.likelihood)
         more = best.likelihood - self.base.likelihood
-        return best if more > 0.5 * columns.shape[1] + _STRONG else None
+        return best if more > 0.5 * columns.shape[1] + self._decisions.noise_blind_nats else None
 
     def _settled(self, law: Noise) -> Own:
         """The law of the residual, from a first one by turns."""
         best, nothing = Own(law, -np.inf), self._slopes[:, :0]
-        for turn in range(_TURNS):
+        for turn in range(self._budgets.noise_turns):
             slopes, white = self._whitened(best.law)
             this = self._left(nothing, slopes, white, best.law, thorough=turn > 0)
             if this.likelihood < best.likelihood + _SETTLED:

@@ -9,13 +9,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from math import inf, isfinite
 
-from nsde_torch.diagnosis.search import Round
+from nsde_torch.diagnosis.decisions import DECISIONS, Decisions
+from nsde_torch.diagnosis.rounds import Round
 from nsde_torch.effects import effect_class
 from nsde_torch.systems.parameters import own_name
-
-_NOTICED = 4.0  # standard errors
-_TYPICAL = 0.25  # of the scale of a parameter
-_NEVER = 1e3  # times the scale: as good as nothing in the data
 
 
 @dataclass(frozen=True)
@@ -39,31 +36,35 @@ class NotShown:
     separate: str
 
 
-def not_shown(rounds: Sequence[Round], *, found: Sequence[str], alpha: float) -> list[NotShown]:
+def not_shown(
+    rounds: Sequence[Round], *, found: Sequence[str], alpha: float, decisions: Decisions = DECISIONS
+) -> list[NotShown]:
     """Effects that were not significant and could not have been.
 
     Args:
         rounds: Every look at the catalogue; the smallest standard error over them counts.
         found: Names of the effects that were added.
         alpha: Chance below which a candidate is significant.
+        decisions: What size is noticed, and what is a good part of the usual one.
     """
     significant = {t.name for look in rounds for t in look.trials if t.p_corrected < alpha} | set(found)
     contained = {simple for name in significant for simple in effect_class(name).includes}
-    least: dict[tuple[str, str], float] = {}
+    smallest: dict[tuple[str, str], float] = {}
     for look in rounds:
         for name, errors in look.errors.items():
             if name not in significant | contained:
                 for label, error in errors.items():
-                    least[name, label] = min(error, least.get((name, label), inf))
+                    smallest[name, label] = min(error, smallest.get((name, label), inf))
     out = []
-    for (name, label), error in least.items():
+    for (name, label), error in smallest.items():
         cls = effect_class(name)
         key = own_name(label)
         spec = cls.PARAMETERS[key]
         usual = cls().scale_of(key)
-        level = abs(cls.null.get(key, 0.0)) > _NEVER * usual  # does nothing when it is large: no size
-        if level or _NOTICED * error <= _TYPICAL * usual:
+        least, never = decisions.detectable_errors * error, decisions.detectable_never * usual
+        level = abs(cls.null.get(key, 0.0)) > never  # does nothing when it is large: no size
+        if level or least <= decisions.detectable_share * usual:
             continue
-        size = _NOTICED * error if isfinite(error) and _NOTICED * error < _NEVER * usual else None
+        size = least if isfinite(error) and least < never else None
         out.append(NotShown(name, label, size, usual, spec.unit, cls.separate))
     return sorted(out, key=lambda n: -(n.smallest / n.usual if n.smallest is not None else inf))

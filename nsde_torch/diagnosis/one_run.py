@@ -21,15 +21,11 @@ from scipy.linalg import block_diag
 from scipy.special import chdtrc, fdtrc
 
 from nsde_torch.diagnosis.chances import enough, independent, jackknife, orthonormal
+from nsde_torch.diagnosis.decisions import BUDGETS, DECISIONS, Budgets, Decisions
 
 Array = NDArray[np.float64]
 Labels = NDArray[np.int64]
 
-FEWEST_RUNS = 3
-LIKELY = 0.05
-"""Chance above which a closer look does not pay."""
-_BLOCKS, _SHORTEST_S = 24, 0.25  # of a run: as many as the scatter of a handful of functions needs
-_PRIOR = 8  # m
 _NEW = 1e-3  # of the square of a function: less is nothing that the others do not do
 
 
@@ -51,7 +47,16 @@ class Alone:
 
 
 def alone(
-    whitened: Array, everywhere: Array, constant: Array, white: Array, own: Array, owners: Labels, dt: float
+    whitened: Array,
+    everywhere: Array,
+    constant: Array,
+    white: Array,
+    own: Array,
+    owners: Labels,
+    dt: float,
+    *,
+    decisions: Decisions = DECISIONS,
+    budgets: Budgets = BUDGETS,
 ) -> Alone | None:
     """The run in which functions explain most beyond what they explain in all runs; None where no run can be odd.
 
@@ -63,9 +68,11 @@ def alone(
         own: Orthonormal columns of what the parameters can do (N, r).
         owners: Number of the run of each row (N,).
         dt: Time between rows [s].
+        decisions: Fewest runs, blocks of time, and m.
+        budgets: From which chance on a closer look pays.
     """
     runs = np.unique(owners)
-    if len(runs) < FEWEST_RUNS:
+    if len(runs) < decisions.odd_run_fewest:
         return None
     rows = [owners == run for run in runs]
     whole = np.column_stack((own, everywhere, white, whitened))
@@ -82,18 +89,18 @@ def alone(
     gram, pull = gram / size / size[:, None], pull / size
     own_part = [slice(k * count, (k + 1) * count) for k in range(len(runs))]
     found = [_explained(gram[part, part], pull[part]) for part in own_part]
-    most = int(np.argmax([gain for gain, _ in found]))
-    (gain, q), (in_all, n) = found[most], _explained(gram, pull)
+    most = int(np.argmax([ratio for ratio, _ in found]))
+    (ratio, q), (in_all, n) = found[most], _explained(gram, pull)
     if not 0 < q < n:
         return None
     inside = rows[most]
-    freedom = n - q + _PRIOR
-    rest = (max(in_all - gain, 0.0) + _PRIOR) / freedom
-    gain /= max(float(np.square(left[inside]).mean()), 1.0)
-    p = len(runs) * max(float(chdtrc(q, gain)), float(fdtrc(q, freedom, gain / q / rest)))
-    if p < LIKELY:
+    freedom = n - q + decisions.odd_run_prior
+    rest = (max(in_all - ratio, 0.0) + decisions.odd_run_prior) / freedom
+    ratio /= max(float(np.square(left[inside]).mean()), 1.0)
+    p = len(runs) * max(float(chdtrc(q, ratio)), float(fdtrc(q, freedom, ratio / q / rest)))
+    if p < budgets.closer_chance:
         own_rows = free[inside] - nothing[inside] @ shadow[:, own_part[most]]
-        p = max(p, len(runs) * _by_blocks(own_rows, left[inside], dt))
+        p = max(p, len(runs) * _by_blocks(own_rows, left[inside], dt, decisions))
     columns = -own @ (own[inside].T @ whitened[inside])
     columns[inside] += whitened[inside]
     z, kept = independent(columns)
@@ -107,11 +114,11 @@ def _explained(gram: Array, pull: Array) -> tuple[float, int]:
     return float(np.square(vectors[:, live].T @ pull / np.sqrt(values[live])).sum()), int(live.sum())
 
 
-def _by_blocks(z: Array, left: Array, dt: float) -> float:
+def _by_blocks(z: Array, left: Array, dt: float, decisions: Decisions) -> float:
     """Chance of the coefficients of functions in a run (n, q) from leaving out blocks of time; 1 if it is too short."""
     columns, _ = independent(z)
-    length = max(len(left) // _BLOCKS, round(_SHORTEST_S / dt), 1)
+    length = max(len(left) // decisions.odd_run_blocks, round(decisions.odd_run_shortest / dt), 1)
     block = np.arange(len(left)) // length
-    if not columns.shape[1] or not enough(int(block[-1]) + 1, columns.shape[1]):
+    if not columns.shape[1] or not enough(int(block[-1]) + 1, columns.shape[1], decisions):
         return 1.0
-    return jackknife(columns, left, block)
+    return jackknife(columns, left, block, decisions)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from nsde_torch.diagnosis.decisions import DECISIONS, Decisions
 from nsde_torch.errors import ConfigError
 from nsde_torch.options import check, documented, key
 
@@ -13,8 +14,8 @@ from nsde_torch.options import check, documented, key
 class Options:
     """Settings of a diagnosis."""
 
-    alpha: float = key(0.01, "chance of naming an effect where nothing is missing", above=0)
-    max_effects: int = key(8, "most effects to add", low=0)
+    alpha: float = key(DECISIONS.alpha, "chance of naming an effect where nothing is missing", above=0)
+    max_effects: int = key(DECISIONS.most_effects, "most effects to add", low=0)
     candidates: tuple[str, ...] | None = key(
         None, "effects to try, by name; null: all that the system may have"
     )
@@ -23,6 +24,11 @@ class Options:
     instruments: tuple[str, ...] = key(
         (), "logged columns that nothing inside the control loop moves: sticks, setpoints"
     )
+
+    @property
+    def decisions(self) -> Decisions:
+        """What a diagnosis with these settings decides by."""
+        return Decisions(alpha=self.alpha, most_effects=self.max_effects)
 
     def __post_init__(self) -> None:
         check(type(self), vars(self))

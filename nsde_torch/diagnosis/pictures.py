@@ -15,9 +15,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nsde_torch.diagnosis.channels import ChannelResidual, spectrum, white_parts
-from nsde_torch.diagnosis.loop import Outcome
+from nsde_torch.diagnosis.dependence import Dependence
+from nsde_torch.diagnosis.outcome import Outcome
+from nsde_torch.diagnosis.regressors import Regressors
 from nsde_torch.diagnosis.shape import called, product_of
-from nsde_torch.diagnosis.structure import Dependence, Regressors
 from nsde_torch.diagnosis.views import Rates, bins, factors, is_plain, rates
 from nsde_torch.plots.diagnosis import (
     Cloud,
@@ -34,11 +35,12 @@ from nsde_torch.sysid.regression import Regression
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from nsde_torch.diagnosis.pipeline import Diagnosis
+    from nsde_torch.diagnosis.result import Diagnosis
 
 Array = NDArray[np.float64]
 
-_CHANNELS, _UNEXPLAINED = 2, 4
+_CHANNELS, _UNEXPLAINED = 2, 4  # panels
+_PLAIN, _PRODUCT = 0.05, 0.01  # chances between which a product is drawn and no plain variable
 _COURSE = 120  # points of a course in time
 _SURE = 1e-4  # chance below which a test is as sure as any
 _REDUCED = 0.9  # of the residual before: what is below that was reduced
@@ -49,14 +51,14 @@ def pictures(found: Diagnosis, content: Mapping[str, Any]) -> dict[str, Figure]:
     outcome = found.outcome
     out: dict[str, Figure] = {}
     if outcome.found:
-        views = effect_views(outcome, found.channels)
+        views = effect_views(outcome, found.explanation.channels)
         if views:
             names = ", ".join(f.name for f in outcome.found)
             out["residual"] = residual_views(
                 views, title=f"What the physics leaves over, without and with {names}"
             )
     if outcome.structured:
-        views = unexplained_views(outcome, notes=[s.note for s in found.shapes], runs=found.runs)
+        views = unexplained_views(outcome, notes=[s.note for s in found.explanation.shapes], runs=found.runs)
         if views:
             out["unexplained"] = residual_views(
                 views, title="What the residual depends on and no effect explains"
@@ -73,7 +75,7 @@ def pictures(found: Diagnosis, content: Mapping[str, Any]) -> dict[str, Figure]:
         out["held_out"] = _held_out(errors)
     if outcome.found and errors["horizons_s"]:
         out["errors"] = _errors(errors)
-    shown = _most_reduced(found.channels)[: 2 * _CHANNELS]
+    shown = _most_reduced(found.explanation.channels)[: 2 * _CHANNELS]
     if shown:
         out["spectrum"] = residual_spectra(
             [_spectrum(outcome, c.name) for c in shown],
@@ -186,12 +188,12 @@ def _telling(tests: Sequence[Dependence], after: Sequence[Dependence], channel: 
     plain = [d for d in own if is_plain(d.variable)]
 
     def order(d: Dependence) -> tuple[float, float]:
-        return max(d.p * len(tests), _SURE), d.functions - d.gain + stays.get((channel, d.variable), 0.0)
+        return max(d.p * len(tests), _SURE), stays.get((channel, d.variable), 0.0) - d.excess
 
     first, product = (min(some, key=order, default=None) for some in (plain, own))
     if first is None or product is None:
         return product
-    alone = first.p * len(tests) > 0.05 and product.p * len(tests) < 0.01
+    alone = first.p * len(tests) > _PLAIN and product.p * len(tests) < _PRODUCT
     return product if alone else first
 
 

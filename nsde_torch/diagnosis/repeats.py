@@ -26,12 +26,12 @@ class Repeat:
 
     Args:
         period: Of the variable, in its unit.
-        gain: Twice the log likelihood that sine and cosine bring.
+        nats: Log-likelihood that sine and cosine bring.
         columns: Orthonormal columns (N, 2) of them, whitened and free of what the parameters can do.
     """
 
     period: float
-    gain: float
+    nats: float
     columns: Array
 
 
@@ -56,8 +56,8 @@ def best_repeat(regression: Regression, channel: int, v: Array, own: Array) -> R
         z = regression.whitened(regression.noises[channel], waves)
         z = np.linalg.qr(z - own @ (own.T @ z))[0]
         pull = z.T @ white
-        return Repeat(span / count, float(pull @ pull), z)
+        return Repeat(span / count, 0.5 * float(pull @ pull), z)
 
-    best = max((tried(float(count)) for count in COUNTS), key=lambda r: r.gain)
+    best = max((tried(float(count)) for count in COUNTS), key=lambda r: r.nats)
     near = span / best.period + _NEAR
-    return max((best, *(tried(float(count)) for count in near)), key=lambda r: r.gain)
+    return max((best, *(tried(float(count)) for count in near)), key=lambda r: r.nats)

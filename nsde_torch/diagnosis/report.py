@@ -17,10 +17,10 @@ from nsde_torch.evaluation.report import number
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from nsde_torch.diagnosis.pipeline import Diagnosis
+    from nsde_torch.diagnosis.result import Diagnosis
 
-_DPI = 100
-_RANKED, _DECIDED = 8, 6
+_DPI = 100  # of the pictures
+_RANKED, _DECIDED = 8, 6  # candidates and tests of structure that are listed
 
 _STYLE = """
 :root { color-scheme: light }

@@ -16,28 +16,17 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from nsde_torch.diagnosis.decisions import Wording
+from nsde_torch.diagnosis.dependence import Dependence
+from nsde_torch.diagnosis.regressors import BEFORE, BY_RUN, OVER_TIME, Regressors, own_space, projected
 from nsde_torch.diagnosis.repeats import best_repeat
 from nsde_torch.diagnosis.spectrum import waves_of
-from nsde_torch.diagnosis.structure import (
-    BEFORE,
-    BY_RUN,
-    OVER_TIME,
-    Dependence,
-    Regressors,
-    own_space,
-    projected,
-)
 from nsde_torch.diagnosis.views import Rates, bins, factors, is_plain, variable_units
 from nsde_torch.sysid.regression import Regression
 
 Array = NDArray[np.float64]
 
-_LOCAL_POWER, _LOCAL_RANGE = 0.7, 0.3
-_ONE_RUN, _RUNS, _HOLDS = 0.8, 3, 0.5
-_SINE, _SINE_ANGLE, _SINE_LEAST = 2.0, 1.1, 30.0
-_WHOLE = 0.1
-_PARTS = 3
-_SAME_PHASE = 0.8
+_BINS, _FEWEST_BINS = 24, 6  # means that the extent of a dependence is seen in
 _ENDS = {
     OVER_TIME: "otherwise early in a run than late: something drifts",
     BY_RUN: "otherwise in one run than in another: something differs between runs",
@@ -72,11 +61,13 @@ class Shape:
     note: str
 
 
-def symmetry(dependence: Dependence) -> str:
+def symmetry(dependence: Dependence, wording: Wording) -> str:
     """`odd`, `even` or `mixed`; empty for what has no sides."""
     if not is_plain(dependence.variable) or dependence.variable == "time":
         return ""
-    return "odd" if dependence.odd > 0.8 else "even" if dependence.odd < 0.2 else "mixed"
+    if dependence.odd > wording.odd_share:
+        return "odd"
+    return "even" if dependence.odd < wording.even_share else "mixed"
 
 
 def called(run: str) -> str:
@@ -96,7 +87,7 @@ def shape(
         seen: The residuals as rates.
         runs: Names of the runs, by number.
     """
-    channel = seen.names.index(dependence.channel)
+    channel, wording = seen.names.index(dependence.channel), variables.decisions.wording
     if dependence.law is not None:
         regression = regression.under(channel, dependence.law)
     run, at, frequency = dependence.run, dependence.moment, dependence.swing
@@ -108,9 +99,11 @@ def shape(
     if frequency is not None:
         of_runs = _swings(regression, channel, frequency)
         most = max(of_runs, key=lambda run: of_runs[run])
-        alone = len(of_runs) >= _RUNS and of_runs[most] > _ONE_RUN * sum(of_runs.values())
+        alone = len(of_runs) >= wording.one_run_fewest and of_runs[most] > wording.one_run_share * sum(
+            of_runs.values()
+        )
         note = f"in a swing of {frequency:.4g} Hz" + (
-            f", in {called(runs[most])} only" if alone else _of_phase(regression, channel, frequency)
+            f", in {called(runs[most])} only" if alone else _of_phase(regression, channel, frequency, wording)
         )
         said = f"The rate of {dependence.channel} departs {note}."
         only_run = most if alone else None
@@ -121,9 +114,11 @@ def shape(
     extent, where, period = "", None, None
     if is_plain(name):
         there = np.full(len(seen.run), True) if run is None else seen.run == run
-        extent, where = _extent(seen.values[name][there], seen.residual[there, channel], seen.block[there])
+        extent, where = _extent(
+            seen.values[name][there], seen.residual[there, channel], seen.block[there], wording
+        )
         if (
-            symmetry(dependence) == "odd"
+            symmetry(dependence, wording) == "odd"
         ):  # what grows to both sides may have been seen far out on one of them only
             extent, where = "global" if extent else "", None
         period = period_of(regression, channel, name, variables) if run is None else None
@@ -140,7 +135,7 @@ def shape(
         dependence.variable not in variables.columns or period is not None
     ):  # no test of one run alone was made
         only = _only_run(regression, channel, dependence.variable, variables)
-    side = symmetry(dependence)
+    side = symmetry(dependence, wording)
     words = [f"The rate of {dependence.channel} depends on {name}"]
     if name == "run":
         what = "constants that differ from run to run" if only is None else "a constant"
@@ -171,15 +166,15 @@ def shape(
 
 
 def _swings(regression: Regression, channel: int, frequency: float) -> dict[int, float]:
-    """Squares of a residual that a sine and a cosine in each stretch explain, by number of the run."""
+    """What a sine and a cosine in each stretch explain of a residual (half its squares), by number of the run."""
     left, waves = regression.residual[:, regression.rows[channel]], waves_of(regression, frequency)
     out: dict[int, float] = {}
     for k, run in enumerate(regression.physics.steps.runs):
-        out[int(run)] = out.get(int(run), 0.0) + gain(waves[:, 2 * k : 2 * k + 2], left)
+        out[int(run)] = out.get(int(run), 0.0) + nats(waves[:, 2 * k : 2 * k + 2], left)
     return out
 
 
-def _of_phase(regression: Regression, channel: int, frequency: float) -> str:
+def _of_phase(regression: Regression, channel: int, frequency: float, wording: Wording) -> str:
     """Whether a swing has the same phase in all stretches, by the clock of the log; of what it is a harmonic."""
     left, waves = regression.residual[:, regression.rows[channel]], waves_of(regression, frequency)
     turns, steps = 2.0 * np.pi * frequency, regression.physics.steps
@@ -188,21 +183,20 @@ def _of_phase(regression: Regression, channel: int, frequency: float) -> str:
         sine, cosine = np.linalg.lstsq(waves[a:b, 2 * k : 2 * k + 2], left[a:b], rcond=1e-9)[0]
         start = float(steps.t[min(a * regression.box, len(steps) - 1)])
         found.append((b - a) * (cosine - 1j * sine) * np.exp(1j * turns * (a * regression.dt - start)))
-    if len(found) > 1 and abs(sum(found)) < _SAME_PHASE * sum(abs(z) for z in found):
+    if len(found) > 1 and abs(sum(found)) < wording.same_phase * sum(abs(z) for z in found):
         return " whose phase differs from run to run"
     known = dict(zip(regression.vector.labels, regression.theta.tolist(), strict=True))
     times = frequency / known.get("periodic_force.frequency", np.inf)
     whole = round(times)
-    return (
-        f", {whole} times the one that is known" if whole > 1 and abs(times - whole) < _WHOLE * times else ""
-    )
+    harmonic = whole > 1 and abs(times - whole) < wording.whole_tolerance * times
+    return f", {whole} times the one that is known" if harmonic else ""
 
 
 def _extent(
-    value: Array, residual: Array, block: NDArray[np.int64]
+    value: Array, residual: Array, block: NDArray[np.int64], wording: Wording
 ) -> tuple[str, tuple[float, float] | None]:
-    b = bins(value, residual, block, count=24)
-    if len(b.mean) < 6:
+    b = bins(value, residual, block, count=_BINS)
+    if len(b.mean) < _FEWEST_BINS:
         return "", None
     power = np.clip(np.square(b.mean) - np.square(b.error), 0.0, None)
     edges = np.concatenate(([b.centre[0]], 0.5 * (b.centre[1:] + b.centre[:-1]), [b.centre[-1]]))
@@ -213,45 +207,47 @@ def _extent(
     best = (span, 0, len(power))
     for i in range(len(power)):
         for j in range(i + 1, len(power) + 1):
-            if power[i:j].sum() >= _LOCAL_POWER * total:
+            if power[i:j].sum() >= wording.local_power * total:
                 best = min(best, (float(edges[j] - edges[i]), i, j))
                 break
     width, i, j = best
-    if width > _LOCAL_RANGE * span:
+    if width > wording.local_range * span:
         return "global", None
     return "local", (float(edges[i]), float(edges[j]))
 
 
-def gain(z: Array, white: Array) -> float:
-    """Twice the log likelihood that columns (N, q) bring to whitened residuals (N,)."""
+def nats(z: Array, white: Array) -> float:
+    """Log-likelihood that columns (N, q) bring to whitened residuals (N,) [nats]."""
     fit = z @ np.linalg.lstsq(z, white, rcond=1e-9)[0]
-    return float(fit @ white)
+    return 0.5 * float(fit @ white)
 
 
 def period_of(regression: Regression, channel: int, variable: str, variables: Regressors) -> float | None:
     """Period of a dependence on a plain variable, or None where a cubic does about as well."""
     v, white, own = variables.values(variable), regression.white[channel], own_space(regression, channel)
+    wording, parts_of = variables.decisions.wording, variables.decisions.wording.sine_parts
     best = best_repeat(regression, channel, v, own)
     if best is None:
         return None
     low, high = np.quantile(v, [0.005, 0.995])
     s = np.clip((v - 0.5 * (low + high)) / (high - low), -1, 1)
-    cubic = gain(projected(regression, channel, np.stack((s, s**2, s**3), 1), own), white)
+    cubic = nats(projected(regression, channel, np.stack((s, s**2, s**3), 1), own), white)
     # an angle is expected to repeat every turn or part of one: of two turns a cubic makes much too
     turns = variable_units(regression.vector.system).get(variable) == "rad"
     part = 2.0 * np.pi / best.period if turns else 0.5
-    factor = _SINE_ANGLE if round(part) > 0 and abs(part / round(part) - 1.0) < _WHOLE else _SINE
-    if not best.gain > max(factor * cubic, _SINE_LEAST):
+    whole = round(part) > 0 and abs(part / round(part) - 1.0) < wording.whole_tolerance
+    factor = wording.sine_angle_factor if whole else wording.sine_factor
+    if not best.nats > max(factor * cubic, wording.sine_nats):
         return None
-    place = np.clip(((v - low) / (high - low) * _PARTS).astype(np.int64), 0, _PARTS - 1)
+    place = np.clip(((v - low) / (high - low) * parts_of).astype(np.int64), 0, parts_of - 1)
     wave = 2.0 * np.pi * (v - low) / best.period
     waves = np.stack((np.sin(wave), np.cos(wave)), 1)
-    parts = [projected(regression, channel, waves * (place == k)[:, None], own) for k in range(_PARTS)]
-    most = int(np.argmax([gain(z, white) for z in parts]))
-    there, whole = parts[most], np.sum(parts, 0)
+    parts = [projected(regression, channel, waves * (place == k)[:, None], own) for k in range(parts_of)]
+    most = int(np.argmax([nats(z, white) for z in parts]))
+    there, all_parts = parts[most], np.sum(parts, 0)
     weights = np.linalg.lstsq(there, white, rcond=1e-9)[0]
-    rest = whole - there
-    return best.period if _holds(rest @ weights, white - there @ weights) else None
+    rest = all_parts - there
+    return best.period if _holds(rest @ weights, white - there @ weights, wording) else None
 
 
 def product_of(regression: Regression, channel: int, variable: str, variables: Regressors) -> str:
@@ -270,8 +266,8 @@ def product_of(regression: Regression, channel: int, variable: str, variables: R
 def _only_run(regression: Regression, channel: int, variable: str, variables: Regressors) -> int | None:
     """Number of the run that a dependence is confined to."""
     of_white = regression.whitened_rows(regression.owners)
-    runs = np.unique(of_white)
-    if len(runs) < _RUNS:
+    runs, wording = np.unique(of_white), variables.decisions.wording
+    if len(runs) < wording.one_run_fewest:
         return None
     functions, _ = variables.functions[variable]
     if variable == "run":
@@ -283,17 +279,17 @@ def _only_run(regression: Regression, channel: int, variable: str, variables: Re
     gains = []
     for run in runs:
         rows = of_white == run
-        gains.append(max(gain(z[rows], white[rows]) - z.shape[1], 0.0))
+        gains.append(max(nats(z[rows], white[rows]) - 0.5 * z.shape[1], 0.0))
     most = int(np.argmax(gains))
-    if not gains[most] > _ONE_RUN * sum(gains) > 0:
+    if not gains[most] > wording.one_run_share * sum(gains) > 0:
         return None
     # what is only strongest in one run holds in the others too, as far as they can tell
     rows = of_white == runs[most]
     foretold = z[~rows] @ np.linalg.lstsq(z[rows], white[rows], rcond=1e-9)[0]
-    return None if _holds(foretold, white[~rows]) else int(runs[most])
+    return None if _holds(foretold, white[~rows], wording) else int(runs[most])
 
 
-def _holds(foretold: Array, white: Array) -> bool:
-    """Whether rows may have half of what is foretold of them, as far as they can tell."""
+def _holds(foretold: Array, white: Array, wording: Wording) -> bool:
+    """Whether rows may have a good part of what is foretold of them, as far as they can tell."""
     size = max(float(foretold @ foretold), 1e-300)
-    return float(foretold @ white) / size + 2.0 * size**-0.5 >= _HOLDS
+    return float(foretold @ white) / size + wording.holds_errors * size**-0.5 >= wording.holds_share

@@ -13,16 +13,15 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import median_filter
 
+from nsde_torch.diagnosis.decisions import BUDGETS, DECISIONS, Budgets, Decisions
 from nsde_torch.sysid.noise import extended
 from nsde_torch.sysid.regression import Regression
 
 Array = NDArray[np.float64]
 
-_SHORTEST_S = 1.0
-_PEAKS = 3
-SWINGS = 1.5
-"""Fewest periods in the longest stretch."""
-_FINER = 8
+_SHORTEST_S = 1.0  # stretches that are transformed
+_FINER = 8  # points of the grid of frequencies per independent one
+_HIGHEST = 0.4  # of the sampling rate: above, a sinusoid is mostly sampling
 _BAND = 40  # independent ordinates that the level is the median of
 WHOLE = 0.5 * _BAND
 """Periods in the longest stretch from which on the band lies to both sides."""
@@ -73,26 +72,35 @@ def periodogram(regression: Regression) -> tuple[Array, Array]:
     return frequency, power / np.maximum(level, 1e-300)
 
 
-def lines(regression: Regression, *, swings: float = SWINGS) -> list[Line]:
+def lines(
+    regression: Regression,
+    *,
+    fewest: float | None = None,
+    decisions: Decisions = DECISIONS,
+    budgets: Budgets = BUDGETS,
+) -> list[Line]:
     """The highest ordinates over all channels, the surest first, at least a period apart in the longest stretch.
 
     Args:
         regression: At its optimum.
-        swings: Fewest periods in the longest stretch. Below `WHOLE` the level is that of one side of the band, and
-            slow gusts stand above it.
+        fewest: Fewest periods in the longest stretch; None takes those of `decisions`. Below `WHOLE` the level is
+            that of one side of the band, and slow gusts stand above it.
+        decisions: Fewest periods, and how far lines are apart.
+        budgets: How many lines.
     """
     longest = max(b - a for a, b in regression.series.edges) * regression.dt
     if longest < _SHORTEST_S:
         return []
+    fewest = decisions.least_periods if fewest is None else fewest
     frequency, power = periodogram(regression)
-    usable = (frequency > swings / longest) & (frequency < 0.4 / regression.dt)
+    usable = (frequency > fewest / longest) & (frequency < _HIGHEST / regression.dt)
     height = np.where(usable, power.max(0), 0.0)
     tried = len(power) * max(1.0, 0.5 * longest / regression.dt)
     out: list[Line] = []
     for i in np.argsort(-height):
-        if height[i] <= 0 or len(out) == _PEAKS:
+        if height[i] <= 0 or len(out) == budgets.spectral_lines:
             break
-        if all(abs(frequency[i] - line.frequency) > SWINGS / longest for line in out):
+        if all(abs(frequency[i] - line.frequency) > decisions.least_periods / longest for line in out):
             p = min(1.0, tried * exp(-min(float(height[i]), 700.0)))
             out.append(Line(float(frequency[i]), p, int(power[:, i].argmax()), float(height[i])))
     return out

@@ -2,8 +2,8 @@
 
 from collections.abc import Sequence
 
-from nsde_torch.diagnosis.loop import Outcome
 from nsde_torch.diagnosis.not_shown import not_shown
+from nsde_torch.diagnosis.outcome import Outcome
 from nsde_torch.diagnosis.shape import Shape
 
 
@@ -25,7 +25,7 @@ def summary(
             "declared physics leaves is noise."
         )
     if verdict == "no_effect":
-        unseen = not_shown(outcome.rounds, found=(), alpha=alpha)
+        unseen = not_shown(outcome.rounds, found=(), alpha=alpha, decisions=outcome.decisions)
         blind = dict.fromkeys(n.effect for n in unseen if n.smallest is None)
         if blind:
             return (

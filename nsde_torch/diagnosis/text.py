@@ -6,7 +6,7 @@ from typing import Any
 from nsde_torch.diagnosis.feedback_text import feedback_lines
 from nsde_torch.evaluation.report import number, table
 
-_RANKED, _SENTENCES = 6, 4
+_RANKED, _SENTENCES = 6, 4  # candidates and sentences that are listed
 
 
 def lines(content: Mapping[str, Any]) -> list[str]:

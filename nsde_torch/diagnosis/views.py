@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from nsde_torch.diagnosis.structure import BEFORE, BY_RUN, OVER_TIME, Regressors
+from nsde_torch.diagnosis.regressors import BEFORE, BY_RUN, OVER_TIME, Regressors
 from nsde_torch.sysid.explained import bump, per_second, smooth_rate
 from nsde_torch.sysid.regression import Regression
 from nsde_torch.systems import System
@@ -22,8 +22,8 @@ from nsde_torch.systems import System
 Array = NDArray[np.float64]
 Labels = NDArray[np.int64]
 
-_BINS, _FEWEST = 18, 4
-_BLOCK_S = 2.0
+_BINS, _FEWEST = 18, 4  # of a picture, and blocks of time in one
+_BLOCK_S = 2.0  # for the errors of means in bins
 _OTHERS = " times others"
 
 

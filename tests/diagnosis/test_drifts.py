@@ -9,7 +9,8 @@ import pytest
 from numpy.typing import NDArray
 
 from nsde_torch.data.raw import RawRun
-from nsde_torch.diagnosis.pipeline import Options, diagnose
+from nsde_torch.diagnosis.options import Options
+from nsde_torch.diagnosis.pipeline import diagnose
 from nsde_torch.models.identified import SysidSpec
 from nsde_torch.recording.checks import assemble
 from nsde_torch.systems import make_system

@@ -10,13 +10,17 @@ import numpy as np
 import pytest
 
 from nsde_torch.data import Run
+from nsde_torch.diagnosis.decision import provisional
+from nsde_torch.diagnosis.dependence import Dependence
+from nsde_torch.diagnosis.fitted import moved_channels
 from nsde_torch.diagnosis.held_out import HeldOut, held_out, judges_replay
 from nsde_torch.diagnosis.innovations import Own, Scored, band, one_step, own
-from nsde_torch.diagnosis.loop import Found, _lead
-from nsde_torch.diagnosis.pipeline import Options, diagnose, search_in
-from nsde_torch.diagnosis.search import Search, Trial, moved_channels
-from nsde_torch.diagnosis.structure import Dependence
+from nsde_torch.diagnosis.options import Options
+from nsde_torch.diagnosis.outcome import Found
+from nsde_torch.diagnosis.pipeline import diagnose
+from nsde_torch.diagnosis.search import Search, search_in
 from nsde_torch.diagnosis.text import lines
+from nsde_torch.diagnosis.trials import Trial
 from nsde_torch.effects import Port, make_effect
 from nsde_torch.models.identified import SysidSpec
 from nsde_torch.systems import make_system
@@ -174,9 +178,9 @@ def test_structure_that_is_left_where_an_effect_does_not_act_does_not_make_it_a_
 
     drag = Found("linear_drag", cast(Trial, None), (), moves=("v_x (body)", "v_y (body)"))
     gained = {"v_x (body)": 100.0, "v_y (body)": 50.0, "w_z": 5000.0}
-    assert _lead(drag, [drag], left("w_z"), gained) == ""
-    assert _lead(drag, [drag], left("v_x (body)"), gained) == "something else is there too"
-    assert _lead(drag, [drag], [], gained) == ""
+    assert provisional(drag, [drag], left("w_z"), gained) == ""
+    assert provisional(drag, [drag], left("v_x (body)"), gained) == "something else is there too"
+    assert provisional(drag, [drag], [], gained) == ""
 
 
 # ---- feedback -----------------------------------------------------------------------------------------

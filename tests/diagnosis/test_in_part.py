@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from nsde_torch.diagnosis.pipeline import Options
+from nsde_torch.diagnosis.options import Options
 from tests.helpers.diagnosed import diagnosed
 
 RIVALS = Options(candidates=("constant_wind", "linear_drag", "thrust_misalignment"))

@@ -10,7 +10,7 @@ import pytest
 from nsde_torch.diagnosis.formula import formula
 from nsde_torch.diagnosis.laws import Laws
 from nsde_torch.diagnosis.shape import shape
-from nsde_torch.diagnosis.structure import dependences
+from nsde_torch.diagnosis.specification import dependences
 from nsde_torch.diagnosis.views import rates
 from tests.diagnosis.test_shape import RUNS, Push, pushed
 

@@ -10,7 +10,9 @@ import pytest
 from torch import Tensor
 
 from nsde_torch.data import Run
-from nsde_torch.diagnosis.pipeline import Options, diagnose, logged_channels
+from nsde_torch.diagnosis.options import Options
+from nsde_torch.diagnosis.pipeline import diagnose
+from nsde_torch.diagnosis.reading import logged_channels
 from nsde_torch.effects import Effect, Parameter, Port
 from nsde_torch.models.identified import SysidSpec
 from nsde_torch.systems import make_system

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from nsde_torch.diagnosis.not_shown import not_shown
-from nsde_torch.diagnosis.search import Round, standard_errors
+from nsde_torch.diagnosis.rounds import Round
+from nsde_torch.diagnosis.screening import standard_errors
 
 
 def test_standard_errors_are_those_of_least_squares_beside_the_other_columns() -> None:

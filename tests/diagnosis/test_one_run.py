@@ -6,10 +6,14 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from nsde_torch.diagnosis.dependence import Dependence
 from nsde_torch.diagnosis.one_run import Alone, alone
+from nsde_torch.diagnosis.options import Options
 from nsde_torch.diagnosis.pictures import unexplained_views
-from nsde_torch.diagnosis.pipeline import Options, diagnose, search_in
-from nsde_torch.diagnosis.structure import Dependence, dependences, own_of_runs, regressors
+from nsde_torch.diagnosis.pipeline import diagnose
+from nsde_torch.diagnosis.regressors import regressors
+from nsde_torch.diagnosis.search import search_in
+from nsde_torch.diagnosis.specification import dependences, own_of_runs
 from nsde_torch.diagnosis.text import lines
 from nsde_torch.models.identified import SysidSpec
 from nsde_torch.recording.checks import assemble

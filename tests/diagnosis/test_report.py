@@ -10,8 +10,8 @@ from typing import Any
 
 import pytest
 
-from nsde_torch.diagnosis.pipeline import Diagnosis
 from nsde_torch.diagnosis.report import page, write_report
+from nsde_torch.diagnosis.result import Diagnosis
 from nsde_torch.diagnosis.text import interval, lines
 from tests.helpers.diagnosed import diagnosed
 

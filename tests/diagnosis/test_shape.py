@@ -8,10 +8,12 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from nsde_torch.diagnosis.dependence import Dependence
 from nsde_torch.diagnosis.formula import formula
+from nsde_torch.diagnosis.regressors import Regressors, regressors
 from nsde_torch.diagnosis.search import Search
 from nsde_torch.diagnosis.shape import Shape, shape
-from nsde_torch.diagnosis.structure import Dependence, Regressors, dependences, regressors
+from nsde_torch.diagnosis.specification import dependences
 from nsde_torch.diagnosis.views import bins, rates
 from nsde_torch.sysid.regression import Regression
 from nsde_torch.sysid.steps import steps_of

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from nsde_torch.diagnosis.pipeline import Options
+from nsde_torch.diagnosis.options import Options
 from nsde_torch.recording import Recording
 from tests.helpers.diagnosed import diagnosed
 

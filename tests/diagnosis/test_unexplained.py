@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from nsde_torch.diagnosis.decisions import Decisions
 from nsde_torch.diagnosis.formula import chosen, forward, shifted
 from tests.helpers.diagnosed import diagnosed
 
@@ -89,12 +90,9 @@ def test_the_time_in_a_formula_is_that_of_the_log() -> None:
 
 @needs_outside
 @pytest.mark.usefixtures("_outside")
-def test_effects_that_explain_nothing_of_what_is_missing_are_no_leads(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_effects_that_explain_nothing_of_what_is_missing_are_no_leads() -> None:
     case = ("mass_spring_damper", {"outside:QuinticStiffness": {"size": 8.0}})
-    monkeypatch.setattr("nsde_torch.diagnosis.loop._NOTHING", 1e9)
-    found, content = diagnosed(*case, durations=(6.0,) * 4)
+    found, content = diagnosed(*case, durations=(6.0,) * 4, decisions=Decisions(negligible_share=1e9))
     assert (content["verdict"], content["added"]) == ("unexplained", [])
     assert found.outcome.final is found.outcome.declared
     assert content["errors"]["before"] == content["errors"]["after"]

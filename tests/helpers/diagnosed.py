@@ -6,7 +6,10 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from nsde_torch.data import DataSet
-from nsde_torch.diagnosis.pipeline import Diagnosis, Options, diagnose
+from nsde_torch.diagnosis.decisions import BUDGETS, DECISIONS, Budgets, Decisions
+from nsde_torch.diagnosis.options import Options
+from nsde_torch.diagnosis.pipeline import diagnose
+from nsde_torch.diagnosis.result import Diagnosis
 from nsde_torch.models.identified import SysidSpec
 from nsde_torch.recording import Recording
 from nsde_torch.recording.checks import assemble
@@ -44,11 +47,18 @@ def recorded(
 
 
 def diagnosed(
-    system: str, *effects: Any, options: Options | None = None, **making: Any
+    system: str,
+    *effects: Any,
+    options: Options | None = None,
+    decisions: Decisions = DECISIONS,
+    budgets: Budgets = BUDGETS,
+    **making: Any,
 ) -> tuple[Diagnosis, dict[str, Any]]:
     """A diagnosis of such runs, and the content of `diagnosis.json`."""
     data = recorded(system, *effects, **making)
     declared = make_system(system)
     spec = SysidSpec(system, dt=data.dt, horizon=declared.defaults.horizon)
-    found = diagnose(declared, spec, data, data.runs, options or Options())
+    found = diagnose(
+        declared, spec, data, data.runs, options or Options(), decisions=decisions, budgets=budgets
+    )
     return found, found.content()

@@ -1,0 +1,175 @@
+"""What is concluded: which effects count, what is left beyond chance, the verdict, and which findings are provisional.
+
+The verdict is `unexplained` where what is left explains more than what was found, `no_effect` where nothing was found
+and nothing is left. All differences of log-likelihood are in nats; the tests of structure bring half a nat per function
+in noise, which is taken off first.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+from nsde_torch.diagnosis.decisions import DECISIONS, Decisions
+from nsde_torch.diagnosis.dependence import Dependence
+from nsde_torch.diagnosis.elimination import Retained
+from nsde_torch.diagnosis.evidence import nats_by_channel
+from nsde_torch.diagnosis.fitted import fitted_system, moved_channels
+from nsde_torch.diagnosis.held_out import HeldOut
+from nsde_torch.diagnosis.hidden import Feedback, Hidden, allowances, chance_beyond, likelihood_ratios
+from nsde_torch.diagnosis.multiplicity import bonferroni
+from nsde_torch.diagnosis.outcome import Found, Outcome, Verdict, without_effect
+from nsde_torch.diagnosis.regressors import Regressors, regressors
+from nsde_torch.diagnosis.search import Base, Search
+from nsde_torch.diagnosis.selection import Selection
+from nsde_torch.diagnosis.specification import dependences
+from nsde_torch.effects import effect_class
+
+
+def set_aside(search: Search, chosen: Selection, kept: Retained, feedback: Feedback) -> Retained:
+    """Effects that explain more than feedback may hide, and those that do not (`hidden`), the weakest first.
+
+    Args:
+        search: Data and settings.
+        chosen: What forward selection added.
+        kept: Effects that elimination kept.
+        feedback: What is asked of the loop.
+    """
+    found, base, hidden = kept.found, kept.final, list[Hidden]()
+    tested = feedback.test(base.regression)
+    among = max(len(chosen.rounds[0].screened), 1) if chosen.rounds else 1
+    while found:
+        allowed = allowances(tested)
+        weakest: tuple[float, Found, Base, tuple[str, ...]] | None = None
+        for f in found if allowed else ():
+            moved = moved_channels(base.regression, f.name)
+            if not set(moved) & set(allowed):
+                continue
+            rest = without_effect(fitted_system(base.regression), chosen.declared.system, f.name)
+            alone = len(found) == 1
+            without = chosen.declared if alone else search.base(rest, warm=True, like=base.regression)
+            count = len(base.regression.vector.of(f.name))
+            brought = likelihood_ratios(nats_by_channel(without.regression, base.regression))
+            chance = chance_beyond(brought, moved, allowed, count) * among
+            if chance >= search.alpha and (weakest is None or chance > weakest[0]):
+                weakest = (chance, f, without, tuple(c for c in moved if c in allowed))
+        if weakest is None or feedback.shown(fitted_system(base.regression), weakest[1].name):
+            break
+        _, f, base, channels = weakest
+        hidden.append(Hidden(f.name, channels))
+        found = [g for g in found if g is not f]
+        tested = feedback.test(base.regression)
+    return Retained(found, base, tuple(hidden), tested)
+
+
+def decide(search: Search, chosen: Selection, kept: Retained, feedback: Feedback) -> Outcome:
+    """Test what is left with and without the effects, and conclude.
+
+    Args:
+        search: Data and settings.
+        chosen: What forward selection added.
+        kept: Effects that count.
+        feedback: What is asked of the loop.
+    """
+    declared, base, found, tested = chosen.declared, kept.final, kept.found, kept.feedback
+    declared_variables = _variables(search, declared)
+    before = dependences(declared.regression, declared_variables, overview=bool(found))
+    variables, after = declared_variables, before
+    if found:
+        variables = _variables(search, base)
+        after = dependences(base.regression, variables)
+    left = beyond_chance(after, allowances(tested), alpha=search.alpha)
+    explained = base.score.fitted - declared.score.fitted
+    rest = max((d.excess for d in left), default=0.0)
+    if found and explained < search.decisions.negligible_share * rest:
+        # what is missing bends the physics, and any term straightens it a little
+        before = after = dependences(declared.regression, declared_variables)
+        found, base, variables = [], declared, declared_variables
+        tested = feedback.test(base.regression)
+        left = beyond_chance(before, allowances(tested), alpha=search.alpha)
+    brought = nats_by_channel(declared.regression, base.regression)
+    found = [replace(f, moves=moved_channels(base.regression, f.name)) for f in found]
+    return Outcome(
+        verdict=_verdict(found, explained=explained, rest=rest, left=left),
+        declared=declared,
+        final=base,
+        found=[replace(f, lead=provisional(f, found, left, brought, search.decisions)) for f in found],
+        rounds=chosen.rounds,
+        declared_variables=declared_variables,
+        variables=variables,
+        before=before,
+        after=after,
+        structured=left,
+        aside=chosen.aside,
+        hidden=kept.hidden,
+        test=tested,
+        decisions=search.decisions,
+    )
+
+
+def _variables(search: Search, base: Base) -> Regressors:
+    """What the residuals of physics may depend on."""
+    return regressors(
+        base.regression,
+        inputs=search.inputs,
+        moved=search.moved,
+        decisions=search.decisions,
+        budgets=search.budgets,
+    )
+
+
+def _verdict(found: Sequence[Found], *, explained: float, rest: float, left: Sequence[Dependence]) -> Verdict:
+    """The verdict, from what the effects explain and what most is left over [nats]."""
+    if not found:
+        return "unexplained" if left else "no_effect"
+    return "unexplained" if rest > explained else "effect_found"
+
+
+def beyond_chance(
+    tests: Sequence[Dependence], allowed: Mapping[str, float], *, alpha: float
+) -> list[Dependence]:
+    """Tests that find something after correction for their number, what explains most first.
+
+    Args:
+        tests: All tests.
+        allowed: Likelihood ratio that feedback may hide, by channel (`hidden`).
+        alpha: Chance of finding something where nothing is missing.
+    """
+    found = (
+        d
+        for d in tests
+        if bonferroni(d.p, len(tests)) < alpha and d.excess > 0.5 * allowed.get(d.channel, 0.0)
+    )
+    return sorted(found, key=lambda d: -d.excess)
+
+
+def provisional(
+    f: Found,
+    found: Sequence[Found],
+    left: Sequence[Dependence],
+    brought: Mapping[str, float],
+    decisions: Decisions = DECISIONS,
+) -> str:
+    """Why an effect is provisional: structure is left where it acts, or two laws of one variable were needed.
+
+    Args:
+        f: The effect.
+        found: All effects that were added.
+        left: What the residual still depends on.
+        brought: Log-likelihood that the effects brought, by channel [nats].
+        decisions: How much structure there is too much.
+
+    Returns:
+        The reason in words; empty where it is the last word.
+    """
+    rest = max((d.excess for d in left if d.channel in f.moves), default=0.0)
+    if rest > decisions.provisional_share * sum(brought[name] for name in f.moves):
+        return "something else is there too"
+    own = effect_class(f.name)
+    others = [effect_class(g.name) for g in found if g.name != f.name]
+    if own.along and any((o.along, o.port) == (own.along, own.port) for o in others):
+        return f"two laws of the same {own.along} may stand for one that the catalogue lacks"
+    return ""
+
+
+def judged_on_runs_left_out(outcome: Outcome, errors: HeldOut) -> Outcome:
+    """The outcome, its effects provisional where runs left out speak against them."""
+    return replace(outcome, found=[replace(f, lead=f.lead or errors.against(f.name)) for f in outcome.found])

@@ -1,0 +1,208 @@
+"""Every number that a diagnosis decides by, with its meaning and its source.
+
+`Decisions` may change what is found, `Wording` how it is described, `Budgets` how long it takes and nothing else.
+Differences of log-likelihood are in nats. Numerical tolerances stand in the module that needs them, and so do the
+functions that residuals are tested against (`regressors`, `repeats`, `moments`): they say what is looked for, not what
+counts as found. Where a field names no source, the number was chosen here.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from nsde_torch.options import check, documented, key
+
+INTERVAL_LEVEL = 0.9
+"""Level of all intervals; no field, as the keys of `diagnosis.json` are named after it."""
+
+
+@documented
+@dataclass(frozen=True)
+class Wording:
+    """How a dependence is described. Changes no verdict and no name of an effect."""
+
+    odd_share: float = key(0.8, "share by odd functions above which a dependence is odd", low=0.5, high=1)
+    even_share: float = key(0.2, "share by odd functions below which it is even", low=0, high=0.5)
+    local_power: float = key(
+        0.7, "share of the squared bin means that a local dependence has in one part of the range", high=1
+    )
+    local_range: float = key(0.3, "share of the range that this part may be", high=1)
+    one_run_share: float = key(
+        0.8, "share of the log-likelihood in one run that makes it a matter of that run"
+    )
+    one_run_fewest: int = key(3, "fewest runs of which one can be the odd one", low=2)
+    holds_share: float = key(0.5, "share of what is foretold that must hold elsewhere to be the same there")
+    holds_errors: float = key(2.0, "slack of this, what is measured may be low", unit="standard errors")
+    sine_factor: float = key(2.0, "times the log-likelihood of a cubic that a periodic dependence must bring")
+    sine_angle_factor: float = key(1.1, "the same where the period is a whole part of a turn of an angle")
+    sine_nats: float = key(15.0, "least log-likelihood of a periodic dependence", unit="nat")
+    sine_parts: int = key(3, "parts of the range in all of which a period must hold", low=2)
+    whole_tolerance: float = key(0.1, "relative distance from a whole number that counts as whole")
+    same_phase: float = key(
+        0.8, "length of the mean phase of a sinusoid, over runs, from which it is the same"
+    )
+
+    def __post_init__(self) -> None:
+        check(type(self), vars(self))
+
+
+@documented
+@dataclass(frozen=True)
+class Decisions:
+    """What counts as found, as alike, as left over, as provisional."""
+
+    # ---- error rates ------------------------------------------------------------------------------------
+    alpha: float = key(
+        0.01, "chance of naming an effect where nothing is missing, spent by each stage (convention)", above=0
+    )
+    nested_alpha: float = key(
+        1e-3,
+        "chance above which what contains a simpler effect stands behind it (likelihood-ratio test)",
+        above=0,
+    )
+
+    # ---- evidence between models ------------------------------------------------------------------------
+    least_nats: float = key(0.5, "held-out log-likelihood difference that an effect must exceed", unit="nat")
+    alike_nats: float = key(
+        3.0,
+        "held-out log-likelihood difference within which two candidates are indistinguishable",
+        unit="nat",
+    )
+    alike_errors: float = key(2.0, "the same in its standard errors (Vuong 1989)", unit="standard errors")
+    wider_nats: float = key(
+        2.0, "nats by which two effects must be better than one that contains one of them", unit="nat"
+    )
+    restart_nats: float = key(
+        2.0, "nats by which an effect fitted again from another's shape must be better to stay so", unit="nat"
+    )
+    most_effects: int = key(8, "most effects to add", low=0)
+
+    # ---- noise models -----------------------------------------------------------------------------------
+    noise_memory: float = key(
+        1.0, "longest memory of a noise model; what lasts longer is structure", unit="s", above=0
+    )
+    noise_kind_nats: float = key(
+        10.0,
+        "nats by which another kind of noise model must be likelier to be needed on runs left out",
+        unit="nat",
+    )
+    noise_blind_nats: float = key(
+        30.0,
+        "nats beyond half a nat per function from which a noise model may have learned a dependence",
+        unit="nat",
+    )
+
+    # ---- resolution -------------------------------------------------------------------------------------
+    resolution: float = key(
+        0.5, "shortest lag or delay that is named; below, how inputs are held decides", unit="steps"
+    )
+    least_periods: float = key(
+        1.5, "fewest periods of a sinusoid in the longest stretch; slower is a drift", unit="periods"
+    )
+    taken_over_share: float = key(
+        0.5,
+        "share of its size that a part of an effect keeps beside another one that has not taken it over",
+        high=1,
+    )
+
+    # ---- folds and blocks of time -----------------------------------------------------------------------
+    folds: int = key(10, "most groups of whole runs that evidence is measured on in turn", low=2)
+    folds_fewest_runs: int = key(3, "fewest runs of which whole ones are left out", low=2)
+    folds_stretches: int = key(5, "stretches of each run instead, of one run or two", low=2)
+    refit_folds: int = key(5, "most groups of whole runs that all parameters are fitted again without", low=2)
+    refit_tail: float = key(0.3, "share of a single run that is left out instead", above=0, high=0.9)
+    blocks_per_function: int = key(2, "fewest blocks of time for each function of a test by blocks", low=1)
+    blocks_beyond: int = key(4, "fewest blocks beside these", low=2)
+    step_blocks: int = key(20, "blocks of time that short data are cut into for one-step densities", low=2)
+    step_block_shortest: float = key(1.0, "shortest of these blocks", unit="s", above=0)
+    step_block_longest: float = key(4.0, "longest of these blocks", unit="s", above=0)
+    replay_block: float = key(4.0, "blocks of time for errors of open-loop predictions", unit="s", above=0)
+    replay_finite_share: float = key(
+        0.9, "share of open-loop predictions that must stay finite for a horizon to be told", high=1
+    )
+    replay_worse_share: float = key(
+        0.5, "share of horizons surely worse above which a quantity is (exogenous inputs alone)", high=1
+    )
+
+    # ---- specification tests ----------------------------------------------------------------------------
+    odd_run_fewest: int = key(3, "fewest runs of which one can be the odd one", low=2)
+    odd_run_blocks: int = key(24, "blocks of time that a run is cut into for its own test", low=4)
+    odd_run_shortest: float = key(0.25, "shortest of these blocks", unit="s", above=0)
+    odd_run_prior: float = key(
+        8.0, "differences between runs that unit variance counts as (Smyth 2004)", unit="degrees of freedom"
+    )
+    moments_fewest: int = key(20, "fewest bumps in time of which the largest is tested", low=2)
+
+    # ---- verdict ----------------------------------------------------------------------------------------
+    negligible_share: float = key(
+        0.03, "share of what is left most, in nats, below which all effects together are none", low=0
+    )
+    provisional_share: float = key(
+        0.1,
+        "share of what the effects bring to its channels above which structure there makes one provisional",
+    )
+    late_sensor_share: float = key(
+        0.1, "share of the structure, in nats, that a late sensor may leave to stand for the effects"
+    )
+
+    # ---- what could not be detected ---------------------------------------------------------------------
+    detectable_errors: float = key(
+        4.0, "minimum detectable effect among tens of candidates at alpha 0.01", unit="standard errors"
+    )
+    detectable_share: float = key(
+        0.25, "share of the usual size of an effect that it may be before the effect is listed as not shown"
+    )
+    detectable_never: float = key(1e3, "times the usual size from which it is as good as infinite")
+
+    # ---- declared parameters ----------------------------------------------------------------------------
+    bound_errors: float = key(
+        3.0, "distance beyond its bound that the data pull a parameter to warn of it", unit="standard errors"
+    )
+    bound_sizes: float = key(0.01, "the same in typical sizes of the parameter", unit="typical sizes")
+    far_powers: float = key(
+        3.0, "distance of an identifiable parameter from its first value to warn of it", unit="powers of ten"
+    )
+    lost_powers: float = key(1.5, "the same of one that the data do not show", unit="powers of ten")
+    turned_share: float = key(
+        0.7, "share of the residual that another reading of the columns may leave to be told", high=1
+    )
+    both_signs_share: float = key(
+        0.05, "share of samples of either sign from which an input may be logged with the wrong one", high=0.5
+    )
+
+    wording: Wording = field(default_factory=Wording)
+
+    def __post_init__(self) -> None:
+        check(type(self), {k: v for k, v in vars(self).items() if k != "wording"})
+
+
+@documented
+@dataclass(frozen=True)
+class Budgets:
+    """How much is tried. More takes longer; a verdict that it changes is a fault."""
+
+    iterations: int = key(20, "most iterations of a regression from its first values", low=1)
+    refinements: int = key(8, "most iterations of a regression that starts near its optimum", low=1)
+    worth_nats: float = key(3.0, "first step below which a candidate is not iterated", unit="nat", low=0)
+    close_share: float = key(
+        0.3, "share of the best candidate's nats below which no further one is iterated", low=0
+    )
+    helping_fewest: int = key(3, "candidates that help, before none is left out for this", low=0)
+    iterated_most: int = key(9, "most candidates that are iterated in a round", low=1)
+    finished_fewest: int = key(2, "candidates that get noise models of their own in any case", low=0)
+    finished_share: float = key(0.5, "share of the best's nats from which others get them too", low=0)
+    noise_nats: float = key(1.0, "nats by which another noise model must be likelier to be tried", low=0)
+    exchanges: int = key(12, "looks at the catalogue beyond which no effect is exchanged any more", low=1)
+    spectral_lines: int = key(3, "lines of the spectrum that fits of a sinusoid start from", low=1)
+    noise_turns: int = key(4, "most turns between parameters and noise model in a test", low=1)
+    closer_chance: float = key(0.05, "chance above which one run alone gets no closer look", above=0, high=1)
+    shapes: int = key(6, "dependences that are described in words", low=0)
+    formula_terms: int = key(4, "most terms of a formula", low=1)
+    formula_variables: int = key(3, "most variables of a formula", low=1)
+
+    def __post_init__(self) -> None:
+        check(type(self), vars(self))
+
+
+DECISIONS, BUDGETS = Decisions(), Budgets()
+"""What is used where nothing else is said."""

@@ -1,0 +1,169 @@
+"""Each effect that was added, looked at again with the others present: kept, dropped or exchanged; and its ties.
+
+An effect that was added first may have stood in for two that came later: each is left out in turn, dropped if it is no
+longer needed, and compared with every other candidate in its place. Candidates whose held-out log-likelihood differs
+from the chosen one's by less than chance are indistinguishable from it (a tie).
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from nsde_torch.diagnosis.fitted import effect_of, fitted_system
+from nsde_torch.diagnosis.hidden import Hidden
+from nsde_torch.diagnosis.outcome import Found, without_effect
+from nsde_torch.diagnosis.rounds import Round, look
+from nsde_torch.diagnosis.screening import joined
+from nsde_torch.diagnosis.search import Base, Search
+from nsde_torch.diagnosis.selection import Selection
+from nsde_torch.diagnosis.trials import Trial, accept, fit_candidate, surely_above
+from nsde_torch.effects import effect_class
+from nsde_torch.errors import NsdeError
+from nsde_torch.sysid.loop_test import LoopTest
+from nsde_torch.systems.parameters import own_name
+
+
+@dataclass(frozen=True)
+class Retained:
+    """Effects that stay.
+
+    Args:
+        found: The effects, in the order in which they were added.
+        final: The physics with them, fitted.
+        hidden: Effects that are not named because feedback may have made them.
+        feedback: What the data say of the loop that they were recorded in, by `final`.
+    """
+
+    found: list[Found]
+    final: Base
+    hidden: tuple[Hidden, ...] = ()
+    feedback: LoopTest = field(default_factory=LoopTest)
+
+
+def eliminate(search: Search, chosen: Selection) -> Retained:
+    """The effects that stay, with their ties, and the physics with them.
+
+    Args:
+        search: Data and settings.
+        chosen: What forward selection added; looks at the catalogue that exchange one are appended to its rounds.
+    """
+    declared, base, rounds, names = chosen.declared, chosen.final, chosen.rounds, list(chosen.names)
+    if not names:
+        return Retained([], base)
+    if len(names) == 1 and rounds[0].chosen is not None and rounds[0].chosen.name == names[0]:
+        own = next(t for t in rounds[0].trials if t.name == names[0])
+        ties = _ties(search, declared, own, rounds[0], names, rounds)
+        return Retained([Found(own.name, own, ties)], base)
+    found: list[Found] = []
+    i = 0
+    while i < len(names):
+        name = names[i]
+        rest = without_effect(fitted_system(base.regression), declared.system, name)
+        without = search.base(rest, warm=True, like=base.regression)
+        contained = effect_class(name).includes
+        now = look(search, without, only={name, *contained, *_rivals(search, name, rounds)})
+        this = next((t for t in now.trials if t.name == name), None)
+        if this is None or not accept(search, this):
+            names.pop(i)  # the others explain it
+            base, found, i = without, [], 0
+            continue
+        best = next(t for t in now.trials if accept(search, t))
+        if best.name != name and (best.name in contained or surely_above(best, this, search.decisions)):
+            names[i] = best.name
+            base, found, i = search.grown(best.regression), [], 0
+            if names.count(best.name) > 1 or len(rounds) > search.budgets.exchanges:
+                break
+            rounds.append(now)
+            continue
+        found.append(Found(name, this, _ties(search, without, this, now, names, rounds)))
+        i += 1
+    return Retained(found, base)
+
+
+def _ties(
+    search: Search, without: Base, own: Trial, this: Round, names: Sequence[str], rounds: Sequence[Round]
+) -> tuple[str, ...]:
+    """What explains the data as well as an effect that was found: in its place, or in that of a part of it."""
+    ties = _in_its_place(search, own, this.trials)
+    others = _rivals(search, own.name, rounds) - {*ties, *effect_class(own.name).includes, *names}
+    return (*ties, *_in_part(search, without, own, sorted(others), max(len(this.screened), 1)))
+
+
+def _in_its_place(search: Search, chosen: Trial, trials: Sequence[Trial]) -> list[str]:
+    """Names of candidates that explain the data as well as the chosen one; what contains it is none."""
+    out = []
+    for t in trials:
+        contains = chosen.name in effect_class(t.name).includes
+        if (
+            t.name != chosen.name
+            and not contains
+            and accept(search, t)
+            and not surely_above(chosen, t, search.decisions)
+        ):
+            out.append(t.name)
+    return out
+
+
+def _in_part(search: Search, without: Base, own: Trial, names: Sequence[str], among: int) -> list[str]:
+    """Effects that explain the data as well with a part of the one that was found as all of it does.
+
+    Air that moves is drag and a steady push; a tilted thrust pushes steadily too.
+    """
+    out: list[str] = []
+    for name in names:
+        if own.name in effect_class(name).includes:
+            continue
+        search.say("comparing effects", len(out), len(names))
+        try:
+            other = _shared(search, without, own, name, among=among)
+        except (NsdeError, np.linalg.LinAlgError):
+            continue
+        if other is not None and accept(search, other) and not surely_above(own, other, search.decisions):
+            out.append(name)
+    return out
+
+
+def _rivals(search: Search, name: str, rounds: Sequence[Round]) -> set[str]:
+    """Candidates that were there too when an effect was chosen, as far as chance goes."""
+    return {
+        t.name
+        for one in rounds
+        if one.chosen is not None and one.chosen.name == name
+        for t in one.trials
+        if accept(search, t)
+    }
+
+
+def _shared(search: Search, without: Base, own: Trial, name: str, *, among: int) -> Trial | None:
+    """Another effect that takes over a part of one that was found, beside the rest of it; None where it does not.
+
+    Args:
+        search: Data and settings.
+        without: The physics without the effect.
+        own: The effect.
+        name: Of the other.
+        among: Number of candidates.
+    """
+    effect = type(effect_of(fitted_system(own.regression), own.name))
+    alone = dict(zip(own.regression.vector.labels, own.regression.theta.tolist(), strict=True))
+    joint = search.quick(joined(fitted_system(own.regression), name, {}), warm=True)
+    strong = [
+        j
+        for j in joint.vector.of(own.name)
+        if own_name(joint.vector.labels[j]) in (*effect.amplitudes, *effect.smooth)
+    ]
+    gone = [
+        j
+        for j in strong
+        if own_name(joint.vector.labels[j]) in effect.smooth
+        or abs(joint.theta[j]) < search.decisions.taken_over_share * abs(alone[joint.vector.labels[j]])
+    ]
+    if not 0 < len(gone) < len(strong):
+        return None
+    theta = joint.theta.copy()
+    theta[gone] = 0.0
+    rest = fitted_system(joint)
+    joint.vector.write(rest, theta)
+    held = tuple(joint.vector.labels[j] for j in gone)
+    return fit_candidate(search, without, rest, name, among=among, held=held)

@@ -1,0 +1,65 @@
+"""What is left, explained as far as it can be: in words, in one run, by a formula, by a fault of the columns."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from nsde_torch.data import Run
+from nsde_torch.diagnosis.channels import ChannelResidual, channel_residuals
+from nsde_torch.diagnosis.declared import Warned, better_reading, warnings
+from nsde_torch.diagnosis.formula import Formula, formula
+from nsde_torch.diagnosis.in_run import InRun, in_run, odd_run
+from nsde_torch.diagnosis.outcome import Outcome
+from nsde_torch.diagnosis.reading import Log
+from nsde_torch.diagnosis.search import Search
+from nsde_torch.diagnosis.shape import Shape, shape
+from nsde_torch.diagnosis.views import rates
+from nsde_torch.sysid.regression import Regression
+
+
+@dataclass(frozen=True)
+class Explanation:
+    """What is left, and what may explain it.
+
+    Args:
+        channels: Residuals before and after.
+        shapes: What the residual still depends on, in words.
+        in_run: The effect that would explain it in the one run that it is in: provisional, unverified.
+        formula: A sparse formula for it: provisional, unverified.
+        warned: Declared parameters that tell of a fault of the columns.
+        reading: How else the columns fit much better; None where no other way does.
+    """
+
+    channels: list[ChannelResidual]
+    shapes: tuple[Shape, ...] = ()
+    in_run: InRun | None = None
+    formula: Formula | None = None
+    warned: tuple[Warned, ...] = ()
+    reading: str | None = None
+
+
+def explained(log: Log, search: Search, outcome: Outcome, runs: tuple[str, ...]) -> Explanation:
+    """Describe what is left.
+
+    Args:
+        log: The log.
+        search: That in all runs of the log.
+        outcome: What was concluded.
+        runs: Names of the runs.
+    """
+    regression, left = outcome.final.regression, outcome.structured
+    seen = rates(regression, outcome.variables)
+    shapes = tuple(shape(regression, d, outcome.variables, seen, runs) for d in left[: log.budgets.shapes])
+    odd = odd_run(left, shapes)
+    warned = warnings(outcome, log.system)
+
+    def fit(some: Sequence[Run]) -> Regression:
+        return log.plain_search(some).quick(log.system)
+
+    return Explanation(
+        channel_residuals(outcome.declared.regression, regression),
+        shapes=shapes,
+        in_run=None if odd is None else in_run(log.again(search, [log.runs[odd]]), outcome.system, odd),
+        formula=formula(regression, left, outcome.variables, runs),
+        warned=tuple(warned),
+        reading=better_reading(log.system, log.runs, fit, log.decisions) if warned else None,
+    )

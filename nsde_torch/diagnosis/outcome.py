@@ -1,0 +1,140 @@
+"""What a diagnosis concluded: the effects that were found, the tests of what is left, and the verdict."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nsde_torch.diagnosis.decisions import DECISIONS, Decisions
+from nsde_torch.diagnosis.dependence import Dependence
+from nsde_torch.diagnosis.estimates import Estimate, by_instruments, estimated
+from nsde_torch.diagnosis.fitted import fitted_system
+from nsde_torch.diagnosis.hidden import Hidden
+from nsde_torch.diagnosis.regressors import Regressors
+from nsde_torch.diagnosis.rounds import Round
+from nsde_torch.diagnosis.search import Base
+from nsde_torch.diagnosis.trials import Trial
+from nsde_torch.effects import effect_class
+from nsde_torch.sysid.in_loop import hidden_bias, largest_bias
+from nsde_torch.sysid.loop_test import LoopTest
+from nsde_torch.sysid.result import Identification
+from nsde_torch.sysid.spread import Spread
+from nsde_torch.systems import System
+
+Array = NDArray[np.float64]
+Verdict = Literal["no_effect", "effect_found", "unexplained"]
+
+
+@dataclass(frozen=True)
+class Found:
+    """An effect that was added.
+
+    Args:
+        name: Of the effect.
+        trial: Its fit, with all other effects that were added present.
+        ties: Effects that explain the data as well in its place.
+        moves: Names of the channels that its parameters move.
+        lead: Why it is a lead (provisional) and not the last word; empty where it is.
+    """
+
+    name: str
+    trial: Trial
+    ties: tuple[str, ...]
+    moves: tuple[str, ...] = ()
+    lead: str = ""
+
+
+@dataclass
+class Outcome:
+    """What the loop concluded.
+
+    Args:
+        verdict: `no_effect`, `effect_found` or `unexplained`.
+        declared: The declared physics, fitted.
+        final: The physics with everything that was added, fitted.
+        found: Effects, in the order in which they were added.
+        rounds: Every look at the catalogue.
+        declared_variables, variables: What the residuals without and with the effects may depend on.
+        before, after: What the residual depends on without and with the effects, all tests.
+        structured: The tests that are left over after correction for their number, what explains most first.
+        aside: Effects that joined what is declared because they are shorter than a step.
+        hidden: Effects that are not named because feedback may have made them.
+        test: What the data say of the loop that they were recorded in, by `final`.
+        printed: Estimates by signals from outside the loop, where these are the ones to print.
+        decisions: What was decided by.
+    """
+
+    verdict: Verdict
+    declared: Base
+    final: Base
+    found: list[Found]
+    rounds: list[Round]
+    declared_variables: Regressors
+    variables: Regressors
+    before: list[Dependence]
+    after: list[Dependence]
+    structured: list[Dependence] = field(default_factory=list)
+    aside: tuple[str, ...] = ()
+    hidden: tuple[Hidden, ...] = ()
+    test: LoopTest = field(default_factory=LoopTest)
+    printed: Identification | None = None
+    decisions: Decisions = DECISIONS
+
+    @cached_property
+    def system(self) -> System:
+        """The physics with everything that was added and its values."""
+        out = fitted_system(self.final.regression)
+        if self.printed is not None:
+            self.printed.vector.write(out, self.printed.values)
+        return out
+
+    @cached_property
+    def declared_system(self) -> System:
+        """The declared physics and its fitted values; `system` where nothing was added."""
+        return fitted_system(self.declared.regression) if self.found else self.system
+
+    def without(self, effect: str) -> System:
+        """The physics with everything that was added but one effect; the declared physics where that is all."""
+        if len(self.found) == 1:
+            return self.declared_system
+        return without_effect(self.system, self.declared.system, effect)
+
+    def estimates(self, effect: str) -> list[Estimate]:
+        """Parameters of an effect that was added or joined what is declared, all others fitted with it."""
+        return self.estimated(self.final.regression.vector.of(effect))
+
+    def estimated(self, columns: Sequence[int]) -> list[Estimate]:
+        """Parameters of `final` with 90 % intervals, which feedback widens where it may hide something.
+
+        Args:
+            columns: Numbers of the parameters.
+        """
+        if self.printed is None:
+            return estimated(self.final.regression, self.spread, columns, self.doubt)
+        return by_instruments(self.printed, [self.final.regression.vector.labels[j] for j in columns])
+
+    @cached_property
+    def doubt(self) -> Array:
+        """By how much feedback may have bent each parameter of `final` (k,); nan for by anything.
+
+        Effects that were found are bent by what was made from other sensors alone, as in `hidden.allowances`.
+        """
+        r, found = self.final.regression, {f.name for f in self.found}
+        of_effects = np.array([label.partition(".")[0] in found for label in r.vector.labels], dtype=bool)
+        return np.where(of_effects, largest_bias(r, self.test.hidden_by_sensors), hidden_bias(r, self.test))
+
+    @cached_property
+    def spread(self) -> Spread:
+        """Cluster-robust covariance of the parameters of `final`."""
+        return self.final.regression.spread()
+
+
+def without_effect(system: System, declared: System, name: str) -> System:
+    """The system without an effect that was added; a declared one that it stood in for is back."""
+    left = system.without_effects(name)
+    contained = effect_class(name).includes
+    back = [e for e in declared.effects if e.name in contained and e.name not in left.effect_names]
+    return left.with_effects(*back) if back else left  # type: ignore[arg-type]

@@ -1,0 +1,179 @@
+"""What a diagnosis reads: runs with the logged channels that an effect could read, and options that fit the machine."""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from nsde_torch.data import Run
+from nsde_torch.diagnosis.candidates import candidate_names
+from nsde_torch.diagnosis.decisions import Budgets, Decisions
+from nsde_torch.diagnosis.hidden import Feedback, shown_by_instruments
+from nsde_torch.diagnosis.options import Options
+from nsde_torch.diagnosis.search import Search, search_in
+from nsde_torch.effects import effect_class, effects_of, register
+from nsde_torch.errors import ConfigError, DataError
+from nsde_torch.recording.undo import Recorded
+from nsde_torch.sysid.in_loop import identify_in_loop
+from nsde_torch.sysid.instruments import with_columns
+from nsde_torch.sysid.loop_test import LoopTest, tested
+from nsde_torch.sysid.regression import Regression
+from nsde_torch.sysid.result import Identification
+from nsde_torch.systems import System
+
+
+@dataclass(frozen=True)
+class Log:
+    """A log that was read, its recording chain undone.
+
+    Args:
+        system: Declared system, which reads the logged channels.
+        recorded: The recording chain, undone.
+        runs: Its runs, with the logged channels behind the inputs.
+        options: Settings.
+        decisions: What is decided by.
+        budgets: How much is tried.
+        say: Told stage, number done and number in all.
+    """
+
+    system: System
+    recorded: Recorded
+    runs: tuple[Run, ...]
+    options: Options
+    decisions: Decisions
+    budgets: Budgets
+    say: Callable[[str, int, int], None]
+
+    def search(self, runs: Sequence[Run]) -> Search:
+        """A search in runs of the log."""
+        r = self.recorded
+        moved, acted = bool(r.delays or r.lags), not r.inputs_restored
+        return self._search(runs, inputs=acted, moved=moved)
+
+    def again(self, search: Search, runs: Sequence[Run]) -> Search:
+        """A search in some of the runs, with what another one holds at nothing."""
+        made = self.plain_search(runs)
+        made.held = set(search.held)
+        return made
+
+    def plain_search(self, runs: Sequence[Run]) -> Search:
+        """A search in runs whose inputs acted, and whose channels were in time."""
+        return self._search(runs, inputs=True, moved=False)
+
+    def _search(self, runs: Sequence[Run], *, inputs: bool, moved: bool) -> Search:
+        return search_in(
+            self.system,
+            runs,
+            self.recorded.clock,
+            self.options,
+            inputs=inputs,
+            moved=moved,
+            decisions=self.decisions,
+            budgets=self.budgets,
+            say=self.say,
+        )
+
+    @property
+    def feedback(self) -> Feedback:
+        """What is asked of the loop that the log was recorded in."""
+        return Feedback(self._loop_test, self._shown)
+
+    def by_instruments(self, physics: System) -> Identification:
+        """Physics identified with signals from outside the loop."""
+        return identify_in_loop(
+            physics, self.runs, clock=self.recorded.clock, instruments=self.options.instruments
+        )
+
+    def _loop_test(self, regression: Regression) -> LoopTest:
+        if self.recorded.inputs_restored:
+            return LoopTest(why_not="the inputs were logged as an average and know the future")
+        return tested(regression, self.runs)
+
+    def _shown(self, physics: System, effect: str) -> bool:
+        return bool(self.options.instruments) and shown_by_instruments(
+            self.by_instruments(physics), effect, self.decisions.alpha
+        )
+
+
+def read_effects(system: System, runs: Sequence[Run], options: Options) -> dict[str, str]:
+    """Register effects of one's own, first of all: they may read channels that no other does.
+
+    Args:
+        system: Declared system.
+        runs: Its runs.
+        options: Settings.
+
+    Returns:
+        Names of the effects by their keys `module:Class`.
+
+    Raises:
+        DataError: an instrument is no column of the log.
+    """
+    if options.instruments:  # told before any work
+        with_columns(system, runs, options.instruments)
+    return {key: register(key) for key in options.also}
+
+
+def read_log(
+    system: System,
+    recorded: Recorded,
+    options: Options,
+    own: Mapping[str, str],
+    *,
+    decisions: Decisions,
+    budgets: Budgets,
+    say: Callable[[str, int, int], None],
+) -> Log:
+    """The log with its channels, for a machine that can have the candidates.
+
+    Args:
+        system: Declared system.
+        recorded: Its runs, the recording chain undone.
+        options: Settings.
+        own: Names of effects of one's own by their keys.
+        decisions: What is decided by.
+        budgets: How much is tried.
+        say: Told stage, number done and number in all.
+
+    Raises:
+        DataError: there is no run.
+        ConfigError: a candidate that the system cannot have.
+    """
+    runs = tuple(with_channels(system, recorded.runs))
+    if not runs:
+        raise DataError("no run to diagnose.")
+    system = system.reading(*logged_channels(system, runs))
+    able = candidate_names(system)
+    for name in options.candidates or ():
+        if name not in able:
+            raise ConfigError(
+                f"`candidates` names {name!r}, which {system.name!r} cannot have beyond its declared physics and the "
+                f"logged channels; it could have: {', '.join(able)}."
+            )
+    for key, name in own.items():
+        if name not in able:
+            raise ConfigError(
+                f"`also` names {key!r}, which {system.name!r} cannot have: it acts on the port "
+                f"{effect_class(name).port.value!r} and reads "
+                f"{', '.join(effect_class(name).exogenous) or 'no channel'}."
+            )
+    return Log(system, recorded, runs, options, decisions, budgets, say)
+
+
+def logged_channels(system: System, runs: Sequence[Run]) -> tuple[str, ...]:
+    """Logged columns, of all runs and without gaps, that an effect of the catalogue could read."""
+    effects = effects_of(system.name, system.ports)
+    names = {name for cls in effects.values() for name in cls.exogenous}
+    return tuple(
+        n
+        for n in sorted(names - set(system.exogenous))
+        if all(n in run.extra and np.isfinite(run.extra[n]).all() for run in runs)
+    )
+
+
+def with_channels(system: System, runs: Sequence[Run]) -> list[Run]:
+    """Runs with their `logged_channels` behind the inputs."""
+    have = logged_channels(system, runs)
+    if not have:
+        return list(runs)
+    return [replace(run, u=np.column_stack((run.u, *(run.extra[n] for n in have)))) for run in runs]

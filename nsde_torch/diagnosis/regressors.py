@@ -1,0 +1,208 @@
+"""What residuals may depend on: flexible functions of everything that was measured, in the middle of each box.
+
+The functions are taken at states foreseen from earlier steps, so that gusts and sensor noise are not in them. Beside
+each variable stand its products with the others, itself times the time in the run and times each run (a parameter that
+drifts or differs between runs), inputs as they were before (something with a memory), the time and the run.
+"""
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nsde_torch.diagnosis.chances import orthonormal
+from nsde_torch.diagnosis.decisions import BUDGETS, DECISIONS, Budgets, Decisions
+from nsde_torch.sysid.regression import Regression
+from nsde_torch.sysid.series import Series
+
+Array = NDArray[np.float64]
+
+_HATS = 7  # bumps over the range of a variable
+
+
+_MIXED = ("collective", "roll_command", "pitch_command", "yaw_command")
+
+
+_WAVES = 6  # cosines over the length of a run
+
+
+_MOST_RUNS = 12  # up to which each run has functions of its own
+
+
+_FAR = 4.0  # standard deviations
+
+
+_BEFORE_BOXES = (1, 2, 4, 8)  # how long before, in boxes
+
+
+OVER_TIME, BY_RUN, BEFORE = " over time", " by run", " before"
+"""Ends of the names of groups: a variable times time or run, and an input as it was before."""
+
+
+SMOOTH = 7
+"""How many of `functions_of` are smooth over the whole range, ahead of the hats."""
+
+
+def _columns(regression: Regression, *, inputs: bool) -> tuple[dict[str, Array], Array]:
+    """Variables that a residual may depend on, in the middle of each box (M,), and the time in the run (M,) [s].
+
+    States that are foreseen (positions and rates, of a quaternion what the system's features make of it), inputs if
+    asked for, and logged channels.
+    """
+    physics, system = regression.physics, regression.vector.system
+    z = physics.middle(regression.theta)
+    x = z[:, : system.nx]
+    columns: dict[str, Array] = {}
+    q = system.quaternion
+    features = system.residual_features(x).numpy()
+    names = [*system.feature_names]
+    names += [f"up_{'xyz'[i]}" for i in range(features.shape[1] - len(names))]
+    for i, name in enumerate(names):
+        columns[name] = features[:, i]
+    for i, name in enumerate(system.state_names):
+        inside = q is not None and q.start <= i < q.stop
+        seen = name in columns or (q is not None and name.startswith("v_"))
+        if not (inside or seen):
+            columns[name] = x[:, i].numpy()
+    u, mix = physics.steps.u.numpy(), getattr(system, "mix", None)
+    if inputs and mix is not None:
+        columns |= dict(zip(_MIXED, (u[:, : system.nu] @ mix.numpy()).T, strict=True))
+    elif inputs:
+        columns |= dict(zip(system.input_names, u[:, : system.nu].T, strict=True))
+    columns |= dict(zip(system.exogenous, u[:, system.nu :].T, strict=True))
+    single, box = regression.single, regression.box
+    columns = {k: single.summed(v[:, None], box)[:, 0] / box for k, v in columns.items() if v.std() > 1e-9}
+    starts = physics.steps.t.numpy()
+    return columns, single.summed(starts[:, None], box)[:, 0] / box
+
+
+def functions_of(v: Array) -> tuple[Array, NDArray[np.bool_]]:
+    """Odd and even functions and bumps of one standardised variable (M, q), and which of them are odd."""
+    centre, spread = np.median(v), max(float(np.quantile(v, 0.95) - np.quantile(v, 0.05)) / 2, 1e-12)
+    about_zero = v / spread if abs(centre) < spread else (v - centre) / spread
+    s = np.clip(about_zero, -3, 3)
+    edges = np.quantile(v, np.linspace(0.02, 0.98, _HATS))
+    edges = np.unique(edges)
+    columns = [s, s**3, np.tanh(5 * s), s**2, np.abs(s), s**4, s**5]
+    odd = [True, True, True, False, False, False, True]
+    if len(edges) > 3:
+        width = np.diff(edges)
+        for i in range(1, len(edges) - 1):
+            up, down = (v - edges[i - 1]) / width[i - 1], (edges[i + 1] - v) / width[i]
+            columns.append(np.clip(np.minimum(up, down), 0, 1))
+            odd.append(False)
+    return np.stack(columns, 1), np.array(odd)
+
+
+@dataclass(frozen=True)
+class Regressors:
+    """All that the residuals of a regression may depend on, in the middle of each box.
+
+    Args:
+        columns: Variables by name (M,).
+        t: Time in the run (M,) [s].
+        functions: By variable; products, drifts, differences between runs, inputs before, `time` and `run` too:
+            functions (M, q), and which of them are odd (q,).
+        inputs: Whether the inputs are what acted.
+        decisions: What tests of them decide by.
+        budgets: How much they try.
+    """
+
+    columns: dict[str, Array]
+    t: Array
+    functions: dict[str, tuple[Array, NDArray[np.bool_]]]
+    inputs: bool = True
+    decisions: Decisions = DECISIONS
+    budgets: Budgets = BUDGETS
+
+    def values(self, variable: str) -> Array:
+        """A plain variable, or time (M,)."""
+        return self.t if variable == "time" else self.columns[variable]
+
+
+def regressors(
+    regression: Regression,
+    *,
+    inputs: bool = True,
+    moved: bool = False,
+    decisions: Decisions = DECISIONS,
+    budgets: Budgets = BUDGETS,
+) -> Regressors:
+    """Everything that the residuals of a regression may depend on.
+
+    Args:
+        regression: At its optimum.
+        inputs: Whether the inputs are what acted. Those that were restored from an average err, and what a residual
+            holds of such an error depends on them.
+        moved: Whether channels were moved to where they belong. Between rows, they bend where inputs change, and what
+            moves them does not know.
+        decisions: What tests of them decide by.
+        budgets: How much they try.
+    """
+    columns, t = _columns(regression, inputs=inputs)
+    before = _BEFORE_BOXES[1:] if moved else _BEFORE_BOXES
+    functions = {name: (z, odd) for name, z, odd in _groups(regression, columns, t, before)}
+    return Regressors(columns, t, functions, inputs, decisions, budgets)
+
+
+def _groups(
+    regression: Regression, columns: dict[str, Array], t: Array, before: Sequence[int]
+) -> Iterator[tuple[str, Array, NDArray[np.bool_]]]:
+    for name, v in columns.items():
+        functions, odd = functions_of(v)
+        yield name, functions, odd
+    names = list(columns)
+    scaled = {k: (v - v.mean()) / max(float(v.std()), 1e-12) for k, v in columns.items()}
+    for i, first in enumerate(names):
+        others = [np.clip(scaled[first] * scaled[second], -6, 6) for second in names[i + 1 :]]
+        if others:
+            yield f"{first} times others", np.stack(others, 1), np.zeros(len(others), dtype=bool)
+    owners, runs = regression.owners, np.unique(regression.owners)
+    phase = np.empty(len(t))
+    for run in runs:
+        own = owners == run
+        phase[own] = (t[own] - t[own].min()) / max(float(np.ptp(t[own])), 1e-9)
+    for name, v in scaled.items():
+        s = np.clip(v, -_FAR, _FAR)
+        yield _named(name + OVER_TIME, [s * (2.0 * phase - 1.0), s * (2.0 * phase - 1.0) ** 2])
+        if 1 < len(runs) <= _MOST_RUNS:
+            yield _named(name + BY_RUN, [s * (owners == run) for run in runs])
+    for name in _inputs_of(regression, columns):
+        yield _named(name + BEFORE, [_before(columns[name], regression.series, k) for k in before])
+    waves = [phase - 0.5, *(np.cos(np.pi * k * phase) for k in range(1, _WAVES + 1))]
+    yield _named("time", waves)
+    if 1 < len(runs) <= _MOST_RUNS:
+        yield _named("run", [(owners == run) * 1.0 for run in runs])
+
+
+def _named(name: str, functions: Sequence[Array]) -> tuple[str, Array, NDArray[np.bool_]]:
+    return name, np.stack(functions, 1), np.zeros(len(functions), dtype=bool)
+
+
+def _inputs_of(regression: Regression, columns: Mapping[str, Array]) -> list[str]:
+    return [n for n in (*_MIXED, *regression.vector.system.input_names) if n in columns]
+
+
+def _before(v: Array, series: Series, boxes: int) -> Array:
+    """A variable (M,) as it was so many boxes before, in the same stretch."""
+    out = v.copy()
+    for a, b in series.edges:
+        out[a:b] = v[np.maximum(np.arange(a, b) - boxes, a)]
+    return out
+
+
+def own_space(regression: Regression, channel: int) -> Array:
+    """Orthonormal columns (N, r) of what the parameters can do to a channel's whitened residual."""
+    return orthonormal(regression.slopes[channel])
+
+
+def projected(regression: Regression, channel: int, functions: Array, own: Array) -> Array:
+    """Functions per unit of time (M, q), whitened and free of `own_space` (N, q)."""
+    z = whitened_functions(regression, channel, functions)
+    return np.asarray(z - own @ (own.T @ z))
+
+
+def whitened_functions(regression: Regression, channel: int, functions: Array) -> Array:
+    """Functions per unit of time (M, q), whitened (N, q)."""
+    return regression.whitened(regression.noises[channel], functions * regression.dt)

@@ -1,0 +1,130 @@
+"""The result of a diagnosis: what was found, with values, as Python reads it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from nsde_torch.data import DataSet
+from nsde_torch.diagnosis import content as contents
+from nsde_torch.diagnosis.explanation import Explanation
+from nsde_torch.diagnosis.fitted import effect_of, values_of
+from nsde_torch.diagnosis.held_out import HeldOut
+from nsde_torch.diagnosis.options import Options
+from nsde_torch.diagnosis.outcome import Outcome
+from nsde_torch.diagnosis.text import lines
+from nsde_torch.diagnosis.views import rates_width
+from nsde_torch.effects import effect_class, key_of
+from nsde_torch.recording.undo import Fault, Recorded
+from nsde_torch.sysid.loop_test import LoopTest
+from nsde_torch.sysid.result import Identification
+from nsde_torch.systems import System
+
+
+@dataclass(frozen=True)
+class Diagnosis:
+    """What was found.
+
+    Args:
+        system: Declared system.
+        data: The data set.
+        runs: Names of its runs that were looked at.
+        recorded: Recording chain, undone.
+        outcome: Effects that were found, and the tests of what is left.
+        errors: Errors on runs left out.
+        explanation: What is left, and what may explain it.
+        options: Settings.
+        seconds: Time that stages took.
+        feedback: What the data say of the loop that they were recorded in.
+        instrumented: Estimates with signals from outside the loop; None without any.
+        system_name: Name that makes the system, `module:Class` for one of the user's own.
+    """
+
+    system: System
+    data: DataSet
+    runs: tuple[str, ...]
+    recorded: Recorded
+    outcome: Outcome
+    errors: HeldOut
+    explanation: Explanation
+    options: Options
+    seconds: dict[str, float] = field(default_factory=dict)
+    feedback: LoopTest = field(default_factory=LoopTest)
+    instrumented: Identification | None = None
+    system_name: str = ""
+
+    @property
+    def verdict(self) -> str:
+        """`no_effect`, `effect_found` or `unexplained`; a fault of the recording chain counts as found."""
+        if self.outcome.verdict == "no_effect" and self.faults:
+            return "effect_found"
+        return self.outcome.verdict
+
+    @property
+    def added(self) -> list[str]:
+        """Names of everything that was found, the recording chain first."""
+        return [fault.name for fault in self.faults] + [f.name for f in self.outcome.found]
+
+    @property
+    def faults(self) -> list[Fault]:
+        """Faults of the recording chain that are longer than a step."""
+        return [f for f in self.recorded.faults if not f.short]
+
+    @property
+    def effects(self) -> dict[str, dict[str, Any]]:
+        """Effects that were found, with values: `{name: {parameter: value}}`, `module:Class` for one of the user's own.
+
+        What `effects=` of `nsde_torch.train` and `nsde_torch.simulate` takes.
+        """
+        return {
+            key_of(effect_class(f.name)): dict(values_of(effect_of(self.outcome.system, f.name)))
+            for f in self.outcome.found
+        }
+
+    @property
+    def parameters(self) -> dict[str, Any]:
+        """Parameters of everything that was found: `effect.name` -> `value`, `interval_90`, `bound`, `unit`."""
+        return contents.parameters(self)
+
+    @property
+    def declared_values(self) -> dict[str, float | list[float]]:
+        """Parameters of the declared physics as they are with what was found."""
+        values = {k: v.tolist() for k, (v, _) in self.outcome.system.declared_parameters().items()}
+        return {k: v[0] if len(v) == 1 else v for k, v in values.items()}
+
+    @property
+    def sensor_faults(self) -> dict[str, dict[str, float]]:
+        """What sensors were found to do to the states: arguments of `nsde_torch.read` that undo it."""
+        r = self.recorded
+        return {"sensor_bias": r.biases, "sensor_delay": r.delays, "sensor_lag": r.lags}
+
+    @property
+    def width(self) -> float:
+        """Length of the means over which residuals are told [s]."""
+        return rates_width(self.outcome.final.regression)
+
+    @property
+    def report(self) -> str:
+        """What was found, in words and tables, as `nsde diagnose` prints it."""
+        return "\n".join(lines(self.content()))
+
+    def __str__(self) -> str:
+        return self.report
+
+    def content(self) -> dict[str, Any]:
+        """What `diagnosis.json` holds; its keys are in docs/content/reference/diagnosis-json.md."""
+        return contents.content(self)
+
+    def save(self, folder: str | Path) -> Path:
+        """Write `diagnosis.json`, `effects.yaml`, `report.html` and `plots/`.
+
+        Args:
+            folder: Where to; made where it is missing.
+
+        Returns:
+            The page `report.html`.
+        """
+        from nsde_torch.diagnosis.files import save
+
+        return save(self, folder)

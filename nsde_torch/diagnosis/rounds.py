@@ -1,0 +1,141 @@
+"""One round of the search: every candidate of the catalogue screened, the most promising fitted and ranked.
+
+A first linearised step says roughly what a candidate is worth (`screening`); the most promising are iterated, and the
+best of them get noise models of their own (`trials`).
+"""
+
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from nsde_torch.diagnosis.candidates import alone, candidate_names
+from nsde_torch.diagnosis.multiplicity import swings
+from nsde_torch.diagnosis.screening import joined, screen, starts
+from nsde_torch.diagnosis.search import Base, Search
+from nsde_torch.diagnosis.spectrum import lines
+from nsde_torch.diagnosis.trials import Trial, finished, fit_candidate, simplest_first
+from nsde_torch.effects import effect_class
+from nsde_torch.errors import NsdeError
+from nsde_torch.sysid.sizes import data_sizes
+from nsde_torch.systems import System
+from nsde_torch.systems.parameters import ParameterVector
+
+
+@dataclass
+class Round:
+    """One look at the catalogue.
+
+    Args:
+        added: Effects that the physics had already.
+        trials: Candidates that were iterated, best first.
+        screened: Log-likelihood difference of every candidate at its first step [nats].
+        errors: By candidate: standard errors of what is nothing without it, by label; infinite where no data show it.
+        failed: Candidates that could not be fitted, and why.
+        chosen: The one that was added, or None.
+    """
+
+    added: tuple[str, ...]
+    trials: list[Trial]
+    screened: dict[str, float]
+    errors: dict[str, dict[str, float]] = field(default_factory=dict)
+    failed: dict[str, str] = field(default_factory=dict)
+    chosen: Trial | None = None
+
+
+@dataclass(frozen=True)
+class _Start:
+    """Where the fit of a candidate starts: physics with it, and labels of its parameters that stay at nothing."""
+
+    system: System
+    held: tuple[str, ...]
+
+
+def look(search: Search, base: Base, *, only: Collection[str] | None = None) -> Round:
+    """Fit and rank the candidates beside the physics of `base`.
+
+    A candidate that contains an effect which was added before stands in for it.
+
+    Args:
+        search: Data and settings.
+        base: Where the round starts.
+        only: Candidates to look at; None for all. p values count all.
+    """
+    names = candidate_names(base.system)
+    if search.candidates is not None:
+        names = [n for n in names if n in search.candidates]
+    among = max(len(names), 1)
+    if only is not None:
+        names = [n for n in names if n in only]
+    out = Round(added=base.system.effect_names, trials=[], screened={})
+    peaks = lines(base.regression, decisions=search.decisions, budgets=search.budgets)
+    best = _screened(search, base, names, [peak.frequency for peak in peaks], out)
+    # from without what it contains, a first step says nothing of a candidate that stands in for it
+    sure = [n for n in best if set(effect_class(n).includes) & set(base.system.effect_names)]
+    # nor of a sinusoid at a line of the spectrum: the noise model has learned the line
+    if peaks and peaks[0].p < search.alpha:
+        sure += [n for n in best if swings(n)]
+    _fit_promising(search, base, best, sure, among, out)
+    _finish_best(search, base, among, out)
+    return out
+
+
+def _screened(
+    search: Search, base: Base, names: Sequence[str], frequencies: Sequence[float], out: Round
+) -> dict[str, _Start]:
+    """Screen candidates from all their starts; returns the best start of each."""
+    scales = data_sizes(base.system, search.steps)
+    best: dict[str, _Start] = {}
+    for i, name in enumerate(names):
+        search.say("screening effects", i, len(names))
+        for start in starts(base.system, name, scales, frequencies):
+            system = joined(base.system, name, start)
+            vector = ParameterVector(system)
+            labels = [vector.labels[j] for j in vector.of(name)]
+            for held in alone(name, labels):
+                try:
+                    nats, errors = screen(search, base, system, name, held)
+                except (NsdeError, np.linalg.LinAlgError) as error:
+                    out.failed[name] = str(error)
+                    continue
+                if name not in out.screened or nats > out.screened[name]:
+                    out.screened[name], out.errors[name] = nats, errors
+                    best[name] = _Start(system, held)
+    return best
+
+
+def _fit_promising(
+    search: Search, base: Base, best: dict[str, _Start], sure: Sequence[str], among: int, out: Round
+) -> None:
+    """Iterate the candidates whose first step promises most, and those that are sure to be fitted."""
+    budgets = search.budgets
+    rest = sorted((n for n in best if n not in sure), key=lambda n: -out.screened[n])
+    order = [*sure, *(n for n in rest if out.screened[n] > budgets.worth_nats)]
+    helped = 0
+    for i, name in enumerate(order):
+        best_yet = max((t.nats for t in out.trials), default=0.0)
+        enough = helped >= budgets.helping_fewest and out.screened[name] < budgets.close_share * best_yet
+        # what is part of a candidate that was fitted may do as well as it
+        part = any(name in effect_class(t.name).includes for t in out.trials)
+        if (enough or i >= budgets.iterated_most) and name not in sure and not part:
+            continue
+        search.say("fitting effects", i, min(len(order), budgets.iterated_most))
+        start = best[name]
+        try:
+            trial = fit_candidate(search, base, start.system, name, among=among, held=start.held)
+        except (NsdeError, np.linalg.LinAlgError) as error:
+            out.failed[name] = str(error)
+            continue
+        out.trials.append(trial)
+        helped += trial.nats > 0 and name not in sure
+    out.trials.sort(key=lambda t: -t.rank_score)
+
+
+def _finish_best(search: Search, base: Base, among: int, out: Round) -> None:
+    """Give the best candidates noise models of their own, and rank all anew."""
+    most = out.trials[0].nats if out.trials else 0.0
+    for i, trial in enumerate(out.trials):
+        if i < search.budgets.finished_fewest or trial.nats > search.budgets.finished_share * most:
+            search.say("comparing effects", i, len(out.trials))
+            out.trials[i] = finished(search, base, trial, among)
+    out.trials = simplest_first(sorted(out.trials, key=lambda t: -t.rank_score), search.decisions)

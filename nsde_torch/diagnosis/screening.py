@@ -1,0 +1,109 @@
+"""What a candidate would explain by one linearised step from its start: the likelihood ratio, and standard errors."""
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nsde_torch.diagnosis.candidates import Start, make_candidate
+from nsde_torch.diagnosis.fitted import carried, values_of
+from nsde_torch.diagnosis.search import Base, Search
+from nsde_torch.effects import Effect, effect_class
+from nsde_torch.errors import NonFiniteError
+from nsde_torch.sysid.physics import Physics
+from nsde_torch.sysid.regression import Regression
+from nsde_torch.systems import System
+from nsde_torch.systems.parameters import ParameterVector, own_name
+
+Array = NDArray[np.float64]
+
+
+def starts(
+    system: System, name: str, scales: Mapping[str, float], frequencies: Sequence[float]
+) -> list[Start]:
+    """Values that fits of a candidate start from; what it contains lends it the shapes that both have."""
+    cls = effect_class(name)
+    found = cls.starts(scales, frequencies)
+    for effect in system.effects:
+        assert isinstance(effect, Effect)
+        if effect.name not in cls.includes:
+            continue
+        lent = {key: value for key, value in values_of(effect).items() if key in cls.shapes}
+        found += [{**start, **lent} for start in found] if lent else []
+    return found
+
+
+def joined(system: System, name: str, start: Start) -> System:
+    """The system with a candidate, without what the candidate contains."""
+    contained = set(effect_class(name).includes) & set(system.effect_names)
+    if contained:
+        system = system.without_effects(*contained)
+    return system.with_effects(make_candidate(name, system, start))
+
+
+def screen(
+    search: Search, base: Base, system: System, name: str, held: Sequence[str]
+) -> tuple[float, dict[str, float]]:
+    """Log-likelihood difference [nats] of one linearised step from the start of a candidate; standard errors."""
+    before = base.regression
+    vector = ParameterVector(system)
+    physics = Physics(vector, search.steps)
+    theta = vector.inside(carried(vector, before))
+    cls = effect_class(name)
+    mine = vector.of(name)
+    moved = [j for j in mine if own_name(vector.labels[j]) in cls.amplitudes and vector.labels[j] not in held]
+    beside = len(vector) == len(before.vector) + len(mine)
+    old = before.slopes.reshape(-1, len(before.vector)) @ before.shown.basis
+    whole = before.white.reshape(-1)
+    residual = whole
+    if beside and moved and not vector.moves_memory[moved].any():
+        slopes = np.concatenate([physics.slopes(theta, slice(j, j + 1)) for j in moved], 2)
+        new, columns = _whitened(search, before, slopes), moved
+    else:
+        change = before.single.summed(physics.residual(theta), search.box)
+        if not np.isfinite(change[:, before.rows]).all():
+            raise NonFiniteError(f"{name} is not finite at its start.")
+        pairs = zip(before.noises, before.rows, strict=True)
+        residual = np.stack([before.whitened(n, change[:, [c]])[:, 0] for n, c in pairs]).reshape(-1)
+        columns = [j for j in range(len(vector)) if vector.labels[j] not in {*held, *search.held}]
+        new = _whitened(search, before, physics.slopes(theta))[:, columns]
+    basis = np.linalg.qr(old)[0]
+    before_left = whole - basis @ (basis.T @ whole)
+    if beside:
+        residual = residual - basis @ (basis.T @ residual)
+        new = new - basis @ (basis.T @ new)
+    size = np.linalg.norm(new, axis=0)
+    new = new / np.maximum(size, 1e-300)
+    rest = residual - new @ np.linalg.lstsq(new, residual, rcond=1e-6)[0]
+    sizes = cls.amplitudes or cls.null
+    live = [i for i, j in enumerate(columns) if j in mine and own_name(vector.labels[j]) in sizes]
+    live = live if beside else []  # what the others could do instead was not taken out
+    labels = [vector.labels[columns[i]] for i in live]
+    errors = dict(zip(labels, standard_errors(new, size, live), strict=True))
+    return 0.5 * float(before_left @ before_left - rest @ rest), errors
+
+
+def _whitened(search: Search, before: Regression, slopes: Array) -> Array:
+    """Slopes over steps as whitened columns (rows * N, q)."""
+    summed = before.single.summed(slopes, search.box)
+    pairs = zip(before.noises, before.rows, strict=True)
+    return np.concatenate([before.whitened(n, summed[:, c]) for n, c in pairs])
+
+
+def standard_errors(columns: Array, size: Array, which: Sequence[int]) -> list[float]:
+    """Standard errors of some coefficients beside each other, under noise of variance 1.
+
+    Args:
+        columns: Columns (N, q) of length 1, or of length 0.
+        size: What they were divided by (q,).
+        which: Numbers of the coefficients; others than these are not free.
+
+    Returns:
+        One per coefficient, infinite where its column is nothing beside the others.
+    """
+    part = columns[:, which]
+    inverse = np.linalg.pinv(part.T @ part, rcond=1e-9)
+    gone = 1.0 - np.diag(inverse @ (part.T @ part)) > 1e-6
+    dead = gone | (size[which] <= 1e-9 * max(float(size.max(initial=0.0)), 1e-300))
+    error = np.sqrt(np.clip(np.diag(inverse), 0.0, None)) / np.maximum(size[which], 1e-300)
+    return np.where(dead, np.inf, error).tolist()

@@ -1,0 +1,125 @@
+"""Forward selection: look at the catalogue, add the likeliest effect, look again, until none helps.
+
+A candidate is added while its p value, corrected for the number of comparisons of the round (`multiplicity`), is below
+alpha and its held-out log-likelihood difference is positive.
+
+A time shorter than a step of the log (inputs that act a millisecond late) is nothing that data can name, but left out
+it makes other effects look likely. Where it explains more than any of them, it joins what is declared.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from nsde_torch.diagnosis.fitted import effect_of, fitted_system, values_of
+from nsde_torch.diagnosis.rounds import Round, look
+from nsde_torch.diagnosis.screening import joined
+from nsde_torch.diagnosis.search import Base, Search
+from nsde_torch.diagnosis.trials import Trial, accept, below_a_step
+from nsde_torch.effects import effect_class
+
+
+@dataclass(frozen=True)
+class Selection:
+    """Effects that were chosen one at a time.
+
+    Args:
+        declared: The declared physics, fitted, with what is shorter than a step.
+        final: The physics with everything that was chosen, fitted.
+        names: Effects that were chosen, in order.
+        rounds: Every look at the catalogue.
+        aside: Effects that joined what is declared because they are shorter than a step.
+    """
+
+    declared: Base
+    final: Base
+    names: list[str]
+    rounds: list[Round]
+    aside: tuple[str, ...]
+
+
+def forward_selection(search: Search, declared: Base) -> Selection:
+    """Add effects to the declared physics until none helps.
+
+    Args:
+        search: Data and settings.
+        declared: The declared physics, fitted.
+    """
+    base = declared
+    rounds: list[Round] = []
+    names: list[str] = []
+    aside: list[str] = []
+    lent: set[str] = set()
+    while len(names) < search.decisions.most_effects:
+        now = look(search, base)
+        short = below_a_step(search, now.trials)
+        if short is not None:
+            aside.append(short.name)
+            base = search.grown(short.regression)
+            with_it = declared.system.with_effects(effect_of(base.system, short.name))
+            declared = search.base(with_it, warm=True, like=declared.regression) if names else base
+            continue
+        chosen = choice(search, now.trials, names)
+        if chosen is not None and chosen.name not in lent:
+            lent.add(chosen.name)
+            better = _better_start(search, base, chosen, names)
+            if better is not None:
+                base = better
+                continue
+        rounds.append(now)
+        now.chosen = chosen
+        if now.chosen is None:
+            break
+        replaced = effect_class(now.chosen.name).includes
+        names = [*(n for n in names if n not in replaced), now.chosen.name]
+        search.held |= set(now.chosen.held)
+        base = search.grown(now.chosen.regression)
+    return Selection(declared, base, names, rounds, tuple(aside))
+
+
+def choice(search: Search, trials: Sequence[Trial], added: Sequence[str]) -> Trial | None:
+    """The likeliest candidate; of one that contains a simpler one that is there too, the simpler.
+
+    What contains it has to be better than it together with any other in the next round.
+
+    Args:
+        search: Data and settings.
+        trials: Candidates that were fitted, best first.
+        added: Names of the effects that the physics has already.
+    """
+    accepted = [t for t in trials if accept(search, t)]
+    if not accepted:
+        return None
+    best = accepted[0]
+    simpler = [t for t in accepted if t.name in effect_class(best.name).includes]
+    if simpler:
+        return simpler[0]
+    # one effect in the place of another explains with fewer than two beside each other
+    price = search.decisions.wider_nats
+    wider = [
+        t for t in accepted if set(effect_class(t.name).includes) & set(added) and best.nats < t.nats + price
+    ]
+    return wider[0] if wider else best
+
+
+def _better_start(search: Search, base: Base, chosen: Trial, names: Sequence[str]) -> Base | None:
+    """The physics whose effects, which `chosen` contains, are fitted from its shapes; None if that is no better.
+
+    What contains an effect may seem better only because the effect was stuck beside its own optimum.
+    """
+    best = base
+    for name in effect_class(chosen.name).includes:
+        if name in names:
+            other = _reshaped(search, base, name, chosen)
+            if other.score.fitted > best.score.fitted + search.decisions.restart_nats:
+                best = other
+    return None if best is base else best
+
+
+def _reshaped(search: Search, base: Base, name: str, like: Trial) -> Base:
+    """The physics with one of its effects fitted again from the shapes that another one of its kind has found."""
+    system = base.system
+    own, other = (effect_of(s, n) for s, n in ((system, name), (fitted_system(like.regression), like.name)))
+    lent = {k: v for k, v in values_of(other).items() if k in type(own).shapes}
+    start = {**values_of(own), **lent}
+    again = joined(system.without_effects(name), name, start)
+    return search.base(again, warm=True, like=base.regression)

@@ -1,0 +1,257 @@
+"""Specification tests: what the residual still depends on, of everything that was measured (`regressors`).
+
+For a channel with whitened residual w and a group of functions Z of one variable (cut free of what the parameters
+can do), the scores s_b = Z_b' w_b of B blocks of time have mean 0 if nothing is missing (`chances`). Each variable is
+tested in all runs and in the one run that stands out (`one_run`), as something that repeats along it (`repeats`), and
+all channels at their largest moment (`moments`) and line of the spectrum (`spectrum`).
+
+What is strong hides twice: the law of the noise has learned it, and it scatters over blocks itself. Where a law without
+it is much likelier (`laws`), it is tested under that law too, with the scatter from leaving blocks out.
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nsde_torch.diagnosis.chances import chance, independent, nats_of
+from nsde_torch.diagnosis.dependence import Dependence
+from nsde_torch.diagnosis.evidence import folds
+from nsde_torch.diagnosis.laws import Laws
+from nsde_torch.diagnosis.moments import bumps, largest_moment
+from nsde_torch.diagnosis.one_run import Alone, alone
+from nsde_torch.diagnosis.regressors import (
+    BEFORE,
+    SMOOTH,
+    Regressors,
+    own_space,
+    projected,
+    whitened_functions,
+)
+from nsde_torch.diagnosis.repeats import COUNTS, best_repeat
+from nsde_torch.diagnosis.spectrum import WHOLE, Line, lines, waves_of
+from nsde_torch.sysid.noise import Noise
+from nsde_torch.sysid.regression import Regression
+from nsde_torch.systems import System
+
+Array = NDArray[np.float64]
+Labels = NDArray[np.int64]
+
+
+def dependences(regression: Regression, variables: Regressors, *, overview: bool = False) -> list[Dependence]:
+    """Every channel against every variable, the surest first.
+
+    Args:
+        regression: At its optimum.
+        variables: What it may depend on.
+        overview: Whether single variables, inputs before, time and run are enough, without products of variables and
+            what differs over time or between runs: what effects that were found had left to explain.
+    """
+    of_white = regression.whitened_rows(regression.blocks)
+    decisions, budgets = variables.decisions, variables.budgets
+    fold = folds(regression, decisions)
+    out = []
+    spans, moments = bumps(regression)
+    places, limits = _places(regression.vector.system, variables), regression.carry_limits()
+    of_channel = [
+        Laws(regression, i, float(limits[c]), decisions=decisions, budgets=budgets)
+        for i, c in enumerate(regression.rows)
+    ]
+    for i, channel in enumerate(regression.rows):
+        white, laws, own = regression.white[i], of_channel[i], own_space(regression, i)
+        for name in variables.functions:
+            if overview and not _is_overview(name, variables):
+                continue
+            out += _of_variable(regression, i, name, variables, laws, (fold, of_white))
+        for name in places:
+            again = best_repeat(regression, i, variables.columns[name], own)
+            if again is not None:
+                price = float(np.log(len(COUNTS)))
+                out.append(
+                    Dependence(
+                        channel=regression.physics.names[channel],
+                        variable=name,
+                        p=min(
+                            1.0,
+                            len(COUNTS) * chance(again.columns, white, fold, of_white, decisions=decisions),
+                        ),
+                        share=2.0 * max(again.nats - 1.0 - price, 0.0) / len(white),
+                        odd=0.5,
+                        gain=again.nats - price,
+                        functions=2,
+                    )
+                )
+        found = largest_moment(regression, i, spans, moments, decisions)
+        if found is not None:
+            out.append(found)
+    # inputs that were restored swing at the nulls of the average
+    for line in (
+        lines(regression, fewest=WHOLE, decisions=decisions, budgets=budgets)[:1] if variables.inputs else []
+    ):
+        out.append(_swing(regression, line, of_channel[line.row]))
+    return sorted(own_of_runs(out), key=lambda d: d.p)
+
+
+def _is_overview(name: str, variables: Regressors) -> bool:
+    return name in (*variables.columns, "time", "run") or name.endswith(BEFORE)
+
+
+def own_of_runs(tests: Sequence[Dependence]) -> list[Dependence]:
+    """The tests, without chance for what one run alone has where something in all runs explains the channel better.
+
+    What depends on another variable in every run looks like a matter of the run that shows it most.
+    """
+    best: dict[str, float] = {}
+    for d in tests:
+        if d.everywhere:
+            best[d.channel] = max(best.get(d.channel, -np.inf), d.excess)
+    return [
+        replace(d, p=1.0)
+        if d.run is not None and d.moment is None and d.excess <= best.get(d.channel, -np.inf)
+        else d
+        for d in tests
+    ]
+
+
+def _of_variable(
+    regression: Regression,
+    i: int,
+    name: str,
+    variables: Regressors,
+    laws: Laws,
+    labels: tuple[Labels, Labels],
+) -> list[Dependence]:
+    """A channel against one group of functions: in all runs, and of a plain variable in one run alone.
+
+    Args:
+        regression: At its optimum.
+        i: Number of the channel among its rows.
+        name: Of the group.
+        variables: What the residual may depend on.
+        laws: Of the channel.
+        labels: Folds and blocks of whitened rows.
+    """
+    functions, odd = variables.functions[name]
+    there, own = regression, own_space(regression, i)
+    whitened = whitened_functions(there, i, functions)
+    z, kept = independent(whitened - own @ (own.T @ whitened))
+    if not z.shape[1]:
+        return []
+    left, law = regression.white[i], None
+    p, gain = chance(z, left, *labels, decisions=variables.decisions), nats_of(z, left)
+    other = laws.without(functions)
+    if other is not None:
+        law, there = other.law, regression.under(i, other.law)
+        own = own_space(there, i)
+        whitened = whitened_functions(there, i, functions)
+        z, kept = independent(whitened - own @ (own.T @ whitened))
+        # under another law the parameters would be elsewhere
+        left = there.white[i] - own @ (own.T @ there.white[i])
+        p = min(1.0, 2.0 * min(p, chance(z, left, *labels, strong=True, decisions=variables.decisions)))
+        gain = other.likelihood - laws.base.likelihood
+    channel = regression.physics.names[regression.rows[i]]
+    out = [_dependence(channel, name, z, odd[kept], left, p=p, gain=gain, law=law)]
+    if name in variables.columns:
+        alone = _in_one_run(there, i, (functions, odd), (out[0], nats_of(z, left)), laws, variables)
+        out += [] if alone is None else [alone]
+    return out
+
+
+def _dependence(
+    channel: str,
+    variable: str,
+    z: Array,
+    odd: NDArray[np.bool_],
+    left: Array,
+    *,
+    p: float,
+    gain: float,
+    run: int | None = None,
+    law: Noise | None = None,
+) -> Dependence:
+    """A test of orthonormal columns (N, q) on what is left (N,)."""
+    squares, q = np.square(z.T @ left), z.shape[1]
+    explained = float(squares.sum())
+    share, of_odd = max(explained - q, 0.0) / max(float(left @ left), 1e-300), float(squares[odd].sum())
+    return Dependence(
+        channel, variable, p, share, of_odd / max(explained, 1e-300), gain, functions=q, run=run, law=law
+    )
+
+
+def _in_one_run(
+    regression: Regression,
+    i: int,
+    group: tuple[Array, NDArray[np.bool_]],
+    in_all: tuple[Dependence, float],
+    laws: Laws,
+    variables: Regressors,
+) -> Dependence | None:
+    """The same variable in the run that stands out.
+
+    Args:
+        regression: Under the law of the test of all runs.
+        i: Number of the channel among its rows.
+        group: Functions and which of them are odd.
+        in_all: The test of all runs, and the nats that it explains under that law.
+        laws: Of the channel.
+        variables: What the residual may depend on.
+    """
+    functions, odd = group[0][:, :SMOOTH], group[1][:SMOOTH]
+    everywhere, explained = in_all
+    found = _alone(regression, i, group[0], variables)
+    if found is None:
+        return None
+    p, there, law = found.p, regression, everywhere.law
+    gain = everywhere.gain * nats_of(found.columns, regression.white[i]) / max(explained, 1e-300)
+    if p < variables.budgets.closer_chance:
+        other = laws.without(functions * (regression.owners == found.run)[:, None])
+        if other is not None:
+            law, there = other.law, regression.under(i, other.law)
+            again = _alone(there, i, group[0], variables)
+            if again is not None and again.run == found.run:
+                found, p = again, min(1.0, 2.0 * min(p, again.p))
+            gain = other.likelihood - laws.base.likelihood
+    z, kept, left = found.columns, found.kept, there.white[i]
+    return _dependence(
+        everywhere.channel, everywhere.variable, z, odd[kept], left, p=p, gain=gain, run=found.run, law=law
+    )
+
+
+def _alone(regression: Regression, i: int, functions: Array, variables: Regressors) -> Alone | None:
+    own, white = own_space(regression, i), regression.white[i]
+    whitened = whitened_functions(regression, i, np.column_stack((functions, np.ones(len(functions)))))
+    whole, constant = whitened[:, :-1], whitened[:, -1]
+    owners = regression.whitened_rows(regression.owners)
+    return alone(
+        *(whole[:, :SMOOTH], whole, constant, white, own, owners, regression.dt),
+        decisions=variables.decisions,
+        budgets=variables.budgets,
+    )
+
+
+def _swing(regression: Regression, line: Line, laws: Laws) -> Dependence:
+    """A line of the spectrum as a sine and a cosine of its own in each stretch."""
+    waves = waves_of(regression, line.frequency)
+    other = laws.without(waves)
+    z = independent(projected(regression, line.row, waves, own_space(regression, line.row)))[0]
+    gain = nats_of(z, regression.white[line.row])
+    left = regression.residual[:, regression.rows[line.row]]
+    explained = left @ waves @ np.linalg.lstsq(waves, left, rcond=1e-9)[0]
+    return Dependence(
+        channel=regression.physics.names[regression.rows[line.row]],
+        variable="time",
+        p=line.p,
+        share=float(explained) / max(float(left @ left), 1e-300),
+        odd=0.0,
+        gain=gain if other is None else other.likelihood - laws.base.likelihood,
+        functions=waves.shape[1],
+        swing=line.frequency,
+    )
+
+
+def _places(system: System, variables: Regressors) -> list[str]:
+    """Variables along which something may repeat: positions, and angles."""
+    named = {position for position, _, _ in system.position_derivatives}
+    angles = {n for n, unit in zip(system.feature_names, system.feature_units, strict=True) if unit == "rad"}
+    return [name for name in variables.columns if name in named | angles]

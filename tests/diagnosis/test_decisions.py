@@ -1,0 +1,85 @@
+"""Numbers that a diagnosis decides by stand in one place, each is used, and budgets change no verdict."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import fields, replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from nsde_torch.diagnosis.decisions import BUDGETS, DECISIONS, Budgets, Decisions, Wording
+from nsde_torch.diagnosis.options import Options
+from nsde_torch.errors import ConfigError
+from tests.helpers.diagnosed import diagnosed
+
+_THRESHOLD = re.compile(r"^_?[A-Z][A-Z_, ]*(: \w+)? = [-\d.(][-\d.e, ()]*(?P<comment> +#.*)?$")
+_SPRING, _FRICTION = "mass_spring_damper", {"coulomb_friction": {"size": 0.3}}
+_SHORT: dict[str, Any] = {"durations": (5.0,) * 4, "dt": 0.02}
+_LESS_IS_MORE = {"worth_nats", "close_share", "finished_share", "noise_nats"}
+"""Budgets that try more where they are smaller."""
+
+
+def _sources(root: Path) -> dict[str, str]:
+    folder = root / "nsde_torch" / "diagnosis"
+    return {p.name: p.read_text(encoding="utf-8") for p in folder.glob("*.py") if p.name != "decisions.py"}
+
+
+@pytest.mark.parametrize("owner", [Decisions, Wording, Budgets])
+def test_every_number_is_used(owner: type, root: Path) -> None:
+    text = "\n".join(_sources(root).values())
+    unused = [f.name for f in fields(owner) if not re.search(rf"\.{f.name}\b", text)]
+    assert unused == []
+
+
+def test_no_module_reads_the_defaults_behind_the_back_of_its_caller(root: Path) -> None:
+    behind = {
+        f"{name}: {line.strip()}"
+        for name, text in _sources(root).items()
+        for line in text.splitlines()
+        if re.search(r"\b(DECISIONS|BUDGETS)\.", line) and name != "options.py"
+    }
+    assert behind == set()
+
+
+def test_numbers_of_a_module_say_what_they_are(root: Path) -> None:
+    bare = [
+        f"{name}: {line}"
+        for name, text in _sources(root).items()
+        if name != "recording.py"
+        for line, below in zip(text.splitlines(), [*text.splitlines()[1:], ""], strict=True)
+        if (m := _THRESHOLD.match(line)) and m["comment"] is None and not below.startswith('"""')
+    ]
+    assert bare == []
+
+
+def test_options_give_the_first_numbers() -> None:
+    assert Options().decisions == DECISIONS
+    assert Options(alpha=0.05, max_effects=2).decisions == replace(DECISIONS, alpha=0.05, most_effects=2)
+
+
+def test_a_number_out_of_range_is_refused() -> None:
+    with pytest.raises(ConfigError, match="folds"):
+        Decisions(folds=1)
+    with pytest.raises(ConfigError, match="iterations"):
+        Budgets(iterations=0)
+
+
+def _twice(budgets: Budgets) -> Budgets:
+    values = {f.name: getattr(budgets, f.name) for f in fields(budgets)}
+    return Budgets(**{k: v / 2 if k in _LESS_IS_MORE else 2 * v for k, v in values.items()})
+
+
+@pytest.mark.parametrize("effects", [[], [_FRICTION]])
+def test_twice_the_budget_finds_the_same(effects: list[Any]) -> None:
+    once, twice = (diagnosed(_SPRING, *effects, budgets=b, **_SHORT)[1] for b in (BUDGETS, _twice(BUDGETS)))
+    assert (once["verdict"], once["added"]) == (twice["verdict"], twice["added"])
+    for name, was in once["parameters"].items():
+        low, high = was["interval_90"]
+        assert low <= twice["parameters"][name]["value"] <= high
+
+
+def test_what_is_decided_reaches_the_search() -> None:
+    _, content = diagnosed(_SPRING, _FRICTION, decisions=Decisions(least_nats=1e6), **_SHORT)
+    assert (content["verdict"], content["added"]) == ("unexplained", [])

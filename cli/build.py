@@ -14,11 +14,12 @@ from nsde_torch.models import MODELS, ModelOptions
 from nsde_torch.recording import read
 from nsde_torch.sde import IntegratorOptions, TorchDiffEqOptions
 from nsde_torch.simulation import simulated
+from nsde_torch.sysid.smoothed_states import restore_states
 from nsde_torch.systems import System, SystemOptions
 from nsde_torch.training import LossOptions, TrainerOptions
 
 # Keys of a data configuration that are not arguments of the function that makes the data.
-_NOT_FOR_DATA = ("kind", "test", "test_path", "validation", "options", "instruments")
+_NOT_FOR_DATA = ("kind", "test", "test_path", "validation", "options", "instruments", "state_smoothing")
 
 
 def settings(config: DictConfig, *, sweep: bool) -> tuple[torch.device, torch.dtype]:
@@ -89,7 +90,7 @@ def dataset(config: DictConfig, machine: SystemInfo) -> DataSet:
     given = options(config, *_NOT_FOR_DATA)
     if config.kind == "simulated":
         return simulated(machine, **given, **options(config.options))
-    return read(config.kind, machine, **given)
+    return _restored(config, read(config.kind, machine, **given), machine)
 
 
 def other_dataset(config: DictConfig, machine: SystemInfo) -> DataSet:
@@ -98,7 +99,15 @@ def other_dataset(config: DictConfig, machine: SystemInfo) -> DataSet:
     Raises:
         DataError: The data cannot be used.
     """
-    return read(config.kind, machine, **{**options(config, *_NOT_FOR_DATA), "path": config.test_path})
+    data = read(config.kind, machine, **{**options(config, *_NOT_FOR_DATA), "path": config.test_path})
+    return _restored(config, data, machine)
+
+
+def _restored(config: DictConfig, data: DataSet, machine: SystemInfo) -> DataSet:
+    """Data with states as they were before a smoother of the recording chain, unless the user wants to keep it."""
+    if config.state_smoothing == "keep" or not isinstance(machine, System):
+        return data
+    return restore_states(data, machine)
 
 
 def split(config: DictConfig, data: DataSet, machine: SystemInfo) -> Split:

@@ -77,6 +77,11 @@ class FileData(DataConfig):
     sensor_lag: dict[str, float] = key(
         {}, "time constants of filters that states went through, {STATE: 0.02}, to undo", unit="s"
     )
+    state_smoothing: str = key(
+        "restore",
+        "what to do with states that were smoothed before they were logged",
+        choices=("restore", "keep"),
+    )
 
 
 @dataclass

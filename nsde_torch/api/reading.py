@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 from nsde_torch.data.raw import RawRun
 from nsde_torch.data.run import DataSet, Run
@@ -14,6 +14,7 @@ from nsde_torch.errors import ConfigError, DataError
 from nsde_torch.recording.checks import assemble
 from nsde_torch.recording.readers import read as read_kind
 from nsde_torch.simulation.generate import Simulation
+from nsde_torch.sysid.smoothed_states import restore_states
 from nsde_torch.systems.base import System
 from nsde_torch.systems.options import SystemOptions, system_options
 
@@ -32,6 +33,7 @@ def read(
     sensor_bias: Mapping[str, float] | None = None,
     sensor_delay: Mapping[str, float] | None = None,
     sensor_lag: Mapping[str, float] | None = None,
+    state_smoothing: str = "restore",
 ) -> DataSet:
     """Read and check runs: units, times, gaps, kinematics.
 
@@ -47,6 +49,7 @@ def read(
         sensor_bias: What sensors read too much, by name of a state, in its unit; taken out.
         sensor_delay: By how much states are logged late [s], by name of a state or common name of several; undone.
         sensor_lag: Time constants of filters that states went through [s], by the same names; undone.
+        state_smoothing: What to do with states that were smoothed before they were logged: "restore" or "keep".
 
     Returns:
         The data set; `print(data.summary)` tells what was found and done.
@@ -62,37 +65,40 @@ def read(
         >>> data.names, data.dt
         (('run_0', 'run_1'), 0.01)
     """
+    if state_smoothing not in ("restore", "keep"):
+        raise ConfigError(f"`state_smoothing` must be restore or keep; got {state_smoothing!r}.")
     if isinstance(data, DataSet):
         return data
     machine: SystemInfo = (
         system_options(system).make() if isinstance(system, str | type | SystemOptions) else system
     )
+    found = _assembled(
+        data,
+        machine,
+        kind,
+        sensor_bias,
+        {"dt": dt, "gap": gap, "clock": clock, "sensor_delay": sensor_delay, "sensor_lag": sensor_lag},
+    )
+    if state_smoothing == "keep" or not isinstance(machine, System):
+        return found
+    return restore_states(found, machine)
+
+
+def _assembled(
+    data: str | Path | Simulation | Sequence[RawRun],
+    machine: SystemInfo,
+    kind: str | None,
+    sensor_bias: Mapping[str, float] | None,
+    options: Mapping[str, Any],
+) -> DataSet:
     if isinstance(data, str | Path):
-        return read_kind(
-            kind or kind_of(data),
-            machine,
-            path=str(data),
-            dt=dt,
-            gap=gap,
-            clock=clock,
-            sensor_bias=sensor_bias,
-            sensor_delay=sensor_delay,
-            sensor_lag=sensor_lag,
-        )
+        return read_kind(kind or kind_of(data), machine, path=str(data), sensor_bias=sensor_bias, **options)
     if sensor_bias:
         raise ConfigError("`sensor_bias` is taken out of files; subtract it from the arrays of your own.")
     runs = data.runs if isinstance(data, Simulation) else data
     copies = [RawRun(r.name, r.t.copy(), r.x.copy(), r.u.copy(), dict(r.extra), r.source) for r in runs]
-    return assemble(
-        copies,
-        machine,
-        kind=kind or ("simulated" if isinstance(data, Simulation) else "arrays"),
-        dt=dt,
-        gap=gap,
-        clock=clock,
-        sensor_delay=sensor_delay,
-        sensor_lag=sensor_lag,
-    )
+    made = "simulated" if isinstance(data, Simulation) else "arrays"
+    return assemble(copies, machine, kind=kind or made, **options)
 
 
 def kind_of(path: str | Path) -> str:

@@ -1,0 +1,303 @@
+"""Filters that states went through before they were logged, by what they leave of the sensors' noise.
+
+A chain that smooths logs x_log = S (x + e): the motion x and the white noise e of a sensor, both through a smoother S.
+Where the noise is most of what is left, the spectrum of the log is that of S itself,
+
+    P(f) = |S(f)|^2 (sum_m a_m f^-m + s) + q,      m = 2, 4, 6, 8
+
+with a motion whose spectrum falls by powers of the frequency, a sensor that is white (s), and the rounding behind the
+smoother (q). For a given S the weights a_m, s, q >= 0 are those of the largest Whittle likelihood of the periodograms
+I(f), the mean of K windows,
+
+    -K sum_f (log P(f) + I(f) / P(f)),
+
+by multiplicative steps (Fevotte, Bertin and Durrieu, Neural Computation 21 (2009)). What the fit lacks is told as its
+deviance per bin, K (I / P - 1 - log(I / P)) on average, about 0.5 for a spectrum of this form.
+
+Windows are Kaiser's with sidelobes of -150 dB: behind a steep smoother a spectrum spans ten decades and more.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from math import log, pi
+from typing import Any
+
+import numpy as np
+from numpy.fft import rfft, rfftfreq
+from numpy.polynomial import polynomial
+from numpy.typing import NDArray
+from scipy.signal import get_window, savgol_coeffs
+
+Array = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+
+_POWERS = (2, 4, 6, 8)
+_WINDOW, _SHORTEST, _FEWEST = 512, 128, 4  # rows of a window at most and at least, and windows
+_BETA = 20.0  # of Kaiser's window
+_FIRST = 6  # bins of the lowest frequencies, which a trend and the window's main lobe fill
+_EFFECTIVE = 0.6  # independent windows for each half-overlapping one
+_DAMPED = 0.7  # exponent of a multiplicative step, which keeps it from swinging
+_ROUGH, _FINE, _LAST = (
+    40,
+    100,
+    400,
+)  # steps of a fit in the search, near its best, and of the one that is judged
+_ZOOMS = (1.1, 1.04, 1.012, 1.004, 1.0015)
+_NEAR, _NEAR_SHARE = 0.1, 0.5
+"""Deviance by which another smoother may be worse and still be likely: at least, and of what the best lacks."""
+_TYPICAL = 0.3  # deviance where the form is right
+_AGREE = 0.1  # of the response
+_WIDEST = 75  # rows of the widest moving average or Savitzky-Golay filter
+
+
+@dataclass(frozen=True)
+class Family:
+    """Smoothers of one kind.
+
+    Args:
+        name: In words.
+        response: S (F,) at frequencies [Hz], of a size (cut-off at half amplitude [Hz], or rows), an order and a step.
+        orders: Those that are tried.
+        of_rows: Whether the size is a number of rows.
+    """
+
+    name: str
+    response: Callable[[Array, float, int, float], Complex]
+    orders: tuple[int, ...]
+    of_rows: bool = False
+
+
+@dataclass(frozen=True)
+class Smoother:
+    """One smoother.
+
+    Args:
+        family: Its kind.
+        order: Its order.
+        size: Cut-off [Hz], or rows.
+        dt: Step of the log [s].
+    """
+
+    family: Family
+    order: int
+    size: float
+    dt: float
+
+    def response(self, f: NDArray[Any]) -> Complex:
+        """S (F,) at frequencies [Hz]."""
+        return self.family.response(np.asarray(f, dtype=np.float64), self.size, self.order, self.dt)
+
+    def falls_to(self, level: float) -> float:
+        """The lowest frequency at which |S| is below a level [Hz]; half the rate where it never is."""
+        f = np.linspace(0.0, 0.499 / self.dt, 2000)
+        below = np.flatnonzero(np.abs(self.response(f)) < level)
+        return float(f[below[0]]) if len(below) else float(f[-1])
+
+    def __str__(self) -> str:
+        order = f" of order {self.order}" if len(self.family.orders) > 1 else ""
+        size = f"{self.size:.0f} rows" if self.family.of_rows else f"{self.size:.3g} Hz"
+        return f"a {self.family.name}{order}, {size}"
+
+
+@dataclass(frozen=True)
+class Spectra:
+    """Periodograms of some channels.
+
+    Args:
+        f: Frequencies (F,) [Hz].
+        power: Mean periodograms (C, F) [unit^2 / Hz].
+        windows: Number of independent windows.
+        dt: Step [s].
+    """
+
+    f: Array
+    power: Array
+    windows: float
+    dt: float
+
+
+@dataclass(frozen=True)
+class Fit:
+    """The spectrum of a log behind a smoother.
+
+    Args:
+        deviance: Per bin; about 0.5 where the form is right.
+        motion: Spectra before the smoother without the sensor's noise (C, F) [unit^2 / Hz].
+        white: The sensor's noise before the smoother (C,) [unit^2 / Hz].
+        rounding: What rounding adds behind it (C,) [unit^2 / Hz].
+    """
+
+    deviance: float
+    motion: Array
+    white: Array
+    rounding: Array
+
+    @property
+    def before(self) -> Array:
+        """Spectra before the smoother (C, F) [unit^2 / Hz]."""
+        return self.motion + self.white[:, None]
+
+
+def _warped(f: Array, dt: float) -> Array:
+    return np.asarray(np.tan(pi * dt * np.minimum(f, 0.4999 / dt)))
+
+
+def _two_ways(f: Array, size: float, order: int, dt: float) -> Complex:
+    ratio = _warped(f, dt) / np.tan(pi * size * dt)
+    return np.asarray(1.0 / (1.0 + ratio ** (2 * order)), dtype=np.complex128)
+
+
+def _one_way(f: Array, size: float, order: int, dt: float) -> Complex:
+    poles = np.exp(1j * pi * (2 * np.arange(1, order + 1) + order - 1) / (2 * order))
+    s = 1j * _warped(f, dt) / np.tan(pi * size * dt)
+    return np.asarray(np.prod(-poles).real / np.prod(s[:, None] - poles, axis=1))
+
+
+def _spline(f: Array, size: float, order: int, dt: float) -> Complex:
+    ratio = np.sin(pi * f * dt) / np.sin(pi * size * dt)
+    return np.asarray(1.0 / (1.0 + ratio ** (2 * order)), dtype=np.complex128)
+
+
+def _cubic_spline(f: Array, size: float, order: int, dt: float) -> Complex:
+    def bend(g: Array) -> Array:  # of a natural cubic spline on a unit grid (Reinsch, 1967)
+        return np.asarray(np.sin(pi * g * dt) ** 4 / (2.0 + np.cos(2 * pi * g * dt)))
+
+    return np.asarray(1.0 / (1.0 + bend(f) / bend(np.array([size]))), dtype=np.complex128)
+
+
+def _weighted(f: Array, weights: Array, dt: float) -> Complex:
+    """Response of symmetric weights over rows about each row."""
+    half = len(weights) // 2
+    return np.asarray(
+        np.cos(2 * pi * dt * np.outer(f, np.arange(-half, half + 1))) @ weights, dtype=np.complex128
+    )
+
+
+def _gaussian(f: Array, size: float, order: int, dt: float) -> Complex:
+    std = (2.0 * log(2.0)) ** 0.5 / (2 * pi * size * dt)
+    half = max(1, int(order * std + 0.5))  # cut off at so many standard deviations
+    weights = np.exp(-0.5 * (np.arange(-half, half + 1) / std) ** 2)
+    return _weighted(f, weights / weights.sum(), dt)
+
+
+def _mean(f: Array, size: float, order: int, dt: float) -> Complex:
+    rows = round(size)
+    weights = np.full(rows + 1 - rows % 2, 1.0 / rows)
+    if not rows % 2:
+        weights[[0, -1]] *= 0.5
+    return _weighted(f, weights, dt)
+
+
+def _savitzky_golay(f: Array, size: float, order: int, dt: float) -> Complex:
+    return _weighted(f, np.asarray(savgol_coeffs(round(size), order)), dt)
+
+
+FAMILIES = (
+    Family("Butterworth filter forwards and backwards", _two_ways, (1, 2, 3, 4, 5, 6, 8)),
+    Family("causal Butterworth filter", _one_way, (1, 2, 3, 4)),
+    Family("Kalman smoother", _spline, (1, 2, 3)),
+    Family("cubic smoothing spline", _cubic_spline, (2,)),
+    Family("Gaussian filter", _gaussian, (3, 4, 6)),
+    Family("moving average", _mean, (0,), of_rows=True),
+    Family("Savitzky-Golay filter", _savitzky_golay, (2, 4), of_rows=True),
+)
+"""Smoothers that are tried. A causal filter of order 2 n looks like one of order n forwards and backwards; steep ones
+are taken for the latter."""
+
+
+def spectra_of(parts: Sequence[Array], dt: float) -> Spectra | None:
+    """Spectra of stretches (n, C) of rows, each window without its trend; None where they are too short."""
+    longest = max((len(part) for part in parts), default=0)
+    rows = _WINDOW if longest >= 3 * _WINDOW else 2 ** int(np.log2(max(longest // 3, 1)))
+    if rows < _SHORTEST:
+        return None
+    taper, t = get_window(("kaiser", _BETA), rows), np.linspace(-1.0, 1.0, rows)
+    squares, count = [], 0
+    for part in parts:
+        for a in range(0, len(part) - rows + 1, rows // 2):
+            cut = part[a : a + rows]
+            cut = cut - polynomial.polyval(t, polynomial.polyfit(t, cut, 1)).T
+            squares.append(np.square(np.abs(rfft(taper[:, None] * cut, axis=0))))
+            count += 1
+    if count < _FEWEST:
+        return None
+    keep = slice(_FIRST, -2)
+    power = np.mean(squares, axis=0).T * (2.0 * dt / np.square(taper).sum())
+    return Spectra(
+        np.asarray(rfftfreq(rows, dt)[keep], dtype=np.float64), power[:, keep], _EFFECTIVE * count, dt
+    )
+
+
+def joined(some: Sequence[Spectra]) -> Spectra:
+    """Spectra of several sensors as one, on the same frequencies."""
+    return Spectra(some[0].f, np.concatenate([s.power for s in some]), some[0].windows, some[0].dt)
+
+
+def fit(seen: Spectra, smoother: Smoother | None, *, steps: int = _LAST) -> Fit:
+    """Fit spectra behind a smoother; None for none."""
+    gain = np.ones_like(seen.f) if smoother is None else np.square(np.abs(smoother.response(seen.f)))
+    relative = seen.f / seen.f[len(seen.f) // 8]
+    before = np.stack([*(relative ** (-1.0 * m) for m in _POWERS), np.ones_like(seen.f)])
+    base = np.concatenate([before * gain, np.ones((1, len(seen.f)))])
+    weights = np.maximum((seen.power[:, None] / np.maximum(base, 1e-300)).min(2), 1e-40)
+    for _ in range(steps):
+        model = weights @ base
+        weights = weights * (((seen.power / model**2) @ base.T) / ((1.0 / model) @ base.T)) ** _DAMPED
+    ratio = seen.power / (weights @ base)
+    deviance = seen.windows * float((ratio - 1.0 - np.log(ratio)).mean())
+    return Fit(deviance, weights[:, :-2] @ before[:-1], weights[:, -2], weights[:, -1])
+
+
+@dataclass(frozen=True)
+class Likely:
+    """Smoothers behind which spectra are likeliest.
+
+    Args:
+        smoother: The likeliest.
+        deviance: Its deviance.
+        others: The best of other families and orders that fit nearly as well.
+    """
+
+    smoother: Smoother
+    deviance: float
+    others: tuple[Smoother, ...]
+
+    @property
+    def agree_to(self) -> float:
+        """Frequency up to which all of them have nearly the same response [Hz]."""
+        f = np.linspace(0.0, 0.499 / self.smoother.dt, 2000)
+        own = self.smoother.response(f)
+        ends = [np.flatnonzero(np.abs(o.response(f) - own) > _AGREE * np.abs(own)) for o in self.others]
+        return float(f[min((end[0] for end in ends if len(end)), default=len(f) - 1)])
+
+
+def likeliest(seen: Spectra) -> Likely:
+    """The smoothers of all families behind which spectra are likeliest."""
+    tried = []
+    for family in FAMILIES:
+        for order in family.orders:
+            smoother = _likeliest_of(family, order, seen)
+            tried.append((fit(seen, smoother).deviance, smoother))
+    tried.sort(key=lambda one: one[0])
+    best, smoother = tried[0]
+    near = best + max(_NEAR, _NEAR_SHARE * (best - _TYPICAL))
+    return Likely(smoother, best, tuple(other for deviance, other in tried[1:] if deviance < near))
+
+
+def _likeliest_of(family: Family, order: int, seen: Spectra) -> Smoother:
+    """The size of the largest likelihood among smoothers of one family and order: a grid, then nearer and nearer."""
+
+    def deviance(size: float, steps: int) -> float:
+        return fit(seen, Smoother(family, order, size, seen.dt), steps=steps).deviance
+
+    half = 0.5 / seen.dt
+    if family.of_rows:
+        sizes = range(2, _WIDEST) if not order else range((order + 3) | 1, _WIDEST, 2)
+        return Smoother(family, order, float(min(sizes, key=lambda n: deviance(n, _ROUGH))), seen.dt)
+    near = min((deviance(size, _ROUGH), size) for size in np.geomspace(half / 60.0, 0.8 * half, 18).tolist())
+    for zoom in _ZOOMS:
+        around = [near[1] * zoom**k for k in (-1.5, -0.7, 0.0, 0.7, 1.5)]
+        near = min((deviance(size, _FINE), size) for size in around if size < 0.95 * half)
+    return Smoother(family, order, near[1], seen.dt)

@@ -1,0 +1,393 @@
+"""States that were smoothed before they were logged: found, and undone as far as the log holds what there was.
+
+What a smoother took away, the noise model of the identification takes for noise that is not there: it weighs what the
+smoother left near nothing most, there the inputs move nothing, and gains go to nothing, surely. So the log is made what
+it was,
+
+    x = S^-1 x_log below f_r,        white noise above,
+
+where f_r is the frequency at which S has fallen to a thousandth, or to what rounding left, or to which smoothers that
+fit about as well agree. The noise is as large as the sensor's, and much larger than what moves at f_r: what moves above
+it is gone, and must not weigh. Where S fits none of the families (`recording.smoothers`), or only roughly, nothing is
+restored; white noise is added from where S begins to fall. Noise is drawn from a fixed seed.
+
+A spectrum that falls steeply may also be a motion's own. That the log was smoothed is believed where
+
+- position and integrated rate do not agree in the band in which S falls: what is left there is noise, of two sensors;
+- or else the declared physics, fitted to means over 0.15 s, foretells the changes of channels that inputs drive better
+  behind S than as they are (in nats). It is not asked where the first shows it: in a closed loop inputs answer the
+  noise of the sensors, which looks like the machine's answer to them.
+
+Sensors behind one smoother are fitted together. Ends of stretches are left out, where nobody knows how the smoother
+began and ended. In a closed loop the restored log still lacks what the controller saw above f_r; the test of the loop
+says so, and intervals widen by it.
+"""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.fft import irfft, rfft, rfftfreq
+from numpy.typing import NDArray
+from scipy.ndimage import gaussian_filter1d
+
+from nsde_torch.data import DataSet, Finding, Run
+from nsde_torch.data.quaternion import conjugate, increments, multiply, rotation_vector
+from nsde_torch.data.run import fingerprint
+from nsde_torch.data.system_info import derivative_columns, rate_columns
+from nsde_torch.errors import ConfigError, DataError, NonFiniteError
+from nsde_torch.recording import smoothers
+from nsde_torch.recording.smoothers import Fit, Likely, Smoother, Spectra
+from nsde_torch.rotation import turned
+from nsde_torch.sysid import signals
+from nsde_torch.sysid.physics import Physics
+from nsde_torch.sysid.regression import Regression
+from nsde_torch.sysid.steps import steps_of
+from nsde_torch.systems import System
+from nsde_torch.systems.parameters import ParameterVector
+
+Array = NDArray[np.float64]
+
+MISFIT = 1.0
+"""Deviance per bin of a spectrum without a smoother, above which one is looked for. Raw logs have 0.3 to 0.7."""
+SOUND = 2.0
+"""Deviance behind the best smoother, above which nothing is restored."""
+ALIKE = 0.3
+"""Deviance that a sensor may lose by being fitted together with others."""
+APART = 0.5
+"""Share of the changes in which position and integrated rate differ, above which they are noise (independent: 1)."""
+NATS = 20.0
+"""By which the declared physics must be likelier behind a smoother."""
+DEPTH, BEGINS = 1e-3, 0.9
+"""|S| down to which is restored; and at which noise is added instead."""
+_ROUNDED = 0.1  # share of rounding in what is left, up to which it is restored
+_FADES = 0.15  # of f_r, over which the restored part gives way to noise
+_ENDS = 1.5  # left out at the ends of stretches, over the frequency at which |S| is 0.7
+_FEWEST = 50  # rows that must be left of a stretch
+ABOVE, ADDED = 100.0, 10.0
+"""Times the spectrum of the motion at f_r that the noise above it is; and times that of the log where noise is added.
+The gain of a spring under a white force errs by 13 % where it is as large, by 3 % at 10 times, by 1 % at 100."""
+_MEANS_S = 0.15
+_REFERENCE_S = 0.5  # standard deviation of the smooth attitude that rotations are measured from
+_ITERATIONS = 10
+
+
+@dataclass(frozen=True)
+class Sensor:
+    """States of one sensor: columns, or the attitude, whose small rotations about a smooth one are looked at.
+
+    Args:
+        columns: Their columns.
+        names: Their names.
+        turns: Whether they are a quaternion.
+    """
+
+    columns: tuple[int, ...]
+    names: tuple[str, ...]
+    turns: bool = False
+
+    def values(self, x: Array, dt: float) -> Array:
+        """What is filtered, of one stretch (n, C)."""
+        own = x[:, list(self.columns)]
+        return rotation_vector(multiply(conjugate(_smooth(own, dt)), own)) if self.turns else own
+
+    def with_values(self, x: Array, values: Array, dt: float) -> None:
+        """Put other values into one stretch."""
+        if not self.turns:
+            x[:, list(self.columns)] = values
+            return
+        reference = torch.from_numpy(_smooth(x[:, list(self.columns)], dt))
+        x[:, list(self.columns)] = turned(reference, torch.from_numpy(values)).numpy()
+
+
+@dataclass(frozen=True)
+class Smoothed:
+    """Sensors behind one smoother.
+
+    Args:
+        sensors: The sensors.
+        smoother: What they went through.
+        reach: By sensor: frequency up to which it is restored, or from which on noise is added [Hz].
+        restored: By sensor: whether it is restored.
+        fits: By sensor: the spectrum behind the smoother.
+        seen: By sensor: its spectrum.
+    """
+
+    sensors: tuple[Sensor, ...]
+    smoother: Smoother
+    reach: tuple[float, ...]
+    restored: tuple[bool, ...]
+    fits: tuple[Fit, ...]
+    seen: tuple[Spectra, ...]
+
+    def finding(self) -> Finding:
+        """What the data summary says."""
+        names = [name for sensor in self.sensors for name in sensor.names]
+        whole, low = all(self.restored), min(self.reach)
+        if whole:
+            what = f"restored up to {low:.3g} Hz; above, white noise as large as the sensor's stands in"
+        else:
+            what = f"no known filter fits well: white noise is added, so that nothing is read from above {low:.3g} Hz"
+        return Finding(
+            "state_smoothing",
+            "",
+            len(names),
+            f"{', '.join(names)} went through {self.smoother} (|S| = 0.7 at {self.smoother.falls_to(0.7):.3g} Hz), by "
+            f"what it left of their noise; {what}. `data.state_smoothing=keep` leaves them as they are",
+            "restored" if whole else "noise added",
+            {
+                "states": names,
+                "smoother": self.smoother.family.name,
+                "order": self.smoother.order,
+                "half_power_hz": self.smoother.falls_to(0.5**0.5),
+                "band_hz": low,
+            },
+        )
+
+
+def restore_states(data: DataSet, system: System, *, seed: int = 0) -> DataSet:
+    """A data set with the smoothing of its states undone; the data set itself where there is none.
+
+    Args:
+        data: The data set.
+        system: The machine, with the declared physics; it is not changed.
+        seed: Seed of the noise that stands in for what is gone.
+
+    Returns:
+        The data set, with a finding `state_smoothing` in its summary for each smoother. One that has such a finding is
+        returned as it is.
+    """
+    if any(finding.kind == "state_smoothing" for finding in data.summary.findings):
+        return data
+    found = smoothed_states(data.runs, system, data.clock_scale)
+    if not found:
+        return data
+    runs = _restored(data.runs, found, seed)
+    findings = (*data.summary.findings, *(one.finding() for one in found))
+    told = replace(data.summary, findings=findings)
+    mark = fingerprint(runs, system_name=data.system_name, dt=data.dt, clock_scale=data.clock_scale)
+    return replace(data, runs=runs, summary=told, fingerprint=mark)
+
+
+def smoothed_states(runs: Sequence[Run], system: System, clock: float = 1.0) -> list[Smoothed]:
+    """Sensors whose states were smoothed before they were logged, by smoother.
+
+    Args:
+        runs: Recordings, all on one step.
+        system: The machine; it is not changed.
+        clock: Physical seconds per logged second.
+    """
+    dt = runs[0].dt * clock
+    seen = {sensor: s for sensor in _sensors(system) if (s := _spectra(sensor, runs, dt)) is not None}
+    odd = {sensor: s for sensor, s in seen.items() if smoothers.fit(s, None).deviance > MISFIT}
+    if not odd:
+        return []
+    out = []
+    regression: Regression | None = None
+    for sensors, likely in _by_smoother(odd):
+        smoother = likely.smoother
+        apart = [_apart(system, runs, sensor, smoother, dt) for sensor in sensors]
+        if not max(apart) > APART:
+            regression = regression or _rough_fit(system, runs, clock)
+            if regression is None or _nats(regression, sensors, smoother) < NATS:
+                continue
+        fits = tuple(smoothers.fit(odd[sensor], smoother) for sensor in sensors)
+        sound = tuple(one.deviance < SOUND for one in fits)
+        reach = tuple(
+            min(_reach(odd[sensor], one, smoother), likely.agree_to) if good else smoother.falls_to(BEGINS)
+            for sensor, one, good in zip(sensors, fits, sound, strict=True)
+        )
+        out.append(Smoothed(sensors, smoother, reach, sound, fits, tuple(odd[sensor] for sensor in sensors)))
+    return out
+
+
+# ---- finding ----------------------------------------------------------------------------------------------
+
+
+def _sensors(system: System) -> list[Sensor]:
+    names = system.state_names
+    groups = [tuple(columns) for pair in derivative_columns(system).values() for columns in pair]
+    rates = rate_columns(system)
+    if rates is not None:
+        groups.append(tuple(range(system.nx)[rates]))
+    attitude = () if system.quaternion is None else tuple(range(system.nx)[system.quaternion])
+    known = {column for group in groups for column in group} | set(attitude)
+    groups += [(column,) for column in range(system.nx) if column not in known]
+    out = [Sensor(group, tuple(names[c] for c in group)) for group in groups]
+    return [*out, Sensor(attitude, tuple(names[c] for c in attitude), turns=True)] if attitude else out
+
+
+def _smooth(q: Array, dt: float) -> Array:
+    smooth = gaussian_filter1d(q, _REFERENCE_S / dt, axis=0, mode="nearest")
+    return np.asarray(smooth / np.linalg.norm(smooth, axis=1, keepdims=True))
+
+
+def _spectra(sensor: Sensor, runs: Sequence[Run], dt: float) -> Spectra | None:
+    parts = [sensor.values(np.asarray(run.x[a:b]), dt) for run in runs for a, b in run.segments]
+    found = smoothers.spectra_of(parts, dt)
+    if found is None or not (found.power > 0).all():  # a channel that never moves, or has no last digit
+        return None
+    return found
+
+
+def _by_smoother(odd: Mapping[Sensor, Spectra]) -> list[tuple[tuple[Sensor, ...], Likely]]:
+    """Sensors that went through one smoother, and those that each went through one of their own."""
+    own = {sensor: smoothers.likeliest(s) for sensor, s in odd.items()}
+    steps = {len(s.f) for s in odd.values()}
+    if len(odd) > 1 and len(steps) == 1:
+        common = smoothers.likeliest(smoothers.joined(list(odd.values())))
+        near = {k: smoothers.fit(s, common.smoother).deviance - own[k].deviance for k, s in odd.items()}
+        alike = tuple(k for k, lost in near.items() if lost < ALIKE)
+        if len(alike) > 1:
+            return [(alike, common), *(((k,), own[k]) for k in odd if k not in alike)]
+    return [((k,), likely) for k, likely in own.items()]
+
+
+def _apart(system: System, runs: Sequence[Run], sensor: Sensor, smoother: Smoother, dt: float) -> float:
+    """Share in which changes of positions and integrals of rates differ where a smoother falls; 0 without a pair."""
+    parts: list[tuple[Array, Array]] = []
+    for run in runs:
+        for a, b in run.segments:
+            x = np.asarray(run.x[a:b])
+            for columns, change, integral in _pairs(system, x, dt):
+                if set(sensor.columns) <= columns:
+                    parts.append((change, integral))
+    if not parts:
+        return 0.0
+    spectra = [
+        smoothers.spectra_of(some, dt)
+        for some in ([c - i for c, i in parts], [c for c, _ in parts], [i for _, i in parts])
+    ]
+    if spectra[0] is None or spectra[1] is None or spectra[2] is None:
+        return 0.0
+    level = np.abs(smoother.response(spectra[0].f))
+    band = (level < 0.7) & (level > 0.03)
+    if band.sum() < 3:
+        return 0.0
+    share = spectra[0].power / np.maximum(spectra[1].power + spectra[2].power, 1e-300)
+    return float(np.median(share[:, band]))
+
+
+def _pairs(system: System, x: Array, dt: float) -> list[tuple[set[int], Array, Array]]:
+    """Columns, changes of a position (n - 1, C) and integrals of its rate, for each that is logged with its rate."""
+    out = []
+    for i, j in derivative_columns(system).values():
+        out.append(({*i, *j}, np.diff(x[:, i], axis=0), 0.5 * dt * (x[1:, j] + x[:-1, j])))
+    rates = rate_columns(system)
+    if rates is not None and system.quaternion is not None:
+        columns = {*range(system.nx)[rates], *range(system.nx)[system.quaternion]}
+        rate = x[:, rates]
+        out.append((columns, increments(x[:, system.quaternion]), 0.5 * dt * (rate[1:] + rate[:-1])))
+    return out
+
+
+def _rough_fit(system: System, runs: Sequence[Run], clock: float) -> Regression | None:
+    """The declared physics fitted to means over `_MEANS_S`, which no smoother hides."""
+    box = max(1, round(_MEANS_S / (runs[0].dt * clock)))
+    vector = ParameterVector(copy.deepcopy(system))
+    try:
+        steps = steps_of(vector.system, runs, clock=clock, smooth=False, shortest=box)
+        regression = Regression(Physics(vector, steps, foresee=False), box=box, plain=True)
+        regression.run(_ITERATIONS)
+    except (ConfigError, DataError, NonFiniteError):
+        return None
+    return regression
+
+
+def _nats(regression: Regression, sensors: Sequence[Sensor], smoother: Smoother) -> float:
+    """By how much changes are likelier from the physics behind a smoother than from it alone, where inputs drive."""
+    physics = regression.physics
+    steps, left = physics.steps, physics.residual(regression.theta)
+    driven = {channel for way in signals.directions(regression) for channel in way.channels}
+    total = 0.0
+    for channel in driven & {c for sensor in sensors for c in sensor.columns}:
+        foretold = physics.measured[:, channel] - left[:, channel]
+        alone = [left[a:b, [channel]] for a, b in steps.segments]
+        behind = [
+            physics.measured[a:b, [channel]] - _through(foretold[a:b], smoother, steps.dt)[:, None]
+            for a, b in steps.segments
+        ]
+        kept, filtered = (smoothers.spectra_of(some, steps.dt) for some in (alone, behind))
+        if kept is None or filtered is None:
+            continue
+        level = np.abs(smoother.response(kept.f))
+        band = (level < BEGINS) & (level > 0.01)
+        total += kept.windows * float(np.log(kept.power / filtered.power)[:, band].sum())
+    return total
+
+
+def _through(values: Array, smoother: Smoother, dt: float) -> Array:
+    """Values (n,) of one stretch through a smoother."""
+    n, around = len(values), min(len(values) - 1, 200)
+    longer = np.concatenate([values[around:0:-1], values, values[-2 : -around - 2 : -1]])
+    response: NDArray[Any] = smoother.response(rfftfreq(len(longer), dt))
+    through = irfft(np.multiply(rfft(longer), response), len(longer))
+    return np.asarray(through[around : around + n])
+
+
+# ---- undoing ----------------------------------------------------------------------------------------------
+
+
+def _reach(seen: Spectra, one: Fit, smoother: Smoother) -> float:
+    """Frequency up to which is restored [Hz]."""
+    left = one.before * np.square(np.abs(smoother.response(seen.f)))
+    rounded = (one.rounding[:, None] > _ROUNDED * left).any(0) & (seen.f > smoother.falls_to(BEGINS))
+    deep = min(smoother.falls_to(DEPTH), 0.48 / seen.dt)
+    return min(deep, float(seen.f[np.argmax(rounded)])) if rounded.any() else deep
+
+
+def _restored(runs: Sequence[Run], found: Sequence[Smoothed], seed: int) -> list[Run]:
+    rng = np.random.default_rng(seed)
+    dt = found[0].smoother.dt
+    ends = [_ENDS / one.smoother.falls_to(0.7) for one in found if any(one.restored)]
+    out_of_use = int(np.ceil(max(ends, default=0.0) / dt))
+    out = []
+    for run in runs:
+        x = np.array(run.x)
+        for a, b in run.segments:
+            for one in found:
+                _restore_stretch(x[a:b], one, rng)
+        inner = [(a + out_of_use, b - out_of_use) for a, b in run.segments]
+        kept = tuple((a, b) for a, b in inner if b - a >= _FEWEST)
+        out.append(replace(run, x=x, segments=kept or run.segments))
+    return out
+
+
+def _restore_stretch(x: Array, one: Smoothed, rng: np.random.Generator) -> None:
+    dt = one.smoother.dt
+    for sensor, reach, restored, how, seen in zip(
+        one.sensors, one.reach, one.restored, one.fits, one.seen, strict=True
+    ):
+        at = int(np.argmin(np.abs(seen.f - reach)))
+        values = sensor.values(x, dt)
+        # what moves above is gone: it must not weigh beside the noise that stands in for it
+        level = how.white + ABOVE * how.motion[:, at] if restored else ADDED * seen.power[:, at]
+        noise = rng.standard_normal(values.shape) * np.sqrt(level / (2.0 * dt))
+        new = _unsmoothed(values, one.smoother, reach, noise) if restored else values + noise
+        sensor.with_values(x, new, dt)
+
+
+def _unsmoothed(values: Array, smoother: Smoother, reach: float, noise: Array) -> Array:
+    """Values (n, C) of one stretch before a smoother up to a frequency, and noise above it."""
+    n, dt = len(values), smoother.dt
+    around = min(n - 1, int(3.0 / (_FADES * reach * dt)) + _FEWEST)
+    first, last = 2.0 * values[0] - values[around:0:-1], 2.0 * values[-1] - values[-2 : -around - 2 : -1]
+    longer = np.concatenate([first, values, last])
+    line = np.linspace(longer[0], longer[-1], len(longer))
+    f = rfftfreq(len(longer), dt)
+    keep = 0.5 * (1.0 + np.cos(np.pi * np.clip((f - reach) / (_FADES * reach) + 1.0, 0.0, 1.0)))
+    gain = np.where(keep > 0, keep / np.where(keep > 0, smoother.response(f), 1.0), 0.0)
+    before = irfft(rfft(longer - line, axis=0) * gain[:, None], len(longer), axis=0) + line
+    above = irfft(rfft(noise, axis=0) * np.sqrt(1.0 - np.square(_resampled(keep, n)))[:, None], n, axis=0)
+    return np.asarray(before[around : around + n] + above)
+
+
+def _resampled(values: Array, rows: int) -> Array:
+    """Values on the frequencies of a real transform of `rows`."""
+    bins = rows // 2 + 1
+    return np.asarray(np.interp(np.linspace(0.0, 1.0, bins), np.linspace(0.0, 1.0, len(values)), values))

@@ -1,0 +1,123 @@
+"""States that were smoothed: found and undone, on a machine that NumPy integrates and SciPy's filters."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy.ndimage import uniform_filter1d
+from scipy.signal import butter, savgol_filter, sosfiltfilt
+
+from nsde_torch.api.reading import read
+from nsde_torch.data import DataSet
+from nsde_torch.data.raw import RawRun
+from nsde_torch.errors import ConfigError
+from nsde_torch.sysid.identify import identify
+from nsde_torch.sysid.smoothed_states import restore_states
+from nsde_torch.systems import make_system
+
+Array = NDArray[np.float64]
+Filter = Callable[[Array], Array]
+DT, STIFFNESS, DAMPING = 0.01, 4.0, 0.8
+SPRING = make_system("mass_spring_damper")
+
+
+def butterworth(cut: float) -> Filter:
+    return lambda x: np.asarray(sosfiltfilt(butter(4, cut, fs=1 / DT, output="sos"), x, axis=0))
+
+
+FILTERS: dict[str, Filter] = {
+    "butterworth 10 Hz": butterworth(10.0),
+    "butterworth 4 Hz": butterworth(4.0),
+    "mean of 0.15 s": lambda x: np.asarray(uniform_filter1d(x, 15, axis=0)),
+    "savitzky-golay": lambda x: np.asarray(savgol_filter(x, 21, 3, axis=0)),
+}
+
+
+def swings(
+    seed: int, *, noise: float = 0.003, smooth: Filter | None = None, columns: tuple[int, ...] = (0, 1)
+) -> list[RawRun]:
+    """A spring pushed by a force that is new every row, in process noise: 40 s in steps of 1 ms, logged every 10 ms."""
+    rng = np.random.default_rng(seed)
+    out = []
+    for name in ("a", "b"):
+        n, sub = 4000, 10
+        u = 2.0 * np.sin(0.7 * DT * np.arange(n)) + rng.standard_normal(n)
+        x = np.zeros((n, 2))
+        q, v = 0.0, 0.0
+        for k in range(n):
+            x[k] = q, v
+            for _ in range(sub):
+                q, v = (
+                    q + 0.001 * v,
+                    v
+                    + 0.001 * (u[k] - STIFFNESS * q - DAMPING * v)
+                    + 0.05 * 0.001**0.5 * rng.standard_normal(),
+                )
+        x += noise * rng.standard_normal(x.shape)
+        if smooth is not None:
+            x[:, list(columns)] = smooth(x[:, list(columns)])
+        out.append(RawRun(name, DT * np.arange(n), x, u[:, None]))
+    return out
+
+
+def told(data: DataSet) -> list[dict[str, object]]:
+    return [f.values for f in data.summary.findings if f.kind == "state_smoothing"]
+
+
+def errors(data: DataSet) -> Array:
+    """Deviations from the truth of gain, stiffness and damping in half-widths of 99 % intervals, and relative."""
+    found = identify(SPRING, data.runs)
+    true = np.array(
+        [
+            {"force_gain": 1.0, "stiffness": STIFFNESS, "damping": DAMPING}[n.split(".")[-1]]
+            for n in found.vector.labels
+        ]
+    )
+    return np.asarray(
+        [np.abs(found.values / true - 1.0), np.abs(found.values - true) / found.half_widths(0.99)]
+    )
+
+
+@pytest.mark.parametrize("name", FILTERS)
+def test_a_smoothed_log_gives_the_parameters_of_the_raw_one(name: str) -> None:
+    data = read(swings(1, smooth=FILTERS[name]), system=SPRING)
+    assert [v["states"] for v in told(data)] == [["q", "q_dot"]]
+    relative, widths = errors(data)
+    assert relative.max() < (0.1 if "mean" in name else 0.03)  # behind the first null nothing is known
+    assert widths.max() < 1.5
+
+
+def test_kept_smoothing_is_what_ruins_the_identification() -> None:
+    data = read(swings(1, smooth=FILTERS["butterworth 4 Hz"]), system=SPRING, state_smoothing="keep")
+    assert not told(data)
+    assert errors(data)[0].max() > 0.1
+
+
+def test_one_smoothed_sensor_of_two_is_told_alone() -> None:
+    data = read(swings(2, smooth=FILTERS["butterworth 10 Hz"], columns=(1,)), system=SPRING)
+    assert [v["states"] for v in told(data)] == [["q_dot"]]
+
+
+@pytest.mark.parametrize("noise", [0.0, 1e-5, 0.003, 0.03])
+def test_raw_logs_are_left_alone_whatever_their_noise(noise: float) -> None:
+    for seed in range(3):
+        data = read(swings(seed, noise=noise), system=SPRING)
+        assert not told(data)
+
+
+def test_the_same_log_is_restored_in_the_same_way() -> None:
+    made = swings(4, smooth=FILTERS["butterworth 10 Hz"])
+    assert read(made, system=SPRING).fingerprint == read(made, system=SPRING).fingerprint
+
+
+def test_what_was_restored_is_not_restored_again() -> None:
+    data = read(swings(5, smooth=FILTERS["butterworth 10 Hz"]), system=SPRING)
+    assert restore_states(data, SPRING) is data
+
+
+def test_an_unknown_policy_is_refused() -> None:
+    with pytest.raises(ConfigError, match="`state_smoothing` must be restore or keep; got 'off'"):
+        read(swings(0), system=SPRING, state_smoothing="off")

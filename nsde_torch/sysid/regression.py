@@ -178,6 +178,19 @@ class Regression:
             self._past = past(self.single.summed(kinematic, self.box), self.series)
         self.white = np.stack([self.whitened(n, self.residual[:, [c]])[:, 0] for n, c in pairs])
         self.slopes = np.stack([self.whitened(n, self.jacobian[:, c]) for n, c in pairs])
+        finite = [
+            bool(np.isfinite(s).all() and np.isfinite(w).all())
+            for s, w in zip(self.slopes, self.white, strict=True)
+        ]
+        if not all(finite):
+            names = ", ".join(
+                self.physics.names[c] for (_, c), good in zip(pairs, finite, strict=True) if not good
+            )
+            raise NonFiniteError(
+                f"what the declared physics leaves of {names} can be foretold to the last digit: the log is smoother "
+                "than a sensor and the physics allow. Let smoothed states be restored (data.state_smoothing=restore), "
+                "or resample to a longer step (data.dt)."
+            )
         self.shown: Shown = shown(self.slopes.reshape(-1, len(self.vector)), self.vector.scale)
 
     def _step(self) -> float:

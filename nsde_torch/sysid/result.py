@@ -18,6 +18,9 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 
 
+_MORE = 1.05  # times what was measured: physics that leaves more is worse than none
+
+
 @dataclass(frozen=True)
 class Channel:
     """How well one channel is explained, in means over test functions (bumps) of `width_s`.
@@ -101,11 +104,12 @@ class Identification:
 
     @property
     def standard_errors(self) -> Array:
-        """Standard error of each parameter (k,); nan where the data do not show it."""
-        return np.where(self.shown.known, np.sqrt(np.diag(self.covariance).clip(0.0)), np.nan)
+        """Standard error of each parameter (k,); nan where the data do not show it, or nothing had settled."""
+        known = self.shown.known & self.converged
+        return np.where(known, np.sqrt(np.diag(self.covariance).clip(0.0)), np.nan)
 
     def half_widths(self, level: float) -> Array:
-        """Half-widths of the intervals of this level (k,); nan where the data do not show a parameter."""
+        """Half-widths of the intervals of this level (k,); nan where there is no standard error."""
         by_chance = stdtrit(self.degrees.clip(1.0), 0.5 * (1 + level)) * self.standard_errors
         return np.asarray(by_chance if self.doubt is None else by_chance + self.doubt)
 
@@ -136,8 +140,18 @@ class Identification:
                 f"({v.low[i]:g} to {v.high[i]:g} {v.units[i]})"
             )
         if not self.converged:
-            out.append(f"the iteration had not settled after {self.iterations} steps")
+            out.append(f"the iteration had not settled after {self.iterations} steps: no interval is given")
         return out
+
+    @property
+    def warnings(self) -> list[str]:
+        """Channels of which the fitted physics leaves more than was measured, in words."""
+        return [
+            f"the declared physics leaves {c.residual:.3g} {c.unit} of {c.name} where {c.measured:.3g} {c.unit} was "
+            "measured: a wrong model, order of inputs, sign or unit, or a controller that cancels a steady push"
+            for c in self.channels
+            if c.residual > _MORE * c.measured
+        ]
 
     def parameters(self) -> dict[str, dict[str, object]]:
         """Declared parameters as `metrics.json` holds them."""

@@ -72,12 +72,13 @@ def summary(found: Identification) -> str:
         f"condition number {number(found.shown.condition)}; {found.unexplained:.0%} of the rates left unexplained",
     ]
     lines += [f"not shown by the data: {finding}" for finding in found.findings]
+    lines += [f"warning: {finding}" for finding in found.warnings]
     lines += [f"feedback: {finding}" for finding in found.of_the_loop]
     rows = []
     for i, half in enumerate(found.half_widths(_LEVEL)):
         value, error = found.values[i], found.standard_errors[i]
         cells = (
-            ["", "not shown by the data"]
+            ["", "not shown by the data" if found.converged else "had not settled"]
             if half != half
             else [number(error), f"{number(value - half)} to {number(value + half)}"]
         )

@@ -38,5 +38,6 @@ def summary(
             f"network on {port}: {size}: "
             + (f"{learned.steps if learned else 0} steps" if n["kept"] else "none")
         )
+    lines += [f"warning: {sentence}" for sentence in (known.warnings if known else ())]
     lines += [f"feedback: {sentence}" for sentence in (known.of_the_loop if known else ())]
     return "\n".join(lines)

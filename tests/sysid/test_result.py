@@ -1,0 +1,38 @@
+"""What an identification tells of itself."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import nsde_torch
+from nsde_torch.sysid.identify import identify
+from nsde_torch.sysid.result import Identification
+from nsde_torch.systems import make_system
+from nsde_torch.training.fit_sysid import summary
+
+
+@pytest.fixture(scope="module")
+def found() -> Identification:
+    made = nsde_torch.simulate("mass_spring_damper", durations=[10.0, 10.0], seed=1)
+    system = make_system("mass_spring_damper")
+    return identify(system, nsde_torch.read(made, system=system).runs)
+
+
+def test_no_interval_is_given_for_a_fit_that_had_not_settled(found: Identification) -> None:
+    assert np.isfinite(found.half_widths(0.9)).all()
+    unsettled = replace(found, converged=False)
+    assert np.isnan(unsettled.half_widths(0.9)).all()
+    assert all(p["half_width_90"] == [None] * len(p["value"]) for p in unsettled.parameters().values())  # type: ignore[arg-type]
+    assert any("no interval is given" in line for line in unsettled.findings)
+    assert "had not settled" in summary(unsettled)
+
+
+def test_physics_that_leaves_more_than_was_measured_is_warned_of(found: Identification) -> None:
+    assert not found.warnings
+    worse = [replace(c, residual=2.0 * c.measured) for c in found.channels]
+    told = replace(found, channels=tuple(worse))
+    assert len(told.warnings) == len(worse)
+    assert "a wrong model, order of inputs, sign or unit" in summary(told)

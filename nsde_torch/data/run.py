@@ -43,6 +43,7 @@ class Run:
             rows.
         source: Where the run came from (file name), for messages.
         extra: Further logged columns by name, each (n,).
+        band: States that were smoothed before they were logged, and the frequency up to which they are restored [Hz].
 
     Raises:
         ShapeError: an array has the wrong number of axes or rows.
@@ -56,6 +57,7 @@ class Run:
     segments: tuple[tuple[int, int], ...] = ()
     source: str = ""
     extra: Mapping[str, Array] = field(default_factory=dict)
+    band: Mapping[str, float] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         set_field = object.__setattr__

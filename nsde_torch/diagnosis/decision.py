@@ -14,7 +14,14 @@ from nsde_torch.diagnosis.elimination import Retained
 from nsde_torch.diagnosis.evidence import nats_by_channel
 from nsde_torch.diagnosis.fitted import fitted_system, moved_channels
 from nsde_torch.diagnosis.held_out import HeldOut
-from nsde_torch.diagnosis.hidden import Feedback, Hidden, allowances, chance_beyond, likelihood_ratios
+from nsde_torch.diagnosis.hidden import (
+    Feedback,
+    Hidden,
+    allowances,
+    allowances_of_tests,
+    chance_beyond,
+    likelihood_ratios,
+)
 from nsde_torch.diagnosis.multiplicity import bonferroni
 from nsde_torch.diagnosis.outcome import Found, Outcome, Verdict, without_effect
 from nsde_torch.diagnosis.regressors import Regressors, regressors
@@ -76,7 +83,7 @@ def decide(search: Search, chosen: Selection, kept: Retained, feedback: Feedback
     if found:
         variables = _variables(search, base)
         after = dependences(base.regression, variables)
-    left = beyond_chance(after, allowances(tested), alpha=search.alpha)
+    left = beyond_chance(after, allowances_of_tests(tested), alpha=search.alpha)
     explained = base.score.fitted - declared.score.fitted
     rest = max((d.excess for d in left), default=0.0)
     if found and explained < search.decisions.negligible_share * rest:
@@ -84,7 +91,7 @@ def decide(search: Search, chosen: Selection, kept: Retained, feedback: Feedback
         before = after = dependences(declared.regression, declared_variables)
         found, base, variables = [], declared, declared_variables
         tested = feedback.test(base.regression)
-        left = beyond_chance(before, allowances(tested), alpha=search.alpha)
+        left = beyond_chance(before, allowances_of_tests(tested), alpha=search.alpha)
     brought = nats_by_channel(declared.regression, base.regression)
     found = [replace(f, moves=moved_channels(base.regression, f.name)) for f in found]
     return Outcome(

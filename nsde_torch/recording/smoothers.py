@@ -61,12 +61,14 @@ class Family:
         response: S (F,) at frequencies [Hz], of a size (cut-off at half amplitude [Hz], or rows), an order and a step.
         orders: Those that are tried.
         of_rows: Whether the size is a number of rows.
+        delays: Whether it is causal.
     """
 
     name: str
     response: Callable[[Array, float, int, float], Complex]
     orders: tuple[int, ...]
     of_rows: bool = False
+    delays: bool = False
 
 
 @dataclass(frozen=True)
@@ -196,7 +198,7 @@ def _savitzky_golay(f: Array, size: float, order: int, dt: float) -> Complex:
 
 FAMILIES = (
     Family("Butterworth filter forwards and backwards", _two_ways, (1, 2, 3, 4, 5, 6, 8)),
-    Family("causal Butterworth filter", _one_way, (1, 2, 3, 4)),
+    Family("causal Butterworth filter", _one_way, (1, 2, 3, 4), delays=True),
     Family("Kalman smoother", _spline, (1, 2, 3)),
     Family("cubic smoothing spline", _cubic_spline, (2,)),
     Family("Gaussian filter", _gaussian, (3, 4, 6)),
@@ -266,24 +268,29 @@ class Likely:
 
     @property
     def agree_to(self) -> float:
-        """Frequency up to which all of them have nearly the same response [Hz]."""
+        """Frequency up to which all of them have nearly the same gain [Hz]."""
         f = np.linspace(0.0, 0.499 / self.smoother.dt, 2000)
-        own = self.smoother.response(f)
-        ends = [np.flatnonzero(np.abs(o.response(f) - own) > _AGREE * np.abs(own)) for o in self.others]
+        own = np.abs(self.smoother.response(f))
+        ends = [np.flatnonzero(np.abs(np.abs(o.response(f)) - own) > _AGREE * own) for o in self.others]
         return float(f[min((end[0] for end in ends if len(end)), default=len(f) - 1)])
 
 
 def likeliest(seen: Spectra) -> Likely:
-    """The smoothers of all families behind which spectra are likeliest."""
+    """The smoothers of all families behind which spectra are likeliest.
+
+    Spectra hold no phase: where one without delay fits nearly as well as the likeliest, it is taken. A delay that was
+    there then stays in the log; one that was not would make it know the future.
+    """
     tried = []
     for family in FAMILIES:
         for order in family.orders:
             smoother = _likeliest_of(family, order, seen)
             tried.append((fit(seen, smoother).deviance, smoother))
     tried.sort(key=lambda one: one[0])
-    best, smoother = tried[0]
-    near = best + max(_NEAR, _NEAR_SHARE * (best - _TYPICAL))
-    return Likely(smoother, best, tuple(other for deviance, other in tried[1:] if deviance < near))
+    near = tried[0][0] + max(_NEAR, _NEAR_SHARE * (tried[0][0] - _TYPICAL))
+    likely = [one for one in tried if one[0] < near]
+    deviance, best = next((one for one in likely if not one[1].family.delays), likely[0])
+    return Likely(best, deviance, tuple(other for _, other in likely if other is not best))
 
 
 def _likeliest_of(family: Family, order: int, seen: Spectra) -> Smoother:

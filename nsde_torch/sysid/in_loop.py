@@ -104,8 +104,9 @@ def identify_in_loop(
             values=instrumented.values,
             covariance=instrumented.covariance,
             degrees=instrumented.degrees,
+            converged=True,  # instruments are solved for at once; the others need what had settled
         )
-        bias = hidden_bias(regression, loop)
+        bias = hidden_bias(regression, loop) + (0.0 if regression.converged else np.nan)
         ordinary = np.where(instrumented.moved, 0.0, bias)
         leans = np.abs(instrumented.leans)
         leaning = (leans * np.where(leans > 0, ordinary, 0.0)).sum(1)

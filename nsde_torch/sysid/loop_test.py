@@ -93,6 +93,7 @@ class LoopTest:
         between: By channel: standard errors by which inputs that move between rows may bend an estimate.
         still: Names of inputs that never move.
         why_not: Why nothing was tested; empty where it was.
+        smoothed: Channels whose states were smoothed before they were logged, and restored.
     """
 
     answers: tuple[Answer, ...] = ()
@@ -104,6 +105,7 @@ class LoopTest:
     between: dict[str, float] = field(default_factory=dict)
     still: tuple[str, ...] = ()
     why_not: str = ""
+    smoothed: tuple[str, ...] = ()
 
     @property
     def closed(self) -> bool:
@@ -151,6 +153,12 @@ class LoopTest:
         return {c: hidden[c] for c in self.other_sensors}
 
     @property
+    def hidden_from_tests(self) -> dict[str, float]:
+        """The part of `hidden` on channels of which specification tests cannot tell physics from what inputs know."""
+        hidden = self.hidden
+        return self.hidden_by_sensors | {c: hidden[c] for c in self.smoothed if self.closed and c in hidden}
+
+    @property
     def moving(self) -> dict[str, float]:
         """By channel of `other_sensors`: the standard errors of `between`."""
         return {c: self.between.get(c, 0.0) for c in self.other_sensors}
@@ -178,6 +186,7 @@ class LoopTest:
             "inputs_foretell_innovations": self.foretold,
             "functions_of_the_logged_state": list(self.functions_of_state),
             "inputs_that_never_move": list(self.still),
+            **({"restored_from_a_smoother": list(self.smoothed)} if self.smoothed else {}),
             "answers": [asdict(a) for a in self.answers],
             "knowledge": [asdict(a) for a in self.knowledge],
             "new_share_of_inputs": dict(self.new),
@@ -216,7 +225,12 @@ def tested(regression: Regression, runs: Sequence[Run]) -> LoopTest:
     """The test by a regression of runs that has settled, or why there is none."""
     system = regression.physics.vector.system
     why = _smoothed(runs, system.nu)
-    return LoopTest(why_not=why) if why else loop_test(regression, still=still_inputs(runs, system))
+    if why:
+        return LoopTest(why_not=why)
+    restored = {name for run in runs for name in run.band}
+    names = [regression.physics.names[channel] for channel in regression.rows]
+    smoothed = tuple(name for name in names if name.removesuffix(" (body)") in restored)
+    return replace(loop_test(regression, still=still_inputs(runs, system)), smoothed=smoothed)
 
 
 def still_inputs(runs: Sequence[Run], system: System) -> tuple[str, ...]:

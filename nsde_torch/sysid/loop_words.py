@@ -20,6 +20,7 @@ _EITHER = (
     "diagnose` names what is missing) and see whether this remains; signals from outside the loop "
     "(data.instruments=[...]) tell the two apart"
 )
+_SAW = "the controller saw noise that the log no longer holds"
 _SHOWN = 3  # answers that a sentence names
 
 
@@ -60,7 +61,13 @@ def sentences(found: "LoopTest") -> list[str]:
         told = "; ".join(
             f"{a.input} foretells {a.share:.1%} of what is new in {a.channel}" for a in foretold[:_SHOWN]
         )
-        out.append(f"inputs know what the log does not: {told}; {_EITHER}")
+        lost = [c for c in found.smoothed if c in {a.channel for a in foretold}]
+        why = (
+            f"the states of {' and '.join(lost)} were smoothed before they were logged, and {_SAW}; or "
+            if lost
+            else ""
+        )
+        out.append(f"inputs know what the log does not: {told}; {why}{_EITHER}")
     elif found.other_sensors:
         out.append(
             f"the inputs that move {' and '.join(found.other_sensors)} hardly answer the noise of the logged "

@@ -199,7 +199,10 @@ def smoothed_states(runs: Sequence[Run], system: System, clock: float = 1.0) -> 
         fits = tuple(smoothers.fit(odd[sensor], smoother) for sensor in sensors)
         sound = tuple(one.deviance < SOUND for one in fits)
         reach = tuple(
-            min(_reach(odd[sensor], one, smoother), likely.agree_to) if good else smoother.falls_to(BEGINS)
+            max(
+                min(_reach(odd[sensor], one, smoother), likely.agree_to) if good else 0.0,
+                smoother.falls_to(BEGINS),
+            )
             for sensor, one, good in zip(sensors, fits, sound, strict=True)
         )
         out.append(Smoothed(sensors, smoother, reach, sound, fits, tuple(odd[sensor] for sensor in sensors)))
@@ -346,6 +349,8 @@ def _restored(runs: Sequence[Run], found: Sequence[Smoothed], seed: int) -> list
     dt = found[0].smoother.dt
     ends = [_ENDS / one.smoother.falls_to(0.7) for one in found if any(one.restored)]
     out_of_use = int(np.ceil(max(ends, default=0.0) / dt))
+    pairs = [pair for one in found for pair in zip(one.sensors, one.reach, strict=True)]
+    band = {name: reach for sensor, reach in pairs for name in sensor.names}
     out = []
     for run in runs:
         x = np.array(run.x)
@@ -354,7 +359,7 @@ def _restored(runs: Sequence[Run], found: Sequence[Smoothed], seed: int) -> list
                 _restore_stretch(x[a:b], one, rng)
         inner = [(a + out_of_use, b - out_of_use) for a, b in run.segments]
         kept = tuple((a, b) for a, b in inner if b - a >= _FEWEST)
-        out.append(replace(run, x=x, segments=kept or run.segments))
+        out.append(replace(run, x=x, segments=kept or run.segments, band=band))
     return out
 
 

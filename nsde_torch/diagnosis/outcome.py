@@ -37,14 +37,14 @@ class Found:
         trial: Its fit, with all other effects that were added present.
         ties: Effects that explain the data as well in its place.
         moves: Names of the channels that its parameters move.
-        lead: Why it is a lead (provisional) and not the last word; empty where it is.
+        provisional: Why it is provisional and not the last word; empty where it is.
     """
 
     name: str
     trial: Trial
     ties: tuple[str, ...]
     moves: tuple[str, ...] = ()
-    lead: str = ""
+    provisional: str = ""
 
 
 @dataclass

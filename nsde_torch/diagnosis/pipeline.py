@@ -17,11 +17,11 @@ from time import perf_counter
 
 from nsde_torch.data import DataSet, Run
 from nsde_torch.diagnosis.chain import explains_more, undone, with_a_late_sensor
+from nsde_torch.diagnosis.cross_validation import cross_validated
 from nsde_torch.diagnosis.decision import decide, judged_on_runs_left_out, set_aside
 from nsde_torch.diagnosis.decisions import BUDGETS, DECISIONS, Budgets, Decisions
 from nsde_torch.diagnosis.elimination import eliminate
 from nsde_torch.diagnosis.explanation import explained
-from nsde_torch.diagnosis.held_out import cross_validated
 from nsde_torch.diagnosis.options import Options
 from nsde_torch.diagnosis.outcome import Outcome
 from nsde_torch.diagnosis.reading import Log, read_effects, read_log

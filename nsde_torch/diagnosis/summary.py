@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 
-from nsde_torch.diagnosis.not_shown import not_shown
+from nsde_torch.diagnosis.detectability import not_shown
 from nsde_torch.diagnosis.outcome import Outcome
 from nsde_torch.diagnosis.shape import Shape
 
@@ -34,7 +34,7 @@ def summary(
             )
         return "Nothing is missing: what the declared physics leaves is noise."
     names, rest = ", ".join(added), _rest(outcome, shapes)
-    leads = [f.name for f in outcome.found if f.lead]
+    leads = [f.name for f in outcome.found if f.provisional]
     take = f"ake {', '.join(leads)} as {'leads' if len(leads) > 1 else 'a lead'}."
     if verdict == "effect_found":
         moved = {name for f in outcome.found for name in f.moves}

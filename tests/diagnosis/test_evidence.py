@@ -10,11 +10,11 @@ import pytest
 from numpy.typing import NDArray
 from scipy.stats import kstest, ncf
 
-from nsde_torch.diagnosis.chances import chance, hotelling, independent, jackknife, left_out
 from nsde_torch.diagnosis.decisions import DECISIONS
 from nsde_torch.diagnosis.estimates import estimated
 from nsde_torch.diagnosis.evidence import by_blocks, p_value, score, sum_error
 from nsde_torch.diagnosis.multiplicity import bonferroni, frequencies_in, starts_of
+from nsde_torch.diagnosis.p_values import chance, hotelling, independent, jackknife, left_out
 from tests.helpers.linear import lasting, linear
 
 Array = NDArray[np.float64]

@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from nsde_torch.data import Run, Windows
-from nsde_torch.diagnosis.held_out import rollout_squares
+from nsde_torch.diagnosis.cross_validation import rollout_squares
 from nsde_torch.learning.before import inputs_before
 from nsde_torch.learning.fitting import Fit
 from nsde_torch.learning.options import LossOptions, TrainerOptions

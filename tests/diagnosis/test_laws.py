@@ -30,7 +30,7 @@ def test_a_strong_force_is_seen_through_the_law_of_the_noise_that_it_leaves(push
     assert other is not None
     assert other.likelihood > laws.base.likelihood + 100
     assert other.noise.std < laws.base.noise.std
-    most = max(dependences(r, variables), key=lambda d: d.gain - d.functions)
+    most = max(dependences(r, variables), key=lambda d: d.excess)
     assert (most.channel, most.variable) == ("q_dot", "q")
     assert most.noise is not None
     assert most.noise.std == other.noise.std
@@ -60,7 +60,7 @@ def test_another_law_of_one_channel_leaves_theta_and_the_regression_as_they_are(
 
 def test_a_stop_has_a_hinge_for_a_formula() -> None:
     r, variables = pushed(STRONG[0][1])
-    left = sorted(dependences(r, variables), key=lambda d: d.functions - d.gain)[:1]
+    left = sorted(dependences(r, variables), key=lambda d: -d.excess)[:1]
     found = formula(r, left, variables, RUNS)
     assert found is not None
     first = found.terms[0]

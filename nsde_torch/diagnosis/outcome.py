@@ -49,7 +49,7 @@ class Found:
 
 @dataclass
 class Outcome:
-    """What the loop concluded.
+    """What was concluded.
 
     Args:
         verdict: `no_effect`, `effect_found` or `unexplained`.

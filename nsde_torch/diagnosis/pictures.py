@@ -126,7 +126,7 @@ def unexplained_views(
     """What the residual still depends on, one panel each.
 
     Args:
-        outcome: Of the loop.
+        outcome: What was concluded.
         left: Tests; None takes those that found something.
         notes: Words for the first of them.
         runs: Names of the runs, by number.

@@ -15,7 +15,7 @@ def summary(
     Args:
         verdict: `no_effect`, `effect_found` or `unexplained`.
         added: Names of everything that was found.
-        outcome: Of the loop.
+        outcome: What was concluded.
         shapes: What the residual still depends on, in words.
         alpha: Chance of naming an effect where nothing is missing.
     """

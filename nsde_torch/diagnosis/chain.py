@@ -41,7 +41,7 @@ def undone(
 
     def misfit(some: Sequence[Run], clock: float) -> float:
         search = search_in(system, some, clock, options, decisions=decisions, budgets=budgets)
-        return sum(log(law.std) for law in search.quick(system).noises)
+        return sum(log(noise.std) for noise in search.quick(system).noises)
 
     return undo(data, runs, system, alpha=decisions.alpha, misfit=misfit)
 
@@ -55,10 +55,10 @@ def with_a_late_sensor(read: Log, outcome: Outcome) -> Log | None:
     """
 
     def misfits(some: Sequence[Run]) -> Array:
-        return np.log([law.std for law in read.search(some).quick(read.system).noises])
+        return np.log([noise.std for noise in read.search(some).quick(read.system).noises])
 
     final = outcome.final.regression
-    with_effects = sum(log(law.std) for law in final.noises)
+    with_effects = sum(log(noise.std) for noise in final.noises)
     recorded = replace(read.recorded, runs=read.runs)
     moved = late_sensor(recorded, read.system, misfits, rows=len(final.series), other=with_effects)
     return None if moved is None else replace(read, recorded=moved, runs=tuple(moved.runs))

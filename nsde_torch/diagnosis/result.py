@@ -8,9 +8,9 @@ from typing import Any
 
 from nsde_torch.data import DataSet
 from nsde_torch.diagnosis import content as contents
+from nsde_torch.diagnosis.cross_validation import HeldOut
 from nsde_torch.diagnosis.explanation import Explanation
 from nsde_torch.diagnosis.fitted import effect_of, values_of
-from nsde_torch.diagnosis.held_out import HeldOut
 from nsde_torch.diagnosis.options import Options
 from nsde_torch.diagnosis.outcome import Outcome
 from nsde_torch.diagnosis.text import lines

@@ -1,6 +1,6 @@
 """Effects that the data could not have shown: absence of evidence that is no evidence of absence.
 
-The screening of a candidate gives the standard error s of its size (one linearised step, noise law of the round).
+The screening of a candidate gives the standard error s of its size (one linearised step, noise model of the round).
 A size below about 4 s goes unnoticed among tens of candidates at alpha = 0.01; where that is a good part of the
 size that such an effect usually has, "not found" says nothing of it.
 """

@@ -36,7 +36,9 @@ from nsde_torch.diagnosis.views import rates, rates_width
 from nsde_torch.effects import Effect, effect_class, effects_of, key_of, register
 from nsde_torch.errors import ConfigError, DataError
 from nsde_torch.models.identified import SysidSpec
-from nsde_torch.recording.undo import Fault, Recorded, late_sensor, undo
+from nsde_torch.recording.faults.registry import remedies
+from nsde_torch.recording.log import Detected, Recorded
+from nsde_torch.recording.undo import instead_of_effects, undo
 from nsde_torch.sysid.in_loop import adopted, identify_in_loop
 from nsde_torch.sysid.instruments import with_columns
 from nsde_torch.sysid.loop_test import LoopTest, tested
@@ -142,8 +144,7 @@ class Diagnosis:
     @property
     def sensor_faults(self) -> dict[str, dict[str, float]]:
         """What sensors were found to do to the states: arguments of `nsde_torch.read` that undo it."""
-        r = self.recorded
-        return {"sensor_bias": r.biases, "sensor_delay": r.delays, "sensor_lag": r.lags}
+        return {name: self.recorded.values(name) for name in remedies()}
 
     @property
     def report(self) -> str:
@@ -167,7 +168,7 @@ class Diagnosis:
         return save(self, folder)
 
     @property
-    def _faults(self) -> list[Fault]:
+    def _faults(self) -> list[Detected]:
         return [f for f in self.recorded.faults if not f.short]
 
     @property
@@ -633,7 +634,7 @@ def _moved(
 
     final = outcome.final.regression
     with_effects = sum(log(law.std) for law in final.noises)
-    return late_sensor(recorded, system, misfits, rows=len(final.series), other=with_effects)
+    return instead_of_effects(recorded, system, misfits, rows=len(final.series), other=with_effects)
 
 
 def undone(data: DataSet, runs: Sequence[Run], system: System, options: Options) -> Recorded:

@@ -20,7 +20,7 @@ Times are seconds of the log's own clock.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from math import isfinite, log
 
@@ -28,6 +28,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 from scipy.ndimage import uniform_filter1d
+from scipy.signal import lfilter
 from scipy.special import stdtr, stdtrit
 
 from nsde_torch.data.kinematics import Slope, axis_groups, pool, rates_of
@@ -374,6 +375,47 @@ def unfiltered(x: Array, rows: float) -> Array:
     if len(x) < 4:
         return x
     return x + rows * np.asarray(CubicSpline(np.arange(len(x), dtype=np.float64), x)(np.arange(len(x)), 1))
+
+
+def filtered(x: Array, rows: float) -> Array:
+    """A filter of first order with a time constant of `rows`, at rest at the first row, straight between rows."""
+    if rows <= 0:
+        return x
+    keep = float(np.exp(-1.0 / rows))
+    new, old = 1.0 - rows * (1.0 - keep), rows * (1.0 - keep) - keep
+    return np.asarray(lfilter([new, old], [1.0, -keep], x, axis=0, zi=x[:1] * (keep + old))[0])
+
+
+def changed(
+    x: Array, system: SystemInfo, values: Mapping[str, float], change: Callable[[Array, float], Array]
+) -> Array:
+    """States whose channels are each changed by a number, an attitude back on the sphere.
+
+    Args:
+        x: States (n, nx).
+        system: Names of the states.
+        values: Number by state, or by the common name of several.
+        change: Function of columns and their number.
+    """
+    x = x.copy()
+    for name, value in values.items():
+        columns = channel_columns(system, name)
+        x[:, columns] = change(x[:, columns], value)
+    if system.quaternion is not None:
+        x[:, system.quaternion] /= np.linalg.norm(x[:, system.quaternion], axis=1, keepdims=True)
+    return x
+
+
+def check_times(name: str, values: Mapping[str, float], system: SystemInfo) -> None:
+    """Refuse times of an option that are of no state, or below 0 s.
+
+    Raises:
+        ConfigError: names the option, and what it was given.
+    """
+    for channel, value in values.items():
+        channel_columns(system, channel)
+        if not (isfinite(value) and value >= 0):
+            raise ConfigError(f"`{name}.{channel}` must be a time of 0 s or more; got {value!r}.")
 
 
 def _checked(channel: str, d: object) -> float:

@@ -26,8 +26,10 @@ def recording_options() -> type[Any]:
 
 
 RecordingOptions = recording_options()
+"""Sizes of the faults of a simulated recording, by name; the keys `recording.NAME` of `nsde simulate`."""
 RemedyOptions = _options(
     "RemedyOptions",
     "What a reader takes out of a log.",
     {name: (dict[str, float], fault.remedy) for name, fault in remedies().items()},
 )
+"""What a reader takes out, by name of the fault and of the states; the keys `data.NAME` of the commands."""

@@ -9,8 +9,9 @@ from scipy.optimize import minimize_scalar
 
 from nsde_torch.data.run import Run
 from nsde_torch.data.system_info import SystemInfo
+from nsde_torch.recording.channels import on_time
 from nsde_torch.recording.faults.fault import Fault
-from nsde_torch.recording.lateness import Late, on_time, sensors
+from nsde_torch.recording.lateness import Late, sensors
 from nsde_torch.recording.log import NATS, Detected, Log, Misfits, Recorded, Suspect
 
 _LEAST_STEPS = 0.2  # a delay that is of consequence

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 
 @final
-class FrameMisalignment(Fault):
+class TurnedFrame(Fault):
     """See the module."""
 
     name = "frame_misalignment"

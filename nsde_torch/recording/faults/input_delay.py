@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 
 @final
-class InputDelay(Fault):
+class LateStates(Fault):
     """See the module."""
 
     name = "input_delay"

@@ -5,8 +5,8 @@ from __future__ import annotations
 from nsde_torch.recording.faults.clock_scale import ClockScale
 from nsde_torch.recording.faults.dropout import Dropout
 from nsde_torch.recording.faults.fault import Fault
-from nsde_torch.recording.faults.frame_misalignment import FrameMisalignment
-from nsde_torch.recording.faults.input_delay import InputDelay
+from nsde_torch.recording.faults.frame_misalignment import TurnedFrame
+from nsde_torch.recording.faults.input_delay import LateStates
 from nsde_torch.recording.faults.input_smoothing import InputSmoothing
 from nsde_torch.recording.faults.sensor_bias import SensorBias
 from nsde_torch.recording.faults.sensor_delay import SensorDelay
@@ -16,12 +16,12 @@ FAULTS: dict[str, Fault] = {
     fault.name: fault
     for fault in (
         InputSmoothing(),
-        InputDelay(),
+        LateStates(),
         ClockScale(),
         SensorBias(),
         SensorDelay(),
         SensorLag(),
-        FrameMisalignment(),
+        TurnedFrame(),
         Dropout(),
     )
 }

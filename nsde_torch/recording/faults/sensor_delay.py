@@ -43,7 +43,7 @@ class SensorDelay(Fault):
 
     def check(self, value: Any, system: SystemInfo) -> None:
         """See `Fault.check`."""
-        from nsde_torch.recording.lateness import check_times
+        from nsde_torch.recording.channels import check_times
 
         check_times(self.name, value, system)
 
@@ -55,7 +55,7 @@ class SensorDelay(Fault):
         self, run: RawRun, value: Any, system: SystemInfo, *, dt: float, rng: np.random.Generator
     ) -> None:
         """See `Fault.simulate`."""
-        from nsde_torch.recording.lateness import changed, moved
+        from nsde_torch.recording.channels import changed, moved
 
         run.x = changed(run.x, system, value, lambda x, delay: moved(x, -delay / dt))
 
@@ -85,6 +85,6 @@ class SensorDelay(Fault):
 
     def undo(self, run: Run, system: SystemInfo, values: Mapping[str, float]) -> Run:
         """See `Fault.undo`."""
-        from nsde_torch.recording.lateness import on_time
+        from nsde_torch.recording.channels import on_time
 
         return on_time(run, system, values)

@@ -38,7 +38,7 @@ class SensorLag(Fault):
 
     def check(self, value: Any, system: SystemInfo) -> None:
         """See `Fault.check`."""
-        from nsde_torch.recording.lateness import check_times
+        from nsde_torch.recording.channels import check_times
 
         check_times(self.name, value, system)
 
@@ -46,7 +46,7 @@ class SensorLag(Fault):
         self, run: RawRun, value: Any, system: SystemInfo, *, dt: float, rng: np.random.Generator
     ) -> None:
         """See `Fault.simulate`."""
-        from nsde_torch.recording.lateness import changed, filtered
+        from nsde_torch.recording.channels import changed, filtered
 
         run.x = changed(run.x, system, value, lambda x, lag: filtered(x, lag / dt))
 
@@ -68,6 +68,6 @@ class SensorLag(Fault):
 
     def undo(self, run: Run, system: SystemInfo, values: Mapping[str, float]) -> Run:
         """See `Fault.undo`."""
-        from nsde_torch.recording.lateness import on_time
+        from nsde_torch.recording.channels import on_time
 
         return on_time(run, system, {}, values)

@@ -22,7 +22,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 import numpy as np
 import torch
 
-from nsde_torch.data import Run, Windows, read
+from nsde_torch.data import Run, Windows
 from nsde_torch.diagnosis.cross_validation import as_model, rollout_squares
 from nsde_torch.diagnosis.fitted import fitted_system
 from nsde_torch.diagnosis.options import Options

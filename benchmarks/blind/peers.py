@@ -31,7 +31,7 @@ from run import MOVES
 from torch import Tensor
 
 import nsde_torch
-from nsde_torch.data import DataSet, Run, Windows, read
+from nsde_torch.data import DataSet, Run, Windows
 from nsde_torch.diagnosis.cross_validation import as_model, rollout_squares
 from nsde_torch.diagnosis.fitted import fitted_system
 from nsde_torch.diagnosis.options import Options

@@ -5,7 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-from ..keys import key
+from nsde_torch.recording.options import RemedyOptions
+
+from ..keys import key, mirrors
 
 
 @dataclass
@@ -61,22 +63,16 @@ class SimulatedData(DataConfig):
 
 
 @dataclass
-class FileData(DataConfig):
-    """Runs read from files."""
+class Files(DataConfig):
+    """Where runs are read from."""
 
     path: str = key("???", "file or folder to read")
     dt: float | None = key(None, "step to resample to; null: the step of the data", unit="s", above=0)
-    sensor_bias: dict[str, float] = key(
-        {}, "what sensors read too much, {STATE: 0.01} in its unit, to take out"
-    )
-    sensor_delay: dict[str, float] = key(
-        {},
-        "by how much states are logged late, {STATE: 0.01}, or {p: 0.01} for p_x p_y p_z, to take out",
-        unit="s",
-    )
-    sensor_lag: dict[str, float] = key(
-        {}, "time constants of filters that states went through, {STATE: 0.02}, to undo", unit="s"
-    )
+
+
+@mirrors(RemedyOptions)
+class FileData(Files):
+    """Runs read from files, and what is to be taken out of them."""
 
 
 @dataclass

@@ -12,6 +12,7 @@ from nsde_torch.data.splits import Split, split
 from nsde_torch.data.system_info import SystemInfo
 from nsde_torch.errors import ConfigError, DataError
 from nsde_torch.recording.checks import assemble
+from nsde_torch.recording.faults.registry import remedies
 from nsde_torch.recording.readers import read as read_kind
 from nsde_torch.simulation.generate import Simulation
 from nsde_torch.systems.base import System
@@ -29,9 +30,7 @@ def read(
     dt: float | None = None,
     gap: float | None = None,
     clock: str = "rescale",
-    sensor_bias: Mapping[str, float] | None = None,
-    sensor_delay: Mapping[str, float] | None = None,
-    sensor_lag: Mapping[str, float] | None = None,
+    **faults: Mapping[str, float] | None,
 ) -> DataSet:
     """Read and check runs: units, times, gaps, kinematics.
 
@@ -40,13 +39,14 @@ def read(
             and any further channels), a PX4 log or a folder of them, what `nsde_torch.simulate` made, or a list of
             `nsde_torch.data.RawRun` with arrays t (n,), x (n, nx) and u (n, nu). A data set is returned as it is.
         system: The machine: key of `nsde_torch.systems.SYSTEMS`, `module:Class`, a class, or an instance.
-        kind: Reader, a key of `nsde_torch.data.READERS`; None tells by the names of the files.
+        kind: Reader, a key of `nsde_torch.recording.READERS`; None tells by the names of the files.
         dt: Step to resample to [s]; None: the step of the data.
         gap: A longer pause between rows splits a run [s]; None: 2.5 steps of the data.
         clock: What to do when the kinematics disagree with the clock: "rescale", "trust" or "refuse".
-        sensor_bias: What sensors read too much, by name of a state, in its unit; taken out.
-        sensor_delay: By how much states are logged late [s], by name of a state or common name of several; undone.
-        sensor_lag: Time constants of filters that states went through [s], by the same names; undone.
+        faults: What the recording did, to take out, by name of the fault and of the states: `sensor_bias` (what sensors
+            read too much, in the unit of the state), `sensor_delay` (by how much states are logged late [s]),
+            `sensor_lag` (time constants of filters that states went through [s]); see
+            `nsde_torch.recording.RemedyOptions`.
 
     Returns:
         The data set; `print(data.summary)` tells what was found and done.
@@ -75,12 +75,11 @@ def read(
             dt=dt,
             gap=gap,
             clock=clock,
-            sensor_bias=sensor_bias,
-            sensor_delay=sensor_delay,
-            sensor_lag=sensor_lag,
+            **faults,
         )
-    if sensor_bias:
-        raise ConfigError("`sensor_bias` is taken out of files; subtract it from the arrays of your own.")
+    for name, fault in remedies().items():
+        if fault.remedy_first and faults.pop(name, None):
+            raise ConfigError(f"`{name}` is taken out of files; subtract it from the arrays of your own.")
     runs = data.runs if isinstance(data, Simulation) else data
     copies = [RawRun(r.name, r.t.copy(), r.x.copy(), r.u.copy(), dict(r.extra), r.source) for r in runs]
     return assemble(
@@ -90,8 +89,7 @@ def read(
         dt=dt,
         gap=gap,
         clock=clock,
-        sensor_delay=sensor_delay,
-        sensor_lag=sensor_lag,
+        **faults,
     )
 
 

@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 
 from nsde_torch.diagnosis.decisions import BUDGETS, DECISIONS, Budgets, Decisions
 from nsde_torch.diagnosis.p_values import orthonormal
-from nsde_torch.learning.identify.identify import Regression
-from nsde_torch.learning.identify.series import Series
+from nsde_torch.sysid.regression import Regression
+from nsde_torch.sysid.series import Series
 
 Array = NDArray[np.float64]
 

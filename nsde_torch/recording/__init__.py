@@ -1,6 +1,6 @@
 """Recording: from logged files to checked runs, and the faults of what recorded them.
 
-Each fault is found in data, undone in them, and put into simulated ones.
+Each fault is put into simulated runs, found in data, and undone in them; see `Fault`.
 """
 
 from typing import TYPE_CHECKING
@@ -9,17 +9,24 @@ from nsde_torch.lazy import resolver
 
 if TYPE_CHECKING:
     from nsde_torch.recording.checks import assemble
-    from nsde_torch.recording.options import RecordingOptions
+    from nsde_torch.recording.faults.fault import Fault
+    from nsde_torch.recording.faults.registry import FAULTS
+    from nsde_torch.recording.log import Detected, Log, Recorded, Suspect
+    from nsde_torch.recording.options import RecordingOptions, RemedyOptions
     from nsde_torch.recording.readers import READERS, read
     from nsde_torch.recording.simulated import Recording
-    from nsde_torch.recording.undo import Fault, Recorded
 
 __all__ = [
+    "FAULTS",
     "READERS",
+    "Detected",
     "Fault",
+    "Log",
     "Recorded",
     "Recording",
     "RecordingOptions",
+    "RemedyOptions",
+    "Suspect",
     "assemble",
     "read",
 ]
@@ -27,11 +34,16 @@ __all__ = [
 __getattr__ = resolver(
     __name__,
     {
+        "FAULTS": "faults.registry",
         "READERS": "readers",
-        "Fault": "undo",
-        "Recorded": "undo",
+        "Detected": "log",
+        "Fault": "faults.fault",
+        "Log": "log",
+        "Recorded": "log",
         "Recording": "simulated",
         "RecordingOptions": "options",
+        "RemedyOptions": "options",
+        "Suspect": "log",
         "assemble": "checks",
         "read": "readers",
     },

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from math import isfinite
+from collections.abc import Callable, Sequence
 from typing import Any
 
 from nsde_torch.data.csv_folder import read_csv
@@ -13,6 +12,7 @@ from nsde_torch.data.run import DataSet
 from nsde_torch.data.system_info import SystemInfo
 from nsde_torch.errors import ConfigError
 from nsde_torch.recording.checks import assemble
+from nsde_torch.recording.faults.registry import remedies
 
 
 def _read_ulog(system: SystemInfo, **options: Any) -> Sequence[RawRun]:
@@ -37,9 +37,6 @@ def read(
     dt: float | None = None,
     gap: float | None = None,
     clock: str = "rescale",
-    sensor_bias: Mapping[str, float] | None = None,
-    sensor_delay: Mapping[str, float] | None = None,
-    sensor_lag: Mapping[str, float] | None = None,
     **options: Any,
 ) -> DataSet:
     """Reads and checks a data set.
@@ -51,10 +48,8 @@ def read(
         dt: Step [s]; default: the data's own (the nominal step of a published file, else the median).
         gap: Time between rows that counts as a gap [s]; default: 2.5 steps.
         clock: `rescale`, `trust` or `refuse` a clock that disagrees with the kinematics.
-        sensor_bias: What sensors read too much, by name of a state, in its unit; taken out before anything else.
-        sensor_delay: By how much states are logged late, by name of a state or common name of several [s of the log].
-        sensor_lag: Time constants of filters that states went through, to undo, by the same names [s of the log].
-        options: Further options of the kind.
+        options: What the recording did, to take out (`sensor_bias={"q": 0.1}`, see `RemedyOptions`), and further
+            options of the kind.
 
     Returns:
         The data set with its summary.
@@ -68,6 +63,7 @@ def read(
             f"`kind` of data must be one of {', '.join(sorted(READERS))}; got {kind!r}. (Simulated data come "
             "from `nsde_torch.simulation`.)"
         )
+    told = {name: options.pop(name) for name in remedies() if name in options}
     if kind == "published" and dt is not None:
         options["dt"] = dt
     if not path:
@@ -78,19 +74,8 @@ def read(
         if "unexpected keyword" in str(error):
             raise ConfigError(f"data of kind {kind!r}: {error}.") from error
         raise
-    for name, value in (sensor_bias or {}).items():
-        _unbias(raw, system, name, value)
-    late = {"sensor_delay": sensor_delay, "sensor_lag": sensor_lag}
-    return assemble(raw, system, kind=kind, dt=dt, gap=gap, clock=clock, **late)
-
-
-def _unbias(raw: Sequence[RawRun], system: SystemInfo, name: str, value: float) -> None:
-    if name not in system.state_names:
-        raise ConfigError(
-            f"`sensor_bias` names {name!r}, which is no state; states: {', '.join(system.state_names)}."
-        )
-    if isinstance(value, bool) or not isinstance(value, int | float) or not isfinite(value):
-        raise ConfigError(f"`sensor_bias.{name}` must be a finite number; got {value!r}.")
-    for run in raw:
-        run.x = run.x.copy()
-        run.x[:, list(system.state_names).index(name)] -= value
+    for name in [name for name in told if remedies()[name].remedy_first]:
+        values = told.pop(name) or {}
+        for run in raw if values else ():
+            remedies()[name].undo_raw(run, system, values)
+    return assemble(raw, system, kind=kind, dt=dt, gap=gap, clock=clock, **told)

@@ -113,7 +113,7 @@ def simulate(
     chain.check(known)
     _check(durations, dt, seed, battery=battery and "u_1" not in known.input_names, system=system)
     nominal = spec.dt if dt is None else float(dt)
-    step = nominal * chain.clock_scale
+    step = nominal * chain.clock
     latency, fine = _latency(asked.pop("input_delay", None), step, spec.step)
     late = chain.rows_late(nominal)
     lengths = [float(d) for d in durations or DURATIONS.get(system) or _own_durations(system)]
@@ -212,7 +212,7 @@ def _check_replay(system: str, replay: Replay, chain: Recording, dt: float) -> N
             )
         )
     replay.rows(dt)
-    late = [k for k in ("input_smoothing", "input_delay", "sensor_delay", "sensor_lag") if getattr(chain, k)]
+    late = chain.mixing_times
     if late:
         raise ConfigError(
             f"`pilot=replay` and `recording.{late[0]}` do not go together: a chain that mixes times would mix the rows "

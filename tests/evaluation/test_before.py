@@ -8,10 +8,8 @@ import torch
 
 from nsde_torch.data import Run, Windows
 from nsde_torch.diagnosis.cross_validation import rollout_squares
-from nsde_torch.learning.before import inputs_before
-from nsde_torch.learning.fitting import Fit
-from nsde_torch.learning.options import LossOptions, TrainerOptions
-from nsde_torch.learning.scores import score
+from nsde_torch.evaluation.before import inputs_before
+from nsde_torch.evaluation.scores import score
 from nsde_torch.models import IdentifiedModel, NeuralSDE, SDESpec, SysidSpec
 from nsde_torch.systems import make_system
 from nsde_torch.training.fitting import Fit

@@ -11,7 +11,7 @@ if TYPE_CHECKING:
     from nsde_torch.recording.checks import assemble
     from nsde_torch.recording.faults.fault import Fault
     from nsde_torch.recording.faults.registry import FAULTS
-    from nsde_torch.recording.log import Detected, Log, Recorded, Suspect
+    from nsde_torch.recording.log import Detected, LoggedRuns, Recorded, Suspect
     from nsde_torch.recording.options import RecordingOptions, RemedyOptions
     from nsde_torch.recording.readers import READERS, read
     from nsde_torch.recording.simulated import Recording
@@ -21,7 +21,7 @@ __all__ = [
     "READERS",
     "Detected",
     "Fault",
-    "Log",
+    "LoggedRuns",
     "Recorded",
     "Recording",
     "RecordingOptions",
@@ -38,7 +38,7 @@ __getattr__ = resolver(
         "READERS": "readers",
         "Detected": "log",
         "Fault": "faults.fault",
-        "Log": "log",
+        "LoggedRuns": "log",
         "Recorded": "log",
         "Recording": "simulated",
         "RecordingOptions": "options",

@@ -12,7 +12,7 @@ from nsde_torch.data.system_info import SystemInfo
 from nsde_torch.recording.channels import on_time
 from nsde_torch.recording.faults.fault import Fault
 from nsde_torch.recording.lateness import Late, sensors
-from nsde_torch.recording.log import NATS, Detected, Log, Misfits, Recorded, Suspect
+from nsde_torch.recording.log import NATS, Detected, LoggedRuns, Misfits, Recorded, Suspect
 
 _LEAST_STEPS = 0.2  # a delay that is of consequence
 _SURELY = 20.0  # nats by which a log is likelier with a sensor moved, where nothing else tells of it
@@ -36,7 +36,7 @@ def told(name: str, late: Sequence[Late], how: str, *, short: bool = False) -> D
     return Detected(name, values, min(d.p for d in late), text, short)
 
 
-def suspected(fault: Fault, log: Log, *, filtered: bool, how: str) -> list[Suspect]:
+def suspected(fault: Fault, log: LoggedRuns, *, filtered: bool, how: str) -> list[Suspect]:
     """Channels that are late by less than what is sure: half a step may be how a simulator steps.
 
     Args:

@@ -113,7 +113,7 @@ class Suspect:
     against: Mapping[str, float]
 
 
-class Log:
+class LoggedRuns:
     """Runs of a log, from which fault after fault is taken out.
 
     Args:

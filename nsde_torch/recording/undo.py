@@ -12,7 +12,7 @@ from collections.abc import Callable, Sequence
 from nsde_torch.data.run import DataSet, Run
 from nsde_torch.data.system_info import SystemInfo
 from nsde_torch.recording.faults.registry import in_order
-from nsde_torch.recording.log import NATS, Log, Misfits, Recorded
+from nsde_torch.recording.log import NATS, LoggedRuns, Misfits, Recorded
 
 
 def undo(
@@ -32,7 +32,7 @@ def undo(
         alpha: Chance of finding a fault in a sound log.
         misfit: Negative log likelihood per row [nats] of the declared physics in runs, at a clock.
     """
-    log = Log(data, runs, system, alpha=alpha, misfit=misfit)
+    log = LoggedRuns(data, runs, system, alpha=alpha, misfit=misfit)
     found = []
     for fault in in_order():
         seen = fault.detect(log)

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
     from nsde_torch.data.raw import RawRun
     from nsde_torch.data.system_info import SystemInfo
-    from nsde_torch.recording.log import Detected, Log
+    from nsde_torch.recording.log import Detected, LoggedRuns
 
 _FOLDS = 10  # of the jackknife in data.kinematics
 
@@ -41,7 +41,7 @@ class ClockScale(Fault):
         """See `Fault.describe`."""
         return {self.name: value}
 
-    def detect(self, log: Log) -> Detected | None:
+    def detect(self, log: LoggedRuns) -> Detected | None:
         """See `Fault.detect`: the reader decides at three standard errors, however few intervals they are from."""
         from scipy.special import stdtr, stdtrit
 

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from nsde_torch.data.raw import RawRun
     from nsde_torch.data.run import Run
     from nsde_torch.data.system_info import SystemInfo
-    from nsde_torch.recording.log import Detected, Log, Misfits, Recorded, Suspect
+    from nsde_torch.recording.log import Detected, LoggedRuns, Misfits, Recorded, Suspect
 
 
 class Fault(ABC):
@@ -91,11 +91,11 @@ class Fault(ABC):
 
     # in a log
 
-    def detect(self, log: Log) -> Detected | None:
+    def detect(self, log: LoggedRuns) -> Detected | None:
         """What the log shows of the fault without any dynamics, faults of lower rank undone; None: nothing."""
         return None
 
-    def suspects(self, log: Log) -> list[Suspect]:
+    def suspects(self, log: LoggedRuns) -> list[Suspect]:
         """What the log may hold, and the declared physics has to say; asked once all faults were looked for."""
         return []
 

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from nsde_torch.data.raw import RawRun
     from nsde_torch.data.run import Run
     from nsde_torch.data.system_info import SystemInfo
-    from nsde_torch.recording.log import Detected, Log
+    from nsde_torch.recording.log import Detected, LoggedRuns
 
 
 @final
@@ -42,7 +42,7 @@ class InputSmoothing(Fault):
         steps = round(value / dt)
         return {"input_smoothing_s": steps * dt} if steps else {}
 
-    def detect(self, log: Log) -> Detected | None:
+    def detect(self, log: LoggedRuns) -> Detected | None:
         """See `Fault.detect`.
 
         Rows that were lost at a regular distance leave such nulls too, in the spectrum of held inputs: so the

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from nsde_torch.data.raw import RawRun
     from nsde_torch.data.run import Run
     from nsde_torch.data.system_info import SystemInfo
-    from nsde_torch.recording.log import Detected, Log
+    from nsde_torch.recording.log import Detected, LoggedRuns
 
 
 @final
@@ -56,7 +56,7 @@ class SensorBias(Fault):
         """See `Fault.describe`."""
         return {self.name: {k: v for k, v in value.items() if v}}
 
-    def detect(self, log: Log) -> Detected | None:
+    def detect(self, log: LoggedRuns) -> Detected | None:
         """See `Fault.detect`."""
         from scipy.special import stdtrit
 

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from nsde_torch.data.raw import RawRun
     from nsde_torch.data.run import Run
     from nsde_torch.data.system_info import SystemInfo
-    from nsde_torch.recording.log import Detected, Log, Misfits, Recorded, Suspect
+    from nsde_torch.recording.log import Detected, LoggedRuns, Misfits, Recorded, Suspect
 
 
 @final
@@ -63,13 +63,13 @@ class SensorDelay(Fault):
         """See `Fault.describe`."""
         return {"sensor_delay_s": {k: v for k, v in value.items() if v}}
 
-    def detect(self, log: Log) -> Detected | None:
+    def detect(self, log: LoggedRuns) -> Detected | None:
         """See `Fault.detect`."""
         from nsde_torch.recording.late_sensor import told
 
         return told(self.name, [d for d in log.surely if not d.filtered], "later than")
 
-    def suspects(self, log: Log) -> list[Suspect]:
+    def suspects(self, log: LoggedRuns) -> list[Suspect]:
         """See `Fault.suspects`: moved the other way a channel would be as smooth."""
         from nsde_torch.recording.late_sensor import suspected
 

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from nsde_torch.data.raw import RawRun
     from nsde_torch.data.run import Run
     from nsde_torch.data.system_info import SystemInfo
-    from nsde_torch.recording.log import Detected, Log, Suspect
+    from nsde_torch.recording.log import Detected, LoggedRuns, Suspect
 
 _HOW = "late behind a filter, against"
 
@@ -54,13 +54,13 @@ class SensorLag(Fault):
         """See `Fault.describe`."""
         return {"sensor_lag_s": {k: v for k, v in value.items() if v}}
 
-    def detect(self, log: Log) -> Detected | None:
+    def detect(self, log: LoggedRuns) -> Detected | None:
         """See `Fault.detect`."""
         from nsde_torch.recording.late_sensor import told
 
         return told(self.name, [d for d in log.surely if d.filtered], _HOW)
 
-    def suspects(self, log: Log) -> list[Suspect]:
+    def suspects(self, log: LoggedRuns) -> list[Suspect]:
         """See `Fault.suspects`."""
         from nsde_torch.recording.late_sensor import suspected
 

@@ -29,7 +29,6 @@ SAME_NAME = {
     "Envelope": 2,
     "Machine": 2,
     "Outcome": 4,
-    "Own": 2,
     "Plan": 2,
     "Prediction": 2,
     "Settings": 2,

@@ -98,7 +98,7 @@ def record_sensors(runs: Sequence[TrainedRun]) -> None:
         DataError: its data cannot be read any more.
     """
     from nsde_torch.learning.prepare import sensor_std
-    from nsde_torch.learning.training import learns_sensors
+    from nsde_torch.models.capabilities import learns_sensors
 
     for run in runs:
         if learns_sensors(run.model) and "train_sensor_std" not in run.metrics:

@@ -56,10 +56,16 @@ def sweeps(command: str) -> bool:
 
 def choices(group: str, extra: Path | None = None) -> list[str]:
     """The choices of a group, those of the user's own config folder included."""
-    names = {Path(item.name).stem for item in _package_files(group)}
+    names = {Path(item.name).stem for item in _package_files(group)} | set(CHOICES.get(group, {}))
     if extra is not None and (extra / group).is_dir():
         names |= {path.stem for path in (extra / group).glob("*.yaml")}
     return sorted(names)
+
+
+def without_file(group: str) -> dict[str, type]:
+    """Choices of a group that are all that their dataclass says, and so need no file of values."""
+    files = {Path(item.name).stem for item in _package_files(group)}
+    return {name: schema for name, schema in CHOICES.get(group, {}).items() if name not in files}
 
 
 def selected(command: str, words: Sequence[str]) -> dict[str, str]:

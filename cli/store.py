@@ -1,12 +1,14 @@
 """What Hydra composes a command's configuration from: its schema, the schemas of choices, its groups and its folder.
 
-The YAML files of `conf/` choose values within groups; a command's own defaults list is made here, of its object.
+The YAML files of `conf/` choose values within groups, and a choice that is its schema needs
+none; a command's own defaults list is made here, of its object.
 """
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
+from .groups import without_file
 from .schemas.choices import CHOICES
 
 if TYPE_CHECKING:
@@ -23,6 +25,8 @@ def store(command: HydraCommand) -> None:
     for group_name, choices in CHOICES.items():
         for choice, schema in choices.items():
             known.store(group=f"schema/{group_name}", name=choice, node=schema)
+        for choice, schema in without_file(group_name).items():
+            known.store(group=group_name, name=choice, node=schema)
 
 
 def primary(command: HydraCommand) -> dict[str, Any]:

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from .data import CsvData, PublishedData, SimulatedData, UlogData
-from .model import BlackboxModel, EnsembleModel, NodeModel, NsdeModel, SysidModel, TorchDiffEqSolver
+from .data import DATA_CHOICES
+from .model import MODEL_CHOICES, TorchDiffEqSolver
 from .reference import (
     CircleReference,
     CsvReference,
@@ -13,14 +13,8 @@ from .reference import (
 )
 
 CHOICES: dict[str, dict[str, type]] = {
-    "data": {"simulated": SimulatedData, "csv": CsvData, "ulog": UlogData, "published": PublishedData},
-    "model": {
-        "nsde": NsdeModel,
-        "node": NodeModel,
-        "blackbox_nsde": BlackboxModel,
-        "ensemble": EnsembleModel,
-        "sysid": SysidModel,
-    },
+    "data": DATA_CHOICES,
+    "model": MODEL_CHOICES,
     "solver": {"torchdiffeq": TorchDiffEqSolver},
     "reference": {
         "circle": CircleReference,

@@ -16,7 +16,7 @@ from nsde_torch.learning.common_grid import Candidate
 from nsde_torch.learning.comparison import Comparison, compare
 from nsde_torch.learning.prepare import sensor_std
 from nsde_torch.learning.seen import SeenRuns
-from nsde_torch.learning.training import learns_sensors
+from nsde_torch.models.capabilities import learns_sensors
 from nsde_torch.models.model import Model
 from nsde_torch.models.run_directory import load
 

@@ -15,8 +15,9 @@ from nsde_torch.errors import ConfigError
 from nsde_torch.learning.options import LossOptions, TrainerOptions, loss_options, trainer_options
 from nsde_torch.learning.structure import machine_losses, model_spec
 from nsde_torch.learning.training import train as train_model
+from nsde_torch.models.kind import ModelKind, model_options
 from nsde_torch.models.model import Model
-from nsde_torch.models.options import ModelOptions, model_options
+from nsde_torch.models.options import ModelOptions
 from nsde_torch.models.run_directory import load
 from nsde_torch.sde.options import IntegratorOptions, integrator_options
 from nsde_torch.systems.base import System
@@ -29,7 +30,7 @@ def train(
     data: Data,
     *,
     system: str | type[System] | SystemOptions,
-    model: str | ModelOptions = "nsde",
+    model: str | type[ModelKind] | ModelOptions = "nsde",
     effects: Effects = (),
     declared: Sequence[str] | None = None,
     parameters: Mapping[str, Any] | None = None,
@@ -57,7 +58,8 @@ def train(
         system: The machine: key of `nsde_torch.systems.SYSTEMS`, `module:Class`, a class, or
             `nsde_torch.systems.SystemOptions` for constants that are not its own (step, horizon, largest diffusion).
         model: Kind of model, a key of `nsde_torch.models.MODELS` ("nsde", "node", "blackbox_nsde", "ensemble",
-            "sysid"), or its options, such as `nsde_torch.models.NsdeOptions(residual_hidden=(16,))`.
+            "sysid"), `module:Class` or the class of one of your own, or its options, such as
+            `nsde_torch.models.NsdeOptions(residual_hidden=(16,))`.
         effects: Effects to add to the declared physics: names, `{name: {parameter: value}}`, a file `effects.yaml`, or
             `found.effects` of a diagnosis.
         declared: Effects that replace the declared ones; None keeps them.

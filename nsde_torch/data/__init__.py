@@ -12,7 +12,8 @@ if TYPE_CHECKING:
     from nsde_torch.data.csv_folder import write_csv
     from nsde_torch.data.findings import Finding
     from nsde_torch.data.raw import RawRun
-    from nsde_torch.data.registry import READERS, read
+    from nsde_torch.data.readers import READERS, Reader
+    from nsde_torch.data.registry import read
     from nsde_torch.data.run import DataSet, Run
     from nsde_torch.data.splits import Split, split
     from nsde_torch.data.summary import DataSummary
@@ -26,6 +27,7 @@ __all__ = [
     "DataSummary",
     "Finding",
     "RawRun",
+    "Reader",
     "Run",
     "Split",
     "SystemInfo",
@@ -40,11 +42,12 @@ __all__ = [
 __getattr__ = resolver(
     __name__,
     {
-        "READERS": "registry",
+        "READERS": "readers",
         "DataSet": "run",
         "DataSummary": "summary",
         "Finding": "findings",
         "RawRun": "raw",
+        "Reader": "readers",
         "Run": "run",
         "Split": "splits",
         "SystemInfo": "system_info",

@@ -1,36 +1,21 @@
-"""Readers by kind: `read("csv", system, path=...)`."""
+"""Reading by kind: `read("csv", system, path=...)`."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from math import isfinite
 from typing import Any
 
 from nsde_torch.data.checks import assemble
-from nsde_torch.data.csv_folder import read_csv
-from nsde_torch.data.published import read_published
 from nsde_torch.data.raw import RawRun
+from nsde_torch.data.readers import READERS, Kind, name_of, reader
 from nsde_torch.data.run import DataSet
 from nsde_torch.data.system_info import SystemInfo
 from nsde_torch.errors import ConfigError
 
 
-def _read_ulog(system: SystemInfo, **options: Any) -> Sequence[RawRun]:
-    from nsde_torch.data.ulog import read_ulog  # pyulog is only needed here
-
-    return read_ulog(system, **options)
-
-
-READERS: dict[str, Callable[..., Sequence[RawRun]]] = {
-    "csv": read_csv,
-    "ulog": _read_ulog,
-    "published": read_published,
-}
-"""Kind of data -> function (system, *, path, ...) that returns raw runs."""
-
-
 def read(
-    kind: str,
+    kind: Kind,
     system: SystemInfo,
     *,
     path: str,
@@ -45,7 +30,7 @@ def read(
     """Reads and checks a data set.
 
     Args:
-        kind: `csv`, `ulog` or `published`.
+        kind: Key of `READERS`, `module:function` of the user's own, or the function.
         system: The system that the data belong to.
         path: File or folder, as the kind says.
         dt: Step [s]; default: the data's own (the nominal step of a published file, else the median).
@@ -63,25 +48,21 @@ def read(
         ConfigError: an unknown kind or option.
         DataError: data that cannot be used; the message says where and what to do.
     """
-    if kind not in READERS:
-        raise ConfigError(
-            f"`kind` of data must be one of {', '.join(sorted(READERS))}; got {kind!r}. (Simulated data come "
-            "from `nsde_torch.plants`.)"
-        )
-    if kind == "published" and dt is not None:
+    make, name = reader(kind), name_of(kind)
+    if dt is not None and name in READERS and READERS[name].takes_step:
         options["dt"] = dt
     if not path:
-        raise ConfigError(f"`path` is empty; data of kind {kind!r} need the path of a file or folder.")
+        raise ConfigError(f"`path` is empty; data of kind {name!r} need the path of a file or folder.")
     try:
-        raw = READERS[kind](system, path=path, **options)
+        raw: Sequence[RawRun] = make(system, path=path, **options)
     except TypeError as error:
         if "unexpected keyword" in str(error):
-            raise ConfigError(f"data of kind {kind!r}: {error}.") from error
+            raise ConfigError(f"data of kind {name!r}: {error}.") from error
         raise
-    for name, value in (sensor_bias or {}).items():
-        _unbias(raw, system, name, value)
+    for state, value in (sensor_bias or {}).items():
+        _unbias(raw, system, state, value)
     late = {"sensor_delay": sensor_delay, "sensor_lag": sensor_lag}
-    return assemble(raw, system, kind=kind, dt=dt, gap=gap, clock=clock, **late)
+    return assemble(raw, system, kind=name, dt=dt, gap=gap, clock=clock, **late)
 
 
 def _unbias(raw: Sequence[RawRun], system: SystemInfo, name: str, value: float) -> None:

@@ -62,8 +62,8 @@ def reader(kind: Kind) -> Callable[..., Any]:
         return kind
     if kind not in READERS and ":" not in kind:
         raise ConfigError(
-            f"`kind` of data must be one of {', '.join(sorted(READERS))}, or `module:function` of your own; got "
-            f"{kind!r}. (Simulated data come from `nsde_torch.plants`.)"
+            f"`kind` of data must be one of {', '.join(sorted(READERS))}; got {kind!r}. (Simulated data come from "
+            "`nsde_torch.plants`; a reader of your own is `module:function`.)"
         )
     return function_by_name(READERS[kind].home if kind in READERS else kind, kind="reader")
 

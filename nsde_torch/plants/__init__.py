@@ -7,6 +7,7 @@ from nsde_torch.lazy import resolver
 if TYPE_CHECKING:
     from nsde_torch.plants.cartpole import SwingUp, cartpole_episodes
     from nsde_torch.plants.cascade import Cascade, Gains
+    from nsde_torch.plants.excitation import excited_runs
     from nsde_torch.plants.flights import manual_flights
     from nsde_torch.plants.machines import MACHINES, Machine, Making, make_plant, make_plant_system
     from nsde_torch.plants.mass_spring_damper import spring_runs
@@ -34,6 +35,7 @@ __all__ = [
     "Simulation",
     "SwingUp",
     "cartpole_episodes",
+    "excited_runs",
     "make_plant",
     "make_plant_system",
     "manual_flights",
@@ -61,6 +63,7 @@ __getattr__ = resolver(
         "Simulation": "simulation",
         "SwingUp": "cartpole",
         "cartpole_episodes": "cartpole",
+        "excited_runs": "excitation",
         "make_plant": "machines",
         "make_plant_system": "machines",
         "manual_flights": "flights",

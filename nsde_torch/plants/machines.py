@@ -29,7 +29,7 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from math import ceil, inf, radians
 from typing import Any
 
@@ -37,38 +37,13 @@ import torch
 
 from nsde_torch.effects import Port, effect_class
 from nsde_torch.errors import ConfigError
-from nsde_torch.plants.noise import Gust
 from nsde_torch.plants.plant import Plant
-from nsde_torch.systems import System, make_system
+from nsde_torch.systems import System, make_system, system_class
+from nsde_torch.systems.machine import Gust, Machine
 
 Values = dict[str, float | list[float]]
 Effects = Sequence[str | Mapping[str, Mapping[str, float | list[float]] | None]] | Mapping[str, Any]
 """Effects as a user names them: `name`, or `{name: {parameter: value}}`, in a list or as one mapping."""
-
-
-@dataclass(frozen=True)
-class Machine:
-    """What a plant of one system is made of.
-
-    Args:
-        values: Parameters of the declared physics, `name` or `effect.name`.
-        dt: Sample [s].
-        step: Fine step of the integration [s].
-        sensor_std: Measurement noise, one number per error channel of the system [its unit].
-        effects: Effects that the machine has beyond the declared physics, with their parameters.
-        gusts: What pushes the ports; empty: no process noise.
-        limits: Lowest and highest command, or None.
-        latency: Time from a command to its effect [s].
-    """
-
-    values: Mapping[str, float | list[float]]
-    dt: float
-    step: float
-    sensor_std: tuple[float, ...]
-    effects: Mapping[str, Mapping[str, float | list[float]]] = field(default_factory=dict)
-    gusts: Mapping[Port, Gust] = field(default_factory=dict)
-    limits: tuple[float, float] | None = None
-    latency: float = 0.0
 
 
 _MULTIROTOR: dict[str, Any] = {
@@ -157,17 +132,19 @@ def plant_options(making: Making | None) -> dict[str, Any]:
 
 
 def machine(name: str) -> Machine:
-    """Machine of a system.
+    """Machine of a system: one of `MACHINES`, or what the class of the user's own says (`System.machine`).
 
     Raises:
         ConfigError: the system has no plant; names the remedy.
     """
-    if name not in MACHINES:
+    own = MACHINES.get(name) or (system_class(name).machine if ":" in name else None)
+    if own is None:
         raise ConfigError(
             f"system {name!r} has no plant, so there is nothing to simulate; plants exist for "
-            f"{', '.join(MACHINES)}. Use measured runs: data=csv data.path=FOLDER."
+            f"{', '.join(MACHINES)}. Use measured runs: data=csv data.path=FOLDER. A class of your own has a plant "
+            "where it says `machine = Machine(...)` and is named as `module:Class`."
         )
-    return MACHINES[name]
+    return own
 
 
 def named_effects(effects: Effects) -> dict[str, Values]:

@@ -12,7 +12,6 @@ the variance white^2 T whatever dt is. (Gillespie, Physical Review E 54, 1996, f
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from math import exp, sqrt
 from typing import final
 
@@ -22,21 +21,7 @@ from torch import Tensor
 from nsde_torch.effects import Port
 from nsde_torch.errors import ConfigError
 from nsde_torch.systems import System
-
-
-@dataclass(frozen=True)
-class Gust:
-    """What pushes one port; one number for every axis, or one for each.
-
-    Args:
-        std: Standard deviation of the coloured part [unit of the port].
-        time_constant: Its correlation time [s], > 0.
-        white: Intensity of the white part [unit of the port times root second].
-    """
-
-    std: tuple[float, ...] = (0.0,)
-    time_constant: float = 1.0
-    white: tuple[float, ...] = (0.0,)
+from nsde_torch.systems.machine import Gust
 
 
 @final

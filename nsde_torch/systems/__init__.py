@@ -7,6 +7,7 @@ from nsde_torch.lazy import resolver
 if TYPE_CHECKING:
     from nsde_torch.systems.base import Defaults, ErrorGroup, ResidualPort, System
     from nsde_torch.systems.cartpole import Cartpole
+    from nsde_torch.systems.machine import Excitation, Gust, Machine
     from nsde_torch.systems.multirotor import Hexacopter, Multirotor, Quadrotor
     from nsde_torch.systems.one_dof import MassSpringDamper
     from nsde_torch.systems.options import SystemOptions
@@ -17,7 +18,10 @@ __all__ = [
     "Cartpole",
     "Defaults",
     "ErrorGroup",
+    "Excitation",
+    "Gust",
     "Hexacopter",
+    "Machine",
     "MassSpringDamper",
     "Multirotor",
     "Quadrotor",
@@ -35,7 +39,10 @@ __getattr__ = resolver(
         "Cartpole": "cartpole",
         "Defaults": "base",
         "ErrorGroup": "base",
+        "Excitation": "machine",
+        "Gust": "machine",
         "Hexacopter": "multirotor",
+        "Machine": "machine",
         "MassSpringDamper": "one_dof",
         "Multirotor": "multirotor",
         "Quadrotor": "multirotor",

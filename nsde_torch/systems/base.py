@@ -21,6 +21,7 @@ from nsde_torch.columns import join_columns, split_columns
 from nsde_torch.effects import Effect, Parametrised, Port, effect_class, make_effect
 from nsde_torch.errors import ConfigError, ShapeError
 from nsde_torch.systems import memory as memory_of
+from nsde_torch.systems.machine import Machine
 
 
 @dataclass(frozen=True)
@@ -95,6 +96,8 @@ class System(Parametrised, ABC):
         sensor_noise: Whether the state is measured with noise that a model should learn.
         quaternion: Columns of the unit quaternion, or None.
         position_derivatives: (position, velocity, frame) triples that kinematics ties together.
+        optional_inputs: Inputs that a file may lack, and that are then zero.
+        machine: What a simulated one is made of; None where nothing is to be simulated.
 
     Args:
         effects: Effects beyond the declared ones, by name or as objects.
@@ -120,6 +123,8 @@ class System(Parametrised, ABC):
     sensor_noise: ClassVar[bool] = False
     quaternion: ClassVar[slice | None] = None
     position_derivatives: ClassVar[tuple[tuple[str, str, str], ...]] = ()
+    optional_inputs: ClassVar[tuple[str, ...]] = ()
+    machine: ClassVar[Machine | None] = None
 
     def __init__(
         self,

@@ -31,6 +31,7 @@ class MassSpringDamper(System):
     feature_names = state_names
     feature_units = state_units
     sensor_noise = True
+    optional_inputs = ("force",)
     position_derivatives = (("q", "q_dot", "world"),)
     PARAMETERS = {"force_gain": Parameter(1.0, "1/kg", low=0.0, help="1 / mass")}
 

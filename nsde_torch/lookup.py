@@ -39,7 +39,7 @@ def class_by_name(
             f"{kind} {name!r} is unknown; choose among {', '.join(known)}, or write `module:Class` of your own."
             + did_you_mean(name, known)
         )
-    found = _found(module, attribute, kind=kind, name=name)
+    found = _found(module, attribute, kind=kind, name=name, what="class")
     if not (isinstance(found, type) and issubclass(found, base)):
         raise ConfigError(f"{kind} {name!r} must be a subclass of {home}.{base.__name__}; got {found!r}.")
     return cast("type[T]", found)
@@ -56,13 +56,13 @@ def function_by_name(name: str, *, kind: str = "function") -> Callable[..., Any]
         ConfigError: no such module or function.
     """
     module, _, attribute = name.partition(":")
-    found = _found(module, attribute, kind=kind, name=name)
+    found = _found(module, attribute, kind=kind, name=name, what="function")
     if not callable(found):
         raise ConfigError(f"{kind} {name!r} must be a function; got {found!r}.")
     return cast("Callable[..., Any]", found)
 
 
-def _found(module: str, attribute: str, *, kind: str, name: str) -> Any:
+def _found(module: str, attribute: str, *, kind: str, name: str, what: str) -> Any:
     try:
         return getattr(importlib.import_module(module), attribute)
     except ModuleNotFoundError as error:
@@ -71,4 +71,4 @@ def _found(module: str, attribute: str, *, kind: str, name: str) -> Any:
             "(--config-dir) or on PYTHONPATH."
         ) from error
     except AttributeError as error:
-        raise ConfigError(f"{kind} {name!r}: module {module!r} has no {attribute!r}.") from error
+        raise ConfigError(f"{kind} {name!r}: module {module!r} has no {what} {attribute!r}.") from error

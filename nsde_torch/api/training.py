@@ -20,6 +20,7 @@ from nsde_torch.models.model import Model
 from nsde_torch.models.options import ModelOptions
 from nsde_torch.models.run_directory import load
 from nsde_torch.sde.options import IntegratorOptions, integrator_options
+from nsde_torch.sde.step import Step
 from nsde_torch.systems.base import System
 from nsde_torch.systems.options import Effects, SystemOptions, system_options
 
@@ -36,7 +37,7 @@ def train(
     parameters: Mapping[str, Any] | None = None,
     loss: str | LossOptions = "innovations",
     trainer: str | TrainerOptions = "default",
-    solver: str | IntegratorOptions | None = None,
+    solver: str | type[Step] | IntegratorOptions | None = None,
     test: Sequence[int | str] | None = None,
     test_data: Data | None = None,
     validation: float = 0.15,
@@ -66,7 +67,8 @@ def train(
         parameters: Initial values of declared parameters, `name` or `effect.name`, in their units.
         loss: "innovations", "replay" or "paper", or `nsde_torch.learning.LossOptions`.
         trainer: "default", "fast" or "paper", or `nsde_torch.learning.TrainerOptions`.
-        solver: Integrator, a key of `nsde_torch.sde.STEPS`, or its options; None: the one that fits.
+        solver: Integrator: a key of `nsde_torch.sde.STEPS`, `module:Class` or the class of one of your own, or its
+            options; None: the one that fits.
         test: Runs to hold out, by index or name; None holds out the last; [] holds out none.
         test_data: Further runs, recorded by other sensors perhaps, that are the test.
         validation: Share of the training runs' time that early stopping looks at, 0.01 to 0.5.

@@ -337,6 +337,8 @@ class System(Parametrised, ABC):
             if effect.n_memory:
                 rates[k] = effect.memory_rate(t, x, own, memories[k])
         rate = self.dynamics(t, x, command, forces)
+        if Port.RATE in forces:
+            rate = rate + forces[Port.RATE]
         return join_columns((rate, *(rates[k] for k in sorted(rates)))) if rates else rate
 
     def memory_rate(self, t: float | Tensor, z: Tensor, u: Tensor) -> Tensor:

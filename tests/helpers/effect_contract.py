@@ -63,7 +63,7 @@ class EffectContract:
         """Columns of the effect's port."""
         s = self.machine()
         port = EFFECTS[self.name].port
-        return s.nu if port is Port.INPUT else s.ports[port]
+        return {Port.INPUT: s.nu, Port.RATE: s.nx}.get(port) or s.ports[port]
 
     def specs(self) -> Iterator[tuple[str, Parameter]]:
         yield from EFFECTS[self.name].PARAMETERS.items()

@@ -9,7 +9,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 from .groups import without_file
-from .schemas.choices import CHOICES
+from .schemas.choices import CHOICES, NAMES
 
 if TYPE_CHECKING:
     from .hydra_command import HydraCommand
@@ -25,8 +25,9 @@ def store(command: HydraCommand) -> None:
     for group_name, choices in CHOICES.items():
         for choice, schema in choices.items():
             known.store(group=f"schema/{group_name}", name=choice, node=schema)
-        for choice, schema in without_file(group_name).items():
-            known.store(group=group_name, name=choice, node=schema)
+    for group_name in {**CHOICES, **NAMES}:
+        for choice, node in without_file(group_name).items():
+            known.store(group=group_name, name=choice, node=node)
 
 
 def primary(command: HydraCommand) -> dict[str, Any]:

@@ -4,32 +4,13 @@ from typing import Any
 
 from nsde_torch.errors import ConfigError
 from nsde_torch.lookup import class_by_name
-from nsde_torch.sde.deterministic import Midpoint, RungeKutta4
-from nsde_torch.sde.euler_maruyama import EulerMaruyama
-from nsde_torch.sde.heun import Heun
-from nsde_torch.sde.milstein import (
-    MilsteinIto,
-    MilsteinItoFree,
-    MilsteinStratonovich,
-    MilsteinStratonovichFree,
-)
-from nsde_torch.sde.milstein_heun import MilsteinHeun
+from nsde_torch.sde.names import STEP_HOMES
 from nsde_torch.sde.step import Step
-from nsde_torch.sde.torchdiffeq_step import TorchDiffEq
 
-_CLASSES: tuple[type[Step], ...] = (
-    EulerMaruyama,
-    Heun,
-    MilsteinItoFree,
-    MilsteinStratonovichFree,
-    MilsteinIto,
-    MilsteinStratonovich,
-    MilsteinHeun,
-    RungeKutta4,
-    Midpoint,
-    TorchDiffEq,
-)
-STEPS: dict[str, type[Step]] = {cls.name: cls for cls in _CLASSES}
+STEPS: dict[str, type[Step]] = {
+    name: class_by_name(home, {}, Step, kind="solver", home="nsde_torch.sde")
+    for name, home in STEP_HOMES.items()
+}
 
 
 def make_step(name: str, **options: Any) -> Step:

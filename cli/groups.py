@@ -66,8 +66,9 @@ def choices(group: str, extra: Path | None = None) -> list[str]:
 def without_file(group: str) -> dict[str, type | dict[str, str]]:
     """Choices of a group that are all that their dataclass says, or set their name alone: they need no file."""
     files = {Path(item.name).stem for item in _package_files(group)}
-    named = {name: {"name": name} for name in NAMES.get(group, ())}
-    return {name: node for name, node in {**CHOICES.get(group, {}), **named}.items() if name not in files}
+    nodes: dict[str, type | dict[str, str]] = {**CHOICES.get(group, {})}
+    nodes |= {name: {"name": name} for name in NAMES.get(group, ())}
+    return {name: node for name, node in nodes.items() if name not in files}
 
 
 def selected(command: str, words: Sequence[str]) -> dict[str, str]:

@@ -7,7 +7,7 @@ What its models can do they say themselves (`Model.capabilities`). A kind is reg
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from typing import Any, ClassVar
 
 from nsde_torch.data.run import Run
@@ -167,8 +167,9 @@ def model_options(model: str | type[ModelKind] | ModelOptions, **values: Any) ->
     if model not in MODELS and ":" not in model:
         raise ConfigError(f"`model` must be one of {', '.join(MODELS)}; got {model!r}.")
     options = model_kind(model).options
-    unknown = sorted(set(values) - set(options.__dataclass_fields__))
+    names = {f.name for f in fields(options)}
+    unknown = sorted(set(values) - names)
     if unknown:
-        known = ", ".join(name for name in options.__dataclass_fields__ if name != "kind") or "none"
+        known = ", ".join(sorted(names - {"kind"})) or "none"
         raise ConfigError(f"`model={model}` has no option {', '.join(unknown)}; it has: {known}.")
     return options(kind=model, **values)

@@ -1,6 +1,6 @@
-"""A reader: logs with one JSON object a line, angles in degrees.
+"""A reader: logs with one JSON object a line, in units of their own.
 
-{"time_us": 0, "angle_deg": 12.3, "speed_dps": 0.4, "motor": 0.02}
+{"time_us": 0, "position_mm": 12.3, "speed_mm_s": 0.4, "motor_mv": 20.0}
 """
 
 import json
@@ -13,9 +13,9 @@ from nsde_torch.data import RawRun, SystemInfo
 from nsde_torch.errors import DataError
 
 COLUMNS = {
-    "theta": ("angle_deg", np.pi / 180.0),
-    "theta_dot": ("speed_dps", np.pi / 180.0),
-    "torque": ("motor", 1.0),
+    "p": ("position_mm", 1e-3),
+    "p_dot": ("speed_mm_s", 1e-3),
+    "voltage": ("motor_mv", 1e-3),
 }
 """Name in the system -> name in the log, and what its numbers are multiplied with."""
 

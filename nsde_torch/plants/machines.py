@@ -38,7 +38,7 @@ import torch
 from nsde_torch.effects import Port, effect_class
 from nsde_torch.errors import ConfigError
 from nsde_torch.plants.plant import Plant
-from nsde_torch.systems import System, make_system, system_class
+from nsde_torch.systems import SYSTEMS, System, make_system, system_class
 from nsde_torch.systems.machine import Gust, Machine
 
 Values = dict[str, float | list[float]]
@@ -132,12 +132,12 @@ def plant_options(making: Making | None) -> dict[str, Any]:
 
 
 def machine(name: str) -> Machine:
-    """Machine of a system: one of `MACHINES`, or what the class of the user's own says (`System.machine`).
+    """Machine of a system: one of `MACHINES`, or what its class says (`System.machine`).
 
     Raises:
         ConfigError: the system has no plant; names the remedy.
     """
-    own = MACHINES.get(name) or (system_class(name).machine if ":" in name else None)
+    own = MACHINES.get(name) or (system_class(name).machine if ":" in name or name in SYSTEMS else None)
     if own is None:
         raise ConfigError(
             f"system {name!r} has no plant, so there is nothing to simulate; plants exist for "

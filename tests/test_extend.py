@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import shutil
 import sys
 from pathlib import Path
@@ -255,6 +256,14 @@ def test_options_of_a_kind_of_model_are_checked() -> None:
         model_options(Linear, ridge=-1.0)
     with pytest.raises(ConfigError, match=r"must be a subclass of nsde_torch\.models\.ModelKind"):
         model_options("linear_model:LinearModel")
+
+
+def test_no_part_of_the_package_asks_for_the_class_of_a_model(root: Path) -> None:
+    asked = re.compile(r"isinstance\([^()]*\b(NeuralSDE|GaussianEnsemble|IdentifiedModel)\b")
+    files = [*(root / "nsde_torch").rglob("*.py"), *(root / "cli").rglob("*.py")]
+    wrong = [str(f) for f in files if f.parent.name != "models" and asked.search(f.read_text("utf-8"))]
+    assert len(files) > 250
+    assert not wrong
 
 
 # ---- a solver --------------------------------------------------------------------------------------------------------

@@ -106,3 +106,5 @@ DATA_CHOICES: dict[str, type] = {
     "own": OwnData,
 }
 """Choices of the group `data`: the plants of the package, every reader, and one of the user's own."""
+# a configuration that a sweep sends to another process finds its class by name
+globals().update({cls.__name__: cls for cls in DATA_CHOICES.values()})

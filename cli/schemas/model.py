@@ -41,6 +41,8 @@ def _keys_of(options: type[ModelOptions]) -> type:
 
 MODEL_CHOICES: dict[str, type] = {**{name: _keys_of(cls) for name, cls in MODELS.items()}, "own": OwnModel}
 """Choices of the group `model`: every kind of the package, and one of the user's own."""
+# a configuration that a sweep sends to another process finds its class by name
+globals().update({cls.__name__: cls for cls in MODEL_CHOICES.values()})
 
 
 @mirrors(LossOptions, without=("ball_radius",))

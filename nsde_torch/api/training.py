@@ -52,7 +52,7 @@ def train(
     """Train a model on runs and score it on runs held out, as `nsde train` does.
 
     What the user does not choose of the model's structure (input filter, sensor noise, disturbance, integrator) is as
-    the system and the data ask for (`nsde_torch.learning.structure`).
+    the system and the data ask for (`nsde_torch.models.kinds`).
 
     Args:
         data: Folder of CSV files, PX4 log, simulation, arrays or data set (see `nsde_torch.read`).

@@ -11,6 +11,7 @@ from nsde_torch.api.reading import split_runs
 from nsde_torch.data import DataSet, Split, SystemInfo
 from nsde_torch.errors import ConfigError
 from nsde_torch.models import MODELS, ModelOptions
+from nsde_torch.models.kind import model_options as options_of_model
 from nsde_torch.recording import read
 from nsde_torch.sde import IntegratorOptions, TorchDiffEqOptions
 from nsde_torch.simulation import simulated
@@ -89,7 +90,7 @@ def dataset(config: DictConfig, machine: SystemInfo) -> DataSet:
     given = options(config, *_NOT_FOR_DATA)
     if config.kind == "simulated":
         return simulated(machine, **given, **options(config.options))
-    return read(config.kind, machine, **given)
+    return read(config.kind, machine, **given, **_reader_options(config))
 
 
 def other_dataset(config: DictConfig, machine: SystemInfo) -> DataSet:
@@ -98,7 +99,12 @@ def other_dataset(config: DictConfig, machine: SystemInfo) -> DataSet:
     Raises:
         DataError: The data cannot be used.
     """
-    return read(config.kind, machine, **{**options(config, *_NOT_FOR_DATA), "path": config.test_path})
+    given = {**options(config, *_NOT_FOR_DATA), "path": config.test_path}
+    return read(config.kind, machine, **given, **_reader_options(config))
+
+
+def _reader_options(config: DictConfig) -> dict[str, Any]:
+    return options(config.options) if "options" in config else {}
 
 
 def split(config: DictConfig, data: DataSet, machine: SystemInfo) -> Split:
@@ -126,7 +132,9 @@ def system_options(config: DictConfig) -> SystemOptions:
 
 def model_options(config: DictConfig) -> ModelOptions:
     """The group `model`."""
-    return MODELS[config.kind](**options(config))
+    given = options(config, "kind")
+    values = given if config.kind in MODELS else given.pop("options", {})
+    return options_of_model(config.kind, **values)
 
 
 def integrator(config: DictConfig) -> IntegratorOptions:

@@ -33,7 +33,16 @@ OUTSIDE = [
 ALIASES = ("controller",)
 """Other names of a key: `controller=FILE` is `run=FILE`."""
 
-FREE = ("plant.parameters.", "system.parameters.", "system.options.", "options.", "plant.options.", "hydra")
+FREE = (
+    "plant.parameters.",
+    "system.parameters.",
+    "system.options.",
+    "model.options.",
+    "data.options.",
+    "options.",
+    "plant.options.",
+    "hydra",
+)
 """Beginnings of keys whose names are not those of the schema."""
 
 

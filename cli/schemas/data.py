@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
+from nsde_torch.data.readers import READERS, Reader
 from nsde_torch.recording.options import RemedyOptions
 
 from ..keys import key, mirrors
@@ -76,21 +77,29 @@ class FileData(Files):
 
 
 @dataclass
-class CsvData(FileData):
-    """A folder with one CSV file per run."""
+class OwnData(FileData):
+    """Runs that a reader of the user's own returns."""
 
-    kind: str = key("csv", "kind of the data set, set by data=")
-
-
-@dataclass
-class UlogData(FileData):
-    """One PX4 log or a folder of them."""
-
-    kind: str = key("ulog", "kind of the data set, set by data=")
+    kind: str = key("???", "the reader: module:function of your own")
+    options: dict[str, Any] = key({}, "its further arguments, data.options.NAME=1")
 
 
-@dataclass
-class PublishedData(FileData):
-    """The authors' published files."""
+def _keys_of(kind: str, reader: Reader) -> type:
+    """Keys of a reader of the package."""
+    space = {
+        "__annotations__": {"kind": "str"},
+        "__doc__": reader.summary,
+        "__module__": __name__,
+        "kind": key(kind, "kind of the data set, set by data="),
+    }
+    return dataclass(type(f"{kind.title()}Data", (FileData,), space))
 
-    kind: str = key("published", "kind of the data set, set by data=")
+
+DATA_CHOICES: dict[str, type] = {
+    "simulated": SimulatedData,
+    **{kind: _keys_of(kind, reader) for kind, reader in READERS.items()},
+    "own": OwnData,
+}
+"""Choices of the group `data`: the plants of the package, every reader, and one of the user's own."""
+# a configuration that a sweep sends to another process finds its class by name
+globals().update({cls.__name__: cls for cls in DATA_CHOICES.values()})

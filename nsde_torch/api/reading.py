@@ -4,16 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 from nsde_torch.data.raw import RawRun
+from nsde_torch.data.readers import Kind, kind_of, name_of
 from nsde_torch.data.run import DataSet, Run
 from nsde_torch.data.splits import Split, split
 from nsde_torch.data.system_info import SystemInfo
 from nsde_torch.errors import ConfigError, DataError
 from nsde_torch.recording.checks import assemble
 from nsde_torch.recording.faults.registry import remedies
-from nsde_torch.recording.readers import read as read_kind
+from nsde_torch.recording.reading import read as read_kind
 from nsde_torch.simulation.generate import Simulation
 from nsde_torch.systems.base import System
 from nsde_torch.systems.options import SystemOptions, system_options
@@ -26,7 +27,8 @@ def read(
     data: Data,
     *,
     system: str | type[System] | SystemOptions | SystemInfo,
-    kind: str | None = None,
+    kind: Kind | None = None,
+    options: Mapping[str, Any] | None = None,
     dt: float | None = None,
     gap: float | None = None,
     clock: str = "rescale",
@@ -39,7 +41,9 @@ def read(
             and any further channels), a PX4 log or a folder of them, what `nsde_torch.simulate` made, or a list of
             `nsde_torch.data.RawRun` with arrays t (n,), x (n, nx) and u (n, nu). A data set is returned as it is.
         system: The machine: key of `nsde_torch.systems.SYSTEMS`, `module:Class`, a class, or an instance.
-        kind: Reader, a key of `nsde_torch.recording.READERS`; None tells by the names of the files.
+        kind: Reader: a key of `nsde_torch.data.READERS`, `module:function` of your own, or the function; None tells by
+            the names of the files.
+        options: Further arguments of the reader.
         dt: Step to resample to [s]; None: the step of the data.
         gap: A longer pause between rows splits a run [s]; None: 2.5 steps of the data.
         clock: What to do when the kinematics disagree with the clock: "rescale", "trust" or "refuse".
@@ -76,6 +80,7 @@ def read(
             gap=gap,
             clock=clock,
             **faults,
+            **(options or {}),
         )
     for name, fault in remedies().items():
         if fault.remedy_first and faults.pop(name, None):
@@ -85,22 +90,12 @@ def read(
     return assemble(
         copies,
         machine,
-        kind=kind or ("simulated" if isinstance(data, Simulation) else "arrays"),
+        kind=name_of(kind or ("simulated" if isinstance(data, Simulation) else "arrays")),
         dt=dt,
         gap=gap,
         clock=clock,
         **faults,
     )
-
-
-def kind_of(path: str | Path) -> str:
-    """Kind of the data in a file or folder, by the names of the files; csv where nothing says otherwise."""
-    file = Path(path)
-    names = [file, *file.iterdir()] if file.is_dir() else [file]
-    suffixes = {name.suffix.lower() for name in names}
-    if ".ulg" in suffixes:
-        return "ulog"
-    return "published" if file.suffix in (".pkl", ".pickle") else "csv"
 
 
 def split_runs(

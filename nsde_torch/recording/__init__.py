@@ -13,12 +13,11 @@ if TYPE_CHECKING:
     from nsde_torch.recording.faults.registry import FAULTS
     from nsde_torch.recording.log import Detected, LoggedRuns, Recorded, Suspect
     from nsde_torch.recording.options import RecordingOptions, RemedyOptions
-    from nsde_torch.recording.readers import READERS, read
+    from nsde_torch.recording.reading import read
     from nsde_torch.recording.simulated import Recording
 
 __all__ = [
     "FAULTS",
-    "READERS",
     "Detected",
     "Fault",
     "LoggedRuns",
@@ -35,7 +34,6 @@ __getattr__ = resolver(
     __name__,
     {
         "FAULTS": "faults.registry",
-        "READERS": "readers",
         "Detected": "log",
         "Fault": "faults.fault",
         "LoggedRuns": "log",
@@ -45,6 +43,6 @@ __getattr__ = resolver(
         "RemedyOptions": "options",
         "Suspect": "log",
         "assemble": "checks",
-        "read": "readers",
+        "read": "reading",
     },
 )

@@ -18,8 +18,8 @@ from pathlib import Path
 import torch
 
 import nsde_torch
-from nsde_torch.models import Model, SDESpec, make_model
-from nsde_torch.models.registry import SPECS
+from nsde_torch.models import MODELS, Model, SDESpec, make_model
+from nsde_torch.models.kind import model_kind
 from nsde_torch.policy import BatchEnvironment, Dynamics, make_learned, make_task, make_truth
 from nsde_torch.policy.vec_env import PolicyVecEnv
 
@@ -29,10 +29,11 @@ TASK = make_task("cartpole")
 def fresh(kind: str, generator: torch.Generator) -> Model:
     """A model of a kind with fresh weights."""
     common = {"system": "cartpole", "kind": kind, "dt": TASK.dt, "horizon": 30}
-    if SPECS[kind] is SDESpec:
+    spec = model_kind(kind).spec
+    if spec is SDESpec:
         step = "rk4" if kind == "node" else "euler_maruyama"
         common |= {"step": step, "physics": kind != "blackbox_nsde", "measurement": kind != "node"}
-    return make_model(SPECS[kind](**common), generator=generator).eval().requires_grad_(False)
+    return make_model(spec(**common), generator=generator).eval().requires_grad_(False)
 
 
 def steps_per_second(step: Callable[[torch.Tensor], object], n: int, count: int) -> float:
@@ -63,7 +64,7 @@ def main() -> None:
         )
         for name in ("plant", "published")
     }
-    models = {kind: fresh(kind, generator) for kind in SPECS if kind != "sysid"}
+    models = {kind: fresh(kind, generator) for kind in MODELS if kind != "sysid"}
     models |= {str(folder): nsde_torch.load(folder) for folder in a.run}
     for name, model in models.items():
         made[name] = lambda model=model: make_learned(

@@ -23,8 +23,8 @@ import numpy as np
 import torch
 
 from nsde_torch.data import Run, Windows
+from nsde_torch.diagnosis.cross_validation import as_model, rollout_squares
 from nsde_torch.diagnosis.fitted import fitted_system
-from nsde_torch.diagnosis.held_out import as_model, rollout_squares
 from nsde_torch.diagnosis.options import Options
 from nsde_torch.diagnosis.pipeline import diagnose
 from nsde_torch.diagnosis.result import Diagnosis

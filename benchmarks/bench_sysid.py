@@ -24,11 +24,11 @@ import numpy as np
 import torch
 
 from nsde_torch.data import Run
+from nsde_torch.models.identified import METHODS
 from nsde_torch.simulation import simulated
 from nsde_torch.simulation.flights import fly
 from nsde_torch.simulation.pilot import Pilot, Sticks
 from nsde_torch.sysid.identify import identify
-from nsde_torch.sysid.regression import METHODS
 from nsde_torch.systems import MACHINES, System, make_plant_system, make_system
 from nsde_torch.systems.parameters import ParameterVector
 

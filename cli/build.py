@@ -11,6 +11,7 @@ from nsde_torch.api.reading import split_runs
 from nsde_torch.data import DataSet, Split, SystemInfo
 from nsde_torch.errors import ConfigError
 from nsde_torch.models import MODELS, ModelOptions
+from nsde_torch.models.kind import model_options as options_of_model
 from nsde_torch.recording import read
 from nsde_torch.sde import IntegratorOptions, TorchDiffEqOptions
 from nsde_torch.simulation import simulated
@@ -90,7 +91,7 @@ def dataset(config: DictConfig, machine: SystemInfo) -> DataSet:
     given = options(config, *_NOT_FOR_DATA)
     if config.kind == "simulated":
         return simulated(machine, **given, **options(config.options))
-    return _restored(config, read(config.kind, machine, **given), machine)
+    return _restored(config, read(config.kind, machine, **given, **_reader_options(config)), machine)
 
 
 def other_dataset(config: DictConfig, machine: SystemInfo) -> DataSet:
@@ -99,8 +100,8 @@ def other_dataset(config: DictConfig, machine: SystemInfo) -> DataSet:
     Raises:
         DataError: The data cannot be used.
     """
-    data = read(config.kind, machine, **{**options(config, *_NOT_FOR_DATA), "path": config.test_path})
-    return _restored(config, data, machine)
+    given = {**options(config, *_NOT_FOR_DATA), "path": config.test_path}
+    return _restored(config, read(config.kind, machine, **given, **_reader_options(config)), machine)
 
 
 def _restored(config: DictConfig, data: DataSet, machine: SystemInfo) -> DataSet:
@@ -108,6 +109,10 @@ def _restored(config: DictConfig, data: DataSet, machine: SystemInfo) -> DataSet
     if config.state_smoothing == "keep" or not isinstance(machine, System):
         return data
     return restore_states(data, machine)
+
+
+def _reader_options(config: DictConfig) -> dict[str, Any]:
+    return options(config.options) if "options" in config else {}
 
 
 def split(config: DictConfig, data: DataSet, machine: SystemInfo) -> Split:
@@ -135,7 +140,9 @@ def system_options(config: DictConfig) -> SystemOptions:
 
 def model_options(config: DictConfig) -> ModelOptions:
     """The group `model`."""
-    return MODELS[config.kind](**options(config))
+    given = options(config, "kind")
+    values = given if config.kind in MODELS else given.pop("options", {})
+    return options_of_model(config.kind, **values)
 
 
 def integrator(config: DictConfig) -> IntegratorOptions:

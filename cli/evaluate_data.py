@@ -97,8 +97,8 @@ def record_sensors(runs: Sequence[TrainedRun]) -> None:
         ConfigError: one was trained without the command line.
         DataError: its data cannot be read any more.
     """
+    from nsde_torch.models.capabilities import learns_sensors
     from nsde_torch.training.prepare import sensor_std
-    from nsde_torch.training.session import learns_sensors
 
     for run in runs:
         if learns_sensors(run.model) and "train_sensor_std" not in run.metrics:

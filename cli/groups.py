@@ -16,7 +16,7 @@ import yaml
 
 from .keys import Key, walk
 from .registry import hydra_command
-from .schemas.choices import CHOICES
+from .schemas.choices import CHOICES, NAMES
 
 _CONF = "nsde_torch.conf"
 NOTHING = "null"
@@ -56,10 +56,19 @@ def sweeps(command: str) -> bool:
 
 def choices(group: str, extra: Path | None = None) -> list[str]:
     """The choices of a group, those of the user's own config folder included."""
-    names = {Path(item.name).stem for item in _package_files(group)}
+    names = {Path(item.name).stem for item in _package_files(group)} | set(CHOICES.get(group, {}))
+    names |= set(NAMES.get(group, ()))
     if extra is not None and (extra / group).is_dir():
         names |= {path.stem for path in (extra / group).glob("*.yaml")}
     return sorted(names)
+
+
+def without_file(group: str) -> dict[str, type | dict[str, str]]:
+    """Choices of a group that are all that their dataclass says, or set their name alone: they need no file."""
+    files = {Path(item.name).stem for item in _package_files(group)}
+    nodes: dict[str, type | dict[str, str]] = {**CHOICES.get(group, {})}
+    nodes |= {name: {"name": name} for name in NAMES.get(group, ())}
+    return {name: node for name, node in nodes.items() if name not in files}
 
 
 def selected(command: str, words: Sequence[str]) -> dict[str, str]:
@@ -127,6 +136,8 @@ def _read(group: str, choice: str, extra: Path | None) -> dict[str, Any]:
     for item in _package_files(group):
         if item.name == f"{choice}.yaml":
             text = item.read_text(encoding="utf-8")
+    if text is None and choice in NAMES.get(group, ()):
+        return {"name": choice}
     own = None if extra is None else extra / group / f"{choice}.yaml"
     if text is None and own is not None and os.path.isfile(own):
         text = own.read_text(encoding="utf-8")

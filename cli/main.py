@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from typing import NoReturn
 
 from .exit_status import OK, USER_ERROR
-from .registry import COMMANDS
+from .registry import COMMANDS, entry_of, installed
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -29,10 +29,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print(f"nsde {version()}")
         return OK
     name, rest = words[0], words[1:]
-    if name not in COMMANDS:
+    known = entry_of(name)
+    if known is None:
         print(unknown_command(name), file=sys.stderr)
         return USER_ERROR
-    return COMMANDS[name].load().main(rest)
+    return known.load().main(rest)
 
 
 def entry() -> NoReturn:
@@ -51,8 +52,9 @@ def entry() -> NoReturn:
 
 def listing() -> str:
     """The commands with a line each."""
-    width = max(map(len, COMMANDS))
-    rows = "\n".join(f"  {name:<{width}}  {command.summary}" for name, command in COMMANDS.items())
+    known = {**COMMANDS, **installed()}
+    width = max(map(len, known))
+    rows = "\n".join(f"  {name:<{width}}  {command.summary}" for name, command in known.items())
     return (
         "nsde: learn a stochastic model of a machine from its data, and know where the model is ignorant\n\n"
         f"Usage: nsde COMMAND [arguments]\n\nCommands:\n{rows}\n\n"

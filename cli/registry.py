@@ -3,6 +3,8 @@
 The file holds a `COMMAND`: a `HydraCommand` (name, help, schema, groups, folder) beside the function `run(config, job)`
 that does its work, or a `PlainCommand` for one that Hydra does not configure. It is imported when its command is
 called, so that listing the commands costs no import of Hydra or torch; what is heavy is imported inside `run`.
+
+Another package adds a command with an entry point of the group `nsde_torch.commands`, whose value is the module.
 """
 
 from __future__ import annotations
@@ -82,6 +84,22 @@ COMMANDS: dict[str, Entry] = {
 }
 
 
+def installed() -> dict[str, Entry]:
+    """Commands of other packages: their entry points of the group `nsde_torch.commands`."""
+    from importlib.metadata import entry_points
+
+    return {
+        point.name: Entry(point.module, f"A command of the package {point.dist.name if point.dist else '?'}")
+        for point in entry_points(group="nsde_torch.commands")
+        if point.name not in COMMANDS
+    }
+
+
+def entry_of(name: str) -> Entry | None:
+    """The line of a command; None where no package has it."""
+    return COMMANDS.get(name) or installed().get(name)
+
+
 def hydra_command(name: str) -> HydraCommand:
     """A command that Hydra configures.
 
@@ -90,7 +108,8 @@ def hydra_command(name: str) -> HydraCommand:
     """
     from .hydra_command import HydraCommand
 
-    command = COMMANDS[name].load()
+    entry = entry_of(name)
+    command = None if entry is None else entry.load()
     if not isinstance(command, HydraCommand):
         raise KeyError(name)
     return command

@@ -1,13 +1,15 @@
 """What Hydra composes a command's configuration from: its schema, the schemas of choices, its groups and its folder.
 
-The YAML files of `conf/` choose values within groups; a command's own defaults list is made here, of its object.
+The YAML files of `conf/` choose values within groups, and a choice that is its schema needs
+none; a command's own defaults list is made here, of its object.
 """
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from .schemas.choices import CHOICES
+from .groups import without_file
+from .schemas.choices import CHOICES, NAMES
 
 if TYPE_CHECKING:
     from .hydra_command import HydraCommand
@@ -23,6 +25,9 @@ def store(command: HydraCommand) -> None:
     for group_name, choices in CHOICES.items():
         for choice, schema in choices.items():
             known.store(group=f"schema/{group_name}", name=choice, node=schema)
+    for group_name in {**CHOICES, **NAMES}:
+        for choice, node in without_file(group_name).items():
+            known.store(group=group_name, name=choice, node=node)
 
 
 def primary(command: HydraCommand) -> dict[str, Any]:

@@ -1,7 +1,7 @@
-"""Classes by name: a key of a catalogue, or `package.module:Class` of the user's own."""
+"""Classes and functions by name: a key of a catalogue, or `package.module:Name` of the user's own."""
 
 import importlib
-from collections.abc import Collection, Mapping
+from collections.abc import Callable, Collection, Mapping
 from difflib import get_close_matches
 from typing import Any, TypeVar, cast
 
@@ -39,15 +39,36 @@ def class_by_name(
             f"{kind} {name!r} is unknown; choose among {', '.join(known)}, or write `module:Class` of your own."
             + did_you_mean(name, known)
         )
+    found = _found(module, attribute, kind=kind, name=name, what="class")
+    if not (isinstance(found, type) and issubclass(found, base)):
+        raise ConfigError(f"{kind} {name!r} must be a subclass of {home}.{base.__name__}; got {found!r}.")
+    return cast("type[T]", found)
+
+
+def function_by_name(name: str, *, kind: str = "function") -> Callable[..., Any]:
+    """A function that a module defines.
+
+    Args:
+        name: `package.module:function`.
+        kind: What it is, for messages.
+
+    Raises:
+        ConfigError: no such module or function.
+    """
+    module, _, attribute = name.partition(":")
+    found = _found(module, attribute, kind=kind, name=name, what="function")
+    if not callable(found):
+        raise ConfigError(f"{kind} {name!r} must be a function; got {found!r}.")
+    return cast("Callable[..., Any]", found)
+
+
+def _found(module: str, attribute: str, *, kind: str, name: str, what: str) -> Any:
     try:
-        found = getattr(importlib.import_module(module), attribute)
+        return getattr(importlib.import_module(module), attribute)
     except ModuleNotFoundError as error:
         raise ConfigError(
             f"{kind} {name!r}: no module {error.name!r}. Put its file beside your configuration "
             "(--config-dir) or on PYTHONPATH."
         ) from error
     except AttributeError as error:
-        raise ConfigError(f"{kind} {name!r}: module {module!r} has no class {attribute!r}.") from error
-    if not (isinstance(found, type) and issubclass(found, base)):
-        raise ConfigError(f"{kind} {name!r} must be a subclass of {home}.{base.__name__}; got {found!r}.")
-    return cast("type[T]", found)
+        raise ConfigError(f"{kind} {name!r}: module {module!r} has no {what} {attribute!r}.") from error

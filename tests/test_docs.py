@@ -5,16 +5,20 @@ from __future__ import annotations
 import re
 import shlex
 import textwrap
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 import pytest
 import torch
 
+import nsde_torch
 from nsde_torch.cli import groups
 from nsde_torch.cli.main import main
 from nsde_torch.cli.registry import COMMANDS, hydra_commands
 from nsde_torch.effects import Effect
+from nsde_torch.recording import FAULTS
 
 ROOT = Path(__file__).resolve().parents[1]
 CONTENT = ROOT / "docs" / "content"
@@ -29,7 +33,16 @@ OUTSIDE = [
 ALIASES = ("controller",)
 """Other names of a key: `controller=FILE` is `run=FILE`."""
 
-FREE = ("plant.parameters.", "system.parameters.", "system.options.", "options.", "plant.options.", "hydra")
+FREE = (
+    "plant.parameters.",
+    "system.parameters.",
+    "system.options.",
+    "model.options.",
+    "data.options.",
+    "options.",
+    "plant.options.",
+    "hydra",
+)
 """Beginnings of keys whose names are not those of the schema."""
 
 
@@ -97,6 +110,31 @@ def test_the_effect_of_the_page_is_one(root: Path) -> None:
     effect = names["Cogging"]({"size": 2.0, "pitch": 0.4})
     force = effect(torch.tensor(0.0), torch.tensor([[0.1, 0.0]]), torch.zeros(1, 1), torch.zeros(1, 0))
     assert float(force.detach()) == pytest.approx(-2.0)
+
+
+def test_the_fault_of_the_page_is_simulated_found_and_undone(monkeypatch: pytest.MonkeyPatch) -> None:
+    fault, register, use = code(CONTENT / "how-to" / "extend" / "recording-fault.md", "python")
+    names: dict[str, Any] = {"__name__": __name__}
+    monkeypatch.setitem(
+        FAULTS, "quantisation", FAULTS["dropout"]
+    )  # whatever the page registers ends with the test
+    exec(compile(fault + register + use, "recording-fault.md", "exec", dont_inherit=True), names)
+    made, found, data = names["made"], names["found"], names["data"]
+    assert made.truth["recording"] == {"quantisation": {"q": 0.05}}
+    assert found.added == ["quantisation"]
+    assert found.sensor_faults["quantisation"] == {"q": pytest.approx(0.05)}
+    assert found.content()["parameters"]["quantisation.q"]["value"] == pytest.approx(0.05)
+    sound = nsde_torch.simulate("mass_spring_damper", **names["machine"])
+    assert nsde_torch.diagnose(sound, system="mass_spring_damper").added == []
+
+    def off(runs: Sequence[Any]) -> float:
+        return max(
+            float(np.std(run.x[:, 0] - true.x[:, 0])) for run, true in zip(runs, sound.runs, strict=True)
+        )
+
+    assert off(made.runs) > 0.012  # a step over the square root of twelve
+    assert off(found.recorded.runs) < 0.95 * off(made.runs)
+    assert off(data.runs) == pytest.approx(off(found.recorded.runs))
 
 
 @pytest.mark.slow

@@ -29,7 +29,7 @@ MAY_IMPORT = {
     "data": MACHINES,
     "recording": {*MACHINES, "data"},
     "sde": {*MACHINES, "data"},
-    "models": {*MACHINES, "data", "sde"},
+    "models": {*MACHINES, "data", "recording", "sde"},
     "sysid": LEARNED,
     "innovations": {*LEARNED, "sysid"},
     "evaluation": {*LEARNED, "sysid", "innovations"},

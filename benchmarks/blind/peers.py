@@ -32,8 +32,8 @@ from torch import Tensor
 
 import nsde_torch
 from nsde_torch.data import DataSet, Run, Windows
+from nsde_torch.diagnosis.cross_validation import as_model, rollout_squares
 from nsde_torch.diagnosis.fitted import fitted_system
-from nsde_torch.diagnosis.held_out import as_model, rollout_squares
 from nsde_torch.diagnosis.options import Options
 from nsde_torch.diagnosis.pipeline import diagnose
 from nsde_torch.diagnosis.search import search_in

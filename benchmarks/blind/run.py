@@ -33,7 +33,7 @@ def diagnose_case(folder: Path, name: str) -> dict[str, Any]:
     import torch
     from outside import OUTSIDE
 
-    from nsde_torch.diagnosis.held_out import held_out
+    from nsde_torch.diagnosis.cross_validation import held_out
     from nsde_torch.diagnosis.options import Options
     from nsde_torch.diagnosis.pipeline import diagnose
     from nsde_torch.diagnosis.reading import with_channels

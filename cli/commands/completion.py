@@ -10,7 +10,7 @@ import sys
 from collections.abc import Sequence
 
 from ..exit_status import OK, USER_ERROR
-from ..registry import COMMANDS, PlainCommand
+from ..registry import COMMANDS, PlainCommand, entry_of, installed
 
 _BASH = """\
 _nsde_complete() {
@@ -87,8 +87,8 @@ def query(words: Sequence[str]) -> list[str]:
     """Completions of the last of the words typed after `nsde`."""
     if len(words) <= 1:
         start = words[0] if words else ""
-        return [name for name in [*COMMANDS, "--help", "--version"] if name.startswith(start)]
-    entry = COMMANDS.get(words[0])
+        return [name for name in [*COMMANDS, *installed(), "--help", "--version"] if name.startswith(start)]
+    entry = entry_of(words[0])
     return entry.load().complete(words[1:]) if entry else []
 
 

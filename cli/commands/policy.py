@@ -103,7 +103,6 @@ def run(config: DictConfig, job: Job) -> float:
     import torch
 
     from nsde_torch.errors import ConfigError
-    from nsde_torch.models import EnsembleSpec
     from nsde_torch.policy import PolicyTraining, make_learned, make_task, make_truth
 
     from .. import build
@@ -139,8 +138,8 @@ def run(config: DictConfig, job: Job) -> float:
 
         environment, kind = learned, "model"
         about = {"kind": kind, "name": model.spec.kind, "run": str(Path(config.environment).resolve())}
-        if isinstance(model.spec, EnsembleSpec):
-            about["propagation"] = config.propagation or model.spec.propagation
+        if model.capabilities.propagation is not None:
+            about["propagation"] = config.propagation or model.capabilities.propagation
     result = PolicyTraining(
         wanted,
         environment=environment,

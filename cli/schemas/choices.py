@@ -1,9 +1,12 @@
-"""Choices whose keys are more than those of their group's class."""
+"""Choices that need no file of values: with keys of their own, or with a name alone; made of the library's tables."""
 
 from __future__ import annotations
 
-from .data import CsvData, PublishedData, SimulatedData, UlogData
-from .model import BlackboxModel, EnsembleModel, NodeModel, NsdeModel, SysidModel, TorchDiffEqSolver
+from nsde_torch.sde.names import STEP_HOMES
+from nsde_torch.systems.names import SYSTEM_HOMES
+
+from .data import DATA_CHOICES
+from .model import MODEL_CHOICES, TorchDiffEqSolver
 from .reference import (
     CircleReference,
     CsvReference,
@@ -13,14 +16,8 @@ from .reference import (
 )
 
 CHOICES: dict[str, dict[str, type]] = {
-    "data": {"simulated": SimulatedData, "csv": CsvData, "ulog": UlogData, "published": PublishedData},
-    "model": {
-        "nsde": NsdeModel,
-        "node": NodeModel,
-        "blackbox_nsde": BlackboxModel,
-        "ensemble": EnsembleModel,
-        "sysid": SysidModel,
-    },
+    "data": DATA_CHOICES,
+    "model": MODEL_CHOICES,
     "solver": {"torchdiffeq": TorchDiffEqSolver},
     "reference": {
         "circle": CircleReference,
@@ -30,3 +27,9 @@ CHOICES: dict[str, dict[str, type]] = {
         "csv": CsvReference,
     },
 }
+
+NAMES: dict[str, tuple[str, ...]] = {
+    "system": tuple(SYSTEM_HOMES),
+    "solver": tuple(name for name in STEP_HOMES if name not in CHOICES["solver"]),
+}
+"""Choices that set nothing but the key `name`, each to its own."""

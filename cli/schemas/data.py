@@ -5,7 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-from ..keys import key
+from nsde_torch.data.readers import READERS, Reader
+from nsde_torch.recording.options import RemedyOptions
+
+from ..keys import key, mirrors
 
 
 @dataclass
@@ -61,22 +64,11 @@ class SimulatedData(DataConfig):
 
 
 @dataclass
-class FileData(DataConfig):
-    """Runs read from files."""
+class Files(DataConfig):
+    """Where runs are read from."""
 
     path: str = key("???", "file or folder to read")
     dt: float | None = key(None, "step to resample to; null: the step of the data", unit="s", above=0)
-    sensor_bias: dict[str, float] = key(
-        {}, "what sensors read too much, {STATE: 0.01} in its unit, to take out"
-    )
-    sensor_delay: dict[str, float] = key(
-        {},
-        "by how much states are logged late, {STATE: 0.01}, or {p: 0.01} for p_x p_y p_z, to take out",
-        unit="s",
-    )
-    sensor_lag: dict[str, float] = key(
-        {}, "time constants of filters that states went through, {STATE: 0.02}, to undo", unit="s"
-    )
     state_smoothing: str = key(
         "restore",
         "what to do with states that were smoothed before they were logged",
@@ -84,22 +76,35 @@ class FileData(DataConfig):
     )
 
 
-@dataclass
-class CsvData(FileData):
-    """A folder with one CSV file per run."""
-
-    kind: str = key("csv", "kind of the data set, set by data=")
+@mirrors(RemedyOptions)
+class FileData(Files):
+    """Runs read from files, and what is to be taken out of them."""
 
 
 @dataclass
-class UlogData(FileData):
-    """One PX4 log or a folder of them."""
+class OwnData(FileData):
+    """Runs that a reader of the user's own returns."""
 
-    kind: str = key("ulog", "kind of the data set, set by data=")
+    kind: str = key("???", "the reader: module:function of your own")
+    options: dict[str, Any] = key({}, "its further arguments, data.options.NAME=1")
 
 
-@dataclass
-class PublishedData(FileData):
-    """The authors' published files."""
+def _keys_of(kind: str, reader: Reader) -> type:
+    """Keys of a reader of the package."""
+    space = {
+        "__annotations__": {"kind": "str"},
+        "__doc__": reader.summary,
+        "__module__": __name__,
+        "kind": key(kind, "kind of the data set, set by data="),
+    }
+    return dataclass(type(f"{kind.title()}Data", (FileData,), space))
 
-    kind: str = key("published", "kind of the data set, set by data=")
+
+DATA_CHOICES: dict[str, type] = {
+    "simulated": SimulatedData,
+    **{kind: _keys_of(kind, reader) for kind, reader in READERS.items()},
+    "own": OwnData,
+}
+"""Choices of the group `data`: the plants of the package, every reader, and one of the user's own."""
+# a configuration that a sweep sends to another process finds its class by name
+globals().update({cls.__name__: cls for cls in DATA_CHOICES.values()})

@@ -3,14 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
-from nsde_torch.models.options import (
-    BlackboxOptions,
-    EnsembleOptions,
-    NodeOptions,
-    NsdeOptions,
-    SysidOptions,
-)
+from nsde_torch.models.options import MODELS, ModelOptions
 from nsde_torch.sde.options import IntegratorOptions, TorchDiffEqOptions
 from nsde_torch.systems.options import SystemOptions
 from nsde_torch.training.options import LossOptions, TrainerOptions
@@ -30,29 +25,24 @@ class ModelConfig:
     kind: str = key("???", "kind of the model, set by model=")
 
 
-@mirrors(NodeOptions)
-class NodeModel(ModelConfig):
-    """Neural ODE."""
+@dataclass
+class OwnModel(ModelConfig):
+    """A kind of model of the user's own."""
+
+    kind: str = key("???", "kind of the model: module:Class of your own")
+    options: dict[str, Any] = key({}, "its options, model.options.NAME=1")
 
 
-@mirrors(NsdeOptions)
-class NsdeModel(ModelConfig):
-    """Neural SDE."""
+def _keys_of(options: type[ModelOptions]) -> type:
+    """Keys for every option of a kind of model."""
+    space = {"__doc__": options.__doc__, "__module__": __name__}
+    return mirrors(options)(type(options.__name__.replace("Options", "Model"), (ModelConfig,), space))
 
 
-@mirrors(BlackboxOptions)
-class BlackboxModel(ModelConfig):
-    """Neural SDE without physics."""
-
-
-@mirrors(EnsembleOptions)
-class EnsembleModel(ModelConfig):
-    """Gaussian ensemble."""
-
-
-@mirrors(SysidOptions)
-class SysidModel(ModelConfig):
-    """Least-squares system identification."""
+MODEL_CHOICES: dict[str, type] = {**{name: _keys_of(cls) for name, cls in MODELS.items()}, "own": OwnModel}
+"""Choices of the group `model`: every kind of the package, and one of the user's own."""
+# a configuration that a sweep sends to another process finds its class by name
+globals().update({cls.__name__: cls for cls in MODEL_CHOICES.values()})
 
 
 @mirrors(LossOptions, without=("ball_radius",))

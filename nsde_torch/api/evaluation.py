@@ -15,10 +15,10 @@ from nsde_torch.errors import ConfigError
 from nsde_torch.evaluation.common_grid import Candidate
 from nsde_torch.evaluation.comparison import Comparison, compare
 from nsde_torch.evaluation.seen import SeenRuns
+from nsde_torch.models.capabilities import learns_sensors
 from nsde_torch.models.model import Model
 from nsde_torch.models.run_directory import load
 from nsde_torch.training.prepare import sensor_std
-from nsde_torch.training.session import learns_sensors
 
 Models = Model | str | Path | Sequence[Model | str | Path] | Mapping[str, Model | str | Path]
 

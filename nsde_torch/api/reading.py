@@ -7,12 +7,14 @@ from pathlib import Path
 from typing import Any, TypeAlias
 
 from nsde_torch.data.raw import RawRun
+from nsde_torch.data.readers import Kind, kind_of, name_of
 from nsde_torch.data.run import DataSet, Run
 from nsde_torch.data.splits import Split, split
 from nsde_torch.data.system_info import SystemInfo
 from nsde_torch.errors import ConfigError, DataError
 from nsde_torch.recording.checks import assemble
-from nsde_torch.recording.readers import read as read_kind
+from nsde_torch.recording.faults.registry import remedies
+from nsde_torch.recording.reading import read as read_kind
 from nsde_torch.simulation.generate import Simulation
 from nsde_torch.sysid.smoothed_states import restore_states
 from nsde_torch.systems.base import System
@@ -26,14 +28,13 @@ def read(
     data: Data,
     *,
     system: str | type[System] | SystemOptions | SystemInfo,
-    kind: str | None = None,
+    kind: Kind | None = None,
+    options: Mapping[str, Any] | None = None,
     dt: float | None = None,
     gap: float | None = None,
     clock: str = "rescale",
-    sensor_bias: Mapping[str, float] | None = None,
-    sensor_delay: Mapping[str, float] | None = None,
-    sensor_lag: Mapping[str, float] | None = None,
     state_smoothing: str = "restore",
+    **faults: Mapping[str, float] | None,
 ) -> DataSet:
     """Read and check runs: units, times, gaps, kinematics.
 
@@ -42,14 +43,17 @@ def read(
             and any further channels), a PX4 log or a folder of them, what `nsde_torch.simulate` made, or a list of
             `nsde_torch.data.RawRun` with arrays t (n,), x (n, nx) and u (n, nu). A data set is returned as it is.
         system: The machine: key of `nsde_torch.systems.SYSTEMS`, `module:Class`, a class, or an instance.
-        kind: Reader, a key of `nsde_torch.data.READERS`; None tells by the names of the files.
+        kind: Reader: a key of `nsde_torch.data.READERS`, `module:function` of your own, or the function; None tells by
+            the names of the files.
+        options: Further arguments of the reader.
         dt: Step to resample to [s]; None: the step of the data.
         gap: A longer pause between rows splits a run [s]; None: 2.5 steps of the data.
         clock: What to do when the kinematics disagree with the clock: "rescale", "trust" or "refuse".
-        sensor_bias: What sensors read too much, by name of a state, in its unit; taken out.
-        sensor_delay: By how much states are logged late [s], by name of a state or common name of several; undone.
-        sensor_lag: Time constants of filters that states went through [s], by the same names; undone.
         state_smoothing: What to do with states that were smoothed before they were logged: "restore" or "keep".
+        faults: What the recording did, to take out, by name of the fault and of the states: `sensor_bias` (what sensors
+            read too much, in the unit of the state), `sensor_delay` (by how much states are logged late [s]),
+            `sensor_lag` (time constants of filters that states went through [s]); see
+            `nsde_torch.recording.RemedyOptions`.
 
     Returns:
         The data set; `print(data.summary)` tells what was found and done.
@@ -72,13 +76,7 @@ def read(
     machine: SystemInfo = (
         system_options(system).make() if isinstance(system, str | type | SystemOptions) else system
     )
-    found = _assembled(
-        data,
-        machine,
-        kind,
-        sensor_bias,
-        {"dt": dt, "gap": gap, "clock": clock, "sensor_delay": sensor_delay, "sensor_lag": sensor_lag},
-    )
+    found = _assembled(data, machine, kind, options or {}, {"dt": dt, "gap": gap, "clock": clock, **faults})
     if state_smoothing == "keep" or not isinstance(machine, System):
         return found
     return restore_states(found, machine)
@@ -87,28 +85,19 @@ def read(
 def _assembled(
     data: str | Path | Simulation | Sequence[RawRun],
     machine: SystemInfo,
-    kind: str | None,
-    sensor_bias: Mapping[str, float] | None,
+    kind: Kind | None,
     options: Mapping[str, Any],
+    given: dict[str, Any],
 ) -> DataSet:
     if isinstance(data, str | Path):
-        return read_kind(kind or kind_of(data), machine, path=str(data), sensor_bias=sensor_bias, **options)
-    if sensor_bias:
-        raise ConfigError("`sensor_bias` is taken out of files; subtract it from the arrays of your own.")
+        return read_kind(kind or kind_of(data), machine, path=str(data), **given, **options)
+    for name, fault in remedies().items():
+        if fault.remedy_first and given.pop(name, None):
+            raise ConfigError(f"`{name}` is taken out of files; subtract it from the arrays of your own.")
     runs = data.runs if isinstance(data, Simulation) else data
     copies = [RawRun(r.name, r.t.copy(), r.x.copy(), r.u.copy(), dict(r.extra), r.source) for r in runs]
     made = "simulated" if isinstance(data, Simulation) else "arrays"
-    return assemble(copies, machine, kind=kind or made, **options)
-
-
-def kind_of(path: str | Path) -> str:
-    """Kind of the data in a file or folder, by the names of the files; csv where nothing says otherwise."""
-    file = Path(path)
-    names = [file, *file.iterdir()] if file.is_dir() else [file]
-    suffixes = {name.suffix.lower() for name in names}
-    if ".ulg" in suffixes:
-        return "ulog"
-    return "published" if file.suffix in (".pkl", ".pickle") else "csv"
+    return assemble(copies, machine, kind=name_of(kind or made), **given)
 
 
 def split_runs(

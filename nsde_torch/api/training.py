@@ -12,10 +12,12 @@ import torch
 
 from nsde_torch.api.reading import Data, read, split_runs
 from nsde_torch.errors import ConfigError
+from nsde_torch.models.kind import ModelKind, model_options
 from nsde_torch.models.model import Model
-from nsde_torch.models.options import ModelOptions, model_options
+from nsde_torch.models.options import ModelOptions
 from nsde_torch.models.run_directory import load
 from nsde_torch.sde.options import IntegratorOptions, integrator_options
+from nsde_torch.sde.step import Step
 from nsde_torch.systems.base import System
 from nsde_torch.systems.options import Effects, SystemOptions, system_options
 from nsde_torch.training.options import LossOptions, TrainerOptions, loss_options, trainer_options
@@ -29,13 +31,13 @@ def train(
     data: Data,
     *,
     system: str | type[System] | SystemOptions,
-    model: str | ModelOptions = "nsde",
+    model: str | type[ModelKind] | ModelOptions = "nsde",
     effects: Effects = (),
     declared: Sequence[str] | None = None,
     parameters: Mapping[str, Any] | None = None,
     loss: str | LossOptions = "innovations",
     trainer: str | TrainerOptions = "default",
-    solver: str | IntegratorOptions | None = None,
+    solver: str | type[Step] | IntegratorOptions | None = None,
     test: Sequence[int | str] | None = None,
     test_data: Data | None = None,
     validation: float = 0.15,
@@ -50,21 +52,23 @@ def train(
     """Train a model on runs and score it on runs held out, as `nsde train` does.
 
     What the user does not choose of the model's structure (input filter, sensor noise, disturbance, integrator) is as
-    the system and the data ask for (`nsde_torch.training.structure`).
+    the system and the data ask for (`nsde_torch.models.kinds`).
 
     Args:
         data: Folder of CSV files, PX4 log, simulation, arrays or data set (see `nsde_torch.read`).
         system: The machine: key of `nsde_torch.systems.SYSTEMS`, `module:Class`, a class, or
             `nsde_torch.systems.SystemOptions` for constants that are not its own (step, horizon, largest diffusion).
         model: Kind of model, a key of `nsde_torch.models.MODELS` ("nsde", "node", "blackbox_nsde", "ensemble",
-            "sysid"), or its options, such as `nsde_torch.models.NsdeOptions(residual_hidden=(16,))`.
+            "sysid"), `module:Class` or the class of one of your own, or its options, such as
+            `nsde_torch.models.NsdeOptions(residual_hidden=(16,))`.
         effects: Effects to add to the declared physics: names, `{name: {parameter: value}}`, a file `effects.yaml`, or
             `found.effects` of a diagnosis.
         declared: Effects that replace the declared ones; None keeps them.
         parameters: Initial values of declared parameters, `name` or `effect.name`, in their units.
         loss: "innovations", "replay" or "paper", or `nsde_torch.training.LossOptions`.
         trainer: "default", "fast" or "paper", or `nsde_torch.training.TrainerOptions`.
-        solver: Integrator, a key of `nsde_torch.sde.STEPS`, or its options; None: the one that fits.
+        solver: Integrator: a key of `nsde_torch.sde.STEPS`, `module:Class` or the class of one of your own, or its
+            options; None: the one that fits.
         test: Runs to hold out, by index or name; None holds out the last; [] holds out none.
         test_data: Further runs, recorded by other sensors perhaps, that are the test.
         validation: Share of the training runs' time that early stopping looks at, 0.01 to 0.5.

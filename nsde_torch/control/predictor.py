@@ -23,8 +23,7 @@ from nsde_torch.control.turning import Turning
 from nsde_torch.effects import Port
 from nsde_torch.errors import ConfigError
 from nsde_torch.models import Model
-from nsde_torch.models.identified import IdentifiedModel
-from nsde_torch.models.neural_sde import NeuralSDE
+from nsde_torch.models.capabilities import has_physics, is_equation
 from nsde_torch.sde import Calculus, Step, Time, make_step, within
 from nsde_torch.systems import Multirotor, System
 from nsde_torch.systems.frozen import frozen
@@ -54,13 +53,14 @@ class Predictor(nn.Module):
         if not dt > 0:
             raise ConfigError(f"`dt` must be a step above 0 s; got {dt!r}.")
         learned = None
-        if isinstance(model, NeuralSDE):
+        step = make_step("rk4")
+        if isinstance(model, System):
+            system = model
+        elif is_equation(model):
             learned = copy.deepcopy(model).eval().requires_grad_(False)
             system, step = learned.system, learned.step
-        elif isinstance(model, IdentifiedModel):
+        elif has_physics(model):
             system, step = model.system, model.step
-        elif isinstance(model, System):
-            system, step = model, make_step("rk4")
         else:
             raise ConfigError(
                 f"a model of kind {model.spec.kind!r} has no drift to plan with; take one of nsde, node, blackbox_nsde "
@@ -119,7 +119,7 @@ class Predictor(nn.Module):
     @property
     def knows_distance(self) -> bool:
         """Whether the model has learned where it is ignorant."""
-        return self._learned is not None and self._learned.spec.kind != "node"
+        return self._learned is not None and self._learned.capabilities.is_stochastic
 
     def sigma(self, x: Tensor) -> Tensor:
         """Diffusion of the state (N, nx) [state unit per root second]; zero for a model without."""

@@ -11,6 +11,7 @@ if TYPE_CHECKING:
     from nsde_torch.data.csv_folder import write_csv
     from nsde_torch.data.findings import Finding
     from nsde_torch.data.raw import RawRun
+    from nsde_torch.data.readers import READERS, Reader
     from nsde_torch.data.run import DataSet, Run
     from nsde_torch.data.splits import Split, split
     from nsde_torch.data.summary import DataSummary
@@ -19,10 +20,12 @@ if TYPE_CHECKING:
     from nsde_torch.data.windows import Windows
 
 __all__ = [
+    "READERS",
     "DataSet",
     "DataSummary",
     "Finding",
     "RawRun",
+    "Reader",
     "Run",
     "Split",
     "SystemInfo",
@@ -35,10 +38,12 @@ __all__ = [
 __getattr__ = resolver(
     __name__,
     {
+        "READERS": "readers",
         "DataSet": "run",
         "DataSummary": "summary",
         "Finding": "findings",
         "RawRun": "raw",
+        "Reader": "readers",
         "Run": "run",
         "Split": "splits",
         "SystemInfo": "system_info",

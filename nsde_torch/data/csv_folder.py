@@ -17,8 +17,6 @@ from nsde_torch.errors import DataError
 Array = NDArray[np.float64]
 
 TIME = "t"
-_OPTIONAL_ZERO = {"mass_spring_damper": ("force",)}
-"""Input columns that may be absent, and are then zero."""
 
 
 def _header(path: Path, system: SystemInfo) -> list[str]:
@@ -47,7 +45,7 @@ def _header(path: Path, system: SystemInfo) -> list[str]:
     twice = sorted({n for n in names if names.count(n) > 1})
     if twice:
         raise DataError(f"{path}:1: the columns {twice} occur more than once; keep one of each.")
-    optional = _OPTIONAL_ZERO.get(system.name, ())
+    optional = system.optional_inputs
     needed = (TIME, *system.state_names, *system.input_names, *system.exogenous)
     missing = [n for n in needed if n not in names and n not in optional]
     if missing:

@@ -23,6 +23,7 @@ class SystemInfo(Protocol):
         quaternion: Columns of a unit quaternion `w x y z`, or None.
         position_derivatives: Triples (position name, velocity name, frame) for which d position / dt =
             velocity.
+        optional_inputs: Inputs that a file may lack, and that are then zero.
     """
 
     @property
@@ -49,6 +50,9 @@ class SystemInfo(Protocol):
     @property
     def position_derivatives(self) -> tuple[tuple[str, str, str], ...]: ...
 
+    @property
+    def optional_inputs(self) -> tuple[str, ...]: ...
+
 
 @dataclass(frozen=True)
 class Columns:
@@ -62,12 +66,15 @@ class Columns:
     exogenous: tuple[str, ...]
     quaternion: slice | None
     position_derivatives: tuple[tuple[str, str, str], ...]
+    optional_inputs: tuple[str, ...] = ()
 
 
 def all_columns(systems: Sequence[SystemInfo]) -> SystemInfo:
     """The first system, with the further columns that any of them reads."""
     first = systems[0]
     every = tuple(dict.fromkeys(name for system in systems for name in system.exogenous))
+    if every == tuple(first.exogenous):
+        return first
     return Columns(
         first.name,
         first.state_names,
@@ -77,6 +84,7 @@ def all_columns(systems: Sequence[SystemInfo]) -> SystemInfo:
         every,
         first.quaternion,
         first.position_derivatives,
+        first.optional_inputs,
     )
 
 

@@ -5,14 +5,18 @@ from typing import TYPE_CHECKING
 from nsde_torch.lazy import resolver
 
 if TYPE_CHECKING:
+    from nsde_torch.diagnosis.decisions import Budgets, Decisions, Wording
     from nsde_torch.diagnosis.options import Options
     from nsde_torch.diagnosis.pipeline import diagnose
     from nsde_torch.diagnosis.report import write_report
     from nsde_torch.diagnosis.result import Diagnosis
 
 __all__ = [
+    "Budgets",
+    "Decisions",
     "Diagnosis",
     "Options",
+    "Wording",
     "diagnose",
     "write_report",
 ]
@@ -20,8 +24,11 @@ __all__ = [
 __getattr__ = resolver(
     __name__,
     {
+        "Budgets": "decisions",
+        "Decisions": "decisions",
         "Diagnosis": "result",
         "Options": "options",
+        "Wording": "decisions",
         "diagnose": "pipeline",
         "write_report": "report",
     },

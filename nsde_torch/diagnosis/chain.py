@@ -14,7 +14,8 @@ from nsde_torch.diagnosis.options import Options
 from nsde_torch.diagnosis.outcome import Outcome
 from nsde_torch.diagnosis.reading import Log
 from nsde_torch.diagnosis.search import search_in
-from nsde_torch.recording.undo import Recorded, late_sensor, undo
+from nsde_torch.recording.log import Recorded
+from nsde_torch.recording.undo import instead_of_effects, undo
 from nsde_torch.systems import System
 
 Array = NDArray[np.float64]
@@ -41,7 +42,7 @@ def undone(
 
     def misfit(some: Sequence[Run], clock: float) -> float:
         search = search_in(system, some, clock, options, decisions=decisions, budgets=budgets)
-        return sum(log(law.std) for law in search.quick(system).noises)
+        return sum(log(noise.std) for noise in search.quick(system).noises)
 
     return undo(data, runs, system, alpha=decisions.alpha, misfit=misfit)
 
@@ -55,12 +56,12 @@ def with_a_late_sensor(read: Log, outcome: Outcome) -> Log | None:
     """
 
     def misfits(some: Sequence[Run]) -> Array:
-        return np.log([law.std for law in read.search(some).quick(read.system).noises])
+        return np.log([noise.std for noise in read.search(some).quick(read.system).noises])
 
     final = outcome.final.regression
-    with_effects = sum(log(law.std) for law in final.noises)
+    with_effects = sum(log(noise.std) for noise in final.noises)
     recorded = replace(read.recorded, runs=read.runs)
-    moved = late_sensor(recorded, read.system, misfits, rows=len(final.series), other=with_effects)
+    moved = instead_of_effects(recorded, read.system, misfits, rows=len(final.series), other=with_effects)
     return None if moved is None else replace(read, recorded=moved, runs=tuple(moved.runs))
 
 

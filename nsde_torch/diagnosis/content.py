@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING, Any
 from nsde_torch.diagnosis.decisions import Wording
 from nsde_torch.diagnosis.declared import declared
 from nsde_torch.diagnosis.dependence import Dependence
+from nsde_torch.diagnosis.detectability import not_shown
 from nsde_torch.diagnosis.estimates import Estimate, estimates
 from nsde_torch.diagnosis.fitted import effect_of
 from nsde_torch.diagnosis.multiplicity import bonferroni
-from nsde_torch.diagnosis.not_shown import not_shown
 from nsde_torch.diagnosis.outcome import Outcome
 from nsde_torch.diagnosis.shape import Shape, called, symmetry
 from nsde_torch.diagnosis.summary import summary
@@ -144,8 +144,8 @@ def _findings(found: Diagnosis) -> list[dict[str, Any]]:
             "sentence": sentence(found.outcome, f.name, f.trial.held),
             "p": f.trial.p_corrected,
             "evidence_nats": f.trial.nats,
-            "lead": bool(f.lead),
-            "lead_reason": f.lead or None,
+            "lead": bool(f.provisional),
+            "lead_reason": f.provisional or None,
             "moves": list(f.moves),
             "held_out": found.errors.own[f.name].as_dict() if f.name in found.errors.own else None,
             "ties": list(f.ties),
@@ -325,8 +325,8 @@ def ranking(outcome: Outcome) -> list[dict[str, Any]]:
 
 
 def _where(d: Dependence, runs: Sequence[str]) -> str | None:
-    if d.swing is not None:
-        return f"{d.swing:.4g} Hz"
+    if d.sinusoid is not None:
+        return f"{d.sinusoid:.4g} Hz"
     if d.run is None:
         return None
     name = called(runs[d.run])

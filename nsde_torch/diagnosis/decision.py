@@ -8,12 +8,12 @@ in noise, which is taken off first.
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
+from nsde_torch.diagnosis.cross_validation import HeldOut
 from nsde_torch.diagnosis.decisions import DECISIONS, Decisions
 from nsde_torch.diagnosis.dependence import Dependence
 from nsde_torch.diagnosis.elimination import Retained
 from nsde_torch.diagnosis.evidence import nats_by_channel
 from nsde_torch.diagnosis.fitted import fitted_system, moved_channels
-from nsde_torch.diagnosis.held_out import HeldOut
 from nsde_torch.diagnosis.hidden import (
     Feedback,
     Hidden,
@@ -98,7 +98,10 @@ def decide(search: Search, chosen: Selection, kept: Retained, feedback: Feedback
         verdict=_verdict(found, explained=explained, rest=rest, left=left),
         declared=declared,
         final=base,
-        found=[replace(f, lead=provisional(f, found, left, brought, search.decisions)) for f in found],
+        found=[
+            replace(f, provisional=provisional_reason(f, found, left, brought, search.decisions))
+            for f in found
+        ],
         rounds=chosen.rounds,
         declared_variables=declared_variables,
         variables=variables,
@@ -148,7 +151,7 @@ def beyond_chance(
     return sorted(found, key=lambda d: -d.excess)
 
 
-def provisional(
+def provisional_reason(
     f: Found,
     found: Sequence[Found],
     left: Sequence[Dependence],
@@ -179,4 +182,7 @@ def provisional(
 
 def judged_on_runs_left_out(outcome: Outcome, errors: HeldOut) -> Outcome:
     """The outcome, its effects provisional where runs left out speak against them."""
-    return replace(outcome, found=[replace(f, lead=f.lead or errors.against(f.name)) for f in outcome.found])
+    return replace(
+        outcome,
+        found=[replace(f, provisional=f.provisional or errors.against(f.name)) for f in outcome.found],
+    )

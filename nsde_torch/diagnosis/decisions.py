@@ -2,8 +2,8 @@
 
 `Decisions` may change what is found, `Wording` how it is described, `Budgets` how long it takes and nothing else.
 Differences of log-likelihood are in nats. Numerical tolerances stand in the module that needs them, and so do the
-functions that residuals are tested against (`regressors`, `repeats`, `moments`): they say what is looked for, not what
-counts as found. Where a field names no source, the number was chosen here.
+functions that residuals are tested against (`regressors`, `periodicity`, `moments`): they say what is looked for, and
+not what counts as found. Where a field names no source, the number was chosen here.
 """
 
 from __future__ import annotations

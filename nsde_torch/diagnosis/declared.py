@@ -71,7 +71,7 @@ def warnings(outcome: Outcome, system: System) -> list[Warned]:
     """Declared parameters at a bound that the data pull beyond, and orders of magnitude from their first values.
 
     Args:
-        outcome: What the loop concluded.
+        outcome: What was concluded.
         system: The declared physics with its first values.
     """
     r, decisions = outcome.final.regression, outcome.decisions

@@ -19,8 +19,8 @@ class Dependence:
         functions: Number of functions.
         run: Number of the run, of a test of one run alone or of a single moment.
         moment: Time of a single moment [s].
-        swing: Frequency of a sinusoid that no phase holds together [Hz].
-        law: ARMA noise model without the functions; None: that of the regression.
+        sinusoid: Frequency of a sinusoid that no phase holds together [Hz].
+        noise: ARMA noise model without the functions; None: that of the regression.
     """
 
     channel: str
@@ -32,8 +32,8 @@ class Dependence:
     functions: int
     run: int | None = None
     moment: float | None = None
-    swing: float | None = None
-    law: Noise | None = None
+    sinusoid: float | None = None
+    noise: Noise | None = None
 
     @property
     def excess(self) -> float:
@@ -43,4 +43,4 @@ class Dependence:
     @property
     def everywhere(self) -> bool:
         """Whether it is one of functions that are the same in all runs."""
-        return self.run is None and self.swing is None
+        return self.run is None and self.sinusoid is None

@@ -1,6 +1,6 @@
 """How much better one regression explains the runs than another, judged where it was not fitted.
 
-Whitened residuals w are independent with unit variance under the law that was fitted to them, so that over rows of
+Whitened residuals w are independent with unit variance under the noise model that was fitted, so that over rows of
 a block b
 
     log p_b = -sum_b (w^2 / 2 + log std)

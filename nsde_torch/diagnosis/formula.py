@@ -93,15 +93,15 @@ def formula(
         variables: What they may depend on.
         runs: Names of the runs, by number.
     """
-    left = [d for d in left if d.moment is None and d.swing is None]
+    left = [d for d in left if d.moment is None and d.sinusoid is None]
     if not left:
         return None
     most = max(left, key=lambda d: d.excess)
     name = most.channel
     names = [regression.physics.names[c] for c in regression.rows]
     channel = names.index(name)
-    if most.law is not None:
-        regression = regression.under(channel, most.law)
+    if most.noise is not None:
+        regression = regression.under(channel, most.noise)
     names_of, functions = library(regression, channel, [d for d in left if d.channel == name], variables)
     if not names_of:
         return None

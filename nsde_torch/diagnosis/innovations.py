@@ -293,7 +293,7 @@ def finite(value: Tensor | float) -> float | None:
 
 
 def _whitened(trained: Regression, residual: Array, series: Series) -> Array:
-    """Whitened residuals (channels, N + stretches) under the laws of a regression, nothing foretold taken out."""
+    """Whitened residuals (channels, N + stretches) under noise models of a regression, nothing foretold taken out."""
     pairs = zip(trained.noises, trained.rows, strict=True)
     return np.stack([noise.whiten(residual[:, [c]], series)[:, 0] for noise, c in pairs])
 

@@ -28,7 +28,7 @@ def frequencies_in(steps: int) -> float:
     return max(1.0, 0.5 * steps)
 
 
-def swings(effect: str) -> bool:
+def has_frequency(effect: str) -> bool:
     """Whether an effect has a frequency of its own, which the spectrum proposes."""
     return "spectrum" in effect_class(effect).relative.values()
 
@@ -41,7 +41,7 @@ def starts_of(effect: str, labels: Sequence[str], steps: int) -> float:
         labels: Of its parameters.
         steps: Length of the longest stretch of the data.
     """
-    if swings(effect):
+    if has_frequency(effect):
         return frequencies_in(steps)
     grid = prod(len(values) for values in effect_class(effect).shapes.values())
     return float(grid * len(alone(effect, labels)))

@@ -7,7 +7,7 @@ n > q of all R runs explain, nothing special in a run gives
 
     g_r ~ chi2(q),        (g_r / q) / s ~ F(q, n - q + m),        s = (g - g_r + m) / (n - q + m),
 
-the second whatever the law of the noise has missed in every run (its size s of 1 counts as m differences between
+the second whatever the noise model has missed in every run (its size s of 1 counts as m differences between
 runs: Smyth, Statistical Applications in Genetics and Molecular Biology 3 (2004)), and coefficients within their
 scatter over the blocks of time of the run. The largest of the three chances counts, times the number of runs. With
 two runs nobody knows which of them is the odd one.
@@ -20,8 +20,8 @@ from numpy.typing import NDArray
 from scipy.linalg import block_diag
 from scipy.special import chdtrc, fdtrc
 
-from nsde_torch.diagnosis.chances import enough, independent, jackknife, orthonormal
 from nsde_torch.diagnosis.decisions import BUDGETS, DECISIONS, Budgets, Decisions
+from nsde_torch.diagnosis.p_values import enough, independent, jackknife, orthonormal
 
 Array = NDArray[np.float64]
 Labels = NDArray[np.int64]

@@ -37,19 +37,19 @@ class Found:
         trial: Its fit, with all other effects that were added present.
         ties: Effects that explain the data as well in its place.
         moves: Names of the channels that its parameters move.
-        lead: Why it is a lead (provisional) and not the last word; empty where it is.
+        provisional: Why it is provisional and not the last word; empty where it is.
     """
 
     name: str
     trial: Trial
     ties: tuple[str, ...]
     moves: tuple[str, ...] = ()
-    lead: str = ""
+    provisional: str = ""
 
 
 @dataclass
 class Outcome:
-    """What the loop concluded.
+    """What was concluded.
 
     Args:
         verdict: `no_effect`, `effect_found` or `unexplained`.

@@ -126,7 +126,7 @@ def unexplained_views(
     """What the residual still depends on, one panel each.
 
     Args:
-        outcome: Of the loop.
+        outcome: What was concluded.
         left: Tests; None takes those that found something.
         notes: Words for the first of them.
         runs: Names of the runs, by number.
@@ -136,7 +136,7 @@ def unexplained_views(
     out: list[Panel] = []
     done: set[tuple[str, str, int | None, float | None]] = set()
     for d, note in zip_longest(outcome.structured if left is None else left, notes, fillvalue=""):
-        if not isinstance(d, Dependence) or d.swing is not None:
+        if not isinstance(d, Dependence) or d.sinusoid is not None:
             continue  # the picture of the spectrum shows a swing
         values = _axis(seen, regression, outcome.variables, d)
         if values is None or len(out) == _UNEXPLAINED:

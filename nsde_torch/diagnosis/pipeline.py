@@ -1,14 +1,14 @@
 """From measured runs and a declared model to the effects that it lacks: the stages of a diagnosis, in order.
 
-read              runs and logged channels, and options that fit the machine          reading
-undo              faults of the recording chain                                        chain, recording
-fit               the declared physics, by a regression with ARMA noise models         search
-select            effects of the catalogue, one at a time; then each one again         selection, elimination
-set aside         what feedback may have made                                          decision, hidden
-test, decide      what is left against everything measured; the verdict                specification, decision
-cross-validate    the declared physics with and without effects on runs left out       cross_validation
-explain           what is left, as far as it can be                                    explanation
-report            `Diagnosis`, the content of `diagnosis.json`                         result, content
+read            runs and logged channels, and options that fit the machine      reading
+undo            faults of the recording chain                                   chain, recording
+fit             the declared physics, by a regression with ARMA noise models    search
+select          effects of the catalogue, one at a time; then each one again    selection, elimination
+set aside       what feedback may have made                                     decision, hidden
+test, decide    what is left against all that was measured; the verdict         specification, decision
+cross-validate  the physics without and with effects on runs left out           cross_validation
+explain         what is left, as far as it can be                               explanation
+report          `Diagnosis`, and the content of `diagnosis.json`                result, content
 """
 
 from collections.abc import Callable, Sequence
@@ -17,11 +17,11 @@ from time import perf_counter
 
 from nsde_torch.data import DataSet, Run
 from nsde_torch.diagnosis.chain import explains_more, undone, with_a_late_sensor
+from nsde_torch.diagnosis.cross_validation import cross_validated
 from nsde_torch.diagnosis.decision import decide, judged_on_runs_left_out, set_aside
 from nsde_torch.diagnosis.decisions import BUDGETS, DECISIONS, Budgets, Decisions
 from nsde_torch.diagnosis.elimination import eliminate
 from nsde_torch.diagnosis.explanation import explained
-from nsde_torch.diagnosis.held_out import cross_validated
 from nsde_torch.diagnosis.options import Options
 from nsde_torch.diagnosis.outcome import Outcome
 from nsde_torch.diagnosis.reading import Log, read_effects, read_log

@@ -13,7 +13,7 @@ from nsde_torch.diagnosis.options import Options
 from nsde_torch.diagnosis.search import Search, search_in
 from nsde_torch.effects import effect_class, effects_of, register
 from nsde_torch.errors import ConfigError, DataError
-from nsde_torch.recording.undo import Recorded
+from nsde_torch.recording.log import Recorded
 from nsde_torch.sysid.in_loop import identify_in_loop
 from nsde_torch.sysid.instruments import with_columns
 from nsde_torch.sysid.loop_test import LoopTest, tested

@@ -11,8 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from nsde_torch.diagnosis.chances import orthonormal
 from nsde_torch.diagnosis.decisions import BUDGETS, DECISIONS, Budgets, Decisions
+from nsde_torch.diagnosis.p_values import orthonormal
 from nsde_torch.sysid.regression import Regression
 from nsde_torch.sysid.series import Series
 

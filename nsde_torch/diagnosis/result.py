@@ -8,15 +8,16 @@ from typing import Any
 
 from nsde_torch.data import DataSet
 from nsde_torch.diagnosis import content as contents
+from nsde_torch.diagnosis.cross_validation import HeldOut
 from nsde_torch.diagnosis.explanation import Explanation
 from nsde_torch.diagnosis.fitted import effect_of, values_of
-from nsde_torch.diagnosis.held_out import HeldOut
 from nsde_torch.diagnosis.options import Options
 from nsde_torch.diagnosis.outcome import Outcome
 from nsde_torch.diagnosis.text import lines
 from nsde_torch.diagnosis.views import rates_width
 from nsde_torch.effects import effect_class, key_of
-from nsde_torch.recording.undo import Fault, Recorded
+from nsde_torch.recording.faults.registry import remedies
+from nsde_torch.recording.log import Detected, Recorded
 from nsde_torch.sysid.loop_test import LoopTest
 from nsde_torch.sysid.result import Identification
 from nsde_torch.systems import System
@@ -67,7 +68,7 @@ class Diagnosis:
         return [fault.name for fault in self.faults] + [f.name for f in self.outcome.found]
 
     @property
-    def faults(self) -> list[Fault]:
+    def faults(self) -> list[Detected]:
         """Faults of the recording chain that are longer than a step."""
         return [f for f in self.recorded.faults if not f.short]
 
@@ -96,8 +97,7 @@ class Diagnosis:
     @property
     def sensor_faults(self) -> dict[str, dict[str, float]]:
         """What sensors were found to do to the states: arguments of `nsde_torch.read` that undo it."""
-        r = self.recorded
-        return {"sensor_bias": r.biases, "sensor_delay": r.delays, "sensor_lag": r.lags}
+        return {name: self.recorded.values(name) for name in remedies()}
 
     @property
     def width(self) -> float:

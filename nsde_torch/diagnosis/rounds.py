@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from nsde_torch.diagnosis.candidates import alone, candidate_names
-from nsde_torch.diagnosis.multiplicity import swings
+from nsde_torch.diagnosis.multiplicity import has_frequency
 from nsde_torch.diagnosis.screening import joined, screen, starts
 from nsde_torch.diagnosis.search import Base, Search
 from nsde_torch.diagnosis.spectrum import lines
@@ -74,7 +74,7 @@ def look(search: Search, base: Base, *, only: Collection[str] | None = None) -> 
     sure = [n for n in best if set(effect_class(n).includes) & set(base.system.effect_names)]
     # nor of a sinusoid at a line of the spectrum: the noise model has learned the line
     if peaks and peaks[0].p < search.alpha:
-        sure += [n for n in best if swings(n)]
+        sure += [n for n in best if has_frequency(n)]
     _fit_promising(search, base, best, sure, among, out)
     _finish_best(search, base, among, out)
     return out

@@ -87,12 +87,12 @@ class Search:
         return max(b - a for a, b in self.steps.segments)
 
     def base(self, system: System, *, warm: bool = False, like: Regression | None = None) -> Base:
-        """The regression of a system, with noise laws of its own.
+        """The regression of a system, with noise models of its own.
 
         Args:
             system: Physics.
             warm: Whether its values are near their optimum.
-            like: A regression of physics close to it, whose laws may be better than those that are found from nothing.
+            like: A regression of physics close to it, whose noise models may be better than those found from nothing.
         """
         regression = self.quick(system, warm=warm)
         fold, block = folds(regression, self.decisions), regression.whitened_rows(regression.blocks)
@@ -116,7 +116,7 @@ class Search:
         return regression
 
     def beside(self, system: System, like: Regression) -> Regression:
-        """The regression of physics that is compared with another one, with noise laws of the same kind.
+        """The regression of physics that is compared with another one, with noise models of the same kind.
 
         Where each had a kind of its own, chosen by chance where there is nothing to choose, that chance would decide
         the comparison. A channel gets another kind where it needs one: to stand in for an effect that is not there.
@@ -130,12 +130,12 @@ class Search:
         rows = len(regression.series)
         pairs = list(zip(regression.noises, regression.own_noises(), strict=True))
         needed = [
-            law.likelihood(rows) > kept.likelihood(rows) + self.decisions.noise_kind_nats
-            for kept, law in pairs
+            model.likelihood(rows) > kept.likelihood(rows) + self.decisions.noise_kind_nats
+            for kept, model in pairs
         ]
         if any(needed):
-            laws = [pair[n] for pair, n in zip(pairs, needed, strict=True)]
-            regression = self.regression(system, regression, regression.theta, laws)
+            models = [pair[n] for pair, n in zip(pairs, needed, strict=True)]
+            regression = self.regression(system, regression, regression.theta, models)
             regression.run(self.budgets.refinements)
         return regression
 
@@ -147,17 +147,17 @@ class Search:
         block: NDArray[np.int64],
         held: Collection[str],
     ) -> tuple[Regression, Score]:
-        """The regression, or one with noise laws of a kind that suits its residuals better; and its score."""
+        """The regression, or one with noise models of a kind that suits its residuals better; and its score."""
         still = nonlinear(regression, smooth=False)
         best = score(regression, fold, block, still=still)
         for orders in (None, 0):
-            laws = regression.own_noises(orders)
+            models = regression.own_noises(orders)
             if (
-                _likelihood(laws, len(regression.series))
+                _likelihood(models, len(regression.series))
                 < _likelihood(regression.noises, len(regression.series)) + self.budgets.noise_nats
             ):
                 continue
-            other = self.regression(system, regression, regression.theta, laws, held)
+            other = self.regression(system, regression, regression.theta, models, held)
             other.run(self.budgets.refinements)
             this = score(other, fold, block, still=still)
             if this.fitted > best.fitted:
@@ -198,14 +198,14 @@ class Search:
                 memory_s=self.decisions.noise_memory,
             )
         physics.sensor_std = before.physics.sensor_std
-        laws = before.noises if noises is None else noises
+        models = before.noises if noises is None else noises
         first = carried(vector, before) if start is None else start
         return Regression(
             physics,
             box=self.box,
             rows=rows,
             start=first,
-            noises=laws,
+            noises=models,
             origin=system,
             held=still,
             feedback=self.feedback,
@@ -213,9 +213,9 @@ class Search:
         )
 
 
-def _likelihood(laws: Sequence[Noise], rows: int) -> float:
-    """Log likelihood of residuals under laws that were fitted to them, less one per parameter of the laws."""
-    return sum(n.likelihood(rows) for n in laws)
+def _likelihood(models: Sequence[Noise], rows: int) -> float:
+    """Log likelihood of residuals under noise models that were fitted to them, less one per parameter of the models."""
+    return sum(n.likelihood(rows) for n in models)
 
 
 def search_in(

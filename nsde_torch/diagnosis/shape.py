@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 
 from nsde_torch.diagnosis.decisions import Wording
 from nsde_torch.diagnosis.dependence import Dependence
+from nsde_torch.diagnosis.periodicity import best_repeat
 from nsde_torch.diagnosis.regressors import BEFORE, BY_RUN, OVER_TIME, Regressors, own_space, projected
-from nsde_torch.diagnosis.repeats import best_repeat
 from nsde_torch.diagnosis.spectrum import waves_of
 from nsde_torch.diagnosis.views import Rates, bins, factors, is_plain, variable_units
 from nsde_torch.sysid.regression import Regression
@@ -88,16 +88,16 @@ def shape(
         runs: Names of the runs, by number.
     """
     channel, wording = seen.names.index(dependence.channel), variables.decisions.wording
-    if dependence.law is not None:
-        regression = regression.under(channel, dependence.law)
-    run, at, frequency = dependence.run, dependence.moment, dependence.swing
+    if dependence.noise is not None:
+        regression = regression.under(channel, dependence.noise)
+    run, at, frequency = dependence.run, dependence.moment, dependence.sinusoid
     if run is not None and at is not None:
         # other runs may have the same: not tested
         note = f"most of all at one moment, {called(runs[run])} at {at:.1f} s"
         said = f"The rate of {dependence.channel} departs {note}."
         return Shape(dependence.channel, dependence.variable, "", "local", (at, at), None, None, said, note)
     if frequency is not None:
-        of_runs = _swings(regression, channel, frequency)
+        of_runs = _sinusoid_by_run(regression, channel, frequency)
         most = max(of_runs, key=lambda run: of_runs[run])
         alone = len(of_runs) >= wording.one_run_fewest and of_runs[most] > wording.one_run_share * sum(
             of_runs.values()
@@ -165,7 +165,7 @@ def shape(
     )
 
 
-def _swings(regression: Regression, channel: int, frequency: float) -> dict[int, float]:
+def _sinusoid_by_run(regression: Regression, channel: int, frequency: float) -> dict[int, float]:
     """What a sine and a cosine in each stretch explain of a residual (half its squares), by number of the run."""
     left, waves = regression.residual[:, regression.rows[channel]], waves_of(regression, frequency)
     out: dict[int, float] = {}

@@ -1,12 +1,12 @@
 """Specification tests: what the residual still depends on, of everything that was measured (`regressors`).
 
 For a channel with whitened residual w and a group of functions Z of one variable (cut free of what the parameters
-can do), the scores s_b = Z_b' w_b of B blocks of time have mean 0 if nothing is missing (`chances`). Each variable is
-tested in all runs and in the one run that stands out (`one_run`), as something that repeats along it (`repeats`), and
-all channels at their largest moment (`moments`) and line of the spectrum (`spectrum`).
+can do), the scores s_b = Z_b' w_b of B blocks of time have mean 0 if nothing is missing (`p_values`). Each variable is
+tested in all runs and in the one run that stands out (`one_run`), as something that repeats (`periodicity`), and all
+channels at their largest moment (`moments`) and line of the spectrum (`spectrum`).
 
-What is strong hides twice: the law of the noise has learned it, and it scatters over blocks itself. Where a law without
-it is much likelier (`laws`), it is tested under that law too, with the scatter from leaving blocks out.
+What is strong hides twice: the noise model has learned it, and it scatters over blocks itself. Where a model without
+it is much likelier (`noise_models`), it is tested under that one too, with the scatter from leaving blocks out.
 """
 
 from collections.abc import Sequence
@@ -15,12 +15,13 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from nsde_torch.diagnosis.chances import chance, independent, nats_of
 from nsde_torch.diagnosis.dependence import Dependence
 from nsde_torch.diagnosis.evidence import folds
-from nsde_torch.diagnosis.laws import Laws
 from nsde_torch.diagnosis.moments import bumps, largest_moment
+from nsde_torch.diagnosis.noise_models import NoiseModels
 from nsde_torch.diagnosis.one_run import Alone, alone
+from nsde_torch.diagnosis.p_values import chance, independent, nats_of
+from nsde_torch.diagnosis.periodicity import COUNTS, best_repeat
 from nsde_torch.diagnosis.regressors import (
     BEFORE,
     SMOOTH,
@@ -29,7 +30,6 @@ from nsde_torch.diagnosis.regressors import (
     projected,
     whitened_functions,
 )
-from nsde_torch.diagnosis.repeats import COUNTS, best_repeat
 from nsde_torch.diagnosis.spectrum import WHOLE, Line, lines, waves_of
 from nsde_torch.sysid.noise import Noise
 from nsde_torch.sysid.regression import Regression
@@ -55,15 +55,15 @@ def dependences(regression: Regression, variables: Regressors, *, overview: bool
     spans, moments = bumps(regression)
     places, limits = _places(regression.vector.system, variables), regression.carry_limits()
     of_channel = [
-        Laws(regression, i, float(limits[c]), decisions=decisions, budgets=budgets)
+        NoiseModels(regression, i, float(limits[c]), decisions=decisions, budgets=budgets)
         for i, c in enumerate(regression.rows)
     ]
     for i, channel in enumerate(regression.rows):
-        white, laws, own = regression.white[i], of_channel[i], own_space(regression, i)
+        white, models, own = regression.white[i], of_channel[i], own_space(regression, i)
         for name in variables.functions:
             if overview and not _is_overview(name, variables):
                 continue
-            out += _of_variable(regression, i, name, variables, laws, (fold, of_white))
+            out += _of_variable(regression, i, name, variables, models, (fold, of_white))
         for name in places:
             again = best_repeat(regression, i, variables.columns[name], own)
             if again is not None:
@@ -89,7 +89,7 @@ def dependences(regression: Regression, variables: Regressors, *, overview: bool
     for line in (
         lines(regression, fewest=WHOLE, decisions=decisions, budgets=budgets)[:1] if variables.inputs else []
     ):
-        out.append(_swing(regression, line, of_channel[line.row]))
+        out.append(_sinusoid(regression, line, of_channel[line.row]))
     return sorted(own_of_runs(out), key=lambda d: d.p)
 
 
@@ -119,7 +119,7 @@ def _of_variable(
     i: int,
     name: str,
     variables: Regressors,
-    laws: Laws,
+    models: NoiseModels,
     labels: tuple[Labels, Labels],
 ) -> list[Dependence]:
     """A channel against one group of functions: in all runs, and of a plain variable in one run alone.
@@ -129,7 +129,7 @@ def _of_variable(
         i: Number of the channel among its rows.
         name: Of the group.
         variables: What the residual may depend on.
-        laws: Of the channel.
+        models: Noise models of the channel.
         labels: Folds and blocks of whitened rows.
     """
     functions, odd = variables.functions[name]
@@ -138,22 +138,22 @@ def _of_variable(
     z, kept = independent(whitened - own @ (own.T @ whitened))
     if not z.shape[1]:
         return []
-    left, law = regression.white[i], None
+    left, noise = regression.white[i], None
     p, gain = chance(z, left, *labels, decisions=variables.decisions), nats_of(z, left)
-    other = laws.without(functions)
+    other = models.without(functions)
     if other is not None:
-        law, there = other.law, regression.under(i, other.law)
+        noise, there = other.noise, regression.under(i, other.noise)
         own = own_space(there, i)
         whitened = whitened_functions(there, i, functions)
         z, kept = independent(whitened - own @ (own.T @ whitened))
-        # under another law the parameters would be elsewhere
+        # under another noise model the parameters would be elsewhere
         left = there.white[i] - own @ (own.T @ there.white[i])
         p = min(1.0, 2.0 * min(p, chance(z, left, *labels, strong=True, decisions=variables.decisions)))
-        gain = other.likelihood - laws.base.likelihood
+        gain = other.likelihood - models.base.likelihood
     channel = regression.physics.names[regression.rows[i]]
-    out = [_dependence(channel, name, z, odd[kept], left, p=p, gain=gain, law=law)]
+    out = [_dependence(channel, name, z, odd[kept], left, p=p, gain=gain, noise=noise)]
     if name in variables.columns:
-        alone = _in_one_run(there, i, (functions, odd), (out[0], nats_of(z, left)), laws, variables)
+        alone = _in_one_run(there, i, (functions, odd), (out[0], nats_of(z, left)), models, variables)
         out += [] if alone is None else [alone]
     return out
 
@@ -168,14 +168,14 @@ def _dependence(
     p: float,
     gain: float,
     run: int | None = None,
-    law: Noise | None = None,
+    noise: Noise | None = None,
 ) -> Dependence:
     """A test of orthonormal columns (N, q) on what is left (N,)."""
     squares, q = np.square(z.T @ left), z.shape[1]
     explained = float(squares.sum())
     share, of_odd = max(explained - q, 0.0) / max(float(left @ left), 1e-300), float(squares[odd].sum())
     return Dependence(
-        channel, variable, p, share, of_odd / max(explained, 1e-300), gain, functions=q, run=run, law=law
+        channel, variable, p, share, of_odd / max(explained, 1e-300), gain, functions=q, run=run, noise=noise
     )
 
 
@@ -184,17 +184,17 @@ def _in_one_run(
     i: int,
     group: tuple[Array, NDArray[np.bool_]],
     in_all: tuple[Dependence, float],
-    laws: Laws,
+    models: NoiseModels,
     variables: Regressors,
 ) -> Dependence | None:
     """The same variable in the run that stands out.
 
     Args:
-        regression: Under the law of the test of all runs.
+        regression: Under the noise model of the test of all runs.
         i: Number of the channel among its rows.
         group: Functions and which of them are odd.
-        in_all: The test of all runs, and the nats that it explains under that law.
-        laws: Of the channel.
+        in_all: The test of all runs, and the nats that it explains under that model.
+        models: Noise models of the channel.
         variables: What the residual may depend on.
     """
     functions, odd = group[0][:, :SMOOTH], group[1][:SMOOTH]
@@ -202,19 +202,27 @@ def _in_one_run(
     found = _alone(regression, i, group[0], variables)
     if found is None:
         return None
-    p, there, law = found.p, regression, everywhere.law
+    p, there, noise = found.p, regression, everywhere.noise
     gain = everywhere.gain * nats_of(found.columns, regression.white[i]) / max(explained, 1e-300)
     if p < variables.budgets.closer_chance:
-        other = laws.without(functions * (regression.owners == found.run)[:, None])
+        other = models.without(functions * (regression.owners == found.run)[:, None])
         if other is not None:
-            law, there = other.law, regression.under(i, other.law)
+            noise, there = other.noise, regression.under(i, other.noise)
             again = _alone(there, i, group[0], variables)
             if again is not None and again.run == found.run:
                 found, p = again, min(1.0, 2.0 * min(p, again.p))
-            gain = other.likelihood - laws.base.likelihood
+            gain = other.likelihood - models.base.likelihood
     z, kept, left = found.columns, found.kept, there.white[i]
     return _dependence(
-        everywhere.channel, everywhere.variable, z, odd[kept], left, p=p, gain=gain, run=found.run, law=law
+        everywhere.channel,
+        everywhere.variable,
+        z,
+        odd[kept],
+        left,
+        p=p,
+        gain=gain,
+        run=found.run,
+        noise=noise,
     )
 
 
@@ -230,10 +238,10 @@ def _alone(regression: Regression, i: int, functions: Array, variables: Regresso
     )
 
 
-def _swing(regression: Regression, line: Line, laws: Laws) -> Dependence:
+def _sinusoid(regression: Regression, line: Line, models: NoiseModels) -> Dependence:
     """A line of the spectrum as a sine and a cosine of its own in each stretch."""
     waves = waves_of(regression, line.frequency)
-    other = laws.without(waves)
+    other = models.without(waves)
     z = independent(projected(regression, line.row, waves, own_space(regression, line.row)))[0]
     gain = nats_of(z, regression.white[line.row])
     left = regression.residual[:, regression.rows[line.row]]
@@ -244,9 +252,9 @@ def _swing(regression: Regression, line: Line, laws: Laws) -> Dependence:
         p=line.p,
         share=float(explained) / max(float(left @ left), 1e-300),
         odd=0.0,
-        gain=gain if other is None else other.likelihood - laws.base.likelihood,
+        gain=gain if other is None else other.likelihood - models.base.likelihood,
         functions=waves.shape[1],
-        swing=line.frequency,
+        sinusoid=line.frequency,
     )
 
 

@@ -52,11 +52,11 @@ def periodogram(regression: Regression) -> tuple[Array, Array]:
     edges = extended(regression.series).edges
     longest = max(b - a for a, b in edges)
     n = int(2 ** np.ceil(np.log2(_FINER * longest)))
-    laws = regression.own_noises(0)
+    noises = regression.own_noises(0)
     white = np.stack(
         [
-            regression.whitened(law, regression.residual[:, [channel]])[:, 0]
-            for law, channel in zip(laws, regression.rows, strict=True)
+            regression.whitened(noise, regression.residual[:, [channel]])[:, 0]
+            for noise, channel in zip(noises, regression.rows, strict=True)
         ]
     )
     power, weight = np.zeros((len(white), n // 2 + 1)), 0

@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 
-from nsde_torch.diagnosis.not_shown import not_shown
+from nsde_torch.diagnosis.detectability import not_shown
 from nsde_torch.diagnosis.outcome import Outcome
 from nsde_torch.diagnosis.shape import Shape
 
@@ -15,7 +15,7 @@ def summary(
     Args:
         verdict: `no_effect`, `effect_found` or `unexplained`.
         added: Names of everything that was found.
-        outcome: Of the loop.
+        outcome: What was concluded.
         shapes: What the residual still depends on, in words.
         alpha: Chance of naming an effect where nothing is missing.
     """
@@ -34,7 +34,7 @@ def summary(
             )
         return "Nothing is missing: what the declared physics leaves is noise."
     names, rest = ", ".join(added), _rest(outcome, shapes)
-    leads = [f.name for f in outcome.found if f.lead]
+    leads = [f.name for f in outcome.found if f.provisional]
     take = f"ake {', '.join(leads)} as {'leads' if len(leads) > 1 else 'a lead'}."
     if verdict == "effect_found":
         moved = {name for f in outcome.found for name in f.moves}

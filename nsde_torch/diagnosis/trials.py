@@ -15,7 +15,7 @@ from scipy.special import chdtrc
 from nsde_torch.diagnosis.decisions import DECISIONS, Decisions
 from nsde_torch.diagnosis.evidence import Score, p_value, score, sum_error
 from nsde_torch.diagnosis.fitted import nonlinear
-from nsde_torch.diagnosis.multiplicity import bonferroni, starts_of, swings
+from nsde_torch.diagnosis.multiplicity import bonferroni, has_frequency, starts_of
 from nsde_torch.diagnosis.search import Base, Search
 from nsde_torch.effects import effect_class
 from nsde_torch.sysid.regression import Regression
@@ -94,7 +94,7 @@ def fit_candidate(
     """
     regression = search.regression(system, base.regression, held=held)
     regression.run(search.budgets.refinements)
-    if swings(name):
+    if has_frequency(name):
         regression, this = search.best_noise(regression, system, base.fold, base.block, held)
     else:
         this = score(regression, base.fold, base.block, still=nonlinear(regression, smooth=False))

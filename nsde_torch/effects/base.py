@@ -1,8 +1,8 @@
 """Effects: physical terms that act on a system through a port. Declared physics is a sum of them.
 
 An effect returns what it adds at its port: mass-normalised force [m/s2], inertia-normalised torque [rad/s2], a wrench
-of both, or, on the port `input`, a change of the input. An effect with memory (a lag) carries `n_memory` states m with
-dm/dt = memory_rate(t, x, u, m).
+of both; on the port `input` a change of the input, on `rate` a rate of the state. An effect with memory (a lag) carries
+`n_memory` states m with dm/dt = memory_rate(t, x, u, m).
 
 Effects on the input act one after another, in the order of their `stage`: delay, then what limits a command, then
 lag, then what changes the strength. Effects on the other ports see the input that comes out of it.
@@ -23,7 +23,12 @@ from nsde_torch.errors import ConfigError
 
 
 class Port(str, Enum):
-    """Where a term enters a system."""
+    """Where a term enters a system.
+
+    A system of the user's own may have a port of its own: `Port("tail_force")` is the same object everywhere. On
+    `input` and `rate` an effect can act whatever the system: `rate` adds to the rate of the whole state, (N, nx) in
+    the units of the states per second; leave the columns of the kinematics at zero.
+    """
 
     FORCE = "force"
     TORQUE = "torque"
@@ -34,6 +39,15 @@ class Port(str, Enum):
     MOTOR_THRUST = "motor_thrust"
     ANGLE = "angle"
     INPUT = "input"
+    RATE = "rate"
+
+    @classmethod
+    def _missing_(cls, value: object) -> "Port | None":
+        if not (isinstance(value, str) and value.isidentifier()):
+            return None
+        made = str.__new__(cls, value)
+        made._name_, made._value_ = value.upper(), value
+        return cls._value2member_map_.setdefault(value, made)  # type: ignore[return-value]
 
 
 @dataclass(frozen=True)
@@ -224,9 +238,10 @@ class Effect(Parametrised, ABC):
 
     @classmethod
     def fits(cls, system: str, ports: Collection[Port]) -> bool:
-        """Whether the effect is meant for a system of this name and these ports (`input` included)."""
+        """Whether the effect is meant for a system of this name and these ports."""
         named = not cls.systems or system in cls.systems
-        return named and {cls.port, *cls.needs} <= set(ports) and not set(cls.excludes) & set(ports)
+        has = {*ports, Port.INPUT, Port.RATE}
+        return named and {cls.port, *cls.needs} <= has and not set(cls.excludes) & set(ports)
 
     @classmethod
     def candidate(cls, system: str) -> bool:

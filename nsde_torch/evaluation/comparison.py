@@ -42,14 +42,8 @@ from torch import Tensor
 
 from nsde_torch.data import DataSet, Run
 from nsde_torch.data.interventions import interventional
-from nsde_torch.evaluation.bootstrap import (
-    BLOCK_S,
-    REPLICATES,
-    Blocks,
-    make_blocks,
-    paired_bootstrap,
-    verdict,
-)
+from nsde_torch.evaluation import bootstrap
+from nsde_torch.evaluation.bootstrap import Blocks, make_blocks, paired_bootstrap
 from nsde_torch.evaluation.common_grid import (
     Candidate,
     Grid,
@@ -131,7 +125,7 @@ def compare(
     seed: int,
     particles: int = PARTICLES,
     horizons: Sequence[float] | None = None,
-    replicates: int = REPLICATES,
+    replicates: int = bootstrap.REPLICATES,
     compile: bool = False,
     say: Callable[[str], None] = _silent,
 ) -> Comparison:
@@ -337,7 +331,7 @@ def _differences(
 ) -> dict[str, Any]:
     """Each further model and each baseline against the first model."""
     index, t = places
-    length = max(BLOCK_S, 2.0 * grids[0].times[-1])
+    length = max(bootstrap.BLOCK_S, 2.0 * grids[0].times[-1])
     blocks = make_blocks(index, t, length=length)
     every = torch.arange(len(index))
     others = [
@@ -398,7 +392,7 @@ def _pair(
                     "difference": value,
                     "low": low if known else None,
                     "high": high if known else None,
-                    "verdict": verdict(low, high),
+                    "verdict": bootstrap.verdict(low, high),
                 }
                 if meet[k]
                 else None

@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, TypeGuard
+from typing import Any
 
 import numpy as np
 import torch
@@ -11,6 +11,7 @@ from torch import Tensor
 from nsde_torch import plots
 from nsde_torch.data import DataSet, Run, Windows
 from nsde_torch.evaluation.before import inputs_before
+from nsde_torch.models.capabilities import is_stochastic
 from nsde_torch.models.model import Model
 from nsde_torch.models.neural_sde import NeuralSDE
 
@@ -49,7 +50,7 @@ def write_figures(
     figures: dict[str, Any] = {"data_summary": plots.data_summary(data, model.system)}
     if history:
         figures["learning_curves"] = plots.learning_curves(_data_terms(history), kept=metrics["best_step"])
-    if knows_distance(model) and model.eta.standardise.mean.numel() >= 2:
+    if is_stochastic(model) and model.eta.standardise.mean.numel() >= 2:
         figures["distance"] = plots.distance_map(_slices(model, train, test))
     result = metrics.get("test")
     if result and result["errors"]:
@@ -71,11 +72,6 @@ def write_figures(
     for name, figure in figures.items():
         plots.save(figure, folder / f"{name}.png")
     return figures
-
-
-def knows_distance(model: Model) -> TypeGuard[NeuralSDE]:
-    """Whether the model has learned a distance from the data."""
-    return isinstance(model, NeuralSDE) and not model.step.deterministic
 
 
 def _data_terms(history: Sequence[Mapping[str, float]]) -> list[dict[str, float]]:

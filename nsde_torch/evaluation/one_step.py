@@ -25,7 +25,7 @@ from nsde_torch.innovations.disturbances import Disturbance, density, spectrum
 from nsde_torch.innovations.inputs import as_applied
 from nsde_torch.innovations.laws import disturbed_channels
 from nsde_torch.innovations.residuals import Residuals, pushed, residuals
-from nsde_torch.models.identified import IdentifiedModel
+from nsde_torch.models.capabilities import is_equation
 from nsde_torch.models.model import Model
 from nsde_torch.models.neural_sde import NeuralSDE
 from nsde_torch.sysid.explained import bump, explained
@@ -48,9 +48,7 @@ def one_step(model: Model, runs: Sequence[Run]) -> dict[str, dict[str, Any]] | N
         channel -> `unit` (of its rate), `measured`, `residual` (root mean squares), `explained` (share of the variance)
         and `nats_per_s` (None without a diffusion); None for a model without physics, or runs that are too short.
     """
-    if not isinstance(model, NeuralSDE | IdentifiedModel) or (
-        isinstance(model, NeuralSDE) and not model.spec.physics
-    ):
+    if not model.capabilities.has_physics:
         return None
     system = copy.deepcopy(model.system).cpu()
     applied = list(runs) if model.filter is None else as_applied(runs, system.nu)
@@ -64,12 +62,12 @@ def one_step(model: Model, runs: Sequence[Run]) -> dict[str, dict[str, Any]] | N
     left = residuals(physics, vector.inside(vector.start), tuple(system.residual_ports))
     change = left.change.copy()
     # networks are evaluated in single precision, whatever the model is in
-    own = copy.deepcopy(model).cpu().float() if isinstance(model, NeuralSDE) else None
+    own = copy.deepcopy(model).cpu().float() if is_equation(model) else None
     if own is not None and own.residual_ports:
         change[:, left.rows] -= pushed(own, own.residuals, left).T.double().numpy()
     window = bump(left.dt)
     physics.estimate_sensors(change)
-    laws = _laws(own, left) if own is not None and not own.step.deterministic else {}
+    laws = _laws(own, left) if own is not None and own.capabilities.is_stochastic else {}
     out = {}
     for channel in explained(physics, change[:, left.rows], left.rows, window):
         row = physics.names.index(channel.name)

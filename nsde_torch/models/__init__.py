@@ -7,7 +7,8 @@ from nsde_torch.lazy import resolver
 if TYPE_CHECKING:
     from nsde_torch.models.ensemble import EnsembleSpec, GaussianEnsemble
     from nsde_torch.models.identified import IdentifiedModel, SysidSpec
-    from nsde_torch.models.model import Model, ModelSpec
+    from nsde_torch.models.kind import Choice, ModelKind, model_kind, model_options
+    from nsde_torch.models.model import Capabilities, Model, ModelSpec
     from nsde_torch.models.neural_sde import NeuralSDE, SDESpec
     from nsde_torch.models.options import (
         MODELS,
@@ -18,18 +19,20 @@ if TYPE_CHECKING:
         NsdeOptions,
         SysidOptions,
     )
-    from nsde_torch.models.registry import SPECS, make_model, make_spec
+    from nsde_torch.models.registry import make_model, make_spec
     from nsde_torch.models.run_directory import load, save
 
 __all__ = [
     "MODELS",
-    "SPECS",
     "BlackboxOptions",
+    "Capabilities",
+    "Choice",
     "EnsembleOptions",
     "EnsembleSpec",
     "GaussianEnsemble",
     "IdentifiedModel",
     "Model",
+    "ModelKind",
     "ModelOptions",
     "ModelSpec",
     "NeuralSDE",
@@ -41,6 +44,8 @@ __all__ = [
     "load",
     "make_model",
     "make_spec",
+    "model_kind",
+    "model_options",
     "save",
 ]
 
@@ -48,13 +53,15 @@ __getattr__ = resolver(
     __name__,
     {
         "MODELS": "options",
-        "SPECS": "registry",
         "BlackboxOptions": "options",
+        "Capabilities": "model",
+        "Choice": "kind",
         "EnsembleOptions": "options",
         "EnsembleSpec": "ensemble",
         "GaussianEnsemble": "ensemble",
         "IdentifiedModel": "identified",
         "Model": "model",
+        "ModelKind": "kind",
         "ModelOptions": "options",
         "ModelSpec": "model",
         "NeuralSDE": "neural_sde",
@@ -66,6 +73,8 @@ __getattr__ = resolver(
         "load": "run_directory",
         "make_model": "registry",
         "make_spec": "registry",
+        "model_kind": "kind",
+        "model_options": "kind",
         "save": "run_directory",
     },
 )

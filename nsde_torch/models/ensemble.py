@@ -28,7 +28,7 @@ from torch import Tensor, nn
 
 from nsde_torch.errors import ConfigError
 from nsde_torch.models.chart import Chart
-from nsde_torch.models.model import Model, ModelSpec, normal
+from nsde_torch.models.model import Capabilities, Model, ModelSpec, normal
 from nsde_torch.models.networks import Standardise
 from nsde_torch.models.stacked import StackedMLP
 from nsde_torch.sde.checks import check_finite
@@ -111,6 +111,11 @@ class GaussianEnsemble(Model):
         self.gap = nn.Parameter(torch.full((spec.members, 1, n_out), gap))
         self.clock_scale: Tensor
         self.register_buffer("clock_scale", torch.ones(()))
+
+    @property
+    def capabilities(self) -> Capabilities:
+        """See `Model.capabilities`."""
+        return Capabilities(propagation=self.spec.propagation)
 
     # ---- one step -------------------------------------------------------------------------------------
 

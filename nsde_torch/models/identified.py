@@ -15,7 +15,7 @@ from torch import Tensor
 
 from nsde_torch.errors import ConfigError, ShapeError
 from nsde_torch.models.input_filter import InputFilter
-from nsde_torch.models.model import Model, ModelSpec
+from nsde_torch.models.model import Capabilities, Model, ModelSpec
 from nsde_torch.sde import Calculus, make_step, rollout
 
 METHODS = ("weak", "differences")
@@ -41,6 +41,11 @@ class SysidSpec(ModelSpec):
     method: str = "weak"
     max_iterations: int = 20
     filter_reach: int = 0
+
+    @property
+    def input_filter_reach(self) -> int:
+        """See `ModelSpec.input_filter_reach`."""
+        return self.filter_reach
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -84,6 +89,11 @@ class IdentifiedModel(Model):
         self.filter = InputFilter(spec.filter_reach, spec.dt) if spec.filter_reach else None
         self.clock_scale: Tensor
         self.register_buffer("clock_scale", torch.ones(()))
+
+    @property
+    def capabilities(self) -> Capabilities:
+        """See `Model.capabilities`."""
+        return Capabilities(has_physics=True)
 
     @property
     def calculus(self) -> Calculus:

@@ -28,6 +28,7 @@ class ModelSpec:
     """
 
     kinds: ClassVar[tuple[str, ...]] = ()
+    """Names of the kinds that have such a specification, the default first; empty for those of the user's own."""
 
     system: str
     _: KW_ONLY
@@ -39,12 +40,17 @@ class ModelSpec:
     system_options: Mapping[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        if not self.kind:
+        if not self.kind and self.kinds:
             object.__setattr__(self, "kind", self.kinds[0])
-        if self.kind not in self.kinds:
+        if ":" not in self.kind and self.kind not in self.kinds:
             raise ConfigError(
-                f"{type(self).__name__} is of kind {' or '.join(self.kinds)}; got {self.kind!r}."
+                f"{type(self).__name__} is of kind {' or '.join(self.kinds) or 'module:Class'}; got {self.kind!r}."
             )
+
+    @property
+    def input_filter_reach(self) -> int:
+        """Taps on each side of the filter that restores smoothed inputs; 0 for none."""
+        return 0
 
     def as_dict(self) -> dict[str, Any]:
         """Plain containers, for YAML."""
@@ -74,8 +80,30 @@ class ModelSpec:
         )
 
 
+@dataclass(frozen=True, kw_only=True)
+class Capabilities:
+    """What a model can do beside predicting trajectories.
+
+    Args:
+        has_physics: Declared physics with fitted parameters is its drift, or part of it: residuals of one step are
+            reported, and it can be planned with. It has a `step`.
+        is_equation: It is an equation dz = f dt + sigma dW with a learned part, and has all that `NeuralSDE` has.
+        is_stochastic: That equation has a diffusion: it is calibrated, and its distance from the data is drawn.
+        learns_sensors: It has learned the noise of the sensors, and has a `measurement_std`.
+        propagation: How particles take to the members of an ensemble; None for a model without members.
+    """
+
+    has_physics: bool = False
+    is_equation: bool = False
+    is_stochastic: bool = False
+    learns_sensors: bool = False
+    propagation: str | None = None
+
+
 class Model(nn.Module, ABC):
     """A learned model of a system.
+
+    What it can do beside `sample` it says in `capabilities`; the rest of the package asks these, never for a class.
 
     Attributes:
         spec: What it was built from.
@@ -136,6 +164,11 @@ class Model(nn.Module, ABC):
             ShapeError: wrong axes or columns.
             NonFiniteError: x0 or u is not finite, or a path leaves the finite numbers.
         """
+
+    @property
+    def capabilities(self) -> Capabilities:
+        """What this model can do beside `sample`."""
+        return Capabilities()
 
     def applied_inputs(self, u: Tensor, dt: float) -> Tensor:
         """Inputs that acted on the machine (B, T, nu), from those logged."""

@@ -27,7 +27,7 @@ from nsde_torch.models.black_box import BlackBoxDrift
 from nsde_torch.models.diffusion import Diffusion
 from nsde_torch.models.distance import Distance
 from nsde_torch.models.input_filter import InputFilter
-from nsde_torch.models.model import Model, ModelSpec, normal
+from nsde_torch.models.model import Capabilities, Model, ModelSpec, normal
 from nsde_torch.models.networks import MLP, Standardise, tanh
 from nsde_torch.sde import Calculus, brownian, make_step, rollout
 
@@ -66,6 +66,11 @@ class SDESpec(ModelSpec):
     disturbance: bool = False
     learn_lag: bool = False
     loss: str = "innovations"
+
+    @property
+    def input_filter_reach(self) -> int:
+        """See `ModelSpec.input_filter_reach`."""
+        return self.filter_reach
 
 
 class NeuralSDE(Model):
@@ -142,6 +147,16 @@ class NeuralSDE(Model):
     def tau(self) -> Tensor:
         """Time constants of the disturbances (nd,) [s], at least two steps so that every integrator follows."""
         return 2.0 * self.spec.dt + torch.exp(self.log_tau)
+
+    @property
+    def capabilities(self) -> Capabilities:
+        """See `Model.capabilities`."""
+        return Capabilities(
+            has_physics=self.spec.physics,
+            is_equation=True,
+            is_stochastic=not self.step.deterministic,
+            learns_sensors=self.spec.measurement,
+        )
 
     # ---- the equation ---------------------------------------------------------------------------------
 

@@ -1,11 +1,11 @@
-"""What a user chooses of a model; null leaves it to what the system and the data ask for (`training.structure`)."""
+"""What a user chooses of a model; null leaves it to what the system and the data ask for (`models.kinds`)."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import ClassVar
 
-from nsde_torch.errors import ConfigError
-from nsde_torch.options import check, documented, key
+from nsde_torch.options import REQUIRED, check, documented, key
 
 _LAG = "learn a lag or a delay of the inputs where the data show one that is not declared (loss=default)"
 _FILTER = "taps on each side of the learned input filter; null: as the log's smoothing asks"
@@ -13,9 +13,15 @@ _FILTER = "taps on each side of the learned input filter; null: as the log's smo
 
 @dataclass(frozen=True)
 class ModelOptions:
-    """What every kind of model has."""
+    """What every kind of model has.
 
-    kind: str
+    Attributes:
+        home: Where the kind of the package lies whose options these are, `module:Class` of a `ModelKind`.
+    """
+
+    home: ClassVar[str] = ""
+
+    kind: str = key(REQUIRED, "kind of the model, set by model=")
 
     def __post_init__(self) -> None:
         check(type(self), vars(self))
@@ -25,6 +31,8 @@ class ModelOptions:
 @dataclass(frozen=True)
 class NodeOptions(ModelOptions):
     """Neural ODE: the same drift, no diffusion."""
+
+    home = "nsde_torch.models.kinds:NeuralODEKind"
 
     kind: str = key("node", "kind of the model, set by model=", choices=("node",))
     residual_hidden: tuple[int, ...] = key((8, 16), "widths of the residual networks (tanh)", low=1)
@@ -55,6 +63,8 @@ class DiffusionOptions(ModelOptions):
 class NsdeOptions(DiffusionOptions):
     """Neural SDE: declared physics, residual networks, distance-aware diffusion."""
 
+    home = "nsde_torch.models.kinds:NeuralSDEKind"
+
     kind: str = key("nsde", "kind of the model, set by model=", choices=("nsde",))
     residual_hidden: tuple[int, ...] = key((8, 16), "widths of the residual networks (tanh)", low=1)
     disturbance: bool | None = key(
@@ -68,6 +78,8 @@ class NsdeOptions(DiffusionOptions):
 class BlackboxOptions(DiffusionOptions):
     """Neural SDE without physics: a network of state and input is the whole drift."""
 
+    home = "nsde_torch.models.kinds:BlackboxKind"
+
     kind: str = key("blackbox_nsde", "kind of the model, set by model=", choices=("blackbox_nsde",))
     drift_hidden: tuple[int, ...] = key((64, 64), "widths of the drift network (tanh)", low=1)
 
@@ -76,6 +88,8 @@ class BlackboxOptions(DiffusionOptions):
 @dataclass(frozen=True)
 class EnsembleOptions(ModelOptions):
     """Gaussian ensemble: networks that predict mean and variance of the next state."""
+
+    home = "nsde_torch.models.kinds:EnsembleKind"
 
     kind: str = key(
         "ensemble",
@@ -106,6 +120,8 @@ class EnsembleOptions(ModelOptions):
 class SysidOptions(ModelOptions):
     """Least-squares system identification: the declared physics and nothing else, in seconds."""
 
+    home = "nsde_torch.models.kinds:SysidKind"
+
     kind: str = key(
         "sysid",
         "kind of the model, set by model=; there are no gradient steps: loss=, trainer=, seed and data.validation "
@@ -128,17 +144,4 @@ MODELS: dict[str, type[ModelOptions]] = {
     "ensemble": EnsembleOptions,
     "sysid": SysidOptions,
 }
-"""Options of every kind of model."""
-
-
-def model_options(model: str | ModelOptions) -> ModelOptions:
-    """Options of a kind of model by its name; options as they are.
-
-    Raises:
-        ConfigError: no such kind.
-    """
-    if isinstance(model, ModelOptions):
-        return model
-    if model not in MODELS:
-        raise ConfigError(f"`model` must be one of {', '.join(MODELS)}; got {model!r}.")
-    return MODELS[model]()  # type: ignore[call-arg]
+"""Options of every kind of model of the package: a line here registers one."""

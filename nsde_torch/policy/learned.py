@@ -15,6 +15,7 @@ import torch
 from torch import Tensor
 
 from nsde_torch.errors import ConfigError
+from nsde_torch.models.capabilities import has_members, is_equation
 from nsde_torch.models.ensemble import PROPAGATIONS, GaussianEnsemble
 from nsde_torch.models.model import Model, normal
 from nsde_torch.models.neural_sde import NeuralSDE
@@ -45,14 +46,14 @@ def make_learned(
     """
     if not sensor_noise >= 0:
         raise ConfigError(f"`sensor_noise` must be a factor of 0 or more; got {sensor_noise!r}.")
-    if isinstance(model, GaussianEnsemble):
+    if has_members(model):
         return _EnsembleDynamics(model, dt=dt, generator=generator, propagation=propagation)
     if propagation is not None:
         raise ConfigError(
             f"`propagation={propagation}` chooses members of an ensemble, and this model is {model.spec.kind}. "
             "Leave it out."
         )
-    made = _SDEDynamics if isinstance(model, NeuralSDE) else _SampledDynamics
+    made = _SDEDynamics if is_equation(model) else _SampledDynamics
     return made(model, dt=dt, sensor_noise=sensor_noise, generator=generator)  # type: ignore[arg-type]
 
 

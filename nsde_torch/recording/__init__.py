@@ -1,6 +1,6 @@
 """Recording: from logged files to checked runs, and the faults of what recorded them.
 
-Each fault is found in data, undone in them, and put into simulated ones.
+Each fault is put into simulated runs, found in data, and undone in them; see `Fault`.
 """
 
 from typing import TYPE_CHECKING
@@ -9,17 +9,23 @@ from nsde_torch.lazy import resolver
 
 if TYPE_CHECKING:
     from nsde_torch.recording.checks import assemble
-    from nsde_torch.recording.options import RecordingOptions
-    from nsde_torch.recording.readers import READERS, read
+    from nsde_torch.recording.faults.fault import Fault
+    from nsde_torch.recording.faults.registry import FAULTS
+    from nsde_torch.recording.log import Detected, LoggedRuns, Recorded, Suspect
+    from nsde_torch.recording.options import RecordingOptions, RemedyOptions
+    from nsde_torch.recording.reading import read
     from nsde_torch.recording.simulated import Recording
-    from nsde_torch.recording.undo import Fault, Recorded
 
 __all__ = [
-    "READERS",
+    "FAULTS",
+    "Detected",
     "Fault",
+    "LoggedRuns",
     "Recorded",
     "Recording",
     "RecordingOptions",
+    "RemedyOptions",
+    "Suspect",
     "assemble",
     "read",
 ]
@@ -27,12 +33,16 @@ __all__ = [
 __getattr__ = resolver(
     __name__,
     {
-        "READERS": "readers",
-        "Fault": "undo",
-        "Recorded": "undo",
+        "FAULTS": "faults.registry",
+        "Detected": "log",
+        "Fault": "faults.fault",
+        "LoggedRuns": "log",
+        "Recorded": "log",
         "Recording": "simulated",
         "RecordingOptions": "options",
+        "RemedyOptions": "options",
+        "Suspect": "log",
         "assemble": "checks",
-        "read": "readers",
+        "read": "reading",
     },
 )

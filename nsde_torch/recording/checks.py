@@ -22,7 +22,9 @@ from nsde_torch.data.system_info import RATE_NAMES, SystemInfo, derivative_colum
 from nsde_torch.errors import ConfigError, DataError, ShapeError
 from nsde_torch.recording import attitude, conventions, glitches, ground, held, missing, stuck, times
 from nsde_torch.recording import clock as _clock
-from nsde_torch.recording.lateness import by_kind, lateness, on_time, surely_late
+from nsde_torch.recording.faults.fault import Fault
+from nsde_torch.recording.faults.registry import in_order, remedies
+from nsde_torch.recording.lateness import by_kind, lateness, surely_late
 
 Array = NDArray[np.float64]
 
@@ -159,6 +161,17 @@ def _report_late(system: SystemInfo, runs: Sequence[Run], clock: float, report: 
         report(Finding("late_sensor", "", len(some), message, "reported", values))
 
 
+def _asked(faults: Mapping[str, Mapping[str, float] | None]) -> list[tuple[Fault, Mapping[str, float]]]:
+    """Faults that a reader was told of, in the order in which they are undone."""
+    known = {name: fault for name, fault in remedies().items() if not fault.remedy_first}
+    unknown = sorted(set(faults) - set(known))
+    if unknown:
+        raise ConfigError(
+            f"{unknown[0]!r} is nothing that can be taken out of runs; what is: {', '.join(known)}."
+        )
+    return [(known[f.name], values) for f in in_order() if (values := faults.get(f.name))]
+
+
 def assemble(
     raw: Sequence[RawRun],
     system: SystemInfo,
@@ -167,8 +180,7 @@ def assemble(
     dt: float | None = None,
     gap: float | None = None,
     clock: str = "rescale",
-    sensor_delay: Mapping[str, float] | None = None,
-    sensor_lag: Mapping[str, float] | None = None,
+    **faults: Mapping[str, float] | None,
 ) -> DataSet:
     """Checks raw runs and joins them to a data set. The raw runs are used up.
 
@@ -179,8 +191,7 @@ def assemble(
         dt: Step of the data set [s]; default: the median step over the runs.
         gap: Time between rows from which on it is a gap [s]; default: 2.5 steps.
         clock: What to do about a clock that disagrees with the kinematics: `rescale`, `trust` or `refuse`.
-        sensor_delay: By how much states are logged late, by name of a state or common name of several [s of the log].
-        sensor_lag: Time constants of filters that states went through, to undo, by the same names [s of the log].
+        faults: What the recording did, to take out: `sensor_delay={"p": 0.01}` (see `RemedyOptions`).
 
     Returns:
         The data set, with what was found and done in its summary.
@@ -251,8 +262,8 @@ def assemble(
     conventions.check(system, runs)
     _clock.check_units(slopes, tuple(system.state_names))
     scale = _clock.decide(slopes, policy=clock, report=report)
-    if sensor_delay or sensor_lag:
-        runs = [on_time(run, system, sensor_delay or {}, sensor_lag) for run in runs]
+    for fault, values in _asked(faults):
+        runs = [fault.undo(run, system, values) for run in runs]
     _report_late(system, runs, scale, report)
     nu = len(system.input_names)
     rank = inputs.check_inputs([run.u[:, :nu] for run in runs], system.input_names, report)

@@ -1,33 +1,35 @@
-"""Settings of the recording chain."""
+"""Options of the recording chain, made of what each fault says of itself."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import make_dataclass
+from typing import Any
 
-from nsde_torch.options import documented, key
+from nsde_torch.options import documented
+from nsde_torch.recording.faults.registry import FAULTS, remedies
 
 
-@documented
-@dataclass(frozen=True)
-class RecordingOptions:
-    """Faults of a recording chain; the default has none."""
+def _options(name: str, doc: str, fields: Mapping[str, tuple[Any, Any]]) -> type[Any]:
+    made = make_dataclass(name, [(key, hint, value) for key, (hint, value) in fields.items()], frozen=True)
+    made.__doc__, made.__module__ = doc, __name__
+    return documented(made)
 
-    input_smoothing: float = key(0.0, "width of the centred moving average of the inputs", unit="s", low=0)
-    input_delay: float = key(
-        0.0, "time by which states are logged late, so that inputs seem to come early", unit="s", low=0
+
+def recording_options() -> type[Any]:
+    """A dataclass with an option for each fault that there is now."""
+    return _options(
+        "RecordingOptions",
+        "Faults of a recording chain; the default has none.",
+        {name: (fault.annotation, fault.option) for name, fault in FAULTS.items()},
     )
-    clock_scale: float = key(1.0, "physical seconds for each logged second", low=0.5, high=2)
-    sensor_bias: Mapping[str, float] = key({}, "what is added to a state, recording.sensor_bias.STATE=0.1")
-    sensor_delay: Mapping[str, float] = key(
-        {},
-        "by how much a state is logged late, recording.sensor_delay.STATE=0.02 (p for p_x p_y p_z)",
-        unit="s",
-    )
-    sensor_lag: Mapping[str, float] = key(
-        {}, "time constant of a filter that a state goes through, recording.sensor_lag.STATE=0.02", unit="s"
-    )
-    frame_misalignment: Sequence[float] = key(
-        (0.0, 0.0, 0.0), "turn of the log's body frame against the machine's about x, y, z", unit="deg"
-    )
-    dropout: float = key(0.0, "share of the rows that is missing", low=0, high=0.5)
+
+
+RecordingOptions = recording_options()
+"""Sizes of the faults of a simulated recording, by name; the keys `recording.NAME` of `nsde simulate`."""
+RemedyOptions = _options(
+    "RemedyOptions",
+    "What a reader takes out of a log.",
+    {name: (dict[str, float], fault.remedy) for name, fault in remedies().items()},
+)
+"""What a reader takes out, by name of the fault and of the states; the keys `data.NAME` of the commands."""

@@ -18,6 +18,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
+from scipy.ndimage import convolve1d
 from scipy.signal import welch
 from scipy.sparse.linalg import splu
 
@@ -104,6 +105,17 @@ def _power(
         return None
     total = sum(w for w, _ in spectra)
     return np.linspace(0, 0.5 / dt, rows // 2 + 1), sum((w / total) * s for w, s in spectra)
+
+
+def averaged(u: Array, steps: int) -> Array:
+    """Mean over a window of `steps` rows about each row, the rows at its ends with half their weight."""
+    if steps < 1:
+        return u
+    weights = np.full(steps + 1, 1.0 / steps)
+    if steps % 2:  # an odd number of steps: the ends lie between rows
+        return np.asarray(convolve1d(u, np.full(steps, 1.0 / steps), axis=0, mode="nearest"))
+    weights[[0, -1]] *= 0.5
+    return np.asarray(convolve1d(u, weights, axis=0, mode="nearest"))
 
 
 def restored(run: Run, n_inputs: int, width: float) -> Run:

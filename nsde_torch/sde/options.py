@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, fields
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from nsde_torch.options import check, documented, key
+
+if TYPE_CHECKING:
+    from nsde_torch.sde.step import Step
 
 
 @documented
@@ -13,7 +16,9 @@ from nsde_torch.options import check, documented, key
 class IntegratorOptions:
     """An integrator by name."""
 
-    name: str | None = key(None, "name of the integrator, set by solver=; null: the system's own")
+    name: str | None = key(
+        None, "name of the integrator, set by solver=, or module:Class of your own; null: the system's own"
+    )
 
     def __post_init__(self) -> None:
         check(type(self), vars(self))
@@ -43,8 +48,11 @@ class TorchDiffEqOptions(IntegratorOptions):
     adjoint: bool = key(False, "gradients by the adjoint equation: less memory, more time")
 
 
-def integrator_options(solver: str | IntegratorOptions | None) -> IntegratorOptions:
-    """An integrator by its name, with its own settings; options as they are."""
+def integrator_options(solver: str | type[Step] | IntegratorOptions | None) -> IntegratorOptions:
+    """An integrator by its name or class, with its own settings; options as they are."""
     if isinstance(solver, IntegratorOptions):
         return solver
+    if isinstance(solver, type):
+        own = not solver.__module__.startswith("nsde_torch.")
+        solver = f"{solver.__module__}:{solver.__qualname__}" if own else solver.name
     return TorchDiffEqOptions() if solver == "torchdiffeq" else IntegratorOptions(solver)

@@ -17,7 +17,7 @@ class Step(ABC):
     """A one-step method. Subclasses are final, hold nothing but settings, and state calculus, order and its condition.
 
     Attributes:
-        name: Key in `STEPS`.
+        name: Key in `STEPS`, or what messages call the user's own.
         calculus: The limit as dt goes to 0: "ito", "stratonovich", or "none" for a method of ordinary
             equations.
         strong_order: Order on one Brownian path where `condition` holds (the classical order if

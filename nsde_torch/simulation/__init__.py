@@ -6,6 +6,7 @@ from nsde_torch.lazy import resolver
 
 if TYPE_CHECKING:
     from nsde_torch.simulation.cartpole import SwingUp, cartpole_episodes
+    from nsde_torch.simulation.excitation import excited_runs
     from nsde_torch.simulation.files import write
     from nsde_torch.simulation.flights import manual_flights
     from nsde_torch.simulation.generate import Simulation, simulate
@@ -27,6 +28,7 @@ __all__ = [
     "Simulation",
     "SwingUp",
     "cartpole_episodes",
+    "excited_runs",
     "make_plant",
     "manual_flights",
     "record",
@@ -47,6 +49,7 @@ __getattr__ = resolver(
         "Simulation": "generate",
         "SwingUp": "cartpole",
         "cartpole_episodes": "cartpole",
+        "excited_runs": "excitation",
         "make_plant": "make",
         "manual_flights": "flights",
         "record": "recorder",

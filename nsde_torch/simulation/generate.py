@@ -19,18 +19,13 @@ from nsde_torch.effects import Effect, Parameter, effect_class
 from nsde_torch.errors import ConfigError, NonFiniteError
 from nsde_torch.recording.simulated import Recording
 from nsde_torch.simulation.make import Making
-from nsde_torch.simulation.registry import RECORDINGS
-from nsde_torch.simulation.replay import Replay, joined, replayed_flights
+from nsde_torch.simulation.registry import RECORDINGS, RunRecorder, recorder
+from nsde_torch.simulation.replay import Replay, joined
 from nsde_torch.systems import System, make_system, system_class
 from nsde_torch.systems.machines import Effects, Values, machine, make_plant_system, named_effects
+from nsde_torch.systems.options import key_of_class
 
 SCHEMA = 1
-EXCITED: dict[str, dict[str, Any]] = {"mass_spring_damper": {"force": "multisine", "force_size": 0.5}}
-"""Options of a recording that differ from its own default here, so that the runs show something."""
-DURATIONS = {"mass_spring_damper": (20.0,) * 6}
-"""Lengths of runs that differ from the recording's own default here [s]."""
-REPLAYED = {"hexacopter": replayed_flights, "quadrotor": replayed_flights}
-"""System -> function that makes interventions of its recording."""
 _SUBSTEPS = 8
 
 
@@ -62,7 +57,7 @@ class Simulation:
 
 
 def simulate(
-    system: str,
+    system: str | type[System],
     *,
     effects: Effects = (),
     parameters: Mapping[str, Any] | None = None,
@@ -80,7 +75,8 @@ def simulate(
     """Runs of a plant, as its recording chain logs them.
 
     Args:
-        system: Name of a system that has a plant.
+        system: A system that has a plant: key of `nsde_torch.systems.SYSTEMS`, `module:Class` or the class of your own
+            (`System.machine`).
         effects: Effects beyond those of the machine: `name`, `module:Class` or `{name: {parameter: value}}`. An
             `input_delay` is a pure delay here, not the approximation that models have. Where no size is given and the
             first value adds nothing, it is the parameter's `scale`.
@@ -106,23 +102,26 @@ def simulate(
         >>> made.truth["effects"]["coulomb_friction"]["parameters"]["size"]
         0.2
     """
-    spec = machine(system)
+    if not isinstance(system, str):
+        system = key_of_class(system)
+    spec, recorded = machine(system), recorder(system)
     chain = recording or Recording()
     known = make_system(system)
     asked = _with_parameters(named_effects(effects), parameters or {}, system)
     chain.check(known)
     _check(durations, dt, seed, battery=battery and "u_1" not in known.input_names, system=system)
     nominal = spec.dt if dt is None else float(dt)
-    step = nominal * chain.clock_scale
+    step = nominal * chain.clock
     latency, fine = _latency(asked.pop("input_delay", None), step, spec.step)
     late = chain.rows_late(nominal)
-    lengths = [float(d) for d in durations or DURATIONS.get(system) or _own_durations(system)]
-    used = {**EXCITED.get(system, {}), **(options or {})}
+    lengths = [float(d) for d in durations or recorded.durations]
+    used = {**recorded.options, **(options or {})}
     own = make_plant_system(system, effects=asked, declared_only=declared_only)
     if replay is not None:
-        _check_replay(system, replay, chain, nominal)
+        _check_replay(system, recorded, replay, chain, nominal)
     try:
-        made: list[list[RawRun]] = _recorded(
+        made = _recorded(
+            recorded,
             system,
             replay,
             durations=[(round(d / nominal) + late) * step for d in lengths],
@@ -183,11 +182,11 @@ def simulate(
     return Simulation(system, own.state_names, own.input_names, tuple(runs), truth)
 
 
-def _recorded(system: str, replay: Replay | None, **settings: Any) -> list[list[RawRun]]:
+def _recorded(how: RunRecorder, system: str, replay: Replay | None, **settings: Any) -> list[list[RawRun]]:
     """The runs of a recording, or the interventions of each run that are made of it."""
-    if replay is None:
-        return [[run] for run in RECORDINGS[system](system, **settings)]
-    return REPLAYED[system](system, replay=replay, **settings)
+    if replay is None or how.replay is None:
+        return [[run] for run in how.make(system, **settings)]
+    return how.replay(system, replay=replay, **settings)
 
 
 def _logged(run: RawRun, chain: Recording, own: System, dt: float, rng: np.random.Generator) -> RawRun:
@@ -198,11 +197,12 @@ def _logged(run: RawRun, chain: Recording, own: System, dt: float, rng: np.rando
     return logged
 
 
-def _check_replay(system: str, replay: Replay, chain: Recording, dt: float) -> None:
-    if system not in REPLAYED:
+def _check_replay(system: str, how: RunRecorder, replay: Replay, chain: Recording, dt: float) -> None:
+    if how.replay is None:
+        flown = [name for name, known in RECORDINGS.items() if known.replay is not None]
         raise ConfigError(
             f"`pilot=replay` makes interventions of flights, and system {system!r} is not flown; it takes "
-            f"{', '.join(REPLAYED)}. "
+            f"{', '.join(flown)}. "
             + (
                 "The force on a spring answers no state: its runs are what is asked for as they are."
                 if system == "mass_spring_damper"
@@ -212,7 +212,7 @@ def _check_replay(system: str, replay: Replay, chain: Recording, dt: float) -> N
             )
         )
     replay.rows(dt)
-    late = [k for k in ("input_smoothing", "input_delay", "sensor_delay", "sensor_lag") if getattr(chain, k)]
+    late = chain.mixing_times
     if late:
         raise ConfigError(
             f"`pilot=replay` and `recording.{late[0]}` do not go together: a chain that mixes times would mix the rows "
@@ -284,15 +284,6 @@ def _latency(values: Values | None, step: float, fine: float) -> tuple[float | N
         if abs(round(wanted * count / step) * step / count - wanted) < 0.02 * wanted:
             break
     return round(wanted * count / step) * step / count, step / count
-
-
-def _own_durations(system: str) -> tuple[float, ...]:
-    from nsde_torch.simulation import cartpole, flights, mass_spring_damper
-
-    return {
-        "cartpole": cartpole.DURATIONS,
-        "mass_spring_damper": mass_spring_damper.DURATIONS,
-    }.get(system, flights.DURATIONS)
 
 
 def _undeclared(

@@ -9,7 +9,7 @@ from torch import Tensor
 
 from nsde_torch.errors import ConfigError
 from nsde_torch.models import Model
-from nsde_torch.models.neural_sde import NeuralSDE
+from nsde_torch.models.capabilities import is_equation
 from nsde_torch.sde import make_step
 from nsde_torch.simulation.noise import Sensor
 
@@ -44,7 +44,7 @@ class LearnedPlant:
         latency: float = 0.0,
         limits: tuple[float, float] = (0.0, 1.0),
     ) -> None:
-        if not isinstance(model, NeuralSDE):
+        if not is_equation(model):
             raise ConfigError(
                 f"`plant=learned` flies a model of kind nsde, node or blackbox_nsde; got {model.spec.kind!r}."
             )

@@ -21,7 +21,7 @@ from torch import Tensor
 from nsde_torch.effects import Port
 from nsde_torch.errors import ConfigError
 from nsde_torch.systems import System
-from nsde_torch.systems.machines import Gust
+from nsde_torch.systems.machine import Gust
 
 
 @final

@@ -7,7 +7,8 @@ set is a `DataSet` like any other, of kind `simulated`.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -15,19 +16,56 @@ from nsde_torch.data import DataSet, RawRun, SystemInfo
 from nsde_torch.errors import ConfigError, DataError
 from nsde_torch.recording import assemble
 from nsde_torch.simulation import cache as _cache
+from nsde_torch.simulation import cartpole, flights
 from nsde_torch.simulation.cartpole import cartpole_episodes
+from nsde_torch.simulation.excitation import excited_runs
 from nsde_torch.simulation.flights import manual_flights
 from nsde_torch.simulation.mass_spring_damper import spring_runs
-from nsde_torch.systems import make_system
+from nsde_torch.simulation.replay import replayed_flights
+from nsde_torch.systems import System, make_system
+from nsde_torch.systems.machine import Excitation
 from nsde_torch.systems.machines import Effects, machine, make_plant_system, named_effects
+from nsde_torch.systems.options import key_of_class
 
-RECORDINGS: dict[str, Callable[..., list[RawRun]]] = {
-    "hexacopter": manual_flights,
-    "quadrotor": manual_flights,
-    "cartpole": cartpole_episodes,
-    "mass_spring_damper": spring_runs,
+
+@dataclass(frozen=True)
+class RunRecorder:
+    """How runs of a machine are made.
+
+    Args:
+        make: Function (name, *, durations, seed, effects, process_noise, sensor_noise, making, ...) -> runs.
+        durations: Lengths of the runs that `simulate` makes by default [s].
+        options: Options of `make` that `simulate` has by default, so that the runs show something.
+        replay: Function that makes interventions of the runs (see `nsde_torch.simulation.replay`); None: none.
+    """
+
+    make: Callable[..., list[RawRun]]
+    durations: tuple[float, ...]
+    options: Mapping[str, Any] = field(default_factory=dict)
+    replay: Callable[..., list[list[RawRun]]] | None = None
+
+
+_FLIGHTS = RunRecorder(manual_flights, flights.DURATIONS, replay=replayed_flights)
+RECORDINGS: dict[str, RunRecorder] = {
+    "hexacopter": _FLIGHTS,
+    "quadrotor": _FLIGHTS,
+    "cartpole": RunRecorder(cartpole_episodes, cartpole.DURATIONS),
+    "mass_spring_damper": RunRecorder(spring_runs, (20.0,) * 6, {"force": "multisine", "force_size": 0.5}),
 }
-"""System -> function (name, *, durations, seed, effects, process_noise, sensor_noise, ...) -> runs."""
+"""How runs of the machines of the package are made, by system."""
+
+
+def recorder(name: str) -> RunRecorder:
+    """How runs of a system's machine are made: its own way, or as its `excitation` says.
+
+    Raises:
+        ConfigError: the system has no plant.
+    """
+    own = machine(name)
+    if name in RECORDINGS:
+        return RECORDINGS[name]
+    durations = Excitation(()).durations if own.excitation is None else own.excitation.durations
+    return RunRecorder(own.recording or excited_runs, durations)
 
 
 def simulated(
@@ -73,9 +111,9 @@ def simulated(
         >>> data.names
         ('flight_0', 'flight_1', 'flight_2')
     """
-    info: SystemInfo = make_system(system) if isinstance(system, str) and system in RECORDINGS else system  # type: ignore[assignment]
-    name = system if isinstance(system, str) else system.name
-    machine(name)  # refuses a system without a plant
+    name = system if isinstance(system, str) else _key(system)
+    made = recorder(name)  # refuses a system without a plant
+    info: SystemInfo = make_system(system) if isinstance(system, str) else system
     own = make_plant_system(name, effects=effects)
     if tuple(info.state_names) != own.state_names or tuple(info.input_names) != own.input_names:
         raise ConfigError(
@@ -100,7 +138,7 @@ def simulated(
     raw = _cache.load(key, cache) if use_cache else None
     if raw is None:
         try:
-            raw = RECORDINGS[name](name, **settings, **options)
+            raw = made.make(name, **settings, **options)
         except TypeError as error:
             if "unexpected keyword" in str(error):
                 raise ConfigError(f"simulated runs of {name!r}: {error}.") from error
@@ -114,6 +152,12 @@ def simulated(
             f"the simulated runs do not pass the checks of measured ones: {error} Weaker noise or "
             "effects may help."
         ) from error
+
+
+def _key(system: SystemInfo) -> str:
+    """What names the system of a plant: its name, or `module:Class` of the user's own."""
+    own = isinstance(system, System) and system.name not in RECORDINGS and type(system).machine is not None
+    return key_of_class(type(system)) if own else system.name  # type: ignore[arg-type]
 
 
 def _check_numbers(durations: Sequence[float] | None, seed: int, **factors: float) -> None:

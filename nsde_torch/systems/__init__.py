@@ -5,9 +5,11 @@ from typing import TYPE_CHECKING
 from nsde_torch.lazy import resolver
 
 if TYPE_CHECKING:
-    from nsde_torch.systems.base import Defaults, ErrorGroup, ResidualPort, System
+    from nsde_torch.systems.base import System
     from nsde_torch.systems.cartpole import Cartpole
-    from nsde_torch.systems.machines import MACHINES, Gust, Machine, make_plant_system
+    from nsde_torch.systems.constants import Defaults, ErrorGroup, ResidualPort
+    from nsde_torch.systems.machine import Excitation, Gust, Machine
+    from nsde_torch.systems.machines import MACHINES, make_plant_system
     from nsde_torch.systems.multirotor import Hexacopter, Multirotor, Quadrotor
     from nsde_torch.systems.one_dof import MassSpringDamper
     from nsde_torch.systems.options import SystemOptions
@@ -19,6 +21,7 @@ __all__ = [
     "Cartpole",
     "Defaults",
     "ErrorGroup",
+    "Excitation",
     "Gust",
     "Hexacopter",
     "Machine",
@@ -39,15 +42,16 @@ __getattr__ = resolver(
         "MACHINES": "machines",
         "SYSTEMS": "registry",
         "Cartpole": "cartpole",
-        "Defaults": "base",
-        "ErrorGroup": "base",
-        "Gust": "machines",
+        "Defaults": "constants",
+        "ErrorGroup": "constants",
+        "Excitation": "machine",
+        "Gust": "machine",
         "Hexacopter": "multirotor",
-        "Machine": "machines",
+        "Machine": "machine",
         "MassSpringDamper": "one_dof",
         "Multirotor": "multirotor",
         "Quadrotor": "multirotor",
-        "ResidualPort": "base",
+        "ResidualPort": "constants",
         "System": "base",
         "SystemOptions": "options",
         "make_plant_system": "machines",

@@ -8,7 +8,6 @@ Kinematics are exact and belong to the system; everything that pushes is an effe
 import copy
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from itertools import accumulate
 from typing import Any, ClassVar
 
@@ -21,59 +20,8 @@ from nsde_torch.columns import join_columns, split_columns
 from nsde_torch.effects import Effect, Parametrised, Port, effect_class, make_effect
 from nsde_torch.errors import ConfigError, ShapeError
 from nsde_torch.systems import memory as memory_of
-
-
-@dataclass(frozen=True)
-class Defaults:
-    """Constants of the supplement for one system.
-
-    Args:
-        dt: Step of the model [s].
-        horizon: Steps of a training window.
-        sigma_max: Largest diffusion, one per state [unit of the state per root second].
-        ball_radius: Radius r of the ball of the convexity loss [standard deviations of the features].
-        lambda_mu: Weight of the reward on strong convexity.
-        step: Name of the integrator.
-    """
-
-    dt: float
-    horizon: int
-    sigma_max: tuple[float, ...]
-    ball_radius: float
-    lambda_mu: float
-    step: str
-
-
-@dataclass(frozen=True)
-class ErrorGroup:
-    """Error channels that share a unit and are reported as one norm.
-
-    Args:
-        name: For example "position".
-        channels: Indices into the error channels.
-        unit: Unit of the report.
-        factor: From the channel's unit to that of the report (180/pi for degrees).
-    """
-
-    name: str
-    channels: tuple[int, ...]
-    unit: str
-    factor: float = 1.0
-
-
-@dataclass(frozen=True)
-class ResidualPort:
-    """A port that gets a learned residual network.
-
-    Args:
-        width: Outputs.
-        scale: Size of a typical residual in the unit of the port.
-        unit: Unit of the port.
-    """
-
-    width: int
-    scale: float
-    unit: str
+from nsde_torch.systems.constants import Defaults, ErrorGroup, ResidualPort
+from nsde_torch.systems.machine import Machine
 
 
 class System(Parametrised, ABC):
@@ -95,6 +43,8 @@ class System(Parametrised, ABC):
         sensor_noise: Whether the state is measured with noise that a model should learn.
         quaternion: Columns of the unit quaternion, or None.
         position_derivatives: (position, velocity, frame) triples that kinematics ties together.
+        optional_inputs: Inputs that a file may lack, and that are then zero.
+        machine: What a simulated one is made of; None where nothing is to be simulated.
 
     Args:
         effects: Effects beyond the declared ones, by name or as objects.
@@ -120,6 +70,8 @@ class System(Parametrised, ABC):
     sensor_noise: ClassVar[bool] = False
     quaternion: ClassVar[slice | None] = None
     position_derivatives: ClassVar[tuple[tuple[str, str, str], ...]] = ()
+    optional_inputs: ClassVar[tuple[str, ...]] = ()
+    machine: ClassVar[Machine | None] = None
 
     def __init__(
         self,
@@ -332,6 +284,8 @@ class System(Parametrised, ABC):
             if effect.n_memory:
                 rates[k] = effect.memory_rate(t, x, own, memories[k])
         rate = self.dynamics(t, x, command, forces)
+        if Port.RATE in forces:
+            rate = rate + forces[Port.RATE]
         return join_columns((rate, *(rates[k] for k in sorted(rates)))) if rates else rate
 
     def memory_rate(self, t: float | Tensor, z: Tensor, u: Tensor) -> Tensor:

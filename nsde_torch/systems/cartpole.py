@@ -20,7 +20,8 @@ import torch
 from torch import Tensor
 
 from nsde_torch.effects import Parameter, Port
-from nsde_torch.systems.base import Defaults, ErrorGroup, ResidualPort, System
+from nsde_torch.systems.base import System
+from nsde_torch.systems.constants import Defaults, ErrorGroup, ResidualPort
 
 GRAVITY = 9.8
 

@@ -28,58 +28,18 @@ noise.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
 from math import radians
 from typing import Any
 
 from nsde_torch.effects import Port, effect_class
 from nsde_torch.errors import ConfigError
 from nsde_torch.systems.base import System
-from nsde_torch.systems.registry import make_system
+from nsde_torch.systems.machine import Gust, Machine
+from nsde_torch.systems.registry import SYSTEMS, make_system, system_class
 
 Values = dict[str, float | list[float]]
 Effects = Sequence[str | Mapping[str, Mapping[str, float | list[float]] | None]] | Mapping[str, Any]
 """Effects as a user names them: `name`, or `{name: {parameter: value}}`, in a list or as one mapping."""
-
-
-@dataclass(frozen=True)
-class Gust:
-    """What pushes one port; one number for every axis, or one for each.
-
-    Args:
-        std: Standard deviation of the coloured part [unit of the port].
-        time_constant: Its correlation time [s], > 0.
-        white: Intensity of the white part [unit of the port times root second].
-    """
-
-    std: tuple[float, ...] = (0.0,)
-    time_constant: float = 1.0
-    white: tuple[float, ...] = (0.0,)
-
-
-@dataclass(frozen=True)
-class Machine:
-    """What a plant of one system is made of.
-
-    Args:
-        values: Parameters of the declared physics, `name` or `effect.name`.
-        dt: Sample [s].
-        step: Fine step of the integration [s].
-        sensor_std: Measurement noise, one number per error channel of the system [its unit].
-        effects: Effects that the machine has beyond the declared physics, with their parameters.
-        gusts: What pushes the ports; empty: no process noise.
-        limits: Lowest and highest command, or None.
-        latency: Time from a command to its effect [s].
-    """
-
-    values: Mapping[str, float | list[float]]
-    dt: float
-    step: float
-    sensor_std: tuple[float, ...]
-    effects: Mapping[str, Mapping[str, float | list[float]]] = field(default_factory=dict)
-    gusts: Mapping[Port, Gust] = field(default_factory=dict)
-    limits: tuple[float, float] | None = None
-    latency: float = 0.0
 
 
 _MULTIROTOR: dict[str, Any] = {
@@ -138,17 +98,19 @@ MACHINES: dict[str, Machine] = {
 
 
 def machine(name: str) -> Machine:
-    """Machine of a system.
+    """Machine of a system: one of `MACHINES`, or what its class says (`System.machine`).
 
     Raises:
         ConfigError: the system has no plant; names the remedy.
     """
-    if name not in MACHINES:
+    own = MACHINES.get(name) or (system_class(name).machine if ":" in name or name in SYSTEMS else None)
+    if own is None:
         raise ConfigError(
             f"system {name!r} has no plant, so there is nothing to simulate; plants exist for "
-            f"{', '.join(MACHINES)}. Use measured runs: data=csv data.path=FOLDER."
+            f"{', '.join(MACHINES)}. Use measured runs: data=csv data.path=FOLDER. A class of your own has a plant "
+            "where it says `machine = Machine(...)` and is named as `module:Class`."
         )
-    return MACHINES[name]
+    return own
 
 
 def named_effects(effects: Effects) -> dict[str, Values]:

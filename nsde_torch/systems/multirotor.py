@@ -33,7 +33,8 @@ from nsde_torch.rotation import (
     rotate_back,
     rotation_between,
 )
-from nsde_torch.systems.base import Defaults, ErrorGroup, ResidualPort, System
+from nsde_torch.systems.base import System
+from nsde_torch.systems.constants import Defaults, ErrorGroup, ResidualPort
 
 GRAVITY = 9.81
 _DEGREES = 180.0 / pi

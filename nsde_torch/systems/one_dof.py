@@ -10,7 +10,8 @@ import torch
 from torch import Tensor
 
 from nsde_torch.effects import Parameter, Port
-from nsde_torch.systems.base import Defaults, ErrorGroup, ResidualPort, System
+from nsde_torch.systems.base import System
+from nsde_torch.systems.constants import Defaults, ErrorGroup, ResidualPort
 
 
 @final
@@ -31,6 +32,7 @@ class MassSpringDamper(System):
     feature_names = state_names
     feature_units = state_units
     sensor_noise = True
+    optional_inputs = ("force",)
     position_derivatives = (("q", "q_dot", "world"),)
     PARAMETERS = {"force_gain": Parameter(1.0, "1/kg", low=0.0, help="1 / mass")}
 

@@ -7,12 +7,11 @@ from nsde_torch.effects.base import Effect
 from nsde_torch.errors import ConfigError
 from nsde_torch.lookup import class_by_name
 from nsde_torch.systems.base import System
-from nsde_torch.systems.cartpole import Cartpole
-from nsde_torch.systems.multirotor import Hexacopter, Quadrotor
-from nsde_torch.systems.one_dof import MassSpringDamper
+from nsde_torch.systems.names import SYSTEM_HOMES
 
 SYSTEMS: dict[str, type[System]] = {
-    cls.name: cls for cls in (MassSpringDamper, Cartpole, Hexacopter, Quadrotor)
+    name: class_by_name(home, {}, System, kind="system", home="nsde_torch.systems")
+    for name, home in SYSTEM_HOMES.items()
 }
 
 

@@ -7,7 +7,7 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
-from typing import Any, TypeGuard
+from typing import Any
 
 import torch
 
@@ -18,28 +18,19 @@ from nsde_torch.evaluation.calibration import Coverage, extrapolate, widen
 from nsde_torch.evaluation.metrics import evaluate, horizons_of
 from nsde_torch.evaluation.one_step import one_step_table
 from nsde_torch.evaluation.report import coverage_table, error_table, lookahead, parameter_table
-from nsde_torch.models.ensemble import EnsembleSpec
-from nsde_torch.models.identified import SysidSpec
+from nsde_torch.models.capabilities import is_stochastic, learns_sensors
+from nsde_torch.models.kind import model_kind
 from nsde_torch.models.model import Model, ModelSpec
-from nsde_torch.models.neural_sde import NeuralSDE, SDESpec
 from nsde_torch.models.run_directory import METRICS, save
 from nsde_torch.recording.clock import of_runs
 from nsde_torch.recording.smoothing import smoothing_width
 from nsde_torch.sysid.in_loop import identify_in_loop
 from nsde_torch.sysid.loop_test import feedback_summary
-from nsde_torch.training.fit_ensemble import fit_ensemble
-from nsde_torch.training.fit_sde import fit_sde
-from nsde_torch.training.fit_sysid import fit_sysid
 from nsde_torch.training.options import LossOptions, TrainerOptions
 from nsde_torch.training.prepare import sensor_std
 from nsde_torch.training.progress import Progress
 from nsde_torch.training.task import Fitted, Task
 
-FITS: dict[type[ModelSpec], Callable[[Task], Fitted]] = {
-    SDESpec: fit_sde,
-    EnsembleSpec: fit_ensemble,
-    SysidSpec: fit_sysid,
-}
 _LEFT_OUT = 3  # training runs that calibration leaves out in turn, at most
 _AUXILIARY_SHARE = 0.5  # of the gradient steps
 
@@ -89,9 +80,9 @@ class Training:
         self.device, self.dtype = torch.device(device), dtype
         self.instruments = tuple(instruments)
         self.folder, self.about, self.say, self.other_sensors = Path(run_dir), about, say, other_sensors
-        self.compile = options.compile != "off" and not isinstance(spec, SysidSpec)  # done before it compiles
+        self.compile = options.compile != "off" and model_kind(spec.kind).compiles
         self.smoothing = smoothing_width(split.train, len(data.input_names))
-        self.filter_reach = spec.filter_reach if isinstance(spec, SDESpec | SysidSpec) else 0
+        self.filter_reach = spec.input_filter_reach
 
     def run(self) -> dict[str, Any]:
         """Train, calibrate, test and write.
@@ -176,11 +167,12 @@ class Training:
             log=self._scalars(name),
             instruments=self.instruments,
         )
-        return FITS[type(self.spec)](task)
+        fitted: Fitted = model_kind(self.spec.kind).fit(task)
+        return fitted
 
     def _feedback(self, model: Model) -> dict[str, Any]:
         """What the training runs say of the loop that they were recorded in."""
-        if not isinstance(model, NeuralSDE) or not model.spec.physics:
+        if not (model.capabilities.is_equation and model.capabilities.has_physics):
             return {}
         system, clock = copy.deepcopy(model.system).cpu(), float(model.clock_scale)
         if not self.instruments:
@@ -196,10 +188,8 @@ class Training:
         return out
 
     def _calibrate(self, model: Model) -> dict[str, Any]:
-        stochastic = isinstance(model, NeuralSDE) and not model.step.deterministic
-        if not self.options.calibrate or self.loss.kind == "paper" or not stochastic:
+        if not self.options.calibrate or self.loss.kind == "paper" or not is_stochastic(model):
             return {"factor": 1.0}
-        assert isinstance(model, NeuralSDE)
         runs = self.split.train
         fitted = Coverage(model, runs, seed=self.seed, compile=self.compile).log_factor()
         new = []
@@ -212,7 +202,7 @@ class Training:
             name = f"calibrate {turn + 1} of {count}"
             try:
                 auxiliary = self._fit(others, self.seed + 1000 + turn, name, short).model
-                assert isinstance(auxiliary, NeuralSDE)
+                assert is_stochastic(auxiliary)
                 coverage = Coverage(auxiliary, [runs[k]], seed=self.seed, compile=self.compile)
             except (DataError, NonFiniteError) as error:
                 self.say(f"calibration without {runs[k].name!r} left out: {error}")
@@ -316,11 +306,6 @@ class Training:
             writer[0].flush()
 
         return log
-
-
-def learns_sensors(model: Model) -> TypeGuard[NeuralSDE]:
-    """Whether the model has a sensor noise of its own."""
-    return isinstance(model, NeuralSDE) and model.spec.measurement
 
 
 def _names(runs: Sequence[str]) -> str:

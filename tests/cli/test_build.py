@@ -15,13 +15,13 @@ from omegaconf import OmegaConf
 
 from nsde_torch.cli import build
 from nsde_torch.cli.registry import hydra_command
-from nsde_torch.cli.schemas.data import CsvData
+from nsde_torch.cli.schemas.data import DATA_CHOICES
 from nsde_torch.cli.store import store
 from nsde_torch.data import Run, Split
 from nsde_torch.errors import ConfigError, DataError
-from nsde_torch.models.options import MODELS, model_options
+from nsde_torch.models import MODELS, kind
+from nsde_torch.models.kind import model_options
 from nsde_torch.systems import System, make_system
-from nsde_torch.training import structure
 from nsde_torch.training.options import LOSSES, TRAINERS, LossOptions
 from nsde_torch.training.structure import machine_losses, model_spec
 
@@ -64,7 +64,7 @@ def test_runs_are_read_and_split_as_the_configuration_says(tmp_path: Path) -> No
             comments="",
             fmt="%.9g",
         )
-    config = OmegaConf.structured(CsvData(path=str(tmp_path), test=["run_1"]))
+    config = OmegaConf.structured(DATA_CHOICES["csv"](path=str(tmp_path), test=["run_1"]))
     data = build.dataset(config, make_system("mass_spring_damper"))
     assert data.dt == pytest.approx(0.01)
     machine = make_system("mass_spring_damper")
@@ -160,7 +160,7 @@ def test_sigma_is_learned_unless_the_loss_or_the_user_declares_it(words: list[st
 def test_system_identification_takes_plain_differences_where_the_log_smoothed_its_inputs(
     asked: list[str], reach: int, expected: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(structure, "filter_reach", lambda *given: reach)
+    monkeypatch.setattr(kind, "filter_reach", lambda *given: reach)
     spec = _spec(_configuration("system=cartpole", "model=sysid", *asked))
     assert (spec.method, spec.step, spec.max_iterations) == (expected, "rk4", 20)
 

@@ -35,6 +35,8 @@ def test_every_choice_of_every_group_composes_and_passes_its_checks(group: str, 
         entry.path.split(".")[-1] for entry in groups.keys("train", groups.selected("train", words))
     ]:
         words.append("data.path=somewhere")
+    if choice == "own":
+        words.append(f"{group}.kind=my_module:Mine")
     config = compose("train", overrides=words)
     jobs.check_config(config, "train", words)
     assert OmegaConf.get_type(config) is TrainConfig
@@ -64,12 +66,20 @@ def test_system_choices_are_the_systems_of_the_library() -> None:
 @pytest.mark.parametrize("name", groups.choices("system"))
 def test_every_system_is_built_from_its_configuration(name: str) -> None:
     from nsde_torch.cli import build
-    from nsde_torch.training.structure import integrator_step
+    from nsde_torch.models.kind import Choice, model_kind, model_options
 
     config = compose("train", overrides=[f"system={name}"])
     system = build.system(config.system)
     assert system.name == name
-    assert integrator_step(build.integrator(config.solver), system).name == system.defaults.step
+    choice = Choice(
+        options=model_options("nsde"),
+        system=build.system_options(config.system),
+        machine=system,
+        runs=(),
+        loss="replay",
+        integrator=build.integrator(config.solver),
+    )
+    assert model_kind("nsde").step(choice).name == system.defaults.step
 
 
 @pytest.mark.usefixtures("hydra_ready")

@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 
 from nsde_torch.data import Run
-from nsde_torch.diagnosis.decision import provisional
+from nsde_torch.diagnosis.cross_validation import HeldOut, held_out, judges_replay
+from nsde_torch.diagnosis.decision import provisional_reason
 from nsde_torch.diagnosis.dependence import Dependence
 from nsde_torch.diagnosis.fitted import moved_channels
-from nsde_torch.diagnosis.held_out import HeldOut, held_out, judges_replay
 from nsde_torch.diagnosis.innovations import Own, Scored, band, one_step, own
 from nsde_torch.diagnosis.options import Options
 from nsde_torch.diagnosis.outcome import Found
@@ -178,9 +178,9 @@ def test_structure_that_is_left_where_an_effect_does_not_act_does_not_make_it_a_
 
     drag = Found("linear_drag", cast(Trial, None), (), moves=("v_x (body)", "v_y (body)"))
     gained = {"v_x (body)": 100.0, "v_y (body)": 50.0, "w_z": 5000.0}
-    assert provisional(drag, [drag], left("w_z"), gained) == ""
-    assert provisional(drag, [drag], left("v_x (body)"), gained) == "something else is there too"
-    assert provisional(drag, [drag], [], gained) == ""
+    assert provisional_reason(drag, [drag], left("w_z"), gained) == ""
+    assert provisional_reason(drag, [drag], left("v_x (body)"), gained) == "something else is there too"
+    assert provisional_reason(drag, [drag], [], gained) == ""
 
 
 # ---- feedback -----------------------------------------------------------------------------------------

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from nsde_torch.diagnosis.formula import formula
-from nsde_torch.diagnosis.laws import Laws
+from nsde_torch.diagnosis.noise_models import NoiseModels
 from nsde_torch.diagnosis.shape import shape
 from nsde_torch.diagnosis.specification import dependences
 from nsde_torch.diagnosis.views import rates
@@ -25,15 +25,15 @@ STRONG: list[tuple[str, Push, str]] = [
 )
 def test_a_strong_force_is_seen_through_the_law_of_the_noise_that_it_leaves(push: Push, side: str) -> None:
     r, variables = pushed(push)
-    laws = Laws(r, 0, float(r.carry_limits()[r.rows[0]]))
+    laws = NoiseModels(r, 0, float(r.carry_limits()[r.rows[0]]))
     other = laws.without(variables.functions["q"][0])
     assert other is not None
     assert other.likelihood > laws.base.likelihood + 100
-    assert other.law.std < laws.base.law.std
-    most = max(dependences(r, variables), key=lambda d: d.gain - d.functions)
+    assert other.noise.std < laws.base.noise.std
+    most = max(dependences(r, variables), key=lambda d: d.excess)
     assert (most.channel, most.variable) == ("q_dot", "q")
-    assert most.law is not None
-    assert most.law.std == other.law.std
+    assert most.noise is not None
+    assert most.noise.std == other.noise.std
     assert most.p < 1e-12
     words = shape(r, most, variables, rates(r, variables), RUNS)
     assert (words.variable, words.symmetry) == ("q", side)
@@ -42,7 +42,7 @@ def test_a_strong_force_is_seen_through_the_law_of_the_noise_that_it_leaves(push
 
 def test_functions_that_nothing_depends_on_leave_the_law_as_it_is() -> None:
     r, variables = pushed(lambda q, t, run: 0.0 * q)
-    laws = Laws(r, 0, float(r.carry_limits()[r.rows[0]]))
+    laws = NoiseModels(r, 0, float(r.carry_limits()[r.rows[0]]))
     assert [laws.without(f) for f, _ in variables.functions.values()] == [None] * len(variables.functions)
     assert min(d.p for d in dependences(r, variables)) > 1e-4
 
@@ -60,7 +60,7 @@ def test_another_law_of_one_channel_leaves_theta_and_the_regression_as_they_are(
 
 def test_a_stop_has_a_hinge_for_a_formula() -> None:
     r, variables = pushed(STRONG[0][1])
-    left = sorted(dependences(r, variables), key=lambda d: d.functions - d.gain)[:1]
+    left = sorted(dependences(r, variables), key=lambda d: -d.excess)[:1]
     found = formula(r, left, variables, RUNS)
     assert found is not None
     first = found.terms[0]
@@ -70,7 +70,7 @@ def test_a_stop_has_a_hinge_for_a_formula() -> None:
 
 def test_a_swing_whose_phase_differs_from_run_to_run_is_told_with_its_frequency() -> None:
     r, variables = pushed(lambda q, t, run: 0.6 * np.sin(2 * np.pi * 4.0 * t + 2.0 * run))
-    found = next(d for d in dependences(r, variables) if d.swing is not None)
+    found = next(d for d in dependences(r, variables) if d.sinusoid is not None)
     assert found.p < 1e-9
     assert 0.05 < found.share < 1.0
     words = shape(r, found, variables, rates(r, variables), RUNS)
@@ -78,9 +78,9 @@ def test_a_swing_whose_phase_differs_from_run_to_run_is_told_with_its_frequency(
     assert "phase differs" in words.sentence
     # what was restored from an average swings by itself
     restored = dependences(r, replace(variables, inputs=False))
-    assert not any(d.swing is not None for d in restored)
+    assert not any(d.sinusoid is not None for d in restored)
 
 
 def test_noise_does_not_swing() -> None:
     r, variables = pushed(lambda q, t, run: 0.0 * q)
-    assert all(d.p > 0.01 for d in dependences(r, variables) if d.swing is not None)
+    assert all(d.p > 0.01 for d in dependences(r, variables) if d.sinusoid is not None)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from nsde_torch.diagnosis.not_shown import not_shown
+from nsde_torch.diagnosis.detectability import not_shown
 from nsde_torch.diagnosis.rounds import Round
 from nsde_torch.diagnosis.screening import standard_errors
 

@@ -80,7 +80,7 @@ def test_inputs_are_not_restored_where_physics_does_worse_with_what_is_restored(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     # as rows that were lost at a regular distance make it look
-    monkeypatch.setattr("nsde_torch.recording.undo.smoothing_width", lambda runs, n: 0.3)
+    monkeypatch.setattr("nsde_torch.recording.smoothing.smoothing_width", lambda runs, n: 0.3)
     found, content = diagnosed("mass_spring_damper", options=ALONE)
     assert content["added"] == []
     assert "force" in found.outcome.variables.columns

@@ -44,9 +44,7 @@ def pushed(push: Push) -> tuple[Regression, Regressors]:
 
 def described(push: Push, variable: str) -> Shape:
     r, variables = pushed(push)
-    test = max(
-        (d for d in dependences(r, variables) if d.variable == variable), key=lambda d: d.gain - d.functions
-    )
+    test = max((d for d in dependences(r, variables) if d.variable == variable), key=lambda d: d.excess)
     return shape(r, test, variables, rates(r, variables), RUNS)
 
 

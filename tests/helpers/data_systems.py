@@ -16,6 +16,7 @@ class Stub:
     quaternion: slice | None = None
     position_derivatives: tuple[tuple[str, str, str], ...] = ()
     exogenous: tuple[str, ...] = ()
+    optional_inputs: tuple[str, ...] = ()
 
     @property
     def input_units(self) -> tuple[str, ...]:
@@ -43,4 +44,12 @@ CARTPOLE = Stub(
     None,
     (("x", "x_dot", "world"), ("theta", "theta_dot", "world")),
 )
-MSD = Stub("mass_spring_damper", ("q", "q_dot"), ("m", "m/s"), ("force",), None, (("q", "q_dot", "world"),))
+MSD = Stub(
+    "mass_spring_damper",
+    ("q", "q_dot"),
+    ("m", "m/s"),
+    ("force",),
+    None,
+    (("q", "q_dot", "world"),),
+    optional_inputs=("force",),
+)

@@ -8,15 +8,15 @@ import pytest
 import torch
 from torch import Tensor
 
-from nsde_torch.effects import EFFECTS, Effect, Parameter, Port, make_effect
-from nsde_torch.systems import SYSTEMS, System, make_system
+from nsde_torch.effects import EFFECTS, Effect, Parameter, Port, effect_class, key_of, make_effect
+from nsde_torch.systems import SYSTEMS, System, make_system, system_class
 
 
 class EffectContract:
     """Inherit, and set `name` and a `system` that has the effect's port.
 
     Attributes:
-        name: Key in `EFFECTS`.
+        name: Key in `EFFECTS`, or `module:Class`.
         system: System that it is tried on.
         memory: Extra states that it is to carry.
         size: Size of the states that it is tried on.
@@ -36,7 +36,7 @@ class EffectContract:
         return make_system(self.system, declared=[], effects=[self.name], **options)  # type: ignore[arg-type]
 
     def make(self, values: Mapping[str, float | list[float]] | None = None) -> Effect:
-        cls = SYSTEMS[self.system]
+        cls = system_class(self.system)
         return make_effect(
             self.name,
             system=self.system,
@@ -56,23 +56,23 @@ class EffectContract:
 
     def columns(self) -> int:
         """Columns of what the effect is given as its input."""
-        cls = EFFECTS[self.name]
-        return len(SYSTEMS[self.system].input_names) + len(cls.exogenous) + sum(cls.quantities.values())
+        cls = effect_class(self.name)
+        return len(system_class(self.system).input_names) + len(cls.exogenous) + sum(cls.quantities.values())
 
     def width(self) -> int:
         """Columns of the effect's port."""
         s = self.machine()
-        port = EFFECTS[self.name].port
-        return s.nu if port is Port.INPUT else s.ports[port]
+        port = effect_class(self.name).port
+        return {Port.INPUT: s.nu, Port.RATE: s.nx}.get(port) or s.ports[port]
 
     def specs(self) -> Iterator[tuple[str, Parameter]]:
-        yield from EFFECTS[self.name].PARAMETERS.items()
+        yield from effect_class(self.name).PARAMETERS.items()
 
     # ---- description ----------------------------------------------------------------------------------
 
     def test_it_says_what_it_is_and_where_it_comes_from(self) -> None:
-        cls = EFFECTS[self.name]
-        assert cls.name == self.name
+        cls = effect_class(self.name)
+        assert self.name in (cls.name, key_of(cls))
         assert cls.formula
         assert cls.source
         assert isinstance(cls.port, Port)
@@ -132,7 +132,7 @@ class EffectContract:
     # ---- what a diagnosis asks ------------------------------------------------------------------------
 
     def test_it_adds_nothing_at_the_values_that_say_so(self) -> None:
-        cls = EFFECTS[self.name]
+        cls = effect_class(self.name)
         assert cls.null
         assert {*cls.null, *cls.shapes} <= set(cls.PARAMETERS)
         assert set(cls.amplitudes) <= set(cls.null)
@@ -148,7 +148,7 @@ class EffectContract:
             assert float(term.detach().abs().max()) < 1e-4
 
     def test_it_is_linear_in_its_amplitudes(self) -> None:
-        cls = EFFECTS[self.name]
+        cls = effect_class(self.name)
         x, u, memory = self.rows(6)
 
         def term(share: float) -> Tensor:

@@ -9,7 +9,8 @@ from nsde_torch.data import Run
 from nsde_torch.data.raw import RawRun
 from nsde_torch.errors import ConfigError
 from nsde_torch.recording import Recording
-from nsde_torch.recording.lateness import channel_columns, lateness, moved, on_time
+from nsde_torch.recording.channels import channel_columns, moved, on_time
+from nsde_torch.recording.lateness import lateness
 from nsde_torch.systems import make_system
 
 SPRING = make_system("mass_spring_damper")

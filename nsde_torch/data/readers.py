@@ -1,0 +1,83 @@
+"""The readers of data by kind: a file each, and a line here.
+
+A reader is a function `read(system, *, path, ...)` that returns one `RawRun` for each continuous recording it finds:
+times, states and inputs in SI units and in the system's order, missing values as nan. What is wrong with the numbers is
+not its business: every data set passes the same checks afterwards. The table names where the function lies, so that
+listing the kinds imports none of them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, TypeAlias
+
+from nsde_torch.errors import ConfigError
+from nsde_torch.lookup import function_by_name
+
+
+@dataclass(frozen=True)
+class Reader:
+    """One line of the table.
+
+    Args:
+        home: Where the function lies, `module:function`.
+        summary: What it reads, one line.
+        suffixes: Suffixes of files that tell the kind; none: of what no other reader claims.
+        folders: Whether a folder with such a file in it is of the kind too.
+        takes_step: Whether it must know the step to resample to, as the files hold no times.
+    """
+
+    home: str
+    summary: str
+    suffixes: tuple[str, ...] = ()
+    folders: bool = True
+    takes_step: bool = False
+
+
+READERS: dict[str, Reader] = {
+    "csv": Reader("nsde_torch.data.csv_folder:read_csv", "A folder with one CSV file per run."),
+    "ulog": Reader("nsde_torch.data.ulog:read_ulog", "One PX4 log or a folder of them.", suffixes=(".ulg",)),
+    "published": Reader(
+        "nsde_torch.data.published:read_published",
+        "The authors' published files.",
+        suffixes=(".pkl", ".pickle"),
+        folders=False,
+        takes_step=True,
+    ),
+}
+
+Kind: TypeAlias = str | Callable[..., Any]
+"""A reader: a key of `READERS`, `package.module:function` of the user's own, or the function."""
+
+
+def reader(kind: Kind) -> Callable[..., Any]:
+    """The function that reads a kind of data.
+
+    Raises:
+        ConfigError: unknown kind (lists the choices), or no such module or function.
+    """
+    if not isinstance(kind, str):
+        return kind
+    if kind not in READERS and ":" not in kind:
+        raise ConfigError(
+            f"`kind` of data must be one of {', '.join(sorted(READERS))}; got {kind!r}. (Simulated data come from "
+            "`nsde_torch.simulation`; a reader of your own is `module:function`.)"
+        )
+    return function_by_name(READERS[kind].home if kind in READERS else kind, kind="reader")
+
+
+def name_of(kind: Kind) -> str:
+    """A reader in words, for summaries."""
+    return kind if isinstance(kind, str) else f"{kind.__module__}:{getattr(kind, '__qualname__', kind)}"
+
+
+def kind_of(path: str | Path) -> str:
+    """Kind of the data in a file or folder, by the names of the files; csv where nothing says otherwise."""
+    file = Path(path)
+    inside = {name.suffix.lower() for name in file.iterdir()} if file.is_dir() else set()
+    for kind, known in READERS.items():
+        if {file.suffix.lower()} & set(known.suffixes) or (known.folders and inside & set(known.suffixes)):
+            return kind
+    return "csv"

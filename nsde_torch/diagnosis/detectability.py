@@ -1,0 +1,70 @@
+"""Effects that the data could not have shown: absence of evidence that is no evidence of absence.
+
+The screening of a candidate gives the standard error s of its size (one linearised step, noise model of the round).
+A size below about 4 s goes unnoticed among tens of candidates at alpha = 0.01; where that is a good part of the
+size that such an effect usually has, "not found" says nothing of it.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from math import inf, isfinite
+
+from nsde_torch.diagnosis.decisions import DECISIONS, Decisions
+from nsde_torch.diagnosis.rounds import Round
+from nsde_torch.effects import effect_class
+from nsde_torch.systems.parameters import own_name
+
+
+@dataclass(frozen=True)
+class NotShown:
+    """A parameter of an effect whose usual size these data would not show.
+
+    Args:
+        effect: Name of the effect.
+        parameter: Label of the parameter, with an index where there are axes.
+        smallest: Smallest size that would be noticed; None where nothing in the data depends on it.
+        usual: Size that it usually has.
+        unit: Unit of both.
+        separate: The experiment that would show it.
+    """
+
+    effect: str
+    parameter: str
+    smallest: float | None
+    usual: float
+    unit: str
+    separate: str
+
+
+def not_shown(
+    rounds: Sequence[Round], *, found: Sequence[str], alpha: float, decisions: Decisions = DECISIONS
+) -> list[NotShown]:
+    """Effects that were not significant and could not have been.
+
+    Args:
+        rounds: Every look at the catalogue; the smallest standard error over them counts.
+        found: Names of the effects that were added.
+        alpha: Chance below which a candidate is significant.
+        decisions: What size is noticed, and what is a good part of the usual one.
+    """
+    significant = {t.name for look in rounds for t in look.trials if t.p_corrected < alpha} | set(found)
+    contained = {simple for name in significant for simple in effect_class(name).includes}
+    smallest: dict[tuple[str, str], float] = {}
+    for look in rounds:
+        for name, errors in look.errors.items():
+            if name not in significant | contained:
+                for label, error in errors.items():
+                    smallest[name, label] = min(error, smallest.get((name, label), inf))
+    out = []
+    for (name, label), error in smallest.items():
+        cls = effect_class(name)
+        key = own_name(label)
+        spec = cls.PARAMETERS[key]
+        usual = cls().scale_of(key)
+        least, never = decisions.detectable_errors * error, decisions.detectable_never * usual
+        level = abs(cls.null.get(key, 0.0)) > never  # does nothing when it is large: no size
+        if level or least <= decisions.detectable_share * usual:
+            continue
+        size = least if isfinite(error) and least < never else None
+        out.append(NotShown(name, label, size, usual, spec.unit, cls.separate))
+    return sorted(out, key=lambda n: -(n.smallest / n.usual if n.smallest is not None else inf))

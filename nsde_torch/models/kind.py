@@ -1,0 +1,175 @@
+"""A kind of model: one object says what a user chooses of it, what it is made of, and how it is fitted.
+
+What its models can do they say themselves (`Model.capabilities`). A kind is registered by a line in
+`nsde_torch.models.options.MODELS`, or named `module:Class` wherever the name of a kind can stand.
+"""
+
+import math
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from dataclasses import dataclass, field, fields
+from typing import Any, ClassVar
+
+from nsde_torch.data.run import Run
+from nsde_torch.errors import ConfigError
+from nsde_torch.lookup import class_by_name
+from nsde_torch.models.model import Model, ModelSpec
+from nsde_torch.models.options import MODELS, ModelOptions
+from nsde_torch.recording.smoothing import smoothing_width
+from nsde_torch.sde.options import IntegratorOptions
+from nsde_torch.sde.registry import make_step
+from nsde_torch.sde.step import Step
+from nsde_torch.systems.base import System
+from nsde_torch.systems.options import SystemOptions
+
+
+@dataclass(frozen=True, kw_only=True)
+class Choice:
+    """What the specification of a model is made from: what the user chose, the machine, and the data.
+
+    Args:
+        options: What the user chose of the model.
+        system: The machine's name, physics and constants.
+        machine: The system that these options make.
+        runs: Training runs.
+        loss: Kind of loss.
+        integrator: Integrator; one without a name is the one that fits.
+    """
+
+    options: ModelOptions
+    system: SystemOptions
+    machine: System
+    runs: Sequence[Run]
+    loss: str = "innovations"
+    integrator: IntegratorOptions = field(default_factory=IntegratorOptions)
+
+    @property
+    def common(self) -> dict[str, Any]:
+        """Arguments that every specification has (`ModelSpec`)."""
+        own, system = self.machine.defaults, self.system
+        return {
+            "system": system.name,
+            "kind": self.options.kind,
+            "effects": tuple(system.effects),
+            "declared": None if system.declared is None else tuple(system.declared),
+            "system_options": dict(system.options),
+            "dt": own.dt if system.dt is None else system.dt,
+            "horizon": own.horizon if system.horizon is None else system.horizon,
+        }
+
+    @property
+    def filter_reach(self) -> int:
+        """Taps that an input filter needs on each side to undo the smoothing found in the runs; 0 for none."""
+        return filter_reach(self.runs, self.machine.nu, self.common["dt"])
+
+
+class ModelKind(ABC):
+    """A kind of model. Subclasses set the class attributes and write `make_spec` and `fit`; none is instantiated.
+
+    Attributes:
+        options: What a user chooses of it.
+        spec: What is saved of a model beside its weights.
+        model: The model itself, made from a specification.
+        noise: Whether its integrator must be one for equations with noise (True), without (False), or either (None).
+        compiles: Whether compiling the integrator's step pays for it.
+    """
+
+    options: ClassVar[type[ModelOptions]]
+    spec: ClassVar[type[ModelSpec]]
+    model: ClassVar[type[Model]]
+    noise: ClassVar[bool | None] = None
+    compiles: ClassVar[bool] = True
+
+    @classmethod
+    @abstractmethod
+    def make_spec(cls, choice: Choice) -> ModelSpec:
+        """The specification of a model: what the user did not choose is as the machine and the data ask for.
+
+        Raises:
+            ConfigError: choices that do not fit.
+        """
+
+    @classmethod
+    @abstractmethod
+    def fit(cls, task: Any) -> Any:
+        """Fit a model to runs.
+
+        Args:
+            task: What to fit to and how, a `Task` (see `nsde_torch.training.task`).
+
+        Returns:
+            The model and how it went, a `Fitted` (see there).
+        """
+
+    @classmethod
+    def step(cls, choice: Choice) -> Step:
+        """The integrator that the user chose, or else the one that fits.
+
+        Raises:
+            ConfigError: there is no such integrator, or it does not fit the kind of model.
+        """
+        kind = choice.options.kind
+        made = make_step(cls.step_name(choice), **choice.integrator.settings)
+        if cls.noise is False and not made.deterministic:
+            raise ConfigError(
+                f"`model={kind}` has no diffusion, and solver={made.name} is for equations with noise. "
+                "Take solver=rk4, midpoint or torchdiffeq, or leave it out."
+            )
+        if cls.noise is True and made.deterministic:
+            raise ConfigError(
+                f"`model={kind}` has a diffusion, which solver={made.name} would leave out; choose a "
+                "solver for equations with noise, or leave it out."
+            )
+        return made
+
+    @classmethod
+    def step_name(cls, choice: Choice) -> str:
+        """Name of the integrator that the user chose, or else of the one that fits."""
+        return choice.integrator.name or cls.own_step(choice)
+
+    @classmethod
+    def own_step(cls, choice: Choice) -> str:
+        """Name of the integrator where the user chose none: the machine's, or rk4 without noise."""
+        return "rk4" if cls.noise is False else choice.machine.defaults.step
+
+
+def filter_reach(runs: Sequence[Run], n_inputs: int, dt: float) -> int:
+    """Taps that an input filter needs on each side to undo the smoothing found in the runs; 0 for none."""
+    return math.ceil(smoothing_width(runs, n_inputs) / dt - 1e-6)
+
+
+def model_kind(name: str) -> type[ModelKind]:
+    """A kind of model: a key of `MODELS`, or `package.module:Class` of the user's own.
+
+    Raises:
+        ConfigError: unknown name (lists the choices), no such module or class, or not a ModelKind.
+    """
+    if name not in MODELS and ":" not in name:
+        raise ConfigError(f"`model.kind` must be one of {', '.join(MODELS)}; got {name!r}.")
+    home = MODELS[name].home if name in MODELS else name
+    return class_by_name(home, {}, ModelKind, kind="kind of model", home="nsde_torch.models")
+
+
+def model_options(model: str | type[ModelKind] | ModelOptions, **values: Any) -> ModelOptions:
+    """What a user chooses of a model, by the name of its kind or the kind itself; options as they are.
+
+    Args:
+        model: Key of `MODELS`, `package.module:Class`, a class that a module defines, or options.
+        values: Options that are not the kind's own defaults.
+
+    Raises:
+        ConfigError: no such kind, or it has no such option.
+    """
+    if isinstance(model, ModelOptions):
+        return model
+    if isinstance(model, type):
+        model = f"{model.__module__}:{model.__qualname__}"
+    if model not in MODELS and ":" not in model:
+        raise ConfigError(f"`model` must be one of {', '.join(MODELS)}; got {model!r}.")
+    options = model_kind(model).options
+    names = {f.name for f in fields(options)}
+    unknown = sorted(set(values) - names)
+    if unknown:
+        known = ", ".join(sorted(names - {"kind"})) or "none"
+        raise ConfigError(f"`model={model}` has no option {', '.join(unknown)}; it has: {known}.")
+    return options(kind=model, **values)

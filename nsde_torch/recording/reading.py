@@ -1,0 +1,62 @@
+"""Reading by kind: `read("csv", system, path=...)`."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+from nsde_torch.data.raw import RawRun
+from nsde_torch.data.readers import READERS, Kind, name_of, reader
+from nsde_torch.data.run import DataSet
+from nsde_torch.data.system_info import SystemInfo
+from nsde_torch.errors import ConfigError
+from nsde_torch.recording.checks import assemble
+from nsde_torch.recording.faults.registry import remedies
+
+
+def read(
+    kind: Kind,
+    system: SystemInfo,
+    *,
+    path: str,
+    dt: float | None = None,
+    gap: float | None = None,
+    clock: str = "rescale",
+    **options: Any,
+) -> DataSet:
+    """Reads and checks a data set.
+
+    Args:
+        kind: Key of `READERS`, `module:function` of the user's own, or the function.
+        system: The system that the data belong to.
+        path: File or folder, as the kind says.
+        dt: Step [s]; default: the data's own (the nominal step of a published file, else the median).
+        gap: Time between rows that counts as a gap [s]; default: 2.5 steps.
+        clock: `rescale`, `trust` or `refuse` a clock that disagrees with the kinematics.
+        options: What the recording did, to take out (`sensor_bias={"q": 0.1}`, see `RemedyOptions`), and further
+            options of the kind.
+
+    Returns:
+        The data set with its summary.
+
+    Raises:
+        ConfigError: an unknown kind or option.
+        DataError: data that cannot be used; the message says where and what to do.
+    """
+    make, name = reader(kind), name_of(kind)
+    told = {fault: options.pop(fault) for fault in remedies() if fault in options}
+    if dt is not None and name in READERS and READERS[name].takes_step:
+        options["dt"] = dt
+    if not path:
+        raise ConfigError(f"`path` is empty; data of kind {name!r} need the path of a file or folder.")
+    try:
+        raw: Sequence[RawRun] = make(system, path=path, **options)
+    except TypeError as error:
+        if "unexpected keyword" in str(error):
+            raise ConfigError(f"data of kind {name!r}: {error}.") from error
+        raise
+    for fault in [fault for fault in told if remedies()[fault].remedy_first]:
+        values = told.pop(fault) or {}
+        for run in raw if values else ():
+            remedies()[fault].undo_raw(run, system, values)
+    return assemble(raw, system, kind=name, dt=dt, gap=gap, clock=clock, **told)

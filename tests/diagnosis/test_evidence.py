@@ -1,0 +1,206 @@
+"""Evidence and p values keep what they promise: exact folds, honest errors, chances that are chances.
+
+Linear regressions with known noise stand for the fits of a diagnosis; every claim is held against many draws.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy.stats import kstest, ncf
+
+from nsde_torch.diagnosis.decisions import DECISIONS
+from nsde_torch.diagnosis.estimates import estimated
+from nsde_torch.diagnosis.evidence import by_blocks, p_value, score, sum_error
+from nsde_torch.diagnosis.multiplicity import bonferroni, frequencies_in, starts_of
+from nsde_torch.diagnosis.p_values import chance, hotelling, independent, jackknife, left_out
+from tests.helpers.linear import lasting, linear
+
+Array = NDArray[np.float64]
+
+ROWS, BLOCKS, FOLDS = 480, 40, 4
+BLOCK = np.arange(ROWS) * BLOCKS // ROWS
+FOLD = np.arange(ROWS) * FOLDS // ROWS
+
+
+def none_held(x: Array) -> NDArray[np.bool_]:
+    return np.zeros(x.shape[1], dtype=bool)
+
+
+def below(p: list[float], level: float) -> float:
+    return float(np.mean(np.array(p) < level))
+
+
+def slack(level: float, draws: int) -> float:
+    """What a rate may lie above its level by chance: three standard errors."""
+    return level + 3.0 * (level * (1 - level) / draws) ** 0.5
+
+
+# ---- the held-out log-likelihood difference ---------------------------------------------------------------
+
+
+def test_leaving_a_fold_out_by_normal_equations_is_fitting_without_it() -> None:
+    rng = np.random.default_rng(0)
+    x = rng.normal(size=(ROWS, 3))
+    y = x @ [1.0, -2.0, 0.5] + rng.normal(size=ROWS)
+    got = score(linear(x, y, BLOCK), FOLD, BLOCK, still=none_held(x)).blocks
+    wanted = np.zeros(BLOCKS)
+    for f in range(FOLDS):
+        rest, own = f != FOLD, f == FOLD
+        theta = np.linalg.lstsq(x[rest], y[rest], rcond=None)[0]
+        np.add.at(wanted, BLOCK[own], -0.5 * np.square(y[own] - x[own] @ theta))
+    np.testing.assert_allclose(got, wanted, rtol=1e-9)
+
+
+@pytest.mark.parametrize("share", [0.0, 0.3])
+def test_its_standard_error_is_its_spread_over_data_sets(share: float) -> None:
+    differences, errors = [], []
+    for seed in range(300):
+        rng = np.random.default_rng(seed)
+        x = rng.normal(size=(ROWS, 2))
+        y = x @ [1.0, 0.3] + lasting(rng, ROWS, BLOCK, share)
+        two, one = (score(linear(z, y, BLOCK), FOLD, BLOCK, still=none_held(z)).blocks for z in (x, x[:, :1]))
+        differences.append(float((two - one).sum()))
+        errors.append(sum_error(two - one))
+    assert np.mean(differences) > 10  # nats, of an effect that is there
+    assert np.std(differences) == pytest.approx(np.sqrt(np.mean(np.square(errors))), rel=0.15)
+
+
+def test_it_costs_what_is_fitted_to_nothing() -> None:
+    # half a nat for the noise that is fitted, and half of one, or more, for what the fit foretells wrong
+    differences = []
+    for seed in range(200):
+        rng = np.random.default_rng(seed)
+        x, y = rng.normal(size=(ROWS, 2)), rng.normal(size=ROWS)
+        two, one = (score(linear(z, y, BLOCK), FOLD, BLOCK, still=none_held(z)).blocks for z in (x, x[:, :1]))
+        differences.append(float((two - one).sum()))
+    assert -1.0 < np.mean(differences) < -0.3
+
+
+# ---- p values under the null ------------------------------------------------------------------------------
+
+
+def null(seed: int, share: float) -> tuple[float, float, float, float, float]:
+    """p values of two columns that explain nothing: by blocks, by the jackknife, by folds, together, of an effect."""
+    rng = np.random.default_rng(seed)
+    z, _ = independent(rng.normal(size=(ROWS, 2)))
+    white = lasting(rng, ROWS, BLOCK, share)
+    x = rng.normal(size=(ROWS, 2))
+    with_it, without = linear(x, white, BLOCK), linear(x[:, :1], white, BLOCK)
+    this, base = (score(r, FOLD, BLOCK, still=none_held(r.slopes[0])) for r in (with_it, without))
+    of_effect = p_value(with_it, np.array([False, True]), with_it.spread(), base=base, this=this)
+    return (
+        hotelling(z, white, BLOCK),
+        jackknife(z, white, BLOCK),
+        left_out(z, white, FOLD, BLOCK),
+        chance(z, white, FOLD, BLOCK),
+        of_effect,
+    )
+
+
+@pytest.fixture(scope="module", params=[0.0, 0.3], ids=["white", "lasting"])
+def nulls(request: pytest.FixtureRequest) -> list[list[float]]:
+    return [list(column) for column in zip(*(null(s, request.param) for s in range(600)), strict=True)]
+
+
+def test_the_test_by_blocks_is_uniform_under_the_null_whatever_lasts_in_a_block(
+    nulls: list[list[float]],
+) -> None:
+    assert kstest(nulls[0], "uniform").pvalue > 0.01
+
+
+def test_the_jackknife_is_nearly_uniform_and_errs_on_the_safe_side(nulls: list[list[float]]) -> None:
+    for level in (0.01, 0.05, 0.2, 0.5):
+        assert below(nulls[1], level) <= slack(level, 600)
+    assert below(nulls[1], 0.5) > 0.4  # not by never finding anything
+
+
+@pytest.mark.parametrize("which", [2, 3, 4], ids=["folds", "together", "effect"])
+def test_no_p_value_is_below_a_level_more_often_than_that(nulls: list[list[float]], which: int) -> None:
+    for level in (0.005, 0.01, 0.05, 0.1, 0.2):
+        assert below(nulls[which], level) <= slack(level, 600)
+
+
+def test_the_sum_over_blocks_is_a_fair_test_of_its_mean() -> None:
+    p = [by_blocks(np.random.default_rng(seed).normal(size=BLOCKS)) for seed in range(2000)]
+    for level in (0.01, 0.05, 0.2, 0.5):
+        assert below(p, level) <= slack(level, 2000)
+    assert below(p, 0.05) > 0.03
+    assert by_blocks(np.zeros(BLOCKS)) == 1.0
+
+
+# ---- power ------------------------------------------------------------------------------------------------
+
+
+def test_an_alternative_is_found_as_often_as_the_noncentral_f_distribution_says() -> None:
+    alpha, size, found = 0.01, 4.0, []
+    for seed in range(400):
+        rng = np.random.default_rng(seed)
+        z, _ = independent(rng.normal(size=(ROWS, 2)))
+        found.append(hotelling(z, z[:, 0] * size + rng.normal(size=ROWS), BLOCK))
+    # the scores of the alternative scatter too, as the squares of so many normal rows in a block
+    degrees, scatter = BLOCKS - 2, 2.0 * size**2 / ROWS
+    threshold = ncf.isf(alpha, 2, degrees, 0.0)
+    expected = float(ncf.sf(threshold, 2, degrees, size**2 / (1.0 + scatter)))
+    assert below(found, alpha) == pytest.approx(expected, abs=0.06)
+    assert below(found, alpha) > 0.75
+
+
+def test_an_effect_of_known_size_has_the_p_value_that_it_deserves() -> None:
+    p = []
+    for seed in range(60):
+        rng = np.random.default_rng(seed)
+        x = rng.normal(size=(ROWS, 2))
+        y = x @ [1.0, 6.0 / ROWS**0.5] + rng.normal(size=ROWS)  # six standard errors
+        with_it, without = linear(x, y, BLOCK), linear(x[:, :1], y, BLOCK)
+        this, base = (score(r, FOLD, BLOCK, still=none_held(r.slopes[0])) for r in (with_it, without))
+        p.append(p_value(with_it, np.array([False, True]), with_it.spread(), base=base, this=this))
+    assert below(p, 1e-3) > 0.9
+    assert np.median(p) < 1e-5
+
+
+def test_few_blocks_for_many_functions_say_nothing_by_themselves() -> None:
+    rng = np.random.default_rng(0)
+    z, _ = independent(rng.normal(size=(ROWS, 30)))
+    white = rng.normal(size=ROWS)
+    least = DECISIONS.blocks_per_function * 30 + DECISIONS.blocks_beyond
+    assert least > BLOCKS
+    assert hotelling(z, white, BLOCK) == 0.0  # and the chi-squared test alone decides
+    assert chance(z, white, FOLD, BLOCK) > 0.01
+
+
+# ---- intervals --------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("share", [0.0, 0.3])
+@pytest.mark.parametrize("count", [12, 40])
+def test_intervals_of_ninety_per_cent_hold_the_truth_that_often(share: float, count: int) -> None:
+    block, held = np.arange(ROWS) * count // ROWS, 0
+    truth = np.array([1.0, -0.5])
+    for seed in range(300):
+        rng = np.random.default_rng(seed)
+        x = np.column_stack((rng.normal(size=ROWS), lasting(rng, ROWS, block, 0.8)))
+        fit = linear(x, x @ truth + lasting(rng, ROWS, block, share), block)
+        for e, value in zip(estimated(fit, fit.spread(), [0, 1]), truth, strict=True):
+            assert e.low is not None
+            assert e.high is not None
+            held += e.low <= value <= e.high
+    assert 0.87 <= held / 600 <= 0.95
+
+
+# ---- multiplicity -----------------------------------------------------------------------------------------
+
+
+def test_the_best_of_many_is_below_alpha_no_more_often_than_one_would_be() -> None:
+    rng = np.random.default_rng(0)
+    best = [bonferroni(float(rng.uniform(size=30).min()), 30) for _ in range(2000)]
+    assert below(best, 0.05) == pytest.approx(0.05, abs=0.015)
+    assert bonferroni(0.5, 30) == 1.0
+
+
+def test_comparisons_count_starts_of_shapes_and_frequencies_of_the_spectrum() -> None:
+    assert frequencies_in(400) == 200.0
+    assert frequencies_in(1) == 1.0
+    assert starts_of("periodic_force", ["periodic_force.frequency"], 400) == 200.0
+    assert starts_of("constant_force", ["constant_force.acceleration"], 400) == 1.0

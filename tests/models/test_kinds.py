@@ -1,0 +1,60 @@
+"""Every kind of model of the package holds the contract of kinds of models."""
+
+from __future__ import annotations
+
+import pickle
+
+import pytest
+import torch
+
+import nsde_torch
+from nsde_torch.cli.schemas.choices import CHOICES
+from nsde_torch.errors import ConfigError
+from nsde_torch.models import MODELS, Capabilities, Model, make_model, save
+from nsde_torch.models.kind import model_kind, model_options
+from nsde_torch.systems import SystemOptions
+from nsde_torch.training import model_spec
+from tests.helpers.model_contract import ModelContract
+
+CAN = {
+    "nsde": Capabilities(has_physics=True, is_equation=True, is_stochastic=True, learns_sensors=True),
+    "node": Capabilities(has_physics=True, is_equation=True),
+    "blackbox_nsde": Capabilities(is_equation=True, is_stochastic=True, learns_sensors=True),
+    "ensemble": Capabilities(propagation="fixed"),
+    "sysid": Capabilities(has_physics=True),
+}
+
+
+@pytest.fixture(scope="module", params=MODELS)
+def every(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Model:
+    """A model of each kind as the data ask for it, saved before it is trained."""
+    made = nsde_torch.simulate("mass_spring_damper", durations=[4.0] * 3, seed=1)
+    data = nsde_torch.read(made, system="mass_spring_damper")
+    machine = SystemOptions("mass_spring_damper")
+    spec = model_spec(model_options(request.param), machine, machine.make(), data.runs)
+    model = make_model(spec, generator=torch.Generator().manual_seed(0))
+    model.folder = tmp_path_factory.mktemp(request.param)
+    save(model, model.folder)
+    return model.eval().requires_grad_(False)
+
+
+class TestEveryKind(ModelContract):
+    @pytest.fixture
+    def trained(self, every: Model) -> Model:
+        return every
+
+    def test_it_can_do_what_its_kind_can(self, trained: Model) -> None:
+        assert trained.capabilities == CAN[trained.spec.kind]
+
+
+def test_an_unknown_kind_lists_the_choices() -> None:
+    with pytest.raises(
+        ConfigError, match="must be one of nsde, node, blackbox_nsde, ensemble, sysid; got 'nsd'"
+    ):
+        model_kind("nsd")
+
+
+@pytest.mark.parametrize("group", ["model", "data"])
+def test_keys_of_a_choice_can_be_sent_to_another_process(group: str) -> None:
+    for schema in CHOICES[group].values():
+        assert pickle.loads(pickle.dumps(schema)) is schema

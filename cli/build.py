@@ -15,7 +15,7 @@ from nsde_torch.models.kind import model_options as options_of_model
 from nsde_torch.recording import read
 from nsde_torch.sde import IntegratorOptions, TorchDiffEqOptions
 from nsde_torch.simulation import simulated
-from nsde_torch.sysid.smoothed_states import restore_states
+from nsde_torch.sysid.restored_states import restore_states, told_from_remedies
 from nsde_torch.systems import System, SystemOptions
 from nsde_torch.training import LossOptions, TrainerOptions
 
@@ -106,7 +106,8 @@ def other_dataset(config: DictConfig, machine: SystemInfo) -> DataSet:
 
 def _restored(config: DictConfig, data: DataSet, machine: SystemInfo) -> DataSet:
     """Data with states as they were before a smoother of the recording chain, unless the user wants to keep it."""
-    if config.state_smoothing == "keep" or not isinstance(machine, System):
+    told = told_from_remedies(str(name) for name, value in config.items() if value)
+    if config.state_smoothing == "keep" or not told or not isinstance(machine, System):
         return data
     return restore_states(data, machine)
 

@@ -111,6 +111,7 @@ def decide(search: Search, chosen: Selection, kept: Retained, feedback: Feedback
         aside=chosen.aside,
         hidden=kept.hidden,
         test=tested,
+        hangs=feedback.hangs(base.regression),
         decisions=search.decisions,
     )
 

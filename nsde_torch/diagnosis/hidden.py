@@ -15,6 +15,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.stats import chi2
 
 from nsde_torch.sysid.loop_test import LoopTest
@@ -30,10 +31,12 @@ class Feedback:
     Args:
         test: Tests the loop by a regression that has settled.
         shown: Whether signals from outside the loop show an effect of a system with fitted values.
+        hangs: How far parameters of a regression hang on the band up to which smoothed states were restored (k,).
     """
 
     test: Callable[[Regression], LoopTest]
     shown: Callable[[System, str], bool]
+    hangs: Callable[[Regression], NDArray[np.float64]]
 
 
 @dataclass(frozen=True)

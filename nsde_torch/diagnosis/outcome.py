@@ -63,6 +63,7 @@ class Outcome:
         aside: Effects that joined what is declared because they are shorter than a step.
         hidden: Effects that are not named because feedback may have made them.
         test: What the data say of the loop that they were recorded in, by `final`.
+        hangs: How far parameters of `final` hang on the band up to which smoothed states were restored (k,).
         printed: Estimates by signals from outside the loop, where these are the ones to print.
         decisions: What was decided by.
     """
@@ -80,6 +81,7 @@ class Outcome:
     aside: tuple[str, ...] = ()
     hidden: tuple[Hidden, ...] = ()
     test: LoopTest = field(default_factory=LoopTest)
+    hangs: Array | None = None
     printed: Identification | None = None
     decisions: Decisions = DECISIONS
 
@@ -124,7 +126,8 @@ class Outcome:
         """
         r, found = self.final.regression, {f.name for f in self.found}
         of_effects = np.array([label.partition(".")[0] in found for label in r.vector.labels], dtype=bool)
-        return np.where(of_effects, largest_bias(r, self.test.hidden_by_sensors), hidden_bias(r, self.test))
+        bias = np.where(of_effects, largest_bias(r, self.test.hidden_by_sensors), hidden_bias(r, self.test))
+        return bias if self.hangs is None else np.maximum(bias, self.hangs)
 
     @cached_property
     def spread(self) -> Spread:

@@ -4,6 +4,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from nsde_torch.data import Run
 from nsde_torch.diagnosis.candidates import candidate_names
@@ -14,7 +15,7 @@ from nsde_torch.diagnosis.search import Search, search_in
 from nsde_torch.effects import effect_class, effects_of, register
 from nsde_torch.errors import ConfigError, DataError
 from nsde_torch.recording.log import Recorded
-from nsde_torch.sysid.in_loop import identify_in_loop
+from nsde_torch.sysid.in_loop import hangs_on_band, identify_in_loop
 from nsde_torch.sysid.instruments import with_columns
 from nsde_torch.sysid.loop_test import LoopTest, tested
 from nsde_torch.sysid.regression import Regression
@@ -76,13 +77,16 @@ class Log:
     @property
     def feedback(self) -> Feedback:
         """What is asked of the loop that the log was recorded in."""
-        return Feedback(self._loop_test, self._shown)
+        return Feedback(self._loop_test, self._shown, self._hangs)
 
     def by_instruments(self, physics: System) -> Identification:
         """Physics identified with signals from outside the loop."""
         return identify_in_loop(
             physics, self.runs, clock=self.recorded.clock, instruments=self.options.instruments
         )
+
+    def _hangs(self, regression: Regression) -> NDArray[np.float64]:
+        return hangs_on_band(regression, self.runs, clock=self.recorded.clock)
 
     def _loop_test(self, regression: Regression) -> LoopTest:
         if self.recorded.inputs_restored:

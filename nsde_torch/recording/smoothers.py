@@ -48,7 +48,8 @@ _ZOOMS = (1.1, 1.04, 1.012, 1.004, 1.0015)
 _NEAR, _NEAR_SHARE = 0.1, 0.5
 """Deviance by which another smoother may be worse and still be likely: at least, and of what the best lacks."""
 _TYPICAL = 0.3  # deviance where the form is right
-_AGREE = 0.1  # of the response
+_AGREE = 0.1  # of the gain
+_SAME = 0.03  # deviance by which smoothers are alike
 _WIDEST = 75  # rows of the widest moving average or Savitzky-Golay filter
 
 
@@ -121,7 +122,7 @@ class Spectra:
 
 
 @dataclass(frozen=True)
-class Fit:
+class SpectrumFit:
     """The spectrum of a log behind a smoother.
 
     Args:
@@ -237,8 +238,8 @@ def joined(some: Sequence[Spectra]) -> Spectra:
     return Spectra(some[0].f, np.concatenate([s.power for s in some]), some[0].windows, some[0].dt)
 
 
-def fit(seen: Spectra, smoother: Smoother | None, *, steps: int = _LAST) -> Fit:
-    """Fit spectra behind a smoother; None for none."""
+def fit(seen: Spectra, smoother: Smoother | None, *, steps: int = _LAST) -> SpectrumFit:
+    """SpectrumFit spectra behind a smoother; None for none."""
     gain = np.ones_like(seen.f) if smoother is None else np.square(np.abs(smoother.response(seen.f)))
     relative = seen.f / seen.f[len(seen.f) // 8]
     before = np.stack([*(relative ** (-1.0 * m) for m in _POWERS), np.ones_like(seen.f)])
@@ -249,7 +250,7 @@ def fit(seen: Spectra, smoother: Smoother | None, *, steps: int = _LAST) -> Fit:
         weights = weights * (((seen.power / model**2) @ base.T) / ((1.0 / model) @ base.T)) ** _DAMPED
     ratio = seen.power / (weights @ base)
     deviance = seen.windows * float((ratio - 1.0 - np.log(ratio)).mean())
-    return Fit(deviance, weights[:, :-2] @ before[:-1], weights[:, -2], weights[:, -1])
+    return SpectrumFit(deviance, weights[:, :-2] @ before[:-1], weights[:, -2], weights[:, -1])
 
 
 @dataclass(frozen=True)
@@ -278,7 +279,7 @@ class Likely:
 def likeliest(seen: Spectra) -> Likely:
     """The smoothers of all families behind which spectra are likeliest.
 
-    Spectra hold no phase: where one without delay fits nearly as well as the likeliest, it is taken. A delay that was
+    Spectra hold no phase: where one without delay fits as well as the likeliest, it is taken. A delay that was
     there then stays in the log; one that was not would make it know the future.
     """
     tried = []
@@ -289,7 +290,8 @@ def likeliest(seen: Spectra) -> Likely:
     tried.sort(key=lambda one: one[0])
     near = tried[0][0] + max(_NEAR, _NEAR_SHARE * (tried[0][0] - _TYPICAL))
     likely = [one for one in tried if one[0] < near]
-    deviance, best = next((one for one in likely if not one[1].family.delays), likely[0])
+    as_good = [one for one in likely if one[0] < tried[0][0] + _SAME]
+    deviance, best = next((one for one in as_good if not one[1].family.delays), likely[0])
     return Likely(best, deviance, tuple(other for _, other in likely if other is not best))
 
 

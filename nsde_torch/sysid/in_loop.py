@@ -25,6 +25,7 @@ are made with inputs held and with the mean of each row and the next; the smalle
 it cannot decide widens the interval.
 """
 
+import copy
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
@@ -32,7 +33,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nsde_torch.data import Run
-from nsde_torch.errors import ConfigError
+from nsde_torch.errors import ConfigError, DataError, NonFiniteError
 from nsde_torch.sysid.identify import identification, regression_of
 from nsde_torch.sysid.instruments import (
     MISSING,
@@ -43,6 +44,7 @@ from nsde_torch.sysid.instruments import (
 )
 from nsde_torch.sysid.loop_test import LoopTest, tested
 from nsde_torch.sysid.regression import ITERATIONS, Regression
+from nsde_torch.sysid.restored_states import narrowed
 from nsde_torch.sysid.result import Identification
 from nsde_torch.systems import System
 
@@ -114,7 +116,8 @@ def identify_in_loop(
         doubt = np.where(instrumented.moved, np.maximum(apart, moving) + leaning, bias)
     else:
         doubt = hidden_bias(regression, loop)
-    return replace(found, loop=loop, instrumented=instrumented, doubt=doubt)
+    hangs = hangs_on_band(regression, runs, clock=clock, width=width, iterations=iterations)
+    return replace(found, loop=loop, instrumented=instrumented, doubt=np.maximum(doubt, hangs))
 
 
 def _by_instruments(
@@ -163,6 +166,38 @@ def hidden_bias(regression: Regression, loop: LoopTest) -> Array:
     of_channels = np.square(regression.slopes).sum(1)
     free = of_channels[[name not in bound for name in names]].sum(0)
     return np.where(free < 0.5 * of_channels.sum(0), np.nan, out)
+
+
+def hangs_on_band(
+    regression: Regression,
+    runs: Sequence[Run],
+    *,
+    clock: float = 1.0,
+    width: float | None = None,
+    iterations: int = ITERATIONS,
+) -> Array:
+    """How far parameters (k,) hang on the band up to which smoothed states were restored; zero where none were.
+
+    It is twice what they change by with half of the band: a bias that halves when the band doubles is as large as that
+    change. nan where nothing settles in half of the band.
+
+    Args:
+        regression: At its optimum.
+        runs: The runs that it is of.
+        clock: Physical seconds per logged second.
+        width: See `identify`.
+        iterations: Largest number of steps.
+    """
+    system = regression.physics.vector.system
+    half = narrowed(runs, system, clock)
+    if half is None:
+        return np.zeros(len(regression.vector))
+    try:
+        other = regression_of(copy.deepcopy(system), half, clock=clock, width=width)
+        other.run(iterations)
+    except (DataError, NonFiniteError):
+        return np.full(len(regression.vector), np.nan)
+    return np.asarray(2.0 * np.abs(regression.theta - other.theta))
 
 
 def largest_bias(regression: Regression, hidden: Mapping[str, float]) -> Array:

@@ -1,15 +1,7 @@
-"""States that were smoothed before they were logged: found, and undone as far as the log holds what there was.
+"""States that were smoothed before they were logged, and by what.
 
 What a smoother took away, the noise model of the identification takes for noise that is not there: it weighs what the
-smoother left near nothing most, there the inputs move nothing, and gains go to nothing, surely. So the log is made what
-it was,
-
-    x = S^-1 x_log below f_r,        white noise above,
-
-where f_r is the frequency at which S has fallen to a thousandth, or to what rounding left, or to which smoothers that
-fit about as well agree. The noise is as large as the sensor's, and much larger than what moves at f_r: what moves above
-it is gone, and must not weigh. Where S fits none of the families (`recording.smoothers`), or only roughly, nothing is
-restored; white noise is added from where S begins to fall. Noise is drawn from a fixed seed.
+smoother left near nothing most, there the inputs move nothing, and gains go to nothing, surely.
 
 A spectrum that falls steeply may also be a motion's own. That the log was smoothed is believed where
 
@@ -18,16 +10,14 @@ A spectrum that falls steeply may also be a motion's own. That the log was smoot
   behind S than as they are (in nats). It is not asked where the first shows it: in a closed loop inputs answer the
   noise of the sensors, which looks like the machine's answer to them.
 
-Sensors behind one smoother are fitted together. Ends of stretches are left out, where nobody knows how the smoother
-began and ended. In a closed loop the restored log still lacks what the controller saw above f_r; the test of the loop
-says so, and intervals widen by it.
+Sensors behind one smoother are fitted together.
 """
 
 from __future__ import annotations
 
 import copy
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -36,13 +26,12 @@ from numpy.fft import irfft, rfft, rfftfreq
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d
 
-from nsde_torch.data import DataSet, Finding, Run
+from nsde_torch.data import Finding, Run
 from nsde_torch.data.quaternion import conjugate, increments, multiply, rotation_vector
-from nsde_torch.data.run import fingerprint
 from nsde_torch.data.system_info import derivative_columns, rate_columns
 from nsde_torch.errors import ConfigError, DataError, NonFiniteError
 from nsde_torch.recording import smoothers
-from nsde_torch.recording.smoothers import Fit, Likely, Smoother, Spectra
+from nsde_torch.recording.smoothers import Likely, Smoother, Spectra, SpectrumFit
 from nsde_torch.rotation import turned
 from nsde_torch.sysid import signals
 from nsde_torch.sysid.physics import Physics
@@ -53,8 +42,9 @@ from nsde_torch.systems.parameters import ParameterVector
 
 Array = NDArray[np.float64]
 
-MISFIT = 1.0
-"""Deviance per bin of a spectrum without a smoother, above which one is looked for. Raw logs have 0.3 to 0.7."""
+MISFIT, GAIN = 2.0, 3.0
+"""Deviance per bin of a spectrum without a smoother, above which one is looked for; and how many times smaller it must
+be behind one. Raw logs have 0.3 to 1.1; logs behind a smoother that cuts at up to a fifth of the rate 4.5 and more."""
 SOUND = 2.0
 """Deviance behind the best smoother, above which nothing is restored."""
 ALIKE = 0.3
@@ -66,19 +56,13 @@ NATS = 20.0
 DEPTH, BEGINS = 1e-3, 0.9
 """|S| down to which is restored; and at which noise is added instead."""
 _ROUNDED = 0.1  # share of rounding in what is left, up to which it is restored
-_FADES = 0.15  # of f_r, over which the restored part gives way to noise
-_ENDS = 1.5  # left out at the ends of stretches, over the frequency at which |S| is 0.7
-_FEWEST = 50  # rows that must be left of a stretch
-ABOVE, ADDED = 100.0, 10.0
-"""Times the spectrum of the motion at f_r that the noise above it is; and times that of the log where noise is added.
-The gain of a spring under a white force errs by 13 % where it is as large, by 3 % at 10 times, by 1 % at 100."""
 _MEANS_S = 0.15
 _REFERENCE_S = 0.5  # standard deviation of the smooth attitude that rotations are measured from
 _ITERATIONS = 10
 
 
 @dataclass(frozen=True)
-class Sensor:
+class SensorGroup:
     """States of one sensor: columns, or the attitude, whose small rotations about a smooth one are looked at.
 
     Args:
@@ -118,11 +102,11 @@ class Smoothed:
         seen: By sensor: its spectrum.
     """
 
-    sensors: tuple[Sensor, ...]
+    sensors: tuple[SensorGroup, ...]
     smoother: Smoother
     reach: tuple[float, ...]
     restored: tuple[bool, ...]
-    fits: tuple[Fit, ...]
+    fits: tuple[SpectrumFit, ...]
     seen: tuple[Spectra, ...]
 
     def finding(self) -> Finding:
@@ -150,30 +134,6 @@ class Smoothed:
         )
 
 
-def restore_states(data: DataSet, system: System, *, seed: int = 0) -> DataSet:
-    """A data set with the smoothing of its states undone; the data set itself where there is none.
-
-    Args:
-        data: The data set.
-        system: The machine, with the declared physics; it is not changed.
-        seed: Seed of the noise that stands in for what is gone.
-
-    Returns:
-        The data set, with a finding `state_smoothing` in its summary for each smoother. One that has such a finding is
-        returned as it is.
-    """
-    if any(finding.kind == "state_smoothing" for finding in data.summary.findings):
-        return data
-    found = smoothed_states(data.runs, system, data.clock_scale)
-    if not found:
-        return data
-    runs = _restored(data.runs, found, seed)
-    findings = (*data.summary.findings, *(one.finding() for one in found))
-    told = replace(data.summary, findings=findings)
-    mark = fingerprint(runs, system_name=data.system_name, dt=data.dt, clock_scale=data.clock_scale)
-    return replace(data, runs=runs, summary=told, fingerprint=mark)
-
-
 def smoothed_states(runs: Sequence[Run], system: System, clock: float = 1.0) -> list[Smoothed]:
     """Sensors whose states were smoothed before they were logged, by smoother.
 
@@ -183,7 +143,7 @@ def smoothed_states(runs: Sequence[Run], system: System, clock: float = 1.0) -> 
         clock: Physical seconds per logged second.
     """
     dt = runs[0].dt * clock
-    seen = {sensor: s for sensor in _sensors(system) if (s := _spectra(sensor, runs, dt)) is not None}
+    seen = {sensor: s for sensor in sensors_of(system) if (s := group_spectra(sensor, runs, dt)) is not None}
     odd = {sensor: s for sensor, s in seen.items() if smoothers.fit(s, None).deviance > MISFIT}
     if not odd:
         return []
@@ -191,6 +151,8 @@ def smoothed_states(runs: Sequence[Run], system: System, clock: float = 1.0) -> 
     regression: Regression | None = None
     for sensors, likely in _by_smoother(odd):
         smoother = likely.smoother
+        if not all(_better(odd[sensor], smoother) for sensor in sensors):
+            continue
         apart = [_apart(system, runs, sensor, smoother, dt) for sensor in sensors]
         if not max(apart) > APART:
             regression = regression or _rough_fit(system, runs, clock)
@@ -209,10 +171,14 @@ def smoothed_states(runs: Sequence[Run], system: System, clock: float = 1.0) -> 
     return out
 
 
+def _better(seen: Spectra, smoother: Smoother) -> bool:
+    return GAIN * smoothers.fit(seen, smoother).deviance < smoothers.fit(seen, None).deviance
+
+
 # ---- finding ----------------------------------------------------------------------------------------------
 
 
-def _sensors(system: System) -> list[Sensor]:
+def sensors_of(system: System) -> list[SensorGroup]:
     names = system.state_names
     groups = [tuple(columns) for pair in derivative_columns(system).values() for columns in pair]
     rates = rate_columns(system)
@@ -221,8 +187,8 @@ def _sensors(system: System) -> list[Sensor]:
     attitude = () if system.quaternion is None else tuple(range(system.nx)[system.quaternion])
     known = {column for group in groups for column in group} | set(attitude)
     groups += [(column,) for column in range(system.nx) if column not in known]
-    out = [Sensor(group, tuple(names[c] for c in group)) for group in groups]
-    return [*out, Sensor(attitude, tuple(names[c] for c in attitude), turns=True)] if attitude else out
+    out = [SensorGroup(group, tuple(names[c] for c in group)) for group in groups]
+    return [*out, SensorGroup(attitude, tuple(names[c] for c in attitude), turns=True)] if attitude else out
 
 
 def _smooth(q: Array, dt: float) -> Array:
@@ -230,7 +196,7 @@ def _smooth(q: Array, dt: float) -> Array:
     return np.asarray(smooth / np.linalg.norm(smooth, axis=1, keepdims=True))
 
 
-def _spectra(sensor: Sensor, runs: Sequence[Run], dt: float) -> Spectra | None:
+def group_spectra(sensor: SensorGroup, runs: Sequence[Run], dt: float) -> Spectra | None:
     parts = [sensor.values(np.asarray(run.x[a:b]), dt) for run in runs for a, b in run.segments]
     found = smoothers.spectra_of(parts, dt)
     if found is None or not (found.power > 0).all():  # a channel that never moves, or has no last digit
@@ -238,7 +204,7 @@ def _spectra(sensor: Sensor, runs: Sequence[Run], dt: float) -> Spectra | None:
     return found
 
 
-def _by_smoother(odd: Mapping[Sensor, Spectra]) -> list[tuple[tuple[Sensor, ...], Likely]]:
+def _by_smoother(odd: Mapping[SensorGroup, Spectra]) -> list[tuple[tuple[SensorGroup, ...], Likely]]:
     """Sensors that went through one smoother, and those that each went through one of their own."""
     own = {sensor: smoothers.likeliest(s) for sensor, s in odd.items()}
     steps = {len(s.f) for s in odd.values()}
@@ -251,7 +217,7 @@ def _by_smoother(odd: Mapping[Sensor, Spectra]) -> list[tuple[tuple[Sensor, ...]
     return [((k,), likely) for k, likely in own.items()]
 
 
-def _apart(system: System, runs: Sequence[Run], sensor: Sensor, smoother: Smoother, dt: float) -> float:
+def _apart(system: System, runs: Sequence[Run], sensor: SensorGroup, smoother: Smoother, dt: float) -> float:
     """Share in which changes of positions and integrals of rates differ where a smoother falls; 0 without a pair."""
     parts: list[tuple[Array, Array]] = []
     for run in runs:
@@ -302,7 +268,7 @@ def _rough_fit(system: System, runs: Sequence[Run], clock: float) -> Regression 
     return regression
 
 
-def _nats(regression: Regression, sensors: Sequence[Sensor], smoother: Smoother) -> float:
+def _nats(regression: Regression, sensors: Sequence[SensorGroup], smoother: Smoother) -> float:
     """By how much changes are likelier from the physics behind a smoother than from it alone, where inputs drive."""
     physics = regression.physics
     steps, left = physics.steps, physics.residual(regression.theta)
@@ -333,66 +299,9 @@ def _through(values: Array, smoother: Smoother, dt: float) -> Array:
     return np.asarray(through[around : around + n])
 
 
-# ---- undoing ----------------------------------------------------------------------------------------------
-
-
-def _reach(seen: Spectra, one: Fit, smoother: Smoother) -> float:
+def _reach(seen: Spectra, one: SpectrumFit, smoother: Smoother) -> float:
     """Frequency up to which is restored [Hz]."""
     left = one.before * np.square(np.abs(smoother.response(seen.f)))
     rounded = (one.rounding[:, None] > _ROUNDED * left).any(0) & (seen.f > smoother.falls_to(BEGINS))
     deep = min(smoother.falls_to(DEPTH), 0.48 / seen.dt)
     return min(deep, float(seen.f[np.argmax(rounded)])) if rounded.any() else deep
-
-
-def _restored(runs: Sequence[Run], found: Sequence[Smoothed], seed: int) -> list[Run]:
-    rng = np.random.default_rng(seed)
-    dt = found[0].smoother.dt
-    ends = [_ENDS / one.smoother.falls_to(0.7) for one in found if any(one.restored)]
-    out_of_use = int(np.ceil(max(ends, default=0.0) / dt))
-    pairs = [pair for one in found for pair in zip(one.sensors, one.reach, strict=True)]
-    band = {name: reach for sensor, reach in pairs for name in sensor.names}
-    out = []
-    for run in runs:
-        x = np.array(run.x)
-        for a, b in run.segments:
-            for one in found:
-                _restore_stretch(x[a:b], one, rng)
-        inner = [(a + out_of_use, b - out_of_use) for a, b in run.segments]
-        kept = tuple((a, b) for a, b in inner if b - a >= _FEWEST)
-        out.append(replace(run, x=x, segments=kept or run.segments, band=band))
-    return out
-
-
-def _restore_stretch(x: Array, one: Smoothed, rng: np.random.Generator) -> None:
-    dt = one.smoother.dt
-    for sensor, reach, restored, how, seen in zip(
-        one.sensors, one.reach, one.restored, one.fits, one.seen, strict=True
-    ):
-        at = int(np.argmin(np.abs(seen.f - reach)))
-        values = sensor.values(x, dt)
-        # what moves above is gone: it must not weigh beside the noise that stands in for it
-        level = how.white + ABOVE * how.motion[:, at] if restored else ADDED * seen.power[:, at]
-        noise = rng.standard_normal(values.shape) * np.sqrt(level / (2.0 * dt))
-        new = _unsmoothed(values, one.smoother, reach, noise) if restored else values + noise
-        sensor.with_values(x, new, dt)
-
-
-def _unsmoothed(values: Array, smoother: Smoother, reach: float, noise: Array) -> Array:
-    """Values (n, C) of one stretch before a smoother up to a frequency, and noise above it."""
-    n, dt = len(values), smoother.dt
-    around = min(n - 1, int(3.0 / (_FADES * reach * dt)) + _FEWEST)
-    first, last = 2.0 * values[0] - values[around:0:-1], 2.0 * values[-1] - values[-2 : -around - 2 : -1]
-    longer = np.concatenate([first, values, last])
-    line = np.linspace(longer[0], longer[-1], len(longer))
-    f = rfftfreq(len(longer), dt)
-    keep = 0.5 * (1.0 + np.cos(np.pi * np.clip((f - reach) / (_FADES * reach) + 1.0, 0.0, 1.0)))
-    gain = np.where(keep > 0, keep / np.where(keep > 0, smoother.response(f), 1.0), 0.0)
-    before = irfft(rfft(longer - line, axis=0) * gain[:, None], len(longer), axis=0) + line
-    above = irfft(rfft(noise, axis=0) * np.sqrt(1.0 - np.square(_resampled(keep, n)))[:, None], n, axis=0)
-    return np.asarray(before[around : around + n] + above)
-
-
-def _resampled(values: Array, rows: int) -> Array:
-    """Values on the frequencies of a real transform of `rows`."""
-    bins = rows // 2 + 1
-    return np.asarray(np.interp(np.linspace(0.0, 1.0, bins), np.linspace(0.0, 1.0, len(values)), values))

@@ -15,7 +15,7 @@ from nsde_torch.data import DataSet
 from nsde_torch.data.raw import RawRun
 from nsde_torch.errors import ConfigError
 from nsde_torch.sysid.identify import identify
-from nsde_torch.sysid.smoothed_states import restore_states
+from nsde_torch.sysid.restored_states import restore_states
 from nsde_torch.systems import make_system
 
 Array = NDArray[np.float64]

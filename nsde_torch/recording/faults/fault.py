@@ -31,6 +31,7 @@ class Fault(ABC):
         annotation: Type of the size.
         remedy: The option of a reader that takes it out, declared by `key`, by name of a state; None: a reader cannot.
         remedy_first: Whether a reader takes it out before it looks at anything.
+        remedy_smooths: Whether taking it out smooths states, after which no smoother of the log can be told.
         mixes_times: Whether a row of the log depends on other rows than its own.
     """
 
@@ -40,6 +41,7 @@ class Fault(ABC):
     annotation: ClassVar[Any] = float
     remedy: ClassVar[Any] = None
     remedy_first: ClassVar[bool] = False
+    remedy_smooths: ClassVar[bool] = False
     mixes_times: ClassVar[bool] = False
 
     # simulated

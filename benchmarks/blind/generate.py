@@ -133,8 +133,8 @@ def cases(seed: int, n: int, *, systems: Sequence[str] = SYSTEMS, kinds: Sequenc
         system, kind = systems[i % len(systems)], period[(i // len(systems)) % len(period)]
         rng = np.random.default_rng([seed, 1, i])
         count = seen[system, kind] = seen.get((system, kind), -1) + 1
-        rounds = count // max(1, len(holdable(system))) if kind == "single" else count
-        noise = tuple(NOISE)[(count + rounds) % 2 if kind == "single" else count % 2]
+        rounds, turn = divmod(count, max(1, len(holdable(system)))) if kind == "single" else (0, count)
+        noise = tuple(NOISE)[(turn + rounds) % 2]
         case = Case(f"case_{i:0{digits}d}", system, kind, {}, {}, noise, int(rng.integers(2**31)))
         made.append(_filled(case, turns, rng))
     return made

@@ -43,9 +43,9 @@ class Cogging(Effect):
 
 
 def test_every_effect_of_the_catalogue_has_its_contract() -> None:
-    tested = {cls.name for cls in EffectContract.__subclasses__()}
-    assert tested == set(EFFECTS)
-    assert all(key == cls.name for key, cls in EFFECTS.items())
+    own = {name: cls for name, cls in EFFECTS.items() if ":" not in name}  # others are of other tests
+    assert {cls.name for cls in EffectContract.__subclasses__() if ":" not in cls.name} == set(own)
+    assert all(key == cls.name for key, cls in own.items())
 
 
 @pytest.fixture

@@ -15,7 +15,7 @@ from nsde_torch.models.kind import model_options as options_of_model
 from nsde_torch.recording import read
 from nsde_torch.sde import IntegratorOptions, TorchDiffEqOptions
 from nsde_torch.simulation import simulated
-from nsde_torch.sysid.restored_states import restore_states, told_from_remedies
+from nsde_torch.sysid.restored_states import restore_states
 from nsde_torch.systems import System, SystemOptions
 from nsde_torch.training import LossOptions, TrainerOptions
 
@@ -106,10 +106,8 @@ def other_dataset(config: DictConfig, machine: SystemInfo) -> DataSet:
 
 def _restored(config: DictConfig, data: DataSet, machine: SystemInfo) -> DataSet:
     """Data with states as they were before a smoother of the recording chain, unless the user wants to keep it."""
-    told = told_from_remedies(str(name) for name, value in config.items() if value)
-    if config.state_smoothing == "keep" or not told or not isinstance(machine, System):
-        return data
-    return restore_states(data, machine)
+    taken_out = [str(name) for name, value in config.items() if value]
+    return restore_states(data, machine, policy=config.state_smoothing, taken_out=taken_out)
 
 
 def _reader_options(config: DictConfig) -> dict[str, Any]:

@@ -16,7 +16,7 @@ from nsde_torch.recording.checks import assemble
 from nsde_torch.recording.faults.registry import remedies
 from nsde_torch.recording.reading import read as read_kind
 from nsde_torch.simulation.generate import Simulation
-from nsde_torch.sysid.restored_states import restore_states, told_from_remedies
+from nsde_torch.sysid.restored_states import restore_states
 from nsde_torch.systems.base import System
 from nsde_torch.systems.options import SystemOptions, system_options
 
@@ -77,10 +77,8 @@ def read(
         system_options(system).make() if isinstance(system, str | type | SystemOptions) else system
     )
     found = _assembled(data, machine, kind, options or {}, {"dt": dt, "gap": gap, "clock": clock, **faults})
-    told = told_from_remedies(name for name, value in faults.items() if value)
-    if state_smoothing == "keep" or not told or not isinstance(machine, System):
-        return found
-    return restore_states(found, machine)
+    taken_out = [name for name, value in faults.items() if value]
+    return restore_states(found, machine, policy=state_smoothing, taken_out=taken_out)
 
 
 def _assembled(

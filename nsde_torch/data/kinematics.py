@@ -86,6 +86,10 @@ class Pooled:
     slopes: int
 
 
+ATTITUDE = "attitude"
+"""Name of the group of an attitude and its body rates."""
+
+
 def axis_groups(system: SystemInfo, x: Array, dt: float) -> list[tuple[str, list[str], Array, Array]]:
     """(group, axis names, increments (n-1, k), integrals of the rate (n-1, k)) over single steps."""
     out = []
@@ -98,7 +102,7 @@ def axis_groups(system: SystemInfo, x: Array, dt: float) -> list[tuple[str, list
     if rates is not None and system.quaternion is not None:
         w = x[:, rates]
         out.append(
-            ("attitude", list(RATE_NAMES), increments(x[:, system.quaternion]), 0.5 * dt * (w[1:] + w[:-1]))
+            (ATTITUDE, list(RATE_NAMES), increments(x[:, system.quaternion]), 0.5 * dt * (w[1:] + w[:-1]))
         )
     return out
 
@@ -217,7 +221,7 @@ def _sums(a: Array, edges: NDArray[np.int64]) -> Array:
 
 
 def rates_of(system: SystemInfo, group: str, x: Array) -> Array:
-    if group == "attitude":
+    if group == ATTITUDE:
         rates = rate_columns(system)
         assert rates is not None
         return x[:, rates]

@@ -29,7 +29,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter1d
 from scipy.special import stdtr, stdtrit
 
-from nsde_torch.data.kinematics import Slope, axis_groups, pool, rates_of
+from nsde_torch.data.kinematics import ATTITUDE, Slope, axis_groups, pool, rates_of
 from nsde_torch.data.run import Run
 from nsde_torch.data.system_info import SystemInfo, derivative_columns, rate_columns
 from nsde_torch.recording.channels import common_name, moved, unfiltered
@@ -276,7 +276,7 @@ def sensors(system: SystemInfo) -> list[tuple[str, str]]:
     """Channels that one sensor brings: a position and its rate, an attitude and body rates, by their common names."""
     attitude = system.quaternion is not None and rate_columns(system) is not None
     return [
-        _labels(system, group) for group in (*derivative_columns(system), *(["attitude"] if attitude else []))
+        _labels(system, group) for group in (*derivative_columns(system), *([ATTITUDE] if attitude else []))
     ]
 
 

@@ -21,7 +21,7 @@ import numpy as np
 from numpy.fft import irfft, rfft, rfftfreq
 from numpy.typing import NDArray
 
-from nsde_torch.data import DataSet, Run
+from nsde_torch.data import DataSet, Run, SystemInfo
 from nsde_torch.data.run import fingerprint
 from nsde_torch.recording.faults.registry import remedies
 from nsde_torch.recording.smoothers import Smoother
@@ -38,29 +38,31 @@ _ENDS = 1.5  # left out at the ends of stretches, over the frequency at which |S
 _FEWEST = 50  # rows that must be left of a stretch
 
 
-def told_from_remedies(given: Iterable[str]) -> bool:
-    """Whether a smoother of the log can be told from what a reader was asked to take out.
-
-    Args:
-        given: Names of the faults that it takes out.
-    """
-    known = remedies()
-    return not any(known[name].remedy_smooths for name in given if name in known)
-
-
-def restore_states(data: DataSet, system: System, *, seed: int = 0) -> DataSet:
+def restore_states(
+    data: DataSet,
+    system: SystemInfo,
+    *,
+    policy: str = "restore",
+    taken_out: Iterable[str] = (),
+    seed: int = 0,
+) -> DataSet:
     """A data set with the smoothing of its states undone; the data set itself where there is none.
 
     Args:
         data: The data set.
-        system: The machine, with the declared physics; it is not changed.
+        system: The machine, with the declared physics; it is not changed. Columns without physics restore nothing.
+        policy: "restore", or "keep" for the data set itself.
+        taken_out: Names of the faults that the reader took out; behind one that smooths no smoother can be told.
         seed: Seed of the noise that stands in for what is gone.
 
     Returns:
         The data set, with a finding `state_smoothing` in its summary for each smoother. One that has such a finding is
         returned as it is.
     """
-    if any(finding.kind == "state_smoothing" for finding in data.summary.findings):
+    known = remedies()
+    smooths = any(known[name].remedy_smooths for name in taken_out if name in known)
+    done = any(finding.kind == "state_smoothing" for finding in data.summary.findings)
+    if policy == "keep" or smooths or done or not isinstance(system, System):
         return data
     found = smoothed_states(data.runs, system, data.clock_scale)
     if not found:

@@ -27,7 +27,8 @@ from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d
 
 from nsde_torch.data import Finding, Run
-from nsde_torch.data.quaternion import conjugate, increments, multiply, rotation_vector
+from nsde_torch.data.kinematics import ATTITUDE, axis_groups
+from nsde_torch.data.quaternion import conjugate, multiply, rotation_vector
 from nsde_torch.data.system_info import derivative_columns, rate_columns
 from nsde_torch.errors import ConfigError, DataError, NonFiniteError
 from nsde_torch.recording import smoothers
@@ -68,11 +69,13 @@ class SensorGroup:
     Args:
         columns: Their columns.
         names: Their names.
+        group: Name in `data.kinematics.axis_groups` of the position and rate that they belong to; empty where none.
         turns: Whether they are a quaternion.
     """
 
     columns: tuple[int, ...]
     names: tuple[str, ...]
+    group: str = ""
     turns: bool = False
 
     def values(self, x: Array, dt: float) -> Array:
@@ -144,21 +147,22 @@ def smoothed_states(runs: Sequence[Run], system: System, clock: float = 1.0) -> 
     """
     dt = runs[0].dt * clock
     seen = {sensor: s for sensor in sensors_of(system) if (s := group_spectra(sensor, runs, dt)) is not None}
-    odd = {sensor: s for sensor, s in seen.items() if smoothers.fit(s, None).deviance > MISFIT}
+    without = {sensor: smoothers.fit(s, None).deviance for sensor, s in seen.items()}
+    odd = {sensor: s for sensor, s in seen.items() if without[sensor] > MISFIT}
     if not odd:
         return []
     out = []
     regression: Regression | None = None
     for sensors, likely in _by_smoother(odd):
         smoother = likely.smoother
-        if not all(_better(odd[sensor], smoother) for sensor in sensors):
+        fits = tuple(smoothers.fit(odd[sensor], smoother) for sensor in sensors)
+        if any(GAIN * one.deviance >= without[sensor] for sensor, one in zip(sensors, fits, strict=True)):
             continue
         apart = [_apart(system, runs, sensor, smoother, dt) for sensor in sensors]
         if not max(apart) > APART:
             regression = regression or _rough_fit(system, runs, clock)
             if regression is None or _nats(regression, sensors, smoother) < NATS:
                 continue
-        fits = tuple(smoothers.fit(odd[sensor], smoother) for sensor in sensors)
         sound = tuple(one.deviance < SOUND for one in fits)
         reach = tuple(
             max(
@@ -171,24 +175,25 @@ def smoothed_states(runs: Sequence[Run], system: System, clock: float = 1.0) -> 
     return out
 
 
-def _better(seen: Spectra, smoother: Smoother) -> bool:
-    return GAIN * smoothers.fit(seen, smoother).deviance < smoothers.fit(seen, None).deviance
-
-
-# ---- finding ----------------------------------------------------------------------------------------------
+# ---- pieces --------------------------------------------------------------------------------------------
 
 
 def sensors_of(system: System) -> list[SensorGroup]:
-    names = system.state_names
-    groups = [tuple(columns) for pair in derivative_columns(system).values() for columns in pair]
+    """The sensors of a system: positions, velocities, body rates, states of no pair one by one, and the attitude."""
+    pairs = derivative_columns(system)
+    groups = [(tuple(columns), name) for name, pair in pairs.items() for columns in pair]
     rates = rate_columns(system)
     if rates is not None:
-        groups.append(tuple(range(system.nx)[rates]))
+        groups.append((tuple(range(system.nx)[rates]), ATTITUDE))
     attitude = () if system.quaternion is None else tuple(range(system.nx)[system.quaternion])
-    known = {column for group in groups for column in group} | set(attitude)
-    groups += [(column,) for column in range(system.nx) if column not in known]
-    out = [SensorGroup(group, tuple(names[c] for c in group)) for group in groups]
-    return [*out, SensorGroup(attitude, tuple(names[c] for c in attitude), turns=True)] if attitude else out
+    known = {column for group, _ in groups for column in group} | set(attitude)
+    groups += [((column,), "") for column in range(system.nx) if column not in known]
+
+    def sensor(columns: tuple[int, ...], group: str, *, turns: bool = False) -> SensorGroup:
+        return SensorGroup(columns, tuple(system.state_names[c] for c in columns), group, turns)
+
+    out = [sensor(columns, group) for columns, group in groups]
+    return [*out, sensor(attitude, ATTITUDE, turns=True)] if attitude else out
 
 
 def _smooth(q: Array, dt: float) -> Array:
@@ -197,9 +202,10 @@ def _smooth(q: Array, dt: float) -> Array:
 
 
 def group_spectra(sensor: SensorGroup, runs: Sequence[Run], dt: float) -> Spectra | None:
+    """Spectra of what is filtered of a sensor; None where stretches are short or a channel never moves."""
     parts = [sensor.values(np.asarray(run.x[a:b]), dt) for run in runs for a, b in run.segments]
     found = smoothers.spectra_of(parts, dt)
-    if found is None or not (found.power > 0).all():  # a channel that never moves, or has no last digit
+    if found is None or not (found.power > 0).all():
         return None
     return found
 
@@ -222,9 +228,8 @@ def _apart(system: System, runs: Sequence[Run], sensor: SensorGroup, smoother: S
     parts: list[tuple[Array, Array]] = []
     for run in runs:
         for a, b in run.segments:
-            x = np.asarray(run.x[a:b])
-            for columns, change, integral in _pairs(system, x, dt):
-                if set(sensor.columns) <= columns:
+            for group, _, change, integral in axis_groups(system, np.asarray(run.x[a:b]), dt):
+                if group == sensor.group:
                     parts.append((change, integral))
     if not parts:
         return 0.0
@@ -240,19 +245,6 @@ def _apart(system: System, runs: Sequence[Run], sensor: SensorGroup, smoother: S
         return 0.0
     share = spectra[0].power / np.maximum(spectra[1].power + spectra[2].power, 1e-300)
     return float(np.median(share[:, band]))
-
-
-def _pairs(system: System, x: Array, dt: float) -> list[tuple[set[int], Array, Array]]:
-    """Columns, changes of a position (n - 1, C) and integrals of its rate, for each that is logged with its rate."""
-    out = []
-    for i, j in derivative_columns(system).values():
-        out.append(({*i, *j}, np.diff(x[:, i], axis=0), 0.5 * dt * (x[1:, j] + x[:-1, j])))
-    rates = rate_columns(system)
-    if rates is not None and system.quaternion is not None:
-        columns = {*range(system.nx)[rates], *range(system.nx)[system.quaternion]}
-        rate = x[:, rates]
-        out.append((columns, increments(x[:, system.quaternion]), 0.5 * dt * (rate[1:] + rate[:-1])))
-    return out
 
 
 def _rough_fit(system: System, runs: Sequence[Run], clock: float) -> Regression | None:

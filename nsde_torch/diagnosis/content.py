@@ -37,7 +37,7 @@ def content(found: Diagnosis) -> dict[str, Any]:
         "schema": "nsde_torch.diagnosis/1",
         "verdict": found.verdict,
         "added": found.added,
-        "summary": summary(found.verdict, found.added, o, left.shapes, alpha=found.options.alpha),
+        "summary": summary(found.verdict, found.added, o, left.shapes),
         "warnings": _warnings(found),
         "findings": _findings(found),
         "aside": [
@@ -106,6 +106,7 @@ def content(found: Diagnosis) -> dict[str, Any]:
             "done": [str(f) for f in found.data.summary.findings],
         },
         "alpha": found.options.alpha,
+        "levels": dict(o.levels),
         "seed": found.options.seed,
         "seconds": found.seconds,
     }
@@ -240,7 +241,7 @@ def _not_shown(found: Diagnosis) -> list[dict[str, Any]]:
         for n in not_shown(
             found.outcome.rounds,
             found=names,
-            alpha=found.options.alpha,
+            alpha=found.outcome.levels["effects"],
             decisions=found.outcome.decisions,
         )
     ]

@@ -56,7 +56,7 @@ def set_aside(search: Search, chosen: Selection, kept: Retained, feedback: Feedb
             count = len(base.regression.vector.of(f.name))
             brought = likelihood_ratios(nats_by_channel(without.regression, base.regression))
             chance = chance_beyond(brought, moved, allowed, count) * among
-            if chance >= search.alpha and (weakest is None or chance > weakest[0]):
+            if chance >= search.level("effects") and (weakest is None or chance > weakest[0]):
                 weakest = (chance, f, without, tuple(c for c in moved if c in allowed))
         if weakest is None or feedback.shown(fitted_system(base.regression), weakest[1].name):
             break
@@ -83,7 +83,8 @@ def decide(search: Search, chosen: Selection, kept: Retained, feedback: Feedback
     if found:
         variables = _variables(search, base)
         after = dependences(base.regression, variables)
-    left = beyond_chance(after, allowances_of_tests(tested), alpha=search.alpha)
+    levels = search.levels(*(["effects"] if found else []))
+    left = beyond_chance(after, allowances_of_tests(tested), alpha=levels["structure"])
     explained = base.score.fitted - declared.score.fitted
     rest = max((d.excess for d in left), default=0.0)
     if found and explained < search.decisions.negligible_share * rest:
@@ -91,7 +92,8 @@ def decide(search: Search, chosen: Selection, kept: Retained, feedback: Feedback
         before = after = dependences(declared.regression, declared_variables)
         found, base, variables = [], declared, declared_variables
         tested = feedback.test(base.regression)
-        left = beyond_chance(before, allowances_of_tests(tested), alpha=search.alpha)
+        levels = search.levels()
+        left = beyond_chance(before, allowances_of_tests(tested), alpha=levels["structure"])
     brought = nats_by_channel(declared.regression, base.regression)
     found = [replace(f, moves=moved_channels(base.regression, f.name)) for f in found]
     return Outcome(
@@ -112,6 +114,7 @@ def decide(search: Search, chosen: Selection, kept: Retained, feedback: Feedback
         hidden=kept.hidden,
         test=tested,
         hangs=feedback.hangs(base.regression),
+        levels=levels,
         decisions=search.decisions,
     )
 
@@ -142,7 +145,7 @@ def beyond_chance(
     Args:
         tests: All tests.
         allowed: Likelihood ratio that feedback may hide, by channel (`hidden`).
-        alpha: Chance of finding something where nothing is missing.
+        alpha: Significance level of the stage.
     """
     found = (
         d

@@ -53,7 +53,7 @@ class Decisions:
 
     # ---- error rates ------------------------------------------------------------------------------------
     alpha: float = key(
-        0.01, "chance of naming an effect where nothing is missing, spent by each stage (convention)", above=0
+        0.01, "chance of naming anything where nothing is missing, of all stages (convention)", above=0
     )
     nested_alpha: float = key(
         1e-3,

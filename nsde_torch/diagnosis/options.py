@@ -14,7 +14,7 @@ from nsde_torch.options import check, documented, key
 class Options:
     """Settings of a diagnosis."""
 
-    alpha: float = key(DECISIONS.alpha, "chance of naming an effect where nothing is missing", above=0)
+    alpha: float = key(DECISIONS.alpha, "chance of naming anything where nothing is missing", above=0)
     max_effects: int = key(DECISIONS.most_effects, "most effects to add", low=0)
     candidates: tuple[str, ...] | None = key(
         None, "effects to try, by name; null: all that the system may have"

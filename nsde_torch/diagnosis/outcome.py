@@ -1,6 +1,6 @@
 """What a diagnosis concluded: the effects that were found, the tests of what is left, and the verdict."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Literal
@@ -65,6 +65,7 @@ class Outcome:
         test: What the data say of the loop that they were recorded in, by `final`.
         hangs: How far parameters of `final` hang on the band up to which smoothed states were restored (k,).
         printed: Estimates by signals from outside the loop, where these are the ones to print.
+        levels: Significance level of each stage (`recording.levels`).
         decisions: What was decided by.
     """
 
@@ -83,6 +84,7 @@ class Outcome:
     test: LoopTest = field(default_factory=LoopTest)
     hangs: Array | None = None
     printed: Identification | None = None
+    levels: Mapping[str, float] = field(default_factory=dict)
     decisions: Decisions = DECISIONS
 
     @cached_property

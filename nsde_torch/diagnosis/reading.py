@@ -14,6 +14,7 @@ from nsde_torch.diagnosis.options import Options
 from nsde_torch.diagnosis.search import Search, search_in
 from nsde_torch.effects import effect_class, effects_of, register
 from nsde_torch.errors import ConfigError, DataError
+from nsde_torch.recording.levels import level
 from nsde_torch.recording.log import Recorded
 from nsde_torch.sysid.in_loop import hangs_on_band, identify_in_loop
 from nsde_torch.sysid.instruments import with_columns
@@ -68,6 +69,7 @@ class Log:
             self.recorded.clock,
             self.options,
             inputs=inputs,
+            stages=self.recorded.stages,
             moved=moved,
             decisions=self.decisions,
             budgets=self.budgets,
@@ -95,7 +97,7 @@ class Log:
 
     def _shown(self, physics: System, effect: str) -> bool:
         return bool(self.options.instruments) and shown_by_instruments(
-            self.by_instruments(physics), effect, self.decisions.alpha
+            self.by_instruments(physics), effect, level("effects", self.decisions.alpha, self.recorded.stages)
         )
 
 

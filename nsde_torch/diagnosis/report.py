@@ -312,13 +312,13 @@ def _declared(parameters: Mapping[str, Any]) -> str:
 
 
 def _structure(content: Mapping[str, Any]) -> str:
-    structure, alpha = content["structure"], content["alpha"]
-    left = [d for d in structure["after"] if d["p"] < alpha]
+    structure, level = content["structure"], content["levels"]["structure"]
+    left = [d for d in structure["after"] if d["p"] < level]
     rows = [
         [d["channel"], placed(d), d["kind"], chance(d["p"]), f"{d['share']:.1%}"] for d in left[:_DECIDED]
     ]
     if not rows:
-        text = f"<p>None of {structure['tests']['after']} tests finds a dependence (alpha {alpha:g}).</p>"
+        text = f"<p>None of {structure['tests']['after']} tests finds a dependence (at a level of {level:g}).</p>"
     else:
         text = _table(["channel", "variable", "kind", "p", "share"], rows)
     return _folded("Structure that remains in the residual", text)

@@ -73,7 +73,7 @@ def look(search: Search, base: Base, *, only: Collection[str] | None = None) -> 
     # from without what it contains, a first step says nothing of a candidate that stands in for it
     sure = [n for n in best if set(effect_class(n).includes) & set(base.system.effect_names)]
     # nor of a sinusoid at a line of the spectrum: the noise model has learned the line
-    if peaks and peaks[0].p < search.alpha:
+    if peaks and peaks[0].p < search.level("effects"):
         sure += [n for n in best if has_frequency(n)]
     _fit_promising(search, base, best, sure, among, out)
     _finish_best(search, base, among, out)

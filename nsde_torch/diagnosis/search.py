@@ -13,6 +13,7 @@ from nsde_torch.diagnosis.evidence import Score, folds, score
 from nsde_torch.diagnosis.fitted import carried, dynamic_rows, fitted_system, nonlinear
 from nsde_torch.diagnosis.options import Options
 from nsde_torch.effects import register
+from nsde_torch.recording.levels import STAGES, level
 from nsde_torch.sysid.noise import Noise
 from nsde_torch.sysid.physics import Physics
 from nsde_torch.sysid.regression import Regression
@@ -55,6 +56,7 @@ class Search:
         candidates: Names to choose from; None takes all that the system may have.
         feedback: Take out what kinematic residuals foretell, where inputs react to sensors (`identify.feedback`).
         inputs: Whether the inputs are what acted, and not restored from an average.
+        stages: Stages of the recording chain that found something (`recording.levels`).
         moved: Whether channels that were late have been moved.
         decisions: What it decides by, but for alpha.
         budgets: How much it tries.
@@ -70,6 +72,7 @@ class Search:
         candidates: Sequence[str] | None = None,
         feedback: bool = False,
         inputs: bool = True,
+        stages: Collection[str] = (),
         moved: bool = False,
         decisions: Decisions = DECISIONS,
         budgets: Budgets = BUDGETS,
@@ -80,6 +83,15 @@ class Search:
         self.candidates, self.say = candidates, say
         self.held: set[str] = set()
         self.feedback, self.inputs, self.moved = feedback, inputs, moved
+        self._stages = frozenset(stages)
+
+    def level(self, stage: str, *found: str) -> float:
+        """Significance level of a stage, after the recording chain and the stages named (`recording.levels.level`)."""
+        return level(stage, self.alpha, self._stages | set(found))
+
+    def levels(self, *found: str) -> dict[str, float]:
+        """Significance levels of all stages, after the recording chain and the stages named."""
+        return {stage: self.level(stage, *found) for stage in STAGES}
 
     @property
     def longest(self) -> int:
@@ -225,6 +237,7 @@ def search_in(
     options: Options,
     *,
     inputs: bool = True,
+    stages: Collection[str] = (),
     moved: bool = False,
     decisions: Decisions | None = None,
     budgets: Budgets = BUDGETS,
@@ -238,6 +251,7 @@ def search_in(
         clock: Physical seconds per logged second.
         options: Settings.
         inputs: Whether the inputs are what acted (see `Search`).
+        stages: Stages of the recording chain that found something.
         moved: Whether channels that were late have been moved.
         decisions: What it decides by; None takes the options'.
         budgets: How much it tries.
@@ -262,6 +276,7 @@ def search_in(
         else (*options.candidates, *map(register, options.also)),
         feedback=not system.sensor_noise,
         inputs=inputs,
+        stages=stages,
         moved=moved,
         decisions=options.decisions if decisions is None else decisions,
         budgets=budgets,

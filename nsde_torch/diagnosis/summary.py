@@ -7,9 +7,7 @@ from nsde_torch.diagnosis.outcome import Outcome
 from nsde_torch.diagnosis.shape import Shape
 
 
-def summary(
-    verdict: str, added: Sequence[str], outcome: Outcome, shapes: Sequence[Shape], *, alpha: float
-) -> str:
+def summary(verdict: str, added: Sequence[str], outcome: Outcome, shapes: Sequence[Shape]) -> str:
     """The verdict in one or two sentences.
 
     Args:
@@ -17,7 +15,6 @@ def summary(
         added: Names of everything that was found.
         outcome: What was concluded.
         shapes: What the residual still depends on, in words.
-        alpha: Chance of naming an effect where nothing is missing.
     """
     if verdict == "no_effect" and outcome.test.hidden:
         return (
@@ -25,7 +22,9 @@ def summary(
             "declared physics leaves is noise."
         )
     if verdict == "no_effect":
-        unseen = not_shown(outcome.rounds, found=(), alpha=alpha, decisions=outcome.decisions)
+        unseen = not_shown(
+            outcome.rounds, found=(), alpha=outcome.levels["effects"], decisions=outcome.decisions
+        )
         blind = dict.fromkeys(n.effect for n in unseen if n.smallest is None)
         if blind:
             return (

@@ -60,7 +60,7 @@ def lines(content: Mapping[str, Any]) -> list[str]:
             "",
             table(["first look at the catalogue", "evidence on runs left out [nat]", "+-", "p"], rows),
         ]
-    structured = [d for d in content["structure"]["after"] if d["p"] < content["alpha"]]
+    structured = [d for d in content["structure"]["after"] if d["p"] < content["levels"]["structure"]]
     if structured:
         rows = [
             [d["channel"], placed(d), d["kind"], chance(d["p"]), f"{d['share']:.1%}"] for d in structured[:5]

@@ -163,7 +163,7 @@ def below_a_step(search: Search, trials: Sequence[Trial]) -> Trial | None:
 
 
 def _beyond_chance(search: Search, trial: Trial) -> bool:
-    return trial.p_corrected < search.alpha and trial.nats > search.decisions.least_nats
+    return trial.p_corrected < search.level("effects") and trial.nats > search.decisions.least_nats
 
 
 def _shorter_than_a_step(search: Search, trial: Trial) -> bool:

@@ -47,7 +47,7 @@ def suspected(fault: Fault, log: LoggedRuns, *, filtered: bool, how: str) -> lis
     """
     out = []
     for order, d in enumerate(log.late):
-        matters = d.p * len(log.late) < log.alpha and d.low > _LEAST_STEPS * log.runs[0].dt
+        matters = d.p * len(log.late) < log.level(fault.stage) and d.low > _LEAST_STEPS * log.runs[0].dt
         if matters and d.filtered == filtered and d not in log.surely:
             found = told(fault.name, [d], how, short=True)
             assert found is not None

@@ -13,8 +13,9 @@ from numpy.typing import NDArray
 from nsde_torch.data.run import DataSet, Run
 from nsde_torch.data.system_info import SystemInfo
 from nsde_torch.recording.faults.fault import Fault
-from nsde_torch.recording.faults.registry import in_order
+from nsde_torch.recording.faults.registry import FAULTS, in_order
 from nsde_torch.recording.lateness import Late, lateness, surely_late
+from nsde_torch.recording.levels import level
 
 Misfits: TypeAlias = Callable[[Sequence[Run]], NDArray[np.float64]]
 """Negative log likelihood per row [nats] of the declared physics in runs, by channel."""
@@ -70,6 +71,11 @@ class Recorded:
     faults: tuple[Detected, ...]
 
     @property
+    def stages(self) -> frozenset[str]:
+        """Stages that found something (`levels.STAGES`)."""
+        return frozenset(FAULTS[f.name].stage for f in self.faults)
+
+    @property
     def inputs_restored(self) -> bool:
         """Whether the inputs were averaged in the log, and are restored."""
         return bool(self.values("input_smoothing"))
@@ -120,7 +126,7 @@ class LoggedRuns:
         data: Where the runs are from; it knows what the reader made of the clock.
         runs: Those to look at.
         system: Names of the states.
-        alpha: Chance of finding a fault in a sound log.
+        alpha: Chance that any stage of a diagnosis finds something in a sound log (`levels`).
         misfit: Negative log likelihood per row [nats] of the declared physics in runs, at a clock.
 
     Attributes:
@@ -137,7 +143,8 @@ class LoggedRuns:
         alpha: float,
         misfit: Callable[[Sequence[Run], float], float],
     ) -> None:
-        self.data, self.system, self.alpha = data, system, alpha
+        self.data, self.system = data, system
+        self._alpha, self._found = alpha, set[str]()
         self.runs, self.clock = list(runs), 1.0
         self._misfit = misfit
 
@@ -154,7 +161,11 @@ class LoggedRuns:
     @cached_property
     def surely(self) -> list[Late]:
         """Those of them that are surely late, by more than half a step."""
-        return surely_late(self.late, self.runs[0].dt, chance=self.alpha)
+        return surely_late(self.late, self.runs[0].dt, chance=self.level("lateness"))
+
+    def level(self, stage: str) -> float:
+        """Significance level of a stage, after what was taken out so far (`levels.level`)."""
+        return level(stage, self._alpha, self._found)
 
     def without(self, fault: Fault, values: Mapping[str, float]) -> list[Run]:
         """The runs with a fault undone."""
@@ -168,3 +179,4 @@ class LoggedRuns:
         """Undo a fault that was found."""
         self.runs = self.without(fault, found.plain)
         self.clock *= found.clock
+        self._found |= {fault.stage}

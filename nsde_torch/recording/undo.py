@@ -29,7 +29,7 @@ def undo(
         data: Where the runs are from; it knows the clock.
         runs: Those to look at.
         system: The machine.
-        alpha: Chance of finding a fault in a sound log.
+        alpha: Chance that any stage of a diagnosis finds something in a sound log (`levels`).
         misfit: Negative log likelihood per row [nats] of the declared physics in runs, at a clock.
     """
     log = LoggedRuns(data, runs, system, alpha=alpha, misfit=misfit)

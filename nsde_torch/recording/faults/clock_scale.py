@@ -26,6 +26,7 @@ class ClockScale(Fault):
 
     name = "clock_scale"
     rank = 10
+    stage = "clock"
     option = key(1.0, "physical seconds for each logged second", low=0.5, high=2)
 
     def clock(self, value: Any) -> float:
@@ -55,7 +56,7 @@ class ClockScale(Fault):
         pooled = pool(log.data.summary.slopes)
         degrees = max(pooled.slopes - 1, _FOLDS - 1)  # errors of slopes are from so many folds each
         p = 2.0 * float(stdtr(degrees, -abs(pooled.value - 1.0) / max(pooled.error, 1e-12)))
-        if p >= 0.5 * log.alpha:  # the other half is for biases
+        if p >= log.level(self.stage):
             return None
         half = float(stdtrit(degrees, 0.5 * (1 + LEVEL))) * pooled.error
         pairs = [

@@ -27,6 +27,8 @@ class Fault(ABC):
     Attributes:
         name: Its name in options (`recording.NAME`), findings and truths.
         rank: Its place in the chain: faults act, and are looked for and undone, in this order.
+        stage: The stage whose significance level it is tested at (`recording.levels.STAGES`); empty where no p value
+            decides.
         option: Its size in a simulation, declared by `nsde_torch.options.key`; the default is that there is none of it.
         annotation: Type of the size.
         remedy: The option of a reader that takes it out, declared by `key`, by name of a state; None: a reader cannot.
@@ -37,6 +39,7 @@ class Fault(ABC):
 
     name: ClassVar[str]
     rank: ClassVar[int]
+    stage: ClassVar[str] = ""
     option: ClassVar[Any]
     annotation: ClassVar[Any] = float
     remedy: ClassVar[Any] = None

@@ -28,6 +28,7 @@ class SensorBias(Fault):
 
     name = "sensor_bias"
     rank = 50
+    stage = "biases"
     option = key({}, "what is added to a state, recording.sensor_bias.STATE=0.1")
     annotation = Mapping[str, float]
     remedy = key({}, "what sensors read too much, {STATE: 0.01} in its unit, to take out")
@@ -63,10 +64,8 @@ class SensorBias(Fault):
         from nsde_torch.recording.biases import rate_biases
         from nsde_torch.recording.log import LEVEL, Detected
 
-        biases = rate_biases(log.system, log.runs, log.clock)
-        sure = {
-            k: b for k, b in biases.items() if b.p * len(biases) < 0.5 * log.alpha and abs(b.value) > b.least
-        }
+        biases, level = rate_biases(log.system, log.runs, log.clock), log.level(self.stage)
+        sure = {k: b for k, b in biases.items() if b.p * len(biases) < level and abs(b.value) > b.least}
         if not sure:
             return None
         unit = dict(zip(log.system.state_names, log.system.state_units, strict=True))

@@ -28,6 +28,7 @@ class SensorDelay(Fault):
 
     name = "sensor_delay"
     rank = 30
+    stage = "lateness"
     option = key(
         {},
         "by how much a state is logged late, recording.sensor_delay.STATE=0.02 (p for p_x p_y p_z)",

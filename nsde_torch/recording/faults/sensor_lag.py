@@ -29,6 +29,7 @@ class SensorLag(Fault):
 
     name = "sensor_lag"
     rank = 20
+    stage = "lateness"
     option = key(
         {}, "time constant of a filter that a state goes through, recording.sensor_lag.STATE=0.02", unit="s"
     )

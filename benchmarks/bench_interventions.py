@@ -14,6 +14,10 @@ gusts, the inputs before the start known. Beside them:
 
 A model is named by its kind, with `+effects` where the true effects of the machine are declared. Finished trainings are
 kept in the folder and not done again. `interventions(run_dir, seed=1)` does the same for one run directory.
+
+`coverage_90_by_distance` in the JSON splits the starts of a neural SDE in halves, by eta where the machine truly was at
+the horizon: its diffusion grows with eta, so that intervals are wider than the error where declared physics holds
+outside of the data.
 """
 
 import argparse
@@ -29,9 +33,11 @@ from common import train_all
 import nsde_torch
 from nsde_torch.data import DataSet, Windows
 from nsde_torch.evaluation.common_grid import Candidate
-from nsde_torch.evaluation.comparison import compare
+from nsde_torch.evaluation.comparison import Comparison, compare
 from nsde_torch.evaluation.metrics import group_rms, start_grid
+from nsde_torch.evaluation.scores import LEVELS
 from nsde_torch.evaluation.seen import SeenRuns
+from nsde_torch.models.neural_sde import NeuralSDE
 from nsde_torch.recording import read
 from nsde_torch.simulation import Replay, make_plant, simulate, write
 from nsde_torch.systems import MACHINES, make_plant_system, make_system
@@ -132,6 +138,7 @@ def interventions(
 
     Returns:
         `errors`, `coverage_90` (None of a model without noise), `oracle` and `hold`: group -> horizon -> figure;
+        `coverage_90_by_distance`: horizon -> `eta` and group -> of the nearer and of the farther half of the starts;
         `diverged`; `parameters` as in `metrics.json`; `trained_on`: whether the model has seen any of the flights.
     """
     run_dir = Path(run_dir)
@@ -140,7 +147,7 @@ def interventions(
     system = model.spec.system
     if data is None:
         data = data_of(system, seed=seed, starts=starts, folder=Path(folder))
-    content = compare(
+    comparison = compare(
         [Candidate(name="model", model=model, seen=SeenRuns.of(metrics))],
         data,
         data.runs,
@@ -148,12 +155,14 @@ def interventions(
         particles=particles,
         horizons=HORIZONS,
         replicates=100,
-    ).content
+    )
+    content = comparison.content
     (entry,) = content["models"]
     return {
         "starts": content["starts"],
         "errors": entry["errors"],
         "coverage_90": entry["coverage"]["0.9"] if entry["stochastic"] else None,
+        "coverage_90_by_distance": by_distance(comparison) if isinstance(model, NeuralSDE) else None,
         "diverged": entry["diverged"],
         "trained_on": not entry["held_out"],
         "oracle": oracle(system, data),
@@ -161,6 +170,33 @@ def interventions(
         "parameters": metrics.get("parameters", {}),
         "seconds": metrics.get("seconds"),
     }
+
+
+@torch.no_grad()
+def by_distance(comparison: Comparison) -> dict[str, dict[str, list[float]]]:
+    """Coverage of 90 % intervals of a neural SDE in the half of the starts nearer to its data, and in the other.
+
+    Args:
+        comparison: Of that model alone.
+
+    Returns:
+        horizon -> "eta" (medians) and group -> figures of the nearer and of the farther half, by eta of the measured
+        state at the horizon.
+    """
+    (candidate,), (grid,), (scores,) = comparison.candidates, comparison.grids, comparison.scores
+    model = candidate.model
+    assert isinstance(model, NeuralSDE)
+    x, *_ = grid.windows.batch(grid.starts[scores.kept])
+    out: dict[str, dict[str, list[float]]] = {}
+    for i, (time, step) in enumerate(zip(grid.times, grid.steps, strict=True)):
+        eta = model.distance(x[:, step].to(model.tau))
+        halves = eta.argsort().chunk(2)
+        inside = scores.inside[:, i, LEVELS.index(0.9)].double()
+        out[f"{time:g}"] = {"eta": [float(eta[half].median()) for half in halves]} | {
+            g.name: [float(inside[half][:, list(g.channels)].mean()) for half in halves]
+            for g in model.system.error_groups
+        }
+    return out
 
 
 def overrides(system: str, model: str, seed: int, further: Sequence[str]) -> list[str]:

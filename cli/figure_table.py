@@ -14,7 +14,7 @@ from .schemas.choices import CHOICES
 
 if TYPE_CHECKING:
     from nsde_torch.data import Split
-    from nsde_torch.experiments import Outcome
+    from nsde_torch.experiments import ExperimentOutcome
     from nsde_torch.models import Model
 
 # Words of `nsde train` for a look in minutes; `full` takes the defaults.
@@ -58,7 +58,7 @@ class Figure:
 
     about: str
     trainings: Callable[[Settings], Mapping[str, list[str]]]
-    draw: Callable[[Settings], Outcome]
+    draw: Callable[[Settings], ExperimentOutcome]
 
 
 def _none(settings: Settings) -> dict[str, list[str]]:
@@ -94,7 +94,7 @@ def _spring(name: str) -> Figure:
             f"spring_{region}_physics_node": [*base, "model=node"],
         }
 
-    def draw(settings: Settings) -> Outcome:
+    def draw(settings: Settings) -> ExperimentOutcome:
         from nsde_torch.experiments.spring import state_evolution, together
         from nsde_torch.models import load
 
@@ -148,7 +148,7 @@ def _cartpole_map(policy: str) -> Figure:
     name = f"cartpole_{policy}_sde"
     words = _CARTPOLE_SETS[policy][1]
 
-    def draw(settings: Settings) -> Outcome:
+    def draw(settings: Settings) -> ExperimentOutcome:
         from nsde_torch.experiments.cartpole import uncertainty_map
         from nsde_torch.models import load
 
@@ -170,7 +170,7 @@ def _cartpole_map(policy: str) -> Figure:
 
 
 def _cartpole_evolution() -> Figure:
-    def draw(settings: Settings) -> Outcome:
+    def draw(settings: Settings) -> ExperimentOutcome:
         from nsde_torch.experiments.cartpole import state_evolution
         from nsde_torch.models import load
 
@@ -192,7 +192,7 @@ def _cartpole_evolution() -> Figure:
 
 
 def _recorded() -> Figure:
-    def draw(settings: Settings) -> Outcome:
+    def draw(settings: Settings) -> ExperimentOutcome:
         from nsde_torch.experiments.flights import recorded
         from nsde_torch.recording import read
         from nsde_torch.simulation import simulated
@@ -232,7 +232,7 @@ def _identification() -> Figure:
             for kind, more in (("sde_heun", ["solver=heun"]), ("sysid", ["model=sysid"]))
         }
 
-    def draw(settings: Settings) -> Outcome:
+    def draw(settings: Settings) -> ExperimentOutcome:
         from nsde_torch.experiments.flights import against_identification
         from nsde_torch.models import load
 
@@ -262,13 +262,13 @@ def _identification() -> Figure:
 
 
 def _policies(kinds: tuple[str, ...], title: str, source: str) -> Figure:
-    def draw(settings: Settings) -> Outcome:
-        from nsde_torch.experiments import Check, Outcome
+    def draw(settings: Settings) -> ExperimentOutcome:
+        from nsde_torch.experiments import Check, ExperimentOutcome
         from nsde_torch.experiments.policies import learned_in
 
         if settings.policies is None:
             missing = Check(source, "give policies=DIR of a study by benchmarks/bench_policy.py", None)
-            return Outcome(title, source, checks=[missing])
+            return ExperimentOutcome(title, source, checks=[missing])
         return learned_in(settings.policies, kinds, title=title, source=source)
 
     return Figure(title, _none, draw)

@@ -127,7 +127,7 @@ class HydraCommand:
     def _run(self, words: list[str]) -> int:
         import hydra
 
-        from .jobs import LAST, Task
+        from .jobs import LAST, HydraJob
 
         LAST.reset()
         store(self)
@@ -135,8 +135,8 @@ class HydraCommand:
         os.environ["HYDRA_FULL_ERROR"] = "1"
         old, sys.argv = sys.argv, [f"nsde {self.name}", *words]
         try:
-            task = Task(self.name, self.module, folder=self.folder is not None)
-            hydra.main(version_base="1.3", config_path=_CONFIG_PATH, config_name=self.name)(task)()
+            job = HydraJob(self.name, self.module, folder=self.folder is not None)
+            hydra.main(version_base="1.3", config_path=_CONFIG_PATH, config_name=self.name)(job)()
         finally:
             sys.argv = old
         if LAST.sweep_dir is not None:

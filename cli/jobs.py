@@ -42,7 +42,7 @@ OmegaConf.register_new_resolver("nsde.folder", folder_name, replace=True)
 
 
 @dataclass
-class Outcome:
+class JobOutcome:
     """What the main process knows of its last run or sweep."""
 
     run_dir: Path | None = None
@@ -54,7 +54,7 @@ class Outcome:
         self.run_dir = self.sweep_dir = self.error = None
 
 
-LAST = Outcome()
+LAST = JobOutcome()
 
 
 @dataclass(frozen=True)
@@ -71,7 +71,7 @@ class Job:
 
 
 @dataclass(frozen=True)
-class Task:
+class HydraJob:
     """What Hydra calls for a job, and a launcher sends to other processes: names, and nothing that must be pickled.
 
     Attributes:

@@ -37,7 +37,7 @@ class PlainCommand:
 
 
 @dataclass(frozen=True)
-class Entry:
+class CommandEntry:
     """One line of the table: the file of a command, and what `nsde --help` says of it."""
 
     module: str
@@ -49,53 +49,69 @@ class Entry:
         return command
 
 
-COMMANDS: dict[str, Entry] = {
-    "train": Entry(".commands.train", "Learn a neural SDE of a machine from simulated or measured runs"),
-    "diagnose": Entry(
+COMMANDS: dict[str, CommandEntry] = {
+    "train": CommandEntry(
+        ".commands.train", "Learn a neural SDE of a machine from simulated or measured runs"
+    ),
+    "diagnose": CommandEntry(
         ".commands.diagnose",
         "Find the effect that the declared physics lacks, add it, and report the errors",
     ),
-    "evaluate": Entry(".commands.evaluate", "Score trained models on runs, against baselines and each other"),
-    "figures": Entry(
+    "evaluate": CommandEntry(
+        ".commands.evaluate", "Score trained models on runs, against baselines and each other"
+    ),
+    "figures": CommandEntry(
         ".commands.figures", "Make the supplement's figures anew, each with its claim and what was measured"
     ),
-    "policy": Entry(
+    "policy": CommandEntry(
         ".commands.policy", "Learn a policy in a learned model or on the true machine, and judge it there"
     ),
-    "track": Entry(".commands.track", "Fly a reference with model predictive control on a learned model"),
-    "fly": Entry(
+    "track": CommandEntry(
+        ".commands.track", "Fly a reference with model predictive control on a learned model"
+    ),
+    "fly": CommandEntry(
         ".commands.fly", "Fly a controller on a PX4 vehicle over MAVLink, with checks, limits and a log"
     ),
-    "export": Entry(".commands.export", "Write the predictive controller as a file for a flight computer"),
-    "verify": Entry(".commands.verify", "Hold an exported controller against the one that it was made of"),
-    "vehicle": Entry(".commands.vehicle", "Be a simulated PX4 vehicle, for nsde fly and its tests"),
-    "close-loop": Entry(
+    "export": CommandEntry(
+        ".commands.export", "Write the predictive controller as a file for a flight computer"
+    ),
+    "verify": CommandEntry(
+        ".commands.verify", "Hold an exported controller against the one that it was made of"
+    ),
+    "vehicle": CommandEntry(".commands.vehicle", "Be a simulated PX4 vehicle, for nsde fly and its tests"),
+    "close-loop": CommandEntry(
         ".commands.close_loop",
         "Fly, find what the physics lacks, and fly again with it: tracking before and after",
     ),
-    "simulate": Entry(
+    "simulate": CommandEntry(
         ".commands.simulate", "Write runs of a simulated machine as files that do not say what is in them"
     ),
-    "effects": Entry(".commands.effects", "List the physical effects that a system or a plant can be given"),
-    "sweep-report": Entry(
+    "effects": CommandEntry(
+        ".commands.effects", "List the physical effects that a system or a plant can be given"
+    ),
+    "sweep-report": CommandEntry(
         ".commands.sweep_report", "Rank the jobs of a sweep, and name those that failed and why"
     ),
-    "completion": Entry(".commands.completion", "Print the shell completion script for bash, zsh or fish"),
+    "completion": CommandEntry(
+        ".commands.completion", "Print the shell completion script for bash, zsh or fish"
+    ),
 }
 
 
-def installed() -> dict[str, Entry]:
+def installed() -> dict[str, CommandEntry]:
     """Commands of other packages: their entry points of the group `nsde_torch.commands`."""
     from importlib.metadata import entry_points
 
     return {
-        point.name: Entry(point.module, f"A command of the package {point.dist.name if point.dist else '?'}")
+        point.name: CommandEntry(
+            point.module, f"A command of the package {point.dist.name if point.dist else '?'}"
+        )
         for point in entry_points(group="nsde_torch.commands")
         if point.name not in COMMANDS
     }
 
 
-def entry_of(name: str) -> Entry | None:
+def entry_of(name: str) -> CommandEntry | None:
     """The line of a command; None where no package has it."""
     return COMMANDS.get(name) or installed().get(name)
 

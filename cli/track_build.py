@@ -32,7 +32,7 @@ from nsde_torch.systems.machines import machine
 from . import build
 
 if TYPE_CHECKING:
-    from nsde_torch.control.loop import Machine
+    from nsde_torch.control.loop import SteppedMachine
     from nsde_torch.export.exported import ExportedController
 
 Say = Callable[[str], None]
@@ -75,7 +75,7 @@ def knowledge(name: str, config: DictConfig) -> Model | System:
     return knowledge_of(name, config.system or "")
 
 
-def plant(config: DictConfig, known: Model | System, *, seed: int) -> Machine:
+def plant(config: DictConfig, known: Model | System, *, seed: int) -> SteppedMachine:
     """The group `plant`.
 
     Raises:

@@ -24,7 +24,7 @@ from ..keys import key
 if TYPE_CHECKING:
     from omegaconf import DictConfig
 
-    from nsde_torch.experiments import Outcome
+    from nsde_torch.experiments import ExperimentOutcome
 
     from ..jobs import Job
 
@@ -94,7 +94,7 @@ def run(config: DictConfig, job: Job) -> None:
     }
     _check_files(needed, config.published)
     lost = train_all(needed, settings.models, at_once=config.jobs)
-    outcomes: dict[str, Outcome] = {}
+    outcomes: dict[str, ExperimentOutcome] = {}
     failed: dict[str, str] = {}
     for name in names:
         without = [
@@ -224,7 +224,7 @@ def _last_line(path: Path) -> str:
 
 
 def write(
-    folder: Path, outcomes: Mapping[str, Outcome], failed: Mapping[str, str], settings: Settings
+    folder: Path, outcomes: Mapping[str, ExperimentOutcome], failed: Mapping[str, str], settings: Settings
 ) -> None:
     """Pictures, `figures.json` and the page `figures.md`."""
     from nsde_torch import plots

@@ -8,7 +8,7 @@ if TYPE_CHECKING:
     from nsde_torch.control.autopilots import Autopilot, CascadePilot, PredictivePilot
     from nsde_torch.control.cascade import Cascade, Gains
     from nsde_torch.control.controller import Controller, Plan, Planner
-    from nsde_torch.control.loop import Flight, Machine, fly
+    from nsde_torch.control.loop import Flight, SteppedMachine, fly
     from nsde_torch.control.options import EstimatorOptions, ProblemOptions, SafetyOptions, SolverOptions
     from nsde_torch.control.predictor import Predictor
     from nsde_torch.control.reference import FlightPath, Reference
@@ -24,7 +24,6 @@ __all__ = [
     "Flight",
     "FlightPath",
     "Gains",
-    "Machine",
     "Plan",
     "Planner",
     "PredictivePilot",
@@ -35,6 +34,7 @@ __all__ = [
     "Solution",
     "Solver",
     "SolverOptions",
+    "SteppedMachine",
     "circle",
     "fly",
     "lemniscate",
@@ -51,7 +51,7 @@ __getattr__ = resolver(
         "Flight": "loop",
         "FlightPath": "reference",
         "Gains": "cascade",
-        "Machine": "loop",
+        "SteppedMachine": "loop",
         "Plan": "controller",
         "Planner": "controller",
         "PredictivePilot": "autopilots",

@@ -17,7 +17,7 @@ LOST = 3.0
 """Distance from the reference at which a machine counts as lost [m]."""
 
 
-class Machine(Protocol):
+class SteppedMachine(Protocol):
     """What is flown: a `Plant`, or anything like it."""
 
     dt: float
@@ -64,7 +64,7 @@ class Flight:
 
 def fly(
     autopilot: Autopilot,
-    plant: Machine,
+    plant: SteppedMachine,
     reference: Reference,
     *,
     machines: int = 1,

@@ -21,7 +21,7 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class Channel:
+class ChannelSummary:
     """Figures of one channel over all segments: extremes and 5, 50, 95 % quantiles, in its unit."""
 
     name: str
@@ -44,7 +44,7 @@ class RunSummary:
 
 
 @dataclass(frozen=True)
-class Envelope:
+class FlightEnvelope:
     """Flight envelope of a multirotor (the figures of the supplement's Figure 15): 95 % quantiles and maxima.
 
     Speed in m/s, magnitudes of roll, pitch and yaw in degrees. Yaw is relative to the mean heading of each
@@ -85,8 +85,8 @@ class DataSummary:
     dt: float
     clock_scale: float
     runs: tuple[RunSummary, ...]
-    channels: tuple[Channel, ...]
-    envelope: Envelope | None
+    channels: tuple[ChannelSummary, ...]
+    envelope: FlightEnvelope | None
     input_rank: InputRank
     slopes: tuple[Slope, ...]
     findings: tuple[Finding, ...]
@@ -165,7 +165,7 @@ class DataSummary:
         return "\n".join(lines)
 
 
-def _with_units(envelope: Envelope) -> dict[str, float]:
+def _with_units(envelope: FlightEnvelope) -> dict[str, float]:
     return {f"{k}_{'m_per_s' if k.startswith('speed') else 'deg'}": v for k, v in vars(envelope).items()}
 
 
@@ -201,13 +201,13 @@ def _inside(run: Run, column: Array) -> Array:
     return np.concatenate([column[a:b] for a, b in run.segments])
 
 
-def _channel(name: str, unit: str, parts: Sequence[Array]) -> Channel:
+def _channel(name: str, unit: str, parts: Sequence[Array]) -> ChannelSummary:
     values = np.concatenate(list(parts))
     low, q05, median, q95, high = np.quantile(values, [0.0, 0.05, 0.5, 0.95, 1.0]).tolist()
-    return Channel(name, unit, low, q05, median, q95, high)
+    return ChannelSummary(name, unit, low, q05, median, q95, high)
 
 
-def envelope(runs: Sequence[Run], system: SystemInfo) -> Envelope | None:
+def envelope(runs: Sequence[Run], system: SystemInfo) -> FlightEnvelope | None:
     """Flight envelope of a multirotor; None for a system without position, velocity and attitude.
 
     Args:
@@ -227,7 +227,7 @@ def envelope(runs: Sequence[Run], system: SystemInfo) -> Envelope | None:
         parts.append(np.stack([speed, *np.degrees(np.abs([roll, pitch, yaw, heading]))]))
     values = np.concatenate(parts, axis=1)
     q95, high = np.quantile(values, 0.95, axis=1).tolist(), values.max(axis=1).tolist()
-    return Envelope(*(number for pair in zip(q95, high, strict=True) for number in pair))
+    return FlightEnvelope(*(number for pair in zip(q95, high, strict=True) for number in pair))
 
 
 def summarise(

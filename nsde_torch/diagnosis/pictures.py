@@ -23,7 +23,7 @@ from nsde_torch.diagnosis.views import Rates, bins, factors, is_plain, rates
 from nsde_torch.plots.diagnosis import (
     Cloud,
     Panel,
-    Spectrum,
+    ResidualSpectrum,
     before_after,
     errors_before_after,
     residual_spectra,
@@ -228,7 +228,7 @@ def _course(t: Array, y: Array, rows: NDArray[np.bool_]) -> Cloud:
     return Cloud(x, y, x[some], y[some], np.zeros(len(some)))
 
 
-def _spectrum(outcome: Outcome, channel: str) -> Spectrum:
+def _spectrum(outcome: Outcome, channel: str) -> ResidualSpectrum:
     """Amplitude densities [unit/sqrt(Hz)] from mean powers per step: S dt / dt^2, both sides of the band."""
     regression = outcome.final.regression
     number = regression.physics.names.index(channel)
@@ -245,7 +245,7 @@ def _spectrum(outcome: Outcome, channel: str) -> Spectrum:
     push, sensor = white_parts(regression, number)
     floor = push + 4.0 * np.sin(np.pi * frequency[1:] * dt) ** 2 * sensor
     amplitudes["floor"] = np.sqrt(2.0 * floor / dt)
-    return Spectrum(channel, per_second(regression.physics.units[number]), frequency[1:], amplitudes)
+    return ResidualSpectrum(channel, per_second(regression.physics.units[number]), frequency[1:], amplitudes)
 
 
 def _held_out(errors: Mapping[str, Any]) -> Figure:

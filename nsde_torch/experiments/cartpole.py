@@ -11,7 +11,7 @@ from nsde_torch import plots
 from nsde_torch.data import Run, Windows
 from nsde_torch.evaluation.before import inputs_before
 from nsde_torch.evaluation.metrics import evaluate
-from nsde_torch.experiments.outcome import Check, Outcome
+from nsde_torch.experiments.outcome import Check, ExperimentOutcome
 from nsde_torch.experiments.sampled import prediction, rollout
 from nsde_torch.models.model import Model
 from nsde_torch.models.neural_sde import NeuralSDE
@@ -35,7 +35,7 @@ def _wrapped(angle: Array) -> Array:
 @torch.no_grad()
 def uncertainty_map(
     model: NeuralSDE, train: Sequence[Run], test: Sequence[Run], *, data_name: str, seed: int
-) -> Outcome:
+) -> ExperimentOutcome:
     """eta over angle and angular velocity, and over speed and angular velocity.
 
     Args:
@@ -88,7 +88,7 @@ def uncertainty_map(
     sigma_near, sigma_away = (
         float(model.h(torch.as_tensor(e).to(like))[:, _THETA_DOT].mean()) for e in (eta_near, eta_away)
     )
-    return Outcome(
+    return ExperimentOutcome(
         title=f"Uncertainty of a cartpole model trained on {data_name}",
         source="The learned uncertainty is low where the training data lie and grows away from them.",
         checks=[
@@ -113,7 +113,9 @@ def uncertainty_map(
     )
 
 
-def state_evolution(models: Mapping[str, Sequence[Model]], test: Sequence[Run], *, seed: int) -> Outcome:
+def state_evolution(
+    models: Mapping[str, Sequence[Model]], test: Sequence[Run], *, seed: int
+) -> ExperimentOutcome:
     """Neural SDE against Gaussian ensemble on held-out episodes.
 
     Args:
@@ -171,7 +173,7 @@ def state_evolution(models: Mapping[str, Sequence[Model]], test: Sequence[Run], 
     checks.append(
         Check("the 95 % interval of the SDE holds at least 90 % at 1 s", f"{inside:.0%}", inside >= 0.9)
     )
-    return Outcome(
+    return ExperimentOutcome(
         title="Cartpole: state evolution of the neural SDE and of the ensemble",
         source="The neural SDE follows held-out motion closely and covers it, where the ensemble drifts off.",
         checks=checks,

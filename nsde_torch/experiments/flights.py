@@ -9,10 +9,10 @@ from nsde_torch import plots
 from nsde_torch.data import DataSet, Run, Windows
 from nsde_torch.evaluation.before import inputs_before
 from nsde_torch.evaluation.metrics import evaluate
-from nsde_torch.experiments.outcome import Check, Outcome
+from nsde_torch.experiments.outcome import Check, ExperimentOutcome
 from nsde_torch.experiments.sampled import prediction, rollout
 from nsde_torch.models.model import Model
-from nsde_torch.plots import Prediction
+from nsde_torch.plots import PredictionBand
 from nsde_torch.plots.euler import roll_pitch_yaw
 from nsde_torch.systems import System
 
@@ -29,7 +29,7 @@ _SHOWN_S = 2.0
 _FROM_S = 0.25
 
 
-def recorded(data: DataSet, system: System, *, data_name: str, note: str = "") -> Outcome:
+def recorded(data: DataSet, system: System, *, data_name: str, note: str = "") -> ExperimentOutcome:
     """Speed and Euler angles of the flights, held against the supplement's figures.
 
     Args:
@@ -65,7 +65,7 @@ def recorded(data: DataSet, system: System, *, data_name: str, note: str = "") -
                 bool(near),
             )
         )
-    return Outcome(
+    return ExperimentOutcome(
         title=f"Flight data ({data_name}): speed and Euler angles",
         source="The flights for training are slow and flat most of the time.",
         checks=checks,
@@ -84,7 +84,7 @@ def against_identification(
     data_name: str,
     note: str,
     seed: int,
-) -> Outcome:
+) -> ExperimentOutcome:
     """Neural SDE against least-squares system identification on held-out flights.
 
     Args:
@@ -122,7 +122,7 @@ def against_identification(
                 all(a < b for a, b in pairs.values()),
             )
         )
-    return Outcome(
+    return ExperimentOutcome(
         title=f"Hexacopter ({data_name}): neural SDE against system identification on held-out flights",
         source="The neural SDE predicts held-out flight more accurately than system identification, with intervals.",
         checks=checks,
@@ -167,10 +167,10 @@ def _evolution(
         if kind == "sde":
             states = np.stack([shown(p) for p in paths.double().numpy()])
             low, high = np.quantile(states, [0.025, 0.975], axis=0)
-            drawn.append(Prediction(names[kind], states.mean(0), low, high))
+            drawn.append(PredictionBand(names[kind], states.mean(0), low, high))
         else:
             mean = prediction(members[0], paths, names[kind], level=0.95, interval=False).mean
-            drawn.append(Prediction(names[kind], shown(mean)))
+            drawn.append(PredictionBand(names[kind], shown(mean)))
     return plots.evolution(
         np.arange(windows.horizon + 1, dtype=np.float64) * dt,
         truth,

@@ -25,7 +25,7 @@ class Check:
 
 
 @dataclass
-class Outcome:
+class ExperimentOutcome:
     """What an experiment concludes.
 
     Args:

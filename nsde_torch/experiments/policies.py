@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from nsde_torch.errors import DataError
-from nsde_torch.experiments.outcome import Check, Outcome
+from nsde_torch.experiments.outcome import Check, ExperimentOutcome
 from nsde_torch.plots.policy_rewards import policy_rewards
 
 _ENOUGH = 0.95
@@ -29,7 +29,7 @@ _NAMES = {
 }
 
 
-def learned_in(study: Path, kinds: Sequence[str], *, title: str, source: str) -> Outcome:
+def learned_in(study: Path, kinds: Sequence[str], *, title: str, source: str) -> ExperimentOutcome:
     """Scores of policies by where they learned.
 
     Args:
@@ -43,7 +43,7 @@ def learned_in(study: Path, kinds: Sequence[str], *, title: str, source: str) ->
     """
     try:
         rows = json.loads((study / "policies.json").read_text(encoding="utf-8"))["rows"]
-        outcome = Outcome(title=title, source=source)
+        outcome = ExperimentOutcome(title=title, source=source)
         for data in dict.fromkeys(r["data"] for r in rows if r["environment"] in kinds):
             own = [r for r in rows if r["data"] == data and r["environment"] in kinds]
             truth = [

@@ -6,7 +6,7 @@ from torch import Tensor
 from nsde_torch.errors import NonFiniteError
 from nsde_torch.evaluation.metrics import interval_quantiles, mean_state
 from nsde_torch.models.model import Model
-from nsde_torch.plots import Prediction
+from nsde_torch.plots import PredictionBand
 
 PARTICLES = 1999
 """The mean of so many is off by 2 % of their spread; that of 199 moved the error on the spring by a tenth of itself."""
@@ -58,10 +58,12 @@ def rollout(
         return paths
 
 
-def prediction(model: Model, paths: Tensor, name: str, *, level: float, interval: bool = True) -> Prediction:
+def prediction(
+    model: Model, paths: Tensor, name: str, *, level: float, interval: bool = True
+) -> PredictionBand:
     """Mean and interval of the paths of one start (P, T + 1, nx)."""
     mean = mean_state(model.system, paths).double().numpy()
     if not interval:
-        return Prediction(name, mean)
+        return PredictionBand(name, mean)
     low, high = interval_quantiles(paths.double(), level)
-    return Prediction(name, mean, low.numpy(), high.numpy())
+    return PredictionBand(name, mean, low.numpy(), high.numpy())

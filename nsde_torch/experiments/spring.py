@@ -11,7 +11,7 @@ import torch
 from numpy.typing import NDArray
 from scipy.linalg import expm
 
-from nsde_torch.experiments.outcome import Check, Outcome
+from nsde_torch.experiments.outcome import Check, ExperimentOutcome
 from nsde_torch.experiments.sampled import prediction, rollout
 from nsde_torch.models.model import Model
 from nsde_torch.plots import evolution
@@ -24,7 +24,7 @@ _LOST = 100.0
 """An error this many times as large as the motion is not worth a number."""
 
 
-def state_evolution(models: Mapping[str, Sequence[Model]], *, title: str, seed: int) -> Outcome:
+def state_evolution(models: Mapping[str, Sequence[Model]], *, title: str, seed: int) -> ExperimentOutcome:
     """Neural SDE against neural ODE and ensemble.
 
     Args:
@@ -69,7 +69,7 @@ def state_evolution(models: Mapping[str, Sequence[Model]], *, title: str, seed: 
         units=("m", "m/s"),
         title=f"{title}\nfrom 0.15 m and -0.15 m/s, outside of the training data",
     )
-    return Outcome(
+    return ExperimentOutcome(
         title=title,
         source=(
             "From a start outside of the training data the neural SDE follows the true motion for 8 s, its interval "
@@ -82,10 +82,10 @@ def state_evolution(models: Mapping[str, Sequence[Model]], *, title: str, seed: 
     )
 
 
-def together(*outcomes: Outcome) -> Outcome:
+def together(*outcomes: ExperimentOutcome) -> ExperimentOutcome:
     """Several outcomes on one page."""
     first = outcomes[0]
-    joined = Outcome(title=first.title.split(";")[0], source=first.source)
+    joined = ExperimentOutcome(title=first.title.split(";")[0], source=first.source)
     for outcome in outcomes:
         what = outcome.title.split("; ")[-1]
         joined.checks += [replace(check, claim=f"{what}: {check.claim}") for check in outcome.checks]

@@ -29,7 +29,7 @@ from nsde_torch.control.compiled import has_compiler, quick_indices
 from nsde_torch.errors import ExportError
 from nsde_torch.export import container
 from nsde_torch.export.graph import graph_of
-from nsde_torch.export.step import WHOLE, Loops, Stage, Step, run
+from nsde_torch.export.step import WHOLE, ExportedStep, Loops, Stage, run
 
 _LEVELS = {"AVX512": "x86-64-v4", "AVX2": "x86-64-v3"}
 """What the compiler calls what torch finds of a processor; for others it takes the one that it runs on."""
@@ -37,7 +37,7 @@ _FUSED = ("finish",)
 """Stages that compile best with columns put together in registers; see `GaussNewton.fused`."""
 
 
-def compiled(step: Step, *, say: Callable[[str], None]) -> dict[str, bytes]:
+def compiled(step: ExportedStep, *, say: Callable[[str], None]) -> dict[str, bytes]:
     """Members of a package with all stages.
 
     Args:
@@ -76,7 +76,7 @@ def compiled(step: Step, *, say: Callable[[str], None]) -> dict[str, bytes]:
     return {name: content for name, content in members.items() if _is_loaded(name)}
 
 
-def _machine_code(step: Step, stage: str, example: Sequence[Tensor]) -> Any:
+def _machine_code(step: ExportedStep, stage: str, example: Sequence[Tensor]) -> Any:
     # columns, which fuse when compiled, in the place of few operations
     graph = graph_of(step.stage(stage), example, few=False)
     program = torch.export.export(graph, tuple(example), strict=False)

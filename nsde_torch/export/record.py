@@ -26,7 +26,7 @@ from nsde_torch.export.layout import (
     step_inputs,
     step_outputs,
 )
-from nsde_torch.export.step import Step
+from nsde_torch.export.step import ExportedStep
 from nsde_torch.models import Model
 from nsde_torch.models.registry import make_spec
 from nsde_torch.models.run_directory import CONFIG, WEIGHTS
@@ -37,7 +37,7 @@ TORCHSCRIPT, AOTI = "torchscript", "aoti"
 
 
 def record_of(
-    step: Step, known: Model | System, *, kind: str, run: Path | None, period: float, latency: float
+    step: ExportedStep, known: Model | System, *, kind: str, run: Path | None, period: float, latency: float
 ) -> dict[str, Any]:
     """The record.
 

@@ -11,7 +11,7 @@ from typing import Any
 from nsde_torch.export import jit
 from nsde_torch.export.graph import graph_of
 from nsde_torch.export.layout import step_outputs
-from nsde_torch.export.step import Step
+from nsde_torch.export.step import ExportedStep
 
 _STEP = """
 def step(self, state: Tensor, valid: Tensor, elapsed: Tensor, reference: Tensor, last: Tensor, push: Tensor,
@@ -59,7 +59,7 @@ def predict(self, z: Tensor, u: Tensor, push: Tensor) -> Tuple[Tensor]:
 """
 
 
-def scripted(step: Step) -> Any:
+def scripted(step: ExportedStep) -> Any:
     """The step as a TorchScript module with the methods `step` and `predict` (see `layout`)."""
     import torch
 

@@ -63,7 +63,7 @@ class Loops:
 
 
 @final
-class Step(nn.Module):
+class ExportedStep(nn.Module):
     """The controller's step.
 
     Args:

@@ -15,7 +15,7 @@ from nsde_torch.errors import ConfigError, ExportError
 from nsde_torch.export import container, jit
 from nsde_torch.export.record import AOTI, TORCHSCRIPT, record_of
 from nsde_torch.export.script import scripted
-from nsde_torch.export.step import Step
+from nsde_torch.export.step import ExportedStep
 from nsde_torch.models import Model
 from nsde_torch.systems import System
 
@@ -83,7 +83,7 @@ def export(
     if kind not in KINDS:
         raise ConfigError(f"`format` must be {' or '.join(KINDS)}; got {kind!r}.")
     controller = controller_of(known, problem=problem, solver=solver, safety=safety, dtype=dtype)
-    step = Step(controller, Predictor(known, dt=sample, dtype=dtype))
+    step = ExportedStep(controller, Predictor(known, dt=sample, dtype=dtype))
     about = record_of(step, known, kind=kind, run=run, period=period, latency=latency)
     if kind == TORCHSCRIPT:
         members = container.plain(container.members_of(jit.saved(scripted(step))))

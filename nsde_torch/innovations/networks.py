@@ -33,7 +33,7 @@ Predict = Callable[[nn.Module], Tensor]
 
 
 @dataclass(frozen=True)
-class Settings:
+class NetworkSettings:
     """How networks are fitted.
 
     Args:
@@ -88,7 +88,7 @@ def fit_networks(
     noises: Sequence[Noise],
     series: Series,
     groups: Sequence[Sequence[int]],
-    settings: Settings,
+    settings: NetworkSettings,
     *,
     nuisance: Tensor,
     keep: Sequence[bool],
@@ -196,7 +196,7 @@ class _Purged:
 class _Member:
     """Networks under optimisation."""
 
-    def __init__(self, module: nn.Module, settings: Settings) -> None:
+    def __init__(self, module: nn.Module, settings: NetworkSettings) -> None:
         self.module, self.penalty = module, lambda: settings.penalty(module)
         parameters = [p for p in module.parameters() if p.requires_grad]
         self._optimiser = torch.optim.Adam(parameters, lr=settings.rate, foreach=True)

@@ -73,7 +73,7 @@ class Panel:
 
 
 @dataclass(frozen=True)
-class Spectrum:
+class ResidualSpectrum:
     """Spectra of one channel.
 
     Args:
@@ -284,7 +284,7 @@ def errors_before_after(
 
 
 @styled
-def residual_spectra(spectra: Sequence[Spectrum], *, title: str) -> Figure:
+def residual_spectra(spectra: Sequence[ResidualSpectrum], *, title: str) -> Figure:
     """Amplitude densities of residual rates against the floor of white noise.
 
     Args:

@@ -19,7 +19,7 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class Prediction:
+class PredictionBand:
     """What a model predicts; not-a-number where it has diverged.
 
     Args:
@@ -38,7 +38,7 @@ class Prediction:
 def evolution(
     t: Array,
     truth: Array,
-    predictions: Sequence[Prediction],
+    predictions: Sequence[PredictionBand],
     *,
     names: Sequence[str],
     units: Sequence[str],

@@ -11,7 +11,7 @@ if TYPE_CHECKING:
     from nsde_torch.px4.flight.flying import FlightReport, fly
     from nsde_torch.px4.flight.options import FlightOptions, Limits, SetpointLimits
     from nsde_torch.px4.flight.path import CascadeController, PathPoints
-    from nsde_torch.px4.flight.phases import Outcome
+    from nsde_torch.px4.flight.phases import FlightOutcome
     from nsde_torch.px4.flight.predictive import PredictiveController
     from nsde_torch.px4.link.connection import Link, open_link
     from nsde_torch.px4.simulator.simulated import fly_simulated
@@ -20,10 +20,10 @@ if TYPE_CHECKING:
 __all__ = [
     "CascadeController",
     "FlightOptions",
+    "FlightOutcome",
     "FlightReport",
     "Limits",
     "Link",
-    "Outcome",
     "PathPoints",
     "PredictiveController",
     "SetpointLimits",
@@ -41,7 +41,7 @@ __getattr__ = resolver(
         "FlightReport": "flight.flying",
         "Limits": "flight.options",
         "Link": "link.connection",
-        "Outcome": "flight.phases",
+        "FlightOutcome": "flight.phases",
         "PathPoints": "flight.path",
         "PredictiveController": "flight.predictive",
         "SetpointLimits": "flight.options",

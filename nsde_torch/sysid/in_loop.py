@@ -35,13 +35,8 @@ from numpy.typing import NDArray
 from nsde_torch.data import Run
 from nsde_torch.errors import ConfigError, DataError, NonFiniteError
 from nsde_torch.sysid.identify import identification, regression_of
-from nsde_torch.sysid.instruments import (
-    MISSING,
-    Instrumented,
-    between,
-    instrumental,
-    with_columns,
-)
+from nsde_torch.sysid.instrumented import MISSING, Instrumented
+from nsde_torch.sysid.instruments import between, instrumental, with_columns
 from nsde_torch.sysid.loop_test import LoopTest, tested
 from nsde_torch.sysid.regression import ITERATIONS, Regression
 from nsde_torch.sysid.restored_states import narrowed

@@ -1,6 +1,6 @@
 """Estimates from signals outside the loop: instrumental variables.
 
-Where inputs know of disturbances, least squares is biased whatever the law of the noise. A signal z that no disturbance
+Where inputs know of disturbances, least squares is biased whatever the noise model. A signal z that no disturbance
 moves (a pilot's stick, a setpoint) moves the inputs all the same, and what of them it moves is free of disturbances:
 
     sum_i H_i' e_i(theta) = 0,    H_i: slopes of the whitened residuals e_i, foretold from whitened z of now and before
@@ -18,19 +18,18 @@ and Krueger, Journal of Applied Econometrics 14 (1999)). Three things are tested
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
-from typing import Any
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import lfilter
-from scipy.special import stdtrit
 from scipy.stats import chi2
 from scipy.stats import t as student
 
 from nsde_torch.data import Run
 from nsde_torch.errors import DataError
 from nsde_torch.sysid import signals
+from nsde_torch.sysid.instrumented import Instrumented
 from nsde_torch.sysid.loop_test import ALPHA, own_innovations
 from nsde_torch.sysid.noise import extended
 from nsde_torch.sysid.regression import Regression
@@ -41,8 +40,6 @@ from nsde_torch.systems import System
 Array = NDArray[np.float64]
 
 _WEAK = 10.0
-MISSING = 1e-3  # chance below which instruments show that an effect is missing
-_SURE = 0.05  # chance below which two estimates differ
 _ROWS = (-1, 0, 1, 2)  # rows before that the first stage knows: sticks move between rows too
 _LAGS_S = (0.03, 0.1, 0.3, 1.0)  # time constants of what it knows of the past
 _FOLDS = 5
@@ -51,77 +48,6 @@ _BINS = (1, 2, 3, 4, 6, 9, 14, 21, 31, 46)  # rows after a disturbance between w
 _FOREKNOWN = (
     1e-8  # share of its variance that is new: below, a signal is known beforehand and answers nothing
 )
-
-
-@dataclass(frozen=True)
-class Instrumented:
-    """What instruments say of the parameters.
-
-    Args:
-        names: Instruments that were used.
-        refused: Those that were not, name -> why.
-        labels: Of the parameters.
-        values: Estimates (k,): by instruments where they are strong, else ordinary ones.
-        covariance: Of `values` (k, k).
-        degrees: Degrees of freedom (k,).
-        strength: F of each parameter's first stage (k,); nan where the data do not show it.
-        moved: Whether the instruments show a parameter (k,).
-        ordinary: Ordinary estimates (k,).
-        difference: Chance of so large a difference from the ordinary estimate (k,), adjusted (Holm); 1 where not moved.
-        unexplained: Chance that declared physics explains all that the instruments do (Sargan).
-        misfit: Its statistic.
-        between_rows: Whether inputs were taken to move between rows of the log, and not to be held.
-        leans: Change of each estimate by instruments per error of each ordinary one beside it (k, k).
-    """
-
-    names: tuple[str, ...]
-    refused: dict[str, str]
-    labels: tuple[str, ...]
-    values: Array
-    covariance: Array
-    degrees: Array
-    strength: Array
-    moved: NDArray[np.bool_]
-    ordinary: Array
-    difference: Array
-    unexplained: float
-    misfit: float = 0.0
-    between_rows: bool = False
-    leans: Array = field(default_factory=lambda: np.zeros((0, 0)))
-
-    @property
-    def differs(self) -> bool:
-        """Whether any estimate surely differs from the ordinary one."""
-        return bool((self.difference < _SURE).any())
-
-    def half_widths(self, level: float) -> Array:
-        """Half-widths of intervals of this level (k,)."""
-        wide = np.sqrt(np.diag(self.covariance).clip(0.0))
-        return np.asarray(stdtrit(self.degrees.clip(1.0), 0.5 * (1 + level)) * wide)
-
-    def as_dict(self) -> dict[str, Any]:
-        """Plain containers, for JSON."""
-        half = self.half_widths(0.9)
-        return {
-            "used": list(self.names),
-            "refused": dict(self.refused),
-            "inputs_move_between_rows": self.between_rows,
-            "explains_all_that_they_do_chance": self.unexplained,
-            "estimates": {
-                label: {
-                    "ordinary": float(self.ordinary[i]),
-                    "by_instruments": float(self.values[i]),
-                    "half_width_90": float(half[i]),
-                    "first_stage_f": float(self.strength[i]),
-                    "difference_chance": float(self.difference[i]),
-                }
-                for i, label in enumerate(self.labels)
-                if self.moved[i]
-            },
-            "not_shown_by_the_instruments": [
-                n for n, m in zip(self.labels, self.moved, strict=True) if not m
-            ],
-        }
 
 
 def with_columns(system: System, runs: Sequence[Run], names: Sequence[str]) -> tuple[System, list[Run]]:

@@ -6,7 +6,7 @@ noise and the past do not foretell), and v_k those of the inputs (against their 
 - feedback: v_{k+l} on e_k, l = 1, 2, ..., in six bins: later inputs answer what the physics does not explain, one of
   them surely or all together (Fisher's sum over the channels that each drives). Then an input is not independent of
   disturbances, and errors of many open-loop steps under logged inputs do not tell what an input does.
-- knowledge: e_k on u_k, u_{k-1}, ..., beyond what the parameters and the law of the noise took out. Inputs that were
+- knowledge: e_k on u_k, u_{k-1}, ..., beyond what the parameters and the noise model took out. Inputs that were
   made from the logged states know nothing of e_k. Where they do, either the controller saw more than the log holds
   (a faster rate, other sensors), or the inputs act in a way that is not declared (a lag, a delay): from second
   moments of inputs and states alone the two cannot be told apart, because the same spectra are had with a controller

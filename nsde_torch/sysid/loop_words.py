@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 if TYPE_CHECKING:
-    from nsde_torch.sysid.instruments import Instrumented
+    from nsde_torch.sysid.instrumented import Instrumented
     from nsde_torch.sysid.loop_test import Answer, LoopTest
 
 FACTOR = 3.0
@@ -97,7 +97,7 @@ def _surely(answers: Sequence["Answer"], alpha: float) -> list["Answer"]:
 
 def of_instruments(found: "Instrumented", adopted: bool) -> list[str]:
     """What instruments say."""
-    from nsde_torch.sysid.instruments import MISSING
+    from nsde_torch.sysid.instrumented import MISSING
 
     out = [f"instrument {name} is not used: {why}" for name, why in found.refused.items()]
     if not found.names:

@@ -4,7 +4,7 @@ Weak form with boxes of one step for test functions (`physics`), weighted by the
 every channel gets a law from the residuals themselves (`noise`), whose whitening filter turns boxes into the test
 functions that fit it best, and theta and the laws are found in turn,
 
-    theta <- theta + argmin_d sum_i | P_i (r_i(theta) - J_i d) |^2,        P_i <- law of the noise of r_i(theta)
+    theta <- theta + argmin_d sum_i | P_i (r_i(theta) - J_i d) |^2,        P_i <- noise model of r_i(theta)
 
 until theta moves by less than a fiftieth of its standard error; first with the law of sensor noise alone until theta
 is within its standard error, because a richer law would learn what a wrong theta leaves (where nothing is left but
@@ -13,7 +13,7 @@ these are Gauss-Newton steps, halved while they do not pay. The covariance (`spr
 where an input reacts to noise, theta and P are not independent.
 
 Assumed, not checked: an input or a first state moves the system, and not noise alone (a decay can also be one of the
-noise), and inputs are those that acted (smoothed ones lose against a law of the noise: take `differences`).
+noise), and inputs are those that acted (smoothed ones lose against a noise model: take `differences`).
 """
 
 import copy
@@ -66,7 +66,7 @@ class Regression:
         origin: The system that `physics` is of, for those who want it with other values.
         held: Labels of parameters that stay where they start.
         plain: Take the noise of every channel for white, as ordinary least squares does.
-        warm: Start with the laws of the noise at the first theta, where that is near its optimum.
+        warm: Start with the noise models at the first theta, where that is near its optimum.
         memory_s: Time after which noise forgets [s] (see `noise`).
         feedback: Take out of `white` and `slopes` what kinematic residuals foretell (see `feedback`).
 
@@ -269,7 +269,7 @@ class Regression:
         return spread(np.stack(purged), self.white, self.whitened_rows(self.blocks), used)
 
     def at(self, theta: Array) -> "Regression":
-        """The same at other values, with laws of the noise of the same kind."""
+        """The same at other values, with noise models of the same kind."""
         out = copy.copy(self)
         out.theta = theta
         out.residual = out._residual(theta)
@@ -296,7 +296,7 @@ class Regression:
         ]
 
     def under(self, row: int, law: Noise) -> "Regression":
-        """The same with another law of the noise of one channel; theta stays.
+        """The same with another noise model of one channel; theta stays.
 
         Args:
             row: Number of the channel among `rows`.

@@ -12,7 +12,7 @@ from nsde_torch.sysid.shown import Shown, sentences
 from nsde_torch.systems.parameters import ParameterVector
 
 if TYPE_CHECKING:
-    from nsde_torch.sysid.instruments import Instrumented
+    from nsde_torch.sysid.instrumented import Instrumented
     from nsde_torch.sysid.loop_test import LoopTest
 
 Array = NDArray[np.float64]

@@ -3,7 +3,7 @@
     V = M^-1 (sum_c s_c s_c') M^-1,    M = X' X,    s_c = X_c' (I - X_c M^-1 X_c')^-1 e_c
 
 is the jackknife over blocks c: M^-1 s_c is how far the estimate moves when block c is left out (CR3: Bell and
-McCaffrey, Survey Methodology 28 (2002)). It errs on the side of wide intervals, which the fitted law of the noise, that
+McCaffrey, Survey Methodology 28 (2002)). It errs on the side of wide intervals, which the fitted noise model, that
 X takes for known, uses up. A parameter that a few blocks decide has few degrees of freedom,
 (sum_c w_c)^2 / sum_c w_c^2 with w_c the share of block c in its variance, for Student's t.
 """

@@ -34,7 +34,7 @@ from nsde_torch.innovations.actuators import Identified, identified
 from nsde_torch.innovations.disturbances import Disturbance
 from nsde_torch.innovations.inputs import as_applied, fit_filter
 from nsde_torch.innovations.laws import channel_laws, set_laws, with_doubt
-from nsde_torch.innovations.networks import Learned, Settings, fit_networks
+from nsde_torch.innovations.networks import Learned, NetworkSettings, fit_networks
 from nsde_torch.innovations.residuals import (
     Residuals,
     input_history,
@@ -140,7 +140,7 @@ class _Fit:
 
     Args:
         model: Changed in place.
-        task: Settings.
+        task: NetworkSettings.
         runs: Runs with inputs as they acted.
         found: Declared physics; None where it is not all that acts on some port.
     """
@@ -237,7 +237,7 @@ class _Fit:
             noises = noise_models(left, change, limits, first=first)
         self.size = float(np.mean(np.log([noise.std for noise in noises])))
         y = model.residual_inputs(model.system.residual_features(left.states.float()))
-        settings = Settings(
+        settings = NetworkSettings(
             steps=task.options.steps,
             rate=_RATE * task.options.lr * (_BARE_RATE if bare else 1.0),
             every=_EVERY,

@@ -10,7 +10,7 @@ import pytest
 from nsde_torch.cli import figure_table
 from nsde_torch.cli.main import main
 from nsde_torch.errors import NsdeError
-from nsde_torch.experiments import Check, Outcome
+from nsde_torch.experiments import Check, ExperimentOutcome
 
 TINY = [
     "system=mass_spring_damper",
@@ -24,7 +24,7 @@ TINY = [
 
 
 def tiny_figure(words: list[str]) -> figure_table.Figure:
-    def draw(settings: figure_table.Settings) -> Outcome:
+    def draw(settings: figure_table.Settings) -> ExperimentOutcome:
         from nsde_torch.models import load
         from nsde_torch.plots import learning_curves
 
@@ -34,7 +34,7 @@ def tiny_figure(words: list[str]) -> figure_table.Figure:
         spec = load(folder).spec
         check = Check("a model is there", f"a {spec.kind} of {spec.system}", passed=True)
         figure = learning_curves([{"step": 0.0, "validation": 1.0}, {"step": 1.0, "validation": 0.5}], kept=1)
-        return Outcome("Tiny", "nothing", checks=[check], figures={"curve": figure})
+        return ExperimentOutcome("Tiny", "nothing", checks=[check], figures={"curve": figure})
 
     return figure_table.Figure("tiny", lambda settings: {"tiny": words}, draw)
 

@@ -9,7 +9,7 @@ import pytest
 
 from nsde_torch.cli.commands.completion import query
 from nsde_torch.cli.main import main
-from nsde_torch.cli.registry import COMMANDS, Entry, hydra_command, hydra_commands
+from nsde_torch.cli.registry import COMMANDS, CommandEntry, hydra_command, hydra_commands
 
 SCRATCH = '''
 """`nsde scratch`: weigh a system."""
@@ -60,7 +60,7 @@ def scratch(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """A command in a file of its own, registered with one line."""
     (tmp_path / "nsde_scratch.py").write_text(SCRATCH)
     monkeypatch.syspath_prepend(tmp_path)
-    monkeypatch.setitem(COMMANDS, "scratch", Entry("nsde_scratch", "Weigh a system"))
+    monkeypatch.setitem(COMMANDS, "scratch", CommandEntry("nsde_scratch", "Weigh a system"))
     monkeypatch.chdir(tmp_path)
     return tmp_path
 

@@ -12,7 +12,7 @@ from nsde_torch.control.predictor import Predictor
 from nsde_torch.control.problem import ProblemOptions
 from nsde_torch.control.reference import Reference
 from nsde_torch.control.solve import SolverOptions
-from nsde_torch.export.step import Step, packed
+from nsde_torch.export.step import ExportedStep, packed
 from nsde_torch.models import NeuralSDE
 from nsde_torch.systems import System
 
@@ -35,9 +35,9 @@ def small_controller(
     )
 
 
-def step_of(controller: Controller, knowledge: NeuralSDE | System) -> Step:
+def step_of(controller: Controller, knowledge: NeuralSDE | System) -> ExportedStep:
     """Its step."""
-    return Step(controller, Predictor(knowledge, dt=SAMPLE, dtype=controller.predictor.dtype))
+    return ExportedStep(controller, Predictor(knowledge, dt=SAMPLE, dtype=controller.predictor.dtype))
 
 
 def flight(controller: Controller, path: Reference) -> Iterator[tuple[list[Tensor], Plan]]:

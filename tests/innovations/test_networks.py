@@ -5,7 +5,7 @@ import torch
 from scipy.signal import lfilter
 from torch import Tensor, nn
 
-from nsde_torch.innovations.networks import Learned, Settings, fit_networks
+from nsde_torch.innovations.networks import Learned, NetworkSettings, fit_networks
 from nsde_torch.models.networks import MLP
 from nsde_torch.sysid.noise import Noise
 from nsde_torch.sysid.series import Series
@@ -13,7 +13,7 @@ from nsde_torch.sysid.series import Series
 N = 3000
 SERIES = Series(((0, 1200), (1200, N)))
 NOISE = Noise(0.5, np.array([-0.4]), 1.0)
-SETTINGS = Settings(
+SETTINGS = NetworkSettings(
     steps=100, rate=0.01, every=20, patience=3, folds=3, block=150, penalty=lambda _: torch.zeros(())
 )
 

@@ -12,7 +12,7 @@ from nsde_torch.plots import save
 from nsde_torch.plots.diagnosis import (
     Cloud,
     Panel,
-    Spectrum,
+    ResidualSpectrum,
     before_after,
     errors_before_after,
     residual_spectra,
@@ -95,7 +95,7 @@ def test_a_prediction_that_did_not_stay_finite_leaves_a_hole() -> None:
 def test_spectra_are_drawn_with_a_dashed_floor() -> None:
     f = np.linspace(0.5, 50, 100)
     curves = {"before": 2 / f, "after": 1 / f, "floor": 0.01 * f}
-    figure = residual_spectra([Spectrum("w_x", "rad/s2", f, curves)], title="spectra")
+    figure = residual_spectra([ResidualSpectrum("w_x", "rad/s2", f, curves)], title="spectra")
     (ax,) = figure.axes
     assert [line.get_label() for line in ax.lines] == ["before", "after", "floor"]
     assert ax.lines[2].get_linestyle() == "--"

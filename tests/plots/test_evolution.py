@@ -4,14 +4,14 @@ import numpy as np
 import pytest
 
 from nsde_torch.errors import ShapeError
-from nsde_torch.plots import Prediction, evolution
+from nsde_torch.plots import PredictionBand, evolution
 
 T = np.linspace(0.0, 2.0, 21)
 
 
 def test_channels_of_one_unit_share_their_scale_so_that_a_still_one_looks_still() -> None:
     truth = np.stack((T, 0.01 * T, 3 * T), axis=1)
-    lost = Prediction("a model", np.where(T[:, None] > 1, np.nan, 1e6 * truth))
+    lost = PredictionBand("a model", np.where(T[:, None] > 1, np.nan, 1e6 * truth))
     figure = evolution(T, truth, [lost], names="abc", units=("m", "m", "rad"), title="evolution")
     spans = [np.ptp(ax.get_ylim()) for ax in figure.axes]
     assert spans[0] == pytest.approx(spans[1])
@@ -23,5 +23,10 @@ def test_channels_of_one_unit_share_their_scale_so_that_a_still_one_looks_still(
 def test_a_prediction_of_another_length_is_refused() -> None:
     with pytest.raises(ShapeError, match="a model"):
         evolution(
-            T, np.zeros((21, 1)), [Prediction("a model", np.zeros((20, 1)))], names="a", units="m", title=""
+            T,
+            np.zeros((21, 1)),
+            [PredictionBand("a model", np.zeros((20, 1)))],
+            names="a",
+            units="m",
+            title="",
         )

@@ -7,7 +7,7 @@ from collections.abc import Callable
 import pytest
 
 from nsde_torch.control import shapes
-from nsde_torch.px4.flight.controller import Asked, Demand, Plan
+from nsde_torch.px4.flight.controller import Asked, Demand, DemandPlan
 from nsde_torch.px4.flight.path import CascadeController, PathPoints
 from nsde_torch.px4.flight.phases import Phase
 from nsde_torch.px4.flight.runner import Inline, Runner
@@ -158,27 +158,27 @@ def test_limits_hold_and_land(kind: str, limits: Limits) -> None:
 class _Broken:
     """A controller that goes wrong after a time."""
 
-    def __init__(self, path: PathPoints, how: Callable[[Plan], Plan], after: float = 1.0) -> None:
+    def __init__(self, path: PathPoints, how: Callable[[DemandPlan], DemandPlan], after: float = 1.0) -> None:
         self._good, self._how, self._after = CascadeController(path), how, after
 
-    def __call__(self, row: tuple[float, ...], time: float, t: float, asked: Asked = ()) -> Plan:
+    def __call__(self, row: tuple[float, ...], time: float, t: float, asked: Asked = ()) -> DemandPlan:
         plan = self._good(row, time, t)
         return self._how(plan) if t > self._after else plan
 
 
-def _crash(plan: Plan) -> Plan:
+def _crash(plan: DemandPlan) -> DemandPlan:
     raise ZeroDivisionError("no plan")
 
 
 NAN = float("nan")
-BROKEN: dict[str, Callable[[Plan], Plan]] = {
+BROKEN: dict[str, Callable[[DemandPlan], DemandPlan]] = {
     "raises": _crash,
-    "not finite rates": lambda p: Plan(p.time, p.dt, (Demand((NAN, 0.0, 0.0), 9.81),)),
-    "not finite thrust": lambda p: Plan(p.time, p.dt, (Demand((0.0, 0.0, 0.0), NAN),)),
-    "infinite": lambda p: Plan(p.time, p.dt, (Demand((0.0, 0.0, float("inf")), 9.81),)),
-    "says that it failed": lambda p: Plan(p.time, p.dt, p.demands, "failed"),
-    "old plans": lambda p: Plan(p.time - 1.0, p.dt, p.demands),
-    "empty plans": lambda p: Plan(p.time, p.dt, ()),
+    "not finite rates": lambda p: DemandPlan(p.time, p.dt, (Demand((NAN, 0.0, 0.0), 9.81),)),
+    "not finite thrust": lambda p: DemandPlan(p.time, p.dt, (Demand((0.0, 0.0, 0.0), NAN),)),
+    "infinite": lambda p: DemandPlan(p.time, p.dt, (Demand((0.0, 0.0, float("inf")), 9.81),)),
+    "says that it failed": lambda p: DemandPlan(p.time, p.dt, p.demands, "failed"),
+    "old plans": lambda p: DemandPlan(p.time - 1.0, p.dt, p.demands),
+    "empty plans": lambda p: DemandPlan(p.time, p.dt, ()),
 }
 
 
@@ -201,7 +201,7 @@ def test_a_controller_that_breaks_is_replaced_by_holding_and_landing(how: str) -
     ],
 )
 def test_a_mad_controller_is_bounded_then_stopped_by_the_limits(what: str, demand: Demand) -> None:
-    mad = _Broken(SHORT, lambda p: Plan(p.time, p.dt, (demand,)))
+    mad = _Broken(SHORT, lambda p: DemandPlan(p.time, p.dt, (demand,)))
     world = World(
         path=PathPoints(shapes.hover(duration=3.0, height=4.0)),
         runner=Inline(mad),

@@ -9,25 +9,25 @@ from collections.abc import Callable
 
 import pytest
 
-from nsde_torch.px4.flight.controller import Asked, Controller, Demand, Plan
+from nsde_torch.px4.flight.controller import Asked, Demand, DemandPlan, FlightController
 from nsde_torch.px4.flight.runner import Process
 
 ROW = (0.0,) * 6 + (1.0,) + (0.0,) * 6
 
 
-def _still(row: tuple[float, ...], time: float, t: float, asked: Asked = ()) -> Plan:
-    return Plan(time, 0.05, (Demand((0.0, 0.0, 0.0), 9.81),))
+def _still(row: tuple[float, ...], time: float, t: float, asked: Asked = ()) -> DemandPlan:
+    return DemandPlan(time, 0.05, (Demand((0.0, 0.0, 0.0), 9.81),))
 
 
-def good(say: Callable[[str], None]) -> Controller:
+def good(say: Callable[[str], None]) -> FlightController:
     """Makes a controller."""
     return _still
 
 
-def crashing(say: Callable[[str], None]) -> Controller:
+def crashing(say: Callable[[str], None]) -> FlightController:
     """Makes one that crashes."""
 
-    def crash(row: tuple[float, ...], time: float, t: float, asked: Asked = ()) -> Plan:
+    def crash(row: tuple[float, ...], time: float, t: float, asked: Asked = ()) -> DemandPlan:
         raise ValueError("no plan today")
 
     return crash
@@ -73,7 +73,7 @@ def test_an_error_over_there_is_told_here_in_its_words() -> None:
 
 @pytest.mark.parametrize("t", [0.0, 0.025, 1.0])
 def test_between_demands_both_are_mixed_and_the_last_holds(t: float) -> None:
-    plan = Plan(10.0, 0.05, (Demand((0.0, 0.0, 0.0), 8.0), Demand((1.0, 0.0, 0.0), 10.0)))
+    plan = DemandPlan(10.0, 0.05, (Demand((0.0, 0.0, 0.0), 8.0), Demand((1.0, 0.0, 0.0), 10.0)))
     share = min(t / 0.05, 1.0)
     assert plan.at(10.0 + t).thrust == pytest.approx(8.0 + 2.0 * share)
     assert plan.at(10.0 + t).w[0] == pytest.approx(share)

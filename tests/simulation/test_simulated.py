@@ -7,7 +7,7 @@ import pytest
 
 import nsde_torch.simulation.registry as registry
 from nsde_torch.data import DataSet
-from nsde_torch.data.summary import Envelope
+from nsde_torch.data.summary import FlightEnvelope
 from nsde_torch.errors import ConfigError
 from nsde_torch.simulation import cartpole_episodes, simulated
 from nsde_torch.simulation.pilot import TARGETS, Pilot, Sticks, attained, figures
@@ -16,7 +16,7 @@ from nsde_torch.systems import MACHINES, Hexacopter, make_system
 FIGURES = ("speed_q95", "speed_max", "roll_q95", "roll_max", "pitch_q95", "pitch_max", "yaw_q95", "yaw_max")
 
 
-def off(envelope: Envelope | None) -> dict[str, float]:
+def off(envelope: FlightEnvelope | None) -> dict[str, float]:
     """Figures of the envelope over those of the supplement's Figure 15."""
     assert envelope is not None
     return {name: getattr(envelope, name) / target for name, target in zip(FIGURES, TARGETS, strict=True)}

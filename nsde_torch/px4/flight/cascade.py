@@ -54,7 +54,7 @@ class Point:
 
 
 @final
-class Cascade:
+class SetpointCascade:
     """The loops, with their integral.
 
     Args:

@@ -23,7 +23,7 @@ class Demand:
 
 
 @dataclass(frozen=True)
-class Plan:
+class DemandPlan:
     """What a controller returns: demands from now on.
 
     Args:
@@ -66,10 +66,10 @@ Asked = Sequence[tuple[float, Demand]]
 """What was sent lately, and when it left [s], the oldest first."""
 
 
-class Controller(Protocol):
+class FlightController(Protocol):
     """A callable with the state's row of 13 numbers, the time that it is valid for, and the time in the reference."""
 
-    def __call__(self, row: tuple[float, ...], time: float, t: float, asked: Asked = ()) -> Plan:
+    def __call__(self, row: tuple[float, ...], time: float, t: float, asked: Asked = ()) -> DemandPlan:
         """Plan.
 
         Args:

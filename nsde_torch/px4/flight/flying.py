@@ -19,7 +19,7 @@ from nsde_torch.px4.flight.flight_log import FlightLog
 from nsde_torch.px4.flight.offboard import Offboard
 from nsde_torch.px4.flight.options import FlightOptions
 from nsde_torch.px4.flight.path import PathPoints
-from nsde_torch.px4.flight.phases import FLYING, Outcome, Phase
+from nsde_torch.px4.flight.phases import FLYING, FlightOutcome, Phase
 from nsde_torch.px4.flight.runner import Runner
 from nsde_torch.px4.flight.safety import Limits
 from nsde_torch.px4.flight.setpoint import SetpointLimits
@@ -53,7 +53,7 @@ class FlightReport:
         texts: What the autopilot said.
     """
 
-    outcome: Outcome
+    outcome: FlightOutcome
     errors: list[float] = field(default_factory=list)
     track: list[tuple[float, ...]] = field(default_factory=list)
     gaps: list[float] = field(default_factory=list)

@@ -7,8 +7,8 @@ from typing import final
 import numpy as np
 
 from nsde_torch.control.reference import FlightPath
-from nsde_torch.px4.flight.cascade import Cascade, CascadeGains, Point
-from nsde_torch.px4.flight.controller import Asked, Demand, Plan
+from nsde_torch.px4.flight.cascade import CascadeGains, Point, SetpointCascade
+from nsde_torch.px4.flight.controller import Asked, Demand, DemandPlan
 from nsde_torch.px4.link.vectors import Vec
 
 PAUSE = 0.5
@@ -53,10 +53,10 @@ class CascadeController:
     """
 
     def __init__(self, path: PathPoints, gains: CascadeGains | None = None, *, lead: float = 0.1) -> None:
-        self._path, self._cascade, self._lead = path, Cascade(gains), lead
+        self._path, self._cascade, self._lead = path, SetpointCascade(gains), lead
         self._last: float | None = None
 
-    def __call__(self, row: tuple[float, ...], time: float, t: float, asked: Asked = ()) -> Plan:
+    def __call__(self, row: tuple[float, ...], time: float, t: float, asked: Asked = ()) -> DemandPlan:
         """See `Controller`."""
         dt = 0.0 if self._last is None else time - self._last
         if abs(dt) > PAUSE:
@@ -66,4 +66,4 @@ class CascadeController:
         now, soon = self._path.at(t), self._path.at(t + self._lead)
         to = Point(now.p, now.v, soon.a, soon.yaw, now.yaw_rate)
         demand: Demand = self._cascade(row[0:3], row[3:6], row[6:10], to, dt)  # type: ignore[arg-type]
-        return Plan(time, 0.05, (demand,), "cascade")
+        return DemandPlan(time, 0.05, (demand,), "cascade")

@@ -33,7 +33,7 @@ FLYING = (Phase.TAKEOFF, Phase.HOLD, Phase.TRACK, Phase.RETURN, Phase.SAFE_HOLD)
 
 
 @dataclass
-class Outcome:
+class FlightOutcome:
     """How a flight ended.
 
     Args:

@@ -31,7 +31,7 @@ from nsde_torch.control.solve import SolverOptions
 from nsde_torch.errors import ConfigError
 from nsde_torch.export.exported import ExportedController
 from nsde_torch.px4.flight.cascade import GRAVITY
-from nsde_torch.px4.flight.controller import Asked, Demand, Plan
+from nsde_torch.px4.flight.controller import Asked, Demand, DemandPlan
 from nsde_torch.px4.flight.path import PAUSE
 from nsde_torch.px4.link.vectors import Vec, rotate, turned_by_rates
 from nsde_torch.systems import Multirotor
@@ -92,7 +92,7 @@ class PredictiveController:
         self._trim = torch.zeros(3, dtype=torch.float64)
 
     @torch.no_grad()
-    def __call__(self, row: tuple[float, ...], time: float, t: float, asked: Asked = ()) -> Plan:
+    def __call__(self, row: tuple[float, ...], time: float, t: float, asked: Asked = ()) -> DemandPlan:
         """See `Controller`."""
         started = clock.perf_counter()
         c, o = self.controller, self.controller.options
@@ -113,7 +113,7 @@ class PredictiveController:
         self._last = (time, plan)
         status = f"{plan.status[0]}: failed" if plan.status[0].endswith(HOVER) else plan.status[0]
         took = 1e3 * (clock.perf_counter() - started)
-        return Plan(time, plan.dt, self._demands(plan), status, took)
+        return DemandPlan(time, plan.dt, self._demands(plan), status, took)
 
     def _demands(self, plan: MotorPlan) -> tuple[Demand, ...]:
         rates, thrust = (one[0].tolist() for one in setpoints(plan, self._system, ahead=self._lead))

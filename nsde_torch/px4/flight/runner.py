@@ -21,11 +21,11 @@ from multiprocessing.connection import Connection
 from typing import final
 
 from nsde_torch.errors import NsdeError
-from nsde_torch.px4.flight.controller import Asked, Controller, Plan
+from nsde_torch.px4.flight.controller import Asked, DemandPlan, FlightController
 from nsde_torch.px4.link.vectors import finite
 
 Say = Callable[[str], None]
-Maker = Callable[[Say], Controller]
+Maker = Callable[[Say], FlightController]
 """Makes a controller, in the process that it is to run in, and says what takes long."""
 
 
@@ -42,13 +42,13 @@ class Runner(ABC):
         ready: Whether the controller is made.
     """
 
-    plan: Plan | None = None
+    plan: DemandPlan | None = None
     fault: str | None = None
     ready: bool = False
 
     @abstractmethod
     def offer(self, row: tuple[float, ...], time: float, t: float, asked: Asked = ()) -> None:
-        """A new state (see `Controller`); it is planned for now, later or not at all."""
+        """A new state (see `FlightController`); it is planned for now, later or not at all."""
 
     def collect(self) -> None:  # noqa: B027
         """Take what has come."""
@@ -68,7 +68,7 @@ class Runner(ABC):
     def close(self) -> None:  # noqa: B027
         """End it."""
 
-    def _take(self, plan: Plan) -> None:
+    def _take(self, plan: DemandPlan) -> None:
         """A plan that is not finite is none."""
         if all(finite(*d.w, d.thrust) for d in plan.demands) and plan.demands and plan.dt > 0:
             self.plan = plan
@@ -84,10 +84,10 @@ class Inline(Runner):
         delay: Age of a state at which its plan is taken, where the time of a solve is to be played [s].
     """
 
-    def __init__(self, controller: Controller, *, period: float = 0.0, delay: float = 0.0) -> None:
+    def __init__(self, controller: FlightController, *, period: float = 0.0, delay: float = 0.0) -> None:
         self._controller, self.ready = controller, True
         self._period, self._offered = period, -inf
-        self._delay, self._made = delay, deque[tuple[float, Plan]]()
+        self._delay, self._made = delay, deque[tuple[float, DemandPlan]]()
 
     def offer(self, row: tuple[float, ...], time: float, t: float, asked: Asked = ()) -> None:
         """See `Runner.offer`."""
@@ -148,7 +148,7 @@ class Process(Runner):
         try:
             while self.fault is None and self._pipe.poll():
                 answer = self._pipe.recv()
-                if isinstance(answer, Plan):
+                if isinstance(answer, DemandPlan):
                     self._busy = False
                     self._take(answer)
                 elif answer is None:
@@ -192,7 +192,7 @@ def _work(maker: Maker, pipe: Connection) -> None:
             started = time.perf_counter()
             plan = controller(row, stamp, t, asked)
             took = 1e3 * (time.perf_counter() - started)
-            pipe.send(Plan(plan.time, plan.dt, plan.demands, plan.status, plan.solve_ms or took))
+            pipe.send(DemandPlan(plan.time, plan.dt, plan.demands, plan.status, plan.solve_ms or took))
     except (EOFError, BrokenPipeError, ConnectionResetError):
         return
     except NsdeError as error:  # of the user's doing: the message says all

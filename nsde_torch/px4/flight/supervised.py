@@ -7,11 +7,11 @@ from collections import deque
 from collections.abc import Callable
 from math import pi
 
-from nsde_torch.px4.flight.cascade import Cascade, Point
+from nsde_torch.px4.flight.cascade import Point, SetpointCascade
 from nsde_torch.px4.flight.controller import Demand
 from nsde_torch.px4.flight.options import FlightOptions
 from nsde_torch.px4.flight.path import PathPoints
-from nsde_torch.px4.flight.phases import FLYING, Outcome, Phase
+from nsde_torch.px4.flight.phases import FLYING, FlightOutcome, Phase
 from nsde_torch.px4.flight.runner import Runner
 from nsde_torch.px4.flight.safety import Action, Limits, Trouble, Watch
 from nsde_torch.px4.flight.setpoint import Guard, HoverThrottle, SetpointLimits, level
@@ -58,7 +58,7 @@ class Supervised(ABC):
         self.endpoint, self.runner, self.path = endpoint, runner, path
         self.limits, self.options = limits or Limits(), options or FlightOptions()
         self.guard = Guard(setpoints or SetpointLimits())
-        self.phase, self.outcome = Phase.CONNECT, Outcome()
+        self.phase, self.outcome = Phase.CONNECT, FlightOutcome()
         self.home: Vec | None = None
         self.hover = HoverThrottle(0.5)
         self.sent: tuple[float, Vec, float] | None = None
@@ -66,7 +66,7 @@ class Supervised(ABC):
         self.started: float | None = None
         self.streaming = False
         self._say = say
-        self._cascade = Cascade()
+        self._cascade = SetpointCascade()
         self._watch: Watch | None = None
         self._begun: float | None = None
         self._since = self._asked = self._now = self._last = 0.0

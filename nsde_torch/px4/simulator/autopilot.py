@@ -16,7 +16,7 @@ from collections import deque
 from math import inf, isfinite
 from typing import final
 
-from nsde_torch.px4.flight.cascade import GRAVITY, Cascade, Point
+from nsde_torch.px4.flight.cascade import GRAVITY, Point, SetpointCascade
 from nsde_torch.px4.link import dialect as d
 from nsde_torch.px4.link import frames
 from nsde_torch.px4.link.codec import Codec, Message
@@ -100,7 +100,7 @@ class SimulatedAutopilot:
         self._gcs = -inf
         self._setpoint: tuple[float, int, Vec, Quat, float] | None = None
         self._integral: Vec = (0.0, 0.0, 0.0)
-        self._cascade = Cascade()
+        self._cascade = SetpointCascade()
         self._point = Point((0.0, 0.0, 0.0))
         self._armed_at = self._landed_at = 0.0
         self.estimate: tuple[Vec, Vec, Quat, Vec] = (

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
-from nsde_torch.px4.flight.controller import Controller
+from nsde_torch.px4.flight.controller import FlightController
 from nsde_torch.px4.flight.flying import FlightReport, fly
 from nsde_torch.px4.flight.options import FlightOptions
 from nsde_torch.px4.flight.path import PathPoints
@@ -23,7 +23,7 @@ SOLVE = 0.01
 
 def fly_simulated(
     body: Body,
-    controller: Controller,
+    controller: FlightController,
     path: PathPoints,
     *,
     seed: int,
@@ -38,7 +38,7 @@ def fly_simulated(
 
     Args:
         body: The machine, on the ground.
-        controller: See `Controller`.
+        controller: See `FlightController`.
         path: Where to fly, from the place of take-off.
         seed: Of the noise of the estimate.
         period: Time between plans [s].

@@ -1,6 +1,6 @@
 """From raw recordings to a data set: every fault is found and handled, reported or refused, in a fixed order.
 
-time order and duplicates -> quaternion norm and sign -> missing values -> single samples that are off -> sensors that
+time order and duplicates -> interpolated columns -> quaternion norm and sign -> missing values -> single samples that are off -> sensors that
 repeat themselves -> time on the ground -> gaps in time -> one uniform step -> hidden gaps (jumps against the
 kinematics) -> columns that stand still -> other conventions of quaternion and velocity -> clock against the kinematics
 -> sensors that are late against others -> range and rank of the inputs -> summary
@@ -20,7 +20,17 @@ from nsde_torch.data.run import DataSet, Run, fingerprint
 from nsde_torch.data.summary import summarise
 from nsde_torch.data.system_info import RATE_NAMES, SystemInfo, derivative_columns, rate_columns
 from nsde_torch.errors import ConfigError, DataError, ShapeError
-from nsde_torch.recording import attitude, conventions, glitches, ground, held, missing, stuck, times
+from nsde_torch.recording import (
+    attitude,
+    conventions,
+    glitches,
+    ground,
+    held,
+    missing,
+    straight,
+    stuck,
+    times,
+)
 from nsde_torch.recording import clock as _clock
 from nsde_torch.recording.faults.fault import Fault
 from nsde_torch.recording.faults.registry import in_order, remedies
@@ -226,6 +236,7 @@ def assemble(
     limit = times.GAP_STEPS * max(step, own_step) if gap is None else float(gap)
     if limit <= step:
         raise ConfigError(f"`gap` must be longer than the step of {step:.4g} s; got {limit:.4g} s.")
+    straight.check(system, raw, own_step, report)
     commands = ground.commands_in_motion(raw, system)
     runs: list[Run] = []
     slopes: list[kinematics.Slope] = []

@@ -1,0 +1,74 @@
+"""States that were interpolated: straight lines between rows that were measured.
+
+    x_{k+1} - 2 x_k + x_{k-1} = 0        on every row but the knots
+
+Sensors have noise on every row. Where most second differences of a column are next to nothing beside those of the other
+rows, the column was resampled by linear interpolation, and what looks like a rate of the log is not that of the sensor.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nsde_torch.data.findings import Finding, Report
+from nsde_torch.data.raw import RawRun
+from nsde_torch.data.system_info import SystemInfo
+
+Array = NDArray[np.float64]
+
+_FEWEST = 50
+_NOTHING = 0.02
+"""Second differences, over the large ones, that count as none; half of those of white noise are above 0.3."""
+_SHARE = 0.4
+"""Share of rows without curvature from which a column was interpolated; 0.5 where every second row was."""
+_MOVES = 0.2
+"""Steps from row to row, over the large ones, that count as a motion: a coarse sensor stands still in between."""
+
+
+def check(system: SystemInfo, raw: Sequence[RawRun], dt: float, report: Report) -> None:
+    """Report states that are straight between every few rows.
+
+    Args:
+        system: Names of the states.
+        raw: Runs as they were read, rows in order.
+        dt: Their step [s].
+        report: Takes the findings.
+    """
+    found = {}
+    for k, name in enumerate(system.state_names):
+        steps = _every([run.x[np.isfinite(run.x[:, k]), k] for run in raw])
+        if steps:
+            found[name] = steps
+    if not found:
+        return
+    every = float(np.median(list(found.values())))
+    report(
+        Finding(
+            "interpolated_states",
+            "",
+            len(found),
+            f"{', '.join(found)} are straight lines between about every {every:.3g} rows: they were measured at about "
+            f"{1.0 / (every * dt):.3g} Hz and interpolated. Their noise is not that of a sensor, and intervals are too "
+            f"narrow: write the rows that were measured (one rate for all columns), or set data.dt={every * dt:.3g}",
+            "reported",
+            {"states": list(found), "rows": every},
+        )
+    )
+
+
+def _every(parts: Sequence[Array]) -> float:
+    """Rows between the knots of a column; 0 where it is no chain of straight lines."""
+    bends = [np.abs(np.diff(x, 2)) for x in parts if len(x) > 4]
+    moves = [np.abs(np.diff(x))[1:] for x in parts if len(x) > 4]
+    if not bends or sum(map(len, bends)) < _FEWEST:
+        return 0.0
+    bend, move = np.concatenate(bends), np.concatenate(moves)
+    large, far = float(np.quantile(bend, 0.95)), float(np.quantile(move, 0.5))
+    if not large > 0 or not far > 0:
+        return 0.0
+    straight = (bend < _NOTHING * large) & (move > _MOVES * far)
+    share = float(straight.mean())
+    return 1.0 / (1.0 - share) if share > _SHARE else 0.0

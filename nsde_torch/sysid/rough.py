@@ -1,0 +1,90 @@
+"""Declared physics by plain least squares on means over 0.15 s: slow, robust, and with no model of the noise.
+
+    sum over a box of (x_{k+1} - x_k) = sum over it of int f(x, u; theta) dt + noise
+
+Both sides of the equation go through the same filter, the mean over a box, which ends near 3 Hz: what a smoother took
+away above does not count, and no noise model can learn the physics. It errs in its own way: noise of the states, and
+feedback that answers what the physics lacks, pull it towards gains that are too small.
+"""
+
+import copy
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nsde_torch.data import Run
+from nsde_torch.errors import ConfigError, DataError, NonFiniteError
+from nsde_torch.sysid.physics import Physics
+from nsde_torch.sysid.regression import Regression
+from nsde_torch.sysid.steps import steps_of
+from nsde_torch.systems import System
+from nsde_torch.systems.parameters import ParameterVector
+
+Array = NDArray[np.float64]
+
+MEANS_S = 0.15
+"""Length of the boxes [s]."""
+ITERATIONS = 10
+
+
+def rough_fit(
+    system: System, runs: Sequence[Run], clock: float = 1.0, *, iterations: int = ITERATIONS
+) -> Regression | None:
+    """The declared physics fitted to means over `MEANS_S`; None where that cannot be done.
+
+    Args:
+        system: The machine, whose values are where the fit starts; it is not changed.
+        runs: Recordings, all on one step.
+        clock: Physical seconds per logged second.
+        iterations: Largest number of steps.
+    """
+    box = max(1, round(MEANS_S / (runs[0].dt * clock)))
+    vector = ParameterVector(copy.deepcopy(system))
+    try:
+        steps = steps_of(vector.system, runs, clock=clock, smooth=False, shortest=box)
+        regression = Regression(Physics(vector, steps, foresee=False), box=box, plain=True)
+        regression.run(iterations)
+    except (ConfigError, DataError, NonFiniteError):
+        return None
+    return regression
+
+
+@dataclass(frozen=True)
+class Left:
+    """What is left of one channel in means over `MEANS_S`.
+
+    Args:
+        name: Of the channel.
+        unit: Of its rate.
+        measured: Standard deviation of the measured rate.
+        left: Root mean square of what physics leaves of it.
+    """
+
+    name: str
+    unit: str
+    measured: float
+    left: float
+
+
+def left_at(rough: Regression, theta: Array) -> list[Left]:
+    """What the physics leaves at some parameters, channel by channel.
+
+    Args:
+        rough: What `rough_fit` returned.
+        theta: Parameters (k,).
+    """
+    seconds = rough.dt
+    residual = rough.single.summed(rough.physics.residual(theta), rough.box) / seconds
+    measured = rough.single.summed(rough.physics.measured, rough.box) / seconds
+    names, units = rough.physics.names, rough.physics.units
+    return [
+        Left(
+            names[c],
+            units[c],
+            float(measured[:, c].std()),
+            float(np.sqrt(np.square(residual[:, c]).mean())),
+        )
+        for c in rough.rows
+    ]

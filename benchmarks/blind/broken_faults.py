@@ -1,8 +1,8 @@
 """What people do to logs: each function breaks a log in one way and says which words would name it.
 
-A log is a list of `Table`s, one a run. A fault takes the log, another machine's log of the same kind, and random numbers,
-and returns what was done in words; the tables are changed in place. `NAMES` are regular expressions, one of which has
-to be found in what a command says for the fault to count as named.
+A log is a list of `Table`s, one a run. A fault takes the log, another machine's log of the same kind, and random
+numbers, and returns what was done in words; the tables are changed in place. The last entry of `FAULTS` is a regular
+expression that has to be found in what a command says for the fault to count as named.
 """
 
 from __future__ import annotations

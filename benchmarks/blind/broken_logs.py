@@ -131,12 +131,10 @@ def write(case: Case, log: Log, other: Log | None, true: dict[str, object], fold
         np.savetxt(
             data / f"run_{k}.csv", table, fmt="%.9g", delimiter=",", header=",".join(names), comments=""
         )
-    words = FAULTS[case.fault][2] if case.fault else ""
     content = {
         "system": case.system,
         "fault": case.fault,
         "done": done,
-        "words": words,
         "effect": case.effect,
         "true": true,
         "regime": case.regime,

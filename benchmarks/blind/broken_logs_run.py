@@ -25,6 +25,10 @@ from pathlib import Path
 from typing import Any
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")
+sys.path.insert(0, str(Path(__file__).resolve().parent))
+
+from broken_faults import FAULTS
+
 _BENIGN = ("dimensions; always zero",)
 Json = dict[str, Any]
 
@@ -89,7 +93,7 @@ def judge(truth: Json, answer: Json) -> str:
     lines = said(answer)
     if not truth["fault"]:
         return "warned of" if lines else "silent"
-    if any(re.search(truth["words"], line) for line in lines):
+    if any(re.search(FAULTS[truth["fault"]][2], line) for line in lines):
         return "named"
     return "warned of" if lines else "missed"
 
@@ -119,8 +123,8 @@ def table(folder: Path) -> str:
         for verdict, truth, answer in some:
             if verdict not in ("named", "silent"):
                 lines.append(
-                    f"- {truth['name']}: {fault} ({truth['done']}), {truth['system']}, {truth['effect'] or 'no effect'},"
-                    f" {truth['regime']} {truth['dt_s']}: {verdict}: {' / '.join(said(answer))[:700]}"
+                    f"- {truth['name']}: {fault} ({truth['done']}), {truth['system']}, "
+                    f"{truth['effect'] or 'no effect'}, {truth['regime']} {truth['dt_s']}: {verdict}: {' / '.join(said(answer))[:700]}"
                 )
     return "\n".join(lines)
 

@@ -1,9 +1,9 @@
 """From raw recordings to a data set: every fault is found and handled, reported or refused, in a fixed order.
 
-time order and duplicates -> interpolated columns -> quaternion norm and sign -> missing values -> single samples that are off -> sensors that
-repeat themselves -> time on the ground -> gaps in time -> one uniform step -> hidden gaps (jumps against the
-kinematics) -> columns that stand still -> other conventions of quaternion and velocity -> clock against the kinematics
--> sensors that are late against others -> range and rank of the inputs -> summary
+time order and duplicates -> interpolated columns -> quaternion norm and sign -> missing values -> single samples that
+are off -> sensors that repeat themselves -> time on the ground -> gaps in time -> one uniform step -> hidden gaps (jumps
+against the kinematics) -> columns that stand still -> other conventions of quaternion and velocity, columns of another
+run -> clock against the kinematics -> sensors that are late against others -> range and rank of the inputs -> summary
 """
 
 from __future__ import annotations
@@ -271,6 +271,7 @@ def assemble(
     interventions.report_of(runs, report)
     stuck.check(system, runs, report)
     conventions.check(system, runs)
+    conventions.check_runs(system, runs)
     _clock.check_units(slopes, tuple(system.state_names))
     scale = _clock.decide(slopes, policy=clock, report=report)
     for fault, values in _asked(faults):

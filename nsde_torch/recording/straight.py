@@ -69,6 +69,6 @@ def _every(parts: Sequence[Array]) -> float:
     large, far = float(np.quantile(bend, 0.95)), float(np.quantile(move, 0.5))
     if not large > 0 or not far > 0:
         return 0.0
-    straight = (bend < _NOTHING * large) & (move > _MOVES * far)
-    share = float(straight.mean())
+    moving = move > _MOVES * far
+    share = float((bend[moving] < _NOTHING * large).mean())
     return 1.0 / (1.0 - share) if share > _SHARE else 0.0

@@ -30,7 +30,13 @@ ITERATIONS = 10
 
 
 def rough_fit(
-    system: System, runs: Sequence[Run], clock: float = 1.0, *, iterations: int = ITERATIONS
+    system: System,
+    runs: Sequence[Run],
+    clock: float = 1.0,
+    *,
+    iterations: int = ITERATIONS,
+    levels: bool = True,
+    start: Array | None = None,
 ) -> Regression | None:
     """The declared physics fitted to means over `MEANS_S`; None where that cannot be done.
 
@@ -39,12 +45,16 @@ def rough_fit(
         runs: Recordings, all on one step.
         clock: Physical seconds per logged second.
         iterations: Largest number of steps.
+        levels: Whether steady pushes are left out, the mean of each channel over each run.
+        start: First theta (k,); None takes the system's values.
     """
     box = max(1, round(MEANS_S / (runs[0].dt * clock)))
     vector = ParameterVector(copy.deepcopy(system))
     try:
         steps = steps_of(vector.system, runs, clock=clock, smooth=False, shortest=box)
-        regression = Regression(Physics(vector, steps, foresee=False), box=box, plain=True)
+        regression = Regression(
+            Physics(vector, steps, foresee=False), box=box, plain=True, levels=levels, start=start
+        )
         regression.run(iterations)
     except (ConfigError, DataError, NonFiniteError):
         return None
@@ -53,7 +63,7 @@ def rough_fit(
 
 @dataclass(frozen=True)
 class Left:
-    """What is left of one channel in means over `MEANS_S`.
+    """What is left of one channel in means over `MEANS_S`, without the mean over each run.
 
     Args:
         name: Of the channel.
@@ -75,16 +85,24 @@ def left_at(rough: Regression, theta: Array) -> list[Left]:
         rough: What `rough_fit` returned.
         theta: Parameters (k,).
     """
-    seconds = rough.dt
-    residual = rough.single.summed(rough.physics.residual(theta), rough.box) / seconds
-    measured = rough.single.summed(rough.physics.measured, rough.box) / seconds
+    residual, measured = (
+        _without_levels(rough, rough.single.summed(values, rough.box) / rough.dt)
+        for values in (rough.physics.residual(theta), rough.physics.measured)
+    )
     names, units = rough.physics.names, rough.physics.units
     return [
         Left(
             names[c],
             units[c],
-            float(measured[:, c].std()),
+            float(np.sqrt(np.square(measured[:, c]).mean())),
             float(np.sqrt(np.square(residual[:, c]).mean())),
         )
         for c in rough.rows
     ]
+
+
+def _without_levels(rough: Regression, values: Array) -> Array:
+    out = values.copy()
+    for run in np.unique(rough.owners):
+        out[rough.owners == run] -= out[rough.owners == run].mean(0)
+    return out

@@ -154,7 +154,7 @@ def smoothed_states(runs: Sequence[Run], system: System, clock: float = 1.0) -> 
             continue
         apart = [_apart(system, runs, sensor, smoother, dt) for sensor in sensors]
         if not max(apart) > APART:
-            regression = regression or rough_fit(system, runs, clock)
+            regression = regression or rough_fit(system, runs, clock, levels=False)
             if regression is None or _nats(regression, sensors, smoother) < NATS:
                 continue
         sound = tuple(one.deviance < SOUND for one in fits)

@@ -33,7 +33,7 @@ class Table:
             self.t.copy(), self.x.copy(), self.u.copy(), {k: v.copy() for k, v in self.extra.items()}
         )
 
-    def rows(self, keep: Array) -> None:
+    def rows(self, keep: NDArray[np.int64]) -> None:
         """Keep some rows, by number."""
         self.t, self.x, self.u = self.t[keep], self.x[keep], self.u[keep]
         self.extra = {k: v[keep] for k, v in self.extra.items()}

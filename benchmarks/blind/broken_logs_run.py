@@ -122,10 +122,9 @@ def table(folder: Path) -> str:
     for fault, some in rows.items():
         for verdict, truth, answer in some:
             if verdict not in ("named", "silent"):
-                lines.append(
-                    f"- {truth['name']}: {fault} ({truth['done']}), {truth['system']}, "
-                    f"{truth['effect'] or 'no effect'}, {truth['regime']} {truth['dt_s']}: {verdict}: {' / '.join(said(answer))[:700]}"
-                )
+                what = f"{fault} ({truth['done']}), {truth['system']}, {truth['effect'] or 'no effect'}"
+                where = f"{truth['regime']} {truth['dt_s']}: {verdict}: {' / '.join(said(answer))[:700]}"
+                lines.append(f"- {truth['name']}: {what}, {where}")
     return "\n".join(lines)
 
 
@@ -153,7 +152,7 @@ def main() -> None:
     if not given.judge:
         names = given.names or [
             path.stem
-            for path in sorted((given.cases / "truth").glob("*.json"))
+            for path in sorted((given.cases / "truth").glob("*.json"), key=lambda path: path.stem[-3:])
             if not (given.cases / "answers" / path.name).is_file()
         ]
         with ProcessPoolExecutor(given.jobs) as pool:

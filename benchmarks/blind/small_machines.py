@@ -47,7 +47,8 @@ def small(system: str, rng: np.random.Generator, effect: bool) -> Small:
     level = float(rng.uniform(0.5, 1.5))
     if system == "mass_spring_damper":
         values = {"k": rng.uniform(0.6, 8.0), "b": rng.uniform(0.2, 1.0), "g": rng.uniform(0.5, 2.0)}
-        noise, names = (0.004, 0.01), FRICTION
+        noise: tuple[float, ...] = (0.004, 0.01)
+        names: tuple[str, ...] = FRICTION
     else:
         values = {"g": rng.uniform(0.6, 1.3), "s": rng.uniform(0.06, 0.25), "l": rng.uniform(0.25, 0.7)}
         noise, names = (0.004, 0.01, 0.01, 0.03), FRICTION[:2]

@@ -16,14 +16,18 @@ from numpy.typing import NDArray
 from nsde_torch.data.findings import Finding, Report
 from nsde_torch.data.raw import RawRun
 from nsde_torch.data.system_info import SystemInfo
+from nsde_torch.recording.scatter import quantum
 
 Array = NDArray[np.float64]
 
 _FEWEST = 50
 _NOTHING = 0.02
 """Second differences, over the large ones, that count as none; half of those of white noise are above 0.3."""
-_SHARE = 0.4
-"""Share of rows without curvature from which a column was interpolated; 0.5 where every second row was."""
+_SHARE = (0.4, 0.985)
+"""Shares of rows without curvature between which a column was interpolated; 0.5 where every second row was, and above
+0.985 it is a motion at a steady rate."""
+_QUANTA, _ROUNDING = 10.0, 1e-8
+"""Large second differences are at least so many steps that the values come in, and that share of the largest value."""
 _MOVES = 0.2
 """Steps from row to row, over the large ones, that count as a motion: a coarse sensor stands still in between."""
 
@@ -37,6 +41,8 @@ def check(system: SystemInfo, raw: Sequence[RawRun], dt: float, report: Report) 
         dt: Their step [s].
         report: Takes the findings.
     """
+    if any(note.kind == "slow_topic" for run in raw for note in run.notes):
+        return  # the reader brought topics onto one clock, and says so
     found = {}
     for k, name in enumerate(system.state_names):
         steps = _every([run.x[np.isfinite(run.x[:, k]), k] for run in raw])
@@ -67,8 +73,9 @@ def _every(parts: Sequence[Array]) -> float:
         return 0.0
     bend, move = np.concatenate(bends), np.concatenate(moves)
     large, far = float(np.quantile(bend, 0.95)), float(np.quantile(move, 0.5))
-    if not large > 0 or not far > 0:
-        return 0.0
+    whole = np.concatenate(parts)
+    if not far > 0 or not large > max(_QUANTA * quantum(whole), _ROUNDING * float(np.abs(whole).max())):
+        return 0.0  # a coarse column is straight between its steps
     moving = move > _MOVES * far
     share = float((bend[moving] < _NOTHING * large).mean())
-    return 1.0 / (1.0 - share) if share > _SHARE else 0.0
+    return 1.0 / (1.0 - share) if _SHARE[0] < share < _SHARE[1] else 0.0

@@ -12,6 +12,7 @@ told only where it leaves `LESS` times less: in a sound log nothing is better th
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import combinations
 from math import exp, log
 
@@ -147,7 +148,7 @@ def _readings(system: System, runs: Sequence[Run]) -> Iterator[Reading]:
             yield Reading(
                 f"the opposite sign of {name!r}",
                 f"change the sign of {name!r}",
-                _inputs(lambda u, k=k: _times(u, [k], -1.0)),
+                _inputs(partial(_times, columns=[k], factor=-1.0)),
                 "sign",
             )
     if system.quaternion is not None:
@@ -165,20 +166,20 @@ def _axes(system: System) -> Iterator[Reading]:
             yield Reading(
                 f"the opposite sign of {position!r} and {rate!r}",
                 f"change the signs of {position!r} and {rate!r}",
-                _states(lambda x, c=(i, j): _times(x, list(c), -1.0)),
+                _states(partial(_times, columns=[i, j], factor=-1.0)),
                 "sign",
             )
         if units[position] == "rad":
             yield Reading(
                 f"{position!r} counted from the other side (pi more)",
                 f"add pi to {position!r}",
-                _states(lambda x, i=i: _plus(x, i, np.pi)),
+                _states(partial(_plus, column=i, shift=np.pi)),
                 "origin",
             )
             yield Reading(
                 f"{position!r} and {rate!r} in degrees",
                 f"multiply {position!r} and {rate!r} by pi / 180",
-                _states(lambda x, c=(i, j): _times(x, list(c), np.pi / 180.0)),
+                _states(partial(_times, columns=[i, j], factor=np.pi / 180.0)),
                 "unit",
             )
 

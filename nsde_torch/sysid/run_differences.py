@@ -102,15 +102,15 @@ def odd_run(regression: Regression, runs: Sequence[Run]) -> RunDifference | None
         theta = regression.theta + basis @ mean
         moved = basis @ (own - mean)
         found = []
-        for j in np.flatnonzero(regression.shown.known):
+        for j in np.flatnonzero(regression.shown.known).tolist():
             error = float(np.sqrt(max(between[j, j], 0.0)))
             size = max(abs(theta[j]), 0.5 * abs(theta[j] + moved[j]))
             beyond = abs(moved[j]) - SHARE * size
             if not beyond > 0 or not error > 0:
                 continue
             chance = 2.0 * float(stdtr(_DEGREES, -beyond / error)) * tests
-            if chance < CHANCE and _is_gain(regression, int(j)):
-                found.append((chance, int(j)))
+            if chance < CHANCE and _is_gain(regression, j):
+                found.append((chance, j))
         if found:
             chance, j = min(found)
             v = regression.vector
@@ -208,7 +208,7 @@ def _alone(
     flat = slopes.reshape(-1, r)
     square = flat.T @ flat
     try:
-        own = np.linalg.solve(square, flat.T @ white.reshape(-1))
+        own = np.asarray(np.linalg.solve(square, flat.T @ white.reshape(-1)), dtype=np.float64)
         left = white - slopes @ own
         sure = spread(slopes, left, np.unique(blocks, return_inverse=True)[1].reshape(-1), 0)
     except (np.linalg.LinAlgError, NsdeError):

@@ -15,7 +15,7 @@ SYSTEM = make_system("mass_spring_damper")
 
 
 def log() -> list[RawRun]:
-    return nsde_torch.simulate("mass_spring_damper", durations=[10.0, 10.0], seed=5).runs
+    return list(nsde_torch.simulate("mass_spring_damper", durations=[10.0, 10.0], seed=5).runs)
 
 
 def found(runs: list[RawRun]) -> list[Finding]:

@@ -21,7 +21,7 @@ Change = Callable[[int, RawRun], None]
 
 
 def made(system: str, seconds: Sequence[float] = (10.0,) * 3, seed: int = 3) -> list[RawRun]:
-    return nsde_torch.simulate(system, durations=list(seconds), seed=seed, declared_only=True).runs
+    return list(nsde_torch.simulate(system, durations=list(seconds), seed=seed, declared_only=True).runs)
 
 
 LOGS = {name: made(name) for name in ("mass_spring_damper", "cartpole", "quadrotor")}

@@ -11,7 +11,7 @@ from nsde_torch.diagnosis.reading import Log
 from nsde_torch.diagnosis.search import Search
 from nsde_torch.diagnosis.shape import Shape, shape
 from nsde_torch.diagnosis.views import rates
-from nsde_torch.sysid.guard import Guard, guarded
+from nsde_torch.sysid.guard import Guarded, guarded
 
 
 @dataclass(frozen=True)
@@ -32,7 +32,7 @@ class Explanation:
     in_run: InRun | None = None
     formula: Formula | None = None
     warned: tuple[Warned, ...] = ()
-    guard: Guard = field(default_factory=Guard)
+    guard: Guarded = field(default_factory=Guarded)
 
 
 def explained(log: Log, search: Search, outcome: Outcome, runs: tuple[str, ...]) -> Explanation:

@@ -20,7 +20,7 @@ from nsde_torch.recording.scatter import quantum
 
 Array = NDArray[np.float64]
 
-_FEWEST = 50
+_FEWEST = 200
 _NOTHING = 0.02
 """Second differences, over the large ones, that count as none; half of those of white noise are above 0.3."""
 _SHARE = (0.4, 0.985)
@@ -45,7 +45,7 @@ def check(system: SystemInfo, raw: Sequence[RawRun], dt: float, report: Report) 
         return  # the reader brought topics onto one clock, and says so
     found = {}
     for k, name in enumerate(system.state_names):
-        steps = _every([run.x[np.isfinite(run.x[:, k]), k] for run in raw])
+        steps = _every([run.x[:, k] for run in raw])
         if steps:
             found[name] = steps
     if not found:
@@ -69,11 +69,15 @@ def _every(parts: Sequence[Array]) -> float:
     """Rows between the knots of a column; 0 where it is no chain of straight lines."""
     bends = [np.abs(np.diff(x, 2)) for x in parts if len(x) > 4]
     moves = [np.abs(np.diff(x))[1:] for x in parts if len(x) > 4]
-    if not bends or sum(map(len, bends)) < _FEWEST:
+    if not bends:
         return 0.0
     bend, move = np.concatenate(bends), np.concatenate(moves)
+    known = np.isfinite(bend)  # beside a missing value nothing is known
+    bend, move = bend[known], move[known]
+    if len(bend) < _FEWEST:
+        return 0.0
     large, far = float(np.quantile(bend, 0.95)), float(np.quantile(move, 0.5))
-    whole = np.concatenate(parts)
+    whole = np.concatenate([x[np.isfinite(x)] for x in parts])
     if not far > 0 or not large > max(_QUANTA * quantum(whole), _ROUNDING * float(np.abs(whole).max())):
         return 0.0  # a coarse column is straight between its steps
     moving = move > _MOVES * far

@@ -87,6 +87,7 @@ class Compared:
         fit: What the fit leaves.
         least_squares: What least squares leave.
         first_values: What the first values leave.
+        less: Whether what least squares foretell of it is smaller than what the fit foretells.
     """
 
     name: str
@@ -95,6 +96,7 @@ class Compared:
     fit: float
     least_squares: float
     first_values: float
+    less: bool = False
 
     def as_dict(self) -> dict[str, Any]:
         """Plain containers, for JSON."""
@@ -108,7 +110,7 @@ class Compared:
 
 
 @dataclass(frozen=True)
-class Guard:
+class Guarded:
     """What speaks against a fit, and how it stands beside simple ones.
 
     Args:
@@ -145,7 +147,7 @@ def guarded(
     clock: float = 1.0,
     theta: Array | None = None,
     covariance: Array | None = None,
-) -> Guard:
+) -> Guarded:
     """Hold a fit against simple ones, and look for faults of the log that explain where they part.
 
     Args:
@@ -160,18 +162,19 @@ def guarded(
     rough = rough_fit(system, runs, clock)
     theta = regression.theta if theta is None else theta
     if rough is None or len(rough.theta) != len(theta):
-        return Guard()
+        return Guarded()
     at = {"fit": theta, "least_squares": rough.theta, "first_values": vector.inside(vector.start)}
     left = {name: left_at(rough, values) for name, values in at.items()}
     channels = tuple(
-        Compared(c.name, per_second(c.unit), c.measured, c.left, s.left, f.left)
+        Compared(c.name, per_second(c.unit), c.measured, c.left, s.left, f.left, less=s.foretold < c.foretold)
         for c, s, f in zip(left["fit"], left["least_squares"], left["first_values"], strict=True)
     )
     objections, notes = _faults(system, runs, clock, rough, regression)
     chance = _chance(rough, theta, covariance)
     if not objections:
         objections = _disagreements(channels, chance)
-    return Guard(
+        notes += _believed(channels, chance)
+    return Guarded(
         tuple(objections), channels, tuple(vector.labels), tuple(rough.theta.tolist()), chance, tuple(notes)
     )
 
@@ -188,7 +191,7 @@ def _faults(
         return [Objection("shifted_stream", moved.sentence, moved.remedy)], []
     notes = [] if moved is None else [f"{moved.sentence}; {moved.remedy}"]
     apart = [Objection("unexplained_run", o.sentence, o.remedy) for o in unexplained_runs(rough, runs)]
-    odd = None if apart else odd_run(regression, runs)
+    odd = None if apart else odd_run(regression, rough, runs)
     if odd is not None:
         apart = [Objection("odd_run", odd.sentence, odd.remedy)]
     return apart, notes
@@ -197,11 +200,7 @@ def _faults(
 def _disagreements(channels: Sequence[Compared], chance: float) -> list[Objection]:
     """Where the fit and the simple ones part, the surest first."""
     out = []
-    lost = [
-        c
-        for c in channels
-        if c.fit**2 - c.least_squares**2 > MORE * c.measured**2 and c.fit > c.least_squares
-    ]
+    lost = [c for c in channels if _apart(c) and not c.less]
     worse = [c for c in channels if c.fit > WORSE * c.measured]
     if lost and chance < CHANCE:
         told = ", ".join(
@@ -248,6 +247,21 @@ def _disagreements(channels: Sequence[Compared], chance: float) -> list[Objectio
             )
         )
     return out
+
+
+def _apart(c: Compared) -> bool:
+    return c.fit**2 - c.least_squares**2 > MORE * c.measured**2
+
+
+def _believed(channels: Sequence[Compared], chance: float) -> list[str]:
+    """Where least squares are not believed, and why."""
+    less = [c.name for c in channels if _apart(c) and c.less]
+    if not less or not chance < CHANCE:
+        return []
+    return [
+        f"least squares on means over 0.15 s find less of {', '.join(less)} than the fit: the fit is believed. "
+        "Feedback that answers what the physics lacks, and noise of the states, pull least squares towards nothing"
+    ]
 
 
 def _chance(rough: Regression, theta: Array, covariance: Array | None) -> float:

@@ -12,7 +12,7 @@ from nsde_torch.sysid.shown import Shown, sentences
 from nsde_torch.systems.parameters import ParameterVector
 
 if TYPE_CHECKING:
-    from nsde_torch.sysid.guard import Guard
+    from nsde_torch.sysid.guard import Guarded
     from nsde_torch.sysid.instruments import Instrumented
     from nsde_torch.sysid.loop_test import LoopTest
 
@@ -100,7 +100,7 @@ class Identification:
     loop: "LoopTest | None" = None
     instrumented: "Instrumented | None" = None
     doubt: Array | None = None
-    guard: "Guard | None" = None
+    guard: "Guarded | None" = None
 
     @property
     def believed(self) -> bool:

@@ -70,12 +70,14 @@ class Left:
         unit: Of its rate.
         measured: Standard deviation of the measured rate.
         left: Root mean square of what physics leaves of it.
+        foretold: Root mean square of what physics says of it.
     """
 
     name: str
     unit: str
     measured: float
     left: float
+    foretold: float
 
 
 def left_at(rough: Regression, theta: Array) -> list[Left]:
@@ -96,6 +98,7 @@ def left_at(rough: Regression, theta: Array) -> list[Left]:
             units[c],
             float(np.sqrt(np.square(measured[:, c]).mean())),
             float(np.sqrt(np.square(residual[:, c]).mean())),
+            float(np.sqrt(np.square(measured[:, c] - residual[:, c]).mean())),
         )
         for c in rough.rows
     ]

@@ -28,7 +28,9 @@ SHARE = 0.15
 """Least relative difference that is told, beside chance: batteries and what is missing make up to this."""
 WHOLE, TIMES = 0.6, 2.5
 """Share of what was measured that is left of a run that is not explained; and times as much as of each other run."""
-CHANCE = 1e-3
+BESIDE = 0.05
+"""Chance of the same difference in plain least squares, which feedback bends in each run in its own way."""
+CHANCE = 1e-4
 """Chance of so large a difference beyond `SHARE`, over all runs and parameters."""
 
 
@@ -70,55 +72,63 @@ class RunDifference:
         )
 
 
-def odd_run(regression: Regression, runs: Sequence[Run]) -> RunDifference | None:
+def odd_run(regression: Regression, rough: Regression, runs: Sequence[Run]) -> RunDifference | None:
     """The surest difference of one run from the others; None where there is none, or a single run.
 
     Args:
         regression: The declared physics at its optimum, with the laws of its noise.
-        runs: Its runs.
+        rough: The same by plain least squares (`rough_fit`).
+        runs: The runs of both.
     """
+    sure, beside = _differences(regression), _differences(rough)
+    found = [
+        (chance, r, j, own, others)
+        for (r, j), (chance, own, others) in sure.items()
+        if chance < CHANCE and _agrees(beside.get((r, j)), own > others)
+    ]
+    if not found:
+        return None
+    chance, r, j, own, others = min(found)
+    v = regression.vector
+    return RunDifference(runs[r].name, v.labels[j], v.units[j], own, others, chance)
+
+
+def _agrees(other: tuple[float, float, float] | None, larger: bool) -> bool:
+    """Whether plain least squares find the same difference, less surely."""
+    return other is not None and other[0] < BESIDE and (other[1] > other[2]) == larger
+
+
+def _differences(regression: Regression) -> dict[tuple[int, int], tuple[float, float, float]]:
+    """By run and parameter: chance of its difference beyond `SHARE`, its value in the run and in the others."""
     owner, blocks = regression.whitened_rows(regression.owners), regression.whitened_rows(regression.blocks)
     numbers = [int(r) for r in np.unique(owner)]
-    if len(numbers) < 2:
-        return None
-    basis, k = regression.shown.basis, len(regression.vector)
-    parts = {
-        r: one for r in numbers if (one := _alone(regression, owner == r, blocks[owner == r])) is not None
-    }
+    alone = {r: _alone(regression, owner == r, blocks[owner == r]) for r in numbers}
+    parts = {r: one for r, one in alone.items() if one is not None}
     if len(parts) < 2:
-        return None
-    out = []
-    tests = len(parts) * k
-    for r, (own, variance, _) in parts.items():
+        return {}
+    basis, tests = regression.shown.basis, len(parts) * len(regression.vector)
+    gains = np.flatnonzero(regression.shown.known & (regression.vector.low >= 0.0)).tolist()
+    out = {}
+    for r, one in parts.items():
         rest = [parts[s] for s in parts if s != r]
-        weight = sum((m for _, _, m in rest[1:]), rest[0][2])
         try:
-            back = np.linalg.inv(weight)
+            back = np.linalg.inv(np.sum([o.square for o in rest], axis=0))
         except np.linalg.LinAlgError:
             continue
-        mean = back @ sum((m @ b for b, _, m in rest[1:]), rest[0][2] @ rest[0][0])
-        scatter = sum((m @ v @ m for _, v, m in rest[1:]), rest[0][2] @ rest[0][1] @ rest[0][2])
+        mean = back @ np.sum([o.square @ o.moved for o in rest], axis=0)
+        scatter = np.sum([o.square @ o.covariance @ o.square for o in rest], axis=0)
+        own, variance = one.moved, one.covariance
         between = basis @ (variance + back @ scatter @ back) @ basis.T
-        theta = regression.theta + basis @ mean
+        others = regression.theta + basis @ mean
         moved = basis @ (own - mean)
-        found = []
-        for j in np.flatnonzero(regression.shown.known).tolist():
+        for j in gains:  # only what is nothing at zero has a relative size
             error = float(np.sqrt(max(between[j, j], 0.0)))
-            size = max(abs(theta[j]), 0.5 * abs(theta[j] + moved[j]))
-            beyond = abs(moved[j]) - SHARE * size
-            if not beyond > 0 or not error > 0:
-                continue
-            chance = 2.0 * float(stdtr(_DEGREES, -beyond / error)) * tests
-            if chance < CHANCE and _is_gain(regression, j):
-                found.append((chance, j))
-        if found:
-            chance, j = min(found)
-            v = regression.vector
-            value = float(theta[j])
-            out.append(
-                RunDifference(runs[r].name, v.labels[j], v.units[j], value + float(moved[j]), value, chance)
-            )
-    return min(out, key=lambda d: d.chance, default=None)
+            size = max(abs(others[j]), 0.5 * abs(others[j] + moved[j]))
+            beyond = float(abs(moved[j]) - SHARE * size)
+            if beyond > 0 and error > 0:
+                chance = 2.0 * float(stdtr(_DEGREES, -beyond / error)) * tests
+                out[r, j] = (chance, float(others[j] + moved[j]), float(others[j]))
+    return out
 
 
 _DEGREES = 15
@@ -193,15 +203,16 @@ def unexplained_runs(rough: Regression, runs: Sequence[Run]) -> list[Unexplained
     return out
 
 
-def _is_gain(regression: Regression, j: int) -> bool:
-    """Whether zero means nothing for this parameter: only such have a relative size."""
-    return bool(regression.vector.low[j] >= 0.0)
+@dataclass(frozen=True)
+class _Alone:
+    """One run: how far it moves the parameters, the covariance of that, and X' X."""
+
+    moved: Array
+    covariance: Array
+    square: Array
 
 
-def _alone(
-    regression: Regression, rows: NDArray[np.bool_], blocks: NDArray[np.int64]
-) -> tuple[Array, Array, Array] | None:
-    """Move of the parameters by one run, its covariance, and what it shows, in the directions that are shown."""
+def _alone(regression: Regression, rows: NDArray[np.bool_], blocks: NDArray[np.int64]) -> _Alone | None:
     slopes = regression.slopes[:, rows] @ regression.shown.basis
     white = regression.white[:, rows]
     r = slopes.shape[2]
@@ -215,4 +226,4 @@ def _alone(
         return None
     if not (np.isfinite(own).all() and np.isfinite(sure.covariance).all()):
         return None
-    return own, sure.covariance, square
+    return _Alone(own, sure.covariance, square)

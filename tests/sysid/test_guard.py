@@ -11,7 +11,7 @@ import pytest
 
 import nsde_torch
 from nsde_torch.data import DataSet, RawRun
-from nsde_torch.sysid.guard import Guard
+from nsde_torch.sysid.guard import Guarded
 from nsde_torch.sysid.in_loop import identify_in_loop
 from nsde_torch.sysid.rough import left_at, rough_fit
 from nsde_torch.sysid.timing import Shifted
@@ -27,7 +27,7 @@ def made(system: str, seconds: Sequence[float] = (10.0,) * 3, seed: int = 3) -> 
 LOGS = {name: made(name) for name in ("mass_spring_damper", "cartpole", "quadrotor")}
 
 
-def guard_of(system: str, change: Change = lambda k, run: None, runs: list[RawRun] | None = None) -> Guard:
+def guard_of(system: str, change: Change = lambda k, run: None, runs: list[RawRun] | None = None) -> Guarded:
     copies = [RawRun(r.name, r.t.copy(), r.x.copy(), r.u.copy(), dict(r.extra)) for r in runs or LOGS[system]]
     for k, run in enumerate(copies):
         change(k, run)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import nsde_torch
-from nsde_torch.sysid.guard import Guard, Objection
+from nsde_torch.sysid.guard import Guarded, Objection
 from nsde_torch.sysid.identify import identify
 from nsde_torch.sysid.result import Identification
 from nsde_torch.systems import make_system
@@ -34,7 +34,7 @@ def test_no_interval_is_given_for_a_fit_that_had_not_settled(found: Identificati
 def test_no_interval_is_given_for_a_fit_that_the_guard_speaks_against(found: Identification) -> None:
     assert not found.warnings
     told = replace(
-        found, guard=Guard((Objection("worse", "it leaves more than was measured", "look at it"),))
+        found, guard=Guarded((Objection("worse", "it leaves more than was measured", "look at it"),))
     )
     assert np.isnan(told.half_widths(0.9)).all()
     assert told.warnings[0] == "it leaves more than was measured; look at it"

@@ -26,7 +26,6 @@ from loop_machine import STEP, Array, Bodies, G, Machine, cross, product, rotati
 
 LOG = 0.01
 """Step of the log [s]."""
-TICKS = round(LOG / STEP)
 REGIMES = ("a", "b", "c", "d")
 PATHS = ("waypoints", "circle", "sines", "sticks")
 SENSORS = np.array([0.002] * 3 + [0.015] * 3 + [np.radians(0.15)] * 3 + [0.015] * 3)
@@ -50,6 +49,7 @@ class Flight:
         sensor_noise: Factor on the noise of the log's sensors.
         vigour: Factor on accelerations that are asked for.
         known: Factors by which the controller's idea of thrust and of the three gains is off.
+        log: Step of the log and of a controller that reads it [s], whole milliseconds.
     """
 
     machine: Machine
@@ -61,6 +61,7 @@ class Flight:
     sensor_noise: float = 1.0
     vigour: float = 1.0
     known: tuple[float, ...] = (1.0, 1.0, 1.0, 1.0)
+    log: float = LOG
 
 
 @dataclass(frozen=True)
@@ -89,17 +90,18 @@ class Wanted:
 def wanted(flight: Flight) -> Wanted:
     """The path or the sticks of a flight, of its own random numbers."""
     rng = np.random.default_rng([flight.seed, 1])
-    t = LOG * np.arange(round(flight.seconds / LOG) + 1)
+    dt = flight.log
+    t = dt * np.arange(round(flight.seconds / dt) + 1)
     size = flight.vigour
     height = 1.3
     yaw = _sines(t, rng, 3, (0.03, 0.25), 0.35 * size)
-    yaw_rate = np.gradient(yaw, LOG)
+    yaw_rate = np.gradient(yaw, dt)
     hold = 1.0
     if flight.path == "waypoints":
-        p = _waypoints(t, rng, size) + np.array([0, 0, height])
+        p = _waypoints(t, rng, size, dt) + np.array([0, 0, height])
     elif flight.path == "circle":
         speed, radius = rng.uniform(1.2, 2.4) * np.sqrt(size), rng.uniform(1.0, 2.0)
-        phase = np.cumsum(speed / radius * (0.6 + 0.4 * np.sin(2 * np.pi * rng.uniform(0.1, 0.25) * t))) * LOG
+        phase = np.cumsum(speed / radius * (0.6 + 0.4 * np.sin(2 * np.pi * rng.uniform(0.1, 0.25) * t))) * dt
         heave = _sines(t, rng, 3, (0.1, 0.4), 0.3)
         p = np.stack(
             [radius * np.cos(phase) * rng.choice((-1, 1)), radius * np.sin(phase), height + heave], 1
@@ -115,8 +117,8 @@ def wanted(flight: Flight) -> Wanted:
     else:
         raise ValueError(f"`path` must be one of {', '.join(PATHS)}; got {flight.path!r}.")
     p[:, 2] = np.maximum(p[:, 2], 0.3)
-    v = np.gradient(p, LOG, axis=0)
-    return Wanted(p, v, np.gradient(v, LOG, axis=0), yaw, yaw_rate, hold)
+    v = np.gradient(p, dt, axis=0)
+    return Wanted(p, v, np.gradient(v, dt, axis=0), yaw, yaw_rate, hold)
 
 
 def _sines(
@@ -137,15 +139,15 @@ def _sines(
     return np.asarray(out * rms / np.sqrt(0.5 * (size**2).sum()))
 
 
-def _waypoints(t: Array, rng: np.random.Generator, size: float) -> Array:
+def _waypoints(t: Array, rng: np.random.Generator, size: float, dt: float) -> Array:
     """Steps to random places every one to three seconds, through four low-pass filters in a row."""
     out = np.zeros((len(t), 3))
     at = 0
     while at < len(t):
-        n = int(rng.uniform(1.0, 3.0) / LOG)
+        n = int(rng.uniform(1.0, 3.0) / dt)
         out[at : at + n] = rng.uniform(-1, 1, 3) * [1.3 * size, 1.3 * size, 0.7]
         at += n
-    keep = np.exp(-LOG / 0.16)
+    keep = np.exp(-dt / 0.16)
     for _ in range(4):
         for k in range(1, len(out)):
             out[k] = keep * out[k - 1] + (1 - keep) * out[k]
@@ -234,6 +236,10 @@ def fly(flights: list[Flight]) -> list[Logged]:
     regime = flights[0].regime
     if any(f.regime != regime for f in flights):
         raise ValueError("`flights` must be of one regime; fly those of each by themselves.")
+    dt = flights[0].log
+    if any(f.log != dt for f in flights):
+        raise ValueError("`flights` must be logged at one rate; fly those of each by themselves.")
+    ticks = round(dt / STEP)
     paths = [wanted(f) for f in flights]
     n = [len(path.yaw) for path in paths]
     asked = [_stacked(paths, part, max(n)) for part in ("p", "v", "a", "yaw", "yaw_rate")]
@@ -250,9 +256,9 @@ def fly(flights: list[Flight]) -> list[Logged]:
     rows: list[tuple[Array, ...]] = []
     for k in range(max(n)):
         u = np.empty(0)
-        for tick in range(TICKS):
+        for tick in range(ticks):
             # what a controller at 1 kHz is asked for moves between rows too
-            ahead = tick / TICKS if regime == "c" and k + 1 < max(n) else 0.0
+            ahead = tick / ticks if regime == "c" and k + 1 < max(n) else 0.0
             now = tuple(part[k] + ahead * (part[min(k + 1, max(n) - 1)] - part[k]) for part in asked)
             logged = measured(body, std * log_noise()) if tick == 0 else None
             fast = regime in "cd"
@@ -260,15 +266,15 @@ def fly(flights: list[Flight]) -> list[Logged]:
             if tick == 0 or regime == "c":
                 seen = logged if regime in "ad" else other
                 assert seen is not None
-                controller.outer(seen, now, STEP if regime == "c" else LOG)
+                controller.outer(seen, now, STEP if regime == "c" else dt)
             if tick == 0 or fast:
                 seen = other if other is not None else logged
                 assert seen is not None
-                u = controller.inner(seen[:, 10:], STEP if fast else LOG)
+                u = controller.inner(seen[:, 10:], STEP if fast else dt)
             if tick == 0:
                 load = (u * body.there).sum(1) / body.there.sum(1)
                 body.voltage = 16.7 - 2.4 * used - 0.9 * load
-                used = used + load * LOG / (0.4 * 320.0)
+                used = used + load * dt / (0.4 * 320.0)
                 true = np.concatenate([body.p, body.v, body.q, body.w], 1)
                 assert logged is not None
                 rows.append((logged, u.copy(), controller.rate.copy(), body.voltage.copy(), true))
@@ -284,7 +290,7 @@ def fly(flights: list[Flight]) -> list[Logged]:
         }
         extra["battery_voltage"] = voltage[:m, b]
         motors = int(body.there[b].sum())
-        out.append(Logged(flight.t0 + LOG * np.arange(m), x[:m, b], u[:m, b, :motors], extra, true[:m, b]))
+        out.append(Logged(flight.t0 + dt * np.arange(m), x[:m, b], u[:m, b, :motors], extra, true[:m, b]))
     return out
 
 

@@ -23,7 +23,6 @@ if TYPE_CHECKING:
 
 _DEPENDENCES = 12  # tests of structure that are listed
 _SHORT = "shorter than a step of the log: taken into account, and not named"
-_REREAD = "this is the likely cause: write the columns like that, and diagnose again"
 
 TWINS = {"constant_force": ("sensor_bias",)}
 """Faults of the recording chain that no data of the log can tell from an effect."""
@@ -39,6 +38,7 @@ def content(found: Diagnosis) -> dict[str, Any]:
         "added": found.added,
         "summary": summary(found.verdict, found.added, o, left.shapes),
         "warnings": _warnings(found),
+        "guard": found.explanation.guard.as_dict(),
         "findings": _findings(found),
         "aside": [
             *(
@@ -117,12 +117,7 @@ def _warnings(found: Diagnosis) -> list[dict[str, Any]]:
         {"parameter": w.parameter, "kind": w.kind, "sentence": w.sentence, "remedy": w.remedy}
         for w in found.explanation.warned
     ]
-    if found.explanation.reading is None:
-        return odd
-    return [
-        {"parameter": None, "kind": "reading", "sentence": found.explanation.reading, "remedy": _REREAD},
-        *odd,
-    ]
+    return [*({"parameter": None, **one.as_dict()} for one in found.explanation.guard.objections), *odd]
 
 
 def _findings(found: Diagnosis) -> list[dict[str, Any]]:

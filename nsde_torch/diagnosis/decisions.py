@@ -163,12 +163,6 @@ class Decisions:
         3.0, "distance of an identifiable parameter from its first value to warn of it", unit="powers of ten"
     )
     lost_powers: float = key(1.5, "the same of one that the data do not show", unit="powers of ten")
-    turned_share: float = key(
-        0.7, "share of the residual that another reading of the columns may leave to be told", high=1
-    )
-    both_signs_share: float = key(
-        0.05, "share of samples of either sign from which an input may be logged with the wrong one", high=0.5
-    )
 
     wording: Wording = field(default_factory=Wording)
 

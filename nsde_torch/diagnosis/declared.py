@@ -6,24 +6,19 @@ e the whitened residuals at the optimum, the step without bounds
     d = argmin |e - X d|
 
 leads out of the bound by several standard errors: a gain of an input that wants to be negative, as of a force that was
-logged the wrong way round. Then each column that has a direction is turned, and the declared physics fitted again: what
-leaves much less names the cause.
+logged the wrong way round. Which column it is says the guard (`nsde_torch.sysid.guard`).
 """
 
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
-from math import exp, log, log10
+from dataclasses import dataclass
+from math import log10
 
 import numpy as np
 
-from nsde_torch.data import Run
-from nsde_torch.diagnosis.channels import channel_residuals
-from nsde_torch.diagnosis.decisions import DECISIONS, Decisions
+from nsde_torch.diagnosis.decisions import Decisions
 from nsde_torch.diagnosis.estimates import Estimate
 from nsde_torch.diagnosis.outcome import Outcome
 from nsde_torch.effects import effect_class
 from nsde_torch.evaluation.report import number
-from nsde_torch.sysid.regression import Regression
 from nsde_torch.systems import System
 
 _AT = 1e-5  # typical sizes from the bound; values are kept a millionth off it
@@ -44,19 +39,6 @@ class Warned:
     kind: str
     sentence: str
     remedy: str
-
-
-@dataclass(frozen=True)
-class Reading:
-    """Another way to read the columns.
-
-    Args:
-        words: What is different.
-        runs: The runs, read like that.
-    """
-
-    words: str
-    runs: list[Run]
 
 
 def declared(outcome: Outcome) -> dict[str, Estimate]:
@@ -126,72 +108,6 @@ def _apart(
     sentence = f"{name} is {number(value)}{unit}, {times} its first value {number(first)}{unit}{ran}"
     kind = "far_off" if known else "not_shown"
     return [Warned(name, kind, sentence, f"right if the machine is like that; otherwise {remedy}")]
-
-
-def readings(system: System, runs: Sequence[Run], decisions: Decisions = DECISIONS) -> Iterator[Reading]:
-    """The runs with one column that has a direction turned: inputs of both signs, angles, where angles start.
-
-    Args:
-        system: The machine.
-        runs: The runs.
-        decisions: From which share on an input has both signs.
-    """
-    for k, name in enumerate(system.input_names):
-        u = np.concatenate([run.u[:, k] for run in runs])
-        if min((u > 0).mean(), (u < 0).mean()) > decisions.both_signs_share:
-            yield Reading(f"the opposite sign of {name!r}", [_turned(run, "u", [k]) for run in runs])
-    if system.quaternion is not None:
-        return
-    units = dict(zip(system.state_names, system.state_units, strict=True))
-    for position, rate, _ in system.position_derivatives:
-        i, j = (system.state_names.index(n) for n in (position, rate))
-        if len(system.position_derivatives) > 1:  # of one alone, it is the sign of the inputs
-            yield Reading(
-                f"the opposite sign of {position!r} and {rate!r}", [_turned(run, "x", [i, j]) for run in runs]
-            )
-        if units[position] == "rad":
-            yield Reading(
-                f"{position!r} counted from the other side (pi more)", [_shifted(run, i) for run in runs]
-            )
-
-
-def better_reading(
-    system: System,
-    runs: Sequence[Run],
-    fit: Callable[[Sequence[Run]], Regression],
-    decisions: Decisions = DECISIONS,
-) -> str | None:
-    """In words, the other way to read the columns in which the declared physics leaves least, if much less.
-
-    Args:
-        system: The declared physics.
-        runs: The runs.
-        fit: Fits the declared physics to runs.
-        decisions: How much less.
-    """
-    others = list(readings(system, runs, decisions))
-    if not others:
-        return None
-    now = fit(runs)
-    left = [channel_residuals(now, fit(other.runs)) for other in others]
-    shares = [exp(float(np.mean([log(c.after / c.before) for c in channels]))) for channels in left]
-    best = int(np.argmin(shares))
-    if shares[best] > decisions.turned_share:
-        return None
-    told = ", ".join(f"{c.name} {number(c.before)} to {number(c.after)} {c.unit}" for c in left[best])
-    return f"With {others[best].words} the declared physics leaves much less of the rates ({told})"
-
-
-def _turned(run: Run, which: str, columns: list[int]) -> Run:
-    values = np.array(getattr(run, which))
-    values[:, columns] *= -1.0
-    return replace(run, u=values) if which == "u" else replace(run, x=values)
-
-
-def _shifted(run: Run, column: int) -> Run:
-    x = np.array(run.x)
-    x[:, column] += np.pi
-    return replace(run, x=x)
 
 
 def _firsts(system: System) -> dict[str, float]:

@@ -1,11 +1,9 @@
 """What is left, explained as far as it can be: in words, in one run, by a formula, by a fault of the columns."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
-from nsde_torch.data import Run
 from nsde_torch.diagnosis.channels import ChannelResidual, channel_residuals
-from nsde_torch.diagnosis.declared import Warned, better_reading, warnings
+from nsde_torch.diagnosis.declared import Warned, warnings
 from nsde_torch.diagnosis.formula import Formula, formula
 from nsde_torch.diagnosis.in_run import InRun, in_run, odd_run
 from nsde_torch.diagnosis.outcome import Outcome
@@ -13,7 +11,7 @@ from nsde_torch.diagnosis.reading import Log
 from nsde_torch.diagnosis.search import Search
 from nsde_torch.diagnosis.shape import Shape, shape
 from nsde_torch.diagnosis.views import rates
-from nsde_torch.sysid.regression import Regression
+from nsde_torch.sysid.guard import Guarded, guarded
 
 
 @dataclass(frozen=True)
@@ -26,7 +24,7 @@ class Explanation:
         in_run: The effect that would explain it in the one run that it is in: provisional, unverified.
         formula: A sparse formula for it: provisional, unverified.
         warned: Declared parameters that tell of a fault of the columns.
-        reading: How else the columns fit much better; None where no other way does.
+        guard: How the final physics stands beside simple fits, and what speaks against it.
     """
 
     channels: list[ChannelResidual]
@@ -34,7 +32,7 @@ class Explanation:
     in_run: InRun | None = None
     formula: Formula | None = None
     warned: tuple[Warned, ...] = ()
-    reading: str | None = None
+    guard: Guarded = field(default_factory=Guarded)
 
 
 def explained(log: Log, search: Search, outcome: Outcome, runs: tuple[str, ...]) -> Explanation:
@@ -52,14 +50,16 @@ def explained(log: Log, search: Search, outcome: Outcome, runs: tuple[str, ...])
     odd = odd_run(left, shapes)
     warned = warnings(outcome, log.system)
 
-    def fit(some: Sequence[Run]) -> Regression:
-        return log.plain_search(some).quick(log.system)
-
     return Explanation(
         channel_residuals(outcome.declared.regression, regression),
         shapes=shapes,
         in_run=None if odd is None else in_run(log.again(search, [log.runs[odd]]), outcome.system, odd),
         formula=formula(regression, left, outcome.variables, runs),
         warned=tuple(warned),
-        reading=better_reading(log.system, log.runs, fit, log.decisions) if warned else None,
+        guard=guarded(
+            regression,
+            log.runs,
+            clock=log.recorded.clock,
+            covariance=regression.shown.basis @ outcome.spread.covariance @ regression.shown.basis.T,
+        ),
     )

@@ -1,9 +1,10 @@
 """From raw recordings to a data set: every fault is found and handled, reported or refused, in a fixed order.
 
-time order and duplicates -> quaternion norm and sign -> missing values -> single samples that are off -> sensors that
-repeat themselves -> time on the ground -> gaps in time -> one uniform step -> hidden gaps (jumps against the
-kinematics) -> columns that stand still -> other conventions of quaternion and velocity -> clock against the kinematics
--> sensors that are late against others -> range and rank of the inputs -> summary
+time order and duplicates -> interpolated columns -> quaternion norm and sign -> missing values -> single samples
+that are off -> sensors that repeat themselves -> time on the ground -> gaps in time -> one uniform step -> hidden gaps
+(jumps against the kinematics) -> columns that stand still -> other conventions of quaternion and velocity, columns of
+another run -> clock against the kinematics -> sensors that are late against others -> range and rank of the inputs ->
+summary
 """
 
 from __future__ import annotations
@@ -20,7 +21,17 @@ from nsde_torch.data.run import DataSet, Run, fingerprint
 from nsde_torch.data.summary import summarise
 from nsde_torch.data.system_info import RATE_NAMES, SystemInfo, derivative_columns, rate_columns
 from nsde_torch.errors import ConfigError, DataError, ShapeError
-from nsde_torch.recording import attitude, conventions, glitches, ground, held, missing, stuck, times
+from nsde_torch.recording import (
+    attitude,
+    conventions,
+    glitches,
+    ground,
+    held,
+    missing,
+    straight,
+    stuck,
+    times,
+)
 from nsde_torch.recording import clock as _clock
 from nsde_torch.recording.faults.fault import Fault
 from nsde_torch.recording.faults.registry import in_order, remedies
@@ -29,6 +40,7 @@ from nsde_torch.recording.lateness import by_kind, lateness, surely_late
 Array = NDArray[np.float64]
 
 _LATE = 1e-4  # chance of calling a sensor late that is on time
+_WRAPS, _ODD_WRAPS = 5, 0.3  # fewest wraps, and share of them that the rate contradicts
 SHORT_S = 2.0 * kinematics.MIN_INTERVALS * kinematics.INTERVAL_S
 """Runs shorter than this are measured together against the clock [s]; each alone has too few intervals."""
 MAX_RATE = 60.0
@@ -94,7 +106,19 @@ def _unwrap_angles(run: RawRun, system: SystemInfo, report: Report) -> None:
                 "hold degrees: multiply both by pi / 180. Otherwise record at a higher rate."
             )
         good = np.isfinite(run.x[:, k])
-        wraps = int((np.abs(np.diff(run.x[good, k])) > np.pi).sum())
+        change = np.diff(run.x[good, k])
+        wrapped = np.abs(change) > np.pi
+        wraps = int(wrapped.sum())
+        if wraps >= _WRAPS:  # a wrap leaves what the rate says
+            speed = run.x[good, list(system.state_names).index(positions[name])]
+            turned = np.remainder(change + np.pi, 2 * np.pi) - np.pi
+            off = np.abs(turned - step * 0.5 * (speed[1:] + speed[:-1]))[wrapped]
+            if np.nanmean(off > np.pi / 4) > _ODD_WRAPS:
+                raise DataError(
+                    f"run {run.name!r}: {name!r} changes by more than half a turn from row to row {wraps} times, and "
+                    f"{positions[name]!r} does not say so. Expected rad, perhaps the column holds degrees: multiply it "
+                    "by pi / 180."
+                )
         if wraps:
             run.x = run.x.copy()
             run.x[good, k] = np.unwrap(run.x[good, k])
@@ -226,6 +250,7 @@ def assemble(
     limit = times.GAP_STEPS * max(step, own_step) if gap is None else float(gap)
     if limit <= step:
         raise ConfigError(f"`gap` must be longer than the step of {step:.4g} s; got {limit:.4g} s.")
+    straight.check(system, raw, own_step, report)
     commands = ground.commands_in_motion(raw, system)
     runs: list[Run] = []
     slopes: list[kinematics.Slope] = []
@@ -260,6 +285,7 @@ def assemble(
     interventions.report_of(runs, report)
     stuck.check(system, runs, report)
     conventions.check(system, runs)
+    conventions.check_runs(system, runs)
     _clock.check_units(slopes, tuple(system.state_names))
     scale = _clock.decide(slopes, policy=clock, report=report)
     for fault, values in _asked(faults):

@@ -20,8 +20,13 @@ from nsde_torch.data.quaternion import conjugate, increments, rotate
 from nsde_torch.data.run import Run
 from nsde_torch.data.system_info import SystemInfo, derivative_columns, rate_columns
 from nsde_torch.errors import DataError
+from nsde_torch.recording.scatter import white
 
 Array = NDArray[np.float64]
+_OWN_S = 1.0
+_OWN, _NOISE, _OTHERS = 0.5, 6.0, 0.1
+"""Of a position's changes over a second in one run: share that its rate leaves of a column that is of another run,
+times the noise of both, and share that the rates of the other runs leave at most."""
 _Way = Callable[[Array], tuple[Array, Array]]  # changes over steps and means of their rates, from states
 
 INTERVAL_S = 0.25
@@ -65,6 +70,55 @@ def check(system: SystemInfo, runs: Sequence[Run]) -> None:
             names = [system.state_names[k] for k in j]
             ways = {remedy: _moved(q, i, j, read) for remedy, read in _velocities(names).items()}
             _refuse(parts, ways, runs[0].dt, _LEFT_VELOCITY, "position and velocity disagree")
+
+
+def check_runs(system: SystemInfo, runs: Sequence[Run]) -> None:
+    """Refuses a run whose position and rate do not belong together, where those of the other runs do.
+
+    Args:
+        system: Names, and which columns are derivatives of which.
+        runs: Runs of one step.
+
+    Raises:
+        DataError: a column that is of another run or another time.
+    """
+    pairs = [(i, j) for a, b in derivative_columns(system).values() for i, j in zip(a, b, strict=True)]
+    for i, j in pairs:
+        left = [_own_share(run, i, j) for run in runs]
+        for k, run in enumerate(runs):
+            share, beyond = left[k]
+            others = [s for n, (s, _) in enumerate(left) if n != k]
+            if others and share > _OWN and beyond > _NOISE and float(np.median(others)) < _OTHERS:
+                a, b = system.state_names[i], system.state_names[j]
+                raise DataError(
+                    f"run {run.name!r}: {a!r} and {b!r} do not belong together: {b!r} leaves {share:.0%} of what {a!r} "
+                    f"changes by over {_OWN_S:g} s, and {np.median(others):.1%} in the other runs. One of the columns "
+                    "is of another run or another time: write the right one, or leave the run out."
+                )
+
+
+def _own_share(run: Run, i: int, j: int) -> tuple[float, float]:
+    """Share of a position's changes that the integral of its rate leaves, and its size over that of the noise."""
+    n = max(4, round(_OWN_S / run.dt))
+    gaps, moves = [], []
+    noise = 0.0
+    for a, b in run.segments:
+        p, v = run.x[a:b, i], run.x[a:b, j]
+        if len(p) <= 2 * n:
+            continue
+        whole = np.concatenate([[0.0], np.cumsum(0.5 * run.dt * (v[1:] + v[:-1]))])
+        change = np.diff(p[::n])
+        gaps.append(change - np.diff(whole[::n]))
+        moves.append(change)
+        noise = max(noise, (2.0 * white(p) ** 2 + n * (run.dt * white(v)) ** 2) ** 0.5)
+    if not gaps:
+        return 0.0, 0.0
+    gap, move = np.concatenate(gaps), np.concatenate(moves)
+    if len(gap) < 5:
+        return 0.0, 0.0
+    gap = gap - gap.mean()  # a biased rate is another fault
+    size = float(np.sqrt(np.square(gap).mean()))
+    return size / max(float(np.sqrt(np.square(move).mean())), 1e-300), size / max(noise, 1e-300)
 
 
 def _velocities(names: Sequence[str]) -> dict[str, Callable[[Array, Array], Array]]:

@@ -34,6 +34,7 @@ from numpy.typing import NDArray
 
 from nsde_torch.data import Run
 from nsde_torch.errors import ConfigError, DataError, NonFiniteError
+from nsde_torch.sysid.guard import guarded
 from nsde_torch.sysid.identify import identification, regression_of
 from nsde_torch.sysid.instrumented import MISSING, Instrumented
 from nsde_torch.sysid.instruments import between, instrumental, with_columns
@@ -70,7 +71,7 @@ def identify_in_loop(
         instruments: Names of logged columns (`Run.extra`) that nothing inside the loop moves: sticks, setpoints.
 
     Returns:
-        Estimates with `loop`, `instrumented` and `doubt` filled in.
+        Estimates with `loop`, `instrumented`, `doubt` and `guard` filled in.
 
     Raises:
         DataError: a run lacks an instrument, or one never changes; and as `identify`.
@@ -88,7 +89,7 @@ def identify_in_loop(
     found = identification(regression, method)
     if method != "weak":
         why = "finite differences of smoothed states have no innovations"
-        return replace(found, loop=LoopTest(why_not=why))
+        return replace(found, loop=LoopTest(why_not=why), guard=guarded(regression, runs, clock=clock))
     loop = tested(regression, runs)
     instrumented, apart = None, np.zeros(len(regression.vector))
     if instruments:
@@ -112,7 +113,8 @@ def identify_in_loop(
     else:
         doubt = hidden_bias(regression, loop)
     hangs = hangs_on_band(regression, runs, clock=clock, width=width, iterations=iterations)
-    return replace(found, loop=loop, instrumented=instrumented, doubt=np.maximum(doubt, hangs))
+    guard = guarded(regression, runs, clock=clock, theta=found.values, covariance=found.covariance)
+    return replace(found, loop=loop, instrumented=instrumented, doubt=np.maximum(doubt, hangs), guard=guard)
 
 
 def _by_instruments(

@@ -69,6 +69,7 @@ class Regression:
         warm: Start with the noise models at the first theta, where that is near its optimum.
         memory_s: Time after which noise forgets [s] (see `noise`).
         feedback: Take out of `white` and `slopes` what kinematic residuals foretell (see `feedback`).
+        levels: Take the mean of each run out of `white` and `slopes`: a steady push is nobody's.
 
     Attributes:
         theta: Where the iteration stands.
@@ -91,6 +92,7 @@ class Regression:
         plain: bool = False,
         feedback: bool = False,
         warm: bool = False,
+        levels: bool = False,
         memory_s: float = inf,
     ) -> None:
         self._feedback = feedback
@@ -105,6 +107,10 @@ class Regression:
             np.clip(round(_ORDERS_S / self.dt), 2, min(_ORDERS, max(len(self.series) // 50, 2)))
         )
         self.memory = memory_s / self.dt
+        if levels:
+            owner = self.whitened_rows(self.owners)
+            each = (owner[:, None] == np.unique(owner)[None, :]).astype(np.float64)
+            self._past = each / np.sqrt(each.sum(0))
         self.theta = self.vector.inside(self.vector.start if start is None else start)
         self.residual = self._residual(self.theta)
         self._relinearise()

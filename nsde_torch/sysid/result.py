@@ -12,13 +12,11 @@ from nsde_torch.sysid.shown import Shown, sentences
 from nsde_torch.systems.parameters import ParameterVector
 
 if TYPE_CHECKING:
+    from nsde_torch.sysid.guard import Guarded
     from nsde_torch.sysid.instrumented import Instrumented
     from nsde_torch.sysid.loop_test import LoopTest
 
 Array = NDArray[np.float64]
-
-
-_MORE = 1.05  # times what was measured: physics that leaves more is worse than none
 
 
 @dataclass(frozen=True)
@@ -81,6 +79,7 @@ class Identification:
         instrumented: What instruments say; None without any.
         doubt: What half-widths are widened by, because feedback may have bent the estimate (k,), nan for
             anything; None for nothing.
+        guard: How the fit stands beside simple ones; None where it was not asked for.
     """
 
     vector: ParameterVector
@@ -101,11 +100,17 @@ class Identification:
     loop: "LoopTest | None" = None
     instrumented: "Instrumented | None" = None
     doubt: Array | None = None
+    guard: "Guarded | None" = None
+
+    @property
+    def believed(self) -> bool:
+        """Whether it has settled and nothing speaks against it."""
+        return self.converged and not (self.guard is not None and self.guard.objections)
 
     @property
     def standard_errors(self) -> Array:
-        """Standard error of each parameter (k,); nan where the data do not show it, or nothing had settled."""
-        known = self.shown.known & self.converged
+        """Standard error of each parameter (k,); nan where the data do not show it, or it is not to be believed."""
+        known = self.shown.known & self.believed
         return np.where(known, np.sqrt(np.diag(self.covariance).clip(0.0)), np.nan)
 
     def half_widths(self, level: float) -> Array:
@@ -145,13 +150,11 @@ class Identification:
 
     @property
     def warnings(self) -> list[str]:
-        """Channels of which the fitted physics leaves more than was measured, in words."""
-        return [
-            f"the declared physics leaves {c.residual:.3g} {c.unit} of {c.name} where {c.measured:.3g} {c.unit} was "
-            "measured: a wrong model, order of inputs, sign or unit, or a controller that cancels a steady push"
-            for c in self.channels
-            if c.residual > _MORE * c.measured
-        ]
+        """What speaks against the fit, in words."""
+        if self.guard is None or not self.guard.objections:
+            return []
+        told = [str(objection) for objection in self.guard.objections]
+        return [*told, "the fit is not to be believed: no interval is given"]
 
     def parameters(self) -> dict[str, dict[str, object]]:
         """Declared parameters as `metrics.json` holds them."""
@@ -195,6 +198,7 @@ class Identification:
             "channels": {c.name: c.as_dict() for c in self.channels},
             "test_function_s": self.width_s,
             "unexplained": self.unexplained,
+            **({} if self.guard is None else {"guard": self.guard.as_dict()}),
             **({} if self.loop is None else {"feedback": self.loop.as_dict()}),
             **({} if self.instrumented is None else {"instruments": self.instrumented.as_dict()}),
             **(

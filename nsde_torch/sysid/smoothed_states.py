@@ -15,7 +15,6 @@ Sensors behind one smoother are fitted together.
 
 from __future__ import annotations
 
-import copy
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -30,16 +29,13 @@ from nsde_torch.data import Finding, Run
 from nsde_torch.data.kinematics import ATTITUDE, axis_groups
 from nsde_torch.data.quaternion import conjugate, multiply, rotation_vector
 from nsde_torch.data.system_info import derivative_columns, rate_columns
-from nsde_torch.errors import ConfigError, DataError, NonFiniteError
 from nsde_torch.recording import smoothers
 from nsde_torch.recording.smoothers import Likely, Smoother, Spectra, SpectrumFit
 from nsde_torch.rotation import turned
 from nsde_torch.sysid import signals
-from nsde_torch.sysid.physics import Physics
 from nsde_torch.sysid.regression import Regression
-from nsde_torch.sysid.steps import steps_of
+from nsde_torch.sysid.rough import rough_fit
 from nsde_torch.systems import System
-from nsde_torch.systems.parameters import ParameterVector
 
 Array = NDArray[np.float64]
 
@@ -57,9 +53,7 @@ NATS = 20.0
 DEPTH, BEGINS = 1e-3, 0.9
 """|S| down to which is restored; and at which noise is added instead."""
 _ROUNDED = 0.1  # share of rounding in what is left, up to which it is restored
-_MEANS_S = 0.15
 _REFERENCE_S = 0.5  # standard deviation of the smooth attitude that rotations are measured from
-_ITERATIONS = 10
 
 
 @dataclass(frozen=True)
@@ -160,7 +154,7 @@ def smoothed_states(runs: Sequence[Run], system: System, clock: float = 1.0) -> 
             continue
         apart = [_apart(system, runs, sensor, smoother, dt) for sensor in sensors]
         if not max(apart) > APART:
-            regression = regression or _rough_fit(system, runs, clock)
+            regression = regression or rough_fit(system, runs, clock, levels=False)
             if regression is None or _nats(regression, sensors, smoother) < NATS:
                 continue
         sound = tuple(one.deviance < SOUND for one in fits)
@@ -245,19 +239,6 @@ def _apart(system: System, runs: Sequence[Run], sensor: SensorGroup, smoother: S
         return 0.0
     share = spectra[0].power / np.maximum(spectra[1].power + spectra[2].power, 1e-300)
     return float(np.median(share[:, band]))
-
-
-def _rough_fit(system: System, runs: Sequence[Run], clock: float) -> Regression | None:
-    """The declared physics fitted to means over `_MEANS_S`, which no smoother hides."""
-    box = max(1, round(_MEANS_S / (runs[0].dt * clock)))
-    vector = ParameterVector(copy.deepcopy(system))
-    try:
-        steps = steps_of(vector.system, runs, clock=clock, smooth=False, shortest=box)
-        regression = Regression(Physics(vector, steps, foresee=False), box=box, plain=True)
-        regression.run(_ITERATIONS)
-    except (ConfigError, DataError, NonFiniteError):
-        return None
-    return regression
 
 
 def _nats(regression: Regression, sensors: Sequence[SensorGroup], smoother: Smoother) -> float:

@@ -152,6 +152,14 @@ class ParameterVector:
             self.low[place.columns] = np.maximum(self.low[place.columns], size * grid.min() / _BEYOND)
             self.high[place.columns] = np.minimum(self.high[place.columns], size * grid.max() * _BEYOND)
 
+    def at_first(self) -> System:
+        """A system of its own with the first values."""
+        out = copy.deepcopy(self.system)
+        for module in (out, *(e for e in out.effects if isinstance(e, Effect))):
+            module.__dict__.pop("value", None)
+        self.write(out, self.start)
+        return out
+
     def write(self, system: System, theta: Array) -> None:
         """Set the values of a system of the same physics, moved inside the bounds."""
         values = torch.as_tensor(self.inside(theta))

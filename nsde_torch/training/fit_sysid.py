@@ -11,6 +11,7 @@ from nsde_torch.training.progress import Progress
 from nsde_torch.training.task import Fitted, Task
 
 _LEVEL = 0.95
+_UNKNOWN = {True: "not shown by the data", False: "had not settled"}
 
 
 def fit_sysid(task: Task) -> Fitted:
@@ -73,12 +74,13 @@ def summary(found: Identification) -> str:
     ]
     lines += [f"not shown by the data: {finding}" for finding in found.findings]
     lines += [f"warning: {finding}" for finding in found.warnings]
+    lines += [f"note: {note}" for note in (found.guard.notes if found.guard else ())]
     lines += [f"feedback: {finding}" for finding in found.of_the_loop]
     rows = []
     for i, half in enumerate(found.half_widths(_LEVEL)):
         value, error = found.values[i], found.standard_errors[i]
         cells = (
-            ["", "not shown by the data" if found.converged else "had not settled"]
+            ["", "not believed" if found.converged and not found.believed else _UNKNOWN[found.converged]]
             if half != half
             else [number(error), f"{number(value - half)} to {number(value + half)}"]
         )

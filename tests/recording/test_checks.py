@@ -283,3 +283,30 @@ def test_slerp_stays_on_the_sphere_and_halves_the_way(values: list[float], share
     assert np.linalg.norm(q) == pytest.approx(1.0)
     assert abs(np.sum(slerp(a, b, np.array([1.0])) * b)) == pytest.approx(1.0)
     assert np.isfinite(rotation_vector(q)).all()
+
+
+def test_an_angle_in_degrees_is_not_taken_for_a_wrapped_one() -> None:
+    t = np.arange(0.0, 30.0, 0.02)
+    theta, speed = 4.0 * np.sin(2.0 * t), 8.0 * np.cos(2.0 * t)
+    x = np.stack([0.0 * t, 0.0 * t, theta, speed], 1)
+    u = np.zeros((len(t), 1))
+    wrapped = x.copy()
+    wrapped[:, 2] = np.mod(theta + np.pi, 2 * np.pi) - np.pi
+    data = assemble([RawRun("a", t, wrapped, u.copy())], CARTPOLE, kind="test")
+    assert "angle_wrap" in kinds(data)
+    x[:, 2] = np.degrees(theta)
+    with pytest.raises(DataError, match="perhaps the column holds degrees"):
+        assemble([RawRun("a", t, x, u)], CARTPOLE, kind="test")
+
+
+def test_a_velocity_of_another_run_is_refused_by_name() -> None:
+    runs = []
+    for seed in range(3):
+        t, x, u = flight(30.0)
+        x[:, :3] *= 1.0 + 0.2 * seed
+        x[:, 3:6] *= 1.0 + 0.2 * seed
+        runs.append(RawRun(f"run_{seed}", t + 40.0 * seed, x, u))
+    assemble([RawRun(r.name, r.t.copy(), r.x.copy(), r.u.copy()) for r in runs], HEXACOPTER, kind="test")
+    runs[1].x[:, 4] = np.roll(runs[0].x[:, 4], 700)
+    with pytest.raises(DataError, match="run 'run_1': 'p_y' and 'v_y' do not belong together"):
+        assemble(runs, HEXACOPTER, kind="test")

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import nsde_torch
+from nsde_torch.sysid.guard import Guarded, Objection
 from nsde_torch.sysid.identify import identify
 from nsde_torch.sysid.result import Identification
 from nsde_torch.systems import make_system
@@ -30,9 +31,12 @@ def test_no_interval_is_given_for_a_fit_that_had_not_settled(found: Identificati
     assert "had not settled" in summary(unsettled)
 
 
-def test_physics_that_leaves_more_than_was_measured_is_warned_of(found: Identification) -> None:
+def test_no_interval_is_given_for_a_fit_that_the_guard_speaks_against(found: Identification) -> None:
     assert not found.warnings
-    worse = [replace(c, residual=2.0 * c.measured) for c in found.channels]
-    told = replace(found, channels=tuple(worse))
-    assert len(told.warnings) == len(worse)
-    assert "a wrong model, order of inputs, sign or unit" in summary(told)
+    told = replace(
+        found, guard=Guarded((Objection("worse", "it leaves more than was measured", "look at it"),))
+    )
+    assert np.isnan(told.half_widths(0.9)).all()
+    assert told.warnings[0] == "it leaves more than was measured; look at it"
+    assert "no interval is given" in summary(told)
+    assert "not believed" in summary(told)

@@ -1,0 +1,197 @@
+"""Good logs and broken ones: does a command name what is wrong with a log, and is it silent where nothing is?
+
+    python benchmarks/blind/broken_logs.py --seed 1 --count 100 --out broken/
+    python benchmarks/blind/broken_logs_run.py --cases broken/
+
+writes `broken/data/good_00/run_0.csv ...`, `broken/data/broken_00/...` and `broken/truth/NAME.json`: as many good logs
+as broken ones. Of five logs three are of multirotors in closed loop (`loop_flight`: waypoints, circles, sines and
+sticks; four regimes of what the controller sees; 50 to 250 Hz), one of a spring and one of a cart (`small_machines`, 50
+to 400 Hz). Every second machine holds one true effect that the declared physics lacks. Broken logs hold one fault of
+`broken_faults`, each in turn. None of it shares code with `nsde_torch`.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import sys
+import time
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+os.environ.setdefault("OMP_NUM_THREADS", "1")
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+sys.path.insert(0, str(Path(__file__).resolve().parent))
+
+import numpy as np
+from broken_faults import FAULTS, Log, Table
+from closed_loop import EFFECTS, STATES, SYSTEMS, _machine, _sized
+from loop_flight import PATHS, Flight, fly
+from small_machines import STATES as SMALL_STATES
+from small_machines import Small, run, small
+
+LOOPS = (("a", 0.01), ("b", 0.02), ("c", 0.01), ("a", 0.005), ("d", 0.01), ("b", 0.004))
+"""Regime and step of the log [s] of the multirotors, in turn."""
+STEPS = (0.01, 0.02, 0.005, 0.0025)
+RUNS = 3
+PAUSE_S = 15.0
+
+
+@dataclass(frozen=True)
+class Case:
+    """One log.
+
+    Args:
+        name: Of its files.
+        system: What it is of.
+        fault: Key of `FAULTS`; empty for a good log.
+        effect: True effect that the declared physics lacks; empty for none.
+        regime: Of a multirotor's loop.
+        dt: Step [s].
+        seed: Of all that is random in it.
+    """
+
+    name: str
+    system: str
+    fault: str
+    effect: str
+    regime: str
+    dt: float
+    seed: int
+
+
+def cases(seed: int, count: int) -> list[Case]:
+    """As many good logs as broken ones."""
+    rng = np.random.default_rng([seed, 0])
+    out = []
+    names = list(FAULTS)
+    order = np.concatenate([rng.permutation(len(names)) for _ in range(count // len(names) + 1)])
+    effects = np.concatenate([rng.permutation(len(EFFECTS)) for _ in range(2 * count // len(EFFECTS) + 1)])
+    flown = 0
+    for i in range(2 * count):
+        fault = names[order[i // 2]] if i % 2 else ""
+        kinds = FAULTS[fault][1] if fault else "msc"
+        kind = "mmmsc"[(i // 2) % 5]
+        kind = kind if kind in kinds else kinds[0]
+        system = {"m": SYSTEMS[int(rng.integers(2))], "s": "mass_spring_damper", "c": "cartpole"}[kind]
+        regime, dt = LOOPS[flown % len(LOOPS)] if kind == "m" else ("", float(rng.choice(STEPS)))
+        flown += kind == "m"
+        effect = (EFFECTS[effects[i]] if kind == "m" else "friction") if (i // 2) % 2 else ""
+        name = f"{'broken' if fault else 'good'}_{i // 2:03d}"
+        out.append(Case(name, system, fault, effect, regime, dt, int(rng.integers(2**31))))
+    return out
+
+
+def flights_of(case: Case, turn: int) -> list[Flight]:
+    """Flights of the case's machine, or with `turn` 1 those of another machine of the kind."""
+    rng = np.random.default_rng([case.seed, turn])
+    machine = _machine(case.system, rng)
+    if case.effect and not turn:
+        machine = replace(machine, effects={case.effect: _sized(case.effect, case.system, rng)})
+    paths = [PATHS[i] for i in rng.permutation(len(PATHS))]
+    noise, vigour = float(rng.uniform(0.7, 1.4)), float(rng.uniform(0.9, 1.4))
+    known = tuple(float(v) for v in rng.uniform(0.9, 1.1, 4))
+    out, t0 = [], 0.0
+    for k in range(RUNS):
+        seconds = float(np.round(rng.uniform(20.0, 30.0), 1))
+        seed = case.seed * 16 + 8 * turn + k
+        out.append(
+            Flight(machine, paths[k], case.regime, seconds, t0, seed, noise, vigour, known=known, log=case.dt)
+        )
+        t0 = round(t0 + seconds + PAUSE_S, 2)
+    return out
+
+
+def small_log(case: Case, turn: int) -> tuple[Log, Small]:
+    """Runs of a spring or a cart."""
+    rng = np.random.default_rng([case.seed, turn])
+    machine = small(case.system, rng, bool(case.effect) and not turn)
+    log, t0 = [], 0.0
+    for k in range(RUNS):
+        seconds = float(np.round(rng.uniform(15.0, 30.0), 1))
+        t, x, u = run(machine, seconds, case.dt, case.seed * 16 + 8 * turn + k)
+        log.append(Table(t0 + t, x, u))
+        t0 = round(t0 + seconds + 5.0, 2)
+    return log, machine
+
+
+def write(case: Case, log: Log, other: Log | None, true: dict[str, object], folder: Path) -> None:
+    """Break the log, and write it and its truth, the truth last."""
+    rng = np.random.default_rng([case.seed, 99])
+    done = FAULTS[case.fault][0](log, other or log, rng) if case.fault else ""
+    data, truth = folder / "data" / case.name, folder / "truth" / f"{case.name}.json"
+    data.mkdir(parents=True, exist_ok=True)
+    truth.parent.mkdir(parents=True, exist_ok=True)
+    states = STATES if case.regime else SMALL_STATES[case.system]
+    inputs = [f"u_{i + 1}" for i in range(log[0].u.shape[1])] if case.regime else ["force"]
+    for k, one in enumerate(log):
+        names = ["t", *states, *inputs, *one.extra]
+        table = np.column_stack([np.round(one.t, 6), one.x, one.u, *one.extra.values()])
+        np.savetxt(
+            data / f"run_{k}.csv", table, fmt="%.9g", delimiter=",", header=",".join(names), comments=""
+        )
+    content = {
+        "system": case.system,
+        "fault": case.fault,
+        "done": done,
+        "effect": case.effect,
+        "true": true,
+        "regime": case.regime,
+        "dt_s": case.dt,
+    }
+    truth.write_text(json.dumps(content, indent=1), encoding="utf-8")
+
+
+def main() -> None:
+    """Write the logs that are not there yet."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--seed", type=int, required=True, help="seed of the logs")
+    parser.add_argument("--count", type=int, default=100, help="good logs, and as many broken ones")
+    parser.add_argument("--out", type=Path, required=True, help="folder to write into")
+    given = parser.parse_args()
+    todo = [
+        c for c in cases(given.seed, given.count) if not (given.out / "truth" / f"{c.name}.json").is_file()
+    ]
+    started = time.perf_counter()
+    for case in (c for c in todo if not c.regime):
+        log, machine = small_log(case, 0)
+        write(
+            case,
+            log,
+            small_log(case, 1)[0],
+            {"values": machine.values, "effects": machine.effects},
+            given.out,
+        )
+    print(f"springs and carts written ({time.perf_counter() - started:.0f} s)", flush=True)
+    for regime, dt in LOOPS:
+        some = [c for c in todo if (c.regime, c.dt) == (regime, dt)]
+        wanted = [(c, turn) for c in some for turn in (0, *((1,) if "machine" in c.fault else ()))]
+        if not wanted:
+            continue
+        flights = [f for c, turn in wanted for f in flights_of(c, turn)]
+        logged = fly(flights)
+        logs: dict[tuple[str, int], Log] = {}
+        for n, (case, turn) in enumerate(wanted):
+            part = logged[RUNS * n : RUNS * (n + 1)]
+            logs[case.name, turn] = [
+                Table(one.t, one.x, one.u, {"battery_voltage": one.extra["battery_voltage"]}) for one in part
+            ]
+        for case in some:
+            m = flights_of(case, 0)[0].machine
+            true: dict[str, object] = {
+                "thrust_gain": m.thrust_gain,
+                "thrust_offset": m.thrust_offset,
+                **dict(zip(("roll_gain", "pitch_gain", "yaw_gain"), m.gains, strict=True)),
+                "effects": m.effects,
+            }
+            write(case, logs[case.name, 0], logs.get((case.name, 1)), true, given.out)
+        print(
+            f"{len(some)} logs of regime {regime} at {1 / dt:g} Hz written "
+            f"({time.perf_counter() - started:.0f} s)",
+            flush=True,
+        )
+
+
+if __name__ == "__main__":
+    main()

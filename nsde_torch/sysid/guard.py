@@ -1,0 +1,284 @@
+"""A fit of declared physics held against two simple ones and against nothing.
+
+    the fit              by whatever method, theta
+    least squares        on means over 0.15 s, both sides of the equation through one filter (`rough`)
+    the first values     theta_0
+    nothing              what was measured
+
+all judged by what they leave of the rates in these means, without the mean over each run, so that a steady push counts
+for none. The two fits err in opposite ways. Least squares lose a gain to noise of the states, and to feedback that
+answers what the physics lacks: both pull it towards nothing. A likelihood fit loses it where its model of the noise has
+learned what a smoother or a lag did to the physics. So
+
+- where least squares find less than the fit, the fit is believed, and nothing is said: a loop does that;
+- where least squares explain surely and much more of the rates than the fit, they are believed, and the fit is not;
+- where the first values leave less than the fit, the fit stopped at another optimum;
+- where the fit leaves more than was measured, it is worse than nothing.
+
+"Surely" is one test of all parameters, d' (V + W)^-1 d for the difference d of the two fits with covariances from
+blocks of time. Before that come readings of the columns (`readings`), streams of another time (`timing`) and runs of
+another machine (`run_differences`): where the log is at fault, fits part for that reason.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from math import log
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import fdtrc
+
+from nsde_torch.data import Run
+from nsde_torch.sysid.explained import per_second
+from nsde_torch.sysid.readings import better_readings
+from nsde_torch.sysid.regression import Regression
+from nsde_torch.sysid.rough import left_at, rough_fit
+from nsde_torch.sysid.run_differences import odd_run, unexplained_runs
+from nsde_torch.sysid.timing import shifted_stream
+from nsde_torch.systems import System
+
+Array = NDArray[np.float64]
+
+CHANCE = 1e-3
+"""Chance of calling two fits of a sound log different."""
+MORE = 0.1
+"""Share of a channel's variance that least squares must explain beyond the fit, beside that: what the physics lacks
+bends both, and not alike."""
+WORSE = 1.05
+"""Times what was measured that a fit must leave to be worse than nothing."""
+BEHIND = 0.3
+"""By how much the sum over channels of log(left) must be smaller at the first values than at the fit."""
+POOR = 0.8
+"""Share of what was measured that least squares leave of half of the channels, where physics explains nothing."""
+
+
+@dataclass(frozen=True)
+class Objection:
+    """What speaks against a fit.
+
+    Args:
+        kind: `reading`, `shifted_stream`, `odd_run`, `unexplained_run`, `least_squares`, `first_values`, `worse` or
+            `poor`.
+        sentence: What was found.
+        remedy: What to do.
+    """
+
+    kind: str
+    sentence: str
+    remedy: str
+
+    def __str__(self) -> str:
+        return f"{self.sentence}; {self.remedy}"
+
+    def as_dict(self) -> dict[str, str]:
+        """Plain containers, for JSON."""
+        return {"kind": self.kind, "sentence": self.sentence, "remedy": self.remedy}
+
+
+@dataclass(frozen=True)
+class Compared:
+    """One channel, and what each fit leaves of it in means over 0.15 s.
+
+    Args:
+        name: Of the channel.
+        unit: Of its rate.
+        measured: Root mean square of the measured rate about the mean of each run.
+        fit: What the fit leaves.
+        least_squares: What least squares leave.
+        first_values: What the first values leave.
+        less: Whether what least squares foretell of it is smaller than what the fit foretells.
+    """
+
+    name: str
+    unit: str
+    measured: float
+    fit: float
+    least_squares: float
+    first_values: float
+    less: bool = False
+
+    def as_dict(self) -> dict[str, Any]:
+        """Plain containers, for JSON."""
+        return {
+            "unit": self.unit,
+            "measured": self.measured,
+            "fit": self.fit,
+            "least_squares": self.least_squares,
+            "first_values": self.first_values,
+        }
+
+
+@dataclass(frozen=True)
+class Guarded:
+    """What speaks against a fit, and how it stands beside simple ones.
+
+    Args:
+        objections: What speaks against it; nothing where it is believed.
+        channels: What each fit leaves of each channel.
+        labels: Parameters.
+        least_squares: Their values by least squares (k,).
+        chance: Chance of so large a difference between the fit and least squares.
+        notes: What is worth knowing and speaks not against the fit.
+    """
+
+    objections: tuple[Objection, ...] = ()
+    channels: tuple[Compared, ...] = ()
+    labels: tuple[str, ...] = ()
+    least_squares: tuple[float, ...] = ()
+    chance: float = 1.0
+    notes: tuple[str, ...] = ()
+
+    def as_dict(self) -> dict[str, Any]:
+        """Plain containers, for JSON."""
+        return {
+            "objections": [o.as_dict() for o in self.objections],
+            "channels": {c.name: c.as_dict() for c in self.channels},
+            "least_squares": dict(zip(self.labels, self.least_squares, strict=True)),
+            "chance": self.chance,
+            "notes": list(self.notes),
+        }
+
+
+def guarded(
+    regression: Regression,
+    runs: Sequence[Run],
+    *,
+    clock: float = 1.0,
+    theta: Array | None = None,
+    covariance: Array | None = None,
+) -> Guarded:
+    """Hold a fit against simple ones, and look for faults of the log that explain where they part.
+
+    Args:
+        regression: The fit at its optimum.
+        runs: What it was fitted to.
+        clock: Physical seconds per logged second.
+        theta: Other values that are printed (k,); None takes those of the regression.
+        covariance: Of these values (k, k); None for none.
+    """
+    vector = regression.vector
+    system = vector.at_first()  # the fit may be far off
+    rough = rough_fit(system, runs, clock)
+    theta = regression.theta if theta is None else theta
+    if rough is None or len(rough.theta) != len(theta):
+        return Guarded()
+    at = {"fit": theta, "least_squares": rough.theta, "first_values": vector.inside(vector.start)}
+    left = {name: left_at(rough, values) for name, values in at.items()}
+    channels = tuple(
+        Compared(c.name, per_second(c.unit), c.measured, c.left, s.left, f.left, less=s.foretold < c.foretold)
+        for c, s, f in zip(left["fit"], left["least_squares"], left["first_values"], strict=True)
+    )
+    objections, notes = _faults(system, runs, clock, rough, regression)
+    chance = _chance(rough, theta, covariance)
+    if not objections:
+        objections = _disagreements(channels, chance)
+        notes += _believed(channels, chance)
+    return Guarded(
+        tuple(objections), channels, tuple(vector.labels), tuple(rough.theta.tolist()), chance, tuple(notes)
+    )
+
+
+def _faults(
+    system: System, runs: Sequence[Run], clock: float, rough: Regression, regression: Regression
+) -> tuple[list[Objection], list[str]]:
+    """Faults of the log, the first kind that is found: the columns, times, a run, another machine."""
+    better = better_readings(system, runs, clock, rough)
+    if better is not None:
+        return [Objection("reading", better.sentence, better.remedy)], []
+    moved = shifted_stream(system, runs, clock, rough)
+    if moved is not None and not moved.of_actuators:
+        return [Objection("shifted_stream", moved.sentence, moved.remedy)], []
+    notes = [] if moved is None else [f"{moved.sentence}; {moved.remedy}"]
+    apart = [Objection("unexplained_run", o.sentence, o.remedy) for o in unexplained_runs(rough, runs)]
+    odd = None if apart else odd_run(regression, rough, runs)
+    if odd is not None:
+        apart = [Objection("odd_run", odd.sentence, odd.remedy)]
+    return apart, notes
+
+
+def _disagreements(channels: Sequence[Compared], chance: float) -> list[Objection]:
+    """Where the fit and the simple ones part, the surest first."""
+    out = []
+    lost = [c for c in channels if _apart(c) and not c.less]
+    worse = [c for c in channels if c.fit > WORSE * c.measured]
+    if lost and chance < CHANCE:
+        told = ", ".join(
+            f"{c.name} {c.least_squares:.3g} where the fit leaves {c.fit:.3g} {c.unit}" for c in lost
+        )
+        out.append(
+            Objection(
+                "least_squares",
+                f"least squares on means over 0.15 s leave much less than the fit ({told}): believe them. Noise and "
+                "feedback pull least squares towards nothing, so that what they find more is there, and the noise "
+                "model of the fit has learned it",
+                "the states may have been smoothed or filtered before they were logged, or something that acts is not "
+                "declared: log them raw, or train with model.method=differences; `nsde diagnose` names effects",
+            )
+        )
+    elif worse:
+        told = ", ".join(
+            f"{c.fit:.3g} {c.unit} of {c.name} where {c.measured:.3g} was measured" for c in worse
+        )
+        out.append(
+            Objection(
+                "worse",
+                f"the declared physics leaves {told}, steady pushes not counted",
+                "a wrong model, order of inputs, sign or unit, or a controller that cancels what the physics lacks",
+            )
+        )
+    behind = sum(log(max(c.fit, 1e-12) / max(c.first_values, 1e-12)) for c in channels)
+    if not out and channels and behind > BEHIND and chance < CHANCE:
+        out.append(
+            Objection(
+                "first_values",
+                "the first values of the parameters leave less of the rates than the fit",
+                "the fit stopped elsewhere: give first values (system.parameters.NAME=...), or look at the columns",
+            )
+        )
+    poor = [c for c in channels if c.least_squares > POOR * c.measured]
+    if not out and channels and 2 * len(poor) > len(channels):
+        told = ", ".join(f"{c.least_squares:.3g} of {c.measured:.3g} {c.unit} of {c.name}" for c in poor)
+        out.append(
+            Objection(
+                "poor",
+                f"the declared physics explains next to nothing of what was measured: it leaves {told}",
+                "record runs in which the machine moves, or look for a column of another run, a wrong model or unit",
+            )
+        )
+    return out
+
+
+def _apart(c: Compared) -> bool:
+    return c.fit**2 - c.least_squares**2 > MORE * c.measured**2
+
+
+def _believed(channels: Sequence[Compared], chance: float) -> list[str]:
+    """Where least squares are not believed, and why."""
+    less = [c.name for c in channels if _apart(c) and c.less]
+    if not less or not chance < CHANCE:
+        return []
+    return [
+        f"least squares on means over 0.15 s find less of {', '.join(less)} than the fit: the fit is believed. "
+        "Feedback that answers what the physics lacks, and noise of the states, pull least squares towards nothing"
+    ]
+
+
+def _chance(rough: Regression, theta: Array, covariance: Array | None) -> float:
+    """Chance of so large a difference between a fit and least squares, in the directions that the data show."""
+    basis = rough.shown.basis
+    sure = rough.spread()
+    if not basis.shape[1]:
+        return 1.0
+    back = np.linalg.pinv(basis)
+    apart = back @ (rough.theta - theta)
+    total = sure.covariance
+    if covariance is not None:
+        total = total + back @ covariance @ back.T
+    count = len(apart)
+    statistic = float(apart @ np.linalg.pinv(total, hermitian=True) @ apart)
+    free = max(float(np.median(sure.degrees(basis))), 1.0) - count + 1.0
+    if free < 2.0:
+        return 1.0
+    # Hotelling's law of a mean with an estimated covariance
+    return float(fdtrc(count, free, statistic * free / (count * (free + count - 1.0))))

@@ -1,0 +1,332 @@
+"""Other ways to read the columns of a log, and the one in which the declared physics leaves much less.
+
+Kinematics tell a velocity in the body from one in the world, but not a log whose axes are all others, nor an input that
+is wired to another motor: there only the physics speaks. Each reading is a change of the runs; the declared physics is
+fitted to it by plain least squares on means over 0.15 s (`rough`), gains inside their bounds, and
+
+    score = sum over channels of log(left / measured)
+
+says how much is left, whatever the units. Readings are looked at only where the log as it is leaves much, and one is
+told only where it leaves `LESS` times less: in a sound log nothing is better than what the columns say.
+"""
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from itertools import combinations
+from math import exp, log
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nsde_torch.data import Run
+from nsde_torch.data.quaternion import multiply
+from nsde_torch.data.system_info import derivative_columns, rate_columns
+from nsde_torch.sysid.regression import Regression
+from nsde_torch.sysid.rough import left_at, rough_fit
+from nsde_torch.systems import System
+
+Array = NDArray[np.float64]
+
+MUCH = 0.25
+"""Share of what was measured that least squares leave, in the mean of the channels, from which on other readings are
+looked at. It saves time and decides nothing: sound logs of machines in motion leave 0.1 to 0.3."""
+LESS = exp(1.0)
+"""Times less of all channels together that another reading must leave; of 30 ms of delay it is six times."""
+AS_GOOD = 0.15
+"""Difference of scores within which two readings do as well."""
+_ITERATIONS = 4
+_PART_S = 20.0  # of the runs, on which readings are compared before the best is looked at in all
+_ROUNDS = 3  # exchanges of two inputs, one after another
+_BOTH_SIGNS = 0.05  # share of samples of either sign from which an input has a direction
+_METRES = {
+    "millimetres": 1e-3,
+    "centimetres": 1e-2,
+    "feet": 0.3048,
+}
+
+
+@dataclass(frozen=True)
+class Reading:
+    """A way to read the columns.
+
+    Args:
+        words: What would be so.
+        remedy: How to write the columns.
+        read: The runs, read like that.
+        kind: Readings of one kind are looked at together.
+    """
+
+    words: str
+    remedy: str
+    read: Callable[[Run], Run]
+    kind: str
+
+
+@dataclass(frozen=True)
+class Better:
+    """Readings in which the declared physics leaves much less.
+
+    Args:
+        readings: The best, and those that do as well.
+        channels: What is left of each channel as the columns are, and by the best reading: name, unit, before, after.
+    """
+
+    readings: tuple[Reading, ...]
+    channels: tuple[tuple[str, str, float, float], ...]
+
+    @property
+    def sentence(self) -> str:
+        """What was found."""
+        told = ", ".join(f"{n} {a:.3g} to {b:.3g} {unit}" for n, unit, a, b in self.channels)
+        words = " or ".join(one.words for one in self.readings)
+        return f"With {words} the declared physics leaves much less of the rates ({told})"
+
+    @property
+    def remedy(self) -> str:
+        """What to do."""
+        return " or ".join(dict.fromkeys(one.remedy for one in self.readings))
+
+
+def better_readings(system: System, runs: Sequence[Run], clock: float, rough: Regression) -> Better | None:
+    """The reading of the columns in which the declared physics leaves least, if much less than in theirs.
+
+    Args:
+        system: The declared physics.
+        runs: The runs.
+        clock: Physical seconds per logged second.
+        rough: The declared physics in the runs as they are (`rough_fit`).
+    """
+    now = left_at(rough, rough.theta)
+    if not float(np.mean([c.left / max(c.measured, 1e-300) for c in now])) > MUCH:
+        return None
+    some = _part(runs, clock)
+
+    def score(read: Callable[[Run], Run]) -> float:
+        fitted = rough_fit(system, [read(run) for run in some], clock, iterations=_ITERATIONS)
+        return float("inf") if fitted is None or len(fitted.rows) < len(now) else _score(fitted)
+
+    before = score(lambda run: run)
+    tried = [(score(one.read), one) for one in _readings(system, runs)]
+    if system.nu > 2:
+        tried += _orders(system, score, before)
+    if not tried or not min(value for value, _ in tried) < before - log(LESS):
+        return None
+    best = min(value for value, _ in tried)
+    alike = [one for value, one in sorted(tried, key=lambda t: t[0]) if value < best + AS_GOOD]
+    after = rough_fit(system, [alike[0].read(run) for run in runs], clock)
+    if after is None or not _score(after) < _score(rough) - log(LESS):
+        return None
+    left = left_at(after, after.theta)
+    return Better(
+        tuple(alike[:3]),
+        tuple((a.name, a.unit, a.left, b.left) for a, b in zip(now, left, strict=False)),
+    )
+
+
+def _part(runs: Sequence[Run], clock: float) -> list[Run]:
+    """The first stretch of each run, so long that all together last `_PART_S`."""
+    out = []
+    for run in runs:
+        a, b = max(run.segments, key=lambda s: s[1] - s[0])
+        rows = max(50, round(_PART_S / len(runs) / (run.dt * clock)))
+        out.append(replace(run, segments=((a, min(b, a + rows)),)))
+    return out
+
+
+def _score(rough: Regression) -> float:
+    return sum(log(max(c.left, 1e-12) / max(c.measured, 1e-12)) for c in left_at(rough, rough.theta))
+
+
+# ---- readings ------------------------------------------------------------------------------------------
+
+
+def _readings(system: System, runs: Sequence[Run]) -> Iterator[Reading]:
+    for k, name in enumerate(system.input_names):
+        u = np.concatenate([run.u[:, k] for run in runs])
+        if min((u > 0).mean(), (u < 0).mean()) > _BOTH_SIGNS:
+            yield Reading(
+                f"the opposite sign of {name!r}",
+                f"change the sign of {name!r}",
+                _inputs(partial(_times, columns=[k], factor=-1.0)),
+                "sign",
+            )
+    if system.quaternion is not None:
+        yield from _frames(system)
+    else:
+        yield from _axes(system)
+
+
+def _axes(system: System) -> Iterator[Reading]:
+    """Signs, origins and units of positions and their rates, one axis at a time."""
+    units = dict(zip(system.state_names, system.state_units, strict=True))
+    for position, rate, _ in system.position_derivatives:
+        i, j = (system.state_names.index(n) for n in (position, rate))
+        if len(system.position_derivatives) > 1:  # of one alone, it is the sign of the inputs
+            yield Reading(
+                f"the opposite sign of {position!r} and {rate!r}",
+                f"change the signs of {position!r} and {rate!r}",
+                _states(partial(_times, columns=[i, j], factor=-1.0)),
+                "sign",
+            )
+        if units[position] == "rad":
+            yield Reading(
+                f"{position!r} counted from the other side (pi more)",
+                f"add pi to {position!r}",
+                _states(partial(_plus, column=i, shift=np.pi)),
+                "origin",
+            )
+            yield Reading(
+                f"{position!r} and {rate!r} in degrees",
+                f"multiply {position!r} and {rate!r} by pi / 180",
+                _states(partial(_times, columns=[i, j], factor=np.pi / 180.0)),
+                "unit",
+            )
+
+
+def _frames(system: System) -> Iterator[Reading]:
+    """Axes and units of positions and velocities in the world, and of everything."""
+    q, rates = system.quaternion, rate_columns(system)
+    groups = [pair for name, pair in derivative_columns(system).items() if "(world" in name]
+    if q is None or len(groups) != 1 or len(groups[0][0]) != 3:
+        return
+    moved = [*groups[0]]
+    names = ", ".join(system.state_names[c] for pair in moved for c in pair)
+
+    def world(turn: Array) -> Callable[[Run], Run]:
+        def read(x: Array) -> Array:
+            for columns in moved:
+                x[:, columns] = x[:, columns] @ turn.T
+            return x
+
+        return _states(read)
+
+    east = "write east, north, up (ENU), or an attitude in the same axes"
+    for angle, turn in ((90, [[0, -1, 0], [1, 0, 0], [0, 0, 1]]), (-90, [[0, 1, 0], [-1, 0, 0], [0, 0, 1]])):
+        yield Reading(
+            f"the axes of {names} turned by {angle} deg about the vertical against the attitude's",
+            east,
+            world(np.array(turn, dtype=float)),
+            "frame",
+        )
+    yield Reading(
+        f"the axes of {names} turned by 180 deg about the vertical against the attitude's",
+        east,
+        world(np.diag([-1.0, -1.0, 1.0])),
+        "frame",
+    )
+    ned = np.array([[0.0, 1, 0], [1, 0, 0], [0, 0, -1]])
+    yield Reading(
+        f"{names} in NED and the attitude in ENU", "write east, north, up (ENU)", world(ned), "frame"
+    )
+    for axis, name in enumerate("xyz"):
+        flip = np.eye(3)
+        flip[axis, axis] = -1.0
+        pair = " and ".join(repr(system.state_names[columns[axis]]) for columns in moved)
+        yield Reading(
+            f"the opposite sign of {pair}" + (" (counted downwards)" if name == "z" else ""),
+            f"change the signs of {pair}: axes are ENU",
+            world(flip),
+            "frame",
+        )
+    for unit, size in _METRES.items():
+        yield Reading(
+            f"{names} in {unit}", f"multiply {names} by {size:g}: metres, SI", world(size * np.eye(3)), "unit"
+        )
+    half = np.sqrt(0.5)
+
+    def whole(x: Array) -> Array:
+        for columns in moved:
+            x[:, columns] = x[:, columns] @ ned.T
+        turned = multiply(np.tile([0.0, half, half, 0.0], (len(x), 1)), x[:, q])
+        x[:, q] = multiply(turned, np.tile([0.0, 1.0, 0.0, 0.0], (len(x), 1)))
+        if rates is not None:
+            x[:, rates] *= [1.0, -1.0, -1.0]
+        return x
+
+    def attitude(x: Array) -> Array:
+        x[:, q] = multiply(x[:, q], np.tile([0.0, 1.0, 0.0, 0.0], (len(x), 1)))
+        if rates is not None:
+            x[:, rates] *= [1.0, -1.0, -1.0]
+        return x
+
+    yield Reading(
+        "all states in NED and FRD", "write ENU and FLU (`nsde_torch.data.frames`)", _states(whole), "frame"
+    )
+    yield Reading(
+        "the attitude and the rates of a body in FRD",
+        "write the attitude and the rates of FLU axes",
+        _states(attitude),
+        "frame",
+    )
+
+
+def _orders(
+    system: System, score: Callable[[Callable[[Run], Run]], float], before: float
+) -> list[tuple[float, Reading]]:
+    """Orders of the inputs of one unit: all pairs exchanged, rotations, the other way round; and on from the best."""
+    n = system.nu
+    if len(set(system.input_units)) > 1:
+        return []
+    own = tuple(range(n))
+    swaps = list(combinations(range(n), 2))
+    first = [_swapped(own, pair) for pair in swaps]
+    first += [tuple((k + s) % n for k in range(n)) for s in range(1, n)]
+    first.append(tuple(reversed(own)))
+    values: dict[tuple[int, ...], float] = {own: before}
+    for order in dict.fromkeys(first):
+        values[order] = score(_ordered(order))
+    for _ in range(_ROUNDS):
+        best = min(values, key=lambda order: values[order])
+        around = [order for pair in swaps if (order := _swapped(best, pair)) not in values]
+        if best == own or not around or values[best] > before - 0.3 * log(LESS):
+            break
+        for order in around:
+            values[order] = score(_ordered(order))
+        if min(values, key=lambda order: values[order]) == best:
+            break
+    return [(value, _in_order(system, order)) for order, value in values.items() if order != own]
+
+
+def _in_order(system: System, order: tuple[int, ...]) -> Reading:
+    names = system.input_names
+    moved = [k for k, j in enumerate(order) if j != k]
+    if len(moved) == 2:
+        words = f"{names[moved[0]]} and {names[moved[1]]} exchanged"
+    else:
+        words = f"the inputs in the order {' '.join(names[j] for j in order)}"
+    return Reading(
+        words,
+        f"check the order of the inputs: {system.name!r} counts its motors as PX4 does",
+        _ordered(order),
+        "order",
+    )
+
+
+def _swapped(order: tuple[int, ...], pair: tuple[int, int]) -> tuple[int, ...]:
+    out = list(order)
+    out[pair[0]], out[pair[1]] = out[pair[1]], out[pair[0]]
+    return tuple(out)
+
+
+def _ordered(order: tuple[int, ...]) -> Callable[[Run], Run]:
+    n = len(order)
+    return _inputs(lambda u: np.concatenate([u[:, :n][:, list(order)], u[:, n:]], 1))
+
+
+def _states(change: Callable[[Array], Array]) -> Callable[[Run], Run]:
+    return lambda run: replace(run, x=change(np.array(run.x)))
+
+
+def _inputs(change: Callable[[Array], Array]) -> Callable[[Run], Run]:
+    return lambda run: replace(run, u=change(np.array(run.u)))
+
+
+def _times(values: Array, columns: list[int], factor: float) -> Array:
+    values[:, columns] *= factor
+    return values
+
+
+def _plus(values: Array, column: int, shift: float) -> Array:
+    values[:, column] += shift
+    return values

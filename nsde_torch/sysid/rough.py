@@ -1,0 +1,111 @@
+"""Declared physics by plain least squares on means over 0.15 s: slow, robust, and with no model of the noise.
+
+    sum over a box of (x_{k+1} - x_k) = sum over it of int f(x, u; theta) dt + noise
+
+Both sides of the equation go through the same filter, the mean over a box, which ends near 3 Hz: what a smoother took
+away above does not count, and no noise model can learn the physics. It errs in its own way: noise of the states, and
+feedback that answers what the physics lacks, pull it towards gains that are too small.
+"""
+
+import copy
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nsde_torch.data import Run
+from nsde_torch.errors import ConfigError, DataError, NonFiniteError
+from nsde_torch.sysid.physics import Physics
+from nsde_torch.sysid.regression import Regression
+from nsde_torch.sysid.steps import steps_of
+from nsde_torch.systems import System
+from nsde_torch.systems.parameters import ParameterVector
+
+Array = NDArray[np.float64]
+
+MEANS_S = 0.15
+"""Length of the boxes [s]."""
+ITERATIONS = 10
+
+
+def rough_fit(
+    system: System,
+    runs: Sequence[Run],
+    clock: float = 1.0,
+    *,
+    iterations: int = ITERATIONS,
+    levels: bool = True,
+    start: Array | None = None,
+) -> Regression | None:
+    """The declared physics fitted to means over `MEANS_S`; None where that cannot be done.
+
+    Args:
+        system: The machine, whose values are where the fit starts; it is not changed.
+        runs: Recordings, all on one step.
+        clock: Physical seconds per logged second.
+        iterations: Largest number of steps.
+        levels: Whether steady pushes are left out, the mean of each channel over each run.
+        start: First theta (k,); None takes the system's values.
+    """
+    box = max(1, round(MEANS_S / (runs[0].dt * clock)))
+    vector = ParameterVector(copy.deepcopy(system))
+    try:
+        steps = steps_of(vector.system, runs, clock=clock, smooth=False, shortest=box)
+        regression = Regression(
+            Physics(vector, steps, foresee=False), box=box, plain=True, levels=levels, start=start
+        )
+        regression.run(iterations)
+    except (ConfigError, DataError, NonFiniteError):
+        return None
+    return regression
+
+
+@dataclass(frozen=True)
+class Left:
+    """What is left of one channel in means over `MEANS_S`, without the mean over each run.
+
+    Args:
+        name: Of the channel.
+        unit: Of its rate.
+        measured: Standard deviation of the measured rate.
+        left: Root mean square of what physics leaves of it.
+        foretold: Root mean square of what physics says of it.
+    """
+
+    name: str
+    unit: str
+    measured: float
+    left: float
+    foretold: float
+
+
+def left_at(rough: Regression, theta: Array) -> list[Left]:
+    """What the physics leaves at some parameters, channel by channel.
+
+    Args:
+        rough: What `rough_fit` returned.
+        theta: Parameters (k,).
+    """
+    residual, measured = (
+        _without_levels(rough, rough.single.summed(values, rough.box) / rough.dt)
+        for values in (rough.physics.residual(theta), rough.physics.measured)
+    )
+    names, units = rough.physics.names, rough.physics.units
+    return [
+        Left(
+            names[c],
+            units[c],
+            float(np.sqrt(np.square(measured[:, c]).mean())),
+            float(np.sqrt(np.square(residual[:, c]).mean())),
+            float(np.sqrt(np.square(measured[:, c] - residual[:, c]).mean())),
+        )
+        for c in rough.rows
+    ]
+
+
+def _without_levels(rough: Regression, values: Array) -> Array:
+    out = values.copy()
+    for run in np.unique(rough.owners):
+        out[rough.owners == run] -= out[rough.owners == run].mean(0)
+    return out

@@ -1,0 +1,229 @@
+"""Runs that are not of one machine: parameters of each run alone against those of the others.
+
+With X_r the whitened slopes and e_r the whitened residuals of run r at the optimum of all runs (feedback bends plain
+least squares in each run in its own way), and b_r = (X_r' X_r)^-1 X_r' e_r how far the run alone would move theta,
+
+    d_r = b_r - mean of the other runs' b, weighed by what each shows,      V_r from blocks of time (`spread`)
+
+Runs of one machine differ too: batteries fall, air moves, and what the physics lacks bends each run in its own way. So
+a difference is told only where it is surely larger than that.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import stdtr
+
+from nsde_torch.data import Run
+from nsde_torch.errors import NsdeError
+from nsde_torch.sysid.explained import per_second
+from nsde_torch.sysid.regression import Regression
+from nsde_torch.sysid.spread import spread
+
+Array = NDArray[np.float64]
+
+SHARE = 0.15
+"""Least relative difference that is told, beside chance: batteries and what is missing make up to this."""
+WHOLE, TIMES = 0.6, 2.5
+"""Share of what was measured that is left of a run that is not explained; and times as much as of each other run."""
+BESIDE = 0.05
+"""Chance of the same difference in plain least squares, which feedback bends in each run in its own way."""
+CHANCE = 1e-4
+"""Chance of so large a difference beyond `SHARE`, over all runs and parameters."""
+
+
+@dataclass(frozen=True)
+class RunDifference:
+    """A parameter that one run shows otherwise than the others.
+
+    Args:
+        run: Name of the run.
+        parameter: Label of the parameter.
+        unit: Its unit.
+        own: Its value in the run alone.
+        others: Its value in the other runs.
+        chance: Chance of so large a difference.
+    """
+
+    run: str
+    parameter: str
+    unit: str
+    own: float
+    others: float
+    chance: float
+
+    @property
+    def sentence(self) -> str:
+        """What was found."""
+        unit = "" if self.unit == "1" else f" {self.unit}"
+        return (
+            f"{self.run!r} differs from the other runs: {self.parameter} is {self.own:.3g}{unit} in it and "
+            f"{self.others:.3g}{unit} in the others"
+        )
+
+    @property
+    def remedy(self) -> str:
+        """What to do."""
+        return (
+            "if it is of another machine, or after a repair, leave it out (one machine to a data set); otherwise look "
+            "whether one of its columns is of another run"
+        )
+
+
+def odd_run(regression: Regression, rough: Regression, runs: Sequence[Run]) -> RunDifference | None:
+    """The surest difference of one run from the others; None where there is none, or a single run.
+
+    Args:
+        regression: The declared physics at its optimum, with the laws of its noise.
+        rough: The same by plain least squares (`rough_fit`).
+        runs: The runs of both.
+    """
+    sure, beside = _differences(regression), _differences(rough)
+    found = [
+        (chance, r, j, own, others)
+        for (r, j), (chance, own, others) in sure.items()
+        if chance < CHANCE and _agrees(beside.get((r, j)), own > others)
+    ]
+    if not found:
+        return None
+    chance, r, j, own, others = min(found)
+    v = regression.vector
+    return RunDifference(runs[r].name, v.labels[j], v.units[j], own, others, chance)
+
+
+def _agrees(other: tuple[float, float, float] | None, larger: bool) -> bool:
+    """Whether plain least squares find the same difference, less surely."""
+    return other is not None and other[0] < BESIDE and (other[1] > other[2]) == larger
+
+
+def _differences(regression: Regression) -> dict[tuple[int, int], tuple[float, float, float]]:
+    """By run and parameter: chance of its difference beyond `SHARE`, its value in the run and in the others."""
+    owner, blocks = regression.whitened_rows(regression.owners), regression.whitened_rows(regression.blocks)
+    numbers = [int(r) for r in np.unique(owner)]
+    alone = {r: _alone(regression, owner == r, blocks[owner == r]) for r in numbers}
+    parts = {r: one for r, one in alone.items() if one is not None}
+    if len(parts) < 2:
+        return {}
+    basis, tests = regression.shown.basis, len(parts) * len(regression.vector)
+    gains = np.flatnonzero(regression.shown.known & (regression.vector.low >= 0.0)).tolist()
+    out = {}
+    for r, one in parts.items():
+        rest = [parts[s] for s in parts if s != r]
+        try:
+            back = np.linalg.inv(np.sum([o.square for o in rest], axis=0))
+        except np.linalg.LinAlgError:
+            continue
+        mean = back @ np.sum([o.square @ o.moved for o in rest], axis=0)
+        scatter = np.sum([o.square @ o.covariance @ o.square for o in rest], axis=0)
+        own, variance = one.moved, one.covariance
+        between = basis @ (variance + back @ scatter @ back) @ basis.T
+        others = regression.theta + basis @ mean
+        moved = basis @ (own - mean)
+        for j in gains:  # only what is nothing at zero has a relative size
+            error = float(np.sqrt(max(between[j, j], 0.0)))
+            size = max(abs(others[j]), 0.5 * abs(others[j] + moved[j]))
+            beyond = float(abs(moved[j]) - SHARE * size)
+            if beyond > 0 and error > 0:
+                chance = 2.0 * float(stdtr(_DEGREES, -beyond / error)) * tests
+                out[r, j] = (chance, float(others[j] + moved[j]), float(others[j]))
+    return out
+
+
+_DEGREES = 15
+"""Degrees of freedom of errors from blocks of time, for Student's t."""
+
+
+@dataclass(frozen=True)
+class UnexplainedRun:
+    """A run that the declared physics does not explain, whatever its parameters, where it explains the others.
+
+    Args:
+        run: Name of the run.
+        channels: Names of the channels.
+        unit: Of the rate of the first of them.
+        own: What is left of it in the run, with parameters of its own.
+        others: What is left of it in the other runs, with parameters of their own.
+    """
+
+    run: str
+    channels: tuple[str, ...]
+    unit: str
+    own: float
+    others: float
+
+    @property
+    def sentence(self) -> str:
+        """What was found."""
+        return (
+            f"{self.run!r} is not explained by the declared physics, whatever its parameters, and the other runs "
+            f"are ({', '.join(self.channels)}): of {self.channels[0]} it leaves {self.own:.3g} {self.unit} in it "
+            f"and {self.others:.3g} in the others"
+        )
+
+    @property
+    def remedy(self) -> str:
+        """What to do."""
+        return "look whether one of its columns, an input first, is of another run or another time; or leave it out"
+
+
+def unexplained_runs(rough: Regression, runs: Sequence[Run]) -> list[UnexplainedRun]:
+    """Runs of which the declared physics leaves most, at parameters of their own, and much more than of the others.
+
+    Args:
+        rough: The declared physics by plain least squares (`rough_fit`).
+        runs: Its runs.
+    """
+    owner = rough.whitened_rows(rough.owners)
+    numbers = [int(r) for r in np.unique(owner)]
+    if len(numbers) < 2:
+        return []
+    std = np.array([noise.std for noise in rough.noises])[:, None] / rough.dt
+    own = {}
+    measured = rough.single.summed(rough.physics.measured, rough.box) / rough.dt
+    for r in numbers:
+        rows = owner == r
+        slopes = rough.slopes[:, rows] @ rough.shown.basis
+        flat, white = slopes.reshape(-1, slopes.shape[2]), rough.white[:, rows]
+        left = white - slopes @ np.linalg.lstsq(flat, white.reshape(-1), rcond=None)[0]
+        moves = measured[rough.owners == r][:, rough.rows].std(0)
+        own[r] = np.sqrt(np.square(left).mean(1)) * std[:, 0], moves
+    out = []
+    for r, (left, moves) in own.items():
+        rest = np.max([own[s][0] for s in own if s != r], axis=0)
+        share = np.max([own[s][0] / np.maximum(own[s][1], 1e-300) for s in own if s != r], axis=0)
+        odd = (left > WHOLE * moves) & (left > TIMES * rest) & (share < WHOLE)
+        if odd.any():
+            i = int(np.argmax(np.where(odd, left / np.maximum(rest, 1e-300), 0.0)))
+            order = [i, *(k for k in np.flatnonzero(odd).tolist() if k != i)]
+            names = tuple(rough.physics.names[rough.rows[k]] for k in order)
+            unit = per_second(rough.physics.units[rough.rows[i]])
+            out.append(UnexplainedRun(runs[r].name, names, unit, float(left[i]), float(rest[i])))
+    return out
+
+
+@dataclass(frozen=True)
+class _Alone:
+    """One run: how far it moves the parameters, the covariance of that, and X' X."""
+
+    moved: Array
+    covariance: Array
+    square: Array
+
+
+def _alone(regression: Regression, rows: NDArray[np.bool_], blocks: NDArray[np.int64]) -> _Alone | None:
+    slopes = regression.slopes[:, rows] @ regression.shown.basis
+    white = regression.white[:, rows]
+    r = slopes.shape[2]
+    flat = slopes.reshape(-1, r)
+    square = flat.T @ flat
+    try:
+        own = np.asarray(np.linalg.solve(square, flat.T @ white.reshape(-1)), dtype=np.float64)
+        left = white - slopes @ own
+        sure = spread(slopes, left, np.unique(blocks, return_inverse=True)[1].reshape(-1), 0)
+    except (np.linalg.LinAlgError, NsdeError):
+        return None
+    if not (np.isfinite(own).all() and np.isfinite(sure.covariance).all()):
+        return None
+    return _Alone(own, sure.covariance, square)

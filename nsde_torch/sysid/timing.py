@@ -1,0 +1,212 @@
+"""Streams that are shifted where no kinematics can tell: the inputs, an attitude with its rates.
+
+The declared physics is fitted by plain least squares on means over 0.15 s (`rough`) with a stream moved in time. What
+is left,
+
+    L(s) = sum over channels of log(left / measured),
+
+has a sharp minimum in the shift s: a delay of 30 ms makes a multirotor's rates four to ten times as large. A parabola
+through three shifts says where it is; where it is elsewhere, the search follows it.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from math import log
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nsde_torch.data import Run
+from nsde_torch.data.system_info import derivative_columns, rate_columns
+from nsde_torch.recording.channels import common_name, moved
+from nsde_torch.sysid.regression import Regression
+from nsde_torch.sysid.rough import left_at, rough_fit
+from nsde_torch.systems import System
+
+Array = NDArray[np.float64]
+
+STEP_S = 0.03
+"""Distance of the shifts that are compared [s]."""
+MOST_S = 0.2
+"""Longest shift that is looked for [s]."""
+LEAST_S = 0.012
+"""Shortest shift that is told [s], and at least a row: less may be how a machine steps."""
+ACTUATOR_S = 0.08
+"""How late inputs may act by what actuators do, a lag or a delay, which the declared physics may lack [s]."""
+GAIN = 0.4
+"""By how much L must be smaller than without the shift; four channels that each lose a tenth."""
+_ITERATIONS = 3
+_PART_S = 30.0
+
+
+@dataclass(frozen=True)
+class Shifted:
+    """A stream that belongs to another time.
+
+    Args:
+        stream: What is shifted, by the names of its columns.
+        seconds: By how much it is logged late; early, if negative [s].
+        gain: By how much L falls when it is moved back.
+        inputs: Whether it is the inputs: then early means that they act later than they were logged.
+    """
+
+    stream: str
+    seconds: float
+    gain: float
+    inputs: bool
+
+    @property
+    def of_actuators(self) -> bool:
+        """Whether a lag or a delay of actuators does the same."""
+        return self.inputs and -ACTUATOR_S < self.seconds < 0
+
+    @property
+    def sentence(self) -> str:
+        """What was found."""
+        if self.seconds > 0:
+            told = (
+                f"{self.stream} are logged about {1e3 * self.seconds:.0f} ms late against the other columns"
+            )
+        elif self.inputs:
+            told = f"{self.stream} act about {-1e3 * self.seconds:.0f} ms later than they are logged"
+        else:
+            told = (
+                f"{self.stream} are logged about {-1e3 * self.seconds:.0f} ms early against the other columns"
+            )
+        return f"{told}: moved, the declared physics leaves {np.exp(self.gain):.2g} times less of all rates together"
+
+    @property
+    def remedy(self) -> str:
+        """What to do."""
+        if self.of_actuators:
+            return "declare what delays them (system.effects=[motor_lag] or [input_delay]; `nsde diagnose` tells which)"
+        return (
+            "shift these columns against the others before writing the log, or log all streams on one clock"
+        )
+
+
+def shifted_stream(
+    system: System, runs: Sequence[Run], clock: float, rough: Regression, *, among: Sequence[str] = ()
+) -> Shifted | None:
+    """The stream that is most surely shifted against the others; None where none is.
+
+    Args:
+        system: The declared physics.
+        runs: The runs.
+        clock: Physical seconds per logged second.
+        rough: The declared physics in the runs as they are (`rough_fit`).
+        among: Names of streams to look at; none for all.
+    """
+    some = _part(runs, clock)
+    found = [
+        shift
+        for stream, states, inputs in _streams(system)
+        if (not among or stream in among)
+        and (shift := _best(system, some, clock, rough, stream, states, inputs))
+    ]
+    return max(found, key=lambda s: s.gain, default=None)
+
+
+def _streams(system: System) -> list[tuple[str, list[int], bool]]:
+    """Name, columns of the states, and whether it is the inputs."""
+    out: list[tuple[str, list[int], bool]] = []
+    if system.nu:
+        out.append((_named(list(system.input_names)), [], True))
+    rates = rate_columns(system)
+    if system.quaternion is not None and rates is not None:
+        columns = [*range(system.nx)[system.quaternion], *range(system.nx)[rates]]
+        out.append((_named([system.state_names[c] for c in columns]), columns, False))
+        return out
+    pairs = [(i, j) for a, b in derivative_columns(system).values() for i, j in zip(a, b, strict=True)]
+    for i, j in pairs[1:]:
+        out.append((_named([system.state_names[i], system.state_names[j]]), [i, j], False))
+    return out
+
+
+def _named(names: list[str]) -> str:
+    groups = list(
+        dict.fromkeys(
+            common_name([n, n]) if n[-2:-1] == "_" and n[-1] in "xyzw123456789" else n for n in names
+        )
+    )
+    return " and ".join(groups)
+
+
+def _best(
+    system: System,
+    runs: Sequence[Run],
+    clock: float,
+    rough: Regression,
+    stream: str,
+    states: list[int],
+    inputs: bool,
+) -> Shifted | None:
+    dt = runs[0].dt * clock
+    known: dict[float, float] = {}
+
+    def score(seconds: float) -> float:
+        at = round(seconds, 6)
+        if at not in known:
+            read = _mover(system, at / dt, states, inputs)
+            start = rough.theta
+            fitted = rough_fit(system, [read(r) for r in runs], clock, iterations=_ITERATIONS, start=start)
+            known[at] = float("inf")
+            if fitted is not None and len(fitted.rows) >= len(rough.rows):
+                left = left_at(fitted, fitted.theta)
+                known[at] = sum(log(max(c.left, 1e-12) / max(c.measured, 1e-12)) for c in left)
+        return known[at]
+
+    middle = 0.0
+    while abs(middle) < MOST_S:
+        before, here, after = score(middle - STEP_S), score(middle), score(middle + STEP_S)
+        if here <= min(before, after):
+            break
+        middle += STEP_S if after < before else -STEP_S
+    before, here, after = score(middle - STEP_S), score(middle), score(middle + STEP_S)
+    bend = before + after - 2.0 * here
+    if not (np.isfinite(bend) and bend > 0):
+        return None
+    best = middle + 0.5 * STEP_S * (before - after) / bend
+    if abs(best) < max(LEAST_S, dt):
+        return None
+    gain = score(0.0) - min(score(best), here)
+    if not gain > GAIN:
+        return None
+    return Shifted(stream, best, gain, inputs)
+
+
+def _mover(system: System, rows: float, states: list[int], inputs: bool) -> Callable[[Run], Run]:
+    """Take out that a stream is so many rows late."""
+
+    def read(run: Run) -> Run:
+        x, u = np.array(run.x), np.array(run.u)
+        lost = int(np.ceil(abs(rows)))
+        segments = []
+        for a, b in run.segments:
+            if b - a < 2 * lost + 4:
+                continue
+            if inputs:
+                at = np.clip(np.arange(b - a) + rows, 0, b - a - 1)
+                low = np.floor(at).astype(int)
+                share = (at - low)[:, None]
+                n = system.nu
+                own = run.u[a:b, :n]
+                u[a:b, :n] = (1 - share) * own[low] + share * own[np.minimum(low + 1, b - a - 1)]
+            if states:
+                x[a:b, states] = moved(np.asarray(run.x[a:b, states]), rows)
+            segments.append((a + lost, b - lost))
+        if system.quaternion is not None and states:
+            x[:, system.quaternion] /= np.linalg.norm(x[:, system.quaternion], axis=1, keepdims=True)
+        return replace(run, x=x, u=u, segments=tuple(segments) or run.segments)
+
+    return read
+
+
+def _part(runs: Sequence[Run], clock: float) -> list[Run]:
+    """The beginning of the longest stretch of each run, all together about `_PART_S`."""
+    out = []
+    for run in runs:
+        a, b = max(run.segments, key=lambda s: s[1] - s[0])
+        rows = max(100, round(_PART_S / len(runs) / (run.dt * clock)))
+        out.append(replace(run, segments=((a, min(b, a + rows)),)))
+    return out

@@ -1,0 +1,175 @@
+"""A fit is held against simple ones; faults of the log that only physics shows are told by name, sound logs are not."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import nsde_torch
+from nsde_torch.data import DataSet, RawRun
+from nsde_torch.sysid.guard import Guarded
+from nsde_torch.sysid.in_loop import identify_in_loop
+from nsde_torch.sysid.rough import left_at, rough_fit
+from nsde_torch.sysid.timing import Shifted
+from nsde_torch.systems import make_system
+
+Change = Callable[[int, RawRun], None]
+
+
+def made(system: str, seconds: Sequence[float] = (10.0,) * 3, seed: int = 3) -> list[RawRun]:
+    return list(nsde_torch.simulate(system, durations=list(seconds), seed=seed, declared_only=True).runs)
+
+
+LOGS = {name: made(name) for name in ("mass_spring_damper", "cartpole", "quadrotor")}
+
+
+def guard_of(system: str, change: Change = lambda k, run: None, runs: list[RawRun] | None = None) -> Guarded:
+    copies = [RawRun(r.name, r.t.copy(), r.x.copy(), r.u.copy(), dict(r.extra)) for r in runs or LOGS[system]]
+    for k, run in enumerate(copies):
+        change(k, run)
+    data: DataSet = nsde_torch.read(copies, system=system, state_smoothing="keep")
+    found = identify_in_loop(make_system(system), data.runs, clock=data.clock_scale)
+    assert found.guard is not None
+    return found.guard
+
+
+@pytest.mark.parametrize("system", list(LOGS))
+def test_nothing_speaks_against_the_fit_of_a_sound_log(system: str) -> None:
+    guard = guard_of(system)
+    assert guard.objections == ()
+    for channel in guard.channels:
+        assert channel.least_squares <= channel.fit * 1.001 < channel.measured
+    assert guard.as_dict()["channels"].keys() == {c.name for c in guard.channels}
+
+
+def _swap(k: int, run: RawRun) -> None:
+    run.u[:, [0, 2]] = run.u[:, [2, 0]]
+
+
+def _down(k: int, run: RawRun) -> None:
+    run.x[:, [2, 5]] *= -1.0
+
+
+def _feet(k: int, run: RawRun) -> None:
+    run.x[:, :6] /= 0.3048
+
+
+def _ned(k: int, run: RawRun) -> None:
+    run.x[:, :6] = run.x[:, [1, 0, 2, 4, 3, 5]] * [1, 1, -1, 1, 1, -1]
+
+
+def _push(k: int, run: RawRun) -> None:
+    run.u *= -1.0
+
+
+def _hanging(k: int, run: RawRun) -> None:
+    run.x[:, 2] += np.pi
+
+
+@pytest.mark.parametrize(
+    ("system", "change", "words"),
+    [
+        ("quadrotor", _swap, "u_1 and u_3 exchanged"),
+        ("quadrotor", _down, "counted downwards"),
+        ("quadrotor", _feet, "in feet"),
+        ("quadrotor", _ned, "in NED and the attitude in ENU"),
+        ("mass_spring_damper", _push, "the opposite sign of 'force'"),
+        ("cartpole", _hanging, "pi more"),
+    ],
+)
+def test_columns_that_are_to_be_read_otherwise_are_told_by_name(
+    system: str, change: Change, words: str
+) -> None:
+    (objection,) = guard_of(system, change).objections
+    assert objection.kind == "reading"
+    assert words in objection.sentence
+    assert objection.remedy
+
+
+@pytest.mark.parametrize("milliseconds", [-60, 60])
+def test_an_attitude_and_its_rate_that_are_late_or_early_together_are_told_with_the_time(
+    milliseconds: int,
+) -> None:
+    def change(k: int, run: RawRun) -> None:
+        rows = round(milliseconds / 20)
+        run.x[:, 2:4] = np.roll(run.x[:, 2:4], rows, axis=0)
+        for name in ("t", "x", "u"):
+            setattr(run, name, getattr(run, name)[5:-5])
+
+    (objection,) = guard_of("cartpole", change).objections
+    assert objection.kind == "shifted_stream"
+    assert objection.sentence.startswith("theta and theta_dot")
+    told = re.search(r"about (\d+) ms (late|early) against", objection.sentence)
+    assert told is not None
+    assert float(told[1]) == pytest.approx(abs(milliseconds), abs=4.0)
+    assert told[2] == ("late" if milliseconds > 0 else "early")
+
+
+def test_inputs_that_act_as_late_as_actuators_do_are_a_note_and_others_an_objection() -> None:
+    def late(rows: int) -> Change:
+        def change(k: int, run: RawRun) -> None:
+            run.u[:] = np.roll(run.u, -rows, axis=0)
+            for name in ("t", "x", "u"):
+                setattr(run, name, getattr(run, name)[:-40])
+
+        return change
+
+    guard = guard_of("cartpole", late(2))
+    assert guard.objections == ()
+    assert "motor_lag" in guard.notes[0]
+    (objection,) = guard_of("cartpole", late(7)).objections
+    assert objection.sentence.startswith("force act about 1")
+    assert "later than they are logged" in objection.sentence
+    assert not Shifted("u", 0.05, 1.0, True).of_actuators
+
+
+def test_a_run_of_another_machine_is_named() -> None:
+    other = nsde_torch.simulate(
+        "mass_spring_damper",
+        durations=[10.0],
+        seed=9,
+        effects={"linear_spring": {"stiffness": 1.6}},
+    ).runs[0]
+    runs = [*LOGS["mass_spring_damper"][:2], RawRun("run_9", other.t + 40.0, other.x, other.u)]
+    (objection,) = guard_of("mass_spring_damper", runs=runs).objections
+    assert objection.kind == "odd_run"
+    assert "'run_9'" in objection.sentence
+    assert "stiffness" in objection.sentence
+    assert "another machine" in objection.remedy
+
+
+def test_an_input_of_another_run_names_the_run() -> None:
+    def change(k: int, run: RawRun) -> None:
+        if k == 1:
+            run.u[:] = np.resize(LOGS["mass_spring_damper"][2].u, run.u.shape)
+
+    (objection,) = guard_of("mass_spring_damper", change).objections
+    assert objection.kind == "unexplained_run"
+    assert objection.sentence.startswith("'run_1' is not explained")
+
+
+def test_a_fit_whose_noise_model_learned_a_smoother_is_not_believed() -> None:
+    from scipy.signal import butter, sosfiltfilt
+
+    def smoothed(k: int, run: RawRun) -> None:
+        run.x[:] = sosfiltfilt(butter(2, 2.0, fs=50.0, output="sos"), run.x, axis=0)
+
+    guard = guard_of("cartpole", smoothed)
+    assert [o.kind for o in guard.objections] == ["least_squares"]
+    assert "smoothed" in guard.objections[0].remedy
+
+
+def test_steady_pushes_count_for_nothing_in_what_is_left() -> None:
+    data = nsde_torch.read(LOGS["mass_spring_damper"], system="mass_spring_damper")
+    system = make_system("mass_spring_damper")
+    rough = rough_fit(system, data.runs)
+    assert rough is not None
+    pushed = [replace(run, x=run.x + np.outer(run.t - run.t[0], [0.0, 5.0])) for run in data.runs]
+    again = rough_fit(system, pushed)
+    assert again is not None
+    before, after = (left_at(one, rough.theta)[0].left for one in (rough, again))
+    assert after < 1.2 * before + 5.0 * 10.0 * 0.5  # 0.5 1/s of damping answers the speed, nothing the push

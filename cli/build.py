@@ -13,6 +13,7 @@ from nsde_torch.errors import ConfigError
 from nsde_torch.models import MODELS, ModelOptions
 from nsde_torch.models.kind import model_options as options_of_model
 from nsde_torch.recording import read
+from nsde_torch.recording.run_offsets import on_one_clock
 from nsde_torch.sde import IntegratorOptions, TorchDiffEqOptions
 from nsde_torch.simulation import simulated
 from nsde_torch.sysid.restored_states import restore_states
@@ -20,7 +21,16 @@ from nsde_torch.systems import System, SystemOptions
 from nsde_torch.training import LossOptions, TrainerOptions
 
 # Keys of a data configuration that are not arguments of the function that makes the data.
-_NOT_FOR_DATA = ("kind", "test", "test_path", "validation", "options", "instruments", "state_smoothing")
+_NOT_FOR_DATA = (
+    "kind",
+    "test",
+    "test_path",
+    "validation",
+    "options",
+    "instruments",
+    "state_smoothing",
+    "stream_offsets",
+)
 
 
 def settings(config: DictConfig, *, sweep: bool) -> tuple[torch.device, torch.dtype]:
@@ -105,7 +115,8 @@ def other_dataset(config: DictConfig, machine: SystemInfo) -> DataSet:
 
 
 def _restored(config: DictConfig, data: DataSet, machine: SystemInfo) -> DataSet:
-    """Data with states as they were before a smoother of the recording chain, unless the user wants to keep it."""
+    """Data with streams on one clock and states as they were before a smoother, unless the user wants to keep them."""
+    data = on_one_clock(data, machine, policy=config.stream_offsets)
     taken_out = [str(name) for name, value in config.items() if value]
     return restore_states(data, machine, policy=config.state_smoothing, taken_out=taken_out)
 

@@ -15,6 +15,7 @@ from nsde_torch.errors import ConfigError, DataError
 from nsde_torch.recording.checks import assemble
 from nsde_torch.recording.faults.registry import remedies
 from nsde_torch.recording.reading import read as read_kind
+from nsde_torch.recording.run_offsets import on_one_clock
 from nsde_torch.simulation.generate import Simulation
 from nsde_torch.sysid.restored_states import restore_states
 from nsde_torch.systems.base import System
@@ -34,6 +35,7 @@ def read(
     gap: float | None = None,
     clock: str = "rescale",
     state_smoothing: str = "restore",
+    stream_offsets: str = "undo",
     **faults: Mapping[str, float] | None,
 ) -> DataSet:
     """Read and check runs: units, times, gaps, kinematics.
@@ -50,6 +52,7 @@ def read(
         gap: A longer pause between rows splits a run [s]; None: 2.5 steps of the data.
         clock: What to do when the kinematics disagree with the clock: "rescale", "trust" or "refuse".
         state_smoothing: What to do with states that were smoothed before they were logged: "restore" or "keep".
+        stream_offsets: What to do with streams whose offsets against others differ between runs: "undo" or "keep".
         faults: What the recording did, to take out, by name of the fault and of the states: `sensor_bias` (what sensors
             read too much, in the unit of the state), `sensor_delay` (by how much states are logged late [s]),
             `sensor_lag` (time constants of filters that states went through [s]); see
@@ -78,6 +81,7 @@ def read(
     )
     found = _assembled(data, machine, kind, options or {}, {"dt": dt, "gap": gap, "clock": clock, **faults})
     taken_out = [name for name, value in faults.items() if value]
+    found = on_one_clock(found, machine, policy=stream_offsets)
     return restore_states(found, machine, policy=state_smoothing, taken_out=taken_out)
 
 

@@ -5,6 +5,7 @@ A command u_i in [0, 1] is a share of thrust here, so that thrust and moments of
 
 from typing import final
 
+import torch
 from torch import Tensor
 
 from nsde_torch.effects.base import Effect, Parameter, Port, elapsed
@@ -56,8 +57,10 @@ class ThrustSag(Effect):
         return -(self.value("rate") * elapsed(t, x)).to(u.dtype) * u
 
 
+REFERENCES = ((5.5, 4.0), (8.9, 8.0))
+"""Voltages up to which a pack has one cell, and two, and at which thrust per command is then what the gains say [V]."""
 REFERENCE = 16.0
-"""Voltage at which thrust per command is what the declared gains say [V] (four cells)."""
+"""Voltage at which thrust per command is what the declared gains say, of larger packs [V] (four cells)."""
 
 
 @final
@@ -68,8 +71,8 @@ class BatteryVoltage(Effect):
     port = Port.INPUT
     needs = _MULTIROTOR
     exogenous = ("battery_voltage",)
-    formula = "u_eff = u (1 + s (V - 16 V))"
-    source = "motor speed follows the voltage at a given duty; first order around 16 V"
+    formula = "u_eff = u (1 + s (V - V_0)), V_0 = 4 V for one cell, 8 V for two, else 16 V"
+    source = "motor speed follows the voltage at a given duty; first order around V_0"
     PARAMETERS = {
         "sensitivity": Parameter(0.05, "1/V", low=0.0, scale=0.05, help="relative change of thrust per volt")
     }
@@ -80,8 +83,11 @@ class BatteryVoltage(Effect):
 
     def forward(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
         """See `Effect.forward`."""
-        change = self.value("sensitivity") * (self.channel("battery_voltage", u) - REFERENCE)
-        return change * u[:, : u.shape[1] - 1]
+        voltage = self.channel("battery_voltage", u)
+        reference = torch.full_like(voltage, REFERENCE)
+        for most, own in reversed(REFERENCES):
+            reference = torch.where(voltage < most, own, reference)
+        return self.value("sensitivity") * (voltage - reference) * u[:, : u.shape[1] - 1]
 
 
 @final

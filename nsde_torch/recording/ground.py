@@ -5,7 +5,8 @@
 
 In the air half of the thrust is a fall that gains 2.5 m/s in that time, so that nothing flies like this, and a hover,
 however still, has the commands of flight. The ground's force is no part of any model: such rows are cut out, with those
-next to them in which it still stands as the commands rise or sink.
+next to them in which it still stands as the commands rise or sink, and with those in which it leaves the ground or
+comes down on it and bounces: the last row within 3 s that is less than 5 cm above where it stands, and all before it.
 """
 
 from __future__ import annotations
@@ -30,6 +31,9 @@ _STILL, _WINDOW_S, _FEWEST_S = 0.15, 0.3, 0.5
 _MOVES, _FEWEST = 0.3, 100  # speed of flight [m/s], and rows of it
 _NEARLY, _LONGEST_S = 0.95, 3.0  # commands, and time, in which it may stand while they rise
 _SHORT_S = 0.05
+CLEAR = 0.05
+"""Height above where it stands, up to which a machine that has just stood, or is about to, may touch the ground [m]."""
+_BOUNCE_S = 3.0  # longest time of touching down
 
 
 def commands_in_motion(runs: Sequence[RawRun], system: SystemInfo) -> float | None:
@@ -60,7 +64,7 @@ def cut(run: RawRun, system: SystemInfo, commands: float, report: Report) -> Non
     Raises:
         DataError: it stands there throughout.
     """
-    rows = _grounded(run, system, commands)
+    rows = _touching(run, system, _grounded(run, system, commands))
     if not rows.any():
         return
     where = f"{run.source or 'run'} {run.name!r}"
@@ -75,8 +79,8 @@ def cut(run: RawRun, system: SystemInfo, commands: float, report: Report) -> Non
             "on_ground",
             run.name,
             int(rows.sum()),
-            f"{seconds:.3g} s on the ground ({told}{', ...' if len(parts) > 3 else ''}): it stands still on "
-            f"{share:.0%} of the commands of flight",
+            f"{seconds:.3g} s on the ground ({told}{', ...' if len(parts) > 3 else ''}): it stands there, leaves it or "
+            f"comes down on it, on {share:.0%} of the commands of flight",
             "dropped",
             {"seconds": seconds, "rows": parts[:100]},
         )
@@ -108,6 +112,19 @@ def _grounded(run: RawRun, system: SystemInfo, commands: float) -> Mask:
             continue
         before, behind = stands[max(0, a - most) : a][::-1], stands[b : b + most]
         out[a - _run_in(before) : b + _run_in(behind)] = True
+    return out
+
+
+def _touching(run: RawRun, system: SystemInfo, stands: Mask) -> Mask:
+    """Rows in which it stands, with those next to them in which it leaves the ground or bounces on it."""
+    if "p_z" not in system.state_names:
+        return stands
+    height, out = run.x[:, list(system.state_names).index("p_z")], stands.copy()
+    most = round(_BOUNCE_S / float(np.median(np.diff(run.t))))
+    for a, b in holes(stands):
+        near = np.flatnonzero(height < np.median(height[a:b]) + CLEAR)
+        near = near[(near >= a - most) & (near < b + most)]
+        out[near.min(initial=a) : near.max(initial=b - 1) + 1] = True
     return out
 
 

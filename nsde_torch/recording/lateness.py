@@ -20,7 +20,7 @@ Times are seconds of the log's own clock.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from math import isfinite, log
 
@@ -85,6 +85,45 @@ def lateness(system: SystemInfo, runs: Sequence[Run], *, clock: float = 1.0) -> 
         runs: The runs.
         clock: Physical seconds per logged second.
     """
+    out = []
+    for group, late, filtered in _measured(system, runs, clock):
+        value, error = late.value / clock, late.error / clock
+        half = float(stdtrit(late.degrees, 0.5 * (1 + _LEVEL))) * error
+        p = 2.0 * float(stdtr(late.degrees, -abs(value) / error))
+        channel, other = _labels(system, group)[:: 1 if value > 0 else -1]
+        out.append(Late(channel, other, abs(value), abs(value) - half, abs(value) + half, p, filtered))
+    return out
+
+
+@dataclass(frozen=True)
+class Lag:
+    """How late one channel is against another, with its sign.
+
+    Args:
+        channel: A position or an attitude.
+        other: Its rate.
+        seconds: By how much the first is late [s of the log]; negative where it is early.
+        error: Standard error [s of the log].
+        degrees: Degrees of freedom of the error.
+    """
+
+    channel: str
+    other: str
+    seconds: float
+    error: float
+    degrees: int
+
+
+def lags(system: SystemInfo, runs: Sequence[Run], *, clock: float = 1.0) -> list[Lag]:
+    """How late positions are against their rates, of each sensor that can show it, with signs; see `lateness`."""
+    return [
+        Lag(*_labels(system, group), fit.value / clock, fit.error / clock, fit.degrees)
+        for group, fit, _ in _measured(system, runs, clock)
+    ]
+
+
+def _measured(system: SystemInfo, runs: Sequence[Run], clock: float) -> Iterator[tuple[str, _Fit, bool]]:
+    """Group, how late its positions are, and whether a filter did it."""
     dt = runs[0].dt * clock
     parts: dict[str, list[tuple[Array, Array, Array]]] = {}
     share = min(1.0, _MOST_ROWS / sum(len(run) for run in runs))
@@ -95,18 +134,10 @@ def lateness(system: SystemInfo, runs: Sequence[Run], *, clock: float = 1.0) -> 
             for group, _, change, integral in axis_groups(system, run.x[a:b], dt):
                 rate = rates_of(system, group, run.x[a:b])
                 parts.setdefault(group, []).append((change, integral, rate))
-    out = []
     for group, pieces in parts.items():
         rough = _late(group, pieces, dt, filtered=False)
-        if rough is None:
-            continue
-        late, filtered = _finer(group, pieces, dt, rough)
-        value, error = late.value / clock, late.error / clock
-        half = float(stdtrit(late.degrees, 0.5 * (1 + _LEVEL))) * error
-        p = 2.0 * float(stdtr(late.degrees, -abs(value) / error))
-        channel, other = _labels(system, group)[:: 1 if value > 0 else -1]
-        out.append(Late(channel, other, abs(value), abs(value) - half, abs(value) + half, p, filtered))
-    return out
+        if rough is not None:
+            yield group, *_finer(group, pieces, dt, rough)
 
 
 @dataclass(frozen=True)

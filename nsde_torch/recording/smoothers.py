@@ -6,7 +6,10 @@ Where the noise is most of what is left, the spectrum of the log is that of S it
     P(f) = |S(f)|^2 (sum_m a_m f^-m + s) + q,      m = 2, 4, 6, 8
 
 with a motion whose spectrum falls by powers of the frequency, a sensor that is white (s), and the rounding behind the
-smoother (q). For a given S the weights a_m, s, q >= 0 are those of the largest Whittle likelihood of the periodograms
+smoother (q). A rate that is the derivative of a polynomial through positions (Savitzky and Golay, 1964) is a smoothed
+rate too, S = D(f) / (2 pi i f), whose sensor is that of the position: s + s' f^2 stands for s.
+
+For a given S the weights a_m, s, q >= 0 are those of the largest Whittle likelihood of the periodograms
 I(f), the mean of K windows,
 
     -K sum_f (log P(f) + I(f) / P(f)),
@@ -63,6 +66,7 @@ class Family:
         orders: Those that are tried.
         of_rows: Whether the size is a number of rows.
         delays: Whether it is causal.
+        differentiates: Whether it makes rates of positions; nothing but a rate can be behind it.
     """
 
     name: str
@@ -70,6 +74,7 @@ class Family:
     orders: tuple[int, ...]
     of_rows: bool = False
     delays: bool = False
+    differentiates: bool = False
 
 
 @dataclass(frozen=True)
@@ -128,19 +133,19 @@ class SpectrumFit:
     Args:
         deviance: Per bin; about 0.5 where the form is right.
         motion: Spectra before the smoother without the sensor's noise (C, F) [unit^2 / Hz].
-        white: The sensor's noise before the smoother (C,) [unit^2 / Hz].
+        noise: The sensor's noise before the smoother (C, F) [unit^2 / Hz].
         rounding: What rounding adds behind it (C,) [unit^2 / Hz].
     """
 
     deviance: float
     motion: Array
-    white: Array
+    noise: Array
     rounding: Array
 
     @property
     def before(self) -> Array:
         """Spectra before the smoother (C, F) [unit^2 / Hz]."""
-        return self.motion + self.white[:, None]
+        return self.motion + self.noise
 
 
 def _warped(f: Array, dt: float) -> Array:
@@ -197,6 +202,15 @@ def _savitzky_golay(f: Array, size: float, order: int, dt: float) -> Complex:
     return _weighted(f, np.asarray(savgol_coeffs(round(size), order)), dt)
 
 
+def _savitzky_golay_slope(f: Array, size: float, order: int, dt: float) -> Complex:
+    half = round(size) // 2
+    weights = np.asarray(savgol_coeffs(2 * half + 1, order, deriv=1, delta=dt, use="dot"))
+    turn = 2 * pi * np.maximum(f, 1e-6 / dt)
+    return np.asarray(
+        np.sin(np.outer(turn, dt * np.arange(-half, half + 1))) @ weights / turn, dtype=np.complex128
+    )
+
+
 FAMILIES = (
     Family("Butterworth filter forwards and backwards", _two_ways, (1, 2, 3, 4, 5, 6, 8)),
     Family("causal Butterworth filter", _one_way, (1, 2, 3, 4), delays=True),
@@ -205,6 +219,7 @@ FAMILIES = (
     Family("Gaussian filter", _gaussian, (3, 4, 6)),
     Family("moving average", _mean, (0,), of_rows=True),
     Family("Savitzky-Golay filter", _savitzky_golay, (2, 4), of_rows=True),
+    Family("Savitzky-Golay derivative", _savitzky_golay_slope, (2, 4), of_rows=True, differentiates=True),
 )
 """Smoothers that are tried. A causal filter of order 2 n looks like one of order n forwards and backwards; steep ones
 are taken for the latter."""
@@ -242,7 +257,8 @@ def fit(seen: Spectra, smoother: Smoother | None, *, steps: int = _LAST) -> Spec
     """SpectrumFit spectra behind a smoother; None for none."""
     gain = np.ones_like(seen.f) if smoother is None else np.square(np.abs(smoother.response(seen.f)))
     relative = seen.f / seen.f[len(seen.f) // 8]
-    before = np.stack([*(relative ** (-1.0 * m) for m in _POWERS), np.ones_like(seen.f)])
+    of_position = [2.0] if smoother is not None and smoother.family.differentiates else []
+    before = np.stack([relative**p for p in (*(-1.0 * m for m in _POWERS), 0.0, *of_position)])
     base = np.concatenate([before * gain, np.ones((1, len(seen.f)))])
     weights = np.maximum((seen.power[:, None] / np.maximum(base, 1e-300)).min(2), 1e-40)
     for _ in range(steps):
@@ -250,7 +266,8 @@ def fit(seen: Spectra, smoother: Smoother | None, *, steps: int = _LAST) -> Spec
         weights = weights * (((seen.power / model**2) @ base.T) / ((1.0 / model) @ base.T)) ** _DAMPED
     ratio = seen.power / (weights @ base)
     deviance = seen.windows * float((ratio - 1.0 - np.log(ratio)).mean())
-    return SpectrumFit(deviance, weights[:, :-2] @ before[:-1], weights[:, -2], weights[:, -1])
+    m = len(_POWERS)
+    return SpectrumFit(deviance, weights[:, :m] @ before[:m], weights[:, m:-1] @ before[m:], weights[:, -1])
 
 
 @dataclass(frozen=True)
@@ -276,14 +293,18 @@ class Likely:
         return float(f[min((end[0] for end in ends if len(end)), default=len(f) - 1)])
 
 
-def likeliest(seen: Spectra) -> Likely:
+def likeliest(seen: Spectra, *, rates: bool = False) -> Likely:
     """The smoothers of all families behind which spectra are likeliest.
+
+    Args:
+        seen: The spectra.
+        rates: Whether they are of rates, which may be derivatives of positions.
 
     Spectra hold no phase: where one without delay fits as well as the likeliest, it is taken. A delay that was
     there then stays in the log; one that was not would make it know the future.
     """
     tried = []
-    for family in FAMILIES:
+    for family in (family for family in FAMILIES if rates or not family.differentiates):
         for order in family.orders:
             smoother = _likeliest_of(family, order, seen)
             tried.append((fit(seen, smoother).deviance, smoother))

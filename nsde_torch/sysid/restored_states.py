@@ -131,7 +131,7 @@ def _restore_stretch(x: Array, one: Smoothed, rng: np.random.Generator) -> None:
         at = int(np.argmin(np.abs(seen.f - reach)))
         values = sensor.values(x, dt)
         # what moves above is gone: it must not weigh beside the noise that stands in for it
-        level = how.white + ABOVE * how.motion[:, at] if restored else ADDED * seen.power[:, at]
+        level = how.noise[:, at] + ABOVE * how.motion[:, at] if restored else ADDED * seen.power[:, at]
         noise = rng.standard_normal(values.shape) * np.sqrt(level / (2.0 * dt))
         new = _unsmoothed(values, one.smoother, reach, noise, dt) if restored else values + noise
         sensor.with_values(x, new, dt)

@@ -42,8 +42,9 @@ Array = NDArray[np.float64]
 MISFIT, GAIN = 2.0, 3.0
 """Deviance per bin of a spectrum without a smoother, above which one is looked for; and how many times smaller it must
 be behind one. Raw logs have 0.3 to 1.1; logs behind a smoother that cuts at up to a fifth of the rate 4.5 and more."""
-SOUND = 2.0
-"""Deviance behind the best smoother, above which nothing is restored."""
+SOUND = 0.4
+"""Share by which spectra may differ from the best fit (root mean square, beyond chance) and states be restored."""
+_CHANCE = 0.5  # deviance per bin by chance
 ALIKE = 0.3
 """Deviance that a sensor may lose by being fitted together with others."""
 APART = 0.5
@@ -65,12 +66,14 @@ class SensorGroup:
         names: Their names.
         group: Name in `data.kinematics.axis_groups` of the position and rate that they belong to; empty where none.
         turns: Whether they are a quaternion.
+        rates: Whether they are rates of other states.
     """
 
     columns: tuple[int, ...]
     names: tuple[str, ...]
     group: str = ""
     turns: bool = False
+    rates: bool = False
 
     def values(self, x: Array, dt: float) -> Array:
         """What is filtered, of one stretch (n, C)."""
@@ -157,7 +160,7 @@ def smoothed_states(runs: Sequence[Run], system: System, clock: float = 1.0) -> 
             regression = regression or rough_fit(system, runs, clock, levels=False)
             if regression is None or _nats(regression, sensors, smoother) < NATS:
                 continue
-        sound = tuple(one.deviance < SOUND for one in fits)
+        sound = tuple(_off(one, odd[sensor]) < SOUND for sensor, one in zip(sensors, fits, strict=True))
         reach = tuple(
             max(
                 min(_reach(odd[sensor], one, smoother), likely.agree_to) if good else 0.0,
@@ -175,19 +178,21 @@ def smoothed_states(runs: Sequence[Run], system: System, clock: float = 1.0) -> 
 def sensors_of(system: System) -> list[SensorGroup]:
     """The sensors of a system: positions, velocities, body rates, states of no pair one by one, and the attitude."""
     pairs = derivative_columns(system)
-    groups = [(tuple(columns), name) for name, pair in pairs.items() for columns in pair]
+    groups = [
+        (tuple(columns), name, k == 1) for name, pair in pairs.items() for k, columns in enumerate(pair)
+    ]
     rates = rate_columns(system)
     if rates is not None:
-        groups.append((tuple(range(system.nx)[rates]), ATTITUDE))
+        groups.append((tuple(range(system.nx)[rates]), ATTITUDE, True))
     attitude = () if system.quaternion is None else tuple(range(system.nx)[system.quaternion])
-    known = {column for group, _ in groups for column in group} | set(attitude)
-    groups += [((column,), "") for column in range(system.nx) if column not in known]
+    known = {column for group, *_ in groups for column in group} | set(attitude)
+    groups += [((column,), "", False) for column in range(system.nx) if column not in known]
 
-    def sensor(columns: tuple[int, ...], group: str, *, turns: bool = False) -> SensorGroup:
-        return SensorGroup(columns, tuple(system.state_names[c] for c in columns), group, turns)
+    def sensor(columns: tuple[int, ...], group: str, rates: bool, *, turns: bool = False) -> SensorGroup:
+        return SensorGroup(columns, tuple(system.state_names[c] for c in columns), group, turns, rates)
 
-    out = [sensor(columns, group) for columns, group in groups]
-    return [*out, sensor(attitude, ATTITUDE, turns=True)] if attitude else out
+    out = [sensor(*group) for group in groups]
+    return [*out, sensor(attitude, ATTITUDE, rates=False, turns=True)] if attitude else out
 
 
 def _smooth(q: Array, dt: float) -> Array:
@@ -206,15 +211,21 @@ def group_spectra(sensor: SensorGroup, runs: Sequence[Run], dt: float) -> Spectr
 
 def _by_smoother(odd: Mapping[SensorGroup, Spectra]) -> list[tuple[tuple[SensorGroup, ...], Likely]]:
     """Sensors that went through one smoother, and those that each went through one of their own."""
-    own = {sensor: smoothers.likeliest(s) for sensor, s in odd.items()}
+    own = {sensor: smoothers.likeliest(s, rates=sensor.rates) for sensor, s in odd.items()}
     steps = {len(s.f) for s in odd.values()}
     if len(odd) > 1 and len(steps) == 1:
-        common = smoothers.likeliest(smoothers.joined(list(odd.values())))
+        together = smoothers.joined(list(odd.values()))
+        common = smoothers.likeliest(together, rates=all(sensor.rates for sensor in odd))
         near = {k: smoothers.fit(s, common.smoother).deviance - own[k].deviance for k, s in odd.items()}
         alike = tuple(k for k, lost in near.items() if lost < ALIKE)
         if len(alike) > 1:
             return [(alike, common), *(((k,), own[k]) for k in odd if k not in alike)]
     return [((k,), likely) for k, likely in own.items()]
+
+
+def _off(one: SpectrumFit, seen: Spectra) -> float:
+    """Share by which a spectrum differs from its fit, beyond chance: a share s has a deviance of K s^2 / 2."""
+    return (2.0 * max(one.deviance - _CHANCE, 0.0) / seen.windows) ** 0.5
 
 
 def _apart(system: System, runs: Sequence[Run], sensor: SensorGroup, smoother: Smoother, dt: float) -> float:

@@ -64,6 +64,18 @@ def test_the_family_and_the_frequency_response_are_found(name: str) -> None:
     assert np.abs(np.abs(found.response(f))[band] / true[band] - 1.0).max() < 0.1
 
 
+def test_a_rate_made_of_positions_by_a_polynomial_is_told_from_a_smoothed_one() -> None:
+    x = sensor(4)
+    rate = savgol_filter(x, 11, 3, deriv=1, delta=DT, axis=0)
+    seen = spectra_of([rate], DT)
+    assert seen is not None
+    found = likeliest(seen, rates=True)
+    assert found.smoother.family.name == "Savitzky-Golay derivative"
+    assert (found.smoother.order, round(found.smoother.size)) == (4, 11)
+    assert found.deviance < 1.0 < 4.0 < fit(seen, None).deviance
+    assert not likeliest(seen).smoother.family.differentiates
+
+
 def test_a_raw_sensor_has_the_form_that_is_assumed() -> None:
     for seed in range(6):
         seen = spectra_of([sensor(seed)], DT)
@@ -74,7 +86,7 @@ def test_a_raw_sensor_has_the_form_that_is_assumed() -> None:
 def test_the_noise_before_the_smoother_is_found() -> None:
     seen = spectra_of([SMOOTHERS["butterworth twice"][0](sensor(1))], DT)
     assert seen is not None
-    std = np.sqrt(fit(seen, likeliest(seen).smoother).white / (2 * DT))
+    std = np.sqrt(fit(seen, likeliest(seen).smoother).noise[:, 0] / (2 * DT))
     assert std == pytest.approx(0.01, rel=0.1)
 
 

@@ -8,6 +8,7 @@ from nsde_torch.recording.faults.fault import Fault
 from nsde_torch.recording.faults.frame_misalignment import TurnedFrame
 from nsde_torch.recording.faults.input_delay import LateStates
 from nsde_torch.recording.faults.input_smoothing import InputSmoothing
+from nsde_torch.recording.faults.rotor_speed import RotorSpeed
 from nsde_torch.recording.faults.sensor_bias import SensorBias
 from nsde_torch.recording.faults.sensor_delay import SensorDelay
 from nsde_torch.recording.faults.sensor_lag import SensorLag
@@ -22,6 +23,7 @@ FAULTS: dict[str, Fault] = {
         SensorDelay(),
         SensorLag(),
         TurnedFrame(),
+        RotorSpeed(),
         Dropout(),
     )
 }

@@ -1,0 +1,210 @@
+"""Streams of a log, each on its own clock: are offsets of runs found and taken out, and do gains survive them?
+
+    python benchmarks/bench_streams.py --seeds 12
+
+Closed-loop flights of `benchmarks/blind/loop_machine.py`, which shares no code with the package, as five streams:
+
+    motion capture   p and q at 100 Hz
+    estimator        v at 100 Hz
+    gyroscope        w at 100 Hz
+    motors           commands, or rotor speeds in rpm, at 50 Hz, held
+    battery          10 Hz, held
+
+Estimator and gyroscope are offset against motion capture by another time in each run, drawn from -10 to 20 ms
+(`offset`), by one time in all runs (`common`), or not at all (`null`); with `offset of motors too` the motors are, too.
+Rotor speeds are quantised, and have rows of ten times their range, of nothing, and of old values; the streams are
+offset as with `offset`.
+
+For each case: which offsets were found, the root mean square error of their differences between runs [ms], and the
+errors of the gains of thrust, roll and pitch (with the lag of the motors declared), as logged and on one clock.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import tempfile
+import time
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import CubicSpline
+from scipy.signal import lfilter
+
+sys.path.insert(0, str(Path(__file__).parent / "blind"))
+
+from loop_flight import LOG, SENSORS, Flight, fly
+from loop_machine import Machine
+
+import nsde_torch
+from nsde_torch.sysid.identify import identify
+from nsde_torch.systems import make_system
+
+Array = NDArray[np.float64]
+
+RUNS, SECONDS, LAG = 4, 40.0, 0.04
+MOST_RPM, POLES = 22_000.0, 14.0
+KINDS = ("offset", "common", "null", "offset of motors too", "rotor speeds")
+STATE = ("p_x", "p_y", "p_z", "v_x", "v_y", "v_z", "q_w", "q_x", "q_y", "q_z", "w_x", "w_y", "w_z")
+
+
+@dataclass(frozen=True)
+class Case:
+    """What was logged, and what is true of it.
+
+    Args:
+        kind: One of `KINDS`.
+        folder: Where the runs are, one CSV file each.
+        late: By how much estimator, gyroscope and motors are late against motion capture in each run [s], (3, runs).
+        gains: True thrust gain, roll gain and pitch gain.
+    """
+
+    kind: str
+    folder: Path
+    late: Array
+    gains: Array = field(repr=False)
+
+
+def make(kind: str, seed: int, folder: Path) -> Case:
+    """Fly and log one data set."""
+    rng = np.random.default_rng([seed, KINDS.index(kind), 77])
+    gains = np.array([rng.uniform(5, 9), *rng.uniform(60, 180, 2)])
+    machine = Machine(
+        "quadrotor",
+        thrust_gain=float(gains[0]),
+        thrust_offset=0.0,
+        gains=(float(gains[1]), float(gains[2]), float(rng.uniform(4, 12))),
+        inertia=(0.6, 0.65),
+        effects={"motor_lag": {"time_constant": LAG}, "linear_drag": {"drag": (0.25, 0.25, 0.1)}},
+        gust=(0.15, 0.15, 0.1, 1.0, 1.0, 0.2),
+    )
+    paths = ["sticks", "waypoints", "sines", "circle"]
+    flights = [
+        Flight(machine, paths[(seed + r) % 4], "b", SECONDS, 40.0 * r, 1000 * seed + r) for r in range(RUNS)
+    ]
+    late = rng.uniform(-0.010, 0.020, (3, RUNS))
+    if kind == "common":
+        late = np.repeat(late[:, :1], RUNS, axis=1)
+    if kind == "null":
+        late[:] = 0.0
+    if kind != "offset of motors too":
+        late[2] = 0.0
+    folder.mkdir(parents=True, exist_ok=True)
+    for r, flown in enumerate(fly(flights)):
+        n = len(flown.t)
+        k = np.arange(n) * LOG
+        noise = SENSORS * rng.standard_normal((n, 12))
+        true = CubicSpline(k, flown.truth)
+        x = true(k)
+        for columns, d in ((slice(3, 6), late[0, r]), (slice(10, 13), late[1, r])):
+            x[:, columns] = true(np.clip(k - d, 0, k[-1]))[:, columns]
+        x[:, :6] += noise[:, :6]
+        x[:, 6:10] = _turned(x[:, 6:10], noise[:, 6:9])
+        x[:, 10:] += noise[:, 9:]
+        u = flown.u
+        if kind == "rotor speeds":  # what the rotors do, behind their lag
+            stays = np.exp(-LOG / LAG)
+            u = lfilter([1 - stays], [1, -stays], u, axis=0, zi=stays * u[:1])[0]
+            u = np.vstack([flown.u[:1], u[:-1]])  # at the row, not behind it
+        acting = _of_stream(u, k - late[2, r], linear=kind == "rotor speeds")
+        if kind == "rotor speeds":
+            acting = _speeds(acting, rng)
+        motors = acting[2 * (np.arange(n) // 2)]
+        battery = flown.extra["battery_voltage"][10 * (np.arange(n) // 10)]
+        table = np.column_stack([flown.t, x, motors, battery])[50:-50]
+        head = ",".join(("t", *STATE, *(f"u_{i}" for i in range(1, 5)), "battery_voltage"))
+        np.savetxt(folder / f"flight_{r}.csv", table, delimiter=",", header=head, comments="", fmt="%.9g")
+    return Case(kind, folder, late, gains)
+
+
+def _turned(q: Array, by: Array) -> Array:
+    """Quaternions (n, 4) turned by small rotations (n, 3) in the body."""
+    w, v, half = q[:, :1], q[:, 1:], 0.5 * by
+    out = np.concatenate([w - (v * half).sum(1, keepdims=True), v + w * half + np.cross(v, half)], 1)
+    return np.asarray(out / np.linalg.norm(out, axis=1, keepdims=True))
+
+
+def _of_stream(u: Array, at: Array, *, linear: bool) -> Array:
+    """Inputs at other times: held, or straight between rows."""
+    k = at / LOG
+    low = np.clip(np.floor(k + 1e-9).astype(int), 0, len(u) - 1)
+    if not linear:
+        return np.asarray(u[low])
+    share = np.clip(k - low, 0, 1)[:, None]
+    return np.asarray((1 - share) * u[low] + share * u[np.minimum(low + 1, len(u) - 1)])
+
+
+def _speeds(share: Array, rng: np.random.Generator) -> Array:
+    """Speeds of rotors [rpm] that give shares of thrust, as a speed controller reports them."""
+    grain = 100.0 * 2.0 / POLES  # hundreds of electrical turns
+    rpm = grain * np.round(MOST_RPM * np.sqrt(np.clip(share, 0, 1)) / grain)
+    n, motors = rpm.shape
+    for motor in range(motors):
+        rows = rng.choice(np.arange(60, n - 60, 8), 18, replace=False)
+        rpm[rows[:6], motor] = MOST_RPM * rng.uniform(5, 12, 6)
+        rpm[rows[6:12], motor] = 0.0
+        for row in rows[12:]:
+            rpm[row : row + 4, motor] = rpm[row, motor]
+    return rpm
+
+
+def errors(case: Case, *, policy: str) -> tuple[Array, dict[str, dict[str, float]], float]:
+    """Relative errors of the gains (3,), offsets that were taken out by stream, and time to read [s]."""
+    speeds = case.kind == "rotor speeds"
+    system = make_system("quadrotor", effects=() if speeds else ("motor_lag",))
+    start = time.perf_counter()
+    options = {"rotor_speed": {"u": MOST_RPM}} if speeds else {}
+    data = nsde_torch.read(case.folder, system=system, stream_offsets=policy, **options)
+    took = time.perf_counter() - start
+    found = {}
+    for finding in data.summary.findings:
+        if finding.kind == "stream_offset":
+            values = {k: float(v) for k, v in finding.values.items()}
+            found[finding.message.split(" ")[0]] = values
+    result = identify(system, data.runs, clock=data.clock_scale)
+    values = dict(zip(result.vector.labels, result.values.tolist(), strict=True))
+    gains = np.array([values[name] for name in ("thrust_gain", "roll_gain", "pitch_gain")])
+    return gains / case.gains - 1.0, found, took
+
+
+def offset_error(case: Case, found: dict[str, dict[str, float]], stream: str) -> float:
+    """Root mean square error of differences between the offsets of runs [ms]; nan where none were found."""
+    if stream not in found:
+        return float("nan")
+    true = case.late["vw".index(stream)]
+    got = np.array([found[stream].get(f"flight_{r}_s", 0.0) for r in range(RUNS)])
+    off = (got - got.mean()) - (true - true.mean())
+    return 1e3 * float(np.sqrt(np.square(off).mean()))
+
+
+def main() -> None:
+    """Measure, and print a table."""
+    parser = argparse.ArgumentParser()
+    parser.add_argument("--seeds", type=int, default=12)
+    parser.add_argument("--first", type=int, default=0)
+    parser.add_argument("--kinds", default=",".join(KINDS))
+    options = parser.parse_args()
+    print("| streams | seed | offsets found | error v, w [ms] | gains kept | gains on one clock | read [s] |")
+    print("|---|---|---|---|---|---|---|")
+    for kind in options.kinds.split(","):
+        for seed in range(options.first, options.first + options.seeds):
+            with tempfile.TemporaryDirectory() as folder:
+                case = make(kind, seed, Path(folder))
+                kept, _, _ = errors(case, policy="keep")
+                there, found, took = errors(case, policy="undo")
+            off = [offset_error(case, found, stream) for stream in "vw"]
+            print(
+                f"| {kind} | {seed} | {', '.join(found) or 'none'} | {off[0]:.2g}, {off[1]:.2g} | "
+                f"{_shown(kept)} | {_shown(there)} | {took:.1f} |",
+                flush=True,
+            )
+
+
+def _shown(off: Array) -> str:
+    return ", ".join(f"{100 * o:+.0f}" for o in off) + " %"
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,193 @@
+"""Streams whose clocks are offset against each other by another time in each run.
+
+Each stream of a log (motion capture, gyroscope, motor commands) has a clock of its own, and is set to the others anew
+in each run. An offset is estimated for each run, with its standard error, and held against one that all runs share,
+
+    Q = sum_r ((d_r - d) / s_r)^2,        d = sum_r (d_r / s_r^2) / sum_r s_r^-2,
+
+which is chi-square with one degree of freedom less than there are runs. Where it is not by chance, the offset of each
+run is taken out, drawn towards the mean by how unsure it is (empirical Bayes):
+
+    d + t^2 / (t^2 + s_r^2) (d_r - d),     t^2 the variance between runs (DerSimonian and Laird 1986).
+
+Kinematics show such offsets between a position and its rate, an attitude and body rates. An offset that all runs share
+is left to what looks for late sensors. Those of inputs are not looked for: in a closed loop, what answers what hides
+time (measured with `benchmarks/bench_streams.py`: a regression on the declared physics says -8 to 8 ms +- 2 for flights
+whose commands are on time).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import chdtrc, ndtri, stdtr
+
+from nsde_torch.data.findings import Finding
+from nsde_torch.data.run import DataSet, Run, fingerprint
+from nsde_torch.data.system_info import SystemInfo
+from nsde_torch.errors import ConfigError
+from nsde_torch.recording.channels import on_time
+from nsde_torch.recording.lateness import lags
+
+Array = NDArray[np.float64]
+
+POLICIES = ("undo", "keep")
+CHANCE = 1e-4
+"""Chance of telling offsets of runs that share one."""
+LEAST_STEPS = 0.1
+"""Spread between runs below which offsets are of no consequence [steps]."""
+FEWEST = 2
+"""Runs that can be compared."""
+_LARGEST_S = 0.25  # standard error of an offset that says nothing
+
+
+@dataclass(frozen=True)
+class Offset:
+    """By how much a stream is late in one run.
+
+    Args:
+        run: Name of the run.
+        seconds: How late [s of the log]; negative where it is early.
+        error: Standard error [s].
+        degrees: Degrees of freedom of the error.
+    """
+
+    run: str
+    seconds: float
+    error: float
+    degrees: float
+
+
+@dataclass(frozen=True)
+class Offsets:
+    """Offsets of one stream against another that differ between runs.
+
+    Args:
+        channel: What is moved: the common name of states.
+        other: What it is late against.
+        offsets: As measured, of each run that can show it.
+        taken: What is taken out, by name of the run [s of the log].
+        p: Chance of such differences between runs that share one offset.
+    """
+
+    channel: str
+    other: str
+    offsets: tuple[Offset, ...]
+    taken: Mapping[str, float]
+    p: float
+
+    def finding(self) -> Finding:
+        """What the data summary says."""
+        errors = {o.run: o.error for o in self.offsets}
+        each = [f"{run} {1e3 * d:+.3g} +- {1e3 * errors[run]:.2g} ms" for run, d in self.taken.items()]
+        shown = ", ".join(each[:8]) + (f", ... ({len(each)} runs)" if len(each) > 8 else "")
+        return Finding(
+            "stream_offset",
+            "",
+            len(self.taken),
+            f"{self.channel} is late against {self.other} by another time in each run, by the kinematics ({shown}; "
+            "plus is late, minus early). `data.stream_offsets=keep` leaves them as they are",
+            "taken out",
+            {f"{run}_s": d for run, d in self.taken.items()},
+        )
+
+
+def differing(channel: str, other: str, offsets: Sequence[Offset], *, step: float) -> Offsets | None:
+    """Offsets that differ between runs by more than chance; None where one offset would do.
+
+    Args:
+        channel: See `Offsets`.
+        other: See `Offsets`.
+        offsets: Of the runs.
+        step: Step of the log [s].
+    """
+    offsets = [o for o in offsets if np.isfinite(o.seconds) and 0 < o.error < _LARGEST_S]
+    if len(offsets) < FEWEST:
+        return None
+    d, s = np.array([(o.seconds, o.error) for o in offsets]).T
+    weight = 1.0 / np.square(s)
+    mean = float((weight * d).sum() / weight.sum())
+    # errors of few degrees of freedom: the normal deviate that is as rare
+    z = [-ndtri(stdtr(o.degrees, -abs(o.seconds - mean) / o.error)) for o in offsets]
+    q = float(np.square(z).sum())
+    p = float(chdtrc(len(offsets) - 1, q))
+    spare = q - (len(offsets) - 1)
+    between = max(spare, 0.0) / float(weight.sum() - np.square(weight).sum() / weight.sum())
+    if p > CHANCE or between**0.5 < LEAST_STEPS * step:
+        return None
+    weight = 1.0 / (between + np.square(s))
+    mean = float((weight * d).sum() / weight.sum())
+    drawn = mean + between * weight * (d - mean)
+    taken = {o.run: float(one) for o, one in zip(offsets, drawn, strict=True)}
+    return Offsets(channel, other, tuple(offsets), taken, p)
+
+
+def kinematic_offsets(system: SystemInfo, runs: Sequence[Run], *, clock: float = 1.0) -> list[Offsets]:
+    """Rates that are late against their positions by another time in each run, by the kinematics.
+
+    Args:
+        system: Names of the states.
+        runs: The runs.
+        clock: Physical seconds per logged second.
+    """
+    seen: dict[tuple[str, str], list[Offset]] = {}
+    for run in runs:
+        for lag in lags(system, [run], clock=clock):
+            offset = Offset(run.name, -lag.seconds, lag.error, lag.degrees)
+            seen.setdefault((lag.other, lag.channel), []).append(offset)
+    found = [
+        differing(rate, position, offsets, step=runs[0].dt) for (rate, position), offsets in seen.items()
+    ]
+    return [one for one in found if one is not None]
+
+
+def taken_out(runs: Sequence[Run], system: SystemInfo, found: Offsets) -> list[Run]:
+    """Runs with a stream moved to where it belongs; of runs that cannot show their offset, by the mean of the others.
+
+    Args:
+        runs: The runs.
+        system: Names of the states.
+        found: Offsets of a stream.
+    """
+    mean = float(np.mean(list(found.taken.values())))
+    return [on_time(run, system, {found.channel: found.taken.get(run.name, mean)}) for run in runs]
+
+
+def on_one_clock(data: DataSet, system: SystemInfo, *, policy: str = "undo") -> DataSet:
+    """A data set whose streams are on one clock in every run; the data set itself where they are.
+
+    Args:
+        data: The data set.
+        system: Names of the states.
+        policy: "undo", or "keep" for the data set itself.
+
+    Returns:
+        The data set, with a finding `stream_offset` in its summary for each stream that was moved.
+
+    Raises:
+        ConfigError: an unknown policy.
+    """
+    if policy not in POLICIES:
+        raise ConfigError(f"`stream_offsets` must be one of {', '.join(POLICIES)}; got {policy!r}.")
+    done = any(finding.kind == "stream_offset" for finding in data.summary.findings)
+    if policy == "keep" or done or len(data.runs) < FEWEST:
+        return data
+    runs = list(data.runs)
+    found = kinematic_offsets(system, runs, clock=data.clock_scale)
+    if not found:
+        return data
+    for one in found:
+        runs = taken_out(runs, system, one)
+    moved = {channel for one in found for channel in (one.channel, one.other)}
+    before = [f for f in data.summary.findings if not (f.kind == "late_sensor" and _of(f) <= moved)]
+    told = replace(data.summary, findings=(*before, *(one.finding() for one in found)))
+    mark = fingerprint(runs, system_name=data.system_name, dt=data.dt, clock_scale=data.clock_scale)
+    return replace(data, runs=runs, summary=told, fingerprint=mark)
+
+
+def _of(finding: Finding) -> set[str]:
+    """Channels that a finding is about."""
+    return {name.removesuffix("_s") for name in finding.values}

@@ -29,9 +29,7 @@ from nsde_torch.systems.parameters import own_name
 Array = NDArray[np.float64]
 
 WITHOUT, WITH = "without it", "with it"
-_FUNCTION = (
-    0.5  # of a term's variance, which means in bins of a variable must hold to draw it against that one
-)
+_FUNCTION = 0.5  # of a term's variance, which bins of a variable must hold to be its axis
 _CONSTANT = 1e-6  # of a term's squared mean: variance below which it is a constant
 _BINS = 20  # of a variable
 _COURSE_S = 3.0  # length of a course

@@ -10,11 +10,16 @@ Start = dict[str, float | list[float]]
 
 
 def candidate_names(system: System) -> list[str]:
-    """Names of the effects that could be missing from a system and read no channels but its own."""
+    """Names of the effects that could be missing from a system and read no channels but its own.
+
+    What an effect of the system contains is none of them: beside it, it would be one law in two names.
+    """
+    there = {name for effect in system.effects if isinstance(effect, Effect) for name in effect.includes}
     return sorted(
         name
         for name, cls in effects_of(system.name, {*system.ports, Port.INPUT}).items()
-        if name not in system.effect_names
+        if name not in there
+        and name not in system.effect_names
         and cls.candidate(system.name)
         and set(cls.exogenous) <= set(system.exogenous)
     )

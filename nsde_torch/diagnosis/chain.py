@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from nsde_torch.data import DataSet, Run
 from nsde_torch.diagnosis.decisions import Budgets, Decisions
-from nsde_torch.diagnosis.evidence import at_bounds
+from nsde_torch.diagnosis.fitted import at_bounds
 from nsde_torch.diagnosis.options import Options
 from nsde_torch.diagnosis.outcome import Outcome
 from nsde_torch.diagnosis.reading import Log

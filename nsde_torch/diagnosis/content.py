@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
+from nsde_torch.diagnosis.buys import BY_RESIDUAL, BY_STEPS
 from nsde_torch.diagnosis.decisions import Wording
 from nsde_torch.diagnosis.declared import declared
 from nsde_torch.diagnosis.dependence import Dependence
@@ -36,10 +37,11 @@ def content(found: Diagnosis) -> dict[str, Any]:
         "schema": "nsde_torch.diagnosis/1",
         "verdict": found.verdict,
         "added": found.added,
-        "summary": summary(found.verdict, found.added, o, left.shapes),
+        "summary": summary(found.verdict, [f.name for f in found.faults], found.told, o, left.shapes),
         "warnings": _warnings(found),
         "guard": found.explanation.guard.as_dict(),
         "findings": _findings(found),
+        "told": _told(found),
         "aside": [
             *(
                 {"effect": f.name, "sentence": f.sentence, "reason": _SHORT}
@@ -130,9 +132,11 @@ def _findings(found: Diagnosis) -> list[dict[str, Any]]:
             "lead": False,
             "lead_reason": None,
             "held_out": None,
+            "buys": None,
         }
         for f in found.faults
     ]
+    buys = found.buys
     effects = [
         {
             "name": f.name,
@@ -144,12 +148,39 @@ def _findings(found: Diagnosis) -> list[dict[str, Any]]:
             "lead_reason": f.provisional or None,
             "moves": list(f.moves),
             "held_out": found.errors.own[f.name].as_dict() if f.name in found.errors.own else None,
+            "buys": buys[f.name].as_dict() if f.name in buys else None,
             "ties": list(f.ties),
             "separate": _class(found, f.name).separate,
         }
         for f in found.outcome.found
     ]
     return [*faults, *effects]
+
+
+def _told(found: Diagnosis) -> dict[str, Any]:
+    """The few effects that matter, and the others with their sizes."""
+    told = found.told
+    return {
+        "by": BY_STEPS if found.errors.inputs else BY_RESIDUAL,
+        "few": list(told.few),
+        "rest": [{"effect": name, "size": _size(found, name)} for name in told.rest],
+        "rest_share": told.share,
+    }
+
+
+def _size(found: Diagnosis, name: str) -> str:
+    """How strong an effect is: what is nothing without it, with units."""
+    held = next(f.trial.held for f in found.outcome.found if f.name == name)
+    sizes = _class(found, name).null
+    return _joined([e for e in found.outcome.estimates(name) if own_name(e.name) in sizes], held)
+
+
+def _joined(parameters: Sequence[Estimate], held: Sequence[str]) -> str:
+    """Values with units, those of one unit together."""
+    by_unit: dict[str, list[str]] = {}
+    for e in parameters:
+        by_unit.setdefault(e.unit, []).append(f"{0.0 if e.name in held else e.value:.3g}")
+    return "; ".join(", ".join(v) + ("" if unit == "1" else f" {unit}") for unit, v in by_unit.items())
 
 
 def _feedback(found: Diagnosis) -> dict[str, Any]:

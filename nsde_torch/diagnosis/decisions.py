@@ -41,6 +41,9 @@ class Wording:
     same_phase: float = key(
         0.8, "length of the mean phase of a sinusoid, over runs, from which it is the same"
     )
+    few_share: float = key(
+        0.95, "share of what all effects buy on runs left out that those told first reach together", high=1
+    )
 
     def __post_init__(self) -> None:
         check(type(self), vars(self))

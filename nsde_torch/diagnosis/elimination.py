@@ -65,8 +65,10 @@ def eliminate(search: Search, chosen: Selection) -> Retained:
         now = look(search, without, only={name, *contained, *_rivals(search, name, rounds)})
         this = next((t for t in now.trials if t.name == name), None)
         if this is None or not accept(search, this):
-            names.pop(i)  # the others explain it
-            base, found, i = without, [], 0
+            # the others explain it, or it says no more than what it contains
+            simpler = next((t for t in now.trials if t.name in contained and accept(search, t)), None)
+            names[i : i + 1] = [] if simpler is None else [simpler.name]
+            base, found, i = without if simpler is None else search.grown(simpler.regression), [], 0
             continue
         best = next(t for t in now.trials if accept(search, t))
         if best.name != name and (best.name in contained or surely_above(best, this, search.decisions)):

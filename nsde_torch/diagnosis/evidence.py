@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from scipy.special import fdtrc, stdtr
 
 from nsde_torch.diagnosis.decisions import DECISIONS, Decisions
+from nsde_torch.diagnosis.fitted import at_bounds
 from nsde_torch.sysid.regression import Regression
 from nsde_torch.sysid.spread import Spread
 
@@ -25,7 +26,6 @@ Array = NDArray[np.float64]
 Labels = NDArray[np.int64]
 Flags = NDArray[np.bool_]
 
-_AT_BOUND = 2e-6  # typical sizes from a bound; the optimiser keeps values a millionth off it
 _FLAT = 1e-9  # of the largest singular value: directions that move nothing
 _LIVE = 1e-12  # of the largest variance: parameters that the data do not see
 
@@ -95,13 +95,6 @@ def score(regression: Regression, fold: Labels, block: Labels, *, still: Flags) 
     blocks -= price / len(blocks)
     fitted = float(-0.5 * np.square(white).sum() - log_std.sum() * white.shape[1]) - price
     return Score(blocks, fitted, regression.shown.rank)
-
-
-def at_bounds(regression: Regression) -> Flags:
-    """Parameters that stand at a bound (k,)."""
-    v = regression.vector
-    margin = _AT_BOUND * v.scale
-    return np.asarray((regression.theta <= v.low + margin) | (regression.theta >= v.high - margin))
 
 
 def _free_basis(regression: Regression, still: Flags) -> Array:

@@ -3,13 +3,14 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from nsde_torch.effects import Effect
+from nsde_torch.effects import Effect, effect_class
 from nsde_torch.sysid.regression import Regression
 from nsde_torch.systems import System
 from nsde_torch.systems.parameters import ParameterVector, own_name
 
 Array = NDArray[np.float64]
 
+_AT_BOUND = 2e-6  # typical sizes from a bound; the optimiser keeps values a millionth off it
 _MOVES = 1e-6  # of the largest slope of a parameter: below that is rounding
 
 
@@ -64,6 +65,32 @@ def nonlinear(regression: Regression, *, smooth: bool = True) -> NDArray[np.bool
             others = effects[effect].amplitudes + (() if smooth else effects[effect].smooth)
             out[j] = own_name(label) not in others
     return out
+
+
+def adds_nothing(regression: Regression, effect: str) -> bool:
+    """Whether an effect says nothing of its own: all its sizes are nothing, or all that what it contains has not.
+
+    A size is nothing at the bound that stands for it; one that is free to be negative is judged by its interval.
+    """
+    cls, v = effect_class(effect), regression.vector
+    gone = at_bounds(regression)
+    nil = {
+        name
+        for name in cls.amplitudes
+        if cls.PARAMETERS[name].low == cls.null.get(name)
+        and all(gone[j] for j in v.of(effect) if own_name(v.labels[j]) == name)
+    }
+    if not nil:
+        return False
+    beyond = [set(cls.amplitudes) - set(cls.shared(effect_class(simple))) for simple in cls.includes]
+    return nil == set(cls.amplitudes) or any(own and own <= nil for own in beyond)
+
+
+def at_bounds(regression: Regression) -> NDArray[np.bool_]:
+    """Parameters that stand at a bound (k,)."""
+    v = regression.vector
+    margin = _AT_BOUND * v.scale
+    return np.asarray((regression.theta <= v.low + margin) | (regression.theta >= v.high - margin))
 
 
 def carried(vector: ParameterVector, before: Regression) -> Array:

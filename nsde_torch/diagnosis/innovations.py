@@ -13,7 +13,7 @@ quarter of a second (`sysid.explained`). Differences have intervals from resampl
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -194,6 +194,7 @@ class Own:
         low, high: Its 90 % interval; None where there are too few blocks.
         channels: The same by channel: `nats`, `low_90`, `high_90`.
         residual_ratio: By channel: residual with it over residual without.
+        residual: By channel: its unit, and the residual without the effect and with it (see `band`).
         larger: Whether the residual of these channels together is surely larger with it.
     """
 
@@ -203,6 +204,7 @@ class Own:
     channels: dict[str, dict[str, float | None]]
     residual_ratio: dict[str, float]
     larger: bool
+    residual: dict[str, tuple[str, float, float]] = field(default_factory=dict)
 
     @property
     def against(self) -> str:
@@ -257,14 +259,16 @@ def own(
     gain = full.density[:, at] - without.density[:, at]
     cells = _totals(np.column_stack((gain.sum(1), gain)), _blocks(full.run, full.t, decisions), seed)
     first, second = without.squares[:, at], full.squares[:, at]
-    ratio, larger = np.ones(len(at)), False
+    names = [full.names[i] for i in at]
+    ratio, larger, left = np.ones(len(at)), False, dict[str, tuple[str, float, float]]()
     if len(first):
+        rms = [np.sqrt(s.mean(0)).tolist() for s in (first, second)]
+        left = {n: (full.units[i], a, b) for n, i, a, b in zip(names, at, *rms, strict=True)}
         power = np.maximum(first.mean(0), 1e-300)
         ratio = np.sqrt(second.mean(0) / power)
         pooled = [(s / power).mean(1, keepdims=True) for s in (first, second)]
         blocks = _blocks(full.band_run, full.band_t, decisions)
         larger = bool(_difference(pooled[0], pooled[1], blocks, seed).low[0] > 0)
-    names = [full.names[i] for i in at]
     return Own(
         nats=float(cells[0]["nats"] or 0.0),
         low=cells[0]["low_90"],
@@ -272,6 +276,7 @@ def own(
         channels=dict(zip(names, cells[1:], strict=True)),
         residual_ratio=dict(zip(names, ratio.tolist(), strict=True)),
         larger=larger,
+        residual=left,
     )
 
 

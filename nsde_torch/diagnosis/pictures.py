@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from nsde_torch.diagnosis.channels import ChannelResidual, spectrum, white_parts
 from nsde_torch.diagnosis.dependence import Dependence
+from nsde_torch.diagnosis.effect_pictures import effect_panels
 from nsde_torch.diagnosis.outcome import Outcome
 from nsde_torch.diagnosis.regressors import Regressors
 from nsde_torch.diagnosis.shape import called, product_of
@@ -39,6 +40,9 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
+EFFECT = "effect_"
+"""What the name of a picture of one effect begins with."""
+
 _CHANNELS, _UNEXPLAINED = 2, 4  # panels
 _PLAIN, _PRODUCT = 0.05, 0.01  # chances between which a product is drawn and no plain variable
 _COURSE = 120  # points of a course in time
@@ -47,9 +51,18 @@ _REDUCED = 0.9  # of the residual before: what is below that was reduced
 
 
 def pictures(found: Diagnosis, content: Mapping[str, Any]) -> dict[str, Figure]:
-    """Figures by name: `residual`, `unexplained`, `held_out`, `errors`, `spectrum`, as far as there is any."""
+    """Figures by name, as far as there is any.
+
+    `effect_NAME` of each effect that matters, `residual`, `unexplained`, `held_out`, `errors`, `spectrum`.
+    """
     outcome = found.outcome
-    out: dict[str, Figure] = {}
+    panels = effect_panels(outcome, found.told, found.buys, found.runs)
+    out: dict[str, Figure] = {
+        f"{EFFECT}{name}": residual_views(
+            [panel], title=f"{name}: what is left over without and with it, all else as fitted"
+        )
+        for name, panel in panels.items()
+    }
     if outcome.found:
         views = effect_views(outcome, found.explanation.channels)
         if views:

@@ -10,8 +10,20 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from nsde_torch.diagnosis.feedback_text import feedback_html
-from nsde_torch.diagnosis.pictures import pictures, save_pictures
-from nsde_torch.diagnosis.text import OPEN_LOOP, between, chance, interval, placed, signed, unseen, warning
+from nsde_torch.diagnosis.pictures import EFFECT, pictures, save_pictures
+from nsde_torch.diagnosis.text import (
+    OPEN_LOOP,
+    between,
+    chance,
+    in_order,
+    interval,
+    placed,
+    signed,
+    small_ones,
+    unseen,
+    warning,
+    without_it,
+)
 from nsde_torch.evaluation.report import number
 
 if TYPE_CHECKING:
@@ -85,13 +97,19 @@ def page(content: Mapping[str, Any], figures: Mapping[str, Figure], *, width: fl
     captions = {
         k: v.format(width=width, where=errors["measured_on"], how=OPEN_LOOP) for k, v in _CAPTIONS.items()
     }
-    shown = {k: _figure(f, k, captions.get(k, "")) for k, f in figures.items()}
+    shown = {k: _figure(f, k, captions.get(k, _caption(k, width))) for k, f in figures.items()}
     parts = [
         f"<h1>Diagnosis of {escape(data['system'])}: {len(data['runs'])} runs, {data['duration_s']:.0f} s</h1>",
         f'<div class="verdict {content["verdict"]}"><b>{_VERDICTS[content["verdict"]]}</b>'
         f"{escape(content['summary'])}{_gain(errors)}</div>",
         *(f'<p class="finding"><b>Warning.</b> {escape(warning(w))}</p>' for w in content["warnings"]),
-        *(_finding(f, content) for f in content["findings"]),
+        *(
+            _finding(f, content, shown.get(f"{EFFECT}{f['name']}", ""))
+            for f in in_order(content)
+            if f["kind"] == "effect"
+        ),
+        _small_ones(content),
+        _recording(content),
         *(f"<p>{escape(a['sentence'])} This is {escape(a['reason'])}.</p>" for a in content["aside"]),
         shown.get("residual", ""),
         _unexplained(content, shown.get("unexplained", "")),
@@ -119,6 +137,16 @@ def page(content: Mapping[str, Any], figures: Mapping[str, Figure], *, width: fl
 
 
 # ---- pieces -------------------------------------------------------------------------------------------
+
+
+def _caption(name: str, width: float) -> str:
+    """The caption of the picture of one effect."""
+    if not name.startswith(EFFECT):
+        return ""
+    return (
+        f"Measured rate less that of the physics, means over {width:.2g} s: with everything that was found, and "
+        "with the term of this effect added back. What it explains is the difference; a good model lies on zero."
+    )
 
 
 def _figure(figure: Figure, name: str, caption: str) -> str:
@@ -177,10 +205,28 @@ def _held_out(errors: Mapping[str, Any]) -> str:
     return f"<h2>Before and after, on {escape(errors['measured_on'])}</h2>{_table(head, rows)}"
 
 
-def _finding(finding: Mapping[str, Any], content: Mapping[str, Any]) -> str:
+def _small_ones(content: Mapping[str, Any]) -> str:
+    """Effects that matter little in one line, which opens to their cards."""
+    rest = {r["effect"] for r in content["told"]["rest"]}
+    cards = "".join(_finding(f, content) for f in content["findings"] if f["name"] in rest)
+    line = small_ones(content) if rest else ""
+    return _folded(f"{line[:1].upper()}{line[1:]}.", cards) if rest else ""
+
+
+def _recording(content: Mapping[str, Any]) -> str:
+    """Faults of the recording chain, in one card."""
+    faults = [f for f in content["findings"] if f["kind"] != "effect"]
+    if len(faults) < 2:
+        return "".join(_finding(f, content) for f in faults)
+    return "<h2>The recording</h2>" + "".join(_finding(f, content) for f in faults)
+
+
+def _finding(finding: Mapping[str, Any], content: Mapping[str, Any], figure: str = "") -> str:
     reason = escape(finding["lead_reason"] or "")
     lead = f' <span class="lead">a lead: {reason}</span>' if finding["lead"] else ""
     text = f"<h3><code>{escape(finding['name'])}</code>{lead}</h3><p>{escape(finding['sentence'])}</p>"
+    worth = without_it(finding, content)
+    text += f"<p>{escape(worth[:1].upper())}{escape(worth[1:])}.</p>{figure}" if worth else figure
     own = {k: p for k, p in content["parameters"].items() if k.startswith(f"{finding['name']}.")}
     if own:
         rows = [

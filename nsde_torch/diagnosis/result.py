@@ -8,6 +8,7 @@ from typing import Any
 
 from nsde_torch.data import DataSet
 from nsde_torch.diagnosis import content as contents
+from nsde_torch.diagnosis.buys import Bought, Told, bought, told
 from nsde_torch.diagnosis.cross_validation import HeldOut
 from nsde_torch.diagnosis.explanation import Explanation
 from nsde_torch.diagnosis.fitted import effect_of, values_of
@@ -98,6 +99,17 @@ class Diagnosis:
     def sensor_faults(self) -> dict[str, dict[str, float]]:
         """What sensors were found to do to the states: arguments of `nsde_torch.read` that undo it."""
         return {name: self.recorded.values(name) for name in remedies()}
+
+    @property
+    def buys(self) -> dict[str, Bought]:
+        """By effect, those that buy most first: the error on runs left out that returns without it."""
+        return bought(self.errors.own, inputs=self.errors.inputs)
+
+    @property
+    def told(self) -> Told:
+        """The few effects that matter, and the others."""
+        names = [f.name for f in self.outcome.found]
+        return told(names, self.buys, self.outcome.decisions.wording)
 
     @property
     def width(self) -> float:

@@ -21,15 +21,22 @@ Array = NDArray[np.float64]
 def starts(
     system: System, name: str, scales: Mapping[str, float], frequencies: Sequence[float]
 ) -> list[Start]:
-    """Values that fits of a candidate start from; what it contains lends it the shapes that both have."""
+    """Values that fits of a candidate start from.
+
+    What it contains and is there lends it the shapes that both have, and a start at which it is that effect: from there
+    it explains no less.
+    """
     cls = effect_class(name)
     found = cls.starts(scales, frequencies)
     for effect in system.effects:
         assert isinstance(effect, Effect)
         if effect.name not in cls.includes:
             continue
-        lent = {key: value for key, value in values_of(effect).items() if key in cls.shapes}
-        found += [{**start, **lent} for start in found] if lent else []
+        theirs = values_of(effect)
+        alike = {own: theirs[key] for own, key in cls.shared(type(effect)).items()}
+        lent = {own: value for own, value in alike.items() if own in cls.shapes}
+        for start in [{**start, **more} for more in (lent, alike) for start in found]:
+            found += [] if start in found else [start]
     return found
 
 

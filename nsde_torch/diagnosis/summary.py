@@ -2,17 +2,21 @@
 
 from collections.abc import Sequence
 
+from nsde_torch.diagnosis.buys import Told
 from nsde_torch.diagnosis.detectability import not_shown
 from nsde_torch.diagnosis.outcome import Outcome
 from nsde_torch.diagnosis.shape import Shape
 
 
-def summary(verdict: str, added: Sequence[str], outcome: Outcome, shapes: Sequence[Shape]) -> str:
+def summary(
+    verdict: str, faults: Sequence[str], told: Told, outcome: Outcome, shapes: Sequence[Shape]
+) -> str:
     """The verdict in one or two sentences.
 
     Args:
         verdict: `no_effect`, `effect_found` or `unexplained`.
-        added: Names of everything that was found.
+        faults: Names of the faults of the recording chain that were found.
+        told: The effects that matter, and the others.
         outcome: What was concluded.
         shapes: What the residual still depends on, in words.
     """
@@ -32,9 +36,12 @@ def summary(verdict: str, added: Sequence[str], outcome: Outcome, shapes: Sequen
                 f"could not show {', '.join(blind)} at any size."
             )
         return "Nothing is missing: what the declared physics leaves is noise."
-    names, rest = ", ".join(added), _rest(outcome, shapes)
-    leads = [f.name for f in outcome.found if f.provisional]
-    take = f"ake {', '.join(leads)} as {'leads' if len(leads) > 1 else 'a lead'}."
+    added = [*faults, *told.few, *told.rest]
+    names, rest = named([*faults, *told.few], told), _rest(outcome, shapes)
+    provisional = {f.name for f in outcome.found if f.provisional}
+    leads = [name for name in added if name in provisional]
+    every = len(leads) == len(outcome.found) > 1
+    take = f"ake {'all effects' if every else ', '.join(leads)} as {'leads' if len(leads) > 1 else 'a lead'}."
     if verdict == "effect_found":
         moved = {name for f in outcome.found for name in f.moves}
         elsewhere = bool(outcome.structured) and outcome.structured[0].channel not in moved
@@ -51,6 +58,25 @@ def summary(verdict: str, added: Sequence[str], outcome: Outcome, shapes: Sequen
     if len(leads) == len(added):
         return f"{what}, which {'are leads' if len(added) > 1 else 'is a lead'}."
     return f"{what}. T{take}" if leads else f"{what}."
+
+
+def named(first: Sequence[str], told: Told) -> str:
+    """Names of what was found, small effects by their number.
+
+    Args:
+        first: Names that are told.
+        told: The effects that matter, and the others.
+    """
+    if not told.rest:
+        return ", ".join(first)
+    return f"{', '.join(first)} and {small(len(told.rest))}"
+
+
+def small(count: int) -> str:
+    """How many effects are small, in words."""
+    words = ("", "one", "two", "three", "four", "five", "six", "seven", "eight", "nine", "ten")
+    number = words[count] if count < len(words) else str(count)
+    return f"{number} small one{'s' if count > 1 else ''}"
 
 
 def _rest(outcome: Outcome, shapes: Sequence[Shape]) -> str:

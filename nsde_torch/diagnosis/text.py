@@ -3,7 +3,9 @@
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from nsde_torch.diagnosis.buys import BY_STEPS
 from nsde_torch.diagnosis.feedback_text import feedback_lines
+from nsde_torch.diagnosis.summary import small
 from nsde_torch.evaluation.report import number, table
 
 _RANKED, _SENTENCES = 6, 4  # candidates and sentences that are listed
@@ -13,17 +15,10 @@ def lines(content: Mapping[str, Any]) -> list[str]:
     """Lines of text from the content of `diagnosis.json`."""
     out = [f"verdict: {content['verdict']}", content["summary"]]
     out += [line for w in content["warnings"] for line in ("", f"warning: {warning(w)}")]
-    for finding in content["findings"]:
-        mark = f" (a lead: {finding['lead_reason']})" if finding["lead"] else ""
-        out += ["", f"{finding['name']}{mark}: {finding['sentence']}"]
-        p = finding["p"]
-        if p is not None:
-            out[-1] += f" (p {chance(p)})"
-        for tie in content["ties"]:
-            if tie["effects"][0] == finding["name"]:
-                out.append(
-                    f"  cannot be told from {', '.join(tie['effects'][1:])}. To tell: {tie['experiment']}."
-                )
+    for finding in in_order(content):
+        out += _finding(finding, content)
+    if content["told"]["rest"]:
+        out += ["", f"{small_ones(content)}."]
     out += [line for a in content["aside"] for line in ("", f"{a['sentence']} This is {a['reason']}.")]
     if content["parameters"]:
         rows = [
@@ -76,6 +71,58 @@ def lines(content: Mapping[str, Any]) -> list[str]:
         out += ["", "these data cannot show (smallest size that would be noticed):"]
         out += [f"  {text}" for text in unseen(content["not_shown"])]
     return out
+
+
+def _finding(finding: Mapping[str, Any], content: Mapping[str, Any]) -> list[str]:
+    """What was found, what it buys, and what it cannot be told from."""
+    mark = f" (a lead: {finding['lead_reason']})" if finding["lead"] else ""
+    out = ["", f"{finding['name']}{mark}: {finding['sentence']}"]
+    if finding["p"] is not None:
+        out[-1] += f" (p {chance(finding['p'])})"
+    worth = without_it(finding, content)
+    out += [f"  {worth}"] if worth else []
+    for tie in content["ties"]:
+        if tie["effects"][0] == finding["name"]:
+            out.append(
+                f"  cannot be told from {', '.join(tie['effects'][1:])}. To tell: {tie['experiment']}."
+            )
+    return out
+
+
+def in_order(content: Mapping[str, Any]) -> list[Mapping[str, Any]]:
+    """Findings that are told one by one: effects that matter, the most important first, then the recording."""
+    by_name = {f["name"]: f for f in content["findings"] if f["kind"] == "effect"}
+    return [
+        *(by_name[name] for name in content["told"]["few"]),
+        *(f for f in content["findings"] if f["kind"] != "effect"),
+    ]
+
+
+def without_it(finding: Mapping[str, Any], content: Mapping[str, Any]) -> str:
+    """What returns on runs left out when an effect is left out; empty where nobody knows."""
+    buys, where = finding["buys"], content["errors"]["measured_on"]
+    if buys is None:
+        return ""
+    parts = []
+    if buys["channel"] is not None:
+        change = f"{number(buys['error_with'])} to {number(buys['error_without'])}"
+        unit = "" if buys["unit"] == "1" else f" {buys['unit']}"
+        parts.append(f"the residual of {buys['channel']} goes from {change}{unit}")
+    if content["told"]["by"] == BY_STEPS:
+        way = "falls" if buys["nats"] >= 0 else "rises"
+        parts.append(f"the log-likelihood {way} by {number(round(abs(buys['nats']), 1))} nats")
+    share = f" ({buys['share']:.0%} of what all effects buy)" if 0 < buys["share"] < 1 else ""
+    return f"without it, on {where}: {', '.join(parts)}{share}"
+
+
+def small_ones(content: Mapping[str, Any]) -> str:
+    """The effects that matter little, in one line."""
+    told = content["told"]
+    each = ", ".join(f"{r['effect']} ({r['size']})" for r in told["rest"])
+    return (
+        f"and {small(len(told['rest']))}, together {told['rest_share']:.1%} of what all effects buy on "
+        f"{content['errors']['measured_on']}: {each}"
+    )
 
 
 def warning(entry: Mapping[str, Any]) -> str:

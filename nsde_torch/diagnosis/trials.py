@@ -14,7 +14,7 @@ from scipy.special import chdtrc
 
 from nsde_torch.diagnosis.decisions import DECISIONS, Decisions
 from nsde_torch.diagnosis.evidence import Score, p_value, score, sum_error
-from nsde_torch.diagnosis.fitted import nonlinear
+from nsde_torch.diagnosis.fitted import adds_nothing, nonlinear
 from nsde_torch.diagnosis.multiplicity import bonferroni, has_frequency, starts_of
 from nsde_torch.diagnosis.search import Base, Search
 from nsde_torch.effects import effect_class
@@ -152,6 +152,7 @@ def accept(search: Search, trial: Trial) -> bool:
         _beyond_chance(search, trial)
         and not _shorter_than_a_step(search, trial)
         and _comes_back(search, trial)
+        and not adds_nothing(trial.regression, trial.name)
     )
 
 

@@ -194,6 +194,8 @@ class Effect(Parametrised, ABC):
             `spectrum` (frequencies are taken from the data, `shapes` has none).
         resolved: Times of a memory -> the least multiple of a step at which explicit steps follow it.
         includes: Simpler effects that it contains as special cases; it stands in for them, not beside them.
+        same: Its parameters that are one of those of what it contains where the two are alike, own name -> theirs;
+            parameters of the same name are alike without a word.
         along: The one variable that it is a law of (`speed`, `position`), if there is one: two of one variable on one
             port may together stand for a third that nobody listed.
         sentence: What it means, for who runs the machine; {parameter} stands for a value with its unit.
@@ -225,6 +227,7 @@ class Effect(Parametrised, ABC):
     relative: ClassVar[Mapping[str, str]] = {}
     resolved: ClassVar[Mapping[str, float]] = {}
     includes: ClassVar[tuple[str, ...]] = ()
+    same: ClassVar[Mapping[str, str]] = {}
     along: ClassVar[str] = ""
     sentence: ClassVar[str] = ""
     separate: ClassVar[str] = ""
@@ -247,6 +250,12 @@ class Effect(Parametrised, ABC):
     def candidate(cls, system: str) -> bool:
         """Whether a diagnosis of this system should try it: not where another effect is the same term."""
         return True
+
+    @classmethod
+    def shared(cls, simpler: "type[Effect]") -> dict[str, str]:
+        """Its parameters that are one of an effect that it contains, own name -> name there (see `same`)."""
+        names = {name: cls.same.get(name, name) for name in cls.PARAMETERS}
+        return {own: theirs for own, theirs in names.items() if theirs in simpler.PARAMETERS}
 
     @classmethod
     def starts(

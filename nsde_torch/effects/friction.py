@@ -113,6 +113,7 @@ class AsymmetricFriction(Effect):
     shapes = {"width": WIDTHS}
     relative = {"width": "speed"}
     includes = ("coulomb_friction", "cart_coulomb_friction")
+    same = {"size_forward": "size", "size_backward": "size"}
     sentence = "Dry friction brakes with {size_forward} forwards and {size_backward} backwards."
     separate = "run at the same speeds in both directions, and let it come to rest from both sides"
 

@@ -93,6 +93,8 @@ _LOOKS = {
     "after": (AFTER, "s"),
     "residual": (BEFORE, "o"),
     "other runs": (AFTER, "s"),
+    "without it": (BEFORE, "o"),
+    "with it": (AFTER, "s"),
 }
 
 

@@ -1,0 +1,202 @@
+"""Ten drives with dry friction, an offset and a controller: names, parameters and intervals against the truth.
+
+    m a = F - b v - c(v) sign(v) + o        sticks at v = 0 while |F + o| is below the friction
+
+by its own stepper at 20 kHz (no code of the package): the carriage stands still exactly while it sticks. A controller
+at 1 kHz follows ramps of position (proportional on position, proportional on speed from differences of the encoder);
+its force is held. Logged are encoder and force at 1 kHz; the log is then treated as a user would: zero-phase
+Butterworth filter at 100 Hz, central differences, and every 20 ms the states and the mean of the force until the next.
+
+    python benchmarks/bench_friction_drive.py --seed 1 --count 10
+"""
+
+import argparse
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, final
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from scipy.signal import butter, filtfilt
+from torch import Tensor
+
+import nsde_torch
+from nsde_torch.data import Run
+from nsde_torch.effects import Parameter, Port
+from nsde_torch.recording.checks import assemble
+from nsde_torch.systems import Defaults, ErrorGroup, ResidualPort, System
+
+Array = NDArray[np.float64]
+
+STEP, CONTROL, LOGGED = 5e-5, 1e-3, 0.02
+WITHIN = 0.02
+
+
+@final
+class Drive(System):
+    """A carriage that a force drives along a rail: viscous friction is declared."""
+
+    name = "drive"
+    state_names = ("q", "q_dot")
+    state_units = ("m", "m/s")
+    input_names = ("force",)
+    input_units = ("N",)
+    position_derivatives = (("q", "q_dot", "world"),)
+    sensor_noise = True
+    declared = ("viscous_friction",)
+    ports = {Port.FORCE: 1}
+    residual_ports = {Port.FORCE: ResidualPort(1, 0.5, "m/s2")}
+    PARAMETERS = {"force_gain": Parameter(0.05, "1/kg", low=0.0, help="1 / mass")}
+    defaults = Defaults(0.02, 25, (0.001, 0.05), 0.1, 1.0, "euler_maruyama")
+    error_names = state_names
+    error_groups = (ErrorGroup("position", (0,), "m"), ErrorGroup("velocity", (1,), "m/s"))
+    feature_names = ("q_dot",)
+    feature_units = ("m/s",)
+
+    def dynamics(self, t: float | Tensor, x: Tensor, u: Tensor, forces: Mapping[Port, Tensor]) -> Tensor:
+        """Rate (N, 2) of the states (N, 2)."""
+        acceleration = self.value("force_gain") * u
+        if Port.FORCE in forces:
+            acceleration = acceleration + forces[Port.FORCE]
+        return torch.cat((x[:, 1:], acceleration), 1)
+
+    def features(self, x: Tensor) -> Tensor:
+        """The velocity (N, 1)."""
+        return x[:, 1:]
+
+
+@dataclass(frozen=True)
+class Truth:
+    """One drive.
+
+    Args:
+        mass: [kg].
+        viscous: b [N s/m].
+        dry: c [N].
+        offset: o [N].
+        speed: Largest of the ramps [m/s].
+        ripple: Standard deviation of the force that nobody logs, new every millisecond [N].
+        tick: Of the encoder [m].
+    """
+
+    mass: float
+    viscous: float
+    dry: float
+    offset: float
+    speed: float
+    ripple: float
+    tick: float
+
+
+def drawn(rng: np.random.Generator) -> Truth:
+    """A drive from 2 to 200 kg whose friction matters at its speeds."""
+    mass, speed = np.exp(rng.uniform(np.log((2.0, 0.05)), np.log((200.0, 0.5))))
+    dry = mass * rng.uniform(0.1, 0.6)
+    viscous = mass * rng.uniform(1.0, 4.0)
+    offset = dry * rng.choice((-1.0, 1.0)) * rng.uniform(0.05, 0.4)
+    return Truth(mass, viscous, dry, offset, speed, 0.02 * dry, 10.0 ** rng.uniform(-7, -5.5))
+
+
+def recorded(truth: Truth, rng: np.random.Generator, seconds: float = 25.0) -> tuple[Array, Array, Array]:
+    """Time, encoder and force at 1 kHz of a drive that follows ramps to and fro."""
+    steps, inner = round(seconds / CONTROL), round(CONTROL / STEP)
+    legs = rng.uniform(0.3, 1.0, 4 * round(seconds)) * truth.speed * np.tile((1, 1, -1, -1), round(seconds))
+    wanted = np.cumsum(np.repeat(legs, round(0.5 / CONTROL))[:steps]) * CONTROL
+    stiff, damp = 30.0, 60.0 * truth.mass
+    q = v = seen = speed = 0.0
+    log = np.empty((steps, 2))
+    push = truth.ripple * rng.standard_normal(steps)
+    for k in range(steps):
+        before, seen = seen, round(q / truth.tick) * truth.tick
+        speed += 0.2 * ((seen - before) / CONTROL - speed)
+        force = damp * (stiff * (wanted[k] - seen) - speed)
+        log[k] = seen, force
+        drive = force + push[k] + truth.offset
+        for _ in range(inner):
+            if v == 0.0 and abs(drive) <= truth.dry:
+                continue
+            way = np.sign(v) if v != 0.0 else np.sign(drive)
+            after = v + STEP * (drive - truth.viscous * v - truth.dry * way) / truth.mass
+            if v != 0.0 and after * v < 0.0:
+                after = 0.0  # it stops, and goes on where the force is larger than the friction
+            q += 0.5 * STEP * (v + after)
+            v = after
+    return np.arange(steps) * CONTROL, log[:, 0], log[:, 1]
+
+
+def as_logged(t: Array, q: Array, force: Array) -> Run:
+    """The log as a user makes it: filtered, differentiated, and the mean force of every step."""
+    a, b = butter(4, 100.0 / 500.0)
+    smooth = filtfilt(a, b, q)
+    v = np.gradient(smooth, CONTROL)
+    n = round(LOGGED / CONTROL)
+    rows = np.arange(n, len(t) - 2 * n, n)
+    mean = np.array([force[k : k + n].mean() for k in rows])
+    x = np.stack((smooth[rows], v[rows]), 1)
+    return Run("drive", t[rows], x, mean[:, None])
+
+
+def readings(found: Any) -> dict[str, tuple[float, float, float]]:
+    """Value and ends of its interval of gain, viscous, dry friction and offset, over mass; nan where not named."""
+    out = {}
+    declared = found.content()["declared_parameters"]
+    for name in ("force_gain", "viscous_friction.damping"):
+        p = declared[name]
+        out[name] = (p["value"], *(p["interval_90"] or (-np.inf, np.inf)))
+    named = found.parameters
+    none = {"value": np.nan, "interval_90": None}
+    two = [named.get(f"asymmetric_friction.size_{way}") for way in ("forward", "backward")]
+    if two[0] and two[1]:
+        f, b = two[0], two[1]
+        value = {"dry": 0.5 * (f["value"] + b["value"]), "offset": 0.5 * (b["value"] - f["value"])}
+        half = [
+            0.5 * (p["interval_90"][1] - p["interval_90"][0]) if p["interval_90"] else np.inf for p in (f, b)
+        ]
+        wide = 0.5 * (half[0] + half[1])
+        return out | {k: (v, v - wide, v + wide) for k, v in value.items()}
+    dry = named.get("coulomb_friction.size", named.get("stribeck_friction.size", none))
+    push = named.get("constant_force.acceleration", none)
+    for key, p in (("dry", dry), ("offset", push)):
+        out[key] = (p["value"], *(p["interval_90"] or (-np.inf, np.inf)))
+    return out
+
+
+def main() -> None:
+    """Simulate, diagnose, and print a table."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--count", type=int, default=10)
+    arguments = parser.parse_args()
+    torch.set_num_threads(1)
+    right = within = held = told = 0
+    print(
+        "| drive | mass [kg] | found | 1/m | viscous | dry | offset | intervals that hold |\n"
+        + "|---" * 8
+        + "|"
+    )
+    for number in range(arguments.count):
+        rng = np.random.default_rng((arguments.seed, number))
+        truth = drawn(rng)
+        run = as_logged(*recorded(truth, rng))
+        found = nsde_torch.diagnose(assemble([run], Drive(), kind="simulated"), system=Drive)
+        m = truth.mass
+        true = {"force_gain": 1 / m, "viscous_friction.damping": truth.viscous / m}
+        true |= {"dry": truth.dry / m, "offset": truth.offset / m}
+        read = readings(found)
+        off = {k: read[k][0] / v - 1 for k, v in true.items()}
+        holds = [read[k][1] <= v <= read[k][2] for k, v in true.items() if np.isfinite(read[k][0])]
+        right += found.added in (["asymmetric_friction"], ["coulomb_friction", "constant_force"])
+        within += sum(abs(e) <= WITHIN for e in off.values())
+        told, held = told + len(holds), held + sum(holds)
+        cells = [f"{e:+.1%}" if np.isfinite(e) else "not named" for e in off.values()]
+        cells += [f"{sum(holds)} of {len(holds)}"]
+        print(f"| {number} | {m:.3g} | {', '.join(found.added)} | {' | '.join(cells)} |", flush=True)
+    print(
+        f"\n{right} of {arguments.count} drives named in full and nothing else; {within} of "
+        f"{4 * arguments.count} parameters within {WITHIN:.0%}; {held} of {told} intervals hold"
+    )
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,129 @@
+"""What each effect that was found buys: the error on runs left out that returns when it is left out.
+
+Everything that was found is fitted to the other runs with the effect and, all parameters again, without it
+(`cross_validation`). What the effect buys is, over the channels that it moves,
+
+    g = max(log p(with) - log p(without), 0)                 where inputs are what acted: log-likelihood of each step
+    g = max(sum_c log(rms_without_c^2 / rms_with_c^2), 0)    where they were restored from an average, and know the
+                                                             future: residual force and moment alone
+
+and its share is g over the sum of all g. Both mean the same in a closed loop, where errors of predictions under
+replayed inputs do not. Shares are of what effects bring beside each other: of two that can stand in for each other
+neither brings much. The few that matter are the first, in this order, that together reach `Wording.few_share`.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from math import log
+from typing import Any
+
+from nsde_torch.diagnosis.decisions import Wording
+from nsde_torch.diagnosis.innovations import Own
+
+BY_STEPS, BY_RESIDUAL = "log-likelihood", "residual"
+"""What effects are ordered by."""
+
+
+@dataclass(frozen=True)
+class Bought:
+    """What one effect buys on runs left out.
+
+    Args:
+        effect: Its name.
+        gain: g, in nats of what effects are ordered by.
+        share: g over the sum of g of all effects; 0 where no effect brings anything.
+        nats: Gain in log-likelihood of one-step predictions, on the channels that it moves.
+        channel: The channel in which most returns without it; empty where no stretch is long enough to say.
+        unit: Of the residual of that channel.
+        error_with, error_without: Root mean square of its mean residual rates over a quarter of a second [unit].
+    """
+
+    effect: str
+    gain: float
+    share: float
+    nats: float
+    channel: str = ""
+    unit: str = ""
+    error_with: float | None = None
+    error_without: float | None = None
+
+    def as_dict(self) -> dict[str, Any]:
+        """Plain containers, for JSON."""
+        return {
+            "nats": self.nats,
+            "share": self.share,
+            "channel": self.channel or None,
+            "unit": self.unit or None,
+            "error_with": self.error_with,
+            "error_without": self.error_without,
+        }
+
+
+def bought(own: Mapping[str, Own], *, inputs: bool) -> dict[str, Bought]:
+    """What effects buy, those that buy most first.
+
+    Args:
+        own: By effect: what it brings on runs left out.
+        inputs: Whether the inputs are what acted, and not restored from an average.
+    """
+    gains = {name: _gain(one, inputs=inputs) for name, one in own.items()}
+    whole = sum(gains.values())
+    out = {}
+    for name in sorted(own, key=lambda n: -gains[n]):
+        one = own[name]
+        share = gains[name] / whole if whole > 0 else 0.0
+        if not one.residual:
+            out[name] = Bought(name, gains[name], share, one.nats)
+            continue
+        channel = max(one.residual, key=lambda c: _returns(one, c))
+        unit, without, with_it = one.residual[channel]
+        out[name] = Bought(name, gains[name], share, one.nats, channel, unit, with_it, without)
+    return out
+
+
+@dataclass(frozen=True)
+class Told:
+    """The order in which effects are told.
+
+    Args:
+        few: Names of those that matter, the most important first.
+        rest: Names of the others.
+        share: What the others buy together, of what all buy.
+    """
+
+    few: tuple[str, ...]
+    rest: tuple[str, ...]
+    share: float
+
+
+def told(names: Sequence[str], buys: Mapping[str, Bought], wording: Wording) -> Told:
+    """The effects that matter, and the others.
+
+    An effect of which runs left out say nothing matters, and so do all where none brings anything.
+
+    Args:
+        names: Of the effects that were found, in the order in which they were added.
+        buys: What they buy, as far as runs left out say.
+        wording: From which share on those before are enough.
+    """
+    order = sorted(names, key=lambda n: -buys[n].gain if n in buys else 0.0)
+    few, rest, reached = list[str](), list[str](), 0.0
+    for name in order:
+        if name in buys and reached >= wording.few_share:
+            rest.append(name)
+            continue
+        few.append(name)
+        reached += buys[name].share if name in buys else 0.0
+    return Told(tuple(few), tuple(rest), sum(buys[n].share for n in rest))
+
+
+def _gain(one: Own, *, inputs: bool) -> float:
+    if inputs or not one.residual:
+        return max(one.nats, 0.0)
+    return max(sum(_returns(one, channel) for channel in one.residual), 0.0)
+
+
+def _returns(one: Own, channel: str) -> float:
+    """Log of the residual power of a channel without the effect, over that with it."""
+    _, without, with_it = one.residual[channel]
+    return 2.0 * log(max(without, 1e-300) / max(with_it, 1e-300))

@@ -1,0 +1,164 @@
+"""What effects buy on runs left out: their order, the few that matter, and how the others are told."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from nsde_torch.diagnosis.buys import BY_STEPS, Bought, bought, told
+from nsde_torch.diagnosis.decisions import Wording
+from nsde_torch.diagnosis.effect_pictures import WITH, WITHOUT, effect_panels
+from nsde_torch.diagnosis.innovations import Own, Scored, own
+from nsde_torch.diagnosis.options import Options
+from nsde_torch.diagnosis.report import page
+from nsde_torch.diagnosis.result import Diagnosis
+from nsde_torch.diagnosis.summary import named, small
+from nsde_torch.diagnosis.text import in_order, lines, without_it
+from tests.helpers.diagnosed import diagnosed
+
+WORDING = Wording()
+
+
+def brings(nats: float, **left: tuple[float, float]) -> Own:
+    """What an effect brings: nats, and by channel the residual without it and with it."""
+    return Own(
+        nats, None, None, {}, {}, larger=False, residual={k: ("m/s2", *pair) for k, pair in left.items()}
+    )
+
+
+def test_effects_are_ordered_by_the_log_likelihood_that_is_lost_without_them() -> None:
+    brought = {
+        "a": brings(20.0, v=(2.0, 1.0)),
+        "b": brings(60.0, v=(1.1, 1.0)),
+        "c": brings(-5.0, v=(1.0, 1.0)),
+    }
+    found = bought(brought, inputs=True)
+    assert list(found) == ["b", "a", "c"]
+    assert [b.share for b in found.values()] == pytest.approx([0.75, 0.25, 0.0])
+
+
+def test_where_inputs_know_the_future_the_residual_alone_orders_them() -> None:
+    brought = {"a": brings(20.0, v=(2.0, 1.0)), "b": brings(60.0, v=(1.1, 1.0), w=(0.9, 1.0))}
+    found = bought(brought, inputs=False)
+    assert list(found) == ["a", "b"]
+    assert found["a"].gain == pytest.approx(2 * np.log(2.0))
+    assert found["b"].gain == 0.0  # what returns in one channel is gained in the other
+    assert found["b"].share == 0.0
+
+
+def test_the_error_that_is_told_is_that_of_the_channel_in_which_most_returns() -> None:
+    found = bought({"a": brings(1.0, v=(1.2, 1.0), w=(0.3, 0.1))}, inputs=True)["a"]
+    assert (found.channel, found.unit, found.error_without, found.error_with) == ("w", "m/s2", 0.3, 0.1)
+    nothing = bought({"a": brings(1.0)}, inputs=False)["a"]
+    assert nothing.as_dict() == {
+        **{"nats": 1.0, "share": 1.0, "channel": None, "unit": None},
+        **{"error_with": None, "error_without": None},
+    }
+
+
+@pytest.mark.parametrize(
+    ("shares", "share", "few", "rest"),
+    [
+        ({"a": 0.02, "b": 0.9, "c": 0.08}, 0.95, ("b", "c"), ("a",)),
+        ({"a": 0.02, "b": 0.9, "c": 0.08}, 0.9, ("b",), ("c", "a")),
+        ({"a": 0.0, "b": 0.0}, 0.95, ("a", "b"), ()),  # nobody brings anything: nobody is small
+        ({"a": 1.0}, 0.95, ("a",), ()),
+    ],
+)
+def test_the_few_are_the_first_that_together_reach_the_share(
+    shares: dict[str, float], share: float, few: tuple[str, ...], rest: tuple[str, ...]
+) -> None:
+    buys = {k: Bought(k, s, s, s) for k, s in shares.items()}
+    found = told(list(shares), buys, Wording(few_share=share))
+    assert (found.few, found.rest) == (few, rest)
+    assert found.share == pytest.approx(sum(shares[name] for name in rest))
+
+
+def test_an_effect_of_which_runs_left_out_say_nothing_is_told() -> None:
+    found = told(["a", "b"], {"b": Bought("b", 5.0, 1.0, 5.0)}, WORDING)
+    assert found.few == ("b", "a")
+
+
+def test_the_residual_of_an_effect_is_that_of_runs_left_out() -> None:
+    rng = np.random.default_rng(0)
+    n = 400
+    without, full = (
+        Scored(
+            names=("v", "w"),
+            units=("m/s2", "rad/s2"),
+            density=np.full((n, 2), -size),
+            run=np.repeat(np.arange(4), n // 4),
+            t=np.tile(np.arange(n // 4) * 0.1, 4),
+            squares=np.square(size * rng.standard_normal((n, 2))),
+            band_run=np.repeat(np.arange(4), n // 4),
+            band_t=np.tile(np.arange(n // 4) * 0.1, 4),
+        )
+        for size in (3.0, 1.0)
+    )
+    mine = own(without, full, ("w",), seed=0)
+    assert mine is not None
+    unit, before, after = mine.residual["w"]
+    assert unit == "rad/s2"
+    assert before == pytest.approx(3.0, rel=0.2)
+    assert after / before == pytest.approx(mine.residual_ratio["w"])
+    assert set(mine.residual) == {"w"}
+
+
+@pytest.fixture(scope="module")
+def found() -> tuple[Diagnosis, dict[str, Any]]:
+    """A spring with much dry friction and a weak steady push."""
+    friction, push = {"coulomb_friction": {"size": 0.3}}, {"constant_force": {"acceleration": 0.05}}
+    options = Options(candidates=("coulomb_friction", "constant_force"))
+    return diagnosed("mass_spring_damper", friction, push, options=options)
+
+
+def test_what_returns_is_said_where_the_effect_is(found: tuple[Diagnosis, dict[str, Any]]) -> None:
+    diagnosis, content = found
+    assert content["told"]["by"] == BY_STEPS
+    assert content["told"]["few"][0] == "coulomb_friction"
+    (friction,) = (f for f in content["findings"] if f["name"] == "coulomb_friction")
+    buys = friction["buys"]
+    assert buys["nats"] == friction["held_out"]["nats"]
+    assert buys["error_with"] < 0.5 * buys["error_without"]
+    words = without_it(friction, content)
+    assert words.startswith("without it, on runs left out: the residual of q_dot goes from")
+    assert any(words in line for line in lines(content))
+    pictures = diagnosis.buys
+    assert list(pictures) == sorted(pictures, key=lambda n: -pictures[n].gain)
+
+
+def test_small_effects_are_gathered_in_one_line(found: tuple[Diagnosis, dict[str, Any]]) -> None:
+    _, content = found
+    few, rest = content["told"]["few"][:1], [n for n in content["added"] if n != "coulomb_friction"]
+    sizes = [{"effect": name, "size": "0.05 m/s2"} for name in rest]
+    gathered = {**content, "told": {**content["told"], "few": few, "rest": sizes, "rest_share": 0.04}}
+    assert [f["name"] for f in in_order(gathered)] == few
+    line = f"and {small(len(rest))}, together 4.0% of what all effects buy on runs left out: {rest[0]} (0.05 m/s2)"
+    assert any(told_line.startswith(line) for told_line in lines(gathered))
+    text = page(gathered, {}, width=0.25)
+    assert f"<summary>And {line[4:]}" in text
+    assert text.index("<code>coulomb_friction</code>") < text.index(f"<code>{rest[0]}</code>")
+
+
+def test_the_summary_counts_small_effects() -> None:
+    buys = {k: Bought(k, s, s, s) for k, s in {"a": 0.97, "b": 0.02, "c": 0.01}.items()}
+    assert (
+        named(["clock_scale", "a"], told(["a", "b", "c"], buys, WORDING))
+        == "clock_scale, a and two small ones"
+    )
+    assert small(1) == "one small one"
+    assert small(12) == "12 small ones"
+
+
+def test_each_effect_that_matters_has_a_picture(found: tuple[Diagnosis, dict[str, Any]]) -> None:
+    diagnosis, _ = found
+    panels = effect_panels(diagnosis.outcome, diagnosis.told, diagnosis.buys, diagnosis.runs)
+    assert set(panels) == set(diagnosis.told.few)
+    panel = panels["coulomb_friction"]
+    assert (panel.channel, panel.variable) == ("q_dot", "q_dot")
+    without, left = panel.clouds[WITHOUT], panel.clouds[WITH]
+    slow = np.sign(without.centre) * without.mean
+    assert slow.mean() < -0.2  # it brakes, whichever way the mass moves
+    assert np.abs(left.mean).mean() < 0.1

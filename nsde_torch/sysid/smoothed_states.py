@@ -216,8 +216,12 @@ def _by_smoother(odd: Mapping[SensorGroup, Spectra]) -> list[tuple[tuple[SensorG
     if len(odd) > 1 and len(steps) == 1:
         together = smoothers.joined(list(odd.values()))
         common = smoothers.likeliest(together, rates=all(sensor.rates for sensor in odd))
-        near = {k: smoothers.fit(s, common.smoother).deviance - own[k].deviance for k, s in odd.items()}
-        alike = tuple(k for k, lost in near.items() if lost < ALIKE)
+        fits = {k: smoothers.fit(s, common.smoother) for k, s in odd.items()}
+        near = {k for k, one in fits.items() if one.deviance - own[k].deviance < ALIKE}
+        # of a position and its rate, who smooths one smooths the other: a family that is only near the true filter
+        # fits each a little better by a member of its own
+        pairs = {k.group for k in near} - {""}
+        alike = tuple(k for k in odd if k in near or (k.group in pairs and _off(fits[k], odd[k]) < SOUND))
         if len(alike) > 1:
             return [(alike, common), *(((k,), own[k]) for k in odd if k not in alike)]
     return [((k,), likely) for k, likely in own.items()]

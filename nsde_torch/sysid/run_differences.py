@@ -30,12 +30,11 @@ Array = NDArray[np.float64]
 
 SHARE = 0.1
 """Relative difference that batteries, air and what is missing make, beside the share s^2 that is left."""
+CHANCE, EITHER = 0.02, 0.3
+"""Chance of so large a difference beyond what runs differ by, over all runs and parameters: the geometric mean of that
+by the whitened rows and that by plain least squares; and the largest of either."""
 WHOLE, TIMES = 0.6, 2.5
 """Share of what was measured that is left of a run that is not explained; and times as much as of each other run."""
-BESIDE = 0.3
-"""Chance of the same difference in plain least squares, which must see it too; they are less sure of it."""
-CHANCE = 1e-2
-"""Chance of so large a difference beyond `SHARE`, over all runs and parameters."""
 
 
 @dataclass(frozen=True)
@@ -88,8 +87,8 @@ def odd_run(regression: Regression, rough: Regression, runs: Sequence[Run]) -> R
     sure, beside = _differences(regression, answered), _differences(rough, answered)
     found = [
         (chance, r, j, own, others)
-        for (r, j), (chance, own, others) in sure.items()
-        if chance < CHANCE and _agrees(beside.get((r, j)), own > others)
+        for (r, j), (first, own, others) in sure.items()
+        if (chance := _joint(first, beside.get((r, j)), own > others)) < CHANCE
     ]
     if not found:
         return None
@@ -98,9 +97,11 @@ def odd_run(regression: Regression, rough: Regression, runs: Sequence[Run]) -> R
     return RunDifference(runs[r].name, v.labels[j], v.units[j], own, others, chance)
 
 
-def _agrees(other: tuple[float, float, float] | None, larger: bool) -> bool:
-    """Whether plain least squares find the same difference, less surely."""
-    return other is not None and other[0] < BESIDE and (other[1] > other[2]) == larger
+def _joint(chance: float, other: tuple[float, float, float] | None, larger: bool) -> float:
+    """Chance of a difference by both fits; one where they do not agree."""
+    if other is None or (other[1] > other[2]) != larger or max(chance, other[0]) > EITHER:
+        return 1.0
+    return float(np.sqrt(chance * other[0]))
 
 
 def _answered(rough: Regression) -> dict[int, Array]:

@@ -13,7 +13,8 @@ learned what a smoother or a lag did to the physics. So
 - where least squares find less than the fit, the fit is believed, and nothing is said: a loop does that;
 - where least squares explain surely and much more of the rates than the fit, they are believed, and the fit is not;
 - where the first values leave less than the fit, the fit stopped at another optimum;
-- where the fit leaves more than was measured, it is worse than nothing.
+- where the fit leaves more than was measured, it is worse than nothing; but not where least squares find less and
+  explain something: a loop cancels what the physics lacks.
 
 "Surely" is one test of all parameters, d' (V + W)^-1 d for the difference d of the two fits with covariances from
 blocks of time. Before that come readings of the columns (`readings`), streams of another time (`timing`) and runs of
@@ -201,7 +202,9 @@ def _disagreements(channels: Sequence[Compared], chance: float) -> list[Objectio
     """Where the fit and the simple ones part, the surest first."""
     out = []
     lost = [c for c in channels if _apart(c) and not c.less]
-    worse = [c for c in channels if c.fit > WORSE * c.measured]
+    # where least squares find less, and explain something, inputs cancel what the physics lacks
+    cancelled = [c for c in channels if c.less and c.least_squares < c.measured / WORSE]
+    worse = [c for c in channels if c.fit > WORSE * c.measured and c not in cancelled]
     if lost and chance < CHANCE:
         told = ", ".join(
             f"{c.name} {c.least_squares:.3g} where the fit leaves {c.fit:.3g} {c.unit}" for c in lost

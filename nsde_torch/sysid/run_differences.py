@@ -5,11 +5,15 @@ least squares in each run in its own way), and b_r = (X_r' X_r)^-1 X_r' e_r how 
 
     d_r = b_r - mean of the other runs' b, weighed by what each shows,      V_r from blocks of time (`spread`)
 
-Runs of one machine differ too: batteries fall, air moves, and what the physics lacks bends each run in its own way. So
-a difference is told only where it is surely larger than that.
+Runs of one machine differ too: batteries fall, air moves, and what the physics lacks bends each run in its own way. A
+loop whose inputs cancel a disturbance d beside what is asked for, u = r - d / g, makes least squares find
+
+    g (1 - s^2),      s^2 = var d / (var r + var d),      the share of the measured variance that is left
+
+so that a run in which little is asked for seems weaker. A difference is told only where it is surely larger than both.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -24,14 +28,13 @@ from nsde_torch.sysid.spread import spread
 
 Array = NDArray[np.float64]
 
-SHARE = 0.15
-"""Least relative difference that is told, beside chance: batteries and what is missing make up to this."""
+SHARE = 0.1
+"""Relative difference that batteries, air and what is missing make, beside the share s^2 that is left."""
+CHANCE, EITHER = 0.02, 0.3
+"""Chance of so large a difference beyond what runs differ by, over all runs and parameters: the geometric mean of that
+by the whitened rows and that by plain least squares; and the largest of either."""
 WHOLE, TIMES = 0.6, 2.5
 """Share of what was measured that is left of a run that is not explained; and times as much as of each other run."""
-BESIDE = 0.05
-"""Chance of the same difference in plain least squares, which feedback bends in each run in its own way."""
-CHANCE = 1e-4
-"""Chance of so large a difference beyond `SHARE`, over all runs and parameters."""
 
 
 @dataclass(frozen=True)
@@ -80,11 +83,12 @@ def odd_run(regression: Regression, rough: Regression, runs: Sequence[Run]) -> R
         rough: The same by plain least squares (`rough_fit`).
         runs: The runs of both.
     """
-    sure, beside = _differences(regression), _differences(rough)
+    answered = _answered(rough)
+    sure, beside = _differences(regression, answered), _differences(rough, answered)
     found = [
         (chance, r, j, own, others)
-        for (r, j), (chance, own, others) in sure.items()
-        if chance < CHANCE and _agrees(beside.get((r, j)), own > others)
+        for (r, j), (first, own, others) in sure.items()
+        if (chance := _joint(first, beside.get((r, j)), own > others)) < CHANCE
     ]
     if not found:
         return None
@@ -93,13 +97,39 @@ def odd_run(regression: Regression, rough: Regression, runs: Sequence[Run]) -> R
     return RunDifference(runs[r].name, v.labels[j], v.units[j], own, others, chance)
 
 
-def _agrees(other: tuple[float, float, float] | None, larger: bool) -> bool:
-    """Whether plain least squares find the same difference, less surely."""
-    return other is not None and other[0] < BESIDE and (other[1] > other[2]) == larger
+def _joint(chance: float, other: tuple[float, float, float] | None, larger: bool) -> float:
+    """Chance of a difference by both fits; one where they do not agree."""
+    if other is None or (other[1] > other[2]) != larger or max(chance, other[0]) > EITHER:
+        return 1.0
+    return float(np.sqrt(chance * other[0]))
 
 
-def _differences(regression: Regression) -> dict[tuple[int, int], tuple[float, float, float]]:
-    """By run and parameter: chance of its difference beyond `SHARE`, its value in the run and in the others."""
+def _answered(rough: Regression) -> dict[int, Array]:
+    """By run: relative bias (k,) of the parameters in it if inputs cancel all that the physics lacks."""
+    owner = rough.whitened_rows(rough.owners)
+    std = np.array([noise.std for noise in rough.noises])
+    measured = rough.single.summed(rough.physics.measured, rough.box)[:, rough.rows]
+    out = {}
+    for r in np.unique(owner).tolist():
+        slopes, white = rough.slopes[:, owner == r], rough.white[:, owner == r]
+        flat = (slopes @ rough.shown.basis).reshape(-1, rough.shown.rank)
+        left = white.reshape(-1) - flat @ np.linalg.lstsq(flat, white.reshape(-1), rcond=None)[0]
+        square = np.square(left.reshape(white.shape)).mean(1) * np.square(std)
+        share = np.minimum(square / np.maximum(measured[rough.owners == r].var(0), 1e-300), 1.0)
+        weight = np.square(slopes).sum(1)
+        out[r] = share @ weight / np.maximum(weight.sum(0), 1e-300)
+    return out
+
+
+def _differences(
+    regression: Regression, answered: Mapping[int, Array]
+) -> dict[tuple[int, int], tuple[float, float, float]]:
+    """By run and parameter: chance of its difference beyond what runs differ by, its value in it and in the others.
+
+    Args:
+        regression: At its optimum.
+        answered: Relative bias of each parameter that feedback may make, by run.
+    """
     owner, blocks = regression.whitened_rows(regression.owners), regression.whitened_rows(regression.blocks)
     numbers = [int(r) for r in np.unique(owner)]
     alone = {r: _alone(regression, owner == r, blocks[owner == r]) for r in numbers}
@@ -118,13 +148,16 @@ def _differences(regression: Regression) -> dict[tuple[int, int], tuple[float, f
         mean = back @ np.sum([o.square @ o.moved for o in rest], axis=0)
         scatter = np.sum([o.square @ o.covariance @ o.square for o in rest], axis=0)
         own, variance = one.moved, one.covariance
+        weights = np.array([np.diag(basis @ parts[s].square @ basis.T) for s in parts if s != r])
+        shares = np.array([answered[s] for s in parts if s != r])
+        bias = answered[r] + (shares * weights).sum(0) / np.maximum(weights.sum(0), 1e-300)
         between = basis @ (variance + back @ scatter @ back) @ basis.T
         others = regression.theta + basis @ mean
         moved = basis @ (own - mean)
         for j in gains:  # only what is nothing at zero has a relative size
             error = float(np.sqrt(max(between[j, j], 0.0)))
             size = max(abs(others[j]), 0.5 * abs(others[j] + moved[j]))
-            beyond = float(abs(moved[j]) - SHARE * size)
+            beyond = float(abs(moved[j]) - (SHARE + bias[j]) * size)
             if beyond > 0 and error > 0:
                 chance = 2.0 * float(stdtr(_DEGREES, -beyond / error)) * tests
                 out[r, j] = (chance, float(others[j] + moved[j]), float(others[j]))

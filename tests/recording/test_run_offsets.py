@@ -74,6 +74,14 @@ def test_an_unsure_run_is_drawn_to_the_others() -> None:
     assert found.taken["unsure"] == pytest.approx(0.007, abs=0.003)
 
 
+def test_one_run_that_is_far_surer_than_the_others_does_not_hide_what_differs() -> None:
+    late = ((0.0188, 7e-5), (0.0036, 2e-4), (0.0019, 8e-4), (0.0111, 5e-5))
+    found = differing("w", "q", [Offset(str(k), d, e, 19) for k, (d, e) in enumerate(late)], step=0.01)
+    assert found is not None
+    assert found.taken["0"] == pytest.approx(0.0188, abs=1e-4)
+    assert found.taken["2"] == pytest.approx(0.0019, abs=3e-4)
+
+
 def test_chance_differences_are_told_once_in_ten_thousand() -> None:
     rng = np.random.default_rng(0)
     told = 0

@@ -8,7 +8,7 @@ in each run. An offset is estimated for each run, with its standard error, and h
 which is chi-square with one degree of freedom less than there are runs. Where it is not by chance, the offset of each
 run is taken out, drawn towards the mean by how unsure it is (empirical Bayes):
 
-    d + t^2 / (t^2 + s_r^2) (d_r - d),     t^2 the variance between runs (DerSimonian and Laird 1986).
+    d + t^2 / (t^2 + s_r^2) (d_r - d),     t^2 the variance between runs (Paule and Mandel 1982).
 
 Kinematics show such offsets between a position and its rate, an attitude and body rates. An offset that all runs share
 is left to what looks for late sensors. Those of inputs are not looked for: in a closed loop, what answers what hides
@@ -23,6 +23,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import brentq
 from scipy.special import chdtrc, ndtri, stdtr
 
 from nsde_torch.data.findings import Finding
@@ -114,8 +115,7 @@ def differing(channel: str, other: str, offsets: Sequence[Offset], *, step: floa
     z = [-ndtri(stdtr(o.degrees, -abs(o.seconds - mean) / o.error)) for o in offsets]
     q = float(np.square(z).sum())
     p = float(chdtrc(len(offsets) - 1, q))
-    spare = q - (len(offsets) - 1)
-    between = max(spare, 0.0) / float(weight.sum() - np.square(weight).sum() / weight.sum())
+    between = _between(d, s)
     if p > CHANCE or between**0.5 < LEAST_STEPS * step:
         return None
     weight = 1.0 / (between + np.square(s))
@@ -123,6 +123,17 @@ def differing(channel: str, other: str, offsets: Sequence[Offset], *, step: floa
     drawn = mean + between * weight * (d - mean)
     taken = {o.run: float(one) for o, one in zip(offsets, drawn, strict=True)}
     return Offsets(channel, other, tuple(offsets), taken, p)
+
+
+def _between(d: Array, s: Array) -> float:
+    """Variance between runs with which estimates scatter about their mean by as much as they should."""
+
+    def excess(variance: float) -> float:
+        weight = 1.0 / (variance + np.square(s))
+        return float((weight * np.square(d - (weight * d).sum() / weight.sum())).sum()) - (len(d) - 1)
+
+    most = float(np.square(d - d.mean()).sum()) + 1e-12
+    return float(brentq(excess, 0.0, most)) if excess(0.0) > 0 else 0.0
 
 
 def kinematic_offsets(system: SystemInfo, runs: Sequence[Run], *, clock: float = 1.0) -> list[Offsets]:

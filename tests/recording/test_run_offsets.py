@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -12,6 +13,7 @@ from scipy.interpolate import CubicSpline
 from nsde_torch.data import DataSet, RawRun
 from nsde_torch.errors import ConfigError
 from nsde_torch.recording import assemble
+from nsde_torch.recording.channels import filtered
 from nsde_torch.recording.lateness import lags
 from nsde_torch.recording.run_offsets import Offset, differing, on_one_clock
 from tests.helpers.data_systems import HEXACOPTER
@@ -20,16 +22,21 @@ from tests.helpers.flights import flight
 NOISE = np.array([0.002] * 3 + [0.015] * 3 + [0.001] * 4 + [0.015] * 3)
 
 
-def data_set(late: NDArray[np.float64], *, columns: slice = slice(10, 13), seconds: float = 40.0) -> DataSet:
-    """Flights of which some columns are late by a time of each run [s]."""
+def data_set(
+    late: NDArray[np.float64],
+    *,
+    columns: slice = slice(10, 13),
+    change: Callable[[NDArray[np.float64]], NDArray[np.float64]] = np.copy,
+) -> DataSet:
+    """Flights of which some columns are late by a time of each run [s], and changed."""
     runs = []
     for k, d in enumerate(late):
-        t, x, u = flight(seconds, seed=k)
+        t, x, u = flight(40.0, seed=k)
         there = CubicSpline(t, x)(np.clip(t - d, 0, t[-1]))
-        x[:, columns] = there[:, columns]
+        x[:, columns] = change(there[:, columns])
         x += NOISE * np.random.default_rng(100 + k).standard_normal(x.shape)
         x[:, 6:10] /= np.linalg.norm(x[:, 6:10], axis=1, keepdims=True)
-        runs.append(RawRun(f"run_{k}", t[10:-10], x[10:-10], u[10:-10]))
+        runs.append(RawRun(f"run_{k}", t[50:-10], x[50:-10], u[50:-10]))
     return assemble(runs, HEXACOPTER, kind="test")
 
 
@@ -54,6 +61,12 @@ def test_runs_that_share_an_offset_are_left_alone(late: float) -> None:
     assert on_one_clock(data, HEXACOPTER) is data
 
 
+@pytest.mark.parametrize("rows", [2.0, 5.0])
+def test_a_filter_that_is_the_same_in_all_runs_is_no_offset(rows: float) -> None:
+    data = data_set(np.zeros(4), change=lambda rates: filtered(rates, rows))
+    assert on_one_clock(data, HEXACOPTER) is data
+
+
 def test_a_user_may_keep_them() -> None:
     data = data_set(np.array([-0.008, 0.016]))
     assert on_one_clock(data, HEXACOPTER, policy="keep") is data
@@ -72,6 +85,14 @@ def test_an_unsure_run_is_drawn_to_the_others() -> None:
     assert found is not None
     assert found.taken["run_1"] == pytest.approx(0.010, abs=1e-4)
     assert found.taken["unsure"] == pytest.approx(0.007, abs=0.003)
+
+
+def test_one_run_that_is_far_surer_than_the_others_does_not_hide_what_differs() -> None:
+    late = ((0.0188, 7e-5), (0.0036, 2e-4), (0.0019, 8e-4), (0.0111, 5e-5))
+    found = differing("w", "q", [Offset(str(k), d, e, 19) for k, (d, e) in enumerate(late)], step=0.01)
+    assert found is not None
+    assert found.taken["0"] == pytest.approx(0.0188, abs=1e-4)
+    assert found.taken["2"] == pytest.approx(0.0019, abs=3e-4)
 
 
 def test_chance_differences_are_told_once_in_ten_thousand() -> None:

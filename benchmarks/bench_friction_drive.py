@@ -22,7 +22,7 @@ from scipy.signal import butter, filtfilt
 from torch import Tensor
 
 import nsde_torch
-from nsde_torch.data import Run
+from nsde_torch.data.raw import RawRun
 from nsde_torch.effects import Parameter, Port
 from nsde_torch.recording.checks import assemble
 from nsde_torch.systems import Defaults, ErrorGroup, ResidualPort, System
@@ -125,7 +125,7 @@ def recorded(truth: Truth, rng: np.random.Generator, seconds: float = 25.0) -> t
     return np.arange(steps) * CONTROL, log[:, 0], log[:, 1]
 
 
-def as_logged(t: Array, q: Array, force: Array) -> Run:
+def as_logged(t: Array, q: Array, force: Array) -> RawRun:
     """The log as a user makes it: filtered, differentiated, and the mean force of every step."""
     a, b = butter(4, 100.0 / 500.0)
     smooth = filtfilt(a, b, q)
@@ -134,7 +134,7 @@ def as_logged(t: Array, q: Array, force: Array) -> Run:
     rows = np.arange(n, len(t) - 2 * n, n)
     mean = np.array([force[k : k + n].mean() for k in rows])
     x = np.stack((smooth[rows], v[rows]), 1)
-    return Run("drive", t[rows], x, mean[:, None])
+    return RawRun("drive", t[rows], x, mean[:, None])
 
 
 def readings(found: Any) -> dict[str, tuple[float, float, float]]:

@@ -122,7 +122,8 @@ def recorded(truth: Truth, rng: np.random.Generator, seconds: float = 25.0) -> t
                 after = 0.0  # it stops, and goes on where the force is larger than the friction
             q += 0.5 * STEP * (v + after)
             v = after
-    return np.arange(steps) * CONTROL, log[:, 0], log[:, 1]
+    t: Array = CONTROL * np.arange(steps, dtype=np.float64)
+    return t, log[:, 0], log[:, 1]
 
 
 def as_logged(t: Array, q: Array, force: Array, step: float) -> RawRun:

@@ -5,7 +5,7 @@
 by its own stepper at 20 kHz (no code of the package): the carriage stands still exactly while it sticks. A controller
 at 1 kHz follows ramps of position (proportional on position, proportional on speed from differences of the encoder);
 its force is held. Logged are encoder and force at 1 kHz; the log is then treated as a user would: zero-phase
-Butterworth filter at 100 Hz, central differences, and every 20 ms the states and the mean of the force until the next.
+Butterworth filter at 100 Hz, central differences, and every `--step` the states and the mean of the force until then.
 
     python benchmarks/bench_friction_drive.py --seed 1 --count 10
 """
@@ -22,14 +22,14 @@ from scipy.signal import butter, filtfilt
 from torch import Tensor
 
 import nsde_torch
-from nsde_torch.data import Run
+from nsde_torch.data.raw import RawRun
 from nsde_torch.effects import Parameter, Port
 from nsde_torch.recording.checks import assemble
 from nsde_torch.systems import Defaults, ErrorGroup, ResidualPort, System
 
 Array = NDArray[np.float64]
 
-STEP, CONTROL, LOGGED = 5e-5, 1e-3, 0.02
+STEP, CONTROL = 5e-5, 1e-3
 WITHIN = 0.02
 
 
@@ -122,19 +122,20 @@ def recorded(truth: Truth, rng: np.random.Generator, seconds: float = 25.0) -> t
                 after = 0.0  # it stops, and goes on where the force is larger than the friction
             q += 0.5 * STEP * (v + after)
             v = after
-    return np.arange(steps) * CONTROL, log[:, 0], log[:, 1]
+    t: Array = CONTROL * np.arange(steps, dtype=np.float64)
+    return t, log[:, 0], log[:, 1]
 
 
-def as_logged(t: Array, q: Array, force: Array) -> Run:
+def as_logged(t: Array, q: Array, force: Array, step: float) -> RawRun:
     """The log as a user makes it: filtered, differentiated, and the mean force of every step."""
     a, b = butter(4, 100.0 / 500.0)
     smooth = filtfilt(a, b, q)
     v = np.gradient(smooth, CONTROL)
-    n = round(LOGGED / CONTROL)
-    rows = np.arange(n, len(t) - 2 * n, n)
+    n = round(step / CONTROL)
+    rows = np.arange(50, len(t) - 50, n)
     mean = np.array([force[k : k + n].mean() for k in rows])
     x = np.stack((smooth[rows], v[rows]), 1)
-    return Run("drive", t[rows], x, mean[:, None])
+    return RawRun("drive", t[rows], x, mean[:, None])
 
 
 def readings(found: Any) -> dict[str, tuple[float, float, float]]:
@@ -167,6 +168,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--count", type=int, default=10)
+    parser.add_argument("--step", type=float, default=0.005, help="of the log that is diagnosed [s]")
     arguments = parser.parse_args()
     torch.set_num_threads(1)
     right = within = held = told = 0
@@ -178,7 +180,7 @@ def main() -> None:
     for number in range(arguments.count):
         rng = np.random.default_rng((arguments.seed, number))
         truth = drawn(rng)
-        run = as_logged(*recorded(truth, rng))
+        run = as_logged(*recorded(truth, rng), arguments.step)
         found = nsde_torch.diagnose(assemble([run], Drive(), kind="simulated"), system=Drive)
         m = truth.mass
         true = {"force_gain": 1 / m, "viscous_friction.damping": truth.viscous / m}
@@ -186,7 +188,7 @@ def main() -> None:
         read = readings(found)
         off = {k: read[k][0] / v - 1 for k, v in true.items()}
         holds = [read[k][1] <= v <= read[k][2] for k, v in true.items() if np.isfinite(read[k][0])]
-        right += found.added in (["asymmetric_friction"], ["coulomb_friction", "constant_force"])
+        right += set(found.added) in ({"asymmetric_friction"}, {"coulomb_friction", "constant_force"})
         within += sum(abs(e) <= WITHIN for e in off.values())
         told, held = told + len(holds), held + sum(holds)
         cells = [f"{e:+.1%}" if np.isfinite(e) else "not named" for e in off.values()]

@@ -19,6 +19,8 @@ GAP_STEPS = 2.5
 """Steps without a row from which on the time between two rows is a gap, unless the caller says how long."""
 JITTER = 0.05
 """Share of a step by which a row may lie off the uniform grid before the segment is resampled."""
+LONGER = 1.5
+"""Times the step of the log from which a step holds several rows."""
 MAX_DISORDER = 0.05
 """Share of rows out of order that is sorted; more is refused."""
 _WHOLE_RATE = 5e-4
@@ -118,7 +120,10 @@ def is_uniform(t: Array, dt: float) -> bool:
 
 
 def resample(run: RawRun, start: int, stop: int, *, dt: float, quaternion: slice | None) -> RawRun:
-    """Rows start..stop on a uniform grid: states linear (quaternion slerp), inputs those of the nearest row."""
+    """Rows start..stop on a uniform grid: states linear (quaternion slerp).
+
+    Inputs are those of the nearest row; of steps that hold several rows the mean of what acted during the step.
+    """
     t = run.t[start:stop]
     count = int(np.floor((t[-1] - t[0]) / dt * (1 + 1e-12) + 1e-6)) + 1
     grid = t[0] + dt * np.arange(count)
@@ -128,9 +133,23 @@ def resample(run: RawRun, start: int, stop: int, *, dt: float, quaternion: slice
     x = x0 + share[:, None] * (x1 - x0)
     if quaternion is not None:
         x[:, quaternion] = slerp(x0[:, quaternion], x1[:, quaternion], share)
-    held = np.where(share > 0.5 + 1e-6, left + 1, left)  # what acts over most of the step that follows
+    u = run.u[start:stop]
+    if dt > LONGER * float(np.median(np.diff(t))):
+        acted = _mean_held(t, u, grid, dt)
+    else:
+        acted = u[
+            np.where(share > 0.5 + 1e-6, left + 1, left)
+        ]  # what acts over most of the step that follows
     extra = {k: np.interp(grid, t, v[start:stop]) for k, v in run.extra.items()}
-    return RawRun(run.name, grid, x, run.u[start:stop][held], extra=extra, source=run.source)
+    return RawRun(run.name, grid, x, acted, extra=extra, source=run.source)
+
+
+def _mean_held(t: Array, u: Array, grid: Array, dt: float) -> Array:
+    """Means (M, nu) over steps from `grid` of inputs (n, nu) that are held from row to row, the last beyond the end."""
+    ends = np.append(t, max(t[-1], grid[-1]) + dt)
+    done = np.concatenate((np.zeros((1, u.shape[1])), np.cumsum(u * np.diff(ends)[:, None], 0)))
+    columns = [np.interp(grid + dt, ends, c) - np.interp(grid, ends, c) for c in done.T]
+    return np.stack(columns, 1) / dt if columns else np.zeros((len(grid), 0))
 
 
 def _joined(pieces: list[RawRun]) -> RawRun:

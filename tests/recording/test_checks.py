@@ -96,6 +96,20 @@ def test_resampled_rows_have_the_inputs_that_act_over_most_of_the_step_that_foll
     np.testing.assert_array_equal(there.u[:30, 0], np.arange(30.0))
 
 
+def test_steps_that_hold_several_rows_have_the_mean_of_what_acted_during_them() -> None:
+    t = np.arange(50) * 0.01
+    u = np.stack((t, np.cos(40 * t)), 1)
+    x = np.cumsum(u[:, :1], 0) * 0.01
+    there = resample(RawRun("a", t, x, u), 0, 50, dt=0.05, quaternion=None)
+    np.testing.assert_allclose(there.t, t[::5])
+    np.testing.assert_allclose(there.u, u.reshape(10, 5, 2).mean(1), atol=1e-12)
+    # so that what the input moves is what it moved
+    moved = np.append(0.0, np.cumsum(there.u[:, 0]) * 0.05)
+    np.testing.assert_allclose(
+        moved[1:-1] + x[0] - u[0, 0] * 0.01, there.x[1:, 0] - u[::5][1:, 0] * 0.01, atol=1e-12
+    )
+
+
 def test_duplicates_and_rows_out_of_order_are_mended() -> None:
     t, x, u = flight(5.0)
     order = np.arange(501)

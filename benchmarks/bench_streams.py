@@ -11,7 +11,7 @@ Closed-loop flights of `benchmarks/blind/loop_machine.py`, which shares no code 
     battery          10 Hz, held
 
 Estimator and gyroscope are offset against motion capture by another time in each run, drawn from -10 to 20 ms
-(`offset`), by one time in all runs (`common`), or not at all (`null`); with `offset of motors too` the motors are, too.
+(`offset`), by one time in all runs (`common`), or not at all (`null`); with `offset of motors` the motors are, too.
 Rotor speeds are quantised, and have rows of ten times their range, of nothing, and of old values; the streams are
 offset as with `offset`.
 
@@ -46,7 +46,7 @@ Array = NDArray[np.float64]
 
 RUNS, SECONDS, LAG = 4, 40.0, 0.04
 MOST_RPM, POLES = 22_000.0, 14.0
-KINDS = ("offset", "common", "null", "offset of motors too", "rotor speeds")
+KINDS = ("offset", "common", "null", "offset of motors", "rotor speeds")
 STATE = ("p_x", "p_y", "p_z", "v_x", "v_y", "v_z", "q_w", "q_x", "q_y", "q_z", "w_x", "w_y", "w_z")
 
 
@@ -89,7 +89,7 @@ def make(kind: str, seed: int, folder: Path) -> Case:
         late = np.repeat(late[:, :1], RUNS, axis=1)
     if kind == "null":
         late[:] = 0.0
-    if kind != "offset of motors too":
+    if kind != "offset of motors":
         late[2] = 0.0
     folder.mkdir(parents=True, exist_ok=True)
     for r, flown in enumerate(fly(flights)):

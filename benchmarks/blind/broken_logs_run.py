@@ -40,6 +40,8 @@ def by_command(folder: Path, name: str, further: list[str]) -> Json:
         *(sys.executable, "-m", "nsde_torch.cli", "train", "model=sysid", f"system={truth['system']}"),
         *("data=csv", f"data.path={folder / 'data' / name}", f"run_dir={folder / 'runs' / name}", *further),
     ]
+    step = truth["dt_s"] * max(1, round(0.02 / truth["dt_s"]))  # the model's, a whole multiple of the log's
+    words.append(f"system.dt={step:g}")
     started = time.perf_counter()
     done = subprocess.run(words, capture_output=True, text=True, check=False)
     return {

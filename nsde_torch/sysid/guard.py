@@ -14,7 +14,9 @@ learned what a smoother or a lag did to the physics. So
 - where least squares explain surely and much more of the rates than the fit, they are believed, and the fit is not;
 - where the first values leave less than the fit, the fit stopped at another optimum;
 - where the fit leaves more than was measured, it is worse than nothing; but not where least squares find less and
-  explain something: a loop cancels what the physics lacks.
+  explain something: a loop cancels what the physics lacks;
+- where the fit explains nothing of a channel, and is sure that what moves it is a small part of its first value, the
+  parameter has gone to nothing: no noise is so small that a machine surely has no motors.
 
 "Surely" is one test of all parameters, d' (V + W)^-1 d for the difference d of the two fits with covariances from
 blocks of time. Before that come readings of the columns (`readings`), streams of another time (`timing`) and runs of
@@ -50,6 +52,10 @@ WORSE = 1.05
 """Times what was measured that a fit must leave to be worse than nothing."""
 BEHIND = 0.3
 """By how much the sum over channels of log(left) must be smaller at the first values than at the fit."""
+GONE = 10.0
+"""Times smaller than its first value that a parameter must surely be (two standard errors) to have gone."""
+NOTHING = 0.02
+"""Share of a channel's variance up to which a fit explains nothing of it."""
 POOR = 0.8
 """Share of what was measured that least squares leave of half of the channels, where physics explains nothing."""
 
@@ -59,8 +65,8 @@ class Objection:
     """What speaks against a fit.
 
     Args:
-        kind: `reading`, `shifted_stream`, `odd_run`, `unexplained_run`, `least_squares`, `first_values`, `worse` or
-            `poor`.
+        kind: `reading`, `shifted_stream`, `odd_run`, `unexplained_run`, `least_squares`, `first_values`, `gone`,
+            `worse` or `poor`.
         sentence: What was found.
         remedy: What to do.
     """
@@ -173,7 +179,7 @@ def guarded(
     objections, notes = _faults(system, runs, clock, rough, regression)
     chance = _chance(rough, theta, covariance)
     if not objections:
-        objections = _disagreements(channels, chance)
+        objections = _disagreements(channels, chance) or _gone(rough, theta, covariance, channels)
         notes += _believed(channels, chance)
     return Guarded(
         tuple(objections), channels, tuple(vector.labels), tuple(rough.theta.tolist()), chance, tuple(notes)
@@ -250,6 +256,42 @@ def _disagreements(channels: Sequence[Compared], chance: float) -> list[Objectio
             )
         )
     return out
+
+
+def _gone(
+    rough: Regression, theta: Array, covariance: Array | None, channels: Sequence[Compared]
+) -> list[Objection]:
+    """Parameters that have surely gone to nothing, and with them all that is explained of a channel."""
+    vector = rough.vector
+    error = np.zeros(len(theta)) if covariance is None else np.sqrt(np.diag(covariance).clip(0.0))
+    small = GONE * (np.abs(theta) + 2.0 * error) < np.abs(vector.start)
+    bare = [c.fit**2 > (1.0 - NOTHING) * c.measured**2 for c in channels]
+    now = np.array([a.foretold for a in left_at(rough, theta)]) ** 2
+    gone: dict[str, list[str]] = {}
+    for j in np.flatnonzero(small):
+        if "." in vector.labels[j]:
+            continue  # an effect that is declared may well be nothing
+        back = theta.copy()
+        back[j] = vector.start[j]
+        power = np.array([[a.foretold, a.measured] for a in left_at(rough, back)]) ** 2
+        more = (power[:, 0] - now) / np.maximum(power[:, 1], 1e-300)
+        moved = int(np.argmax(more))
+        if bare[moved] and more[moved] > NOTHING:
+            gone.setdefault(channels[moved].name, []).append(
+                f"{vector.labels[j]} {theta[j]:.2g} {vector.units[j]} (first value {vector.start[j]:.3g})"
+            )
+    if not gone:
+        return []
+    told = ", ".join(name for names in gone.values() for name in names)
+    return [
+        Objection(
+            "gone",
+            f"the fit explains nothing of {', '.join(gone)} and is sure that next to nothing moves them: {told}",
+            "the states may have been smoothed, differentiated or filtered before they were logged, inputs and states "
+            "may be of different times, or a lag or a steady push is not declared: log raw sensors, declare it "
+            "(system.effects=[motor_lag]; `nsde diagnose` names effects), or give first values",
+        )
+    ]
 
 
 def _apart(c: Compared) -> bool:

@@ -11,7 +11,7 @@ import pytest
 
 import nsde_torch
 from nsde_torch.data import DataSet, RawRun
-from nsde_torch.sysid.guard import Guarded
+from nsde_torch.sysid.guard import Compared, Guarded, _gone
 from nsde_torch.sysid.in_loop import identify_in_loop
 from nsde_torch.sysid.rough import left_at, rough_fit
 from nsde_torch.sysid.timing import Shifted
@@ -161,6 +161,34 @@ def test_a_fit_whose_noise_model_learned_a_smoother_is_not_believed() -> None:
     guard = guard_of("cartpole", smoothed)
     assert [o.kind for o in guard.objections] == ["least_squares"]
     assert "smoothed" in guard.objections[0].remedy
+
+
+@pytest.mark.parametrize(
+    ("share", "error", "explained", "told"),
+    [
+        (1e-3, 0.0, 0.0, True),
+        (1e-3, 0.2, 0.0, False),  # not sure
+        (0.5, 0.0, 0.0, False),  # half as strong as expected
+        (1e-3, 0.0, 0.5, False),  # something else explains the channel
+    ],
+)
+def test_a_gain_that_has_surely_gone_and_with_it_all_that_was_explained_is_told(
+    share: float, error: float, explained: float, told: bool
+) -> None:
+    data = nsde_torch.read(LOGS["quadrotor"], system="quadrotor")
+    rough = rough_fit(make_system("quadrotor"), data.runs)
+    assert rough is not None
+    first, theta = rough.vector.start, rough.theta.copy()
+    j = rough.vector.labels.index("roll_gain")
+    theta[j] = share * first[j]
+    covariance = np.diag(np.square(error * first))
+    channels = [
+        Compared(a.name, a.unit, a.measured, a.measured * (1.0 - explained) ** 0.5, a.left, a.left)
+        for a in left_at(rough, theta)
+    ]
+    objections = _gone(rough, theta, covariance, channels)
+    assert [o.kind for o in objections] == ["gone"] * told
+    assert all("nothing of w_x and" in o.sentence and "roll_gain" in o.sentence for o in objections)
 
 
 def test_steady_pushes_count_for_nothing_in_what_is_left() -> None:

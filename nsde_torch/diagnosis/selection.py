@@ -1,7 +1,7 @@
 """Forward selection: look at the catalogue, add the likeliest effect, look again, until none helps.
 
-A candidate is added while its p value, corrected for the number of comparisons of the round (`multiplicity`), is below
-alpha and its held-out log-likelihood difference is positive.
+One is added while the smallest p value of a round, corrected for the number of its comparisons (`multiplicity`), is
+below the level of the stage (`recording.levels`): the one of most held-out log-likelihood, among those below alpha.
 
 A time shorter than a step of the log (inputs that act a millisecond late) is nothing that data can name, but left out
 it makes other effects look likely. Where it explains more than any of them, it joins what is declared.
@@ -14,7 +14,7 @@ from nsde_torch.diagnosis.fitted import effect_of, fitted_system, values_of
 from nsde_torch.diagnosis.rounds import Round, look
 from nsde_torch.diagnosis.screening import joined
 from nsde_torch.diagnosis.search import Base, Search
-from nsde_torch.diagnosis.trials import Trial, accept, below_a_step
+from nsde_torch.diagnosis.trials import Trial, accept, below_a_step, something_is_missing
 from nsde_torch.effects import effect_class
 
 
@@ -86,9 +86,9 @@ def choice(search: Search, trials: Sequence[Trial], added: Sequence[str]) -> Tri
         trials: Candidates that were fitted, best first.
         added: Names of the effects that the physics has already.
     """
-    accepted = [t for t in trials if accept(search, t)]
-    if not accepted:
+    if not something_is_missing(search, trials):
         return None
+    accepted = [t for t in trials if accept(search, t)]
     best = accepted[0]
     simpler = [t for t in accepted if t.name in effect_class(best.name).includes]
     if simpler:

@@ -146,8 +146,18 @@ def _judged(
     )
 
 
+def something_is_missing(search: Search, trials: Sequence[Trial]) -> bool:
+    """Whether any candidate is beyond chance at the level of the stage; which one it is evidence decides."""
+    level = search.level("effects")
+    return any(t.p_corrected < level and accept(search, t) for t in trials)
+
+
 def accept(search: Search, trial: Trial) -> bool:
-    """Whether a candidate is there, as far as chance goes and the step of the data can tell."""
+    """Whether a candidate may be what is missing, as far as chance goes and the step of the data can tell.
+
+    That anything is missing is decided at the level of the stage (`something_is_missing`). Of candidates that explain
+    alike one may be there and another not by a hair: they are asked for alpha alone.
+    """
     return (
         _beyond_chance(search, trial)
         and not _shorter_than_a_step(search, trial)
@@ -158,13 +168,16 @@ def accept(search: Search, trial: Trial) -> bool:
 
 def below_a_step(search: Search, trials: Sequence[Trial]) -> Trial | None:
     """The candidate that explains most, if it is a time shorter than a step: there, but nothing to name."""
-    sure = [t for t in trials if _beyond_chance(search, t) and _comes_back(search, t)]
+    level = search.level("effects")
+    sure = [
+        t for t in trials if t.p_corrected < level and _beyond_chance(search, t) and _comes_back(search, t)
+    ]
     best = max(sure, key=lambda t: t.nats, default=None)
     return best if best is not None and _shorter_than_a_step(search, best) else None
 
 
 def _beyond_chance(search: Search, trial: Trial) -> bool:
-    return trial.p_corrected < search.level("effects") and trial.nats > search.decisions.least_nats
+    return trial.p_corrected < search.alpha and trial.nats > search.decisions.least_nats
 
 
 def _shorter_than_a_step(search: Search, trial: Trial) -> bool:

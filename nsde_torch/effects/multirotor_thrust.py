@@ -71,8 +71,8 @@ class BatteryVoltage(Effect):
     port = Port.INPUT
     needs = _MULTIROTOR
     exogenous = ("battery_voltage",)
-    formula = "u_eff = u (1 + s (V - V_0)), V_0 = 4 V for one cell, 8 V for two, else 16 V"
-    source = "motor speed follows the voltage at a given duty; first order around V_0"
+    formula = "u_eff = u (1 + s (V - V_0))"
+    source = "motor speed follows the voltage at a given duty; first order around 4 V (one cell), 8 V (two) or 16 V"
     PARAMETERS = {
         "sensitivity": Parameter(0.05, "1/V", low=0.0, scale=0.05, help="relative change of thrust per volt")
     }

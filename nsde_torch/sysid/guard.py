@@ -12,7 +12,7 @@ learned what a smoother or a lag did to the physics. So
 
 - where least squares find less than the fit, the fit is believed, and nothing is said: a loop does that;
 - where least squares explain surely and much more of the rates than the fit, they are believed, and the fit is not;
-- where the first values leave less than the fit, the fit stopped at another optimum;
+- where the first values leave less than the fit, and least squares find no less, the fit stopped at another optimum;
 - where the fit leaves more than was measured, it is worse than nothing; but not where least squares find less and
   explain something: a loop cancels what the physics lacks;
 - where the fit explains nothing of a channel, and is sure that what moves it is a small part of its first value, the
@@ -48,10 +48,13 @@ CHANCE = 1e-3
 MORE = 0.1
 """Share of a channel's variance that least squares must explain beyond the fit, beside that: what the physics lacks
 bends both, and not alike."""
+TIMES = 2.0
+"""Or times what least squares leave that the fit leaves: how much of the rest they explain, where the rest is small."""
 WORSE = 1.05
 """Times what was measured that a fit must leave to be worse than nothing."""
 BEHIND = 0.3
-"""By how much the sum over channels of log(left) must be smaller at the first values than at the fit."""
+"""By how much the sum over channels of log(left) must be smaller at the first values than at the fit, of channels of
+which least squares find no less."""
 GONE = 10.0
 """Times smaller than its first value that a parameter must surely be (two standard errors) to have gone."""
 NOTHING = 0.02
@@ -236,8 +239,9 @@ def _disagreements(channels: Sequence[Compared], chance: float) -> list[Objectio
                 "a wrong model, order of inputs, sign or unit, or a controller that cancels what the physics lacks",
             )
         )
-    behind = sum(log(max(c.fit, 1e-12) / max(c.first_values, 1e-12)) for c in channels)
-    if not out and channels and behind > BEHIND and chance < CHANCE:
+    # smaller gains leave less too where inputs cancel what the physics lacks
+    behind = sum(log(max(c.fit, 1e-12) / max(c.first_values, 1e-12)) for c in channels if not c.less)
+    if not out and behind > BEHIND and chance < CHANCE:
         out.append(
             Objection(
                 "first_values",
@@ -245,7 +249,7 @@ def _disagreements(channels: Sequence[Compared], chance: float) -> list[Objectio
                 "the fit stopped elsewhere: give first values (system.parameters.NAME=...), or look at the columns",
             )
         )
-    poor = [c for c in channels if c.least_squares > POOR * c.measured]
+    poor = [c for c in channels if c.least_squares > POOR * c.measured and c not in cancelled]
     if not out and channels and 2 * len(poor) > len(channels):
         told = ", ".join(f"{c.least_squares:.3g} of {c.measured:.3g} {c.unit} of {c.name}" for c in poor)
         out.append(
@@ -295,7 +299,8 @@ def _gone(
 
 
 def _apart(c: Compared) -> bool:
-    return c.fit**2 - c.least_squares**2 > MORE * c.measured**2
+    more = c.fit**2 - c.least_squares**2 > MORE * c.measured**2
+    return more or c.fit > TIMES * c.least_squares
 
 
 def _believed(channels: Sequence[Compared], chance: float) -> list[str]:

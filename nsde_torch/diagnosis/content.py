@@ -65,8 +65,7 @@ def content(found: Diagnosis) -> dict[str, Any]:
         "declared_parameters": {
             name: {
                 "value": e.value,
-                "interval_90": None if e.low is None else [e.low, e.high],
-                "bound": e.bound,
+                **_interval(found, e),
                 "unit": e.unit,
                 "shown": e.low is not None,
             }
@@ -292,15 +291,16 @@ def parameters(found: Diagnosis) -> dict[str, Any]:
             }
     for f in found.outcome.found:
         for e in found.outcome.estimates(f.name):
-            interval = None if e.low is None else [e.low, e.high]
             held = e.name in f.trial.held
-            out[e.name] = {
-                "value": 0.0 if held else e.value,
-                "interval_90": interval,
-                "bound": e.bound,
-                "unit": e.unit,
-            }
+            value = 0.0 if held else e.value
+            out[e.name] = {"value": value, **_interval(found, e), "unit": e.unit}
     return out
+
+
+def _interval(found: Diagnosis, e: Estimate) -> dict[str, Any]:
+    if found.explanation.guard.objections:
+        return {"interval_90": None, "bound": "not believed"}
+    return {"interval_90": None if e.low is None else [e.low, e.high], "bound": e.bound}
 
 
 def sentence(outcome: Outcome, effect: str, held: Sequence[str] = ()) -> str:

@@ -218,7 +218,7 @@ def chance(p: float) -> str:
 def interval(ends: Sequence[float] | None, bound: str | None = None) -> str:
     """An interval in words; of one that ends at a bound of the search, the other end alone (`below`, `above`)."""
     if ends is None:
-        return "not shown by the data"
+        return bound or "not shown by the data"
     if bound is not None:
         return f"{bound} {number(ends[1] if bound == 'below' else ends[0])}"
     return f"{number(ends[0])} to {number(ends[1])}"

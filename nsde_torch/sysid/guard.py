@@ -50,6 +50,8 @@ MORE = 0.1
 bends both, and not alike."""
 TIMES = 2.0
 """Or times what least squares leave that the fit leaves: how much of the rest they explain, where the rest is small."""
+LESS = 0.9
+"""Times what the fit foretells of a channel below which least squares find less of it."""
 WORSE = 1.05
 """Times what was measured that a fit must leave to be worse than nothing."""
 BEHIND = 0.3
@@ -97,7 +99,7 @@ class Compared:
         fit: What the fit leaves.
         least_squares: What least squares leave.
         first_values: What the first values leave.
-        less: Whether what least squares foretell of it is smaller than what the fit foretells.
+        less: Whether what least squares foretell of it is surely smaller (`LESS`) than what the fit foretells.
     """
 
     name: str
@@ -176,7 +178,15 @@ def guarded(
     at = {"fit": theta, "least_squares": rough.theta, "first_values": vector.inside(vector.start)}
     left = {name: left_at(rough, values) for name, values in at.items()}
     channels = tuple(
-        Compared(c.name, per_second(c.unit), c.measured, c.left, s.left, f.left, less=s.foretold < c.foretold)
+        Compared(
+            c.name,
+            per_second(c.unit),
+            c.measured,
+            c.left,
+            s.left,
+            f.left,
+            less=s.foretold < LESS * c.foretold,
+        )
         for c, s, f in zip(left["fit"], left["least_squares"], left["first_values"], strict=True)
     )
     objections, notes = _faults(system, runs, clock, rough, regression)

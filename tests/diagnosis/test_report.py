@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
 from typing import Any
@@ -13,6 +14,7 @@ import pytest
 from nsde_torch.diagnosis.report import page, write_report
 from nsde_torch.diagnosis.result import Diagnosis
 from nsde_torch.diagnosis.text import interval, lines
+from nsde_torch.sysid.guard import Guarded, Objection
 from tests.helpers.diagnosed import diagnosed
 
 _VOID = {"meta", "br", "img"}
@@ -160,6 +162,7 @@ def test_the_content_holds_what_the_schema_promises(found: tuple[Diagnosis, dict
     ("ends", "bound", "words"),
     [
         (None, None, "not shown by the data"),
+        (None, "not believed", "not believed"),
         ((0.1, 0.2), None, "0.1 to 0.2"),
         ((0.1, 0.2), "below", "below 0.2"),
         ((0.1, 0.2), "above", "above 0.1"),
@@ -169,6 +172,18 @@ def test_an_interval_that_ends_where_the_search_does_has_one_end(
     ends: tuple[float, float] | None, bound: str | None, words: str
 ) -> None:
     assert interval(ends, bound) == words
+
+
+def test_no_interval_is_given_where_something_speaks_against_the_fit() -> None:
+    found, before = diagnosed("mass_spring_damper", {"coulomb_friction": {"size": 0.3}})
+    assert before["parameters"]["coulomb_friction.size"]["interval_90"] is not None
+    doubted = Guarded((Objection("worse", "the fit is worse than nothing", "look at the columns"),))
+    content = replace(found, explanation=replace(found.explanation, guard=doubted)).content()
+    every = {**content["parameters"], **content["declared_parameters"]}
+    assert set(every) == {**before["parameters"], **before["declared_parameters"]}.keys()
+    assert all(p["interval_90"] is None and p["bound"] == "not believed" for p in every.values())
+    assert "not believed" in "\n".join(lines(content))
+    assert content["warnings"][0]["sentence"] == "the fit is worse than nothing"
 
 
 def test_a_width_that_is_crossed_within_a_step_is_below_something(tmp_path: Path) -> None:

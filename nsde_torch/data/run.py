@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from nsde_torch.errors import DataError, ShapeError
 
 if TYPE_CHECKING:
+    from nsde_torch.data.findings import Finding
     from nsde_torch.data.summary import DataSummary
 
 Array = NDArray[np.float64]
@@ -223,6 +224,17 @@ class DataSet:
     def duration(self) -> float:
         """Recorded time inside the segments of all runs [s]."""
         return sum(run.duration for run in self.runs)
+
+    def changed(self, runs: Sequence[Run], findings: Sequence[Finding]) -> DataSet:
+        """The data set with its runs changed, and a fingerprint of theirs.
+
+        Args:
+            runs: The changed runs.
+            findings: All that its summary says was found and done.
+        """
+        mark = fingerprint(runs, system_name=self.system_name, dt=self.dt, clock_scale=self.clock_scale)
+        told = replace(self.summary, findings=tuple(findings))
+        return replace(self, runs=runs, summary=told, fingerprint=mark)
 
 
 def resolve(runs: Sequence[Run], keys: Sequence[int | str]) -> list[int]:

@@ -19,7 +19,7 @@ whose commands are on time).
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,7 +27,7 @@ from scipy.optimize import brentq
 from scipy.special import chdtrc, ndtri, stdtr
 
 from nsde_torch.data.findings import Finding
-from nsde_torch.data.run import DataSet, Run, fingerprint
+from nsde_torch.data.run import DataSet, Run
 from nsde_torch.data.system_info import SystemInfo
 from nsde_torch.errors import ConfigError
 from nsde_torch.recording.channels import on_time
@@ -194,9 +194,7 @@ def on_one_clock(data: DataSet, system: SystemInfo, *, policy: str = "undo") -> 
         runs = taken_out(runs, system, one)
     moved = {channel for one in found for channel in (one.channel, one.other)}
     before = [f for f in data.summary.findings if not (f.kind == "late_sensor" and _of(f) <= moved)]
-    told = replace(data.summary, findings=(*before, *(one.finding() for one in found)))
-    mark = fingerprint(runs, system_name=data.system_name, dt=data.dt, clock_scale=data.clock_scale)
-    return replace(data, runs=runs, summary=told, fingerprint=mark)
+    return data.changed(runs, [*before, *(one.finding() for one in found)])
 
 
 def _of(finding: Finding) -> set[str]:

@@ -254,7 +254,7 @@ def joined(some: Sequence[Spectra]) -> Spectra:
 
 
 def fit(seen: Spectra, smoother: Smoother | None, *, steps: int = _LAST) -> SpectrumFit:
-    """SpectrumFit spectra behind a smoother; None for none."""
+    """Fit spectra behind a smoother; None for none."""
     gain = np.ones_like(seen.f) if smoother is None else np.square(np.abs(smoother.response(seen.f)))
     relative = seen.f / seen.f[len(seen.f) // 8]
     of_position = [2.0] if smoother is not None and smoother.family.differentiates else []
@@ -296,12 +296,12 @@ class Likely:
 def likeliest(seen: Spectra, *, rates: bool = False) -> Likely:
     """The smoothers of all families behind which spectra are likeliest.
 
+    Spectra hold no phase: where one without delay fits as well as the likeliest, it is taken. A delay that was
+    there then stays in the log; one that was not would make it know the future.
+
     Args:
         seen: The spectra.
         rates: Whether they are of rates, which may be derivatives of positions.
-
-    Spectra hold no phase: where one without delay fits as well as the likeliest, it is taken. A delay that was
-    there then stays in the log; one that was not would make it know the future.
     """
     tried = []
     for family in (family for family in FAMILIES if rates or not family.differentiates):

@@ -36,7 +36,7 @@ from nsde_torch.data import Run
 from nsde_torch.sysid.explained import per_second
 from nsde_torch.sysid.readings import better_readings
 from nsde_torch.sysid.regression import Regression
-from nsde_torch.sysid.rough import left_at, rough_fit
+from nsde_torch.sysid.rough import Left, left_at, rough_fit
 from nsde_torch.sysid.run_differences import odd_run, unexplained_runs
 from nsde_torch.sysid.timing import shifted_stream
 from nsde_torch.systems import System
@@ -192,7 +192,7 @@ def guarded(
     objections, notes = _faults(system, runs, clock, rough, regression)
     chance = _chance(rough, theta, covariance)
     if not objections:
-        objections = _disagreements(channels, chance) or _gone(rough, theta, covariance, channels)
+        objections = _disagreements(channels, chance) or _gone(rough, theta, covariance, left["fit"])
         notes += _believed(channels, chance)
     return Guarded(
         tuple(objections), channels, tuple(vector.labels), tuple(rough.theta.tolist()), chance, tuple(notes)
@@ -272,26 +272,25 @@ def _disagreements(channels: Sequence[Compared], chance: float) -> list[Objectio
     return out
 
 
-def _gone(
-    rough: Regression, theta: Array, covariance: Array | None, channels: Sequence[Compared]
-) -> list[Objection]:
+def _gone(rough: Regression, theta: Array, covariance: Array | None, now: Sequence[Left]) -> list[Objection]:
     """Parameters that have surely gone to nothing, and with them all that is explained of a channel."""
     vector = rough.vector
     error = np.zeros(len(theta)) if covariance is None else np.sqrt(np.diag(covariance).clip(0.0))
     small = GONE * (np.abs(theta) + 2.0 * error) < np.abs(vector.start)
-    bare = [c.fit**2 > (1.0 - NOTHING) * c.measured**2 for c in channels]
-    now = np.array([a.foretold for a in left_at(rough, theta)]) ** 2
+    bare = [c.left**2 > (1.0 - NOTHING) * c.measured**2 for c in now]
     gone: dict[str, list[str]] = {}
     for j in np.flatnonzero(small):
         if "." in vector.labels[j]:
             continue  # an effect that is declared may well be nothing
         back = theta.copy()
         back[j] = vector.start[j]
-        power = np.array([[a.foretold, a.measured] for a in left_at(rough, back)]) ** 2
-        more = (power[:, 0] - now) / np.maximum(power[:, 1], 1e-300)
+        more = [
+            (a.foretold**2 - c.foretold**2) / max(c.measured**2, 1e-300)
+            for a, c in zip(left_at(rough, back), now, strict=True)
+        ]
         moved = int(np.argmax(more))
         if bare[moved] and more[moved] > NOTHING:
-            gone.setdefault(channels[moved].name, []).append(
+            gone.setdefault(now[moved].name, []).append(
                 f"{vector.labels[j]} {theta[j]:.2g} {vector.units[j]} (first value {vector.start[j]:.3g})"
             )
     if not gone:

@@ -23,7 +23,7 @@ from nsde_torch.data import Run
 from nsde_torch.data.quaternion import multiply
 from nsde_torch.data.system_info import derivative_columns, rate_columns
 from nsde_torch.sysid.regression import Regression
-from nsde_torch.sysid.rough import left_at, rough_fit
+from nsde_torch.sysid.rough import beginnings, left_at, rough_fit, share_left
 from nsde_torch.systems import System
 
 Array = NDArray[np.float64]
@@ -100,11 +100,11 @@ def better_readings(system: System, runs: Sequence[Run], clock: float, rough: Re
     now = left_at(rough, rough.theta)
     if not float(np.mean([c.left / max(c.measured, 1e-300) for c in now])) > MUCH:
         return None
-    some = _part(runs, clock)
+    some = beginnings(runs, clock, seconds=_PART_S, fewest=50)
 
     def score(read: Callable[[Run], Run]) -> float:
         fitted = rough_fit(system, [read(run) for run in some], clock, iterations=_ITERATIONS)
-        return float("inf") if fitted is None or len(fitted.rows) < len(now) else _score(fitted)
+        return float("inf") if fitted is None or len(fitted.rows) < len(now) else share_left(fitted)
 
     before = score(lambda run: run)
     tried = [(score(one.read), one) for one in _readings(system, runs)]
@@ -115,27 +115,13 @@ def better_readings(system: System, runs: Sequence[Run], clock: float, rough: Re
     best = min(value for value, _ in tried)
     alike = [one for value, one in sorted(tried, key=lambda t: t[0]) if value < best + AS_GOOD]
     after = rough_fit(system, [alike[0].read(run) for run in runs], clock)
-    if after is None or not _score(after) < _score(rough) - log(LESS):
+    if after is None or not share_left(after) < share_left(rough) - log(LESS):
         return None
     left = left_at(after, after.theta)
     return Better(
         tuple(alike[:3]),
         tuple((a.name, a.unit, a.left, b.left) for a, b in zip(now, left, strict=False)),
     )
-
-
-def _part(runs: Sequence[Run], clock: float) -> list[Run]:
-    """The first stretch of each run, so long that all together last `_PART_S`."""
-    out = []
-    for run in runs:
-        a, b = max(run.segments, key=lambda s: s[1] - s[0])
-        rows = max(50, round(_PART_S / len(runs) / (run.dt * clock)))
-        out.append(replace(run, segments=((a, min(b, a + rows)),)))
-    return out
-
-
-def _score(rough: Regression) -> float:
-    return sum(log(max(c.left, 1e-12) / max(c.measured, 1e-12)) for c in left_at(rough, rough.theta))
 
 
 # ---- readings ------------------------------------------------------------------------------------------

@@ -22,7 +22,6 @@ from numpy.fft import irfft, rfft, rfftfreq
 from numpy.typing import NDArray
 
 from nsde_torch.data import DataSet, Run, SystemInfo
-from nsde_torch.data.run import fingerprint
 from nsde_torch.recording.faults.registry import remedies
 from nsde_torch.recording.smoothers import Smoother
 from nsde_torch.sysid.smoothed_states import Smoothed, group_spectra, sensors_of, smoothed_states
@@ -68,10 +67,7 @@ def restore_states(
     if not found:
         return data
     runs = _restored(data.runs, found, seed)
-    findings = (*data.summary.findings, *(one.finding() for one in found))
-    told = replace(data.summary, findings=findings)
-    mark = fingerprint(runs, system_name=data.system_name, dt=data.dt, clock_scale=data.clock_scale)
-    return replace(data, runs=runs, summary=told, fingerprint=mark)
+    return data.changed(runs, [*data.summary.findings, *(one.finding() for one in found)])
 
 
 def narrowed(runs: Sequence[Run], system: System, clock: float = 1.0, *, seed: int = 1) -> list[Run] | None:

@@ -9,7 +9,8 @@ feedback that answers what the physics lacks, pull it towards gains that are too
 
 import copy
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from math import log
 
 import numpy as np
 from numpy.typing import NDArray
@@ -102,6 +103,32 @@ def left_at(rough: Regression, theta: Array) -> list[Left]:
         )
         for c in rough.rows
     ]
+
+
+def share_left(rough: Regression) -> float:
+    """Sum over channels of log(left / measured) at the optimum, without unit: how much the physics leaves of the log.
+
+    Args:
+        rough: What `rough_fit` returned.
+    """
+    return sum(log(max(c.left, 1e-12) / max(c.measured, 1e-12)) for c in left_at(rough, rough.theta))
+
+
+def beginnings(runs: Sequence[Run], clock: float, *, seconds: float, fewest: int) -> list[Run]:
+    """Runs of which the beginning of the longest stretch is left, for fits that are compared with each other.
+
+    Args:
+        runs: Recordings.
+        clock: Physical seconds per logged second.
+        seconds: How long all together last [s].
+        fewest: Rows that are left of each at least.
+    """
+    out = []
+    for run in runs:
+        a, b = max(run.segments, key=lambda s: s[1] - s[0])
+        rows = max(fewest, round(seconds / len(runs) / (run.dt * clock)))
+        out.append(replace(run, segments=((a, min(b, a + rows)),)))
+    return out
 
 
 def _without_levels(rough: Regression, values: Array) -> Array:

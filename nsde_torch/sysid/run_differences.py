@@ -111,12 +111,9 @@ def _answered(rough: Regression) -> dict[int, Array]:
     measured = rough.single.summed(rough.physics.measured, rough.box)[:, rough.rows]
     out = {}
     for r in np.unique(owner).tolist():
-        slopes, white = rough.slopes[:, owner == r], rough.white[:, owner == r]
-        flat = (slopes @ rough.shown.basis).reshape(-1, rough.shown.rank)
-        left = white.reshape(-1) - flat @ np.linalg.lstsq(flat, white.reshape(-1), rcond=None)[0]
-        square = np.square(left.reshape(white.shape)).mean(1) * np.square(std)
+        square = np.square(_left_alone(rough, owner == r)).mean(1) * np.square(std)
         share = np.minimum(square / np.maximum(measured[rough.owners == r].var(0), 1e-300), 1.0)
-        weight = np.square(slopes).sum(1)
+        weight = np.square(rough.slopes[:, owner == r]).sum(1)
         out[r] = share @ weight / np.maximum(weight.sum(0), 1e-300)
     return out
 
@@ -217,10 +214,7 @@ def unexplained_runs(rough: Regression, runs: Sequence[Run]) -> list[Unexplained
     own = {}
     measured = rough.single.summed(rough.physics.measured, rough.box) / rough.dt
     for r in numbers:
-        rows = owner == r
-        slopes = rough.slopes[:, rows] @ rough.shown.basis
-        flat, white = slopes.reshape(-1, slopes.shape[2]), rough.white[:, rows]
-        left = white - slopes @ np.linalg.lstsq(flat, white.reshape(-1), rcond=None)[0]
+        left = _left_alone(rough, owner == r)
         moves = measured[rough.owners == r][:, rough.rows].std(0)
         own[r] = np.sqrt(np.square(left).mean(1)) * std[:, 0], moves
     out = []
@@ -235,6 +229,13 @@ def unexplained_runs(rough: Regression, runs: Sequence[Run]) -> list[Unexplained
             unit = per_second(rough.physics.units[rough.rows[i]])
             out.append(UnexplainedRun(runs[r].name, names, unit, float(left[i]), float(rest[i])))
     return out
+
+
+def _left_alone(rough: Regression, rows: NDArray[np.bool_]) -> Array:
+    """Whitened residuals (channels, n) of some rows at parameters of their own."""
+    slopes, white = rough.slopes[:, rows] @ rough.shown.basis, rough.white[:, rows]
+    flat = slopes.reshape(-1, slopes.shape[2])
+    return np.asarray(white - slopes @ np.linalg.lstsq(flat, white.reshape(-1), rcond=None)[0])
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,6 @@ through three shifts says where it is; where it is elsewhere, the search follows
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from math import log
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,7 +19,7 @@ from nsde_torch.data import Run
 from nsde_torch.data.system_info import derivative_columns, rate_columns
 from nsde_torch.recording.channels import common_name, moved
 from nsde_torch.sysid.regression import Regression
-from nsde_torch.sysid.rough import left_at, rough_fit
+from nsde_torch.sysid.rough import beginnings, rough_fit, share_left
 from nsde_torch.systems import System
 
 Array = NDArray[np.float64]
@@ -85,9 +84,7 @@ class Shifted:
         )
 
 
-def shifted_stream(
-    system: System, runs: Sequence[Run], clock: float, rough: Regression, *, among: Sequence[str] = ()
-) -> Shifted | None:
+def shifted_stream(system: System, runs: Sequence[Run], clock: float, rough: Regression) -> Shifted | None:
     """The stream that is most surely shifted against the others; None where none is.
 
     Args:
@@ -95,14 +92,12 @@ def shifted_stream(
         runs: The runs.
         clock: Physical seconds per logged second.
         rough: The declared physics in the runs as they are (`rough_fit`).
-        among: Names of streams to look at; none for all.
     """
-    some = _part(runs, clock)
+    some = beginnings(runs, clock, seconds=_PART_S, fewest=100)
     found = [
         shift
         for stream, states, inputs in _streams(system)
-        if (not among or stream in among)
-        and (shift := _best(system, some, clock, rough, stream, states, inputs))
+        if (shift := _best(system, some, clock, rough, stream, states, inputs))
     ]
     return max(found, key=lambda s: s.gain, default=None)
 
@@ -152,8 +147,7 @@ def _best(
             fitted = rough_fit(system, [read(r) for r in runs], clock, iterations=_ITERATIONS, start=start)
             known[at] = float("inf")
             if fitted is not None and len(fitted.rows) >= len(rough.rows):
-                left = left_at(fitted, fitted.theta)
-                known[at] = sum(log(max(c.left, 1e-12) / max(c.measured, 1e-12)) for c in left)
+                known[at] = share_left(fitted)
         return known[at]
 
     middle = 0.0
@@ -200,13 +194,3 @@ def _mover(system: System, rows: float, states: list[int], inputs: bool) -> Call
         return replace(run, x=x, u=u, segments=tuple(segments) or run.segments)
 
     return read
-
-
-def _part(runs: Sequence[Run], clock: float) -> list[Run]:
-    """The beginning of the longest stretch of each run, all together about `_PART_S`."""
-    out = []
-    for run in runs:
-        a, b = max(run.segments, key=lambda s: s[1] - s[0])
-        rows = max(100, round(_PART_S / len(runs) / (run.dt * clock)))
-        out.append(replace(run, segments=((a, min(b, a + rows)),)))
-    return out

@@ -11,7 +11,7 @@ import pytest
 
 import nsde_torch
 from nsde_torch.data import DataSet, RawRun
-from nsde_torch.sysid.guard import Compared, Guarded, _gone
+from nsde_torch.sysid.guard import Guarded, _gone
 from nsde_torch.sysid.in_loop import identify_in_loop
 from nsde_torch.sysid.rough import left_at, rough_fit
 from nsde_torch.sysid.timing import Shifted
@@ -182,11 +182,8 @@ def test_a_gain_that_has_surely_gone_and_with_it_all_that_was_explained_is_told(
     j = rough.vector.labels.index("roll_gain")
     theta[j] = share * first[j]
     covariance = np.diag(np.square(error * first))
-    channels = [
-        Compared(a.name, a.unit, a.measured, a.measured * (1.0 - explained) ** 0.5, a.left, a.left)
-        for a in left_at(rough, theta)
-    ]
-    objections = _gone(rough, theta, covariance, channels)
+    left = [replace(a, left=a.measured * (1.0 - explained) ** 0.5) for a in left_at(rough, theta)]
+    objections = _gone(rough, theta, covariance, left)
     assert [o.kind for o in objections] == ["gone"] * told
     assert all("nothing of w_x and" in o.sentence and "roll_gain" in o.sentence for o in objections)
 

@@ -17,6 +17,7 @@ from nsde_torch.diagnosis.outcome import Outcome
 from nsde_torch.diagnosis.shape import Shape, called, symmetry
 from nsde_torch.diagnosis.summary import summary
 from nsde_torch.effects import Effect, effect_class
+from nsde_torch.sysid.longer_boxes import in_words
 from nsde_torch.systems.parameters import own_name
 
 if TYPE_CHECKING:
@@ -118,7 +119,12 @@ def _warnings(found: Diagnosis) -> list[dict[str, Any]]:
         {"parameter": w.parameter, "kind": w.kind, "sentence": w.sentence, "remedy": w.remedy}
         for w in found.explanation.warned
     ]
-    return [*({"parameter": None, **one.as_dict()} for one in found.explanation.guard.objections), *odd]
+    guards = [{"parameter": None, **one.as_dict()} for one in found.explanation.guard.objections]
+    refused = found.explanation.refused
+    if refused is not None:
+        box = found.outcome.final.regression.dt
+        guards.append({"parameter": None, "kind": "longer_boxes", **in_words(box, refused)})
+    return [*guards, *odd]
 
 
 def _findings(found: Diagnosis) -> list[dict[str, Any]]:

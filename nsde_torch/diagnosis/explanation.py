@@ -11,7 +11,7 @@ from nsde_torch.diagnosis.reading import Log
 from nsde_torch.diagnosis.search import Search
 from nsde_torch.diagnosis.shape import Shape, shape
 from nsde_torch.diagnosis.views import rates
-from nsde_torch.sysid.guard import Guarded, guarded
+from nsde_torch.sysid.guard import Guarded
 
 
 @dataclass(frozen=True)
@@ -25,6 +25,7 @@ class Explanation:
         formula: A sparse formula for it: provisional, unverified.
         warned: Declared parameters that tell of a fault of the columns.
         guard: How the final physics stands beside simple fits, and what speaks against it.
+        refused: What spoke against it over shorter boxes; None where these are the usual ones.
     """
 
     channels: list[ChannelResidual]
@@ -33,15 +34,19 @@ class Explanation:
     formula: Formula | None = None
     warned: tuple[Warned, ...] = ()
     guard: Guarded = field(default_factory=Guarded)
+    refused: Guarded | None = None
 
 
-def explained(log: Log, search: Search, outcome: Outcome, runs: tuple[str, ...]) -> Explanation:
+def explained(
+    log: Log, search: Search, outcome: Outcome, guard: Guarded, runs: tuple[str, ...]
+) -> Explanation:
     """Describe what is left.
 
     Args:
         log: The log.
         search: That in all runs of the log.
         outcome: What was concluded.
+        guard: The final physics held against simple fits.
         runs: Names of the runs.
     """
     regression, left = outcome.final.regression, outcome.structured
@@ -56,10 +61,6 @@ def explained(log: Log, search: Search, outcome: Outcome, runs: tuple[str, ...])
         in_run=None if odd is None else in_run(log.again(search, [log.runs[odd]]), outcome.system, odd),
         formula=formula(regression, left, outcome.variables, runs),
         warned=tuple(warned),
-        guard=guarded(
-            regression,
-            log.runs,
-            clock=log.recorded.clock,
-            covariance=regression.shown.basis @ outcome.spread.covariance @ regression.shown.basis.T,
-        ),
+        guard=guard,
+        refused=log.refused,
     )

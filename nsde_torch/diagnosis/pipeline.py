@@ -22,6 +22,7 @@ from nsde_torch.diagnosis.decision import decide, judged_on_runs_left_out, set_a
 from nsde_torch.diagnosis.decisions import BUDGETS, DECISIONS, Budgets, Decisions
 from nsde_torch.diagnosis.elimination import eliminate
 from nsde_torch.diagnosis.explanation import explained
+from nsde_torch.diagnosis.longer_boxes import over_longer_boxes
 from nsde_torch.diagnosis.options import Options
 from nsde_torch.diagnosis.outcome import Outcome
 from nsde_torch.diagnosis.reading import Log, read_effects, read_log
@@ -76,6 +77,7 @@ def diagnose(
     if outcome.structured:
         say("checking the recording chain", 0, 1)
         log, search, outcome = _read_again(log, search, outcome)
+    log, search, outcome, guard = over_longer_boxes(log, search, outcome, searched)
     watch.lap("search")
     outcome, instrumented = _by_instruments(log, outcome)
     feedback = outcome.test
@@ -92,7 +94,7 @@ def diagnose(
         log.recorded,
         outcome,
         errors,
-        explained(log, search, outcome, names),
+        explained(log, search, outcome, guard, names),
         options,
         watch.seconds,
         feedback=feedback,

@@ -16,7 +16,8 @@ from nsde_torch.effects import effect_class, effects_of, register
 from nsde_torch.errors import ConfigError, DataError
 from nsde_torch.recording.levels import level
 from nsde_torch.recording.log import Recorded
-from nsde_torch.sysid.in_loop import hangs_on_band, identify_in_loop
+from nsde_torch.sysid.guard import Guarded
+from nsde_torch.sysid.in_loop import hangs_on_band, hangs_on_boxes, identify_in_loop
 from nsde_torch.sysid.instruments import with_columns
 from nsde_torch.sysid.loop_test import LoopTest, tested
 from nsde_torch.sysid.regression import Regression
@@ -36,6 +37,8 @@ class Log:
         decisions: What is decided by.
         budgets: How much is tried.
         say: Told stage, number done and number in all.
+        box_s: Over which steps are summed [s]; None for the usual length.
+        refused: What spoke against the search over the usual length, where another one is taken.
     """
 
     system: System
@@ -45,6 +48,8 @@ class Log:
     decisions: Decisions
     budgets: Budgets
     say: Callable[[str, int, int], None]
+    box_s: float | None = None
+    refused: Guarded | None = None
 
     def search(self, runs: Sequence[Run]) -> Search:
         """A search in runs of the log."""
@@ -73,6 +78,7 @@ class Log:
             moved=moved,
             decisions=self.decisions,
             budgets=self.budgets,
+            box_s=self.box_s,
             say=self.say,
         )
 
@@ -88,7 +94,9 @@ class Log:
         )
 
     def _hangs(self, regression: Regression) -> NDArray[np.float64]:
-        return hangs_on_band(regression, self.runs, clock=self.recorded.clock)
+        clock = self.recorded.clock
+        hangs = hangs_on_band(regression, self.runs, clock=clock, width=self.box_s)
+        return hangs if self.box_s is None else hangs + hangs_on_boxes(regression, self.runs, clock=clock)
 
     def _loop_test(self, regression: Regression) -> LoopTest:
         if self.recorded.inputs_restored:

@@ -241,6 +241,7 @@ def search_in(
     moved: bool = False,
     decisions: Decisions | None = None,
     budgets: Budgets = BUDGETS,
+    box_s: float | None = None,
     say: Callable[[str, int, int], None] = lambda stage, done, total: None,
 ) -> Search:
     """A search in runs whose recording chain was undone.
@@ -255,9 +256,10 @@ def search_in(
         moved: Whether channels that were late have been moved.
         decisions: What it decides by; None takes the options'.
         budgets: How much it tries.
+        box_s: Over which steps are summed [s]; None takes the usual length.
         say: Told stage, number done and number in all.
     """
-    box = max(1, int(_BOX_S / (runs[0].dt * clock) + 1e-6))
+    box = max(1, int((box_s or _BOX_S) / (runs[0].dt * clock) + 1e-6))
     steps = steps_of(
         system,
         runs,

@@ -38,6 +38,7 @@ from nsde_torch.sysid.guard import guarded
 from nsde_torch.sysid.identify import identification, regression_of
 from nsde_torch.sysid.instrumented import MISSING, Instrumented
 from nsde_torch.sysid.instruments import between, instrumental, with_columns
+from nsde_torch.sysid.longer_boxes import LENGTHS_S, in_longer_boxes
 from nsde_torch.sysid.loop_test import LoopTest, tested
 from nsde_torch.sysid.regression import ITERATIONS, Regression
 from nsde_torch.sysid.restored_states import narrowed
@@ -66,7 +67,7 @@ def identify_in_loop(
         runs: Recordings, all on one step.
         clock: Physical seconds per logged second.
         method: See `identify`.
-        width: See `identify`.
+        width: See `identify`; None also takes longer boxes where the guard believes these alone (`longer_boxes`).
         iterations: Largest number of steps.
         instruments: Names of logged columns (`Run.extra`) that nothing inside the loop moves: sticks, setpoints.
 
@@ -84,6 +85,33 @@ def identify_in_loop(
                 "future). Leave the instruments out."
             )
         system, runs = with_columns(system, runs, instruments)
+
+    def over(width: float | None) -> Identification:
+        return _over_boxes(
+            system,
+            runs,
+            clock=clock,
+            method=method,
+            width=width,
+            iterations=iterations,
+            instruments=instruments,
+        )
+
+    found = over(width)
+    return in_longer_boxes(found, over) if width is None and method == "weak" else found
+
+
+def _over_boxes(
+    system: System,
+    runs: Sequence[Run],
+    *,
+    clock: float,
+    method: str,
+    width: float | None,
+    iterations: int,
+    instruments: Sequence[str],
+) -> Identification:
+    """As `identify_in_loop`, over boxes of one length, whatever the guard says of it."""
     regression = regression_of(system, runs, clock=clock, method=method, width=width)
     regression.run(iterations)
     found = identification(regression, method)
@@ -195,6 +223,26 @@ def hangs_on_band(
     except (DataError, NonFiniteError):
         return np.full(len(regression.vector), np.nan)
     return np.asarray(2.0 * np.abs(regression.theta - other.theta))
+
+
+def hangs_on_boxes(
+    regression: Regression, runs: Sequence[Run], *, clock: float = 1.0, iterations: int = ITERATIONS
+) -> Array:
+    """What parameters (k,) change by with the longest boxes (`longer_boxes`); nan where nothing settles there.
+
+    Args:
+        regression: Over longer boxes than the usual ones, at its optimum.
+        runs: The runs that it is of.
+        clock: Physical seconds per logged second.
+        iterations: Largest number of steps.
+    """
+    system = copy.deepcopy(regression.physics.vector.system)
+    try:
+        other = regression_of(system, runs, clock=clock, width=LENGTHS_S[1])
+        other.run(iterations)
+    except (DataError, NonFiniteError):
+        return np.full(len(regression.vector), np.nan)
+    return np.asarray(np.abs(regression.theta - other.theta))
 
 
 def largest_bias(regression: Regression, hidden: Mapping[str, float]) -> Array:

@@ -80,6 +80,7 @@ class Identification:
         doubt: What half-widths are widened by, because feedback may have bent the estimate (k,), nan for
             anything; None for nothing.
         guard: How the fit stands beside simple ones; None where it was not asked for.
+        finer: The fit over shorter boxes that the guard did not believe; None where these are the first ones.
     """
 
     vector: ParameterVector
@@ -101,6 +102,7 @@ class Identification:
     instrumented: "Instrumented | None" = None
     doubt: Array | None = None
     guard: "Guarded | None" = None
+    finer: "Identification | None" = None
 
     @property
     def believed(self) -> bool:
@@ -130,6 +132,8 @@ class Identification:
             printed = adopted(self.instrumented, self.loop)
             moved = self.instrumented.moved if printed else None
             out += of_instruments(self.instrumented, printed)
+        if self.finer is not None:  # widened by what changes with the boxes too, which a warning tells
+            return out
         return [*out, *widened(self.vector.labels, self.doubt, self.standard_errors, moved)]
 
     @property
@@ -151,6 +155,10 @@ class Identification:
     @property
     def warnings(self) -> list[str]:
         """What speaks against the fit, in words."""
+        if self.finer is not None and self.finer.guard is not None:
+            from nsde_torch.sysid.longer_boxes import in_words
+
+            return ["; ".join(in_words(self.box_s, self.finer.guard).values())]
         if self.guard is None or not self.guard.objections:
             return []
         told = [str(objection) for objection in self.guard.objections]
@@ -199,6 +207,11 @@ class Identification:
             "test_function_s": self.width_s,
             "unexplained": self.unexplained,
             **({} if self.guard is None else {"guard": self.guard.as_dict()}),
+            **(
+                {}
+                if self.finer is None or self.finer.guard is None
+                else {"finer": {"box_s": self.finer.box_s, "guard": self.finer.guard.as_dict()}}
+            ),
             **({} if self.loop is None else {"feedback": self.loop.as_dict()}),
             **({} if self.instrumented is None else {"instruments": self.instrumented.as_dict()}),
             **(

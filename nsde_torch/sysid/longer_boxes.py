@@ -1,0 +1,70 @@
+"""A fit that its guard does not believe, once more over longer boxes.
+
+A noise model learns what a smoother, a differentiated encoder or a friction does within a few rows, and with it the
+physics: the likelihood of many rows a second prefers it so. Sums over longer boxes do not hold that band, and both
+sides of the equation go through the same one. So, where least squares, the first values or a parameter that has gone
+to nothing speak against a fit (and no fault of the log does), it is made again with boxes of `LENGTHS_S`. It is taken
+where the guard believes it at both lengths. Two things grow with the length of the boxes: what inputs answer within
+one of them (feedback), and what is lost of fast physics. So intervals widen by what parameters change from the one to
+the other, which is no less than a bias that grows as the length does or faster, and a third of one that grows as its
+root.
+"""
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nsde_torch.errors import DataError, NonFiniteError
+from nsde_torch.sysid.guard import Guarded
+from nsde_torch.sysid.result import Identification
+
+Array = NDArray[np.float64]
+
+LENGTHS_S = (0.05, 0.2)
+"""Length of the boxes, and of those that they are held against [s]: a bias as the root of the length doubles."""
+LONGER = 2.0
+"""Times the length of the boxes before that the first must have."""
+
+
+def asks_for_longer_boxes(guard: Guarded | None) -> bool:
+    """Whether what speaks against a fit is what its noise model may have learned."""
+    kinds = {"least_squares", "first_values", "gone"}
+    return guard is not None and bool(guard.objections) and {o.kind for o in guard.objections} <= kinds
+
+
+def in_longer_boxes(found: Identification, again: Callable[[float], Identification]) -> Identification:
+    """An identification in longer boxes where its guard asks for it and believes that one; else as it is.
+
+    Args:
+        found: Over the usual boxes.
+        again: The same over boxes of some length [s].
+    """
+    first, second = LENGTHS_S
+    if not asks_for_longer_boxes(found.guard) or first < LONGER * found.box_s:
+        return found
+    try:
+        longer, longest = again(first), again(second)
+    except (DataError, NonFiniteError):  # runs that are too short for them
+        return found
+    if not (longer.believed and longest.believed):
+        return found
+    moved = np.abs(longer.values - longest.values)
+    doubt = moved if longer.doubt is None else longer.doubt + moved
+    return replace(longer, doubt=doubt, finer=found)
+
+
+def in_words(box_s: float, guard: Guarded) -> dict[str, str]:
+    """What was done, and the remedy, for a person.
+
+    Args:
+        box_s: Length of the boxes [s].
+        guard: What spoke against the fit over shorter ones.
+    """
+    why = "; ".join(o.sentence for o in guard.objections)
+    return {
+        "sentence": f"means over {box_s:.3g} s are fitted: nothing speaks against these; over shorter ones, {why}",
+        "remedy": f"intervals are widened by what changes with means over {LENGTHS_S[1]:.3g} s; log raw sensors, or "
+        "train with model.method=differences, for what happens faster",
+    }

@@ -1,0 +1,156 @@
+"""A fit whose noise model learned a friction is made again over longer boxes, and says so; others stay as they are."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any, final
+
+import numpy as np
+import pytest
+import torch
+from scipy.signal import butter, filtfilt
+from torch import Tensor
+
+import nsde_torch
+from nsde_torch.data import DataSet, RawRun
+from nsde_torch.effects import Parameter, Port, make_effect
+from nsde_torch.errors import DataError
+from nsde_torch.recording.checks import assemble
+from nsde_torch.sysid import Identification, identify_in_loop
+from nsde_torch.sysid.guard import Guarded, Objection
+from nsde_torch.sysid.longer_boxes import asks_for_longer_boxes, in_longer_boxes
+from nsde_torch.systems import Defaults, ErrorGroup, ResidualPort, System
+
+STEP = 1e-3
+GAIN, VISCOUS, DRY, PUSH = 0.02, 2.0, 0.3, 0.05
+
+
+@final
+class Axis(System):
+    """A carriage that a force drives: states q, q_dot, input force."""
+
+    name = "axis"
+    state_names = ("q", "q_dot")
+    state_units = ("m", "m/s")
+    input_names = ("force",)
+    input_units = ("N",)
+    position_derivatives = (("q", "q_dot", "world"),)
+    sensor_noise = True
+    declared = ("viscous_friction",)
+    ports = {Port.FORCE: 1}
+    residual_ports = {Port.FORCE: ResidualPort(1, 0.5, "m/s2")}
+    PARAMETERS = {"force_gain": Parameter(0.05, "1/kg", low=0.0)}
+    defaults = Defaults(0.02, 25, (0.001, 0.05), 0.1, 1.0, "euler_maruyama")
+    error_names = state_names
+    error_groups = (ErrorGroup("position", (0,), "m"), ErrorGroup("velocity", (1,), "m/s"))
+    feature_names = ("q_dot",)
+    feature_units = ("m/s",)
+
+    def dynamics(self, t: float | Tensor, x: Tensor, u: Tensor, forces: Mapping[Port, Tensor]) -> Tensor:
+        acceleration = self.value("force_gain") * u
+        if Port.FORCE in forces:
+            acceleration = acceleration + forces[Port.FORCE]
+        return torch.cat((x[:, 1:], acceleration), 1)
+
+    def features(self, x: Tensor) -> Tensor:
+        return x[:, 1:]
+
+
+def axis(seconds: float, slip: float, seed: int) -> DataSet:
+    """A carriage under a controller, whose friction gives way over `slip` [m] (Dahl), logged as users do."""
+    rng = np.random.default_rng(seed)
+    inner, n = 20, round(seconds / STEP)
+    h, q, v, share = STEP / inner, 0.0, 0.0, 0.0
+    legs = rng.uniform(0.3, 1.0, 2 * round(seconds)) * 0.15 * np.resize((1, 1, -1, -1), 2 * round(seconds))
+    wanted = np.cumsum(np.repeat(legs, 500)[:n]) * STEP
+    log = np.empty((n, 3))
+    for k in range(n):
+        force = 60.0 / GAIN * (30.0 * (wanted[k] - q) - v)
+        log[k] = q, v, force
+        for _ in range(inner):
+            share += h * v / slip * (1.0 - share * np.sign(v))
+            v += h * (GAIN * force - VISCOUS * v - DRY * share + PUSH)
+            q += h * v
+    place = filtfilt(*butter(4, 0.2), np.round(log[:, 0] / 1e-6) * 1e-6)
+    x = np.stack((place, np.gradient(place, STEP)), 1)[50:-50]
+    run = RawRun("axis", STEP * np.arange(len(x)), x, log[50:-50, 2:])
+    return assemble([run], Axis(), kind="simulated")
+
+
+def identified(data: DataSet, **further: Any) -> Identification:
+    effects = [
+        make_effect(name, system="axis", ports=Axis.ports, n_inputs=1)
+        for name in ("coulomb_friction", "constant_force")
+    ]
+    return identify_in_loop(Axis().with_effects(*effects), data.runs, **further)
+
+
+def test_a_friction_that_the_noise_model_learned_comes_out_of_longer_boxes() -> None:
+    found = identified(axis(14.0, slip=5e-4, seed=3))
+    assert found.finer is not None
+    assert found.finer.guard is not None
+    label = found.vector.labels.index
+    dry = label("coulomb_friction.size")
+    true = {label("force_gain"): GAIN, label("viscous_friction.damping"): VISCOUS, dry: DRY}
+    true[label("constant_force.acceleration")] = PUSH
+    errors = {j: abs(found.values[j] / value - 1.0) for j, value in true.items()}
+    assert abs(found.finer.values[dry] / DRY - 1.0) > 0.3 > 0.15 > max(errors.values())
+    assert np.isnan(found.finer.half_widths(0.9)).all()
+    assert found.box_s == pytest.approx(0.05)
+    assert found.believed
+    assert found.doubt is not None
+    assert (found.half_widths(0.9)[found.shown.known] > found.doubt[found.shown.known]).all()
+    (warning,) = found.warnings
+    assert "means over 0.05 s are fitted" in warning
+    assert "least squares" in warning
+    told = found.as_dict()["finer"]
+    assert told["box_s"] == pytest.approx(0.01)
+    assert told["guard"]["objections"][0]["kind"] == "least_squares"
+
+
+def test_a_friction_that_is_as_declared_needs_none_and_a_width_that_was_asked_for_is_kept() -> None:
+    assert identified(axis(8.0, slip=1e-5, seed=4)).finer is None
+    assert identified(axis(8.0, slip=5e-4, seed=3), width=0.01).box_s == pytest.approx(0.01)
+
+
+def _objecting(*kinds: str) -> Guarded:
+    return Guarded(tuple(Objection(kind, "this is so", "do that") for kind in kinds))
+
+
+@pytest.mark.parametrize(
+    ("kinds", "asks"),
+    [((), False), (("least_squares",), True), (("gone",), True), (("reading",), False), (("worse",), False)],
+)
+def test_what_is_wrong_with_the_log_is_not_mended_by_longer_boxes(kinds: tuple[str, ...], asks: bool) -> None:
+    assert asks_for_longer_boxes(_objecting(*kinds)) is asks
+
+
+def test_longer_boxes_are_refused_where_they_are_not_believed_either_or_do_not_fit() -> None:
+    sound = identified(axis(8.0, slip=1e-5, seed=4))
+    doubted = replace(sound, guard=_objecting("least_squares"))
+    assert in_longer_boxes(doubted, lambda box_s: doubted) is doubted
+
+    def too_short(box_s: float) -> Identification:
+        raise DataError("no stretch is long enough")
+
+    assert in_longer_boxes(doubted, too_short) is doubted
+    taken = in_longer_boxes(doubted, lambda box_s: replace(sound, values=sound.values * (1.0 + box_s)))
+    assert taken.finer is doubted
+    assert taken.doubt is not None
+    assert taken.doubt == pytest.approx(
+        0.15 * np.abs(sound.values) + (0.0 if sound.doubt is None else sound.doubt)
+    )
+
+
+def test_a_diagnosis_searches_again_over_longer_boxes_where_only_these_are_believed() -> None:
+    names = ("coulomb_friction", "constant_force", "asymmetric_friction", "cubic_stiffness")
+    found = nsde_torch.diagnose(axis(14.0, slip=5e-4, seed=3), system=Axis, candidates=list(names))
+    assert "coulomb_friction" in found.added
+    content = found.content()
+    (warning,) = (w for w in content["warnings"] if w["kind"] == "longer_boxes")
+    assert "means over 0.05 s" in warning["sentence"]
+    assert content["guard"]["objections"] == []
+    size = content["parameters"]["coulomb_friction.size"]
+    assert size["value"] == pytest.approx(DRY, rel=0.15)
+    assert size["interval_90"] is not None

@@ -1,0 +1,148 @@
+"""Blind cases whose states went through a smoother before they were logged: are the same effects named?
+
+    python benchmarks/blind/generate.py --seed 1 --count 300 --out blind/
+    python benchmarks/blind/smoothed.py --cases blind/ --out smooth/ --seed 5
+    python benchmarks/blind/run.py --cases blind/ --jobs 2
+    python benchmarks/blind/run.py --cases smooth/ --jobs 2
+    python benchmarks/blind/smoothed.py --cases blind/ --out smooth/ --judge
+
+Each case of one effect or none gets a smoother of SciPy (`bench_smoothed_states.FILTERS`), with a cut-off between 2 and
+20 Hz, over all of its states. `--judge` holds the answers beside those on the raw logs.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import shutil
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+
+from bench_smoothed_states import FILTERS
+
+from nsde_torch.systems import make_system
+
+KINDS = ("single", "null")
+
+
+def smooth(cases: Path, out: Path, seed: int) -> int:
+    """Write smoothed copies of the cases; returns how many."""
+    rng = np.random.default_rng(seed)
+    count = 0
+    for path in sorted((cases / "truth").glob("case_*.json")):
+        truth = json.loads(path.read_text(encoding="utf-8"))
+        if truth["case"]["kind"] not in KINDS:
+            continue
+        name = str(rng.choice(list(FILTERS)))
+        cut = float(np.exp(rng.uniform(np.log(2.0), np.log(20.0))))
+        truth["smoother"] = {"name": name, "cut_hz": cut}
+        system = make_system(truth["system"])
+        for file in sorted((cases / "data" / path.stem).glob("*.csv")):
+            target = out / "data" / path.stem / file.name
+            target.parent.mkdir(parents=True, exist_ok=True)
+            header = file.read_text(encoding="utf-8").partition("\n")[0].strip().split(",")
+            rows = np.loadtxt(file, delimiter=",", skiprows=1)
+            states = [header.index(s) for s in system.state_names]
+            x = FILTERS[name](rows[:, states], cut, truth["dt_s"])
+            if system.quaternion is not None:
+                x[:, system.quaternion] /= np.linalg.norm(x[:, system.quaternion], axis=1, keepdims=True)
+            rows[:, states] = x
+            np.savetxt(target, rows, delimiter=",", header=",".join(header), comments="", fmt="%.9g")
+        (out / "truth").mkdir(parents=True, exist_ok=True)
+        (out / "truth" / path.name).write_text(json.dumps(truth, indent=1), encoding="utf-8")
+        count += 1
+    return count
+
+
+def _right(truth: dict[str, Any], answer: dict[str, Any]) -> bool:
+    return sorted(answer["added"]) == sorted(truth["effects"])
+
+
+def _wrong(truth: dict[str, Any], answer: dict[str, Any]) -> list[str]:
+    """What is named beyond the truth, and is no member of a tie with it."""
+    tied = {
+        n for t in answer.get("ties", []) if set(t["effects"]) & set(truth["effects"]) for n in t["effects"]
+    }
+    return [n for n in answer["added"] if n not in truth["effects"] and n not in tied]
+
+
+def _off(truth: dict[str, Any], answer: dict[str, Any]) -> list[str]:
+    """Parameters of the true effects that are wrong by 5 % and more, and whose intervals do not hold."""
+    out = []
+    for effect, held in truth["effects"].items():
+        for parameter, value in held["parameters"].items():
+            for i, v in enumerate(value if isinstance(value, list) else [value]):
+                label = f"{effect}.{parameter}" + (f"[{i}]" if isinstance(value, list) else "")
+                said = answer.get("parameters", {}).get(label)
+                if said and said["interval_90"] and abs(said["value"] - v) > 0.05 * abs(v):
+                    low, high = said["interval_90"]
+                    low = -np.inf if said["bound"] == "below" else low
+                    high = np.inf if said["bound"] == "above" else high
+                    out += [label] * (not low <= v <= high)
+    return out
+
+
+def judge(cases: Path, out: Path) -> str:
+    """A table of raw and smoothed answers."""
+    rows = [
+        "| case | system | true | smoother | raw | smoothed | wrong values |",
+        "|---|---|---|---|---|---|---|",
+    ]
+    same = named = raw_named = silent = nulls = 0
+    wrong: list[str] = []
+    for path in sorted((out / "answers").glob("case_*.json")):
+        raw_path = cases / "answers" / path.name
+        if not raw_path.is_file():
+            continue
+        truth = json.loads((out / "truth" / path.name).read_text(encoding="utf-8"))
+        raw, answer = (json.loads(p.read_text(encoding="utf-8")) for p in (raw_path, path))
+        if truth["effects"]:
+            raw_named += _right(truth, raw)
+            named += _right(truth, raw) and _right(truth, answer)
+        else:
+            nulls += raw["verdict"] == "no_effect"
+            silent += raw["verdict"] == "no_effect" == answer["verdict"]
+        same += raw["added"] == answer["added"]
+        off = _off(truth, answer)
+        if _wrong(truth, answer) or off:
+            wrong.append(path.stem)
+        told = [", ".join(a["added"]) or a["verdict"] for a in (raw, answer)]
+        true = ", ".join(truth["effects"]) or "nothing"
+        through = f"{truth['smoother']['name']} {truth['smoother']['cut_hz']:.1f} Hz"
+        rows.append(
+            f"| {path.stem} | {truth['system']} | {true} | {through} | {told[0]} | {told[1]} | {', '.join(off)} |"
+        )
+    count = len(rows) - 2
+    return "\n".join(
+        [
+            *rows,
+            "",
+            f"{count} cases; {same} with the same answer. Of {raw_named} effects that the raw log names alone, {named} "
+            f"are named alone behind the smoother; of {nulls} silent nulls {silent} stay silent. Something named that "
+            f"is not there, or a value off by 5 % outside its interval: {len(wrong)} ({', '.join(wrong)})",
+        ]
+    )
+
+
+def main() -> None:
+    """Smooth, or judge."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--cases", type=Path, required=True)
+    parser.add_argument("--out", type=Path, required=True)
+    parser.add_argument("--seed", type=int, default=5)
+    parser.add_argument("--judge", action="store_true")
+    given = parser.parse_args()
+    if given.judge:
+        print(judge(given.cases, given.out))
+    else:
+        print(f"{smooth(given.cases, given.out, given.seed)} cases in {given.out}")
+        shutil.rmtree(given.out / "answers", ignore_errors=True)
+
+
+if __name__ == "__main__":
+    main()

@@ -193,7 +193,7 @@ def guarded(
     chance = _chance(rough, theta, covariance)
     if not objections:
         objections = _disagreements(channels, chance) or _gone(rough, theta, covariance, left["fit"])
-        notes += _believed(channels, chance)
+        notes += [] if objections else _believed(channels, chance)
     return Guarded(
         tuple(objections), channels, tuple(vector.labels), tuple(rough.theta.tolist()), chance, tuple(notes)
     )

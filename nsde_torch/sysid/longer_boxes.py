@@ -65,7 +65,7 @@ def in_words(box_s: float, guard: Guarded) -> dict[str, str]:
     why = "; ".join(o.sentence for o in guard.objections)
     return {
         "sentence": f"means over {box_s:.3g} s are fitted: nothing speaks against these; over shorter ones, {why}",
-        "remedy": f"intervals are widened by what changes with means over {LENGTHS_S[1]:.3g} s. The states may have been "
-        "smoothed or filtered before they were logged, or something that acts is not declared: log raw sensors; "
+        "remedy": f"intervals are widened by what changes with means over {LENGTHS_S[1]:.3g} s. The states may have "
+        "been smoothed or filtered before they were logged, or something that acts is not declared: log raw sensors; "
         "`nsde diagnose` names effects",
     }

@@ -154,15 +154,21 @@ class Identification:
 
     @property
     def warnings(self) -> list[str]:
-        """What speaks against the fit, in words."""
+        """What speaks against the fit, in words, with what the guard noted beside it."""
+        notes = [] if self.guard is None else list(self.guard.notes)
         if self.finer is not None and self.finer.guard is not None:
             from nsde_torch.sysid.longer_boxes import in_words
 
-            return ["; ".join(in_words(self.box_s, self.finer.guard).values())]
+            return ["; ".join(in_words(self.box_s, self.finer.guard).values()), *notes]
         if self.guard is None or not self.guard.objections:
             return []
         told = [str(objection) for objection in self.guard.objections]
-        return [*told, "the fit is not to be believed: no interval is given"]
+        return [*told, *notes, "the fit is not to be believed: no interval is given"]
+
+    @property
+    def notes(self) -> list[str]:
+        """What the guard noted of a fit that nothing speaks against."""
+        return [] if self.guard is None or self.warnings else list(self.guard.notes)
 
     def parameters(self) -> dict[str, dict[str, object]]:
         """Declared parameters as `metrics.json` holds them."""

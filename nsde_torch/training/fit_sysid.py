@@ -74,7 +74,7 @@ def summary(found: Identification) -> str:
     ]
     lines += [f"not shown by the data: {finding}" for finding in found.findings]
     lines += [f"warning: {finding}" for finding in found.warnings]
-    lines += [f"note: {note}" for note in (found.guard.notes if found.guard else ())]
+    lines += [f"note: {note}" for note in found.notes]
     lines += [f"feedback: {finding}" for finding in found.of_the_loop]
     rows = []
     for i, half in enumerate(found.half_widths(_LEVEL)):

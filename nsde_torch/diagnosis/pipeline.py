@@ -22,13 +22,13 @@ from nsde_torch.diagnosis.decision import decide, judged_on_runs_left_out, set_a
 from nsde_torch.diagnosis.decisions import BUDGETS, DECISIONS, Budgets, Decisions
 from nsde_torch.diagnosis.elimination import eliminate
 from nsde_torch.diagnosis.explanation import explained
+from nsde_torch.diagnosis.gone import select
 from nsde_torch.diagnosis.longer_boxes import over_longer_boxes
 from nsde_torch.diagnosis.options import Options
 from nsde_torch.diagnosis.outcome import Outcome
 from nsde_torch.diagnosis.reading import Log, read_effects, read_log
 from nsde_torch.diagnosis.result import Diagnosis
 from nsde_torch.diagnosis.search import Search
-from nsde_torch.diagnosis.selection import forward_selection
 from nsde_torch.models.identified import SysidSpec
 from nsde_torch.sysid.in_loop import adopted
 from nsde_torch.sysid.result import Identification
@@ -111,8 +111,7 @@ def searched(log: Log, search: Search) -> Outcome:
         search: The search in its runs.
     """
     search.say("fitting the declared physics", 0, 1)
-    declared = search.base(log.system)
-    chosen = forward_selection(search, declared)
+    chosen = select(search, log.system)
     kept = eliminate(search, chosen)
     kept = set_aside(search, chosen, kept, log.feedback)
     return decide(search, chosen, kept, log.feedback)

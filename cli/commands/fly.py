@@ -57,6 +57,7 @@ class FlyConfig:
         "physics with the plant's values, or pid",
     )
     height: float = of(FlightOptions, "height")
+    clear: float = of(FlightOptions, "clear")
     climb: float = of(FlightOptions, "climb")
     hold: float = of(FlightOptions, "hold")
     safe_hold: float = of(FlightOptions, "safe_hold")
@@ -132,7 +133,11 @@ def run(config: DictConfig, job: Job) -> float | None:
     path = PathPoints(reference.path)
     limits, setpoints = link_build.limits(config.limits), link_build.setpoints(config.limits)
     options = FlightOptions(
-        height=config.height, climb=config.climb, hold=config.hold, safe_hold=config.safe_hold
+        height=config.height,
+        clear=config.clear,
+        climb=config.climb,
+        hold=config.hold,
+        safe_hold=config.safe_hold,
     )
     key = link_build.key(config.link)
     motors = fly_build.system_of(known).nu

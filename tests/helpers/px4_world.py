@@ -61,6 +61,7 @@ class World:
     key: bytes | None = None
     vehicle_key: bytes | None = None
     parameters: dict[str, float] = field(default_factory=dict)
+    heading_error: float | None = None
     down: Line = straight
     up: Line = straight
     seed: int = 0
@@ -68,7 +69,11 @@ class World:
     def __post_init__(self) -> None:
         self.body = Body(self.system, seed=self.seed, latency=0.02)
         self.vehicle = SimulatedAutopilot(
-            self.body, key=self.vehicle_key, seed=self.seed, parameters=self.parameters
+            self.body,
+            key=self.vehicle_key,
+            seed=self.seed,
+            parameters=self.parameters,
+            heading_error=self.heading_error,
         )
         self.endpoint = Endpoint(self._up, key=self.key)
         self.says: list[str] = []

@@ -18,6 +18,8 @@ from nsde_torch.px4.link.vectors import Vec
 
 STATE = ("p_x", "p_y", "p_z", "v_x", "v_y", "v_z", "q_w", "q_x", "q_y", "q_z", "w_x", "w_y", "w_z")
 EXTRA = ("rate_sp_x", "rate_sp_y", "rate_sp_z", "throttle_sp", "battery_voltage")
+RESET = 0.05
+"""Time after a reset of the estimate that is left out, so that the run is cut there: no motion made that step [s]."""
 _NAN = float("nan")
 
 
@@ -35,6 +37,7 @@ class FlightLog:
         self._out: TextIOWrapper | None = None
         self._ulog = UlogFile(file.with_suffix(".ulg"))
         self._last = -1.0
+        self._resets, self._from = 0, -1.0
         self._flushed = 0.0
         self.rows = 0
 
@@ -54,6 +57,10 @@ class FlightLog:
         if state.stamp <= self._last:
             return
         self._last = state.stamp
+        if state.resets != self._resets:
+            self._resets, self._from = state.resets, state.stamp + RESET
+        if state.stamp < self._from:
+            return
         if self._out is None:
             self.file.parent.mkdir(parents=True, exist_ok=True)
             self._out = self.file.open("w", encoding="utf-8", newline="\n")

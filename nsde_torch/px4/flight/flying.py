@@ -10,6 +10,7 @@ import threading
 from array import array
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
+from math import degrees
 from pathlib import Path
 from typing import Any
 
@@ -79,6 +80,16 @@ class FlightReport:
             "landed": o.landed,
             "trouble": None if o.trouble is None else {"kind": o.trouble.kind, "text": o.trouble.text},
             "phases": [{"t_s": round(t, 3), "phase": p, "reason": why} for t, p, why in o.actions],
+            "estimate_resets": [
+                {
+                    "t_s": round(t, 3),
+                    "heading_deg": degrees(s.heading),
+                    "position_m": s.position,
+                    "velocity_m_s": s.velocity,
+                    "announced": s.announced,
+                }
+                for t, s in o.steps
+            ],
             "rmse_m": self.rmse,
             "position_error_max_m": max(self.errors, default=None),
             "setpoint_gap_ms": _spread([1e3 * g for g in self.gaps]),

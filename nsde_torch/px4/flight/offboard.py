@@ -22,6 +22,9 @@ from nsde_torch.px4.link.connection import why_no_state
 from nsde_torch.px4.link.telemetry import Status, VehicleState
 from nsde_torch.px4.link.vectors import Vec, distance, length, yaw_of
 
+ROOM = 0.4
+"""Distance from the fence's top that is kept on the way up [m]."""
+
 
 @final
 class Offboard(Supervised):
@@ -137,6 +140,12 @@ class Offboard(Supervised):
         elif self._every(1.0):
             self.endpoint.command(d.ARM, 1.0)
 
+    @property
+    def _top(self) -> float:
+        """Height of take-off: past that at which PX4 resets its heading, where the fence has room for it [m]."""
+        room = self.limits.fence[2][1] - ROOM
+        return max(self.options.height, min(self.options.clear, room))
+
     def _takeoff(self, state: VehicleState | None, status: Status) -> None:
         if state is None or self.home is None:
             return
@@ -144,7 +153,7 @@ class Offboard(Supervised):
         if rise < 0:
             self._send_idle(0.4 * self.hover.value * self._elapsed / self.options.spool)
             return
-        top = self._ground + self.options.height
+        top = self._ground + self._top
         z = min(self._ground + self.options.climb * rise, top)
         if not self._lifted:
             # the wanted height does not run away from a vehicle that still stands
@@ -169,7 +178,7 @@ class Offboard(Supervised):
         start = self.path.at(0.0)
         goal = self._moved(start.p)
         if self._elapsed < self.options.hold:
-            at: Vec = (self.home[0], self.home[1], self._ground + self.options.height)
+            at: Vec = (self.home[0], self.home[1], self._ground + self._top)
             yaw = self._yaw
         else:
             at = self._towards(self._where.p, goal, self.options.approach)

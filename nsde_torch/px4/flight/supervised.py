@@ -5,7 +5,8 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections import deque
 from collections.abc import Callable
-from math import pi
+from dataclasses import replace
+from math import degrees, pi
 
 from nsde_torch.px4.flight.cascade import Point, SetpointCascade
 from nsde_torch.px4.flight.controller import Demand
@@ -154,10 +155,24 @@ class Supervised(ABC):
             self._hand_back(status)
             return
         trouble = self._watch.look(state, status, self._now)
+        self._follow(self._watch)
         if trouble is None and self._stop:
             trouble = Trouble("stop", "asked to stop", Action.HOLD if self._stop == 1 else Action.LAND)
         if trouble is not None:
             self._act(trouble, state, status)
+
+    def _follow(self, watch: Watch) -> None:
+        """Note resets of the estimate; a heading that is held moves with its estimate, so that nothing turns."""
+        assert self._begun is not None
+        for step in watch.steps:
+            self.outcome.steps.append((self._now - self._begun, step))
+            self._say(
+                f"{self._now - self._begun:7.2f} s  note: the estimate was reset: heading "
+                f"{degrees(step.heading):+.1f} deg, position {step.position:.2f} m, velocity {step.velocity:.2f} m/s"
+            )
+            self._yaw += step.heading
+            self._where = replace(self._where, yaw=self._where.yaw + step.heading)
+        watch.steps.clear()
 
     def _supervise_ground(self, state: VehicleState | None, status: Status) -> None:
         """Before the flight every trouble ends it; what may have been armed is disarmed."""

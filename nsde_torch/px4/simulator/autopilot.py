@@ -6,13 +6,14 @@ What was measured on a real PX4 and holds here: OFFBOARD is accepted when disarm
 arming; DO_SET_MODE is answered twice, once always ACCEPTED; texts go only to a link on which a ground station is heard;
 setpoints are not sanitised (NaN thrust stops the motors, more than 1 is nearly full, no limits of rates); when the
 stream stops the last rates are held for COM_OF_LOSS_T, then it fails over, and when the stream returns it goes back
-to OFFBOARD by itself; ODOMETRY's velocity is in the local frame; 100 Hz comes as 99.
+to OFFBOARD by itself; ODOMETRY's velocity is in the local frame; 100 Hz comes as 99. What
+its estimator gets wrong is in `estimate`.
 """
 
 from __future__ import annotations
 
-import random
 from collections import deque
+from dataclasses import replace
 from math import inf, isfinite
 from typing import final
 
@@ -22,8 +23,9 @@ from nsde_torch.px4.link import frames
 from nsde_torch.px4.link.codec import Codec, Message
 from nsde_torch.px4.link.dialect import Mode, mavlink
 from nsde_torch.px4.link.endpoint import NUMBERS
-from nsde_torch.px4.link.vectors import Quat, Vec, from_rotation_vector, multiply, rotation_vector, yaw_of
+from nsde_torch.px4.link.vectors import Quat, Vec, multiply, rotation_vector, yaw_of
 from nsde_torch.px4.simulator.body import Body
+from nsde_torch.px4.simulator.estimate import Estimate, SimulatedEstimator
 from nsde_torch.px4.simulator.messages import MESSAGES
 
 PARAMETERS: dict[str, tuple[float, int]] = {
@@ -63,6 +65,7 @@ class SimulatedAutopilot:
         sensor_noise: Factor on it.
         stream: Whether bytes come as a stream.
         parameters: Values of parameters other than `PARAMETERS`.
+        heading_error: See `SimulatedEstimator`.
 
     Attributes:
         mode: Flight mode in force; `intended` is what was asked for and comes back when a failsafe ends.
@@ -84,6 +87,7 @@ class SimulatedAutopilot:
         sensor_noise: float = 1.0,
         stream: bool = False,
         parameters: dict[str, float] | None = None,
+        heading_error: float | None = None,
     ) -> None:
         self.body = body
         self.codec = Codec(system, 1, key=key, stream=stream)
@@ -92,9 +96,12 @@ class SimulatedAutopilot:
         self.mode = self.intended = d.HOLD
         self.armed = self.failsafe = False
         self.clock_error, self.blind, self.mute = 0.0, False, False
-        self._random = random.Random(seed)
         std = body._spec.sensor_std
-        self._std = tuple(s * sensor_noise for s in (std[0], std[3], std[6], std[9]))
+        self.estimator = SimulatedEstimator(
+            std=(std[0] * sensor_noise, std[3] * sensor_noise, std[6] * sensor_noise, std[9] * sensor_noise),
+            seed=seed,
+            heading=heading_error,
+        )
         self._out: deque[bytes] = deque()
         self._due: dict[str, tuple[float, float]] = {"HEARTBEAT": (0.0, 1.0), "SYS_STATUS": (0.0, 1.0)}
         self._gcs = -inf
@@ -103,7 +110,7 @@ class SimulatedAutopilot:
         self._cascade = SetpointCascade()
         self._point = Point((0.0, 0.0, 0.0))
         self._armed_at = self._landed_at = 0.0
-        self.estimate: tuple[Vec, Vec, Quat, Vec] = (
+        self.estimate: Estimate = (
             (0.0,) * 3,
             (0.0,) * 3,
             (1.0, 0.0, 0.0, 0.0),
@@ -129,7 +136,9 @@ class SimulatedAutopilot:
 
     def _tick(self) -> None:
         now, body = self.body.time, self.body
-        self.estimate = self._sense()
+        self.estimate = self.estimator.sense(body)
+        if self.estimator.stepped:  # a heading that is held is held as it is
+            self._point = replace(self._point, yaw=self._point.yaw + self.estimator.stepped)
         self._failsafe(now)
         if not self.armed:
             self.commands = (0.0,) * body.nu
@@ -144,18 +153,6 @@ class SimulatedAutopilot:
                 message = self._message(name, now)
                 if message is not None:
                     self._send(message)
-
-    # the estimate
-
-    def _sense(self) -> tuple[Vec, Vec, Quat, Vec]:
-        b, gauss = self.body, self._random.gauss
-        sp, sv, sq, sw = self._std
-
-        def noisy(v: Vec, s: float) -> Vec:
-            return (v[0] + gauss(0.0, s), v[1] + gauss(0.0, s), v[2] + gauss(0.0, s))
-
-        turn = from_rotation_vector((gauss(0.0, sq), gauss(0.0, sq), gauss(0.0, sq)))
-        return noisy(b.p, sp), noisy(b.v, sv), multiply(b.q, turn), noisy(b.w, sw)
 
     # modes
 
@@ -205,6 +202,7 @@ class SimulatedAutopilot:
 
     def _disarm(self, text: str) -> None:
         self.armed = self.failsafe = False
+        self.estimator.new_flight()
         self._integral = (0.0, 0.0, 0.0)
         self._text(6, text)
 

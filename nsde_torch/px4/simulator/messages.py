@@ -45,6 +45,7 @@ def _odometry(a: SimulatedAutopilot, now: float) -> Message:
         *frames.body(w),
         unknown,
         unknown,
+        reset_counter=a.estimator.resets % 256,
     )
 
 

@@ -40,7 +40,14 @@ class Offboard(Supervised):
             self._seen = state
             in_air = self.phase in FLYING and self._lifted and state.p[2] > self._ground + 0.4
             self.hover.seen(state, learn=in_air and self.streaming)
-        self._supervise(state, status)
+        if status.mode == d.OFFBOARD and status.armed:
+            self.ours_until = status.heartbeat
+        if not self._stood_still(status):
+            self._supervise(state, status)
+            self._step(state, status)
+        self._last = now
+
+    def _step(self, state: VehicleState | None, status: Status) -> None:
         {
             Phase.CONNECT: self._connect,
             Phase.PREFLIGHT: self._preflight,
@@ -58,7 +65,6 @@ class Offboard(Supervised):
             Phase.WATCH: self._watching,
             Phase.DONE: self._nothing,
         }[self.phase](state, status)
-        self._last = now
 
     def _nothing(self, state: VehicleState | None, status: Status) -> None:
         return
@@ -272,6 +278,8 @@ class Offboard(Supervised):
                 self._send(level(None, 0.97 * GRAVITY), None)
             return
         self.streaming = False
+        if self._dead(status):
+            return
         if not status.armed:
             self._finished()
         elif status.landed == d.ON_GROUND and self._elapsed > 1.0:
@@ -282,6 +290,8 @@ class Offboard(Supervised):
     def _disarm(self, state: VehicleState | None, status: Status) -> None:
         if self.streaming:
             self._send_idle(0.0)
+        if self._dead(status):
+            return
         if not status.armed:
             self._finished()
         elif self._elapsed > self.options.confirm:
@@ -292,6 +302,8 @@ class Offboard(Supervised):
     def _watching(self, state: VehicleState | None, status: Status) -> None:
         """Nothing is streamed; if the link lives and the vehicle is still ours by name, PX4 is asked to land it."""
         heard = self._now - status.heard < self.limits.silence
+        if self._dead(status):
+            return
         if heard and status.heartbeat > self._since and not status.armed:
             self._finished()
         elif self._elapsed > self.options.watch or self._stop > 1:

@@ -36,6 +36,9 @@ class FlightOptions:
     spool: float = key(0.7, "time in which the throttle rises before the climb", unit="s", low=0)
     lift: float = key(6.0, "longest time from arming to being in the air", unit="s", low=0)
     landing: float = key(40.0, "longest wait for a landing", unit="s", low=0)
+    dead: float = key(
+        10.0, "silence after which the link is called dead, and no longer waited on", unit="s", low=1
+    )
     watch: float = key(40.0, "how long a vehicle that is not ours any more is watched", unit="s", low=0)
 
     def __post_init__(self) -> None:

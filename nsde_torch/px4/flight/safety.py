@@ -12,6 +12,8 @@
 | another mode | HEARTBEAT | silence and stay out: the operator, or PX4's failsafe, has the vehicle |
 | disarmed | HEARTBEAT | silence |
 | Ctrl-C | signal | hold, then LAND; twice: LAND at once |
+| this process stood still longer than PX4 waits | time between ticks | silence: setpoints would undo PX4's failsafe |
+| link dead | nothing heard for 10 s | no longer waited on; not seen to land |
 | crash of a part | exception | hold if the loop lives, else LAND is asked for and the stream ends |
 """
 

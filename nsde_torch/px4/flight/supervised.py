@@ -6,7 +6,7 @@ from abc import ABC, abstractmethod
 from collections import deque
 from collections.abc import Callable
 from dataclasses import replace
-from math import degrees, pi
+from math import degrees, inf, pi
 
 from nsde_torch.px4.flight.cascade import Point, SetpointCascade
 from nsde_torch.px4.flight.controller import Demand
@@ -21,6 +21,10 @@ from nsde_torch.px4.link.endpoint import Endpoint
 from nsde_torch.px4.link.telemetry import Status, VehicleState
 from nsde_torch.px4.link.vectors import Vec, distance, yaw_of
 
+STALL = 0.15
+"""Time between two ticks from which on this process stood still [s]; what came meanwhile must be heard first."""
+GRACE = 0.05
+"""Time that the hearing is given for it [s]."""
 REMEMBERED = 0.3
 """Time for which a controller is told what was sent [s]."""
 
@@ -43,6 +47,7 @@ class Supervised(ABC):
         home: Place of take-off [m], once known.
         sent: Time, rates and throttle that left last.
         started: When the reference began, on our clock [s].
+        ours_until: Newest time at which the vehicle said that it flies by our setpoints [s].
     """
 
     def __init__(
@@ -65,12 +70,13 @@ class Supervised(ABC):
         self.sent: tuple[float, Vec, float] | None = None
         self._left: deque[tuple[float, Demand]] = deque()
         self.started: float | None = None
+        self.ours_until = -inf
         self.streaming = False
         self._say = say
         self._cascade = SetpointCascade()
         self._watch: Watch | None = None
         self._begun: float | None = None
-        self._since = self._asked = self._now = self._last = 0.0
+        self._since = self._asked = self._now = self._last = self._grace = 0.0
         self._good_since: float | None = None
         self._bad_since: float | None = None
         self._where = Point((0.0, 0.0, 0.0))
@@ -193,6 +199,32 @@ class Supervised(ABC):
             self._go(Phase.DISARM, why)
         else:
             self._refuse(why)
+
+    def _stood_still(self, status: Status) -> bool:
+        """Whether this process stood still just now, so that nothing may be judged or sent yet.
+
+        Setpoints that come back after PX4 has failed over would bring it back to OFFBOARD: then none are sent.
+        """
+        gap = self._now - self._last
+        if self.streaming and gap > STALL and self.phase in (*FLYING, Phase.BLIND, Phase.LAND):
+            self._grace = self._now + GRACE
+            longest = min(self.limits.silence, status.parameters.get("COM_OF_LOSS_T", inf))
+            if gap > longest:
+                text = f"this process stood still for {gap:.2f} s: PX4 had no setpoints"
+                self._trouble(Trouble("late", text, Action.SILENCE))
+                self._silence(text)
+        return self._now < self._grace
+
+    def _dead(self, status: Status) -> bool:
+        """Whether the link is dead, which ends the waiting for what it would say."""
+        silent = self._now - status.heard
+        if silent <= self.options.dead:
+            return False
+        text = f"the link is dead: nothing heard for {silent:.0f} s"
+        self._trouble(Trouble("link", text, Action.SILENCE))
+        self.streaming = False
+        self._go(Phase.DONE, text)
+        return True
 
     def _trouble(self, trouble: Trouble) -> None:
         self.outcome.trouble = self.outcome.trouble or trouble

@@ -16,6 +16,7 @@ from nsde_torch.px4.link.dialect import (
     GCS,
     NO_AUTOPILOT,
     RATES_MASK,
+    REQUEST_MESSAGE,
     SET_INTERVAL,
     SET_MODE,
     Mode,
@@ -37,6 +38,8 @@ _OTHERS = ("HEARTBEAT", "STATUSTEXT", "COMMAND_ACK", "PARAM_VALUE", "TIMESYNC", 
 _IN_ORDER = frozenset(("HEARTBEAT", "STATUSTEXT", "COMMAND_ACK", "EXTENDED_SYS_STATE", "SYS_STATUS"))
 NUMBERS: dict[str, int] = {kind.msgname: number for number, kind in mavlink.mavlink_map.items()}
 WANTED = frozenset(NUMBERS[name] for name in (*INTERVALS, *_OTHERS))
+HEARTBEATS = 0.2
+"""Time between requests for the vehicle's heartbeat [s]; PX4 sends one a second, and no other interval is accepted."""
 CHECKED = 2.0
 """After this time [s] a message that still comes too slowly is asked for again."""
 SHARE = 0.7
@@ -75,7 +78,7 @@ class Endpoint:
         self.target, self._send = target, send
         self.codec.only = target
         self._component = 1
-        self._due = {"heartbeat": 0.0, "timesync": 0.0, "intervals": 0.0}
+        self._due = {"heartbeat": 0.0, "theirs": 0.0, "timesync": 0.0, "intervals": 0.0}
         self._counts: dict[str, int] = {}
         self._counted_since = 0.0
         self.rates: dict[str, float] = {}
@@ -155,6 +158,9 @@ class Endpoint:
                 self.say(mavlink.MAVLink_heartbeat_message(GCS, NO_AUTOPILOT, 0, 0, 4, 3))
             if self.target is None:
                 return
+            if now >= self._due["theirs"]:
+                self._due["theirs"] = now + HEARTBEATS
+                self.command(REQUEST_MESSAGE, NUMBERS["HEARTBEAT"])
             if now >= self._due["timesync"]:
                 answers = len(self.telemetry.sync._answers)
                 self._due["timesync"] = now + (0.1 if answers < 8 else 1.0)

@@ -51,6 +51,7 @@ RATE_GAINS, RATE_INTEGRAL = (11.0, 11.0, 5.0), (4.0, 4.0, 2.0)
 LOW_BATTERY = 0.1
 NEARLY_FULL = 0.95
 """What a thrust above 1 becomes."""
+_NAMES = {number: name for name, number in NUMBERS.items()}
 
 
 @final
@@ -301,6 +302,7 @@ class SimulatedAutopilot:
             d.SET_MODE: self._command_mode,
             d.ARM: self._command_arm,
             d.SET_INTERVAL: self._command_interval,
+            d.REQUEST_MESSAGE: self._command_message,
         }.get(m.command)
         if handler is None:
             self._ack(m.command, d.UNSUPPORTED)
@@ -352,8 +354,7 @@ class SimulatedAutopilot:
         return None
 
     def _command_interval(self, m: Message) -> None:
-        names = {number: name for name, number in NUMBERS.items()}
-        name = names.get(int(m.param1), "")
+        name = _NAMES.get(int(m.param1), "")
         if name == "HEARTBEAT" or name not in MESSAGES:
             self._ack(d.SET_INTERVAL, d.DENIED)
             return
@@ -362,6 +363,16 @@ class SimulatedAutopilot:
         else:
             self._due[name] = (self.time, max(m.param2 * 1e-6, self.body.dt))
         self._ack(d.SET_INTERVAL, d.ACCEPTED)
+
+    def _command_message(self, m: Message) -> None:
+        name = _NAMES.get(int(m.param1), "")
+        if name not in MESSAGES:
+            self._ack(d.REQUEST_MESSAGE, d.DENIED)
+            return
+        self._ack(d.REQUEST_MESSAGE, d.ACCEPTED)
+        message = self._message(name, self.time)
+        if message is not None:
+            self._send(message)
 
     # saying
 

@@ -52,7 +52,7 @@ def _mend(world: World) -> None:
     ],
 )
 def test_a_link_cut_in_any_phase_ends_on_the_ground_by_the_autopilots_own_failsafe(phase: Phase) -> None:
-    world = World(path=SHORT).until(phase, 0.05 if phase in (Phase.OFFBOARD, Phase.ARM) else 0.3)
+    world = World(path=SHORT).until(phase, 0.0 if phase in (Phase.OFFBOARD, Phase.ARM) else 0.3)
     cut = world.now
     _cut(world)
     world.run()

@@ -14,7 +14,7 @@ from nsde_torch.px4.flight.flying import FlightReport, Recorder
 from nsde_torch.px4.flight.path import PathPoints
 from nsde_torch.px4.flight.phases import Phase
 from nsde_torch.px4.link import dialect as d
-from tests.helpers.px4_world import World
+from tests.helpers.px4_world import START, World
 
 LONG = PathPoints(shapes.hover(duration=8.0, height=1.0))
 
@@ -24,7 +24,7 @@ def _stopped(world: World, seconds: float) -> None:
     for _ in range(round(seconds / 0.01)):
         for data in world._due(world._to_vehicle):
             world.vehicle.receive(data)
-        for data in world.vehicle.advance(world.now - 1000.0):
+        for data in world.vehicle.advance((world.now - START) * world.speed):
             world._queue(world._to_us, world.down(data, world.now))
         world.now += 0.01
 
@@ -71,7 +71,7 @@ def test_what_is_flown_in_an_operators_mode_counts_in_no_error_and_is_not_logged
     assert max(report.errors) < 0.25
     assert max(world.setpoints) < chosen + 0.25
     rows = np.loadtxt(tmp_path / "flight.csv", delimiter=",", skiprows=1)
-    assert np.abs(rows[rows[:, 0] > chosen - 1002.0, 4]).max() < 0.3  # v_x
+    assert np.abs(rows[rows[:, 0] > (chosen - START) * world.speed - 2.0, 4]).max() < 0.3  # v_x
     assert len(report.errors) > 150
 
 

@@ -23,6 +23,7 @@ from nsde_torch.px4.link.dialect import (
     mavlink,
 )
 from nsde_torch.px4.link.telemetry import Status, Telemetry, VehicleState
+from nsde_torch.px4.link.timesync import PERIOD
 from nsde_torch.px4.link.vectors import Vec
 
 INTERVALS: dict[str, float] = {
@@ -162,8 +163,7 @@ class Endpoint:
                 self._due["theirs"] = now + HEARTBEATS
                 self.command(REQUEST_MESSAGE, NUMBERS["HEARTBEAT"])
             if now >= self._due["timesync"]:
-                answers = len(self.telemetry.sync._answers)
-                self._due["timesync"] = now + (0.1 if answers < 8 else 1.0)
+                self._due["timesync"] = now + PERIOD
                 self.say(mavlink.MAVLink_timesync_message(0, int(now * 1e9)))
             if now >= self._due["intervals"]:
                 self._check_intervals(now)

@@ -75,8 +75,8 @@ def run(config: DictConfig, job: Job) -> None:
     import torch
 
     from nsde_torch.errors import ConfigError
-    from nsde_torch.px4.simulator.autopilot import PARAMETERS
     from nsde_torch.px4.simulator.body import Body
+    from nsde_torch.px4.simulator.parameters import PARAMETERS
 
     from .. import build
 

@@ -4,7 +4,8 @@ State from `vehicle_odometry`, or from `vehicle_attitude` + `vehicle_local_posit
 `vehicle_angular_velocity`; inputs from `actuator_motors`, else `actuator_outputs`; `battery_status` becomes
 the channel `battery_voltage`; sticks and setpoints become further columns (`ulog_setpoints`). The rows are
 those of the attitude; slower topics are interpolated (motor commands held). Where a topic pauses, is not
-finite, or the vehicle is landed, the row counts as missing and the checks cut the run there.
+finite, the vehicle is on the ground or its estimate was just reset (`ulog_flight`), the row counts as missing and the
+checks cut the run there.
 
 Field meanings: PX4 message definitions (`msg/VehicleOdometry.msg` and so on, PX4 1.13 to 1.16). The velocity
 frame of `vehicle_odometry` is read from its own field, never assumed.
@@ -19,7 +20,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from nsde_torch.data import ulog_setpoints
+from nsde_torch.data import ulog_flight, ulog_setpoints
 from nsde_torch.data.findings import Finding
 from nsde_torch.data.frames import attitude_to_enu, swap_body, swap_world
 from nsde_torch.data.quaternion import continuous_signs, rotate, slerp
@@ -290,9 +291,7 @@ def read_ulog_file(
     run.extra = {**run.extra, **ulog_setpoints.setpoint_columns(wanted, t)}
     landed = _first(topics, "vehicle_land_detected")
     if in_air and landed is not None:
-        ground = (
-            landed.fields["landed"][np.clip(np.searchsorted(landed.t, t, side="right") - 1, 0, None)] > 0.5
-        )
+        ground = ulog_flight.on_ground(landed.t, landed.fields, t, x[:, 2])
         if ground.all():
             raise DataError(
                 f"{path}: the vehicle is landed throughout. Set `in_air` to false to keep such data."
@@ -303,6 +302,12 @@ def read_ulog_file(
             notes(
                 Finding("on_ground", run.name, int(ground.sum()), f"{seconds:.3g} s on the ground", "dropped")
             )
+    stepped, count = ulog_flight.after_resets([(topic.t, topic.fields) for topic in sources], t)
+    stepped &= np.isfinite(x).all(axis=1)
+    if stepped.any():
+        x[stepped] = np.nan
+        text = f"the estimate was reset in flight ({count} in all): the run is cut there"
+        notes(Finding("estimate_reset", run.name, int(stepped.sum()), text, "dropped"))
     dropouts = log.dropouts
     if dropouts:
         seconds = sum(d.duration for d in dropouts) * 1e-3

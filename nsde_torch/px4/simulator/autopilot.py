@@ -27,23 +27,8 @@ from nsde_torch.px4.link.vectors import Quat, Vec, multiply, rotation_vector, ya
 from nsde_torch.px4.simulator.body import Body
 from nsde_torch.px4.simulator.estimate import Estimate, SimulatedEstimator
 from nsde_torch.px4.simulator.messages import MESSAGES
+from nsde_torch.px4.simulator.parameters import PARAMETERS
 
-PARAMETERS: dict[str, tuple[float, int]] = {
-    "SYS_AUTOSTART": (6001, d.INT32),
-    "COM_OF_LOSS_T": (1.0, d.REAL32),
-    "COM_OBL_RC_ACT": (4, d.INT32),  # 4: land
-    "COM_RC_IN_MODE": (4, d.INT32),  # no sticks
-    "COM_DISARM_LAND": (2.0, d.REAL32),
-    "COM_DISARM_PRFLT": (10.0, d.REAL32),
-    "MPC_THR_HOVER": (0.5, d.REAL32),
-    "MPC_LAND_SPEED": (0.7, d.REAL32),
-    "MC_ROLLRATE_MAX": (220.0, d.REAL32),
-    "MC_PITCHRATE_MAX": (220.0, d.REAL32),
-    "MC_YAWRATE_MAX": (200.0, d.REAL32),
-    "BAT1_N_CELLS": (4, d.INT32),
-    "MAV_SYS_ID": (1, d.INT32),
-}
-"""The parameters that are answered for."""
 OBL_LAND, OBL_HOLD = 4, 5
 BOOT = 1.0
 """Time until the estimator is ready [s]."""
@@ -127,6 +112,11 @@ class SimulatedAutopilot:
         """Its clock [s]."""
         return self.body.time
 
+    @property
+    def landed(self) -> bool:
+        """Whether it believes to have landed."""
+        return self.body.on_ground and self.estimator.still
+
     def advance(self, until: float) -> list[bytes]:
         """Run until a time of its clock [s]; returns the frames that it sends."""
         while self.body.time < until - 1e-9:
@@ -193,9 +183,11 @@ class SimulatedAutopilot:
         if not self.armed:
             return
         if not b.on_ground:
-            self.flown, self._landed_at = True, now
+            self.flown = True
+        if not self.landed:
+            self._landed_at = now
         wait = self.parameters["COM_DISARM_LAND"]
-        if b.on_ground and self.flown and self.mode == d.LAND and now - self._landed_at > wait > 0:
+        if self.landed and self.flown and self.mode == d.LAND and now - self._landed_at > wait > 0:
             self._disarm("Disarmed by landing")
         wait = self.parameters["COM_DISARM_PRFLT"]
         if not self.flown and now - self._armed_at > wait > 0:
@@ -334,7 +326,7 @@ class SimulatedAutopilot:
                 self._armed_at = self._landed_at = self.time
                 self._text(6, "Armed by external command")
             self._ack(d.ARM, d.ACCEPTED)
-        elif self.armed and not self.body.on_ground and m.param2 != d.FORCE:
+        elif self.armed and not self.landed and m.param2 != d.FORCE:
             self._text(2, "Disarming denied: not landed")
             self._ack(d.ARM, d.TEMPORARILY_REJECTED)
         else:

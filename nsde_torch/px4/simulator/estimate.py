@@ -2,7 +2,11 @@
 
     heading:    q_believed = R_z(e) q until it climbs past 1.5 m above the ground, then e = 0;    1 deg <= |e| <= 9 deg
 
-PX4 resets its heading there, once in each flight, and ODOMETRY's reset counter grows by one.
+    touch-down at v_z = -s:    v_z believed too low by d, p_z by h;    d' = -d / 1.5 s, d(0) = 0.8 s, h' = d - h / 3 s
+
+PX4 resets its heading there, once in each flight, and ODOMETRY's reset counter grows by one. What its accelerometer
+cannot show of a touch-down it does not know: one at 0.7 m/s takes it half a metre below the ground for seconds, and
+`landed` comes only when it no longer believes to sink.
 """
 
 from __future__ import annotations
@@ -18,6 +22,10 @@ ALIGNED = 1.5
 """Height above ground at which the heading is reset [m]."""
 HEADING = (radians(1.0), radians(9.0))
 """Smallest and largest error of the heading before that, as they were seen [rad]."""
+KEPT, SINKS, RISES = 0.8, 1.5, 3.0
+"""Share of the speed of touch-down that is believed on, and times in which velocity [s] and height [s] come back."""
+STILL = 0.25
+"""Vertical speed below which it believes to have landed [m/s]."""
 Estimate = tuple[Vec, Vec, Quat, Vec]
 """Position, velocity, attitude and rates."""
 
@@ -43,6 +51,13 @@ class SimulatedEstimator:
         self._random, self._errors = random.Random(seed), random.Random(seed + 1)
         self.resets, self.stepped = 0, 0.0
         self._error = self._drawn()
+        self._speed, self._in_air = 0.0, False
+        self._sinking, self._sunk = 0.0, 0.0
+
+    @property
+    def still(self) -> bool:
+        """Whether it believes not to sink."""
+        return self._sinking < STILL
 
     def _drawn(self) -> float:
         if self._given is not None:
@@ -68,4 +83,14 @@ class SimulatedEstimator:
         q = multiply(body.q, turn)
         if self._error != 0.0:
             q = multiply((cos(0.5 * self._error), 0.0, 0.0, sin(0.5 * self._error)), q)
-        return noisy(body.p, sp), noisy(body.v, sv), q, noisy(body.w, sw)
+        self._touch_down(body)
+        (x, y, z), (vx, vy, vz) = noisy(body.p, sp), noisy(body.v, sv)
+        return (x, y, z - self._sunk), (vx, vy, vz - self._sinking), q, noisy(body.w, sw)
+
+    def _touch_down(self, body: Body) -> None:
+        if self._in_air and body.on_ground:
+            self._sinking += KEPT * max(-self._speed, 0.0)
+        self._in_air, self._speed = not body.on_ground, body.v[2]
+        if self._sinking or self._sunk:
+            self._sunk += body.dt * (self._sinking - self._sunk / RISES)
+            self._sinking *= 1.0 - body.dt / SINKS

@@ -29,7 +29,7 @@ def _sys_status(a: SimulatedAutopilot, now: float) -> Message:
 
 
 def _extended_sys_state(a: SimulatedAutopilot, now: float) -> Message:
-    return mavlink.MAVLink_extended_sys_state_message(0, d.ON_GROUND if a.body.on_ground else d.IN_AIR)
+    return mavlink.MAVLink_extended_sys_state_message(0, d.ON_GROUND if a.landed else d.IN_AIR)
 
 
 def _odometry(a: SimulatedAutopilot, now: float) -> Message:

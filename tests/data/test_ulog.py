@@ -224,9 +224,23 @@ def test_missing_topics_are_named_with_the_remedy(tmp_path: Path) -> None:
 
 def test_topics_too_slow_to_interpolate_are_refused(tmp_path: Path) -> None:
     *_, topics = logged()
-    topics["actuator_motors"] = {k: v[::50] for k, v in topics["actuator_motors"].items()}
-    with pytest.raises(DataError, match="`actuator_motors` was logged at 2 Hz; at least 4 Hz"):
-        read("ulog", QUADROTOR, path=str(write_ulog(tmp_path / "log.ulg", topics)))
+    slow = three_topics(topics)
+    slow["vehicle_local_position"] = {k: v[::10] for k, v in slow["vehicle_local_position"].items()}
+    with pytest.raises(DataError, match="`vehicle_local_position` was logged at 2 Hz; at least 4 Hz"):
+        read("ulog", QUADROTOR, path=str(write_ulog(tmp_path / "log.ulg", slow)), state="attitude")
+
+
+def test_motors_as_the_default_profile_logs_them_are_refused_with_the_bit_that_logs_more(
+    tmp_path: Path,
+) -> None:
+    *_, topics = logged()
+    topics["actuator_motors"] = {k: v[::10] for k, v in topics["actuator_motors"].items()}
+    path = str(write_ulog(tmp_path / "log.ulg", topics))
+    with pytest.raises(
+        DataError, match=r"`actuator_motors` was logged at 10 Hz.*50 Hz.*bit 4.*SDLOG_PROFILE 17"
+    ):
+        read("ulog", QUADROTOR, path=path)
+    assert "held" in read("ulog", QUADROTOR, path=path, motor_rate=10.0).summary.findings[0].action
 
 
 def test_what_is_no_log_and_systems_that_are_no_multirotor_are_refused(tmp_path: Path) -> None:

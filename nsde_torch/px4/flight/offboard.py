@@ -106,7 +106,7 @@ class Offboard(Supervised):
             or not self._controller_ready()
         ):
             return
-        for line in preflight.warnings(self.endpoint, status):
+        for line in preflight.warnings(self.endpoint, status, self.path):
             self._say(f"           note: {line}")
         assert state is not None
         self.home, self._ground, self._yaw = state.p, state.p[2], yaw_of(state.q)

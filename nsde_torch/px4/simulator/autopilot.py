@@ -17,7 +17,7 @@ from dataclasses import replace
 from math import inf, isfinite
 from typing import final
 
-from nsde_torch.px4.flight.cascade import GRAVITY, Point, SetpointCascade
+from nsde_torch.px4.flight.cascade import GRAVITY, Point, SetpointCascade, levelling
 from nsde_torch.px4.link import dialect as d
 from nsde_torch.px4.link import frames
 from nsde_torch.px4.link.codec import Codec, Message
@@ -29,7 +29,11 @@ from nsde_torch.px4.simulator.estimate import Estimate, SimulatedEstimator
 from nsde_torch.px4.simulator.messages import MESSAGES
 from nsde_torch.px4.simulator.parameters import PARAMETERS
 
-OBL_LAND, OBL_HOLD = 4, 5
+FAILSAFES = {0: d.POSITION, 1: d.ALTITUDE, 2: d.MANUAL, 4: d.LAND}
+"""Modes of COM_OBL_RC_ACT in which it ends without a stream; HOLD in all others."""
+STICK_MODES = (d.POSITION, d.ALTITUDE, d.MANUAL)
+ABANDONED = 0.85
+"""Share of its weight that it carries in a mode of sticks that nobody holds: it drifts on, into the ground."""
 BOOT = 1.0
 """Time until the estimator is ready [s]."""
 RATE_GAINS, RATE_INTEGRAL = (11.0, 11.0, 5.0), (4.0, 4.0, 2.0)
@@ -172,7 +176,7 @@ class SimulatedAutopilot:
         if self.mode == d.OFFBOARD and not self.streaming:
             self.failsafe = True
             self._text(2, "Failsafe activated: offboard control signal lost")
-            self._enter(d.LAND if self.parameters["COM_OBL_RC_ACT"] == OBL_LAND else d.HOLD)
+            self._enter(FAILSAFES.get(int(self.parameters["COM_OBL_RC_ACT"]), d.HOLD))
         elif self.failsafe and self.intended == d.OFFBOARD and self.streaming:
             self.failsafe = False
             self._enter(d.OFFBOARD)
@@ -228,6 +232,9 @@ class SimulatedAutopilot:
                     return (0.02,) * self.body.nu
             elif self.body.on_ground:
                 return (0.1,) * self.body.nu
+            if self.failsafe and self.mode in STICK_MODES:
+                level = levelling(q)
+                return self._rates(level, ABANDONED * GRAVITY - self.body._offset, w, dt)
             demand = self._cascade(p, v, q, self._point, dt)
             rates, lift = demand.w, demand.thrust - self.body._offset
         return self._rates(rates, lift, w, dt)

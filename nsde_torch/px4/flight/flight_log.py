@@ -25,7 +25,7 @@ _NAN = float("nan")
 
 
 @dataclass(frozen=True)
-class Flown:
+class FlownState:
     """A state in flight, with what was known and asked for when it came.
 
     Args:
@@ -70,7 +70,7 @@ class FlightLog:
             self._out = None
         self._ulog.close()
 
-    def add(self, row: Flown) -> None:
+    def add(self, row: FlownState) -> None:
         """Log a state, once."""
         state, sent = row.state, row.sent
         if state.stamp <= self._last:

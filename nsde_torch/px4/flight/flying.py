@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from nsde_torch.px4.flight.flight_log import FlightLog, Flown
+from nsde_torch.px4.flight.flight_log import FlightLog, FlownState
 from nsde_torch.px4.flight.offboard import Offboard
 from nsde_torch.px4.flight.options import FlightOptions
 from nsde_torch.px4.flight.path import PathPoints
@@ -127,7 +127,7 @@ class Recorder:
         self._sent, self._plan, self._streamed = -1.0, None, False
         self._ages, self._gaps = array("d"), array("d")
         self._looked: VehicleState | None = None
-        self._flown: deque[tuple[Flown, bool]] = deque()
+        self._flown: deque[tuple[FlownState, bool]] = deque()
 
     def look(self, now: float) -> None:
         """After a tick at `now` [s]."""
@@ -144,7 +144,7 @@ class Recorder:
         new = self._new_states()
         if f.phase in FLYING:
             tracked = f.phase is Phase.TRACK
-            self._flown += [(Flown(one, status.motors, status.voltage, f.sent), tracked) for one in new]
+            self._flown += [(FlownState(one, status.motors, status.voltage, f.sent), tracked) for one in new]
         while self._flown and self._flown[0][0].state.received <= f.ours_until:
             self._take(*self._flown.popleft(), f.home)
 
@@ -163,7 +163,7 @@ class Recorder:
             )  # the last one was not closed by a setpoint, however long it was
         self._streamed = flying and f.streaming
 
-    def _take(self, flown: Flown, tracked: bool, home: Vec) -> None:
+    def _take(self, flown: FlownState, tracked: bool, home: Vec) -> None:
         """A state that is known to be ours: into the statistics while the reference was tracked, and into the log."""
         f, state = self._flight, flown.state
         if self._log is not None and state.p[2] > home[2] + LOGGED_FROM:

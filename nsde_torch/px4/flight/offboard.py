@@ -150,7 +150,7 @@ class Offboard(Supervised):
     def _top(self) -> float:
         """Height of take-off: past that at which PX4 resets its heading, where the fence has room for it [m]."""
         room = self.limits.fence[2][1] - ROOM
-        return max(self.options.height, min(self.options.clear, room))
+        return max(self.options.height, min(self.options.climb_past, room))
 
     def _takeoff(self, state: VehicleState | None, status: Status) -> None:
         if state is None or self.home is None:

@@ -14,7 +14,7 @@ class FlightOptions:
     """How a flight goes."""
 
     height: float = key(1.5, "height of take-off", unit="m", above=0)
-    clear: float = key(
+    climb_past: float = key(
         1.8,
         "height that is climbed past before the reference, below the fence's top: PX4 resets its heading at 1.5 m",
         unit="m",

@@ -27,16 +27,15 @@ from nsde_torch.px4.link.vectors import Quat, Vec, multiply, rotation_vector, ya
 from nsde_torch.px4.simulator.body import Body
 from nsde_torch.px4.simulator.estimate import Estimate, SimulatedEstimator
 from nsde_torch.px4.simulator.messages import MESSAGES
-from nsde_torch.px4.simulator.parameters import PARAMETERS
+from nsde_torch.px4.simulator.parameters import FAILSAFES, PARAMETERS, STICK_MODES
 
-FAILSAFES = {0: d.POSITION, 1: d.ALTITUDE, 2: d.MANUAL, 4: d.LAND}
-"""Modes of COM_OBL_RC_ACT in which it ends without a stream; HOLD in all others."""
-STICK_MODES = (d.POSITION, d.ALTITUDE, d.MANUAL)
 ABANDONED = 0.85
 """Share of its weight that it carries in a mode of sticks that nobody holds: it drifts on, into the ground."""
 BOOT = 1.0
 """Time until the estimator is ready [s]."""
 RATE_GAINS, RATE_INTEGRAL = (11.0, 11.0, 5.0), (4.0, 4.0, 2.0)
+CUT = 0.012
+"""Time for which the motors stand still when LAND follows OFFBOARD [s]."""
 LOW_BATTERY = 0.1
 NEARLY_FULL = 0.95
 """What a thrust above 1 becomes."""
@@ -99,7 +98,7 @@ class SimulatedAutopilot:
         self._integral: Vec = (0.0, 0.0, 0.0)
         self._cascade = SetpointCascade()
         self._point = Point((0.0, 0.0, 0.0))
-        self._armed_at = self._landed_at = 0.0
+        self._armed_at = self._landed_at = self._cut_until = 0.0
         self.estimate: Estimate = (
             (0.0,) * 3,
             (0.0,) * 3,
@@ -165,6 +164,8 @@ class SimulatedAutopilot:
 
     def _enter(self, mode: Mode) -> None:
         if mode != self.mode:
+            if self.mode == d.OFFBOARD and mode == d.LAND:
+                self._cut_until = self.time + CUT
             p, yaw = self.estimate[0], yaw_of(self.estimate[2])
             self._point = Point(p, yaw=yaw)
             self._cascade.reset()
@@ -222,6 +223,8 @@ class SimulatedAutopilot:
             # thrust of mean command, as the mixer of PX4 has it
             lift = self.body._gain * self.body.nu * throttle
         else:
+            if now < self._cut_until:
+                return (0.0,) * self.body.nu
             if self.mode == d.LAND:
                 speed = self.parameters["MPC_LAND_SPEED"]
                 x, y, z = self._point.p

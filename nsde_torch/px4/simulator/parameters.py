@@ -20,3 +20,6 @@ PARAMETERS: dict[str, tuple[float, int]] = {
     "MAV_SYS_ID": (1, d.INT32),
 }
 """The parameters that are answered for."""
+FAILSAFES = {0: d.POSITION, 1: d.ALTITUDE, 2: d.MANUAL, 4: d.LAND}
+"""Modes of COM_OBL_RC_ACT in which it ends without a stream; HOLD in all others."""
+STICK_MODES = (d.POSITION, d.ALTITUDE, d.MANUAL)

@@ -119,9 +119,11 @@ def faults(px4: int | None) -> list[Fault]:
         Fault("tilt", None, (3,), ("tilt",), ("reference=lemniscate", "limits.tilt=15")),
         Fault("no states", _set(stale=True), (3,), ("estimate",)),
         Fault("another client's mode", _ask(d.LAND), (3,), ("mode",)),
-        Fault("link cut at take-off", _set(cut=True), (4,), ("link",), phase="take off", after=1.5),
-        Fault("link cut on the reference", _set(cut=True), (4,), ("link",)),
-        Fault("link cut while landing", _set(cut=True), (4,), ("link",), phase="land", after=0.3),
+        Fault(
+            "link cut at take-off", _set(cut=True), (4,), ("link", "estimate"), phase="take off", after=1.5
+        ),
+        Fault("link cut on the reference", _set(cut=True), (4,), ("link", "estimate")),
+        Fault("link cut while landing", _set(cut=True), (4,), ("link", "estimate"), phase="land", after=0.3),
         Fault("plans late", _stop_the_solver, (3,), ("solver",), predictive=True),
         Fault("battery low", None, (3,), ("battery",), ("reference=hover", "limits.battery=0.85")),
     ]

@@ -27,7 +27,8 @@ from benchmarks.px4.faults import Fault, Flight, faults, verdict
 from benchmarks.px4.line import Line
 from nsde_torch.px4.link import dialect as d
 
-INNER = 14541
+INNER = 100
+"""Port on which `nsde fly` waits, behind that to which PX4 sends."""
 REFERENCES = {
     "hover": ("reference=hover",),
     "circle": ("reference=circle",),
@@ -44,13 +45,14 @@ class Fly:
     Args:
         folder: Where it writes.
         words: Its settings.
+        port: On which it waits.
     """
 
-    def __init__(self, folder: Path, words: list[str]) -> None:
+    def __init__(self, folder: Path, words: list[str], port: int) -> None:
         self.folder, self.phases, self.lines = folder, dict[str, float](), list[str]()
         command = [sys.executable, "-m", "nsde_torch.cli", "fly", *words, f"out_dir={folder}"]
         self.process = subprocess.Popen(
-            [*command, f"link.url=udpin:127.0.0.1:{INNER}"],
+            [*command, f"link.url=udpin:127.0.0.1:{port}"],
             stdout=subprocess.PIPE,
             stderr=subprocess.STDOUT,
             text=True,
@@ -94,7 +96,7 @@ class Fly:
 def _flight(name: str, run: str, k: int, options: argparse.Namespace, line: Line) -> dict[str, Any]:
     controller = "pid" if run == "pid" else "mpc"
     folder = options.out / "flights" / f"{k:02d}_{name}_{controller}"
-    fly = Fly(folder, [f"run={run}", f"system={options.system}", *REFERENCES[name]])
+    fly = Fly(folder, [f"run={run}", f"system={options.system}", *REFERENCES[name]], options.port + INNER)
     status = fly.wait()
     found, disarmed = fly.report or {}, line.wait_until_disarmed(60.0)
     age, gap, solve = (found.get(n) or {} for n in ("state_age_ms", "setpoint_gap_ms", "solve_ms"))
@@ -119,7 +121,7 @@ def _faulty(fault: Fault, options: argparse.Namespace, line: Line) -> dict[str, 
     run = options.models[0] if fault.predictive else "pid"
     folder = options.out / "faults" / fault.name.replace(" ", "_").replace("'", "")
     line.cut = line.stale = False
-    fly = Fly(folder, [f"run={run}", f"system={options.system}", *fault.words])
+    fly = Fly(folder, [f"run={run}", f"system={options.system}", *fault.words], options.port + INNER)
     made = fault.make is None
     if fault.make is not None and fly.wait_for(fault.phase, fault.after):
         fault.make(Flight(fly.process.pid, line, options.px4_pid))
@@ -194,6 +196,7 @@ def main() -> None:
     )
     parser.add_argument("--references", nargs="*", default=list(REFERENCES), choices=list(REFERENCES))
     parser.add_argument("--faults", action="store_true", help="make the faults too")
+    parser.add_argument("--only", nargs="*", default=[], help="names of the faults to make; none: all")
     parser.add_argument("--px4-pid", type=int, help="process id of PX4, to kill it in the end")
     parser.add_argument("--px4", default="not said", help="version of PX4 and simulator, for the table")
     parser.add_argument("--port", type=int, default=14540, help="port to which PX4 sends its offboard link")
@@ -212,7 +215,7 @@ def main() -> None:
         (options.out / "table.json").write_text(json.dumps(content, indent=1), encoding="utf-8")
         (options.out / "table.md").write_text(table(content), encoding="utf-8")
 
-    with Line(options.port, INNER) as line:
+    with Line(options.port, options.port + INNER) as line:
         cases = [(name, run) for run in ("pid", *options.models) for name in options.references]
         for k in range(options.flights):
             name, run = cases[k % len(cases)]
@@ -220,7 +223,7 @@ def main() -> None:
             write()
             print(json.dumps(content["flights"][-1]), flush=True)
         for fault in faults(options.px4_pid) if options.faults else ():
-            if fault.predictive and not options.models:
+            if (fault.predictive and not options.models) or (options.only and fault.name not in options.only):
                 continue
             content["faults"].append(_faulty(fault, options, line))
             write()

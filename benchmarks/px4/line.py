@@ -76,6 +76,8 @@ class Line:
 
     def ask(self, mode: Mode) -> None:
         """Ask PX4 for a mode, as another client would."""
+        if not self._px4[1]:
+            return  # it was never heard
         message = mavlink.MAVLink_command_long_message(
             self._system, 1, d.SET_MODE, 0, 1, mode.main, mode.sub, 0, 0, 0, 0
         )

@@ -18,6 +18,7 @@ from nsde_torch.px4.link import frames
 from nsde_torch.px4.link.codec import Codec
 from nsde_torch.px4.link.dialect import mavlink
 from nsde_torch.px4.link.endpoint import NUMBERS
+from nsde_torch.px4.link.telemetry import Telemetry
 from nsde_torch.px4.simulator.autopilot import SimulatedAutopilot
 from nsde_torch.px4.simulator.body import Body
 from tests.helpers.px4_world import World
@@ -90,6 +91,24 @@ def test_texts_come_to_a_link_on_which_a_ground_station_is_heard_and_to_no_other
     client.say(mavlink.MAVLink_heartbeat_message(d.GCS, d.NO_AUTOPILOT, 0, 0, 4, 3))
     client.command(d.ARM, 1)
     assert "no offboard signal" in client.all("STATUSTEXT")[0].text
+
+
+def test_a_long_text_comes_in_pieces_and_is_joined() -> None:
+    client = Client()
+    client.say(mavlink.MAVLink_heartbeat_message(d.GCS, d.NO_AUTOPILOT, 0, 0, 4, 3))
+    said = [
+        "Arming denied: Resolve system health failures first, then try again",
+        "Disarmed",
+        "x" * 50 + " y" * 60,
+    ]
+    for text in said:
+        client.vehicle._text(2, text)
+    client.run(0.02)
+    assert len(client.all("STATUSTEXT")) == 2 + 1 + 4
+    telemetry = Telemetry()
+    for message in client.heard:
+        telemetry.take(message, 1.0)
+    assert [t.text for t in telemetry.status.texts] == said
 
 
 def test_the_heartbeat_takes_no_interval_but_comes_when_it_is_asked_for() -> None:

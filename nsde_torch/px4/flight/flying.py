@@ -53,6 +53,7 @@ class FlightReport:
         log: The log, None where nothing was flown.
         link: What became of frames.
         texts: What the autopilot said.
+        drift: Seconds that its clock gains in one of ours.
     """
 
     outcome: FlightOutcome
@@ -67,6 +68,7 @@ class FlightReport:
     log: Path | None = None
     link: dict[str, int] = field(default_factory=dict)
     texts: list[str] = field(default_factory=list)
+    drift: float = 0.0
 
     @property
     def rmse(self) -> float | None:
@@ -95,6 +97,7 @@ class FlightReport:
             "position_error_max_m": max(self.errors, default=None),
             "setpoint_gap_ms": _spread([1e3 * g for g in self.gaps]),
             "state_age_ms": _spread([1e3 * a for a in self.ages]),
+            "clock_drift": self.drift,
             "solve_ms": _spread(self.solves),
             "status": self.statuses,
             "bounded": self.bounded,
@@ -196,6 +199,7 @@ class Recorder:
         r.gaps, r.ages = list(self._gaps), list(self._ages)
         r.bounded, r.hover = dict(f.guard.counts), f.hover.value
         r.link = dict(f.endpoint.codec.counts)
+        r.drift = f.endpoint.telemetry.sync.drift
         r.texts = [t.text for t in f.endpoint.status().texts]
         if self._log is not None and self._log.rows:
             r.log = self._log.file

@@ -128,6 +128,7 @@ class Telemetry:
         self._last_odometry = -inf
         self._old = 0
         self._reset_counter: int | None = None
+        self._chunk = (0, 0)
         self._resets = 0
         self._evidence = [0.0, 0.0]
 
@@ -154,7 +155,13 @@ class Telemetry:
             self.status.remaining = m.battery_remaining * 1e-2
 
     def _statustext(self, m: Message, now: float) -> None:
-        self.status.texts.append(Text(now, m.severity, m.text.rstrip("\x00").strip()))
+        text, texts = m.text.rstrip("\x00"), self.status.texts
+        if m.id and m.chunk_seq and self._chunk == (m.id, m.chunk_seq - 1) and texts:
+            # a text of more than fifty characters comes in pieces
+            texts[-1] = replace(texts[-1], text=(texts[-1].text + text).strip())
+        else:
+            texts.append(Text(now, m.severity, text if m.id else text.strip()))
+        self._chunk = (m.id, m.chunk_seq)
 
     def _command_ack(self, m: Message, now: float) -> None:
         self.status.acks.append(Ack(now, m.command, m.result))

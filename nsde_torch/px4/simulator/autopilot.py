@@ -26,7 +26,7 @@ from nsde_torch.px4.link.endpoint import NUMBERS
 from nsde_torch.px4.link.vectors import Quat, Vec, multiply, rotation_vector, yaw_of
 from nsde_torch.px4.simulator.body import Body
 from nsde_torch.px4.simulator.estimate import Estimate, SimulatedEstimator
-from nsde_torch.px4.simulator.messages import MESSAGES
+from nsde_torch.px4.simulator.messages import MESSAGES, texts
 from nsde_torch.px4.simulator.parameters import FAILSAFES, PARAMETERS, STICK_MODES
 
 ABANDONED = 0.85
@@ -93,7 +93,7 @@ class SimulatedAutopilot:
         )
         self._out: deque[bytes] = deque()
         self._due: dict[str, tuple[float, float]] = {"HEARTBEAT": (0.0, 1.0), "SYS_STATUS": (0.0, 1.0)}
-        self._gcs = -inf
+        self._gcs, self._texts = -inf, 0
         self._setpoint: tuple[float, int, Vec, Quat, float] | None = None
         self._integral: Vec = (0.0, 0.0, 0.0)
         self._cascade = SetpointCascade()
@@ -385,8 +385,9 @@ class SimulatedAutopilot:
         self._send(mavlink.MAVLink_command_ack_message(command, result))
 
     def _text(self, severity: int, text: str) -> None:
-        if self.time - self._gcs < 5.0:
-            self._send(mavlink.MAVLink_statustext_message(severity, text.encode()[:50]))
+        self._texts += 1
+        for piece in texts(severity, text, self._texts) if self.time - self._gcs < 5.0 else ():
+            self._send(piece)
 
     def _message(self, name: str, now: float) -> Message | None:
         if self.blind and name in ("ODOMETRY", "LOCAL_POSITION_NED"):

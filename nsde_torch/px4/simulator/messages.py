@@ -81,3 +81,13 @@ MESSAGES: dict[str, Callable[[SimulatedAutopilot, float], Message]] = {
     "ACTUATOR_OUTPUT_STATUS": _actuator_output_status,
 }
 """Name -> function of the autopilot and the time that it stamps [s]."""
+
+
+def texts(severity: int, text: str, number: int) -> list[Message]:
+    """A text in pieces of fifty characters; one that has several bears its number."""
+    data = text.encode()
+    pieces = [data[k : k + 50] for k in range(0, len(data), 50)]
+    return [
+        mavlink.MAVLink_statustext_message(severity, piece, id=number if len(pieces) > 1 else 0, chunk_seq=k)
+        for k, piece in enumerate(pieces)
+    ]

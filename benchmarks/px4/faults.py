@@ -125,7 +125,7 @@ def faults(px4: int | None) -> list[Fault]:
         Fault("link cut on the reference", _set(cut=True), (4,), ("link", "estimate")),
         Fault("link cut while landing", _set(cut=True), (4,), ("link", "estimate"), phase="land", after=0.3),
         Fault("plans late", _stop_the_solver, (3,), ("solver",), predictive=True),
-        Fault("battery low", None, (3,), ("battery",), ("reference=hover", "limits.battery=0.85")),
+        Fault("battery low", None, (3,), ("battery",), ("reference=lemniscate", "limits.battery=0.85")),
     ]
     if px4 is not None:
         out.append(Fault("PX4 killed", _kill_px4, (4,), ("link", "estimate")))

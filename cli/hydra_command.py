@@ -15,7 +15,7 @@ from typing import Any
 from nsde_torch.errors import CheckpointError, ConfigError, NsdeError
 
 from . import complete, groups, help, messages
-from .exit_status import CRASHED, FAILED_JOBS, INTERRUPTED, OK, USER_ERROR
+from .exit_status import CRASHED, FAILED_JOBS, INTERRUPTED, OK, USER_ERROR, EndedError
 from .quoted import quoted
 from .registry import hydra_commands
 from .schemas.choices import CHOICES
@@ -89,6 +89,9 @@ class HydraCommand:
             return self._user_error(
                 error, f"{error.filename}: {error.strerror}. Name another folder or file."
             )
+        except EndedError as error:
+            print(f"nsde {self.name}: {error}", file=sys.stderr)
+            return error.status
         except NsdeError as error:
             return self._user_error(error, messages.in_keys(str(error)))
         except Exception as error:

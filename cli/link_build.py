@@ -46,6 +46,7 @@ def limits(config: DictConfig) -> Limits:
         silence=config.silence,
         solver=config.solver,
         jump=config.jump,
+        velocity_jump=config.velocity_jump,
     )
 
 

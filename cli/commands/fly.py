@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from nsde_torch.px4.flight.options import FlightOptions, Limits, SetpointLimits
 
+from ..exit_status import FLIGHT_ENDED, INTERRUPTED, NOT_LANDED, EndedError
 from ..hydra_command import HydraCommand
 from ..keys import group, key, mirrors, of
 from ..quoted import from_file
@@ -57,6 +58,7 @@ class FlyConfig:
         "physics with the plant's values, or pid",
     )
     height: float = of(FlightOptions, "height")
+    climb_past: float = of(FlightOptions, "climb_past")
     climb: float = of(FlightOptions, "climb")
     hold: float = of(FlightOptions, "hold")
     safe_hold: float = of(FlightOptions, "safe_hold")
@@ -112,7 +114,7 @@ def run(config: DictConfig, job: Job) -> float | None:
         RMSE of the position over all flights [m]; None if the reference was not flown.
 
     Raises:
-        NsdeError: nothing was flown, and why.
+        NsdeError: nothing was flown, or it ended otherwise than asked for, and why.
     """
     # torch is imported here, not above: help and completion do without it.
     import torch
@@ -132,7 +134,11 @@ def run(config: DictConfig, job: Job) -> float | None:
     path = PathPoints(reference.path)
     limits, setpoints = link_build.limits(config.limits), link_build.setpoints(config.limits)
     options = FlightOptions(
-        height=config.height, climb=config.climb, hold=config.hold, safe_hold=config.safe_hold
+        height=config.height,
+        climb_past=config.climb_past,
+        climb=config.climb,
+        hold=config.hold,
+        safe_hold=config.safe_hold,
     )
     key = link_build.key(config.link)
     motors = fly_build.system_of(known).nu
@@ -222,13 +228,21 @@ def _verdict(reports: list[FlightReport]) -> float | None:
 
     Raises:
         LinkError: the flight was refused before it began.
+        EndedError: it began and went wrong, or was not seen to land.
     """
     from nsde_torch.px4.link.transport import LinkError
 
     last = reports[-1].outcome
     if last.trouble is not None and last.trouble.kind == "refused":
         raise LinkError(last.trouble.text)
+    why = "the reference was not flown to its end" if last.trouble is None else last.trouble.text
+    if not last.landed:
+        raise EndedError(f"the vehicle was NOT seen to land: {why}", NOT_LANDED)
+    if last.trouble is not None and last.trouble.kind in ("stop", "stopped"):
+        raise EndedError(f"the flight was stopped, and landed: {why}", INTERRUPTED)
+    if last.trouble is not None or not last.tracked:
+        raise EndedError(f"the flight went wrong, and landed: {why}", FLIGHT_ENDED)
     errors = [e for r in reports for e in r.errors]
-    if not errors or not all(r.outcome.tracked for r in reports):
+    if not errors:
         return None
     return float((sum(e * e for e in errors) / len(errors)) ** 0.5)

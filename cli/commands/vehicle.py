@@ -7,6 +7,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
+from nsde_torch.px4.simulator.clock import CLOCK
+
 from ..hydra_command import HydraCommand
 from ..keys import group, key
 from ..schemas.control import FlownPlantConfig, LinkConfig
@@ -30,6 +32,9 @@ class VehicleConfig:
     seed: int = key(0, "seed of gusts and noise", low=0)
     duration: float | None = key(None, "how long to run; null: until Ctrl-C", unit="s", above=0)
     parameters: dict[str, Any] = key({}, "values of PX4's parameters, parameters.COM_OF_LOSS_T=0.5")
+    clock: float = key(
+        CLOCK, "seconds of its clock in one of ours; PX4's own simulator runs as slow", above=0, high=2
+    )
     threads: int = key(1, "CPU threads of torch", low=1)
     plant: FlownPlantConfig = group(FlownPlantConfig, "the machine that it flies")
     link: LinkConfig = group(LinkConfig, "how it is reached")
@@ -70,8 +75,8 @@ def run(config: DictConfig, job: Job) -> None:
     import torch
 
     from nsde_torch.errors import ConfigError
-    from nsde_torch.px4.simulator.autopilot import PARAMETERS
     from nsde_torch.px4.simulator.body import Body
+    from nsde_torch.px4.simulator.parameters import PARAMETERS
 
     from .. import build
 
@@ -159,7 +164,7 @@ def _fly(config: DictConfig, body: Body, parameters: dict[str, float]) -> None:
         stream=transport.stream,
         parameters=parameters,
     )
-    vehicle = Vehicle(autopilot, transport)
+    vehicle = Vehicle(autopilot, transport, speed=config.clock)
     print(f"a simulated {body.system.name} on {config.link.url}; Ctrl-C ends it", flush=True)
     try:
         vehicle.run(_ends(config.duration))

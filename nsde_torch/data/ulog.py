@@ -4,7 +4,8 @@ State from `vehicle_odometry`, or from `vehicle_attitude` + `vehicle_local_posit
 `vehicle_angular_velocity`; inputs from `actuator_motors`, else `actuator_outputs`; `battery_status` becomes
 the channel `battery_voltage`; sticks and setpoints become further columns (`ulog_setpoints`). The rows are
 those of the attitude; slower topics are interpolated (motor commands held). Where a topic pauses, is not
-finite, or the vehicle is landed, the row counts as missing and the checks cut the run there.
+finite, the vehicle is on the ground or its estimate was just reset (`ulog_flight`), the row counts as missing and the
+checks cut the run there.
 
 Field meanings: PX4 message definitions (`msg/VehicleOdometry.msg` and so on, PX4 1.13 to 1.16). The velocity
 frame of `vehicle_odometry` is read from its own field, never assumed.
@@ -19,7 +20,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from nsde_torch.data import ulog_setpoints
+from nsde_torch.data import ulog_flight, ulog_setpoints
 from nsde_torch.data.findings import Finding
 from nsde_torch.data.frames import attitude_to_enu, swap_body, swap_world
 from nsde_torch.data.quaternion import continuous_signs, rotate, slerp
@@ -44,7 +45,12 @@ TOPICS = (
 )
 MIN_RATE = 4.0
 """Slowest rate of a state or motor topic that is interpolated [Hz]."""
-_HIGH_RATE = "Log more with the parameter SDLOG_PROFILE (the high-rate profile)"
+MOTOR_RATE = 50.0
+"""Slowest rate of the motor topic that is read unless told otherwise [Hz].
+
+Motors answer within 50 ms. PX4's default profile logs them at 10 Hz: held for 100 ms, they gave half of the roll gain.
+"""
+_HIGH_RATE = "Log more: set bit 4 (high rate) of the parameter SDLOG_PROFILE, `param set SDLOG_PROFILE 17`, and restart"
 _FIRST_MOTOR = 101
 """PX4 output function of motor 1; motor k is 100 + k."""
 
@@ -241,7 +247,12 @@ def _motors(log: Any, topics: dict[str, list[_Topic]], motors: int, path: Path) 
 
 
 def read_ulog_file(
-    path: str | Path, system: SystemInfo, *, state: str = "auto", in_air: bool = True
+    path: str | Path,
+    system: SystemInfo,
+    *,
+    state: str = "auto",
+    in_air: bool = True,
+    motor_rate: float = MOTOR_RATE,
 ) -> RawRun:
     """One run from one PX4 log.
 
@@ -251,6 +262,7 @@ def read_ulog_file(
         state: `odometry`, `attitude` (three topics), or `auto`: the odometry unless the others are much
             faster.
         in_air: Leave out the time on the ground, where the log tells (`vehicle_land_detected`).
+        motor_rate: Slowest rate of the motors' topic that is read [Hz].
 
     Raises:
         DataError: not a ULog file, a topic is missing or too slow (the message names it and the remedy), or
@@ -268,12 +280,18 @@ def read_ulog_file(
     log, topics = _load(path)
     t, x, sources = _state(topics, state, path)
     motor_topic, commands = _motors(log, topics, len(system.input_names), path)
-    for topic in (*sources, motor_topic):
+    for topic in sources:
         if topic.rate < MIN_RATE:
             raise DataError(
                 f"{path}: the topic `{topic.name}` was logged at {topic.rate:.3g} Hz; at least {MIN_RATE:g} "
                 f"Hz are needed. {_HIGH_RATE}."
             )
+    if motor_topic.rate < 0.98 * motor_rate:  # stamps are whole microseconds
+        raise DataError(
+            f"{path}: the motors' topic `{motor_topic.name}` was logged at {motor_topic.rate:.3g} Hz; at least "
+            f"{motor_rate:g} Hz are needed, as gains and lags come out wrong of commands that change unseen. "
+            f"{_HIGH_RATE}. To read such a log all the same give `motor_rate` to the reader (`nsde_torch.read`)."
+        )
     u = _held(motor_topic, commands, t)
     run = RawRun(path.stem, t, x, u, source=str(path))
     notes = run.notes.append
@@ -282,7 +300,7 @@ def read_ulog_file(
     if slow:
         rates = ", ".join(f"{topic.name} {topic.rate:.3g} Hz" for topic in slow)
         text = f"topics slower than {base.name} ({base.rate:.3g} Hz): {rates}"
-        notes(Finding("slow_topic", run.name, len(slow), text, "interpolated"))
+        notes(Finding("slow_topic", run.name, len(slow), text, "interpolated, commands held"))
     battery = _first(topics, "battery_status")
     if battery is not None:
         run.extra = {"battery_voltage": np.interp(t, battery.t, battery.fields["voltage_v"])}
@@ -290,9 +308,7 @@ def read_ulog_file(
     run.extra = {**run.extra, **ulog_setpoints.setpoint_columns(wanted, t)}
     landed = _first(topics, "vehicle_land_detected")
     if in_air and landed is not None:
-        ground = (
-            landed.fields["landed"][np.clip(np.searchsorted(landed.t, t, side="right") - 1, 0, None)] > 0.5
-        )
+        ground = ulog_flight.on_ground(landed.t, landed.fields, t, x[:, 2])
         if ground.all():
             raise DataError(
                 f"{path}: the vehicle is landed throughout. Set `in_air` to false to keep such data."
@@ -303,6 +319,12 @@ def read_ulog_file(
             notes(
                 Finding("on_ground", run.name, int(ground.sum()), f"{seconds:.3g} s on the ground", "dropped")
             )
+    stepped, count = ulog_flight.after_resets([(topic.t, topic.fields) for topic in sources], t)
+    stepped &= np.isfinite(x).all(axis=1)
+    if stepped.any():
+        x[stepped] = np.nan
+        text = f"the estimate was reset in flight ({count} in all): the run is cut there"
+        notes(Finding("estimate_reset", run.name, int(stepped.sum()), text, "dropped"))
     dropouts = log.dropouts
     if dropouts:
         seconds = sum(d.duration for d in dropouts) * 1e-3
@@ -314,7 +336,12 @@ def read_ulog_file(
 
 
 def read_ulog(
-    system: SystemInfo, *, path: str | Path, state: str = "auto", in_air: bool = True
+    system: SystemInfo,
+    *,
+    path: str | Path,
+    state: str = "auto",
+    in_air: bool = True,
+    motor_rate: float = MOTOR_RATE,
 ) -> list[RawRun]:
     """Runs of one PX4 log, or of all `.ulg` files of a folder in the order of their names.
 
@@ -323,6 +350,7 @@ def read_ulog(
         path: File or folder.
         state: See `read_ulog_file`.
         in_air: See `read_ulog_file`.
+        motor_rate: See `read_ulog_file`.
 
     Raises:
         DataError: nothing to read, or a log that is refused (see `read_ulog_file`).
@@ -336,4 +364,4 @@ def read_ulog(
         files = [path]
     else:
         raise DataError(f"`path`: {path} does not exist; expected a .ulg file or a folder of them.")
-    return [read_ulog_file(file, system, state=state, in_air=in_air) for file in files]
+    return [read_ulog_file(file, system, state=state, in_air=in_air, motor_rate=motor_rate) for file in files]

@@ -15,7 +15,10 @@ from nsde_torch.cli import fly_build
 from nsde_torch.cli.main import main
 from nsde_torch.effects import files
 from nsde_torch.errors import ConfigError
+from nsde_torch.px4.flight import flying
+from nsde_torch.px4.flight.phases import Phase
 from nsde_torch.px4.link import connection as links
+from nsde_torch.px4.link import dialect as d
 from nsde_torch.px4.simulator.autopilot import SimulatedAutopilot
 from nsde_torch.px4.simulator.body import Body
 from nsde_torch.px4.simulator.virtual import VirtualLink
@@ -139,6 +142,51 @@ def test_a_refused_flight_is_a_fault_of_the_user_with_the_reasons(
     words = ["run=pid", "system=quadrotor", "limits.fence=[[-1,1],[-1,1],[0,0.5]]", "out_dir=out"]
     assert main(["fly", *words, *SHORT]) == 2
     assert "leaves the fence" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("fault", "status", "said"),
+    [
+        ("battery", 3, "went wrong, and landed: battery at"),
+        ("mode", 3, "went wrong, and landed: the mode is HOLD"),
+        ("link", 4, "NOT seen to land"),
+        ("stop", 130, "was stopped, and landed"),
+    ],
+)
+def test_the_exit_status_says_how_a_flight_that_began_went_wrong(
+    fault: str,
+    status: int,
+    said: str,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    body = Body("quadrotor", seed=1, latency=0.02)
+    vehicle = SimulatedAutopilot(body, seed=1)
+    link = VirtualLink(vehicle)
+    monkeypatch.setattr(links, "open_link", lambda url, **more: link)
+    flown = flying.fly
+
+    def fly(*args: Any, **more: Any) -> Any:
+        def harm(flight: Any, now: float) -> None:
+            if flight.phase is not Phase.TRACK:
+                if fault == "mode" and flight.done is False and vehicle.mode == d.HOLD and vehicle.flown:
+                    vehicle.set_mode(d.LAND)  # the operator has had enough
+                return
+            if fault == "battery":
+                body.used = 0.95
+            elif fault == "mode":
+                vehicle.set_mode(d.HOLD)
+            elif fault == "link":
+                vehicle.mute = True
+            else:
+                flight.stop()
+
+        return flown(*args, **more, watch=harm)
+
+    monkeypatch.setattr(flying, "fly", fly)
+    assert main(["fly", "run=pid", "system=quadrotor", "out_dir=out", *SHORT]) == status
+    assert said in capsys.readouterr().err
+    assert json.loads(Path("out/flight.json").read_text())["flights"][0]["trouble"] is not None
 
 
 def test_help_lists_every_key_of_the_link_and_the_limits(capsys: pytest.CaptureFixture[str]) -> None:

@@ -130,6 +130,68 @@ def test_time_on_the_ground_is_left_out_unless_asked_for(tmp_path: Path) -> None
     assert len(read("ulog", QUADROTOR, path=path, in_air=False)[0]) == len(t)
 
 
+def _standing(topics: dict, *, after: float) -> dict:
+    """The flight with rows of a machine that stands where it took off, for some seconds before and after it."""
+    odometry, motors = topics["vehicle_odometry"], topics["actuator_motors"]
+    n = round(after * 100)
+    out = {
+        k: np.concatenate([np.repeat(v[:1], n, 0), v, np.repeat(v[-1:], n, 0)]) for k, v in odometry.items()
+    }
+    stamp = 50.0 - 0.01 * n + 0.01 * np.arange(len(out["timestamp"]))
+    ground = np.r_[0:n, len(stamp) - n : len(stamp)]
+    out["timestamp"] = stamp
+    out["position"] = out["position"] - np.array([0.0, 0.0, 3.0])  # the flight is well above it
+    out["position"][ground, 2] = 0.02 * np.sin(ground)
+    out["velocity"][ground] = out["angular_velocity"][ground] = 0.0
+    u = np.concatenate([np.full((n, 4), 0.1), motors["control"], np.full((n, 4), 0.02)])
+    return topics | {"vehicle_odometry": out, "actuator_motors": {"timestamp": stamp, "control": u}}
+
+
+@pytest.mark.parametrize("flag", ["ground_contact", "maybe_landed"])
+def test_a_machine_that_stands_is_on_the_ground_before_px4_says_that_it_landed(
+    tmp_path: Path, flag: str
+) -> None:
+    t, _, _, topics = logged()
+    topics = _standing(topics, after=3.0)
+    end = 50.0 + t[-1]
+    # `landed` ends a second before it lifts off and comes two seconds after it stands
+    detected = {"timestamp": [47.0, 49.0, end + 1.0, end + 2.0], "landed": [1, 0, 0, 1]}
+    path = str(
+        write_ulog(tmp_path / "log.ulg", topics | {"vehicle_land_detected": detected | {flag: [1, 0, 1, 1]}})
+    )
+    data = read("ulog", QUADROTOR, path=path)
+    assert (data[0].t[0], data[0].t[-1]) == (pytest.approx(50.0, abs=0.011), pytest.approx(end, abs=0.011))
+    assert "on_ground" in [f.kind for f in data.summary.findings]
+
+
+def test_an_estimate_that_sinks_at_touch_down_is_on_the_ground(tmp_path: Path) -> None:
+    t, _, _, topics = logged()
+    topics = _standing(topics, after=3.0)
+    end = 50.0 + t[-1]
+    sunk = topics["vehicle_odometry"]["position"][:, 2]
+    late = topics["vehicle_odometry"]["timestamp"] > end
+    sunk[late] += 0.25 * (topics["vehicle_odometry"]["timestamp"][late] - end)  # NED: down
+    detected = {"timestamp": [47.0, 49.0, end + 2.5], "landed": [1, 0, 1]}
+    path = str(write_ulog(tmp_path / "log.ulg", topics | {"vehicle_land_detected": detected}))
+    assert read("ulog", QUADROTOR, path=path)[0].t[-1] == pytest.approx(end, abs=0.011)
+
+
+@pytest.mark.parametrize("parts", [False, True])
+def test_a_reset_of_the_estimate_cuts_the_run_and_is_told(tmp_path: Path, parts: bool) -> None:
+    t, _, _, topics = logged()
+    counter = np.where(t < 6.0, 3, 4)
+    odometry = topics["vehicle_odometry"]
+    if parts:
+        topics = three_topics(topics)
+        topics["vehicle_attitude"]["quat_reset_counter"] = counter
+    else:
+        odometry["reset_counter"] = counter
+    data = read("ulog", QUADROTOR, path=str(write_ulog(tmp_path / "log.ulg", topics)))
+    assert len(data[0].segments) == 2
+    assert "estimate_reset" in [f.kind for f in data.summary.findings]
+    assert data[0].t[data[0].segments[0][1] - 1] == pytest.approx(55.99, abs=0.011)
+
+
 def test_outputs_are_mapped_by_the_output_functions(tmp_path: Path) -> None:
     _, _, u, topics = logged()
     topics.pop("actuator_motors")
@@ -162,9 +224,23 @@ def test_missing_topics_are_named_with_the_remedy(tmp_path: Path) -> None:
 
 def test_topics_too_slow_to_interpolate_are_refused(tmp_path: Path) -> None:
     *_, topics = logged()
-    topics["actuator_motors"] = {k: v[::50] for k, v in topics["actuator_motors"].items()}
-    with pytest.raises(DataError, match="`actuator_motors` was logged at 2 Hz; at least 4 Hz"):
-        read("ulog", QUADROTOR, path=str(write_ulog(tmp_path / "log.ulg", topics)))
+    slow = three_topics(topics)
+    slow["vehicle_local_position"] = {k: v[::10] for k, v in slow["vehicle_local_position"].items()}
+    with pytest.raises(DataError, match="`vehicle_local_position` was logged at 2 Hz; at least 4 Hz"):
+        read("ulog", QUADROTOR, path=str(write_ulog(tmp_path / "log.ulg", slow)), state="attitude")
+
+
+def test_motors_as_the_default_profile_logs_them_are_refused_with_the_bit_that_logs_more(
+    tmp_path: Path,
+) -> None:
+    *_, topics = logged()
+    topics["actuator_motors"] = {k: v[::10] for k, v in topics["actuator_motors"].items()}
+    path = str(write_ulog(tmp_path / "log.ulg", topics))
+    with pytest.raises(
+        DataError, match=r"`actuator_motors` was logged at 10 Hz.*50 Hz.*bit 4.*SDLOG_PROFILE 17"
+    ):
+        read("ulog", QUADROTOR, path=path)
+    assert "held" in read("ulog", QUADROTOR, path=path, motor_rate=10.0).summary.findings[0].action
 
 
 def test_what_is_no_log_and_systems_that_are_no_multirotor_are_refused(tmp_path: Path) -> None:

@@ -25,6 +25,7 @@ from nsde_torch.px4.link.endpoint import Endpoint
 from nsde_torch.px4.link.vectors import Vec, distance
 from nsde_torch.px4.simulator.autopilot import SimulatedAutopilot
 from nsde_torch.px4.simulator.body import Body
+from nsde_torch.px4.simulator.clock import CLOCK
 
 START = 1000.0
 TICK = 0.01
@@ -46,6 +47,7 @@ class World:
     Args:
         path: The reference; 6 s of hovering by default.
         down: What becomes of frames from the vehicle; `up`: of those to it.
+        speed: Seconds of the vehicle's clock in one of ours.
         at: Called at every tick with this and the time since take-off of the phase, to make faults happen.
     """
 
@@ -61,6 +63,8 @@ class World:
     key: bytes | None = None
     vehicle_key: bytes | None = None
     parameters: dict[str, float] = field(default_factory=dict)
+    heading_error: float | None = None
+    speed: float = CLOCK
     down: Line = straight
     up: Line = straight
     seed: int = 0
@@ -68,7 +72,11 @@ class World:
     def __post_init__(self) -> None:
         self.body = Body(self.system, seed=self.seed, latency=0.02)
         self.vehicle = SimulatedAutopilot(
-            self.body, key=self.vehicle_key, seed=self.seed, parameters=self.parameters
+            self.body,
+            key=self.vehicle_key,
+            seed=self.seed,
+            parameters=self.parameters,
+            heading_error=self.heading_error,
         )
         self.endpoint = Endpoint(self._up, key=self.key)
         self.says: list[str] = []
@@ -123,7 +131,7 @@ class World:
         """One hundredth of a second."""
         for data in self._due(self._to_vehicle):
             self.vehicle.receive(data)
-        for data in self.vehicle.advance(self.now - START):
+        for data in self.vehicle.advance((self.now - START) * self.speed):
             self._queue(self._to_us, self.down(data, self.now))
         for data in self._due(self._to_us):
             self.endpoint.receive(data, self.now)

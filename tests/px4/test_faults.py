@@ -52,7 +52,7 @@ def _mend(world: World) -> None:
     ],
 )
 def test_a_link_cut_in_any_phase_ends_on_the_ground_by_the_autopilots_own_failsafe(phase: Phase) -> None:
-    world = World(path=SHORT).until(phase, 0.3 if phase is not Phase.ARM else 0.05)
+    world = World(path=SHORT).until(phase, 0.0 if phase in (Phase.OFFBOARD, Phase.ARM) else 0.3)
     cut = world.now
     _cut(world)
     world.run()
@@ -113,7 +113,7 @@ def test_the_operators_mode_is_never_fought(mode: d.Mode) -> None:
     for _ in range(400):
         world.tick()
     assert world.phase in (Phase.WATCH, Phase.DONE)
-    assert max(world.setpoints) < chosen + 1.3  # a heartbeat later at most
+    assert max(world.setpoints) < chosen + 0.3  # a heartbeat that is asked for later at most
     assert world.vehicle.mode == mode
 
 
@@ -232,7 +232,7 @@ def test_a_solver_that_is_killed_or_hangs_ends_in_a_landing(killed: bool) -> Non
     assert world.flight.outcome.trouble is not None
     assert world.flight.outcome.trouble.kind == "solver"
     assert world.safe
-    assert world.highest < 2.0
+    assert world.highest < 2.3
 
 
 @pytest.mark.parametrize(

@@ -45,6 +45,29 @@ def test_a_flight_is_read_back_as_a_run_with_states_motors_and_setpoints(tmp_pat
     assert same.extra["battery_voltage"] == pytest.approx(run.extra["battery_voltage"], abs=1e-4)
 
 
+def test_landing_is_px4s_and_not_logged_though_the_estimate_sinks_at_touch_down(tmp_path: Path) -> None:
+    world = World(path=PathPoints(shapes.hover(duration=2.0, height=1.0)))
+    believed: list[tuple[float, float]] = []
+    with FlightLog(tmp_path / "flight_0.csv", 4) as log:
+        recorder = Recorder(world.flight, log)
+
+        def look(w: World) -> None:
+            recorder.look(w.now)
+            if w.body.on_ground and w.vehicle.flown:
+                believed.append((w.vehicle.estimate[0][2], w.vehicle.estimate[1][2]))
+
+        world.run(look)
+    assert world.flight.outcome.landed
+    assert world.safe
+    # as the real one did at 0.7 m/s: speed is kept, half a metre is sunk
+    assert min(v for _, v in believed) == pytest.approx(-0.7, abs=0.2)
+    assert min(p for p, _ in believed) == pytest.approx(-0.45, abs=0.2)
+    landing = next(t for t, phase, _ in world.flight.outcome.actions if phase == "land")
+    rows = np.loadtxt(tmp_path / "flight_0.csv", delimiter=",", skiprows=1)
+    assert rows[-1, 0] < landing * world.speed + 0.02
+    assert rows[:, 3].min() > 0.25
+
+
 def test_the_ulog_is_read_by_pyulog_with_the_setpoints_in_frd(tmp_path: Path) -> None:
     log = UlogFile(tmp_path / "flight.ulg")
     for k in range(3):

@@ -75,6 +75,27 @@ def test_a_touch_down_is_not_shown_harder_than_sensors_show() -> None:
     assert imu.zacc == pytest.approx(-4 * 9.81, rel=1e-5)
 
 
+@pytest.mark.parametrize("speed", [0.2, 0.68, 1.28, 3.0])
+def test_a_touch_down_loses_no_velocity_to_what_sensors_do_not_show(speed: float) -> None:
+    sensors = HilSensors(seed=0, noise=0.0)
+    for _ in range(60):
+        sensors.messages(1.0, REST, (0.3, 0.0, -speed), NORTH, REST)
+    v = -speed  # upwards, as an estimator integrates it
+    for k in range(60):
+        imu = _of(sensors.messages(1.004 + 0.004 * k, REST, REST, NORTH, REST), "HIL_SENSOR")
+        assert sqrt(imu.xacc**2 + imu.yacc**2 + imu.zacc**2) < 4.001 * 9.81
+        v += 0.004 * (-imu.zacc - 9.81)
+    assert v == pytest.approx(0.0, abs=1e-3)
+
+
+@pytest.mark.parametrize("speed", [1.3, 5.0, 400.0])
+def test_a_hard_touch_down_can_be_told_to_px4(speed: float) -> None:
+    plant = _plant()
+    for k in range(12):  # the true state goes out with one sample in five
+        plant.body.v = (0.0, 0.0, -speed if k % 2 else 0.0)
+        assert plant.sample()
+
+
 def test_rates_are_frd() -> None:
     imu = _of(_shown(w=(0.1, 0.2, 0.3)), "HIL_SENSOR")
     assert (imu.xgyro, imu.ygyro, imu.zgyro) == pytest.approx((0.1, -0.2, -0.3))

@@ -7,18 +7,38 @@ it the same flight as ULog, for PX4's tools.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from io import TextIOWrapper
 from pathlib import Path
 from types import TracebackType
 from typing import final
 
 from nsde_torch.px4.flight.ulog_file import UlogFile
-from nsde_torch.px4.link.telemetry import Status, VehicleState
+from nsde_torch.px4.link.telemetry import VehicleState
 from nsde_torch.px4.link.vectors import Vec
 
 STATE = ("p_x", "p_y", "p_z", "v_x", "v_y", "v_z", "q_w", "q_x", "q_y", "q_z", "w_x", "w_y", "w_z")
 EXTRA = ("rate_sp_x", "rate_sp_y", "rate_sp_z", "throttle_sp", "battery_voltage")
+RESET = 0.05
+"""Time after a reset of the estimate that is left out, so that the run is cut there: no motion made that step [s]."""
 _NAN = float("nan")
+
+
+@dataclass(frozen=True)
+class FlownState:
+    """A state in flight, with what was known and asked for when it came.
+
+    Args:
+        state: The state.
+        motors: Commands of the motors, 0 to 1, as far as the autopilot tells.
+        voltage: Of the battery [V].
+        sent: Time, rates and throttle that left last.
+    """
+
+    state: VehicleState
+    motors: tuple[float, ...]
+    voltage: float
+    sent: tuple[float, Vec, float] | None
 
 
 @final
@@ -35,6 +55,7 @@ class FlightLog:
         self._out: TextIOWrapper | None = None
         self._ulog = UlogFile(file.with_suffix(".ulg"))
         self._last = -1.0
+        self._resets, self._from = 0, -1.0
         self._flushed = 0.0
         self.rows = 0
 
@@ -49,26 +70,31 @@ class FlightLog:
             self._out = None
         self._ulog.close()
 
-    def add(self, state: VehicleState, status: Status, sent: tuple[float, Vec, float] | None) -> None:
+    def add(self, row: FlownState) -> None:
         """Log a state, once."""
+        state, sent = row.state, row.sent
         if state.stamp <= self._last:
             return
         self._last = state.stamp
+        if state.resets != self._resets:
+            self._resets, self._from = state.resets, state.stamp + RESET
+        if state.stamp < self._from:
+            return
         if self._out is None:
             self.file.parent.mkdir(parents=True, exist_ok=True)
             self._out = self.file.open("w", encoding="utf-8", newline="\n")
             motors = tuple(f"u_{k + 1}" for k in range(self._motors))
             self._out.write(",".join(("t", *STATE, *motors, *EXTRA)) + "\n")
-        known = status.motors[: self._motors]
+        known = row.motors[: self._motors]
         u = known if len(known) == self._motors else (_NAN,) * self._motors
         asked = (*sent[1], sent[2]) if sent is not None else (_NAN,) * 4
-        row = (round(state.stamp, 6), *state.row, *u, *asked, status.voltage)
-        self._out.write(",".join(f"{v:.7g}" if k else repr(v) for k, v in enumerate(row)) + "\n")
+        values = (round(state.stamp, 6), *state.row, *u, *asked, row.voltage)
+        self._out.write(",".join(f"{v:.7g}" if k else repr(v) for k, v in enumerate(values)) + "\n")
         self._ulog.state(state.stamp, state.p, state.v, state.q, state.w)
         self._ulog.motors(state.stamp, known if len(known) == self._motors else ())
         if sent is not None:
             self._ulog.setpoint(state.stamp, sent[1], sent[2])
-        self._ulog.voltage(state.stamp, status.voltage)
+        self._ulog.voltage(state.stamp, row.voltage)
         self.rows += 1
         if state.received - self._flushed > 1.0:
             self._flushed = state.received

@@ -8,14 +8,16 @@ import signal
 import sys
 import threading
 from array import array
+from collections import deque
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
+from math import degrees
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from nsde_torch.px4.flight.flight_log import FlightLog
+from nsde_torch.px4.flight.flight_log import FlightLog, FlownState
 from nsde_torch.px4.flight.offboard import Offboard
 from nsde_torch.px4.flight.options import FlightOptions
 from nsde_torch.px4.flight.path import PathPoints
@@ -26,7 +28,7 @@ from nsde_torch.px4.flight.setpoint import SetpointLimits
 from nsde_torch.px4.link import dialect as d
 from nsde_torch.px4.link.connection import Connection
 from nsde_torch.px4.link.telemetry import VehicleState
-from nsde_torch.px4.link.vectors import distance
+from nsde_torch.px4.link.vectors import Vec, distance
 
 RATE = 100.0
 """Ticks of the loop in a second; each sends a setpoint."""
@@ -51,6 +53,7 @@ class FlightReport:
         log: The log, None where nothing was flown.
         link: What became of frames.
         texts: What the autopilot said.
+        drift: Seconds that its clock gains in one of ours.
     """
 
     outcome: FlightOutcome
@@ -65,6 +68,7 @@ class FlightReport:
     log: Path | None = None
     link: dict[str, int] = field(default_factory=dict)
     texts: list[str] = field(default_factory=list)
+    drift: float = 0.0
 
     @property
     def rmse(self) -> float | None:
@@ -79,10 +83,21 @@ class FlightReport:
             "landed": o.landed,
             "trouble": None if o.trouble is None else {"kind": o.trouble.kind, "text": o.trouble.text},
             "phases": [{"t_s": round(t, 3), "phase": p, "reason": why} for t, p, why in o.actions],
+            "estimate_resets": [
+                {
+                    "t_s": round(t, 3),
+                    "heading_deg": degrees(s.heading),
+                    "position_m": s.position,
+                    "velocity_m_s": s.velocity,
+                    "announced": s.announced,
+                }
+                for t, s in o.steps
+            ],
             "rmse_m": self.rmse,
             "position_error_max_m": max(self.errors, default=None),
             "setpoint_gap_ms": _spread([1e3 * g for g in self.gaps]),
             "state_age_ms": _spread([1e3 * a for a in self.ages]),
+            "clock_drift": self.drift,
             "solve_ms": _spread(self.solves),
             "status": self.statuses,
             "bounded": self.bounded,
@@ -102,6 +117,8 @@ def _spread(values: list[float]) -> dict[str, float] | None:
 class Recorder:
     """Looks at a flight at every tick.
 
+    What counts and what is logged is flown by us: states wait until a heartbeat that came after them says so.
+
     Args:
         flight: The flight.
         log: Where states go.
@@ -110,20 +127,16 @@ class Recorder:
     def __init__(self, flight: Offboard, log: FlightLog | None) -> None:
         self._flight, self._log = flight, log
         self.report = FlightReport(flight.outcome)
-        self._sent, self._plan = -1.0, None
+        self._sent, self._plan, self._streamed = -1.0, None, False
         self._ages, self._gaps = array("d"), array("d")
-        self._logged: VehicleState | None = None
+        self._looked: VehicleState | None = None
+        self._flown: deque[tuple[FlownState, bool]] = deque()
 
     def look(self, now: float) -> None:
         """After a tick at `now` [s]."""
         f = self._flight
         state, status = f.endpoint.state, f.endpoint.telemetry.status
-        if f.sent is not None and f.sent[0] != self._sent:
-            if f.phase in FLYING and self._sent >= 0:
-                self._gaps.append(f.sent[0] - self._sent)
-                if state is not None:
-                    self._ages.append(now - state.time)
-            self._sent = f.sent[0]
+        self._look_at_setpoints(now, state)
         plan = f.runner.plan
         if plan is not None and plan is not self._plan and f.phase is Phase.TRACK:
             self._plan = plan  # type: ignore[assignment]
@@ -131,29 +144,52 @@ class Recorder:
             self.report.statuses[plan.status] = self.report.statuses.get(plan.status, 0) + 1
         if state is None or f.home is None:
             return
-        if f.phase is Phase.TRACK and f.started is not None:
-            # at the time for which the state is valid
-            wanted = f.path.at(state.time - f.started).p
-            at = tuple(a - b for a, b in zip(state.p, f.home, strict=True))
-            self.report.errors.append(distance(at, wanted))  # type: ignore[arg-type]
-            if not self.report.track or state.time - f.started > self.report.track[-1][0]:
-                self.report.track.append((state.time - f.started, *at, *state.row[3:]))
-        flown = f.phase in FLYING or (f.phase in (Phase.LAND, Phase.WATCH) and status.landed != d.ON_GROUND)
-        if self._log is not None and flown and state.p[2] > f.home[2] + LOGGED_FROM:
-            for one in self._new_states():
-                if one.p[2] > f.home[2] + LOGGED_FROM:
-                    self._log.add(one, status, f.sent)
+        new = self._new_states()
+        if f.phase in FLYING:
+            tracked = f.phase is Phase.TRACK
+            self._flown += [(FlownState(one, status.motors, status.voltage, f.sent), tracked) for one in new]
+        while self._flown and self._flown[0][0].state.received <= f.ours_until:
+            self._take(*self._flown.popleft(), f.home)
+
+    def _look_at_setpoints(self, now: float, state: VehicleState | None) -> None:
+        f = self._flight
+        flying = f.phase in FLYING
+        if f.sent is not None and f.sent[0] != self._sent:
+            if flying and self._sent >= 0:
+                self._gaps.append(f.sent[0] - self._sent)
+                if state is not None:
+                    self._ages.append(now - state.time)
+            self._sent = f.sent[0]
+        elif self._streamed and not (flying and f.streaming):
+            self._gaps.append(
+                now - self._sent
+            )  # the last one was not closed by a setpoint, however long it was
+        self._streamed = flying and f.streaming
+
+    def _take(self, flown: FlownState, tracked: bool, home: Vec) -> None:
+        """A state that is known to be ours: into the statistics while the reference was tracked, and into the log."""
+        f, state = self._flight, flown.state
+        if self._log is not None and state.p[2] > home[2] + LOGGED_FROM:
+            self._log.add(flown)
+        if f.started is None or not tracked:
+            return
+        # at the time for which the state is valid
+        t = state.time - f.started
+        at: Vec = tuple(a - b for a, b in zip(state.p, home, strict=True))  # type: ignore[assignment]
+        self.report.errors.append(distance(at, f.path.at(t).p))
+        if not self.report.track or t > self.report.track[-1][0]:
+            self.report.track.append((t, *at, *state.row[3:]))
 
     def _new_states(self) -> list[VehicleState]:
         """States that came since the last tick; there may be several where the machine is busy."""
         found: list[VehicleState] = []
         with self._flight.endpoint.lock:
             for state in reversed(self._flight.endpoint.telemetry.history):
-                if state is self._logged:
+                if state is self._looked:
                     break
                 found.append(state)
         if found:
-            self._logged = found[0]
+            self._looked = found[0]
         # what came before the flight, or long ago, has other setpoints than the present ones
         return [state for state in reversed(found) if found[0].received - state.received < 0.1]
 
@@ -163,6 +199,7 @@ class Recorder:
         r.gaps, r.ages = list(self._gaps), list(self._ages)
         r.bounded, r.hover = dict(f.guard.counts), f.hover.value
         r.link = dict(f.endpoint.codec.counts)
+        r.drift = f.endpoint.telemetry.sync.drift
         r.texts = [t.text for t in f.endpoint.status().texts]
         if self._log is not None and self._log.rows:
             r.log = self._log.file

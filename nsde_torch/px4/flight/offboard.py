@@ -22,6 +22,9 @@ from nsde_torch.px4.link.connection import why_no_state
 from nsde_torch.px4.link.telemetry import Status, VehicleState
 from nsde_torch.px4.link.vectors import Vec, distance, length, yaw_of
 
+ROOM = 0.4
+"""Distance from the fence's top that is kept on the way up [m]."""
+
 
 @final
 class Offboard(Supervised):
@@ -37,7 +40,14 @@ class Offboard(Supervised):
             self._seen = state
             in_air = self.phase in FLYING and self._lifted and state.p[2] > self._ground + 0.4
             self.hover.seen(state, learn=in_air and self.streaming)
-        self._supervise(state, status)
+        if status.mode == d.OFFBOARD and status.armed:
+            self.ours_until = status.heartbeat
+        if not self._stood_still(status):
+            self._supervise(state, status)
+            self._step(state, status)
+        self._last = now
+
+    def _step(self, state: VehicleState | None, status: Status) -> None:
         {
             Phase.CONNECT: self._connect,
             Phase.PREFLIGHT: self._preflight,
@@ -55,7 +65,6 @@ class Offboard(Supervised):
             Phase.WATCH: self._watching,
             Phase.DONE: self._nothing,
         }[self.phase](state, status)
-        self._last = now
 
     def _nothing(self, state: VehicleState | None, status: Status) -> None:
         return
@@ -97,7 +106,7 @@ class Offboard(Supervised):
             or not self._controller_ready()
         ):
             return
-        for line in preflight.warnings(self.endpoint, status):
+        for line in preflight.warnings(self.endpoint, status, self.path):
             self._say(f"           note: {line}")
         assert state is not None
         self.home, self._ground, self._yaw = state.p, state.p[2], yaw_of(state.q)
@@ -137,6 +146,12 @@ class Offboard(Supervised):
         elif self._every(1.0):
             self.endpoint.command(d.ARM, 1.0)
 
+    @property
+    def _top(self) -> float:
+        """Height of take-off: past that at which PX4 resets its heading, where the fence has room for it [m]."""
+        room = self.limits.fence[2][1] - ROOM
+        return max(self.options.height, min(self.options.climb_past, room))
+
     def _takeoff(self, state: VehicleState | None, status: Status) -> None:
         if state is None or self.home is None:
             return
@@ -144,7 +159,7 @@ class Offboard(Supervised):
         if rise < 0:
             self._send_idle(0.4 * self.hover.value * self._elapsed / self.options.spool)
             return
-        top = self._ground + self.options.height
+        top = self._ground + self._top
         z = min(self._ground + self.options.climb * rise, top)
         if not self._lifted:
             # the wanted height does not run away from a vehicle that still stands
@@ -169,7 +184,7 @@ class Offboard(Supervised):
         start = self.path.at(0.0)
         goal = self._moved(start.p)
         if self._elapsed < self.options.hold:
-            at: Vec = (self.home[0], self.home[1], self._ground + self.options.height)
+            at: Vec = (self.home[0], self.home[1], self._ground + self._top)
             yaw = self._yaw
         else:
             at = self._towards(self._where.p, goal, self.options.approach)
@@ -263,6 +278,8 @@ class Offboard(Supervised):
                 self._send(level(None, 0.97 * GRAVITY), None)
             return
         self.streaming = False
+        if self._dead(status):
+            return
         if not status.armed:
             self._finished()
         elif status.landed == d.ON_GROUND and self._elapsed > 1.0:
@@ -273,6 +290,8 @@ class Offboard(Supervised):
     def _disarm(self, state: VehicleState | None, status: Status) -> None:
         if self.streaming:
             self._send_idle(0.0)
+        if self._dead(status):
+            return
         if not status.armed:
             self._finished()
         elif self._elapsed > self.options.confirm:
@@ -283,6 +302,8 @@ class Offboard(Supervised):
     def _watching(self, state: VehicleState | None, status: Status) -> None:
         """Nothing is streamed; if the link lives and the vehicle is still ours by name, PX4 is asked to land it."""
         heard = self._now - status.heard < self.limits.silence
+        if self._dead(status):
+            return
         if heard and status.heartbeat > self._since and not status.armed:
             self._finished()
         elif self._elapsed > self.options.watch or self._stop > 1:

@@ -14,6 +14,12 @@ class FlightOptions:
     """How a flight goes."""
 
     height: float = key(1.5, "height of take-off", unit="m", above=0)
+    climb_past: float = key(
+        1.8,
+        "height that is climbed past before the reference, below the fence's top: PX4 resets its heading at 1.5 m",
+        unit="m",
+        low=0,
+    )
     climb: float = key(0.8, "speed of take-off", unit="m/s", above=0, high=3)
     hold: float = key(2.0, "time of hovering before the reference", unit="s", low=0)
     approach: float = key(1.0, "speed at which the start of the reference is flown to", unit="m/s", above=0)
@@ -30,6 +36,9 @@ class FlightOptions:
     spool: float = key(0.7, "time in which the throttle rises before the climb", unit="s", low=0)
     lift: float = key(6.0, "longest time from arming to being in the air", unit="s", low=0)
     landing: float = key(40.0, "longest wait for a landing", unit="s", low=0)
+    dead: float = key(
+        10.0, "silence after which the link is called dead, and no longer waited on", unit="s", low=1
+    )
     watch: float = key(40.0, "how long a vehicle that is not ours any more is watched", unit="s", low=0)
 
     def __post_init__(self) -> None:
@@ -56,6 +65,9 @@ class Limits:
     solver: float = key(0.3, "oldest plan", unit="s", above=0, high=2)
     jump: float = key(
         0.5, "largest step of the position that its velocity does not explain", unit="m", above=0
+    )
+    velocity_jump: float = key(
+        1.0, "largest step of the velocity that no thrust explains", unit="m/s", above=0
     )
     patience: float = key(0.08, "how long a state must be wrong", unit="s", low=0)
 

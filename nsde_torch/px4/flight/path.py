@@ -27,6 +27,7 @@ class PathPoints:
         self.name, self.duration, self._dt = path.name, path.duration, path.dt
         yaw_rate = np.gradient(path.yaw, path.dt)
         self._rows = np.column_stack((path.p, path.v, path.a, path.yaw, yaw_rate)).tolist()
+        self.speed = float(np.linalg.norm(path.v, axis=1).max())
         self.low: Vec = tuple(path.p.min(0).tolist())
         self.high: Vec = tuple(path.p.max(0).tolist())
 

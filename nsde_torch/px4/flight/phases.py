@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 from enum import Enum
 
 from nsde_torch.px4.flight.safety import Trouble
+from nsde_torch.px4.flight.steps import EstimateStep
 
 
 class Phase(Enum):
@@ -41,9 +42,11 @@ class FlightOutcome:
         landed: On the ground and disarmed, as telemetry says.
         trouble: The first thing that went wrong.
         actions: The phases that were gone through, with their times from the start [s] and the reason.
+        steps: Resets of the estimate in flight, with their times from the start [s].
     """
 
     tracked: bool = False
     landed: bool = False
     trouble: Trouble | None = None
     actions: list[tuple[float, str, str]] = field(default_factory=list)
+    steps: list[tuple[float, EstimateStep]] = field(default_factory=list)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from math import acos, degrees, isfinite
 
+from nsde_torch.px4.flight import failsafe
 from nsde_torch.px4.flight.path import PathPoints
 from nsde_torch.px4.flight.safety import Limits
 from nsde_torch.px4.link.dialect import IN_AIR
@@ -11,10 +12,8 @@ from nsde_torch.px4.link.endpoint import INTERVALS, SHARE, Endpoint
 from nsde_torch.px4.link.telemetry import Status, VehicleState
 from nsde_torch.px4.link.vectors import cos_tilt, length
 
-PARAMETERS = ("MPC_THR_HOVER", "COM_OF_LOSS_T", "COM_OBL_RC_ACT", "COM_RC_IN_MODE")
+PARAMETERS = ("MPC_THR_HOVER", *failsafe.PARAMETERS)
 """Parameters that are asked for."""
-LONGEST_LOSS = 2.0
-"""Time for which PX4 may hold the last rates when the stream stops [s]."""
 
 
 def faults(
@@ -62,11 +61,7 @@ def faults(
         out.append(f"battery at {100 * status.remaining:.0f} %: charge it")
     if limits.voltage > 0 and isfinite(status.voltage) and status.voltage < limits.voltage:
         out.append(f"battery at {status.voltage:.1f} V: charge it")
-    loss = status.parameters.get("COM_OF_LOSS_T")
-    if loss is not None and not 0.0 < loss <= LONGEST_LOSS:
-        out.append(
-            f"COM_OF_LOSS_T is {loss:g} s: so long would PX4 fly on stale rates. Set it to {LONGEST_LOSS:g} or less"
-        )
+    out += failsafe.faults(status.parameters)
     out += _outside(path, limits, height)
     return out
 
@@ -83,9 +78,10 @@ def _outside(path: PathPoints, limits: Limits, height: float) -> list[str]:
     return out
 
 
-def warnings(endpoint: Endpoint, status: Status) -> list[str]:
+def warnings(endpoint: Endpoint, status: Status, path: PathPoints) -> list[str]:
     """What is not right and does not forbid to fly."""
     out = [f"{name} was not answered" for name in PARAMETERS if name not in status.parameters]
+    out += failsafe.warnings(status.parameters, path.speed)
     if not isfinite(status.remaining):
         out.append("the battery's charge is unknown: nothing will end the flight when it is empty")
     if endpoint.telemetry.sync.round_trip is None:

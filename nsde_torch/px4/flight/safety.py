@@ -6,11 +6,14 @@
 | link silent | no message at all | silence: PX4 fails over by itself, and we never stream again |
 | solver late, failed, dead | age of the newest plan, its process | hold by the built-in cascade, then LAND |
 | outside the fence, too fast, too steep | the state | hold (inside the fence), then LAND |
-| estimate jumped | announced by the autopilot, or seen | hold, then LAND |
+| estimate of position or velocity jumped | the state against its prediction | hold, then LAND |
+| estimate of the heading jumped | the same | noted; a heading that is held moves with it |
 | battery low | SYS_STATUS | LAND at once |
 | another mode | HEARTBEAT | silence and stay out: the operator, or PX4's failsafe, has the vehicle |
 | disarmed | HEARTBEAT | silence |
 | Ctrl-C | signal | hold, then LAND; twice: LAND at once |
+| this process stood still longer than PX4 waits | time between ticks | silence: setpoints would undo PX4's failsafe |
+| link dead | nothing heard for 10 s | no longer waited on; not seen to land |
 | crash of a part | exception | hold if the loop lives, else LAND is asked for and the stream ends |
 """
 
@@ -22,8 +25,9 @@ from math import acos, degrees, inf, isfinite
 from typing import final
 
 from nsde_torch.px4.flight.options import Limits
+from nsde_torch.px4.flight.steps import UNANNOUNCED, EstimateStep, step_between
 from nsde_torch.px4.link.telemetry import Status, VehicleState
-from nsde_torch.px4.link.vectors import Vec, cos_tilt, distance, length
+from nsde_torch.px4.link.vectors import Vec, cos_tilt, length
 
 
 class Action(Enum):
@@ -51,14 +55,17 @@ class Watch:
     Args:
         limits: When something is wrong.
         home: Place of take-off [m].
+
+    Attributes:
+        steps: Resets of the estimate that were announced or seen, since somebody took them.
     """
 
     def __init__(self, limits: Limits, home: Vec) -> None:
         self.limits, self._home = limits, home
         self._since: dict[str, float] = {}
         self._last: VehicleState | None = None
-        self._resets: int | None = None
         self._jumped: str | None = None
+        self.steps: list[EstimateStep] = []
 
     def look(self, state: VehicleState | None, status: Status, now: float) -> Trouble | None:
         """The strongest trouble at a time [s]; None: all is well."""
@@ -90,7 +97,7 @@ class Watch:
         outside = any(not low <= c <= high for c, (low, high) in zip(at, m.fence, strict=True))
         speed = length(state.v)
         tilt = degrees(acos(min(max(cos_tilt(state.q), -1.0), 1.0)))
-        self._look_for_jumps(state, status)
+        self._look_for_steps(state)
         checks = (
             ("fence", outside, f"outside the fence at ({at[0]:.1f}, {at[1]:.1f}, {at[2]:.1f}) m"),
             ("speed", speed > m.speed, f"{speed:.1f} m/s is more than {m.speed:g}"),
@@ -104,19 +111,17 @@ class Watch:
             return Trouble("jump", text, Action.HOLD)
         return None
 
-    def _look_for_jumps(self, state: VehicleState, status: Status) -> None:
-        last = self._last
-        if last is not None and state is not last:
-            dt = state.stamp - last.stamp
-            if 0.0 < dt < 0.5:
-                expected: Vec = tuple(p + dt * v for p, v in zip(last.p, last.v, strict=True))  # type: ignore[assignment]
-                step = distance(state.p, expected)
-                if step > self.limits.jump:
-                    self._jumped = f"the position jumped by {step:.2f} m"
-        self._last = state
-        if self._resets is not None and status.resets > self._resets:
-            self._jumped = self._jumped or "the autopilot announced a reset of its estimate"
-        self._resets = status.resets
+    def _look_for_steps(self, state: VehicleState) -> None:
+        last, self._last = self._last, state
+        step = None if last is None else step_between(last, state)
+        if step is None:
+            return
+        if step.position > self.limits.jump:
+            self._jumped = f"the position jumped by {step.position:.2f} m"
+        elif step.velocity > self.limits.velocity_jump:
+            self._jumped = f"the velocity jumped by {step.velocity:.2f} m/s"
+        if step.announced or abs(step.heading) > UNANNOUNCED or self._jumped is not None:
+            self.steps.append(step)
 
     def _lasting(self, kind: str, wrong: bool, now: float, patience: float) -> bool:
         if not wrong:

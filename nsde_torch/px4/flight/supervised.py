@@ -5,7 +5,8 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections import deque
 from collections.abc import Callable
-from math import pi
+from dataclasses import replace
+from math import degrees, inf, pi
 
 from nsde_torch.px4.flight.cascade import Point, SetpointCascade
 from nsde_torch.px4.flight.controller import Demand
@@ -20,6 +21,10 @@ from nsde_torch.px4.link.endpoint import Endpoint
 from nsde_torch.px4.link.telemetry import Status, VehicleState
 from nsde_torch.px4.link.vectors import Vec, distance, yaw_of
 
+STALL = 0.15
+"""Time between two ticks from which on this process stood still [s]; what came meanwhile must be heard first."""
+GRACE = 0.05
+"""Time that the hearing is given for it [s]."""
 REMEMBERED = 0.3
 """Time for which a controller is told what was sent [s]."""
 
@@ -42,6 +47,7 @@ class Supervised(ABC):
         home: Place of take-off [m], once known.
         sent: Time, rates and throttle that left last.
         started: When the reference began, on our clock [s].
+        ours_until: Newest time at which the vehicle said that it flies by our setpoints [s].
     """
 
     def __init__(
@@ -64,12 +70,13 @@ class Supervised(ABC):
         self.sent: tuple[float, Vec, float] | None = None
         self._left: deque[tuple[float, Demand]] = deque()
         self.started: float | None = None
+        self.ours_until = -inf
         self.streaming = False
         self._say = say
         self._cascade = SetpointCascade()
         self._watch: Watch | None = None
         self._begun: float | None = None
-        self._since = self._asked = self._now = self._last = 0.0
+        self._since = self._asked = self._now = self._last = self._grace = 0.0
         self._good_since: float | None = None
         self._bad_since: float | None = None
         self._where = Point((0.0, 0.0, 0.0))
@@ -154,10 +161,24 @@ class Supervised(ABC):
             self._hand_back(status)
             return
         trouble = self._watch.look(state, status, self._now)
+        self._follow(self._watch)
         if trouble is None and self._stop:
             trouble = Trouble("stop", "asked to stop", Action.HOLD if self._stop == 1 else Action.LAND)
         if trouble is not None:
             self._act(trouble, state, status)
+
+    def _follow(self, watch: Watch) -> None:
+        """Note resets of the estimate; a heading that is held moves with its estimate, so that nothing turns."""
+        assert self._begun is not None
+        for step in watch.steps:
+            self.outcome.steps.append((self._now - self._begun, step))
+            self._say(
+                f"{self._now - self._begun:7.2f} s  note: the estimate was reset: heading "
+                f"{degrees(step.heading):+.1f} deg, position {step.position:.2f} m, velocity {step.velocity:.2f} m/s"
+            )
+            self._yaw += step.heading
+            self._where = replace(self._where, yaw=self._where.yaw + step.heading)
+        watch.steps.clear()
 
     def _supervise_ground(self, state: VehicleState | None, status: Status) -> None:
         """Before the flight every trouble ends it; what may have been armed is disarmed."""
@@ -178,6 +199,32 @@ class Supervised(ABC):
             self._go(Phase.DISARM, why)
         else:
             self._refuse(why)
+
+    def _stood_still(self, status: Status) -> bool:
+        """Whether this process stood still just now, so that nothing may be judged or sent yet.
+
+        Setpoints that come back after PX4 has failed over would bring it back to OFFBOARD: then none are sent.
+        """
+        gap = self._now - self._last
+        if self.streaming and gap > STALL and self.phase in (*FLYING, Phase.BLIND, Phase.LAND):
+            self._grace = self._now + GRACE
+            longest = min(self.limits.silence, status.parameters.get("COM_OF_LOSS_T", inf))
+            if gap > longest:
+                text = f"this process stood still for {gap:.2f} s: PX4 had no setpoints"
+                self._trouble(Trouble("late", text, Action.SILENCE))
+                self._silence(text)
+        return self._now < self._grace
+
+    def _dead(self, status: Status) -> bool:
+        """Whether the link is dead, which ends the waiting for what it would say."""
+        silent = self._now - status.heard
+        if silent <= self.options.dead:
+            return False
+        text = f"the link is dead: nothing heard for {silent:.0f} s"
+        self._trouble(Trouble("link", text, Action.SILENCE))
+        self.streaming = False
+        self._go(Phase.DONE, text)
+        return True
 
     def _trouble(self, trouble: Trouble) -> None:
         self.outcome.trouble = self.outcome.trouble or trouble

@@ -16,12 +16,14 @@ from nsde_torch.px4.link.dialect import (
     GCS,
     NO_AUTOPILOT,
     RATES_MASK,
+    REQUEST_MESSAGE,
     SET_INTERVAL,
     SET_MODE,
     Mode,
     mavlink,
 )
 from nsde_torch.px4.link.telemetry import Status, Telemetry, VehicleState
+from nsde_torch.px4.link.timesync import PERIOD
 from nsde_torch.px4.link.vectors import Vec
 
 INTERVALS: dict[str, float] = {
@@ -37,6 +39,8 @@ _OTHERS = ("HEARTBEAT", "STATUSTEXT", "COMMAND_ACK", "PARAM_VALUE", "TIMESYNC", 
 _IN_ORDER = frozenset(("HEARTBEAT", "STATUSTEXT", "COMMAND_ACK", "EXTENDED_SYS_STATE", "SYS_STATUS"))
 NUMBERS: dict[str, int] = {kind.msgname: number for number, kind in mavlink.mavlink_map.items()}
 WANTED = frozenset(NUMBERS[name] for name in (*INTERVALS, *_OTHERS))
+HEARTBEATS = 0.2
+"""Time between requests for the vehicle's heartbeat [s]; PX4 sends one a second, and no other interval is accepted."""
 CHECKED = 2.0
 """After this time [s] a message that still comes too slowly is asked for again."""
 SHARE = 0.7
@@ -75,7 +79,7 @@ class Endpoint:
         self.target, self._send = target, send
         self.codec.only = target
         self._component = 1
-        self._due = {"heartbeat": 0.0, "timesync": 0.0, "intervals": 0.0}
+        self._due = {"heartbeat": 0.0, "theirs": 0.0, "timesync": 0.0, "intervals": 0.0}
         self._counts: dict[str, int] = {}
         self._counted_since = 0.0
         self.rates: dict[str, float] = {}
@@ -155,9 +159,11 @@ class Endpoint:
                 self.say(mavlink.MAVLink_heartbeat_message(GCS, NO_AUTOPILOT, 0, 0, 4, 3))
             if self.target is None:
                 return
+            if now >= self._due["theirs"]:
+                self._due["theirs"] = now + HEARTBEATS
+                self.command(REQUEST_MESSAGE, NUMBERS["HEARTBEAT"])
             if now >= self._due["timesync"]:
-                answers = len(self.telemetry.sync._answers)
-                self._due["timesync"] = now + (0.1 if answers < 8 else 1.0)
+                self._due["timesync"] = now + PERIOD
                 self.say(mavlink.MAVLink_timesync_message(0, int(now * 1e9)))
             if now >= self._due["intervals"]:
                 self._check_intervals(now)

@@ -37,6 +37,7 @@ class VehicleState:
         v: Velocity in the world [m/s].
         q: Attitude, body to world, `w x y z`.
         w: Body rates [rad/s].
+        resets: Resets of the estimate that the autopilot has announced so far: of heading, position and velocity alike.
     """
 
     time: float
@@ -46,6 +47,7 @@ class VehicleState:
     v: Vec
     q: Quat
     w: Vec
+    resets: int = 0
 
     @property
     def row(self) -> tuple[float, ...]:
@@ -85,7 +87,6 @@ class Status:
         remaining: Charge left, 0 to 1.
         motors: Commands of the motors, 0 to 1, as far as the autopilot tells.
         motors_stamp: Their time on the autopilot's clock [s].
-        resets: Jumps of the estimate that the autopilot announced.
     """
 
     heard: float = -inf
@@ -97,7 +98,6 @@ class Status:
     remaining: float = nan
     motors: tuple[float, ...] = ()
     motors_stamp: float = nan
-    resets: int = 0
     texts: deque[Text] = field(default_factory=lambda: deque(maxlen=_TEXTS))
     acks: deque[Ack] = field(default_factory=lambda: deque(maxlen=_TEXTS))
     parameters: dict[str, float] = field(default_factory=dict)
@@ -128,6 +128,8 @@ class Telemetry:
         self._last_odometry = -inf
         self._old = 0
         self._reset_counter: int | None = None
+        self._chunk = (0, 0)
+        self._resets = 0
         self._evidence = [0.0, 0.0]
 
     def take(self, message: Message, now: float) -> None:
@@ -153,7 +155,13 @@ class Telemetry:
             self.status.remaining = m.battery_remaining * 1e-2
 
     def _statustext(self, m: Message, now: float) -> None:
-        self.status.texts.append(Text(now, m.severity, m.text.rstrip("\x00").strip()))
+        text, texts = m.text.rstrip("\x00"), self.status.texts
+        if m.id and m.chunk_seq and self._chunk == (m.id, m.chunk_seq - 1) and texts:
+            # a text of more than fifty characters comes in pieces
+            texts[-1] = replace(texts[-1], text=(texts[-1].text + text).strip())
+        else:
+            texts.append(Text(now, m.severity, text if m.id else text.strip()))
+        self._chunk = (m.id, m.chunk_seq)
 
     def _command_ack(self, m: Message, now: float) -> None:
         self.status.acks.append(Ack(now, m.command, m.result))
@@ -189,7 +197,7 @@ class Telemetry:
         if finite(*q) and self._in_body(local, rotate(q, frames.body(v)), stamp):
             local = rotate(q, frames.body(v))
         if self._reset_counter is not None and m.reset_counter != self._reset_counter:
-            self.status.resets += 1
+            self._resets += 1
         self._reset_counter = m.reset_counter
         if self._new_state(stamp, now, p, local, q, w):
             self._last_odometry = now
@@ -245,7 +253,7 @@ class Telemetry:
         self.sync.arrived(stamp, now)
         # nothing is valid in the future: a state that came is at least as old as its way here
         time = min(self.sync.ours(stamp), now)
-        self.state = VehicleState(time, stamp, now, p, v, normalised(q), w)
+        self.state = VehicleState(time, stamp, now, p, v, normalised(q), w, self._resets)
         self.history.append(self.state)
         if before is not None and now > before.received:
             self.rate += 0.05 * (min(1.0 / (now - before.received), 1000.0) - self.rate)

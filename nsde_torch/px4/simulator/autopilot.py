@@ -6,49 +6,40 @@ What was measured on a real PX4 and holds here: OFFBOARD is accepted when disarm
 arming; DO_SET_MODE is answered twice, once always ACCEPTED; texts go only to a link on which a ground station is heard;
 setpoints are not sanitised (NaN thrust stops the motors, more than 1 is nearly full, no limits of rates); when the
 stream stops the last rates are held for COM_OF_LOSS_T, then it fails over, and when the stream returns it goes back
-to OFFBOARD by itself; ODOMETRY's velocity is in the local frame; 100 Hz comes as 99.
+to OFFBOARD by itself; ODOMETRY's velocity is in the local frame; 100 Hz comes as 99. What
+its estimator gets wrong is in `estimate`.
 """
 
 from __future__ import annotations
 
-import random
 from collections import deque
+from dataclasses import replace
 from math import inf, isfinite
 from typing import final
 
-from nsde_torch.px4.flight.cascade import GRAVITY, Point, SetpointCascade
+from nsde_torch.px4.flight.cascade import GRAVITY, Point, SetpointCascade, levelling
 from nsde_torch.px4.link import dialect as d
 from nsde_torch.px4.link import frames
 from nsde_torch.px4.link.codec import Codec, Message
 from nsde_torch.px4.link.dialect import Mode, mavlink
 from nsde_torch.px4.link.endpoint import NUMBERS
-from nsde_torch.px4.link.vectors import Quat, Vec, from_rotation_vector, multiply, rotation_vector, yaw_of
+from nsde_torch.px4.link.vectors import Quat, Vec, multiply, rotation_vector, yaw_of
 from nsde_torch.px4.simulator.body import Body
-from nsde_torch.px4.simulator.messages import MESSAGES
+from nsde_torch.px4.simulator.estimate import Estimate, SimulatedEstimator
+from nsde_torch.px4.simulator.messages import MESSAGES, texts
+from nsde_torch.px4.simulator.parameters import FAILSAFES, PARAMETERS, STICK_MODES
 
-PARAMETERS: dict[str, tuple[float, int]] = {
-    "SYS_AUTOSTART": (6001, d.INT32),
-    "COM_OF_LOSS_T": (1.0, d.REAL32),
-    "COM_OBL_RC_ACT": (4, d.INT32),  # 4: land
-    "COM_RC_IN_MODE": (4, d.INT32),  # no sticks
-    "COM_DISARM_LAND": (2.0, d.REAL32),
-    "COM_DISARM_PRFLT": (10.0, d.REAL32),
-    "MPC_THR_HOVER": (0.5, d.REAL32),
-    "MPC_LAND_SPEED": (0.7, d.REAL32),
-    "MC_ROLLRATE_MAX": (220.0, d.REAL32),
-    "MC_PITCHRATE_MAX": (220.0, d.REAL32),
-    "MC_YAWRATE_MAX": (200.0, d.REAL32),
-    "BAT1_N_CELLS": (4, d.INT32),
-    "MAV_SYS_ID": (1, d.INT32),
-}
-"""The parameters that are answered for."""
-OBL_LAND, OBL_HOLD = 4, 5
+ABANDONED = 0.85
+"""Share of its weight that it carries in a mode of sticks that nobody holds: it drifts on, into the ground."""
 BOOT = 1.0
 """Time until the estimator is ready [s]."""
 RATE_GAINS, RATE_INTEGRAL = (11.0, 11.0, 5.0), (4.0, 4.0, 2.0)
+CUT = 0.012
+"""Time for which the motors stand still when LAND follows OFFBOARD [s]."""
 LOW_BATTERY = 0.1
 NEARLY_FULL = 0.95
 """What a thrust above 1 becomes."""
+_NAMES = {number: name for name, number in NUMBERS.items()}
 
 
 @final
@@ -63,6 +54,7 @@ class SimulatedAutopilot:
         sensor_noise: Factor on it.
         stream: Whether bytes come as a stream.
         parameters: Values of parameters other than `PARAMETERS`.
+        heading_error: See `SimulatedEstimator`.
 
     Attributes:
         mode: Flight mode in force; `intended` is what was asked for and comes back when a failsafe ends.
@@ -84,6 +76,7 @@ class SimulatedAutopilot:
         sensor_noise: float = 1.0,
         stream: bool = False,
         parameters: dict[str, float] | None = None,
+        heading_error: float | None = None,
     ) -> None:
         self.body = body
         self.codec = Codec(system, 1, key=key, stream=stream)
@@ -92,18 +85,21 @@ class SimulatedAutopilot:
         self.mode = self.intended = d.HOLD
         self.armed = self.failsafe = False
         self.clock_error, self.blind, self.mute = 0.0, False, False
-        self._random = random.Random(seed)
         std = body._spec.sensor_std
-        self._std = tuple(s * sensor_noise for s in (std[0], std[3], std[6], std[9]))
+        self.estimator = SimulatedEstimator(
+            std=(std[0] * sensor_noise, std[3] * sensor_noise, std[6] * sensor_noise, std[9] * sensor_noise),
+            seed=seed,
+            heading=heading_error,
+        )
         self._out: deque[bytes] = deque()
         self._due: dict[str, tuple[float, float]] = {"HEARTBEAT": (0.0, 1.0), "SYS_STATUS": (0.0, 1.0)}
-        self._gcs = -inf
+        self._gcs, self._texts = -inf, 0
         self._setpoint: tuple[float, int, Vec, Quat, float] | None = None
         self._integral: Vec = (0.0, 0.0, 0.0)
         self._cascade = SetpointCascade()
         self._point = Point((0.0, 0.0, 0.0))
-        self._armed_at = self._landed_at = 0.0
-        self.estimate: tuple[Vec, Vec, Quat, Vec] = (
+        self._armed_at = self._landed_at = self._cut_until = 0.0
+        self.estimate: Estimate = (
             (0.0,) * 3,
             (0.0,) * 3,
             (1.0, 0.0, 0.0, 0.0),
@@ -119,6 +115,11 @@ class SimulatedAutopilot:
         """Its clock [s]."""
         return self.body.time
 
+    @property
+    def landed(self) -> bool:
+        """Whether it believes to have landed."""
+        return self.body.on_ground and self.estimator.still
+
     def advance(self, until: float) -> list[bytes]:
         """Run until a time of its clock [s]; returns the frames that it sends."""
         while self.body.time < until - 1e-9:
@@ -129,7 +130,9 @@ class SimulatedAutopilot:
 
     def _tick(self) -> None:
         now, body = self.body.time, self.body
-        self.estimate = self._sense()
+        self.estimate = self.estimator.sense(body)
+        if self.estimator.stepped:  # a heading that is held is held as it is
+            self._point = replace(self._point, yaw=self._point.yaw + self.estimator.stepped)
         self._failsafe(now)
         if not self.armed:
             self.commands = (0.0,) * body.nu
@@ -144,18 +147,6 @@ class SimulatedAutopilot:
                 message = self._message(name, now)
                 if message is not None:
                     self._send(message)
-
-    # the estimate
-
-    def _sense(self) -> tuple[Vec, Vec, Quat, Vec]:
-        b, gauss = self.body, self._random.gauss
-        sp, sv, sq, sw = self._std
-
-        def noisy(v: Vec, s: float) -> Vec:
-            return (v[0] + gauss(0.0, s), v[1] + gauss(0.0, s), v[2] + gauss(0.0, s))
-
-        turn = from_rotation_vector((gauss(0.0, sq), gauss(0.0, sq), gauss(0.0, sq)))
-        return noisy(b.p, sp), noisy(b.v, sv), multiply(b.q, turn), noisy(b.w, sw)
 
     # modes
 
@@ -173,6 +164,8 @@ class SimulatedAutopilot:
 
     def _enter(self, mode: Mode) -> None:
         if mode != self.mode:
+            if self.mode == d.OFFBOARD and mode == d.LAND:
+                self._cut_until = self.time + CUT
             p, yaw = self.estimate[0], yaw_of(self.estimate[2])
             self._point = Point(p, yaw=yaw)
             self._cascade.reset()
@@ -184,7 +177,7 @@ class SimulatedAutopilot:
         if self.mode == d.OFFBOARD and not self.streaming:
             self.failsafe = True
             self._text(2, "Failsafe activated: offboard control signal lost")
-            self._enter(d.LAND if self.parameters["COM_OBL_RC_ACT"] == OBL_LAND else d.HOLD)
+            self._enter(FAILSAFES.get(int(self.parameters["COM_OBL_RC_ACT"]), d.HOLD))
         elif self.failsafe and self.intended == d.OFFBOARD and self.streaming:
             self.failsafe = False
             self._enter(d.OFFBOARD)
@@ -195,9 +188,11 @@ class SimulatedAutopilot:
         if not self.armed:
             return
         if not b.on_ground:
-            self.flown, self._landed_at = True, now
+            self.flown = True
+        if not self.landed:
+            self._landed_at = now
         wait = self.parameters["COM_DISARM_LAND"]
-        if b.on_ground and self.flown and self.mode == d.LAND and now - self._landed_at > wait > 0:
+        if self.landed and self.flown and self.mode == d.LAND and now - self._landed_at > wait > 0:
             self._disarm("Disarmed by landing")
         wait = self.parameters["COM_DISARM_PRFLT"]
         if not self.flown and now - self._armed_at > wait > 0:
@@ -205,6 +200,7 @@ class SimulatedAutopilot:
 
     def _disarm(self, text: str) -> None:
         self.armed = self.failsafe = False
+        self.estimator.new_flight()
         self._integral = (0.0, 0.0, 0.0)
         self._text(6, text)
 
@@ -227,6 +223,8 @@ class SimulatedAutopilot:
             # thrust of mean command, as the mixer of PX4 has it
             lift = self.body._gain * self.body.nu * throttle
         else:
+            if now < self._cut_until:
+                return (0.0,) * self.body.nu
             if self.mode == d.LAND:
                 speed = self.parameters["MPC_LAND_SPEED"]
                 x, y, z = self._point.p
@@ -237,6 +235,9 @@ class SimulatedAutopilot:
                     return (0.02,) * self.body.nu
             elif self.body.on_ground:
                 return (0.1,) * self.body.nu
+            if self.failsafe and self.mode in STICK_MODES:
+                level = levelling(q)
+                return self._rates(level, ABANDONED * GRAVITY - self.body._offset, w, dt)
             demand = self._cascade(p, v, q, self._point, dt)
             rates, lift = demand.w, demand.thrust - self.body._offset
         return self._rates(rates, lift, w, dt)
@@ -303,6 +304,7 @@ class SimulatedAutopilot:
             d.SET_MODE: self._command_mode,
             d.ARM: self._command_arm,
             d.SET_INTERVAL: self._command_interval,
+            d.REQUEST_MESSAGE: self._command_message,
         }.get(m.command)
         if handler is None:
             self._ack(m.command, d.UNSUPPORTED)
@@ -334,7 +336,7 @@ class SimulatedAutopilot:
                 self._armed_at = self._landed_at = self.time
                 self._text(6, "Armed by external command")
             self._ack(d.ARM, d.ACCEPTED)
-        elif self.armed and not self.body.on_ground and m.param2 != d.FORCE:
+        elif self.armed and not self.landed and m.param2 != d.FORCE:
             self._text(2, "Disarming denied: not landed")
             self._ack(d.ARM, d.TEMPORARILY_REJECTED)
         else:
@@ -354,8 +356,7 @@ class SimulatedAutopilot:
         return None
 
     def _command_interval(self, m: Message) -> None:
-        names = {number: name for name, number in NUMBERS.items()}
-        name = names.get(int(m.param1), "")
+        name = _NAMES.get(int(m.param1), "")
         if name == "HEARTBEAT" or name not in MESSAGES:
             self._ack(d.SET_INTERVAL, d.DENIED)
             return
@@ -364,6 +365,16 @@ class SimulatedAutopilot:
         else:
             self._due[name] = (self.time, max(m.param2 * 1e-6, self.body.dt))
         self._ack(d.SET_INTERVAL, d.ACCEPTED)
+
+    def _command_message(self, m: Message) -> None:
+        name = _NAMES.get(int(m.param1), "")
+        if name not in MESSAGES:
+            self._ack(d.REQUEST_MESSAGE, d.DENIED)
+            return
+        self._ack(d.REQUEST_MESSAGE, d.ACCEPTED)
+        message = self._message(name, self.time)
+        if message is not None:
+            self._send(message)
 
     # saying
 
@@ -374,8 +385,9 @@ class SimulatedAutopilot:
         self._send(mavlink.MAVLink_command_ack_message(command, result))
 
     def _text(self, severity: int, text: str) -> None:
-        if self.time - self._gcs < 5.0:
-            self._send(mavlink.MAVLink_statustext_message(severity, text.encode()[:50]))
+        self._texts += 1
+        for piece in texts(severity, text, self._texts) if self.time - self._gcs < 5.0 else ():
+            self._send(piece)
 
     def _message(self, name: str, now: float) -> Message | None:
         if self.blind and name in ("ODOMETRY", "LOCAL_POSITION_NED"):

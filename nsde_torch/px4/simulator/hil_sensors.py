@@ -38,7 +38,10 @@ _EVERY = {"mag": (4, 1), "baro": (5, 2), "gps": (25, 3), "truth": (5, 4)}
 """One in so many samples, and which of them, so that they do not all come at once."""
 _EARTH = 6_371_000.0
 HARDEST = 4.0 * GRAVITY
-"""Largest acceleration that is shown; a touch-down within one sample would show more than any sensor [m/s2]."""
+"""Largest acceleration that is shown [m/s2]: a touch-down within one sample would show more than any sensor does.
+
+What is more than that is shown by the samples after it, as the stop on a real ground lasts: no velocity may get lost.
+"""
 _STD = {"acc": 0.03, "gyro": 0.003, "mag": 0.0015, "baro": 0.01, "p": 0.05, "h": 0.1, "v": 0.03}
 
 
@@ -60,6 +63,7 @@ class HilSensors:
         self._random = random.Random(seed)
         self._std = {k: v * noise for k, v in _STD.items()}
         self._before: Vec = (0.0, 0.0, 0.0)
+        self._rest: Vec = (0.0, 0.0, 0.0)
         self._count = 0
 
     def messages(self, time: float, p: Vec, v: Vec, q: Quat, w: Vec) -> list[Message]:
@@ -74,23 +78,30 @@ class HilSensors:
         """
         k, self._count = self._count, self._count + 1
         a, b = v, self._before
-        gained = (RATE * (a[0] - b[0]), RATE * (a[1] - b[1]), RATE * (a[2] - b[2]) + GRAVITY)
-        force = rotate_back(q, gained)
+        r = self._rest
+        gained = (
+            RATE * (a[0] - b[0]) + r[0],
+            RATE * (a[1] - b[1]) + r[1],
+            RATE * (a[2] - b[2]) + r[2] + GRAVITY,
+        )
+        share = HARDEST / max(length(gained), HARDEST)
+        shown: Vec = (share * gained[0], share * gained[1], share * gained[2])
+        self._rest = (gained[0] - shown[0], gained[1] - shown[1], gained[2] - shown[2])
         self._before = v
-        hardest = HARDEST / max(length(force), HARDEST)
-        acc = self._noisy(tuple(c * hardest for c in frames.body(force)), "acc")  # type: ignore[arg-type]
+        force = rotate_back(q, shown)
+        acc = self._noisy(frames.body(force), "acc")
         gyro = self._noisy(frames.body(w), "gyro")
         # the field turned into the body: world to NED first, as the attitude is NED's here
         mag = self._noisy(rotate_back(frames.attitude(q), FIELD_NED), "mag")
         height = ALTITUDE + p[2]
-        shown = pressure(height) + self._random.gauss(0.0, self._std["baro"])
+        air = pressure(height) + self._random.gauss(0.0, self._std["baro"])
         fields = ACCELEROMETER | GYROSCOPE
         fields |= MAGNETOMETER if _due("mag", k) else 0
         fields |= BAROMETER if _due("baro", k) else 0
         stamp = round(time * 1e6)
         out = [
             mavlink.MAVLink_hil_sensor_message(
-                stamp, *acc, *gyro, *mag, shown, 0.0, _height(shown), 15.0 - 0.0065 * height, fields, 0
+                stamp, *acc, *gyro, *mag, air, 0.0, _height(air), 15.0 - 0.0065 * height, fields, 0
             )
         ]
         if _due("gps", k):
@@ -109,7 +120,7 @@ class HilSensors:
         n, e, d = frames.world(self._noisy(v, "v"))
         lat, lon, alt = place(at)
         course = round(100.0 * degrees(atan2(e, n)) % 36000.0) % 36000
-        ground = round(100.0 * (n * n + e * e) ** 0.5)
+        ground = min(round(100.0 * (n * n + e * e) ** 0.5), 0xFFFF)
         return mavlink.MAVLink_hil_gps_message(
             stamp,
             3,
@@ -119,9 +130,9 @@ class HilSensors:
             30,
             40,
             ground,
-            round(100 * n),
-            round(100 * e),
-            round(100 * d),
+            _int16(100.0 * n),
+            _int16(100.0 * e),
+            _int16(100.0 * d),
             course,
             12,
         )
@@ -129,6 +140,11 @@ class HilSensors:
     def _noisy(self, v: Vec, kind: str) -> Vec:
         s, gauss = self._std[kind], self._random.gauss
         return (v[0] + gauss(0.0, s), v[1] + gauss(0.0, s), v[2] + gauss(0.0, s))
+
+
+def _int16(value: float) -> int:
+    """The nearest whole number that a field of 16 bits holds."""
+    return min(max(round(value), -0x7FFF), 0x7FFF)
 
 
 def _due(sensor: str, count: int) -> bool:
@@ -151,8 +167,8 @@ def place(p: Vec) -> tuple[int, int, int]:
 def _truth(stamp: int, p: Vec, v: Vec, q: Quat, w: Vec, force: Vec) -> Message:
     """The true state, which PX4 writes into its log beside its estimate."""
     lat, lon, alt = place(p)
-    n, e, d = (round(100 * c) for c in frames.world(v))
-    acc = (round(1e3 * c / GRAVITY) for c in frames.body(force))
+    n, e, d = (_int16(100.0 * c) for c in frames.world(v))
+    acc = (_int16(1e3 * c / GRAVITY) for c in frames.body(force))
     return mavlink.MAVLink_hil_state_quaternion_message(
         stamp, frames.attitude(q), *frames.body(w), lat, lon, alt, n, e, d, 0, 0, *acc
     )

@@ -29,7 +29,7 @@ def _sys_status(a: SimulatedAutopilot, now: float) -> Message:
 
 
 def _extended_sys_state(a: SimulatedAutopilot, now: float) -> Message:
-    return mavlink.MAVLink_extended_sys_state_message(0, d.ON_GROUND if a.body.on_ground else d.IN_AIR)
+    return mavlink.MAVLink_extended_sys_state_message(0, d.ON_GROUND if a.landed else d.IN_AIR)
 
 
 def _odometry(a: SimulatedAutopilot, now: float) -> Message:
@@ -45,6 +45,7 @@ def _odometry(a: SimulatedAutopilot, now: float) -> Message:
         *frames.body(w),
         unknown,
         unknown,
+        reset_counter=a.estimator.resets % 256,
     )
 
 
@@ -80,3 +81,13 @@ MESSAGES: dict[str, Callable[[SimulatedAutopilot, float], Message]] = {
     "ACTUATOR_OUTPUT_STATUS": _actuator_output_status,
 }
 """Name -> function of the autopilot and the time that it stamps [s]."""
+
+
+def texts(severity: int, text: str, number: int) -> list[Message]:
+    """A text in pieces of fifty characters; one that has several bears its number."""
+    data = text.encode()
+    pieces = [data[k : k + 50] for k in range(0, len(data), 50)]
+    return [
+        mavlink.MAVLink_statustext_message(severity, piece, id=number if len(pieces) > 1 else 0, chunk_seq=k)
+        for k, piece in enumerate(pieces)
+    ]

@@ -10,6 +10,7 @@ from typing import final
 
 from nsde_torch.px4.link.transport import Transport
 from nsde_torch.px4.simulator.autopilot import SimulatedAutopilot
+from nsde_torch.px4.simulator.clock import CLOCK
 
 TICK = 0.004
 LONGEST = 0.1
@@ -29,7 +30,7 @@ class Vehicle:
         slipped: Time that its clock lost because the machine was busy [s].
     """
 
-    def __init__(self, autopilot: SimulatedAutopilot, transport: Transport, *, speed: float = 1.0) -> None:
+    def __init__(self, autopilot: SimulatedAutopilot, transport: Transport, *, speed: float = CLOCK) -> None:
         self.autopilot, self._transport, self._speed = autopilot, transport, speed
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self.run, name="vehicle", daemon=True)

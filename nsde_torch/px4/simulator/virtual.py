@@ -12,6 +12,7 @@ from typing import final
 from nsde_torch.px4.link.connection import POLL, Connection
 from nsde_torch.px4.link.endpoint import Endpoint
 from nsde_torch.px4.simulator.autopilot import SimulatedAutopilot
+from nsde_torch.px4.simulator.clock import CLOCK
 
 START = 1000.0
 """First time of our clock; the vehicle's begins at 0 [s]."""
@@ -27,14 +28,20 @@ class VirtualLink(Connection):
         autopilot: The vehicle.
         key: See `Endpoint`.
         latency: Of messages, in each direction [s].
+        speed: Seconds of its clock in a second of ours.
     """
 
     live = False  # Ctrl-C ends the program, not the flight
 
     def __init__(
-        self, autopilot: SimulatedAutopilot, *, key: bytes | None = None, latency: float = 0.0
+        self,
+        autopilot: SimulatedAutopilot,
+        *,
+        key: bytes | None = None,
+        latency: float = 0.0,
+        speed: float = CLOCK,
     ) -> None:
-        self.autopilot, self._latency = autopilot, latency
+        self.autopilot, self._latency, self._speed = autopilot, latency, speed
         self.endpoint = Endpoint(self._say, key=key)
         self._time, self._polled = START, START
         self._up: deque[tuple[float, bytes]] = deque()
@@ -54,7 +61,7 @@ class VirtualLink(Connection):
             self._time = min(self._time + STEP, until)
             while self._up and self._up[0][0] <= self._time + 1e-9:
                 self.autopilot.receive(self._up.popleft()[1])
-            for frame in self.autopilot.advance(self._time - START):
+            for frame in self.autopilot.advance((self._time - START) * self._speed):
                 self._down.append((self._time + self._latency, frame))
             while self._down and self._down[0][0] <= self._time + 1e-9:
                 self.endpoint.receive(self._down.popleft()[1], self._time)

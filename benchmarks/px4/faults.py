@@ -1,0 +1,145 @@
+"""The faults that are made in flight, how each is made, and the end that the documentation promises."""
+
+from __future__ import annotations
+
+import os
+import signal
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from benchmarks.px4.line import Line
+from nsde_torch.control import shapes
+from nsde_torch.px4.flight.path import PathPoints
+from nsde_torch.px4.link import dialect as d
+
+
+@dataclass(frozen=True)
+class Flight:
+    """What a fault can reach while it is made.
+
+    Args:
+        pid: Of `nsde fly`.
+        line: Between it and PX4.
+        px4: Process id of PX4, None where it is not known.
+    """
+
+    pid: int
+    line: Line
+    px4: int | None
+
+
+@dataclass(frozen=True)
+class Fault:
+    """One fault.
+
+    Args:
+        name: What happens.
+        make: Makes it; None: a limit that is set beforehand.
+        status: Exit statuses that are right.
+        trouble: Kinds of trouble that are right; empty: none is written, as the process is gone.
+        words: Settings of the flight.
+        phase: In which it is made.
+        after: How long into it [s].
+        predictive: Whether it needs a predictive controller.
+    """
+
+    name: str
+    make: Callable[[Flight], None] | None
+    status: tuple[int, ...]
+    trouble: tuple[str, ...] = ()
+    words: tuple[str, ...] = ("reference=lemniscate",)
+    phase: str = "track"
+    after: float = 3.0
+    predictive: bool = False
+
+
+def _signal(*numbers: int, pause: float = 0.5) -> Callable[[Flight], None]:
+    def make(flight: Flight) -> None:
+        for k, number in enumerate(numbers):
+            if k:
+                time.sleep(pause)
+            os.kill(flight.pid, number)
+
+    return make
+
+
+def _set(**what: bool) -> Callable[[Flight], None]:
+    def make(flight: Flight) -> None:
+        for name, value in what.items():
+            setattr(flight.line, name, value)
+
+    return make
+
+
+def _ask(mode: d.Mode) -> Callable[[Flight], None]:
+    return lambda flight: flight.line.ask(mode)
+
+
+def _stop_the_solver(flight: Flight) -> None:
+    """The controller's process stands still; it is the child that is not Python's resource tracker."""
+    for child in _children(flight.pid):
+        os.kill(child, signal.SIGSTOP)
+
+
+def _children(pid: int) -> list[int]:
+    tasks = Path(f"/proc/{pid}/task")
+    found = [int(c) for t in tasks.iterdir() for c in (t / "children").read_text().split()]
+    return [c for c in found if b"spawn_main" in Path(f"/proc/{c}/cmdline").read_bytes()]
+
+
+def _kill_px4(flight: Flight) -> None:
+    assert flight.px4 is not None
+    os.kill(flight.px4, signal.SIGKILL)
+
+
+def _fence() -> str:
+    """A fence one centimetre outside of the circle."""
+    path = PathPoints(shapes.circle())
+    rows = [[low - 0.01, high + 0.01] for low, high in zip(path.low[:2], path.high[:2], strict=True)]
+    return f"limits.fence={[*rows, [-0.5, 6.0]]}".replace(" ", "")
+
+
+def faults(px4: int | None) -> list[Fault]:
+    """All of them; PX4 is killed last, and only where its process is known."""
+    out: list[Fault] = [
+        Fault("killed with -9", _signal(signal.SIGKILL), (-signal.SIGKILL,)),
+        Fault(
+            "stopped for 4 s",
+            _signal(signal.SIGSTOP, signal.SIGCONT, pause=4.0),
+            (3,),
+            ("late", "mode", "link"),
+        ),
+        Fault("SIGINT once", _signal(signal.SIGINT), (130,), ("stop",)),
+        Fault("SIGINT twice", _signal(signal.SIGINT, signal.SIGINT), (130,), ("stop",)),
+        Fault("fence", None, (3,), ("fence",), ("reference=circle", _fence())),
+        Fault("speed", None, (3,), ("speed",), ("reference=lemniscate", "limits.speed=1.5")),
+        Fault("tilt", None, (3,), ("tilt",), ("reference=lemniscate", "limits.tilt=15")),
+        Fault("no states", _set(stale=True), (3,), ("estimate",)),
+        Fault("another client's mode", _ask(d.LAND), (3,), ("mode",)),
+        Fault(
+            "link cut at take-off", _set(cut=True), (4,), ("link", "estimate"), phase="take off", after=1.5
+        ),
+        Fault("link cut on the reference", _set(cut=True), (4,), ("link", "estimate")),
+        Fault("link cut while landing", _set(cut=True), (4,), ("link", "estimate"), phase="land", after=0.3),
+        Fault("plans late", _stop_the_solver, (3,), ("solver",), predictive=True),
+        Fault("battery low", None, (3,), ("battery",), ("reference=lemniscate", "limits.battery=0.85")),
+    ]
+    if px4 is not None:
+        out.append(Fault("PX4 killed", _kill_px4, (4,), ("link", "estimate")))
+    return out
+
+
+def verdict(fault: Fault, status: int, flight: dict[str, Any] | None, disarmed: bool) -> list[str]:
+    """What did not end as it should have; empty: nothing."""
+    out = []
+    if status not in fault.status:
+        out.append(f"exit status {status}, not {' or '.join(map(str, fault.status))}")
+    trouble = ((flight or {}).get("trouble") or {}).get("kind")
+    if fault.trouble and trouble not in fault.trouble:
+        out.append(f"trouble {trouble!r}, not {' or '.join(fault.trouble)}")
+    if not disarmed:
+        out.append("not disarmed within a minute")
+    return out

@@ -1,0 +1,96 @@
+"""What the simulated autopilot believes of itself: the truth with noise, and with the errors that PX4's estimator has.
+
+    heading:    q_believed = R_z(e) q until it climbs past 1.5 m above the ground, then e = 0;    1 deg <= |e| <= 9 deg
+
+    touch-down at v_z = -s:    v_z believed too low by d, p_z by h;    d' = -d / 1.5 s, d(0) = 0.8 s, h' = d - h / 3 s
+
+PX4 resets its heading there, once in each flight, and ODOMETRY's reset counter grows by one. What its accelerometer
+cannot show of a touch-down it does not know: one at 0.7 m/s takes it half a metre below the ground for seconds, and
+`landed` comes only when it no longer believes to sink.
+"""
+
+from __future__ import annotations
+
+import random
+from math import cos, radians, sin
+from typing import final
+
+from nsde_torch.px4.link.vectors import Quat, Vec, from_rotation_vector, multiply
+from nsde_torch.px4.simulator.body import Body
+
+ALIGNED = 1.5
+"""Height above ground at which the heading is reset [m]."""
+HEADING = (radians(1.0), radians(9.0))
+"""Smallest and largest error of the heading before that, as they were seen [rad]."""
+KEPT, SINKS, RISES = 0.8, 1.5, 3.0
+"""Share of the speed of touch-down that is believed on, and times in which velocity [s] and height [s] come back."""
+STILL = 0.25
+"""Vertical speed below which it believes to have landed [m/s]."""
+Estimate = tuple[Vec, Vec, Quat, Vec]
+"""Position, velocity, attitude and rates."""
+
+
+@final
+class SimulatedEstimator:
+    """The estimator of one vehicle.
+
+    Args:
+        std: Noise of position, velocity, attitude and rates.
+        seed: Of the noise, and of the heading's errors.
+        heading: Error of the heading until it is reset [rad]; None: another one in each flight.
+
+    Attributes:
+        resets: How often it was reset; ODOMETRY sends it, to 255.
+        stepped: Heading that the last reset turned it by [rad].
+    """
+
+    def __init__(
+        self, *, std: tuple[float, float, float, float], seed: int, heading: float | None = None
+    ) -> None:
+        self._std, self._given = std, heading
+        self._random, self._errors = random.Random(seed), random.Random(seed + 1)
+        self.resets, self.stepped = 0, 0.0
+        self._error = self._drawn()
+        self._speed, self._in_air = 0.0, False
+        self._sinking, self._sunk = 0.0, 0.0
+
+    @property
+    def still(self) -> bool:
+        """Whether it believes not to sink."""
+        return self._sinking < STILL
+
+    def _drawn(self) -> float:
+        if self._given is not None:
+            return self._given
+        return self._errors.choice((-1.0, 1.0)) * self._errors.uniform(*HEADING)
+
+    def new_flight(self) -> None:
+        """It was disarmed: the heading is no longer trusted."""
+        self._error = self._drawn()
+
+    def sense(self, body: Body) -> Estimate:
+        """The estimate of the machine as it is now."""
+        gauss = self._random.gauss
+        sp, sv, sq, sw = self._std
+
+        def noisy(v: Vec, s: float) -> Vec:
+            return (v[0] + gauss(0.0, s), v[1] + gauss(0.0, s), v[2] + gauss(0.0, s))
+
+        turn = from_rotation_vector((gauss(0.0, sq), gauss(0.0, sq), gauss(0.0, sq)))
+        self.stepped = 0.0
+        if self._error != 0.0 and body.p[2] > ALIGNED:
+            self.resets, self.stepped, self._error = self.resets + 1, -self._error, 0.0
+        q = multiply(body.q, turn)
+        if self._error != 0.0:
+            q = multiply((cos(0.5 * self._error), 0.0, 0.0, sin(0.5 * self._error)), q)
+        self._touch_down(body)
+        (x, y, z), (vx, vy, vz) = noisy(body.p, sp), noisy(body.v, sv)
+        return (x, y, z - self._sunk), (vx, vy, vz - self._sinking), q, noisy(body.w, sw)
+
+    def _touch_down(self, body: Body) -> None:
+        if self._in_air and body.on_ground:
+            self._sinking += KEPT * max(-self._speed, 0.0)
+        self._in_air, self._speed = not body.on_ground, body.v[2]
+        if self._sinking or self._sunk:
+            self._sunk += body.dt * (self._sinking - self._sunk / RISES)
+            self._sinking *= 1.0 - body.dt / SINKS

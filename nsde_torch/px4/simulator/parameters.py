@@ -1,0 +1,25 @@
+"""The parameters of the simulated autopilot: those of PX4 that it heeds or is asked for."""
+
+from __future__ import annotations
+
+from nsde_torch.px4.link import dialect as d
+
+PARAMETERS: dict[str, tuple[float, int]] = {
+    "SYS_AUTOSTART": (6001, d.INT32),
+    "COM_OF_LOSS_T": (1.0, d.REAL32),
+    "COM_OBL_RC_ACT": (4, d.INT32),  # 4: land
+    "COM_RC_IN_MODE": (4, d.INT32),  # no sticks
+    "COM_DISARM_LAND": (2.0, d.REAL32),
+    "COM_DISARM_PRFLT": (10.0, d.REAL32),
+    "MPC_THR_HOVER": (0.5, d.REAL32),
+    "MPC_LAND_SPEED": (0.7, d.REAL32),
+    "MC_ROLLRATE_MAX": (220.0, d.REAL32),
+    "MC_PITCHRATE_MAX": (220.0, d.REAL32),
+    "MC_YAWRATE_MAX": (200.0, d.REAL32),
+    "BAT1_N_CELLS": (4, d.INT32),
+    "MAV_SYS_ID": (1, d.INT32),
+}
+"""The parameters that are answered for."""
+FAILSAFES = {0: d.POSITION, 1: d.ALTITUDE, 2: d.MANUAL, 4: d.LAND}
+"""Modes of COM_OBL_RC_ACT in which it ends without a stream; HOLD in all others."""
+STICK_MODES = (d.POSITION, d.ALTITUDE, d.MANUAL)

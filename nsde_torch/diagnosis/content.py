@@ -16,7 +16,9 @@ from nsde_torch.diagnosis.multiplicity import bonferroni
 from nsde_torch.diagnosis.outcome import Outcome
 from nsde_torch.diagnosis.shape import Shape, called, symmetry
 from nsde_torch.diagnosis.summary import summary
-from nsde_torch.effects import Effect, effect_class
+from nsde_torch.effects import Effect
+from nsde_torch.effects.law import joined_name, split_name
+from nsde_torch.systems import System
 from nsde_torch.systems.parameters import own_name
 
 if TYPE_CHECKING:
@@ -200,7 +202,8 @@ def _class(found: Diagnosis, name: str) -> type[Effect]:
 def _ties(found: Diagnosis) -> list[dict[str, Any]]:
     out = [{"effects": [f.name, *f.ties], "experiment": f.experiment} for f in found.faults if f.ties]
     for f in found.outcome.found:
-        twins = [t for t in TWINS.get(f.name, ()) if t != "sensor_bias" or _springs(found)]
+        law, coordinate = split_name(f.name)
+        twins = [t for t in TWINS.get(law, ()) if t != "sensor_bias" or _springs(found, coordinate)]
         if f.ties or twins:
             out.append({"effects": [f.name, *f.ties, *twins], "experiment": _class(found, f.name).separate})
     return out
@@ -230,7 +233,7 @@ def _in_run(found: Diagnosis) -> dict[str, Any] | None:
         "p": f.p,
         "parameters": {e.name: {"value": e.value, "unit": e.unit} for e in f.estimates},
         "sentence": f"In {called(name)} alone, {f.effect} would explain it: "
-        + meaning(f.effect, f.estimates, f.held),
+        + meaning(found.outcome.declared_system, f.effect, f.estimates, f.held),
         "verified": False,
     }
 
@@ -268,13 +271,14 @@ def _not_shown(found: Diagnosis) -> list[dict[str, Any]]:
             found=names,
             alpha=found.outcome.levels["effects"],
             decisions=found.outcome.decisions,
+            system=found.outcome.declared_system,
         )
     ]
 
 
-def _springs(found: Diagnosis) -> bool:
+def _springs(found: Diagnosis, coordinate: str) -> bool:
     """Whether a bias of the position would show as a constant force."""
-    return "linear_spring" in found.system.effect_names
+    return joined_name("linear_spring", coordinate) in found.system.effect_names
 
 
 def parameters(found: Diagnosis) -> dict[str, Any]:
@@ -305,10 +309,10 @@ def _interval(found: Diagnosis, e: Estimate) -> dict[str, Any]:
 
 def sentence(outcome: Outcome, effect: str, held: Sequence[str] = ()) -> str:
     """What an effect means, with its values; parameters that were held at nothing are nothing."""
-    return meaning(effect, outcome.estimates(effect), held)
+    return meaning(outcome.declared_system, effect, outcome.estimates(effect), held)
 
 
-def meaning(effect: str, parameters: Sequence[Estimate], held: Sequence[str] = ()) -> str:
+def meaning(system: System, effect: str, parameters: Sequence[Estimate], held: Sequence[str] = ()) -> str:
     """The sentence of an effect with these values."""
     values: dict[str, list[str]] = {}
     units: dict[str, str] = {}
@@ -317,7 +321,7 @@ def meaning(effect: str, parameters: Sequence[Estimate], held: Sequence[str] = (
         values.setdefault(name, []).append(f"{0.0 if e.name in held else e.value:.3g}")
         units[name] = "" if e.unit == "1" else f" {e.unit}"
     words = {name: ", ".join(values[name]) + units[name] for name in values}
-    text = effect_class(effect).sentence
+    text = system.effect_class(effect).sentence
     try:
         return text.format(**words)
     except (KeyError, IndexError):

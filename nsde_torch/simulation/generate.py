@@ -24,6 +24,7 @@ from nsde_torch.simulation.replay import Replay, joined
 from nsde_torch.systems import System, make_system, system_class
 from nsde_torch.systems.machines import Effects, Values, machine, make_plant_system, named_effects
 from nsde_torch.systems.options import key_of_class
+from nsde_torch.systems.values import dotted
 
 SCHEMA = 1
 _SUBSTEPS = 8
@@ -224,24 +225,23 @@ def _with_parameters(
     asked: dict[str, Values], parameters: Mapping[str, Any], system: str
 ) -> dict[str, Values]:
     """Effects with their values joined; an effect of the user's own is known by its name in `parameters`."""
-    names = {effect_class(key).name: key for key in asked}
-    out = {key: dict(values) for key, values in asked.items()}
-    for path, value in parameters.items():
-        name, dot, leaf = path.partition(".")
+    own = system_class(system)
+    out = {own.effect_key(key): dict(values) for key, values in asked.items()}
+    names = {effect_class(key).name: key for key in out}
+    for path, value in dotted(parameters):
+        called, dot, leaf = path.partition(".")
+        name = own.effect_key(called)
         if name not in names:
             raise ConfigError(
                 f"`parameters` names {name!r}, which is none of the effects that {system!r} was asked to have: "
                 f"{', '.join(names) or 'none'}."
             )
-        if dot:
-            out[names[name]][leaf] = value
-        elif isinstance(value, Mapping):
-            out[names[name]].update(value)
-        else:
+        if not dot:
             raise ConfigError(f"`parameters.{name}` takes {{parameter: value}}; got {value!r}.")
-    n_inputs = len(system_class(system).input_names)
+        out[names[name]][leaf] = value
+    n_inputs, coordinates = len(own.input_names), own.bound_coordinates()
     for key, values in out.items():
-        cls = effect_class(key)
+        cls = effect_class(key, coordinates)
         for name, size in _typical(cls, values, n_inputs).items():
             values.setdefault(name, size)
         values.update(

@@ -147,10 +147,11 @@ def make_plant_system(name: str, *, effects: Effects = (), declared_only: bool =
     Raises:
         ConfigError: no plant of that name, or an unknown effect or parameter.
     """
-    spec = machine(name)
+    spec, own = machine(name), system_class(name)
     present = {} if declared_only else {k: dict(v) for k, v in spec.effects.items()}
-    for key, values in named_effects(effects).items():
-        cls = effect_class(key)
+    for asked, values in named_effects(effects).items():
+        key = own.effect_key(asked)
+        cls = effect_class(key, own.bound_coordinates())
         for (
             part
         ) in cls.includes:  # it stands in for a simpler effect of the machine, with the values of that one
@@ -160,6 +161,6 @@ def make_plant_system(name: str, *, effects: Effects = (), declared_only: bool =
     declared = make_system(name).effect_names
     parameters: Values = dict(spec.values)
     for key, given in present.items():
-        own = effect_class(key).name
-        parameters.update({f"{own}.{parameter}": value for parameter, value in given.items()})
+        called = effect_class(key).name
+        parameters.update({f"{called}.{parameter}": value for parameter, value in given.items()})
     return make_system(name, effects=[k for k in present if k not in declared], values=parameters)

@@ -321,7 +321,8 @@ def meaning(system: System, effect: str, parameters: Sequence[Estimate], held: S
         values.setdefault(name, []).append(f"{0.0 if e.name in held else e.value:.3g}")
         units[name] = "" if e.unit == "1" else f" {e.unit}"
     words = {name: ", ".join(values[name]) + units[name] for name in values}
-    text = system.effect_class(effect).sentence
+    cls = system.effect_class(effect)
+    text = cls.sentence or f"What is added is {cls.formula}, {', '.join(f'{k} = {{{k}}}' for k in words)}."
     try:
         return text.format(**words)
     except (KeyError, IndexError):

@@ -11,7 +11,9 @@ import torch
 from torch import Tensor
 
 from nsde_torch.diagnosis.candidates import candidate_names, on_coordinates
-from nsde_torch.effects import Coordinate, Effect, Law, Parameter, Port, effect_class, key_of, units
+from nsde_torch.diagnosis.content import meaning
+from nsde_torch.diagnosis.estimates import Estimate
+from nsde_torch.effects import Coordinate, Effect, Law, Parameter, Port, effect_class, key_of, register, units
 from nsde_torch.effects.friction import CoulombFriction
 from nsde_torch.errors import ConfigError
 from nsde_torch.systems import System, make_system
@@ -46,6 +48,13 @@ class Narrow(Effect):
 
     def forward(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
         return x[:, :1]
+
+
+class Wide(Narrow):
+    """An effect that says no sentence."""
+
+    name, formula = "wide", "size for all"
+    PARAMETERS = {"size": Parameter(0.1, "N m")}
 
 
 class Far(Narrow):
@@ -242,3 +251,9 @@ def test_pushing_a_coordinate_of_the_package_speeds_up_its_own_velocity() -> Non
             pushed[0, at.row] = 1.0
             change = system.drift(0.0, x, u, {at.port: pushed}) - system.drift(0.0, x, u)
             assert float(change[0, at.velocity].detach()) > 0
+
+
+def test_an_effect_that_says_no_sentence_is_reported_by_its_formula() -> None:
+    register(f"{__name__}:Wide")
+    estimate = Estimate("wide.size", 0.25, None, None, "N m")
+    assert meaning(TwoJoints(), "wide", [estimate]) == "What is added is size for all, size = 0.25 N m."

@@ -19,6 +19,7 @@ CENTRE_1, CENTRE_2 = 0.12, 0.14  # [m], joint to centre of mass
 INERTIA_1, INERTIA_2 = 0.012, 0.006  # [kg m2], about the centres
 GRAVITY = 9.81
 DT, FINE = 0.01, 5  # step of the log [s] and steps of the integration in it
+WITHIN = 2.0  # [rad], which the second joint does not leave
 NOISE = (0.001, 0.001, 0.01, 0.01)  # [rad], [rad/s], of the sensors
 TORQUE = (0.6, 0.15)  # [N m], standard deviation of each motor's torque
 
@@ -57,9 +58,11 @@ def torques(rows: int, rng: np.random.Generator) -> Array:
     return out
 
 
-def simulate(rows: int, rng: np.random.Generator, push: Push, noise: float = 1.0) -> Array:
+def simulate(
+    rows: int, rng: np.random.Generator, push: Push, noise: float = 1.0, share: float = 1.0
+) -> Array:
     """A run (rows, 6): measured angles and rates, and the torques that act until the next row."""
-    u = torques(rows, rng)
+    u = share * torques(rows, rng)
     x = np.concatenate([rng.uniform(-0.5, 0.5, 2), np.zeros(2)])
     out, h = np.empty((rows, 6)), DT / FINE
 
@@ -78,6 +81,16 @@ def simulate(rows: int, rng: np.random.Generator, push: Push, noise: float = 1.0
     return out
 
 
+def kept(rows: int, rng: np.random.Generator, push: Push, noise: float) -> Array:
+    """A run whose second joint stays within `WITHIN`: the torques are made smaller until it does."""
+    seed, share = int(rng.integers(2**31)), 1.0
+    while True:
+        run = simulate(rows, np.random.default_rng(seed), push, noise, share)
+        if np.abs(run[:, 1]).max() < WITHIN:
+            return run
+        share *= 0.8
+
+
 def write(
     folder: Path, push: Push, *, seed: int, runs: int = 4, seconds: float = 20.0, noise: float = 1.0
 ) -> None:
@@ -86,7 +99,7 @@ def write(
     folder.mkdir(parents=True, exist_ok=True)
     for k in range(runs):
         t = DT * np.arange(rows) + k * (seconds + 10.0)  # one clock for the whole data set
-        table = np.column_stack([t, simulate(rows, rng, push, noise)])
+        table = np.column_stack([t, kept(rows, rng, push, noise)])
         header = "t,q1,q2,q1_dot,q2_dot,tau1,tau2"
         np.savetxt(folder / f"run_{k}.csv", table, "%.6f", ",", header=header, comments="")
 

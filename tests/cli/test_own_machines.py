@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import json
 import shlex
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 
+import numpy as np
 import pytest
 import torch
 import yaml
@@ -145,3 +148,60 @@ def test_only_folders_of_the_command_line_hold_modules_of_ones_own() -> None:
         {"provider": "command-line", "schema": "file", "path": "b"},
     ]
     assert own_modules.config_folders(sources) == ["b"]
+
+
+@pytest.fixture
+def double(root: Path) -> list[str]:
+    """How the double pendulum, whose class says no machine, is simulated."""
+    return [
+        "simulate", "--config-dir", str(root / "examples" / "double_pendulum"), "system=double_pendulum",
+        "durations=[4,4]", "options.inputs=[0.4,0.05]", "options.noise=[0.001,0.001,0.01,0.01]",
+    ]  # fmt: skip
+
+
+def test_a_machine_of_ones_own_is_simulated_from_its_class(double: list[str]) -> None:
+    effects = "plant.effects=[{coulomb_friction[q2]:{size:0.05}}]"
+    assert main([*double, effects, "plant.parameters.a=0.09", "plant.parameters.b=0.02", "out=data"]) == 0
+    truth = json.loads(Path("data.truth.json").read_text())
+    assert truth["effects"]["coulomb_friction[q2]"]["parameters"]["size"] == 0.05
+    assert truth["effects"]["coulomb_friction[q2]"]["units"]["size"] == "N m"
+    assert truth["declared"]["a"] == {"value": 0.09, "unit": "kg m2"}
+    table = np.loadtxt("data/run_0.csv", delimiter=",", skiprows=1)
+    assert Path("data/run_0.csv").read_text().startswith("t,q1,q2,q1_dot,q2_dot,tau1,tau2\n")
+    assert len(table) == 401
+    assert table[:, 5].std() == pytest.approx(0.4, rel=0.4)
+    assert np.abs(table[:, 1]).max() > 0.02
+    white = np.diff(table[:, 1], 3).std() / 20**0.5  # of the noise of q1: third differences leave little else
+    assert white == pytest.approx(0.001, rel=0.3)
+
+
+def test_a_controller_from_a_small_file_closes_the_loop(double: list[str]) -> None:
+    assert main([*double, "options.controller=hold:hold", "out=held"]) == 0
+    assert main([*double, "out=free"]) == 0
+    held, free = (np.loadtxt(f"{name}/run_0.csv", delimiter=",", skiprows=1) for name in ("held", "free"))
+    answer = held[:, 5:7] - free[:, 5:7]  # the same sums of sines in both
+    np.testing.assert_allclose(answer, -1.0 * held[:, 1:3] - 0.05 * held[:, 3:5], atol=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ("options.inputs=null", ["options.inputs=[...]", "tau1 [N m], tau2 [N m]", "options.noise=[...]"]),
+        ("options.controller=hold:drop", ["no function 'drop'"]),
+        ("options.controller=wrong_of_a_test:one", ["must return inputs (2, 2)", "tau1, tau2", "(2, 1)"]),
+        ("plant.parameters.mass=1", ["'mass'", "neither a parameter", "a, b, d"]),
+        ("plant.effects=[coulomb_friction]", ["coulomb_friction[q1], coulomb_friction[q2]"]),
+    ],
+)
+def test_a_simulation_that_cannot_be_says_what_is_missing(
+    change: str, words: list[str], double: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "wrong_of_a_test.py").write_text("def one(t, x):\n    return x[:, :1]\n")
+    sys.path.insert(0, str(tmp_path))
+    try:
+        assert main([*double, change, "out=data"]) == 2
+    finally:
+        sys.path.remove(str(tmp_path))
+    error = capsys.readouterr().err
+    for word in words:
+        assert word in error

@@ -90,6 +90,7 @@ def content(found: Diagnosis) -> dict[str, Any]:
             "after": [_dependence(d, len(o.after), found.runs, wording) for d in o.after[:_DEPENDENCES]],
         },
         "unexplained": [_shape(found, s) for s in left.shapes],
+        "between_runs": _between_runs(found),
         "in_run": _in_run(found),
         "formula": _formula(found),
         "errors": {
@@ -219,6 +220,23 @@ def _shape(found: Diagnosis, s: Shape) -> dict[str, Any]:
         "period": s.period,
         "only_run": None if s.only_run is None else found.runs[s.only_run],
         "sentence": s.sentence,
+    }
+
+
+def _between_runs(found: Diagnosis) -> dict[str, Any] | None:
+    zeros = found.explanation.between_runs
+    if zeros is None:
+        return None
+    return {
+        "state": zeros.state,
+        "unit": zeros.unit,
+        "runs": {
+            run: {"value": value, "standard_error": error} for run, (value, error) in zeros.values.items()
+        },
+        "p": zeros.p,
+        "tie": zeros.tie,
+        "sentence": zeros.sentence,
+        "remedy": zeros.remedy,
     }
 
 

@@ -15,6 +15,7 @@ from nsde_torch.data import DataSet, Run
 from nsde_torch.diagnosis.between_runs import RunZeros, between_runs
 from nsde_torch.diagnosis.options import Options
 from nsde_torch.diagnosis.search import search_in
+from nsde_torch.errors import ConfigError
 from nsde_torch.recording.faults.sensor_bias import of_run
 from nsde_torch.simulation.generate import simulate
 from nsde_torch.systems import System, make_system
@@ -96,3 +97,10 @@ def test_a_reader_takes_out_what_one_run_reads_too_much(folder: Path) -> None:
         assert np.allclose(before.x[:, 1] - after.x[:, 1], 0.01)
     assert of_run({"q": 0.1, "b": {"q": 0.2}}, "b") == {"q": pytest.approx(0.3)}
     assert of_run({"q": 0.1, "b": {"q": 0.2}}, "a") == {"q": 0.1}
+
+
+def test_a_run_that_is_not_there_is_refused(folder: Path) -> None:
+    with pytest.raises(
+        ConfigError, match=r"`sensor_bias` names 'run_9', which is no run; runs are run_0, run_1"
+    ):
+        nsde_torch.read(folder, system=HOME, options={"sensor_bias": {"run_9": {"q1": 0.12}}})

@@ -103,7 +103,8 @@ def of_run(values: Mapping[str, Any], run: str) -> dict[str, Any]:
         run: Name of the run.
     """
     out = {k: v for k, v in values.items() if not isinstance(v, Mapping)}
-    for state, value in (values.get(run) if isinstance(values.get(run), Mapping) else {}).items():
+    here = values.get(run)
+    for state, value in here.items() if isinstance(here, Mapping) else ():
         out[state] = out.get(state, 0.0) + value
     return out
 

@@ -192,7 +192,6 @@ class Effect(Parametrised, ABC):
         relative: Parameters whose `shapes` are multiples of a size of the data: `input`, `speed`, `rate` or
             `position` (95 % quantile of the absolute value that the effect sees), `step` (time between samples), or
             `spectrum` (frequencies are taken from the data, `shapes` has none).
-        sharp: Parameters of `shapes` that smooth a corner of the law: the smaller, the nearer to the law itself.
         resolved: Times of a memory -> the least multiple of a step at which explicit steps follow it.
         includes: Simpler effects that it contains as special cases; it stands in for them, not beside them.
         same: Its parameters that are one of those of what it contains where the two are alike, own name -> theirs;
@@ -226,7 +225,6 @@ class Effect(Parametrised, ABC):
     shapes: ClassVar[Mapping[str, tuple[float | tuple[float, ...], ...]]] = {}
     smooth: ClassVar[tuple[str, ...]] = ()
     relative: ClassVar[Mapping[str, str]] = {}
-    sharp: ClassVar[tuple[str, ...]] = ()
     resolved: ClassVar[Mapping[str, float]] = {}
     includes: ClassVar[tuple[str, ...]] = ()
     same: ClassVar[Mapping[str, str]] = {}

@@ -22,7 +22,6 @@ from nsde_torch.systems.base import System
 Array = NDArray[np.float64]
 
 _BEYOND = 4.0  # times the grid of a shape, at which it does not matter any more
-_SHARP = 20.0  # part of it below which a smoothed sign is one: a thousandth of the fast speeds; few samples are slower
 
 
 @dataclass(frozen=True)
@@ -150,9 +149,7 @@ class ParameterVector:
             if (kind is not None and kind not in sizes) or not grid.size or grid.min() <= 0:
                 continue
             size = 1.0 if kind is None else sizes[kind]
-            self.low[place.columns] = np.maximum(
-                self.low[place.columns], size * grid.min() / (_SHARP if own in cls.sharp else _BEYOND)
-            )
+            self.low[place.columns] = np.maximum(self.low[place.columns], size * grid.min() / _BEYOND)
             self.high[place.columns] = np.minimum(self.high[place.columns], size * grid.max() * _BEYOND)
 
     def at_first(self) -> System:

@@ -101,7 +101,7 @@ def test_a_width_stays_where_it_matters_at_the_speeds_of_the_data() -> None:
     vector.limit({"speed[cart]": 2.0, "input": 25.0})
     assert vector.low[at["stribeck_friction[cart].speed"]] == pytest.approx(2.0 * 0.1 / 4)
     assert vector.high[at["stribeck_friction[cart].speed"]] == pytest.approx(2.0 * 0.3 * 4)
-    assert vector.low[at["stribeck_friction[cart].width"]] == pytest.approx(2.0 * 0.02 / 20)
+    assert vector.low[at["stribeck_friction[cart].width"]] == pytest.approx(2.0 * 0.02 / 4)
     for name in (
         "actuator_deadband.width",
         "input_delay.delay",

@@ -7,6 +7,7 @@ from typing import Any
 from omegaconf import DictConfig, open_dict
 
 from nsde_torch.effects.files import is_file, own_name, read_for
+from nsde_torch.effects.law import split_name
 
 
 def expand(system: DictConfig) -> None:
@@ -32,12 +33,18 @@ def add_value(system: DictConfig, effect: str, name: str, value: Any) -> None:
     """Set `system.parameters.EFFECT.NAME` unless it was given."""
     with open_dict(system.parameters):
         given = system.parameters
-        if f"{effect}.{name}" in given:
+        law, coordinate = split_name(effect)
+        if f"{effect}.{name}" in given or (coordinate and name in _placed(given, law, coordinate)):
             return
         if effect not in given:
             given[effect] = {}
         if name not in given[effect]:
             given[effect][name] = value
+
+
+def _placed(given: DictConfig, law: str, coordinate: str) -> Any:
+    """What `system.parameters.LAW[COORDINATE]` was given on the command line, where it is a level of its own."""
+    return (given.get(law) or {}).get(coordinate) or {}
 
 
 def add_own(system: DictConfig, name: str, value: Any) -> None:

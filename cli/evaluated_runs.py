@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,6 +14,7 @@ from nsde_torch.models import Model
 from nsde_torch.models.run_directory import CONFIG, METRICS, load, read_metrics
 
 from .jobs import FAILED
+from .own_modules import see_own_modules
 
 
 @dataclass(frozen=True)
@@ -58,7 +58,7 @@ def read_runs(given: object, names: Sequence[str] | None, device: Any) -> list[T
     found = []
     for name, folder in zip(names, folders, strict=True):
         metrics = _metrics(folder)
-        _see_own_modules(folder)
+        see_own_modules(folder)
         model = load(folder, device=device)
         found.append(TrainedRun(name, folder, model, metrics, _trained(folder)))
     first = found[0]
@@ -120,18 +120,3 @@ def _trained(folder: Path) -> Mapping[str, Any]:
     content = yaml.safe_load((folder / CONFIG).read_text(encoding="utf-8"))
     config = content.get("config")
     return config if isinstance(config, dict) else {}
-
-
-def _see_own_modules(folder: Path) -> None:
-    """Make modules importable that lay in the user's config folder at training: a system of their own."""
-    record = folder / ".hydra" / "hydra.yaml"
-    if not record.is_file():
-        return
-    content = yaml.safe_load(record.read_text(encoding="utf-8"))
-    for source in content["hydra"]["runtime"]["config_sources"]:
-        if (
-            source["provider"] == "command-line"
-            and source["schema"] == "file"
-            and source["path"] not in sys.path
-        ):
-            sys.path.insert(0, source["path"])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from omegaconf import DictConfig
@@ -19,6 +20,7 @@ from nsde_torch.px4.flight.runner import Inline, Process, Runner
 from nsde_torch.systems import Multirotor
 
 from . import build, track_build
+from .own_modules import see_own_modules
 
 if TYPE_CHECKING:
     from nsde_torch.models import Model
@@ -48,6 +50,7 @@ def known(config: DictConfig) -> Model | System:
         file = track_build.exported(run)
         track_build.agreed(file, config.mpc)
         return file.known
+    see_own_modules(Path(run))
     found = knowledge(run, config.system.name, effects=_effects(config) if config.run == DECLARED else ())
     if not isinstance(system_of(found), Multirotor):
         raise ConfigError(

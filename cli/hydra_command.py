@@ -16,7 +16,7 @@ from nsde_torch.errors import CheckpointError, ConfigError, NsdeError
 
 from . import complete, groups, help, messages
 from .exit_status import CRASHED, FAILED_JOBS, INTERRUPTED, OK, USER_ERROR, EndedError
-from .quoted import quoted
+from .quoted import coordinates_named, quoted
 from .registry import hydra_commands
 from .schemas.choices import CHOICES
 from .store import store
@@ -125,7 +125,7 @@ class HydraCommand:
         resumed = [word.split("=", 1)[1] for word in words if word.startswith("resume=")]
         if resumed and resumed[-1] not in ("", "null"):
             words = _resume(words, Path(resumed[-1]))
-        return _options_first([_listed(_opened(word, self.name)) for word in words])
+        return _options_first([_listed(_opened(coordinates_named(word), self.name)) for word in words])
 
     def _run(self, words: list[str]) -> int:
         import hydra

@@ -1,10 +1,16 @@
-"""Folders on the command line: Hydra wants quotes around the `=` and `,` in the folders of a sweep's jobs."""
+"""Words as a user types them that Hydra's grammar wants otherwise.
+
+Folders: quotes around the `=` and `,` in the folders of a sweep's jobs. Effects of one coordinate: the brackets of
+`coulomb_friction[q2]` are escaped in values, and are a level of their own in keys.
+"""
 
 from __future__ import annotations
 
 import re
 from collections.abc import Collection, Sequence
 
+_QUOTED = re.compile(r"('(?:[^'\\]|\\.)*'|\"(?:[^\"\\]|\\.)*\")")
+_LAW = re.compile(r"([A-Za-z_]\w*)\[(\w+)\]")
 _PLAIN = re.compile(r"[\w./:+@%~-]*|[\['\"$].*")
 
 
@@ -15,6 +21,16 @@ def quoted(word: str, keys: Collection[str]) -> str:
         return word
     escaped = value.replace("\\", "\\\\").replace("'", "\\'")
     return f"{name}='{escaped}'"
+
+
+def coordinates_named(word: str) -> str:
+    """`KEY=[law[q2]]` with the brackets of the coordinate escaped, `LAW[q2].NAME=1` with it as a level of its own."""
+    if word.startswith("-"):
+        return word
+    key, equals, value = word.partition("=")
+    outside = _QUOTED.split(value)  # what stands in quotes is left alone
+    outside[::2] = [_LAW.sub(r"\1\\[\2\\]", part) for part in outside[::2]]
+    return _LAW.sub(r"\1.\2", key) + equals + "".join(outside)
 
 
 def from_file(words: Sequence[str]) -> list[str]:

@@ -26,10 +26,11 @@ from nsde_torch.models import Model
 from nsde_torch.models.run_directory import load
 from nsde_torch.simulation import make_plant
 from nsde_torch.simulation.learned_plant import LearnedPlant
-from nsde_torch.systems import System
+from nsde_torch.systems import Multirotor, System
 from nsde_torch.systems.machines import machine
 
 from . import build
+from .own_modules import see_own_modules
 
 if TYPE_CHECKING:
     from nsde_torch.control.loop import SteppedMachine
@@ -66,13 +67,24 @@ _MOTOR_LATENCY = 0.02  # measured best on machines whose motors lag 50 ms
 _LAGS = {"motor_lag", "actuator_lag", "input_delay"}
 
 
-def knowledge(name: str, config: DictConfig) -> Model | System:
-    """What `run=` names: a model, or the declared physics with the values of the plant."""
+def knowledge(name: str, config: DictConfig, *, command: str) -> Model | System:
+    """What `run=` names: a model, or the declared physics with the values of the plant.
+
+    Raises:
+        ConfigError: no multirotor, or no machine for the declared physics.
+    """
     if is_exported(name):
         return exported(name).known
     if name == DECLARED and config.system is None:
         raise ConfigError("`run=declared` needs the machine: plant=hexacopter or plant.system=NAME.")
-    return knowledge_of(name, config.system or "")
+    see_own_modules(Path(name))
+    known = knowledge_of(name, config.system or "")
+    if not isinstance(system_of(known), Multirotor):
+        raise ConfigError(
+            f"`nsde {command}` is for multirotors (hexacopter, quadrotor); the machine of run={name} is a "
+            f"{system_of(known).name}. What its model predicts: nsde evaluate run=DIR."
+        )
+    return known
 
 
 def plant(config: DictConfig, known: Model | System, *, seed: int) -> SteppedMachine:

@@ -94,6 +94,19 @@ def test_the_data_determine_the_declared_parameters(data_folder: Path) -> None:
     np.testing.assert_allclose(found[[0, 2]], [9.81 / 0.5, 8.0], rtol=0.05)
 
 
+def test_its_dry_friction_is_named_from_the_catalogue(data_folder: Path) -> None:
+    import nsde_torch
+
+    data = nsde_torch.read(data_folder, system="pendulum:Pendulum")
+    laws = ["coulomb_friction", "quadratic_damping", "constant_force", "ripple"]
+    found = nsde_torch.diagnose(data, system="pendulum:Pendulum", candidates=laws)
+    assert found.added == ["coulomb_friction"]
+    size = found.parameters["coulomb_friction.size"]
+    assert size["unit"] == "rad/s2"
+    low, high = size["interval_90"]
+    assert low < 0.6 < high
+
+
 def finite(value: Any) -> Iterator[float]:
     """All numbers of a JSON tree."""
     if isinstance(value, dict):

@@ -36,6 +36,7 @@ from outside import OUTSIDE
 from sizes import Values, amplitudes, shapes
 
 from nsde_torch.effects import Effect, effect_class, effects_of
+from nsde_torch.effects.law import split_name
 from nsde_torch.errors import ConfigError, NsdeError
 from nsde_torch.recording import Recording
 from nsde_torch.simulation import simulate
@@ -66,7 +67,7 @@ _OF_THE_LOG = (*_TURNED, "angle_bias")
 TIES = (
     {"input_delay", "actuator_lag", "motor_lag"},
     {"thrust_sag", "battery_voltage"},
-    {"coulomb_friction", "cart_coulomb_friction", "asymmetric_friction", "stribeck_friction"},
+    {"coulomb_friction", "asymmetric_friction", "stribeck_friction", "position_dependent_friction"},
     {"linear_drag", "constant_wind", "constant_world_force"},
 )
 """Effects that a pair does not hold two of: hardly any data could tell them apart."""
@@ -102,9 +103,16 @@ class Case:
 def holdable(system: str) -> list[str]:
     """Effects of the catalogue that a plant can hold, beyond those declared, and that are no fault of the log."""
     declared = make_system(system).effect_names
-    found = effects_of(system, system_class(system).ports)
+    cls = system_class(system)
+    found = effects_of(system, cls.ports, cls.bound_coordinates())
     beside = {*declared, *_OF_THE_LOG}
     return [name for name, cls in found.items() if cls.candidate(system) and name not in beside]
+
+
+def _tied(a: str, b: str) -> bool:
+    """Whether two effects are laws of one thing that data hardly tell apart."""
+    (one, of), (other, of_other) = split_name(a), split_name(b)
+    return of == of_other and any({one, other} <= tie for tie in TIES)
 
 
 def cases(seed: int, n: int, *, systems: Sequence[str] = SYSTEMS, kinds: Sequence[str] = KINDS) -> list[Case]:
@@ -174,7 +182,7 @@ def _pair(system: str, rng: np.random.Generator) -> list[tuple[str, type[Effect]
     while True:
         a, b = (names[i] for i in rng.choice(len(names), 2, replace=False))
         contained = b in effect_class(a).includes or a in effect_class(b).includes
-        if not contained and not any({a, b} <= tie for tie in TIES):
+        if not contained and not _tied(a, b):
             return [_named(a), _named(b)]
 
 

@@ -38,7 +38,6 @@ def diagnose_case(folder: Path, name: str) -> dict[str, Any]:
     from nsde_torch.diagnosis.pipeline import diagnose
     from nsde_torch.diagnosis.reading import with_channels
     from nsde_torch.diagnosis.search import search_in
-    from nsde_torch.effects import Port, make_effect
     from nsde_torch.models.identified import SysidSpec
     from nsde_torch.recording import read
     from nsde_torch.systems import make_system
@@ -66,16 +65,7 @@ def diagnose_case(folder: Path, name: str) -> dict[str, Any]:
     classes = {cls.name: f"outside:{cls.__name__}" for every in OUTSIDE.values() for cls in every}
     effects = {classes.get(key, key): held["parameters"] for key, held in truth["effects"].items()}
     if effects:
-        made = [
-            make_effect(
-                key,
-                system=system.name,
-                ports={*system.ports, Port.INPUT},
-                n_inputs=system.nu,
-                values=values,
-            )
-            for key, values in effects.items()
-        ]
+        made = [system.make_effect(key, values) for key, values in effects.items()]
         runs = with_channels(system, found.recorded.runs)
         told = found.system.with_effects(*made)
         oracle = held_out(

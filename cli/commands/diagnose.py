@@ -111,7 +111,7 @@ def run(config: DictConfig, job: Job) -> None:
     stages.close()
     content = found.content()
     write_content(content, job.run_dir)
-    note = f"found by nsde diagnose; use it with: nsde train system={config.system.name} system.effects=PATH"
+    note = f"found by nsde diagnose; use it with: {_training(config, job)}"
     write_effects(found, job.run_dir, system=config.system.name, note=note)
     print()
     print("\n".join(lines(content)))
@@ -122,6 +122,24 @@ def run(config: DictConfig, job: Job) -> None:
     write_report(job.run_dir / REPORT, found, content)
     wrote = [RESULT, REPORT, f"{PLOTS}/", EFFECTS, *([f"{MODEL}/"] if "model" in content else [])]
     print(f"\ntook {time.perf_counter() - started:.0f} s; wrote {job.run_dir}: {', '.join(wrote)}")
+
+
+def _training(config: DictConfig, job: Job) -> str:
+    """The command that trains with what was found, on the same data where these are files."""
+    from hydra.core.hydra_config import HydraConfig
+
+    from nsde_torch.systems.names import SYSTEM_HOMES as CHOICES
+
+    from ..own_modules import config_folders
+    from ..quoted import quoted
+
+    runtime = HydraConfig.get().runtime
+    words = ["nsde train", *(f"--config-dir {path}" for path in config_folders(runtime.config_sources))]
+    choice, name = runtime.choices["system"], config.system.name
+    words.append(f"system.name={name}" if choice != name and choice in CHOICES else f"system={choice}")
+    if isinstance(path := config.data.get("path"), str):
+        words += [f"data={runtime.choices['data']}", quoted(f"data.path={path}", ("data.path",))]
+    return " ".join([*words, quoted(f"system.effects={job.run_dir / 'effects.yaml'}", ("system.effects",))])
 
 
 def _train(config: DictConfig, job: Job, found: Diagnosis) -> dict[str, Any]:

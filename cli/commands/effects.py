@@ -4,15 +4,18 @@ from __future__ import annotations
 
 import difflib
 import json
-import os
 import shutil
 import sys
 import textwrap
 from collections.abc import Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
+
+import yaml
 
 from nsde_torch.errors import ConfigError, NsdeError
 
+from .. import groups
 from ..exit_status import OK, USER_ERROR
 from ..registry import PlainCommand
 
@@ -22,6 +25,8 @@ if TYPE_CHECKING:
 KEYS = {"system": "only those that this system can have", "format": "text or json"}
 FORMATS = ("text", "json")
 _GAP = "  "
+_ANY = "coordinate"
+"""Port of a law: that of the coordinate which it is on."""
 _SMALLEST = 100
 """Characters below which the table is not squeezed."""
 
@@ -32,8 +37,9 @@ def main(arguments: Sequence[str]) -> int:
         print(usage())
         return OK
     try:
-        given = _given(arguments)
-        rows = catalogue(given.get("system"))
+        folder, words = _config_dir(arguments)
+        given = _given(words)
+        rows = catalogue(given.get("system"), config_dir=folder)
     except NsdeError as error:
         print(f"nsde effects: {error}", file=sys.stderr)
         return USER_ERROR
@@ -44,7 +50,8 @@ def main(arguments: Sequence[str]) -> int:
         print(table(rows, max(width, _SMALLEST), systems="system" not in given))
         print(
             "\nAdd some to the declared physics with system.effects=[NAME,...], to a simulated machine with\n"
-            "plant.effects=[NAME,...]; `module:Class` names one of your own."
+            "plant.effects=[NAME,...]; `module:Class` names one of your own. Laws of one coordinate are named with it\n"
+            "where a machine has several: coulomb_friction[q2]."
         )
     return OK
 
@@ -67,33 +74,39 @@ def usage() -> str:
     keys = "\n".join(f"  {name}=...  {what}" for name, what in KEYS.items())
     return (
         "nsde effects: list the physical effects that a system or a plant can be given\n\n"
-        f"Usage: nsde effects [system=NAME] [format=text]\n\n{keys}"
+        f"Usage: nsde effects [system=NAME] [format=text] [--config-dir DIR]\n\n{keys}\n"
+        "  --config-dir DIR  folder with system/NAME.yaml and the modules of a machine of your own"
     )
 
 
-def catalogue(system: str | None = None) -> list[dict[str, Any]]:
+def catalogue(system: str | None = None, *, config_dir: Path | None = None) -> list[dict[str, Any]]:
     """What the catalogue says of every effect, or of those that one system can have.
 
     Args:
-        system: Key of `SYSTEMS`, or `module:Class`; None for all.
+        system: Key of `SYSTEMS`, `module:Class`, or NAME of a file `system/NAME.yaml` in `config_dir`; None for all.
+        config_dir: Folder of the user's own modules and systems; None: the present one, for modules.
 
     Raises:
         ConfigError: There is no such system.
     """
     from nsde_torch.effects import EFFECTS, effects_of
+    from nsde_torch.effects.law import split_name
     from nsde_torch.systems import SYSTEMS, system_class
 
     if system is None:
         chosen = dict(EFFECTS)
     else:
-        sys.path.insert(0, os.getcwd())  # a system of the user's own, in a file beside
+        beside = str((config_dir or Path.cwd()).resolve())  # a system of the user's own, in a file there
+        sys.path.insert(0, beside)
         try:
-            machine = system_class(system)
+            machine = system_class(_own_name(system, config_dir))
         finally:
-            sys.path.remove(os.getcwd())
-        chosen = effects_of(machine.name, machine.ports)
+            sys.path.remove(beside)
+        chosen = effects_of(machine.name, machine.ports, machine.bound_coordinates())
+    able = {s: effects_of(s, cls.ports, cls.bound_coordinates()) for s, cls in SYSTEMS.items()}
+    of_machines = {s: {split_name(name)[0] for name in effects} for s, effects in able.items()}
     fits = {
-        name: [s for s, cls in SYSTEMS.items() if name in effects_of(s, cls.ports)]
+        name: [s for s, effects in of_machines.items() if name in effects]
         for name in (chosen if system is None else ())
     }
     rows = [_row(cls, fits.get(name, [system or ""])) for name, cls in chosen.items()]
@@ -101,7 +114,34 @@ def catalogue(system: str | None = None) -> list[dict[str, Any]]:
     return sorted(rows, key=lambda row: order.index(tuple(row["systems"])))
 
 
+def _own_name(system: str, config_dir: Path | None) -> str:
+    """What the user's own file `system/NAME.yaml` names, or the name as it is."""
+    file = None if config_dir is None else config_dir / "system" / f"{system}.yaml"
+    if file is None or not file.is_file():
+        return system
+    content = yaml.safe_load(file.read_text(encoding="utf-8"))
+    name = content.get("name") if isinstance(content, dict) else None
+    if not isinstance(name, str):
+        raise ConfigError(f"{file} must hold `name: module:Class`.")
+    return name
+
+
+def _config_dir(arguments: Sequence[str]) -> tuple[Path | None, list[str]]:
+    """The folder of `--config-dir`, and the other words."""
+    folder = groups.config_dir(arguments)
+    if folder is not None and not folder.is_dir():
+        raise ConfigError(f"`--config-dir {folder}`: no such folder.")
+    words = [w for w in arguments if not w.startswith("--config-dir=")]
+    for flag in ("--config-dir", "-cd"):
+        if flag in words:
+            k = words.index(flag)
+            del words[k : k + 2]
+    return folder, words
+
+
 def _row(cls: type[Effect], systems: Sequence[str]) -> dict[str, Any]:
+    from nsde_torch.effects import Law
+
     parameters = [
         {
             "name": name,
@@ -115,7 +155,7 @@ def _row(cls: type[Effect], systems: Sequence[str]) -> dict[str, Any]:
     ]
     return {
         "name": cls.name,
-        "port": cls.port.value,
+        "port": _ANY if issubclass(cls, Law) and cls.law is cls and len(systems) != 1 else cls.port.value,
         "formula": cls.formula,
         "parameters": parameters,
         "memory_per_input": cls(n_inputs=1).n_memory,

@@ -76,7 +76,7 @@ def run(config: DictConfig, job: Job) -> None:
     path = Path(config.out)
     if path.exists() and not config.overwrite:
         raise ConfigError(f"`out={path}` is there already; name another file, or say overwrite=true.")
-    known = track_build.knowledge(config.run, config.plant)
+    known = track_build.knowledge(config.run, config.plant, command="export")
     mpc = config.mpc
     digest = export(
         known,

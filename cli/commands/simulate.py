@@ -35,7 +35,9 @@ class PlantConfig:
         "effects that nobody declares: names, module:Class of your own, or {NAME: {parameter: 1}}; a size that is not "
         "given is a typical one (`nsde effects` lists them)",
     )
-    parameters: dict[str, Any] = key({}, "values of these effects, plant.parameters.EFFECT.NAME=1")
+    parameters: dict[str, Any] = key(
+        {}, "values of these effects and of the declared physics, plant.parameters.EFFECT.NAME=1"
+    )
     declared_only: bool = key(
         False,
         "leave out the undeclared effects that the machine has anyway (multirotors: rotor drag, motor lag)",

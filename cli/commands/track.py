@@ -91,7 +91,11 @@ def run(config: DictConfig, job: Job) -> float | None:
         raise ConfigError(f"`beside` names a controller twice: {names}.")
     if config.run == track_build.PID:
         raise ConfigError("`run` is the model's run directory (or declared); pid can fly beside=[pid].")
-    known = {name: track_build.knowledge(name, config.plant) for name in names if name != track_build.PID}
+    known = {
+        name: track_build.knowledge(name, config.plant, command="track")
+        for name in names
+        if name != track_build.PID
+    }
     first = known[config.run]
     path = track_build.reference(config.reference)
     options = track_build.problem(config.mpc)

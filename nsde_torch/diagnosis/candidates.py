@@ -2,7 +2,8 @@
 
 from collections.abc import Sequence
 
-from nsde_torch.effects import Effect, Port, effect_class, effects_of, make_effect
+from nsde_torch.effects import Effect, Law, Port, effect_class, effects_of
+from nsde_torch.effects.law import joined_name, split_name
 from nsde_torch.systems import System
 from nsde_torch.systems.parameters import own_name
 
@@ -17,7 +18,9 @@ def candidate_names(system: System) -> list[str]:
     there = {name for effect in system.effects if isinstance(effect, Effect) for name in effect.includes}
     return sorted(
         name
-        for name, cls in effects_of(system.name, {*system.ports, Port.INPUT}).items()
+        for name, cls in effects_of(
+            system.name, {*system.ports, Port.INPUT}, system.bound_coordinates()
+        ).items()
         if name not in there
         and name not in system.effect_names
         and cls.candidate(system.name)
@@ -25,15 +28,21 @@ def candidate_names(system: System) -> list[str]:
     )
 
 
+def on_coordinates(system: System, names: Sequence[str]) -> list[str]:
+    """Names as the system has them; a law without a coordinate stands for that law on each that it is for."""
+    out: list[str] = []
+    for name in map(system.effect_key, names):
+        law, at = effect_class(name), system.bound_coordinates()
+        if issubclass(law, Law) and not split_name(name)[1] and len(at) > 1:
+            out += [joined_name(name, c.name) for c in at if law.suits(c)]
+        else:
+            out.append(name)
+    return list(dict.fromkeys(out))
+
+
 def make_candidate(name: str, system: System, start: Start) -> Effect:
     """An effect with these values, for a copy of the system."""
-    return make_effect(
-        name,
-        system=system.name,
-        ports={*system.ports, Port.INPUT},
-        n_inputs=system.nu,
-        values=start,
-    )
+    return system.make_effect(name, start)
 
 
 def alone(name: str, labels: Sequence[str]) -> list[tuple[str, ...]]:

@@ -16,8 +16,10 @@ from nsde_torch.diagnosis.multiplicity import bonferroni
 from nsde_torch.diagnosis.outcome import Outcome
 from nsde_torch.diagnosis.shape import Shape, called, symmetry
 from nsde_torch.diagnosis.summary import summary
-from nsde_torch.effects import Effect, effect_class
+from nsde_torch.effects import Effect
+from nsde_torch.effects.law import joined_name, split_name
 from nsde_torch.sysid.longer_boxes import in_words
+from nsde_torch.systems import System
 from nsde_torch.systems.parameters import own_name
 
 if TYPE_CHECKING:
@@ -89,6 +91,7 @@ def content(found: Diagnosis) -> dict[str, Any]:
             "after": [_dependence(d, len(o.after), found.runs, wording) for d in o.after[:_DEPENDENCES]],
         },
         "unexplained": [_shape(found, s) for s in left.shapes],
+        "between_runs": _between_runs(found),
         "in_run": _in_run(found),
         "formula": _formula(found),
         "errors": {
@@ -206,7 +209,8 @@ def _class(found: Diagnosis, name: str) -> type[Effect]:
 def _ties(found: Diagnosis) -> list[dict[str, Any]]:
     out = [{"effects": [f.name, *f.ties], "experiment": f.experiment} for f in found.faults if f.ties]
     for f in found.outcome.found:
-        twins = [t for t in TWINS.get(f.name, ()) if t != "sensor_bias" or _springs(found)]
+        law, coordinate = split_name(f.name)
+        twins = [t for t in TWINS.get(law, ()) if t != "sensor_bias" or _springs(found, coordinate)]
         if f.ties or twins:
             out.append({"effects": [f.name, *f.ties, *twins], "experiment": _class(found, f.name).separate})
     return out
@@ -225,6 +229,23 @@ def _shape(found: Diagnosis, s: Shape) -> dict[str, Any]:
     }
 
 
+def _between_runs(found: Diagnosis) -> dict[str, Any] | None:
+    zeros = found.explanation.between_runs
+    if zeros is None:
+        return None
+    return {
+        "state": zeros.state,
+        "unit": zeros.unit,
+        "runs": {
+            run: {"value": value, "standard_error": error} for run, (value, error) in zeros.values.items()
+        },
+        "p": zeros.p,
+        "tie": zeros.tie,
+        "sentence": zeros.sentence,
+        "remedy": zeros.remedy,
+    }
+
+
 def _in_run(found: Diagnosis) -> dict[str, Any] | None:
     f = found.explanation.in_run
     if f is None:
@@ -236,7 +257,7 @@ def _in_run(found: Diagnosis) -> dict[str, Any] | None:
         "p": f.p,
         "parameters": {e.name: {"value": e.value, "unit": e.unit} for e in f.estimates},
         "sentence": f"In {called(name)} alone, {f.effect} would explain it: "
-        + meaning(f.effect, f.estimates, f.held),
+        + meaning(found.outcome.declared_system, f.effect, f.estimates, f.held),
         "verified": False,
     }
 
@@ -274,13 +295,14 @@ def _not_shown(found: Diagnosis) -> list[dict[str, Any]]:
             found=names,
             alpha=found.outcome.levels["effects"],
             decisions=found.outcome.decisions,
+            system=found.outcome.declared_system,
         )
     ]
 
 
-def _springs(found: Diagnosis) -> bool:
+def _springs(found: Diagnosis, coordinate: str) -> bool:
     """Whether a bias of the position would show as a constant force."""
-    return "linear_spring" in found.system.effect_names
+    return joined_name("linear_spring", coordinate) in found.system.effect_names
 
 
 def parameters(found: Diagnosis) -> dict[str, Any]:
@@ -311,10 +333,10 @@ def _interval(found: Diagnosis, e: Estimate) -> dict[str, Any]:
 
 def sentence(outcome: Outcome, effect: str, held: Sequence[str] = ()) -> str:
     """What an effect means, with its values; parameters that were held at nothing are nothing."""
-    return meaning(effect, outcome.estimates(effect), held)
+    return meaning(outcome.declared_system, effect, outcome.estimates(effect), held)
 
 
-def meaning(effect: str, parameters: Sequence[Estimate], held: Sequence[str] = ()) -> str:
+def meaning(system: System, effect: str, parameters: Sequence[Estimate], held: Sequence[str] = ()) -> str:
     """The sentence of an effect with these values."""
     values: dict[str, list[str]] = {}
     units: dict[str, str] = {}
@@ -323,7 +345,8 @@ def meaning(effect: str, parameters: Sequence[Estimate], held: Sequence[str] = (
         values.setdefault(name, []).append(f"{0.0 if e.name in held else e.value:.3g}")
         units[name] = "" if e.unit == "1" else f" {e.unit}"
     words = {name: ", ".join(values[name]) + units[name] for name in values}
-    text = effect_class(effect).sentence
+    cls = system.effect_class(effect)
+    text = cls.sentence or f"What is added is {cls.formula}, {', '.join(f'{k} = {{{k}}}' for k in words)}."
     try:
         return text.format(**words)
     except (KeyError, IndexError):

@@ -28,7 +28,8 @@ from nsde_torch.diagnosis.regressors import Regressors, regressors
 from nsde_torch.diagnosis.search import Base, Search
 from nsde_torch.diagnosis.selection import Selection
 from nsde_torch.diagnosis.specification import dependences
-from nsde_torch.effects import effect_class
+from nsde_torch.effects import Effect, Port, effect_class
+from nsde_torch.effects.law import split_name
 
 
 def set_aside(search: Search, chosen: Selection, kept: Retained, feedback: Feedback) -> Retained:
@@ -179,9 +180,14 @@ def provisional_reason(
         return "something else is there too"
     own = effect_class(f.name)
     others = [effect_class(g.name) for g in found if g.name != f.name]
-    if own.along and any((o.along, o.port) == (own.along, own.port) for o in others):
+    if own.along and _variable(own) in map(_variable, others):
         return f"two laws of the same {own.along} may stand for one that the catalogue lacks"
     return ""
+
+
+def _variable(effect: type[Effect]) -> tuple[str, Port, str]:
+    """What a law is a law of: a quantity, on a port or of a coordinate."""
+    return effect.along, effect.port, split_name(effect.name)[1]
 
 
 def judged_on_runs_left_out(outcome: Outcome, errors: HeldOut) -> Outcome:

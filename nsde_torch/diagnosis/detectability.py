@@ -12,6 +12,7 @@ from math import inf, isfinite
 from nsde_torch.diagnosis.decisions import DECISIONS, Decisions
 from nsde_torch.diagnosis.rounds import Round
 from nsde_torch.effects import effect_class
+from nsde_torch.systems import System
 from nsde_torch.systems.parameters import own_name
 
 
@@ -37,7 +38,12 @@ class NotShown:
 
 
 def not_shown(
-    rounds: Sequence[Round], *, found: Sequence[str], alpha: float, decisions: Decisions = DECISIONS
+    rounds: Sequence[Round],
+    *,
+    found: Sequence[str],
+    alpha: float,
+    decisions: Decisions = DECISIONS,
+    system: System | None = None,
 ) -> list[NotShown]:
     """Effects that were not significant and could not have been.
 
@@ -46,6 +52,7 @@ def not_shown(
         found: Names of the effects that were added.
         alpha: Chance below which a candidate is significant.
         decisions: What size is noticed, and what is a good part of the usual one.
+        system: Declared system, which knows units; None: those of the simplest machine.
     """
     significant = {t.name for look in rounds for t in look.trials if t.p_corrected < alpha} | set(found)
     contained = {simple for name in significant for simple in effect_class(name).includes}
@@ -57,7 +64,7 @@ def not_shown(
                     smallest[name, label] = min(error, smallest.get((name, label), inf))
     out = []
     for (name, label), error in smallest.items():
-        cls = effect_class(name)
+        cls = effect_class(name) if system is None else system.effect_class(name)
         key = own_name(label)
         spec = cls.PARAMETERS[key]
         usual = cls().scale_of(key)

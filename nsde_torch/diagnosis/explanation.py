@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass, field
 
+from nsde_torch.diagnosis.between_runs import RunZeros, between_runs
 from nsde_torch.diagnosis.channels import ChannelResidual, channel_residuals
 from nsde_torch.diagnosis.declared import Warned, warnings
 from nsde_torch.diagnosis.formula import Formula, formula
@@ -21,6 +22,7 @@ class Explanation:
     Args:
         channels: Residuals before and after.
         shapes: What the residual still depends on, in words.
+        between_runs: The sensor's zero that differs between runs, where structure is left.
         in_run: The effect that would explain it in the one run that it is in: provisional, unverified.
         formula: A sparse formula for it: provisional, unverified.
         warned: Declared parameters that tell of a fault of the columns.
@@ -30,6 +32,7 @@ class Explanation:
 
     channels: list[ChannelResidual]
     shapes: tuple[Shape, ...] = ()
+    between_runs: RunZeros | None = None
     in_run: InRun | None = None
     formula: Formula | None = None
     warned: tuple[Warned, ...] = ()
@@ -58,6 +61,7 @@ def explained(
     return Explanation(
         channel_residuals(outcome.declared.regression, regression),
         shapes=shapes,
+        between_runs=between_runs(regression, runs, tie=log.decisions.alike_nats) if left else None,
         in_run=None if odd is None else in_run(log.again(search, [log.runs[odd]]), outcome.system, odd),
         formula=formula(regression, left, outcome.variables, runs),
         warned=tuple(warned),

@@ -34,12 +34,3 @@ class Options:
         check(type(self), vars(self))
         if not 0 < self.alpha <= 0.5:
             raise ConfigError(f"`alpha` must lie in (0, 0.5]; got {self.alpha!r}.")
-        if self.candidates:
-            from nsde_torch.effects.registry import EFFECTS
-
-            for name in self.candidates:
-                if name not in EFFECTS:
-                    raise ConfigError(
-                        f"`candidates` names {name!r}, which `nsde effects` does not list; one of your own goes into "
-                        "`also`."
-                    )

@@ -4,15 +4,17 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+import torch
 from numpy.typing import NDArray
 
 from nsde_torch.data import Run
-from nsde_torch.diagnosis.candidates import candidate_names
+from nsde_torch.diagnosis.candidates import candidate_names, on_coordinates
 from nsde_torch.diagnosis.decisions import Budgets, Decisions
 from nsde_torch.diagnosis.hidden import Feedback, shown_by_instruments
 from nsde_torch.diagnosis.options import Options
 from nsde_torch.diagnosis.search import Search, search_in
-from nsde_torch.effects import effect_class, effects_of, register
+from nsde_torch.effects import EFFECTS, effect_class, effects_of, register
+from nsde_torch.effects.law import split_name
 from nsde_torch.errors import ConfigError, DataError
 from nsde_torch.recording.levels import level
 from nsde_torch.recording.log import Recorded
@@ -23,6 +25,9 @@ from nsde_torch.sysid.loop_test import LoopTest, tested
 from nsde_torch.sysid.regression import Regression
 from nsde_torch.sysid.result import Identification
 from nsde_torch.systems import System
+from nsde_torch.systems.coordinates import check_pushes
+
+_CHECKED = 50  # rows of the data at which coordinates are checked
 
 
 @dataclass(frozen=True)
@@ -122,7 +127,13 @@ def read_effects(system: System, runs: Sequence[Run], options: Options) -> dict[
 
     Raises:
         DataError: an instrument is no column of the log.
+        ConfigError: a candidate that is not in the catalogue.
     """
+    for name in options.candidates or ():
+        if split_name(system.effect_key(name))[0] not in EFFECTS:
+            raise ConfigError(
+                f"`candidates` names {name!r}, which `nsde effects` does not list; one of your own goes into `also`."
+            )
     if options.instruments:  # told before any work
         with_columns(system, runs, options.instruments)
     return {key: register(key) for key in options.also}
@@ -156,16 +167,22 @@ def read_log(
     runs = tuple(with_channels(system, recorded.runs))
     if not runs:
         raise DataError("no run to diagnose.")
+    some = slice(None, None, max(1, len(runs[0]) // _CHECKED))
+    check_pushes(
+        system.with_effects().double(),
+        torch.from_numpy(runs[0].x[some].copy()),
+        torch.from_numpy(runs[0].u[some].copy()),
+    )
     system = system.reading(*logged_channels(system, runs))
     able = candidate_names(system)
-    for name in options.candidates or ():
+    for name in on_coordinates(system, options.candidates or ()):
         if name not in able:
             raise ConfigError(
                 f"`candidates` names {name!r}, which {system.name!r} cannot have beyond its declared physics and the "
                 f"logged channels; it could have: {', '.join(able)}."
             )
     for key, name in own.items():
-        if name not in able:
+        if not set(on_coordinates(system, [name])) & set(able):
             raise ConfigError(
                 f"`also` names {key!r}, which {system.name!r} cannot have: it acts on the port "
                 f"{effect_class(name).port.value!r} and reads "
@@ -176,7 +193,7 @@ def read_log(
 
 def logged_channels(system: System, runs: Sequence[Run]) -> tuple[str, ...]:
     """Logged columns, of all runs and without gaps, that an effect of the catalogue could read."""
-    effects = effects_of(system.name, system.ports)
+    effects = effects_of(system.name, system.ports, system.bound_coordinates())
     names = {name for cls in effects.values() for name in cls.exogenous}
     return tuple(
         n

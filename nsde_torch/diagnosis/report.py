@@ -262,6 +262,11 @@ def _unexplained(content: Mapping[str, Any], figure: str) -> str:
         return ""
     lines = "".join(f"<li>{escape(s['sentence'])}</li>" for s in content["unexplained"])
     text = f"<h2>What no effect of the catalogue explains</h2><ul>{lines}</ul>{figure}"
+    if content["between_runs"] is not None:
+        between = content["between_runs"]
+        text += (
+            f"<p>{escape(between['sentence'])} To take it out: <code>{escape(between['remedy'])}</code></p>"
+        )
     if content["in_run"] is not None:
         sentence = escape(content["in_run"]["sentence"])
         text += f'<p><span class="lead">a lead, unverified</span> {sentence}</p>'

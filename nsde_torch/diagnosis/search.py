@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nsde_torch.data import Run
+from nsde_torch.diagnosis.candidates import on_coordinates
 from nsde_torch.diagnosis.decisions import BUDGETS, DECISIONS, Budgets, Decisions
 from nsde_torch.diagnosis.evidence import Score, folds, score
 from nsde_torch.diagnosis.fitted import carried, dynamic_rows, fitted_system, nonlinear
@@ -275,7 +276,7 @@ def search_in(
         alpha=options.alpha,
         candidates=None
         if options.candidates is None
-        else (*options.candidates, *map(register, options.also)),
+        else on_coordinates(system, (*options.candidates, *map(register, options.also))),
         feedback=not system.sensor_noise,
         inputs=inputs,
         stages=stages,

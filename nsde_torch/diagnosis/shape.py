@@ -10,6 +10,7 @@
   large in the others.
 """
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -27,6 +28,7 @@ from nsde_torch.sysid.regression import Regression
 Array = NDArray[np.float64]
 
 _BINS, _FEWEST_BINS = 24, 6  # means that the extent of a dependence is seen in
+_SWING = re.compile(r"periodic_force(\[\w+\])?\.frequency")
 _ENDS = {
     OVER_TIME: "otherwise early in a run than late: something drifts",
     BY_RUN: "otherwise in one run than in another: something differs between runs",
@@ -186,10 +188,12 @@ def _of_phase(regression: Regression, channel: int, frequency: float, wording: W
     if len(found) > 1 and abs(sum(found)) < wording.same_phase * sum(abs(z) for z in found):
         return " whose phase differs from run to run"
     known = dict(zip(regression.vector.labels, regression.theta.tolist(), strict=True))
-    times = frequency / known.get("periodic_force.frequency", np.inf)
-    whole = round(times)
-    harmonic = whole > 1 and abs(times - whole) < wording.whole_tolerance * times
-    return f", {whole} times the one that is known" if harmonic else ""
+    swings = [f for name, f in known.items() if _SWING.fullmatch(name)]
+    for times in (frequency / f for f in swings if f > 0):
+        whole = round(times)
+        if whole > 1 and abs(times - whole) < wording.whole_tolerance * times:
+            return f", {whole} times the one that is known"
+    return ""
 
 
 def _extent(

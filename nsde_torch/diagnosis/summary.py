@@ -27,7 +27,11 @@ def summary(
         )
     if verdict == "no_effect":
         unseen = not_shown(
-            outcome.rounds, found=(), alpha=outcome.levels["effects"], decisions=outcome.decisions
+            outcome.rounds,
+            found=(),
+            alpha=outcome.levels["effects"],
+            decisions=outcome.decisions,
+            system=outcome.declared_system,
         )
         blind = dict.fromkeys(n.effect for n in unseen if n.smallest is None)
         if blind:

@@ -63,6 +63,9 @@ def lines(content: Mapping[str, Any]) -> list[str]:
         out += ["", table(["the residual still depends: channel", "variable", "kind", "p", "share"], rows)]
     if content["unexplained"]:
         out += ["", *(d["sentence"] for d in content["unexplained"][:_SENTENCES])]
+    if content["between_runs"] is not None:
+        between = content["between_runs"]
+        out += ["", f"{between['sentence']} To take it out: {between['remedy']}"]
     if content["in_run"] is not None:
         out += ["", f"a lead, unverified: {content['in_run']['sentence']}"]
     if content["formula"] is not None:

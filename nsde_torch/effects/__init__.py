@@ -3,17 +3,21 @@
 An effect of your own is a class in a file of yours, named `module:Class` wherever a name of the catalogue can stand
 (`system.effects=[my_effects:Cogging]`, `plant.effects=[...]`):
 
-    class Cogging(Effect):
+    class Cogging(Law):
         name = "cogging"
-        port = Port.FORCE
+        reads_position = True
         formula = "-c sin(2 pi q / p)"
         source = "teeth of a linear motor"
-        PARAMETERS = {"size": Parameter(0.0, "m/s2", scale=0.1, help="largest force over mass"),
-                      "pitch": Parameter(0.05, "m", low=0.0, help="distance of the teeth")}
+        PARAMETERS = {"size": Parameter(0.0, "force", scale=0.1, help="largest force"),
+                      "pitch": Parameter(0.05, "position", low=0.0, help="distance of the teeth")}
         null, amplitudes, shapes = {"size": 0.0}, ("size",), {"pitch": (0.02, 0.05, 0.1)}
+        sentence = "The teeth hold {it} with up to {size} every {pitch}."
 
-        def forward(self, t, x, u, memory):
-            return -self.value("size") * torch.sin(2 * torch.pi * x[:, :1] / self.value("pitch"))
+        def term(self, t, x, u, memory):
+            return -self.value("size") * torch.sin(2 * torch.pi * self.q(x) / self.value("pitch"))
+
+It is a law of one coordinate, and so an effect on every coordinate of a machine: `my_effects:Cogging[q2]`. A term that
+is no such law derives from `Effect` and has a `port` and `forward`.
 
 `nsde diagnose also=[my_effects:Cogging]` tries it beside the catalogue: fits start from `null` at every point of the
 grid `shapes`, and `amplitudes` are what is nothing without it.
@@ -25,14 +29,27 @@ from nsde_torch.lazy import resolver
 
 if TYPE_CHECKING:
     from nsde_torch.effects.base import Effect, Parameter, Parametrised, Port
-    from nsde_torch.effects.registry import EFFECTS, effect_class, effects_of, key_of, make_effect, register
+    from nsde_torch.effects.coordinates import Coordinate
+    from nsde_torch.effects.law import Law
+    from nsde_torch.effects.registry import (
+        EFFECTS,
+        canonical_name,
+        effect_class,
+        effects_of,
+        key_of,
+        make_effect,
+        register,
+    )
 
 __all__ = [
     "EFFECTS",
+    "Coordinate",
     "Effect",
+    "Law",
     "Parameter",
     "Parametrised",
     "Port",
+    "canonical_name",
     "effect_class",
     "effects_of",
     "key_of",
@@ -44,10 +61,13 @@ __getattr__ = resolver(
     __name__,
     {
         "EFFECTS": "registry",
+        "Coordinate": "coordinates",
         "Effect": "base",
+        "Law": "law",
         "Parameter": "base",
         "Parametrised": "base",
         "Port": "base",
+        "canonical_name": "registry",
         "effect_class": "registry",
         "effects_of": "registry",
         "key_of": "registry",

@@ -1,9 +1,9 @@
-"""Effects of the cart and pole: on the cart (`force`, over total mass), the pole (`torque`) and all (`world_force`).
+"""Effects of the cart and pole that are no law of one of its two coordinates: a track in tilt, a turned sensor.
 
-Friction as in Florian, "Correct equations for the dynamics of the cart-pole system" (2007), which corrects Barto,
-Sutton, Anderson (1983). A track at a slope of sin(angle) = s pulls cart and pole alike along it: x'' loses g s, the
-pole does not notice, and its angle counts from the normal of the track. A sensor of the angle that reads b too much
-puts all of the pole's physics at theta - b.
+Equations are those of Florian, "Correct equations for the dynamics of the cart-pole system" (2007), which corrects
+Barto, Sutton, Anderson (1983). A track at a slope of sin(angle) = s pulls cart and pole alike along it: x'' loses g s,
+the pole does not notice, and its angle counts from the normal of the track. A sensor of the angle that reads b too
+much puts all of the pole's physics at theta - b.
 """
 
 from typing import final
@@ -11,76 +11,9 @@ from typing import final
 from torch import Tensor
 
 from nsde_torch.effects.base import Effect, Parameter, Port
-from nsde_torch.effects.friction import Coulomb, Viscous, width
 
 FLORIAN = "Florian, Correct equations for the dynamics of the cart-pole system (2007)"
 GRAVITY = 9.8
-SWING = "let the pole swing out from several heights, the cart held"
-
-
-@final
-class CartCoulombFriction(Coulomb):
-    """Dry friction between cart and track."""
-
-    name = "cart_coulomb_friction"
-    port = Port.FORCE
-    systems = ("cartpole",)
-    column = 1
-    formula = "-c tanh(x' / v0)"
-    source = FLORIAN
-    PARAMETERS = {
-        "size": Parameter(0.1, "m/s2", low=0.0, help="friction over total mass"),
-        "width": width("m/s"),
-    }
-    sentence = "Dry friction of the track brakes the cart with {size}."
-
-
-@final
-class CartViscousFriction(Viscous):
-    """Friction between cart and track in proportion to velocity."""
-
-    name = "cart_viscous_friction"
-    port = Port.FORCE
-    systems = ("cartpole",)
-    column = 1
-    formula = "-b x'"
-    source = FLORIAN
-    PARAMETERS = {"damping": Parameter(0.1, "1/s", low=0.0, help="damping over total mass")}
-    sentence = "The cart is braked in proportion to its speed, with {damping} over total mass."
-
-
-@final
-class PoleViscousFriction(Viscous):
-    """Friction in the pivot in proportion to the pole's rate."""
-
-    name = "pole_viscous_friction"
-    port = Port.TORQUE
-    systems = ("cartpole",)
-    column = 3
-    formula = "-b theta'"
-    source = FLORIAN
-    PARAMETERS = {"damping": Parameter(0.1, "1/s", low=0.0, help="damping over the pole's inertia")}
-    sentence = "The pivot brakes the pole in proportion to its rate, with {damping} over its inertia."
-    separate = SWING
-
-
-@final
-class PoleCoulombFriction(Coulomb):
-    """Dry friction in the pivot."""
-
-    name = "pole_coulomb_friction"
-    port = Port.TORQUE
-    systems = ("cartpole",)
-    column = 3
-    formula = "-c tanh(theta' / w0)"
-    source = FLORIAN
-    PARAMETERS = {
-        "size": Parameter(0.1, "rad/s2", low=0.0, help="friction torque over the pole's inertia"),
-        "width": width("rad/s"),
-    }
-    relative = {"width": "rate"}
-    sentence = "Dry friction in the pivot brakes the pole with {size}."
-    separate = SWING
 
 
 @final

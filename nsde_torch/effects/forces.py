@@ -1,4 +1,4 @@
-"""Forces on the port `force` that do not depend on the state; over mass."""
+"""Forces on one coordinate that do not depend on the state."""
 
 from math import pi
 from typing import final
@@ -6,50 +6,51 @@ from typing import final
 import torch
 from torch import Tensor
 
-from nsde_torch.effects.base import Effect, Parameter, Port, elapsed
+from nsde_torch.effects.base import Parameter, elapsed
+from nsde_torch.effects.law import Law
 
 
 @final
-class ConstantForce(Effect):
+class ConstantForce(Law):
     """A force that never changes."""
 
     name = "constant_force"
-    port = Port.FORCE
     formula = "c"
     source = "bias of an actuator or a slope"
-    PARAMETERS = {"acceleration": Parameter(0.0, "m/s2", scale=0.1, help="force over mass")}
+    PARAMETERS = {
+        "acceleration": Parameter(0.0, "force", scale=0.1, help="force (over mass, where forces are)")
+    }
     null = {"acceleration": 0.0}
     amplitudes = ("acceleration",)
-    sentence = "A force that never changes pushes with {acceleration}."
+    sentence = "A force that never changes acts on {it}, with {acceleration}."
     separate = "leave it alone, at rest, in several places"
 
-    def forward(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
-        """See `Effect.forward`."""
+    def term(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
+        """See `Law.term`."""
         return self.value("acceleration").expand(x.shape[0], 1)
 
 
 @final
-class PeriodicForce(Effect):
+class PeriodicForce(Law):
     """A force that swings with the clock of the log, as an unbalanced rotor's."""
 
     name = "periodic_force"
-    port = Port.FORCE
     formula = "a sin(2 pi f t) + b cos(2 pi f t)"
     source = "imbalance of a rotating part; den Hartog, Mechanical Vibrations (1934)"
     PARAMETERS = {
-        "sine": Parameter(0.0, "m/s2", scale=0.1, help="part in phase with the clock, over mass"),
-        "cosine": Parameter(0.0, "m/s2", scale=0.1, help="part a quarter ahead of it, over mass"),
+        "sine": Parameter(0.0, "force", scale=0.1, help="part in phase with the clock"),
+        "cosine": Parameter(0.0, "force", scale=0.1, help="part a quarter ahead of it"),
         "frequency": Parameter(1.0, "Hz", low=0.0, scale=0.1, help="swings per second"),
     }
     null = {"sine": 0.0, "cosine": 0.0}
     amplitudes = ("sine", "cosine")
     shapes = {"frequency": ()}
     relative = {"frequency": "spectrum"}
-    sentence = "A force swings {frequency}, whatever the machine does (sine {sine}, cosine {cosine})."
+    sentence = "A force on {it} swings {frequency}, whatever the machine does (sine {sine}, cosine {cosine})."
     separate = "record without input: what swings on with the clock is not the machine"
 
-    def forward(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
-        """See `Effect.forward`."""
+    def term(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
+        """See `Law.term`."""
         # turns in the precision of the clock: a log may start at 1e9 s
         angle = (2.0 * pi * torch.remainder(self.value("frequency") * elapsed(t, x), 1.0)).to(x.dtype)
         term = self.value("sine") * torch.sin(angle) + self.value("cosine") * torch.cos(angle)

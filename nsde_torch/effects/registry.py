@@ -1,27 +1,27 @@
-"""Effects by name: those of the catalogue, and `package.module:Class` of the user's own."""
+"""Effects by name: those of the catalogue, and `package.module:Class` of the user's own.
 
-from collections.abc import Collection, Mapping
+A law of one coordinate is named with it, `coulomb_friction[q2]`, on a machine that has several.
+"""
+
+from collections.abc import Collection, Mapping, Sequence
 
 from nsde_torch.effects.actuators import ActuatorDeadband, ActuatorGainDrift, ActuatorSaturation
 from nsde_torch.effects.base import Effect, Port
-from nsde_torch.effects.cartpole import (
-    AngleBias,
-    CartCoulombFriction,
-    CartViscousFriction,
-    PoleCoulombFriction,
-    PoleViscousFriction,
-    TrackTilt,
-)
+from nsde_torch.effects.cartpole import AngleBias, TrackTilt
+from nsde_torch.effects.coordinates import Bound
 from nsde_torch.effects.delay import InputDelay
 from nsde_torch.effects.forces import ConstantForce, PeriodicForce
 from nsde_torch.effects.friction import (
     AsymmetricFriction,
     CoulombFriction,
+    LoadFriction,
+    PositionDependentFriction,
     QuadraticDamping,
     StribeckFriction,
     ViscousFriction,
 )
 from nsde_torch.effects.lag import ActuatorLag, MotorLag
+from nsde_torch.effects.law import Law, joined_name, law_at, split_name, unplaced
 from nsde_torch.effects.multirotor_drag import ConstantWind, LinearDrag, QuadraticDrag
 from nsde_torch.effects.multirotor_forces import ConstantWorldForce, GroundEffect, ThrustMisalignment
 from nsde_torch.effects.multirotor_frame import FrameMisalignment
@@ -33,6 +33,7 @@ from nsde_torch.effects.multirotor_moments import (
     InertiaCoupling,
 )
 from nsde_torch.effects.multirotor_thrust import BatteryVoltage, MotorEfficiencyLoss, ThrustCurve, ThrustSag
+from nsde_torch.effects.ripple import Ripple
 from nsde_torch.effects.stiffness import CubicStiffness, LinearSpring
 from nsde_torch.errors import ConfigError
 from nsde_torch.lookup import class_by_name, did_you_mean
@@ -40,7 +41,7 @@ from nsde_torch.lookup import class_by_name, did_you_mean
 EFFECTS: dict[str, type[Effect]] = {
     cls.name: cls
     for cls in (
-        # any system
+        # laws of one coordinate, of any system that has coordinates
         ConstantForce,
         PeriodicForce,
         CoulombFriction,
@@ -48,18 +49,18 @@ EFFECTS: dict[str, type[Effect]] = {
         StribeckFriction,
         ViscousFriction,
         QuadraticDamping,
+        PositionDependentFriction,
+        LoadFriction,
         LinearSpring,
         CubicStiffness,
+        Ripple,
+        # the input of any system
         InputDelay,
         ActuatorLag,
         ActuatorDeadband,
         ActuatorSaturation,
         ActuatorGainDrift,
         # cart and pole
-        CartCoulombFriction,
-        CartViscousFriction,
-        PoleCoulombFriction,
-        PoleViscousFriction,
         TrackTilt,
         AngleBias,
         # multirotors
@@ -101,17 +102,22 @@ def register(name: str) -> str:
         ConfigError: as `effect_class`, or another effect has that name.
     """
     cls = effect_class(name)
+    cls = cls.law if issubclass(cls, Law) else cls
     if _known().get(cls.name, cls) is not cls:
         raise ConfigError(
             f"effect {name!r}: another effect is called {cls.name!r}; give it a `name` of its own."
         )
     if EFFECTS.get(cls.name) is not cls:
         _OWN[cls.name] = cls
-    return cls.name
+    return joined_name(cls.name, split_name(name)[1])
 
 
 def key_of(cls: type[Effect]) -> str:
-    """What names an effect in any process: its name in the catalogue, or `module:Class`."""
+    """What names an effect in any process: its name in the catalogue, or `module:Class`; with its coordinate."""
+    if issubclass(cls, Law):
+        law = cls.law
+        own = law.name if EFFECTS.get(law.name) is law else f"{law.__module__}:{law.__qualname__}"
+        return joined_name(own, cls.at.name)
     return cls.name if EFFECTS.get(cls.name) is cls else f"{cls.__module__}:{cls.__qualname__}"
 
 
@@ -119,13 +125,60 @@ def _known() -> dict[str, type[Effect]]:
     return {**EFFECTS, **_OWN}
 
 
-def effect_class(name: str) -> type[Effect]:
-    """Class of an effect: a key of `EFFECTS`, or `package.module:Class` of the user's own.
+def effect_class(name: str, coordinates: Sequence[Bound] | None = None) -> type[Effect]:
+    """Class of an effect: a key of `EFFECTS`, or `package.module:Class` of the user's own; with a coordinate in `[]`.
+
+    Args:
+        name: As `canonical_name` returns it, or `package.module:Class`.
+        coordinates: Those of the machine. None: of no machine, and the class of a law says what it is called and what
+            it includes, but not where it acts.
 
     Raises:
-        ConfigError: unknown name (lists the choices), no such module or class, or not an Effect.
+        ConfigError: unknown name (lists the choices), no such module or class, not an Effect, or no such coordinate.
     """
-    return class_by_name(name, _known(), Effect, kind="effect", home="nsde_torch.effects")
+    base, coordinate = split_name(name)
+    cls = class_by_name(base, _known(), Effect, kind="effect", home="nsde_torch.effects")
+    if not isinstance(getattr(cls, "name", None), str):
+        raise ConfigError(
+            f"effect {name!r} has no `name`. Write one into the class: name = {cls.__name__.lower()!r}."
+        )
+    if not issubclass(cls, Law):
+        if coordinate:
+            raise ConfigError(f"effect {base!r} is no law of one coordinate; leave out [{coordinate}].")
+        return cls
+    if coordinates is None:
+        return unplaced(cls, coordinate) if coordinate else cls
+    return law_at(cls, _coordinate(base, coordinate, coordinates))
+
+
+def _coordinate(law: str, name: str, coordinates: Sequence[Bound]) -> Bound:
+    """The coordinate that a law is meant for."""
+    if not coordinates:
+        raise ConfigError(f"effect {law!r} is a law of one coordinate, and the system declares none.")
+    if not name and len(coordinates) == 1:
+        return coordinates[0]
+    for at in coordinates:
+        if name in (at.declared, at.name) and name:
+            return at
+    choices = ", ".join(joined_name(law, at.declared) for at in coordinates)
+    wrong = (
+        f"the coordinate {name!r} is none of the system's" if name else "the system has several coordinates"
+    )
+    raise ConfigError(f"effect {joined_name(law, name)!r}: {wrong}; choose among {choices}.")
+
+
+def canonical_name(name: str, coordinates: Sequence[Bound], aliases: Mapping[str, str]) -> str:
+    """What an effect is called on a machine: older names replaced, and a coordinate that goes without saying left out.
+
+    Args:
+        name: As a user writes it.
+        coordinates: Those of the machine.
+        aliases: Older names of its effects.
+    """
+    name = aliases.get(name, name)
+    base, coordinate = split_name(name)
+    only = len(coordinates) == 1 and coordinate == coordinates[0].declared
+    return base if only else name
 
 
 def make_effect(
@@ -135,27 +188,38 @@ def make_effect(
     ports: Collection[Port],
     n_inputs: int,
     values: Mapping[str, float | list[float]] | None = None,
+    coordinates: Sequence[Bound] = (),
 ) -> Effect:
     """Make an effect by name.
 
     Args:
-        name: Key in `EFFECTS`, or `package.module:Class`.
+        name: Key in `EFFECTS`, or `package.module:Class`; with its coordinate in `[]` where the system has several.
         system: Name of the system that it will act on, for the message.
         ports: Ports of that system.
         n_inputs: Number of inputs of that system.
         values: Initial values of its parameters.
+        coordinates: Coordinates of that system.
 
     Raises:
         ConfigError: unknown name, or an effect that is not for that system; lists the choices.
     """
-    known = effects_of(system, ports)
-    if ":" not in name and name not in known:
-        what = f"does not act on system {system!r}" if name in _known() else "is not in the catalogue"
+    base, _ = split_name(name)
+    known = _known()
+    if ":" not in name and (base not in known or not _may(known[base], system, ports)):
+        what = f"does not act on system {system!r}" if base in known else "is not in the catalogue"
+        able = effects_of(system, ports, coordinates)
         raise ConfigError(
-            f"effect {name!r} {what}; choose among: {', '.join(sorted(known)) or 'none'}.{did_you_mean(name, known)}"
+            f"effect {name!r} {what}; choose among: {', '.join(sorted(able)) or 'none'}.{did_you_mean(name, able)}"
         )
-    cls = effect_class(name)
-    if not cls.fits(system, ports):
+    if issubclass(known.get(base, Effect), Law) and not coordinates:
+        able = effects_of(system, ports)
+        raise ConfigError(
+            f"effect {name!r} is a law of one coordinate and does not act on system {system!r}, which declares none: "
+            'coordinates = (Coordinate("q1", "q1_dot", Port.TORQUE, position="q1"),) in its class does so. Without, '
+            f"choose among: {', '.join(sorted(able)) or 'none'}."
+        )
+    cls = effect_class(name, coordinates)
+    if not _may(cls, system, ports):
         raise ConfigError(
             f"effect {name!r} acts on the port {cls.port.value!r} and does not fit system {system!r}, whose ports "
             f"are {', '.join(sorted(p.value for p in ports))}."
@@ -163,6 +227,25 @@ def make_effect(
     return cls(values, n_inputs=n_inputs)
 
 
-def effects_of(system: str, ports: Collection[Port]) -> dict[str, type[Effect]]:
-    """The effects of the catalogue, and those registered, that a system of this name and these ports can have."""
-    return {name: cls for name, cls in _known().items() if cls.fits(system, {*ports, Port.INPUT})}
+def _may(cls: type[Effect], system: str, ports: Collection[Port]) -> bool:
+    return issubclass(cls, Law) or cls.fits(system, ports)
+
+
+def effects_of(
+    system: str, ports: Collection[Port], coordinates: Sequence[Bound] = ()
+) -> dict[str, type[Effect]]:
+    """The effects of the catalogue, and those registered, that a system can have.
+
+    Args:
+        system: Its name.
+        ports: Its ports.
+        coordinates: Its coordinates: laws are listed for each of them.
+    """
+    out: dict[str, type[Effect]] = {}
+    for name, cls in _known().items():
+        if issubclass(cls, Law):
+            on = (law_at(cls, at) for at in coordinates if cls.suits(at))
+            out |= {effect.name: effect for effect in on}
+        elif cls.fits(system, {*ports, Port.INPUT}):
+            out[name] = cls
+    return out

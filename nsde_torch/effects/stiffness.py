@@ -1,4 +1,4 @@
-"""Springs on the port `force`; q is the position that the force acts along, all terms are over mass.
+"""Springs on one coordinate; q is its position.
 
 A spring that hardens or softens adds a cube (Duffing, Erzwungene Schwingungen bei veraenderlicher Eigenfrequenz,
 1918).
@@ -8,22 +8,24 @@ from typing import final
 
 from torch import Tensor
 
-from nsde_torch.effects.base import Effect, Parameter, Port
+from nsde_torch.effects.base import Parameter
+from nsde_torch.effects.law import Law
 
 
 @final
-class LinearSpring(Effect):
+class LinearSpring(Law):
     """A spring to the origin."""
 
     name = "linear_spring"
-    port = Port.FORCE
+    reads_position = True
+    kinds = ("rail", "joint")
     formula = "-k q"
     source = "supplement B: m q'' = -b q' - k q"
-    PARAMETERS = {"stiffness": Parameter(1.0, "1/s2", low=0.0, help="spring constant over mass")}
+    PARAMETERS = {"stiffness": Parameter(1.0, "force/position", low=0.0, help="spring constant")}
     along = "position"
     null = {"stiffness": 0.0}
     amplitudes = ("stiffness",)
-    sentence = "A spring pulls to the origin with {stiffness} over mass."
+    sentence = "A spring pulls to the origin with {stiffness}."
     separate = "push at several amplitudes"
 
     @classmethod
@@ -31,27 +33,28 @@ class LinearSpring(Effect):
         """Never: a spring is declared where there is one."""
         return False
 
-    def forward(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
-        """See `Effect.forward`."""
-        return -self.value("stiffness") * x[:, :1]
+    def term(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
+        """See `Law.term`."""
+        return -self.value("stiffness") * self.q(x)
 
 
 @final
-class CubicStiffness(Effect):
+class CubicStiffness(Law):
     """A spring that hardens (or softens) with its extension."""
 
     name = "cubic_stiffness"
-    port = Port.FORCE
+    reads_position = True
+    kinds = ("rail", "joint")
     formula = "-k q^3"
     source = "Duffing (1918)"
-    PARAMETERS = {"stiffness": Parameter(0.0, "1/(m2 s2)", scale=1.0, help="cubic constant over mass")}
+    PARAMETERS = {"stiffness": Parameter(0.0, "force/position3", scale=1.0, help="cubic constant")}
     along = "position"
     null = {"stiffness": 0.0}
     amplitudes = ("stiffness",)
-    sentence = "The stiffness changes with extension: a force of {stiffness} over mass times the cube of it."
+    sentence = "A spring against {it} changes with extension: a force of {stiffness} times the cube of it."
     separate = "push at several amplitudes, far beyond the usual ones"
 
-    def forward(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
-        """See `Effect.forward`."""
-        q = x[:, :1]
+    def term(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
+        """See `Law.term`."""
+        q = self.q(x)
         return -self.value("stiffness") * q * q * q

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from nsde_torch.data.raw import RawRun
@@ -57,6 +57,12 @@ def read(
         raise
     for fault in [fault for fault in told if remedies()[fault].remedy_first]:
         values = told.pop(fault) or {}
+        named = {run.name for run in raw}
+        strange = sorted(k for k, v in (values or {}).items() if isinstance(v, Mapping) and k not in named)
+        if strange:
+            raise ConfigError(
+                f"`{fault}` names {strange[0]!r}, which is no run; runs are {', '.join(sorted(named))}."
+            )
         for run in raw if values else ():
             remedies()[fault].undo_raw(run, system, values)
     return assemble(raw, system, kind=name, dt=dt, gap=gap, clock=clock, **told)

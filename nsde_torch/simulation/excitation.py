@@ -3,17 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from math import pi
+from typing import Any
 
 import numpy as np
 import torch
 
 from nsde_torch.data.raw import RawRun
 from nsde_torch.errors import ConfigError
+from nsde_torch.lookup import function_by_name
 from nsde_torch.simulation import Making, make_plant
 from nsde_torch.simulation.make import plant_options
 from nsde_torch.simulation.recorder import record
-from nsde_torch.systems.machine import Excitation
+from nsde_torch.systems import system_class
+from nsde_torch.systems.machine import Excitation, Machine
 from nsde_torch.systems.machines import Effects, machine
 
 SINES = 6
@@ -30,8 +34,13 @@ def excited_runs(
     sensor_noise: float = 1.0,
     making: Making | None = None,
     size: float = 1.0,
+    inputs: Sequence[float] | None = None,
+    noise: Sequence[float] | None = None,
+    hertz: Sequence[float] | None = None,
+    start: Sequence[Sequence[float]] | None = None,
+    controller: str | None = None,
 ) -> list[RawRun]:
-    """Runs of a machine as its `excitation` says.
+    """Runs of a machine as its `excitation` says, or as is said here.
 
     Args:
         name: System.
@@ -42,21 +51,24 @@ def excited_runs(
         sensor_noise: Factor on the sensor noise.
         making: How the plant is made.
         size: Factor on the swing of the inputs.
+        inputs: Standard deviation of each input [its unit].
+        noise: Standard deviation of the sensor noise of each error channel [its unit].
+        hertz: Lowest and highest frequency [Hz].
+        start: Lowest and highest first value of each state [its unit].
+        controller: `module:function` of the user's own: inputs (B, nu) from the time [s] and the measured states
+            (B, nx), to which the sums of sines are added.
 
     Returns:
         Runs on the machine's sample (or that of `making`): measured states and the inputs.
 
     Raises:
-        ConfigError: the machine says nothing of how it is excited, an unknown effect, or a number out of range.
+        ConfigError: nothing says how the machine is excited, an unknown effect, or a number out of range.
     """
-    plant_of = machine(name)
-    how = plant_of.excitation
-    if how is None:
-        raise ConfigError(
-            f"the machine of {name!r} says neither `excitation` nor `recording`; say one, so that it can be simulated."
-        )
+    plant_of, cls = machine(name), system_class(name)
+    how = _excitation(name, plant_of, inputs, noise, hertz, start)
     if not size > 0:
         raise ConfigError(f"`size` must be a factor above 0; got {size!r}.")
+    feedback = None if controller is None else function_by_name(controller, kind="controller")
     lengths = how.durations if durations is None else durations
     rng = np.random.default_rng([seed, 1])
     generator = torch.Generator().manual_seed(int(rng.integers(2**62)))
@@ -66,9 +78,10 @@ def excited_runs(
         effects=effects,
         process_noise=process_noise,
         sensor_noise=sensor_noise,
+        sensor_std=noise,
         **plant_options(making),
     )
-    start = _starts(how, len(lengths), plant.system.nx, rng, name)
+    starts = _starts(how, len(lengths), plant.system.nx, rng, name)
     swing = size * np.asarray(how.size) * np.sqrt(2.0 / SINES)
     mean = np.asarray(how.mean or (0.0,) * len(how.size))
     if swing.shape != (plant.system.nu,) or mean.shape != swing.shape:
@@ -76,14 +89,49 @@ def excited_runs(
             f"`excitation` of {name!r} needs a size and a mean for each of {plant.system.nu} inputs; got {how}."
         )
     shape = (len(lengths), plant.system.nu, SINES)
-    hertz = np.exp(rng.uniform(np.log(how.hertz[0]), np.log(how.hertz[1]), shape))
+    frequencies = np.exp(rng.uniform(np.log(how.hertz[0]), np.log(how.hertz[1]), shape))
     phase = rng.uniform(0.0, 2.0 * pi, shape)
 
     def control(t: float, x: torch.Tensor) -> torch.Tensor:
-        waves = np.sin(2.0 * pi * hertz * t + phase).sum(2)
-        return torch.as_tensor(mean + swing * waves)
+        u = torch.as_tensor(mean + swing * np.sin(2.0 * pi * frequencies * t + phase).sum(2))
+        if feedback is None:
+            return u
+        answer = torch.as_tensor(feedback(t, x), dtype=u.dtype)
+        if answer.shape != u.shape:
+            raise ConfigError(
+                f"controller {controller!r} must return inputs {tuple(u.shape)} (runs, "
+                f"{', '.join(cls.input_names)}) for states {tuple(x.shape)}; got {tuple(answer.shape)}."
+            )
+        return u + answer
 
-    return record(plant, start, control, durations=lengths, prefix="run")
+    return record(plant, starts, control, durations=lengths, prefix="run")
+
+
+def _excitation(
+    name: str,
+    plant_of: Machine,
+    inputs: Sequence[float] | None,
+    noise: Sequence[float] | None,
+    hertz: Sequence[float] | None,
+    start: Sequence[Sequence[float]] | None,
+) -> Excitation:
+    """How a machine is excited, by its class or by what is said."""
+    how, cls = plant_of.excitation, system_class(name)
+    if how is None and (inputs is None or noise is None):
+        units = ", ".join(f"{n} [{u}]" for n, u in zip(cls.input_names, cls.input_units, strict=True))
+        raise ConfigError(
+            f"the class of {name!r} says no `machine`, so say how its runs are made: options.inputs=[...], the "
+            f"standard deviation of each input ({units}), and options.noise=[...], that of the sensor noise of each of "
+            f"{', '.join(cls.error_names)}. Or write `machine = Machine(..., excitation=Excitation(...))` into it."
+        )
+    how = how or Excitation(())
+    changes: dict[str, Any] = {
+        "size": None if inputs is None else tuple(inputs),
+        "mean": None if inputs is None else (),
+        "hertz": None if hertz is None else tuple(hertz),
+        "start": None if start is None else tuple(map(tuple, start)),
+    }
+    return replace(how, **{k: v for k, v in changes.items() if v is not None})
 
 
 def _starts(how: Excitation, n: int, nx: int, rng: np.random.Generator, name: str) -> np.ndarray:

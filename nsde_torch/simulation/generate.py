@@ -24,6 +24,7 @@ from nsde_torch.simulation.replay import Replay, joined
 from nsde_torch.systems import System, make_system, system_class
 from nsde_torch.systems.machines import Effects, Values, machine, make_plant_system, named_effects
 from nsde_torch.systems.options import key_of_class
+from nsde_torch.systems.values import dotted
 
 SCHEMA = 1
 _SUBSTEPS = 8
@@ -107,7 +108,9 @@ def simulate(
     spec, recorded = machine(system), recorder(system)
     chain = recording or Recording()
     known = make_system(system)
-    asked = _with_parameters(named_effects(effects), parameters or {}, system)
+    asked, own_values = _with_parameters(
+        named_effects(effects), parameters or {}, known, spec.effects, system
+    )
     chain.check(known)
     _check(durations, dt, seed, battery=battery and "u_1" not in known.input_names, system=system)
     nominal = spec.dt if dt is None else float(dt)
@@ -116,7 +119,7 @@ def simulate(
     late = chain.rows_late(nominal)
     lengths = [float(d) for d in durations or recorded.durations]
     used = {**recorded.options, **(options or {})}
-    own = make_plant_system(system, effects=asked, declared_only=declared_only)
+    own = make_plant_system(system, effects=asked, declared_only=declared_only, values=own_values)
     if replay is not None:
         _check_replay(system, recorded, replay, chain, nominal)
     try:
@@ -129,7 +132,14 @@ def simulate(
             effects=asked,
             process_noise=process_noise,
             sensor_noise=sensor_noise,
-            making=Making(declared_only=declared_only, latency=latency, dt=step, step=fine, battery=battery),
+            making=Making(
+                declared_only=declared_only,
+                latency=latency,
+                dt=step,
+                step=fine,
+                battery=battery,
+                values=own_values,
+            ),
             **used,
         )
     except TypeError as error:
@@ -221,33 +231,49 @@ def _check_replay(system: str, how: RunRecorder, replay: Replay, chain: Recordin
 
 
 def _with_parameters(
-    asked: dict[str, Values], parameters: Mapping[str, Any], system: str
-) -> dict[str, Values]:
-    """Effects with their values joined; an effect of the user's own is known by its name in `parameters`."""
-    names = {effect_class(key).name: key for key in asked}
-    out = {key: dict(values) for key, values in asked.items()}
-    for path, value in parameters.items():
-        name, dot, leaf = path.partition(".")
-        if name not in names:
+    asked: dict[str, Values],
+    parameters: Mapping[str, Any],
+    known: System,
+    standing: Collection[str],
+    system: str,
+) -> tuple[dict[str, Values], Values]:
+    """Effects with their values joined, and values of the declared physics.
+
+    An effect of the user's own is known by its name in `parameters`.
+    """
+    own = system_class(system)
+    declared: Values = {}
+    out = {own.effect_key(key): dict(values) for key, values in asked.items()}
+    names = {effect_class(key).name: key for key in out}
+    for path, value in dotted(parameters):
+        called, dot, leaf = path.partition(".")
+        name = own.effect_key(called)
+        if not dot and name in known.PARAMETERS:
+            declared[name] = value
+        elif dot and name not in names and name in known.effect_names:
+            declared[f"{name}.{leaf}"] = value
+        elif dot and name not in names and name in standing:
+            out.setdefault(name, {})[leaf] = value
+            names[name] = name
+        elif name not in names:
             raise ConfigError(
-                f"`parameters` names {name!r}, which is none of the effects that {system!r} was asked to have: "
+                f"`parameters` names {name!r}, which is neither a parameter of {system!r} "
+                f"({', '.join(known.all_declared()) or 'none'}) nor one of the effects that it was asked to have: "
                 f"{', '.join(names) or 'none'}."
             )
-        if dot:
-            out[names[name]][leaf] = value
-        elif isinstance(value, Mapping):
-            out[names[name]].update(value)
-        else:
+        elif not dot:
             raise ConfigError(f"`parameters.{name}` takes {{parameter: value}}; got {value!r}.")
-    n_inputs = len(system_class(system).input_names)
+        else:
+            out[names[name]][leaf] = value
+    n_inputs, coordinates = len(own.input_names), own.bound_coordinates()
     for key, values in out.items():
-        cls = effect_class(key)
+        cls = effect_class(key, coordinates)
         for name, size in _typical(cls, values, n_inputs).items():
             values.setdefault(name, size)
         values.update(
             {n: _off_bounds(cls.PARAMETERS[n], v) for n, v in values.items() if n in cls.PARAMETERS}
         )
-    return out
+    return out, declared
 
 
 def _typical(cls: type[Effect], given: Collection[str], n_inputs: int) -> Values:

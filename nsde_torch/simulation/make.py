@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from math import ceil, inf
 from typing import Any
@@ -25,6 +26,7 @@ class Making:
         dt: Sample [s].
         step: Fine step of the integration [s].
         battery: Log the voltage of a battery though no effect reads it (multirotors).
+        values: Parameters of the declared physics in place of the machine's.
     """
 
     declared_only: bool = False
@@ -32,6 +34,7 @@ class Making:
     dt: float | None = None
     step: float | None = None
     battery: bool = False
+    values: Mapping[str, Any] | None = None
 
 
 def plant_options(making: Making | None) -> dict[str, Any]:
@@ -42,6 +45,7 @@ def plant_options(making: Making | None) -> dict[str, Any]:
         "latency": made.latency,
         "dt": made.dt,
         "step": made.step,
+        "values": made.values,
     }
 
 
@@ -80,6 +84,8 @@ def make_plant(
     step: float | None = None,
     check: bool = True,
     dtype: torch.dtype = torch.float64,
+    values: Mapping[str, Any] | None = None,
+    sensor_std: Sequence[float] | None = None,
 ) -> Plant:
     """The plant of a system.
 
@@ -95,6 +101,8 @@ def make_plant(
         step: Fine step [s]; default: the machine's, or less to fit into `dt` and to follow the fastest effect.
         check: Raise when a state is not finite.
         dtype: Precision.
+        values: Parameters of the declared physics in place of the machine's.
+        sensor_std: Noise of each error channel in place of the machine's.
 
     Raises:
         ConfigError: no plant of that name, an unknown effect or parameter, or a number out of range.
@@ -110,7 +118,7 @@ def make_plant(
             f"{process_noise!r}. Leave it at 1."
         )
     sample = spec.dt if dt is None else dt
-    system = make_plant_system(name, effects=effects, declared_only=declared_only)
+    system = make_plant_system(name, effects=effects, declared_only=declared_only, values=values)
     if step is None:
         step = sample / max(1, ceil(sample / min(spec.step, _longest_step(system)) - 1e-6))
     return Plant(
@@ -119,7 +127,7 @@ def make_plant(
         generator=generator,
         step=step,
         gusts=spec.gusts,
-        sensor_std=spec.sensor_std,
+        sensor_std=spec.sensor_std if sensor_std is None else tuple(sensor_std),
         process_noise=process_noise,
         sensor_noise=sensor_noise,
         latency=spec.latency if latency is None else latency,

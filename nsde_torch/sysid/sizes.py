@@ -3,10 +3,12 @@
 import numpy as np
 from torch import Tensor
 
+from nsde_torch.effects.law import joined_name
 from nsde_torch.sysid.steps import Steps
 from nsde_torch.systems import System
 
 _COLUMNS = {"position": 0, "speed": 1, "rate": 3}
+"""Of effects of the user's own that are no laws of a coordinate."""
 _LEAST = 1e-6
 
 
@@ -17,4 +19,9 @@ def data_sizes(system: System, steps: Steps) -> dict[str, float]:
         return max(float(np.quantile(values.abs().numpy(), 0.95)), _LEAST) if values.numel() else 1.0
 
     out = {"input": size(steps.u[:, : system.nu]), "step": steps.dt}
-    return out | {kind: size(steps.x0[:, k]) for kind, k in _COLUMNS.items() if k < system.nx}
+    out |= {kind: size(steps.x0[:, k]) for kind, k in _COLUMNS.items() if k < system.nx}
+    for at in system.bound_coordinates():
+        out[joined_name("speed", at.name)] = size(steps.x0[:, at.velocity])
+        if at.position is not None:
+            out[joined_name("position", at.name)] = size(steps.x0[:, at.position])
+    return out

@@ -17,11 +17,14 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from nsde_torch.columns import join_columns, split_columns
-from nsde_torch.effects import Effect, Parametrised, Port, effect_class, make_effect
+from nsde_torch.effects import Coordinate, Effect, Parametrised, Port, canonical_name, effect_class
+from nsde_torch.effects.coordinates import Bound
 from nsde_torch.errors import ConfigError, ShapeError
+from nsde_torch.systems import coordinates as coordinates_of
 from nsde_torch.systems import memory as memory_of
 from nsde_torch.systems.constants import Defaults, ErrorGroup, ResidualPort
 from nsde_torch.systems.machine import Machine
+from nsde_torch.systems.values import split_values
 
 
 class System(Parametrised, ABC):
@@ -32,12 +35,15 @@ class System(Parametrised, ABC):
         state_names, state_units: Columns of the state.
         input_names, input_units: Columns of the input.
         ports: Width of each force port.
+        coordinates: The ways in which the machine can move, each with its columns and its port; laws of the catalogue
+            are effects on each. Empty: that of the one pair of `position_derivatives`, where there is one force port.
+        older_names: Names that effects of the machine once had -> those that they have.
         declared: Names of the effects that are part of the declared physics.
         residual_ports: Ports that get a residual network.
         defaults: Constants of the supplement.
-        error_names: Names of the error channels.
-        error_groups: How they are reported.
-        feature_names, feature_units: Columns of `features`.
+        error_names: Names of the error channels; those of the state unless it says otherwise.
+        error_groups: How they are reported; one group for each unit unless it says otherwise.
+        feature_names, feature_units: Columns of `features`; those of the state unless it says otherwise.
         quantities: What effects on force ports may read beside state and input, name -> columns.
         disturbed_ports: Ports on which a lasting disturbance is carried (gusts).
         sensor_noise: Whether the state is measured with noise that a model should learn.
@@ -64,6 +70,8 @@ class System(Parametrised, ABC):
     error_groups: ClassVar[tuple[ErrorGroup, ...]]
     feature_names: ClassVar[tuple[str, ...]]
     feature_units: ClassVar[tuple[str, ...]]
+    coordinates: ClassVar[tuple[Coordinate, ...]] = ()
+    older_names: ClassVar[Mapping[str, str]] = {}
     declared: ClassVar[tuple[str, ...]] = ()
     quantities: ClassVar[Mapping[str, int]] = {}
     disturbed_ports: ClassVar[tuple[Port, ...]] = ()
@@ -73,6 +81,10 @@ class System(Parametrised, ABC):
     optional_inputs: ClassVar[tuple[str, ...]] = ()
     machine: ClassVar[Machine | None] = None
 
+    def __init_subclass__(cls, **keywords: Any) -> None:
+        super().__init_subclass__(**keywords)
+        coordinates_of.describe(cls)
+
     def __init__(
         self,
         effects: Sequence[str | Effect] = (),
@@ -80,25 +92,11 @@ class System(Parametrised, ABC):
         declared: Sequence[str] | None = None,
         values: Mapping[str, float | list[float]] | None = None,
     ) -> None:
-        own, of_effects = _split_values(values or {})
+        own, given = split_values(values or {})
         super().__init__(own)
+        of_effects = {self.effect_key(name): v for name, v in given.items()}
         names = [*(self.declared if declared is None else declared), *effects]
-        made: list[Effect] = []
-        for item in names:
-            if isinstance(item, Effect):
-                made.append(item)
-                continue
-            made.append(
-                make_effect(
-                    item,
-                    system=self.name,
-                    ports={*self.ports, Port.INPUT},
-                    n_inputs=len(self.input_names),
-                    values=of_effects.pop(effect_class(item).name if ":" in item else item, None),
-                )
-            )
-        for effect in made:
-            self._check_quantities(effect)
+        made = coordinates_of.all_made(self, names, of_effects)
         twice = sorted({e.name for e in made if [m.name for m in made].count(e.name) > 1})
         if twice:
             raise ConfigError(f"effects {twice} are named twice for system {self.name!r}; name each once.")
@@ -110,6 +108,25 @@ class System(Parametrised, ABC):
         self._arrange(made)
 
     _channels: tuple[str, ...] = ()  # of `reading`
+
+    @classmethod
+    def bound_coordinates(cls) -> tuple[Bound, ...]:
+        """The coordinates by columns of the state; a ConfigError where one names what the system does not have."""
+        return coordinates_of.bound_coordinates(cls)
+
+    @classmethod
+    def effect_key(cls, name: str) -> str:
+        """What an effect is called on this machine: `coulomb_friction[q2]`, plain where there is one coordinate."""
+        return canonical_name(name, cls.bound_coordinates(), cls.older_names)
+
+    @classmethod
+    def effect_class(cls, name: str) -> type[Effect]:
+        """Class of an effect as it is on this machine: with its columns, units and words."""
+        return effect_class(cls.effect_key(name), cls.bound_coordinates())
+
+    def make_effect(self, name: str, values: Mapping[str, float | list[float]] | None = None) -> Effect:
+        """An effect for this machine, by name, with first values of its parameters (see `effects.make_effect`)."""
+        return coordinates_of.made(self, self.effect_key(name), values)
 
     def _arrange(self, effects: Sequence[Effect]) -> None:
         """Take these effects, and work out their order and where each finds its memory and its columns."""
@@ -162,12 +179,10 @@ class System(Parametrised, ABC):
             ConfigError: an effect is there already, or reads what the system does not offer.
         """
         for effect in effects:
-            self._check_quantities(effect)
+            coordinates_of.check_effect(self, effect)
         twice = [e.name for e in effects if e.name in self.effect_names]
         if twice:
             raise ConfigError(f"system {self.name!r} has the effects {twice} already.")
-        for effect in effects:
-            self._check_quantities(effect)
         out = copy.deepcopy(self)
         out._arrange([*out._all_effects, *(copy.deepcopy(e) for e in effects)])
         return out
@@ -234,9 +249,9 @@ class System(Parametrised, ABC):
             dx/dt (N, nx).
         """
 
-    @abstractmethod
     def features(self, x: Tensor) -> Tensor:
-        """Features (N, nf) of which the distance eta is a function."""
+        """Features (N, nf) of which the distance eta is a function; the state by default."""
+        return x
 
     def residual_features(self, x: Tensor) -> Tensor:
         """Features (N, nr) that the residual networks see; default: `features`."""
@@ -391,14 +406,6 @@ class System(Parametrised, ABC):
         logged = tuple(u[:, c : c + 1] for c in read)
         return join_columns((command, *logged, *(self.quantity(n, x, command) for n in effect.quantities)))
 
-    def _check_quantities(self, effect: Effect) -> None:
-        missing = [n for n, width in effect.quantities.items() if self.quantities.get(n) != width]
-        if missing or (effect.quantities and effect.port is Port.INPUT):
-            raise ConfigError(
-                f"effect {effect.name!r} reads {', '.join(missing or effect.quantities)}, which system "
-                f"{self.name!r} does not offer on the port {effect.port.value!r}. Leave the effect out."
-            )
-
     def all_declared(self) -> dict[str, tuple[Tensor, str]]:
         """Declared parameters of the system and of its effects: name -> (value (k,), unit)."""
         out = dict(self.declared_parameters())
@@ -416,20 +423,3 @@ class System(Parametrised, ABC):
         if tensor.shape[-1] != width:
             columns = ", ".join(self.state_names if width == self.nx else self.input_names)
             raise ShapeError(f"`{name}` must have {width} columns ({columns}); got {tensor.shape[-1]}.")
-
-
-def _split_values(
-    values: Mapping[str, Any],
-) -> tuple[dict[str, float | list[float]], dict[str, dict[str, float | list[float]]]]:
-    """Values of the system's own parameters, and those of its effects (`effect.name`, or a mapping)."""
-    own: dict[str, float | list[float]] = {}
-    of_effects: dict[str, dict[str, float | list[float]]] = {}
-    for key, value in values.items():
-        effect, dot, name = key.partition(".")
-        if dot:
-            of_effects.setdefault(effect, {})[name] = value
-        elif isinstance(value, Mapping):
-            of_effects.setdefault(key, {}).update(value)
-        else:
-            own[key] = value
-    return own, of_effects

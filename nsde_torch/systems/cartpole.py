@@ -19,11 +19,22 @@ from typing import final
 import torch
 from torch import Tensor
 
-from nsde_torch.effects import Parameter, Port
+from nsde_torch.effects import Coordinate, Parameter, Port
 from nsde_torch.systems.base import System
 from nsde_torch.systems.constants import Defaults, ErrorGroup, ResidualPort
 
 GRAVITY = 9.8
+_FRICTION = ("coulomb_friction", "viscous_friction")
+_OF_THE_CART = (
+    *_FRICTION,
+    "asymmetric_friction",
+    "stribeck_friction",
+    "quadratic_damping",
+    "linear_spring",
+    "cubic_stiffness",
+    "constant_force",
+    "periodic_force",
+)
 
 
 @final
@@ -49,6 +60,14 @@ class Cartpole(System):
     feature_units = ("m/s", "1", "1", "rad/s")
     sensor_noise = True
     position_derivatives = (("x", "x_dot", "world"), ("theta", "theta_dot", "world"))
+    coordinates = (
+        Coordinate("cart", "x_dot", Port.FORCE, position="x", kind="rail", words="the cart"),
+        Coordinate("pole", "theta_dot", Port.TORQUE, position="theta", kind="axis", words="the pole"),
+    )
+    older_names = {
+        **{f"{body}_{law}": f"{law}[{body}]" for body in ("cart", "pole") for law in _FRICTION},
+        **{law: f"{law}[cart]" for law in _OF_THE_CART},
+    }
     PARAMETERS = {
         "force_gain": Parameter(0.9, "1/kg", low=0.0, help="1 / total mass"),
         "pole_share": Parameter(0.1, "1", low=0.0, high=0.95, help="pole mass over total mass"),

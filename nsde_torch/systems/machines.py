@@ -103,14 +103,23 @@ def machine(name: str) -> Machine:
     Raises:
         ConfigError: the system has no plant; names the remedy.
     """
-    own = MACHINES.get(name) or (system_class(name).machine if ":" in name or name in SYSTEMS else None)
+    cls = system_class(name) if ":" in name or name in SYSTEMS else None
+    own = MACHINES.get(name) or (cls.machine if cls is not None else None)
+    if own is None and cls is not None and ":" in name:
+        return _bare(cls)
     if own is None:
         raise ConfigError(
             f"system {name!r} has no plant, so there is nothing to simulate; plants exist for "
             f"{', '.join(MACHINES)}. Use measured runs: data=csv data.path=FOLDER. A class of your own has a plant "
-            "where it says `machine = Machine(...)` and is named as `module:Class`."
+            "where it is named as `module:Class`."
         )
     return own
+
+
+def _bare(cls: type[System]) -> Machine:
+    """The machine of a class that says none: first values, the model's step, no noise; a recording says the rest."""
+    dt = cls.defaults.dt
+    return Machine(values={}, dt=dt, step=0.25 * dt, sensor_std=(0.0,) * len(cls.error_names))
 
 
 def named_effects(effects: Effects) -> dict[str, Values]:
@@ -136,30 +145,34 @@ def named_effects(effects: Effects) -> dict[str, Values]:
     return out
 
 
-def make_plant_system(name: str, *, effects: Effects = (), declared_only: bool = False) -> System:
+def make_plant_system(
+    name: str, *, effects: Effects = (), declared_only: bool = False, values: Mapping[str, Any] | None = None
+) -> System:
     """The machine of a plant as a system, with all its effects and the true parameters.
 
     Args:
         name: Name of the system.
         effects: Effects beyond those that the plant has; parameters given here also replace the plant's own.
         declared_only: Leave out what the declared physics does not have (`effects` are still added).
+        values: Parameters of the declared physics in place of the plant's own.
 
     Raises:
         ConfigError: no plant of that name, or an unknown effect or parameter.
     """
-    spec = machine(name)
+    spec, own = machine(name), system_class(name)
     present = {} if declared_only else {k: dict(v) for k, v in spec.effects.items()}
-    for key, values in named_effects(effects).items():
-        cls = effect_class(key)
+    for asked, given in named_effects(effects).items():
+        key = own.effect_key(asked)
+        cls = effect_class(key, own.bound_coordinates())
         for (
             part
         ) in cls.includes:  # it stands in for a simpler effect of the machine, with the values of that one
             standing = present.pop(part, {})
-            values = {**{k: v for k, v in standing.items() if k in cls.PARAMETERS}, **values}
-        present.setdefault(key, {}).update(values)
+            given = {**{k: v for k, v in standing.items() if k in cls.PARAMETERS}, **given}
+        present.setdefault(key, {}).update(given)
     declared = make_system(name).effect_names
-    parameters: Values = dict(spec.values)
-    for key, given in present.items():
-        own = effect_class(key).name
-        parameters.update({f"{own}.{parameter}": value for parameter, value in given.items()})
+    parameters: Values = {**spec.values, **(values or {})}
+    for key, held in present.items():
+        called = effect_class(key).name
+        parameters.update({f"{called}.{parameter}": value for parameter, value in held.items()})
     return make_system(name, effects=[k for k in present if k not in declared], values=parameters)

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from nsde_torch.effects.files import is_file, own_name, read_for
 from nsde_torch.options import REQUIRED, check, documented, key
+from nsde_torch.systems.values import dotted
 
 if TYPE_CHECKING:
     from nsde_torch.systems.base import System
@@ -50,7 +51,7 @@ class SystemOptions:
     @property
     def values(self) -> dict[str, Any]:
         """Initial values of declared parameters, by `name` or `effect.name`."""
-        return dict(_dotted(self.parameters))
+        return dict(dotted(self.parameters))
 
     def make(self) -> System:
         """The system.
@@ -63,15 +64,6 @@ class SystemOptions:
         return make_system(
             self.name, effects=self.effects, declared=self.declared, values=self.values, **self.options
         )
-
-
-def _dotted(values: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
-    """`{effect: {name: 1}}` as `effect.name`."""
-    for name, value in values.items():
-        if isinstance(value, Mapping):
-            yield from _dotted(value, f"{prefix}{name}.")
-        else:
-            yield f"{prefix}{name}", value
 
 
 Effects = str | Path | Sequence[str | Path | Mapping[str, Any]] | Mapping[str, Any]
@@ -109,7 +101,7 @@ def system_options(
         made,
         effects=tuple(dict.fromkeys(names)),
         declared=made.declared if declared is None else tuple(declared),
-        parameters={**values, **made.values, **dict(_dotted(parameters or {}))},
+        parameters={**values, **made.values, **dict(dotted(parameters or {}))},
     )
 
 

@@ -21,7 +21,6 @@ from nsde_torch.diagnosis.pipeline import diagnose
 from nsde_torch.diagnosis.search import Search, search_in
 from nsde_torch.diagnosis.text import lines
 from nsde_torch.diagnosis.trials import Trial
-from nsde_torch.effects import Port, make_effect
 from nsde_torch.models.identified import SysidSpec
 from nsde_torch.systems import make_system
 from tests.helpers.diagnosed import recorded
@@ -36,7 +35,7 @@ def effect_on_runs_left_out(name: str, *, seed: int, values: Mapping[str, float]
         SPRING, *([] if values is None else [{name: values}]), seed=seed, durations=(5.0,) * 4, dt=0.02
     )
     spec = SysidSpec(SPRING, dt=made.dt, horizon=system.defaults.horizon)
-    effect = make_effect(name, system=SPRING, ports={*system.ports, Port.INPUT}, n_inputs=1)
+    effect = system.make_effect(name)
 
     def make(some: Sequence[Run]) -> Search:
         return search_in(system, some, 1.0, Options())
@@ -197,7 +196,7 @@ def flown() -> tuple[dict[str, Any], dict[str, tuple[str, ...]]]:
     moves = {}
     runs = search_in(declared, found.recorded.runs, 1.0, Options())
     for name in ("angular_damping", "thrust_curve"):
-        effect = make_effect(name, system="hexacopter", ports={*declared.ports, Port.INPUT}, n_inputs=6)
+        effect = declared.make_effect(name)
         moves[name] = moved_channels(runs.quick(declared.with_effects(effect), warm=True), name)
     return found.content(), moves
 

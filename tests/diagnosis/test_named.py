@@ -21,10 +21,10 @@ ALONE: list[tuple[str, str, dict[str, Any]]] = [
     ("mass_spring_damper", "actuator_deadband", {"width": 0.3}),
     ("mass_spring_damper", "actuator_saturation", {"level": 0.6}),
     ("mass_spring_damper", "actuator_gain_drift", {"rate": 0.05}),
-    ("cartpole", "cart_coulomb_friction", {"size": 0.4}),
-    ("cartpole", "cart_viscous_friction", {"damping": 0.3}),
-    ("cartpole", "pole_viscous_friction", {"damping": 0.3}),
-    ("cartpole", "pole_coulomb_friction", {"size": 0.5}),
+    ("cartpole", "coulomb_friction[cart]", {"size": 0.4}),
+    ("cartpole", "viscous_friction[cart]", {"damping": 0.3}),
+    ("cartpole", "viscous_friction[pole]", {"damping": 0.3}),
+    ("cartpole", "coulomb_friction[pole]", {"size": 0.5}),
     ("cartpole", "track_tilt", {"slope": 0.03}),
 ]
 
@@ -124,7 +124,7 @@ def test_a_machine_at_rest_shows_nothing_and_the_diagnosis_says_so() -> None:
 
 
 @pytest.mark.parametrize(
-    "beside", [{}, {"cart_coulomb_friction": {"size": 0.4}}], ids=["alone", "beside friction"]
+    "beside", [{}, {"coulomb_friction[cart]": {"size": 0.4}}], ids=["alone", "beside friction"]
 )
 def test_inputs_that_act_a_fraction_of_a_step_late_are_taken_into_account_and_not_named(
     beside: dict[str, Any],

@@ -14,7 +14,7 @@ from nsde_torch.diagnosis.rounds import Round
 from nsde_torch.diagnosis.screening import joined, screen, starts
 from nsde_torch.diagnosis.search import Base, Search, search_in
 from nsde_torch.diagnosis.selection import Selection
-from nsde_torch.effects import Port, effect_class, make_effect
+from nsde_torch.effects import effect_class
 from nsde_torch.sysid.sizes import data_sizes
 from nsde_torch.systems import System, make_system
 from tests.helpers.diagnosed import recorded
@@ -27,14 +27,7 @@ def spring(*effects: str, **values: Mapping[str, float]) -> System:
     """The spring with these effects at these values."""
     system = make_system(SPRING)
     for name in effects:
-        made = make_effect(
-            name,
-            system=SPRING,
-            ports={*system.ports, Port.INPUT},
-            n_inputs=1,
-            values=dict(values.get(name, {})),
-        )
-        system = system.with_effects(made)
+        system = system.with_effects(system.make_effect(name, dict(values.get(name, {}))))
     return system
 
 

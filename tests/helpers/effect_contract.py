@@ -8,7 +8,8 @@ import pytest
 import torch
 from torch import Tensor
 
-from nsde_torch.effects import EFFECTS, Effect, Parameter, Port, effect_class, key_of, make_effect
+from nsde_torch.effects import EFFECTS, Effect, Parameter, Port, effect_class, key_of
+from nsde_torch.effects.law import split_name
 from nsde_torch.systems import SYSTEMS, System, make_system, system_class
 
 
@@ -31,19 +32,18 @@ class EffectContract:
     values: Mapping[str, float | list[float]] | None = None
     time: float = 0.3
 
+    @property
+    def effect(self) -> type[Effect]:
+        """The class that the name is on the system."""
+        cls = system_class(self.system)
+        return effect_class(cls.effect_key(self.name), cls.bound_coordinates())
+
     def machine(self, **options: object) -> System:
         """The system with this effect and no other."""
         return make_system(self.system, declared=[], effects=[self.name], **options)  # type: ignore[arg-type]
 
     def make(self, values: Mapping[str, float | list[float]] | None = None) -> Effect:
-        cls = system_class(self.system)
-        return make_effect(
-            self.name,
-            system=self.system,
-            ports={*cls.ports, Port.INPUT},
-            n_inputs=len(cls.input_names),
-            values=values,
-        )
+        return make_system(self.system, declared=[]).make_effect(self.name, values)
 
     def rows(self, n: int, *, seed: int = 0) -> tuple[Tensor, Tensor, Tensor]:
         """States, inputs and some memory, float64."""
@@ -56,30 +56,30 @@ class EffectContract:
 
     def columns(self) -> int:
         """Columns of what the effect is given as its input."""
-        cls = effect_class(self.name)
+        cls = self.effect
         return len(system_class(self.system).input_names) + len(cls.exogenous) + sum(cls.quantities.values())
 
     def width(self) -> int:
         """Columns of the effect's port."""
         s = self.machine()
-        port = effect_class(self.name).port
+        port = self.effect.port
         return {Port.INPUT: s.nu, Port.RATE: s.nx}.get(port) or s.ports[port]
 
     def specs(self) -> Iterator[tuple[str, Parameter]]:
-        yield from effect_class(self.name).PARAMETERS.items()
+        yield from self.effect.PARAMETERS.items()
 
     # ---- description ----------------------------------------------------------------------------------
 
     def test_it_says_what_it_is_and_where_it_comes_from(self) -> None:
-        cls = effect_class(self.name)
-        assert self.name in (cls.name, key_of(cls))
+        cls = self.effect
+        assert system_class(self.system).effect_key(self.name) in (cls.name, key_of(cls))
         assert cls.formula
         assert cls.source
         assert isinstance(cls.port, Port)
         assert set(cls.systems) <= set(SYSTEMS)
         assert cls.sentence.format(**cls.PARAMETERS)
         assert cls.separate
-        assert set(cls.includes) <= set(EFFECTS)
+        assert {split_name(name)[0] for name in cls.includes} <= set(EFFECTS)
 
     def test_every_parameter_has_a_unit_and_a_first_value_inside_its_bounds(self) -> None:
         declared = self.make().declared_parameters()
@@ -132,7 +132,7 @@ class EffectContract:
     # ---- what a diagnosis asks ------------------------------------------------------------------------
 
     def test_it_adds_nothing_at_the_values_that_say_so(self) -> None:
-        cls = effect_class(self.name)
+        cls = self.effect
         assert cls.null
         assert {*cls.null, *cls.shapes} <= set(cls.PARAMETERS)
         assert set(cls.amplitudes) <= set(cls.null)
@@ -148,7 +148,7 @@ class EffectContract:
             assert float(term.detach().abs().max()) < 1e-4
 
     def test_it_is_linear_in_its_amplitudes(self) -> None:
-        cls = effect_class(self.name)
+        cls = self.effect
         x, u, memory = self.rows(6)
 
         def term(share: float) -> Tensor:

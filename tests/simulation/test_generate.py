@@ -45,7 +45,8 @@ WHERE_IT_SHOWS: dict[str, Any] = {
 def test_every_effect_of_the_catalogue_can_be_held_by_a_plant_and_changes_its_data(system: str) -> None:
     plain = short(system)
     there = {*make_system(system).effect_names, *MACHINES[system].effects}
-    for name in set(effects_of(system, system_class(system).ports)) - there:
+    cls = system_class(system)
+    for name in set(effects_of(system, cls.ports, cls.bound_coordinates())) - there:
         made = short(system, effects=[{name: WHERE_IT_SHOWS.get(name, {}).get(system)}])
         assert name in made.truth["effects"]
         assert not np.array_equal(first(made), first(plain)), name
@@ -139,7 +140,7 @@ def test_a_fast_effect_gets_a_finer_step() -> None:
     generator = torch.Generator().manual_seed(0)
     plain = make_plant("cartpole", generator=generator)
     stiff = make_plant(
-        "cartpole", generator=generator, effects=[{"cart_coulomb_friction": {"size": 2.0, "width": 0.002}}]
+        "cartpole", generator=generator, effects=[{"coulomb_friction[cart]": {"size": 2.0, "width": 0.002}}]
     )
     assert stiff._fine < plain._fine == 0.005
     assert np.isfinite(first(short("cartpole", effects=[{"actuator_lag": {"time_constant": 0.0025}}]))).all()

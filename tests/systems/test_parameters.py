@@ -98,11 +98,16 @@ def test_a_width_stays_where_it_matters_at_the_speeds_of_the_data() -> None:
     )
     at = {label: k for k, label in enumerate(vector.labels)}
     before = vector.low.copy(), vector.high.copy()
-    vector.limit({"speed": 2.0, "input": 25.0})
-    assert vector.low[at["stribeck_friction.speed"]] == pytest.approx(2.0 * 0.1 / 4)
-    assert vector.high[at["stribeck_friction.speed"]] == pytest.approx(2.0 * 0.3 * 4)
-    assert vector.low[at["stribeck_friction.width"]] == pytest.approx(2.0 * 0.02 / 4)
-    for name in ("actuator_deadband.width", "input_delay.delay", "stribeck_friction.size", "half_length"):
+    vector.limit({"speed[cart]": 2.0, "input": 25.0})
+    assert vector.low[at["stribeck_friction[cart].speed"]] == pytest.approx(2.0 * 0.1 / 4)
+    assert vector.high[at["stribeck_friction[cart].speed"]] == pytest.approx(2.0 * 0.3 * 4)
+    assert vector.low[at["stribeck_friction[cart].width"]] == pytest.approx(2.0 * 0.02 / 4)
+    for name in (
+        "actuator_deadband.width",
+        "input_delay.delay",
+        "stribeck_friction[cart].size",
+        "half_length",
+    ):
         assert (vector.low[at[name]], vector.high[at[name]]) == (before[0][at[name]], before[1][at[name]])
 
 

@@ -31,7 +31,10 @@ class SensorBias(Fault):
     stage = "biases"
     option = key({}, "what is added to a state, recording.sensor_bias.STATE=0.1")
     annotation = Mapping[str, float]
-    remedy = key({}, "what sensors read too much, {STATE: 0.01} in its unit, to take out")
+    remedy = key(
+        {},
+        "what sensors read too much, {STATE: 0.01} in its unit, to take out; {RUN: {STATE: 0.01}} in one run",
+    )
     remedy_first = True
 
     def check(self, value: Any, system: SystemInfo) -> None:
@@ -85,11 +88,25 @@ class SensorBias(Fault):
         """See `Fault.undo`."""
         from dataclasses import replace
 
-        return replace(run, x=_less(run.x, system, values))
+        return replace(run, x=_less(run.x, system, of_run(values, run.name)))
 
     def undo_raw(self, run: RawRun, system: SystemInfo, values: Mapping[str, float]) -> None:
         """See `Fault.undo_raw`."""
-        run.x = _less(run.x, system, values)
+        run.x = _less(run.x, system, of_run(values, run.name))
+
+
+def of_run(values: Mapping[str, Any], run: str) -> dict[str, Any]:
+    """What sensors read too much in a run: what holds in all, and what `{RUN: {STATE: value}}` says of this one.
+
+    Args:
+        values: By state, or by state under the name of a run.
+        run: Name of the run.
+    """
+    out = {k: v for k, v in values.items() if not isinstance(v, Mapping)}
+    here = values.get(run)
+    for state, value in here.items() if isinstance(here, Mapping) else ():
+        out[state] = out.get(state, 0.0) + value
+    return out
 
 
 def _less(x: np.ndarray, system: SystemInfo, values: Mapping[str, float]) -> np.ndarray:

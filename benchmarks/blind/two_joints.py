@@ -1,0 +1,163 @@
+"""Blind cases on two-joint machines: other masses, lengths, speeds and seeds in each case, truths of known size.
+
+Runs are made by `examples/double_pendulum/make_data.py`, which shares no code with the package; the model is the
+user's class beside it. Kinds in turn: one effect in one joint, one in each joint, nothing.
+
+    python benchmarks/blind/two_joints.py --seed 1 --count 20 --out runs/two_joints
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+import tempfile
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+MACHINE = Path(__file__).resolve().parents[2] / "examples" / "double_pendulum"
+sys.path.insert(0, str(MACHINE))
+import make_data  # noqa: E402
+
+KINDS = ("single", "pair", "single", "null")
+Array = np.ndarray
+Law = Callable[[float, float], float]
+
+
+def laws(rng: np.random.Generator, torque: float, speed: float) -> dict[str, tuple[Law, dict[str, float]]]:
+    """Laws of one joint with sizes drawn for a joint of this torque [N m] and speed [rad/s], by catalogue name."""
+    c = torque * np.exp(rng.uniform(np.log(0.08), np.log(0.3)))
+    v0 = 0.01 * speed
+    ratio, vs = rng.uniform(0.3, 0.6), 0.15 * speed
+    d1, d2, k = c / speed, c / speed**2, 2.0 * c
+    return {
+        "coulomb_friction": (lambda q, w: -c * np.tanh(w / v0), {"size": c}),
+        "viscous_friction": (lambda q, w: -d1 * w, {"damping": d1}),
+        "quadratic_damping": (lambda q, w: -d2 * abs(w) * w, {"damping": d2}),
+        "constant_force": (lambda q, w: c, {"acceleration": c}),
+        "cubic_stiffness": (lambda q, w: -k * q**3, {"stiffness": k}),
+        "asymmetric_friction": (
+            lambda q, w: -(c if w > 0 else ratio * c) * np.tanh(w / v0),
+            {"size_forward": c, "size_backward": ratio * c},
+        ),
+        "stribeck_friction": (
+            lambda q, w: -(c + c * np.exp(-((w / vs) ** 2))) * np.tanh(w / v0),
+            {"size": c, "extra": c},
+        ),
+    }
+
+
+def drawn(seed: int, i: int) -> tuple[str, dict[str, dict[str, float]], make_data.Push]:
+    """Kind, true effects with their parameters, and what they push with; sets the machine's masses and lengths."""
+    rng = np.random.default_rng([seed, i])
+    scale = np.exp(rng.uniform(np.log(0.6), np.log(1.6), 4))
+    make_data.MASS_1, make_data.MASS_2 = 1.0 * scale[0], 0.6 * scale[1]
+    make_data.LENGTH_1, make_data.CENTRE_1 = 0.25 * scale[2], 0.12 * scale[2]
+    make_data.CENTRE_2 = 0.14 * scale[3]
+    make_data.INERTIA_1, make_data.INERTIA_2 = (
+        0.012 * scale[0] * scale[2] ** 2,
+        0.006 * scale[1] * scale[3] ** 2,
+    )
+    torque = (0.6 * scale[0] * scale[2], 0.15 * scale[1] * scale[3])
+    make_data.TORQUE = torque
+    kind = KINDS[i % len(KINDS)]
+    push: list[Law] = [lambda q, w: 0.0, lambda q, w: 0.0]
+    truth: dict[str, dict[str, float]] = {}
+    joints = {"single": [int(rng.integers(2))], "pair": [0, 1], "null": []}[kind]
+    for joint in joints:
+        known = laws(rng, torque[joint], (2.0, 4.0)[joint])
+        name = list(known)[int(rng.integers(len(known)))]
+        push[joint], truth[f"{name}[q{joint + 1}]"] = known[name]
+    return kind, truth, lambda q, w: np.array([push[0](q[0], w[0]), push[1](q[1], w[1])])
+
+
+def case(seed: int, i: int) -> dict[str, Any]:
+    """Make and diagnose one case."""
+    import torch
+
+    import nsde_torch
+
+    torch.set_num_threads(1)
+    kind, truth, push = drawn(seed, i)
+    noise = (1.0, 0.3, 3.0)[i % 3]
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder)
+        make_data.write(path, push, seed=seed * 1000 + i, runs=4, seconds=12.0, noise=noise)
+        data = nsde_torch.read(path, system="double_pendulum:DoublePendulum")
+        found = nsde_torch.diagnose(data, system="double_pendulum:DoublePendulum")
+    content = found.content()
+    own = content["parameters"]
+    inside, held = 0, 0
+    for effect, values in truth.items():
+        for name, value in values.items():
+            interval = own.get(f"{effect}.{name}", {}).get("interval_90")
+            if interval:
+                held += 1
+                inside += int(interval[0] <= value <= interval[1])
+    return {
+        "case": i,
+        "kind": kind,
+        "noise": noise,
+        "truth": truth,
+        "verdict": content["verdict"],
+        "added": content["added"],
+        "provisional": [f["effect"] for f in content["findings"] if f.get("provisional")],
+        "parameters": {k: [v["value"], v["interval_90"]] for k, v in own.items()},
+        "inside": [inside, held],
+    }
+
+
+def right(answer: dict[str, Any]) -> bool:
+    """First named is true; of a pair, both are named and nothing else; nothing of a null."""
+    truth, added = set(answer["truth"]), answer["added"]
+    if answer["kind"] == "single":
+        return bool(added) and added[0] in truth
+    return set(added) == truth
+
+
+def main() -> None:
+    """Diagnoses cases one after another, and counts."""
+    parser = argparse.ArgumentParser(description="Blind cases on two-joint machines.")
+    parser.add_argument("--seed", type=int, required=True)
+    parser.add_argument("--count", type=int, default=20)
+    parser.add_argument("--first", type=int, default=0)
+    parser.add_argument("--out", type=Path, required=True)
+    a = parser.parse_args()
+    a.out.mkdir(parents=True, exist_ok=True)
+    for i in range(a.first, a.first + a.count):
+        try:
+            answer = case(a.seed, i)
+        except Exception as error:  # a case that ends in an error counts as wrong
+            answer = {
+                "case": i,
+                "kind": drawn(a.seed, i)[0],
+                "truth": drawn(a.seed, i)[1],
+                "error": repr(error),
+            }
+            answer |= {"added": ["error"], "inside": [0, 0]}
+        answer["right"] = right(answer)
+        (a.out / f"seed_{a.seed}_case_{i:03d}.json").write_text(
+            json.dumps(answer, indent=1, default=float), encoding="utf-8"
+        )
+        print(
+            i,
+            answer["kind"],
+            "right" if answer["right"] else "WRONG",
+            list(answer["truth"]),
+            "->",
+            answer["added"],
+            answer["inside"],
+            flush=True,
+        )
+    done = [json.loads(f.read_text(encoding="utf-8")) for f in sorted(a.out.glob("*.json"))]
+    for kind in dict.fromkeys(KINDS):
+        own = [d for d in done if d["kind"] == kind]
+        print(f"{kind}: {sum(d['right'] for d in own)} of {len(own)} right")
+    print("intervals that hold:", [sum(d["inside"][k] for d in done) for k in (0, 1)])
+
+
+if __name__ == "__main__":
+    main()

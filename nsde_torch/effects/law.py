@@ -1,0 +1,165 @@
+"""Laws of one coordinate: effects that are made for every coordinate of a machine.
+
+    force on the coordinate = law(q, v)          q its position, v its velocity
+
+`coulomb_friction[q2]` is the law `coulomb_friction` on the coordinate `q2`; a machine with one coordinate has plain
+`coulomb_friction`. Terms are in the unit of the coordinate's port, which is a force over mass where the system is
+written so.
+"""
+
+from __future__ import annotations
+
+import re
+from abc import abstractmethod
+from collections.abc import Mapping
+from dataclasses import replace
+from functools import cache
+from typing import Any, ClassVar
+
+import torch
+from torch import Tensor
+
+from nsde_torch.effects import units
+from nsde_torch.effects.base import Effect, Parameter, Port
+from nsde_torch.effects.coordinates import PLAIN, Bound
+from nsde_torch.errors import ConfigError
+
+_NAME = re.compile(r"(.+)\[([^\[\]]+)\]")
+
+
+def split_name(name: str) -> tuple[str, str]:
+    """Law and coordinate of `law[coordinate]`; no coordinate of any other name."""
+    found = _NAME.fullmatch(name)
+    return (found[1], found[2]) if found else (name, "")
+
+
+def joined_name(law: str, coordinate: str) -> str:
+    """`law[coordinate]`, or the law alone where there is no coordinate."""
+    return f"{law}[{coordinate}]" if coordinate else law
+
+
+class Law(Effect):
+    """An effect on one coordinate. Subclasses write `term`, with `self.q(x)` and `self.v(x)`.
+
+    Units of `PARAMETERS` are products of `force`, `speed` and `position`: `force/speed` is 1/s where forces are over
+    mass. In `sentence`, `{it}` stands for what moves.
+
+    Attributes:
+        at: The coordinate; that of the simplest machine where none was given.
+        law: The law itself, of a class that was made of it for one coordinate.
+        kinds: Kinds of coordinates that it is for; empty: all.
+        reads_position: Whether it is for coordinates whose position is known alone.
+        reads_load: Whether it is for coordinates that say their load (`self.load(u)`).
+    """
+
+    port = Port.FORCE
+    at: ClassVar[Bound] = PLAIN
+    law: ClassVar[type[Law]]
+    kinds: ClassVar[tuple[str, ...]] = ()
+    reads_position: ClassVar[bool] = False
+    reads_load: ClassVar[bool] = False
+    _declared: ClassVar[Mapping[str, Parameter]] = {}
+    _sentence: ClassVar[str] = ""
+
+    def __init_subclass__(cls, **keywords: Any) -> None:
+        super().__init_subclass__(**keywords)
+        own = cls.__dict__
+        if "law" in own:
+            return
+        cls.law = cls
+        if "PARAMETERS" in own:
+            cls._declared = own["PARAMETERS"]
+            cls.PARAMETERS = _in_units(cls._declared, PLAIN)
+        if "sentence" in own:
+            cls._sentence = own["sentence"]
+            cls.sentence = cls._sentence.replace("{it}", PLAIN.words)
+
+    @classmethod
+    def suits(cls, at: Bound) -> bool:
+        """Whether the law makes sense on a coordinate."""
+        return (
+            (not cls.kinds or at.kind in cls.kinds)
+            and (at.position is not None or not cls.reads_position)
+            and (bool(at.load) or not cls.reads_load)
+        )
+
+    def q(self, x: Tensor) -> Tensor:
+        """Position (N, 1), from the state."""
+        k = self.at.position
+        assert k is not None
+        return x[:, k : k + 1]
+
+    def v(self, x: Tensor) -> Tensor:
+        """Velocity (N, 1), from the state."""
+        return x[:, self.at.velocity : self.at.velocity + 1]
+
+    def load(self, u: Tensor) -> Tensor:
+        """Load of the coordinate (N, 1), from `u` of `term`."""
+        return self.channel(self.at.load, u)
+
+    def forward(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
+        """The term in the row of its coordinate, nothing in the others."""
+        term = self.term(t, x, u, memory)
+        above, below = self.at.row, self.at.width - self.at.row - 1
+        return torch.nn.functional.pad(term, (above, below)) if above or below else term
+
+    @abstractmethod
+    def term(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
+        """What pushes the coordinate (N, 1); arguments as those of `Effect.forward`."""
+
+
+def law_at(law: type[Law], at: Bound) -> type[Law]:
+    """The effect that a law is on one coordinate.
+
+    Raises:
+        ConfigError: the law makes no sense there.
+    """
+    law = law.law
+    if not law.suits(at):
+        what = (
+            f"of kind {' or '.join(law.kinds)}" if law.kinds and at.kind not in law.kinds else "that has a "
+        )
+        what += "" if not what.endswith("a ") else ("`load`" if law.reads_load else "`position`")
+        raise ConfigError(
+            f"effect {law.name!r} is for a coordinate {what}; {at.declared or at.name!r} is of kind {at.kind}."
+        )
+    return law if replace(at, declared="") == PLAIN else _made(law, at)
+
+
+@cache
+def _made(law: type[Law], at: Bound) -> type[Law]:
+    name = joined_name(law.name, at.name)
+    own: dict[str, Any] = {
+        "__module__": law.__module__,
+        "__qualname__": joined_name(law.__qualname__, at.name),
+        "__doc__": law.__doc__,
+        "name": name,
+        "law": law,
+        "at": at,
+        "port": at.port,
+        "PARAMETERS": _in_units(law._declared, at),
+        "sentence": law._sentence.replace("{it}", at.words),
+        "includes": tuple(joined_name(simple, at.name) for simple in law.includes),
+        "relative": {
+            k: joined_name(kind, at.name) if kind in _SIZES else kind for k, kind in law.relative.items()
+        },
+    }
+    if law.reads_load:
+        own["quantities"] = {**law.quantities, at.load: 1}
+    return type(name, (law,), own)
+
+
+_SIZES = ("position", "speed")
+
+
+def unplaced(law: type[Law], coordinate: str) -> type[Law]:
+    """The effect that a law is on a coordinate of this name of some machine: what it is called and includes.
+
+    Its columns and units are not those of the machine: nothing is computed with it.
+    """
+    return _made(law.law, replace(PLAIN, name=coordinate, words=coordinate, load="load" * law.reads_load))
+
+
+def _in_units(declared: Mapping[str, Parameter], at: Bound) -> dict[str, Parameter]:
+    known = dict(at.units)
+    return {k: replace(p, unit=units.of(p.unit, known)) for k, p in declared.items()}

@@ -1,0 +1,57 @@
+"""Products of units: the unit of a law's parameter from those of the coordinate that it is a law of.
+
+(force) / (speed)     with force in rad/s2 and speed in rad/s     ->     1/s
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+
+_FACTOR = re.compile(r"([^\W\d_]+|%|°)\^?(-?\d+)?")
+
+Powers = dict[str, int]
+
+
+def of(law: str, units: Mapping[str, str]) -> str:
+    """The unit that `force/speed2` is, each word of which stands for a unit.
+
+    Args:
+        law: Product of words, at most one `/`, powers behind them; words that `units` lacks stand for themselves.
+        units: Unit that each word stands for.
+
+    Returns:
+        The unit, its powers collected; `(unit)/(unit)` in words where a unit is none that can be read.
+    """
+    out: Powers = {}
+    for word, power in (_powers(law) or {}).items():
+        own = _powers(units.get(word, word))
+        if own is None:
+            return re.sub(r"[a-z]{2,}", lambda m: f"({units.get(m[0], m[0])})", law)
+        for unit, times in own.items():
+            out[unit] = out.get(unit, 0) + power * times
+    above = [_written(unit, times) for unit, times in out.items() if times > 0]
+    below = [_written(unit, -times) for unit, times in out.items() if times < 0]
+    if not below:
+        return " ".join(above) or "1"
+    under = below[0] if len(below) == 1 else f"({' '.join(below)})"
+    return f"{' '.join(above) or '1'}/{under}"
+
+
+def _written(unit: str, power: int) -> str:
+    return unit if power == 1 else f"{unit}{power}"
+
+
+def _powers(unit: str) -> Powers | None:
+    """Powers of the factors of a unit; None of what cannot be read."""
+    out: Powers = {}
+    for place, part in enumerate(unit.split("/")):
+        for factor in part.strip().strip("()").replace("*", " ").split():
+            if factor == "1":
+                continue
+            found = _FACTOR.fullmatch(factor)
+            if found is None:
+                return None
+            power = int(found[2] or 1) * (-1 if place else 1)
+            out[found[1]] = out.get(found[1], 0) + power
+    return out

@@ -1,0 +1,163 @@
+"""The coordinates of a system by columns; effects made for them, and the check that each acts where there is room."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from functools import cache
+from typing import TYPE_CHECKING
+
+import torch
+from torch import Tensor
+
+from nsde_torch.effects.base import Effect, Port
+from nsde_torch.effects.coordinates import Bound, Coordinate, bound
+from nsde_torch.effects.law import Law
+from nsde_torch.effects.registry import effect_class, make_effect
+from nsde_torch.errors import ConfigError
+from nsde_torch.systems.constants import ErrorGroup
+from nsde_torch.systems.values import Numbers
+
+if TYPE_CHECKING:
+    from nsde_torch.systems.base import System
+
+_ANGLES = ("rad", "deg")
+
+
+@cache
+def bound_coordinates(cls: type[System]) -> tuple[Bound, ...]:
+    """See `System.bound_coordinates`."""
+    return bound(
+        cls.coordinates or _only(cls),
+        system=cls.name,
+        state_names=cls.state_names,
+        state_units=cls.state_units,
+        ports=cls.ports,
+        port_units={port: residual.unit for port, residual in cls.residual_ports.items()},
+        quantities=cls.quantities,
+    )
+
+
+def describe(cls: type[System]) -> None:
+    """Fill in what a class of systems does not say of itself: errors and features are the state's."""
+    names: tuple[str, ...] | None = getattr(cls, "state_names", None)
+    units: tuple[str, ...] | None = getattr(cls, "state_units", None)
+    if names is None or units is None:
+        return
+    if getattr(cls, "error_names", None) is None:
+        cls.error_names = names
+    if getattr(cls, "error_groups", None) is None and cls.error_names == names:
+        kinds = {unit: tuple(k for k, u in enumerate(units) if u == unit) for unit in units}
+        cls.error_groups = tuple(
+            ErrorGroup("_".join(names[k] for k in channels), channels, unit)
+            for unit, channels in kinds.items()
+        )
+    if getattr(cls, "feature_names", None) is None:
+        cls.feature_names, cls.feature_units = names, units
+
+
+def _only(cls: type[System]) -> tuple[Coordinate, ...]:
+    """The coordinate of a machine that declares none: where one position has a velocity, and one force one row."""
+    pairs = [(q, v) for q, v, frame in cls.position_derivatives if frame == "world"]
+    if len(cls.position_derivatives) != 1 or len(pairs) != 1 or list(cls.ports.values()) != [1]:
+        return ()
+    (q, v), port = pairs[0], next(iter(cls.ports))
+    unit = cls.state_units[cls.state_names.index(q)]
+    return (Coordinate(q, v, port, position=q, kind="joint" if unit in _ANGLES else "rail"),)
+
+
+def made(system: System, name: str, values: Mapping[str, float | list[float]] | None = None) -> Effect:
+    """An effect for a system, by the name that it has on it."""
+    return make_effect(
+        name,
+        system=system.name,
+        ports={*system.ports, Port.INPUT},
+        n_inputs=system.nu,
+        values=values,
+        coordinates=system.bound_coordinates(),
+    )
+
+
+def all_made(system: System, items: Sequence[str | Effect], values: dict[str, Numbers]) -> list[Effect]:
+    """Effects for a system, each checked; their values are taken out of `values`."""
+    system.bound_coordinates()  # those that are declared wrong are told even where no effect asks for one
+    out = []
+    for item in items:
+        if isinstance(item, str):
+            key = system.effect_key(item)
+            item = made(system, key, values.pop(effect_class(key).name if ":" in key else key, None))
+        check_effect(system, item)
+        out.append(item)
+    return out
+
+
+def check_pushes(system: System, x: Tensor, u: Tensor) -> None:
+    """Refuse a coordinate whose port does not push it: a force speeds up its own velocity, whatever the masses.
+
+    Args:
+        system: The machine, with its first values.
+        x: States of the data (N, nx).
+        u: Inputs there (N, nu + n_exogenous).
+
+    Raises:
+        ConfigError: names the coordinate, and what its push changes.
+    """
+    z = system.augment(x, u)
+    with torch.no_grad():
+        still = system.drift(0.0, z, u)
+        for at in system.bound_coordinates():
+            push = x.new_zeros(len(x), at.width)
+            push[:, at.row] = 1.0
+            change = (system.drift(0.0, z, u, {at.port: push}) - still)[:, : system.nx].median(0).values
+            if float(change[at.velocity]) > 0:
+                continue
+            faster = [n for n, c in zip(system.state_names, change.tolist(), strict=True) if c > 0]
+            raise ConfigError(
+                f"coordinate {at.declared!r} of system {system.name!r}: a push on row {at.row} of the port "
+                f"{at.port.value!r} does not speed up {system.state_names[at.velocity]!r} (it speeds up "
+                f"{', '.join(faster) or 'nothing'}). Check `row` and `velocity` of the coordinate, the signs in "
+                "`dynamics`, and that the first values of the parameters are those of a possible machine."
+            )
+
+
+def check_effect(system: System, effect: Effect) -> None:
+    """Refuse an effect that reads what the system does not offer, or acts where it has no place.
+
+    Raises:
+        ConfigError: says what was expected and what came.
+    """
+    missing = [n for n, width in effect.quantities.items() if system.quantities.get(n) != width]
+    if missing or (effect.quantities and effect.port is Port.INPUT):
+        raise ConfigError(
+            f"effect {effect.name!r} reads {', '.join(missing or effect.quantities)}, which system "
+            f"{system.name!r} does not offer on the port {effect.port.value!r}. Leave the effect out."
+        )
+    if isinstance(effect, Law) and effect.at.place not in [at.place for at in system.bound_coordinates()]:
+        raise ConfigError(
+            f"effect {effect.name!r} was made for columns that are no coordinate of system {system.name!r}. Name it "
+            f"in text, and it is made for the system: effects=[{effect.name!r}]."
+        )
+    widths = {**system.ports, Port.INPUT: system.nu, Port.RATE: system.nx}
+    width = widths.get(effect.port)
+    if width is None:
+        return  # `Effect.fits` says so where it is made by name
+    like = next(effect.parameters(), torch.zeros(()))
+    x = like.new_ones(2, system.nx)
+    read = len(effect.exogenous) + sum(effect.quantities.values())
+    u = like.new_ones(2, system.nu + read)
+    step, effect.step = effect.step, 0.0
+    try:
+        with torch.no_grad():
+            term = effect(0.0, x, u, effect.memory_start(x, u))
+    except (IndexError, RuntimeError) as error:
+        raise ConfigError(
+            f"effect {effect.name!r} cannot be worked out on system {system.name!r}, whose state has "
+            f"{system.nx} columns ({', '.join(system.state_names)}): {error}."
+        ) from error
+    finally:
+        effect.step = step
+    if tuple(term.shape) != (2, width):
+        raise ConfigError(
+            f"effect {effect.name!r} returns {tuple(term.shape[1:])} columns for the port {effect.port.value!r} of "
+            f"system {system.name!r}, which has {width}. Return one column for each, or derive the effect from "
+            "`nsde_torch.effects.Law`, which is made for one coordinate."
+        )

@@ -1,0 +1,207 @@
+"""What a user with a machine of their own meets on the command line: one sentence with the remedy, or it works."""
+
+from __future__ import annotations
+
+import json
+import shlex
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+import yaml
+from omegaconf import OmegaConf
+
+from nsde_torch.cli import effects_file, own_modules
+from nsde_torch.cli.main import main
+from nsde_torch.cli.quoted import coordinates_named
+
+NAMELESS = """
+from nsde_torch.effects import Effect, Port
+
+class Bare(Effect):
+    port, formula, source = Port.FORCE, "0", "a test"
+
+    def forward(self, t, x, u, memory):
+        return 0.0 * x[:, :1]
+"""
+
+
+@pytest.fixture(autouse=True)
+def _elsewhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    monkeypatch.chdir(tmp_path)
+    before = torch.get_num_threads()
+    yield
+    torch.set_num_threads(before)
+
+
+@pytest.fixture(scope="module")
+def spring(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A model of the spring."""
+    out = tmp_path_factory.mktemp("spring") / "run"
+    words = ["train", "system=mass_spring_damper", "data.durations=[2,2]", "model=sysid", f"run_dir={out}"]
+    assert main(words) == 0
+    return out
+
+
+@pytest.mark.parametrize("command", ["track", "export"])
+def test_what_is_for_multirotors_says_so_in_one_sentence(
+    command: str, spring: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main([command, f"run={spring}", "out=c.ts" if command == "export" else "threads=1"]) == 2
+    error = capsys.readouterr().err
+    assert f"`nsde {command}` is for multirotors" in error
+    assert "mass_spring_damper" in error
+    assert "nsde evaluate" in error
+    assert "Traceback" not in error
+
+
+@pytest.mark.parametrize("command", ["track", "export", "fly"])
+def test_a_model_of_ones_own_machine_is_found_without_the_folder_of_its_module(
+    command: str, root: Path, spring: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    run = tmp_path / "run"
+    (run / ".hydra").mkdir(parents=True)
+    source = {"provider": "command-line", "schema": "file", "path": str(tmp_path / "modules")}
+    record = {"hydra": {"runtime": {"config_sources": [source]}}}
+    (run / ".hydra" / "hydra.yaml").write_text(yaml.safe_dump(record))
+    (tmp_path / "modules").mkdir()
+    text = (root / "examples" / "extend" / "rail.py").read_text().replace('name = "rail"', 'name = "lane"')
+    (tmp_path / "modules" / f"lane_of_{command}.py").write_text(text)
+    for file in ("config.yaml", "model.safetensors", "metrics.json"):
+        (run / file).write_bytes((spring / file).read_bytes())
+    content = (run / "config.yaml").read_text()
+    (run / "config.yaml").write_text(content.replace("mass_spring_damper", f"lane_of_{command}:Rail"))
+    assert main([command, f"run={run}", "out=c.ts" if command == "export" else "threads=1"]) == 2
+    assert "no module" not in capsys.readouterr().err
+
+
+def test_effects_of_ones_own_machine_are_listed_from_its_folder(
+    root: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = str(root / "examples" / "pendulum")
+    assert main(["effects", "system=pendulum", f"--config-dir={folder}"]) == 0
+    assert "coulomb_friction" in capsys.readouterr().out
+    assert main(["effects", "--config-dir", "nowhere", "system=pendulum"]) == 2
+    assert "no such folder" in capsys.readouterr().err
+
+
+def test_an_effect_without_a_name_is_refused_in_one_sentence(capsys: pytest.CaptureFixture[str]) -> None:
+    Path("own").mkdir()
+    Path("own/bare_of_a_test.py").write_text(NAMELESS)
+    words = ["--config-dir", "own", "system=mass_spring_damper", "plant.effects=[bare_of_a_test:Bare]"]
+    assert main(["simulate", *words, "durations=[1]", "out=data"]) == 2
+    error = capsys.readouterr().err
+    assert "has no `name`" in error
+    assert "name = 'bare'" in error
+
+
+def test_the_command_that_a_diagnosis_advises_trains(
+    root: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = str(root / "examples" / "extend")
+    own = ["--config-dir", folder, "system.name=rail:Rail"]
+    assert main(["simulate", *own, "durations=[6,6]", "out=data"]) == 0
+    found = ["data=csv", f"data.path={tmp_path / 'data'}", "retrain=false", "out_dir=found"]
+    assert main(["diagnose", *own, *found, "candidates=[coulomb_friction]"]) == 0
+    first = Path("found/effects.yaml").read_text().splitlines()[0]
+    words = shlex.split(first.partition("nsde train ")[2])
+    assert words[:3] == own
+    assert main(["train", *words, "model=sysid", "run_dir=trained"]) == 0
+    assert "coulomb_friction.size" in Path("trained/metrics.json").read_text()
+
+
+@pytest.mark.parametrize(
+    ("word", "expected"),
+    [
+        (
+            "system.effects=[coulomb_friction[q2],a:B[q1]]",
+            r"system.effects=[coulomb_friction\[q2\],a:B\[q1\]]",
+        ),
+        ("plant.effects=[{c_d[q]:{size:1}}]", r"plant.effects=[{c_d\[q\]:{size:1}}]"),
+        ("system.effects=['c[q2]']", "system.effects=['c[q2]']"),
+        ("system.parameters.c[q2].size=1", "system.parameters.c.q2.size=1"),
+        ("data.durations=[4,4]", "data.durations=[4,4]"),
+        ("mpc.fence=[[0,1],[0,1],[0,1]]", "mpc.fence=[[0,1],[0,1],[0,1]]"),
+        ("--config-dir", "--config-dir"),
+    ],
+)
+def test_a_coordinate_in_brackets_is_written_as_hydra_wants_it(word: str, expected: str) -> None:
+    assert coordinates_named(word) == expected
+
+
+def test_values_of_a_file_give_way_to_those_of_the_command_line() -> None:
+    system = OmegaConf.create({"parameters": {"coulomb_friction": {"q2": {"size": 0.7}}}})
+    effects_file.add_value(system, "coulomb_friction[q2]", "size", 0.1)
+    effects_file.add_value(system, "coulomb_friction[q1]", "size", 0.2)
+    assert OmegaConf.to_container(system.parameters) == {
+        "coulomb_friction": {"q2": {"size": 0.7}},
+        "coulomb_friction[q1]": {"size": 0.2},
+    }
+
+
+def test_only_folders_of_the_command_line_hold_modules_of_ones_own() -> None:
+    sources = [
+        {"provider": "main", "schema": "pkg", "path": "a"},
+        {"provider": "command-line", "schema": "file", "path": "b"},
+    ]
+    assert own_modules.config_folders(sources) == ["b"]
+
+
+@pytest.fixture
+def double(root: Path) -> list[str]:
+    """How the double pendulum, whose class says no machine, is simulated."""
+    return [
+        "simulate", "--config-dir", str(root / "examples" / "double_pendulum"), "system=double_pendulum",
+        "durations=[4,4]", "options.inputs=[0.4,0.05]", "options.noise=[0.001,0.001,0.01,0.01]",
+    ]  # fmt: skip
+
+
+def test_a_machine_of_ones_own_is_simulated_from_its_class(double: list[str]) -> None:
+    effects = "plant.effects=[{coulomb_friction[q2]:{size:0.05}}]"
+    assert main([*double, effects, "plant.parameters.a=0.09", "plant.parameters.b=0.02", "out=data"]) == 0
+    truth = json.loads(Path("data.truth.json").read_text())
+    assert truth["effects"]["coulomb_friction[q2]"]["parameters"]["size"] == 0.05
+    assert truth["effects"]["coulomb_friction[q2]"]["units"]["size"] == "N m"
+    assert truth["declared"]["a"] == {"value": 0.09, "unit": "kg m2"}
+    table = np.loadtxt("data/run_0.csv", delimiter=",", skiprows=1)
+    assert Path("data/run_0.csv").read_text().startswith("t,q1,q2,q1_dot,q2_dot,tau1,tau2\n")
+    assert len(table) == 401
+    assert table[:, 5].std() == pytest.approx(0.4, rel=0.4)
+    assert np.abs(table[:, 1]).max() > 0.02
+    white = np.diff(table[:, 1], 3).std() / 20**0.5  # of the noise of q1: third differences leave little else
+    assert white == pytest.approx(0.001, rel=0.3)
+
+
+def test_a_controller_from_a_small_file_closes_the_loop(double: list[str]) -> None:
+    assert main([*double, "options.controller=hold:hold", "out=held"]) == 0
+    assert main([*double, "out=free"]) == 0
+    held, free = (np.loadtxt(f"{name}/run_0.csv", delimiter=",", skiprows=1) for name in ("held", "free"))
+    answer = held[:, 5:7] - free[:, 5:7]  # the same sums of sines in both
+    np.testing.assert_allclose(answer, -1.0 * held[:, 1:3] - 0.05 * held[:, 3:5], atol=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ("options.inputs=null", ["options.inputs=[...]", "tau1 [N m], tau2 [N m]", "options.noise=[...]"]),
+        ("options.controller=hold:drop", ["no function 'drop'"]),
+        ("options.controller=wrong_of_a_test:one", ["must return inputs (2, 2)", "tau1, tau2", "(2, 1)"]),
+        ("plant.parameters.mass=1", ["'mass'", "neither a parameter", "a, b, d"]),
+        ("plant.effects=[coulomb_friction]", ["coulomb_friction[q1], coulomb_friction[q2]"]),
+    ],
+)
+def test_a_simulation_that_cannot_be_says_what_is_missing(
+    change: str, words: list[str], double: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "wrong_of_a_test.py").write_text("def one(t, x):\n    return x[:, :1]\n")
+    sys.path.insert(0, str(tmp_path))
+    try:
+        assert main([*double, change, "out=data"]) == 2
+    finally:
+        sys.path.remove(str(tmp_path))
+    error = capsys.readouterr().err
+    for word in words:
+        assert word in error

@@ -1,0 +1,259 @@
+"""Laws of one coordinate: made for each coordinate of a machine, on its columns, in its units, and nowhere else."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any
+
+import pytest
+import torch
+from torch import Tensor
+
+from nsde_torch.diagnosis.candidates import candidate_names, on_coordinates
+from nsde_torch.diagnosis.content import meaning
+from nsde_torch.diagnosis.estimates import Estimate
+from nsde_torch.effects import Coordinate, Effect, Law, Parameter, Port, effect_class, key_of, register, units
+from nsde_torch.effects.friction import CoulombFriction
+from nsde_torch.errors import ConfigError
+from nsde_torch.systems import System, make_system
+from nsde_torch.systems.coordinates import check_pushes
+from tests.helpers.effect_contract import EffectContract
+from tests.helpers.effect_rows import term
+from tests.helpers.two_joints import HOME, TwoJoints
+
+X = torch.tensor([[3.0, -0.5, 0.4, 0.2]])  # w2, w1, q2, q1
+
+
+class Teeth(Law):
+    """A law of a user's own."""
+
+    name = "teeth"
+    reads_position = True
+    formula = "-c sin(2 pi q / p)"
+    source = "a test"
+    PARAMETERS = {"size": Parameter(1.0, "force"), "pitch": Parameter(0.4, "position", low=0.0)}
+    null, amplitudes, shapes = {"size": 0.0}, ("size",), {"pitch": (0.4,)}
+    relative = {"pitch": "position"}
+    sentence = "Teeth hold {it} with {size}."
+
+    def term(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
+        return -self.value("size") * torch.sin(2.0 * torch.pi * self.q(x) / self.value("pitch"))
+
+
+class Narrow(Effect):
+    """An effect of width 1 on a port of width 2."""
+
+    name, port, formula, source = "narrow", Port.TORQUE, "1", "a test"
+
+    def forward(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
+        return x[:, :1]
+
+
+class Wide(Narrow):
+    """An effect that says no sentence."""
+
+    name, formula = "wide", "size for all"
+    PARAMETERS = {"size": Parameter(0.1, "N m")}
+
+
+class Far(Narrow):
+    """An effect that reads a column that is not there."""
+
+    name = "far"
+
+    def forward(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
+        return x[:, [8, 9]]
+
+
+class Nameless(Effect):
+    """An effect that forgot its name."""
+
+    port, formula, source = Port.TORQUE, "0", "a test"
+
+    def forward(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
+        return x[:, :2]
+
+
+class TestPositionDependentFriction(EffectContract):
+    name, system, size = "position_dependent_friction", "mass_spring_damper", 0.1
+
+    def test_it_grows_along_the_way(self) -> None:
+        effect = self.make({"size": 0.3, "slope": 0.5, "width": 0.01})
+        x = torch.tensor([[0.2, 1.0], [-0.2, -1.0]])
+        torch.testing.assert_close(term(effect, x), torch.tensor([[-0.4], [0.2]]))
+
+
+class TestLoadFriction(EffectContract):
+    name, system, size = "load_friction[q1]", HOME, 0.1
+
+    def test_it_is_in_proportion_to_the_load(self) -> None:
+        effect = self.make({"coefficient": 0.1, "width": 0.01})
+        u = torch.tensor([[0.0, 0.0, 5.0]])  # two inputs, then the load
+        torch.testing.assert_close(term(effect, X, u), torch.tensor([[0.5, 0.0]]))
+
+
+class TestRipple(EffectContract):
+    name, system = "ripple[q2]", HOME
+    values = {"sine": 0.2, "cosine": 0.1, "order": 3.0}
+
+    def test_it_repeats_with_the_angle_of_its_joint(self) -> None:
+        effect = self.make({"sine": 0.2, "order": 5.0})
+        expected = 0.2 * torch.sin(torch.tensor(5.0 * 0.4))
+        torch.testing.assert_close(term(effect, X), torch.stack([torch.zeros(()), expected])[None])
+
+
+class TestJointFriction(EffectContract):
+    name, system, size = "coulomb_friction[q2]", HOME, 0.01
+
+
+def test_a_law_acts_on_the_columns_and_the_row_of_its_coordinate_alone() -> None:
+    system = make_system(HOME)
+    for name, expected in (("q1", [0.3, 0.0]), ("q2", [0.0, -0.3])):
+        effect = system.make_effect(f"coulomb_friction[{name}]", {"size": 0.3, "width": 0.01})
+        torch.testing.assert_close(term(effect, X), torch.tensor([expected]))
+    both = make_system(
+        HOME,
+        effects=["viscous_friction[q1]", "viscous_friction[q2]"],
+        values={"viscous_friction[q1].damping": 1.0, "viscous_friction": {"q2": {"damping": 2.0}}},
+    )
+    rate = both.drift(0.0, X, torch.zeros(1, 2)).detach()
+    torch.testing.assert_close(rate[:, :2], torch.tensor([[-2.0 * 3.0 / 0.2, 0.5 / 0.5]]))
+
+
+def test_units_are_those_of_the_coordinate() -> None:
+    system = make_system(HOME, effects=["cubic_stiffness[q1]", "stribeck_friction[q2]"])
+    found = {name: unit for name, (_, unit) in system.all_declared().items()}
+    assert found["cubic_stiffness[q1].stiffness"] == "N m/rad3"
+    assert found["stribeck_friction[q2].size"] == "N m"
+    assert found["stribeck_friction[q2].speed"] == "rad/s"
+    assert units.of("force/speed", {"force": "m/s2", "speed": "m/s"}) == "1/s"
+    assert units.of("force/speed2", {"force": "N", "speed": "m/s"}) == "N s2/m2"
+    assert units.of("force/speed", {"force": "per cent!", "speed": "m/s"}) == "(per cent!)/(m/s)"
+
+
+def test_every_coordinate_has_the_laws_of_the_catalogue_as_candidates() -> None:
+    names = candidate_names(make_system(HOME))
+    for law in ("coulomb", "viscous", "stribeck", "asymmetric", "position_dependent"):
+        assert {f"{law}_friction[q1]", f"{law}_friction[q2]"} <= set(names)
+    assert {f"constant_force[q{k}]" for k in (1, 2)} <= set(names)
+    assert "load_friction[q1]" in names
+    assert "load_friction[q2]" not in names, "that joint says no load"
+    assert "coulomb_friction" not in names
+    assert on_coordinates(make_system(HOME), ["coulomb_friction", "input_delay"]) == [
+        "coulomb_friction[q1]",
+        "coulomb_friction[q2]",
+        "input_delay",
+    ]
+
+
+def test_a_machine_with_one_coordinate_has_plain_names_and_takes_the_long_ones() -> None:
+    for name in ("coulomb_friction", "coulomb_friction[q]"):
+        system = make_system("mass_spring_damper", effects=[name], values={f"{name}.size": 0.7})
+        assert system.effect_names[-1] == "coulomb_friction"
+        assert float(system.all_declared()["coulomb_friction.size"][0]) == pytest.approx(0.7)
+
+
+@pytest.mark.parametrize(
+    ("older", "name"),
+    [
+        ("cart_coulomb_friction", "coulomb_friction[cart]"),
+        ("pole_viscous_friction", "viscous_friction[pole]"),
+        ("stribeck_friction", "stribeck_friction[cart]"),
+        ("constant_force", "constant_force[cart]"),
+    ],
+)
+def test_older_names_of_the_cart_and_pole_are_the_same_effects(older: str, name: str) -> None:
+    assert make_system("cartpole", effects=[older]).effect_names == (name,)
+
+
+def test_a_law_of_ones_own_is_an_effect_on_every_coordinate() -> None:
+    key = f"{__name__}:Teeth"
+    system = make_system(HOME, effects=[f"{key}[q2]"], values={"teeth[q2].size": 2.0})
+    assert system.effect_names == ("teeth[q2]",)
+    assert key_of(type(system.effects[0])) == f"{key}[q2]"  # type: ignore[arg-type]
+    expected = -2.0 * torch.sin(torch.tensor(2.0 * torch.pi))
+    torch.testing.assert_close(term(system.effects[0], X)[0, 1], expected, atol=1e-5, rtol=0.0)  # type: ignore[arg-type]
+    cls = effect_class(f"{key}[q2]")
+    assert cls.relative == {"pitch": "position[q2]"}
+    assert cls.sentence == "Teeth hold q2 with {size}."
+
+
+@pytest.mark.parametrize(
+    ("system", "effect", "words"),
+    [
+        (HOME, "coulomb_friction", ["several coordinates", "coulomb_friction[q1], coulomb_friction[q2]"]),
+        (HOME, "coulomb_friction[q3]", ["'q3' is none", "coulomb_friction[q1]"]),
+        (HOME, "input_delay[q1]", ["no law of one coordinate", "leave out [q1]"]),
+        (HOME, "load_friction[q2]", ["`load`", "'q2'"]),
+        ("cartpole", "cubic_stiffness[pole]", ["rail or joint", "'pole' is of kind axis"]),
+        ("quadrotor", "coulomb_friction", ["does not act on", "Coordinate("]),
+        (HOME, f"{__name__}:Narrow", ["1", "port 'torque'", "has 2", "Law"]),
+        (HOME, f"{__name__}:Far", ["cannot be worked out", "w2, w1, q2, q1"]),
+        (HOME, f"{__name__}:Nameless", ["has no `name`", "name = 'nameless'"]),
+    ],
+)
+def test_what_does_not_fit_is_refused_in_one_sentence(system: str, effect: str, words: list[str]) -> None:
+    with pytest.raises(ConfigError) as caught:
+        make_system(system, effects=[effect])
+    for word in words:
+        assert word in str(caught.value)
+
+
+def test_a_law_that_was_made_for_other_columns_is_refused() -> None:
+    with pytest.raises(ConfigError, match="no coordinate of system 'two_joints'"):
+        make_system(HOME, effects=[CoulombFriction()])
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"velocity": "w9"}, ["velocity is 'w9'", "w2, w1"]),
+        ({"position": "w1"}, ["the same state"]),
+        ({"port": Port.FORCE}, ["port 'force'", "torque"]),
+        ({"row": 2}, ["row 2", "has 2"]),
+        ({"kind": "wheel"}, ["rail, joint, axis"]),
+        ({"load": "weight"}, ["load 'weight'"]),
+        ({"name": "q 1"}, ["must be a word"]),
+        ({"name": "q2"}, ["two coordinates called 'q2'"]),
+    ],
+)
+def test_a_coordinate_that_does_not_fit_its_machine_is_refused(
+    change: Mapping[str, Any], words: list[str]
+) -> None:
+    given: dict[str, Any] = {"name": "q1", "velocity": "w1", "port": Port.TORQUE, "position": "q1", **change}
+
+    class Wrong(TwoJoints):
+        coordinates = (Coordinate(**given), TwoJoints.coordinates[1])
+
+    with pytest.raises(ConfigError) as caught:
+        Wrong()
+    for word in words:
+        assert word in str(caught.value)
+
+
+def test_a_coordinate_on_the_wrong_row_is_refused_before_a_diagnosis() -> None:
+    class Crossed(TwoJoints):
+        coordinates = (replace(TwoJoints.coordinates[0], row=1), replace(TwoJoints.coordinates[1], row=0))
+
+    x, u = torch.zeros(3, 4), torch.zeros(3, 2)
+    check_pushes(TwoJoints(), x, u)
+    with pytest.raises(ConfigError, match=r"'q1'.*row 1.*'w1' \(it speeds up w2\)"):
+        check_pushes(Crossed(), x, u)
+
+
+def test_pushing_a_coordinate_of_the_package_speeds_up_its_own_velocity() -> None:
+    systems: list[System] = [make_system(n) for n in ("mass_spring_damper", "cartpole", HOME)]
+    for system in systems:
+        x, u = torch.zeros(1, system.nx), torch.zeros(1, system.nu)
+        for at in system.bound_coordinates():
+            pushed = torch.zeros(1, at.width)
+            pushed[0, at.row] = 1.0
+            change = system.drift(0.0, x, u, {at.port: pushed}) - system.drift(0.0, x, u)
+            assert float(change[0, at.velocity].detach()) > 0
+
+
+def test_an_effect_that_says_no_sentence_is_reported_by_its_formula() -> None:
+    register(f"{__name__}:Wide")
+    estimate = Estimate("wide.size", 0.25, None, None, "N m")
+    assert meaning(TwoJoints(), "wide", [estimate]) == "What is added is size for all, size = 0.25 N m."

@@ -1,0 +1,70 @@
+"""Gains that have gone to nothing: effects are selected from their first values, and taken where that holds."""
+
+from __future__ import annotations
+
+import pytest
+
+import nsde_torch
+from nsde_torch.diagnosis import gone
+from nsde_torch.diagnosis.gone import select
+from nsde_torch.diagnosis.options import Options
+from nsde_torch.diagnosis.search import Search, search_in
+from nsde_torch.systems import System, make_system
+
+LAG, FLAPPING = 0.04, 15.0
+CANDIDATES = ("motor_lag", "flapping_moment")
+
+
+@pytest.fixture(scope="module")
+def search() -> tuple[Search, System]:
+    """Flights whose inputs cancel a moment of the blades, with a lag: gains come out half as large alone."""
+    made = nsde_torch.simulate(
+        "quadrotor",
+        durations=[15.0] * 3,
+        seed=5,
+        declared_only=True,
+        effects={
+            "flapping_moment": {"gain": [FLAPPING, FLAPPING]},
+            "motor_lag": {"time_constant": LAG},
+        },
+    )
+    data = nsde_torch.read(made, system="quadrotor")
+    system = make_system("quadrotor")
+    return search_in(system, data.runs, data.clock_scale, Options(candidates=CANDIDATES)), system
+
+
+def test_effects_are_selected_from_first_values_where_gains_have_gone(
+    search: tuple[Search, System], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    where, system = search
+    monkeypatch.setattr(gone, "GONE", 1.2)  # gains of 36 and 29 rad/s2 of a first value of 50 have gone then
+    chosen = select(where, system)
+    assert set(chosen.names) == set(CANDIDATES)
+    assert where.held == set()  # what was held while effects were selected is free again
+    now = dict(zip(chosen.final.regression.vector.labels, chosen.final.regression.theta, strict=True))
+    before = dict(
+        zip(chosen.declared.regression.vector.labels, chosen.declared.regression.theta, strict=True)
+    )
+    assert before["roll_gain"] < 45.0 < now["roll_gain"]
+    assert now["roll_gain"] == pytest.approx(58.0, rel=0.05)
+    assert now["pitch_gain"] == pytest.approx(58.0, rel=0.05)
+    assert now["motor_lag.time_constant"] == pytest.approx(LAG, rel=0.1)
+    assert now["flapping_moment.gain[0]"] == pytest.approx(FLAPPING, rel=0.1)
+
+
+def test_ordinary_selection_stands_where_no_gain_has_gone_or_none_comes_back(
+    search: tuple[Search, System], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    where, system = search
+
+    def untouched(*_: object) -> None:
+        raise AssertionError("no parameter has gone")
+
+    monkeypatch.setattr(gone, "_from_first_values", untouched)
+    ordinary = select(where, system)
+    assert set(ordinary.names) == set(CANDIDATES)
+    monkeypatch.undo()
+    monkeypatch.setattr(gone, "_gone", lambda regression, first: {"roll_gain"})  # whatever is found
+    stuck = select(where, system)
+    assert stuck.names == ordinary.names
+    assert where.held == set()

@@ -83,7 +83,7 @@ def test_a_system_is_diagnosed(runs: Simulation) -> None:
 
 
 def test_a_system_without_a_machine_is_not_simulated() -> None:
-    with pytest.raises(ConfigError, match=r"says `machine = Machine"):
+    with pytest.raises(ConfigError, match=r"says no `machine`.*write `machine = Machine"):
         nsde_torch.simulate("tests.helpers.rate_loops:RateLoop", seed=0)
 
 

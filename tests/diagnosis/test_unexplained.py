@@ -10,6 +10,7 @@ import pytest
 
 from nsde_torch.diagnosis.decisions import Decisions
 from nsde_torch.diagnosis.formula import chosen, forward, shifted
+from nsde_torch.diagnosis.options import Options
 from tests.helpers.diagnosed import diagnosed
 
 FOLDER = Path(__file__).parents[2] / "benchmarks" / "blind"
@@ -30,8 +31,16 @@ def one_term(content: dict[str, Any]) -> tuple[str, float, float]:
 
 @needs_outside
 @pytest.mark.usefixtures("_outside")
-def test_a_magnet_on_the_pole_is_unexplained_and_called_periodic_with_its_formula() -> None:
-    _, content = diagnosed("cartpole", {"outside:PoleMagnet": {"size": 1.5}}, durations=(4.0,) * 16)
+def test_a_magnet_on_the_pole_is_a_ripple_of_the_catalogue_and_unexplained_without_it() -> None:
+    magnet = {"outside:PoleMagnet": {"size": 1.5}}
+    _, content = diagnosed("cartpole", magnet, durations=(4.0,) * 16)
+    assert content["added"] == ["ripple[pole]"]
+    found = content["parameters"]
+    assert found["ripple[pole].order"]["value"] == pytest.approx(2.0, abs=0.02)
+    low, high = found["ripple[pole].sine"]["interval_90"]
+    assert low < -1.5 < high
+    few = Options(candidates=("coulomb_friction[pole]", "quadratic_damping[pole]"))
+    _, content = diagnosed("cartpole", magnet, options=few, durations=(4.0,) * 16)
     assert content["verdict"] == "unexplained"
     assert "no effect of the catalogue" in content["summary"]
     first = next(s for s in content["unexplained"] if s["variable"] == "theta")

@@ -14,7 +14,7 @@ from torch import Tensor
 
 import nsde_torch
 from nsde_torch.data import DataSet, RawRun
-from nsde_torch.effects import Parameter, Port, make_effect
+from nsde_torch.effects import Parameter, Port
 from nsde_torch.errors import DataError
 from nsde_torch.recording.checks import assemble
 from nsde_torch.sysid import Identification, identify_in_loop
@@ -79,11 +79,8 @@ def axis(seconds: float, slip: float, seed: int) -> DataSet:
 
 
 def identified(data: DataSet, **further: Any) -> Identification:
-    effects = [
-        make_effect(name, system="axis", ports=Axis.ports, n_inputs=1)
-        for name in ("coulomb_friction", "constant_force")
-    ]
-    return identify_in_loop(Axis().with_effects(*effects), data.runs, **further)
+    system = Axis(["coulomb_friction", "constant_force"])
+    return identify_in_loop(system, data.runs, **further)
 
 
 def test_a_friction_that_the_noise_model_learned_comes_out_of_longer_boxes() -> None:

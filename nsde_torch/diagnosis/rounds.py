@@ -111,15 +111,16 @@ def _fit_promising(
     budgets = search.budgets
     rest = sorted((n for n in best if n not in sure), key=lambda n: -out.screened[n])
     order = [*sure, *(n for n in rest if out.screened[n] > budgets.worth_nats)]
+    most = budgets.iterated_most + len(sure)  # these take no place from others
     helped = 0
     for i, name in enumerate(order):
         best_yet = max((t.nats for t in out.trials), default=0.0)
         enough = helped >= budgets.helping_fewest and out.screened[name] < budgets.close_share * best_yet
         # what is part of a candidate that was fitted may do as well as it
         part = any(name in effect_class(t.name).includes for t in out.trials)
-        if (enough or i >= budgets.iterated_most) and name not in sure and not part:
+        if (enough or i >= most) and name not in sure and not part:
             continue
-        search.say("fitting effects", i, min(len(order), budgets.iterated_most))
+        search.say("fitting effects", i, min(len(order), most))
         start = best[name]
         try:
             trial = fit_candidate(search, base, start.system, name, among=among, held=start.held)

@@ -30,6 +30,7 @@ from nsde_torch.diagnosis.selection import Selection
 from nsde_torch.diagnosis.specification import dependences
 from nsde_torch.effects import Effect, Port, effect_class
 from nsde_torch.effects.law import split_name
+from nsde_torch.sysid.guard import Guarded
 
 
 def set_aside(search: Search, chosen: Selection, kept: Retained, feedback: Feedback) -> Retained:
@@ -188,6 +189,14 @@ def provisional_reason(
 def _variable(effect: type[Effect]) -> tuple[str, Port, str]:
     """What a law is a law of: a quantity, on a port or of a coordinate."""
     return effect.along, effect.port, split_name(effect.name)[1]
+
+
+def doubted(outcome: Outcome, guard: Guarded) -> Outcome:
+    """The outcome; where the guard speaks against the final physics, nothing that was found is sure."""
+    if not guard.objections:
+        return outcome
+    found = [replace(f, provisional=f.provisional or "the fit is not believed") for f in outcome.found]
+    return replace(outcome, verdict="unexplained", found=found, doubted=True)
 
 
 def judged_on_runs_left_out(outcome: Outcome, errors: HeldOut) -> Outcome:

@@ -66,6 +66,7 @@ class Outcome:
         hangs: How far parameters of `final` hang on the band up to which smoothed states were restored (k,).
         printed: Estimates by signals from outside the loop, where these are the ones to print.
         levels: Significance level of each stage (`recording.levels`).
+        doubted: Whether the guard speaks against the final physics, so that nothing that was found is sure.
         decisions: What was decided by.
     """
 
@@ -86,6 +87,7 @@ class Outcome:
     printed: Identification | None = None
     levels: Mapping[str, float] = field(default_factory=dict)
     decisions: Decisions = DECISIONS
+    doubted: bool = False
 
     @cached_property
     def system(self) -> System:

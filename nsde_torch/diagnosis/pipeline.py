@@ -18,7 +18,7 @@ from time import perf_counter
 from nsde_torch.data import DataSet, Run
 from nsde_torch.diagnosis.chain import explains_more, undone, with_a_late_sensor
 from nsde_torch.diagnosis.cross_validation import cross_validated
-from nsde_torch.diagnosis.decision import decide, judged_on_runs_left_out, set_aside
+from nsde_torch.diagnosis.decision import decide, doubted, judged_on_runs_left_out, set_aside
 from nsde_torch.diagnosis.decisions import BUDGETS, DECISIONS, Budgets, Decisions
 from nsde_torch.diagnosis.elimination import eliminate
 from nsde_torch.diagnosis.explanation import explained
@@ -79,7 +79,7 @@ def diagnose(
         log, search, outcome = _read_again(log, search, outcome)
     log, search, outcome, guard = over_longer_boxes(log, search, outcome, searched)
     watch.lap("search")
-    outcome, instrumented = _by_instruments(log, outcome)
+    outcome, instrumented = _by_instruments(log, doubted(outcome, guard))
     feedback = outcome.test
     say("errors on runs left out", 0, 1)
     closed_loop = feedback.closed_loop if closed_loop is None else closed_loop

@@ -20,6 +20,10 @@ def summary(
         outcome: What was concluded.
         shapes: What the residual still depends on, in words.
     """
+    if outcome.doubted:
+        have = [*faults, *(f.name for f in outcome.found)]
+        what = f"; {named([*faults, *told.few], told)} can be no more than leads" if have else ""
+        return f"The fit is not believed, for the reason that the warning gives: what is missing cannot be told{what}."
     if verdict == "no_effect" and outcome.test.hidden:
         return (
             "Nothing is missing beyond what a controller that saw more than the log may hide: the rest of what the "

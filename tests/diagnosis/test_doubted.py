@@ -1,0 +1,25 @@
+"""Where the guard does not believe the final physics, nothing that is found is sure, and the verdict says so."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.signal import butter, sosfiltfilt
+
+import nsde_torch
+from nsde_torch.data import RawRun
+
+
+def test_what_is_found_behind_a_smoother_that_is_kept_is_no_more_than_a_lead() -> None:
+    runs = []
+    for run in nsde_torch.simulate("cartpole", durations=[10.0] * 3, seed=3, declared_only=True).runs:
+        x = np.asarray(sosfiltfilt(butter(2, 2.0, fs=50.0, output="sos"), run.x, axis=0))
+        runs.append(RawRun(run.name, run.t, x, run.u))
+    data = nsde_torch.read(runs, system="cartpole", state_smoothing="keep")
+    found = nsde_torch.diagnose(data, system="cartpole", candidates=["actuator_lag", "input_delay"])
+    content = found.content()
+    assert content["guard"]["objections"]
+    assert content["verdict"] == "unexplained"
+    assert "not believed" in content["summary"]
+    assert all(finding["lead"] for finding in content["findings"])
+    assert all(p["interval_90"] is None for p in content["parameters"].values())
+    assert "not believed" in found.report

@@ -57,8 +57,8 @@ _VERDICTS = {
     "no_effect": "Nothing is missing",
     "effect_found": "Found what is missing",
     "unexplained": "Something is missing that the catalogue does not name",
+    "doubted": "The fit is not believed",
 }
-_DOUBTED = "The fit is not believed"
 _CAPTIONS = {
     "residual": "Measured rate less that of the physics: means over {width:.2g} s (points), and their means with 90 % "
     "intervals. A good model lies on zero.",
@@ -101,7 +101,7 @@ def page(content: Mapping[str, Any], figures: Mapping[str, Figure], *, width: fl
     shown = {k: _figure(f, k, captions.get(k, _caption(k, width))) for k, f in figures.items()}
     parts = [
         f"<h1>Diagnosis of {escape(data['system'])}: {len(data['runs'])} runs, {data['duration_s']:.0f} s</h1>",
-        f'<div class="verdict {content["verdict"]}"><b>{_heading(content)}</b>'
+        f'<div class="verdict {content["verdict"]}"><b>{_VERDICTS["doubted" if content["guard"]["objections"] else content["verdict"]]}</b>'
         f"{escape(content['summary'])}{_gain(errors)}</div>",
         *(f'<p class="finding"><b>Warning.</b> {escape(warning(w))}</p>' for w in content["warnings"]),
         *(
@@ -138,10 +138,6 @@ def page(content: Mapping[str, Any], figures: Mapping[str, Figure], *, width: fl
 
 
 # ---- pieces -------------------------------------------------------------------------------------------
-
-
-def _heading(content: Mapping[str, Any]) -> str:
-    return _DOUBTED if content["guard"]["objections"] else _VERDICTS[content["verdict"]]
 
 
 def _caption(name: str, width: float) -> str:

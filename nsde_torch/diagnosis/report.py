@@ -95,13 +95,13 @@ def page(content: Mapping[str, Any], figures: Mapping[str, Figure], *, width: fl
         width: Length of the means in the pictures [s].
     """
     data, errors = content["data"], content["errors"]
-    captions = {
-        k: v.format(width=width, where=errors["measured_on"], how=OPEN_LOOP) for k, v in _CAPTIONS.items()
-    }
+    head = _VERDICTS["doubted" if content["guard"]["objections"] else content["verdict"]]
+    told = {"width": width, "where": errors["measured_on"], "how": OPEN_LOOP}
+    captions = {k: v.format(**told) for k, v in _CAPTIONS.items()}
     shown = {k: _figure(f, k, captions.get(k, _caption(k, width))) for k, f in figures.items()}
     parts = [
         f"<h1>Diagnosis of {escape(data['system'])}: {len(data['runs'])} runs, {data['duration_s']:.0f} s</h1>",
-        f'<div class="verdict {content["verdict"]}"><b>{_VERDICTS["doubted" if content["guard"]["objections"] else content["verdict"]]}</b>'
+        f'<div class="verdict {content["verdict"]}"><b>{head}</b>'
         f"{escape(content['summary'])}{_gain(errors)}</div>",
         *(f'<p class="finding"><b>Warning.</b> {escape(warning(w))}</p>' for w in content["warnings"]),
         *(

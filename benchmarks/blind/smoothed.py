@@ -7,7 +7,7 @@
     python benchmarks/blind/smoothed.py --cases blind/ --out smooth/ --judge
 
 Each case of one effect or none gets a smoother of SciPy (`bench_smoothed_states.FILTERS`), with a cut-off between 2 and
-20 Hz, over all of its states. `--judge` holds the answers beside those on the raw logs.
+20 Hz, over all of its states. `--judge` holds the answers beside those on the raw logs (leads in brackets).
 """
 
 from __future__ import annotations
@@ -59,16 +59,22 @@ def smooth(cases: Path, out: Path, seed: int) -> int:
     return count
 
 
+def _sure(answer: dict[str, Any]) -> list[str]:
+    """What is named and is no lead."""
+    leads = {f["name"] for f in answer["findings"] if f["lead"]}
+    return [name for name in answer["added"] if name not in leads]
+
+
 def _right(truth: dict[str, Any], answer: dict[str, Any]) -> bool:
     return sorted(answer["added"]) == sorted(truth["effects"])
 
 
 def _wrong(truth: dict[str, Any], answer: dict[str, Any]) -> list[str]:
-    """What is named beyond the truth, and is no member of a tie with it."""
+    """What is named for sure beyond the truth, and is no member of a tie with it."""
     tied = {
         n for t in answer.get("ties", []) if set(t["effects"]) & set(truth["effects"]) for n in t["effects"]
     }
-    return [n for n in answer["added"] if n not in truth["effects"] and n not in tied]
+    return [n for n in _sure(answer) if n not in truth["effects"] and n not in tied]
 
 
 def _off(truth: dict[str, Any], answer: dict[str, Any]) -> list[str]:
@@ -100,7 +106,12 @@ def judge(cases: Path, out: Path) -> str:
         if not raw_path.is_file():
             continue
         truth = json.loads((out / "truth" / path.name).read_text(encoding="utf-8"))
+        key = make_system(truth["system"]).effect_key
+        truth["effects"] = {key(name): held for name, held in truth["effects"].items()}
         raw, answer = (json.loads(p.read_text(encoding="utf-8")) for p in (raw_path, path))
+        for one in (raw, answer):
+            one["added"] = [key(name) for name in one["added"]]
+            one["findings"] = [{**f, "name": key(f["name"])} for f in one["findings"]]
         if truth["effects"]:
             raw_named += _right(truth, raw)
             named += _right(truth, raw) and _right(truth, answer)
@@ -111,7 +122,10 @@ def judge(cases: Path, out: Path) -> str:
         off = _off(truth, answer)
         if _wrong(truth, answer) or off:
             wrong.append(path.stem)
-        told = [", ".join(a["added"]) or a["verdict"] for a in (raw, answer)]
+        told = [
+            ", ".join(n if n in _sure(a) else f"({n})" for n in a["added"]) or a["verdict"]
+            for a in (raw, answer)
+        ]
         true = ", ".join(truth["effects"]) or "nothing"
         through = f"{truth['smoother']['name']} {truth['smoother']['cut_hz']:.1f} Hz"
         rows.append(
@@ -123,8 +137,9 @@ def judge(cases: Path, out: Path) -> str:
             *rows,
             "",
             f"{count} cases; {same} with the same answer. Of {raw_named} effects that the raw log names alone, {named} "
-            f"are named alone behind the smoother; of {nulls} silent nulls {silent} stay silent. Something named that "
-            f"is not there, or a value off by 5 % outside its interval: {len(wrong)} ({', '.join(wrong)})",
+            f"are named alone behind the smoother; of {nulls} silent nulls {silent} stay silent. Something found for "
+            f"sure (no lead) that is not there, or a value off by 5 % outside its interval: {len(wrong)} "
+            f"({', '.join(wrong)})",
         ]
     )
 

@@ -192,8 +192,11 @@ def _variable(effect: type[Effect]) -> tuple[str, Port, str]:
 
 
 def doubted(outcome: Outcome, guard: Guarded) -> Outcome:
-    """The outcome; where the guard speaks against the final physics, nothing that was found is sure."""
-    if not guard.objections:
+    """The outcome; where the guard speaks against the final physics, nothing that was found is sure.
+
+    That physics explains next to nothing (`poor`) is said of data, not of the fit: a machine at rest shows nothing.
+    """
+    if {o.kind for o in guard.objections} <= {"poor"}:
         return outcome
     found = [replace(f, provisional=f.provisional or "the fit is not believed") for f in outcome.found]
     return replace(outcome, verdict="unexplained", found=found, doubted=True)

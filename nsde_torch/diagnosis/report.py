@@ -94,8 +94,8 @@ def page(content: Mapping[str, Any], figures: Mapping[str, Figure], *, width: fl
         figures: By name, as `pictures` makes them.
         width: Length of the means in the pictures [s].
     """
-    data, errors = content["data"], content["errors"]
-    head = _VERDICTS["doubted" if content["guard"]["objections"] else content["verdict"]]
+    data, errors, guard = content["data"], content["errors"], content["guard"]["objections"]
+    head = _VERDICTS["doubted" if {o["kind"] for o in guard} - {"poor"} else content["verdict"]]
     told = {"width": width, "where": errors["measured_on"], "how": OPEN_LOOP}
     captions = {k: v.format(**told) for k, v in _CAPTIONS.items()}
     shown = {k: _figure(f, k, captions.get(k, _caption(k, width))) for k, f in figures.items()}

@@ -30,7 +30,7 @@ from nsde_torch.diagnosis.selection import Selection
 from nsde_torch.diagnosis.specification import dependences
 from nsde_torch.effects import Effect, Port, effect_class
 from nsde_torch.effects.law import split_name
-from nsde_torch.sysid.guard import Guarded
+from nsde_torch.sysid.guard import Guarded, doubts_the_fit
 
 
 def set_aside(search: Search, chosen: Selection, kept: Retained, feedback: Feedback) -> Retained:
@@ -192,11 +192,8 @@ def _variable(effect: type[Effect]) -> tuple[str, Port, str]:
 
 
 def doubted(outcome: Outcome, guard: Guarded) -> Outcome:
-    """The outcome; where the guard speaks against the final physics, nothing that was found is sure.
-
-    That physics explains next to nothing (`poor`) is said of data, not of the fit: a machine at rest shows nothing.
-    """
-    if {o.kind for o in guard.objections} <= {"poor"}:
+    """The outcome; where the guard speaks against the final physics, nothing that was found is sure."""
+    if not doubts_the_fit(o.kind for o in guard.objections):
         return outcome
     found = [replace(f, provisional=f.provisional or "the fit is not believed") for f in outcome.found]
     return replace(outcome, verdict="unexplained", found=found, doubted=True)

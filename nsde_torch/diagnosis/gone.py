@@ -34,7 +34,7 @@ def select(search: Search, system: System) -> Selection:
     vector = ParameterVector(system)
     first = {k: v for k, v in zip(vector.labels, vector.start.tolist(), strict=True) if "." not in k}
     gone = _gone(declared.regression, first)
-    out = _from_first_values(search, declared, system, first) if gone else None
+    out = _from_first_values(search, declared, system, first, gone) if gone else None
     return forward_selection(search, declared) if out is None else out
 
 
@@ -45,10 +45,9 @@ def _gone(regression: Regression, first: Mapping[str, float]) -> set[str]:
 
 
 def _from_first_values(
-    search: Search, declared: Base, system: System, first: Mapping[str, float]
+    search: Search, declared: Base, system: System, first: Mapping[str, float], gone: set[str]
 ) -> Selection | None:
     """What is selected with parameters that had gone held at their first values; None where that is no better."""
-    gone = _gone(declared.regression, first)
     held = copy.copy(search)
     held.held = search.held | gone
     chosen = forward_selection(held, held.base(system))

@@ -15,6 +15,7 @@ from nsde_torch.diagnosis.text import (
     OPEN_LOOP,
     between,
     chance,
+    heading,
     in_order,
     interval,
     placed,
@@ -53,12 +54,6 @@ th:first-child, td:first-child { text-align: left } th { font-weight: 600; color
 details { margin: .6rem 0 } summary { cursor: pointer } ul { padding-left: 1.2rem } code { font-size: .92em }
 """
 
-_VERDICTS = {
-    "no_effect": "Nothing is missing",
-    "effect_found": "Found what is missing",
-    "unexplained": "Something is missing that the catalogue does not name",
-    "doubted": "The fit is not believed",
-}
 _CAPTIONS = {
     "residual": "Measured rate less that of the physics: means over {width:.2g} s (points), and their means with 90 % "
     "intervals. A good model lies on zero.",
@@ -94,14 +89,13 @@ def page(content: Mapping[str, Any], figures: Mapping[str, Figure], *, width: fl
         figures: By name, as `pictures` makes them.
         width: Length of the means in the pictures [s].
     """
-    data, errors, guard = content["data"], content["errors"], content["guard"]["objections"]
-    head = _VERDICTS["doubted" if {o["kind"] for o in guard} - {"poor"} else content["verdict"]]
+    data, errors = content["data"], content["errors"]
     told = {"width": width, "where": errors["measured_on"], "how": OPEN_LOOP}
     captions = {k: v.format(**told) for k, v in _CAPTIONS.items()}
     shown = {k: _figure(f, k, captions.get(k, _caption(k, width))) for k, f in figures.items()}
     parts = [
         f"<h1>Diagnosis of {escape(data['system'])}: {len(data['runs'])} runs, {data['duration_s']:.0f} s</h1>",
-        f'<div class="verdict {content["verdict"]}"><b>{head}</b>'
+        f'<div class="verdict {content["verdict"]}"><b>{heading(content)}</b>'
         f"{escape(content['summary'])}{_gain(errors)}</div>",
         *(f'<p class="finding"><b>Warning.</b> {escape(warning(w))}</p>' for w in content["warnings"]),
         *(

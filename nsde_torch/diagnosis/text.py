@@ -7,8 +7,21 @@ from nsde_torch.diagnosis.buys import BY_STEPS
 from nsde_torch.diagnosis.feedback_text import feedback_lines
 from nsde_torch.diagnosis.summary import small
 from nsde_torch.evaluation.report import number, table
+from nsde_torch.sysid.guard import doubts_the_fit
 
 _RANKED, _SENTENCES = 6, 4  # candidates and sentences that are listed
+_VERDICTS = {
+    "no_effect": "Nothing is missing",
+    "effect_found": "Found what is missing",
+    "unexplained": "Something is missing that the catalogue does not name",
+    "doubted": "The fit is not believed",
+}
+
+
+def heading(content: Mapping[str, Any]) -> str:
+    """The verdict in a few words; that the fit is not believed comes before it."""
+    doubted = doubts_the_fit(o["kind"] for o in content["guard"]["objections"])
+    return _VERDICTS["doubted" if doubted else content["verdict"]]
 
 
 def lines(content: Mapping[str, Any]) -> list[str]:

@@ -23,7 +23,7 @@ blocks of time. Before that come readings of the columns (`readings`), streams o
 another machine (`run_differences`): where the log is at fault, fits part for that reason.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from math import log
 from typing import Any
@@ -86,6 +86,14 @@ class Objection:
     def as_dict(self) -> dict[str, str]:
         """Plain containers, for JSON."""
         return {"kind": self.kind, "sentence": self.sentence, "remedy": self.remedy}
+
+
+def doubts_the_fit(kinds: Iterable[str]) -> bool:
+    """Whether objections of these kinds speak against the fit.
+
+    That physics explains next to nothing (`poor`) is said of data, not of the fit: a machine at rest shows nothing.
+    """
+    return any(kind != "poor" for kind in kinds)
 
 
 @dataclass(frozen=True)

@@ -217,12 +217,7 @@ def hangs_on_band(
     half = narrowed(runs, system, clock)
     if half is None:
         return np.zeros(len(regression.vector))
-    try:
-        other = regression_of(copy.deepcopy(system), half, clock=clock, width=width)
-        other.run(iterations)
-    except (DataError, NonFiniteError):
-        return np.full(len(regression.vector), np.nan)
-    return np.asarray(2.0 * np.abs(regression.theta - other.theta))
+    return 2.0 * _changed(regression, half, clock, width, iterations)
 
 
 def hangs_on_boxes(
@@ -236,9 +231,16 @@ def hangs_on_boxes(
         clock: Physical seconds per logged second.
         iterations: Largest number of steps.
     """
+    return _changed(regression, runs, clock, LENGTHS_S[1], iterations)
+
+
+def _changed(
+    regression: Regression, runs: Sequence[Run], clock: float, width: float | None, iterations: int
+) -> Array:
+    """What parameters (k,) change by in other runs or boxes; nan where nothing settles there."""
     system = copy.deepcopy(regression.physics.vector.system)
     try:
-        other = regression_of(system, runs, clock=clock, width=LENGTHS_S[1])
+        other = regression_of(system, runs, clock=clock, width=width)
         other.run(iterations)
     except (DataError, NonFiniteError):
         return np.full(len(regression.vector), np.nan)

@@ -6,8 +6,7 @@ sides of the equation go through the same one. So, where least squares, the firs
 to nothing speak against a fit (and no fault of the log does), it is made again with boxes of `LENGTHS_S`. It is taken
 where the guard believes it at both lengths. Two things grow with the length of the boxes: what inputs answer within
 one of them (feedback), and what is lost of fast physics. So intervals widen by what parameters change from the one to
-the other, which is no less than a bias that grows as the length does or faster, and a third of one that grows as its
-root.
+the other, which is no less than a bias that grows as the root of the length or faster.
 """
 
 from collections.abc import Callable

@@ -59,3 +59,8 @@ def columns(table: Tensor) -> tuple[Tensor, ...]:
 def by_column(table: Tensor) -> Tensor:
     """A copy of the table (N, n) whose columns are contiguous."""
     return table.new_empty_strided(table.shape, (1, len(table))).copy_(table)
+
+
+def take_rows(table: Tensor, rows: Tensor) -> Tensor:
+    """Rows (M, n) of a table (N, n), column by column."""
+    return table.T.index_select(1, rows).T

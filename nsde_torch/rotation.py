@@ -49,6 +49,14 @@ def gravity_direction(q: Tensor) -> Tensor:
     return stack_columns((2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)))
 
 
+def axis_up(q: Tensor) -> Tensor:
+    """The body's up axis in the world, (..., 3): `rotate` of (0, 0, 1)."""
+    if few():
+        return matrix(q)[..., :, 2]
+    w, x, y, z = columns(q)
+    return stack_columns((2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)))
+
+
 def quaternion_rate(q: Tensor, omega: Tensor) -> Tensor:
     """dq/dt = q (0, omega) / 2, (..., 4), for body rates omega (..., 3) [rad/s]."""
     if few():

@@ -21,6 +21,7 @@ from nsde_torch.diagnosis.trials import Trial, accept, fit_candidate, surely_abo
 from nsde_torch.effects import effect_class
 from nsde_torch.errors import NsdeError
 from nsde_torch.sysid.loop_test import LoopTest
+from nsde_torch.systems import System
 from nsde_torch.systems.parameters import own_name
 
 
@@ -60,9 +61,12 @@ def eliminate(search: Search, chosen: Selection) -> Retained:
     while i < len(names):
         name = names[i]
         rest = without_effect(fitted_system(base.regression), declared.system, name)
-        without = search.base(rest, warm=True, like=base.regression)
         contained = effect_class(name).includes
-        now = look(search, without, only={name, *contained, *_rivals(search, name, rounds)})
+        now = _looked_before(rest, name, rounds)
+        if now is None:
+            without = search.base(rest, warm=True, like=base.regression)
+            now = look(search, without, only={name, *contained, *_rivals(search, name, rounds)})
+        without = now.base
         this = next((t for t in now.trials if t.name == name), None)
         if this is None or not accept(search, this):
             # the others explain it, or it says no more than what it contains
@@ -81,6 +85,18 @@ def eliminate(search: Search, chosen: Selection) -> Retained:
         found.append(Found(name, this, _ties(search, without, this, now, names, rounds)))
         i += 1
     return Retained(found, base)
+
+
+def _looked_before(rest: System, name: str, rounds: Sequence[Round]) -> Round | None:
+    """The look at the catalogue that chose an effect beside the physics without it, if there was one."""
+    return next(
+        (
+            one
+            for one in rounds
+            if one.chosen is not None and one.chosen.name == name and set(one.added) == set(rest.effect_names)
+        ),
+        None,
+    )
 
 
 def _ties(

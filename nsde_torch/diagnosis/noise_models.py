@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nsde_torch.diagnosis.decisions import BUDGETS, DECISIONS, Budgets, Decisions
+from nsde_torch.diagnosis.regressors import own_space
 from nsde_torch.sysid.noise import Noise, estimate, first_guess
 from nsde_torch.sysid.regression import Regression
 
@@ -39,6 +40,15 @@ class FittedNoise:
 
 
 @final
+class _Start:
+    """A noise model, slopes (N, k) and the residual (N,) in its whitened rows, and their products."""
+
+    def __init__(self, noise: Noise, slopes: Array, white: Array) -> None:
+        self.noise, self.slopes, self.white = noise, slopes, white
+        self.gram, self.pull = slopes.T @ slopes, slopes.T @ white
+
+
+@final
 class NoiseModels:
     """ARMA noise models of one channel with something taken out.
 
@@ -51,6 +61,7 @@ class NoiseModels:
 
     Attributes:
         base: The noise model with nothing taken out but what the parameters can do.
+        own: Orthonormal columns (N, r) of what the parameters can do to the whitened residual.
     """
 
     def __init__(
@@ -63,20 +74,20 @@ class NoiseModels:
         budgets: Budgets = BUDGETS,
     ) -> None:
         self._regression, self._limit = regression, limit
+        self.own = own_space(regression, channel)
         self._decisions, self._budgets = decisions, budgets
         at = regression.rows[channel]
         self._residual, self._slopes = regression.residual[:, at], regression.jacobian[:, at]
         there = regression.noises[channel]
         self.base = max(self._own(there), self._settled(there), key=lambda own: own.likelihood)
         rough = first_guess(self._residual, regression.series, limit)
-        self._starts = [(noise, *self._whitened(noise)) for noise in (rough, self.base.noise)]
+        self._starts = [_Start(noise, *self._whitened(noise)) for noise in (rough, self.base.noise)]
 
     def without(self, functions: Array) -> FittedNoise | None:
         """The noise model without functions per unit of time (M, q); None where it is not much likelier."""
         columns, best = functions * self._regression.dt, self.base
-        for noise, slopes, white in self._starts:
-            own = self._regression.whitened(noise, columns)
-            this = self._left(columns, np.concatenate((slopes, own), 1), white, noise)
+        for start in self._starts:
+            this = self._left(start, columns, self._regression.whitened(start.noise, columns))
             best = max(best, this, key=lambda found: found.likelihood)
         more = best.likelihood - self.base.likelihood
         return best if more > 0.5 * columns.shape[1] + self._decisions.noise_blind_nats else None
@@ -86,7 +97,8 @@ class NoiseModels:
         best, nothing = FittedNoise(noise, -np.inf), self._slopes[:, :0]
         for turn in range(self._budgets.noise_turns):
             slopes, white = self._whitened(best.noise)
-            this = self._left(nothing, slopes, white, best.noise, thorough=turn > 0)
+            start = _Start(best.noise, slopes, white)
+            this = self._left(start, nothing, slopes[:, :0], thorough=turn > 0)
             if this.likelihood < best.likelihood + _SETTLED:
                 break
             best = this
@@ -98,15 +110,25 @@ class NoiseModels:
         return whitened[:, :-1], whitened[:, -1]
 
     def _left(
-        self, columns: Array, slopes: Array, white: Array, noise: Noise, *, thorough: bool = False
+        self, start: "_Start", columns: Array, whitened: Array, *, thorough: bool = False
     ) -> FittedNoise:
-        """The noise model of what generalised least squares leave; every c is tried if it is to be thorough."""
-        size = np.maximum(np.linalg.norm(slopes, axis=0), 1e-300)
-        gram = (slopes / size).T @ (slopes / size)
-        weights = np.linalg.lstsq(gram, (slopes / size).T @ white, rcond=1e-12)[0] / size
-        left = self._residual - np.concatenate((self._slopes, columns), 1) @ weights
+        """The noise model of what generalised least squares leave; every c is tried if it is to be thorough.
+
+        Args:
+            start: The noise model that weighs rows.
+            columns: What is fitted beside the slopes (M, q).
+            whitened: The same in whitened rows (N, q).
+            thorough: Whether every c is tried.
+        """
+        cross = start.slopes.T @ whitened
+        gram = np.block([[start.gram, cross], [cross.T, whitened.T @ whitened]])
+        size = np.maximum(np.sqrt(np.diag(gram)), 1e-300)
+        pull = np.append(start.pull, whitened.T @ start.white) / size
+        weights = np.linalg.lstsq(gram / size / size[:, None], pull, rcond=1e-12)[0] / size
+        count = self._slopes.shape[1]
+        left = self._residual - self._slopes @ weights[:count] - columns @ weights[count:]
         r = self._regression
-        among = None if thorough else sorted({0.0, noise.carry, self._limit})
+        among = None if thorough else sorted({0.0, start.noise.carry, self._limit})
         found = estimate(left, r.series, limit=self._limit, orders=r.orders, memory=r.memory, among=among)
         return self._own(found)
 

@@ -17,6 +17,7 @@ Array = NDArray[np.float64]
 
 COUNTS: Array = np.arange(1.5, 40.5, 0.5)
 """Periods over the range that are tried."""
+_TOGETHER = 8  # that are whitened at once
 _NEAR: Array = np.linspace(-0.45, 0.45, 10)
 
 
@@ -50,14 +51,27 @@ def best_repeat(regression: Regression, channel: int, v: Array, own: Array) -> R
         return None
     white = regression.white[channel]
 
-    def tried(count: float) -> Repeat:
-        angle = 2.0 * np.pi * count * (v - low) / span
-        waves = np.stack((np.sin(angle), np.cos(angle)), 1) * regression.dt
-        z = regression.whitened(regression.noises[channel], waves)
-        z = np.linalg.qr(z - own @ (own.T @ z))[0]
-        pull = z.T @ white
-        return Repeat(span / count, 0.5 * float(pull @ pull), z)
+    turn = 2.0 * np.pi * (v - low) / span
 
-    best = max((tried(float(count)) for count in COUNTS), key=lambda r: r.nats)
-    near = span / best.period + _NEAR
-    return max((best, *(tried(float(count)) for count in near)), key=lambda r: r.nats)
+    def waves(counts: Array) -> Array:
+        """Sines and cosines (N, 2, counts), whitened and free of what the parameters can do."""
+        angle = turn[:, None] * counts
+        both = np.concatenate((np.sin(angle), np.cos(angle)), 1) * regression.dt
+        z = regression.whitened(regression.noises[channel], both)
+        return np.asarray(z - own @ (own.T @ z)).reshape(len(z), 2, len(counts))
+
+    def nats(counts: Array) -> Array:
+        """Log-likelihood that each brings."""
+        z = waves(counts)
+        gram, pull = np.einsum("nik,njk->kij", z, z), np.einsum("nik,n->ki", z, white)
+        return 0.5 * np.einsum("ki,kij,kj->k", pull, np.linalg.pinv(gram, rcond=1e-12), pull)
+
+    def best_of(counts: Array) -> float:
+        brought = np.concatenate([nats(counts[k : k + _TOGETHER]) for k in range(0, len(counts), _TOGETHER)])
+        return float(counts[brought.argmax()])
+
+    coarse = best_of(COUNTS)
+    best = best_of(np.append(coarse, coarse + _NEAR))
+    z = np.linalg.qr(waves(np.array([best]))[..., 0])[0]
+    pull = z.T @ white
+    return Repeat(span / best, 0.5 * float(pull @ pull), z)

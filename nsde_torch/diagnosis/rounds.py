@@ -27,7 +27,7 @@ class Round:
     """One look at the catalogue.
 
     Args:
-        added: Effects that the physics had already.
+        base: The physics that candidates were put beside.
         trials: Candidates that were iterated, best first.
         screened: Log-likelihood difference of every candidate at its first step [nats].
         errors: By candidate: standard errors of what is nothing without it, by label; infinite where no data show it.
@@ -35,12 +35,17 @@ class Round:
         chosen: The one that was added, or None.
     """
 
-    added: tuple[str, ...]
+    base: Base
     trials: list[Trial]
     screened: dict[str, float]
     errors: dict[str, dict[str, float]] = field(default_factory=dict)
     failed: dict[str, str] = field(default_factory=dict)
     chosen: Trial | None = None
+
+    @property
+    def added(self) -> tuple[str, ...]:
+        """Effects that the physics had already."""
+        return self.base.system.effect_names
 
 
 @dataclass(frozen=True)
@@ -67,7 +72,7 @@ def look(search: Search, base: Base, *, only: Collection[str] | None = None) -> 
     among = max(len(names), 1)
     if only is not None:
         names = [n for n in names if n in only]
-    out = Round(added=base.system.effect_names, trials=[], screened={})
+    out = Round(base=base, trials=[], screened={})
     peaks = lines(base.regression, decisions=search.decisions, budgets=search.budgets)
     best = _screened(search, base, names, [peak.frequency for peak in peaks], out)
     # from without what it contains, a first step says nothing of a candidate that stands in for it

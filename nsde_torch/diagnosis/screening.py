@@ -60,12 +60,11 @@ def screen(
     mine = vector.of(name)
     moved = [j for j in mine if own_name(vector.labels[j]) in cls.amplitudes and vector.labels[j] not in held]
     beside = len(vector) == len(before.vector) + len(mine)
-    old = before.slopes.reshape(-1, len(before.vector)) @ before.shown.basis
     whole = before.white.reshape(-1)
     residual = whole
     if beside and moved and not vector.moves_memory[moved].any():
-        slopes = np.concatenate([physics.slopes(theta, slice(j, j + 1)) for j in moved], 2)
-        new, columns = _whitened(search, before, slopes), moved
+        physics.foresee_like(before.physics, theta, before.theta)
+        new, columns = _whitened(search, before, physics.slopes(theta, moved)), moved
     else:
         change = before.single.summed(physics.residual(theta), search.box)
         if not np.isfinite(change[:, before.rows]).all():
@@ -74,7 +73,7 @@ def screen(
         residual = np.stack([before.whitened(n, change[:, [c]])[:, 0] for n, c in pairs]).reshape(-1)
         columns = [j for j in range(len(vector)) if vector.labels[j] not in {*held, *search.held}]
         new = _whitened(search, before, physics.slopes(theta))[:, columns]
-    basis = np.linalg.qr(old)[0]
+    basis = base.span
     before_left = whole - basis @ (basis.T @ whole)
     if beside:
         residual = residual - basis @ (basis.T @ residual)

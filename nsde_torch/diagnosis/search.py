@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import final
 
 import numpy as np
@@ -44,6 +45,12 @@ class Base:
     score: Score
     fold: NDArray[np.int64]
     block: NDArray[np.int64]
+
+    @cached_property
+    def span(self) -> Array:
+        """Orthonormal columns (channels * N, r) of what the parameters can do to the whitened residuals."""
+        slopes = self.regression.slopes.reshape(-1, len(self.regression.vector))
+        return np.asarray(np.linalg.qr(slopes @ self.regression.shown.basis)[0])
 
 
 @final

@@ -59,7 +59,7 @@ def dependences(regression: Regression, variables: Regressors, *, overview: bool
         for i, c in enumerate(regression.rows)
     ]
     for i, channel in enumerate(regression.rows):
-        white, models, own = regression.white[i], of_channel[i], own_space(regression, i)
+        white, models, own = regression.white[i], of_channel[i], of_channel[i].own
         for name in variables.functions:
             if overview and not _is_overview(name, variables):
                 continue
@@ -133,7 +133,7 @@ def _of_variable(
         labels: Folds and blocks of whitened rows.
     """
     functions, odd = variables.functions[name]
-    there, own = regression, own_space(regression, i)
+    there, own = regression, models.own
     whitened = whitened_functions(there, i, functions)
     z, kept = independent(whitened - own @ (own.T @ whitened))
     if not z.shape[1]:
@@ -153,7 +153,7 @@ def _of_variable(
     channel = regression.physics.names[regression.rows[i]]
     out = [_dependence(channel, name, z, odd[kept], left, p=p, gain=gain, noise=noise)]
     if name in variables.columns:
-        alone = _in_one_run(there, i, (functions, odd), (out[0], nats_of(z, left)), models, variables)
+        alone = _in_one_run(there, i, (functions, odd, own), (out[0], nats_of(z, left)), models, variables)
         out += [] if alone is None else [alone]
     return out
 
@@ -182,7 +182,7 @@ def _dependence(
 def _in_one_run(
     regression: Regression,
     i: int,
-    group: tuple[Array, NDArray[np.bool_]],
+    group: tuple[Array, NDArray[np.bool_], Array],
     in_all: tuple[Dependence, float],
     models: NoiseModels,
     variables: Regressors,
@@ -192,14 +192,14 @@ def _in_one_run(
     Args:
         regression: Under the noise model of the test of all runs.
         i: Number of the channel among its rows.
-        group: Functions and which of them are odd.
+        group: Functions, which of them are odd, and what the parameters can do (`own_space`).
         in_all: The test of all runs, and the nats that it explains under that model.
         models: Noise models of the channel.
         variables: What the residual may depend on.
     """
     functions, odd = group[0][:, :SMOOTH], group[1][:SMOOTH]
     everywhere, explained = in_all
-    found = _alone(regression, i, group[0], variables)
+    found = _alone(regression, i, group[0], group[2], variables)
     if found is None:
         return None
     p, there, noise = found.p, regression, everywhere.noise
@@ -208,7 +208,7 @@ def _in_one_run(
         other = models.without(functions * (regression.owners == found.run)[:, None])
         if other is not None:
             noise, there = other.noise, regression.under(i, other.noise)
-            again = _alone(there, i, group[0], variables)
+            again = _alone(there, i, group[0], own_space(there, i), variables)
             if again is not None and again.run == found.run:
                 found, p = again, min(1.0, 2.0 * min(p, again.p))
             gain = other.likelihood - models.base.likelihood
@@ -226,8 +226,10 @@ def _in_one_run(
     )
 
 
-def _alone(regression: Regression, i: int, functions: Array, variables: Regressors) -> Alone | None:
-    own, white = own_space(regression, i), regression.white[i]
+def _alone(
+    regression: Regression, i: int, functions: Array, own: Array, variables: Regressors
+) -> Alone | None:
+    white = regression.white[i]
     whitened = whitened_functions(regression, i, np.column_stack((functions, np.ones(len(functions)))))
     whole, constant = whitened[:, :-1], whitened[:, -1]
     owners = regression.whitened_rows(regression.owners)
@@ -242,7 +244,7 @@ def _sinusoid(regression: Regression, line: Line, models: NoiseModels) -> Depend
     """A line of the spectrum as a sine and a cosine of its own in each stretch."""
     waves = waves_of(regression, line.frequency)
     other = models.without(waves)
-    z = independent(projected(regression, line.row, waves, own_space(regression, line.row)))[0]
+    z = independent(projected(regression, line.row, waves, models.own))[0]
     gain = nats_of(z, regression.white[line.row])
     left = regression.residual[:, regression.rows[line.row]]
     explained = left @ waves @ np.linalg.lstsq(waves, left, rcond=1e-9)[0]

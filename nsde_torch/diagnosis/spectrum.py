@@ -11,7 +11,6 @@ from math import exp, log
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import median_filter
 
 from nsde_torch.diagnosis.decisions import BUDGETS, DECISIONS, Budgets, Decisions
 from nsde_torch.sysid.noise import extended
@@ -23,6 +22,7 @@ _SHORTEST_S = 1.0  # stretches that are transformed
 _FINER = 8  # points of the grid of frequencies per independent one
 _HIGHEST = 0.4  # of the sampling rate: above, a sinusoid is mostly sampling
 _BAND = 40  # independent ordinates that the level is the median of
+_MEDIANS = 16  # per window
 WHOLE = 0.5 * _BAND
 """Periods in the longest stretch from which on the band lies to both sides."""
 
@@ -66,10 +66,20 @@ def periodogram(regression: Regression) -> tuple[Array, Array]:
         part = white[:, a:b]
         power += np.abs(np.fft.rfft(part - part.mean(1, keepdims=True), n)) ** 2
         weight += b - a
-    width = max(3, round(_BAND * n / longest))
-    level = median_filter(power, size=(1, min(width, power.shape[1])), mode="nearest") / log(2.0)
+    level = _running_median(power, max(3, round(_BAND * n / longest))) / log(2.0)
     frequency: Array = np.fft.rfftfreq(n, regression.dt).astype(np.float64)
     return frequency, power / np.maximum(level, 1e-300)
+
+
+def _running_median(power: Array, width: int) -> Array:
+    """Median over a window (channels, M): at some points of each window, straight lines between them."""
+    count = power.shape[1]
+    half = min(width, count) // 2
+    padded = np.pad(power, ((0, 0), (half, half)), mode="edge")
+    step = max(1, width // _MEDIANS)
+    at = np.append(np.arange(0, count - 1, step), count - 1)
+    windows = np.lib.stride_tricks.sliding_window_view(padded, 2 * half + 1, axis=1)
+    return np.stack([np.interp(np.arange(count), at, np.median(w[at], axis=1)) for w in windows])
 
 
 def lines(

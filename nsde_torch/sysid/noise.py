@@ -211,7 +211,7 @@ def _score(residual: Array, series: Series, carry: float, orders: int) -> tuple[
 
 def _carry(c: float, values: Array, series: Series) -> Array:
     """Columns (N, k) over 1 - c B, with the error before each stretch estimated and put in front."""
-    out = np.empty((len(values) + len(series.edges), values.shape[1]))
+    out = np.empty((len(values) + len(series.edges), values.shape[1]), order="F")
     for i, (a, b) in enumerate(series.edges):
         at, n = a + i, b - a
         if c == 0:
@@ -255,20 +255,25 @@ def _burg(values: Array, series: Series, orders: int) -> tuple[Array, Array]:
 def _lagged_products(values: Array, series: Series, orders: int) -> list[Array]:
     """For m = 1 ... orders: sums over k >= m of r_{k-i} r_{k-j} in each stretch, i, j = 0 ... m (m + 1, m + 1)."""
     stretches = [values[a:b] for a, b in series.edges]
-    total = np.zeros((orders + 1, orders + 1))
+    lags = np.zeros(orders + 1)
+    ends = np.zeros((orders + 1, orders + 1))
     for r in stretches:
         if len(r) > orders > 0:
-            own = np.empty_like(total)
-            own[0] = own[:, 0] = np.correlate(r, r[orders:], "valid")[::-1]
+            lags += np.correlate(r, r[orders:], "valid")[::-1]
             first, last = r[orders - 1 :: -1], r[: -orders - 1 : -1]
-            ends = np.outer(first, first) - np.outer(last, last)
-            for i in range(orders):
-                own[i + 1, 1:] = own[i, :-1] + ends[i]
-            total += own
+            ends[1:, 1:] += np.outer(first, first) - np.outer(last, last)
+    # element (i, j) is element (i - 1, j - 1) and what comes in and goes out at the ends: sums along diagonals
+    i, j = np.indices(ends.shape)
+    skewed = np.where(i + j <= orders, ends[i, np.minimum(i + j, orders)], 0.0).cumsum(0)
+    total = lags[np.abs(i - j)] + skewed[np.minimum(i, j), np.abs(i - j)]
     out = [total]
+    heads = np.zeros((len(stretches), orders + 1))
+    lengths = np.array([len(r) for r in stretches])
+    for row, r in zip(heads, stretches, strict=True):
+        row[: min(len(r), orders + 1)] = r[: orders + 1]
     for m in range(orders - 1, 0, -1):
-        heads = np.stack([r[m::-1] for r in stretches if len(r) > m] or [np.zeros(m + 1)])
-        out.append(out[-1][: m + 1, : m + 1] + heads.T @ heads)
+        head = heads[lengths > m, m::-1]
+        out.append(out[-1][: m + 1, : m + 1] + head.T @ head)
     return out[::-1] if orders else []
 
 

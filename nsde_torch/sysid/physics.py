@@ -17,6 +17,7 @@ Velocities that the system measures in the world are turned into the body, so th
 channel and forces sideways are others.
 """
 
+from collections.abc import Sequence
 from typing import final
 
 import numpy as np
@@ -24,7 +25,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from nsde_torch.columns import split_columns
+from nsde_torch.columns import join_columns, split_columns, take_rows
 from nsde_torch.rotation import rotate_back, rotation_between
 from nsde_torch.sysid.memory import memory_along
 from nsde_torch.sysid.sizes import data_sizes
@@ -35,7 +36,8 @@ from nsde_torch.systems.parameters import ParameterVector
 Array = NDArray[np.float64]
 
 _LEAD = 5  # steps from which a state is foreseen: sensor noise of one step biases, that of older ones hardly
-_SMALL = 5e-7  # of a parameter's scale: it stays inside the bounds, and errs by a hundred-millionth
+_SMALL = 1e-7  # of a parameter's scale: slopes by forward differences err by as much
+_SLOPE_ROWS = 5000  # of the data, evenly chosen, that means of slopes in the state are taken over
 _FOURTH = 70.0  # C(8, 4): variance of a fourth difference of white noise
 
 
@@ -73,6 +75,7 @@ class Physics:
         self.measured: Array = self.turn(steps.seen1 - steps.seen0, self.attitude).numpy()
         self.sensor_std: Array = np.zeros(system.nx)
         self._remembered: tuple[Tensor, tuple[Tensor, ...]] | None = None
+        self._foreseen: tuple[Tensor, Tensor] | None = None
 
     @torch.no_grad()
     def residual(self, theta: Array) -> Array:
@@ -81,43 +84,47 @@ class Physics:
         return self.measured - self._change(at, *self._memory(at)).numpy()
 
     @torch.no_grad()
-    def slopes(self, theta: Array, which: slice = slice(None)) -> Array:
+    def slopes(self, theta: Array, which: Sequence[int] | None = None) -> Array:
         """Derivative of the predicted change in each parameter (N, nx, k), from what was known before the step.
 
         Args:
             theta: Where (k,).
-            which: Parameters to take.
+            which: Numbers of the parameters to take; None takes all.
         """
         at = torch.as_tensor(theta)
-        memory = self._memory(at)
-        middle = self._foreseen(at, *memory)
+        middle = self._middle(at)
+        before = self._forecast(at, middle)
         nx = self.vector.system.nx
-        columns = []
-        for j in range(len(at))[which]:
-            direction, moving = torch.zeros_like(at), torch.zeros_like(middle)
+        numbers = range(len(at)) if which is None else which
+        out = np.empty((nx, len(numbers), len(before)))  # of each channel and parameter in one piece
+        for i, j in enumerate(numbers):
+            direction, moved = torch.zeros_like(at), middle
             direction[j] = 1.0
-            if memory and self.vector.moves_memory[j]:
-                # by differences: a loop over time is slow in forward mode, and smooth in theta
-                small = 1e-5 * float(self.vector.scale[j])
-                ends = zip(
-                    self._memory_at(at + small * direction),
-                    self._memory_at(at - small * direction),
-                    strict=True,
-                )
-                moving[:, nx:] = sum(high - low for high, low in ends) / (4.0 * small)
-            # central differences: forward mode takes ten times as long as the function
+            # differences: forward mode takes ten times as long as the function
             small = _SMALL * float(self.vector.scale[j])
-            ahead = self._forecast(at + small * direction, middle + small * moving)
-            behind = self._forecast(at - small * direction, middle - small * moving)
-            columns.append(((ahead - behind) / (2.0 * small)).numpy())
+            if self.vector.moves_memory[j] and middle.shape[1] > nx:
+                moved = middle.clone()
+                moved[:, nx:] += small * self._memory_slope(at, j)
+            change = (self._forecast(at + small * direction, moved) - before) / small
+            out[:, i] = self.in_channels(change, middle).numpy().T
         self.vector.use(at)
-        return np.stack(columns, 2)
+        return out.transpose(2, 0, 1)
 
     @torch.no_grad()
     def middle(self, theta: Array) -> Tensor:
         """State and memory in the middle of each step, as foreseen from some steps earlier (N, nz)."""
+        return self._middle(torch.as_tensor(theta))
+
+    @torch.no_grad()
+    def foresee_like(self, other: "Physics", theta: Array, there: Array) -> None:
+        """Take over the states that `other` foresees at `there`, where the physics at `theta` moves them as it does."""
+        if self.vector.system.nz != other.vector.system.nz or self._lead != other._lead:
+            return
         at = torch.as_tensor(theta)
-        return self._foreseen(at, *self._memory(at))
+        middle = other.middle(there)
+        theirs = other._forecast(torch.as_tensor(there), middle)
+        if torch.equal(self._forecast(at, middle), theirs):
+            self._foreseen = (at.clone(), middle)
 
     def in_channels(self, change: Tensor, states: Tensor) -> Tensor:
         """Changes of states (N, nx) in the channels of the residuals, at the attitude of some states (N, nz)."""
@@ -153,19 +160,22 @@ class Physics:
     def state_slopes(self, theta: Array) -> tuple[Array, Array]:
         """Mean (nx,) of d f_i / d x_i and mean square (nx, nx) of d f_i / d x_j over the steps [1/s]."""
         at = torch.as_tensor(theta)
-        memory = self._memory(at)
-        self.vector.use(at)
         system, s = self.vector.system, self.steps
+        some = torch.linspace(0, len(s) - 1, min(len(s), _SLOPE_ROWS)).long()
+        memory = [take_rows(part, some) for part in self._memory(at)[:1]]
+        t, x, u = s.t[some], take_rows(s.x0, some), take_rows(s.u, some)
+        self.vector.use(at)
 
         def rate(x: Tensor) -> Tensor:
-            return system.drift(s.t, torch.cat((x, *memory[:1]), 1), s.u)[:, : system.nx]
+            return system.drift(t, join_columns((x, *memory)), u)[:, : system.nx]
 
         own, square = np.zeros(system.nx), np.zeros((system.nx, system.nx))
+        before = rate(x)
         for j in range(system.nx):
-            direction = torch.zeros_like(s.x0)
-            direction[:, j] = 1.0
-            small = _SMALL * max(1.0, float(s.x0[:, j].abs().max()))
-            slope = (rate(s.x0 + small * direction) - rate(s.x0 - small * direction)) / (2.0 * small)
+            moved = x.clone()
+            small = _SMALL * max(1.0, float(x[:, j].abs().max()))
+            moved[:, j] += small
+            slope = (rate(moved) - before) / small
             own[j] = float(slope[:, j].mean())
             square[:, j] = slope.square().mean(0).numpy()
         return own, square
@@ -204,7 +214,7 @@ class Physics:
         system, s = self.vector.system, self.steps
         z0, z1 = s.x0, s.x1
         if memory:
-            z0, z1 = torch.cat((z0, memory[0]), 1), torch.cat((z1, memory[1]), 1)
+            z0, z1 = join_columns((z0, memory[0])), join_columns((z1, memory[1]))
         f0 = self._rate(s.t, z0, 1.0)
         f1 = self._rate(s.t + s.logged_dt, z1, 1.0)
         middle = system.project(0.5 * (z0 + z1) + (s.dt / 8) * (f0 - f1))
@@ -227,34 +237,48 @@ class Physics:
         return f - 0.5 * bend
 
     def _forecast(self, theta: Tensor, middle: Tensor) -> Tensor:
-        """Change over each step by the midpoint rule, at states (N, nz) that are held as theta moves."""
+        """Change over each step by the midpoint rule (N, nx), at states (N, nz) that are held as theta moves."""
         self.vector.use(theta)
         system, s = self.vector.system, self.steps
-        change = s.dt * system.drift(s.t + 0.5 * s.logged_dt, middle, s.u)[:, : system.nx]
-        return self.in_channels(change, middle)
+        return s.dt * system.drift(s.t + 0.5 * s.logged_dt, middle, s.u)[:, : system.nx]
 
-    def _foreseen(self, theta: Tensor, *memory: Tensor) -> Tensor:
+    def _memory_slope(self, theta: Tensor, j: int) -> Tensor:
+        """Derivative of the memory in the middle of each step (N, nz - nx) in parameter j."""
+        # by differences: a loop over time is slow in forward mode, and smooth in theta
+        small = 1e-5 * float(self.vector.scale[j])
+        aside = torch.zeros_like(theta)
+        aside[j] = small
+        ends = zip(self._memory_at(theta + aside), self._memory_at(theta - aside), strict=True)
+        moved: Tensor = sum(high - low for high, low in ends)  # type: ignore[assignment]
+        return moved / (4.0 * small)
+
+    def _middle(self, theta: Tensor) -> Tensor:
+        """`middle` of the values that it was asked for last."""
+        if self._foreseen is None or not torch.equal(self._foreseen[0], theta):
+            self._foreseen = (theta.clone(), self._foresee(theta, *self._memory(theta)))
+        return self._foreseen[1]
+
+    def _foresee(self, theta: Tensor, *memory: Tensor) -> Tensor:
         """State in the middle of each step as the model foresees it from `_LEAD` steps earlier, and memory (N, nz)."""
         self.vector.use(theta)
         s = self.steps
         rows = torch.arange(len(s))
         if not self._lead:
             x = self.vector.system.project(0.5 * (s.x0 + s.x1))
-            return torch.cat((x, 0.5 * (memory[0] + memory[1])), 1) if memory else x
-        x = s.x0[torch.maximum(rows - self._lead, self._starts)]
+            return join_columns((x, 0.5 * (memory[0] + memory[1]))) if memory else x
+        x = take_rows(s.x0, torch.maximum(rows - self._lead, self._starts))
         for back in range(self._lead, 0, -1):
             at = rows - back
             live = (at >= self._starts)[:, None]
-            at = torch.maximum(at, self._starts)
-            x = torch.where(live, self._later(x, at, memory, 1.0), x)
+            x = torch.where(live, self._later(x, torch.maximum(at, self._starts), memory, 1.0), x)
         x = self._later(x, rows, memory, 0.5)
-        return torch.cat((x, 0.5 * (memory[0] + memory[1])), 1) if memory else x
+        return join_columns((x, 0.5 * (memory[0] + memory[1]))) if memory else x
 
     def _later(self, x: Tensor, at: Tensor, memory: tuple[Tensor, ...], share: float) -> Tensor:
         """States (N, nx) a share of a step later, by the midpoint rule, with inputs and memory of the steps `at`."""
         system, s = self.vector.system, self.steps
-        t, u, m, h = s.t[at], s.u[at], [part[at] for part in memory[:1]], share * s.dt
-        z = torch.cat((x, *m), 1)
+        t, u, h = s.t[at], take_rows(s.u, at), share * s.dt
+        z = join_columns((x, *(take_rows(part, at) for part in memory[:1])))
         middle = system.project(z + (0.5 * h) * system.drift(t, z, u))
         rate = system.drift(t + 0.5 * share * s.logged_dt, middle, u)
         return system.project(x + h * rate[:, : system.nx])
@@ -272,7 +296,7 @@ class Physics:
             return change
         a, b = self.turned.start, self.turned.stop
         before, v, after = split_columns(change, a, b - a, change.shape[1] - b)
-        return torch.cat((before, rotate_back(attitude, v), after), 1)
+        return join_columns((before, rotate_back(attitude, v), after))
 
 
 def _world_velocity(system: System) -> slice | None:

@@ -12,6 +12,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from nsde_torch.columns import by_column
 from nsde_torch.data import Run
 from nsde_torch.data.denoise import denoised
 from nsde_torch.errors import DataError
@@ -133,6 +134,7 @@ def _joined(
         owners.append(number)
         at += b - 1 - a
     joined = {key: torch.from_numpy(np.concatenate(rows)) for key, rows in parts.items()}
+    joined |= {key: by_column(joined[key]) for key in names if key != "t"}
     joined |= {key: system.project(joined[key]) for key in names if key not in ("t", "u")}
     dt = runs[0].dt
     return Steps(

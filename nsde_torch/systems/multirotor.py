@@ -25,6 +25,7 @@ from nsde_torch.columns import few, join_columns, split_columns
 from nsde_torch.effects import Effect, Parameter, Port
 from nsde_torch.errors import ConfigError
 from nsde_torch.rotation import (
+    axis_up,
     euler_coupling,
     gravity_direction,
     quaternion_rate,
@@ -123,16 +124,15 @@ class Multirotor(System):
         """See `System.dynamics`."""
         _, v, q, omega = split_columns(x, *_PARTS)
         thrust, moments = self._thrust_and_moments(u)
-        force = join_columns((torch.zeros_like(thrust), torch.zeros_like(thrust), thrust))
         angular = self._angular(omega, moments)
+        acceleration = thrust * axis_up(q) + self.gravity
         if Port.BODY_FORCE in forces:
-            force = force + forces[Port.BODY_FORCE]
+            acceleration = acceleration + rotate(q, forces[Port.BODY_FORCE])
         if Port.BODY_MOMENT in forces:
             angular = angular + forces[Port.BODY_MOMENT]
         if Port.BODY_WRENCH in forces:
             push, twist = split_columns(forces[Port.BODY_WRENCH], 3, 3)
-            force, angular = force + push, angular + twist
-        acceleration = rotate(q, force) + self.gravity
+            acceleration, angular = acceleration + rotate(q, push), angular + twist
         if Port.WORLD_FORCE in forces:
             acceleration = acceleration + forces[Port.WORLD_FORCE]
         return join_columns((v, acceleration, quaternion_rate(q, omega), angular))

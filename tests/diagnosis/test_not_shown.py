@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from typing import cast
+
 import numpy as np
 import pytest
 
 from nsde_torch.diagnosis.detectability import not_shown
 from nsde_torch.diagnosis.rounds import Round
 from nsde_torch.diagnosis.screening import standard_errors
+from nsde_torch.diagnosis.search import Base
 
 
 def test_standard_errors_are_those_of_least_squares_beside_the_other_columns() -> None:
@@ -29,8 +32,9 @@ def test_a_column_of_nothing_or_one_that_others_make_has_no_finite_error() -> No
 
 
 def _looks(error: float) -> list[Round]:
+    base = cast(Base, None)  # not looked at
     return [
-        Round((), [], {"constant_force": 0.0}, {"constant_force": {"constant_force.acceleration": error}})
+        Round(base, [], {"constant_force": 0.0}, {"constant_force": {"constant_force.acceleration": error}})
     ]
 
 

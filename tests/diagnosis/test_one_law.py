@@ -84,7 +84,9 @@ def test_a_wide_law_whose_own_size_is_nothing_gives_way_to_what_it_contains(rubb
     sizes = {"size": 0.3, "extra": 1e-7, "speed": 0.05, "width": 0.002}
     declared = rubbing.base(make_system(SPRING))
     wide = rubbing.base(spring("stribeck_friction", stribeck_friction=sizes), warm=True)
-    chosen = Selection(declared, wide, ["stribeck_friction"], [Round(added=(), trials=[], screened={})], ())
+    chosen = Selection(
+        declared, wide, ["stribeck_friction"], [Round(base=declared, trials=[], screened={})], ()
+    )
     kept = eliminate(rubbing, chosen)
     assert [f.name for f in kept.found] == ["coulomb_friction"]
     assert kept.final.system.effect_names[-1] == "coulomb_friction"

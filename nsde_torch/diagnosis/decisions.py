@@ -180,6 +180,9 @@ class Budgets:
 
     iterations: int = key(20, "most iterations of a regression from its first values", low=1)
     refinements: int = key(8, "most iterations of a regression that starts near its optimum", low=1)
+    screened_starts: int = key(
+        3, "most starts of a candidate that already move the residual, screened", low=1
+    )
     worth_nats: float = key(3.0, "first step below which a candidate is not iterated", unit="nat", low=0)
     close_share: float = key(
         0.3, "share of the best candidate's nats below which no further one is iterated", low=0

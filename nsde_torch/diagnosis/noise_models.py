@@ -78,16 +78,24 @@ class NoiseModels:
         self._decisions, self._budgets = decisions, budgets
         at = regression.rows[channel]
         self._residual, self._slopes = regression.residual[:, at], regression.jacobian[:, at]
-        there = regression.noises[channel]
+        self._there = there = regression.noises[channel]
         self.base = max(self._own(there), self._settled(there), key=lambda own: own.likelihood)
         rough = first_guess(self._residual, regression.series, limit)
         self._starts = [_Start(noise, *self._whitened(noise)) for noise in (rough, self.base.noise)]
 
-    def without(self, functions: Array) -> FittedNoise | None:
-        """The noise model without functions per unit of time (M, q); None where it is not much likelier."""
+    def without(self, functions: Array, whitened: Array | None = None) -> FittedNoise | None:
+        """The noise model that is left without some functions; None where it is not much likelier.
+
+        Args:
+            functions: Per unit of time (M, q).
+            whitened: The same in rows that the regression whitens (N, q); None works them out.
+        """
         columns, best = functions * self._regression.dt, self.base
         for start in self._starts:
-            this = self._left(start, columns, self._regression.whitened(start.noise, columns))
+            known = start.noise is self._there and whitened is not None
+            own = whitened if known else self._regression.whitened(start.noise, columns)
+            assert own is not None
+            this = self._left(start, columns, own)
             best = max(best, this, key=lambda found: found.likelihood)
         more = best.likelihood - self.base.likelihood
         return best if more > 0.5 * columns.shape[1] + self._decisions.noise_blind_nats else None

@@ -11,7 +11,7 @@ import numpy as np
 
 from nsde_torch.diagnosis.candidates import alone, candidate_names
 from nsde_torch.diagnosis.multiplicity import has_frequency
-from nsde_torch.diagnosis.screening import joined, screen, starts
+from nsde_torch.diagnosis.screening import joined, likeliest, screen, starts
 from nsde_torch.diagnosis.search import Base, Search
 from nsde_torch.diagnosis.spectrum import lines
 from nsde_torch.diagnosis.trials import Trial, finished, fit_candidate, simplest_first
@@ -93,8 +93,8 @@ def _screened(
     best: dict[str, _Start] = {}
     for i, name in enumerate(names):
         search.say("screening effects", i, len(names))
-        for start in starts(base.system, name, scales, frequencies):
-            system = joined(base.system, name, start)
+        begun = [joined(base.system, name, s) for s in starts(base.system, name, scales, frequencies)]
+        for system in likeliest(search, base, begun, search.budgets.screened_starts):
             vector = ParameterVector(system)
             labels = [vector.labels[j] for j in vector.of(name)]
             for held in alone(name, labels):

@@ -9,13 +9,15 @@ from nsde_torch.diagnosis.candidates import Start, make_candidate
 from nsde_torch.diagnosis.fitted import carried, values_of
 from nsde_torch.diagnosis.search import Base, Search
 from nsde_torch.effects import Effect, effect_class
-from nsde_torch.errors import NonFiniteError
+from nsde_torch.errors import NonFiniteError, NsdeError
 from nsde_torch.sysid.physics import Physics
 from nsde_torch.sysid.regression import Regression
 from nsde_torch.systems import System
 from nsde_torch.systems.parameters import ParameterVector, own_name
 
 Array = NDArray[np.float64]
+
+_UNMOVED = 1e-6  # standard deviations of the noise: a start that moves no row by more changes nothing
 
 
 def starts(
@@ -48,6 +50,37 @@ def joined(system: System, name: str, start: Start) -> System:
     return system.with_effects(make_candidate(name, system, start))
 
 
+def likeliest(search: Search, base: Base, systems: Sequence[System], most: int) -> list[System]:
+    """The systems to screen: of those whose start already moves the residual, some that explain most.
+
+    All of them where the candidate stands in for an effect of the physics: another start may lead further from there.
+
+    Args:
+        search: Data and settings.
+        base: Physics without the candidate.
+        systems: Physics with it, at each of its starts.
+        most: How many of those that move the residual are kept.
+    """
+    beside = all(set(base.system.effect_names) < set(system.effect_names) for system in systems)
+    if len(systems) <= most or not beside:
+        return list(systems)
+    before = base.regression
+    whole = before.white.reshape(-1)
+    left: dict[int, float] = {}
+    for i, system in enumerate(systems):
+        vector = ParameterVector(system)
+        theta = vector.inside(carried(vector, before))
+        try:
+            residual = _whitened_residual(search, before, Physics(vector, search.steps), theta)
+        except NsdeError:  # screening it will tell
+            continue
+        if residual is not None and not np.allclose(residual, whole, rtol=0.0, atol=_UNMOVED):
+            along = base.span.T @ residual
+            left[i] = float(residual @ residual - along @ along)
+    kept = sorted(left, key=lambda i: left[i])[:most]
+    return [system for i, system in enumerate(systems) if i in kept or i not in left]
+
+
 def screen(
     search: Search, base: Base, system: System, name: str, held: Sequence[str]
 ) -> tuple[float, dict[str, float]]:
@@ -66,11 +99,10 @@ def screen(
         physics.foresee_like(before.physics, theta, before.theta)
         new, columns = _whitened(search, before, physics.slopes(theta, moved)), moved
     else:
-        change = before.single.summed(physics.residual(theta), search.box)
-        if not np.isfinite(change[:, before.rows]).all():
+        moved_residual = _whitened_residual(search, before, physics, theta)
+        if moved_residual is None:
             raise NonFiniteError(f"{name} is not finite at its start.")
-        pairs = zip(before.noises, before.rows, strict=True)
-        residual = np.stack([before.whitened(n, change[:, [c]])[:, 0] for n, c in pairs]).reshape(-1)
+        residual = moved_residual
         columns = [j for j in range(len(vector)) if vector.labels[j] not in {*held, *search.held}]
         new = _whitened(search, before, physics.slopes(theta))[:, columns]
     basis = base.span
@@ -87,6 +119,15 @@ def screen(
     labels = [vector.labels[columns[i]] for i in live]
     errors = dict(zip(labels, standard_errors(new, size, live), strict=True))
     return 0.5 * float(before_left @ before_left - rest @ rest), errors
+
+
+def _whitened_residual(search: Search, before: Regression, physics: Physics, theta: Array) -> Array | None:
+    """Residual of physics in whitened rows (channels * N,); None where it is not finite."""
+    left = before.single.summed(physics.residual(theta), search.box)
+    if not np.isfinite(left[:, before.rows]).all():
+        return None
+    pairs = zip(before.noises, before.rows, strict=True)
+    return np.stack([before.whitened(n, left[:, [c]])[:, 0] for n, c in pairs]).reshape(-1)
 
 
 def _whitened(search: Search, before: Regression, slopes: Array) -> Array:

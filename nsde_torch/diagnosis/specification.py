@@ -140,7 +140,7 @@ def _of_variable(
         return []
     left, noise = regression.white[i], None
     p, gain = chance(z, left, *labels, decisions=variables.decisions), nats_of(z, left)
-    other = models.without(functions)
+    other = models.without(functions, whitened)
     if other is not None:
         noise, there = other.noise, regression.under(i, other.noise)
         own = own_space(there, i)
@@ -153,7 +153,9 @@ def _of_variable(
     channel = regression.physics.names[regression.rows[i]]
     out = [_dependence(channel, name, z, odd[kept], left, p=p, gain=gain, noise=noise)]
     if name in variables.columns:
-        alone = _in_one_run(there, i, (functions, odd, own), (out[0], nats_of(z, left)), models, variables)
+        alone = _in_one_run(
+            there, i, (functions, odd, own, whitened), (out[0], nats_of(z, left)), models, variables
+        )
         out += [] if alone is None else [alone]
     return out
 
@@ -182,7 +184,7 @@ def _dependence(
 def _in_one_run(
     regression: Regression,
     i: int,
-    group: tuple[Array, NDArray[np.bool_], Array],
+    group: tuple[Array, NDArray[np.bool_], Array, Array],
     in_all: tuple[Dependence, float],
     models: NoiseModels,
     variables: Regressors,
@@ -192,14 +194,14 @@ def _in_one_run(
     Args:
         regression: Under the noise model of the test of all runs.
         i: Number of the channel among its rows.
-        group: Functions, which of them are odd, and what the parameters can do (`own_space`).
+        group: Functions, which of them are odd, what the parameters can do (`own_space`), and whitened functions.
         in_all: The test of all runs, and the nats that it explains under that model.
         models: Noise models of the channel.
         variables: What the residual may depend on.
     """
     functions, odd = group[0][:, :SMOOTH], group[1][:SMOOTH]
     everywhere, explained = in_all
-    found = _alone(regression, i, group[0], group[2], variables)
+    found = _alone(regression, i, group[3], group[2], variables)
     if found is None:
         return None
     p, there, noise = found.p, regression, everywhere.noise
@@ -208,7 +210,8 @@ def _in_one_run(
         other = models.without(functions * (regression.owners == found.run)[:, None])
         if other is not None:
             noise, there = other.noise, regression.under(i, other.noise)
-            again = _alone(there, i, group[0], own_space(there, i), variables)
+            whitened = whitened_functions(there, i, group[0])
+            again = _alone(there, i, whitened, own_space(there, i), variables)
             if again is not None and again.run == found.run:
                 found, p = again, min(1.0, 2.0 * min(p, again.p))
             gain = other.likelihood - models.base.likelihood
@@ -227,14 +230,12 @@ def _in_one_run(
 
 
 def _alone(
-    regression: Regression, i: int, functions: Array, own: Array, variables: Regressors
+    regression: Regression, i: int, whitened: Array, own: Array, variables: Regressors
 ) -> Alone | None:
-    white = regression.white[i]
-    whitened = whitened_functions(regression, i, np.column_stack((functions, np.ones(len(functions)))))
-    whole, constant = whitened[:, :-1], whitened[:, -1]
+    constant = whitened_functions(regression, i, np.ones((len(regression.series), 1)))[:, 0]
     owners = regression.whitened_rows(regression.owners)
     return alone(
-        *(whole[:, :SMOOTH], whole, constant, white, own, owners, regression.dt),
+        *(whitened[:, :SMOOTH], whitened, constant, regression.white[i], own, owners, regression.dt),
         decisions=variables.decisions,
         budgets=variables.budgets,
     )

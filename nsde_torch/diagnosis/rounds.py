@@ -70,6 +70,7 @@ def look(search: Search, base: Base, *, only: Collection[str] | None = None) -> 
     if search.candidates is not None:
         names = [n for n in names if n in search.candidates]
     among = max(len(names), 1)
+    names += [law for law in search.laws if law not in base.system.effect_names]
     if only is not None:
         names = [n for n in names if n in only]
     out = Round(base=base, trials=[], screened={})
@@ -93,7 +94,8 @@ def _screened(
     best: dict[str, _Start] = {}
     for i, name in enumerate(names):
         search.say("screening effects", i, len(names))
-        for start in starts(base.system, name, scales, frequencies):
+        law = name in search.laws
+        for start in [search.laws[name]] if law else starts(base.system, name, scales, frequencies):
             system = joined(base.system, name, start)
             vector = ParameterVector(system)
             labels = [vector.labels[j] for j in vector.of(name)]
@@ -104,7 +106,9 @@ def _screened(
                     out.failed[name] = str(error)
                     continue
                 if name not in out.screened or nats > out.screened[name]:
-                    out.screened[name], out.errors[name] = nats, errors
+                    out.screened[name] = nats
+                    if not law:  # what no catalogue has is not listed as what the data cannot show
+                        out.errors[name] = errors
                     best[name] = _Start(system, held)
     return best
 

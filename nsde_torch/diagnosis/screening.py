@@ -64,7 +64,7 @@ def screen(
     residual = whole
     if beside and moved and not vector.moves_memory[moved].any():
         physics.foresee_like(before.physics, theta, before.theta)
-        new, columns = _whitened(search, before, physics.slopes(theta, moved)), moved
+        new, columns = whitened_slopes(search, before, physics.slopes(theta, moved)), moved
     else:
         change = before.single.summed(physics.residual(theta), search.box)
         if not np.isfinite(change[:, before.rows]).all():
@@ -72,7 +72,7 @@ def screen(
         pairs = zip(before.noises, before.rows, strict=True)
         residual = np.stack([before.whitened(n, change[:, [c]])[:, 0] for n, c in pairs]).reshape(-1)
         columns = [j for j in range(len(vector)) if vector.labels[j] not in {*held, *search.held}]
-        new = _whitened(search, before, physics.slopes(theta))[:, columns]
+        new = whitened_slopes(search, before, physics.slopes(theta))[:, columns]
     basis = base.span
     before_left = whole - basis @ (basis.T @ whole)
     if beside:
@@ -89,7 +89,7 @@ def screen(
     return 0.5 * float(before_left @ before_left - rest @ rest), errors
 
 
-def _whitened(search: Search, before: Regression, slopes: Array) -> Array:
+def whitened_slopes(search: Search, before: Regression, slopes: Array) -> Array:
     """Slopes over steps as whitened columns (rows * N, q)."""
     summed = before.single.summed(slopes, search.box)
     pairs = zip(before.noises, before.rows, strict=True)

@@ -36,8 +36,8 @@ def with_laws(
     if search.candidates is not None:  # the user says what may be tried
         return outcome
     for _ in range(search.budgets.law_rounds):
-        left = [d for d in outcome.structured if d.everywhere and d.moment is None]
-        if not left or not propose(search, kept.final, left, outcome.variables):
+        left = outcome.structured  # a law may show as one moment where it is largest, or as a drift
+        if not left or not propose(search, kept.final, left, outcome.after, outcome.variables):
             break
         more = forward_selection(search, chosen.declared, after=chosen, final=kept.final)
         if not any(map(is_law, more.names)):

@@ -60,16 +60,35 @@ class Library:
     tried: int
 
 
-def wanted_variables(regression: Regression, left: Sequence[Dependence], variables: Regressors) -> list[str]:
-    """Variables that a law may be one of: those of the tests that are left, the surest first."""
+def wanted_variables(
+    regression: Regression, left: Sequence[Dependence], tests: Sequence[Dependence], variables: Regressors
+) -> list[str]:
+    """Variables that a law may be one of: those of what is left, the surest first, then those of all tests.
+
+    A variable counts by whatever is tested of it: itself, its products, and it over time or by run, as what grows with
+    a second variable looks like a drift where that one grows.
+
+    Args:
+        regression: Of the tests.
+        left: Tests that are left beyond chance.
+        tests: All tests.
+        variables: What was tested.
+    """
     names = [regression.physics.names[c] for c in regression.rows]
+    channels = {d.channel for d in left}
+    others = (d for d in tests if d.channel in channels)
     out: list[str] = []
-    for d in sorted(left, key=lambda d: -d.excess):
-        if not d.everywhere or d.moment is not None or d.variable.endswith((OVER_TIME, BY_RUN, BEFORE)):
+    for d in (*sorted(left, key=lambda d: -d.excess), *sorted(others, key=lambda d: -d.excess)):
+        if not d.everywhere or d.moment is not None or d.variable in ("time", "run"):
             continue
-        pair = product_of(regression, names.index(d.channel), d.variable, variables)
+        plain = d.variable
+        for end in (OVER_TIME, BY_RUN, BEFORE):
+            plain = plain.removesuffix(end)
+        pair = product_of(regression, names.index(d.channel), plain, variables)
         out += [v for v in pair.split(" * ") if v in variables.columns and v not in out]
-    return out[: variables.budgets.formula_variables]
+        if len(out) >= variables.budgets.law_variables:
+            break
+    return out[: variables.budgets.law_variables]
 
 
 def library(
@@ -85,8 +104,9 @@ def library(
         variables: Values of them.
     """
     system = base.regression.vector.system
-    known = {name for name, _, _ in vocabulary(type(system)).variables}
-    in_law = {v: v if v in known else f"logged({v})" for v in wanted if v in (*known, *system.exogenous)}
+    known = [*(name for name, _, _ in vocabulary(type(system)).variables), *system.exogenous]
+    there = sorted((v for v in wanted if v in known), key=known.index)  # a product has one spelling
+    in_law = {v: f"logged({v})" if v in system.exogenous else v for v in there}
     units = variable_units(system)
     terms = terms_of(
         list(in_law.values()),
@@ -160,17 +180,24 @@ def _law(row: str, term: LawTerm) -> str:
     return f"{row} = c1 {term.text}"
 
 
-def propose(search: Search, base: Base, left: Sequence[Dependence], variables: Regressors) -> bool:
+def propose(
+    search: Search,
+    base: Base,
+    left: Sequence[Dependence],
+    tests: Sequence[Dependence],
+    variables: Regressors,
+) -> bool:
     """Put laws beside the catalogue that may be what is left; whether there is a new one.
 
     Args:
         search: Data and settings; its `laws` grow.
         base: The physics.
         left: What its residual depends on beyond chance.
+        tests: All tests of it.
         variables: What it may depend on.
     """
-    wanted = wanted_variables(base.regression, left, variables)
-    channels = list(dict.fromkeys(d.channel for d in left if d.everywhere))
+    wanted = wanted_variables(base.regression, left, tests, variables)
+    channels = list(dict.fromkeys(d.channel for d in left))
     found = library(search, base, channels, wanted, variables) if wanted else None
     if found is None:
         return False

@@ -53,12 +53,20 @@ def column(k: int) -> Callable[[Array], Array]:
 SPRING = (
     Kind("mass_spring_damper", "force = c1 q q_dot", 0, lambda x, u, k: x[:, 0] * x[:, 1]),
     Kind("mass_spring_damper", "force = c1 q^2", 0, lambda x, u, k: x[:, 0] ** 2),
-    Kind("mass_spring_damper", "force = c1 max(q - k1, 0)", 0, lambda x, u, k: np.maximum(x[:, 0] - k, 0.0), 0.8),
+    Kind(
+        "mass_spring_damper",
+        "force = c1 max(q - k1, 0)",
+        0,
+        lambda x, u, k: np.maximum(x[:, 0] - k, 0.0),
+        0.8,
+    ),
     Kind("mass_spring_damper", "force = c1 q^5", 0, lambda x, u, k: x[:, 0] ** 5),
     Kind("mass_spring_damper", "force = c1 q^2 q_dot", 0, lambda x, u, k: x[:, 0] ** 2 * x[:, 1]),
     Kind("mass_spring_damper", "force = c1 q_dot^3", 0, lambda x, u, k: x[:, 1] ** 3),
     Kind("mass_spring_damper", "force = c1 q force", 0, lambda x, u, k: x[:, 0] * u[:, 0]),
-    Kind("mass_spring_damper", "force = c1 max(q_dot, 0)^2", 0, lambda x, u, k: np.maximum(x[:, 1], 0.0) ** 2),
+    Kind(
+        "mass_spring_damper", "force = c1 max(q_dot, 0)^2", 0, lambda x, u, k: np.maximum(x[:, 1], 0.0) ** 2
+    ),
     Kind("mass_spring_damper", "force = c1 q q_dot^2", 0, lambda x, u, k: x[:, 0] * x[:, 1] ** 2),
 )
 CART = (
@@ -81,7 +89,12 @@ HEXACOPTER = (
     Kind("hexacopter", "body_force[z] = c1 v_body_x^2", 2, lambda x, u, k: x[:, 0] ** 2),
     Kind("hexacopter", "body_moment[z] = c1 v_body_x v_body_y", 5, lambda x, u, k: x[:, 0] * x[:, 1]),
     Kind("hexacopter", "body_force[y] = c1 v_body_x w_z", 1, lambda x, u, k: x[:, 0] * x[:, 5]),
-    Kind("hexacopter", "body_moment[x] = c1 abs(v_body_y) v_body_y", 3, lambda x, u, k: np.abs(x[:, 1]) * x[:, 1]),
+    Kind(
+        "hexacopter",
+        "body_moment[x] = c1 abs(v_body_y) v_body_y",
+        3,
+        lambda x, u, k: np.abs(x[:, 1]) * x[:, 1],
+    ),
 )
 
 
@@ -157,7 +170,8 @@ def flights(machine: Machine, seed: int, runs: int, seconds: float) -> list[loop
     rng = np.random.default_rng([seed, 9])
     paths = [loop_flight.PATHS[i % 3] for i in range(runs)]
     asked = [
-        loop_flight.Flight(machine, path, "a", seconds, 0.0, int(rng.integers(2**31)), 1.0, 1.2) for path in paths
+        loop_flight.Flight(machine, path, "a", seconds, 0.0, int(rng.integers(2**31)), 1.0, 1.2)
+        for path in paths
     ]
     plain, loop_flight.Bodies = loop_flight.Bodies, LawBodies
     try:
@@ -168,6 +182,7 @@ def flights(machine: Machine, seed: int, runs: int, seconds: float) -> list[loop
 
 def joint_push(law: Law | None) -> make_data.Push:
     """The torques of a law on two joints."""
+
     def push(q: Array, w: Array) -> Array:
         out = np.zeros(2)
         if law is not None:

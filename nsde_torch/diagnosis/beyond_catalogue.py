@@ -43,10 +43,12 @@ def with_laws(
         if not any(map(is_law, more.names)):
             break
         now = _stable(search, more, set_aside(search, more, eliminate(search, more), feedback))
-        if not any(is_law(f.name) for f in now.found):
+        if not any(is_law(name) for name in (*(f.name for f in now.found), *(h.name for h in now.hidden))):
             break
         chosen, kept = replace(more, names=[f.name for f in now.found]), now
         outcome = decide(search, more, now, feedback)
+        if not any(is_law(f.name) for f in now.found):  # what feedback may hide is told, and not named
+            break
     return outcome
 
 

@@ -94,12 +94,15 @@ class Expression(Effect):
         law: The law, parsed.
         row, width: Row of the port, and how many there are.
         sources: Where its variables come from.
+        unit: Of what it adds.
     """
 
     law: ClassVar[Written]
     row: ClassVar[int] = 0
     width: ClassVar[int] = 0
     sources: ClassVar[Mapping[str, Source]] = {}
+    unit: ClassVar[str] = ""
+    separate = "runs in which the variables of the law move further, and apart from each other"
 
     def __init__(self, values: Mapping[str, float | list[float]] | None = None, *, n_inputs: int = 1) -> None:
         # a first value that is given says what a typical change is: coefficients have any size
@@ -222,6 +225,7 @@ def _placed(text: str, words: Vocabulary) -> type[Expression]:
         own_units,
         {
             "row": row,
+            "unit": rows.units[row],
             "width": len(rows.names),
             "sources": sources,
             "quantities": quantities,
@@ -241,6 +245,10 @@ def _row(law: Written, words: Vocabulary) -> tuple[int, Rows]:
         choices = ", ".join(f"{law.port}[{name}]" if name else law.port for name in rows.names)
         raise ConfigError(f"law {law.text!r}: a law of that port is written {choices} = ...")
     return rows.names.index(law.row), rows
+
+
+def _with_values(law: Written) -> str:
+    return ", ".join(f"{name} = {{{name}}}" for name in (*law.sizes, *law.shapes))
 
 
 def _made(law: Written, own_units: Mapping[str, str], own: dict[str, Any]) -> type[Expression]:
@@ -264,6 +272,7 @@ def _made(law: Written, own_units: Mapping[str, str], own: dict[str, Any]) -> ty
         "PARAMETERS": parameters,
         "null": dict.fromkeys(law.sizes, 0.0),
         "amplitudes": law.sizes,
+        "sentence": f"A law of the machine's own variables adds {in_text(law.right)}, {_with_values(law)}.",
         **own,
     }
     return type("Expression", (Expression,), made)

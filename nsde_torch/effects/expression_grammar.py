@@ -147,7 +147,7 @@ def in_text(node: Node) -> str:
         out = ""
         for sign, part in node.parts:
             out += ("" if first else " ") + ("-" if sign < 0 else "" if first else "+")
-            out += ("" if first else " ") + in_text(part)
+            out += ("" if first else " ") + (f"({in_text(part)})" if isinstance(part, Sum) else in_text(part))
             first = False
         return out
     if isinstance(node, Product):

@@ -403,8 +403,8 @@ class System(Parametrised, ABC):
         effect, read = self._effect(k), self._read[k]
         if not read and not effect.quantities:
             return command
-        logged = tuple(u[:, c : c + 1] for c in read)
-        return join_columns((command, *logged, *(quantity_of(self, n, x, command) for n in effect.quantities)))
+        own = (quantity_of(self, n, x, command) for n in effect.quantities)
+        return join_columns((command, *(u[:, c : c + 1] for c in read), *own))
 
     def all_declared(self) -> dict[str, tuple[Tensor, str]]:
         """Declared parameters of the system and of its effects: name -> (value (k,), unit)."""

@@ -2,10 +2,10 @@
 
     python benchmarks/blind/laws.py --machine spring --seed 1 --count 12 --out runs/laws
 
-Every case has another machine, another size and shape of the law, other noise and other forces. In turn a law and, each
-fourth, none; of seeds from 100000 on all have none. A law counts as named where what was added is the same function of the logged states (correlation above
-0.999) in the same row, in whatever spelling, and nothing else was added. The oracle is told the law, with its size and
-shape free, and adds nothing.
+Every case has another machine, another size and shape of the law, other noise and other forces. In turn three laws and
+none; of seeds from 100000 on all have none. A law counts as named where what was added is the same function of the
+logged states (correlation above 0.999) in the same row, in whatever spelling, and nothing else was added. The oracle is
+told the law, with its size and shape free, and adds nothing.
 """
 
 from __future__ import annotations

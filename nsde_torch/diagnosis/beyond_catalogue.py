@@ -11,7 +11,7 @@ from dataclasses import replace
 
 from nsde_torch.diagnosis.decision import decide, set_aside
 from nsde_torch.diagnosis.elimination import Retained, eliminate
-from nsde_torch.diagnosis.fitted import fitted_system
+from nsde_torch.diagnosis.fitted import effect_of, fitted_system, values_of
 from nsde_torch.diagnosis.hidden import Feedback
 from nsde_torch.diagnosis.laws import chosen_again, propose
 from nsde_torch.diagnosis.outcome import Outcome, without_effect
@@ -70,6 +70,8 @@ def _stable(search: Search, chosen: Selection, kept: Retained) -> Retained:
             decisions=search.decisions,
             budgets=search.budgets,
         )
-        if chosen_again(search, without, f.name, variables) < search.decisions.law_share:
+        values = values_of(effect_of(fitted_system(kept.final.regression), f.name))
+        shapes = {k: float(v) for k, v in values.items() if k != "c1" and isinstance(v, float)}
+        if chosen_again(search, without, f.name, shapes, variables) < search.decisions.law_share:
             kept = replace(kept, found=[g for g in kept.found if g is not f], final=without)
     return kept

@@ -13,7 +13,7 @@ Meinshausen and Buehlmann, Journal of the Royal Statistical Society B 72, 2010, 
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from math import log
 
@@ -34,6 +34,7 @@ from nsde_torch.systems.vocabulary import seen_by, vocabulary
 Array = NDArray[np.float64]
 
 _NEW = 0.03  # of the length of a term: less of it is nothing that the parameters cannot do already
+_SIZE = " = c1 "
 _MOVES = 1e-9  # of the largest push: rows of a port that do not move a channel
 
 
@@ -92,7 +93,13 @@ def wanted_variables(
 
 
 def library(
-    search: Search, base: Base, channels: Sequence[str], wanted: Sequence[str], variables: Regressors
+    search: Search,
+    base: Base,
+    channels: Sequence[str],
+    wanted: Sequence[str],
+    variables: Regressors,
+    *,
+    beside: Mapping[str, Mapping[str, float]] | None = None,
 ) -> Library | None:
     """The library of some variables beside physics; None where there is nothing to try.
 
@@ -102,6 +109,7 @@ def library(
         channels: Those with structure left.
         wanted: The variables.
         variables: Values of them.
+        beside: Laws of one term that are in it too, with values of their shapes.
     """
     system = base.regression.vector.system
     known = [*(name for name, _, _ in vocabulary(type(system)).variables), *system.exogenous]
@@ -113,7 +121,12 @@ def library(
         {text: variables.columns[v] for v, text in in_law.items()},
         [text for v, text in in_law.items() if units.get(v) == "rad"],
     )
-    made = [one for term in terms for one in _slopes(base.regression, term, _pushes(base, channels))]
+    pushes = _pushes(base, channels)
+    made = [one for term in terms for one in _slopes(base.regression, term, pushes)]
+    for law, shapes in (beside or {}).items():
+        row, _, text = law.partition(_SIZE)
+        own = [push for push in pushes if push[0] == row]
+        made += _slopes(base.regression, LawTerm(text, tuple(shapes.items())), own)
     if not made:
         return None
     whole = np.concatenate(
@@ -177,7 +190,7 @@ def _slopes(
 
 
 def _law(row: str, term: LawTerm) -> str:
-    return f"{row} = c1 {term.text}"
+    return f"{row}{_SIZE}{term.text}"
 
 
 def propose(
@@ -233,17 +246,20 @@ def _worth_a_fit(laws: Sequence[str], power: Array, search: Search) -> list[int]
     return list(out.values())
 
 
-def chosen_again(search: Search, base: Base, law: str, variables: Regressors) -> float:
+def chosen_again(
+    search: Search, base: Base, law: str, shapes: Mapping[str, float], variables: Regressors
+) -> float:
     """Share of random halves of the runs in which a law is about as good as the best of the library.
 
     Args:
         search: Data and settings.
         base: The physics without the law.
         law: The law.
+        shapes: Values of its shapes.
         variables: What its residual may depend on.
     """
     wanted = [v for v in search.law_variables if v in variables.columns]
-    found = library(search, base, search.law_channels, wanted, variables)
+    found = library(search, base, search.law_channels, wanted, variables, beside={law: shapes})
     if found is None or law not in found.laws:
         return 0.0
     rng = np.random.default_rng(search.decisions.law_halves)

@@ -227,7 +227,7 @@ def propose(
             break
         for j in _worth_a_fit(found.laws, power, search):
             if found.laws[j] not in search.laws:
-                search.laws[found.laws[j]], new = found.starts[j], True
+                search.laws[found.laws[j]], new = {**found.starts[j]}, True
         direction = columns[:, best].copy()
         rest = rest - direction * (direction @ rest)
         columns = columns - np.outer(direction, direction @ columns)

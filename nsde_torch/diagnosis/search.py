@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nsde_torch.data import Run
-from nsde_torch.diagnosis.candidates import on_coordinates
+from nsde_torch.diagnosis.candidates import Start, on_coordinates
 from nsde_torch.diagnosis.decisions import BUDGETS, DECISIONS, Budgets, Decisions
 from nsde_torch.diagnosis.evidence import Score, folds, score
 from nsde_torch.diagnosis.fitted import carried, dynamic_rows, fitted_system, nonlinear
@@ -96,7 +96,7 @@ class Search:
         self.decisions, self.budgets = replace(decisions, alpha=alpha), budgets
         self.candidates, self.say = candidates, say
         self.held: set[str] = set()
-        self.laws: dict[str, dict[str, float]] = {}
+        self.laws: dict[str, Start] = {}
         self.tried = 0
         self.law_variables: tuple[str, ...] = ()
         self.law_channels: tuple[str, ...] = ()

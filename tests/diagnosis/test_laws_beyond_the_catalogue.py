@@ -69,11 +69,11 @@ def test_a_hinge_is_found_with_its_place() -> None:
 
 
 def test_beside_an_effect_of_the_catalogue_that_one_keeps_its_name() -> None:
-    _, content = diagnosed(
-        "mass_spring_damper", {LAW: {"c1": 0.8}}, {"coulomb_friction": {"size": 0.15}}, durations=(8.0,) * 5
-    )
+    law = "force = c1 q^2"
+    both = ({law: {"c1": -1.0}}, {"coulomb_friction": {"size": 0.15}})
+    _, content = diagnosed("mass_spring_damper", *both, durations=(8.0,) * 5)
     assert content["verdict"] == "effect_found"
-    assert sorted(content["added"]) == ["coulomb_friction", LAW]
+    assert sorted(content["added"]) == ["coulomb_friction", law]
 
 
 def test_what_the_catalogue_has_is_named_by_it_and_nothing_is_made_of_nothing() -> None:

@@ -12,11 +12,13 @@ from nsde_torch.diagnosis.dependence import Dependence
 from nsde_torch.diagnosis.detectability import not_shown
 from nsde_torch.diagnosis.estimates import Estimate, estimates
 from nsde_torch.diagnosis.fitted import effect_of
+from nsde_torch.diagnosis.law_content import law, lead
 from nsde_torch.diagnosis.multiplicity import bonferroni
 from nsde_torch.diagnosis.outcome import Outcome
 from nsde_torch.diagnosis.shape import Shape, called, symmetry
 from nsde_torch.diagnosis.summary import summary
 from nsde_torch.effects import Effect
+from nsde_torch.effects.expression_grammar import is_law
 from nsde_torch.effects.law import joined_name, split_name
 from nsde_torch.sysid.longer_boxes import in_words
 from nsde_torch.systems import System
@@ -93,7 +95,7 @@ def content(found: Diagnosis) -> dict[str, Any]:
         "unexplained": [_shape(found, s) for s in left.shapes],
         "between_runs": _between_runs(found),
         "in_run": _in_run(found),
-        "formula": _formula(found),
+        "formula": lead(found.explanation.formula),
         "errors": {
             **found.errors.content,
             "measured_on": "runs left out" if found.errors.whole_runs else "the last part of the only run",
@@ -148,7 +150,7 @@ def _findings(found: Diagnosis) -> list[dict[str, Any]]:
     effects = [
         {
             "name": f.name,
-            "kind": "effect",
+            "kind": "formula" if is_law(f.name) else "effect",
             "sentence": sentence(found.outcome, f.name, f.trial.held),
             "p": f.trial.p_corrected,
             "evidence_nats": f.trial.nats,
@@ -159,6 +161,7 @@ def _findings(found: Diagnosis) -> list[dict[str, Any]]:
             "buys": buys[f.name].as_dict() if f.name in buys else None,
             "ties": list(f.ties),
             "separate": _class(found, f.name).separate,
+            **law(found.outcome, f),
         }
         for f in found.outcome.found
     ]
@@ -258,23 +261,6 @@ def _in_run(found: Diagnosis) -> dict[str, Any] | None:
         "parameters": {e.name: {"value": e.value, "unit": e.unit} for e in f.estimates},
         "sentence": f"In {called(name)} alone, {f.effect} would explain it: "
         + meaning(found.outcome.declared_system, f.effect, f.estimates, f.held),
-        "verified": False,
-    }
-
-
-def _formula(found: Diagnosis) -> dict[str, Any] | None:
-    f = found.explanation.formula
-    if f is None:
-        return None
-    return {
-        "channel": f.channel,
-        "unit": f.unit,
-        "terms": [
-            {"function": t.function, "coefficient": t.coefficient, "standard_error": t.error} for t in f.terms
-        ],
-        "text": f.text,
-        "share": f.share,
-        "by": f.by,
         "verified": False,
     }
 

@@ -136,6 +136,12 @@ class Decisions:
     )
     moments_fewest: int = key(20, "fewest bumps in time of which the largest is tested", low=2)
 
+    # ---- laws beyond the catalogue ----------------------------------------------------------------------
+    law_halves: int = key(20, "random halves of the runs that a law is looked for again in", low=2)
+    law_share: float = key(
+        0.8, "share of them in which it has to be about as good as the best term of the library", high=1
+    )
+
     # ---- verdict ----------------------------------------------------------------------------------------
     negligible_share: float = key(
         0.03, "share of what is left most, in nats, below which all effects together are none", low=0
@@ -199,6 +205,9 @@ class Budgets:
     shapes: int = key(6, "dependences that are described in words", low=0)
     formula_terms: int = key(4, "most terms of a formula", low=1)
     formula_variables: int = key(3, "most variables of a formula", low=1)
+    law_variables: int = key(4, "most variables of the laws that are proposed at once", low=1)
+    laws_fitted: int = key(4, "most laws that are proposed for each term of a formula", low=1)
+    law_rounds: int = key(3, "most times that laws are proposed for what is left", low=0)
 
     def __post_init__(self) -> None:
         check(type(self), vars(self))

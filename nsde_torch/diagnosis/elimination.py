@@ -19,6 +19,7 @@ from nsde_torch.diagnosis.search import Base, Search
 from nsde_torch.diagnosis.selection import Selection
 from nsde_torch.diagnosis.trials import Trial, accept, fit_candidate, surely_above
 from nsde_torch.effects import effect_class
+from nsde_torch.effects.expression_grammar import is_law
 from nsde_torch.errors import NsdeError
 from nsde_torch.sysid.loop_test import LoopTest
 from nsde_torch.systems import System
@@ -65,7 +66,7 @@ def eliminate(search: Search, chosen: Selection) -> Retained:
         now = _looked_before(rest, name, rounds)
         if now is None:
             without = search.base(rest, warm=True, like=base.regression)
-            now = look(search, without, only={name, *contained, *_rivals(search, name, rounds)})
+            now = look(search, without, only={name, *contained, *_rivals(search, name, rounds), *search.laws})
         without = now.base
         this = next((t for t in now.trials if t.name == name), None)
         if this is None or not accept(search, this):
@@ -113,6 +114,8 @@ def _in_its_place(search: Search, chosen: Trial, trials: Sequence[Trial]) -> lis
     out = []
     for t in trials:
         contains = chosen.name in effect_class(t.name).includes
+        if is_law(t.name) and not is_law(chosen.name):
+            continue  # there is always a formula that looks like an effect of the catalogue
         if (
             t.name != chosen.name
             and not contains
@@ -130,7 +133,7 @@ def _in_part(search: Search, without: Base, own: Trial, names: Sequence[str], am
     """
     out: list[str] = []
     for name in names:
-        if own.name in effect_class(name).includes:
+        if own.name in effect_class(name).includes or is_law(name):
             continue
         search.say("comparing effects", len(out), len(names))
         try:

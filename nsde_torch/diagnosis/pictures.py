@@ -6,6 +6,7 @@ depended most surely before; without an effect, what the residual depends on.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from itertools import zip_longest
 from pathlib import Path
@@ -101,7 +102,12 @@ def save_pictures(figures: Mapping[str, Figure], folder: Path) -> list[Path]:
     """Write the figures as PNG files of their names into a folder."""
     from nsde_torch.plots import save
 
-    return [save(figure, folder / f"{name}.png") for name, figure in figures.items()]
+    return [save(figure, folder / f"{_file_name(name)}.png") for name, figure in figures.items()]
+
+
+def _file_name(name: str) -> str:
+    """A name without what a law has and a file should not."""
+    return re.sub(r"[^\w\[\].-]+", "_", name).strip("_")
 
 
 def effect_views(outcome: Outcome, channels: Sequence[ChannelResidual]) -> list[Panel]:

@@ -6,6 +6,7 @@ fit             the declared physics, by a regression with ARMA noise models    
 select          effects of the catalogue, one at a time; then each one again    selection, elimination
 set aside       what feedback may have made                                     decision, hidden
 test, decide    what is left against all that was measured; the verdict         specification, decision
+beyond          laws that no catalogue has, where structure is left             beyond_catalogue, laws
 cross-validate  the physics without and with effects on runs left out           cross_validation
 explain         what is left, as far as it can be                               explanation
 report          `Diagnosis`, and the content of `diagnosis.json`                result, content
@@ -16,6 +17,7 @@ from dataclasses import replace
 from time import perf_counter
 
 from nsde_torch.data import DataSet, Run
+from nsde_torch.diagnosis.beyond_catalogue import with_laws
 from nsde_torch.diagnosis.chain import explains_more, undone, with_a_late_sensor
 from nsde_torch.diagnosis.cross_validation import cross_validated
 from nsde_torch.diagnosis.decision import decide, doubted, judged_on_runs_left_out, set_aside
@@ -114,7 +116,8 @@ def searched(log: Log, search: Search) -> Outcome:
     chosen = select(search, log.system)
     kept = eliminate(search, chosen)
     kept = set_aside(search, chosen, kept, log.feedback)
-    return decide(search, chosen, kept, log.feedback)
+    outcome = decide(search, chosen, kept, log.feedback)
+    return with_laws(search, chosen, kept, outcome, log.feedback)
 
 
 def _read_again(log: Log, search: Search, outcome: Outcome) -> tuple[Log, Search, Outcome]:

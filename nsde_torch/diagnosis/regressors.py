@@ -15,13 +15,11 @@ from nsde_torch.diagnosis.decisions import BUDGETS, DECISIONS, Budgets, Decision
 from nsde_torch.diagnosis.p_values import orthonormal
 from nsde_torch.sysid.regression import Regression
 from nsde_torch.sysid.series import Series
+from nsde_torch.systems.names import MIXED
 
 Array = NDArray[np.float64]
 
 _HATS = 7  # bumps over the range of a variable
-
-
-_MIXED = ("collective", "roll_command", "pitch_command", "yaw_command")
 
 
 _WAVES = 6  # cosines over the length of a run
@@ -67,7 +65,7 @@ def _columns(regression: Regression, *, inputs: bool) -> tuple[dict[str, Array],
             columns[name] = x[:, i].numpy()
     u, mix = physics.steps.u.numpy(), getattr(system, "mix", None)
     if inputs and mix is not None:
-        columns |= dict(zip(_MIXED, (u[:, : system.nu] @ mix.numpy()).T, strict=True))
+        columns |= dict(zip(MIXED, (u[:, : system.nu] @ mix.numpy()).T, strict=True))
     elif inputs:
         columns |= dict(zip(system.input_names, u[:, : system.nu].T, strict=True))
     columns |= dict(zip(system.exogenous, u[:, system.nu :].T, strict=True))
@@ -181,7 +179,7 @@ def _named(name: str, functions: Sequence[Array]) -> tuple[str, Array, NDArray[n
 
 
 def _inputs_of(regression: Regression, columns: Mapping[str, Array]) -> list[str]:
-    return [n for n in (*_MIXED, *regression.vector.system.input_names) if n in columns]
+    return [n for n in (*MIXED, *regression.vector.system.input_names) if n in columns]
 
 
 def _before(v: Array, series: Series, boxes: int) -> Array:

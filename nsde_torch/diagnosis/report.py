@@ -101,7 +101,7 @@ def page(content: Mapping[str, Any], figures: Mapping[str, Figure], *, width: fl
         *(
             _finding(f, content, shown.get(f"{EFFECT}{f['name']}", ""))
             for f in in_order(content)
-            if f["kind"] == "effect"
+            if f["kind"] != "recording"
         ),
         _small_ones(content),
         _recording(content),
@@ -210,7 +210,7 @@ def _small_ones(content: Mapping[str, Any]) -> str:
 
 def _recording(content: Mapping[str, Any]) -> str:
     """Faults of the recording chain, in one card."""
-    faults = [f for f in content["findings"] if f["kind"] != "effect"]
+    faults = [f for f in content["findings"] if f["kind"] == "recording"]
     if len(faults) < 2:
         return "".join(_finding(f, content) for f in faults)
     return "<h2>The recording</h2>" + "".join(_finding(f, content) for f in faults)
@@ -220,6 +220,10 @@ def _finding(finding: Mapping[str, Any], content: Mapping[str, Any], figure: str
     reason = escape(finding["lead_reason"] or "")
     lead = f' <span class="lead">a lead: {reason}</span>' if finding["lead"] else ""
     text = f"<h3><code>{escape(finding['name'])}</code>{lead}</h3><p>{escape(finding['sentence'])}</p>"
+    if finding["kind"] == "formula":
+        looks = f" It looks like {escape(finding['looks_like'])}." if finding["looks_like"] else ""
+        text += f"<p><code>{escape(finding['law'])}</code> [{_unit(finding['unit'])}, SI].{looks}<br>"
+        text += f'<span class="small">LaTeX: <code>{escape(finding["latex"])}</code></span></p>'
     worth = without_it(finding, content)
     text += f"<p>{escape(worth[:1].upper())}{escape(worth[1:])}.</p>{figure}" if worth else figure
     own = {k: p for k, p in content["parameters"].items() if k.startswith(f"{finding['name']}.")}
@@ -235,7 +239,9 @@ def _finding(finding: Mapping[str, Any], content: Mapping[str, Any], figure: str
         text += _table(["parameter", "value", "90 % interval"], rows)
     if finding["p"] is not None:
         text += f'<p class="small">Chance of this if it were not there: p {escape(chance(finding["p"]))}'
-        text += ", corrected for the number of effects tried.</p>" if finding["kind"] == "effect" else ".</p>"
+        text += (
+            ", corrected for the number of effects tried.</p>" if finding["kind"] != "recording" else ".</p>"
+        )
     own_gain = finding["held_out"]
     if own_gain is not None:
         ratios = ", ".join(f"{k} ×{v:.2g}" for k, v in own_gain["residual_ratio"].items())

@@ -70,6 +70,7 @@ def look(search: Search, base: Base, *, only: Collection[str] | None = None) -> 
     if search.candidates is not None:
         names = [n for n in names if n in search.candidates]
     among = max(len(names), 1)
+    names += [law for law in search.laws if law not in base.system.effect_names]
     if only is not None:
         names = [n for n in names if n in only]
     out = Round(base=base, trials=[], screened={})
@@ -93,8 +94,10 @@ def _screened(
     best: dict[str, _Start] = {}
     for i, name in enumerate(names):
         search.say("screening effects", i, len(names))
-        begun = [joined(base.system, name, s) for s in starts(base.system, name, scales, frequencies)]
-        for system in likeliest(search, base, begun, search.budgets.screened_starts):
+        law = [search.laws[name]] if name in search.laws else None
+        begun = law or starts(base.system, name, scales, frequencies)
+        systems = [joined(base.system, name, start) for start in begun]
+        for system in likeliest(search, base, systems, search.budgets.screened_starts):
             vector = ParameterVector(system)
             labels = [vector.labels[j] for j in vector.of(name)]
             for held in alone(name, labels):
@@ -104,7 +107,9 @@ def _screened(
                     out.failed[name] = str(error)
                     continue
                 if name not in out.screened or nats > out.screened[name]:
-                    out.screened[name], out.errors[name] = nats, errors
+                    out.screened[name] = nats
+                    if not law:  # what no catalogue has is not listed as what the data cannot show
+                        out.errors[name] = errors
                     best[name] = _Start(system, held)
     return best
 

@@ -97,14 +97,14 @@ def screen(
     residual = whole
     if beside and moved and not vector.moves_memory[moved].any():
         physics.foresee_like(before.physics, theta, before.theta)
-        new, columns = _whitened(search, before, physics.slopes(theta, moved)), moved
+        new, columns = whitened_slopes(search, before, physics.slopes(theta, moved)), moved
     else:
         moved_residual = _whitened_residual(search, before, physics, theta)
         if moved_residual is None:
             raise NonFiniteError(f"{name} is not finite at its start.")
         residual = moved_residual
         columns = [j for j in range(len(vector)) if vector.labels[j] not in {*held, *search.held}]
-        new = _whitened(search, before, physics.slopes(theta))[:, columns]
+        new = whitened_slopes(search, before, physics.slopes(theta))[:, columns]
     basis = base.span
     before_left = whole - basis @ (basis.T @ whole)
     if beside:
@@ -130,7 +130,7 @@ def _whitened_residual(search: Search, before: Regression, physics: Physics, the
     return np.stack([before.whitened(n, left[:, [c]])[:, 0] for n, c in pairs]).reshape(-1)
 
 
-def _whitened(search: Search, before: Regression, slopes: Array) -> Array:
+def whitened_slopes(search: Search, before: Regression, slopes: Array) -> Array:
     """Slopes over steps as whitened columns (rows * N, q)."""
     summed = before.single.summed(slopes, search.box)
     pairs = zip(before.noises, before.rows, strict=True)

@@ -37,17 +37,24 @@ class Selection:
     aside: tuple[str, ...]
 
 
-def forward_selection(search: Search, declared: Base) -> Selection:
+def forward_selection(
+    search: Search, declared: Base, *, after: Selection | None = None, final: Base | None = None
+) -> Selection:
     """Add effects to the declared physics until none helps.
 
     Args:
         search: Data and settings.
         declared: The declared physics, fitted.
+        after: What was chosen before, to go on from; None starts from the declared physics.
+        final: The physics with what is left of that, fitted; None takes that of `after`.
     """
     base = declared
     rounds: list[Round] = []
     names: list[str] = []
     aside: list[str] = []
+    if after is not None:
+        base, rounds, aside = final or after.final, [*after.rounds], [*after.aside]
+        names = [n for n in base.system.effect_names if n not in declared.system.effect_names]
     lent: set[str] = set()
     while len(names) < search.decisions.most_effects:
         now = look(search, base)

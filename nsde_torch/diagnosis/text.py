@@ -95,6 +95,9 @@ def _finding(finding: Mapping[str, Any], content: Mapping[str, Any]) -> list[str
     out = ["", f"{finding['name']}{mark}: {finding['sentence']}"]
     if finding["p"] is not None:
         out[-1] += f" (p {chance(finding['p'])})"
+    if finding["kind"] == "formula":
+        looks = f"; it looks like {finding['looks_like']}" if finding["looks_like"] else ""
+        out.append(f"  {finding['law']}  [{finding['unit']}, SI]{looks}")
     worth = without_it(finding, content)
     out += [f"  {worth}"] if worth else []
     for tie in content["ties"]:
@@ -107,10 +110,10 @@ def _finding(finding: Mapping[str, Any], content: Mapping[str, Any]) -> list[str
 
 def in_order(content: Mapping[str, Any]) -> list[Mapping[str, Any]]:
     """Findings that are told one by one: effects that matter, the most important first, then the recording."""
-    by_name = {f["name"]: f for f in content["findings"] if f["kind"] == "effect"}
+    by_name = {f["name"]: f for f in content["findings"] if f["kind"] != "recording"}
     return [
         *(by_name[name] for name in content["told"]["few"]),
-        *(f for f in content["findings"] if f["kind"] != "effect"),
+        *(f for f in content["findings"] if f["kind"] == "recording"),
     ]
 
 

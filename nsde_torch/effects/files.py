@@ -15,6 +15,7 @@ from typing import Any
 
 import yaml
 
+from nsde_torch.effects.expression_grammar import is_law
 from nsde_torch.errors import ConfigError
 
 SUFFIXES = (".yaml", ".yml")
@@ -67,7 +68,7 @@ def read_for(path: str | Path, system: str) -> dict[str, dict[str, Any]]:
 
 
 def own_name(effect: str) -> str:
-    """What an effect's parameters are listed under: the effect's own name, of `module:Class` too."""
+    """What an effect's parameters are listed under: the effect's own name, of `module:Class` and of a law too."""
     from nsde_torch.effects.registry import effect_class
 
-    return str(effect_class(effect).name) if ":" in effect else effect
+    return str(effect_class(effect).name) if ":" in effect or is_law(effect) else effect

@@ -10,6 +10,8 @@ from nsde_torch.effects.base import Effect, Port
 from nsde_torch.effects.cartpole import AngleBias, TrackTilt
 from nsde_torch.effects.coordinates import Bound
 from nsde_torch.effects.delay import InputDelay
+from nsde_torch.effects.expression import Expression, unplaced_expression
+from nsde_torch.effects.expression_grammar import is_law
 from nsde_torch.effects.forces import ConstantForce, PeriodicForce
 from nsde_torch.effects.friction import (
     AsymmetricFriction,
@@ -113,7 +115,9 @@ def register(name: str) -> str:
 
 
 def key_of(cls: type[Effect]) -> str:
-    """What names an effect in any process: its name in the catalogue, or `module:Class`; with its coordinate."""
+    """What names an effect in any process: its name in the catalogue, `module:Class`, or the text of a law."""
+    if issubclass(cls, Expression):
+        return cls.name
     if issubclass(cls, Law):
         law = cls.law
         own = law.name if EFFECTS.get(law.name) is law else f"{law.__module__}:{law.__qualname__}"
@@ -128,6 +132,8 @@ def _known() -> dict[str, type[Effect]]:
 def effect_class(name: str, coordinates: Sequence[Bound] | None = None) -> type[Effect]:
     """Class of an effect: a key of `EFFECTS`, or `package.module:Class` of the user's own; with a coordinate in `[]`.
 
+    A law that is written as text has its coefficients, and not where it acts: see `System.effect_class`.
+
     Args:
         name: As `canonical_name` returns it, or `package.module:Class`.
         coordinates: Those of the machine. None: of no machine, and the class of a law says what it is called and what
@@ -136,6 +142,8 @@ def effect_class(name: str, coordinates: Sequence[Bound] | None = None) -> type[
     Raises:
         ConfigError: unknown name (lists the choices), no such module or class, not an Effect, or no such coordinate.
     """
+    if is_law(name):
+        return unplaced_expression(name)
     base, coordinate = split_name(name)
     cls = class_by_name(base, _known(), Effect, kind="effect", home="nsde_torch.effects")
     if not isinstance(getattr(cls, "name", None), str):
@@ -175,6 +183,8 @@ def canonical_name(name: str, coordinates: Sequence[Bound], aliases: Mapping[str
         coordinates: Those of the machine.
         aliases: Older names of its effects.
     """
+    if is_law(name):
+        return unplaced_expression(name).name
     name = aliases.get(name, name)
     base, coordinate = split_name(name)
     only = len(coordinates) == 1 and coordinate == coordinates[0].declared

@@ -24,14 +24,19 @@ def of(law: str, units: Mapping[str, str]) -> str:
         The unit, its powers collected; `(unit)/(unit)` in words where a unit is none that can be read.
     """
     out: Powers = {}
-    for word, power in (_powers(law) or {}).items():
-        own = _powers(units.get(word, word))
+    for word, power in (powers(law) or {}).items():
+        own = powers(units.get(word, word))
         if own is None:
             return re.sub(r"[a-z]{2,}", lambda m: f"({units.get(m[0], m[0])})", law)
         for unit, times in own.items():
             out[unit] = out.get(unit, 0) + power * times
-    above = [_written(unit, times) for unit, times in out.items() if times > 0]
-    below = [_written(unit, -times) for unit, times in out.items() if times < 0]
+    return written(out)
+
+
+def written(factors: Powers) -> str:
+    """The unit of collected powers."""
+    above = [_written(unit, times) for unit, times in factors.items() if times > 0]
+    below = [_written(unit, -times) for unit, times in factors.items() if times < 0]
     if not below:
         return " ".join(above) or "1"
     under = below[0] if len(below) == 1 else f"({' '.join(below)})"
@@ -42,7 +47,13 @@ def _written(unit: str, power: int) -> str:
     return unit if power == 1 else f"{unit}{power}"
 
 
-def _powers(unit: str) -> Powers | None:
+def divided(one: Powers, by: Powers) -> Powers:
+    """The quotient of two units; what cancels is gone."""
+    out = {unit: one.get(unit, 0) - by.get(unit, 0) for unit in (*one, *by)}
+    return {unit: power for unit, power in out.items() if power}
+
+
+def powers(unit: str) -> Powers | None:
     """Powers of the factors of a unit; None of what cannot be read."""
     out: Powers = {}
     for place, part in enumerate(unit.split("/")):

@@ -265,9 +265,9 @@ def _with_parameters(
             raise ConfigError(f"`parameters.{name}` takes {{parameter: value}}; got {value!r}.")
         else:
             out[names[name]][leaf] = value
-    n_inputs, coordinates = len(own.input_names), own.bound_coordinates()
+    n_inputs = len(own.input_names)
     for key, values in out.items():
-        cls = effect_class(key, coordinates)
+        cls = own.effect_class(key)
         for name, size in _typical(cls, values, n_inputs).items():
             values.setdefault(name, size)
         values.update(

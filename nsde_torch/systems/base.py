@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from nsde_torch.columns import join_columns, split_columns
-from nsde_torch.effects import Coordinate, Effect, Parametrised, Port, canonical_name, effect_class
+from nsde_torch.effects import Coordinate, Effect, Parametrised, Port, canonical_name
 from nsde_torch.effects.coordinates import Bound
 from nsde_torch.errors import ConfigError, ShapeError
 from nsde_torch.systems import coordinates as coordinates_of
@@ -25,6 +25,7 @@ from nsde_torch.systems import memory as memory_of
 from nsde_torch.systems.constants import Defaults, ErrorGroup, ResidualPort
 from nsde_torch.systems.machine import Machine
 from nsde_torch.systems.values import split_values
+from nsde_torch.systems.vocabulary import quantity_of
 
 
 class System(Parametrised, ABC):
@@ -122,7 +123,7 @@ class System(Parametrised, ABC):
     @classmethod
     def effect_class(cls, name: str) -> type[Effect]:
         """Class of an effect as it is on this machine: with its columns, units and words."""
-        return effect_class(cls.effect_key(name), cls.bound_coordinates())
+        return coordinates_of.class_on(cls, name)
 
     def make_effect(self, name: str, values: Mapping[str, float | list[float]] | None = None) -> Effect:
         """An effect for this machine, by name, with first values of its parameters (see `effects.make_effect`)."""
@@ -156,13 +157,7 @@ class System(Parametrised, ABC):
     @property
     def held_columns(self) -> tuple[int, ...]:
         """Columns of (state, memory) whose rate is that of a whole step: memory of effects that know the step."""
-        ends = list(accumulate(self._parts))
-        return tuple(
-            column
-            for effect, start, stop in zip(self._all_effects, ends[:-1], ends[1:], strict=True)
-            if effect.step and effect.whole_steps
-            for column in range(start, stop)
-        )
+        return memory_of.held_columns(self._all_effects, self._parts)
 
     def inner(self, z: Tensor, y: Tensor) -> Tensor:
         """The state `y` (N, nz) at which a step from `z` (N, nz) evaluates the drift again.
@@ -381,6 +376,11 @@ class System(Parametrised, ABC):
         assert isinstance(effect, Effect)
         return effect
 
+    def applied(self, t: float | Tensor, z: Tensor, u: Tensor) -> Tensor:
+        """Input after the effects on it (N, nu), from state and memory `z` (N, nz) and `u` as `drift` has it."""
+        x, *memories = split_columns(z, *self._parts)
+        return self._applied(t, x, u, memories, {})
+
     def _applied(
         self,
         t: float | Tensor,
@@ -403,8 +403,8 @@ class System(Parametrised, ABC):
         effect, read = self._effect(k), self._read[k]
         if not read and not effect.quantities:
             return command
-        logged = tuple(u[:, c : c + 1] for c in read)
-        return join_columns((command, *logged, *(self.quantity(n, x, command) for n in effect.quantities)))
+        own = (quantity_of(self, n, x, command) for n in effect.quantities)
+        return join_columns((command, *(u[:, c : c + 1] for c in read), *own))
 
     def all_declared(self) -> dict[str, tuple[Tensor, str]]:
         """Declared parameters of the system and of its effects: name -> (value (k,), unit)."""

@@ -11,11 +11,14 @@ from torch import Tensor
 
 from nsde_torch.effects.base import Effect, Port
 from nsde_torch.effects.coordinates import Bound, Coordinate, bound
+from nsde_torch.effects.expression import expression_at
+from nsde_torch.effects.expression_grammar import is_law
 from nsde_torch.effects.law import Law
 from nsde_torch.effects.registry import effect_class, make_effect
 from nsde_torch.errors import ConfigError
 from nsde_torch.systems.constants import ErrorGroup
 from nsde_torch.systems.values import Numbers
+from nsde_torch.systems.vocabulary import offered, vocabulary
 
 if TYPE_CHECKING:
     from nsde_torch.systems.base import System
@@ -65,8 +68,17 @@ def _only(cls: type[System]) -> tuple[Coordinate, ...]:
     return (Coordinate(q, v, port, position=q, kind="joint" if unit in _ANGLES else "rail"),)
 
 
+def class_on(cls: type[System], name: str) -> type[Effect]:
+    """See `System.effect_class`."""
+    if is_law(name):
+        return expression_at(name, vocabulary(cls))
+    return effect_class(cls.effect_key(name), cls.bound_coordinates())
+
+
 def made(system: System, name: str, values: Mapping[str, float | list[float]] | None = None) -> Effect:
     """An effect for a system, by the name that it has on it."""
+    if is_law(name):
+        return class_on(type(system), name)(values, n_inputs=system.nu)
     return make_effect(
         name,
         system=system.name,
@@ -125,7 +137,8 @@ def check_effect(system: System, effect: Effect) -> None:
     Raises:
         ConfigError: says what was expected and what came.
     """
-    missing = [n for n, width in effect.quantities.items() if system.quantities.get(n) != width]
+    has = offered(type(system))
+    missing = [n for n, width in effect.quantities.items() if has.get(n) != width]
     if missing or (effect.quantities and effect.port is Port.INPUT):
         raise ConfigError(
             f"effect {effect.name!r} reads {', '.join(missing or effect.quantities)}, which system "

@@ -163,7 +163,7 @@ def make_plant_system(
     present = {} if declared_only else {k: dict(v) for k, v in spec.effects.items()}
     for asked, given in named_effects(effects).items():
         key = own.effect_key(asked)
-        cls = effect_class(key, own.bound_coordinates())
+        cls = own.effect_class(key)
         for (
             part
         ) in cls.includes:  # it stands in for a simpler effect of the machine, with the values of that one

@@ -9,6 +9,8 @@ are held over each step, however long it is. Others are followed by Runge and Ku
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from itertools import accumulate
 from math import ceil
 from typing import TYPE_CHECKING
 
@@ -16,6 +18,7 @@ import torch
 from torch import Tensor
 
 from nsde_torch.columns import join_columns, split_columns
+from nsde_torch.effects.base import Effect
 from nsde_torch.errors import ShapeError
 
 if TYPE_CHECKING:
@@ -76,3 +79,14 @@ def held_within(system: System, z: Tensor, y: Tensor) -> Tensor:
     keep = torch.zeros(system.nz, dtype=torch.bool, device=z.device)
     keep[list(columns)] = True
     return torch.where(keep, z, y)
+
+
+def held_columns(effects: Sequence[Effect], parts: Sequence[int]) -> tuple[int, ...]:
+    """See `System.held_columns`; `parts` are the columns of the state and of each effect's memory."""
+    ends = list(accumulate(parts))
+    return tuple(
+        column
+        for effect, start, stop in zip(effects, ends[:-1], ends[1:], strict=True)
+        if effect.step and effect.whole_steps
+        for column in range(start, stop)
+    )

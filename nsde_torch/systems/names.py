@@ -7,3 +7,6 @@ SYSTEM_HOMES: dict[str, str] = {
     "quadrotor": "nsde_torch.systems.multirotor:Quadrotor",
 }
 """Name of a system -> `module:Class`."""
+
+MIXED = ("collective", "roll_command", "pitch_command", "yaw_command")
+"""Sums of the inputs of a machine with motors, by the rows of its `mixing`."""

@@ -1,0 +1,319 @@
+"""Blind cases with a law that no catalogue has, and nulls: named, value in its interval, error beside an oracle.
+
+    python benchmarks/blind/laws.py --machine spring --seed 1 --count 12 --out runs/laws
+
+Every case has another machine, another size and shape of the law, other noise and other forces. In turn three laws and
+none; of seeds from 100000 on all have none. A law counts as named where what was added is the same function of the
+logged states (correlation above 0.999) in the same row, in whatever spelling, and nothing else was added. The oracle is
+told the law, with its size and shape free, and adds nothing.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+import tempfile
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+sys.path.insert(0, str(Path(__file__).resolve().parent))
+import closed_loop
+import law_machines as machines
+
+KINDS = {
+    "spring": machines.SPRING,
+    "cart": machines.CART,
+    "joints": machines.JOINTS,
+    "hexacopter": machines.HEXACOPTER,
+}
+SYSTEMS = {
+    "spring": "mass_spring_damper",
+    "cart": "cartpole",
+    "joints": "double_pendulum:DoublePendulum",
+    "hexacopter": "hexacopter",
+}
+COLUMNS = {
+    "spring": ("t", "q", "q_dot", "force"),
+    "cart": ("t", "x", "x_dot", "theta", "theta_dot", "force"),
+}
+EVERY_NULL = 4
+NULLS_ONLY = 100_000
+"""Seeds from which all cases are nulls."""
+ALIKE = 0.999
+NEAR = 1.1
+"""Ratio of errors to those of the oracle up to which the law is as good as told."""
+Json = dict[str, Any]
+Array = np.ndarray
+
+
+def drawn(machine: str, seed: int, i: int) -> tuple[np.random.Generator, machines.Kind | None]:
+    """Random numbers and kind of a case; None of a null."""
+    order = np.random.default_rng([seed, 77]).permutation(len(KINDS[machine]))
+    turn = i - i // EVERY_NULL
+    null = seed >= NULLS_ONLY or i % EVERY_NULL == EVERY_NULL - 1
+    kind = None if null else KINDS[machine][order[turn % len(order)]]
+    return np.random.default_rng([seed, i]), kind
+
+
+def write(machine: str, seed: int, i: int, folder: Path) -> machines.Law | None:
+    """Write the runs of a case; returns its law."""
+    rng, kind = drawn(machine, seed, i)
+    share, sign = float(np.exp(rng.uniform(np.log(0.05), np.log(0.25)))), float(rng.choice((-1.0, 1.0)))
+    own = int(rng.integers(2**30))
+    if machine == "hexacopter":
+        return _hexacopter(kind, share * sign, rng, own, folder)
+    runs, seconds = int(rng.integers(4, 9)), float(rng.uniform(10.0, 20.0))
+    if machine == "joints":
+        return _joints(kind, share * sign, rng, own, folder)
+    state = rng.bit_generator.state
+    plain, _ = machines.small_runs(SYSTEMS[machine], None, rng, own, runs, seconds)
+    law = _sized(kind, share * sign, [(x, u) for _, x, u in plain], _force(machine, plain))
+    for _ in range(6):
+        rng.bit_generator.state = state
+        with np.errstate(all="ignore"):
+            made, _ = machines.small_runs(SYSTEMS[machine], law, rng, own, runs, seconds)
+        x = np.concatenate([part for _, part, _ in made])
+        still = np.concatenate([part for _, part, _ in plain])
+        if np.isfinite(x).all() and bool((np.abs(x[:, :2]).max(0) < 2.0 * np.abs(still[:, :2]).max(0)).all()):
+            break
+        assert law is not None  # it drove the machine off: of the other sign, and smaller
+        law = machines.Law(law.kind, -0.7 * law.size, law.shape)
+    for r, (t, x, u) in enumerate(made):
+        _save(folder / f"run_{r}.csv", COLUMNS[machine], np.column_stack((t, x, u)))
+    return law
+
+
+def _force(machine: str, runs: list[tuple[Array, Array, Array]]) -> float:
+    """Root mean square of what speeds the machine up, from differences over ten rows."""
+    columns = {"spring": 1, "cart": 1}
+    rates = [(x[10:, columns[machine]] - x[:-10, columns[machine]]) / (t[10] - t[0]) for t, x, _ in runs]
+    return float(np.sqrt(np.mean(np.square(np.concatenate(rates)))))
+
+
+def _sized(
+    kind: machines.Kind | None, share: float, runs: list[tuple[Array, Array]], force: float
+) -> machines.Law | None:
+    """A law whose root mean square is a share of a force, on runs without it."""
+    if kind is None:
+        return None
+    x, u = (np.concatenate(part) for part in zip(*runs, strict=True))
+    shape = 0.0 if kind.shape is None else float(np.quantile(x[:, 0], kind.shape))
+    size = float(np.sqrt(np.mean(np.square(kind.term(x, u, shape)))))
+    # a stop pushes back
+    share = -abs(share) * 3.0 if kind.shape is not None else share
+    return machines.Law(kind, share * force / max(size, 1e-9), shape)
+
+
+def _joints(
+    kind: machines.Kind | None, share: float, rng: np.random.Generator, seed: int, folder: Path
+) -> machines.Law | None:
+    make_data = machines.make_data
+    scale = np.exp(rng.uniform(np.log(0.7), np.log(1.4), 2))
+    make_data.MASS_1, make_data.MASS_2 = 1.0 * scale[0], 0.6 * scale[1]
+    torque = make_data.TORQUE[0 if kind is None else kind.row]
+    swing = np.random.default_rng(seed).normal(size=(4000, 4)) * (0.5, 0.7, 2.0, 4.0)
+    law = _sized(kind, 2.0 * share, [(swing, np.zeros((4000, 2)))], torque)
+    make_data.write(
+        folder,
+        machines.joint_push(law),
+        seed=seed % 100000,
+        runs=4,
+        seconds=12.0,
+        noise=float(rng.uniform(0.3, 1.5)),
+    )
+    return law
+
+
+def _hexacopter(
+    kind: machines.Kind | None, share: float, rng: np.random.Generator, seed: int, folder: Path
+) -> machines.Law | None:
+    made = closed_loop._machine("hexacopter", rng)
+    law = None
+    if kind is not None:
+        seen = np.random.default_rng(seed).normal(size=(4000, 6)) * (1.0, 1.0, 0.4, 0.4, 0.4, 0.5)
+        law = _sized(kind, share, [(seen, np.zeros((4000, 6)))], 2.0 if kind.row < 3 else 4.0)
+        made = machines.Machine(**{**vars(made), "effects": {"law": {"of": law}}})
+    names = (
+        *("t", "p_x", "p_y", "p_z", "v_x", "v_y", "v_z", "q_w", "q_x", "q_y", "q_z", "w_x", "w_y", "w_z"),
+        *(f"u_{k}" for k in range(1, 7)),
+    )
+    for r, log in enumerate(machines.flights(made, seed, 4, 25.0)):
+        _save(folder / f"flight_{r}.csv", names, np.column_stack((log.t, log.x, log.u)))
+    return law
+
+
+def _save(path: Path, names: tuple[str, ...], rows: Array) -> None:
+    np.savetxt(path, rows, delimiter=",", header=",".join(names), comments="", fmt="%.9g")
+
+
+def case(machine: str, seed: int, i: int) -> Json:
+    """Make, diagnose and judge one case."""
+    import torch
+
+    import nsde_torch
+
+    torch.set_num_threads(1)
+    system = SYSTEMS[machine]
+    with tempfile.TemporaryDirectory() as folder:
+        law = write(machine, seed, i, Path(folder))
+        data = nsde_torch.read(folder, system=system)
+        started = time.perf_counter()
+        found = nsde_torch.diagnose(data, system=system)
+        seconds = time.perf_counter() - started
+        oracle = found
+        if law is not None:
+            start = {"c1": law.size, **({"k1": law.shape} if law.kind.shape is not None else {})}
+            oracle = nsde_torch.diagnose(data, system=system, effects={law.kind.text: start}, max_effects=0)
+    content = found.content()
+    out: Json = {
+        "case": i,
+        "machine": machine,
+        "truth": None if law is None else {"law": law.kind.text, "c1": law.size, "k1": law.shape},
+        "seconds": seconds,
+        "verdict": content["verdict"],
+        "added": content["added"],
+        "leads": [f["name"] for f in content["findings"] if f["lead"]],
+        "ties": content["ties"],
+        "parameters": {k: [v["value"], v["interval_90"]] for k, v in content["parameters"].items()},
+        "lead": None if content["formula"] is None else content["formula"]["text"],
+    }
+    out["laws"] = [name for name in content["added"] if "=" in name]
+    if law is None:
+        out |= {"named": not out["added"], "false_law": bool(out["laws"])}
+        return out
+    channel = max(content["residual"], key=lambda c: _change(oracle.content()["residual"][c], content, c))
+    told = oracle.content()["errors"]
+    same = [name for name in out["laws"] if _same(found, name, law)]
+    out |= {
+        "moves": _ratio(content["errors"], told, "before"),
+        "beside_oracle": _ratio(content["errors"], told, "after"),
+        "channel": channel,
+        "there": bool(same),
+        "named": len(same) == 1 and len(out["added"]) == 1,
+        "false_law": any(name not in same for name in out["laws"]),
+        "held": None if not same else _held(found, same[0], law, out["parameters"]),
+    }
+    return out
+
+
+def _change(told: Json, content: Json, channel: str) -> float:
+    return float(content["residual"][channel]["before"] / max(told["after"], 1e-12))
+
+
+def _ratio(mine: Json, told: Json, when: str) -> float:
+    """Largest ratio of errors on runs left out to those of the oracle, over quantities, at the middle horizon."""
+    out = []
+    for name, by_horizon in told["after"].items():
+        h = list(by_horizon)[len(by_horizon) // 2]
+        if by_horizon[h] and mine[when][name].get(h):
+            out.append(mine[when][name][h] / by_horizon[h])
+    return float(max(out, default=float("nan")))
+
+
+def _values(found: Any, name: str) -> Array:
+    """What a law of the diagnosis adds at the logged states (n,), with its values."""
+    import torch
+
+    from nsde_torch.diagnosis.fitted import effect_of
+    from nsde_torch.systems.vocabulary import seen_by
+
+    system = found.outcome.system.double()
+    effect = effect_of(system, name)
+    runs = found.recorded.runs
+    x, u = (torch.from_numpy(np.concatenate([getattr(run, k) for run in runs])) for k in ("x", "u"))
+    with torch.no_grad():
+        seen = seen_by(system, effect, 0.0, system.augment(x, u), u)
+        return np.asarray(effect(0.0, x, seen, x[:, :0]).sum(1).numpy())
+
+
+def _true(found: Any, law: machines.Law) -> Array:
+    """What the true law adds at the logged states (n,)."""
+    runs = found.recorded.runs
+    x, u = (np.concatenate([getattr(run, k) for run in runs]) for k in ("x", "u"))
+    if law.kind.system == "hexacopter":
+        r = machines.rotation(x[:, 6:10])
+        x = np.concatenate([np.einsum("bji,bj->bi", r, x[:, 3:6]), x[:, 10:13]], 1)
+    return law(x, u)
+
+
+def _same(found: Any, name: str, law: machines.Law) -> bool:
+    """Whether a law that was found is the same function in the same row."""
+    if name.partition(" = ")[0] != law.kind.text.partition(" = ")[0]:
+        return False
+    mine, true = _values(found, name), _true(found, law)
+    return bool(abs(mine @ true) / np.sqrt((mine @ mine) * (true @ true)) > ALIKE)
+
+
+def _held(found: Any, name: str, law: machines.Law, parameters: Json) -> bool | None:
+    """Whether the size of the law lies in its interval, in the spelling that was found."""
+    value, interval = parameters[f"{name}.c1"]
+    if interval is None:
+        return None
+    mine, true = _values(found, name), _true(found, law)
+    size = value * float(mine @ true) / float(mine @ mine)
+    if law.kind.shape is not None and f"{name}.k1" in parameters:
+        size = law.size
+    return bool(interval[0] <= size <= interval[1])
+
+
+def table(done: list[Json]) -> list[str]:
+    """Counts by machine."""
+    out = []
+    for machine in dict.fromkeys(d["machine"] for d in done):
+        own = [d for d in done if d["machine"] == machine]
+        laws, nulls = [d for d in own if d["truth"]], [d for d in own if not d["truth"] and "error" not in d]
+        there = [d for d in laws if d.get("there")]
+        held = [d["held"] for d in there if d["held"] is not None]
+        near = [d for d in laws if d.get("beside_oracle", np.inf) <= NEAR]
+        out.append(
+            f"{machine}: {sum(bool(d.get('named')) for d in laws)} of {len(laws)} laws named alone, "
+            f"{len(there)} named, {sum(held)} of {len(held)} sizes in their interval, "
+            f"{len(near)} within 10 % of the oracle, "
+            f"{sum(bool(d.get('false_law')) for d in laws)} with a false law; "
+            f"{sum(bool(d['laws']) for d in nulls)} of {len(nulls)} nulls with a law, "
+            f"{sum(bool(d['added']) for d in nulls)} with any effect; "
+            f"median {np.median([d['seconds'] for d in own if 'seconds' in d]):.0f} s"
+        )
+    return out
+
+
+def main() -> None:
+    """Diagnoses cases one after another, and counts."""
+    parser = argparse.ArgumentParser(description="Blind cases with laws that no catalogue has.")
+    parser.add_argument("--machine", choices=list(KINDS), required=True)
+    parser.add_argument("--seed", type=int, required=True)
+    parser.add_argument("--count", type=int, default=12)
+    parser.add_argument("--first", type=int, default=0)
+    parser.add_argument("--out", type=Path, required=True)
+    a = parser.parse_args()
+    a.out.mkdir(parents=True, exist_ok=True)
+    for i in range(a.first, a.first + a.count):
+        try:
+            answer = case(a.machine, a.seed, i)
+        except Exception as error:  # a case that ends in an error counts as wrong
+            kind = drawn(a.machine, a.seed, i)[1]
+            truth = None if kind is None else {"law": kind.text}
+            answer = {
+                "case": i,
+                "machine": a.machine,
+                "truth": truth,
+                "error": repr(error),
+                "added": [],
+                "laws": [],
+            }
+        path = a.out / f"{a.machine}_{a.seed}_{i:03d}.json"
+        path.write_text(json.dumps(answer, indent=1, default=float), encoding="utf-8")
+        told = {
+            k: answer.get(k) for k in ("named", "held", "moves", "beside_oracle", "seconds", "error", "lead")
+        }
+        print(i, answer["truth"], "->", answer["added"], told, flush=True)
+    done = [json.loads(f.read_text(encoding="utf-8")) for f in sorted(a.out.glob("*.json"))]
+    print("\n".join(table(done)))
+
+
+if __name__ == "__main__":
+    main()

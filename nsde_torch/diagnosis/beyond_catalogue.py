@@ -1,0 +1,77 @@
+"""The search beyond the catalogue: where structure is left, laws of the machine's own variables are tried as effects.
+
+    select and eliminate (catalogue)  ->  structure left  ->  propose laws  ->  select and eliminate again, with them
+
+until nothing is left, no law is new or none holds. A law that is not chosen again in halves of the runs is taken out.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from nsde_torch.diagnosis.decision import decide, set_aside
+from nsde_torch.diagnosis.elimination import Retained, eliminate
+from nsde_torch.diagnosis.fitted import effect_of, fitted_system, values_of
+from nsde_torch.diagnosis.hidden import Feedback
+from nsde_torch.diagnosis.laws import chosen_again, propose
+from nsde_torch.diagnosis.outcome import Outcome, without_effect
+from nsde_torch.diagnosis.regressors import regressors
+from nsde_torch.diagnosis.search import Search
+from nsde_torch.diagnosis.selection import Selection, forward_selection
+from nsde_torch.effects.expression_grammar import is_law
+
+
+def with_laws(
+    search: Search, chosen: Selection, kept: Retained, outcome: Outcome, feedback: Feedback
+) -> Outcome:
+    """The outcome with laws that no catalogue has, where structure is left and such laws explain it.
+
+    Args:
+        search: Data and settings.
+        chosen: What forward selection added of the catalogue.
+        kept: What elimination kept.
+        outcome: What was concluded of it.
+        feedback: What is asked of the loop.
+    """
+    if search.candidates is not None:  # the user says what may be tried
+        return outcome
+    for _ in range(search.budgets.law_rounds):
+        left = outcome.structured  # a law may show as one moment where it is largest, or as a drift
+        if not left or not propose(search, kept.final, left, outcome.after, outcome.variables):
+            break
+        more = forward_selection(search, chosen.declared, after=chosen, final=kept.final)
+        if not any(map(is_law, more.names)):
+            break
+        now = _stable(search, more, set_aside(search, more, eliminate(search, more), feedback))
+        if not any(is_law(name) for name in (*(f.name for f in now.found), *(h.name for h in now.hidden))):
+            break
+        chosen, kept = replace(more, names=[f.name for f in now.found]), now
+        outcome = decide(search, more, now, feedback)
+        if not any(is_law(f.name) for f in now.found):  # what feedback may hide is told, and not named
+            break
+    return outcome
+
+
+def _stable(search: Search, chosen: Selection, kept: Retained) -> Retained:
+    """What elimination kept, without laws that are not chosen again in halves of the runs."""
+    for f in list(kept.found):
+        if not is_law(f.name):
+            continue
+        rest = without_effect(fitted_system(kept.final.regression), chosen.declared.system, f.name)
+        without = (
+            chosen.declared
+            if len(kept.found) == 1
+            else search.base(rest, warm=True, like=kept.final.regression)
+        )
+        variables = regressors(
+            without.regression,
+            inputs=search.inputs,
+            moved=search.moved,
+            decisions=search.decisions,
+            budgets=search.budgets,
+        )
+        values = values_of(effect_of(fitted_system(kept.final.regression), f.name))
+        shapes = {k: float(v) for k, v in values.items() if k != "c1" and isinstance(v, float)}
+        if chosen_again(search, without, f.name, shapes, variables) < search.decisions.law_share:
+            kept = replace(kept, found=[g for g in kept.found if g is not f], final=without)
+    return kept

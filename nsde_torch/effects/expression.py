@@ -1,0 +1,278 @@
+"""Effects that are written as text: a law of the machine's own variables, without a class of its own.
+
+    force = c1 q q_dot                       {c1: 0.3}
+    body_moment[y] = c1 v_body_x w_z         {c1: 0.44}
+
+The text is the name of the effect, in `effects.yaml` as everywhere; the grammar is that of `expression_grammar`, and
+nothing of it is executed as code. Coefficients that are factors of a term are its sizes, and nothing is added where
+all of them are 0.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from functools import cache, reduce
+from operator import add, mul
+from typing import Any, ClassVar
+
+import torch
+from torch import Tensor
+
+from nsde_torch.effects.base import Effect, Parameter, Port
+from nsde_torch.effects.expression_grammar import (
+    Call,
+    Coefficient,
+    Node,
+    Power,
+    Product,
+    Sum,
+    Variable,
+    Whole,
+    Written,
+    in_text,
+    nodes,
+    parse,
+)
+from nsde_torch.effects.expression_units import UNKNOWN, coefficient_units
+from nsde_torch.errors import ConfigError
+from nsde_torch.lookup import did_you_mean
+
+FEATURES, UP = "system.features", "system.up"
+"""Quantities of any system: its features, and the direction of world's up in the body where it has an attitude."""
+
+
+@dataclass(frozen=True)
+class Source:
+    """Where a variable comes from.
+
+    Args:
+        kind: `state`, `input`, `mixed` (a sum of inputs), or a quantity.
+        column: Its column there.
+        weights: Of the inputs, of a mixed one.
+    """
+
+    kind: str
+    column: int = 0
+    weights: tuple[float, ...] = ()
+
+
+@dataclass(frozen=True)
+class Rows:
+    """Rows of a port.
+
+    Args:
+        names: By which a law names them; one empty name where there is but one.
+        units: Of what is added.
+    """
+
+    names: tuple[str, ...]
+    units: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Vocabulary:
+    """What a law of a machine may speak of.
+
+    Args:
+        system: Name of the machine.
+        variables: Name, unit (empty: unknown) and source of each.
+        ports: Name and rows of each.
+        widths: Columns of the quantities that are read, by their names.
+    """
+
+    system: str
+    variables: tuple[tuple[str, str, Source], ...]
+    ports: tuple[tuple[str, Rows], ...]
+    widths: tuple[tuple[str, int], ...] = ()
+
+
+class Expression(Effect):
+    """A law that is written as text; classes of it are made by `expression_at` and `unplaced_expression`.
+
+    Attributes:
+        law: The law, parsed.
+        row, width: Row of the port, and how many there are.
+        sources: Where its variables come from.
+        unit: Of what it adds.
+    """
+
+    law: ClassVar[Written]
+    row: ClassVar[int] = 0
+    width: ClassVar[int] = 0
+    sources: ClassVar[Mapping[str, Source]] = {}
+    unit: ClassVar[str] = ""
+    separate = "runs in which the variables of the law move further, and apart from each other"
+
+    def __init__(self, values: Mapping[str, float | list[float]] | None = None, *, n_inputs: int = 1) -> None:
+        # a first value that is given says what a typical change is: coefficients have any size
+        given = {k: v for k, v in (values or {}).items() if isinstance(v, float | int) and v}
+        self.PARAMETERS = {  # type: ignore[misc]
+            k: replace(p, scale=abs(given[k])) if k in given else p for k, p in self.PARAMETERS.items()
+        }
+        super().__init__(values, n_inputs=n_inputs)
+
+    def get_extra_state(self) -> Tensor:
+        """Sizes of typical changes: saved values are multiples of them."""
+        return torch.tensor([self._scales[name] for name in self._specs], dtype=torch.float64)
+
+    def set_extra_state(self, state: Tensor) -> None:
+        """Take over the sizes that values were saved with."""
+        self._scales = dict(zip(self._specs, state.tolist(), strict=True))
+
+    def forward(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
+        """The law in its row of the port, nothing in the others."""
+        if not self.width:
+            raise ConfigError(f"law {self.name!r} is of no machine; make it by `System.make_effect`.")
+        term = self._worked_out(self.law.right, x, u).expand(len(x), 1)
+        above, below = self.row, self.width - self.row - 1
+        return torch.nn.functional.pad(term, (above, below)) if above or below else term
+
+    def _worked_out(self, node: Node, x: Tensor, u: Tensor) -> Tensor:
+        """Value of a node (N, 1), or (1,)."""
+        if isinstance(node, Whole):
+            return x.new_full((1,), float(node.value))
+        if isinstance(node, Coefficient):
+            return self.value(node.name)
+        if isinstance(node, Variable):
+            return self._variable(node, x, u)
+        if isinstance(node, Power):
+            return reduce(mul, [self._worked_out(node.base, x, u)] * node.power)
+        if isinstance(node, Product):
+            return reduce(mul, (self._worked_out(part, x, u) for part in node.parts))
+        if isinstance(node, Sum):
+            worked = [(sign, self._worked_out(part, x, u)) for sign, part in node.parts]
+            return reduce(add, (value if sign > 0 else -value for sign, value in worked))
+        values = [self._worked_out(part, x, u) for part in node.arguments]
+        return _CALLED[node.function](*values)
+
+    def _variable(self, node: Variable, x: Tensor, u: Tensor) -> Tensor:
+        if node.logged:
+            return self.channel(node.name, u)
+        source = self.sources[node.name]
+        if source.kind == "state":
+            return x[:, source.column : source.column + 1]
+        if source.kind == "input":
+            return u[:, source.column : source.column + 1]
+        if source.kind == "mixed":
+            return reduce(add, (w * u[:, i : i + 1] for i, w in enumerate(source.weights) if w))
+        return self.channel(source.kind, u)[:, source.column : source.column + 1]
+
+
+_CALLED: dict[str, Callable[..., Tensor]] = {
+    "abs": torch.abs,
+    "sin": torch.sin,
+    "cos": torch.cos,
+    "max": torch.maximum,
+    "min": torch.minimum,
+    "sign": lambda value, width: torch.tanh(value / width),
+}
+
+
+def unplaced_expression(name: str) -> type[Expression]:
+    """The effect that a law is on some machine: its coefficients, and not where it acts or in what units.
+
+    Raises:
+        ConfigError: not of the grammar.
+    """
+    law = parse(name)
+    return _unplaced(law.text)
+
+
+@cache
+def _unplaced(text: str) -> type[Expression]:
+    law = parse(text)
+    return _made(law, dict.fromkeys((*law.sizes, *law.shapes), UNKNOWN), {})
+
+
+def expression_at(name: str, words: Vocabulary) -> type[Expression]:
+    """The effect that a law is on a machine.
+
+    Args:
+        name: The law as text.
+        words: What it may speak of.
+
+    Raises:
+        ConfigError: not of the grammar, or a port, row, variable or unit that does not fit the machine.
+    """
+    return _placed(parse(name).text, words)
+
+
+@cache
+def _placed(text: str, words: Vocabulary) -> type[Expression]:
+    law = parse(text)
+    row, rows = _row(law, words)
+    known = {name: (unit, source) for name, unit, source in words.variables}
+    read = [node for node in nodes(law.right) if isinstance(node, Variable)]
+    for node in read:
+        if law.port == Port.INPUT.value and known.get(node.name, ("", Source("")))[1].kind in (FEATURES, UP):
+            raise ConfigError(f"law {text!r}: a law of the input reads states and inputs, not {node.name!r}.")
+        if not node.logged and node.name not in known:
+            raise ConfigError(
+                f"law {text!r}: {node.name!r} is no variable of system {words.system!r}; there are "
+                f"{', '.join(known)}, and logged(NAME) for a column of the log.{did_you_mean(node.name, known)}"
+            )
+    for name in (*law.sizes, *law.shapes):
+        if name in known:
+            raise ConfigError(
+                f"law {text!r}: {name!r} is a variable of system {words.system!r}; name the coefficient otherwise."
+            )
+    sources = {node.name: known[node.name][1] for node in read if not node.logged}
+    quantities = {k: width for k, width in words.widths if any(s.kind == k for s in sources.values())}
+    own_units = coefficient_units(law, {name: unit for name, (unit, _) in known.items()}, rows.units[row])
+    return _made(
+        law,
+        own_units,
+        {
+            "row": row,
+            "unit": rows.units[row],
+            "width": len(rows.names),
+            "sources": sources,
+            "quantities": quantities,
+            "exogenous": tuple(dict.fromkeys(node.name for node in read if node.logged)),
+        },
+    )
+
+
+def _row(law: Written, words: Vocabulary) -> tuple[int, Rows]:
+    ports = dict(words.ports)
+    if law.port not in ports:
+        raise ConfigError(
+            f"law {law.text!r}: {law.port!r} is no port of system {words.system!r}; there are {', '.join(ports)}."
+        )
+    rows = ports[law.port]
+    if law.row not in rows.names:
+        choices = ", ".join(f"{law.port}[{name}]" if name else law.port for name in rows.names)
+        raise ConfigError(f"law {law.text!r}: a law of that port is written {choices} = ...")
+    return rows.names.index(law.row), rows
+
+
+def _with_values(law: Written) -> str:
+    return ", ".join(f"{name} = {{{name}}}" for name in (*law.sizes, *law.shapes))
+
+
+def _made(law: Written, own_units: Mapping[str, str], own: dict[str, Any]) -> type[Expression]:
+    widths = {
+        node.arguments[1].name
+        for node in nodes(law.right)
+        if isinstance(node, Call) and node.function == "sign" and isinstance(node.arguments[1], Coefficient)
+    }
+    parameters = {name: Parameter(0.0, own_units[name], help="size of a term") for name in law.sizes}
+    for name in law.shapes:
+        low = 0.0 if name in widths else None
+        parameters[name] = Parameter(1.0, own_units[name], low=low, help="shape of a term")
+    made: dict[str, Any] = {
+        "__module__": __name__,
+        "__doc__": f"The law {law.text}.",
+        "name": law.text,
+        "law": law,
+        "port": Port(law.port),
+        "formula": in_text(law.right),
+        "source": "a law that is written as text",
+        "PARAMETERS": parameters,
+        "null": dict.fromkeys(law.sizes, 0.0),
+        "amplitudes": law.sizes,
+        "sentence": f"A law of the machine's own variables adds {in_text(law.right)}, {_with_values(law)}.",
+        **own,
+    }
+    return type("Expression", (Expression,), made)

@@ -1,0 +1,359 @@
+"""The grammar of laws that are written as text: parsed by hand, nothing is executed.
+
+    law      = port [ "[" row "]" ] "=" sum
+    sum      = [ "-" ] product { ( "+" | "-" ) product }
+    product  = power { [ "*" ] power }
+    power    = atom [ "^" whole number ]
+    atom     = variable | coefficient | whole number | function "(" sum { "," sum } ")" | "(" sum ")"
+
+Functions are `abs(a)`, `sin(a)`, `cos(a)`, `max(a, b)`, `min(a, b)`, `sign(a, width)`, which is tanh(a / width), and
+`logged(name)`, a column of the log. A coefficient is `c` or `k` with a number or `_word` behind it: `c1`, `k_width`.
+Every term of the outer sum has exactly one coefficient as a factor, which is its size; all others are shapes.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+from nsde_torch.errors import ConfigError
+
+FUNCTIONS = {"abs": 1, "sin": 1, "cos": 1, "max": 2, "min": 2, "sign": 2, "logged": 1}
+"""Functions and the number of their arguments."""
+
+_TOKEN = re.compile(r"\s*(?:(?P<name>[^\W\d]\w*)|(?P<number>\d+(?:\.\d*)?)|(?P<sign>[-+*^(),=\[\]]))")
+_COEFFICIENT = re.compile(r"[ck](\d+|_\w+)")
+_LONGEST, _DEEPEST, _HIGHEST, _LARGEST = 400, 12, 9, 999  # characters, brackets, power, whole number
+
+
+@dataclass(frozen=True)
+class Whole:
+    """A whole number."""
+
+    value: int
+
+
+@dataclass(frozen=True)
+class Variable:
+    """A variable of the machine, or a column of the log.
+
+    Args:
+        name: Its name.
+        logged: Whether it is a column of the log that is neither state nor input.
+    """
+
+    name: str
+    logged: bool = False
+
+
+@dataclass(frozen=True)
+class Coefficient:
+    """A number with a name, to be fitted."""
+
+    name: str
+
+
+@dataclass(frozen=True)
+class Sum:
+    """Parts with their signs, 1 or -1."""
+
+    parts: tuple[tuple[int, Node], ...]
+
+
+@dataclass(frozen=True)
+class Product:
+    """Factors."""
+
+    parts: tuple[Node, ...]
+
+
+@dataclass(frozen=True)
+class Power:
+    """A whole power."""
+
+    base: Node
+    power: int
+
+
+@dataclass(frozen=True)
+class Call:
+    """A function of its arguments."""
+
+    function: str
+    arguments: tuple[Node, ...]
+
+
+Node = Whole | Variable | Coefficient | Sum | Product | Power | Call
+
+
+@dataclass(frozen=True)
+class Written:
+    """A law as it is written.
+
+    Args:
+        port: Name of the port.
+        row: Name of its row; empty where it was left out.
+        right: What is added there.
+    """
+
+    port: str
+    row: str
+    right: Sum
+
+    @property
+    def text(self) -> str:
+        """The law on one line, the same for any spelling of it: its name."""
+        row = f"[{self.row}]" if self.row else ""
+        return f"{self.port}{row} = {in_text(self.right)}"
+
+    @property
+    def sizes(self) -> tuple[str, ...]:
+        """Coefficients that are factors of a term: it is nothing without them."""
+        return tuple(own[0] for own in (_factors(part) for _, part in self.right.parts) if own)
+
+    @property
+    def shapes(self) -> tuple[str, ...]:
+        """The other coefficients."""
+        every = dict.fromkeys(n.name for n in nodes(self.right) if isinstance(n, Coefficient))
+        return tuple(name for name in every if name not in self.sizes)
+
+
+def is_law(name: str) -> bool:
+    """Whether the name of an effect is a law that is written as text."""
+    return "=" in name
+
+
+def nodes(node: Node) -> Iterator[Node]:
+    """A node and all below it."""
+    yield node
+    below: tuple[Node, ...] = ()
+    if isinstance(node, Sum):
+        below = tuple(part for _, part in node.parts)
+    elif isinstance(node, Product):
+        below = node.parts
+    elif isinstance(node, Power):
+        below = (node.base,)
+    elif isinstance(node, Call):
+        below = node.arguments
+    for one in below:
+        yield from nodes(one)
+
+
+def in_text(node: Node) -> str:
+    """A node as the grammar has it."""
+    if isinstance(node, Sum):
+        first = True
+        out = ""
+        for sign, part in node.parts:
+            out += ("" if first else " ") + ("-" if sign < 0 else "" if first else "+")
+            out += ("" if first else " ") + (f"({in_text(part)})" if isinstance(part, Sum) else in_text(part))
+            first = False
+        return out
+    if isinstance(node, Product):
+        return " ".join(_bracketed(part) for part in node.parts)
+    if isinstance(node, Power):
+        return f"{_bracketed(node.base)}^{node.power}"
+    if isinstance(node, Call):
+        return f"{node.function}({', '.join(map(in_text, node.arguments))})"
+    if isinstance(node, Whole):
+        return str(node.value)
+    return f"logged({node.name})" if isinstance(node, Variable) and node.logged else node.name
+
+
+def _bracketed(node: Node) -> str:
+    return f"({in_text(node)})" if isinstance(node, Sum | Product) else in_text(node)
+
+
+def _factors(term: Node) -> list[str]:
+    """Coefficients among the factors of a term."""
+    parts = term.parts if isinstance(term, Product) else (term,)
+    return [part.name for part in parts if isinstance(part, Coefficient)]
+
+
+def parse(text: str) -> Written:
+    """Parse a law.
+
+    Args:
+        text: Such as `force = c1 q q_dot`.
+
+    Raises:
+        ConfigError: what is not of the grammar; says where.
+
+    Example:
+        >>> parse("force=c1*q*q_dot - c2 max(q - k1, 0)^2").text
+        'force = c1 q q_dot - c2 max(q - k1, 0)^2'
+    """
+    return _Parser(text).law()
+
+
+@dataclass(frozen=True)
+class _Token:
+    kind: str
+    text: str
+    start: int
+    end: int
+
+
+class _Parser:
+    """Recursive descent; one function per rule of the grammar."""
+
+    def __init__(self, text: str) -> None:
+        self.text, self.at, self.depth = text, 0, 0
+        if len(text) > _LONGEST:
+            raise ConfigError(
+                f"a law is at most {_LONGEST} characters long; got {len(text)}. Write it as several laws."
+            )
+        self.tokens = list(self._tokens())
+
+    def _tokens(self) -> Iterator[_Token]:
+        at = 0
+        while self.text[at:].strip():
+            found = _TOKEN.match(self.text, at)
+            if found is None:
+                at += len(self.text[at:]) - len(self.text[at:].lstrip())
+                raise self._error(f"{self.text[at]!r} is not of the grammar", at)
+            kind = str(found.lastgroup)
+            yield _Token(kind, found[kind], found.start(kind), found.end(kind))
+            at = found.end()
+        yield _Token("end", "", len(self.text), len(self.text))
+
+    def _error(self, what: str, at: int) -> ConfigError:
+        return ConfigError(
+            f"law {self.text!r}: {what} (character {at + 1}). A law is a port, `=`, and terms of variables and "
+            "coefficients: force = c1 q q_dot - c2 max(q - k1, 0)^2."
+        )
+
+    @property
+    def _next(self) -> _Token:
+        return self.tokens[self.at]
+
+    def _take(self, sign: str) -> bool:
+        """Whether the next token is this sign, which is then behind."""
+        taken = self._next.kind == "sign" and self._next.text == sign
+        self.at += taken
+        return taken
+
+    def _expect(self, sign: str) -> None:
+        if not self._take(sign):
+            got = repr(self._next.text) if self._next.text else "the end"
+            raise self._error(f"expected {sign!r}, got {got}", self._next.start)
+
+    def _word(self, what: str) -> str:
+        token = self._next
+        if token.kind not in ("name", "number"):
+            got = repr(token.text) if token.text else "the end"
+            raise self._error(f"expected {what}, got {got}", token.start)
+        self.at += 1
+        return token.text
+
+    def law(self) -> Written:
+        port, row = self._word("the name of a port"), ""
+        if self._take("["):
+            row = self._word("the name of a row")
+            self._expect("]")
+        self._expect("=")
+        start = self._next.start
+        right = self._sum()
+        if self._next.kind != "end":
+            raise self._error(f"{self._next.text!r} does not belong here", self._next.start)
+        self._check(right, start)
+        return Written(port, row, right)
+
+    def _check(self, right: Sum, start: int) -> None:
+        """Every term has one size, which stands nowhere else."""
+        every = [n.name for n in nodes(right) if isinstance(n, Coefficient)]
+        for _, part in right.parts:
+            own = _factors(part)
+            if len(own) != 1:
+                has = "no coefficient" if not own else f"{len(own)} coefficients"
+                raise self._error(
+                    f"the term {in_text(part)!r} has {has} as a factor; write one, such as c1, which is its size, "
+                    "and multiply brackets out",
+                    start,
+                )
+            if every.count(own[0]) > 1:
+                raise self._error(f"the coefficient {own[0]!r} stands twice; name each term's own", start)
+
+    def _sum(self) -> Sum:
+        self.depth += 1
+        if self.depth > _DEEPEST:
+            raise self._error(f"brackets are nested more than {_DEEPEST} deep", self._next.start)
+        sign = -1 if self._take("-") else 1
+        parts = [(sign, self._product())]
+        while self._next.kind == "sign" and self._next.text in "+-":
+            sign = -1 if self._take("-") else 1
+            if sign > 0:
+                self._expect("+")
+            parts.append((sign, self._product()))
+        self.depth -= 1
+        return Sum(tuple(parts))
+
+    def _product(self) -> Node:
+        parts = [self._power()]
+        while self._take("*") or self._next.kind in ("name", "number") or self._next.text == "(":
+            parts.append(self._power())
+        return parts[0] if len(parts) == 1 else Product(tuple(parts))
+
+    def _power(self) -> Node:
+        base = self._atom()
+        if not self._take("^"):
+            return base
+        token = self._next
+        if token.kind != "number" or not token.text.isdigit() or not 2 <= int(token.text) <= _HIGHEST:
+            got = repr(token.text) if token.text else "the end"
+            raise self._error(f"a power is a whole number from 2 to {_HIGHEST}; got {got}", token.start)
+        self.at += 1
+        return Power(base, int(token.text))
+
+    def _atom(self) -> Node:
+        token = self._next
+        if self._take("("):
+            inner = self._sum()
+            self._expect(")")
+            return _unwrapped(inner)
+        if token.kind == "number":
+            return self._whole(token)
+        if token.kind != "name":
+            got = repr(token.text) if token.text else "the end"
+            raise self._error(f"expected a variable, a coefficient or a function, got {got}", token.start)
+        self.at += 1
+        called = self._next.text == "(" and self._next.start == token.end
+        if token.text in FUNCTIONS:
+            return self._call(token)
+        if called:
+            raise self._error(
+                f"{token.text!r} is no function; functions are {', '.join(FUNCTIONS)}", token.start
+            )
+        return Coefficient(token.text) if _COEFFICIENT.fullmatch(token.text) else Variable(token.text)
+
+    def _whole(self, token: _Token) -> Whole:
+        if not token.text.isdigit() or int(token.text) > _LARGEST:
+            raise self._error(
+                f"numbers in a law are whole and at most {_LARGEST}; got {token.text}. Write a coefficient, c1, and "
+                f"give it the value: {{c1: {token.text}}}",
+                token.start,
+            )
+        self.at += 1
+        return Whole(int(token.text))
+
+    def _call(self, token: _Token) -> Call | Variable:
+        self._expect("(")
+        if token.text == "logged":
+            name = self._word("the name of a column of the log")
+            self._expect(")")
+            return Variable(name, logged=True)
+        arguments = [_unwrapped(self._sum())]
+        while self._take(","):
+            arguments.append(_unwrapped(self._sum()))
+        self._expect(")")
+        if len(arguments) != FUNCTIONS[token.text]:
+            raise self._error(
+                f"{token.text} takes {FUNCTIONS[token.text]} argument(s); got {len(arguments)}", token.start
+            )
+        return Call(token.text, tuple(arguments))
+
+
+def _unwrapped(inner: Sum) -> Node:
+    """The only part of a sum of one, without its bracket."""
+    return inner.parts[0][1] if len(inner.parts) == 1 and inner.parts[0][0] > 0 else inner

@@ -1,0 +1,96 @@
+"""What a law that is written as text may speak of, for each system: its variables and its ports."""
+
+from __future__ import annotations
+
+from functools import cache
+from typing import TYPE_CHECKING
+
+from torch import Tensor
+
+from nsde_torch.columns import join_columns, split_columns
+from nsde_torch.effects import units
+from nsde_torch.effects.base import Effect, Port
+from nsde_torch.effects.expression import FEATURES, UP, Rows, Source, Vocabulary
+from nsde_torch.rotation import gravity_direction
+from nsde_torch.systems.names import MIXED
+
+if TYPE_CHECKING:
+    from nsde_torch.systems.base import System
+
+_AXES = ("x", "y", "z")
+
+
+@cache
+def vocabulary(cls: type[System]) -> Vocabulary:
+    """Variables and ports of a system: states, features, inputs, and inputs mixed as its motors are."""
+    out: dict[str, tuple[str, Source]] = {}
+    for k, (name, unit) in enumerate(zip(cls.state_names, cls.state_units, strict=True)):
+        out[name] = (unit, Source("state", k))
+    for k, (name, unit) in enumerate(zip(cls.feature_names, cls.feature_units, strict=True)):
+        out.setdefault(name, (unit, Source(FEATURES, k)))
+    if cls.quaternion is not None:
+        for k, axis in enumerate(_AXES):
+            out.setdefault(f"up_{axis}", ("1", Source(UP, k)))
+    for k, (name, unit) in enumerate(zip(cls.input_names, cls.input_units, strict=True)):
+        out.setdefault(name, (unit, Source("input", k)))
+    for name, weights in zip(MIXED, getattr(cls, "mixing", ()), strict=False):
+        out.setdefault(name, ("1", Source("mixed", 0, tuple(weights))))
+    return Vocabulary(
+        cls.name,
+        tuple((name, unit, source) for name, (unit, source) in out.items()),
+        tuple(_ports(cls).items()),
+        tuple(offered(cls).items()),
+    )
+
+
+def offered(cls: type[System]) -> dict[str, int]:
+    """Columns of what effects on force ports may read beside state and input (see `System.quantities`)."""
+    up = {UP: 3} if cls.quaternion is not None else {}
+    return {**cls.quantities, FEATURES: len(cls.feature_names), **up}
+
+
+def quantity_of(system: System, name: str, x: Tensor, u: Tensor) -> Tensor:
+    """One of what a system offers (N, its columns), from state and applied input."""
+    if name == FEATURES:
+        return system.features(x)
+    if name == UP and system.quaternion is not None:
+        return gravity_direction(x[:, system.quaternion])
+    return system.quantity(name, x, u)
+
+
+def seen_by(system: System, effect: Effect, t: float | Tensor, z: Tensor, u: Tensor) -> Tensor:
+    """What an effect on a force port would be given as its input (N, nu + what it reads).
+
+    Args:
+        system: The machine.
+        effect: The effect, which need not be one of the system's.
+        t: Time [s].
+        z: State and memory (N, nz).
+        u: Input and exogenous channels (N, nu + n_exogenous).
+    """
+    x, command = split_columns(z, system.nx, system.nz - system.nx)[0], system.applied(t, z, u)
+    at = [system.nu + system.exogenous.index(name) for name in effect.exogenous]
+    logged = tuple(u[:, c : c + 1] for c in at)
+    read = (quantity_of(system, name, x, command) for name in effect.quantities)
+    return join_columns((command, *logged, *read))
+
+
+def _ports(cls: type[System]) -> dict[str, Rows]:
+    known = {port: residual.unit for port, residual in cls.residual_ports.items()}
+    of_rows = {(at.port, at.row): dict(at.units)["force"] for at in cls.bound_coordinates()}
+    forces = {Port.WORLD_FORCE: known.get(Port.BODY_FORCE, known.get(Port.FORCE, ""))}
+    out: dict[str, Rows] = {}
+    for port, width in cls.ports.items():
+        at = {c.row: c.declared for c in cls.bound_coordinates() if c.port is port}
+        names = tuple(at[k] for k in range(width)) if len(at) == width else tuple(map(str, range(width)))
+        if len(at) != width and width == len(_AXES):
+            names = _AXES
+        names = ("",) if width == 1 else names
+        unit = known.get(port) or forces.get(port, "")
+        own = tuple(of_rows.get((port, k), unit) for k in range(width))
+        out[port.value] = Rows(names, own)
+    only = len(cls.input_names) == 1
+    out[Port.INPUT.value] = Rows(("",) if only else cls.input_names, cls.input_units)
+    rates = tuple(units.of("state/s", {"state": unit}) for unit in cls.state_units)
+    out[Port.RATE.value] = Rows(cls.state_names, rates)
+    return out

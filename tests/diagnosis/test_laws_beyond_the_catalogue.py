@@ -1,0 +1,168 @@
+"""Laws that no catalogue has: found, added, verified and written; and silence where there are none."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import nsde_torch
+from nsde_torch.diagnosis.decisions import Budgets
+from nsde_torch.diagnosis.law_content import looks_like
+from nsde_torch.diagnosis.law_terms import terms_of
+from nsde_torch.diagnosis.options import Options
+from nsde_torch.effects.expression_grammar import parse
+from nsde_torch.systems import make_system
+from nsde_torch.systems.options import system_options
+from tests.helpers.diagnosed import diagnosed
+
+EXAMPLES = Path(__file__).parents[2] / "examples" / "double_pendulum"
+OUTSIDE = Path(__file__).parents[2] / "benchmarks" / "blind"
+LAW = "force = c1 q q_dot"
+
+
+def finding(content: dict[str, Any], name: str) -> dict[str, Any]:
+    return next(f for f in content["findings"] if f["name"] == name)
+
+
+def held(content: dict[str, Any], label: str, value: float, slack: float = 0.0) -> bool:
+    low, high = content["parameters"][label]["interval_90"]
+    wider = slack * (high - low)
+    return bool(low - wider <= value <= high + wider)
+
+
+def test_a_product_that_no_catalogue_has_is_found_added_verified_and_written(tmp_path: Path) -> None:
+    found, content = diagnosed("mass_spring_damper", {LAW: {"c1": 0.8}}, durations=(8.0,) * 5)
+    assert (content["verdict"], content["added"]) == ("effect_found", [LAW])
+    own = finding(content, LAW)
+    assert own["kind"] == "formula"
+    assert own["verified"] is True
+    assert own["lead"] is False
+    assert own["latex"].endswith(r"\,q\,\dot{q}")
+    assert own["sympy"].endswith("*q*q_dot")
+    assert own["law"].startswith("force = 0.")
+    assert own["looks_like"] == "friction that depends on the place"
+    assert held(content, f"{LAW}.c1", 0.8, slack=0.5)
+    assert content["parameters"][f"{LAW}.c1"]["unit"] == "1/(m s)"
+    assert content["formula"] is None
+    assert content["errors"]["residual"]["q_dot"]["ratio"] < 0.8
+    assert LAW in found.report
+    assert own["law"] in found.report
+    page = found.save(tmp_path).read_text(encoding="utf-8")
+    assert "LaTeX" in page
+    assert (tmp_path / "plots" / "effect_force_c1_q_q_dot.png").is_file()
+    system = system_options("mass_spring_damper", effects=tmp_path / "effects.yaml").make()
+    value = float(system.all_declared()[f"{LAW}.c1"][0])
+    assert value == pytest.approx(content["parameters"][f"{LAW}.c1"]["value"], rel=1e-5)
+
+
+def test_a_hinge_is_found_with_its_place() -> None:
+    stop = "force = c1 max(q - k1, 0)"
+    _, content = diagnosed("mass_spring_damper", {stop: {"c1": -6.0, "k1": 0.2}}, durations=(8.0,) * 5)
+    assert (content["verdict"], content["added"]) == ("effect_found", [stop])
+    assert content["parameters"][f"{stop}.k1"]["value"] == pytest.approx(0.2, abs=0.02)
+    assert content["parameters"][f"{stop}.c1"]["value"] == pytest.approx(-6.0, rel=0.1)
+    assert "a stop or a spring" in finding(content, stop)["looks_like"]
+
+
+def test_beside_an_effect_of_the_catalogue_that_one_keeps_its_name() -> None:
+    law = "force = c1 q^2"
+    both = ({law: {"c1": -1.0}}, {"coulomb_friction": {"size": 0.15}})
+    _, content = diagnosed("mass_spring_damper", *both, durations=(8.0,) * 5)
+    assert content["verdict"] == "effect_found"
+    assert sorted(content["added"]) == ["coulomb_friction", law]
+
+
+def test_what_the_catalogue_has_is_named_by_it_and_nothing_is_made_of_nothing() -> None:
+    _, content = diagnosed(
+        "mass_spring_damper", {"cubic_stiffness": {"stiffness": 3.0}}, durations=(8.0,) * 4
+    )
+    assert content["added"] == ["cubic_stiffness"]
+    found, content = diagnosed("mass_spring_damper", durations=(8.0,) * 4)
+    assert (content["verdict"], content["added"]) == ("no_effect", [])
+    assert not found.effects
+
+
+def test_laws_are_tried_neither_beside_named_candidates_nor_where_the_budget_has_none() -> None:
+    truth = {LAW: {"c1": 0.8}}
+    few = Options(candidates=("coulomb_friction",))
+    _, content = diagnosed("mass_spring_damper", truth, options=few, durations=(8.0,) * 4)
+    assert (content["verdict"], content["added"]) == ("unexplained", [])
+    assert content["formula"]["verified"] is False
+    _, content = diagnosed("mass_spring_damper", truth, budgets=Budgets(law_rounds=0), durations=(8.0,) * 4)
+    assert (content["verdict"], content["added"]) == ("unexplained", [])
+
+
+def test_a_coupling_of_cart_and_pole_is_found_in_its_port() -> None:
+    law = "torque = c1 x_dot theta_dot"
+    _, content = diagnosed("cartpole", {law: {"c1": -0.15}}, durations=(4.0,) * 8)
+    assert (content["verdict"], content["added"]) == ("effect_found", [law])
+    assert held(content, f"{law}.c1", -0.15, slack=0.5)
+    assert finding(content, law)["looks_like"].startswith("a coupling of motions")
+
+
+@pytest.mark.skipif(not OUTSIDE.is_dir(), reason="the benchmarks are not part of a wheel")
+def test_what_one_run_alone_has_is_no_law(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.syspath_prepend(OUTSIDE)
+    _, content = diagnosed(
+        "mass_spring_damper",
+        {"outside:Burst": {"size": 1.0, "moment": 4.0, "width": 0.3}},
+        durations=(8.0,) * 4,
+    )
+    assert not [name for name in content["added"] if "=" in name]
+
+
+@pytest.mark.skipif(not EXAMPLES.is_dir(), reason="the examples are not part of a wheel")
+def test_a_coupling_of_two_joints_is_found_in_its_row(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.syspath_prepend(EXAMPLES)
+    import make_data
+
+    def push(q: np.ndarray, w: np.ndarray) -> np.ndarray:
+        return np.array([-0.03 * w[1], 0.0])
+
+    make_data.write(tmp_path, push, seed=5, runs=4, seconds=8.0, noise=0.5)
+    data = nsde_torch.read(tmp_path, system="double_pendulum:DoublePendulum")
+    content = nsde_torch.diagnose(data, system="double_pendulum:DoublePendulum").content()
+    law = "torque[q1] = c1 q2_dot"
+    assert (content["verdict"], content["added"]) == ("effect_found", [law])
+    assert held(content, f"{law}.c1", -0.03, slack=0.5)
+    sys.modules.pop("make_data", None)
+
+
+def test_every_term_of_the_library_is_of_the_grammar_and_has_one_spelling() -> None:
+    rng = np.random.default_rng(0)
+    names = ["theta", "theta_dot", "x_dot"]
+    terms = terms_of(names, {n: rng.normal(size=200) for n in names}, ["theta"])
+    texts = [f"torque = c1 {term.text}" for term in terms]
+    assert all(parse(text).text == text for text in texts)
+    system = make_system("cartpole")
+    for term, text in zip(terms, texts, strict=True):
+        assert set(system.make_effect(text).declared_parameters()) == {"c1", *dict(term.start)}
+    assert {"torque = c1 theta_dot x_dot", "torque = c1 sin(theta) x_dot", "torque = c1 sin(3 theta)"} <= set(
+        texts
+    )
+
+
+@pytest.mark.parametrize(
+    ("system", "law", "c1", "words"),
+    [
+        ("mass_spring_damper", "force = c1 q^2", 1.0, "a spring that is not straight"),
+        ("mass_spring_damper", "force = c1 q force", 1.0, "a gain of the input"),
+        ("mass_spring_damper", "force = c1 min(q, 0)", -1.0, "met below"),
+        ("mass_spring_damper", "force = c1 max(q, 0)", 1.0, None),
+        ("mass_spring_damper", "force = c1 q q_dot^2", 1.0, None),
+        ("hexacopter", "body_moment[y] = c1 v_body_x w_z", 0.4, "a coupling of motions"),
+        ("hexacopter", "body_moment[y] = c1 collective^2", 0.4, None),
+        ("cartpole", "torque = c1 x", 0.4, "a spring that is not straight"),
+    ],
+)
+def test_what_a_law_looks_like_is_said_where_something_can_be_said(
+    system: str, law: str, c1: float, words: str | None
+) -> None:
+    found = looks_like(parse(law), {"c1": c1}, make_system(system))
+    assert found is None if words is None else words in str(found)

@@ -18,8 +18,8 @@ of the second difference of the position, whose test function is a hat over two 
 
     residual_k = (q_{k+1} - 2 q_k + q_{k-1}) / h - (I_{k-1} + I_k) / 2,      I_k = int f dt over step k
 
-with f at what the past foretells, averaged over what it does not know of the rate: the noise of the position is then
-in no regressor.
+(over boxes of several steps, that of as wide a difference), with f at what the past foretells, averaged over what it
+does not know of the rate: the noise of the position is then in no regressor.
 
 Velocities that the system measures in the world are turned into the body, so that thrust along the body's axis is one
 channel and forces sideways are others.
@@ -31,6 +31,7 @@ from typing import final
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from scipy.signal import lfilter
 from torch import Tensor
 
 from nsde_torch.columns import join_columns, split_columns, take_rows
@@ -262,13 +263,16 @@ class Physics:
         return drift(t, z + aside, u) + drift(t, z - aside, u) - 2.0 * drift(t, z, u)
 
     def _hat(self, change: Array) -> Array:
-        """Changes over steps (N, nx, ...), those of inferred rates as means of the step and the one before."""
+        """Changes over steps (N, nx, ...), those of inferred rates as the differences weigh them."""
         if not self.steps.inferred:
             return change
         out = np.array(change)
-        columns = [j for j, _ in self.steps.inferred]
+        columns, rows = [j for j, _ in self.steps.inferred], self.steps.rows
+        weights = np.convolve([0.5, 0.5], np.full(rows, 1.0 / rows))
         for a, b in self.steps.segments:
-            out[a + 1 : b, columns] = 0.5 * (change[a + 1 : b, columns] + change[a : b - 1, columns])
+            there = lfilter(weights, [1.0], np.ones(b - a))  # less where a stretch begins
+            summed = lfilter(weights, [1.0], change[a:b, columns], axis=0)
+            out[a:b, columns] = summed / there.reshape(-1, *(1,) * (summed.ndim - 1))
         return out
 
     def _forecast(self, theta: Tensor, middle: Tensor) -> Tensor:

@@ -42,7 +42,8 @@ class Steps:
         runs: Number of the run of each segment.
         run_in: The steps before each segment, for memory alone; None where no effect carries any.
         inferred: Columns of rates that were inferred from positions, and what is not known of them (standard
-            deviation): `seen0`, `seen1` are then differences of the position over the steps before and after.
+            deviation): `seen0`, `seen1` are then differences of the position over `rows` rows.
+        rows: Rows of these differences.
     """
 
     t: Tensor
@@ -57,6 +58,7 @@ class Steps:
     runs: tuple[int, ...]
     run_in: "Steps | None" = None
     inferred: tuple[tuple[int, float], ...] = ()
+    rows: int = 1
 
     def __len__(self) -> int:
         return len(self.t)
@@ -79,7 +81,7 @@ def steps_of(
     shortest: int = 1,
     run_in: bool | None = None,
     denoise: bool = False,
-    differences: bool = True,
+    differences: int = 1,
 ) -> Steps:
     """Cut runs into steps.
 
@@ -90,7 +92,8 @@ def steps_of(
         smooth: Whether white sensor noise is taken out of the states and of their changes.
         shortest: Segments of fewer steps are left out.
         denoise: Whether it is taken out of the states alone, at which physics is evaluated.
-        differences: Whether rates that were inferred from positions stand by differences of these; else as inferred.
+        differences: Rows over which positions are differenced where their rates were inferred; 0 takes these as
+            inferred.
         run_in: Whether to keep the first steps of each segment for memory alone; None: where an effect has any.
 
     Raises:
@@ -99,25 +102,29 @@ def steps_of(
     if not runs:
         raise DataError("no run to identify the physics from.")
     seen = [np.asarray(run.x) for run in runs]
-    clean = denoised(runs)[0] if smooth or denoise else seen
+    clean = [np.array(x) for x in (denoised(runs)[0] if smooth or denoise else seen)]
     unknown = inferred_columns(system, runs) if differences else {}
     if unknown:
-        seen = [_differenced(system, run, runs[0].dt * clock) for run in runs]
+        for x, run in zip(clean, runs, strict=True):  # what a filter knows is no noisy measurement
+            x[:, list(unknown)] = run.x[:, list(unknown)]
+        seen = [_differenced(system, run, runs[0].dt * clock, differences) for run in runs]
     states = list(zip(clean if smooth else seen, clean, strict=True))
-    lead = 1 if unknown else 0  # the row before a difference
+    lead = differences if unknown else 0  # rows before a difference
     stretches = [(n, a + lead, b) for n, a, b in _stretches(runs) if b - 1 - a - lead >= shortest]
     if not stretches:
         raise DataError(f"no stretch of {shortest} steps without a gap; identify from longer runs.")
     if not (system.nz > system.nx if run_in is None else run_in):
-        return _joined(system, runs, states, stretches, clock, unknown)
+        return _joined(system, runs, states, stretches, clock, unknown, differences)
     most = max(1, round(_RUN_IN_S / runs[0].dt))
     lengths = [max(1, min(most, int(_RUN_IN_SHARE * (b - 1 - a)))) for _, a, b in stretches]
     pairs = [(s, k) for s, k in zip(stretches, lengths, strict=True) if s[2] - 1 - s[1] - k >= shortest]
     if not pairs:
         raise DataError(f"no stretch of {shortest + 1} steps without a gap; identify from longer runs.")
-    before = _joined(system, runs, states, [(n, a, a + k + 1) for (n, a, _), k in pairs], clock, unknown)
+    before = _joined(
+        system, runs, states, [(n, a, a + k + 1) for (n, a, _), k in pairs], clock, unknown, differences
+    )
     return replace(
-        _joined(system, runs, states, [(n, a + k, b) for (n, a, b), k in pairs], clock, unknown),
+        _joined(system, runs, states, [(n, a + k, b) for (n, a, b), k in pairs], clock, unknown, differences),
         run_in=before,
     )
 
@@ -137,13 +144,13 @@ def inferred_columns(system: System, runs: Sequence[Run]) -> dict[int, float]:
     return {system.state_names.index(n): max(run.inferred[n] for run in runs) for n in sorted(names)}
 
 
-def _differenced(system: System, run: Run, dt: float) -> Array:
-    """States (n, nx) with differences of positions over the step before for rates that were inferred."""
+def _differenced(system: System, run: Run, dt: float, rows: int) -> Array:
+    """States (n, nx) with differences of positions over some rows before for rates that were inferred."""
     x, names = np.array(run.x), list(system.state_names)
     for position, rate, _ in system.position_derivatives:
         if rate in run.inferred:
             q = x[:, names.index(position)]
-            x[1:, names.index(rate)] = np.diff(q) / dt
+            x[rows:, names.index(rate)] = (q[rows:] - q[:-rows]) / (rows * dt)
     return x
 
 
@@ -154,6 +161,7 @@ def _joined(
     stretches: Sequence[_Stretch],
     clock: float,
     inferred: Mapping[int, float],
+    rows: int,
 ) -> Steps:
     """Steps of some stretches, one after another."""
     names = ("t", "x0", "x1", "seen0", "seen1", "u")
@@ -185,6 +193,7 @@ def _joined(
         segments=tuple(segments),
         runs=tuple(owners),
         inferred=tuple(inferred.items()),
+        rows=max(rows, 1),
     )
 
 

@@ -74,6 +74,11 @@ class Files(DataConfig):
         "what to do with states that were smoothed before they were logged",
         choices=("restore", "keep"),
     )
+    derived_rates: str = key(
+        "infer",
+        "what to do with rates that were made of positions",
+        choices=("infer", "keep"),
+    )
     stream_offsets: str = key(
         "undo",
         "what to do with streams whose offsets differ between runs",

@@ -36,6 +36,7 @@ def read(
     clock: str = "rescale",
     state_smoothing: str = "restore",
     stream_offsets: str = "undo",
+    derived_rates: str = "infer",
     **faults: Mapping[str, float] | None,
 ) -> DataSet:
     """Read and check runs: units, times, gaps, kinematics.
@@ -53,6 +54,8 @@ def read(
         clock: What to do when the kinematics disagree with the clock: "rescale", "trust" or "refuse".
         state_smoothing: What to do with states that were smoothed before they were logged: "restore" or "keep".
         stream_offsets: What to do with streams whose offsets against others differ between runs: "undo" or "keep".
+        derived_rates: What to do with rates that were made of positions, and that no sensor measured: "infer" them
+            again from the positions, or "keep".
         faults: What the recording did, to take out, by name of the fault and of the states: `sensor_bias` (what sensors
             read too much, in the unit of the state), `sensor_delay` (by how much states are logged late [s]),
             `sensor_lag` (time constants of filters that states went through [s]); see
@@ -79,7 +82,13 @@ def read(
     machine: SystemInfo = (
         system_options(system).make() if isinstance(system, str | type | SystemOptions) else system
     )
-    found = _assembled(data, machine, kind, options or {}, {"dt": dt, "gap": gap, "clock": clock, **faults})
+    found = _assembled(
+        data,
+        machine,
+        kind,
+        options or {},
+        {"dt": dt, "gap": gap, "clock": clock, "derived_rates": derived_rates, **faults},
+    )
     taken_out = [name for name, value in faults.items() if value]
     found = on_one_clock(found, machine, policy=stream_offsets)
     return restore_states(found, machine, policy=state_smoothing, taken_out=taken_out)

@@ -45,7 +45,7 @@ def _header(path: Path, system: SystemInfo) -> list[str]:
     twice = sorted({n for n in names if names.count(n) > 1})
     if twice:
         raise DataError(f"{path}:1: the columns {twice} occur more than once; keep one of each.")
-    optional = system.optional_inputs
+    optional = (*system.optional_inputs, *_inferable(system, names))
     needed = (TIME, *system.state_names, *system.input_names, *system.exogenous)
     missing = [n for n in needed if n not in names and n not in optional]
     if missing:
@@ -62,6 +62,19 @@ def _header(path: Path, system: SystemInfo) -> list[str]:
             f"{list(needed)}; got {names}. Rename or add the columns."
         )
     return names
+
+
+def _inferable(system: SystemInfo, names: Sequence[str]) -> list[str]:
+    """Rates that a file may lack, since it has their positions; all of them or none."""
+    if system.quaternion is not None:
+        return []
+    pairs = [(position, rate) for position, rate, _ in system.position_derivatives]
+    known = (TIME, *system.state_names, *system.input_names, *system.exogenous)
+    free = [name.lower() for name in names if name not in known]
+    lacking = [(position, rate) for position, rate in pairs if rate not in names]
+    if any(p not in names or difflib.get_close_matches(r.lower(), free, n=1) for p, r in lacking):
+        return []
+    return [rate for _, rate in lacking]
 
 
 def _is_number(cell: str) -> bool:
@@ -149,14 +162,16 @@ def read_csv_file(path: str | Path, system: SystemInfo) -> RawRun:
         )
     column_of = {name: k for k, name in enumerate(names)}
     known = (TIME, *system.state_names, *system.input_names)
-    x = table[:, [column_of[n] for n in system.state_names]]
+    absent = tuple(n for n in system.state_names if n not in column_of)
+    nothing = np.full(len(table), np.nan)
+    x = np.column_stack([nothing if n in absent else table[:, column_of[n]] for n in system.state_names])
     u = np.zeros((len(table), len(system.input_names)))
     for k, name in enumerate(system.input_names):
         if name in column_of:
             u[:, k] = table[:, column_of[name]]
     extra = {name: table[:, k].copy() for name, k in column_of.items() if name not in known}
     t = table[:, column_of[TIME]].copy()
-    return RawRun(path.stem, t, x, u, extra=extra, source=str(path), first_line=2)
+    return RawRun(path.stem, t, x, u, extra=extra, source=str(path), first_line=2, absent=absent)
 
 
 def read_csv(system: SystemInfo, *, path: str | Path) -> list[RawRun]:

@@ -45,6 +45,8 @@ class Run:
         source: Where the run came from (file name), for messages.
         extra: Further logged columns by name, each (n,).
         band: States that were smoothed before they were logged, and the frequency up to which they are restored [Hz].
+        inferred: States that no sensor measured and that were inferred from positions: what is not known of them
+            (standard deviation, their unit).
 
     Raises:
         ShapeError: an array has the wrong number of axes or rows.
@@ -59,6 +61,7 @@ class Run:
     source: str = ""
     extra: Mapping[str, Array] = field(default_factory=dict)
     band: Mapping[str, float] = field(default_factory=dict)
+    inferred: Mapping[str, float] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         set_field = object.__setattr__

@@ -15,6 +15,7 @@ from nsde_torch.diagnosis.outcome import Outcome
 from nsde_torch.diagnosis.reading import Log
 from nsde_torch.diagnosis.search import search_in
 from nsde_torch.recording.log import Recorded
+from nsde_torch.recording.positions import measured_part
 from nsde_torch.recording.undo import instead_of_effects, undo
 from nsde_torch.systems import System
 
@@ -44,7 +45,8 @@ def undone(
         search = search_in(system, some, clock, options, decisions=decisions, budgets=budgets)
         return sum(log(noise.std) for noise in search.quick(system).noises)
 
-    return undo(data, runs, system, alpha=decisions.alpha, misfit=misfit)
+    seen = measured_part(system, {name for run in runs for name in run.inferred})
+    return undo(data, runs, seen, alpha=decisions.alpha, misfit=misfit)
 
 
 def with_a_late_sensor(read: Log, outcome: Outcome) -> Log | None:

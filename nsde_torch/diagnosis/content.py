@@ -49,7 +49,7 @@ def content(found: Diagnosis) -> dict[str, Any]:
         "told": _told(found),
         "aside": [
             *(
-                {"effect": f.name, "sentence": f.sentence, "reason": _SHORT}
+                {"effect": f.name, "sentence": f.sentence, "reason": f.reason or _SHORT}
                 for f in found.recorded.faults
                 if f.short
             ),

@@ -77,10 +77,11 @@ class NoiseModels:
         self.own = own_space(regression, channel)
         self._decisions, self._budgets = decisions, budgets
         at = regression.rows[channel]
+        self._times = regression.times(at)
         self._residual, self._slopes = regression.residual[:, at], regression.jacobian[:, at]
         self._there = there = regression.noises[channel]
         self.base = max(self._own(there), self._settled(there), key=lambda own: own.likelihood)
-        rough = first_guess(self._residual, regression.series, limit)
+        rough = first_guess(self._residual, regression.series, limit, times=self._times)
         self._starts = [_Start(noise, *self._whitened(noise)) for noise in (rough, self.base.noise)]
 
     def without(self, functions: Array, whitened: Array | None = None) -> FittedNoise | None:
@@ -137,7 +138,15 @@ class NoiseModels:
         left = self._residual - self._slopes @ weights[:count] - columns @ weights[count:]
         r = self._regression
         among = None if thorough else sorted({0.0, start.noise.carry, self._limit})
-        found = estimate(left, r.series, limit=self._limit, orders=r.orders, memory=r.memory, among=among)
+        found = estimate(
+            left,
+            r.series,
+            limit=self._limit,
+            orders=r.orders,
+            memory=r.memory,
+            among=among,
+            times=self._times,
+        )
         return self._own(found)
 
     def _own(self, noise: Noise) -> FittedNoise:

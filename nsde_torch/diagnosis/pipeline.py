@@ -25,6 +25,7 @@ from nsde_torch.diagnosis.decisions import BUDGETS, DECISIONS, Budgets, Decision
 from nsde_torch.diagnosis.elimination import eliminate
 from nsde_torch.diagnosis.explanation import explained
 from nsde_torch.diagnosis.gone import select
+from nsde_torch.diagnosis.inferred import at_declared, at_found
 from nsde_torch.diagnosis.longer_boxes import over_longer_boxes
 from nsde_torch.diagnosis.options import Options
 from nsde_torch.diagnosis.outcome import Outcome
@@ -73,9 +74,10 @@ def diagnose(
     say("checking the recording chain", 0, 1)
     recorded = undone(data, runs, system, options, decisions, budgets)
     log = read_log(system, recorded, options, own_effects, decisions=decisions, budgets=budgets, say=say)
+    log = at_declared(log)
     search = log.search(log.runs)
     watch.lap("recording")
-    outcome = searched(log, search)
+    log, search, outcome = at_found(log, search, searched(log, search), searched)
     if outcome.structured:
         say("checking the recording chain", 0, 1)
         log, search, outcome = _read_again(log, search, outcome)

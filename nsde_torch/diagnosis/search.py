@@ -286,6 +286,7 @@ def search_in(
         denoise=system.sensor_noise,
         shortest=max(box, _SHORTEST),
         run_in=True,
+        differences=box,
     )
     return Search(
         steps,

@@ -338,6 +338,15 @@ class Effect(Parametrised, ABC):
         """
         return None
 
+    def followed(self, x: Tensor, dt: float) -> Tensor | None:
+        """Memory along measured states, its mean over each step, known without `memory_rate`; None: it is not.
+
+        Args:
+            x: States at the starts of consecutive steps (n, nx).
+            dt: Length of a step [s].
+        """
+        return None
+
     def memory_start(self, x: Tensor, u: Tensor) -> Tensor:
         """Extra states at the start of a rollout (N, n_memory): the stationary ones under `u`."""
         return x[:, :0]

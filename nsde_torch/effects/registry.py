@@ -22,6 +22,7 @@ from nsde_torch.effects.friction import (
     StribeckFriction,
     ViscousFriction,
 )
+from nsde_torch.effects.hysteresis import Hysteresis, InputPlay
 from nsde_torch.effects.lag import ActuatorLag, MotorLag
 from nsde_torch.effects.law import Law, joined_name, law_at, split_name, unplaced
 from nsde_torch.effects.multirotor_drag import ConstantWind, LinearDrag, QuadraticDrag
@@ -55,12 +56,14 @@ EFFECTS: dict[str, type[Effect]] = {
         LoadFriction,
         LinearSpring,
         CubicStiffness,
+        Hysteresis,
         Ripple,
         # the input of any system
         InputDelay,
         ActuatorLag,
         ActuatorDeadband,
         ActuatorSaturation,
+        InputPlay,
         ActuatorGainDrift,
         # cart and pole
         TrackTilt,

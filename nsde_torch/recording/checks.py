@@ -28,6 +28,7 @@ from nsde_torch.recording import (
     ground,
     held,
     missing,
+    positions,
     straight,
     stuck,
     times,
@@ -204,6 +205,7 @@ def assemble(
     dt: float | None = None,
     gap: float | None = None,
     clock: str = "rescale",
+    derived_rates: str = "infer",
     **faults: Mapping[str, float] | None,
 ) -> DataSet:
     """Checks raw runs and joins them to a data set. The raw runs are used up.
@@ -215,6 +217,7 @@ def assemble(
         dt: Step of the data set [s]; default: the median step over the runs.
         gap: Time between rows from which on it is a gap [s]; default: 2.5 steps.
         clock: What to do about a clock that disagrees with the kinematics: `rescale`, `trust` or `refuse`.
+        derived_rates: What to do with rates that were made of positions: `infer` or `keep`.
         faults: What the recording did, to take out: `sensor_delay={"p": 0.01}` (see `RemedyOptions`).
 
     Returns:
@@ -245,6 +248,8 @@ def assemble(
             attitude.check_norms(run, system.quaternion, tuple(system.state_names), report)
         times.order(run, report)
     interventions.check(raw)
+    whole, rates = system, positions.to_infer(system, raw, policy=derived_rates, report=report)
+    system = positions.measured_part(system, rates)
     own_step = _own_step(raw)
     step = own_step if dt is None else float(dt)
     limit = times.GAP_STEPS * max(step, own_step) if gap is None else float(gap)
@@ -261,7 +266,7 @@ def assemble(
         missing.fill(run, gap=limit, report=report)
         if system.quaternion is not None:
             attitude.back_to_sphere(run, system.quaternion)
-        _unwrap_angles(run, system, report)
+        _unwrap_angles(run, whole, report)
         glitches.mend(run, system, report)
         held.cut(run, system, report)
         if commands is not None:
@@ -288,6 +293,7 @@ def assemble(
     conventions.check_runs(system, runs)
     _clock.check_units(slopes, tuple(system.state_names))
     scale = _clock.decide(slopes, policy=clock, report=report)
+    runs = positions.inferred(whole, runs, rates, scale)
     for fault, values in _asked(faults):
         runs = [fault.undo(run, system, values) for run in runs]
     _report_late(system, runs, scale, report)

@@ -35,10 +35,11 @@ class Detected:
         values: By parameter: value, low, high (90 %; None where there is no interval), unit.
         p: Chance of it in a sound log; None where it is not a test of chance.
         sentence: What it means.
-        short: Whether it is shorter than a step, and so undone but not called a finding.
+        short: Whether it is shorter than a step, or was undone by the reader, and so not called a finding.
         ties: Other faults that no data of the log tell from it.
         experiment: What would tell.
         clock: Physical seconds for each logged second, which is undone by counting with it.
+        reason: Why it is not called a finding, where `short` has another one than its length.
     """
 
     name: str
@@ -49,6 +50,7 @@ class Detected:
     ties: tuple[str, ...] = ()
     experiment: str = ""
     clock: float = 1.0
+    reason: str = ""
 
     @property
     def plain(self) -> dict[str, float]:

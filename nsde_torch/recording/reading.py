@@ -22,6 +22,7 @@ def read(
     dt: float | None = None,
     gap: float | None = None,
     clock: str = "rescale",
+    derived_rates: str = "infer",
     **options: Any,
 ) -> DataSet:
     """Reads and checks a data set.
@@ -33,6 +34,7 @@ def read(
         dt: Step [s]; default: the data's own (the nominal step of a published file, else the median).
         gap: Time between rows that counts as a gap [s]; default: 2.5 steps.
         clock: `rescale`, `trust` or `refuse` a clock that disagrees with the kinematics.
+        derived_rates: `infer` or `keep` rates that were made of positions.
         options: What the recording did, to take out (`sensor_bias={"q": 0.1}`, see `RemedyOptions`), and further
             options of the kind.
 
@@ -65,4 +67,4 @@ def read(
             )
         for run in raw if values else ():
             remedies()[fault].undo_raw(run, system, values)
-    return assemble(raw, system, kind=name, dt=dt, gap=gap, clock=clock, **told)
+    return assemble(raw, system, kind=name, dt=dt, gap=gap, clock=clock, derived_rates=derived_rates, **told)

@@ -101,7 +101,7 @@ def regression_of(
     weak = method == "weak"
     vector = ParameterVector(system)
     box = _box(width, runs[0].dt * clock) if runs else 1
-    steps = steps_of(system, runs, clock=clock, smooth=not weak, shortest=box)
+    steps = steps_of(system, runs, clock=clock, smooth=not weak, shortest=box, differences=box if weak else 0)
     physics = Physics(vector, steps, curved=weak and system.sensor_noise, foresee=weak)
     return Regression(physics, box=box, plain=not weak, feedback=weak)
 

@@ -36,6 +36,7 @@ from nsde_torch.data import Run
 from nsde_torch.errors import ConfigError, DataError, NonFiniteError
 from nsde_torch.sysid.guard import guarded
 from nsde_torch.sysid.identify import identification, regression_of
+from nsde_torch.sysid.inferred_rates import in_turn
 from nsde_torch.sysid.instrumented import MISSING, Instrumented
 from nsde_torch.sysid.instruments import between, instrumental, with_columns
 from nsde_torch.sysid.longer_boxes import LENGTHS_S, in_longer_boxes
@@ -87,14 +88,19 @@ def identify_in_loop(
         system, runs = with_columns(system, runs, instruments)
 
     def over(width: float | None) -> Identification:
-        return _over_boxes(
+        return in_turn(
             system,
             runs,
-            clock=clock,
-            method=method,
-            width=width,
-            iterations=iterations,
-            instruments=instruments,
+            clock,
+            lambda machine, some: _over_boxes(
+                machine,
+                some,
+                clock=clock,
+                method=method,
+                width=width,
+                iterations=iterations,
+                instruments=instruments,
+            ),
         )
 
     found = over(width)

@@ -10,6 +10,9 @@ compared then is the state itself, and not its change. The test function of a wh
 that looks back as far as noise allows. Whitening is causal, so that a whitened row knows no input that reacts to it:
 that is what keeps feedback from bending the estimate (Ljung, System Identification, 1999, section 13.4).
 
+Second differences of a position, which stand for a rate that no sensor measured, hold its error three times: their
+moving average is (1 - c B)^2.
+
 How each is found:
 
 - c, p: least Akaike score of the exact likelihood of the moving average with the error e before the first row for
@@ -46,11 +49,13 @@ class Noise:
         carry: c, in [0, 1).
         reflection: Reflection coefficients of the autoregression (p,).
         std: Standard deviation of e [unit of the residual].
+        times: How many times 1 - c B is there: 2 for second differences.
     """
 
     carry: float
     reflection: Array
     std: float
+    times: int = 1
 
     @property
     def parameters(self) -> int:
@@ -68,7 +73,7 @@ class Noise:
 
     def whiten(self, values: Array, series: Series) -> Array:
         """Filtered columns (N, k) in units of `std`, one row more per stretch than there were: (N + stretches, k)."""
-        summed = _carry(self.carry, values, series)
+        summed = _carry(self.carry, values, series, self.times)
         return _filtered(self.reflection, summed, extended(series)) / self.std
 
     def log_density(self, white: Array, series: Series) -> Array:
@@ -88,13 +93,13 @@ class Noise:
         c = self.carry
         for a, b in longer.edges:
             spread = np.log((1 - c ** (2 * (b - a))) / (1 - c * c)) if c > 0 else 0.0
-            out[a] = -0.5 * white[a] ** 2 - 0.5 * spread
+            out[a] = -0.5 * white[a] ** 2 - 0.5 * self.times * spread
         return np.asarray(out)
 
     def own_slopes(self, residual: Array, series: Series) -> Array:
         """Slopes of the whitened residual (N,) in a and c, (N + stretches, p + 1), up to factors."""
         longer = extended(series)
-        summed = _carry(self.carry, residual[:, None], series)
+        summed = _carry(self.carry, residual[:, None], series, self.times)
         columns = [longer.lagged(summed[:, 0], len(self.reflection))]
         if self.carry > 0:
             white = _filtered(self.reflection, summed, longer)[:, 0]
@@ -115,11 +120,11 @@ def white_noise(residual: Array, series: Series) -> Noise:
     return Noise(0.0, np.zeros(0), _size(residual, len(series)))
 
 
-def first_guess(residual: Array, series: Series, limit: float) -> Noise:
+def first_guess(residual: Array, series: Series, limit: float, *, times: int = 1) -> Noise:
     """Noise of a sensor alone: what to start with, as it weighs slow motion most."""
     carry = min(limit, 0.98)
-    summed = _carry(carry, residual[:, None], series)[:, 0]
-    return Noise(carry, np.zeros(0), _size(summed, len(series)))
+    summed = _carry(carry, residual[:, None], series, times)[:, 0]
+    return Noise(carry, np.zeros(0), _size(summed, len(series)), times)
 
 
 def estimate(
@@ -130,6 +135,7 @@ def estimate(
     orders: int,
     memory: float = inf,
     among: Sequence[float] | None = None,
+    times: int = 1,
 ) -> Noise:
     """Law of the noise of residuals (N,).
 
@@ -140,30 +146,37 @@ def estimate(
         orders: Largest order of the autoregression.
         memory: Rows after which noise forgets (m).
         among: Values of c to choose from; None tries all.
+        times: How many times 1 - c B is there.
     """
     if among is not None:
-        scores = {c: _score(residual, series, c, orders) for c in among}
+        scores = {c: _score(residual, series, c, orders, times) for c in among}
         carry = min(scores, key=lambda c: scores[c][0])
-        return _law(residual, series, carry, scores[carry][1], memory)
+        return _law(residual, series, carry, scores[carry][1], memory, times)
     grid = np.append(_GRID[limit > _GRID], limit)
-    score, carry = min((_score(residual, series, c, orders)[0], c) for c in grid)
+    score, carry = min((_score(residual, series, c, orders, times)[0], c) for c in grid)
     at = int(np.abs(grid - carry).argmin())
     between = np.linspace(grid[max(at - 1, 0)], grid[min(at + 1, len(grid) - 1)], 7)[1:-1]
-    score, carry = min([(score, carry), *((_score(residual, series, c, orders)[0], c) for c in between)])
-    return _law(residual, series, float(carry), _score(residual, series, carry, orders)[1], memory)
+    score, carry = min(
+        [(score, carry), *((_score(residual, series, c, orders, times)[0], c) for c in between)]
+    )
+    return _law(
+        residual, series, float(carry), _score(residual, series, carry, orders, times)[1], memory, times
+    )
 
 
 def again(noise: Noise, residual: Array, series: Series, *, memory: float = inf) -> Noise:
     """A law of the same order and the same c for other residuals (N,)."""
-    summed = _carry(noise.carry, residual[:, None], series)[:, 0]
+    summed = _carry(noise.carry, residual[:, None], series, noise.times)[:, 0]
     reflection, _ = _burg(summed, extended(series), len(noise.reflection))
-    return _law(residual, series, noise.carry, reflection, memory)
+    return _law(residual, series, noise.carry, reflection, memory, noise.times)
 
 
-def _law(residual: Array, series: Series, carry: float, reflection: Array, memory: float) -> Noise:
+def _law(
+    residual: Array, series: Series, carry: float, reflection: Array, memory: float, times: int
+) -> Noise:
     reflection = forgetting(reflection, memory)
-    white = _filtered(reflection, _carry(carry, residual[:, None], series), extended(series))
-    return Noise(carry, reflection, _size(white, len(series)))
+    white = _filtered(reflection, _carry(carry, residual[:, None], series, times), extended(series))
+    return Noise(carry, reflection, _size(white, len(series)), times)
 
 
 def forgetting(reflection: Array, memory: float) -> Array:
@@ -199,18 +212,20 @@ def _size(white: Array, rows: int) -> float:
     return max(float(np.sqrt(np.square(white).sum() / rows)), _ROUNDING)
 
 
-def _score(residual: Array, series: Series, carry: float, orders: int) -> tuple[float, Array]:
+def _score(residual: Array, series: Series, carry: float, orders: int, times: int) -> tuple[float, Array]:
     """Akaike score with the best order of the autoregression, and its reflection coefficients."""
-    summed = _carry(carry, residual[:, None], series)[:, 0]
+    summed = _carry(carry, residual[:, None], series, times)[:, 0]
     reflection, left = _burg(summed, extended(series), orders)
-    spread = sum(np.log((1 - carry ** (2 * (b - a + 1))) / (1 - carry**2)) for a, b in series.edges)
+    spread = times * sum(np.log((1 - carry ** (2 * (b - a + 1))) / (1 - carry**2)) for a, b in series.edges)
     scores = len(residual) * np.log(left) + spread + _AKAIKE * (np.arange(len(left)) + (carry > 0))
     order = int(np.argmin(scores))
     return float(scores[order]), reflection[:order]
 
 
-def _carry(c: float, values: Array, series: Series) -> Array:
-    """Columns (N, k) over 1 - c B, with the error before each stretch estimated and put in front."""
+def _carry(c: float, values: Array, series: Series, times: int) -> Array:
+    """Columns (N, k) over (1 - c B)^times, with the error before each stretch estimated and put in front."""
+    for _ in range(times - 1):
+        values = np.delete(_carry(c, values, series, 1), [a + i for i, (a, _) in enumerate(series.edges)], 0)
     out = np.empty((len(values) + len(series.edges), values.shape[1]), order="F")
     for i, (a, b) in enumerate(series.edges):
         at, n = a + i, b - a

@@ -13,6 +13,14 @@ Two things keep noise from bending the estimate:
   is measured during a step, and gusts that strike in it, are not in them.
 - White sensor noise s shifts the mean of a curved f by s^2 f'' / 2, which is taken off by second differences.
 
+Rates that no sensor measured are inferred from positions that came before (`inferred_rates`). Then the residual is that
+of the second difference of the position, whose test function is a hat over two steps,
+
+    residual_k = (q_{k+1} - 2 q_k + q_{k-1}) / h - (I_{k-1} + I_k) / 2,      I_k = int f dt over step k
+
+(over boxes of several steps, that of as wide a difference), with f at what the past foretells, averaged over what it
+does not know of the rate: the noise of the position is then in no regressor.
+
 Velocities that the system measures in the world are turned into the body, so that thrust along the body's axis is one
 channel and forces sideways are others.
 """
@@ -23,6 +31,7 @@ from typing import final
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from scipy.signal import lfilter
 from torch import Tensor
 
 from nsde_torch.columns import join_columns, split_columns, take_rows
@@ -71,6 +80,7 @@ class Physics:
             for i in range(self.turned.start, self.turned.stop):
                 self.names[i] += " (body)"
         self._starts = steps.starts
+        self.tied = _tied(system, steps)
         self.attitude = self._middle_attitude()
         self.measured: Array = self.turn(steps.seen1 - steps.seen0, self.attitude).numpy()
         self.sensor_std: Array = np.zeros(system.nx)
@@ -81,7 +91,7 @@ class Physics:
     def residual(self, theta: Array) -> Array:
         """Measured minus predicted change over each step (N, nx)."""
         at = torch.as_tensor(theta)
-        return self.measured - self._change(at, *self._memory(at)).numpy()
+        return self.measured - self._hat(self._change(at, *self._memory(at)).numpy())
 
     @torch.no_grad()
     def slopes(self, theta: Array, which: Sequence[int] | None = None) -> Array:
@@ -108,7 +118,7 @@ class Physics:
             change = (self._forecast(at + small * direction, moved) - before) / small
             out[:, i] = self.in_channels(change, middle).numpy().T
         self.vector.use(at)
-        return out.transpose(2, 0, 1)
+        return self._hat(out.transpose(2, 0, 1))
 
     @torch.no_grad()
     def middle(self, theta: Array) -> Tensor:
@@ -135,7 +145,7 @@ class Physics:
         """Residuals (N, m) of the channels beside `rows`; attitude and position of a turned velocity in the body."""
         system, rest = (
             self.vector.system,
-            [i for i in range(residual.shape[1]) if i not in set(rows.tolist())],
+            [i for i in range(residual.shape[1]) if i not in {*rows.tolist(), *self.tied}],
         )
         parts, q = [], system.quaternion
         if q is not None and set(range(q.start, q.stop)) <= set(rest):
@@ -216,6 +226,9 @@ class Physics:
         if memory:
             z0, z1 = join_columns((z0, memory[0])), join_columns((z1, memory[1]))
         f0 = self._rate(s.t, z0, 1.0)
+        for j, _ in s.inferred:  # the rate after the step knows its noise: from the one before
+            z1 = z1.clone()
+            z1[:, j] = z0[:, j] + s.dt * f0[:, j]
         f1 = self._rate(s.t + s.logged_dt, z1, 1.0)
         middle = system.project(0.5 * (z0 + z1) + (s.dt / 8) * (f0 - f1))
         fm = self._rate(s.t + 0.5 * s.logged_dt, middle, 0.5)
@@ -224,23 +237,49 @@ class Physics:
 
     def _rate(self, t: Tensor, z: Tensor, share: float) -> Tensor:
         """f at measured states, without what noise of `share` of the sensors' variance adds to its mean."""
-        system, u = self.vector.system, self.steps.u
-        f = system.drift(t, z, u)
+        u = self.steps.u
+        f = self._averaged(t, z, u)
         if not self.curved:
             return f
+        inferred = {j for j, _ in self.steps.inferred}
         bend = torch.zeros_like(f)
         for j, std in enumerate(self.sensor_std.tolist()):
-            if std > 0:
-                aside = torch.zeros_like(z)
-                aside[:, j] = std * share**0.5
-                bend = bend + system.drift(t, z + aside, u) + system.drift(t, z - aside, u) - 2.0 * f
+            if std > 0 and j not in inferred:
+                bend = bend + self._bend(t, z, u, j, std * share**0.5)
         return f - 0.5 * bend
+
+    def _averaged(self, t: Tensor, z: Tensor, u: Tensor) -> Tensor:
+        """f averaged over what is not known of inferred rates (Gauss and Hermite's rule of three points)."""
+        f = self.vector.system.drift(t, z, u)
+        for j, std in self.steps.inferred:
+            if std > 0:
+                f = f + self._bend(t, z, u, j, std * 3.0**0.5) / 6.0
+        return f
+
+    def _bend(self, t: Tensor, z: Tensor, u: Tensor, j: int, by: float) -> Tensor:
+        """Second difference of f in one state."""
+        drift, aside = self.vector.system.drift, torch.zeros_like(z)
+        aside[:, j] = by
+        return drift(t, z + aside, u) + drift(t, z - aside, u) - 2.0 * drift(t, z, u)
+
+    def _hat(self, change: Array) -> Array:
+        """Changes over steps (N, nx, ...), those of inferred rates as the differences weigh them."""
+        if not self.steps.inferred:
+            return change
+        out = np.array(change)
+        columns, rows = [j for j, _ in self.steps.inferred], self.steps.rows
+        weights = np.convolve([0.5, 0.5], np.full(rows, 1.0 / rows))
+        for a, b in self.steps.segments:
+            there = lfilter(weights, [1.0], np.ones(b - a))  # less where a stretch begins
+            summed = lfilter(weights, [1.0], change[a:b, columns], axis=0)
+            out[a:b, columns] = summed / there.reshape(-1, *(1,) * (summed.ndim - 1))
+        return out
 
     def _forecast(self, theta: Tensor, middle: Tensor) -> Tensor:
         """Change over each step by the midpoint rule (N, nx), at states (N, nz) that are held as theta moves."""
         self.vector.use(theta)
         system, s = self.vector.system, self.steps
-        return s.dt * system.drift(s.t + 0.5 * s.logged_dt, middle, s.u)[:, : system.nx]
+        return s.dt * self._averaged(s.t + 0.5 * s.logged_dt, middle, s.u)[:, : system.nx]
 
     def _memory_slope(self, theta: Tensor, j: int) -> Tensor:
         """Derivative of the memory in the middle of each step (N, nz - nx) in parameter j."""
@@ -297,6 +336,12 @@ class Physics:
         a, b = self.turned.start, self.turned.stop
         before, v, after = split_columns(change, a, b - a, change.shape[1] - b)
         return join_columns((before, rotate_back(attitude, v), after))
+
+
+def _tied(system: System, steps: Steps) -> tuple[int, ...]:
+    """Columns of positions whose rates were inferred from them: their residuals say nothing."""
+    names, inferred = list(system.state_names), {j for j, _ in steps.inferred}
+    return tuple(names.index(p) for p, v, _ in system.position_derivatives if names.index(v) in inferred)
 
 
 def _world_velocity(system: System) -> slice | None:

@@ -155,6 +155,10 @@ class Regression:
         """Largest c of each channel (see `carry_limits`)."""
         return carry_limits(self.physics, self.theta, self.box)
 
+    def times(self, channel: int) -> int:
+        """How many times the error of its sensor is differenced in a channel (see `noise`)."""
+        return 2 if channel in {j for j, _ in self.physics.steps.inferred} else 1
+
     def _whiten(self) -> None:
         """Laws of the noise at theta, and everything in their units."""
         if self._refined < 3 and not self._kept:
@@ -170,13 +174,22 @@ class Regression:
                 continue
             limit = float(self.limits[channel])
             if self._rough:
-                noises.append(first_guess(r, self.series, limit))
+                noises.append(first_guess(r, self.series, limit, times=self.times(channel)))
                 continue
             if self._refined > 3:  # the same kind of law from here on, so that theta can settle
                 noises.append(again(self.noises[i], r, self.series, memory=self.memory))
                 continue
             orders = self.orders if self._refined > 1 else 1  # theta first: an order would learn its errors
-            noises.append(estimate(r, self.series, limit=limit, orders=orders, memory=self.memory))
+            noises.append(
+                estimate(
+                    r,
+                    self.series,
+                    limit=limit,
+                    orders=orders,
+                    memory=self.memory,
+                    times=self.times(channel),
+                )
+            )
         self.noises = noises
         pairs = list(zip(noises, self.rows, strict=True))
         if self._feedback and self._refined < 3:
@@ -296,7 +309,12 @@ class Regression:
         most = self.orders if orders is None else orders
         return [
             estimate(
-                self.residual[:, c], self.series, limit=float(limits[c]), orders=most, memory=self.memory
+                self.residual[:, c],
+                self.series,
+                limit=float(limits[c]),
+                orders=most,
+                memory=self.memory,
+                times=self.times(c),
             )
             for c in self.rows
         ]

@@ -52,7 +52,7 @@ def rough_fit(
     box = max(1, round(MEANS_S / (runs[0].dt * clock)))
     vector = ParameterVector(copy.deepcopy(system))
     try:
-        steps = steps_of(vector.system, runs, clock=clock, smooth=False, shortest=box)
+        steps = steps_of(vector.system, runs, clock=clock, smooth=False, shortest=box, differences=0)
         regression = Regression(
             Physics(vector, steps, foresee=False), box=box, plain=True, levels=levels, start=start
         )

@@ -143,7 +143,9 @@ def smoothed_states(runs: Sequence[Run], system: System, clock: float = 1.0) -> 
         clock: Physical seconds per logged second.
     """
     dt = runs[0].dt * clock
-    seen = {sensor: s for sensor in sensors_of(system) if (s := group_spectra(sensor, runs, dt)) is not None}
+    guessed = {name for run in runs for name in run.inferred}
+    measured = [sensor for sensor in sensors_of(system) if not guessed & set(sensor.names)]
+    seen = {sensor: s for sensor in measured if (s := group_spectra(sensor, runs, dt)) is not None}
     without = {sensor: smoothers.fit(s, None).deviance for sensor, s in seen.items()}
     odd = {sensor: s for sensor, s in seen.items() if without[sensor] > MISFIT}
     if not odd:

@@ -4,7 +4,7 @@ Where effects carry memory (a lag), what they held when a recording began is unk
 then only bring it up: they are `run_in`, and no equation is asked of them.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -41,6 +41,9 @@ class Steps:
         segments: Ranges (first, last + 1) of steps without a gap.
         runs: Number of the run of each segment.
         run_in: The steps before each segment, for memory alone; None where no effect carries any.
+        inferred: Columns of rates that were inferred from positions, and what is not known of them (standard
+            deviation): `seen0`, `seen1` are then differences of the position over `rows` rows.
+        rows: Rows of these differences.
     """
 
     t: Tensor
@@ -54,6 +57,8 @@ class Steps:
     segments: tuple[tuple[int, int], ...]
     runs: tuple[int, ...]
     run_in: "Steps | None" = None
+    inferred: tuple[tuple[int, float], ...] = ()
+    rows: int = 1
 
     def __len__(self) -> int:
         return len(self.t)
@@ -76,6 +81,7 @@ def steps_of(
     shortest: int = 1,
     run_in: bool | None = None,
     denoise: bool = False,
+    differences: int = 1,
 ) -> Steps:
     """Cut runs into steps.
 
@@ -86,6 +92,8 @@ def steps_of(
         smooth: Whether white sensor noise is taken out of the states and of their changes.
         shortest: Segments of fewer steps are left out.
         denoise: Whether it is taken out of the states alone, at which physics is evaluated.
+        differences: Rows over which positions are differenced where their rates were inferred; 0 takes these as
+            inferred.
         run_in: Whether to keep the first steps of each segment for memory alone; None: where an effect has any.
 
     Raises:
@@ -94,22 +102,56 @@ def steps_of(
     if not runs:
         raise DataError("no run to identify the physics from.")
     seen = [np.asarray(run.x) for run in runs]
-    clean = denoised(runs)[0] if smooth or denoise else seen
+    clean = [np.array(x) for x in (denoised(runs)[0] if smooth or denoise else seen)]
+    unknown = inferred_columns(system, runs) if differences else {}
+    if unknown:
+        for x, run in zip(clean, runs, strict=True):  # what a filter knows is no noisy measurement
+            x[:, list(unknown)] = run.x[:, list(unknown)]
+        seen = [_differenced(system, run, runs[0].dt * clock, differences) for run in runs]
     states = list(zip(clean if smooth else seen, clean, strict=True))
-    stretches = [(n, a, b) for n, a, b in _stretches(runs) if b - 1 - a >= shortest]
+    lead = differences if unknown else 0  # rows before a difference
+    stretches = [(n, a + lead, b) for n, a, b in _stretches(runs) if b - 1 - a - lead >= shortest]
     if not stretches:
         raise DataError(f"no stretch of {shortest} steps without a gap; identify from longer runs.")
     if not (system.nz > system.nx if run_in is None else run_in):
-        return _joined(system, runs, states, stretches, clock)
+        return _joined(system, runs, states, stretches, clock, unknown, differences)
     most = max(1, round(_RUN_IN_S / runs[0].dt))
     lengths = [max(1, min(most, int(_RUN_IN_SHARE * (b - 1 - a)))) for _, a, b in stretches]
     pairs = [(s, k) for s, k in zip(stretches, lengths, strict=True) if s[2] - 1 - s[1] - k >= shortest]
     if not pairs:
         raise DataError(f"no stretch of {shortest + 1} steps without a gap; identify from longer runs.")
-    before = _joined(system, runs, states, [(n, a, a + k + 1) for (n, a, _), k in pairs], clock)
-    return replace(
-        _joined(system, runs, states, [(n, a + k, b) for (n, a, b), k in pairs], clock), run_in=before
+    before = _joined(
+        system, runs, states, [(n, a, a + k + 1) for (n, a, _), k in pairs], clock, unknown, differences
     )
+    return replace(
+        _joined(system, runs, states, [(n, a + k, b) for (n, a, b), k in pairs], clock, unknown, differences),
+        run_in=before,
+    )
+
+
+def inferred_columns(system: System, runs: Sequence[Run]) -> dict[int, float]:
+    """Columns of rates that were inferred from positions, and what is not known of them.
+
+    Raises:
+        DataError: of some of the runs only.
+    """
+    names = {name for run in runs for name in run.inferred}
+    lacking = [run.name for run in runs if set(run.inferred) != names]
+    if lacking:
+        raise DataError(
+            f"{', '.join(sorted(names))} were inferred in other runs than {lacking[0]!r}: read all runs in one way."
+        )
+    return {system.state_names.index(n): max(run.inferred[n] for run in runs) for n in sorted(names)}
+
+
+def _differenced(system: System, run: Run, dt: float, rows: int) -> Array:
+    """States (n, nx) with differences of positions over some rows before for rates that were inferred."""
+    x, names = np.array(run.x), list(system.state_names)
+    for position, rate, _ in system.position_derivatives:
+        if rate in run.inferred:
+            q = x[:, names.index(position)]
+            x[rows:, names.index(rate)] = (q[rows:] - q[:-rows]) / (rows * dt)
+    return x
 
 
 def _joined(
@@ -118,6 +160,8 @@ def _joined(
     states: Sequence[tuple[Array, Array]],
     stretches: Sequence[_Stretch],
     clock: float,
+    inferred: Mapping[int, float],
+    rows: int,
 ) -> Steps:
     """Steps of some stretches, one after another."""
     names = ("t", "x0", "x1", "seen0", "seen1", "u")
@@ -148,6 +192,8 @@ def _joined(
         dt=dt * clock,
         segments=tuple(segments),
         runs=tuple(owners),
+        inferred=tuple(inferred.items()),
+        rows=max(rows, 1),
     )
 
 

@@ -340,7 +340,7 @@ class System(Parametrised, ABC):
         return memory_of.remembered(self, x, u, u_before, dt)
 
     def held_memory(self, t: Tensor, x: Tensor, u: Tensor, dt: float) -> tuple[Tensor, Tensor]:
-        """What effects on the input know exactly of inputs that are held over steps (see `Effect.held`).
+        """What effects know of their memory over steps (see `Effect.held`, `Effect.followed`).
 
         Args:
             t: Starts of consecutive steps (n,) [s].
@@ -365,6 +365,11 @@ class System(Parametrised, ABC):
                     break
                 memory[:, columns], known[columns] = held, True
             command = command + effect(t, x, own, memory[:, columns])
+        for k in range(len(self.effects)):
+            followed = self._effect(k).followed(x, dt) if k not in self._on_input else None
+            if followed is not None:
+                columns = slice(starts[k], starts[k + 1])
+                memory[:, columns], known[columns] = followed, True
         return memory, known
 
     def quantity(self, name: str, x: Tensor, u: Tensor) -> Tensor:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from nsde_torch.recording.faults.clock_scale import ClockScale
+from nsde_torch.recording.faults.derived_rate import DerivedRate
 from nsde_torch.recording.faults.dropout import Dropout
 from nsde_torch.recording.faults.fault import Fault
 from nsde_torch.recording.faults.frame_misalignment import TurnedFrame
@@ -20,6 +21,7 @@ FAULTS: dict[str, Fault] = {
         LateStates(),
         ClockScale(),
         SensorBias(),
+        DerivedRate(),
         SensorDelay(),
         SensorLag(),
         TurnedFrame(),

@@ -1,0 +1,150 @@
+"""Rate columns that no sensor measured: somebody differentiated the position column.
+
+A rate v that was made of the position q by a linear filter, v = W q, holds the noise of q as W lets it through. The
+rate of a sensor of its own does not: from it, the best filter of q stays away by that noise at least,
+
+    mean (v - W q)^2  >=  s^2 sum_j w_j^2,          s the noise of q, w the weights of W
+
+so that a share far below one is proof. The noise is what q does and the rate does not, at frequencies at which no
+machine moves: s^2 = mean (D^4 d)^2 / 252, d_k = q_{k+1} - q_k - h (v_k + v_{k+1}) / 2. Where there is none (a noiseless
+simulation) nothing is said of filters. Plain differences are told by their numbers: q and v agree on them far better
+than on a formula that is nearer to the derivative.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
+from numpy.typing import NDArray
+
+from nsde_torch.data.raw import RawRun
+from nsde_torch.data.system_info import SystemInfo
+
+Array = NDArray[np.float64]
+
+SHARE = 0.1
+"""Share of the noise that a filter of the position would bring, below which it is what made the rate; sensors of their
+own have 0.8 and more."""
+PLAIN = 0.1
+"""Share of the difference to a better formula, below which a rate is a plain difference."""
+_REACHES = (15, 60)  # rows to either side that filters are looked for in
+_FEWEST = 20  # rows for each weight, at least
+_MOST = 6000  # rows that are looked at
+_WHITE = 2.5  # times the square of differences grows with their order, from which on they are of noise (3.7)
+_EVEN = 1e-3  # of the step, within which times are even
+
+
+@dataclass(frozen=True)
+class Derived:
+    """A rate that was made of a position.
+
+    Args:
+        rate: Name of the rate.
+        position: Name of the position.
+        how: By what: words that follow "is".
+        share: How much of what a sensor of its own would bring is there; 0 is nothing.
+    """
+
+    rate: str
+    position: str
+    how: str
+    share: float
+
+
+def derived_rates(system: SystemInfo, runs: Sequence[RawRun]) -> list[Derived]:
+    """Rates of a system that are made of its positions; of machines that turn freely none are looked for.
+
+    Args:
+        system: Names and derivative pairs.
+        runs: Recordings in the order of time; `nan` is missing.
+    """
+    if system.quaternion is not None:
+        return []
+    names, out = list(system.state_names), []
+    for position, rate, _ in system.position_derivatives:
+        i, j = names.index(position), names.index(rate)
+        parts = [part for run in runs for part in _stretches(run, i, j, system.state_units[i] == "rad")]
+        if sum(len(t) for t, _, _ in parts) < 200:
+            continue
+        found = _plain(parts) or _filtered(parts)
+        if found is not None:
+            out.append(Derived(rate, position, *found))
+    return out
+
+
+def _stretches(run: RawRun, i: int, j: int, angle: bool) -> list[tuple[Array, Array, Array]]:
+    """Times, positions and rates (n,) of stretches without a hole."""
+    good = np.isfinite(run.x[:, i]) & np.isfinite(run.x[:, j])
+    steps = np.diff(run.t)
+    step = float(np.median(steps)) if len(steps) else 1.0
+    cuts = np.flatnonzero(~good[1:] | ~good[:-1] | (steps > 2.5 * step)) + 1
+    out = []
+    for rows in np.split(np.arange(len(run.t)), cuts):
+        if len(rows) > 20 and good[rows].all():
+            q = np.unwrap(run.x[rows, i]) if angle else run.x[rows, i]
+            out.append((run.t[rows], q, run.x[rows, j]))
+    return out
+
+
+def _plain(parts: Sequence[tuple[Array, Array, Array]]) -> tuple[str, float] | None:
+    """Which plain difference the rates are, and how far they are from it against a better formula."""
+    off: dict[str, list[Array]] = {"backward": [], "forward": [], "central": []}
+    apart: dict[str, list[Array]] = {"backward": [], "forward": [], "central": []}
+    for t, q, v in parts:
+        step = np.diff(q) / np.diff(t)
+        backward, forward = step[1:-2], step[2:-1]
+        h = np.diff(t)
+        central = (h[2:-1] * backward + h[1:-2] * forward) / (h[2:-1] + h[1:-2])  # np.gradient
+        wide = (4.0 * central - (q[4:] - q[:-4]) / (t[4:] - t[:-4])) / 3.0
+        for name, made, better in (
+            ("backward", backward, central),
+            ("forward", forward, central),
+            ("central", central, wide),
+        ):
+            off[name].append(np.abs(v[2:-2] - made))
+            apart[name].append(np.square(better - made))
+    for name in off:
+        size = float(np.sqrt(np.concatenate(apart[name]).mean()))
+        share = float(np.quantile(np.concatenate(off[name]), 0.95)) / max(size, 1e-300)
+        if size > 0 and share < PLAIN:
+            return f"the {name} difference of", share**2
+    return None
+
+
+def _filtered(parts: Sequence[tuple[Array, Array, Array]]) -> tuple[str, float] | None:
+    """A filter of positions that the rates are, and the share of the noise that it should have brought."""
+    even = [p for p in parts if np.ptp(np.diff(p[0])) < 2 * _EVEN * np.diff(p[0]).mean()]
+    if not even:
+        return None
+    dt = float(np.median(np.diff(even[0][0])))
+    fourths, fifths = [], []
+    for _, q, v in even:
+        d = np.diff(q) - 0.5 * dt * (v[1:] + v[:-1])
+        fourths.append(np.diff(d, 4))
+        fifths.append(np.diff(d, 5))
+    fourth, fifth = (float(np.square(np.concatenate(d)).mean()) for d in (fourths, fifths))
+    if not fifth > _WHITE * fourth > 0:
+        return None
+    noise = fourth / 252.0
+    for reach in _REACHES:
+        rows, wanted = [], []
+        for _, q, v in even:
+            if len(q) > 2 * reach + 1:
+                rows.append(sliding_window_view(np.diff(q) / dt, 2 * reach))
+                wanted.append(v[reach:-reach])
+        count = sum(len(w) for w in wanted)
+        if count < _FEWEST * 2 * reach:
+            break
+        every = max(1, count // _MOST)
+        z, y = np.concatenate(rows)[::every], np.concatenate(wanted)[::every]
+        b = np.linalg.lstsq(z, y, rcond=None)[0]
+        left = float(np.square(y - z @ b).sum() / (len(y) - len(b)))
+        weights = np.diff(np.concatenate([[0.0], b, [0.0]])) / dt
+        share = left / max(noise * float(np.square(weights).sum()), 1e-300)
+        if share < SHARE:
+            ahead = float(np.abs(b[reach:]).max()) < 0.02 * float(np.abs(b).max())
+            return f"a {'causal ' if ahead else ''}filter of the differences of", share
+    return None

@@ -1,0 +1,65 @@
+"""Springs with dry friction by SciPy-free Runge and Kutta, and what encoders and users make of them."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "benchmarks" / "blind"))
+from position_machines import measured, rates, spring
+
+from nsde_torch.data.raw import RawRun
+
+Array = NDArray[np.float64]
+DT = 0.01
+SPRING = {"k": 4.0, "b": 0.3, "g": 1.3, "force": 2.0}
+
+
+def encoder_runs(
+    rate: str,
+    *,
+    seed: int = 0,
+    friction: float = 0.2,
+    noise: float = 1e-3,
+    counts: bool = False,
+    runs: int = 3,
+    seconds: float = 15.0,
+    gust: float = 0.02,
+) -> list[RawRun]:
+    """Runs whose position an encoder measures.
+
+    Args:
+        rate: Where the rate is from: "sensor", "truth", "none", or how a user made it (`position_machines.RATES`).
+        seed: Of noise and forces.
+        friction: Dry friction over mass [m/s2].
+        noise: Of the encoder [m]; ten times as much of a rate's sensor.
+        counts: Whether the encoder counts in steps.
+        runs: Number of runs.
+        seconds: Length of each [s].
+        gust: White force over mass, by the root of a second [m/s1.5].
+    """
+    out = []
+    for i in range(runs):
+        rng = np.random.default_rng([seed, i])
+        x, u = spring(
+            SPRING,
+            lambda q, v: -friction * np.tanh(v / 0.01),
+            seconds=seconds,
+            dt=DT,
+            gust=gust,
+            rng=rng,
+        )
+        q = measured(x[:, 0], noise, counts, rng)
+        if rate == "sensor":
+            v = x[:, 1] + 10.0 * noise * rng.standard_normal(len(q))
+        elif rate == "truth":
+            q, v = x[:, 0], x[:, 1]
+        else:
+            v = np.full(len(q), np.nan) if rate == "none" else rates(q, DT, rate)
+        absent = ("q_dot",) if rate == "none" else ()
+        t = DT * np.arange(len(q)) + 100.0 * i
+        out.append(RawRun(f"run_{i}", t, np.column_stack([q, v]), u, absent=absent))
+    return out

@@ -61,9 +61,8 @@ def identified(
         )
         q = measured(x[:, 0], noise, counts, own)
         v = x[:, 1] + 10.0 * noise * own.standard_normal(len(q)) if sensor else np.full(len(q), np.nan)
-        absent = () if sensor else ("q_dot",)
         runs.append(
-            RawRun(f"run_{i}", dt * np.arange(len(q)) + 100.0 * i, np.column_stack([q, v]), u, absent=absent)
+            RawRun(f"run_{i}", dt * np.arange(len(q)) + 100.0 * i, np.column_stack([q, v]), u)
         )
     data = nsde_torch.read(runs, system="mass_spring_damper")
     found = identify_in_loop(make_system("mass_spring_damper", effects=["coulomb_friction"]), data.runs)

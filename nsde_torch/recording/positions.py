@@ -135,7 +135,7 @@ def _without(system: SystemInfo, run: RawRun) -> set[str]:
         return set()
     names = list(system.state_names)
     pairs = [(names.index(p), names.index(v)) for p, v, _ in system.position_derivatives]
-    empty = np.isnan(run.x).all(0)
+    empty = np.asarray(np.isnan(run.x).all(axis=0))
     return {names[j] for i, j in pairs if empty[j] and not empty[i]}
 
 

@@ -61,9 +61,7 @@ def identified(
         )
         q = measured(x[:, 0], noise, counts, own)
         v = x[:, 1] + 10.0 * noise * own.standard_normal(len(q)) if sensor else np.full(len(q), np.nan)
-        runs.append(
-            RawRun(f"run_{i}", dt * np.arange(len(q)) + 100.0 * i, np.column_stack([q, v]), u)
-        )
+        runs.append(RawRun(f"run_{i}", dt * np.arange(len(q)) + 100.0 * i, np.column_stack([q, v]), u))
     data = nsde_torch.read(runs, system="mass_spring_damper")
     found = identify_in_loop(make_system("mass_spring_damper", effects=["coulomb_friction"]), data.runs)
     truth = {

@@ -162,16 +162,15 @@ def read_csv_file(path: str | Path, system: SystemInfo) -> RawRun:
         )
     column_of = {name: k for k, name in enumerate(names)}
     known = (TIME, *system.state_names, *system.input_names)
-    absent = tuple(n for n in system.state_names if n not in column_of)
     nothing = np.full(len(table), np.nan)
-    x = np.column_stack([nothing if n in absent else table[:, column_of[n]] for n in system.state_names])
+    x = np.column_stack([table[:, column_of[n]] if n in column_of else nothing for n in system.state_names])
     u = np.zeros((len(table), len(system.input_names)))
     for k, name in enumerate(system.input_names):
         if name in column_of:
             u[:, k] = table[:, column_of[name]]
     extra = {name: table[:, k].copy() for name, k in column_of.items() if name not in known}
     t = table[:, column_of[TIME]].copy()
-    return RawRun(path.stem, t, x, u, extra=extra, source=str(path), first_line=2, absent=absent)
+    return RawRun(path.stem, t, x, u, extra=extra, source=str(path), first_line=2)
 
 
 def read_csv(system: SystemInfo, *, path: str | Path) -> list[RawRun]:

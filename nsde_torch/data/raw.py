@@ -26,7 +26,6 @@ class RawRun:
         source: File, for messages.
         first_line: Line of row 0 in a text file, so that messages can say file:line; None for other files.
         notes: What the reader itself found; goes to the summary.
-        absent: States that have no column: rates of positions, which are inferred.
     """
 
     name: str
@@ -37,7 +36,6 @@ class RawRun:
     source: str = ""
     first_line: int | None = None
     notes: list[Finding] = field(default_factory=list)
-    absent: tuple[str, ...] = ()
 
     def where(self, row: int) -> str:
         """Place of a row, for messages: file:line for a text file, otherwise run and row."""

@@ -40,12 +40,13 @@ def to_infer(system: SystemInfo, raw: Sequence[RawRun], *, policy: str, report: 
     """
     if policy not in POLICIES:
         raise ConfigError(f"`derived_rates` must be {' or '.join(POLICIES)}; got {policy!r}.")
-    absent = {name for run in raw for name in run.absent}
+    without = {run.name: _without(system, run) for run in raw}
+    absent = {name for names in without.values() for name in names}
     for name in sorted(absent):
-        lacking = [run.name for run in raw if name in run.absent]
+        lacking = [run for run, names in without.items() if name in names]
         if len(lacking) < len(raw):
             raise DataError(
-                f"run {lacking[0]!r} has no column {name!r} and others have; leave it out of all files, and it is "
+                f"run {lacking[0]!r} has no value of {name!r} and others have; leave it out of all of them, and it is "
                 "inferred from the position, or read the runs apart."
             )
     if absent:
@@ -126,6 +127,16 @@ def inferred(system: SystemInfo, runs: Sequence[Run], names: Collection[str], cl
         for (x, a, b), values in zip(places, found, strict=True):
             x[a:b, j] = values
     return [replace(run, x=x, inferred=unknown) for run, x in zip(runs, states, strict=True)]
+
+
+def _without(system: SystemInfo, run: RawRun) -> set[str]:
+    """Rates of positions without any value in a run."""
+    if system.quaternion is not None:
+        return set()
+    names = list(system.state_names)
+    pairs = [(names.index(p), names.index(v)) for p, v, _ in system.position_derivatives]
+    empty = np.asarray(np.isnan(run.x).all(axis=0))
+    return {names[j] for i, j in pairs if empty[j] and not empty[i]}
 
 
 def _pairs(system: SystemInfo, names: Collection[str]) -> list[tuple[int, int]]:

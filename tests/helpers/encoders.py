@@ -59,7 +59,6 @@ def encoder_runs(
             q, v = x[:, 0], x[:, 1]
         else:
             v = np.full(len(q), np.nan) if rate == "none" else rates(q, DT, rate)
-        absent = ("q_dot",) if rate == "none" else ()
         t = DT * np.arange(len(q)) + 100.0 * i
-        out.append(RawRun(f"run_{i}", t, np.column_stack([q, v]), u, absent=absent))
+        out.append(RawRun(f"run_{i}", t, np.column_stack([q, v]), u))
     return out

@@ -97,7 +97,7 @@ def test_a_lacking_position_or_another_spelling_is_refused(
 
 def test_a_rate_that_some_runs_have_is_refused() -> None:
     runs = [*encoder_runs("none", runs=1), *encoder_runs("sensor", runs=2)[1:]]
-    with pytest.raises(DataError, match="no column 'q_dot' and others have"):
+    with pytest.raises(DataError, match="no value of 'q_dot' and others have"):
         assemble(runs, SPRING, kind="test")
 
 

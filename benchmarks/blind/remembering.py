@@ -1,0 +1,120 @@
+"""Springs that remember: Bouc-Wen and Dahl hysteresis and play of the input, beside delays, lags, friction and nothing.
+
+    q'' = -k q - b v + g u_eff - s z,   Bouc-Wen  z' = (v - (|v| z + v |z|) / 2) / d,   Dahl  z' = (v - |v| z) / d
+
+by Runge-Kutta 4 at a fifth of the step, with white gusts; play is Tao and Kokotovic's operator on rows of the input.
+
+    python benchmarks/blind/remembering.py --seed 1 --count 12
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from pathlib import Path
+
+import numpy as np
+import torch
+
+import nsde_torch
+from nsde_torch.data.raw import RawRun
+
+sys.path.insert(0, str(Path(__file__).resolve().parent))
+from position_machines import Array, sums_of_sines
+
+RIGHT = {
+    "bouc_wen": "hysteresis",
+    "play": "input_play",
+    "delay": "input_delay",
+    "lag": "actuator_lag",
+    "coulomb": "coulomb_friction",
+    "dahl": "hysteresis",
+    "null": "",
+}
+DT, FINE, NOISE, GUST = 0.01, 5, 1e-3, 0.02
+
+
+def _acting(kind: str, u: Array, size: float) -> Array:
+    if kind == "delay":
+        rows = max(1, round(size / DT))
+        return np.concatenate([np.full(rows, u[0]), u[:-rows]])
+    out, acts, stays = u.copy(), u[0], np.exp(-DT / max(size, 1e-9))
+    for n, command in enumerate(u):
+        if kind == "play":
+            acts = min(max(acts, command - size), command + size)
+            out[n] = acts
+        elif kind == "lag":
+            acts = command + (acts - command) * stays
+            out[n] = acts
+    return out
+
+
+def run(kind: str, values: dict[str, float], rng: np.random.Generator) -> tuple[Array, Array]:
+    """Measured states (n, 2) and commands (n, 1) of one run of 15 s."""
+    t = DT * np.arange(1500)
+    u = sums_of_sines(t, 2.0, rng, 0.08, 1.5)
+    acting, h, y = _acting(kind, u, values["time"]), DT / FINE, np.zeros(3)
+    size, reach = values["size"], values["reach"]
+
+    def rate(y: Array, push: float) -> Array:
+        q, v, z = (float(c) for c in y)
+        force = -values["k"] * q - values["b"] * v + values["g"] * push
+        turn = 0.0
+        if kind in ("bouc_wen", "dahl"):
+            force -= size * z
+            turn = v - (0.5 * (abs(v) * z + v * abs(z)) if kind == "bouc_wen" else abs(v) * z)
+        elif kind == "coulomb":
+            force -= size * np.tanh(v / 0.01)
+        return np.array([v, force, turn / reach])
+
+    out = np.empty((len(t), 2))
+    for n, push in enumerate(acting):
+        out[n] = y[:2]
+        for _ in range(FINE):
+            k1 = rate(y, push)
+            k2 = rate(y + 0.5 * h * k1, push)
+            k3 = rate(y + 0.5 * h * k2, push)
+            k4 = rate(y + h * k3, push)
+            y = y + h / 6.0 * (k1 + 2.0 * k2 + 2.0 * k3 + k4)
+            y[1] += GUST * np.sqrt(h) * rng.standard_normal()
+    return out + rng.standard_normal(out.shape) * [NOISE, 10.0 * NOISE], u[:, None]
+
+
+def main() -> None:
+    """Diagnoses one case after another, and counts."""
+    parser = argparse.ArgumentParser(description="Springs that remember.")
+    parser.add_argument("--seed", type=int, required=True)
+    parser.add_argument("--count", type=int, default=12)
+    a = parser.parse_args()
+    torch.set_num_threads(1)
+    right = 0
+    for i in range(a.count):
+        rng = np.random.default_rng([a.seed, i])
+        kind = list(RIGHT)[i % len(RIGHT)]
+        values = {"k": rng.uniform(2, 6), "b": rng.uniform(0.2, 0.6), "g": rng.uniform(0.8, 1.6)}
+        values |= {"size": rng.uniform(0.25, 0.6), "reach": rng.uniform(0.03, 0.25)}
+        values["time"] = float(rng.uniform(0.1, 0.4) if kind == "play" else rng.uniform(0.02, 0.06))
+        runs = []
+        for n in range(4):
+            x, u = run(kind, values, np.random.default_rng([a.seed, i, n]))
+            runs.append(RawRun(f"run_{n}", DT * np.arange(len(x)) + 100.0 * n, x, u))
+        found = nsde_torch.diagnose(runs, system="mass_spring_damper").content()
+        good = found["added"][:1] == [RIGHT[kind]] if RIGHT[kind] else not found["added"]
+        right += good
+        told = {k: [v["value"], v["interval_90"]] for k, v in found["parameters"].items()}
+        print(
+            i,
+            kind,
+            "right" if good else "WRONG",
+            values,
+            "->",
+            found["verdict"],
+            found["added"],
+            told,
+            flush=True,
+        )
+    print(f"right {right} of {a.count}")
+
+
+if __name__ == "__main__":
+    main()

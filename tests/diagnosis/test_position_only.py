@@ -1,0 +1,26 @@
+"""A log without a rate, or with one that was made of the position, is diagnosed as one with a sensor of it is."""
+
+from __future__ import annotations
+
+import pytest
+
+import nsde_torch
+from tests.helpers.encoders import encoder_runs
+
+
+@pytest.mark.parametrize("rate", ["none", "backward"])
+def test_friction_is_named_and_what_was_inferred_is_said(rate: str) -> None:
+    data = nsde_torch.read(encoder_runs(rate, runs=4, noise=5e-4), system="mass_spring_damper")
+    found = nsde_torch.diagnose(data, system="mass_spring_damper").content()
+    assert (found["verdict"], found["added"]) == ("effect_found", ["coulomb_friction"])
+    low, high = found["parameters"]["coulomb_friction.size"]["interval_90"]
+    assert 0.17 < low < high < 0.23
+    (aside,) = [a for a in found["aside"] if a["effect"] == "derived_rate"]
+    assert "No sensor measured q_dot" in aside["sentence"]
+    assert "known from the reading" in aside["reason"]
+
+
+def test_nothing_is_named_of_a_count_that_holds_nothing() -> None:
+    runs = encoder_runs("savgol", runs=4, friction=0.0, noise=5e-4, counts=True)
+    found = nsde_torch.diagnose(runs, system="mass_spring_damper").content()
+    assert (found["verdict"], found["added"]) == ("no_effect", [])

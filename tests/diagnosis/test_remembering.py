@@ -1,0 +1,36 @@
+"""What remembers is named as such, and never as a delay; what is late or rubs is not named as what remembers."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import nsde_torch
+from nsde_torch.data.raw import RawRun
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "benchmarks" / "blind"))
+from remembering import DT, RIGHT, run
+
+
+@pytest.mark.parametrize("kind", ["bouc_wen", "play", "delay", "coulomb"])
+def test_it_is_named_for_what_it_is(kind: str) -> None:
+    values = {
+        "k": 3.0,
+        "b": 0.4,
+        "g": 1.1,
+        "size": 0.4,
+        "reach": 0.08,
+        "time": 0.25 if kind == "play" else 0.04,
+    }
+    runs = []
+    for n in range(4):
+        x, u = run(kind, values, np.random.default_rng([9, n]))
+        runs.append(RawRun(f"run_{n}", DT * np.arange(len(x)) + 100.0 * n, x, u))
+    found = nsde_torch.diagnose(runs, system="mass_spring_damper").content()
+    assert found["added"] == [RIGHT[kind]]
+    own = {"bouc_wen": "reach", "play": "gap", "delay": "delay", "coulomb": "size"}[kind]
+    true = {"bouc_wen": 0.08, "play": 0.25, "delay": 0.04, "coulomb": 0.4}[kind]
+    assert found["parameters"][f"{RIGHT[kind]}.{own}"]["value"] == pytest.approx(true, rel=0.1)

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
-import nsde_torch
 from nsde_torch.diagnosis.decisions import Budgets
 from nsde_torch.diagnosis.law_content import looks_like
 from nsde_torch.diagnosis.law_terms import terms_of
@@ -19,7 +17,6 @@ from nsde_torch.systems import make_system
 from nsde_torch.systems.options import system_options
 from tests.helpers.diagnosed import diagnosed
 
-EXAMPLES = Path(__file__).parents[2] / "examples" / "double_pendulum"
 OUTSIDE = Path(__file__).parents[2] / "benchmarks" / "blind"
 LAW = "force = c1 q q_dot"
 
@@ -113,25 +110,6 @@ def test_what_one_run_alone_has_is_no_law(monkeypatch: pytest.MonkeyPatch) -> No
         durations=(8.0,) * 4,
     )
     assert not [name for name in content["added"] if "=" in name]
-
-
-@pytest.mark.skipif(not EXAMPLES.is_dir(), reason="the examples are not part of a wheel")
-def test_a_coupling_of_two_joints_is_found_in_its_row(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.syspath_prepend(EXAMPLES)
-    import make_data
-
-    def push(q: np.ndarray, w: np.ndarray) -> np.ndarray:
-        return np.array([-0.03 * w[1], 0.0])
-
-    make_data.write(tmp_path, push, seed=5, runs=4, seconds=8.0, noise=0.5)
-    data = nsde_torch.read(tmp_path, system="double_pendulum:DoublePendulum")
-    content = nsde_torch.diagnose(data, system="double_pendulum:DoublePendulum").content()
-    law = "torque[q1] = c1 q2_dot"
-    assert (content["verdict"], content["added"]) == ("effect_found", [law])
-    assert held(content, f"{law}.c1", -0.03, slack=0.5)
-    sys.modules.pop("make_data", None)
 
 
 def test_every_term_of_the_library_is_of_the_grammar_and_has_one_spelling() -> None:

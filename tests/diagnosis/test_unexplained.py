@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from nsde_torch.diagnosis.decisions import Decisions
+from nsde_torch.diagnosis.decisions import Budgets, Decisions
 from nsde_torch.diagnosis.formula import chosen, forward, shifted
 from nsde_torch.diagnosis.options import Options
 from tests.helpers.diagnosed import diagnosed
@@ -57,10 +57,13 @@ def test_a_magnet_on_the_pole_is_a_ripple_of_the_catalogue_and_unexplained_witho
 
 @needs_outside
 @pytest.mark.usefixtures("_outside")
-def test_a_spring_that_hardens_faster_than_the_catalogue_knows_leaves_a_lead_and_its_power() -> None:
-    _, content = diagnosed(
-        "mass_spring_damper", {"outside:QuinticStiffness": {"size": 8.0}}, durations=(10.0,) * 6
-    )
+def test_a_spring_that_hardens_faster_than_the_catalogue_knows_is_a_law_with_its_power() -> None:
+    case = ("mass_spring_damper", {"outside:QuinticStiffness": {"size": 8.0}})
+    _, content = diagnosed(*case, durations=(10.0,) * 6)
+    law = "force = c1 q^5"
+    assert (content["verdict"], content["added"]) == ("effect_found", [law])
+    assert content["parameters"][f"{law}.c1"]["value"] == pytest.approx(-8.0, rel=0.15)
+    _, content = diagnosed(*case, durations=(10.0,) * 6, budgets=Budgets(law_rounds=0))
     assert content["verdict"] == "unexplained" or all(f["lead"] for f in content["findings"])
     assert content["added"] in ([], ["cubic_stiffness"])
     first = content["unexplained"][0]

@@ -14,6 +14,7 @@ from nsde_torch.diagnosis.search import Search
 from nsde_torch.sysid.inferred_rates import with_rates
 from nsde_torch.systems import System
 
+_SEVERAL = "the rates of several coordinates were inferred from positions"
 _TURNS = 2  # of fits of the declared physics, and of searches
 
 
@@ -49,6 +50,17 @@ def at_found(
         if {one.name for one in outcome.found} == before:
             break
     return log, search, outcome
+
+
+def not_sure(log: Log, outcome: Outcome) -> Outcome:
+    """The outcome; nothing that was found is sure where the rates of several coordinates were inferred.
+
+    What is not known of one rate bends the forces on all of them, and dampings that are not there were named.
+    """
+    if len(log.runs[0].inferred) < 2:
+        return outcome
+    found = [replace(f, provisional=f.provisional or _SEVERAL) for f in outcome.found]
+    return replace(outcome, found=found)
 
 
 def _at(log: Log, system: System) -> Log:

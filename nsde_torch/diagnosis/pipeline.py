@@ -25,7 +25,7 @@ from nsde_torch.diagnosis.decisions import BUDGETS, DECISIONS, Budgets, Decision
 from nsde_torch.diagnosis.elimination import eliminate
 from nsde_torch.diagnosis.explanation import explained
 from nsde_torch.diagnosis.gone import select
-from nsde_torch.diagnosis.inferred import at_declared, at_found
+from nsde_torch.diagnosis.inferred import at_declared, at_found, not_sure
 from nsde_torch.diagnosis.longer_boxes import over_longer_boxes
 from nsde_torch.diagnosis.options import Options
 from nsde_torch.diagnosis.outcome import Outcome
@@ -89,7 +89,7 @@ def diagnose(
     closed_loop = feedback.closed_loop if closed_loop is None else closed_loop
     errors = cross_validated(log, search, outcome, spec, closed_loop=closed_loop)
     watch.lap("errors")
-    outcome = judged_on_runs_left_out(outcome, errors)
+    outcome = not_sure(log, judged_on_runs_left_out(outcome, errors))
     names = tuple(run.name for run in runs)
     return Diagnosis(
         log.system,

@@ -2,9 +2,15 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+from typing import cast
+
 import pytest
 
 import nsde_torch
+from nsde_torch.diagnosis.inferred import not_sure
+from nsde_torch.diagnosis.reading import Log
+from tests.helpers.diagnosed import diagnosed
 from tests.helpers.encoders import encoder_runs
 
 
@@ -24,3 +30,14 @@ def test_nothing_is_named_of_a_count_that_holds_nothing() -> None:
     runs = encoder_runs("savgol", runs=4, friction=0.0, noise=5e-4, counts=True)
     found = nsde_torch.diagnose(runs, system="mass_spring_damper").content()
     assert (found["verdict"], found["added"]) == ("no_effect", [])
+
+
+def test_what_is_found_with_inferred_rates_of_several_coordinates_is_provisional() -> None:
+    found, _ = diagnosed("mass_spring_damper", {"coulomb_friction": {"size": 0.5, "width": 0.01}})
+    (one,) = found.outcome.found
+    for rates, reason in (({"q_dot": 0.01}, ""), ({"a_dot": 0.01, "b_dot": 0.01}, "several coordinates")):
+        log = cast(Log, SimpleNamespace(runs=[SimpleNamespace(inferred=rates)]))
+        (again,) = not_sure(log, found.outcome).found
+        assert again.name == one.name
+        assert reason in again.provisional
+        assert bool(reason) == bool(again.provisional)

@@ -13,7 +13,9 @@ import tests.effects.test_cartpole_effects
 import tests.effects.test_delay
 import tests.effects.test_forces
 import tests.effects.test_friction
+import tests.effects.test_hysteresis
 import tests.effects.test_lag
+import tests.effects.test_laws_on_coordinates
 import tests.effects.test_multirotor_drag
 import tests.effects.test_multirotor_forces
 import tests.effects.test_multirotor_frame

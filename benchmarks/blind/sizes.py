@@ -109,6 +109,7 @@ def shapes(cls: type[Effect], system: str, rng: np.random.Generator) -> Values:
         "level": lambda: command * rng.uniform(0.45, 0.97),
         "height": lambda: between(0.1, 0.3),
         "wind": lambda: _direction(rng, 2, between(1.0, 4.0)),
+        "gap": lambda: between(0.05, 0.4) * command,
         "reach": lambda: between(0.05, 0.4) * place,
         "length": lambda: place,
         "pitch": lambda: between(0.2, 0.8) * place,

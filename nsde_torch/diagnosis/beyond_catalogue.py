@@ -2,7 +2,9 @@
 
     select and eliminate (catalogue)  ->  structure left  ->  propose laws  ->  select and eliminate again, with them
 
-until nothing is left, no law is new or none holds. A law that is not chosen again in halves of the runs is taken out.
+until nothing is left, no law is new or none holds. Where the shape of an effect ends at the largest that the data tell
+from another law (`bent_shape`), laws are tried in its place first. A law that is not chosen again in halves of the runs
+is taken out.
 """
 
 from __future__ import annotations
@@ -11,7 +13,7 @@ from dataclasses import replace
 
 from nsde_torch.diagnosis.decision import decide, set_aside
 from nsde_torch.diagnosis.elimination import Retained, eliminate
-from nsde_torch.diagnosis.fitted import effect_of, fitted_system, values_of
+from nsde_torch.diagnosis.fitted import bent_shape, effect_of, fitted_system, values_of
 from nsde_torch.diagnosis.hidden import Feedback
 from nsde_torch.diagnosis.laws import chosen_again, propose
 from nsde_torch.diagnosis.outcome import Outcome, without_effect
@@ -35,6 +37,28 @@ def with_laws(
     """
     if search.candidates is not None:  # the user says what may be tried
         return outcome
+    for f in outcome.found:
+        if bent_shape(kept.final.regression, f.name):
+            other = _in_place_of(search, chosen, kept, feedback, f.name)
+            if other.final.score.fitted > outcome.final.score.fitted + search.decisions.alike_nats:
+                return other
+    return _with_laws(search, chosen, kept, outcome, feedback)
+
+
+def _in_place_of(search: Search, chosen: Selection, kept: Retained, feedback: Feedback, name: str) -> Outcome:
+    """The outcome with laws tried where an effect was, whose shape says that it is another law."""
+    rest = without_effect(fitted_system(kept.final.regression), chosen.declared.system, name)
+    base = search.base(rest, warm=True, like=kept.final.regression)
+    others = [f for f in kept.found if f.name != name]
+    without = replace(kept, found=others, final=base)
+    some = replace(chosen, names=[f.name for f in others], final=base)
+    return _with_laws(search, some, without, decide(search, some, without, feedback), feedback)
+
+
+def _with_laws(
+    search: Search, chosen: Selection, kept: Retained, outcome: Outcome, feedback: Feedback
+) -> Outcome:
+    """The outcome with laws, round by round."""
     for _ in range(search.budgets.law_rounds):
         left = outcome.structured  # a law may show as one moment where it is largest, or as a drift
         if not left or not propose(search, kept.final, left, outcome.after, outcome.variables):

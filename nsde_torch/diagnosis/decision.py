@@ -13,7 +13,7 @@ from nsde_torch.diagnosis.decisions import DECISIONS, Decisions
 from nsde_torch.diagnosis.dependence import Dependence
 from nsde_torch.diagnosis.elimination import Retained
 from nsde_torch.diagnosis.evidence import nats_by_channel
-from nsde_torch.diagnosis.fitted import fitted_system, moved_channels
+from nsde_torch.diagnosis.fitted import bent_shape, fitted_system, moved_channels
 from nsde_torch.diagnosis.hidden import (
     Feedback,
     Hidden,
@@ -103,7 +103,11 @@ def decide(search: Search, chosen: Selection, kept: Retained, feedback: Feedback
         declared=declared,
         final=base,
         found=[
-            replace(f, provisional=provisional_reason(f, found, left, brought, search.decisions))
+            replace(
+                f,
+                provisional=provisional_reason(f, found, left, brought, search.decisions)
+                or _bent(bent_shape(base.regression, f.name)),
+            )
             for f in found
         ],
         rounds=chosen.rounds,
@@ -184,6 +188,10 @@ def provisional_reason(
     if own.along and _variable(own) in map(_variable, others):
         return f"two laws of the same {own.along} may stand for one that the catalogue lacks"
     return ""
+
+
+def _bent(shape: str) -> str:
+    return f"{shape} is as large as these data tell from another law" if shape else ""
 
 
 def _variable(effect: type[Effect]) -> tuple[str, Port, str]:

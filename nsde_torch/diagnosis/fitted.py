@@ -93,6 +93,18 @@ def at_bounds(regression: Regression) -> NDArray[np.bool_]:
     return np.asarray((regression.theta <= v.low + margin) | (regression.theta >= v.high - margin))
 
 
+def bent_shape(regression: Regression, name: str) -> str:
+    """Label of a shape of an effect that stands at the largest that the data tell from another law; empty if none.
+
+    A friction that is developed only beyond the speeds of the data is no dry one, whatever explains the data.
+    """
+    v = regression.vector
+    (effect,) = (e for e in v.system.effects if isinstance(e, Effect) and e.name == name)
+    relative = effect.relative
+    high = regression.theta >= v.high - _AT_BOUND * v.scale
+    return next((v.labels[j] for j in v.of(name) if high[j] and own_name(v.labels[j]) in relative), "")
+
+
 def carried(vector: ParameterVector, before: Regression) -> Array:
     """First values: those of a regression where it has the parameter, else the system's."""
     known = dict(zip(before.vector.labels, before.theta.tolist(), strict=True))

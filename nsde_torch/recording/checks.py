@@ -42,6 +42,7 @@ Array = NDArray[np.float64]
 
 _LATE = 1e-4  # chance of calling a sensor late that is on time
 _WRAPS, _ODD_WRAPS = 5, 0.3  # fewest wraps, and share of them that the rate contradicts
+_LARGEST = 1e15  # of a state or an input, in any unit: a simulation that diverged, a word read as a float
 SHORT_S = 2.0 * kinematics.MIN_INTERVALS * kinematics.INTERVAL_S
 """Runs shorter than this are measured together against the clock [s]; each alone has too few intervals."""
 MAX_RATE = 60.0
@@ -67,9 +68,15 @@ def _check_shapes(run: RawRun, system: SystemInfo) -> None:
         )
     for name in ("x", "u"):
         array = getattr(run, name)
-        if np.isinf(array).any():
-            row = int(np.argwhere(np.isinf(array))[0][0])
-            raise DataError(f"{run.where(row)}: `{name}` is infinite; write `nan` where a value is missing.")
+        beyond = np.abs(array) > _LARGEST
+        if beyond.any():
+            row, column = np.argwhere(beyond)[0].tolist()
+            own = (system.state_names if name == "x" else system.input_names)[column]
+            told = "is infinite" if np.isinf(array[row, column]) else f"reads {array[row, column]:.3g}"
+            raise DataError(
+                f"{run.where(row)}: {own!r} {told}, which no sensor says; write `nan` where a value is missing, or "
+                "leave out the rows from there on."
+            )
     absent = [n for n in system.exogenous if n not in run.extra]
     if absent:
         raise DataError(

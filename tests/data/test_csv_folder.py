@@ -86,6 +86,7 @@ def test_empty_cells_and_nan_are_missing_values(tmp_path: Path) -> None:
         (lines(rows=[*ROWS[:7], "0.07,abc,1,0", *ROWS[8:]]), r"run.csv:9: column 'q' holds 'abc'; expected"),
         (lines(rows=[*ROWS[:7], "0.07,1,1", *ROWS[8:]]), r"run.csv:9: the row has 3 cells, the header 4"),
         (lines(rows=[*ROWS[:7], "0.07,inf,1,0", *ROWS[8:]]), r"run.csv:9: column 'q' is infinite"),
+        (lines(rows=[*ROWS[:7], "0.07,1,-1e151,0", *ROWS[8:]]), r"run.csv:9: 'q_dot' reads -1e\+151, which no sensor"),
         ("\n".join(ROWS), "first row holds numbers; expected a header row"),
         (HEADER + "\n", "has a header and no rows"),
         (lines(rows=ROWS[:1]), "has 1 row; a run needs at least two"),

@@ -7,8 +7,9 @@ rate of a sensor of its own does not: from it, the best filter of q stays away b
 
 so that a share far below one is proof. The noise is what q does and the rate does not, at frequencies at which no
 machine moves: s^2 = mean (D^4 d)^2 / 252, d_k = q_{k+1} - q_k - h (v_k + v_{k+1}) / 2. Where there is none (a noiseless
-simulation) nothing is said of filters. Plain differences are told by their numbers: q and v agree on them far better
-than on a formula that is nearer to the derivative.
+simulation, positions that were smoothed) nothing is said: what a smoother took is another fault (`smoothers`). Plain
+differences are told by their numbers: q and v agree on them far better than on a formula that is nearer to the
+derivative.
 """
 
 from __future__ import annotations
@@ -34,6 +35,8 @@ _REACHES = (15, 60)  # rows to either side that filters are looked for in
 _FEWEST = 20  # rows for each weight, at least
 _MOST = 6000  # rows that are looked at
 _WHITE = 2.5  # times the square of differences grows with their order, from which on they are of noise (3.7)
+_KEPT, _KEPT_SQUARE = 0.95, 0.759  # share of values that count, and the mean square of these of normal ones
+_ROUNDING = 1e-12  # of how far a position moves: noise below is that of numbers
 _EVEN = 1e-3  # of the step, within which times are even
 
 
@@ -69,7 +72,7 @@ def derived_rates(system: SystemInfo, runs: Sequence[RawRun]) -> list[Derived]:
         parts = [part for run in runs for part in _stretches(run, i, j, system.state_units[i] == "rad")]
         if sum(len(t) for t, _, _ in parts) < 200:
             continue
-        found = _plain(parts) or _filtered(parts)
+        found = (_plain(parts) if _raw(parts) else None) or _filtered(parts)
         if found is not None:
             out.append(Derived(rate, position, *found))
     return out
@@ -87,6 +90,19 @@ def _stretches(run: RawRun, i: int, j: int, angle: bool) -> list[tuple[Array, Ar
             q = np.unwrap(run.x[rows, i]) if angle else run.x[rows, i]
             out.append((run.t[rows], q, run.x[rows, j]))
     return out
+
+
+def _square(parts: Sequence[Array]) -> float:
+    """Mean square of normal values, without the largest: single samples that are off are no noise."""
+    squares = np.sort(np.square(np.concatenate(parts)))
+    return float(squares[: max(round(_KEPT * len(squares)), 1)].mean()) / _KEPT_SQUARE
+
+
+def _raw(parts: Sequence[tuple[Array, Array, Array]]) -> bool:
+    """Whether positions hold the white noise of a sensor; smoothed ones have no noise that a rate could be rid of."""
+    fifth, sixth = (_square([np.diff(q, n) for _, q, _ in parts]) for n in (5, 6))
+    size = max(float(np.std(q)) for _, q, _ in parts)
+    return sixth > _WHITE * fifth > 252.0 * (_ROUNDING * size) ** 2
 
 
 def _plain(parts: Sequence[tuple[Array, Array, Array]]) -> tuple[str, float] | None:
@@ -125,7 +141,7 @@ def _filtered(parts: Sequence[tuple[Array, Array, Array]]) -> tuple[str, float] 
         d = np.diff(q) - 0.5 * dt * (v[1:] + v[:-1])
         fourths.append(np.diff(d, 4))
         fifths.append(np.diff(d, 5))
-    fourth, fifth = (float(np.square(np.concatenate(d)).mean()) for d in (fourths, fifths))
+    fourth, fifth = _square(fourths), _square(fifths)
     if not fifth > _WHITE * fourth > 0:
         return None
     noise = fourth / 252.0

@@ -104,7 +104,9 @@ def test_the_time_in_a_formula_is_that_of_the_log() -> None:
 @pytest.mark.usefixtures("_outside")
 def test_effects_that_explain_nothing_of_what_is_missing_are_no_leads() -> None:
     case = ("mass_spring_damper", {"outside:QuinticStiffness": {"size": 8.0}})
-    found, content = diagnosed(*case, durations=(6.0,) * 4, decisions=Decisions(negligible_share=1e9))
+    options = Options(candidates=("cubic_stiffness", "coulomb_friction", "constant_force"))  # and no law
+    everything = Decisions(negligible_share=1e9)
+    found, content = diagnosed(*case, options=options, durations=(6.0,) * 4, decisions=everything)
     assert (content["verdict"], content["added"]) == ("unexplained", [])
     assert found.outcome.final is found.outcome.declared
     assert content["errors"]["before"] == content["errors"]["after"]

@@ -207,7 +207,7 @@ class Budgets:
     formula_variables: int = key(3, "most variables of a formula", low=1)
     law_variables: int = key(4, "most variables of the laws that are proposed at once", low=1)
     laws_fitted: int = key(4, "most laws that are proposed for each term of a formula", low=1)
-    law_rounds: int = key(3, "most times that laws are proposed for what is left", low=0)
+    law_rounds: int = key(1, "most times that laws are proposed for what is left", low=0)
 
     def __post_init__(self) -> None:
         check(type(self), vars(self))

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Protocol
+from dataclasses import dataclass, fields
+from typing import Any, Protocol
 
 RATE_NAMES = ("w_x", "w_y", "w_z")
 """State names of the body rates [rad/s] that go with a quaternion `w x y z` (body to world)."""
@@ -75,17 +75,18 @@ def all_columns(systems: Sequence[SystemInfo]) -> SystemInfo:
     every = tuple(dict.fromkeys(name for system in systems for name in system.exogenous))
     if every == tuple(first.exogenous):
         return first
-    return Columns(
-        first.name,
-        first.state_names,
-        first.state_units,
-        first.input_names,
-        first.input_units,
-        every,
-        first.quaternion,
-        first.position_derivatives,
-        first.optional_inputs,
-    )
+    return changed(first, exogenous=every)
+
+
+def changed(system: SystemInfo, **changes: Any) -> Columns:
+    """A system as readers see it, with some of its attributes replaced."""
+    return Columns(**{f.name: changes.get(f.name, getattr(system, f.name)) for f in fields(Columns)})
+
+
+def rate_pairs(system: SystemInfo) -> list[tuple[int, int]]:
+    """Columns (position, rate) of `position_derivatives`."""
+    names = list(system.state_names)
+    return [(names.index(p), names.index(v)) for p, v, _ in system.position_derivatives]
 
 
 def rate_columns(system: SystemInfo) -> slice | None:
@@ -101,10 +102,9 @@ def rate_columns(system: SystemInfo) -> slice | None:
 
 def derivative_columns(system: SystemInfo) -> dict[str, tuple[list[int], list[int]]]:
     """Columns (positions, velocities) by group; a group has one frame and one unit, so that norms exist."""
-    names = list(system.state_names)
     groups: dict[str, tuple[list[int], list[int]]] = {}
-    for position, velocity, frame in system.position_derivatives:
-        i, j = names.index(position), names.index(velocity)
+    frames = [frame for _, _, frame in system.position_derivatives]
+    for frame, (i, j) in zip(frames, rate_pairs(system), strict=True):
         unit = system.state_units[i]
         kind = "angle" if unit == "rad" else "position"
         group = groups.setdefault(f"{kind} ({frame}, {unit})", ([], []))

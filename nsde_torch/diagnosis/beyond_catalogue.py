@@ -11,13 +11,12 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from nsde_torch.diagnosis.decision import decide, set_aside
+from nsde_torch.diagnosis.decision import decide, set_aside, variables_of
 from nsde_torch.diagnosis.elimination import Retained, eliminate
 from nsde_torch.diagnosis.fitted import bent_shape, effect_of, fitted_system, values_of
 from nsde_torch.diagnosis.hidden import Feedback
 from nsde_torch.diagnosis.laws import chosen_again, propose
-from nsde_torch.diagnosis.outcome import Outcome, without_effect
-from nsde_torch.diagnosis.regressors import regressors
+from nsde_torch.diagnosis.outcome import Outcome, base_without
 from nsde_torch.diagnosis.search import Search
 from nsde_torch.diagnosis.selection import Selection, forward_selection
 from nsde_torch.effects.expression_grammar import is_law
@@ -48,8 +47,7 @@ def with_laws(
 
 def _in_place_of(search: Search, chosen: Selection, kept: Retained, feedback: Feedback, name: str) -> Outcome:
     """The outcome with laws tried where an effect was, whose shape says that it is another law."""
-    rest = without_effect(fitted_system(kept.final.regression), chosen.declared.system, name)
-    base = search.base(rest, warm=True, like=kept.final.regression)
+    base = base_without(search, kept.final, chosen.declared, name)
     others = [f for f in kept.found if f.name != name]
     without = replace(kept, found=others, final=base)
     some = replace(chosen, names=[f.name for f in others], final=base)
@@ -82,19 +80,8 @@ def _stable(search: Search, chosen: Selection, kept: Retained) -> Retained:
     for f in list(kept.found):
         if not is_law(f.name):
             continue
-        rest = without_effect(fitted_system(kept.final.regression), chosen.declared.system, f.name)
-        without = (
-            chosen.declared
-            if len(kept.found) == 1
-            else search.base(rest, warm=True, like=kept.final.regression)
-        )
-        variables = regressors(
-            without.regression,
-            inputs=search.inputs,
-            moved=search.moved,
-            decisions=search.decisions,
-            budgets=search.budgets,
-        )
+        without = base_without(search, kept.final, chosen.declared, f.name)
+        variables = variables_of(search, without)
         values = values_of(effect_of(fitted_system(kept.final.regression), f.name))
         shapes = {k: float(v) for k, v in values.items() if k != "c1" and isinstance(v, float)}
         if chosen_again(search, without, f.name, shapes, variables) < search.decisions.law_share:

@@ -11,7 +11,7 @@ from dataclasses import replace
 from nsde_torch.diagnosis.cross_validation import HeldOut
 from nsde_torch.diagnosis.decisions import DECISIONS, Decisions
 from nsde_torch.diagnosis.dependence import Dependence
-from nsde_torch.diagnosis.elimination import Retained
+from nsde_torch.diagnosis.elimination import Retained, eliminate
 from nsde_torch.diagnosis.evidence import nats_by_channel
 from nsde_torch.diagnosis.fitted import bent_shape, fitted_system, moved_channels
 from nsde_torch.diagnosis.hidden import (
@@ -23,7 +23,7 @@ from nsde_torch.diagnosis.hidden import (
     likelihood_ratios,
 )
 from nsde_torch.diagnosis.multiplicity import bonferroni
-from nsde_torch.diagnosis.outcome import Found, Outcome, Verdict, without_effect
+from nsde_torch.diagnosis.outcome import Found, Outcome, Verdict, base_without
 from nsde_torch.diagnosis.regressors import Regressors, regressors
 from nsde_torch.diagnosis.search import Base, Search
 from nsde_torch.diagnosis.selection import Selection
@@ -36,13 +36,32 @@ from nsde_torch.sysid.guard import Guarded, doubts_the_fit
 def set_aside(search: Search, chosen: Selection, kept: Retained, feedback: Feedback) -> Retained:
     """Effects that explain more than feedback may hide, and those that do not (`hidden`), the weakest first.
 
+    Of two that stand in for each other the weaker one brings little beside the other. What is left is therefore looked
+    at again, with what was set aside among the candidates for its place.
+
     Args:
         search: Data and settings.
         chosen: What forward selection added.
         kept: Effects that elimination kept.
         feedback: What is asked of the loop.
     """
-    found, base, hidden = kept.found, kept.final, list[Hidden]()
+    kept = _beyond_feedback(search, chosen, kept, feedback)
+    for _ in range(search.budgets.set_aside_again):
+        if not (kept.hidden and kept.found):
+            break
+        names = [f.name for f in kept.found]
+        rest = replace(chosen, final=kept.final, names=names)
+        again = eliminate(search, rest, also=[h.name for h in kept.hidden])
+        if [f.name for f in again.found] == names:
+            break
+        hidden = tuple(h for h in kept.hidden if h.name not in {f.name for f in again.found})
+        kept = _beyond_feedback(search, chosen, replace(again, hidden=hidden), feedback)
+    return kept
+
+
+def _beyond_feedback(search: Search, chosen: Selection, kept: Retained, feedback: Feedback) -> Retained:
+    """Effects without the weakest ones that feedback may hide; these are added to the hidden ones."""
+    found, base, hidden = kept.found, kept.final, list(kept.hidden)
     tested = feedback.test(base.regression)
     among = max(len(chosen.rounds[0].screened), 1) if chosen.rounds else 1
     while found:
@@ -52,9 +71,7 @@ def set_aside(search: Search, chosen: Selection, kept: Retained, feedback: Feedb
             moved = moved_channels(base.regression, f.name)
             if not set(moved) & set(allowed):
                 continue
-            rest = without_effect(fitted_system(base.regression), chosen.declared.system, f.name)
-            alone = len(found) == 1
-            without = chosen.declared if alone else search.base(rest, warm=True, like=base.regression)
+            without = base_without(search, base, chosen.declared, f.name)
             count = len(base.regression.vector.of(f.name))
             brought = likelihood_ratios(nats_by_channel(without.regression, base.regression))
             chance = chance_beyond(brought, moved, allowed, count) * among
@@ -79,11 +96,11 @@ def decide(search: Search, chosen: Selection, kept: Retained, feedback: Feedback
         feedback: What is asked of the loop.
     """
     declared, base, found, tested = chosen.declared, kept.final, kept.found, kept.feedback
-    declared_variables = _variables(search, declared)
+    declared_variables = variables_of(search, declared)
     before = dependences(declared.regression, declared_variables, overview=bool(found))
     variables, after = declared_variables, before
     if found:
-        variables = _variables(search, base)
+        variables = variables_of(search, base)
         after = dependences(base.regression, variables)
     levels = search.levels(*(["effects"] if found else []))
     left = beyond_chance(after, allowances_of_tests(tested), alpha=levels["structure"])
@@ -125,8 +142,13 @@ def decide(search: Search, chosen: Selection, kept: Retained, feedback: Feedback
     )
 
 
-def _variables(search: Search, base: Base) -> Regressors:
-    """What the residuals of physics may depend on."""
+def variables_of(search: Search, base: Base) -> Regressors:
+    """What the residuals of physics may depend on.
+
+    Args:
+        search: Data and settings.
+        base: The physics, fitted.
+    """
     return regressors(
         base.regression,
         inputs=search.inputs,

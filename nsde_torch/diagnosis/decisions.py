@@ -199,6 +199,7 @@ class Budgets:
     finished_share: float = key(0.5, "share of the best's nats from which others get them too", low=0)
     noise_nats: float = key(1.0, "nats by which another noise model must be likelier to be tried", low=0)
     exchanges: int = key(12, "looks at the catalogue beyond which no effect is exchanged any more", low=1)
+    set_aside_again: int = key(3, "looks again at what is left where feedback may hide an effect", low=0)
     spectral_lines: int = key(3, "lines of the spectrum that fits of a sinusoid start from", low=1)
     noise_turns: int = key(4, "most turns between parameters and noise model in a test", low=1)
     closer_chance: float = key(0.05, "chance above which one run alone gets no closer look", above=0, high=1)

@@ -5,7 +5,7 @@ longer needed, and compared with every other candidate in its place. Candidates 
 from the chosen one's by less than chance are indistinguishable from it (a tie).
 """
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -43,12 +43,13 @@ class Retained:
     feedback: LoopTest = field(default_factory=LoopTest)
 
 
-def eliminate(search: Search, chosen: Selection) -> Retained:
+def eliminate(search: Search, chosen: Selection, *, also: Collection[str] = ()) -> Retained:
     """The effects that stay, with their ties, and the physics with them.
 
     Args:
         search: Data and settings.
         chosen: What forward selection added; looks at the catalogue that exchange one are appended to its rounds.
+        also: Candidates for the place of each, beside those that were there when it was chosen.
     """
     declared, base, rounds, names = chosen.declared, chosen.final, chosen.rounds, list(chosen.names)
     if not names:
@@ -66,7 +67,9 @@ def eliminate(search: Search, chosen: Selection) -> Retained:
         now = _looked_before(rest, name, rounds)
         if now is None:
             without = search.base(rest, warm=True, like=base.regression)
-            now = look(search, without, only={name, *contained, *_rivals(search, name, rounds), *search.laws})
+            now = look(
+                search, without, only={name, *contained, *_rivals(search, name, rounds), *also, *search.laws}
+            )
         without = now.base
         this = next((t for t in now.trials if t.name == name), None)
         if this is None or not accept(search, this):

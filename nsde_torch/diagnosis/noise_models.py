@@ -93,11 +93,10 @@ class NoiseModels:
         """
         columns, best = functions * self._regression.dt, self.base
         for start in self._starts:
-            known = start.noise is self._there and whitened is not None
-            own = whitened if known else self._regression.whitened(start.noise, columns)
-            assert own is not None
-            this = self._left(start, columns, own)
-            best = max(best, this, key=lambda found: found.likelihood)
+            own = whitened if start.noise is self._there else None
+            if own is None:
+                own = self._regression.whitened(start.noise, columns)
+            best = max(best, self._left(start, columns, own), key=lambda found: found.likelihood)
         more = best.likelihood - self.base.likelihood
         return best if more > 0.5 * columns.shape[1] + self._decisions.noise_blind_nats else None
 

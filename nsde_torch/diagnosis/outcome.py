@@ -15,7 +15,7 @@ from nsde_torch.diagnosis.fitted import fitted_system
 from nsde_torch.diagnosis.hidden import Hidden
 from nsde_torch.diagnosis.regressors import Regressors
 from nsde_torch.diagnosis.rounds import Round
-from nsde_torch.diagnosis.search import Base
+from nsde_torch.diagnosis.search import Base, Search
 from nsde_torch.diagnosis.trials import Trial
 from nsde_torch.effects import effect_class
 from nsde_torch.sysid.in_loop import hidden_bias, largest_bias
@@ -145,3 +145,11 @@ def without_effect(system: System, declared: System, name: str) -> System:
     contained = effect_class(name).includes
     back = [e for e in declared.effects if e.name in contained and e.name not in left.effect_names]
     return left.with_effects(*back) if back else left  # type: ignore[arg-type]
+
+
+def base_without(search: Search, base: Base, declared: Base, name: str) -> Base:
+    """The physics without an effect that was added, fitted again; the declared one where it was the only one."""
+    rest = without_effect(fitted_system(base.regression), declared.system, name)
+    if rest.effect_names == declared.system.effect_names:
+        return declared
+    return search.base(rest, warm=True, like=base.regression)

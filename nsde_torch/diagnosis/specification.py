@@ -10,7 +10,7 @@ it is much likelier (`noise_models`), it is tested under that one too, with the 
 """
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -153,11 +153,27 @@ def _of_variable(
     channel = regression.physics.names[regression.rows[i]]
     out = [_dependence(channel, name, z, odd[kept], left, p=p, gain=gain, noise=noise)]
     if name in variables.columns:
-        alone = _in_one_run(
-            there, i, (functions, odd, own, whitened), (out[0], nats_of(z, left)), models, variables
-        )
+        group = _Group(functions, odd, own, whitened)
+        alone = _in_one_run(there, i, group, (out[0], nats_of(z, left)), models, variables)
         out += [] if alone is None else [alone]
     return out
+
+
+@dataclass(frozen=True)
+class _Group:
+    """Functions of one variable.
+
+    Args:
+        functions: Per unit of time (M, q).
+        odd: Which of them are odd (q,).
+        own: What the parameters can do, whitened (N, r) (`own_space`).
+        whitened: The functions, whitened (N, q).
+    """
+
+    functions: Array
+    odd: NDArray[np.bool_]
+    own: Array
+    whitened: Array
 
 
 def _dependence(
@@ -184,7 +200,7 @@ def _dependence(
 def _in_one_run(
     regression: Regression,
     i: int,
-    group: tuple[Array, NDArray[np.bool_], Array, Array],
+    group: "_Group",
     in_all: tuple[Dependence, float],
     models: NoiseModels,
     variables: Regressors,
@@ -194,14 +210,14 @@ def _in_one_run(
     Args:
         regression: Under the noise model of the test of all runs.
         i: Number of the channel among its rows.
-        group: Functions, which of them are odd, what the parameters can do (`own_space`), and whitened functions.
+        group: The functions.
         in_all: The test of all runs, and the nats that it explains under that model.
         models: Noise models of the channel.
         variables: What the residual may depend on.
     """
-    functions, odd = group[0][:, :SMOOTH], group[1][:SMOOTH]
+    functions, odd = group.functions[:, :SMOOTH], group.odd[:SMOOTH]
     everywhere, explained = in_all
-    found = _alone(regression, i, group[3], group[2], variables)
+    found = _alone(regression, i, group.whitened, group.own, variables)
     if found is None:
         return None
     p, there, noise = found.p, regression, everywhere.noise
@@ -210,7 +226,7 @@ def _in_one_run(
         other = models.without(functions * (regression.owners == found.run)[:, None])
         if other is not None:
             noise, there = other.noise, regression.under(i, other.noise)
-            whitened = whitened_functions(there, i, group[0])
+            whitened = whitened_functions(there, i, group.functions)
             again = _alone(there, i, whitened, own_space(there, i), variables)
             if again is not None and again.run == found.run:
                 found, p = again, min(1.0, 2.0 * min(p, again.p))

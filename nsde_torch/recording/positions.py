@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from nsde_torch.data.findings import Finding, Report
 from nsde_torch.data.raw import RawRun
 from nsde_torch.data.run import Run
-from nsde_torch.data.system_info import Columns, SystemInfo
+from nsde_torch.data.system_info import SystemInfo, changed, rate_pairs
 from nsde_torch.data.tracking import rates
 from nsde_torch.errors import ConfigError, DataError
 from nsde_torch.recording.derived import derived_rates
@@ -96,17 +96,7 @@ def measured_part(system: SystemInfo, names: Collection[str]) -> SystemInfo:
     if not names:
         return system
     pairs = tuple(pair for pair in system.position_derivatives if pair[1] not in names)
-    return Columns(
-        system.name,
-        system.state_names,
-        system.state_units,
-        system.input_names,
-        system.input_units,
-        system.exogenous,
-        system.quaternion,
-        pairs,
-        system.optional_inputs,
-    )
+    return changed(system, position_derivatives=pairs)
 
 
 def inferred(system: SystemInfo, runs: Sequence[Run], names: Collection[str], clock: float) -> list[Run]:
@@ -133,12 +123,9 @@ def _without(system: SystemInfo, run: RawRun) -> set[str]:
     """Rates of positions without any value in a run."""
     if system.quaternion is not None:
         return set()
-    names = list(system.state_names)
-    pairs = [(names.index(p), names.index(v)) for p, v, _ in system.position_derivatives]
     empty = np.asarray(np.isnan(run.x).all(axis=0))
-    return {names[j] for i, j in pairs if empty[j] and not empty[i]}
+    return {system.state_names[j] for i, j in rate_pairs(system) if empty[j] and not empty[i]}
 
 
 def _pairs(system: SystemInfo, names: Collection[str]) -> list[tuple[int, int]]:
-    known = list(system.state_names)
-    return [(known.index(p), known.index(v)) for p, v, _ in system.position_derivatives if v in names]
+    return [(i, j) for i, j in rate_pairs(system) if system.state_names[j] in names]

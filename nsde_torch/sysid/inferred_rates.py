@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from nsde_torch.data import Run
+from nsde_torch.data.system_info import rate_pairs
 from nsde_torch.data.tracking import SLOWEST_S, gains
 from nsde_torch.sysid.result import Identification
 from nsde_torch.sysid.steps import inferred_columns
@@ -35,10 +36,8 @@ TURNS = 4
 SETTLED = 0.2
 """Standard errors that parameters may still move by."""
 _GAINS = 8
-_PIECE_S, _BEFORE_S = (
-    2.0,
-    10.0 * SLOWEST_S,
-)  # pieces, and the time before each after which its start is forgotten
+_PIECE_S = 2.0
+_BEFORE_S = 10.0 * SLOWEST_S  # before each piece; after it its start is forgotten
 
 
 def with_rates(system: System, runs: Sequence[Run], clock: float = 1.0) -> list[Run]:
@@ -55,11 +54,7 @@ def with_rates(system: System, runs: Sequence[Run], clock: float = 1.0) -> list[
     machine, dt = copy.deepcopy(system).double(), runs[0].dt * clock
     machine.set_step(dt)
     names = list(machine.state_names)
-    pairs = [
-        (names.index(p), names.index(v))
-        for p, v, _ in machine.position_derivatives
-        if names.index(v) in columns
-    ]
+    pairs = [(i, j) for i, j in rate_pairs(machine) if j in columns]
     followed = _Followed(machine, runs, pairs, dt)
     with torch.no_grad():
         rates, unknown = followed.rates()

@@ -35,6 +35,7 @@ from scipy.signal import lfilter
 from torch import Tensor
 
 from nsde_torch.columns import join_columns, split_columns, take_rows
+from nsde_torch.data.system_info import rate_pairs
 from nsde_torch.rotation import rotate_back, rotation_between
 from nsde_torch.sysid.memory import memory_along
 from nsde_torch.sysid.sizes import data_sizes
@@ -238,29 +239,30 @@ class Physics:
     def _rate(self, t: Tensor, z: Tensor, share: float) -> Tensor:
         """f at measured states, without what noise of `share` of the sensors' variance adds to its mean."""
         u = self.steps.u
-        f = self._averaged(t, z, u)
+        plain = self.vector.system.drift(t, z, u)
+        f = self._averaged(plain, t, z, u)
         if not self.curved:
             return f
         inferred = {j for j, _ in self.steps.inferred}
         bend = torch.zeros_like(f)
         for j, std in enumerate(self.sensor_std.tolist()):
             if std > 0 and j not in inferred:
-                bend = bend + self._bend(t, z, u, j, std * share**0.5)
+                bend = bend + self._bend(plain, t, z, u, j, std * share**0.5)
         return f - 0.5 * bend
 
-    def _averaged(self, t: Tensor, z: Tensor, u: Tensor) -> Tensor:
+    def _averaged(self, f: Tensor, t: Tensor, z: Tensor, u: Tensor) -> Tensor:
         """f averaged over what is not known of inferred rates (Gauss and Hermite's rule of three points)."""
-        f = self.vector.system.drift(t, z, u)
+        mean = f
         for j, std in self.steps.inferred:
             if std > 0:
-                f = f + self._bend(t, z, u, j, std * 3.0**0.5) / 6.0
-        return f
+                mean = mean + self._bend(f, t, z, u, j, std * 3.0**0.5) / 6.0
+        return mean
 
-    def _bend(self, t: Tensor, z: Tensor, u: Tensor, j: int, by: float) -> Tensor:
+    def _bend(self, f: Tensor, t: Tensor, z: Tensor, u: Tensor, j: int, by: float) -> Tensor:
         """Second difference of f in one state."""
-        drift, aside = self.vector.system.drift, torch.zeros_like(z)
-        aside[:, j] = by
-        return drift(t, z + aside, u) + drift(t, z - aside, u) - 2.0 * drift(t, z, u)
+        drift, shift = self.vector.system.drift, torch.zeros_like(z)
+        shift[:, j] = by
+        return drift(t, z + shift, u) + drift(t, z - shift, u) - 2.0 * f
 
     def _hat(self, change: Array) -> Array:
         """Changes over steps (N, nx, ...), those of inferred rates as the differences weigh them."""
@@ -279,7 +281,8 @@ class Physics:
         """Change over each step by the midpoint rule (N, nx), at states (N, nz) that are held as theta moves."""
         self.vector.use(theta)
         system, s = self.vector.system, self.steps
-        return s.dt * self._averaged(s.t + 0.5 * s.logged_dt, middle, s.u)[:, : system.nx]
+        t = s.t + 0.5 * s.logged_dt
+        return s.dt * self._averaged(system.drift(t, middle, s.u), t, middle, s.u)[:, : system.nx]
 
     def _memory_slope(self, theta: Tensor, j: int) -> Tensor:
         """Derivative of the memory in the middle of each step (N, nz - nx) in parameter j."""
@@ -340,8 +343,8 @@ class Physics:
 
 def _tied(system: System, steps: Steps) -> tuple[int, ...]:
     """Columns of positions whose rates were inferred from them: their residuals say nothing."""
-    names, inferred = list(system.state_names), {j for j, _ in steps.inferred}
-    return tuple(names.index(p) for p, v, _ in system.position_derivatives if names.index(v) in inferred)
+    inferred = {j for j, _ in steps.inferred}
+    return tuple(i for i, j in rate_pairs(system) if j in inferred)
 
 
 def _world_velocity(system: System) -> slice | None:

@@ -102,9 +102,10 @@ def steps_of(
     if not runs:
         raise DataError("no run to identify the physics from.")
     seen = [np.asarray(run.x) for run in runs]
-    clean = [np.array(x) for x in (denoised(runs)[0] if smooth or denoise else seen)]
+    clean = list(denoised(runs)[0]) if smooth or denoise else seen
     unknown = inferred_columns(system, runs) if differences else {}
     if unknown:
+        clean = [np.array(x) for x in clean]
         for x, run in zip(clean, runs, strict=True):  # what a filter knows is no noisy measurement
             x[:, list(unknown)] = run.x[:, list(unknown)]
         seen = [_differenced(system, run, runs[0].dt * clock, differences) for run in runs]

@@ -25,7 +25,7 @@ from nsde_torch.systems import memory as memory_of
 from nsde_torch.systems.constants import Defaults, ErrorGroup, ResidualPort
 from nsde_torch.systems.machine import Machine
 from nsde_torch.systems.values import split_values
-from nsde_torch.systems.vocabulary import quantity_of
+from nsde_torch.systems.vocabulary import given
 
 
 class System(Parametrised, ABC):
@@ -405,11 +405,7 @@ class System(Parametrised, ABC):
 
     def _seen(self, k: int, x: Tensor, command: Tensor, u: Tensor) -> Tensor:
         """What effect k is given as its input: the command so far, its logged columns, its quantities."""
-        effect, read = self._effect(k), self._read[k]
-        if not read and not effect.quantities:
-            return command
-        own = (quantity_of(self, n, x, command) for n in effect.quantities)
-        return join_columns((command, *(u[:, c : c + 1] for c in read), *own))
+        return given(self, self._effect(k), self._read[k], x, command, u)
 
     def all_declared(self) -> dict[str, tuple[Tensor, str]]:
         """Declared parameters of the system and of its effects: name -> (value (k,), unit)."""

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import cache
 from typing import TYPE_CHECKING
 
 from torch import Tensor
 
-from nsde_torch.columns import join_columns, split_columns
+from nsde_torch.columns import join_columns
 from nsde_torch.effects import units
 from nsde_torch.effects.base import Effect, Port
 from nsde_torch.effects.expression import FEATURES, UP, Rows, Source, Vocabulary
@@ -68,11 +69,18 @@ def seen_by(system: System, effect: Effect, t: float | Tensor, z: Tensor, u: Ten
         z: State and memory (N, nz).
         u: Input and exogenous channels (N, nu + n_exogenous).
     """
-    x, command = split_columns(z, system.nx, system.nz - system.nx)[0], system.applied(t, z, u)
-    at = [system.nu + system.exogenous.index(name) for name in effect.exogenous]
-    logged = tuple(u[:, c : c + 1] for c in at)
+    columns = [system.nu + system.exogenous.index(name) for name in effect.exogenous]
+    return given(system, effect, columns, z[:, : system.nx], system.applied(t, z, u), u)
+
+
+def given(
+    system: System, effect: Effect, columns: Sequence[int], x: Tensor, command: Tensor, u: Tensor
+) -> Tensor:
+    """What an effect is given as its input: the command so far, its logged columns of `u`, its quantities."""
+    if not columns and not effect.quantities:
+        return command
     read = (quantity_of(system, name, x, command) for name in effect.quantities)
-    return join_columns((command, *logged, *read))
+    return join_columns((command, *(u[:, c : c + 1] for c in columns), *read))
 
 
 def _ports(cls: type[System]) -> dict[str, Rows]:

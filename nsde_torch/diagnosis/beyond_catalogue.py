@@ -15,6 +15,7 @@ from nsde_torch.diagnosis.decision import decide, set_aside, variables_of
 from nsde_torch.diagnosis.elimination import Retained, eliminate
 from nsde_torch.diagnosis.fitted import bent_shape, effect_of, fitted_system, values_of
 from nsde_torch.diagnosis.hidden import Feedback
+from nsde_torch.diagnosis.law_names import named_by_the_catalogue
 from nsde_torch.diagnosis.laws import chosen_again, propose
 from nsde_torch.diagnosis.outcome import Outcome, base_without
 from nsde_torch.diagnosis.search import Search
@@ -68,6 +69,7 @@ def _with_laws(
         now = _stable(search, more, set_aside(search, more, eliminate(search, more), feedback))
         if not any(is_law(name) for name in (*(f.name for f in now.found), *(h.name for h in now.hidden))):
             break
+        now = named_by_the_catalogue(search, more, now)
         chosen, kept = replace(more, names=[f.name for f in now.found]), now
         outcome = decide(search, more, now, feedback)
         if not any(is_law(f.name) for f in now.found):  # what feedback may hide is told, and not named

@@ -92,7 +92,7 @@ def late_sensor(
             at, here = 2.0 * at, there
         if here < other - NATS / rows and (best is None or here < best[0]):
             nearer = minimize_scalar(
-                of, bounds=(0.5 * at, 2.0 * at), method="bounded", options={"maxiter": 8}
+                of, bounds=(0.5 * at, min(2.0 * at, longest)), method="bounded", options={"maxiter": 8}
             )
             best = min((here, at, pair), (float(nearer.fun), float(nearer.x), pair))
     if best is None or best[0] > other - _SURELY / rows:
@@ -107,6 +107,8 @@ def late_sensor(
         - here
     )
     half = _Z90 * 0.5 * at * step / max(2.0 * rows * bend, 1e-12) ** 0.5
+    if half >= at * step:  # another time would do as well: what it stands for is no delay
+        return None
     values = {}
     for channel in pair:
         whole = at * step + found.delays.get(channel, 0.0)

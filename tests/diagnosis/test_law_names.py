@@ -1,0 +1,51 @@
+"""A law that the catalogue has takes its name; one that it lacks keeps its own. Behind smoothers, no law is tried."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+from scipy.signal import butter, filtfilt
+
+import nsde_torch
+from nsde_torch.diagnosis.elimination import Retained
+from nsde_torch.diagnosis.law_names import named_by_the_catalogue
+from nsde_torch.diagnosis.options import Options
+from nsde_torch.diagnosis.outcome import Found
+from nsde_torch.diagnosis.screening import joined
+from nsde_torch.diagnosis.search import search_in
+from nsde_torch.diagnosis.selection import Selection
+from nsde_torch.diagnosis.trials import fit_candidate
+from nsde_torch.simulation import simulate
+from nsde_torch.systems import make_system
+from tests.helpers.diagnosed import recorded
+
+
+@pytest.mark.parametrize(
+    ("law", "size", "name"),
+    [("force = c1 q^3", -2.0, "cubic_stiffness"), ("force = c1 q q_dot", 0.8, "")],
+)
+def test_a_law_that_is_a_multiple_of_an_effect_takes_its_name(law: str, size: float, name: str) -> None:
+    data, system = recorded("mass_spring_damper", {law: {"c1": size}}), make_system("mass_spring_damper")
+    search = search_in(system, data.runs, 1.0, Options())
+    declared = search.base(system)
+    search.laws, search.tried = {law: {"c1": 0.0}}, 40
+    trial = fit_candidate(search, declared, joined(system, law, {"c1": 0.0}), law, among=1)
+    kept = Retained([Found(law, trial, ())], search.grown(trial.regression))
+    now = named_by_the_catalogue(search, Selection(declared, kept.final, [law], [], ()), kept)
+    assert [f.name for f in now.found] == [name or law]
+    assert now.found[0].trial.p == trial.p
+    if name:
+        assert now.final.system.effect_names[-1] == name
+        value = float(now.final.system.all_declared()[f"{name}.stiffness"][0])
+        assert value == pytest.approx(2.0, rel=0.1)
+
+
+def test_behind_a_smoother_no_law_is_tried() -> None:
+    law = {"force = c1 q q_dot": {"c1": 0.8}}
+    made = simulate("mass_spring_damper", effects=[law], durations=(8.0,) * 4, seed=1)
+    b, a = butter(2, 0.16)
+    runs = [replace(run, x=filtfilt(b, a, run.x, axis=0)) for run in made.runs]
+    found = nsde_torch.diagnose(runs, system="mass_spring_damper")
+    assert all(run.band for run in found.data.runs)
+    assert not [name for name in found.content()["added"] if "=" in name]

@@ -3,15 +3,18 @@
     select and eliminate (catalogue)  ->  structure left  ->  propose laws  ->  select and eliminate again, with them
 
 until nothing is left, no law is new or none holds. Where the shape of an effect ends at the largest that the data tell
-from another law (`bent_shape`), laws are tried in its place first. A law that is not chosen again in halves of the runs
-is taken out.
+from another law (`bent_shape`), or two effects are laws of one variable (a friction and a quadratic damping that
+imitate a cubic one), laws are tried in their place first. A law that is not chosen again in halves of the runs is taken
+out.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
+from itertools import combinations
 
-from nsde_torch.diagnosis.decision import decide, set_aside, variables_of
+from nsde_torch.diagnosis.decision import decide, of_one_variable, set_aside, variables_of
 from nsde_torch.diagnosis.elimination import Retained, eliminate
 from nsde_torch.diagnosis.fitted import bent_shape, effect_of, fitted_system, values_of
 from nsde_torch.diagnosis.hidden import Feedback
@@ -38,18 +41,27 @@ def with_laws(
     # the user says what may be tried; and in logs of many rows a box noise models learn what laws would then explain
     if search.candidates is not None or search.box > 1:
         return outcome
-    for f in outcome.found:
-        if bent_shape(kept.final.regression, f.name):
-            other = _in_place_of(search, chosen, kept, feedback, f.name)
-            if other.final.score.fitted > outcome.final.score.fitted + search.decisions.alike_nats:
-                return other
+    decisions, names = search.decisions, [f.name for f in outcome.found]
+    bent = [(name,) for name in names if bent_shape(kept.final.regression, name)]
+    alike = [pair for pair in combinations(names, 2) if of_one_variable(*pair)]
+    for replaced, least in [(one, decisions.alike_nats) for one in bent] + [
+        (pair, -decisions.wider_nats) for pair in alike
+    ]:
+        other = _in_place_of(search, chosen, kept, feedback, replaced)
+        fewer = len(other.found) <= len(names) - len(replaced) + 1 and other.found
+        if fewer and other.final.score.fitted > outcome.final.score.fitted + least:
+            return other
     return _with_laws(search, chosen, kept, outcome, feedback)
 
 
-def _in_place_of(search: Search, chosen: Selection, kept: Retained, feedback: Feedback, name: str) -> Outcome:
-    """The outcome with laws tried where an effect was, whose shape says that it is another law."""
-    base = base_without(search, kept.final, chosen.declared, name)
-    others = [f for f in kept.found if f.name != name]
+def _in_place_of(
+    search: Search, chosen: Selection, kept: Retained, feedback: Feedback, names: Sequence[str]
+) -> Outcome:
+    """The outcome with laws tried where effects were that may stand for one."""
+    base = kept.final
+    for name in names:
+        base = base_without(search, base, chosen.declared, name)
+    others = [f for f in kept.found if f.name not in names]
     without = replace(kept, found=others, final=base)
     some = replace(chosen, names=[f.name for f in others], final=base)
     return _with_laws(search, some, without, decide(search, some, without, feedback), feedback)

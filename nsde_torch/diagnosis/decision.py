@@ -205,11 +205,15 @@ def provisional_reason(
     rest = max((d.excess for d in left if d.channel in f.moves), default=0.0)
     if rest > decisions.provisional_share * sum(brought[name] for name in f.moves):
         return "something else is there too"
-    own = effect_class(f.name)
-    others = [effect_class(g.name) for g in found if g.name != f.name]
-    if own.along and _variable(own) in map(_variable, others):
-        return f"two laws of the same {own.along} may stand for one that the catalogue lacks"
+    if any(of_one_variable(f.name, g.name) for g in found if g.name != f.name):
+        return f"two laws of the same {effect_class(f.name).along} may stand for one that the catalogue lacks"
     return ""
+
+
+def of_one_variable(name: str, other: str) -> bool:
+    """Whether two effects are laws of the same quantity, at the same place."""
+    one, two = effect_class(name), effect_class(other)
+    return bool(one.along) and _variable(one) == _variable(two)
 
 
 def _bent(shape: str) -> str:

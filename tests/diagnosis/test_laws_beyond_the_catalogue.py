@@ -65,6 +65,19 @@ def test_a_hinge_is_found_with_its_place() -> None:
     assert "a stop or a spring" in finding(content, stop)["looks_like"]
 
 
+def test_two_effects_of_the_catalogue_that_imitate_one_law_give_way_to_it() -> None:
+    law = "force = c1 q_dot^3"  # told as a quadratic damping and a friction
+    _, content = diagnosed("mass_spring_damper", {law: {"c1": -0.6}}, durations=(8.0,) * 5)
+    assert (content["verdict"], content["added"]) == ("effect_found", [law])
+    assert held(content, f"{law}.c1", -0.6, slack=0.5)
+
+
+def test_two_effects_of_one_speed_that_are_there_stay() -> None:
+    both = ({"coulomb_friction": {"size": 0.15}}, {"quadratic_damping": {"damping": 0.4}})
+    _, content = diagnosed("mass_spring_damper", *both, durations=(8.0,) * 5)
+    assert sorted(content["added"]) == ["coulomb_friction", "quadratic_damping"]
+
+
 def test_beside_an_effect_of_the_catalogue_that_one_keeps_its_name() -> None:
     law = "force = c1 q^2"
     both = ({law: {"c1": -1.0}}, {"coulomb_friction": {"size": 0.15}})

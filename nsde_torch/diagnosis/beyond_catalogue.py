@@ -2,10 +2,10 @@
 
     select and eliminate (catalogue)  ->  structure left  ->  propose laws  ->  select and eliminate again, with them
 
-until nothing is left, no law is new or none holds. Where the shape of an effect ends at the largest that the data tell
-from another law (`bent_shape`), or two effects are laws of one variable (a friction and a quadratic damping that
-imitate a cubic one), laws are tried in their place first. A law that is not chosen again in halves of the runs is taken
-out.
+until nothing is left, no law is new or none holds. Laws are tried first in the place of effects that may only imitate
+one: where the shape of an effect ends at the largest that the data tell from another law (`bent_shape`), where one term
+explains surely more (`imitation`), and where two effects are laws of one variable (a friction and a quadratic damping
+for a cubic one). A law that is not chosen again in halves of the runs is taken out.
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ from nsde_torch.diagnosis.decision import decide, of_one_variable, set_aside, va
 from nsde_torch.diagnosis.elimination import Retained, eliminate
 from nsde_torch.diagnosis.fitted import bent_shape, effect_of, fitted_system, values_of
 from nsde_torch.diagnosis.hidden import Feedback
+from nsde_torch.diagnosis.imitation import a_law_is_nearer
 from nsde_torch.diagnosis.law_names import named_by_the_catalogue
 from nsde_torch.diagnosis.laws import chosen_again, propose
 from nsde_torch.diagnosis.outcome import Outcome, base_without
@@ -43,10 +44,13 @@ def with_laws(
         return outcome
     decisions, names = search.decisions, [f.name for f in outcome.found]
     bent = [(name,) for name in names if bent_shape(kept.final.regression, name)]
+    near = [(name,) for name in names if (name,) not in bent and a_law_is_nearer(search, chosen, kept, name)]
     alike = [pair for pair in combinations(names, 2) if of_one_variable(*pair)]
-    for replaced, least in [(one, decisions.alike_nats) for one in bent] + [
-        (pair, -decisions.wider_nats) for pair in alike
-    ]:
+    likelier, as_good = decisions.alike_nats, -decisions.wider_nats
+    for replaced, least in (
+        *((one, likelier) for one in (*bent, *near)),
+        *((pair, as_good) for pair in alike),
+    ):
         other = _in_place_of(search, chosen, kept, feedback, replaced)
         fewer = len(other.found) <= len(names) - len(replaced) + 1 and other.found
         if fewer and other.final.score.fitted > outcome.final.score.fitted + least:

@@ -225,7 +225,7 @@ def propose(
         best = int(power.argmax())
         if power[best] <= price:
             break
-        for j in _worth_a_fit(found.laws, power, search):
+        for j in worth_a_fit(found.laws, power, search):
             if found.laws[j] not in search.laws:
                 search.laws[found.laws[j]], new = {**found.starts[j]}, True
         direction = columns[:, best].copy()
@@ -236,8 +236,14 @@ def propose(
     return new
 
 
-def _worth_a_fit(laws: Sequence[str], power: Array, search: Search) -> list[int]:
-    """Numbers of the terms that explain most, each law once, from the best of its first values."""
+def worth_a_fit(laws: Sequence[str], power: Array, search: Search) -> list[int]:
+    """Numbers of the terms that explain most, each law once, from the best of its first values.
+
+    Args:
+        laws: Law of each term.
+        power: Log-likelihood that it brings [nats].
+        search: Data and settings.
+    """
     out: dict[str, int] = {}
     for j in np.argsort(-power):
         if len(out) >= search.budgets.laws_fitted or power[j] < search.budgets.close_share * power.max():

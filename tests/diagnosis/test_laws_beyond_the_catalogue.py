@@ -72,6 +72,12 @@ def test_two_effects_of_the_catalogue_that_imitate_one_law_give_way_to_it() -> N
     assert held(content, f"{law}.c1", -0.6, slack=0.5)
 
 
+def test_an_effect_that_only_comes_near_gives_way_to_the_law() -> None:
+    law = "force = c1 q_dot^3"  # of a size at which a quadratic damping leaves no structure
+    _, content = diagnosed("mass_spring_damper", {law: {"c1": -0.2}}, durations=(8.0,) * 5)
+    assert (content["verdict"], content["added"]) == ("effect_found", [law])
+
+
 def test_two_effects_of_one_speed_that_are_there_stay() -> None:
     both = ({"coulomb_friction": {"size": 0.15}}, {"quadratic_damping": {"damping": 0.4}})
     _, content = diagnosed("mass_spring_damper", *both, durations=(8.0,) * 5)

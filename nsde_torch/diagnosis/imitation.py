@@ -1,0 +1,61 @@
+"""An effect of the catalogue that only comes near to the law that is there.
+
+A force `x^2 x_dot` on a cart is well explained by a dry friction where nothing else is offered, and what it leaves is
+small or learned by the noise model: no structure is left that laws would be tried for. So each effect on a coordinate
+is held against the library of terms of all positions and speeds (`laws`), linearised from the physics without the
+effect; the few that do no worse are fitted. Where one of them explains surely more, laws are tried in its place.
+"""
+
+from math import log
+
+import numpy as np
+
+from nsde_torch.diagnosis.decision import variables_of
+from nsde_torch.diagnosis.elimination import Retained
+from nsde_torch.diagnosis.fitted import effect_of, fitted_system, moved_channels
+from nsde_torch.diagnosis.laws import library, worth_a_fit
+from nsde_torch.diagnosis.outcome import base_without
+from nsde_torch.diagnosis.screening import joined, screen
+from nsde_torch.diagnosis.search import Search
+from nsde_torch.diagnosis.selection import Selection
+from nsde_torch.diagnosis.trials import finished, fit_candidate
+from nsde_torch.effects import Law
+
+
+def a_law_is_nearer(search: Search, chosen: Selection, kept: Retained, name: str) -> bool:
+    """Whether a term that no catalogue has explains surely more than an effect does.
+
+    Args:
+        search: Data and settings.
+        chosen: What forward selection added.
+        kept: What elimination kept.
+        name: Of the effect.
+    """
+    system = fitted_system(kept.final.regression)
+    effect = effect_of(system, name)
+    if not isinstance(effect, Law) or effect.n_memory:
+        return False
+    without = base_without(search, kept.final, chosen.declared, name)
+    variables = variables_of(search, without)
+    names = system.state_names
+    wanted = [
+        names[k] for at in system.bound_coordinates() for k in (at.position, at.velocity) if k is not None
+    ]
+    wanted = [v for v in dict.fromkeys(wanted) if v in variables.columns]
+    found = library(search, without, moved_channels(kept.final.regression, name), wanted, variables)
+    if found is None:
+        return False
+    own, _ = screen(search, without, system, name, ())
+    power = 0.5 * np.square(found.columns.T @ found.residual)
+    least = kept.final.score.fitted + log(found.tried) + search.decisions.alike_nats
+    rest = fitted_system(without.regression)
+    for j in worth_a_fit(found.laws, power, search):
+        if (
+            power[j] < own
+        ):  # the noise model without the effect may have learned it: what is no less is fitted
+            break
+        start = joined(rest, found.laws[j], {**found.starts[j]})
+        trial = fit_candidate(search, without, start, found.laws[j], among=1)
+        if finished(search, without, trial, 1).score.fitted > least:
+            return True
+    return False

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from math import log
+from math import exp, log
 
 import numpy as np
 
@@ -94,14 +94,14 @@ def _numbered(machine: System, runs: list[Run], clock: float, assumed: str, out:
     first = ranked[0]
     clear = scores[first] < scores[ranked[1]] - log(LESS) / 2
     same = places[first] == list(range(motors))
-    told = f"{scores[ranked[1]] - scores[first]:.2f} in the sum of log shares of what is left"
+    told = f"{exp(scores[ranked[1]] - scores[first]):.1f} times less of all channels together"
     if not clear:
         level = "as well" if scores[ranked[1]] - scores[first] < AS_GOOD else "nearly as well"
         out.notes.append(
-            f"motors numbered as in {first} and {ranked[1]} do {level} ({told}): check the numbering"
+            f"motors numbered as in {first} and {ranked[1]} do {level} (the physics leaves {told}): check it"
         )
         return runs
-    out.notes.append(f"motors are numbered as in {first}: the physics leaves less than with others ({told})")
+    out.notes.append(f"motors are numbered as in {first}: the physics leaves {told} than with {ranked[1]}")
     if same:
         return runs
     out.numbering = first

@@ -105,7 +105,10 @@ def name_of(kind: Kind) -> str:
 def kind_of(path: str | Path) -> str:
     """Kind of the data in a file or folder, by the names of the files; csv where nothing says otherwise."""
     file = Path(path)
-    inside = {name.suffix.lower() for name in file.iterdir()} if file.is_dir() else set()
+    held = [p for p in file.iterdir() if not p.name.startswith(".")] if file.is_dir() else []
+    if held and all(p.is_dir() for p in held):  # a folder for each run
+        held = [p for folder in held for p in folder.iterdir()]
+    inside = {p.suffix.lower() for p in held}
     for kind, known in READERS.items():
         if {file.suffix.lower()} & set(known.suffixes) or (known.folders and inside & set(known.suffixes)):
             return kind

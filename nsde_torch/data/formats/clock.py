@@ -56,6 +56,22 @@ def unit_of(name: str, values: Array) -> str:
     return "ms" if step < 1e3 else "us" if step < 1e6 else "ns"
 
 
+def found(fields: Mapping[str, Array], clock: ClockOf) -> ClockOf | None:
+    """The clock of a table with what was left open filled in; None where there is none.
+
+    Args:
+        fields: Columns.
+        clock: How it tells the time.
+    """
+    if clock.rate is not None:
+        return clock
+    given = clock.source.split("/")[-1] if clock.source else None
+    column = (
+        given if given in fields else clock.source if clock.source in fields else time_column(list(fields))
+    )
+    return None if column is None else ClockOf(column, clock.unit or unit_of(column, fields[column]))
+
+
 def timed(name: str, fields: dict[str, Array], clock: ClockOf, *, source: str) -> Stream:
     """A table with its clock taken out of its columns.
 
@@ -72,14 +88,11 @@ def timed(name: str, fields: dict[str, Array], clock: ClockOf, *, source: str) -
     rows = len(next(iter(fields.values())))
     if clock.rate is not None:
         return Stream(name, np.arange(rows) / clock.rate, fields)
-    given = clock.source.split("/")[-1] if clock.source else None
-    column = (
-        given if given in fields else clock.source if clock.source in fields else time_column(list(fields))
-    )
-    if column is None:
+    own = found(fields, clock)
+    if own is None or own.source is None:
         return Stream(name, np.full(rows, np.nan), fields)
+    column, unit = own.source, own.unit
     values = fields[column]
-    unit = clock.unit or unit_of(column, values)
     if unit not in SECONDS:
         raise ConfigError(f"`unit` of the time must be one of {', '.join(SECONDS)}; got {unit!r}.")
     good = np.isfinite(values)

@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from nsde_torch.data.formats.clock import ClockOf
 from nsde_torch.data.streams import Stream
 from nsde_torch.errors import ConfigError, DataError
 
@@ -23,6 +24,7 @@ class Log:
             an entry of a mapping would.
         frames: Axes that the format fixes: `world` (ENU or NED), `body` (FLU or FRD).
         notes: What the reader found, in words.
+        clock: How a table was taken to tell the time; None: the format says it.
     """
 
     name: str
@@ -31,6 +33,7 @@ class Log:
     columns: Mapping[str, Mapping[str, object]] = field(default_factory=dict)
     frames: Mapping[str, str] = field(default_factory=dict)
     notes: Sequence[str] = ()
+    clock: ClockOf | None = None
 
     def names(self) -> list[str]:
         """Every column, `stream/column`; of a stream without a name the column alone."""

@@ -14,10 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nsde_torch.data.formats.arrays import Arrays, read_hdf5, read_mat, read_npz, read_parquet
-from nsde_torch.data.formats.clock import ClockOf, time_column, timed
+from nsde_torch.data.formats.clock import ClockOf, found, time_column, timed
 from nsde_torch.data.formats.log import Log
 from nsde_torch.data.formats.text import read_text
-from nsde_torch.data.streams import Stream
 from nsde_torch.errors import DataError
 
 Array = NDArray[np.float64]
@@ -49,26 +48,30 @@ def open_table(path: Path, *, clock: ClockOf | None = None) -> Log:
     clock = clock or ClockOf()
     if path.is_dir():
         files = sorted(p for p in path.iterdir() if p.suffix.lower() in (*TEXT, *_READ))
-        streams = [s for file in files for s in _streams(file, clock, file.stem)]
+        tables = {
+            f"{file.stem}/{name}".rstrip("/"): one for file in files for name, one in _columns(file).items()
+        }
     else:
-        streams = _streams(path, clock, "")
+        tables = _columns(path)
+    streams = [timed(name, fields, clock, source=str(path)) for name, fields in tables.items()]
     if not streams:
         raise DataError(f"{path} holds no table of numbers with two rows or more.")
-    return Log(path.stem, str(path), streams)
+    clocks = [found(fields, clock) for fields in tables.values()]
+    return Log(path.stem, str(path), streams, clock=clocks[0] if len(set(clocks)) == 1 else None)
 
 
-def _streams(path: Path, clock: ClockOf, name: str) -> list[Stream]:
+def _columns(path: Path) -> dict[str, dict[str, Array]]:
+    """The tables of a file by name."""
     if path.suffix.lower() not in _READ:
-        return [timed(name, read_text(path), clock, source=str(path))]
+        return {"": read_text(path)}
     tables = _tables(_READ[path.suffix.lower()](path))
-    out = []
-    for (group, _), fields in tables.items():
-        own = "/".join(part for part in (name, group if len(tables) > 1 else "") if part)
-        out.append(timed(own, fields, clock, source=str(path)))
-    names = [stream.name for stream in out]
-    for stream in out:
-        if names.count(stream.name) > 1:  # arrays of several lengths side by side
-            stream.name = f"{stream.name}/{len(stream.t)} rows".lstrip("/")
+    groups = [group for group, _ in tables]
+    out: dict[str, dict[str, Array]] = {}
+    for (group, rows), fields in tables.items():
+        name = group if len(tables) > 1 else ""
+        if groups.count(group) > 1:  # arrays of several lengths side by side
+            name = f"{name}/{rows} rows".lstrip("/")
+        out[name] = fields
     return out
 
 

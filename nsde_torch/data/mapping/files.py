@@ -69,7 +69,7 @@ def log_files(kind: str, path: str | Path) -> list[LogFile]:
     path = Path(path)
     if kind not in READERS or READERS[kind].streams is None:
         raise ConfigError(f"data of kind {kind!r} are read without a mapping.")
-    suffixes = (*READERS[kind].suffixes, *(TEXT if kind == "table" else ()))
+    suffixes = tuple(dict.fromkeys((*READERS[kind].suffixes, *(TEXT if kind == "table" else ()))))
     if not path.exists():
         raise DataError(
             f"`path`: {path} does not exist; expected a file ({', '.join(suffixes)}) or a folder of them."

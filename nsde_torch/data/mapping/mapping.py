@@ -188,11 +188,11 @@ def _entry(value: Any, what: str) -> Entry:
                 raise ConfigError(
                     f"{what}.sign must be 1 or -1, or one for each of {len(names)}; got {one!r}."
                 )
-            out[key] = tuple(float(s) for s in signs)
+            out[key] = tuple(float(str(s)) for s in signs)
         elif not _is_number(one):
             raise ConfigError(f"{what}.{key} must be a number; got {one!r}.")
         else:
-            out[key] = float(one)
+            out[key] = float(str(one))
     if ("low" in out) != ("high" in out) or ("low" in out and out["low"] == out["high"]):
         raise ConfigError(f"{what}: `low` and `high` belong together, and must differ.")
     if out.get("full") == 0.0:

@@ -88,7 +88,7 @@ class Named:
 def bare(name: str) -> tuple[str, str | None]:
     """A name without the unit in it, and the unit."""
     found = _UNIT.search(name)
-    if found and known(found[1]):
+    if found and found[1].strip() and not found[1].strip().isdigit() and known(found[1]):
         return name[: found.start()].strip(), found[1]
     low = name.lower()
     ending = _SUFFIX.search(low)

@@ -12,6 +12,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from nsde_torch.data.formats.clock import ClockOf
 from nsde_torch.data.formats.log import Log
 from nsde_torch.data.mapping import names as kinds
 from nsde_torch.data.mapping.inputs import propose_inputs
@@ -67,7 +68,8 @@ def propose(log: Log, system: SystemInfo, *, kind: str = "") -> Proposal:
     if system.quaternion is None:
         found = propose_single(log, system)
         columns, missing, unsure = found.columns, found.missing, found.open
-        mapping = LogMapping(columns, system=system.name, kind=kind) if columns else None
+        clock = log.clock or ClockOf()
+        mapping = LogMapping(columns, system=system.name, kind=kind, time=clock) if columns else None
         return Proposal(mapping, missing, unsure)
     return _Vehicle(log, system, kind).proposal()
 
@@ -87,10 +89,9 @@ class _Vehicle:
     def proposal(self) -> Proposal:
         columns: dict[str, Entry] = {}
         attitude = self._attitude()
-        if attitude is None:
+        columns.update(attitude)
+        if "q" not in attitude:
             self.out.missing.append("an attitude (a quaternion, or roll, pitch and yaw)")
-        else:
-            columns.update(attitude)
         columns.update(self._places(columns.get("q")))
         motors = propose_inputs(self.log, self.system, self.found, self.said)
         columns.update(motors.columns)
@@ -104,7 +105,12 @@ class _Vehicle:
         rest = {name: entry for name, entry in columns.items() if name not in ordered}
         if columns:
             self.out.mapping = LogMapping(
-                {**ordered, **rest}, system=self.system.name, kind=self.kind, world=self.world, body=self.body
+                {**ordered, **rest},
+                system=self.system.name,
+                kind=self.kind,
+                time=self.log.clock or ClockOf(),
+                world=self.world,
+                body=self.body,
             )
         return self.out
 
@@ -149,14 +155,14 @@ class _Vehicle:
             return stream, values, replace(entry, unit=unit, order=None)
         return stream, values / np.linalg.norm(values, axis=1, keepdims=True).clip(1e-9), entry
 
-    def _attitude(self) -> dict[str, Entry] | None:
+    def _attitude(self) -> dict[str, Entry]:
         quaternions = self._candidates("q", kinds.QUATERNION)
         quaternions = quaternions or self._candidates("q", kinds.EULER)
         rates = self._candidates("w", kinds.RATES)
         if not rates:
             self.out.missing.append("body rates (a gyroscope)")
         if not quaternions:
-            return {"w": rates[0][1]} if len(rates) == 1 else None
+            return {"w": rates[0][1]} if rates else {}
         tried = []
         for one, entry in quaternions:
             stream, q, entry = self._quaternion(one, entry)

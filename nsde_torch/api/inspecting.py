@@ -155,8 +155,12 @@ def _check(
 ) -> None:
     """Kinematics, gravity and physics of the first runs."""
     assert out.mapping is not None
-    run = apply(log, out.mapping, machine)
-    out.checks = checks(machine, run)
+    try:
+        run = apply(log, out.mapping, machine)
+    except NsdeError as error:
+        out.checks = [LogCheck("reading", False, str(error))]
+        return
+    out.checks = checks(machine, run, out.mapping)
     if not physics or any(check.passed is False for check in out.checks):
         return
     runs = [run]

@@ -18,6 +18,7 @@ Array = NDArray[np.float64]
 
 PAUSE_S = 0.25
 """Shortest pause [s]."""
+_SAME = 5e-7  # seconds by which two stamps of one moment may differ: clocks that count from 1970 have no finer numbers
 _STEPS = 5.0  # of a stream that are no pause yet
 _FASTER = 1.5  # times the rate of the rows from which on commands are averaged over a step
 
@@ -89,7 +90,7 @@ def linear(stream: Stream, values: Array, t: Array) -> Array:
 
 def held(stream: Stream, values: Array, t: Array) -> Array:
     """The last value at or before each time; missing before the first and in pauses."""
-    left = np.searchsorted(stream.t, t, side="right") - 1
+    left = np.searchsorted(stream.t, t + _SAME, side="right") - 1
     out: Array = values[np.clip(left, 0, None)].copy()
     out[pause_mask(stream, t)] = np.nan
     return out

@@ -38,7 +38,7 @@ class ClockOf:
 def time_column(names: Mapping[str, object] | list[str]) -> str | None:
     """The column whose name says that it is the time; None where none does."""
     for name in names:
-        bare = _UNIT.sub("", name.strip().lower().replace("#", "").strip())
+        bare = _UNIT.sub("", name.strip().lower().replace("#", "").strip()).strip()
         if _NAMES.fullmatch(re.split(r"[./]", bare)[-1]):
             return name
     return None

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nsde_torch.data.formats.log import Log, lacking, unreadable
-from nsde_torch.data.formats.ros import log_of, stream_of
+from nsde_torch.data.formats.ros import log_of, seconds_since, stream_of
 from nsde_torch.data.formats.ros_layout import Fields, UnsupportedMessageError
 from nsde_torch.data.streams import Stream, ordered
 
@@ -36,7 +36,7 @@ def open_mcap(path: Path) -> Log:
     except ImportError as error:
         raise lacking("mcap", "mcap", path) from error
     messages: dict[str, list[bytes]] = defaultdict(list)
-    stamps: dict[str, list[float]] = defaultdict(list)
+    stamps: dict[str, list[int]] = defaultdict(list)
     about: dict[str, tuple[Any, Any]] = {}
     notes: list[str] = []
     large: set[str] = set()
@@ -52,7 +52,7 @@ def open_mcap(path: Path) -> Log:
                     size += len(message.data)
                     about[topic] = (schema, channel)
                     messages[topic].append(message.data)
-                    stamps[topic].append(message.log_time * 1e-9)
+                    stamps[topic].append(message.log_time)
             except (McapError, EOFError) as error:
                 if not messages:
                     raise
@@ -60,6 +60,7 @@ def open_mcap(path: Path) -> Log:
     except Exception as error:  # a damaged file makes the parser raise nearly anything
         raise unreadable(path, "MCAP file", error) from error
     notes += [f"{topic}: left out, large messages" for topic in sorted(large)]
+    since = min((times[0] for times in stamps.values()), default=0) // 10**9
     streams: dict[str, Stream] = {}
     kinds: dict[str, str] = {}
     for topic, (schema, channel) in sorted(about.items()):
@@ -67,7 +68,7 @@ def open_mcap(path: Path) -> Log:
             continue
         try:
             kinds[topic] = _kind(schema)
-            streams[topic] = _stream(topic, schema, channel, np.array(stamps[topic]), messages[topic])
+            streams[topic] = _stream(topic, schema, channel, stamps[topic], messages[topic], since)
         except UnsupportedMessageError as error:
             notes.append(f"{topic} ({kinds[topic] or channel.message_encoding}): left out, {error}")
     return log_of(path.stem, str(path), streams, kinds, notes)
@@ -78,13 +79,15 @@ def _kind(schema: Any) -> str:
     return name if name.count("/") != 1 else name.replace("/", "/msg/")
 
 
-def _stream(topic: str, schema: Any, channel: Any, stamps: Array, messages: Sequence[bytes]) -> Stream:
+def _stream(
+    topic: str, schema: Any, channel: Any, stamps: Sequence[int], messages: Sequence[bytes], since: int
+) -> Stream:
     if channel.message_encoding == "json":
-        return _json(topic, stamps, messages)
+        return _json(topic, seconds_since(stamps, since), messages)
     if channel.message_encoding in ("cdr", "ros1") and schema and schema.encoding in ("ros1msg", "ros2msg"):
         types = _types(schema)
         aligned = channel.message_encoding == "cdr"
-        return stream_of(topic, _kind(schema), stamps, messages, types, aligned=aligned)
+        return stream_of(topic, _kind(schema), stamps, messages, types, aligned=aligned, since=since)
     encoding = f"{channel.message_encoding} with {schema.encoding}" if schema else channel.message_encoding
     raise UnsupportedMessageError(f"the encoding {encoding!r} is none of ROS 1, ROS 2 and JSON")
 

@@ -17,10 +17,9 @@ from nsde_torch.data.formats.ros_layout import Fields, UnsupportedMessageError, 
 from nsde_torch.data.streams import Stream, ordered
 from nsde_torch.errors import DataError
 
-Array = NDArray[np.float64]
-
 _PX4 = "px4_msgs/msg/"
 _STAMPS = (("header.stamp.sec", "header.stamp.nanosec"), ("stamp.sec", "stamp.nanosec"))
+_TIMES = {name for pair in _STAMPS for name in pair}
 _NOT_SIGNALS = ("covariance", "header.", "stamp.", "layout.")
 _POSES = {
     "nav_msgs/msg/Odometry": ("pose.pose.position", "pose.pose.orientation"),
@@ -31,37 +30,56 @@ _POSES = {
 
 
 def stream_of(
-    topic: str, kind: str, stamps: Array, messages: Sequence[bytes], types: Fields, *, aligned: bool
+    topic: str,
+    kind: str,
+    stamps: Sequence[int],
+    messages: Sequence[bytes],
+    types: Fields,
+    *,
+    aligned: bool,
+    since: int,
 ) -> Stream:
     """The messages of one topic.
 
     Args:
         topic: Its name.
         kind: Type of its messages.
-        stamps: Times at which they were logged [s], (n,).
+        stamps: Times at which they were logged [ns].
         messages: As they are in the log.
         types: The types that the log defines.
         aligned: Whether they are CDR (ROS 2), else ROS 1.
+        since: Second from which times are counted [s]: those since 1970 have no digits left for microseconds.
 
     Raises:
         UnsupportedMessageError: the messages cannot be read as numbers.
     """
-    columns, _ = columns_of(messages, kind, types, aligned=aligned)
-    t = stamps
+    columns, _ = columns_of(messages, kind, types, aligned=aligned, wanted=_wanted)
+    t = seconds_since(stamps, since)
     for seconds, rest in _STAMPS:
         if seconds in columns and rest in columns:
-            told = columns[seconds] + 1e-9 * columns[rest]
-            if np.isfinite(told).all() and (told > 0).all():
+            told = columns[seconds] - since + 1e-9 * columns[rest]
+            if np.isfinite(told).all() and (columns[seconds] > 0).all():
                 t = told
             break
     if kind.startswith(_PX4) and (columns.get("timestamp", np.zeros(1)) > 0).all():
         sample = columns.get("timestamp_sample")
         t = (columns["timestamp"] if sample is None or not (sample > 0).all() else sample) * 1e-6
     good = np.isfinite(t)
-    kept = {k: v[good] for k, v in columns.items() if not any(part in k for part in _NOT_SIGNALS)}
+    kept = {k: v for k, v in columns.items() if not k.startswith(("header.", "stamp."))}
     if not kept:
         raise UnsupportedMessageError("no numbers beside its header")
-    return ordered(Stream(topic, t[good], kept))
+    if not good.all():
+        t, kept = t[good], {k: v[good] for k, v in kept.items()}
+    return ordered(Stream(topic, t, kept))
+
+
+def seconds_since(stamps: Sequence[int], since: int) -> NDArray[np.float64]:
+    """Times [s] of stamps [ns], counted from a second since 1970."""
+    return np.asarray(np.array(stamps, dtype=np.int64) - since * 10**9, dtype=np.float64) * 1e-9
+
+
+def _wanted(name: str) -> bool:
+    return name in _TIMES or not any(part in name for part in _NOT_SIGNALS)
 
 
 def log_of(

@@ -8,7 +8,7 @@ each combination of lengths, and all messages that share it are read as one arra
 from __future__ import annotations
 
 import struct
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -27,6 +27,7 @@ _NUMBERS = {
 }  # fmt: skip
 _LONGEST = 64  # elements of an array that become columns
 _DEEPEST = 16
+_TOGETHER = 20_000  # messages that are read at a time
 _LARGEST = 1 << 20  # bytes of a message: images and clouds are no signals
 
 
@@ -126,7 +127,7 @@ class _Walk:
 
 
 def columns_of(
-    messages: Sequence[bytes], kind: str, types: Fields, *, aligned: bool
+    messages: Sequence[bytes], kind: str, types: Fields, *, aligned: bool, wanted: Callable[[str], bool]
 ) -> tuple[dict[str, Array], int]:
     """Numbers of messages of one type, a column for each; what a message lacks is nan there.
 
@@ -135,6 +136,7 @@ def columns_of(
         kind: Name of their type.
         types: The types that the log defines.
         aligned: Whether they are CDR (ROS 2), else ROS 1.
+        wanted: Whether a column is to be read, by its name.
 
     Returns:
         The columns, each (n,), and how many messages could not be read.
@@ -163,20 +165,25 @@ def columns_of(
             if bad > 100 and not out:
                 break
             continue
-        table = np.frombuffer(b"".join(messages[k] for k in same), dtype=np.uint8).reshape(
-            len(same), len(first)
-        )
-        fits = np.ones(len(same), dtype=bool)
-        fits &= (table[:, :2] == table[0, :2]).all(axis=1) if aligned else True
         order = ">" if aligned and first[1] == 0 else "<"
-        for at, value in layout.lengths:
-            fits &= _at(table, at, f"{order}u4") == value
-        rows = same[fits]
-        for name, (at, number) in layout.columns.items():
-            if name not in out:
-                out[name] = np.full(len(messages), np.nan)
-            out[name][rows] = _at(table[fits], at, number)
-        left = np.setdiff1d(left, rows, assume_unique=True)
+        read = [same[:0]]
+        for start in range(0, len(same), _TOGETHER):
+            rows = same[start : start + _TOGETHER]
+            table = np.frombuffer(b"".join(messages[k] for k in rows), dtype=np.uint8)
+            table = table.reshape(len(rows), len(first))
+            fits = (table[:, :2] == np.frombuffer(first[:2], dtype=np.uint8)).all(axis=1) | (not aligned)
+            for at, value in layout.lengths:
+                fits &= _at(table, at, f"{order}u4") == value
+            if not fits.all():
+                rows, table = rows[fits], table[fits]
+            read.append(rows)
+            for name, (at, number) in layout.columns.items():
+                if not wanted(name):
+                    continue
+                if name not in out:
+                    out[name] = np.full(len(messages), np.nan)
+                out[name][rows] = _at(table, at, number)
+        left = np.setdiff1d(left, np.concatenate(read), assume_unique=True)
     if not out:
         raise UnsupportedMessageError(why)
     return out, bad

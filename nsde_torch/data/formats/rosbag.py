@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import numpy as np
-
 from nsde_torch.data.formats.log import Log, lacking, unreadable
 from nsde_torch.data.formats.ros import log_of, stream_of
 from nsde_torch.data.formats.ros_layout import UnsupportedMessageError
@@ -36,12 +34,14 @@ def open_rosbag(path: Path) -> Log:
             types = {name: fields for name, (_, fields) in bag.typestore.fielddefs.items()}
             for topic in sorted({c.topic for c in bag.connections}):
                 connections = [c for c in bag.connections if c.topic == topic]
-                stamps, messages, size = [], [], 0
+                stamps: list[int] = []
+                messages: list[bytes] = []
+                size = 0
                 for _, stamp, raw in bag.messages(connections=connections):
                     size += len(raw)
                     if len(raw) > _LARGEST or size > _MEMORY:
                         break
-                    stamps.append(stamp * 1e-9)
+                    stamps.append(stamp)
                     messages.append(bytes(raw))
                 if size > _MEMORY or len(messages) < 2:
                     notes.append(
@@ -51,7 +51,7 @@ def open_rosbag(path: Path) -> Log:
                 kind = connections[0].msgtype
                 try:
                     streams[topic] = stream_of(
-                        topic, kind, np.array(stamps), messages, types, aligned=bag.is2
+                        topic, kind, stamps, messages, types, aligned=bag.is2, since=bag.start_time // 10**9
                     )
                     kinds[topic] = kind
                 except UnsupportedMessageError as error:

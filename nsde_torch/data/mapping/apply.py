@@ -26,7 +26,9 @@ from nsde_torch.errors import ConfigError, DataError
 Array = NDArray[np.float64]
 
 SLOWEST = 4.0
-"""Slowest rate of a state or an input [Hz]."""
+"""Slowest rate of a state, or of an input of a machine without motors of its own [Hz]."""
+MOTOR_RATE = 50.0
+"""Slowest rate of motors [Hz], which answer within 50 ms."""
 _FAR = 0.8  # share of the rows' rate below which a stream is told to be slow
 
 
@@ -69,7 +71,7 @@ class _Applied:
         u = np.column_stack([self.columns.get(name, zero) for name in system.input_names])
         own = (*system.state_names, *system.input_names)
         extra = {name: values for name, values in self.columns.items() if name not in own}
-        run = RawRun(self.log.name, self.t.copy(), x, u, extra=extra, source=self.log.source)
+        run = RawRun(self.log.name, self.t - self.t[0], x, u, extra=extra, source=self.log.source)
         run.notes += [Finding("log", run.name, 1, note, "reported") for note in self.log.notes]
         slow = sorted({s.name for s in self._used() if s.rate < _FAR * self.base.rate and s.name})
         if slow:
@@ -124,15 +126,25 @@ class _Applied:
                     f"{self.log.source}: {stream.name!r} ({stream.t[0]:.6g} to {stream.t[-1]:.6g} s) and {base.name!r} "
                     f"({base.t[0]:.6g} to {base.t[-1]:.6g} s) have no time in common: two clocks, or two recordings."
                 )
-        for name, entry in self.mapping.columns.items():
-            own = (*self.system.state_names, *self.system.input_names)
-            slow = self._stream(entry)
-            if self.names[name][0] in own and slow.rate < SLOWEST:
-                raise DataError(
-                    f"{self.log.source}: {name!r} was logged at {slow.rate:.3g} Hz ({slow.name or entry.source[0]}); "
-                    f"at least {SLOWEST:g} Hz are needed. Log it faster."
-                )
+        self._fast_enough()
         return base
+
+    def _fast_enough(self) -> None:
+        """Refuse what was logged too slowly to say how a machine moves."""
+        system = self.system
+        for name, entry in self.mapping.columns.items():
+            if self.names[name][0] not in (*system.state_names, *system.input_names):
+                continue
+            motors = system.quaternion is not None and self.names[name][0] in system.input_names
+            slowest = entry.slowest or (MOTOR_RATE if motors else SLOWEST)
+            stream = self._stream(entry)
+            if stream.rate < 0.95 * slowest:
+                why = ", as gains and lags come out wrong of commands that change unseen" if motors else ""
+                raise DataError(
+                    f"{self.log.source}: {name!r} ({stream.name or entry.source[0]}) was logged at {stream.rate:.3g} "
+                    f"Hz; at least {slowest:g} Hz are needed{why}. Log it faster, or read it all the same with "
+                    f"`slowest: {np.floor(stream.rate):g}` in its entry of the mapping."
+                )
 
     def _stream(self, entry: Entry) -> Stream:
         return self.log.find(entry.source[0])[0]

@@ -6,28 +6,33 @@ order of columns, axes. Nothing here knows the machine beyond that its thrust ho
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from nsde_torch.data.frames import attitude_between
 from nsde_torch.data.mapping.kinematic import (
     SOUND_ATTITUDE,
     SOUND_VELOCITY,
     AttitudeWay,
     VelocityWay,
     attitude_left,
-    attitude_ways,
     lean,
+    read_attitude,
     velocity_left,
     velocity_ways,
 )
+from nsde_torch.data.mapping.mapping import LogMapping
+from nsde_torch.data.quaternion import conjugate
 from nsde_torch.data.raw import RawRun
 from nsde_torch.data.system_info import SystemInfo, derivative_columns, rate_columns
 
 Array = NDArray[np.float64]
 
 _BETTER = 10.0
+_MOST = 60_000  # rows
 _SIZES = (1e-3, 1e-2, 0.3048, 1.0 / 0.3048, 1e2, 1e3)
 """Factors that a forgotten unit would be."""
 _LEAN_WORDS = {
@@ -57,67 +62,116 @@ class LogCheck:
     text: str
 
 
-def checks(system: SystemInfo, run: RawRun) -> list[LogCheck]:
+@np.errstate(
+    over="ignore", invalid="ignore"
+)  # of numbers that no sensor says: the checks of all data refuse them
+def checks(system: SystemInfo, run: RawRun, mapping: LogMapping | None = None) -> list[LogCheck]:
     """What kinematics and gravity say of a run that a mapping made.
 
     Args:
         system: The machine.
         run: In the system's units, axes and order.
+        mapping: What made it, so that its quaternion can be read otherwise; None: `w x y z`, FLU to ENU.
     """
     out: list[LogCheck] = []
+    if len(run.t) > _MOST:  # the middle says enough, in a tenth of the time
+        first = (len(run.t) - _MOST) // 2
+        rows = slice(first, first + _MOST)
+        run = RawRun(run.name, run.t[rows], run.x[rows], run.u[rows])
     q, rates = system.quaternion, rate_columns(system)
     attitude = None if q is None else run.x[:, q]
-    if attitude is not None and rates is not None:
-        out.append(_attitude(run.t, attitude, run.x[:, rates]))
+    if q is not None and attitude is not None and rates is not None:
+        logged = _logged(system.state_names[q], mapping)
+        out.append(_attitude(run.t, attitude, run.x[:, rates], logged))
     for group, (i, j) in derivative_columns(system).items():
         if not np.isfinite(run.x[:, j]).any():
             continue
         if len(i) == 3 and attitude is not None and "(world" in group:
             out += _velocity(run.t, attitude, run.x[:, i], run.x[:, j])
+            if not any(
+                check.passed is False for check in out
+            ):  # else the lean shows the same fault once more
+                out.append(_lean(run.t, attitude, run.x[:, i]))
         else:
             for a, b in zip(i, j, strict=True):
                 out.append(_axis(system, run, a, b))
     return out
 
 
-def _attitude(t: Array, q: Array, w: Array) -> LogCheck:
-    own = AttitudeWay("wxyz", "body to world", "rad/s", (1.0, 1.0, 1.0))
-    ways = [own, *(way for way in attitude_ways(None, None) if way != own)]
-    ways.append(AttitudeWay("wxyz", "body to world", "1/rad", (1.0, 1.0, 1.0)))
-    left = [attitude_left(t, q, w * (180.0 / np.pi if way.unit == "1/rad" else 1.0), way) for way in ways]
-    if not np.isfinite(left[0]):
-        return LogCheck(
-            "attitude and rates", None, "too little turning to compare the attitude with the rates."
-        )
-    k = int(np.nanargmin(left))
-    if k and left[0] > SOUND_ATTITUDE and _BETTER * left[k] < left[0]:
-        return LogCheck(
-            "attitude and rates",
-            False,
-            f"the rates leave {left[0]:.0%} of the attitude's turning, and {left[k]:.1%} if "
-            f"{_attitude_words(ways[k])}.",
-        )
-    sound = True if left[0] <= SOUND_ATTITUDE else None
-    told = f"the rates leave {left[0]:.1%} of the attitude's turning over 0.25 s"
-    more = (
-        "."
-        if sound
-        else ", and no other reading of these columns does much better: rates of another body, time or unit."
+@dataclass(frozen=True)
+class _Logged:
+    """How a mapping says that the attitude was logged."""
+
+    order: str = "wxyz"
+    turns: str = "body to world"
+    ned: bool = False
+    frd: bool = False
+    angles: bool = False
+
+    def read(self, q: Array, order: str, turns: str) -> Array:
+        """The attitude, had its columns another order and another direction."""
+        if (order, turns) == (self.order, self.turns):
+            return q
+        raw = attitude_between(q, ned=self.ned, frd=self.frd)  # twice is once too often by a sign at most
+        raw = conjugate(raw) if self.turns == "world to body" else raw
+        raw = raw[:, [1, 2, 3, 0]] if self.order == "xyzw" else raw
+        way = AttitudeWay(order, turns, "rad/s", (1.0, 1.0, 1.0))
+        return attitude_between(read_attitude(raw, way), ned=self.ned, frd=self.frd)
+
+
+def _logged(names: Sequence[str], mapping: LogMapping | None) -> _Logged:
+    if mapping is None:
+        return _Logged()
+    entry = next((e for n, e in mapping.columns.items() if n in (names[0].partition("_")[0], *names)), None)
+    if entry is None:
+        return _Logged()
+    world, body = entry.world or mapping.world, entry.body or mapping.body
+    return _Logged(
+        entry.order or "wxyz",
+        entry.turns or "body to world",
+        world == "NED",
+        body == "FRD",
+        len(entry.source) == 3,
     )
-    return LogCheck("attitude and rates", sound, told + more)
 
 
-def _attitude_words(way: AttitudeWay) -> str:
+def _attitude(t: Array, q: Array, w: Array, logged: _Logged) -> LogCheck:
+    name = "attitude and rates"
+    plain = AttitudeWay("wxyz", "body to world", "rad/s", (1.0, 1.0, 1.0))
+    own = attitude_left(t, q, w, plain)
+    if not np.isfinite(own):
+        return LogCheck(name, None, "too little turning to compare the attitude with the rates.")
+    told = f"the rates leave {own:.1%} of the attitude's turning over 0.25 s"
+    if own <= SOUND_ATTITUDE:
+        return LogCheck(name, True, f"{told}.")
+    best, words = own, ""
+    for order in (logged.order,) if logged.angles else ("wxyz", "xyzw"):
+        for turns in ("body to world", "world to body"):
+            other = logged.read(q, order, turns)
+            for factor, unit in ((1.0, ""), (np.pi / 180.0, "deg/s"), (180.0 / np.pi, "rad/s")):
+                for sign in (1.0, -1.0):
+                    way = AttitudeWay("wxyz", "body to world", "rad/s", (1.0, sign, sign))
+                    left = attitude_left(t, other, factor * w, way)
+                    if left < best:
+                        best, words = left, _attitude_words(logged, order, turns, unit, sign)
+    if _BETTER * best < own:
+        return LogCheck(
+            name, False, f"the rates leave {own:.0%} of the attitude's turning, and {best:.1%} if {words}."
+        )
+    return LogCheck(name, None, f"{told}, whatever their order, direction and unit: of another body or time.")
+
+
+def _attitude_words(logged: _Logged, order: str, turns: str, unit: str, sign: float) -> str:
     words = []
-    if way.order == "xyzw":
-        words.append("the quaternion has its scalar last (`order: xyzw`)")
-    if way.turns == "world to body":
-        words.append("it turns the world into the body (`turns: world to body`)")
-    if way.unit == "deg/s":
-        words.append("the rates are in deg/s (`unit: deg/s`)")
-    if way.unit == "1/rad":
-        words.append("the rates are in rad/s (`unit: rad/s`)")
-    if way.signs[1] < 0:
+    if order != logged.order:
+        place = "first" if order == "wxyz" else "last"
+        words.append(f"the quaternion has its scalar {place} (`order: {order}`)")
+    if turns != logged.turns:
+        first, _, last = turns.partition(" to ")
+        words.append(f"it turns the {first} into the {last} (`turns: {turns}`)")
+    if unit:
+        words.append(f"the rates are in {unit} (`unit: {unit}`)")
+    if sign < 0:
         words.append("the rates are those of the other body axes (FRD for FLU: `body` of one of them)")
     return " and ".join(words)
 
@@ -148,27 +202,20 @@ def _velocity(t: Array, q: Array, p: Array, v: Array) -> list[LogCheck]:
                 else ", and no other reading of these columns does much better: another unit, time or body."
             )
             out.append(LogCheck("position and velocity", sound, text + more))
+    return out
+
+
+def _lean(t: Array, q: Array, p: Array) -> LogCheck:
     found = lean(t, q, p)
     name = "lean and acceleration"
     if found is None or found.way is None:
-        out.append(
-            LogCheck(
-                name,
-                None,
-                "the log leans too little, or too alike, to tell the axes of attitude and positions.",
-            )
-        )
-    elif found.way == "up" and found.up > 0:
-        text = (
-            f"the machine speeds up where its thrust leans ({found.left['up']:.0%} of the acceleration left)."
-        )
-        out.append(LogCheck(name, True, text))
-    else:
-        words = _LEAN_WORDS.get(found.way, "the world's third axis points down: check `frames.world`")
-        rest = f"{found.left['up']:.0%} of the acceleration left"
-        text = f"the machine does not speed up where its thrust leans ({rest}): {words}."
-        out.append(LogCheck(name, False, text))
-    return out
+        text = "the log leans too little, or too alike, to tell the axes of attitude and positions."
+        return LogCheck(name, None, text)
+    rest = f"{found.left['up']:.0%} of the acceleration left"
+    if found.way == "up" and found.up > 0:
+        return LogCheck(name, True, f"the machine speeds up where its thrust leans ({rest}).")
+    words = _LEAN_WORDS.get(found.way, "the world's third axis points down: check `frames.world`")
+    return LogCheck(name, False, f"the machine does not speed up where its thrust leans ({rest}): {words}.")
 
 
 def _velocity_words(way: VelocityWay) -> str:

@@ -57,6 +57,7 @@ class Entry:
         high: Reading of an input that means 1.
         full: Speed of a rotor at full thrust, in `unit`: the input is the square of the share of it.
         numbering: Whose numbers the motors have, a key of `numbering.NUMBERINGS`.
+        slowest: Slowest rate that is read [Hz]; None: 50 of motors, 4 of other inputs and of states.
     """
 
     source: tuple[str, ...]
@@ -73,6 +74,7 @@ class Entry:
     high: float | None = None
     full: float | None = None
     numbering: str | None = None
+    slowest: float | None = None
 
 
 @dataclass(frozen=True)
@@ -179,24 +181,24 @@ def _entry(value: Any, what: str) -> Entry:
         if one is None:
             continue
         if key in _CHOICES:
-            out[key] = _choice(one, _CHOICES[key], f"{what}.{key}")
+            out[key] = _choice(one, _CHOICES[key], f"{what}: `{key}`")
         elif key in ("unit", "numbering"):
             out[key] = str(one)
         elif key == "sign":
             signs: tuple[Any, ...] = tuple(one) if isinstance(one, list | tuple) else (one,) * len(names)
             if len(signs) != len(names) or any(s not in (1, -1) for s in signs):
                 raise ConfigError(
-                    f"{what}.sign must be 1 or -1, or one for each of {len(names)}; got {one!r}."
+                    f"{what}: `sign` must be 1 or -1, or one for each of {len(names)}; got {one!r}."
                 )
             out[key] = tuple(float(str(s)) for s in signs)
         elif not _is_number(one):
-            raise ConfigError(f"{what}.{key} must be a number; got {one!r}.")
+            raise ConfigError(f"{what}: `{key}` must be a number; got {one!r}.")
         else:
             out[key] = float(str(one))
     if ("low" in out) != ("high" in out) or ("low" in out and out["low"] == out["high"]):
         raise ConfigError(f"{what}: `low` and `high` belong together, and must differ.")
     if out.get("full") == 0.0:
-        raise ConfigError(f"{what}.full must not be 0.")
+        raise ConfigError(f"{what}: `full` must not be 0.")
     return Entry(names, **out)
 
 

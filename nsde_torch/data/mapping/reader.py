@@ -51,7 +51,7 @@ def read_mapped(
             )
         run = apply(log, given, system)
         del log
-        _refuse_contradicted(system, run, f"nsde inspect {path} system={system.name}")
+        _refuse_contradicted(system, run, given, f"nsde inspect {path} system={system.name}")
         if assumed:
             run.notes.append(Finding("proposed_mapping", run.name, 1, assumed, "reported"))
         runs.append(run)
@@ -73,8 +73,8 @@ def _proposed(log: Log, system: SystemInfo, kind: str, path: str | Path) -> LogM
     return found.mapping
 
 
-def _refuse_contradicted(system: SystemInfo, run: RawRun, command: str) -> None:
-    for check in checks(system, run):
+def _refuse_contradicted(system: SystemInfo, run: RawRun, mapping: LogMapping, command: str) -> None:
+    for check in checks(system, run, mapping):
         if check.passed is False:
             raise DataError(
                 f"run {run.name!r}: the mapping contradicts the log: {check.text} `{command}` proposes another."

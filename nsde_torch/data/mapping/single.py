@@ -78,14 +78,16 @@ def propose_single(log: Log, system: SystemInfo) -> ColumnsFound:
     """
     out = ColumnsFound()
     free: dict[str, tuple[str, str | None]] = {}
+    still: set[str] = set()
     for stream in log.streams:
         for column, values in stream.fields.items():
-            if np.isfinite(values).any() and float(np.nanstd(values)) > 0.0:
-                name, unit = bare(column)
-                free[full(stream, column)] = (name, stream.units.get(column) or unit)
+            name, unit = bare(column)
+            free[full(stream, column)] = (name, stream.units.get(column) or unit)
+            if not (np.isfinite(values).any() and float(np.nanstd(values)) > 0.0):
+                still.add(full(stream, column))
     rates = {rate: position for position, rate, _ in system.position_derivatives}
     for wanted in (*system.state_names, *system.input_names, *system.exogenous):
-        found = _named(wanted, free, system, rates)
+        found = _named(wanted, free, still, system, rates)
         if len(found) == 1:
             name = found[0]
             unit = free.pop(name)[1]
@@ -99,13 +101,18 @@ def propose_single(log: Log, system: SystemInfo) -> ColumnsFound:
 
 
 def _named(
-    wanted: str, free: dict[str, tuple[str, str | None]], system: SystemInfo, rates: dict[str, str]
+    wanted: str,
+    free: dict[str, tuple[str, str | None]],
+    still: set[str],
+    system: SystemInfo,
+    rates: dict[str, str],
 ) -> list[str]:
     """Columns of a name that means `wanted`: the same, else a synonym where the system has one such, else alike."""
     plain = {key: _squeezed(name) for key, (name, _) in free.items()}
     same = [key for key, name in plain.items() if name == _squeezed(wanted)]
     if same:
         return same
+    plain = {key: name for key, name in plain.items() if key not in still}
     positions = [n for n in system.state_names if n not in rates]
     words = set()
     if len(positions) == 1 and wanted in rates:

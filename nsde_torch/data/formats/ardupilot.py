@@ -8,6 +8,8 @@ the outputs whose parameter `SERVOn_FUNCTION` is a motor (33 to 40, 82 to 85), p
 
 from __future__ import annotations
 
+import contextlib
+import io
 from pathlib import Path
 from typing import Any
 
@@ -58,8 +60,15 @@ def open_ardupilot(path: Path) -> Log:
     """
     from pymavlink import DFReader
 
+    class Index(DFReader.DFReader_binary):
+        """The index of a log, without a search for the clock of GPS through all of it: messages have times."""
+
+        def init_clock(self) -> None:
+            self.clock = DFReader.DFReaderClock_usec()
+
     try:
-        log = DFReader.DFReader_binary(str(path), zero_time_base=True)
+        with contextlib.redirect_stderr(io.StringIO()):  # it prints every byte that is no message
+            log = Index(str(path), zero_time_base=True)
     except Exception as error:  # a damaged log makes the parser raise nearly anything
         raise unreadable(path, "ArduPilot log", error) from error
     try:

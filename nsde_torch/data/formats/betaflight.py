@@ -23,6 +23,7 @@ Array = NDArray[np.float64]
 logging.getLogger("orangebox").addHandler(
     logging.NullHandler()
 )  # it tells of every event that it does not know
+_TOGETHER = 20_000
 _MOST = 20_000_000  # frames of a log
 
 
@@ -41,25 +42,34 @@ def open_betaflight(path: Path, *, index: int = 1) -> Log:
         from orangebox import Parser
     except ImportError as error:
         raise lacking("orangebox", "betaflight", path) from error
-    rows: list[Any] = []
+    rows: list[list[float]] = []
+    parts: list[Array] = []
     try:
         parser = Parser.load(str(path), index, allow_invalid_header=True)
         names, headers = list(parser.field_names), dict(parser.headers)
         main = [k for k, name in enumerate(names) if _wanted(name)]
         for frame in parser.frames():
-            rows.append([frame.data[k] for k in main])
-            if len(rows) >= _MOST:
+            rows.append([_number(frame.data[k]) for k in main])
+            if len(rows) >= _TOGETHER:  # numbers of Python take four times the memory
+                parts.append(np.array(rows))
+                rows.clear()
+            if len(parts) * _TOGETHER >= _MOST:
                 break
     except Exception as error:  # a log that ends with the battery ends without its last event
-        if not rows:
+        if not rows and not parts:
             raise unreadable(path, "Betaflight log", error) from error
-    if len(rows) < 2:
+    if len(rows) + len(parts) < 2:
         raise DataError(f"{path}: log {index} holds no frames.")
-    table = np.array([[np.nan if v == "" else v for v in row] for row in rows], dtype=np.float64)
+    table = np.concatenate([*parts, np.array(rows, dtype=np.float64).reshape(len(rows), len(main))])
     fields = {names[k]: table[:, j] for j, k in enumerate(main)}
     t = fields.pop("time") * 1e-6
     stream = ordered(Stream("", t, fields, _units(fields)))
     return Log(path.stem, str(path), [stream], _meaning(fields, headers), {"body": "FLU"})
+
+
+def _number(value: Any) -> float:
+    """A value of a frame; of one that no slow frame has given yet, nan."""
+    return float(value) if isinstance(value, int | float) else float("nan")
 
 
 def _wanted(name: str) -> bool:

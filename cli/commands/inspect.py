@@ -69,7 +69,8 @@ def _inspect(path: str, given: dict[str, str]) -> int:
     if found.mapping is not None and "mapping" not in given and target is not None:
         print(_write(found, target, overwrite=given.get("overwrite") == "true"))
     if found.usable:
-        key = _mapping_key(found, target, path)
+        used = Path(given["mapping"]) if "mapping" in given else target
+        key = _mapping_key(found, used, path)
         print(f"\nnext: nsde train system={found.system} data={found.kind} data.path={path}{key}")
     return OK if found.usable else FAILED_JOBS
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from nsde_torch.api.physics_check import check_physics
 from nsde_torch.data.any_log import format_of
-from nsde_torch.data.formats.log import Log
+from nsde_torch.data.formats.log import StreamLog
 from nsde_torch.data.formats.ulog_topics import open_ulog
 from nsde_torch.data.mapping.apply import apply
 from nsde_torch.data.mapping.checks import LogCheck, checks
@@ -151,7 +151,7 @@ def inspect(
 
 
 def _check(
-    out: Inspection, files: Sequence[LogFile], log: Log, machine: System, *, physics: bool, fixed: bool
+    out: Inspection, files: Sequence[LogFile], log: StreamLog, machine: System, *, physics: bool, fixed: bool
 ) -> None:
     """Kinematics, gravity and physics of the first runs."""
     assert out.mapping is not None
@@ -200,7 +200,7 @@ def _native(path: Path, kind: str, machine: System | None, *, physics: bool) -> 
     return out
 
 
-def _px4_frame(log: Log) -> str:
+def _px4_frame(log: StreamLog) -> str:
     """By how many motors moved."""
     for stream in log.streams:
         if stream.name == "actuator_motors":
@@ -209,7 +209,7 @@ def _px4_frame(log: Log) -> str:
     return "quadrotor"
 
 
-def guess_system(log: Log) -> str:
+def guess_system(log: StreamLog) -> str:
     """Name of a system of the package by what is logged.
 
     Args:
@@ -233,7 +233,7 @@ def guess_system(log: Log) -> str:
     return "cartpole" if {"theta", "theta_dot"} & columns else "mass_spring_damper"
 
 
-def rows_of(log: Log) -> list[ColumnRow]:
+def rows_of(log: StreamLog) -> list[ColumnRow]:
     """A row for each column of a log.
 
     Args:

@@ -28,8 +28,8 @@ class Reader:
         suffixes: Suffixes of files that tell the kind; none: of what no other reader claims.
         folders: Whether a folder with such a file in it is of the kind too.
         takes_step: Whether it must know the step to resample to, as the files hold no times.
-        streams: Function `open(path)` that opens one file as streams (`nsde_torch.data.formats.Log`), of a format whose
-            columns need a mapping; `home` is then that of all mappings.
+        streams: Function `open(path)` that opens one file as streams (`nsde_torch.data.formats.StreamLog`), of a format
+            whose columns need a mapping; `home` is then that of all mappings.
         mapped: Whether it takes a mapping.
     """
 

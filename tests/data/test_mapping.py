@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import yaml
 
-from nsde_torch.data.formats.log import Log
+from nsde_torch.data.formats.log import StreamLog
 from nsde_torch.data.mapping.apply import apply
 from nsde_torch.data.mapping.checks import checks
 from nsde_torch.data.mapping.mapping import LogMapping, mapping_of, read_mapping, text
@@ -26,10 +26,10 @@ def _mapping(content: str = NED_MAPPING) -> LogMapping:
     return mapping_of(yaml.safe_load(content))
 
 
-def _log(columns: dict[str, np.ndarray]) -> Log:
+def _log(columns: dict[str, np.ndarray]) -> StreamLog:
     fields = dict(columns)
     t = fields.pop("timestamp_us") * 1e-6
-    return Log("run", "log.csv", [Stream("", t, fields)])
+    return StreamLog("run", "log.csv", [Stream("", t, fields)])
 
 
 @pytest.fixture(scope="module")
@@ -66,7 +66,7 @@ def test_every_pair_of_axes_is_read(flight: RawRun, world: str, body: str) -> No
     parts = {"p": flight.x[:, :3] @ w.T, "v": flight.x[:, 3:6] @ w.T, "w": flight.x[:, 10:] @ b.T}
     fields = {f"{n}_{a}": v[:, k] for n, v in parts.items() for k, a in enumerate("xyz")}
     fields |= {f"q{k}": q[:, k] for k in range(4)} | {f"u{k}": flight.u[:, k] for k in range(4)}
-    log = Log("run", "x", [Stream("", flight.t, fields)])
+    log = StreamLog("run", "x", [Stream("", flight.t, fields)])
     columns = {n: {"from": [f"{n}_{a}" for a in "xyz"]} for n in parts}
     columns["q"] = {"from": [f"q{k}" for k in range(4)], "order": "xyzw"}
     columns["u"] = {"from": [f"u{k}" for k in range(4)]}
@@ -201,7 +201,7 @@ def test_streams_of_other_rates_come_onto_one_grid(flight: RawRun) -> None:
     columns = {"p": [0, 1, 2], "v": [3, 4, 5], "q": [6, 7, 8, 9]}
     content = {n: {"from": [f"att/x{k}" for k in ks]} for n, ks in columns.items()}
     content |= {"w": {"from": [f"w{k}" for k in range(3)]}, "u": {"from": [f"motors/m{k}" for k in range(4)]}}
-    run = apply(Log("r", "r", streams), mapping_of({"columns": content}), make_system("quadrotor"))
+    run = apply(StreamLog("r", "r", streams), mapping_of({"columns": content}), make_system("quadrotor"))
     assert len(run.t) == len(flight.t)
     assert np.nanmax(np.abs(run.x - flight.x)) < 1e-9
     t = flight.t[100:-100]
@@ -234,9 +234,9 @@ def test_slow_motors_are_refused_and_can_be_let_in(flight: RawRun) -> None:
     }
     columns |= {"q": {"from": [f"x{k}" for k in (6, 7, 8, 9)]}, "u": {"from": [f"m{k}" for k in range(4)]}}
     with pytest.raises(DataError, match=r"'u' \(m\) was logged at 10 Hz; at least 50 Hz .*slowest: 10"):
-        apply(Log("r", "r", streams), mapping_of({"columns": columns}), make_system("quadrotor"))
+        apply(StreamLog("r", "r", streams), mapping_of({"columns": columns}), make_system("quadrotor"))
     columns["u"]["slowest"] = 10  # type: ignore[assignment]
-    run = apply(Log("r", "r", streams), mapping_of({"columns": columns}), make_system("quadrotor"))
+    run = apply(StreamLog("r", "r", streams), mapping_of({"columns": columns}), make_system("quadrotor"))
     assert np.array_equal(run.u[:-10:10], flight.u[:-10:10])
 
 
@@ -244,13 +244,20 @@ def test_clocks_that_share_no_time_are_refused(flight: RawRun) -> None:
     streams = [Stream("a", flight.t, {"q": flight.t}), Stream("b", flight.t + 1e9, {"u": flight.t})]
     mapping = mapping_of({"columns": {"q": "a/q", "force": "b/u"}})
     with pytest.raises(DataError, match="have no time in common"):
-        apply(Log("r", "r", streams), mapping, make_system("mass_spring_damper"))
+        apply(StreamLog("r", "r", streams), mapping, make_system("mass_spring_damper"))
 
 
 def test_rotor_speeds_and_scales() -> None:
     t = np.arange(0, 5, 0.01)
-    log = Log("r", "r", [Stream("", t, {"q": t, "volt": np.sin(t)})])
+    log = StreamLog("r", "r", [Stream("", t, {"q": t, "volt": np.sin(t)})])
     columns = {"q": "q", "force": {"from": "volt", "scale": 35.0, "sign": -1}}
     run = apply(log, mapping_of({"columns": columns}), make_system("mass_spring_damper"))
     assert np.allclose(run.u[:, 0], -35 * np.sin(t))
     assert np.isnan(run.x[:, 1]).all()  # the rate is inferred later
+
+
+def test_a_channel_that_one_log_lacks_is_told_and_left_out(flight: RawRun) -> None:
+    content = NED_MAPPING + "  battery_voltage: {from: vbat, unit: V}\n"
+    run = apply(_log(ned_columns(flight)), _mapping(content), make_system("quadrotor"))
+    assert "battery_voltage" not in run.extra
+    assert [note.message for note in run.notes] == ["no column vbat for the channel 'battery_voltage'"]

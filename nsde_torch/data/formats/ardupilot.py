@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from nsde_torch.data.formats.log import Log, unreadable
+from nsde_torch.data.formats.log import StreamLog, unreadable
 from nsde_torch.data.streams import Stream, ordered
 from nsde_torch.errors import DataError
 
@@ -52,7 +52,7 @@ _MOTORS = [*range(33, 41), *range(82, 86)]
 """Values of SERVOn_FUNCTION of motors 1 to 12."""
 
 
-def open_ardupilot(path: Path) -> Log:
+def open_ardupilot(path: Path) -> StreamLog:
     """The messages of one log, each a stream; where several sensors log one, a stream each.
 
     Raises:
@@ -81,7 +81,7 @@ def open_ardupilot(path: Path) -> Log:
     if not streams:
         raise DataError(f"{path} holds no messages of an ArduPilot log.")
     columns = _meaning({s.name: s for s in streams}, parameters)
-    return Log(path.stem, str(path), streams, columns, {"world": "NED", "body": "FRD"})
+    return StreamLog(path.stem, str(path), streams, columns, {"world": "NED", "body": "FRD"})
 
 
 def _streams(log: Any, kind: int) -> list[Stream]:

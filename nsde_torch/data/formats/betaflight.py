@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from nsde_torch.data.formats.log import Log, lacking, unreadable
+from nsde_torch.data.formats.log import StreamLog, lacking, unreadable
 from nsde_torch.data.streams import Stream, ordered
 from nsde_torch.errors import DataError
 
@@ -27,7 +27,7 @@ _TOGETHER = 20_000
 _MOST = 20_000_000  # frames of a log
 
 
-def open_betaflight(path: Path, *, index: int = 1) -> Log:
+def open_betaflight(path: Path, *, index: int = 1) -> StreamLog:
     """One of the logs of a file.
 
     Args:
@@ -64,7 +64,7 @@ def open_betaflight(path: Path, *, index: int = 1) -> Log:
     fields = {names[k]: table[:, j] for j, k in enumerate(main)}
     t = fields.pop("time") * 1e-6
     stream = ordered(Stream("", t, fields, _units(fields)))
-    return Log(path.stem, str(path), [stream], _meaning(fields, headers), {"body": "FLU"})
+    return StreamLog(path.stem, str(path), [stream], _meaning(fields, headers), {"body": "FLU"})
 
 
 def _number(value: Any) -> float:

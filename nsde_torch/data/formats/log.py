@@ -13,7 +13,7 @@ from nsde_torch.errors import ConfigError, DataError
 
 
 @dataclass
-class Log:
+class StreamLog:
     """What is in a file.
 
     Args:
@@ -38,6 +38,10 @@ class Log:
     def names(self) -> list[str]:
         """Every column, `stream/column`; of a stream without a name the column alone."""
         return [full(s, column) for s in self.streams for column in s.fields]
+
+    def has(self, name: str) -> bool:
+        """Whether there is a column of that name."""
+        return any(name in (full(s, c), c) for s in self.streams for c in s.fields)
 
     def find(self, name: str) -> tuple[Stream, str]:
         """The stream and the column of a name, with its stream in front or, where that is enough, without.

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from nsde_torch.data.formats.log import Log, lacking, unreadable
+from nsde_torch.data.formats.log import StreamLog, lacking, unreadable
 from nsde_torch.data.formats.ros import log_of, seconds_since, stream_of
 from nsde_torch.data.formats.ros_layout import Fields, UnsupportedMessageError
 from nsde_torch.data.streams import Stream, ordered
@@ -23,7 +23,7 @@ _MEMORY = 3 << 28  # bytes of messages that are kept
 _DEEPEST, _WIDEST = 8, 64
 
 
-def open_mcap(path: Path) -> Log:
+def open_mcap(path: Path) -> StreamLog:
     """The channels of one file; one that ends in the middle is read up to there.
 
     Raises:

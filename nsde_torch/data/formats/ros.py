@@ -12,7 +12,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from nsde_torch.data.formats.log import Log
+from nsde_torch.data.formats.log import StreamLog
 from nsde_torch.data.formats.ros_layout import Fields, UnsupportedMessageError, columns_of
 from nsde_torch.data.streams import Stream, ordered
 from nsde_torch.errors import DataError
@@ -84,7 +84,7 @@ def _wanted(name: str) -> bool:
 
 def log_of(
     name: str, source: str, streams: Mapping[str, Stream], kinds: Mapping[str, str], notes: Sequence[str]
-) -> Log:
+) -> StreamLog:
     """A log of topics, with what their types say of them.
 
     Args:
@@ -111,7 +111,7 @@ def log_of(
         first = [entry for rank, entry in found if rank == min(rank for rank, _ in found)]
         if len(first) == 1:  # of several, none is said to be the one
             columns[meant] = first[0]
-    return Log(name, source, list(streams.values()), columns, frames, list(notes))
+    return StreamLog(name, source, list(streams.values()), columns, frames, list(notes))
 
 
 def _meaning(topic: str, kind: str, stream: Stream) -> dict[str, dict[str, object]]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from nsde_torch.data.formats.log import Log, lacking, unreadable
+from nsde_torch.data.formats.log import StreamLog, lacking, unreadable
 from nsde_torch.data.formats.ros import log_of, stream_of
 from nsde_torch.data.formats.ros_layout import UnsupportedMessageError
 from nsde_torch.data.streams import Stream
@@ -13,7 +13,7 @@ _LARGEST = 1 << 20  # bytes of a message
 _MEMORY = 3 << 28  # bytes of messages that are kept at a time
 
 
-def open_rosbag(path: Path) -> Log:
+def open_rosbag(path: Path) -> StreamLog:
     """The topics of one bag.
 
     Raises:

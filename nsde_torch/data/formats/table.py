@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from nsde_torch.data.formats.arrays import Arrays, read_hdf5, read_mat, read_npz, read_parquet
 from nsde_torch.data.formats.clock import ClockOf, found, time_column, timed
-from nsde_torch.data.formats.log import Log
+from nsde_torch.data.formats.log import StreamLog
 from nsde_torch.data.formats.text import read_text
 from nsde_torch.errors import DataError
 
@@ -34,7 +34,7 @@ _READ = {
 _WIDEST = 64  # columns of one array
 
 
-def open_table(path: Path, *, clock: ClockOf | None = None) -> Log:
+def open_table(path: Path, *, clock: ClockOf | None = None) -> StreamLog:
     """The streams of one file, or of a folder whose files are streams of one run.
 
     Args:
@@ -57,7 +57,7 @@ def open_table(path: Path, *, clock: ClockOf | None = None) -> Log:
     if not streams:
         raise DataError(f"{path} holds no table of numbers with two rows or more.")
     clocks = [found(fields, clock) for fields in tables.values()]
-    return Log(path.stem, str(path), streams, clock=clocks[0] if len(set(clocks)) == 1 else None)
+    return StreamLog(path.stem, str(path), streams, clock=clocks[0] if len(set(clocks)) == 1 else None)
 
 
 def _columns(path: Path) -> dict[str, dict[str, Array]]:

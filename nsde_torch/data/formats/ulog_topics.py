@@ -6,11 +6,11 @@ from pathlib import Path
 
 import numpy as np
 
-from nsde_torch.data.formats.log import Log, unreadable
+from nsde_torch.data.formats.log import StreamLog, unreadable
 from nsde_torch.data.streams import Stream, ordered
 
 
-def open_ulog(path: Path) -> Log:
+def open_ulog(path: Path) -> StreamLog:
     """The topics of one log.
 
     Raises:
@@ -30,4 +30,4 @@ def open_ulog(path: Path) -> Log:
         name = topic.name if not topic.multi_id else f"{topic.name}[{topic.multi_id}]"
         if len(t) > 1:
             streams.append(ordered(Stream(name, t, fields)))
-    return Log(path.stem, str(path), streams, {}, {"world": "NED", "body": "FRD"})
+    return StreamLog(path.stem, str(path), streams, {}, {"world": "NED", "body": "FRD"})

@@ -6,15 +6,15 @@ from nsde_torch.lazy import resolver
 
 if TYPE_CHECKING:
     from nsde_torch.data.mapping.checks import LogCheck
-    from nsde_torch.data.mapping.mapping import Entry, LogMapping, read_mapping
+    from nsde_torch.data.mapping.mapping import ColumnEntry, LogMapping, read_mapping
     from nsde_torch.data.mapping.proposal import Proposal
 
-__all__ = ["Entry", "LogCheck", "LogMapping", "Proposal", "read_mapping"]
+__all__ = ["ColumnEntry", "LogCheck", "LogMapping", "Proposal", "read_mapping"]
 
 __getattr__ = resolver(
     __name__,
     {
-        "Entry": "mapping",
+        "ColumnEntry": "mapping",
         "LogCheck": "checks",
         "LogMapping": "mapping",
         "Proposal": "proposal",

@@ -7,14 +7,15 @@ them: states interpolated, commands held (of a faster stream: the mean of what a
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from nsde_torch.data.findings import Finding
-from nsde_torch.data.formats.log import Log
+from nsde_torch.data.formats.log import StreamLog
 from nsde_torch.data.frames import attitude_between, swap_body, swap_world
-from nsde_torch.data.mapping.mapping import Entry, LogMapping, targets
+from nsde_torch.data.mapping.mapping import ColumnEntry, LogMapping, targets
 from nsde_torch.data.mapping.numbering import order
 from nsde_torch.data.mapping.units import factor
 from nsde_torch.data.quaternion import conjugate, from_euler_zyx, rotate
@@ -32,7 +33,7 @@ MOTOR_RATE = 50.0
 _FAR = 0.8  # share of the rows' rate below which a stream is told to be slow
 
 
-def apply(log: Log, mapping: LogMapping, system: SystemInfo) -> RawRun:
+def apply(log: StreamLog, mapping: LogMapping, system: SystemInfo) -> RawRun:
     """One run from one log.
 
     Args:
@@ -48,9 +49,11 @@ def apply(log: Log, mapping: LogMapping, system: SystemInfo) -> RawRun:
 
 
 class _Applied:
-    def __init__(self, log: Log, mapping: LogMapping, system: SystemInfo) -> None:
-        self.log, self.mapping, self.system = log, mapping, system
+    def __init__(self, log: StreamLog, mapping: LogMapping, system: SystemInfo) -> None:
+        self.log, self.system = log, system
         self.names = {name: targets(system, name) for name in mapping.columns}
+        self.notes = [Finding("log", log.name, 1, note, "reported") for note in log.notes]
+        self.mapping = self._with_what_is_there(mapping)
         self.units = dict(zip(system.state_names, system.state_units, strict=True))
         self.units.update(zip(system.input_names, system.input_units, strict=True))
         self.columns: dict[str, Array] = {}
@@ -72,7 +75,7 @@ class _Applied:
         own = (*system.state_names, *system.input_names)
         extra = {name: values for name, values in self.columns.items() if name not in own}
         run = RawRun(self.log.name, self.t - self.t[0], x, u, extra=extra, source=self.log.source)
-        run.notes += [Finding("log", run.name, 1, note, "reported") for note in self.log.notes]
+        run.notes += self.notes
         slow = sorted({s.name for s in self._used() if s.rate < _FAR * self.base.rate and s.name})
         if slow:
             told = f"streams slower than {self.base.name} ({self.base.rate:.3g} Hz): {', '.join(slow)}"
@@ -80,6 +83,18 @@ class _Applied:
         return run
 
     # ---- what there must be ----------------------------------------------------------------------------
+
+    def _with_what_is_there(self, mapping: LogMapping) -> LogMapping:
+        """The mapping without channels that the machine does not need and this log does not have."""
+        needed = {*self.system.state_names, *self.system.input_names, *self.system.exogenous}
+        kept = {}
+        for name, entry in mapping.columns.items():
+            if not needed & set(self.names[name]) and not all(map(self.log.has, entry.source)):
+                text = f"no column {', '.join(entry.source)} for the channel {name!r}"
+                self.notes.append(Finding("channel", self.log.name, 1, text, "reported"))
+                continue
+            kept[name] = entry
+        return replace(mapping, columns=kept)
 
     def _complete(self) -> None:
         """Every state and input has one entry of the right width."""
@@ -146,7 +161,7 @@ class _Applied:
                     f"`slowest: {np.floor(stream.rate):g}` in its entry of the mapping."
                 )
 
-    def _stream(self, entry: Entry) -> Stream:
+    def _stream(self, entry: ColumnEntry) -> Stream:
         return self.log.find(entry.source[0])[0]
 
     def _used(self) -> list[Stream]:
@@ -155,7 +170,7 @@ class _Applied:
 
     # ---- columns ---------------------------------------------------------------------------------------
 
-    def _values(self, entry: Entry, *, held: bool) -> Array:
+    def _values(self, entry: ColumnEntry, *, held: bool) -> Array:
         """The columns of an entry on the rows of the run, in its own units, (n, k)."""
         out = []
         for source in entry.source:
@@ -199,13 +214,13 @@ class _Applied:
             self.columns[column] = values[:, place]
         return name
 
-    def _world(self, entry: Entry) -> str:
+    def _world(self, entry: ColumnEntry) -> str:
         return entry.world or self.mapping.world
 
-    def _body(self, entry: Entry) -> str:
+    def _body(self, entry: ColumnEntry) -> str:
         return entry.body or self.mapping.body
 
-    def _fill(self, name: str, entry: Entry) -> None:
+    def _fill(self, name: str, entry: ColumnEntry) -> None:
         system, names = self.system, self.names[name]
         inputs = names[0] in system.input_names
         values = self._values(entry, held=inputs)
@@ -220,7 +235,7 @@ class _Applied:
         for place, column in enumerate(names):
             self.columns[column] = values[:, place] + entry.offset
 
-    def _turned(self, names: Sequence[str], entry: Entry, values: Array) -> Array:
+    def _turned(self, names: Sequence[str], entry: ColumnEntry, values: Array) -> Array:
         """Vectors of the world to ENU, those of the body to FLU; a velocity of the body to the world."""
         system = self.system
         if system.quaternion is None or len(names) != 3:
@@ -236,7 +251,7 @@ class _Applied:
             return rotate(q / np.linalg.norm(q, axis=1, keepdims=True), values)
         return swap_world(values) if self._world(entry) == "NED" else values
 
-    def _commands(self, name: str, entry: Entry, values: Array) -> Array:
+    def _commands(self, name: str, entry: ColumnEntry, values: Array) -> Array:
         """Inputs in the system's unit and order."""
         if entry.low is not None and entry.high is not None:
             values = (values - entry.low) / (entry.high - entry.low)

@@ -10,7 +10,7 @@ from typing import Any, cast
 
 from nsde_torch.data.formats.betaflight import logs_of
 from nsde_torch.data.formats.clock import ClockOf
-from nsde_torch.data.formats.log import Log
+from nsde_torch.data.formats.log import StreamLog
 from nsde_torch.data.formats.table import TEXT, same_columns
 from nsde_torch.data.readers import READERS
 from nsde_torch.errors import ConfigError, DataError
@@ -35,7 +35,7 @@ class LogFile:
     kind: str
     index: int = 1
 
-    def open(self, clock: ClockOf | None = None) -> Log:
+    def open(self, clock: ClockOf | None = None) -> StreamLog:
         """The streams.
 
         Args:
@@ -46,7 +46,7 @@ class LogFile:
             ConfigError: a package is not installed.
         """
         module, _, name = str(READERS[self.kind].streams).partition(":")
-        opener = cast("Callable[..., Log]", getattr(importlib.import_module(module), name))
+        opener = cast("Callable[..., StreamLog]", getattr(importlib.import_module(module), name))
         given: dict[str, Any] = {"clock": clock} if self.kind == "table" else {}
         if self.kind == "betaflight":
             given["index"] = self.index

@@ -9,9 +9,9 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from nsde_torch.data.formats.log import Log, full
+from nsde_torch.data.formats.log import StreamLog, full
 from nsde_torch.data.mapping import names as kinds
-from nsde_torch.data.mapping.mapping import Entry
+from nsde_torch.data.mapping.mapping import ColumnEntry
 from nsde_torch.data.mapping.names import Named
 from nsde_torch.data.system_info import SystemInfo
 
@@ -26,14 +26,14 @@ _STILL = 1e-9
 class InputsFound:
     """Entries of inputs and channels, and what is not sure of them."""
 
-    columns: dict[str, Entry] = field(default_factory=dict)
+    columns: dict[str, ColumnEntry] = field(default_factory=dict)
     missing: list[str] = field(default_factory=list)
     open: list[str] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
 
 
 def propose_inputs(
-    log: Log, system: SystemInfo, found: Sequence[Named], said: Mapping[str, Entry]
+    log: StreamLog, system: SystemInfo, found: Sequence[Named], said: Mapping[str, ColumnEntry]
 ) -> InputsFound:
     """Motors and battery of a multirotor.
 
@@ -55,7 +55,7 @@ def propose_inputs(
             moving = np.nanstd(values, axis=0) > _STILL
             if int(moving.sum()) == wanted:
                 columns = [c for c, m in zip(one.columns, moving, strict=True) if m]
-                entry = Entry(tuple(f"{one.stream}/{c}" if one.stream else c for c in columns))
+                entry = ColumnEntry(tuple(f"{one.stream}/{c}" if one.stream else c for c in columns))
                 candidates.append(_in_unit(entry, stream.columns(*columns)))
         if not candidates:
             out.missing.append(f"{wanted} motor commands that move")
@@ -76,11 +76,11 @@ def propose_inputs(
             full(s, c) for s in log.streams for c in s.fields if _BATTERY.search(kinds.bare(c)[0].lower())
         ]
         if len(volts) == 1:
-            out.columns["battery_voltage"] = Entry((volts[0],), unit="V")
+            out.columns["battery_voltage"] = ColumnEntry((volts[0],), unit="V")
     return out
 
 
-def _take(out: InputsFound, log: Log, entry: Entry, wanted: int) -> None:
+def _take(out: InputsFound, log: StreamLog, entry: ColumnEntry, wanted: int) -> None:
     """The motors that the format names, if there are as many as the system has."""
     if len(entry.source) == wanted:
         out.columns["u"] = entry
@@ -88,7 +88,7 @@ def _take(out: InputsFound, log: Log, entry: Entry, wanted: int) -> None:
         out.missing.append(f"{wanted} motors (the log has {len(entry.source)}: choose the system)")
 
 
-def _in_unit(entry: Entry, values: Array) -> Entry:
+def _in_unit(entry: ColumnEntry, values: Array) -> ColumnEntry:
     """Motor commands with the ends of their range, by what they read."""
     flat = values[np.isfinite(values)]
     top = float(np.quantile(flat, 0.999))

@@ -39,7 +39,7 @@ _LARGEST = 1 << 20  # bytes of the file
 
 
 @dataclass(frozen=True)
-class Entry:
+class ColumnEntry:
     """How a column, or a group of columns, is logged.
 
     Args:
@@ -90,7 +90,7 @@ class LogMapping:
         body: Axes of the body in the log, `FLU` or `FRD`.
     """
 
-    columns: Table[str, Entry]
+    columns: Table[str, ColumnEntry]
     system: str = ""
     kind: str = ""
     time: ClockOf = field(default_factory=ClockOf)
@@ -103,7 +103,7 @@ class LogMapping:
 
 
 _KEYS = ("system", "kind", "time", "frames", "columns")
-_ENTRY = {"from": "source", **{f.name: f.name for f in fields(Entry) if f.name != "source"}}
+_ENTRY = {"from": "source", **{f.name: f.name for f in fields(ColumnEntry) if f.name != "source"}}
 _CHOICES: dict[str, Sequence[str]] = {
     "axes": AXES, "order": ORDERS, "turns": TURNS, "world": WORLDS, "body": BODIES,
 }  # fmt: skip
@@ -167,7 +167,7 @@ def mapping_of(content: Any, source: str = "the mapping") -> LogMapping:
     )
 
 
-def _entry(value: Any, what: str) -> Entry:
+def _entry(value: Any, what: str) -> ColumnEntry:
     given = {"from": value} if isinstance(value, str | list) else dict(_table(value, what))
     _known(given, tuple(_ENTRY), what)
     source = given.pop("from", None)
@@ -199,7 +199,7 @@ def _entry(value: Any, what: str) -> Entry:
         raise ConfigError(f"{what}: `low` and `high` belong together, and must differ.")
     if out.get("full") == 0.0:
         raise ConfigError(f"{what}: `full` must not be 0.")
-    return Entry(names, **out)
+    return ColumnEntry(names, **out)
 
 
 def plain(mapping: LogMapping) -> dict[str, Any]:
@@ -215,10 +215,10 @@ def plain(mapping: LogMapping) -> dict[str, Any]:
     return {key: value for key, value in out.items() if value}
 
 
-def _plain_entry(entry: Entry) -> dict[str, Any]:
+def _plain_entry(entry: ColumnEntry) -> dict[str, Any]:
     first: Any = entry.source[0] if len(entry.source) == 1 else list(entry.source)
     out: dict[str, Any] = {"from": first}
-    for one in fields(Entry)[1:]:
+    for one in fields(ColumnEntry)[1:]:
         value = getattr(entry, one.name)
         if value != one.default:
             out[one.name] = [int(s) for s in value] if one.name == "sign" else value

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nsde_torch.data.formats.clock import ClockOf
-from nsde_torch.data.formats.log import Log
+from nsde_torch.data.formats.log import StreamLog
 from nsde_torch.data.mapping import names as kinds
 from nsde_torch.data.mapping.inputs import propose_inputs
 from nsde_torch.data.mapping.kinematic import (
@@ -27,7 +27,7 @@ from nsde_torch.data.mapping.kinematic import (
     velocity_left,
     velocity_ways,
 )
-from nsde_torch.data.mapping.mapping import Entry, LogMapping, mapping_of
+from nsde_torch.data.mapping.mapping import ColumnEntry, LogMapping, mapping_of
 from nsde_torch.data.mapping.names import Named
 from nsde_torch.data.mapping.single import propose_single
 from nsde_torch.data.quaternion import from_euler_zyx
@@ -57,7 +57,7 @@ class Proposal:
     notes: list[str] = field(default_factory=list)
 
 
-def propose(log: Log, system: SystemInfo, *, kind: str = "") -> Proposal:
+def propose(log: StreamLog, system: SystemInfo, *, kind: str = "") -> Proposal:
     """A mapping of a log for a system.
 
     Args:
@@ -77,7 +77,7 @@ def propose(log: Log, system: SystemInfo, *, kind: str = "") -> Proposal:
 class _Vehicle:
     """A proposal for a machine with an attitude."""
 
-    def __init__(self, log: Log, system: SystemInfo, kind: str) -> None:
+    def __init__(self, log: StreamLog, system: SystemInfo, kind: str) -> None:
         self.log, self.system = log, system
         self.found = [one for stream in log.streams for one in kinds.vectors(stream)]
         self.out = Proposal(None)
@@ -87,7 +87,7 @@ class _Vehicle:
         self.kind = kind
 
     def proposal(self) -> Proposal:
-        columns: dict[str, Entry] = {}
+        columns: dict[str, ColumnEntry] = {}
         attitude = self._attitude()
         columns.update(attitude)
         if "q" not in attitude:
@@ -116,7 +116,7 @@ class _Vehicle:
 
     # ---- attitude and rates ----------------------------------------------------------------------------
 
-    def _candidates(self, name: str, *wanted: str) -> list[tuple[Named, Entry]]:
+    def _candidates(self, name: str, *wanted: str) -> list[tuple[Named, ColumnEntry]]:
         """Sources of a quantity: what the format says, else every vector of such a name."""
         if name in self.said:
             entry = self.said[name]
@@ -129,7 +129,7 @@ class _Vehicle:
             for one in kinds.pick(self.found, kind):
                 stream = next(s for s in self.log.streams if s.name == one.stream)
                 if self._moves(stream, one):
-                    out.append((one, Entry(self._sources(one), unit=one.unit, order=one.order)))
+                    out.append((one, ColumnEntry(self._sources(one), unit=one.unit, order=one.order)))
         return out[:_MOST]
 
     def _sources(self, one: Named) -> tuple[str, ...]:
@@ -145,7 +145,7 @@ class _Vehicle:
     def _stream(self, one: Named) -> Stream:
         return next(s for s in self.log.streams if s.name == one.stream)
 
-    def _quaternion(self, one: Named, entry: Entry) -> tuple[Stream, Array, Entry]:
+    def _quaternion(self, one: Named, entry: ColumnEntry) -> tuple[Stream, Array, ColumnEntry]:
         """A candidate as a quaternion on its own rows, and its entry with a unit."""
         stream = self._stream(one)
         values = stream.columns(*one.columns)
@@ -155,7 +155,7 @@ class _Vehicle:
             return stream, values, replace(entry, unit=unit, order=None)
         return stream, values / np.linalg.norm(values, axis=1, keepdims=True).clip(1e-9), entry
 
-    def _attitude(self) -> dict[str, Entry]:
+    def _attitude(self) -> dict[str, ColumnEntry]:
         quaternions = self._candidates("q", kinds.QUATERNION)
         quaternions = quaternions or self._candidates("q", kinds.EULER)
         rates = self._candidates("w", kinds.RATES)
@@ -198,17 +198,17 @@ class _Vehicle:
             rate_entry = replace(rate_entry, sign=(1.0, -1.0, -1.0))
         return {"q": entry, "w": rate_entry}
 
-    def _several(self, what: str, found: list[tuple[Named, Entry]]) -> None:
+    def _several(self, what: str, found: list[tuple[Named, ColumnEntry]]) -> None:
         self._open(f"the {what}", [entry for _, entry in found])
 
-    def _open(self, what: str, entries: list[Entry]) -> None:
+    def _open(self, what: str, entries: list[ColumnEntry]) -> None:
         sources = list(dict.fromkeys(", ".join(entry.source) for entry in entries))
         if len(sources) > 1:
             self.out.open.append(f"{what} may be {' or '.join(sources)}")
 
     # ---- position and velocity -------------------------------------------------------------------------
 
-    def _places(self, attitude: Entry | None) -> dict[str, Entry]:
+    def _places(self, attitude: ColumnEntry | None) -> dict[str, ColumnEntry]:
         positions = self._candidates("p", kinds.POSITION)
         velocities = self._candidates("v", kinds.VELOCITY)
         if not positions:
@@ -256,7 +256,7 @@ class _Vehicle:
             self.world = "NED"
         return {"p": entry, "v": velocity_entry}
 
-    def _known(self, entry: Entry | None, t: Array) -> Array | None:
+    def _known(self, entry: ColumnEntry | None, t: Array) -> Array | None:
         """The attitude as the log has it, at other times."""
         if entry is None:
             return None
@@ -272,7 +272,7 @@ class _Vehicle:
             q = read_attitude(q, way)
         return q if len(t) == len(stream.t) and t is stream.t else attitudes(stream, q, t)
 
-    def _axes(self, columns: dict[str, Entry]) -> None:
+    def _axes(self, columns: dict[str, ColumnEntry]) -> None:
         """Axes of world and body that the log does not name, by where the machine speeds up."""
         entry = columns["p"]
         stream = self.log.find(entry.source[0])[0]

@@ -9,7 +9,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from nsde_torch.data.findings import Finding
-from nsde_torch.data.formats.log import Log
+from nsde_torch.data.formats.log import StreamLog
 from nsde_torch.data.mapping.apply import apply
 from nsde_torch.data.mapping.checks import checks
 from nsde_torch.data.mapping.files import log_files, mapping_beside
@@ -58,7 +58,7 @@ def read_mapped(
     return runs
 
 
-def _proposed(log: Log, system: SystemInfo, kind: str, path: str | Path) -> LogMapping:
+def _proposed(log: StreamLog, system: SystemInfo, kind: str, path: str | Path) -> LogMapping:
     found = propose(log, system, kind=kind)
     command = f"nsde inspect {path} system={system.name}"
     if found.mapping is None or found.missing:

@@ -8,8 +8,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from nsde_torch.data.formats.log import Log, full
-from nsde_torch.data.mapping.mapping import Entry
+from nsde_torch.data.formats.log import StreamLog, full
+from nsde_torch.data.mapping.mapping import ColumnEntry
 from nsde_torch.data.mapping.names import bare
 from nsde_torch.data.system_info import SystemInfo
 
@@ -64,12 +64,12 @@ _INPUTS = {
 class ColumnsFound:
     """Entries, and what is missing or open."""
 
-    columns: dict[str, Entry] = field(default_factory=dict)
+    columns: dict[str, ColumnEntry] = field(default_factory=dict)
     missing: list[str] = field(default_factory=list)
     open: list[str] = field(default_factory=list)
 
 
-def propose_single(log: Log, system: SystemInfo) -> ColumnsFound:
+def propose_single(log: StreamLog, system: SystemInfo) -> ColumnsFound:
     """Entries for the states and inputs of a machine without an attitude.
 
     Args:
@@ -91,10 +91,10 @@ def propose_single(log: Log, system: SystemInfo) -> ColumnsFound:
         if len(found) == 1:
             name = found[0]
             unit = free.pop(name)[1]
-            out.columns[wanted] = Entry((name,), unit=unit)
+            out.columns[wanted] = ColumnEntry((name,), unit=unit)
         elif found:
             out.open.append(f"{wanted} may be {' or '.join(found)}")
-            out.columns[wanted] = Entry((found[0],), unit=free.pop(found[0])[1])
+            out.columns[wanted] = ColumnEntry((found[0],), unit=free.pop(found[0])[1])
         elif wanted not in rates and wanted not in system.optional_inputs:
             out.missing.append(f"a column for {wanted}")
     return out

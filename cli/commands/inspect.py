@@ -100,7 +100,8 @@ def _write(found: Inspection, target: Path, *, overwrite: bool) -> str:
         raise ConfigError(
             f"`out`: {target} cannot be written ({error.strerror}); name another file, out=FILE."
         ) from error
-    return f"\nwrote {target}"
+    after = "" if found.usable else " (to be corrected: a check failed)"
+    return f"\nwrote {target}{after}"
 
 
 def report(found: Inspection, *, everything: bool = False) -> str:

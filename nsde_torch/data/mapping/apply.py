@@ -238,10 +238,10 @@ class _Applied:
     def _turned(self, names: Sequence[str], entry: ColumnEntry, values: Array) -> Array:
         """Vectors of the world to ENU, those of the body to FLU; a velocity of the body to the world."""
         system = self.system
-        if system.quaternion is None or len(names) != 3:
-            return values
         if tuple(names) == RATE_NAMES:
             return swap_body(values) if self._body(entry) == "FRD" else values
+        if system.quaternion is None or len(names) != 3:
+            return values
         moved = {one for p, v, frame in system.position_derivatives if frame == "world" for one in (p, v)}
         if not set(names) <= moved:
             return values

@@ -20,6 +20,7 @@ Array = NDArray[np.float64]
 _BATTERY = re.compile(r"(^|[^a-z])(vbat|v_bat|bat_?volt\w*|battery_?voltage|voltage_v|volt)$")
 _CRAZYFLIE = re.compile(r"state_?estimate|pm_?\.?vbat|motor_m[1-4]", re.I)
 _STILL = 1e-9
+_NEGATIVE = -0.02  # a motor's command is none
 
 
 @dataclass
@@ -48,15 +49,21 @@ def propose_inputs(
     if "u" in said:
         _take(out, log, said["u"], wanted)
     else:
-        candidates = []
+        candidates: list[ColumnEntry] = []
+        longer: list[ColumnEntry] = []
         for one in kinds.pick(found, kinds.MOTORS):
             stream = next(s for s in log.streams if s.name == one.stream)
             values = stream.columns(*one.columns)
             moving = np.nanstd(values, axis=0) > _STILL
-            if int(moving.sum()) == wanted:
-                columns = [c for c, m in zip(one.columns, moving, strict=True) if m]
+            if int(moving.sum()) >= wanted and float(np.nanmin(values)) > _NEGATIVE:
+                columns = [c for c, m in zip(one.columns, moving, strict=True) if m][:wanted]
                 entry = ColumnEntry(tuple(f"{one.stream}/{c}" if one.stream else c for c in columns))
-                candidates.append(_in_unit(entry, stream.columns(*columns)))
+                found_here = _in_unit(entry, stream.columns(*columns))
+                (candidates if int(moving.sum()) == wanted else longer).append(found_here)
+        if longer and not candidates:
+            candidates = longer
+            told = ", ".join(longer[0].source)
+            out.open.append(f"more than {wanted} columns of commands move; the motors are taken to be {told}")
         if not candidates:
             out.missing.append(f"{wanted} motor commands that move")
         else:

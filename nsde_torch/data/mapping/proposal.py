@@ -66,11 +66,14 @@ def propose(log: StreamLog, system: SystemInfo, *, kind: str = "") -> Proposal:
         kind: The reader, which the mapping names.
     """
     if system.quaternion is None:
-        found = propose_single(log, system)
-        columns, missing, unsure = found.columns, found.missing, found.open
-        clock = log.clock or ClockOf()
-        mapping = LogMapping(columns, system=system.name, kind=kind, time=clock) if columns else None
-        return Proposal(mapping, missing, unsure)
+        said = mapping_of({"columns": dict(log.columns)}).columns if log.columns else {}
+        found = propose_single(log, system, said)
+        mapping = None
+        if found.columns:
+            world, body = log.frames.get("world", "ENU"), log.frames.get("body", "FLU")
+            clock = log.clock or ClockOf()
+            mapping = LogMapping(found.columns, system.name, kind, clock, world=world, body=body)
+        return Proposal(mapping, found.missing, found.open)
     return _Vehicle(log, system, kind).proposal()
 
 
@@ -93,6 +96,8 @@ class _Vehicle:
         if "q" not in attitude:
             self.out.missing.append("an attitude (a quaternion, or roll, pitch and yaw)")
         columns.update(self._places(columns.get("q")))
+        if "p" in columns and "q" in columns and _family(columns["p"]) != _family(columns["q"]):
+            columns.update(self._attitude(_family(columns["p"])))  # of two estimators, one
         motors = propose_inputs(self.log, self.system, self.found, self.said)
         columns.update(motors.columns)
         self.out.missing += motors.missing
@@ -103,6 +108,8 @@ class _Vehicle:
         first: tuple[str, ...] = ("p", "v", "q", "w", "u")
         ordered = {name: columns[name] for name in first if name in columns}
         rest = {name: entry for name, entry in columns.items() if name not in ordered}
+        for told in (self.out.missing, self.out.open, self.out.notes):
+            told[:] = dict.fromkeys(told)
         if columns:
             self.out.mapping = LogMapping(
                 {**ordered, **rest},
@@ -155,7 +162,7 @@ class _Vehicle:
             return stream, values, replace(entry, unit=unit, order=None)
         return stream, values / np.linalg.norm(values, axis=1, keepdims=True).clip(1e-9), entry
 
-    def _attitude(self) -> dict[str, ColumnEntry]:
+    def _attitude(self, family: str | None = None) -> dict[str, ColumnEntry]:
         quaternions = self._candidates("q", kinds.QUATERNION)
         quaternions = quaternions or self._candidates("q", kinds.EULER)
         rates = self._candidates("w", kinds.RATES)
@@ -188,7 +195,9 @@ class _Vehicle:
         self._open("the rates", [row[4] for row in sound])
         sensors = [row for row in sound if any(word in " ".join(row[4].source).lower() for word in _SENSOR)]
         usual = quaternions[0][0]
-        _, one, entry, _, rate_entry, way = min(sensors or sound, key=lambda row: (row[1] != usual, row[0]))
+        _, one, entry, _, rate_entry, way = min(
+            sensors or sound, key=lambda row: (family not in (None, _family(row[2])), row[1] != usual, row[0])
+        )
         if len(one.columns) == 4:
             entry = replace(entry, order=way.order)
         if way.turns == "world to body":
@@ -298,3 +307,9 @@ class _Vehicle:
             -1.0,
         ):  # of the body's other handedness, by its name
             columns["w"] = replace(rates, sign=(), body="FRD" if self.body == "FLU" else "FLU")
+
+
+def _family(entry: ColumnEntry) -> str:
+    """What the names of one estimator begin with: the topic, or the first word of the column."""
+    stream, slash, column = entry.source[0].rpartition("/")
+    return stream if slash else column.partition("_")[0]

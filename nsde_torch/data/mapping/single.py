@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import difflib
 import re
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
 
 from nsde_torch.data.formats.log import StreamLog, full
-from nsde_torch.data.mapping.mapping import ColumnEntry
+from nsde_torch.data.mapping.mapping import ColumnEntry, targets
 from nsde_torch.data.mapping.names import bare
 from nsde_torch.data.system_info import SystemInfo
 
@@ -69,14 +70,24 @@ class ColumnsFound:
     open: list[str] = field(default_factory=list)
 
 
-def propose_single(log: StreamLog, system: SystemInfo) -> ColumnsFound:
+def propose_single(
+    log: StreamLog, system: SystemInfo, said: Mapping[str, ColumnEntry] | None = None
+) -> ColumnsFound:
     """Entries for the states and inputs of a machine without an attitude.
 
     Args:
         log: The streams.
         system: The machine.
+        said: Entries that the format gives; those that are of the system are taken.
     """
     out = ColumnsFound()
+    names = {*system.state_names, *system.input_names, *system.exogenous}
+    given: set[str] = set()
+    for name, entry in (said or {}).items():
+        own = targets(system, name)
+        if set(own) <= names and len(own) == len(entry.source):
+            out.columns[name] = entry
+            given |= set(own)
     free: dict[str, tuple[str, str | None]] = {}
     still: set[str] = set()
     for stream in log.streams:
@@ -87,6 +98,8 @@ def propose_single(log: StreamLog, system: SystemInfo) -> ColumnsFound:
                 still.add(full(stream, column))
     rates = {rate: position for position, rate, _ in system.position_derivatives}
     for wanted in (*system.state_names, *system.input_names, *system.exogenous):
+        if wanted in given:
+            continue
         found = _named(wanted, free, still, system, rates)
         if len(found) == 1:
             name = found[0]

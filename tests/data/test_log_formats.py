@@ -300,3 +300,50 @@ def test_a_mapping_for_what_needs_none(tmp_path: Path) -> None:
     (tmp_path / "run.ulg").write_bytes(b"")
     with pytest.raises(ConfigError, match="read without one"):
         read_log(make_system("quadrotor"), path=tmp_path, mapping="m.yaml")
+
+
+def test_json_and_px4_messages_in_mcap(tmp_path: Path, flight: RawRun, quadrotor: System) -> None:
+    """Odometry of PX4 over ROS 2 (NED, FRD, microseconds of its own clock) and motors as JSON on another topic."""
+    pytest.importorskip("mcap")
+    pytest.importorskip("rosbags")
+    log_writers.write_px4_mcap(tmp_path / "run.mcap", flight)
+    (file,) = log_files("mcap", tmp_path)
+    log = file.open()
+    assert log.frames == {"world": "NED", "body": "FRD"}
+    assert any("left out" in note and "/blob" in note for note in log.notes)
+    (run,) = read_log(quadrotor, path=tmp_path)
+    q = run.x[:, 6:10] * np.sign((run.x[:, 6:10] * flight.x[:, 6:10]).sum(axis=1))[:, None]
+    assert np.abs(q - flight.x[:, 6:10]).max() < 1e-6
+    assert np.abs(run.x[:, :6] - flight.x[:, :6]).max() < 1e-6
+    assert np.abs(run.u - flight.u).max() < 1e-6
+
+
+def test_a_chunk_that_would_fill_the_memory_is_not_unpacked(tmp_path: Path) -> None:
+    pytest.importorskip("mcap")
+    import struct
+
+    import zstandard
+    from mcap.records import Chunk
+    from mcap.stream_reader import StreamReader
+    from mcap.writer import Writer
+
+    with (tmp_path / "run.mcap").open("wb") as file:
+        writer = Writer(file)
+        writer.start()
+        channel = writer.register_channel("/a", "json", 0)
+        writer.add_message(channel, 1, b"1", 1)
+        writer.finish()
+    content = (tmp_path / "run.mcap").read_bytes()
+    with (tmp_path / "run.mcap").open("rb") as file:
+        (chunk,) = (r for r in StreamReader(file, emit_chunks=True).records if isinstance(r, Chunk))
+    packed = zstandard.compress(bytes(1 << 29))  # 512 MiB of zeros in some kilobytes
+    place = content.index(chunk.data)
+    body = (
+        place - 8 - len("zstd") - 4 - 4 - 3 * 8
+    )  # two times, a size, a checksum, the packing, the length of the data
+    record = content[body : place - 8] + struct.pack("<Q", len(packed)) + packed
+    (tmp_path / "run.mcap").write_bytes(content[: body - 8] + struct.pack("<Q", len(record)) + record)
+    with pytest.raises(
+        DataError, match=r"run\.mcap is not a readable MCAP file \(McapError: a chunk of 536870912"
+    ):
+        log_files("mcap", tmp_path)[0].open()

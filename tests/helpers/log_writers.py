@@ -241,3 +241,71 @@ def write_betaflight(path: Path, run: RawRun, *, logs: int = 1) -> Path:
         out += b"E\xffEnd of log\x00"
     path.write_bytes(bytes(out))
     return path
+
+
+PX4_ODOMETRY = """\
+uint64 timestamp
+uint64 timestamp_sample
+uint8 pose_frame
+float32[3] position
+float32[4] q
+uint8 velocity_frame
+float32[3] velocity
+float32[3] angular_velocity
+"""
+PX4_MOTORS = """\
+uint64 timestamp
+uint64 timestamp_sample
+uint16 reversible_flags
+float32[12] control
+"""
+
+
+def write_px4_mcap(path: Path, run: RawRun) -> Path:
+    """A run as messages of `px4_msgs`, with a topic of JSON and one of an encoding that is not read."""
+    import json
+
+    from mcap.writer import Writer
+    from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+    store = get_typestore(Stores.EMPTY)
+    kinds = {"px4_msgs/msg/VehicleOdometry": PX4_ODOMETRY, "px4_msgs/msg/ActuatorMotors": PX4_MOTORS}
+    for kind, text in kinds.items():
+        store.register(get_types_from_msg(text, kind))
+    p, v = swap_world(run.x[:, :3]), swap_world(run.x[:, 3:6])
+    q, w = attitude_to_enu(run.x[:, 6:10]), swap_body(run.x[:, 10:13])
+    with path.open("wb") as file:
+        writer = Writer(file)
+        writer.start()
+        schemas = {
+            kind: writer.register_schema(kind, "ros2msg", text.encode()) for kind, text in kinds.items()
+        }
+        odometry = writer.register_channel("/fmu/odometry", "cdr", schemas["px4_msgs/msg/VehicleOdometry"])
+        motors = writer.register_channel("/fmu/motors", "cdr", schemas["px4_msgs/msg/ActuatorMotors"])
+        battery = writer.register_channel("/battery", "json", 0)
+        blob = writer.register_channel("/blob", "protobuf", 0)
+        for k, t in enumerate(run.t):
+            at, stamp = round(t * 1e9) + 10**18, round(t * 1e6) + 5_000_000
+            one = store.types["px4_msgs/msg/VehicleOdometry"](
+                timestamp=stamp + 40,
+                timestamp_sample=stamp,
+                pose_frame=1,
+                position=p[k].astype(np.float32),
+                q=q[k].astype(np.float32),
+                velocity_frame=1,
+                velocity=v[k].astype(np.float32),
+                angular_velocity=w[k].astype(np.float32),
+            )
+            raw = bytes(store.serialize_cdr(one, "px4_msgs/msg/VehicleOdometry"))
+            writer.add_message(odometry, at, raw, at)
+            control = np.full(12, np.nan, dtype=np.float32)
+            control[:4] = run.u[k]
+            two = store.types["px4_msgs/msg/ActuatorMotors"](
+                timestamp=stamp + 30, timestamp_sample=stamp, reversible_flags=0, control=control
+            )
+            writer.add_message(motors, at, bytes(store.serialize_cdr(two, "px4_msgs/msg/ActuatorMotors")), at)
+            if k % 50 == 0:
+                writer.add_message(battery, at, json.dumps({"cell": {"volts": [4.1, 4.0]}}).encode(), at)
+                writer.add_message(blob, at, b"\x08\x01", at)
+        writer.finish()
+    return path

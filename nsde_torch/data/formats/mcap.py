@@ -6,7 +6,7 @@ import json
 from collections import defaultdict
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +20,7 @@ Array = NDArray[np.float64]
 
 _LARGEST = 1 << 20  # bytes of a message
 _MEMORY = 3 << 28  # bytes of messages that are kept
+_CHUNK = 1 << 28  # bytes of a chunk
 _DEEPEST, _WIDEST = 8, 64
 
 
@@ -32,7 +33,6 @@ def open_mcap(path: Path) -> StreamLog:
     """
     try:
         from mcap.exceptions import McapError
-        from mcap.reader import NonSeekingReader
     except ImportError as error:
         raise lacking("mcap", "mcap", path) from error
     messages: dict[str, list[bytes]] = defaultdict(list)
@@ -44,7 +44,7 @@ def open_mcap(path: Path) -> StreamLog:
     try:
         with path.open("rb") as file:
             try:
-                for schema, channel, message in NonSeekingReader(file).iter_messages(log_time_order=False):
+                for schema, channel, message in _messages(file):
                     topic = channel.topic
                     if len(message.data) > _LARGEST or size > _MEMORY:
                         large.add(topic)
@@ -72,6 +72,43 @@ def open_mcap(path: Path) -> StreamLog:
         except UnsupportedMessageError as error:
             notes.append(f"{topic} ({kinds[topic] or channel.message_encoding}): left out, {error}")
     return log_of(path.stem, str(path), streams, kinds, notes)
+
+
+def _messages(file: IO[bytes]) -> Iterator[tuple[Any, Any, Any]]:
+    """Schema, channel and message of each message in the order of the file; huge chunks are refused unpacked."""
+    from mcap.exceptions import McapError
+    from mcap.records import Channel, Chunk, Message, Schema
+    from mcap.stream_reader import StreamReader, breakup_chunk
+
+    schemas: dict[int, Any] = {}
+    channels: dict[int, Any] = {}
+    for record in StreamReader(file, emit_chunks=True, record_size_limit=_CHUNK).records:
+        if isinstance(record, Chunk) and _unpacked(record) > _CHUNK:
+            raise McapError(f"a chunk of {_unpacked(record)} bytes; at most {_CHUNK} are unpacked")
+        for one in breakup_chunk(record) if isinstance(record, Chunk) else (record,):
+            if isinstance(one, Schema):
+                schemas[one.id] = one
+            elif isinstance(one, Channel):
+                channels[one.id] = one
+            elif isinstance(one, Message) and one.channel_id in channels:
+                channel = channels[one.channel_id]
+                yield schemas.get(channel.schema_id), channel, one
+
+
+def _unpacked(chunk: Any) -> int:
+    """Size of a chunk once unpacked, as it says and as its compressed data say."""
+    size = int(chunk.uncompressed_size)
+    if chunk.compression == "zstd":
+        import zstandard
+
+        told = int(zstandard.get_frame_parameters(chunk.data).content_size)
+        if told != zstandard.CONTENTSIZE_UNKNOWN:  # else no more is unpacked than the chunk says
+            size = max(size, told)
+    elif chunk.compression == "lz4":
+        import lz4.frame
+
+        size = max(size, int(lz4.frame.get_frame_info(chunk.data)["content_size"]))
+    return size
 
 
 def _kind(schema: Any) -> str:

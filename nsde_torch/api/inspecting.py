@@ -19,6 +19,7 @@ from nsde_torch.data.mapping.mapping import LogMapping, read_mapping, text
 from nsde_torch.data.mapping.proposal import Proposal, propose
 from nsde_torch.data.raw import RawRun
 from nsde_torch.data.readers import READERS, reader
+from nsde_torch.data.streams import moving
 from nsde_torch.errors import DataError, NsdeError
 from nsde_torch.systems.base import System
 from nsde_torch.systems.options import SystemOptions, system_options
@@ -204,8 +205,8 @@ def _px4_frame(log: StreamLog) -> str:
     """By how many motors moved."""
     for stream in log.streams:
         if stream.name == "actuator_motors":
-            moving = [n for n, v in stream.fields.items() if n.startswith("control[") and np.nanstd(v) > 0]
-            return "hexacopter" if len(moving) == 6 else "quadrotor"
+            controls = [name for name in stream.fields if name.startswith("control[")]
+            return "hexacopter" if moving(stream.columns(*controls)).sum() == 6 else "quadrotor"
     return "quadrotor"
 
 
@@ -222,8 +223,8 @@ def guess_system(log: StreamLog) -> str:
     count = len(motors) if isinstance(motors, list) else 0
     for one in names.pick(found, names.MOTORS):
         stream = next(s for s in log.streams if s.name == one.stream)
-        moving = int((np.nanstd(stream.columns(*one.columns), axis=0) > 0).sum())
-        count = count or (moving if moving in (4, 6) else 0)
+        several = int(moving(stream.columns(*one.columns)).sum())
+        count = count or (several if several in (4, 6) else 0)
     attitude = any(one.kind in (names.QUATERNION, names.EULER) for one in found) or "q" in log.columns
     if count == 6:
         return "hexacopter"

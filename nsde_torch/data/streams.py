@@ -60,6 +60,14 @@ class Stream:
         return bool(len(self.t)) and bool(np.isfinite(self.t).all())
 
 
+def moving(values: Array) -> NDArray[np.bool_]:
+    """Columns (n, k) that change, (k,); one without a finite value does not."""
+    good = np.isfinite(values)
+    low = np.where(good, values, np.inf).min(axis=0, initial=np.inf)
+    high = np.where(good, values, -np.inf).max(axis=0, initial=-np.inf)
+    return np.asarray(high > low)
+
+
 def ordered(stream: Stream) -> Stream:
     """A stream in the order of its times, of rows of one time the first."""
     steps = np.diff(stream.t)

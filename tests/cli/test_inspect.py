@@ -11,8 +11,10 @@ import yaml
 import nsde_torch
 from nsde_torch.cli.commands import inspect as command
 from nsde_torch.cli.main import main
+from nsde_torch.data.frames import attitude_to_enu, swap_body, swap_world
 from tests.helpers import log_writers
 from tests.helpers.leaning import leaning_flight
+from tests.helpers.ulog_bytes import write_ulog
 
 
 @pytest.fixture(scope="module")
@@ -96,6 +98,24 @@ def test_what_csv_files_of_the_package_hold(tmp_path: Path, capsys: pytest.Captu
     out = capsys.readouterr().out
     assert "needs no mapping" in out
     assert not (tmp_path / "d" / "mapping.yaml").exists()
+
+
+def test_a_px4_log_is_listed_and_read_by_its_own_reader(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    run = leaning_flight(12.0)
+    p, v, w = swap_world(run.x[:, :3]), swap_world(run.x[:, 3:6]), swap_body(run.x[:, 10:])
+    one = np.ones(len(run.t))
+    odometry = {"timestamp": 50.0 + run.t, "position": p, "q": attitude_to_enu(run.x[:, 6:10]), "velocity": v}
+    odometry |= {"angular_velocity": w, "pose_frame": one, "velocity_frame": one}
+    motors = {"timestamp": 50.0 + run.t, "control": run.u}
+    write_ulog(tmp_path / "flight.ulg", {"vehicle_odometry": odometry, "actuator_motors": motors})
+    assert main(["inspect", str(tmp_path), "physics=false"]) == 0
+    out = capsys.readouterr().out
+    assert "data=ulog, 1 run (flight)" in out
+    assert "actuator_motors/control[0]" in out
+    assert "ok  lean and acceleration" in out
+    assert not (tmp_path / "mapping.yaml").exists()
 
 
 def test_faults_of_the_user_are_one_sentence(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -13,13 +13,13 @@ from nsde_torch.data.formats.log import StreamLog, full
 from nsde_torch.data.mapping import names as kinds
 from nsde_torch.data.mapping.mapping import ColumnEntry
 from nsde_torch.data.mapping.names import Named
+from nsde_torch.data.streams import moving
 from nsde_torch.data.system_info import SystemInfo
 
 Array = NDArray[np.float64]
 
 _BATTERY = re.compile(r"(^|[^a-z])(vbat|v_bat|bat_?volt\w*|battery_?voltage|voltage_v|volt)$")
 _CRAZYFLIE = re.compile(r"state_?estimate|pm_?\.?vbat|motor_m[1-4]", re.I)
-_STILL = 1e-9
 _NEGATIVE = -0.02  # a motor's command is none
 
 
@@ -54,12 +54,12 @@ def propose_inputs(
         for one in kinds.pick(found, kinds.MOTORS):
             stream = next(s for s in log.streams if s.name == one.stream)
             values = stream.columns(*one.columns)
-            moving = np.nanstd(values, axis=0) > _STILL
-            if int(moving.sum()) >= wanted and float(np.nanmin(values)) > _NEGATIVE:
-                columns = [c for c, m in zip(one.columns, moving, strict=True) if m][:wanted]
+            moves = moving(values)
+            if int(moves.sum()) >= wanted and not (values < _NEGATIVE).any():
+                columns = [c for c, m in zip(one.columns, moves, strict=True) if m][:wanted]
                 entry = ColumnEntry(tuple(f"{one.stream}/{c}" if one.stream else c for c in columns))
                 found_here = _in_unit(entry, stream.columns(*columns))
-                (candidates if int(moving.sum()) == wanted else longer).append(found_here)
+                (candidates if int(moves.sum()) == wanted else longer).append(found_here)
         if longer and not candidates:
             candidates = longer
             told = ", ".join(longer[0].source)

@@ -31,7 +31,7 @@ from nsde_torch.data.mapping.mapping import ColumnEntry, LogMapping, mapping_of
 from nsde_torch.data.mapping.names import Named
 from nsde_torch.data.mapping.single import propose_single
 from nsde_torch.data.quaternion import from_euler_zyx
-from nsde_torch.data.streams import Stream, attitudes, linear
+from nsde_torch.data.streams import Stream, attitudes, linear, moving
 from nsde_torch.data.system_info import SystemInfo
 
 Array = NDArray[np.float64]
@@ -144,10 +144,12 @@ class _Vehicle:
 
     def _moves(self, stream: Stream, one: Named) -> bool:
         values = stream.columns(*one.columns)
+        if not stream.timed or not moving(values).any():
+            return False
         if one.kind == kinds.QUATERNION:
             length = np.linalg.norm(values, axis=1)
-            return bool(np.nanmedian(np.abs(length - 1.0)) < 0.05)
-        return stream.timed and bool((np.nanstd(values, axis=0) > 0).any())
+            return bool(np.median(np.abs(length[np.isfinite(length)] - 1.0)) < 0.05)
+        return True
 
     def _stream(self, one: Named) -> Stream:
         return next(s for s in self.log.streams if s.name == one.stream)

@@ -7,11 +7,10 @@ import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-import numpy as np
-
 from nsde_torch.data.formats.log import StreamLog, full
 from nsde_torch.data.mapping.mapping import ColumnEntry, targets
 from nsde_torch.data.mapping.names import bare
+from nsde_torch.data.streams import moving
 from nsde_torch.data.system_info import SystemInfo
 
 _POSITIONS = {
@@ -94,7 +93,7 @@ def propose_single(
         for column, values in stream.fields.items():
             name, unit = bare(column)
             free[full(stream, column)] = (name, stream.units.get(column) or unit)
-            if not (np.isfinite(values).any() and float(np.nanstd(values)) > 0.0):
+            if not moving(values[:, None])[0]:
                 still.add(full(stream, column))
     rates = {rate: position for position, rate, _ in system.position_derivatives}
     for wanted in (*system.state_names, *system.input_names, *system.exogenous):

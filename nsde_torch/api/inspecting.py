@@ -171,9 +171,9 @@ def _check(
         except NsdeError as error:
             out.notes.append(f"{file.name} cannot be read: {error}")
     entry = out.mapping.columns.get("u")
-    said = fixed or "u" in log.columns
+    said = entry is None or "u" in log.columns
     numbering = None if entry is None or said else entry.numbering or "px4"
-    found = check_physics(machine, runs, numbering=numbering, kind=out.kind)
+    found = check_physics(machine, runs, numbering=numbering, fixed=fixed)
     out.checks += found.checks
     out.notes += found.notes
     if found.numbering is not None and entry is not None:
@@ -195,7 +195,7 @@ def _native(path: Path, kind: str, machine: System | None, *, physics: bool) -> 
         return out
     out.checks = checks(machine, runs[0])
     if physics and not any(check.passed is False for check in out.checks):
-        found = check_physics(machine, runs[:_RUNS], numbering=None, kind=kind)
+        found = check_physics(machine, runs[:_RUNS])
         out.checks += found.checks
         out.notes += found.notes
     return out

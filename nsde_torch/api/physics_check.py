@@ -39,7 +39,7 @@ class PhysicsFound:
 
 
 def check_physics(
-    machine: System, runs: Sequence[RawRun], *, numbering: str | None, kind: str
+    machine: System, runs: Sequence[RawRun], *, numbering: str | None = None, fixed: bool = False
 ) -> PhysicsFound:
     """Fit the declared physics to means over 0.15 s, and look for readings of the columns in which it leaves much less.
 
@@ -47,7 +47,7 @@ def check_physics(
         machine: The machine.
         runs: In its units, axes and order.
         numbering: Whose numbers the motors are taken to have, where others are to be tried; None: they are said.
-        kind: Their reader, for messages.
+        fixed: Whether a user said so: another is told then, and not taken.
     """
     out = PhysicsFound()
     try:
@@ -57,7 +57,9 @@ def check_physics(
         return out
     clock, found = data.clock_scale, list(data.runs)
     if numbering is not None and machine.nu in NUMBERINGS["betaflight"]:
-        found = _numbered(machine, found, clock, numbering, out)
+        found = _numbered(machine, found, clock, numbering, fixed, out)
+        if out.checks:
+            return out
     rough = rough_fit(machine, found, clock)
     if rough is None:
         out.checks.append(
@@ -73,7 +75,9 @@ def check_physics(
     return out
 
 
-def _numbered(machine: System, runs: list[Run], clock: float, assumed: str, out: PhysicsFound) -> list[Run]:
+def _numbered(
+    machine: System, runs: list[Run], clock: float, assumed: str, fixed: bool, out: PhysicsFound
+) -> list[Run]:
     """The runs with the motors numbered as the physics likes best, if it likes one much more."""
     motors = machine.nu
     some = beginnings(runs, clock, seconds=_PART_S, fewest=50)
@@ -100,6 +104,12 @@ def _numbered(machine: System, runs: list[Run], clock: float, assumed: str, out:
         out.notes.append(
             f"motors numbered as in {first} and {ranked[1]} do {level} (the physics leaves {told}): check it"
         )
+        return runs
+    if fixed and not same:
+        now = next(scores[name] for name, own in places.items() if own == list(range(motors)))
+        more = f"{exp(now - scores[first]):.1f} times less of all channels together"
+        text = f"the physics leaves {more} with the motors numbered as in {first} (`numbering: {first}`)."
+        out.checks.append(LogCheck("numbering of the motors", False, text))
         return runs
     out.notes.append(f"motors are numbered as in {first}: the physics leaves {told} than with {ranked[1]}")
     if same:

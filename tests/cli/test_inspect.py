@@ -92,6 +92,24 @@ def test_a_quadrotor_is_recognised_and_its_mapping_checked(
     assert "next:" not in out
 
 
+def test_the_numbers_of_motors_are_found_by_the_physics(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    made = nsde_torch.simulate("quadrotor", durations=[25.0], seed=3)
+    log_writers.write_table(tmp_path / "run.npz", log_writers.ned_columns(made.runs[0]))
+    assert main(["inspect", str(tmp_path), "system=quadrotor"]) == 0
+    assert "motors are numbered as in betaflight" in capsys.readouterr().out
+    written = (tmp_path / "mapping.yaml").read_text(encoding="utf-8")
+    assert "numbering: betaflight" in written
+    (tmp_path / "wrong.yaml").write_text(
+        written.replace("numbering: betaflight", "numbering: px4"), encoding="utf-8"
+    )
+    assert main(["inspect", str(tmp_path), "system=quadrotor", f"mapping={tmp_path / 'wrong.yaml'}"]) == 1
+    out = capsys.readouterr().out
+    assert "NO  numbering of the motors" in out
+    assert "`numbering: betaflight`" in out
+
+
 def test_what_csv_files_of_the_package_hold(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["simulate", "system=mass_spring_damper", f"out={tmp_path / 'd'}", "durations=[6,6]"]) == 0
     assert main(["inspect", str(tmp_path / "d"), "system=mass_spring_damper"]) == 0

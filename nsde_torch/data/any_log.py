@@ -9,7 +9,7 @@ from nsde_torch.data.csv_folder import fits
 from nsde_torch.data.raw import RawRun
 from nsde_torch.data.readers import kind_of, reader
 from nsde_torch.data.system_info import SystemInfo
-from nsde_torch.errors import ConfigError
+from nsde_torch.errors import ConfigError, DataError
 
 
 def format_of(path: str | Path, system: SystemInfo | None = None) -> str:
@@ -18,8 +18,13 @@ def format_of(path: str | Path, system: SystemInfo | None = None) -> str:
     Args:
         path: File or folder.
         system: The machine; None: no columns are asked for.
+
+    Raises:
+        DataError: nothing there.
     """
     path = Path(path)
+    if not path.exists():
+        raise DataError(f"`path`: {path} does not exist; expected a log or a folder of logs.")
     kind = kind_of(path)
     if kind == "csv" and (path.is_file() or system is None or not fits(path, system)):
         return "table"

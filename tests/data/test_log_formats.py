@@ -296,6 +296,13 @@ def test_a_damaged_betaflight_log_is_one_sentence_or_its_sound_part(tmp_path: Pa
         log_files("betaflight", tmp_path)[0].open()
 
 
+def test_paths_without_a_log_are_refused(tmp_path: Path, quadrotor: System) -> None:
+    with pytest.raises(DataError, match="does not exist"):
+        read_log(quadrotor, path=tmp_path / "none")
+    with pytest.raises(DataError, match=r"holds no file of the kind 'table'"):
+        read_log(quadrotor, path=tmp_path)
+
+
 def test_a_mapping_for_what_needs_none(tmp_path: Path) -> None:
     (tmp_path / "run.ulg").write_bytes(b"")
     with pytest.raises(ConfigError, match="read without one"):

@@ -281,7 +281,9 @@ def test_betaflight_logs_give_rates_and_motors(tmp_path: Path, flight: RawRun) -
     assert np.abs(gyro - flight.x[:, 10:]).max() < np.deg2rad(0.51)
     assert log.columns["u"]["low"] == 48.0
     assert log.columns["u"]["numbering"] == "betaflight"
-    with pytest.raises(DataError, match=r"found no an attitude.* nsde inspect|found no .*position"):
+    with pytest.raises(
+        DataError, match=r"no columns are an attitude .*, a position, a velocity, which .*nsde inspect"
+    ):
         read_log(make_system("quadrotor"), path=tmp_path)
 
 

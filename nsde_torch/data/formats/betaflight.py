@@ -20,9 +20,8 @@ from nsde_torch.errors import DataError
 
 Array = NDArray[np.float64]
 
-logging.getLogger("orangebox").addHandler(
-    logging.NullHandler()
-)  # it tells of every event that it does not know
+# it tells of every file, and of every event that it does not know
+logging.getLogger("orangebox").setLevel(logging.CRITICAL)
 _TOGETHER = 20_000
 _MOST = 20_000_000  # frames of a log
 

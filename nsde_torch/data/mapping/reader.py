@@ -63,9 +63,9 @@ def _proposed(log: StreamLog, system: SystemInfo, kind: str, path: str | Path) -
     command = f"nsde inspect {path} system={system.name}"
     if found.mapping is None or found.missing:
         raise DataError(
-            f"{log.source}: by their names, no columns are {', '.join(found.missing) or 'of the machine'}, which the system "
-            f"{system.name!r} needs. Run `{command}`, which lists what is inside, and write the mapping, or choose a "
-            "system of what was logged."
+            f"{log.source}: by their names, no columns are {', '.join(found.missing) or 'of the machine'}, which the "
+            f"system {system.name!r} needs. Run `{command}`, which lists what is inside, and write the mapping, or "
+            "choose a system of what was logged."
         )
     if found.open:
         raise DataError(

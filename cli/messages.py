@@ -12,7 +12,13 @@ from .keys import walk
 from .schemas.choices import CHOICES
 
 # Arguments of the library whose key on the command line has another name.
-_KEYS = {"path": "data.path", "dt_model": "system.dt", "horizon": "system.horizon", "dt": "data.dt"}
+_KEYS = {
+    "path": "data.path",
+    "mapping": "data.mapping",
+    "dt_model": "system.dt",
+    "horizon": "system.horizon",
+    "dt": "data.dt",
+}
 _POINTER = "`nsde {command} --help` lists groups and keys."
 _IN_FILE = re.compile(
     r"In '(?P<file>[^']+)': (?P<kind>\w+) raised while composing config:\n"

@@ -50,6 +50,10 @@ class CommandEntry:
 
 
 COMMANDS: dict[str, CommandEntry] = {
+    "inspect": CommandEntry(
+        ".commands.inspect",
+        "List what is in a log of any format, propose what its columns mean, and check it",
+    ),
     "train": CommandEntry(
         ".commands.train", "Learn a neural SDE of a machine from simulated or measured runs"
     ),

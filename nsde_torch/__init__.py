@@ -8,6 +8,7 @@ Five verbs, each what the command of the same name does:
     made = nsde_torch.simulate("hexacopter", effects=["linear_drag"], seed=0)       runs of a simulated machine
     model = nsde_torch.load("runs/hexacopter")                                      a model that was trained before
 
+`nsde_torch.inspect("log")` says what is in a log of any format, and what its columns mean.
 `System` and `Effect` are what a machine and a physical term of your own derive from.
 """
 
@@ -18,6 +19,7 @@ from nsde_torch.lazy import resolver
 if TYPE_CHECKING:
     from nsde_torch.api.diagnosing import diagnose
     from nsde_torch.api.evaluation import evaluate
+    from nsde_torch.api.inspecting import inspect
     from nsde_torch.api.reading import read
     from nsde_torch.api.training import train
     from nsde_torch.effects.base import Effect
@@ -34,6 +36,7 @@ __all__ = [
     "__version__",
     "diagnose",
     "evaluate",
+    "inspect",
     "load",
     "read",
     "simulate",
@@ -48,6 +51,7 @@ __getattr__ = resolver(
         "System": "systems.base",
         "diagnose": "api.diagnosing",
         "evaluate": "api.evaluation",
+        "inspect": "api.inspecting",
         "load": "models.run_directory",
         "read": "api.reading",
         "simulate": "simulation.generate",

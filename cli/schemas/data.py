@@ -92,6 +92,17 @@ class FileData(Files):
 
 
 @dataclass
+class MappedData(FileData):
+    """Runs read from logs through a mapping."""
+
+    mapping: str | None = key(
+        None,
+        "YAML file that says what columns mean, as `nsde inspect` writes it; null: mapping.yaml beside the logs, else "
+        "a proposal",
+    )
+
+
+@dataclass
 class OwnData(FileData):
     """Runs that a reader of the user's own returns."""
 
@@ -107,7 +118,7 @@ def _keys_of(kind: str, reader: Reader) -> type:
         "__module__": __name__,
         "kind": key(kind, "kind of the data set, set by data="),
     }
-    return dataclass(type(f"{kind.title()}Data", (FileData,), space))
+    return dataclass(type(f"{kind.title()}Data", (MappedData if reader.mapped else FileData,), space))
 
 
 DATA_CHOICES: dict[str, type] = {

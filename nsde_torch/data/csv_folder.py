@@ -59,7 +59,8 @@ def _header(path: Path, system: SystemInfo) -> list[str]:
         hint = (" " + " ".join(hints)) if hints else ""
         raise DataError(
             f"{path}:1: the columns {missing} of the system {system.name!r} are missing.{hint} Expected "
-            f"{list(needed)}; got {names}. Rename or add the columns."
+            f"{list(needed)}; got {names}. Rename or add the columns, or read them through a mapping: "
+            f"`nsde inspect {path} system={system.name}` proposes one."
         )
     return names
 
@@ -75,6 +76,15 @@ def _inferable(system: SystemInfo, names: Sequence[str]) -> list[str]:
     if any(p not in names or difflib.get_close_matches(r.lower(), free, n=1) for p, r in lacking):
         return []
     return [rate for _, rate in lacking]
+
+
+def fits(path: Path, system: SystemInfo) -> bool:
+    """Whether the files of a folder have the columns of a system, by the first of them."""
+    files = sorted(p for p in path.iterdir() if p.suffix.lower() == ".csv" and not p.name.startswith("."))
+    try:
+        return bool(files) and bool(_header(files[0], system))
+    except DataError:
+        return False
 
 
 def _is_number(cell: str) -> bool:

@@ -36,3 +36,18 @@ def attitude_to_enu(q: Array) -> Array:
     # the product comes out with the opposite sign, which is the same attitude; w > 0 reads better for level
     # flight
     return -multiply(multiply(world, q), body)
+
+
+def attitude_between(q: Array, *, ned: bool, frd: bool) -> Array:
+    """Quaternions `w x y z` (..., 4) to FLU-to-ENU from those of another world or another body.
+
+    Args:
+        q: Body to world.
+        ned: Whether the world is NED, else ENU.
+        frd: Whether the body is FRD, else FLU.
+    """
+    if ned and frd:
+        return attitude_to_enu(q)
+    if ned:
+        return multiply(np.broadcast_to(_WORLD, q.shape), q)
+    return multiply(q, np.broadcast_to(_BODY, q.shape)) if frd else q

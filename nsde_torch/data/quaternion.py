@@ -81,3 +81,17 @@ def euler_zyx(q: Array) -> Array:
     pitch = np.arcsin(np.clip(2 * (w * y - z * x), -1, 1))
     yaw = np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
     return np.stack([roll, pitch, yaw], axis=1)
+
+
+def from_euler_zyx(angles: Array) -> Array:
+    """Quaternions of roll, pitch and yaw [rad] (yaw about world z, then pitch, then roll), (n, 3) -> (n, 4)."""
+    (cr, cp, cy), (sr, sp, sy) = np.cos(0.5 * angles.T), np.sin(0.5 * angles.T)
+    return np.stack(
+        [
+            cr * cp * cy + sr * sp * sy,
+            sr * cp * cy - cr * sp * sy,
+            cr * sp * cy + sr * cp * sy,
+            cr * cp * sy - sr * sp * cy,
+        ],
+        axis=1,
+    )

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any, TypeAlias
 
@@ -27,6 +28,9 @@ class Reader:
         suffixes: Suffixes of files that tell the kind; none: of what no other reader claims.
         folders: Whether a folder with such a file in it is of the kind too.
         takes_step: Whether it must know the step to resample to, as the files hold no times.
+        streams: Function `open(path)` that opens one file as streams (`nsde_torch.data.formats.StreamLog`), of a format
+            whose columns need a mapping; `home` is then that of all mappings.
+        mapped: Whether it takes a mapping.
     """
 
     home: str
@@ -34,6 +38,15 @@ class Reader:
     suffixes: tuple[str, ...] = ()
     folders: bool = True
     takes_step: bool = False
+    streams: str | None = None
+    mapped: bool = False
+
+
+_MAPPED = "nsde_torch.data.mapping.reader:read_mapped"
+
+
+def _log_format(streams: str, summary: str, *suffixes: str) -> Reader:
+    return Reader(_MAPPED, summary, suffixes, streams=f"nsde_torch.data.formats.{streams}", mapped=True)
 
 
 READERS: dict[str, Reader] = {
@@ -45,6 +58,20 @@ READERS: dict[str, Reader] = {
         suffixes=(".pkl", ".pickle"),
         folders=False,
         takes_step=True,
+    ),
+    "mcap": _log_format("mcap:open_mcap", "MCAP files: topics of ROS 1, ROS 2 and JSON.", ".mcap"),
+    "rosbag": _log_format("rosbag:open_rosbag", "Bags of ROS 1 (.bag) and ROS 2 (.db3).", ".bag", ".db3"),
+    "ardupilot": _log_format("ardupilot:open_ardupilot", "ArduPilot's DataFlash logs.", ".bin"),
+    "betaflight": _log_format("betaflight:open_betaflight", "Betaflight's black box logs.", ".bbl", ".bfl"),
+    "table": _log_format(
+        "table:open_table",
+        "Tables with a mapping: CSV, .npz, .mat, HDF5, Parquet.",
+        *(".npz", ".mat", ".h5", ".hdf5", ".hdf", ".parquet", ".pq", ".tsv", ".txt"),
+    ),
+    "log": Reader(
+        "nsde_torch.data.any_log:read_log",
+        "Logs of any of these formats, by the names of the files.",
+        mapped=True,
     ),
 }
 
@@ -65,6 +92,8 @@ def reader(kind: Kind) -> Callable[..., Any]:
             f"`kind` of data must be one of {', '.join(sorted(READERS))}; got {kind!r}. (Simulated data come from "
             "`nsde_torch.simulation`; a reader of your own is `module:function`.)"
         )
+    if kind in READERS and READERS[kind].streams:
+        return partial(function_by_name(READERS[kind].home, kind="reader"), kind=kind)
     return function_by_name(READERS[kind].home if kind in READERS else kind, kind="reader")
 
 
@@ -76,7 +105,10 @@ def name_of(kind: Kind) -> str:
 def kind_of(path: str | Path) -> str:
     """Kind of the data in a file or folder, by the names of the files; csv where nothing says otherwise."""
     file = Path(path)
-    inside = {name.suffix.lower() for name in file.iterdir()} if file.is_dir() else set()
+    held = [p for p in file.iterdir() if not p.name.startswith(".")] if file.is_dir() else []
+    if held and all(p.is_dir() for p in held):  # a folder for each run
+        held = [p for folder in held for p in folder.iterdir()]
+    inside = {p.suffix.lower() for p in held}
     for kind, known in READERS.items():
         if {file.suffix.lower()} & set(known.suffixes) or (known.folders and inside & set(known.suffixes)):
             return kind

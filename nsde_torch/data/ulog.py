@@ -13,7 +13,6 @@ frame of `vehicle_odometry` is read from its own field, never assumed.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -23,8 +22,9 @@ from numpy.typing import NDArray
 from nsde_torch.data import ulog_flight, ulog_setpoints
 from nsde_torch.data.findings import Finding
 from nsde_torch.data.frames import attitude_to_enu, swap_body, swap_world
-from nsde_torch.data.quaternion import continuous_signs, rotate, slerp
+from nsde_torch.data.quaternion import rotate
 from nsde_torch.data.raw import RawRun
+from nsde_torch.data.streams import Stream, held, linear
 from nsde_torch.data.system_info import SystemInfo, rate_columns
 from nsde_torch.errors import ConfigError, DataError
 
@@ -55,29 +55,7 @@ _FIRST_MOTOR = 101
 """PX4 output function of motor 1; motor k is 100 + k."""
 
 
-@dataclass
-class _Topic:
-    """One topic: times [s] and its fields."""
-
-    name: str
-    t: Array
-    fields: dict[str, Array]
-
-    def columns(self, *names: str) -> Array:
-        """Fields side by side, (n, columns)."""
-        return np.stack([self.fields[n] for n in names], axis=1)
-
-    def vector(self, name: str, size: int) -> Array:
-        """An array field, (n, size)."""
-        return self.columns(*(f"{name}[{k}]" for k in range(size)))
-
-    @property
-    def rate(self) -> float:
-        """Median rate [Hz]."""
-        return 1.0 / float(np.median(np.diff(self.t)))
-
-
-def _load(path: Path) -> tuple[Any, dict[str, list[_Topic]]]:
+def _load(path: Path) -> tuple[Any, dict[str, list[Stream]]]:
     """The log, and its topics of interest by name (several where there are several instances)."""
     from pyulog import ULog
 
@@ -86,7 +64,7 @@ def _load(path: Path) -> tuple[Any, dict[str, list[_Topic]]]:
             log = ULog(file, list(TOPICS))
     except Exception as error:  # a damaged log makes the parser raise nearly anything
         raise DataError(f"{path} is not a readable ULog file ({type(error).__name__}: {error}).") from error
-    topics: dict[str, list[_Topic]] = {}
+    topics: dict[str, list[Stream]] = {}
     for data in sorted(log.data_list, key=lambda d: int(d.multi_id)):
         fields = {k: np.asarray(v, dtype=np.float64) for k, v in data.data.items()}
         t = fields["timestamp"] * 1e-6
@@ -97,46 +75,11 @@ def _load(path: Path) -> tuple[Any, dict[str, list[_Topic]]]:
         order = order[np.concatenate([[True], np.diff(t[order]) > 0])] if len(order) else order
         if len(order) >= 2:
             cut = {k: v[order] for k, v in fields.items()}
-            topics.setdefault(data.name, []).append(_Topic(data.name, t[order], cut))
+            topics.setdefault(data.name, []).append(Stream(data.name, t[order], cut))
     return log, topics
 
 
-def _pause_mask(topic: _Topic, t: Array) -> NDArray[np.bool_]:
-    """Times that lie outside a topic or in a pause of it (longer than 0.25 s and than five of its steps)."""
-    limit = max(0.25, 5.0 / topic.rate)
-    left = np.searchsorted(topic.t, t, side="right") - 1
-    outside = (left < 0) | (t > topic.t[-1] + limit)
-    left = np.clip(left, 0, len(topic.t) - 2)
-    inside_pause = (topic.t[left + 1] - topic.t[left] > limit) & (t > topic.t[left]) & (t < topic.t[left + 1])
-    return np.asarray(outside | inside_pause)
-
-
-def _linear(topic: _Topic, values: Array, t: Array) -> Array:
-    """Columns of a topic at other times; missing in its pauses and beyond its ends."""
-    out = np.stack([np.interp(t, topic.t, column) for column in values.T], axis=1)
-    out[_pause_mask(topic, t) | (t > topic.t[-1])] = np.nan
-    return out
-
-
-def _held(topic: _Topic, values: Array, t: Array) -> Array:
-    """The last value at or before each time; missing before the first and in pauses."""
-    left = np.searchsorted(topic.t, t, side="right") - 1
-    out: Array = values[np.clip(left, 0, None)].copy()
-    out[_pause_mask(topic, t)] = np.nan
-    return out
-
-
-def _quaternions(topic: _Topic, q: Array, t: Array) -> Array:
-    """Quaternions at other times, on the great circle between neighbours."""
-    q, _ = continuous_signs(q)
-    left = np.clip(np.searchsorted(topic.t, t, side="right") - 1, 0, len(topic.t) - 2)
-    share = np.clip((t - topic.t[left]) / (topic.t[left + 1] - topic.t[left]), 0.0, 1.0)
-    out = slerp(q[left], q[left + 1], share)
-    out[_pause_mask(topic, t) | (t > topic.t[-1])] = np.nan
-    return out
-
-
-def _odometry(topic: _Topic, path: Path) -> Array:
+def _odometry(topic: Stream, path: Path) -> Array:
     """States (n, 13) in ENU/FLU from `vehicle_odometry`, old fields (to PX4 1.13) or new."""
     f = topic.fields
     if "position[0]" in f:
@@ -167,11 +110,11 @@ def _odometry(topic: _Topic, path: Path) -> Array:
     return np.concatenate([swap_world(p), swap_world(v), attitude_to_enu(q), swap_body(w)], axis=1)
 
 
-def _first(topics: dict[str, list[_Topic]], name: str) -> _Topic | None:
+def _first(topics: dict[str, list[Stream]], name: str) -> Stream | None:
     return topics[name][0] if name in topics else None
 
 
-def _state(topics: dict[str, list[_Topic]], source: str, path: Path) -> tuple[Array, Array, list[_Topic]]:
+def _state(topics: dict[str, list[Stream]], source: str, path: Path) -> tuple[Array, Array, list[Stream]]:
     """Times, states in ENU/FLU, and the topics that they came from."""
     odometry = _first(topics, "vehicle_odometry")
     parts = [
@@ -195,12 +138,12 @@ def _state(topics: dict[str, list[_Topic]], source: str, path: Path) -> tuple[Ar
             f"{_HIGH_RATE}, or add them to etc/logging/logger_topics.txt on the SD card."
         )
     t = attitude.t
-    p = _linear(position, position.columns("x", "y", "z"), t)
-    v = _linear(position, position.columns("vx", "vy", "vz"), t)
+    p = linear(position, position.columns("x", "y", "z"), t)
+    v = linear(position, position.columns("vx", "vy", "vz"), t)
     for flag, columns in (("xy_valid", slice(0, 2)), ("z_valid", slice(2, 3))):
         if flag in position.fields:
-            p[_held(position, position.columns(flag), t)[:, 0] < 0.5, columns] = np.nan
-    w = _linear(rates, rates.vector("xyz", 3), t)
+            p[held(position, position.columns(flag), t)[:, 0] < 0.5, columns] = np.nan
+    w = linear(rates, rates.vector("xyz", 3), t)
     x = np.concatenate(
         [swap_world(p), swap_world(v), attitude_to_enu(attitude.vector("q", 4)), swap_body(w)], axis=1
     )
@@ -220,7 +163,7 @@ def _output_channels(parameters: dict[str, Any], motors: int) -> tuple[list[int]
     return list(range(motors)), np.full(motors, ends[0]), np.full(motors, ends[1])
 
 
-def _motors(log: Any, topics: dict[str, list[_Topic]], motors: int, path: Path) -> tuple[_Topic, Array]:
+def _motors(log: Any, topics: dict[str, list[Stream]], motors: int, path: Path) -> tuple[Stream, Array]:
     """Motor commands in [0, 1] and the topic that they came from."""
     topic = _first(topics, "actuator_motors")
     if topic is not None:
@@ -292,7 +235,7 @@ def read_ulog_file(
             f"{motor_rate:g} Hz are needed, as gains and lags come out wrong of commands that change unseen. "
             f"{_HIGH_RATE}. To read such a log all the same give `motor_rate` to the reader (`nsde_torch.read`)."
         )
-    u = _held(motor_topic, commands, t)
+    u = held(motor_topic, commands, t)
     run = RawRun(path.stem, t, x, u, source=str(path))
     notes = run.notes.append
     base = sources[0]

@@ -112,7 +112,7 @@ def test_paths_that_are_no_data_set_are_refused(tmp_path: Path) -> None:
 
 
 def test_unknown_kinds_and_options_list_the_choices(tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match="must be one of csv, published, ulog; got 'excel'"):
+    with pytest.raises(ConfigError, match=r"must be one of .*csv, .*published, .*ulog; got 'excel'"):
         read("excel", MSD, path=str(tmp_path))
     with pytest.raises(ConfigError, match="unexpected keyword argument 'speling'"):
         read("csv", MSD, path=str(tmp_path), speling=1)

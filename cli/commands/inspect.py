@@ -1,0 +1,207 @@
+"""`nsde inspect`: what is in a log, what its columns mean to a system, whether that is so; writes the mapping."""
+
+from __future__ import annotations
+
+import difflib
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from nsde_torch.errors import ConfigError, NsdeError
+
+from ..exit_status import FAILED_JOBS, OK, USER_ERROR
+from ..registry import PlainCommand
+
+if TYPE_CHECKING:
+    from nsde_torch.api.inspecting import Inspection
+
+KEYS = {
+    "system": "machine that the log is of: name, or module:Class of your own; left out: guessed",
+    "kind": "reader of the format; left out: by the names of the files",
+    "mapping": "YAML file of a mapping to check; left out: one is proposed",
+    "out": "file to write the mapping to; left out: mapping.yaml beside the logs; none: nothing is written",
+    "overwrite": "true replaces a mapping that is there",
+    "physics": "false leaves out the fit of the declared physics",
+    "columns": "all lists every column, else those that move (40 at most)",
+}
+_HELP = """Usage: nsde inspect LOG [KEY=VALUE ...]
+
+List what is in a log or a folder of logs, propose what its columns mean to a system, check that by kinematics and by
+the signs of the physics, and write it as mapping.yaml, which `data=log` and the readers of the formats use.
+
+"""
+_SHOWN = 40
+_MARKS = {True: "ok  ", False: "NO  ", None: "?   "}
+
+
+def main(arguments: Sequence[str]) -> int:
+    """Print what is in a log, and write the mapping; returns the exit status (1: it cannot be used so)."""
+    words = list(arguments)
+    if not words or "-h" in words or "--help" in words:
+        width = max(map(len, KEYS))
+        print(_HELP + "\n".join(f"  {key:<{width}}  {text}" for key, text in KEYS.items()))
+        return OK if words else USER_ERROR
+    try:
+        path, given = _given(words)
+        return _inspect(path, given)
+    except NsdeError as error:
+        print(f"nsde inspect: {error}", file=sys.stderr)
+        return USER_ERROR
+
+
+def _inspect(path: str, given: dict[str, str]) -> int:
+    import torch
+
+    from nsde_torch.api.inspecting import inspect
+
+    torch.set_num_threads(1)
+    sys.path.insert(0, str(Path.cwd()))  # a system of the user's own, in a file there
+    target = None if given.get("out") == "none" else Path(given.get("out") or _beside(path))
+    found = inspect(
+        path,
+        system=given.get("system"),
+        kind=given.get("kind"),
+        mapping=given.get("mapping"),
+        physics=given.get("physics", "true") != "false",
+    )
+    print(report(found, everything=given.get("columns") == "all"))
+    if found.mapping is not None and "mapping" not in given and target is not None:
+        print(_write(found, target, overwrite=given.get("overwrite") == "true"))
+    if found.usable:
+        used = Path(given["mapping"]) if "mapping" in given else target
+        key = _mapping_key(found, used, path)
+        print(f"\nnext: nsde train system={found.system} data={found.kind} data.path={path}{key}")
+    return OK if found.usable else FAILED_JOBS
+
+
+def _beside(path: str) -> Path:
+    folder = Path(path) if Path(path).is_dir() else Path(path).parent
+    return folder / "mapping.yaml"
+
+
+def _mapping_key(found: Inspection, target: Path | None, path: str) -> str:
+    if found.native or target is None or target == _beside(path):
+        return ""
+    return f" data.mapping={target}"
+
+
+def _write(found: Inspection, target: Path, *, overwrite: bool) -> str:
+    if found.missing:
+        return f"\nnot written: complete the mapping above and save it as {target}"
+    if target.exists() and not overwrite:
+        same = target.read_text(encoding="utf-8", errors="replace") == found.yaml
+        if same:
+            return f"\n{target} holds this mapping"
+        return f"\n{target} is there and was not replaced (overwrite=true, or out=FILE)"
+    try:
+        target.write_text(found.yaml, encoding="utf-8")
+    except OSError as error:
+        raise ConfigError(
+            f"`out`: {target} cannot be written ({error.strerror}); name another file, out=FILE."
+        ) from error
+    after = "" if found.usable else " (to be corrected: a check failed)"
+    return f"\nwrote {target}{after}"
+
+
+def report(found: Inspection, *, everything: bool = False) -> str:
+    """What was found, as text.
+
+    Args:
+        found: Of `nsde_torch.api.inspecting.inspect`.
+        everything: Whether to list every column.
+    """
+    count = len(found.runs)
+    names = ", ".join(found.runs[:5]) + (", ..." if count > 5 else "")
+    lines = [f"{found.path}: data={found.kind}, {count} run{'s' * (count > 1)} ({names})", ""]
+    lines += _table(found, everything=everything)
+    if found.native:
+        lines += ["", f"The reader `{found.kind}` needs no mapping; the system is {found.system}."]
+    elif found.mapping is not None:
+        lines += ["", f"mapping for {found.system}:", *(f"  {line}" for line in found.yaml.splitlines())]
+    lines += ["", *(f"missing: {one}" for one in found.missing)] if found.missing else []
+    lines += ["", *(f"look at: {one}" for one in found.open)] if found.open else []
+    lines += ["", *(f"note: {one}" for one in found.notes)] if found.notes else []
+    if found.checks:
+        lines += ["", "checks:", *(f"  {_MARKS[c.passed]}{c.name}: {c.text}" for c in found.checks)]
+    return "\n".join(lines)
+
+
+def _table(found: Inspection, *, everything: bool) -> list[str]:
+    rows = found.columns
+    if not everything:
+        used = {s for e in found.mapping.columns.values() for s in e.source} if found.mapping else set()
+        moving = [r for r in rows if r.low != r.high and r.missing < 1.0]
+        first = [r for r in moving if r.column in used or f"{r.stream}/{r.column}" in used]
+        rest = [r for r in moving if r not in first][: max(_SHOWN - len(first), 0)]
+        rows = first + rest
+    head = ("column", "unit", "rate [Hz]", "rows", "lowest", "highest", "missing", "gaps")
+    cells = [
+        (
+            f"{r.stream}/{r.column}" if r.stream else r.column,
+            r.unit or "-",
+            f"{r.rate:.4g}" if r.rate == r.rate else "no clock",
+            str(r.rows),
+            f"{r.low:.4g}",
+            f"{r.high:.4g}",
+            f"{r.missing:.1%}" if r.missing else "-",
+            str(r.gaps) if r.gaps else "-",
+        )
+        for r in rows
+    ]
+    widths = [max(len(row[k]) for row in (head, *cells)) for k in range(len(head))]
+    out = [
+        "  ".join(
+            f"{c:{'<' if k < 2 else '>'}{w}}" for k, (c, w) in enumerate(zip(row, widths, strict=True))
+        ).rstrip()
+        for row in (head, *cells)
+    ]
+    left = len(found.columns) - len(rows)
+    return [*out, *([f"({left} more; columns=all lists them)"] if left else [])]
+
+
+def _given(words: Sequence[str]) -> tuple[str, dict[str, str]]:
+    """The log, and the keys."""
+    path: str | None = None
+    out: dict[str, str] = {}
+    for word in words:
+        key, equals, value = word.partition("=")
+        if equals and key in KEYS:
+            out[key] = value
+        elif equals and not Path(word).exists():
+            near = difflib.get_close_matches(key, KEYS, n=1)
+            hint = f" Did you mean `{near[0]}=`?" if near else ""
+            raise ConfigError(f"`{word}` is none of {', '.join(f'{k}=' for k in KEYS)}.{hint}")
+        elif path is None:
+            path = word
+        else:
+            raise ConfigError(f"one log or folder at a time; got {path} and {word}.")
+    if path is None:
+        raise ConfigError("name a log or a folder of logs: `nsde inspect LOG`.")
+    for key in ("overwrite", "physics"):
+        if out.get(key, "true") not in ("true", "false"):
+            raise ConfigError(f"`{key}` must be true or false; got {out[key]!r}.")
+    return path, out
+
+
+def complete(words: Sequence[str]) -> list[str]:
+    """Completions of the last word: keys, and names of systems and readers."""
+    last = words[-1] if words else ""
+    key, equals, start = last.partition("=")
+    if not equals:
+        return [f"{k}=" for k in KEYS if k.startswith(key)]
+    choices: Sequence[str] = ()
+    if key == "system":
+        from nsde_torch.systems.names import SYSTEM_HOMES
+
+        choices = list(SYSTEM_HOMES)
+    elif key == "kind":
+        from nsde_torch.data.readers import READERS
+
+        choices = [name for name, one in READERS.items() if one.streams]
+    elif key in ("physics", "overwrite"):
+        choices = ("true", "false")
+    return [f"{key}={choice}" for choice in choices if choice.startswith(start)]
+
+
+COMMAND = PlainCommand(main, complete)

@@ -1,0 +1,256 @@
+"""What is in a log, what its columns mean to a system, and whether that is so."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from nsde_torch.api.physics_check import check_physics
+from nsde_torch.data.any_log import format_of
+from nsde_torch.data.formats.log import StreamLog
+from nsde_torch.data.formats.ulog_topics import open_ulog
+from nsde_torch.data.mapping.apply import apply
+from nsde_torch.data.mapping.checks import LogCheck, checks
+from nsde_torch.data.mapping.files import LogFile, log_files
+from nsde_torch.data.mapping.mapping import LogMapping, read_mapping, text
+from nsde_torch.data.mapping.proposal import Proposal, propose
+from nsde_torch.data.raw import RawRun
+from nsde_torch.data.readers import READERS, reader
+from nsde_torch.data.streams import moving
+from nsde_torch.errors import DataError, NsdeError
+from nsde_torch.systems.base import System
+from nsde_torch.systems.options import SystemOptions, system_options
+
+_RUNS = 3  # that physics are looked at
+_PAUSES = 5.0  # steps that are a gap
+
+
+@dataclass(frozen=True)
+class ColumnRow:
+    """One column of a log.
+
+    Args:
+        stream: Of which topic or table.
+        column: Name.
+        unit: Where the log says it.
+        rows: How many.
+        rate: Median rate [Hz]; nan without a clock.
+        low: Smallest value.
+        high: Largest value.
+        missing: Share of values that are not finite.
+        gaps: Pauses longer than five steps and 0.25 s.
+    """
+
+    stream: str
+    column: str
+    unit: str
+    rows: int
+    rate: float
+    low: float
+    high: float
+    missing: float
+    gaps: int
+
+
+@dataclass
+class Inspection:
+    """What `inspect` found.
+
+    Args:
+        path: What was looked at.
+        kind: The reader of its format.
+        runs: Names of the runs.
+        columns: What is in the first.
+        system: Name of the system.
+        mapping: What the columns mean; None where too little was recognised, or where the format needs none.
+        native: Whether the reader needs no mapping.
+        missing: What was not found.
+        open: What else the columns could be.
+        notes: What was assumed.
+        checks: What kinematics and physics say.
+    """
+
+    path: str
+    kind: str
+    runs: list[str]
+    columns: list[ColumnRow]
+    system: str
+    mapping: LogMapping | None = None
+    native: bool = False
+    missing: list[str] = field(default_factory=list)
+    open: list[str] = field(default_factory=list)
+    notes: list[str] = field(default_factory=list)
+    checks: list[LogCheck] = field(default_factory=list)
+
+    @property
+    def usable(self) -> bool:
+        """Whether runs can be read: all is there, and no check fails."""
+        there = self.native or (self.mapping is not None and not self.missing)
+        return there and not any(check.passed is False for check in self.checks)
+
+    @property
+    def yaml(self) -> str:
+        """The mapping as YAML; empty without one."""
+        return "" if self.mapping is None else text(self.mapping)
+
+
+def inspect(
+    path: str | Path,
+    *,
+    system: str | type[System] | SystemOptions | None = None,
+    kind: str | None = None,
+    mapping: str | Path | LogMapping | None = None,
+    physics: bool = True,
+) -> Inspection:
+    """List what is in a log or a folder of logs, propose what its columns mean, and check it.
+
+    Args:
+        path: File or folder.
+        system: The machine; None: guessed by what is logged.
+        kind: Reader, a key of `nsde_torch.data.READERS`; None: by the names of the files.
+        mapping: A mapping to check in place of a proposal, or its YAML file.
+        physics: Whether to fit the declared physics, roughly, and look for signs and orders in which it leaves less.
+
+    Raises:
+        DataError: nothing there, or a log that cannot be read.
+        ConfigError: an unknown system, or a mapping that does not fit.
+
+    Example:
+        >>> found = nsde_torch.inspect("flights", system="quadrotor")  # doctest: +SKIP
+        >>> print(found.yaml)  # doctest: +SKIP
+    """
+    if not Path(path).exists():
+        raise DataError(f"`path`: {path} does not exist; expected a log or a folder of logs.")
+    machine = None if system is None else system_options(system).make()
+    kind = kind or format_of(path, machine)
+    given = read_mapping(mapping) if isinstance(mapping, str | Path) else mapping
+    if kind == "published":
+        raise DataError(
+            f"`path`: {path} holds the published files, which `data=published` reads as they are."
+        )
+    if READERS[kind].streams is None and given is None:
+        return _native(Path(path), kind, machine, physics=physics)
+    files = log_files("table" if kind == "csv" else kind, path)
+    log = files[0].open(given.time if given else None)
+    guessed = machine or system_options(given.system if given and given.system else guess_system(log)).make()
+    found = Proposal(given) if given else propose(log, guessed, kind=files[0].kind)
+    out = Inspection(
+        str(path), files[0].kind, [file.name for file in files], rows_of(log), guessed.name, found.mapping,
+        missing=found.missing, open=found.open, notes=[*log.notes, *found.notes],
+    )  # fmt: skip
+    if machine is None and not (given and given.system):
+        out.notes.insert(
+            0, f"the system is taken for {guessed.name!r}, by what is logged (`system=` says another)"
+        )
+    if found.mapping is None or found.missing:
+        return out
+    _check(out, files, log, guessed, physics=physics, fixed=given is not None)
+    return out
+
+
+def _check(
+    out: Inspection, files: Sequence[LogFile], log: StreamLog, machine: System, *, physics: bool, fixed: bool
+) -> None:
+    """Kinematics, gravity and physics of the first runs."""
+    assert out.mapping is not None
+    try:
+        run = apply(log, out.mapping, machine)
+    except NsdeError as error:
+        out.checks = [LogCheck("reading", False, str(error))]
+        return
+    out.checks = checks(machine, run, out.mapping)
+    if not physics or any(check.passed is False for check in out.checks):
+        return
+    runs = [run]
+    for file in files[1:_RUNS]:
+        try:
+            runs.append(apply(file.open(out.mapping.time), out.mapping, machine))
+        except NsdeError as error:
+            out.notes.append(f"{file.name} cannot be read: {error}")
+    entry = out.mapping.columns.get("u")
+    said = entry is None or "u" in log.columns
+    numbering = None if entry is None or said else entry.numbering or "px4"
+    found = check_physics(machine, runs, numbering=numbering, fixed=fixed)
+    out.checks += found.checks
+    out.notes += found.notes
+    if found.numbering is not None and entry is not None:
+        out.mapping = out.mapping.changed("u", numbering=found.numbering)
+        out.notes = [note for note in out.notes if "taken to be numbered" not in note]
+
+
+def _native(path: Path, kind: str, machine: System | None, *, physics: bool) -> Inspection:
+    """A log whose reader needs no mapping."""
+    suffixes = READERS[kind].suffixes or (".csv",)
+    files = [path] if path.is_file() else sorted(p for p in path.iterdir() if p.suffix.lower() in suffixes)
+    log = open_ulog(files[0]) if kind == "ulog" else LogFile(files[0].stem, files[0], "table").open()
+    machine = machine or system_options(_px4_frame(log) if kind == "ulog" else guess_system(log)).make()
+    out = Inspection(str(path), kind, [p.stem for p in files], rows_of(log), machine.name, native=True)
+    try:
+        runs: list[RawRun] = reader(kind)(machine, path=files[0] if kind == "ulog" else path)
+    except NsdeError as error:
+        out.checks.append(LogCheck("reading", False, str(error)))
+        return out
+    out.checks = checks(machine, runs[0])
+    if physics and not any(check.passed is False for check in out.checks):
+        found = check_physics(machine, runs[:_RUNS])
+        out.checks += found.checks
+        out.notes += found.notes
+    return out
+
+
+def _px4_frame(log: StreamLog) -> str:
+    """By how many motors moved."""
+    for stream in log.streams:
+        if stream.name == "actuator_motors":
+            controls = [name for name in stream.fields if name.startswith("control[")]
+            return "hexacopter" if moving(stream.columns(*controls)).sum() == 6 else "quadrotor"
+    return "quadrotor"
+
+
+def guess_system(log: StreamLog) -> str:
+    """Name of a system of the package by what is logged.
+
+    Args:
+        log: The streams.
+    """
+    from nsde_torch.data.mapping import names
+
+    found = [one for stream in log.streams for one in names.vectors(stream)]
+    motors = log.columns.get("u", {}).get("from", ())
+    count = len(motors) if isinstance(motors, list) else 0
+    for one in names.pick(found, names.MOTORS):
+        stream = next(s for s in log.streams if s.name == one.stream)
+        several = int(moving(stream.columns(*one.columns)).sum())
+        count = count or (several if several in (4, 6) else 0)
+    attitude = any(one.kind in (names.QUATERNION, names.EULER) for one in found) or "q" in log.columns
+    if count == 6:
+        return "hexacopter"
+    if count == 4 or attitude:
+        return "quadrotor"
+    columns = {column for stream in log.streams for column in stream.fields}
+    return "cartpole" if {"theta", "theta_dot"} & columns else "mass_spring_damper"
+
+
+def rows_of(log: StreamLog) -> list[ColumnRow]:
+    """A row for each column of a log.
+
+    Args:
+        log: The streams.
+    """
+    out = []
+    for stream in log.streams:
+        steps = np.diff(stream.t) if stream.timed else np.zeros(0)
+        usual = float(np.median(steps)) if len(steps) else float("nan")
+        gaps = int((steps > max(_PAUSES * usual, 0.25)).sum()) if len(steps) else 0
+        for column, values in stream.fields.items():
+            good = values[np.isfinite(values)]
+            low, high = (float(good.min()), float(good.max())) if len(good) else (float("nan"), float("nan"))
+            missing = 1.0 - len(good) / max(len(values), 1)
+            unit = stream.units.get(column, "")
+            out.append(
+                ColumnRow(stream.name, column, unit, len(values), stream.rate, low, high, missing, gaps)
+            )
+    return out

@@ -1,0 +1,124 @@
+"""Whether the declared physics, roughly fitted, speaks for another reading of the columns: signs, orders, numbers."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from math import exp, log
+
+import numpy as np
+
+from nsde_torch.api.reading import read
+from nsde_torch.data.mapping.checks import LogCheck
+from nsde_torch.data.mapping.numbering import NUMBERINGS, order
+from nsde_torch.data.raw import RawRun
+from nsde_torch.data.run import Run
+from nsde_torch.errors import NsdeError
+from nsde_torch.sysid.readings import AS_GOOD, LESS, better_readings
+from nsde_torch.sysid.rough import beginnings, rough_fit, share_left
+from nsde_torch.systems.base import System
+
+_PART_S = 30.0  # of the runs, on which numberings are compared
+_ITERATIONS = 4
+_NAME = "signs of the physics"
+
+
+@dataclass
+class PhysicsFound:
+    """What the physics says.
+
+    Args:
+        checks: In words.
+        notes: What was assumed or found.
+        numbering: Whose numbers the motors have, where the physics speaks for another than was assumed.
+    """
+
+    checks: list[LogCheck] = field(default_factory=list)
+    notes: list[str] = field(default_factory=list)
+    numbering: str | None = None
+
+
+def check_physics(
+    machine: System, runs: Sequence[RawRun], *, numbering: str | None = None, fixed: bool = False
+) -> PhysicsFound:
+    """Fit the declared physics to means over 0.15 s, and look for readings of the columns in which it leaves much less.
+
+    Args:
+        machine: The machine.
+        runs: In its units, axes and order.
+        numbering: Whose numbers the motors are taken to have, where others are to be tried; None: they are said.
+        fixed: Whether a user said so: another is told then, and not taken.
+    """
+    out = PhysicsFound()
+    try:
+        data = read(list(runs), system=machine)
+    except NsdeError as error:
+        out.checks.append(LogCheck("checks of all data", False, str(error)))
+        return out
+    clock, found = data.clock_scale, list(data.runs)
+    if numbering is not None and machine.nu in NUMBERINGS["betaflight"]:
+        found = _numbered(machine, found, clock, numbering, fixed, out)
+        if out.checks:
+            return out
+    rough = rough_fit(machine, found, clock)
+    if rough is None:
+        out.checks.append(
+            LogCheck(_NAME, None, "the log is too short, or says too little, to fit the physics roughly.")
+        )
+        return out
+    better = better_readings(machine, found, clock, rough)
+    if better is not None:
+        out.checks.append(LogCheck(_NAME, False, f"{better.sentence}: {better.remedy}."))
+    else:
+        text = "no other sign, order of the inputs or axes in which the declared physics leaves much less."
+        out.checks.append(LogCheck(_NAME, True, text))
+    return out
+
+
+def _numbered(
+    machine: System, runs: list[Run], clock: float, assumed: str, fixed: bool, out: PhysicsFound
+) -> list[Run]:
+    """The runs with the motors numbered as the physics likes best, if it likes one much more."""
+    motors = machine.nu
+    some = beginnings(runs, clock, seconds=_PART_S, fewest=50)
+    back = np.argsort(order(assumed, motors))
+    places: dict[str, list[int]] = {}
+    for name, frames in NUMBERINGS.items():
+        if motors in frames:
+            own = back[list(order(name, motors))].tolist()
+            if own not in places.values():
+                places[name] = own
+    scores: dict[str, float] = {}
+    for name, own in places.items():
+        fitted = rough_fit(machine, [_reordered(run, own) for run in some], clock, iterations=_ITERATIONS)
+        scores[name] = float("inf") if fitted is None else share_left(fitted)
+    ranked = sorted(scores, key=lambda name: scores[name])
+    if len(ranked) < 2 or not np.isfinite(scores[ranked[0]]):
+        return runs
+    first = ranked[0]
+    clear = scores[first] < scores[ranked[1]] - log(LESS) / 2
+    same = places[first] == list(range(motors))
+    told = f"{exp(scores[ranked[1]] - scores[first]):.1f} times less of all channels together"
+    if not clear:
+        level = "as well" if scores[ranked[1]] - scores[first] < AS_GOOD else "nearly as well"
+        out.notes.append(
+            f"motors numbered as in {first} and {ranked[1]} do {level} (the physics leaves {told}): check it"
+        )
+        return runs
+    if fixed and not same:
+        now = next(scores[name] for name, own in places.items() if own == list(range(motors)))
+        more = f"{exp(now - scores[first]):.1f} times less of all channels together"
+        text = f"the physics leaves {more} with the motors numbered as in {first} (`numbering: {first}`)."
+        out.checks.append(LogCheck("numbering of the motors", False, text))
+        return runs
+    out.notes.append(f"motors are numbered as in {first}: the physics leaves {told} than with {ranked[1]}")
+    if same:
+        return runs
+    out.numbering = first
+    return [_reordered(run, places[first]) for run in runs]
+
+
+def _reordered(run: Run, places: list[int]) -> Run:
+    u = np.array(run.u)
+    u[:, : len(places)] = u[:, places]
+    return replace(run, u=u)

@@ -1,0 +1,8 @@
+"""Files of logs as streams: a function of each format opens one file as a `StreamLog`, and knows nothing of machines.
+
+What the streams mean to a machine is the business of `nsde_torch.data.mapping`.
+"""
+
+from nsde_torch.data.formats.log import StreamLog
+
+__all__ = ["StreamLog"]

@@ -1,0 +1,183 @@
+"""ArduPilot's DataFlash logs (.bin) by pymavlink's index, whole columns at a time.
+
+Messages, fields, types and units are what the log's own FMT, FMTU and UNIT messages say. State from the estimator
+(`XKF1`, or `NKF1` of old logs; `ATT` and `XKQ` where they are faster), rates from `RATE` or `IMU`, motors from `RCOU`:
+the outputs whose parameter `SERVOn_FUNCTION` is a motor (33 to 40, 82 to 85), pulse widths by `MOT_PWM_MIN` and
+`MOT_PWM_MAX`. Axes are NED and FRD.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import io
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nsde_torch.data.formats.log import StreamLog, unreadable
+from nsde_torch.data.streams import Stream, ordered
+from nsde_torch.errors import DataError
+
+Array = NDArray[np.float64]
+
+_TYPES = {
+    "a": ("<i2", 32), "b": ("i1", 1), "B": ("u1", 1), "h": ("<i2", 1), "H": ("<u2", 1), "i": ("<i4", 1),
+    "I": ("<u4", 1),
+    "f": ("<f4", 1), "g": ("<f2", 1), "n": ("S4", 1), "N": ("S16", 1), "Z": ("S64", 1), "d": ("<f8", 1),
+    "c": ("<i2", 1), "C": ("<u2", 1), "e": ("<i4", 1), "E": ("<u4", 1), "L": ("<i4", 1), "M": ("u1", 1),
+    "q": ("<i8", 1), "Q": ("<u8", 1),
+}  # fmt: skip
+_TIMES = {"c": 1e-2, "C": 1e-2, "e": 1e-2, "E": 1e-2, "L": 1e-7}
+_ANGLES = {"degheading": "deg", "m/s/s": "m/s2", "µs": "us"}
+_SYSTEM = {
+    "FMT",
+    "FMTU",
+    "UNIT",
+    "MULT",
+    "PARM",
+    "MSG",
+    "MODE",
+    "EV",
+    "ERR",
+    "CMD",
+    "FILE",
+    "DU32",
+    "ISBD",
+    "ISBH",
+}
+_HEADER = 3  # bytes before the fields of a message
+_MOTORS = [*range(33, 41), *range(82, 86)]
+"""Values of SERVOn_FUNCTION of motors 1 to 12."""
+
+
+def open_ardupilot(path: Path) -> StreamLog:
+    """The messages of one log, each a stream; where several sensors log one, a stream each.
+
+    Raises:
+        DataError: not such a log, or one without messages.
+    """
+    from pymavlink import DFReader
+
+    class Index(DFReader.DFReader_binary):
+        """The index of a log, without a search for the clock of GPS through all of it: messages have times."""
+
+        def init_clock(self) -> None:
+            self.clock = DFReader.DFReaderClock_usec()
+
+    try:
+        with contextlib.redirect_stderr(io.StringIO()):  # it prints every byte that is no message
+            log = Index(str(path), zero_time_base=True)
+    except Exception as error:  # a damaged log makes the parser raise nearly anything
+        raise unreadable(path, "ArduPilot log", error) from error
+    try:
+        streams = [s for kind in log.formats for s in _streams(log, kind)]
+        parameters = _parameters(log)
+    except Exception as error:  # as above
+        raise unreadable(path, "ArduPilot log", error) from error
+    finally:
+        log.close()
+    if not streams:
+        raise DataError(f"{path} holds no messages of an ArduPilot log.")
+    columns = _meaning({s.name: s for s in streams}, parameters)
+    return StreamLog(path.stem, str(path), streams, columns, {"world": "NED", "body": "FRD"})
+
+
+def _streams(log: Any, kind: int) -> list[Stream]:
+    """The messages of one kind as streams."""
+    form = log.formats[kind]
+    if form.name in _SYSTEM or "TimeUS" not in form.columns:
+        return []
+    table = _records(log, kind)
+    if table is None or len(table) < 2:
+        return []
+    fields, units = {}, {}
+    told = form.units or []
+    instance = getattr(form, "instance_field", None)
+    for place, (column, letter) in enumerate(zip(form.columns, form.format, strict=False)):
+        if letter in "anNZ":
+            continue
+        fields[column] = table[f"f{place}"].astype(np.float64) * _TIMES.get(letter, 1.0)
+        if place < len(told) and told[place] not in ("", "UNKNOWN"):
+            units[column] = _ANGLES.get(told[place], told[place])
+    t = fields.pop("TimeUS") * 1e-6
+    if instance not in fields:
+        return [ordered(Stream(form.name, t, fields, units))]
+    which = fields.pop(instance)
+    out = []
+    for number in np.unique(which)[:8].astype(int).tolist():
+        rows = which == number
+        name = form.name if number == 0 else f"{form.name}[{number}]"
+        out.append(ordered(Stream(name, t[rows], {k: v[rows] for k, v in fields.items()}, units)))
+    return [stream for stream in out if len(stream.t) > 1]
+
+
+def _records(log: Any, kind: int) -> NDArray[Any] | None:
+    """All messages of a kind as records; None where there are none."""
+    form = log.formats[kind]
+    offsets = np.asarray(log.offsets[kind], dtype=np.int64)
+    offsets = offsets[offsets + form.len <= log.data_len]
+    if not len(offsets) or any(letter not in _TYPES for letter in form.format):
+        return None
+    parts = [_TYPES[letter] for letter in form.format]
+    kinds = np.dtype([(f"f{k}", one, (n,)) if n > 1 else (f"f{k}", one) for k, (one, n) in enumerate(parts)])
+    if kinds.itemsize != form.len - _HEADER:
+        return None
+    data = np.frombuffer(log.data_map, dtype=np.uint8)
+    out = np.empty(len(offsets), dtype=kinds)
+    raw = out.view(np.uint8).reshape(len(offsets), kinds.itemsize)
+    for first in range(0, len(offsets), 1 << 16):  # in pieces: an index of every byte is eight times the data
+        some = offsets[first : first + (1 << 16)]
+        raw[first : first + (1 << 16)] = data[some[:, None] + np.arange(_HEADER, form.len)]
+    del data
+    return out
+
+
+def _parameters(log: Any) -> dict[str, float]:
+    for kind, form in log.formats.items():
+        if form.name == "PARM" and {"Name", "Value"} <= set(form.columns):
+            table = _records(log, kind)
+            if table is None:
+                return {}
+            names, values = (table[f"f{form.columns.index(c)}"] for c in ("Name", "Value"))
+            return {n.decode("ascii", "replace"): float(v) for n, v in zip(names, values, strict=True)}
+    return {}
+
+
+def _meaning(streams: dict[str, Stream], parameters: dict[str, float]) -> dict[str, dict[str, object]]:
+    """Entries of a mapping, as the firmware defines its messages."""
+    out: dict[str, dict[str, object]] = {}
+    kalman = next((n for n in ("XKF1", "NKF1") if n in streams), None)
+    if kalman:
+        out["p"] = {"from": [f"{kalman}/{c}" for c in ("PN", "PE", "PD")], "unit": "m"}
+        out["v"] = {"from": [f"{kalman}/{c}" for c in ("VN", "VE", "VD")], "unit": "m/s", "axes": "world"}
+    angles = [n for n in (kalman, "ATT", "AHR2") if n and n in streams]
+    fastest = max(angles, key=lambda n: (round(streams[n].rate), -angles.index(n)), default=None)
+    if fastest:
+        out["q"] = {"from": [f"{fastest}/{c}" for c in ("Roll", "Pitch", "Yaw")], "unit": "deg"}
+    if "RATE" in streams:
+        out["w"] = {"from": [f"RATE/{c}" for c in "RPY"], "unit": "deg/s"}
+    elif "IMU" in streams:
+        out["w"] = {"from": [f"IMU/{c}" for c in ("GyrX", "GyrY", "GyrZ")], "unit": "rad/s"}
+    if "RCOU" in streams:
+        function = {parameters.get(f"SERVO{k}_FUNCTION"): k for k in range(1, 17)}
+        motors = [function[f] for f in _MOTORS if f in function] or [
+            k for k in range(1, 9) if _moves(streams["RCOU"].fields.get(f"C{k}"))
+        ]
+        if motors:
+            out["u"] = {
+                "from": [f"RCOU/C{k}" for k in motors],
+                "unit": "us",
+                "low": parameters.get("MOT_PWM_MIN") or 1000.0,
+                "high": parameters.get("MOT_PWM_MAX") or 2000.0,
+                "numbering": "ardupilot",
+            }
+    battery = next((n for n in ("BAT", "CURR") if n in streams and "Volt" in streams[n].fields), None)
+    if battery:
+        out["battery_voltage"] = {"from": f"{battery}/Volt", "unit": "V"}
+    return out
+
+
+def _moves(values: Array | None) -> bool:
+    return values is not None and bool(np.ptp(values) > 50)

@@ -1,0 +1,112 @@
+"""Betaflight's black box logs (.bbl, .bfl) by orangebox: every log of the file is a run.
+
+Rates are `gyroADC` (deg/s, FLU: the firmware counts the nose down and a turn to the left as positive), motors
+`motor[k]` between the ends of the header `motorOutput`, battery `vbatLatest` in hundredths of a volt. There is no
+position.
+"""
+
+from __future__ import annotations
+
+import logging
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nsde_torch.data.formats.log import StreamLog, lacking, unreadable
+from nsde_torch.data.streams import Stream, ordered
+from nsde_torch.errors import DataError
+
+Array = NDArray[np.float64]
+
+# it tells of every file, and of every event that it does not know
+logging.getLogger("orangebox").setLevel(logging.CRITICAL)
+_TOGETHER = 20_000
+_MOST = 20_000_000  # frames of a log
+
+
+def open_betaflight(path: Path, *, index: int = 1) -> StreamLog:
+    """One of the logs of a file.
+
+    Args:
+        path: The file.
+        index: Which log, from 1.
+
+    Raises:
+        DataError: not such a file, or a log without frames.
+        ConfigError: the package is not installed.
+    """
+    try:
+        from orangebox import Parser
+    except ImportError as error:
+        raise lacking("orangebox", "betaflight", path) from error
+    rows: list[list[float]] = []
+    parts: list[Array] = []
+    try:
+        parser = Parser.load(str(path), index, allow_invalid_header=True)
+        names, headers = list(parser.field_names), dict(parser.headers)
+        main = [k for k, name in enumerate(names) if _wanted(name)]
+        for frame in parser.frames():
+            rows.append([_number(frame.data[k]) for k in main])
+            if len(rows) >= _TOGETHER:  # numbers of Python take four times the memory
+                parts.append(np.array(rows))
+                rows.clear()
+            if len(parts) * _TOGETHER >= _MOST:
+                break
+    except Exception as error:  # a log that ends with the battery ends without its last event
+        if not rows and not parts:
+            raise unreadable(path, "Betaflight log", error) from error
+    if len(rows) + len(parts) < 2:
+        raise DataError(f"{path}: log {index} holds no frames.")
+    table = np.concatenate([*parts, np.array(rows, dtype=np.float64).reshape(len(rows), len(main))])
+    fields = {names[k]: table[:, j] for j, k in enumerate(main)}
+    t = fields.pop("time") * 1e-6
+    stream = ordered(Stream("", t, fields, _units(fields)))
+    return StreamLog(path.stem, str(path), [stream], _meaning(fields, headers), {"body": "FLU"})
+
+
+def _number(value: Any) -> float:
+    """A value of a frame; of one that no slow frame has given yet, nan."""
+    return float(value) if isinstance(value, int | float) else float("nan")
+
+
+def _wanted(name: str) -> bool:
+    return name not in ("loopIteration", "flightModeFlags", "stateFlags", "failsafePhase")
+
+
+def logs_of(path: Path) -> int:
+    """How many logs a file holds."""
+    try:
+        from orangebox import Parser
+    except ImportError as error:
+        raise lacking("orangebox", "betaflight", path) from error
+    try:
+        return int(Parser.load(str(path), 1, allow_invalid_header=True).reader.log_count)
+    except Exception as error:  # as above
+        raise unreadable(path, "Betaflight log", error) from error
+
+
+def _units(fields: dict[str, Array]) -> dict[str, str]:
+    return {name: "deg/s" for name in fields if name.startswith("gyro")}
+
+
+def _meaning(fields: dict[str, Array], headers: dict[str, Any]) -> dict[str, dict[str, object]]:
+    out: dict[str, dict[str, object]] = {}
+    gyro = [f"gyroADC[{k}]" for k in range(3)]
+    if all(name in fields for name in gyro):
+        out["w"] = {"from": gyro, "unit": "deg/s"}
+    motors = [f"motor[{k}]" for k in range(12) if f"motor[{k}]" in fields]
+    if motors:
+        low, high = _ends(headers, np.stack([fields[m] for m in motors]))
+        out["u"] = {"from": motors, "low": low, "high": high, "numbering": "betaflight"}
+    if "vbatLatest" in fields:
+        out["battery_voltage"] = {"from": "vbatLatest", "unit": "V", "scale": 0.01}
+    return out
+
+
+def _ends(headers: dict[str, Any], motors: Array) -> tuple[float, float]:
+    ends = headers.get("motorOutput")
+    if isinstance(ends, list | tuple) and len(ends) == 2 and float(ends[1]) > float(ends[0]):
+        return float(ends[0]), float(ends[1])
+    return (48.0, 2047.0) if float(np.nanmedian(motors)) < 900 else (1000.0, 2000.0)

@@ -1,0 +1,269 @@
+"""A log through a mapping: one run in the system's units, axes and order.
+
+The rows are those of the stream of the attitude, else of the first state. What was logged on other clocks is put on
+them: states interpolated, commands held (of a faster stream: the mean of what acted during the step).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nsde_torch.data.findings import Finding
+from nsde_torch.data.formats.log import StreamLog
+from nsde_torch.data.frames import attitude_between, swap_body, swap_world
+from nsde_torch.data.mapping.mapping import ColumnEntry, LogMapping, targets
+from nsde_torch.data.mapping.numbering import order
+from nsde_torch.data.mapping.units import factor
+from nsde_torch.data.quaternion import conjugate, from_euler_zyx, rotate
+from nsde_torch.data.raw import RawRun
+from nsde_torch.data.streams import Stream, attitudes, commands, linear
+from nsde_torch.data.system_info import RATE_NAMES, SystemInfo
+from nsde_torch.errors import ConfigError, DataError
+
+Array = NDArray[np.float64]
+
+SLOWEST = 4.0
+"""Slowest rate of a state, or of an input of a machine without motors of its own [Hz]."""
+MOTOR_RATE = 50.0
+"""Slowest rate of motors [Hz], which answer within 50 ms."""
+_FAR = 0.8  # share of the rows' rate below which a stream is told to be slow
+
+
+def apply(log: StreamLog, mapping: LogMapping, system: SystemInfo) -> RawRun:
+    """One run from one log.
+
+    Args:
+        log: The streams.
+        mapping: What they mean.
+        system: The machine.
+
+    Raises:
+        ConfigError: a column that the log does not have, an entry that does not fit the system, a unit.
+        DataError: a stream without a clock, too slow, or at another time than the others.
+    """
+    return _Applied(log, mapping, system).run()
+
+
+class _Applied:
+    def __init__(self, log: StreamLog, mapping: LogMapping, system: SystemInfo) -> None:
+        self.log, self.system = log, system
+        self.names = {name: targets(system, name) for name in mapping.columns}
+        self.notes = [Finding("log", log.name, 1, note, "reported") for note in log.notes]
+        self.mapping = self._with_what_is_there(mapping)
+        self.units = dict(zip(system.state_names, system.state_units, strict=True))
+        self.units.update(zip(system.input_names, system.input_units, strict=True))
+        self.columns: dict[str, Array] = {}
+        self._complete()
+        self.base = self._rows()
+        self.t = self.base.t
+
+    def run(self) -> RawRun:
+        system = self.system
+        quaternion = self._attitude()
+        for name, entry in self.mapping.columns.items():
+            if name != quaternion:
+                self._fill(name, entry)
+        n = len(self.t)
+        nothing = np.full(n, np.nan)
+        x = np.column_stack([self.columns.get(name, nothing) for name in system.state_names])
+        zero = np.zeros(n)
+        u = np.column_stack([self.columns.get(name, zero) for name in system.input_names])
+        own = (*system.state_names, *system.input_names)
+        extra = {name: values for name, values in self.columns.items() if name not in own}
+        run = RawRun(self.log.name, self.t - self.t[0], x, u, extra=extra, source=self.log.source)
+        run.notes += self.notes
+        slow = sorted({s.name for s in self._used() if s.rate < _FAR * self.base.rate and s.name})
+        if slow:
+            told = f"streams slower than {self.base.name} ({self.base.rate:.3g} Hz): {', '.join(slow)}"
+            run.notes.append(Finding("slow_topic", run.name, len(slow), told, "interpolated, commands held"))
+        return run
+
+    # ---- what there must be ----------------------------------------------------------------------------
+
+    def _with_what_is_there(self, mapping: LogMapping) -> LogMapping:
+        """The mapping without channels that the machine does not need and this log does not have."""
+        needed = {*self.system.state_names, *self.system.input_names, *self.system.exogenous}
+        kept = {}
+        for name, entry in mapping.columns.items():
+            if not needed & set(self.names[name]) and not all(map(self.log.has, entry.source)):
+                text = f"no column {', '.join(entry.source)} for the channel {name!r}"
+                self.notes.append(Finding("channel", self.log.name, 1, text, "reported"))
+                continue
+            kept[name] = entry
+        return replace(mapping, columns=kept)
+
+    def _complete(self) -> None:
+        """Every state and input has one entry of the right width."""
+        system, given = self.system, [one for names in self.names.values() for one in names]
+        twice = sorted({name for name in given if given.count(name) > 1})
+        if twice:
+            raise ConfigError(f"the mapping says twice where {twice[0]!r} comes from; keep one of them.")
+        rates = {rate for _, rate, _ in system.position_derivatives} if system.quaternion is None else set()
+        needed = (*system.state_names, *system.input_names, *system.exogenous)
+        missing = [n for n in needed if n not in given and n not in system.optional_inputs and n not in rates]
+        if missing:
+            raise ConfigError(
+                f"the mapping of {self.log.source} says nothing of {', '.join(missing)}, which the system "
+                f"{system.name!r} needs. Add entries to `columns:`, or choose a system of what was logged."
+            )
+        for name, entry in self.mapping.columns.items():
+            wanted, got = len(self.names[name]), len(entry.source)
+            if wanted != got and not (got == 3 and self._is_attitude(name)):
+                raise ConfigError(
+                    f"the mapping gives {got} column(s) for {name!r}, and {system.name!r} has {wanted}: "
+                    f"{', '.join(self.names[name])}."
+                )
+
+    def _is_attitude(self, name: str) -> bool:
+        q = self.system.quaternion
+        return q is not None and self.names[name] == tuple(self.system.state_names[q])
+
+    def _rows(self) -> Stream:
+        """The stream whose rows the run has."""
+        attitude = [e for n, e in self.mapping.columns.items() if self._is_attitude(n)]
+        states = [e for n, e in self.mapping.columns.items() if self.names[n][0] in self.system.state_names]
+        if self.system.quaternion is not None and not attitude:
+            raise ConfigError("the mapping has no entry `q` of all of the attitude; it is read as a whole.")
+        base = self._stream((attitude or states)[0])
+        for stream in self._used():
+            if not stream.timed:
+                raise DataError(
+                    f"{self.log.source}: {stream.name or 'the table'} has no column of times. Say which it is, `time: "
+                    "{from: NAME, unit: s}` in the mapping, or how fast it was logged, `time: {rate: 100}`."
+                )
+            apart = min(stream.t[-1], base.t[-1]) - max(stream.t[0], base.t[0])
+            if apart <= 0:
+                raise DataError(
+                    f"{self.log.source}: {stream.name!r} ({stream.t[0]:.6g} to {stream.t[-1]:.6g} s) and {base.name!r} "
+                    f"({base.t[0]:.6g} to {base.t[-1]:.6g} s) have no time in common: two clocks, or two recordings."
+                )
+        self._fast_enough()
+        return base
+
+    def _fast_enough(self) -> None:
+        """Refuse what was logged too slowly to say how a machine moves."""
+        system = self.system
+        for name, entry in self.mapping.columns.items():
+            if self.names[name][0] not in (*system.state_names, *system.input_names):
+                continue
+            motors = system.quaternion is not None and self.names[name][0] in system.input_names
+            slowest = entry.slowest or (MOTOR_RATE if motors else SLOWEST)
+            stream = self._stream(entry)
+            if stream.rate < 0.95 * slowest:
+                why = ", as gains and lags come out wrong of commands that change unseen" if motors else ""
+                raise DataError(
+                    f"{self.log.source}: {name!r} ({stream.name or entry.source[0]}) was logged at {stream.rate:.3g} "
+                    f"Hz; at least {slowest:g} Hz are needed{why}. Log it faster, or read it all the same with "
+                    f"`slowest: {np.floor(stream.rate):g}` in its entry of the mapping."
+                )
+
+    def _stream(self, entry: ColumnEntry) -> Stream:
+        return self.log.find(entry.source[0])[0]
+
+    def _used(self) -> list[Stream]:
+        found = [self.log.find(s)[0] for e in self.mapping.columns.values() for s in e.source]
+        return list({id(stream): stream for stream in found}.values())
+
+    # ---- columns ---------------------------------------------------------------------------------------
+
+    def _values(self, entry: ColumnEntry, *, held: bool) -> Array:
+        """The columns of an entry on the rows of the run, in its own units, (n, k)."""
+        out = []
+        for source in entry.source:
+            stream, column = self.log.find(source)
+            values = stream.fields[column][:, None]
+            if stream is self.base:
+                out.append(values[:, 0])
+            else:
+                out.append((commands if held else linear)(stream, values, self.t)[:, 0])
+        signs = np.array(entry.sign or (1.0,) * len(entry.source))
+        return np.stack(out, axis=1) * signs * entry.scale
+
+    def _attitude(self) -> str | None:
+        """Read the quaternion; the name of its entry."""
+        q = self.system.quaternion
+        name = next((n for n in self.mapping.columns if self._is_attitude(n)), None)
+        if q is None or name is None:
+            return None
+        entry = self.mapping.columns[name]
+        streams = {id(self.log.find(source)[0]) for source in entry.source}
+        if len(streams) > 1:
+            raise ConfigError(
+                f"the mapping reads {name!r} from several streams; an attitude is read from one."
+            )
+        stream = self._stream(entry)
+        values = stream.columns(*(self.log.find(source)[1] for source in entry.source))
+        values = values * np.array(entry.sign or (1.0,) * len(entry.source)) * entry.scale
+        if len(entry.source) == 3:
+            values = from_euler_zyx(values * factor(entry.unit or "rad", "rad", what=f"columns.{name}"))
+        else:
+            length = np.linalg.norm(values, axis=1, keepdims=True)
+            values = np.where(length > 0.5, values, np.nan)  # before the first fix, quaternions are zero
+            if entry.order == "xyzw":
+                values = values[:, [3, 0, 1, 2]]
+        if entry.turns == TURNED:
+            values = conjugate(values)
+        values = attitude_between(values, ned=self._world(entry) == "NED", frd=self._body(entry) == "FRD")
+        if stream is not self.base:
+            values = attitudes(stream, values, self.t)
+        for place, column in enumerate(self.system.state_names[q]):
+            self.columns[column] = values[:, place]
+        return name
+
+    def _world(self, entry: ColumnEntry) -> str:
+        return entry.world or self.mapping.world
+
+    def _body(self, entry: ColumnEntry) -> str:
+        return entry.body or self.mapping.body
+
+    def _fill(self, name: str, entry: ColumnEntry) -> None:
+        system, names = self.system, self.names[name]
+        inputs = names[0] in system.input_names
+        values = self._values(entry, held=inputs)
+        if inputs:
+            values = self._commands(name, entry, values)
+        else:
+            for place, column in enumerate(names):
+                target = self.units.get(column)
+                if target is not None and entry.unit is not None:
+                    values[:, place] *= factor(entry.unit, target, what=f"columns.{name}")
+            values = self._turned(names, entry, values)
+        for place, column in enumerate(names):
+            self.columns[column] = values[:, place] + entry.offset
+
+    def _turned(self, names: Sequence[str], entry: ColumnEntry, values: Array) -> Array:
+        """Vectors of the world to ENU, those of the body to FLU; a velocity of the body to the world."""
+        system = self.system
+        if tuple(names) == RATE_NAMES:
+            return swap_body(values) if self._body(entry) == "FRD" else values
+        if system.quaternion is None or len(names) != 3:
+            return values
+        moved = {one for p, v, frame in system.position_derivatives if frame == "world" for one in (p, v)}
+        if not set(names) <= moved:
+            return values
+        if entry.axes == "body":
+            values = swap_body(values) if self._body(entry) == "FRD" else values
+            q = np.stack([self.columns[c] for c in system.state_names[system.quaternion]], axis=1)
+            return rotate(q / np.linalg.norm(q, axis=1, keepdims=True), values)
+        return swap_world(values) if self._world(entry) == "NED" else values
+
+    def _commands(self, name: str, entry: ColumnEntry, values: Array) -> Array:
+        """Inputs in the system's unit and order."""
+        if entry.low is not None and entry.high is not None:
+            values = (values - entry.low) / (entry.high - entry.low)
+            values = np.clip(values, 0.0, 1.0)
+        elif entry.full is not None:
+            values = np.square(values / entry.full)
+        elif entry.unit is not None:
+            for place, column in enumerate(self.names[name]):
+                values[:, place] *= factor(entry.unit, self.units[column] or "1", what=f"columns.{name}")
+        if entry.numbering is not None:
+            values = values[:, list(order(entry.numbering, values.shape[1]))]
+        return values
+
+
+TURNED = "world to body"

@@ -1,0 +1,247 @@
+"""Whether a mapping says the truth: the run that it makes against kinematics and gravity, in words.
+
+What is looked for is another reading of the same columns that leaves a tenth of what the mapping's leaves; a unit, an
+order of columns, axes. Nothing here knows the machine beyond that its thrust holds it up.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nsde_torch.data.frames import attitude_between
+from nsde_torch.data.mapping.kinematic import (
+    SOUND_ATTITUDE,
+    SOUND_VELOCITY,
+    AttitudeWay,
+    VelocityWay,
+    attitude_left,
+    lean,
+    read_attitude,
+    velocity_left,
+    velocity_ways,
+)
+from nsde_torch.data.mapping.mapping import LogMapping
+from nsde_torch.data.quaternion import conjugate
+from nsde_torch.data.raw import RawRun
+from nsde_torch.data.system_info import SystemInfo, derivative_columns, rate_columns
+
+Array = NDArray[np.float64]
+
+_BETTER = 10.0
+_MOST = 60_000  # rows
+_SIZES = (1e-3, 1e-2, 0.3048, 1.0 / 0.3048, 1e2, 1e3)
+"""Factors that a forgotten unit would be."""
+_LEAN_WORDS = {
+    "down": "positions are turned by 180 deg about the vertical against the attitude, or the body's third axis points "
+    "down: check `frames` (NED for ENU, FRD for FLU)",
+    "turned by 90 deg": "positions are turned by 90 deg about the vertical against the attitude",
+    "turned by -90 deg": "positions are turned by -90 deg about the vertical against the attitude",
+    "exchanged": "east and north of positions are exchanged against the attitude: one of them is NED and the other ENU",
+    "exchanged and reversed": "east and north of positions are exchanged and reversed against the attitude",
+    "reversed in x": "the first axis of positions has the opposite sign of the attitude's",
+    "reversed in y": "the second axis of positions has the opposite sign of the attitude's (a left-handed frame)",
+}
+
+
+@dataclass(frozen=True)
+class LogCheck:
+    """One check of a mapping.
+
+    Args:
+        name: What was checked.
+        passed: True, False, or None where the log does not tell.
+        text: The result, one sentence.
+    """
+
+    name: str
+    passed: bool | None
+    text: str
+
+
+@np.errstate(
+    over="ignore", invalid="ignore"
+)  # of numbers that no sensor says: the checks of all data refuse them
+def checks(system: SystemInfo, run: RawRun, mapping: LogMapping | None = None) -> list[LogCheck]:
+    """What kinematics and gravity say of a run that a mapping made.
+
+    Args:
+        system: The machine.
+        run: In the system's units, axes and order.
+        mapping: What made it, so that its quaternion can be read otherwise; None: `w x y z`, FLU to ENU.
+    """
+    out: list[LogCheck] = []
+    if len(run.t) > _MOST:  # the middle says enough, in a tenth of the time
+        first = (len(run.t) - _MOST) // 2
+        rows = slice(first, first + _MOST)
+        run = RawRun(run.name, run.t[rows], run.x[rows], run.u[rows])
+    q, rates = system.quaternion, rate_columns(system)
+    attitude = None if q is None else run.x[:, q]
+    if q is not None and attitude is not None and rates is not None:
+        logged = _logged(system.state_names[q], mapping)
+        out.append(_attitude(run.t, attitude, run.x[:, rates], logged))
+    for group, (i, j) in derivative_columns(system).items():
+        if not np.isfinite(run.x[:, j]).any():
+            continue
+        if len(i) == 3 and attitude is not None and "(world" in group:
+            out += _velocity(run.t, attitude, run.x[:, i], run.x[:, j])
+            if not any(
+                check.passed is False for check in out
+            ):  # else the lean shows the same fault once more
+                out.append(_lean(run.t, attitude, run.x[:, i]))
+        else:
+            for a, b in zip(i, j, strict=True):
+                out.append(_axis(system, run, a, b))
+    return out
+
+
+@dataclass(frozen=True)
+class _Logged:
+    """How a mapping says that the attitude was logged."""
+
+    order: str = "wxyz"
+    turns: str = "body to world"
+    ned: bool = False
+    frd: bool = False
+    angles: bool = False
+
+    def read(self, q: Array, order: str, turns: str) -> Array:
+        """The attitude, had its columns another order and another direction."""
+        if (order, turns) == (self.order, self.turns):
+            return q
+        raw = attitude_between(q, ned=self.ned, frd=self.frd)  # twice is once too often by a sign at most
+        raw = conjugate(raw) if self.turns == "world to body" else raw
+        raw = raw[:, [1, 2, 3, 0]] if self.order == "xyzw" else raw
+        way = AttitudeWay(order, turns, "rad/s", (1.0, 1.0, 1.0))
+        return attitude_between(read_attitude(raw, way), ned=self.ned, frd=self.frd)
+
+
+def _logged(names: Sequence[str], mapping: LogMapping | None) -> _Logged:
+    if mapping is None:
+        return _Logged()
+    entry = next((e for n, e in mapping.columns.items() if n in (names[0].partition("_")[0], *names)), None)
+    if entry is None:
+        return _Logged()
+    world, body = entry.world or mapping.world, entry.body or mapping.body
+    return _Logged(
+        entry.order or "wxyz",
+        entry.turns or "body to world",
+        world == "NED",
+        body == "FRD",
+        len(entry.source) == 3,
+    )
+
+
+def _attitude(t: Array, q: Array, w: Array, logged: _Logged) -> LogCheck:
+    name = "attitude and rates"
+    plain = AttitudeWay("wxyz", "body to world", "rad/s", (1.0, 1.0, 1.0))
+    own = attitude_left(t, q, w, plain)
+    if not np.isfinite(own):
+        return LogCheck(name, None, "too little turning to compare the attitude with the rates.")
+    told = f"the rates leave {own:.1%} of the attitude's turning over 0.25 s"
+    if own <= SOUND_ATTITUDE:
+        return LogCheck(name, True, f"{told}.")
+    best, words = own, ""
+    for order in (logged.order,) if logged.angles else ("wxyz", "xyzw"):
+        for turns in ("body to world", "world to body"):
+            other = logged.read(q, order, turns)
+            for factor, unit in ((1.0, ""), (np.pi / 180.0, "deg/s"), (180.0 / np.pi, "rad/s")):
+                for sign in (1.0, -1.0):
+                    way = AttitudeWay("wxyz", "body to world", "rad/s", (1.0, sign, sign))
+                    left = attitude_left(t, other, factor * w, way)
+                    if left < best:
+                        best, words = left, _attitude_words(logged, order, turns, unit, sign)
+    if _BETTER * best < own:
+        return LogCheck(
+            name, False, f"the rates leave {own:.0%} of the attitude's turning, and {best:.1%} if {words}."
+        )
+    return LogCheck(name, None, f"{told}, whatever their order, direction and unit: of another body or time.")
+
+
+def _attitude_words(logged: _Logged, order: str, turns: str, unit: str, sign: float) -> str:
+    words = []
+    if order != logged.order:
+        place = "first" if order == "wxyz" else "last"
+        words.append(f"the quaternion has its scalar {place} (`order: {order}`)")
+    if turns != logged.turns:
+        first, _, last = turns.partition(" to ")
+        words.append(f"it turns the {first} into the {last} (`turns: {turns}`)")
+    if unit:
+        words.append(f"the rates are in {unit} (`unit: {unit}`)")
+    if sign < 0:
+        words.append("the rates are those of the other body axes (FRD for FLU: `body` of one of them)")
+    return " and ".join(words)
+
+
+def _velocity(t: Array, q: Array, p: Array, v: Array) -> list[LogCheck]:
+    ways = list(velocity_ways())
+    left = [velocity_left(t, q, p, v, way) for way in ways]
+    sizes = [velocity_left(t, q, p, factor * v, ways[0]) for factor in _SIZES]
+    out = []
+    if not np.isfinite(left[0]):
+        out.append(
+            LogCheck("position and velocity", None, "too little movement to compare position and velocity.")
+        )
+    else:
+        k, size = int(np.nanargmin(left)), int(np.nanargmin(sizes))
+        other = min(left[k], sizes[size])
+        if left[0] > SOUND_VELOCITY and _BETTER * other < left[0]:
+            by = f"{_SIZES[size]:g} times as large: a unit of one of them (`unit`)"
+            words = _velocity_words(ways[k]) if left[k] <= sizes[size] else f"they are {by}"
+            text = f"velocities leave {left[0]:.0%} of the movement, and {other:.1%} if {words}."
+            out.append(LogCheck("position and velocity", False, text))
+        else:
+            sound = True if left[0] <= 5 * SOUND_VELOCITY else None
+            text = f"velocities leave {left[0]:.1%} of the movement over 0.25 s"
+            more = (
+                "."
+                if sound
+                else ", and no other reading of these columns does much better: another unit, time or body."
+            )
+            out.append(LogCheck("position and velocity", sound, text + more))
+    return out
+
+
+def _lean(t: Array, q: Array, p: Array) -> LogCheck:
+    found = lean(t, q, p)
+    name = "lean and acceleration"
+    if found is None or found.way is None:
+        text = "the log leans too little, or too alike, to tell the axes of attitude and positions."
+        return LogCheck(name, None, text)
+    rest = f"{found.left['up']:.0%} of the acceleration left"
+    if found.way == "up" and found.up > 0:
+        return LogCheck(name, True, f"the machine speeds up where its thrust leans ({rest}).")
+    words = _LEAN_WORDS.get(found.way, "the world's third axis points down: check `frames.world`")
+    return LogCheck(name, False, f"the machine does not speed up where its thrust leans ({rest}): {words}.")
+
+
+def _velocity_words(way: VelocityWay) -> str:
+    if way.axes == "body":
+        body = "" if way.signs[1] > 0 else " of the other handedness, FRD for FLU"
+        return f"they are along the body's axes{body} (`axes: body`)"
+    if way.places == (1, 0, 2):
+        return "they are NED and the positions ENU, or the other way round (`world` of one of them)"
+    return "their third axis has the opposite sign of the position's (one up, one down)"
+
+
+def _axis(system: SystemInfo, run: RawRun, i: int, j: int) -> LogCheck:
+    names = f"{system.state_names[i]} and {system.state_names[j]}"
+    p, v = run.x[:, [i]], run.x[:, [j]]
+    left = {
+        factor: velocity_left(run.t, None, p, factor * v, VelocityWay("world", (0,), (1.0,)))  # type: ignore[arg-type]
+        for factor in (1.0, -1.0, np.pi / 180.0, 180.0 / np.pi, 1e-3, 1e3)
+    }
+    if not np.isfinite(left[1.0]):
+        return LogCheck(names, None, f"too little movement to compare {names}.")
+    k = min(left, key=lambda factor: left[factor])
+    if k != 1.0 and left[1.0] > SOUND_VELOCITY and _BETTER * left[k] < left[1.0]:
+        words = "has the opposite sign" if k == -1.0 else f"is multiplied by {k:.4g}: a unit"
+        rate = system.state_names[j]
+        text = f"{rate} leaves {left[1.0]:.0%} of what {system.state_names[i]} moves, and {left[k]:.1%} if it {words}."
+        return LogCheck(names, False, text)
+    sound = True if left[1.0] <= 5 * SOUND_VELOCITY else None
+    text = f"{system.state_names[j]} leaves {left[1.0]:.1%} of what {system.state_names[i]} moves over 0.25 s"
+    return LogCheck(names, sound, text + ("." if sound else ", whatever its sign and unit."))

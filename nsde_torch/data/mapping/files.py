@@ -1,0 +1,114 @@
+"""The runs in a file or a folder, by kind: one log one run, but for tables that are streams of one."""
+
+from __future__ import annotations
+
+import importlib
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, cast
+
+from nsde_torch.data.formats.betaflight import logs_of
+from nsde_torch.data.formats.clock import ClockOf
+from nsde_torch.data.formats.log import StreamLog
+from nsde_torch.data.formats.table import TEXT, same_columns
+from nsde_torch.data.readers import READERS
+from nsde_torch.errors import ConfigError, DataError
+
+MAPPING_FILE = "mapping.yaml"
+"""Name of the mapping beside the logs, which is read where none is given."""
+
+
+@dataclass(frozen=True)
+class LogFile:
+    """One run that can be opened.
+
+    Args:
+        name: Of the run.
+        path: File or folder.
+        kind: Its reader.
+        index: Which log of the file, from 1.
+    """
+
+    name: str
+    path: Path
+    kind: str
+    index: int = 1
+
+    def open(self, clock: ClockOf | None = None) -> StreamLog:
+        """The streams.
+
+        Args:
+            clock: How tables tell the time; other formats say so themselves.
+
+        Raises:
+            DataError: the file cannot be read.
+            ConfigError: a package is not installed.
+        """
+        module, _, name = str(READERS[self.kind].streams).partition(":")
+        opener = cast("Callable[..., StreamLog]", getattr(importlib.import_module(module), name))
+        given: dict[str, Any] = {"clock": clock} if self.kind == "table" else {}
+        if self.kind == "betaflight":
+            given["index"] = self.index
+        log = opener(self.path, **given)
+        log.name = self.name
+        return log
+
+
+def log_files(kind: str, path: str | Path) -> list[LogFile]:
+    """The runs of a file or folder, in the order of their names.
+
+    Args:
+        kind: A reader of streams.
+        path: File or folder.
+
+    Raises:
+        DataError: nothing there, or nothing of that kind.
+        ConfigError: a kind that has no streams.
+    """
+    path = Path(path)
+    if kind not in READERS or READERS[kind].streams is None:
+        raise ConfigError(f"data of kind {kind!r} are read without a mapping.")
+    suffixes = tuple(dict.fromkeys((*READERS[kind].suffixes, *(TEXT if kind == "table" else ()))))
+    if not path.exists():
+        raise DataError(
+            f"`path`: {path} does not exist; expected a file ({', '.join(suffixes)}) or a folder of them."
+        )
+    files = [path] if path.is_file() or _is_bag(path) else _inside(path, suffixes, kind)
+    if not files:
+        raise DataError(f"`path`: {path} holds no file of the kind {kind!r} ({', '.join(suffixes)}).")
+    if kind == "betaflight":
+        return [
+            LogFile(file.stem if count == 1 else f"{file.stem}_{k}", file, kind, k)
+            for file in files
+            for count in [logs_of(file)]
+            for k in range(1, count + 1)
+        ]
+    return [LogFile(file.stem, file, kind) for file in files]
+
+
+def _is_bag(path: Path) -> bool:
+    return path.is_dir() and (path / "metadata.yaml").is_file() and bool(list(path.glob("*.db3")))
+
+
+def _inside(folder: Path, suffixes: Sequence[str], kind: str) -> list[Path]:
+    found = sorted(p for p in folder.iterdir() if not p.name.startswith("."))
+    files = [p for p in found if p.is_file() and p.suffix.lower() in suffixes]
+    folders = [p for p in found if p.is_dir()]
+    if kind == "rosbag":
+        return files + [p for p in folders if _is_bag(p)]
+    if kind != "table":
+        return files
+    text = [p for p in files if p.suffix.lower() in TEXT]
+    if len(text) > 1 and len(text) == len(files) and not same_columns(text):
+        return [folder]  # streams of one run
+    if not files:
+        return [p for p in folders if any(q.suffix.lower() in suffixes for q in p.iterdir())]
+    return files
+
+
+def mapping_beside(path: str | Path) -> Path | None:
+    """The mapping file that lies with the logs; None where there is none."""
+    path = Path(path)
+    file = (path if path.is_dir() else path.parent) / MAPPING_FILE
+    return file if file.is_file() else None

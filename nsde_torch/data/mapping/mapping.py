@@ -1,0 +1,274 @@
+"""What the columns of a log mean to a system: one YAML file.
+
+    system: quadrotor
+    kind: table                                  # the reader
+    time: {from: timestamp, unit: us}            # tables only; or {rate: 100}
+    frames: {world: NED, body: FRD}              # the log's axes; ENU and FLU where nothing is said
+    columns:
+      p: {from: [x, y, z], unit: m}
+      v: {from: [vx, vy, vz], unit: m/s, axes: body}
+      q: {from: [qx, qy, qz, qw], order: xyzw, turns: body to world}      # or roll, pitch and yaw with a unit
+      w: {from: [gyro/x, gyro/y, gyro/z], unit: deg/s, sign: [1, -1, -1]}
+      u: {from: [m1, m2, m3, m4], unit: us, low: 1000, high: 2000, numbering: betaflight}
+      battery_voltage: {from: vbat, unit: V}
+
+A key of `columns` is the name of a state, an input or a further channel, or the letter that a group of them begins
+with.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping as Table
+from collections.abc import Sequence
+from dataclasses import dataclass, field, fields, replace
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from nsde_torch.data.formats.clock import SECONDS, ClockOf
+from nsde_torch.data.system_info import SystemInfo
+from nsde_torch.errors import ConfigError
+from nsde_torch.lookup import did_you_mean
+
+WORLDS, BODIES = ("ENU", "NED"), ("FLU", "FRD")
+AXES = ("world", "body")
+ORDERS = ("wxyz", "xyzw")
+TURNS = ("body to world", "world to body")
+_LARGEST = 1 << 20  # bytes of the file
+
+
+@dataclass(frozen=True)
+class ColumnEntry:
+    """How a column, or a group of columns, is logged.
+
+    Args:
+        source: Columns of the log.
+        unit: Of them; None: that of the system.
+        sign: Of each, 1 or -1; empty: 1.
+        scale: Further factor.
+        offset: What is added at last, in the unit of the system.
+        axes: Of a velocity: `world` or `body`.
+        order: Of a quaternion: `wxyz` or `xyzw`.
+        turns: What a quaternion turns: `body to world` or `world to body`.
+        world: Axes of the world of this entry, where they differ from those of the file.
+        body: Axes of the body, likewise.
+        low: Reading of an input that means 0.
+        high: Reading of an input that means 1.
+        full: Speed of a rotor at full thrust, in `unit`: the input is the square of the share of it.
+        numbering: Whose numbers the motors have, a key of `numbering.NUMBERINGS`.
+        slowest: Slowest rate that is read [Hz]; None: 50 of motors, 4 of other inputs and of states.
+    """
+
+    source: tuple[str, ...]
+    unit: str | None = None
+    sign: tuple[float, ...] = ()
+    scale: float = 1.0
+    offset: float = 0.0
+    axes: str | None = None
+    order: str | None = None
+    turns: str | None = None
+    world: str | None = None
+    body: str | None = None
+    low: float | None = None
+    high: float | None = None
+    full: float | None = None
+    numbering: str | None = None
+    slowest: float | None = None
+
+
+@dataclass(frozen=True)
+class LogMapping:
+    """What the columns of a log mean to a system (see the module's text).
+
+    Args:
+        columns: Entries by the name of a column of the system, or of a group.
+        system: Name of the system; empty where any that fits will do.
+        kind: The reader, for `nsde inspect`; empty: by the files.
+        time: The clock of tables.
+        world: Axes of the world in the log, `ENU` or `NED`.
+        body: Axes of the body in the log, `FLU` or `FRD`.
+    """
+
+    columns: Table[str, ColumnEntry]
+    system: str = ""
+    kind: str = ""
+    time: ClockOf = field(default_factory=ClockOf)
+    world: str = "ENU"
+    body: str = "FLU"
+
+    def changed(self, name: str, **values: Any) -> LogMapping:
+        """The mapping with values of one entry changed."""
+        return replace(self, columns={**self.columns, name: replace(self.columns[name], **values)})
+
+
+_KEYS = ("system", "kind", "time", "frames", "columns")
+_ENTRY = {"from": "source", **{f.name: f.name for f in fields(ColumnEntry) if f.name != "source"}}
+_CHOICES: dict[str, Sequence[str]] = {
+    "axes": AXES, "order": ORDERS, "turns": TURNS, "world": WORLDS, "body": BODIES,
+}  # fmt: skip
+
+
+def read_mapping(path: str | Path) -> LogMapping:
+    """The mapping of a YAML file.
+
+    Raises:
+        ConfigError: no such file, not YAML, an unknown key or a value out of range; the message names the key.
+    """
+    path = Path(path)
+    try:
+        if path.stat().st_size > _LARGEST:
+            raise ConfigError(f"`mapping`: {path} is larger than 1 MiB; no mapping is.")
+        content = yaml.safe_load(path.read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError) as error:
+        raise ConfigError(f"`mapping`: {path} cannot be read ({type(error).__name__}).") from error
+    except (yaml.YAMLError, RecursionError) as error:
+        raise ConfigError(f"`mapping`: {path} is not YAML ({' '.join(str(error).split())[:160]}).") from error
+    return mapping_of(content, str(path))
+
+
+def mapping_of(content: Any, source: str = "the mapping") -> LogMapping:
+    """A mapping from plain containers.
+
+    Args:
+        content: As in the YAML file.
+        source: File, for messages.
+
+    Raises:
+        ConfigError: as `read_mapping`.
+    """
+    if (
+        not isinstance(content, dict)
+        or not isinstance(content.get("columns"), dict)
+        or not content["columns"]
+    ):
+        raise ConfigError(f"{source} must hold `columns:` with an entry for each state and input.")
+    _known(content, _KEYS, source)
+    frames = _table(content.get("frames") or {}, f"{source}: `frames`")
+    _known(frames, ("world", "body"), f"{source}: `frames`")
+    time = _table(content.get("time") or {}, f"{source}: `time`")
+    _known(time, ("from", "unit", "rate"), f"{source}: `time`")
+    unit, rate = time.get("unit"), time.get("rate")
+    if unit is not None and unit not in SECONDS:
+        raise ConfigError(f"{source}: `unit` of the time must be one of {', '.join(SECONDS)}; got {unit!r}.")
+    if rate is not None and not (_is_number(rate) and rate > 0):
+        raise ConfigError(f"{source}: `rate` of the time must be rows a second, > 0; got {rate!r}.")
+    clock = ClockOf(None if time.get("from") is None else str(time["from"]), unit, rate)
+    return LogMapping(
+        {
+            str(name): _entry(value, f"{source}: `columns.{name}`")
+            for name, value in content["columns"].items()
+        },
+        system=str(content.get("system") or ""),
+        kind=str(content.get("kind") or ""),
+        time=clock,
+        world=_choice(frames.get("world", "ENU"), WORLDS, f"{source}: `frames.world`"),
+        body=_choice(frames.get("body", "FLU"), BODIES, f"{source}: `frames.body`"),
+    )
+
+
+def _entry(value: Any, what: str) -> ColumnEntry:
+    given = {"from": value} if isinstance(value, str | list) else dict(_table(value, what))
+    _known(given, tuple(_ENTRY), what)
+    source = given.pop("from", None)
+    names = (
+        (source,) if isinstance(source, str) else tuple(source) if isinstance(source, list | tuple) else ()
+    )
+    if not names or not all(isinstance(name, str) for name in names):
+        raise ConfigError(f"{what} needs `from:`, the column of the log or a list of them.")
+    out: dict[str, Any] = {}
+    for key, one in given.items():
+        if one is None:
+            continue
+        if key in _CHOICES:
+            out[key] = _choice(one, _CHOICES[key], f"{what}: `{key}`")
+        elif key in ("unit", "numbering"):
+            out[key] = str(one)
+        elif key == "sign":
+            signs: tuple[Any, ...] = tuple(one) if isinstance(one, list | tuple) else (one,) * len(names)
+            if len(signs) != len(names) or any(s not in (1, -1) for s in signs):
+                raise ConfigError(
+                    f"{what}: `sign` must be 1 or -1, or one for each of {len(names)}; got {one!r}."
+                )
+            out[key] = tuple(float(str(s)) for s in signs)
+        elif not _is_number(one):
+            raise ConfigError(f"{what}: `{key}` must be a number; got {one!r}.")
+        else:
+            out[key] = float(str(one))
+    if ("low" in out) != ("high" in out) or ("low" in out and out["low"] == out["high"]):
+        raise ConfigError(f"{what}: `low` and `high` belong together, and must differ.")
+    if out.get("full") == 0.0:
+        raise ConfigError(f"{what}: `full` must not be 0.")
+    return ColumnEntry(names, **out)
+
+
+def plain(mapping: LogMapping) -> dict[str, Any]:
+    """A mapping as plain containers; what is as it always is left out."""
+    out: dict[str, Any] = {"system": mapping.system, "kind": mapping.kind}
+    clock = mapping.time
+    told = {"from": clock.source, "unit": clock.unit, "rate": clock.rate}
+    if any(value is not None for value in told.values()):
+        out["time"] = {key: value for key, value in told.items() if value is not None}
+    if (mapping.world, mapping.body) != ("ENU", "FLU"):
+        out["frames"] = {"world": mapping.world, "body": mapping.body}
+    out["columns"] = {name: _plain_entry(entry) for name, entry in mapping.columns.items()}
+    return {key: value for key, value in out.items() if value}
+
+
+def _plain_entry(entry: ColumnEntry) -> dict[str, Any]:
+    first: Any = entry.source[0] if len(entry.source) == 1 else list(entry.source)
+    out: dict[str, Any] = {"from": first}
+    for one in fields(ColumnEntry)[1:]:
+        value = getattr(entry, one.name)
+        if value != one.default:
+            out[one.name] = [int(s) for s in value] if one.name == "sign" else value
+    return out
+
+
+def text(mapping: LogMapping) -> str:
+    """A mapping as YAML, an entry a line."""
+    content = plain(mapping)
+    lines = [f"{key}: {content[key]}" for key in ("system", "kind") if key in content]
+    lines += [f"{key}: {_flow(content[key])}" for key in ("time", "frames") if key in content]
+    lines.append("columns:")
+    lines += [f"  {name}: {_flow(entry)}" for name, entry in content["columns"].items()]
+    return "\n".join(lines) + "\n"
+
+
+def _flow(value: Any) -> str:
+    return yaml.safe_dump(
+        value, default_flow_style=True, sort_keys=False, width=10_000, allow_unicode=True
+    ).strip()
+
+
+def targets(system: SystemInfo, name: str) -> tuple[str, ...]:
+    """Columns of a system that an entry stands for; of a name that it does not know, that channel."""
+    everything = (*system.state_names, *system.input_names, *system.exogenous)
+    if name in everything:
+        return (name,)
+    group = tuple(
+        one for one in everything if one.rpartition("_")[0] == name or one.partition("_")[0] == name
+    )
+    return group or (name,)
+
+
+def _known(given: Table[str, Any], keys: Sequence[str], what: str) -> None:
+    for key in given:
+        if key not in keys:
+            raise ConfigError(f"{what}: {key!r} is none of {', '.join(keys)}.{did_you_mean(str(key), keys)}")
+
+
+def _table(value: Any, what: str) -> Table[str, Any]:
+    if not isinstance(value, dict):
+        raise ConfigError(f"{what} must be a table `key: value`; got {value!r}.")
+    return value
+
+
+def _choice(value: Any, choices: Sequence[str], what: str) -> str:
+    if value not in choices:
+        raise ConfigError(f"{what} must be one of {', '.join(choices)}; got {value!r}.")
+    return str(value)
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) < 1e300

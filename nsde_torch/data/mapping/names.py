@@ -1,0 +1,206 @@
+"""What names of columns say: which vector a column is of, which of its axes, and in what unit.
+
+`vel_x`, `vx`, `twist.linear.x`, `velocity[0]` and `v_x [m/s]` are all the first axis of a velocity.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+from nsde_torch.data.mapping.units import known
+from nsde_torch.data.streams import Stream
+
+_UNIT = re.compile(r"\s*[\[\(]([^\]\)]*)[\]\)]\s*$")
+_SUFFIX = re.compile(r"_(deg_s|deg_per_s|dps|deg|rad_s|rad|mps|m_s|rpm|mm|cm|pwm)$")
+_SUFFIXES = {
+    "deg_s": "deg/s",
+    "deg_per_s": "deg/s",
+    "dps": "deg/s",
+    "rad_s": "rad/s",
+    "mps": "m/s",
+    "m_s": "m/s",
+    "pwm": "",
+}
+
+POSITION, VELOCITY, QUATERNION, EULER, RATES, ACCELERATION, MOTORS = (
+    "position", "velocity", "quaternion", "euler", "rates", "acceleration", "motors",
+)  # fmt: skip
+_WORDS: dict[str, set[str]] = {
+    POSITION: {"", "p", "pos", "position", "xyz", "translation", "loc", "location", "r"},
+    VELOCITY: {"v", "vel", "velocity", "linear", "linvel", "linearvelocity", "speed", "dp"},
+    QUATERNION: {"q", "quat", "quaternion", "orientation", "rotation", "rot", "att", "attitude"},
+    EULER: {"", "rpy", "euler", "att", "attitude", "angle", "angles"},
+    RATES: {
+        "w", "omega", "gyro", "gyr", "gyroadc", "rate", "rates", "angvel", "angular", "angularvelocity", "angrate",
+        "om", "bodyrate", "bodyrates", "av",
+    },
+    ACCELERATION: {"a", "acc", "accel", "acceleration", "linearacceleration", "accsmooth"},
+    MOTORS: {
+        "m", "u", "motor", "motors", "motorspeed", "motorspeeds", "motorcmd", "motorcommand", "motorcommands", "pwm",
+        "rpm", "esc", "escrpm", "rotor", "rotors", "rotorspeed", "rotorspeeds", "cmd", "control", "output", "outputs",
+        "actuator", "actuators", "throttle", "thrust", "motoromega", "motorrpm", "motorpwm", "mot", "omega",
+        "angularvelocities",
+    },
+}  # fmt: skip
+_PLAIN = {"data", "value", "values", "velocity", "normalized"}
+"""Words that say nothing: the name of the stream does."""
+_NOT_MEASURED = re.compile(
+    r"(^|[^a-z])(sp|set_?point|setp|ref|reference|des|desired|target|ctrltarget|cmd_?vel|goal|err|error|cov|std|var|bias|offset|raw_?cmd|pid\w*)([^a-z]|$)"
+)
+_FORMS = (
+    re.compile(r"^(?P<stem>.*?)(?P<joint>[._/ ]?)\[(?P<axis>\d+)\]$"),
+    re.compile(r"^(?P<stem>.*?)(?P<joint>[._/ ])(?P<axis>[wxyz])(?P<tail>_[a-z0-9]+)?$"),
+    re.compile(r"^(?P<stem>.*?)(?P<joint>[._/ ]?)(?P<axis>\d{1,2})$"),
+    re.compile(r"^(?P<stem>(?:.*[._/])?[a-z]{1,8}?)(?P<joint>)(?P<axis>[wxyz])(?P<tail>_[a-z0-9]+)?$"),
+    re.compile(r"^(?P<stem>(?:.*[._/])?)(?P<joint>)(?P<axis>[xyz])$"),
+)
+_NED = re.compile(r"^(?P<stem>(?:.*[._/])?[pv])(?P<joint>)(?P<axis>[ned])$")
+_TURNS = re.compile(
+    r"^(?P<stem>.*?)(?P<joint>[._/ ]?)(?P<axis>roll|pitch|yaw|phi|theta|psi)(?P<tail>speed|_?rate)?$"
+)
+
+
+@dataclass(frozen=True)
+class Named:
+    """Columns that are one vector, by their names.
+
+    Args:
+        kind: What it is, one of the constants of this module.
+        stream: Name of their stream.
+        columns: In the order of the axes; of a quaternion in that of `order`.
+        unit: As the names say; None: they do not.
+        order: Of a quaternion, `wxyz` or `xyzw`; None: numbered, so that it is not said.
+        down: Whether the names say north, east, down.
+        measured: False of what looks like a setpoint or an error.
+    """
+
+    kind: str
+    stream: str
+    columns: tuple[str, ...]
+    unit: str | None = None
+    order: str | None = None
+    down: bool = False
+    measured: bool = True
+
+
+def bare(name: str) -> tuple[str, str | None]:
+    """A name without the unit in it, and the unit."""
+    found = _UNIT.search(name)
+    if found and found[1].strip() and not found[1].strip().isdigit() and known(found[1]):
+        return name[: found.start()].strip(), found[1]
+    low = name.lower()
+    ending = _SUFFIX.search(low)
+    if ending:
+        unit = _SUFFIXES.get(ending[1], ending[1])
+        return name[: ending.start()], unit or None
+    return name, None
+
+
+def vectors(stream: Stream) -> list[Named]:
+    """The vectors in a stream, by the names of its columns."""
+    groups: dict[tuple[str, str, str], dict[str, str]] = {}
+    units: dict[tuple[str, str, str], str | None] = {}
+    for column in stream.fields:
+        name, unit = bare(column)
+        for stem, joint, axis, tail in _splits(name.lower()):
+            key = (stem, joint, tail)
+            groups.setdefault(key, {})[axis] = column
+            units[key] = stream.units.get(column) or unit
+    out: list[Named] = []
+    for key, axes in groups.items():
+        out += _named(stream.name, key, axes, units[key])
+    return sorted(out, key=lambda one: list(stream.fields).index(one.columns[0]))
+
+
+def _splits(name: str) -> Iterator[tuple[str, str, str, str]]:
+    """Stem, joint, axis and tail of a name, each way that it can be read."""
+    turned = _TURNS.match(name)
+    if turned:
+        axis = {"roll": "x", "phi": "x", "pitch": "y", "theta": "y", "yaw": "z", "psi": "z"}[turned["axis"]]
+        yield turned["stem"] + "~", turned["joint"], axis, turned["tail"] or ""
+        return
+    down = _NED.match(name)
+    if down:
+        yield down["stem"], "", down["axis"], ""
+    for form in _FORMS:
+        found = form.match(name)
+        if found:
+            groups = found.groupdict()
+            yield found["stem"], found["joint"], found["axis"], groups.get("tail") or ""
+            return
+    if name in ("p", "q", "r"):
+        yield "pqr", "", {"p": "x", "q": "y", "r": "z"}[name], ""
+
+
+def _named(stream: str, key: tuple[str, str, str], axes: dict[str, str], unit: str | None) -> Iterator[Named]:
+    stem, _, tail = key
+    word = _word(stem)
+    if word in _PLAIN and _word(stream.replace("/", ".")) in _WORDS[MOTORS] and "x" not in axes:
+        word = "motors"
+    word = word or ("" if not stem.strip("._/ ") else stem)
+    whole = f"{stream}/{stem}{tail}".lower()
+    measured = not _NOT_MEASURED.search(whole)
+    if stem.endswith("~"):
+        if set("xyz") <= set(axes):
+            columns = tuple(axes[a] for a in "xyz")
+            kind = RATES if tail or _word(stem[:-1]) in _WORDS[RATES] else EULER
+            yield Named(kind, stream, columns, unit, measured=measured)
+        return
+    if stem == "pqr":
+        if len(axes) == 3:
+            yield Named(RATES, stream, tuple(axes[a] for a in "xyz"), unit)
+        return
+    if set("ned") <= set(axes):
+        kind = POSITION if stem.endswith("p") else VELOCITY
+        yield Named(kind, stream, tuple(axes[a] for a in "ned"), unit, down=True, measured=measured)
+        return
+    if set("wxyz") <= set(axes) and word in _WORDS[QUATERNION] | {""}:
+        first = min(axes.values(), key=list(axes.values()).index)
+        order = "wxyz" if first == axes["w"] else "xyzw"
+        yield Named(QUATERNION, stream, tuple(axes[a] for a in order), None, order=order, measured=measured)
+        return
+    if set("xyz") <= set(axes):
+        columns = tuple(axes[a] for a in "xyz")
+        for kind in (POSITION, VELOCITY, RATES, ACCELERATION):
+            if word in _WORDS[kind]:
+                yield Named(kind, stream, columns, unit, measured=measured)
+                return
+        return
+    numbers = sorted(int(a) for a in axes if a.isdigit())
+    if not numbers or numbers != list(range(numbers[0], numbers[0] + len(numbers))) or numbers[0] > 1:
+        return
+    columns = tuple(
+        axes[str(k)] if str(k) in axes else next(axes[a] for a in axes if a.isdigit() and int(a) == k)
+        for k in numbers
+    )
+    kinds = {3: (POSITION, VELOCITY, RATES, ACCELERATION, EULER), 4: (QUATERNION,)}.get(len(columns), ())
+    for kind in kinds:
+        if word in _WORDS[kind] - {""}:
+            yield Named(kind, stream, columns, unit, measured=measured)
+            return
+    if word in _WORDS[MOTORS] and len(columns) >= 2:
+        yield Named(
+            MOTORS, stream, columns, unit, measured=not re.search(r"(^|[^a-z])(sp|setpoint)([^a-z]|$)", whole)
+        )
+
+
+def _word(stem: str) -> str:
+    """The last word of a stem, without what joins words; two words where the last says too little."""
+    words = [w for w in re.split(r"[./\s]+", stem.strip("._/ ")) if w]
+    if not words:
+        return ""
+    last = words[-1]
+    parts = [p for p in last.split("_") if p]
+    squeezed = "".join(parts)
+    every = set().union(*_WORDS.values())
+    for candidate in (squeezed, parts[-1] if parts else "", *([parts[0]] if parts else [])):
+        if candidate in every:
+            return candidate
+    return squeezed
+
+
+def pick(found: Sequence[Named], kind: str) -> list[Named]:
+    """The vectors of a kind that are measured."""
+    return [one for one in found if one.kind == kind and one.measured]

@@ -1,0 +1,144 @@
+"""Columns of machines without an attitude: each state and input by its name, or by one that means the same."""
+
+from __future__ import annotations
+
+import difflib
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+from nsde_torch.data.formats.log import StreamLog, full
+from nsde_torch.data.mapping.mapping import ColumnEntry, targets
+from nsde_torch.data.mapping.names import bare
+from nsde_torch.data.streams import moving
+from nsde_torch.data.system_info import SystemInfo
+
+_POSITIONS = {
+    "q",
+    "x",
+    "y",
+    "pos",
+    "position",
+    "angle",
+    "theta",
+    "phi",
+    "qm",
+    "displacement",
+    "deflection",
+    "output",
+}
+_RATES = {
+    "v",
+    "vel",
+    "velocity",
+    "speed",
+    "dq",
+    "qd",
+    "qdot",
+    "dx",
+    "xd",
+    "xdot",
+    "omega",
+    "dtheta",
+    "thetadot",
+    "angvel",
+}
+_INPUTS = {
+    "u",
+    "f",
+    "force",
+    "input",
+    "tau",
+    "torque",
+    "voltage",
+    "current",
+    "command",
+    "cmd",
+    "control",
+    "vir",
+    "motor",
+}
+
+
+@dataclass
+class ColumnsFound:
+    """Entries, and what is missing or open."""
+
+    columns: dict[str, ColumnEntry] = field(default_factory=dict)
+    missing: list[str] = field(default_factory=list)
+    open: list[str] = field(default_factory=list)
+
+
+def propose_single(
+    log: StreamLog, system: SystemInfo, said: Mapping[str, ColumnEntry] | None = None
+) -> ColumnsFound:
+    """Entries for the states and inputs of a machine without an attitude.
+
+    Args:
+        log: The streams.
+        system: The machine.
+        said: Entries that the format gives; those that are of the system are taken.
+    """
+    out = ColumnsFound()
+    names = {*system.state_names, *system.input_names, *system.exogenous}
+    given: set[str] = set()
+    for name, entry in (said or {}).items():
+        own = targets(system, name)
+        if set(own) <= names and len(own) == len(entry.source):
+            out.columns[name] = entry
+            given |= set(own)
+    free: dict[str, tuple[str, str | None]] = {}
+    still: set[str] = set()
+    for stream in log.streams:
+        for column, values in stream.fields.items():
+            name, unit = bare(column)
+            free[full(stream, column)] = (name, stream.units.get(column) or unit)
+            if not moving(values[:, None])[0]:
+                still.add(full(stream, column))
+    rates = {rate: position for position, rate, _ in system.position_derivatives}
+    for wanted in (*system.state_names, *system.input_names, *system.exogenous):
+        if wanted in given:
+            continue
+        found = _named(wanted, free, still, system, rates)
+        if len(found) == 1:
+            name = found[0]
+            unit = free.pop(name)[1]
+            out.columns[wanted] = ColumnEntry((name,), unit=unit)
+        elif found:
+            out.open.append(f"{wanted} may be {' or '.join(found)}")
+            out.columns[wanted] = ColumnEntry((found[0],), unit=free.pop(found[0])[1])
+        elif wanted not in rates and wanted not in system.optional_inputs:
+            out.missing.append(f"a column for {wanted}")
+    return out
+
+
+def _named(
+    wanted: str,
+    free: dict[str, tuple[str, str | None]],
+    still: set[str],
+    system: SystemInfo,
+    rates: dict[str, str],
+) -> list[str]:
+    """Columns of a name that means `wanted`: the same, else a synonym where the system has one such, else alike."""
+    plain = {key: _squeezed(name) for key, (name, _) in free.items()}
+    same = [key for key, name in plain.items() if name == _squeezed(wanted)]
+    if same:
+        return same
+    plain = {key: name for key, name in plain.items() if key not in still}
+    positions = [n for n in system.state_names if n not in rates]
+    words = set()
+    if len(positions) == 1 and wanted in rates:
+        words = _RATES
+    elif len(positions) == 1 and wanted in positions:
+        words = _POSITIONS
+    elif len(system.input_names) == 1 and wanted in system.input_names:
+        words = _INPUTS
+    alike = [key for key, name in plain.items() if name in words]
+    if alike:
+        return alike
+    near = difflib.get_close_matches(_squeezed(wanted), list(plain.values()), n=1, cutoff=0.8)
+    return [key for key, name in plain.items() if near and name == near[0]]
+
+
+def _squeezed(name: str) -> str:
+    return re.sub(r"[^a-z0-9]", "", re.split(r"[./]", name.lower())[-1])

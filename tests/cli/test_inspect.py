@@ -1,0 +1,158 @@
+"""`nsde inspect`: from a log to a mapping to a model."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+
+import nsde_torch
+from nsde_torch.cli.commands import inspect as command
+from nsde_torch.cli.main import main
+from nsde_torch.data.frames import attitude_to_enu, swap_body, swap_world
+from tests.helpers import log_writers
+from tests.helpers.leaning import leaning_flight
+from tests.helpers.ulog_bytes import write_ulog
+
+
+@pytest.fixture(scope="module")
+def springs(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Two runs of a spring with positions in millimetres, times in milliseconds and a reversed force."""
+    folder = tmp_path_factory.mktemp("springs")
+    made = nsde_torch.simulate("mass_spring_damper", durations=[12.0, 12.0], seed=0)
+    for run in made.runs:
+        columns = {
+            "time_ms": 1e3 * run.t,
+            "position [mm]": 1e3 * run.x[:, 0],
+            "speed [mm/s]": 1e3 * run.x[:, 1],
+            "force": run.u[: len(run.t), 0],
+        }
+        log_writers.write_table(folder / f"{run.name}.csv", columns)
+    return folder
+
+
+def test_from_a_folder_of_logs_to_a_model(
+    springs: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["inspect", str(springs), "system=mass_spring_damper"]) == 0
+    out = capsys.readouterr().out
+    assert "position [mm]" in out
+    assert f"wrote {springs / 'mapping.yaml'}" in out
+    written = yaml.safe_load((springs / "mapping.yaml").read_text(encoding="utf-8"))
+    assert written["columns"]["q"] == {"from": "position [mm]", "unit": "mm"}
+    assert written["time"] == {"from": "time_ms", "unit": "ms"}
+    assert main(["inspect", str(springs), "system=mass_spring_damper"]) == 0
+    assert "holds this mapping" in capsys.readouterr().out
+    data = ["data=log", f"data.path={springs}"]
+    assert (
+        main(["train", "system=mass_spring_damper", "model=sysid", *data, f"run_dir={tmp_path / 'run'}"]) == 0
+    )
+    truth = nsde_torch.read(
+        nsde_torch.simulate("mass_spring_damper", durations=[12.0, 12.0], seed=0), system="mass_spring_damper"
+    )
+    read = nsde_torch.read(springs, system="mass_spring_damper", kind="log")
+    assert np.abs(read.runs[0].x - truth.runs[0].x).max() < 1e-9
+
+
+def test_a_wrong_sign_of_the_input_is_told_by_the_physics(
+    springs: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    mapping = tmp_path / "mapping.yaml"
+    mapping.write_text(
+        "columns:\n  q: {from: 'position [mm]', unit: mm}\n  q_dot: {from: 'speed [mm/s]', unit: mm/s}\n"
+        "  force: {from: force, sign: -1}\n",
+        encoding="utf-8",
+    )
+    assert main(["inspect", str(springs), "system=mass_spring_damper", f"mapping={mapping}"]) == 1
+    assert "NO  signs of the physics: With the opposite sign of 'force'" in capsys.readouterr().out
+
+
+def test_a_quadrotor_is_recognised_and_its_mapping_checked(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    columns = log_writers.ned_columns(leaning_flight(20.0))
+    log_writers.write_table(tmp_path / "run.csv", columns)
+    assert main(["inspect", str(tmp_path), "physics=false", f"out={tmp_path / 'm.yaml'}"]) == 0
+    out = capsys.readouterr().out
+    assert "taken for 'quadrotor'" in out
+    assert "axes are NED and FRD" in out
+    assert f"data.mapping={tmp_path / 'm.yaml'}" in out
+    written = yaml.safe_load((tmp_path / "m.yaml").read_text(encoding="utf-8"))
+    assert written["frames"] == {"world": "NED", "body": "FRD"}
+    assert written["columns"]["w"]["unit"] == "deg/s"
+    assert written["columns"]["q"]["order"] == "xyzw"
+    wrong = (tmp_path / "m.yaml").read_text(encoding="utf-8").replace("order: xyzw", "order: wxyz")
+    (tmp_path / "m.yaml").write_text(wrong, encoding="utf-8")
+    assert main(["inspect", str(tmp_path), "system=quadrotor", f"mapping={tmp_path / 'm.yaml'}"]) == 1
+    out = capsys.readouterr().out
+    assert "NO  attitude and rates" in out
+    assert "order: xyzw" in out
+    assert "next:" not in out
+
+
+def test_the_numbers_of_motors_are_found_by_the_physics(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    made = nsde_torch.simulate("quadrotor", durations=[15.0], seed=3)
+    log_writers.write_table(tmp_path / "run.npz", log_writers.ned_columns(made.runs[0]))
+    assert main(["inspect", str(tmp_path), "system=quadrotor"]) == 0
+    assert "motors are numbered as in betaflight" in capsys.readouterr().out
+    written = (tmp_path / "mapping.yaml").read_text(encoding="utf-8")
+    assert "numbering: betaflight" in written
+    (tmp_path / "wrong.yaml").write_text(
+        written.replace("numbering: betaflight", "numbering: px4"), encoding="utf-8"
+    )
+    assert main(["inspect", str(tmp_path), "system=quadrotor", f"mapping={tmp_path / 'wrong.yaml'}"]) == 1
+    out = capsys.readouterr().out
+    assert "NO  numbering of the motors" in out
+    assert "`numbering: betaflight`" in out
+
+
+def test_what_csv_files_of_the_package_hold(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["simulate", "system=mass_spring_damper", f"out={tmp_path / 'd'}", "durations=[6,6]"]) == 0
+    assert main(["inspect", str(tmp_path / "d"), "system=mass_spring_damper"]) == 0
+    out = capsys.readouterr().out
+    assert "needs no mapping" in out
+    assert not (tmp_path / "d" / "mapping.yaml").exists()
+
+
+def test_a_px4_log_is_listed_and_read_by_its_own_reader(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    run = leaning_flight(12.0)
+    p, v, w = swap_world(run.x[:, :3]), swap_world(run.x[:, 3:6]), swap_body(run.x[:, 10:])
+    one = np.ones(len(run.t))
+    odometry = {"timestamp": 50.0 + run.t, "position": p, "q": attitude_to_enu(run.x[:, 6:10]), "velocity": v}
+    odometry |= {"angular_velocity": w, "pose_frame": one, "velocity_frame": one}
+    motors = {"timestamp": 50.0 + run.t, "control": run.u}
+    write_ulog(tmp_path / "flight.ulg", {"vehicle_odometry": odometry, "actuator_motors": motors})
+    assert main(["inspect", str(tmp_path), "physics=false"]) == 0
+    out = capsys.readouterr().out
+    assert "data=ulog, 1 run (flight)" in out
+    assert "actuator_motors/control[0]" in out
+    assert "ok  lean and acceleration" in out
+    assert not (tmp_path / "mapping.yaml").exists()
+
+
+def test_faults_of_the_user_are_one_sentence(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "x.npz").write_bytes(b"PK")
+    for words, message in (
+        (["nowhere"], "does not exist"),
+        ([str(tmp_path / "x.npz")], "is not a readable .npz file"),
+        ([str(tmp_path), "sistem=quadrotor"], "Did you mean `system=`"),
+        ([str(tmp_path), "system=quadrotr"], "Did you mean 'quadrotor'"),
+        ([str(tmp_path), "physics=maybe"], "must be true or false"),
+        ([], "Usage"),
+    ):
+        assert main(["inspect", *words]) == 2
+        said = capsys.readouterr()
+        assert message in said.err + said.out
+        assert "Traceback" not in said.err
+
+
+def test_completion_offers_keys_and_choices() -> None:
+    assert "system=" in command.complete(["sys"])
+    assert "system=quadrotor" in command.complete(["system=qua"])
+    assert "kind=ardupilot" in command.complete(["kind=ar"])

@@ -21,6 +21,7 @@ from nsde_torch.simulation.cartpole import cartpole_episodes
 from nsde_torch.simulation.excitation import excited_runs
 from nsde_torch.simulation.flights import manual_flights
 from nsde_torch.simulation.mass_spring_damper import spring_runs
+from nsde_torch.simulation.planned import planned_runs, read_plan
 from nsde_torch.simulation.replay import replayed_flights
 from nsde_torch.systems import System, make_system
 from nsde_torch.systems.machine import Excitation
@@ -66,6 +67,21 @@ def recorder(name: str) -> RunRecorder:
         return RECORDINGS[name]
     durations = Excitation(()).durations if own.excitation is None else own.excitation.durations
     return RunRecorder(own.recording or excited_runs, durations)
+
+
+def planned(name: str, plan: str | Path) -> RunRecorder:
+    """How runs of a plan are made (`nsde_torch.simulation.planned`).
+
+    Raises:
+        ConfigError: the system has no plant, or it flies.
+        DataError: the plan does not fit the system.
+    """
+    machine(name)
+    own = make_system(name)
+    if own.quaternion is not None:
+        raise ConfigError(f"{name!r} flies, and a plan of inputs has no pilot: fly a reference with `nsde track`.")
+    t, _ = read_plan(plan, own.input_names)
+    return RunRecorder(planned_runs, (float(t[-1]),), {"plan": str(plan)})
 
 
 def simulated(

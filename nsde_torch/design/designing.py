@@ -1,9 +1,9 @@
 """From a question to a plan: fit what may be true, search, rehearse the best and the usual, and choose.
 
-    fit         members, or the one whose parameters are asked for, to the runs there are     members
-    search      inputs within the limits, judged without noise at several draws               proposals, expected
-    rehearse    the best few and the usual ones, with noise, fitted as a measured run is      rehearsal
-    choose      what tells most in the less favourable rehearsals, whichever member is true   here
+fit         members, or the one whose parameters are asked for, to the runs there are     members
+search      inputs within the limits, judged without noise at several draws               proposals, expected
+rehearse    the best few and the usual ones, with noise, fitted as a measured run is      rehearsal
+choose      what tells most in the less favourable rehearsals, whichever member is true   here
 """
 
 from __future__ import annotations
@@ -94,9 +94,9 @@ def design(
     if baselines:
         longest = max(runs, key=len)
         made = signals.baselines(rng, np.asarray(longest.u))
-        for i, (name, tables) in enumerate(made.items()):
+        for i, (name, (tables, words)) in enumerate(made.items()):
             say("judging usual inputs", i, len(made))
-            best = best_of(judge, name, tables)
+            best = best_of(judge, name, tables, words)
             usual += [] if best is None else [best]
     plans = [*finalists, *usual]
     rehearsed: list[list[Rehearsed]] = []
@@ -118,9 +118,10 @@ def design(
         )
     say("rehearsing", len(members), len(members))
     judged = [
-        Plan(p.name, p.table, p.words, p.worth, p.each, tuple(r[k] for r in rehearsed)) for k, p in enumerate(plans)
+        Plan(p.name, p.table, p.words, p.worth, p.each, tuple(r[k] for r in rehearsed))
+        for k, p in enumerate(plans)
     ]
-    worth = [_worth(plan, precision) for plan in judged[: len(finalists)]]
+    worth = [_worth(plan, precision) for plan in judged]  # a usual one is taken where none is better
     return Experiment(
         system=system,
         question=question,
@@ -158,7 +159,8 @@ def check_runs(system: System, runs: Sequence[Run]) -> None:
         )
     if system.exogenous:
         raise DataError(
-            f"the physics reads {', '.join(system.exogenous)}, which no plan can say. Leave out the effects that read it."
+            f"the physics reads {', '.join(system.exogenous)}, which no plan can say. Leave out the effects that "
+            "read it."
         )
     if system.quaternion is not None:
         raise DataError(

@@ -1,8 +1,8 @@
 """What an experiment would tell, without noise and fits: expected evidence between members, expected standard errors.
 
 Member A is true, with parameters a. What B leaves of A's experiment, in units of the noise, is d: innovations of B's
-filter, or, where gusts outweigh the sensors' noise, residuals of steps whitened by their law. B's parameters may move, at
-the price of what the runs there are say of them (information M, about b(a), where B's fit goes when A's parameters
+filter, or, where gusts outweigh the sensors' noise, residuals of steps whitened by their law. B's parameters may move,
+at the price of what the runs there are say of them (information M, about b(a), where B's fit goes when A's parameters
 are a),
 
     2 nats = min_b |d - J b|^2 + b' M b = d'd - g' (J'J + M)^-1 g,        g = J'd
@@ -101,7 +101,7 @@ class Precision:
 def whitened(
     fit: Regression, physics: Physics, residual: Array, theta: Array
 ) -> tuple[Array, Array, tuple[tuple[int, int], ...]]:
-    """Residuals (channels, M) and slopes (channels, M, k) in units of a fit's noise, and the rows of each experiment."""
+    """Residuals (channels, M) and slopes (channels, M, k) in units of a fit's noise, and rows of each experiment."""
     single = Series(physics.steps.segments)
     boxes = single.boxes(fit.box)
     rest, slopes = single.summed(residual, fit.box), single.summed(physics.slopes(theta), fit.box)
@@ -116,7 +116,8 @@ def whitened(
 def _follow(truth: Member, other: Member) -> Array:
     """How the fit of the other member moves with the truth's parameters in the runs there are (k_other, k_truth)."""
     mine, theirs = (
-        np.moveaxis(m.regression.slopes, 2, 0).reshape(m.regression.slopes.shape[2], -1) for m in (truth, other)
+        np.moveaxis(m.regression.slopes, 2, 0).reshape(m.regression.slopes.shape[2], -1)
+        for m in (truth, other)
     )
     known = theirs @ theirs.T + prior_information(other.regression.vector)
     return np.asarray(np.linalg.solve(known, theirs @ mine.T))

@@ -116,7 +116,9 @@ class Filter:
         self._start[: self._nx, : self._nx] = self._r
 
     @torch.no_grad()
-    def innovations(self, thetas: Array, states: Sequence[Array], inputs: Sequence[Array]) -> tuple[Array, Array]:
+    def innovations(
+        self, thetas: Array, states: Sequence[Array], inputs: Sequence[Array]
+    ) -> tuple[Array, Array]:
         """Whitened innovations (B, N, nx), zero behind the end of a run, and sums of log determinants (B,).
 
         Args:
@@ -163,8 +165,8 @@ class Filter:
         best = [(t, _Look(np.inf, np.zeros(k), np.eye(k), 0.0, 1)) for t in theta]
         done = np.zeros(n, dtype=bool)
         for _ in range(rounds):
-            todo = np.flatnonzero(~done)
-            if not len(todo):
+            todo = np.flatnonzero(~done).tolist()
+            if not todo:
                 break
             for i, look in zip(todo, self._looked([problems[i] for i in todo], theta[todo]), strict=True):
                 if not look.cost <= best_cost[i] + 1e-9:  # too far: half the way back
@@ -182,7 +184,9 @@ class Filter:
         """What a refit leaves of runs without noise: half the square of the innovations after one step from the centre
         of each problem, with the price of the step [nats]; and the information of the runs and of the others (k, k)."""
         out = []
-        for q, look in zip(problems, self._looked(problems, np.stack([q.centre for q in problems])), strict=True):
+        for q, look in zip(
+            problems, self._looked(problems, np.stack([q.centre for q in problems])), strict=True
+        ):
             step = _bounded(look.pull, look.info, q.centre, self.vector.inside)
             gain = float(look.pull @ step - 0.5 * step @ look.info @ step)
             out.append((0.5 * look.square - gain, look.info))

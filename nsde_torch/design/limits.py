@@ -48,7 +48,8 @@ class Limits:
         with np.errstate(invalid="ignore"):
             share = np.abs(states - middle) / np.maximum(half, 1e-12)
         share = np.where(np.isfinite(half), share, 0.0)
-        return np.where(np.isfinite(states).all((-1, -2))[..., None], share.max(-2), np.nan)
+        finite = np.asarray(np.isfinite(states).all((-1, -2)))
+        return np.where(finite[..., None], share.max(-2), np.nan)
 
     def content(self, units: Mapping[str, str]) -> dict[str, Any]:
         """Plain containers, for JSON."""

@@ -62,7 +62,7 @@ class Member:
     @property
     def covariance(self) -> Array:
         """Of the fitted parameters (k, k)."""
-        return np.linalg.inv(self.known)
+        return np.asarray(np.linalg.inv(self.known), dtype=np.float64)
 
     @property
     def labels(self) -> list[str]:
@@ -103,14 +103,17 @@ def fitted_members(
     """
     search = search_in(declared, runs, clock, Options())
     first = search.base(named[0]).regression
-    fits = [first, *(_nearest(search, system, first, name) for system, name in zip(named[1:], names[1:], strict=True))]
-    noise = noises_of(first)
-    return search, [
-        _member(declared, name, fit, runs, noise) for name, fit in zip(names, fits, strict=True)
+    fits = [
+        first,
+        *(_nearest(search, system, first, name) for system, name in zip(named[1:], names[1:], strict=True)),
     ]
+    noise = noises_of(first)
+    return search, [_member(declared, name, fit, runs, noise) for name, fit in zip(names, fits, strict=True)]
 
 
-def physics_with(declared: System, effects: Sequence[str], values: dict[str, dict[str, float | list[float]]]) -> System:
+def physics_with(
+    declared: System, effects: Sequence[str], values: dict[str, dict[str, float | list[float]]]
+) -> System:
     """Declared physics with effects, at values where there are any.
 
     Raises:
@@ -124,7 +127,9 @@ def physics_with(declared: System, effects: Sequence[str], values: dict[str, dic
         try:
             out = out.with_effects(make_candidate(key, out, values.get(name, values.get(key, {}))))
         except KeyError as error:
-            raise ConfigError(f"`members` names {name!r}, which no effect of {declared.name!r} is called.") from error
+            raise ConfigError(
+                f"`members` names {name!r}, which no effect of {declared.name!r} is called."
+            ) from error
     return out
 
 

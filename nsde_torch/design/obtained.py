@@ -18,7 +18,8 @@ from nsde_torch.errors import ConfigError, DataError
 from nsde_torch.systems import System
 
 STRANGE = 4.0
-"""Mean square of what the best member leaves of an experiment, in units of the noise, from which it is another machine's."""
+"""Mean square of what the best member leaves of an experiment, in units of the noise, from which it is another
+machine's."""
 
 
 @dataclass(frozen=True)
@@ -113,10 +114,11 @@ def obtained(
     each = fit_all(system, members, runs, flown, clock=clock)
     excess = max(f.excess for f in each)
     if not excess < STRANGE:
+        log = flown[int(np.argmax([f.excess for f in each]))].source or "the log"
         raise DataError(
-            f"{flown[int(np.argmax([f.excess for f in each]))].source or 'the log'} is not of this machine, or the machine "
-            f"has changed: what {' and '.join(question.names)} leave of it, fitted to it too, is {excess**0.5:.1f} times "
-            "the noise of the runs before. Look whether columns, units and payload are those of the diagnosis."
+            f"{log} is not of this machine, or the machine has changed: what {' and '.join(question.names)} leave of "
+            f"it, fitted to it too, is {excess**0.5:.1f} times the noise of the runs before. Look whether columns, units "
+            "and payload are those of the diagnosis."
         )
     nats = [sum(f.against(i) for f in each) for i in range(len(members))]
     return Obtained(question, tuple(members), tuple(nats), excess, tuple(expected))

@@ -34,12 +34,16 @@ class DesignOptions:
         "within what the runs held",
     )
     hertz: tuple[float, float] | None = key(
-        None, "lowest and highest frequency of the inputs; null: once in the experiment to 0.2 a step", unit="Hz"
+        None,
+        "lowest and highest frequency of the inputs; null: once in the experiment to 0.2 a step",
+        unit="Hz",
     )
     start: Mapping[str, float] = key(
         {}, "first values of states; what is not named: at rest where the runs started (median)"
     )
-    samples: int = key(5, "sets of parameters, drawn as the data leave them open, that inputs are judged at", low=1)
+    samples: int = key(
+        5, "sets of parameters, drawn as the data leave them open, that inputs are judged at", low=1
+    )
     proposals: int = key(48, "inputs that are judged together", low=4)
     generations: int = key(6, "rounds of proposals, each near the best of the last", low=0)
     rehearsals: int = key(8, "simulated experiments of each member, fitted as measured ones are", low=2)

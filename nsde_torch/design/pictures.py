@@ -20,7 +20,7 @@ _POINTS = 600
 def picture(experiment: Experiment) -> Figure:
     """Inputs over time, states with their 90 % bands for each member, and the expected evidence of all plans."""
     e, units = experiment, experiment.units
-    t = e.dt * np.arange(len(e.plan.table) + 1)
+    t = e.dt * np.arange(len(e.plan.table) + 1, dtype=np.float64)
     some = np.unique(np.linspace(0, len(t) - 1, min(len(t), _POINTS)).round().astype(int))
     inputs = np.concatenate((e.plan.table, e.plan.table[-1:]))
     given = [
@@ -39,7 +39,11 @@ def picture(experiment: Experiment) -> Figure:
     if not e.question.parameters:
         nats = {p.name: [r.evidence for r in p.rehearsed] for p in plans}
     q = e.question
-    title = f"An experiment to show {', '.join(q.parameters)}" if q.parameters else f"Which is true: {' or '.join(q.names)}?"
+    title = (
+        f"An experiment to show {', '.join(q.parameters)}"
+        if q.parameters
+        else f"Which is true: {' or '.join(q.names)}?"
+    )
     return experiment_figure(given, seen, q.names, nats, title=title)
 
 

@@ -153,7 +153,9 @@ def best_of(judge: Judge, name: str, tables: Array, words: Sequence[str] = ()) -
     k = int(judged.worth.argmax())
     if not np.isfinite(judged.worth[k]):
         return None
-    return Proposal(name, tables[k], float(judged.worth[k]), judged.each[:, :, k], judged.use[k], tuple(words))
+    return Proposal(
+        name, tables[k], float(judged.worth[k]), judged.each[:, :, k], judged.use[k], tuple(words)
+    )
 
 
 def search(
@@ -192,7 +194,9 @@ def search(
         judged = judge.judge(tables)
         for k in np.argsort(-judged.worth):
             if np.isfinite(judged.worth[k]):
-                made = Proposal("designed", tables[k], float(judged.worth[k]), judged.each[:, :, k], judged.use[k])
+                made = Proposal(
+                    "designed", tables[k], float(judged.worth[k]), judged.each[:, :, k], judged.use[k]
+                )
                 found.append((made.worth, genes[k], made))
         over = np.nan_to_num(judged.use, nan=np.inf)
         at = int(over.max(1).argmin())
@@ -215,6 +219,6 @@ def _in_the_way(limits: Limits, share: float, state: int) -> str:
     reached = "leaves it" if not np.isfinite(share) else f"takes {share:.0%} of it"
     return (
         f"no experiment stays within the limits: what limits it is {room}; the gentlest input that was tried {reached}, "
-        f"with what the members do not know, where {1 - MARGIN:.0%} is allowed. Widen it, start inside of it "
+        f"where {1 - MARGIN:.0%} is allowed, because the members do not know all. Widen it, start inside of it "
         "(start.NAME=...), or plan a shorter experiment (duration=...)."
     )

@@ -37,7 +37,8 @@ class Question:
         """What the members are called: their effects, without those that all have."""
         shared = set.intersection(*(set(m) for m in self.members)) if len(self.members) > 1 else set()
         return tuple(
-            " + ".join(e for e in m if e not in shared) or "nothing beside what all have" for m in self.members
+            " + ".join(e for e in m if e not in shared) or "nothing beside what all have"
+            for m in self.members
         )
 
 
@@ -61,7 +62,11 @@ def question_of(content: Mapping[str, Any], system: System, options: DesignOptio
     for tie in content.get("ties", ()):
         first, *others = tie["effects"]
         able = [o for o in others if _is_effect(o)]
-        notes += [f"{o} is a fault of the recording chain: no input tells it from {first}" for o in others if o not in able]
+        notes += [
+            f"{o} is a fault of the recording chain: no input tells it from {first}"
+            for o in others
+            if o not in able
+        ]
         if first in found and able:
             swapped = [tuple(o if f == first else f for f in found) for o in able]
             return Question((tuple(found), *swapped), notes=tuple(notes))
@@ -73,8 +78,8 @@ def question_of(content: Mapping[str, Any], system: System, options: DesignOptio
         labels = [name for name, p in both.items() if _is_wide(p) and name.partition(".")[0] not in notes]
     if not labels:
         raise ConfigError(
-            "the diagnosis ties nothing, and shows every parameter it asks for: there is nothing to plan. Name what may "
-            "be true, members=[[EFFECT,...],[EFFECT,...]], or what is to be known better, parameters=[EFFECT.NAME]."
+            "the diagnosis ties nothing, and shows every parameter it asks for: there is nothing to plan. Name what "
+            "may be true, members=[[EFFECT,...],[EFFECT,...]], or what is to be known better, parameters=[EFFECT.NAME]."
         )
     out = _of_parameters(system, found, labels)
     return Question(out.members, out.parameters, tuple(notes))

@@ -103,7 +103,10 @@ _Fit = tuple[float, Array, Array, float]
 def _by_filter(member: Member, own: Filter, each: Sequence[Run]) -> list[_Fit]:
     """Growth of the log-likelihood, parameters, covariance and mean square of what is left, by the member's filter."""
     problems = [Problem(*stretches([run]), member.theta, member.known) for run in each]
-    return [(f.nats, f.theta, np.linalg.inv(f.information), f.excess) for f in own.solve(problems)]
+    return [
+        (f.nats, f.theta, np.asarray(np.linalg.inv(f.information), dtype=np.float64), f.excess)
+        for f in own.solve(problems)
+    ]
 
 
 def _by_steps(
@@ -164,7 +167,9 @@ def rehearse(
     evidence, errors = np.zeros(len(whole)), np.full((len(whole), len(member.theta)), np.nan)
     dt, logged = steps.dt, steps.logged_dt
     kept = np.flatnonzero(fine)  # a run that is not finite tells nothing
-    fits = fit_all(declared, members, runs, [as_run(seen[i], inputs[i], logged) for i in kept], clock=dt / logged)
+    fits = fit_all(
+        declared, members, runs, [as_run(seen[i], inputs[i], logged) for i in kept], clock=dt / logged
+    )
     for i, fit in zip(kept, fits, strict=True):
         evidence[i], errors[i] = fit.against(truth), fit.errors[truth]
     use = limits.use(true)
@@ -177,4 +182,4 @@ def rehearse(
 def as_run(states: Array, inputs: Array, dt: float, name: str = "experiment") -> Run:
     """An experiment as a run: the last input is held."""
     u = np.concatenate((inputs, inputs[-1:]))
-    return Run(name, dt * np.arange(len(u)), states, u)
+    return Run(name, dt * np.arange(len(u), dtype=np.float64), states, u)

@@ -9,6 +9,7 @@ a phase. They are few, a person can fly them, and a search can change one at a t
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -77,10 +78,10 @@ class Signals:
 
     def inputs(self, genes: Array) -> Array:
         """Inputs (count, steps, nu) of genes (count, pieces, nu, 6)."""
-        t = self.dt * np.arange(self.steps)
+        t = self.dt * np.arange(self.steps, dtype=np.float64)
         edges = np.linspace(0, self.steps, PIECES + 1).round().astype(int)
         out = np.empty((len(genes), self.steps, genes.shape[2]))
-        for p, (a, b) in enumerate(zip(edges[:-1], edges[1:], strict=True)):
+        for p, (a, b) in enumerate(pairwise(edges.tolist())):
             out[:, a:b] = np.moveaxis(self._piece(genes[:, p], t[a:b]), 2, 1)
         return self._scaled(out)
 
@@ -89,7 +90,7 @@ class Signals:
         edges = self.dt * np.linspace(0, self.steps, PIECES + 1).round()
         out = []
         half, middle = self._half, self._middle
-        for p, (a, b) in enumerate(zip(edges[:-1], edges[1:], strict=True)):
+        for p, (a, b) in enumerate(pairwise(edges.tolist())):
             for i, name in enumerate(self.limits.inputs):
                 kind, offset, size, f1, f2, _ = self._decoded(genes[p, i])
                 about, swing = middle[i] + half[i] * offset, half[i] * size
@@ -104,14 +105,16 @@ class Signals:
                 out.append(f"{a:.4g} to {b:.4g} s: {name} {told}")
         return out
 
-    def baselines(self, rng: np.random.Generator, before: Array | None = None) -> dict[str, Array]:
-        """Usual inputs (scales, steps, nu), each at several sizes.
+    def baselines(
+        self, rng: np.random.Generator, before: Array | None = None
+    ) -> dict[str, tuple[Array, tuple[str, ...]]]:
+        """Usual inputs (scales, steps, nu), each at several sizes, with words.
 
         Args:
             rng: Source of the multisine's phases.
             before: Inputs (n, nu) of a run there is, flown again.
         """
-        t = self.dt * np.arange(self.steps)
+        t = self.dt * np.arange(self.steps, dtype=np.float64)
         n = len(self.limits.low)
         low, high = self.hertz
         top = min(high, max(2.0, 4.0 * low))
@@ -128,10 +131,18 @@ class Signals:
             "doublets": np.tile(doublet, (n, 1)),
         }
         sizes = np.array(SCALES)[:, None, None]
-        out = {name: self._scaled(sizes * wave.T[None]) for name, wave in waves.items()}
+        told = {
+            "multisine": f"8 sines of random phase, {low:.2g} to {top:.2g} Hz",
+            "chirp": f"a chirp from {low:.2g} to {high:.2g} Hz",
+            "doublets": f"a doublet of {period:.2g} s, again and again",
+        }
+        out: dict[str, tuple[Array, tuple[str, ...]]] = {
+            name: (self._scaled(sizes * wave.T[None]), (told[name],)) for name, wave in waves.items()
+        }
         if before is not None:
             again = before[np.arange(self.steps) % len(before)]
-            out["the longest run again"] = np.clip(sizes * again, self.limits.low, self.limits.high)
+            table = np.clip(sizes * again, self.limits.low, self.limits.high)
+            out["the longest run again"] = table, ("the inputs of the longest run",)
         return out
 
     def _scaled(self, unit: Array) -> Array:
@@ -148,7 +159,14 @@ class Signals:
     def _decoded(self, g: Array) -> tuple[str, float, float, float, float, float]:
         low, high = np.log(self.hertz)
         f1, f2 = np.exp(low + g[3:5] * (high - low))
-        return KINDS[int(g[0] * len(KINDS))], float(2 * g[1] - 1), float(g[2]), float(f1), float(f2), float(g[5])
+        return (
+            KINDS[int(g[0] * len(KINDS))],
+            float(2 * g[1] - 1),
+            float(g[2]),
+            float(f1),
+            float(f2),
+            float(g[5]),
+        )
 
     def _piece(self, g: Array, t: Array) -> Array:
         """Unit inputs (count, nu, n) of the genes (count, nu, 6) of one piece at times (n,)."""

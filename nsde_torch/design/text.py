@@ -5,19 +5,25 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
+_OFTEN = 0.8
+
 
 def lines(content: Mapping[str, Any]) -> list[str]:
     """What `nsde design` prints, from the content of `design.json`."""
     q, plan = content["question"], content["plan"]
     tie = q["kind"] == "tie"
-    out = [f"question: {'which is true' if tie else 'how large'}: " + (
-        " or ".join(q["names"]) if tie else ", ".join(q["parameters"])
-    )]
+    out = [
+        f"question: {'which is true' if tie else 'how large'}: "
+        + (" or ".join(q["names"]) if tie else ", ".join(q["parameters"]))
+    ]
     out += [f"note: {note}" for note in q["notes"]]
     start = ", ".join(f"{n} = {v:.3g}" for n, v in plan["start"].items())
     out += ["", f"the plan: {plan['duration_s']:.4g} s from {start}"]
     out += [f"  {words}" for words in plan["words"]]
-    bounds = (f"{n} {v['low']:.4g} to {v['high']:.4g} {v['unit']} ({v['from']})" for n, v in content["limits"].items())
+    bounds = (
+        f"{n} {v['low']:.4g} to {v['high']:.4g} {v['unit']} ({v['from']})"
+        for n, v in content["limits"].items()
+    )
     out += ["limits: " + "; ".join(bounds)]
     most = plan["largest_share_of_limits"]
     out += ["largest use of them in rehearsal: " + ", ".join(f"{n} {v:.0%}" for n, v in most.items())]
@@ -39,6 +45,14 @@ def _of_tie(content: Mapping[str, Any]) -> list[str]:
     for name, expected in rows:
         cells = [_nats(e["nats"]).rjust(w) for e, w in zip(expected, columns, strict=True)]
         out.append("  ".join([name.ljust(width), *cells]))
+    least = min(e["separated"] for e in content["expected"])
+    out.append(
+        f"the plan breaks the tie in {least:.0%} of the rehearsals or more, whichever is true"
+        if least >= _OFTEN
+        else "within these limits and this length nothing that was tried breaks the tie reliably (the plan: in "
+        f"{least:.0%} of the rehearsals where it is hardest): allow more (limits, hertz, duration), or the members are "
+        "one law at the values that the runs show"
+    )
     return out
 
 
@@ -55,7 +69,10 @@ def _of_parameters(content: Mapping[str, Any]) -> list[str]:
     for label in labels:
         p = expected["parameters"][label]
         usual = ", ".join(f"{name} {_error(q[label])}" for name, q in others)
-        out.append(f"  {label} [{p['unit']}]: {p['standard_error']:.3g} -> {_error(p)}" + (f"; {usual}" if usual else ""))
+        out.append(
+            f"  {label} [{p['unit']}]: {p['standard_error']:.3g} -> {_error(p)}"
+            + (f"; {usual}" if usual else "")
+        )
     return out
 
 

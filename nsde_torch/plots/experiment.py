@@ -68,7 +68,9 @@ def experiment_figure(
     last = axes[len(given) + len(seen) - 1]
     last.set_xlabel("time [s]")
     if seen:
-        axes[len(given)].legend(fontsize="small", title="median and 90 % of rehearsals", title_fontsize="small")
+        axes[len(given)].legend(
+            fontsize="small", title="median and 90 % of rehearsals", title_fontsize="small"
+        )
     for ax in axes[1 : len(given) + len(seen)]:
         ax.sharex(axes[0])
     if nats is not None:
@@ -76,7 +78,9 @@ def experiment_figure(
     return figure
 
 
-def _evidence(ax: object, nats: Mapping[str, Sequence[Array]], names: Sequence[str], colours: Sequence[str]) -> None:
+def _evidence(
+    ax: object, nats: Mapping[str, Sequence[Array]], names: Sequence[str], colours: Sequence[str]
+) -> None:
     from matplotlib.axes import Axes
 
     assert isinstance(ax, Axes)

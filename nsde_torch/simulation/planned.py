@@ -90,7 +90,9 @@ def read_plan(plan: str | Path, names: Sequence[str]) -> tuple[Array, Array]:
     have = list(rows[0]) if rows else []
     missing = [n for n in ("t", *names) if n not in have]
     if missing:
-        raise DataError(f"plan {path} has no column {', '.join(missing)}; it has: {', '.join(have) or 'none'}.")
+        raise DataError(
+            f"plan {path} has no column {', '.join(missing)}; it has: {', '.join(have) or 'none'}."
+        )
     try:
         table = np.array([[float(row[n]) for n in ("t", *names)] for row in rows])
     except (TypeError, ValueError) as error:

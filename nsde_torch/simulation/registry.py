@@ -79,7 +79,9 @@ def planned(name: str, plan: str | Path) -> RunRecorder:
     machine(name)
     own = make_system(name)
     if own.quaternion is not None:
-        raise ConfigError(f"{name!r} flies, and a plan of inputs has no pilot: fly a reference with `nsde track`.")
+        raise ConfigError(
+            f"{name!r} flies, and a plan of inputs has no pilot: fly a reference with `nsde track`."
+        )
     t, _ = read_plan(plan, own.input_names)
     return RunRecorder(planned_runs, (float(t[-1]),), {"plan": str(plan)})
 

@@ -36,12 +36,27 @@ from nsde_torch.systems.options import system_options
 Json = dict[str, Any]
 SYSTEMS = {"spring": "mass_spring_damper", "cart": "cartpole"}
 KINDS = ("bias", "late", "drag")
-LADDER: dict[str, tuple[tuple[float, float], ...]] = {
-    "bias": ((1.0, 8.0), (1.5, 6.0), (2.0, 5.0), (2.0, 4.0), (3.0, 4.0), (3.0, 3.0)),
-    "late": ((1.0, 8.0), (0.7, 6.0), (0.5, 5.0), (0.35, 4.0), (0.25, 4.0), (0.15, 4.0)),
-    "drag": ((1.0, 8.0), (0.7, 6.0), (0.5, 5.0), (0.35, 4.0), (0.25, 4.0), (0.15, 4.0)),
+_SMALLER = (
+    (1.0, 8.0, 1.0),
+    (0.5, 6.0, 1.0),
+    (0.25, 4.0, 1.0),
+    (0.25, 4.0, 2.0),
+    (0.15, 4.0, 4.0),
+    (0.15, 3.0, 8.0),
+)
+LADDER: dict[str, tuple[tuple[float, float, float], ...]] = {
+    "bias": (
+        (1.0, 8.0, 1.0),
+        (1.5, 6.0, 1.0),
+        (2.0, 5.0, 1.0),
+        (2.0, 4.0, 2.0),
+        (3.0, 4.0, 4.0),
+        (3.0, 3.0, 8.0),
+    ),
+    "late": _SMALLER,
+    "drag": _SMALLER,
 }
-"""Sizes of the forces and lengths [s] of the runs there are, tried in turn until the members are tied."""
+"""Size of the forces, length [s] and noise of the runs there are, tried in turn until the members are tied."""
 DT = 0.02
 
 
@@ -85,7 +100,13 @@ def case(
 
 
 def runs_there_are(
-    machine: str, truth: Json, declared: tuple[str, ...] | None, size: float, duration: float, seed: int
+    machine: str,
+    truth: Json,
+    declared: tuple[str, ...] | None,
+    size: float,
+    duration: float,
+    noise: float,
+    seed: int,
 ) -> Any:
     """Two runs of the true machine under forces `size` times as large as usual."""
     parameters: Json = {}
@@ -101,6 +122,7 @@ def runs_there_are(
         parameters={**parameters, **{k: v for k, v in truth.items() if k == "viscous_friction"}},
         durations=[duration] * 2,
         seed=seed,
+        sensor_noise=noise,
         dt=DT,
         options=options,
     )
@@ -121,6 +143,7 @@ def flown(
             effects=[{k: v} for k, v in truth.items() if k != "viscous_friction"],
             parameters=parameters,
             seed=seed,
+            sensor_noise=noise,
             dt=DT,
             plan=file,
             options={"start": dict(zip(e.system.state_names, e.start.tolist(), strict=True))},
@@ -139,16 +162,22 @@ def one(machine: str, kind: str, seed: int) -> Json:
     system: System = system_options(SYSTEMS[machine], declared=declared).make()
     question = Question(tuple(tuple(system.effect_key(e) for e in m) for m in both))
     out: Json = {"machine": machine, "kind": kind, "seed": seed, "truth": list(truth), "sizes": truth}
-    for size, duration in LADDER[kind]:
+    for size, duration, noise in LADDER[kind]:
         data = nsde_torch.read(
-            runs_there_are(machine, truth, declared, size, duration, seed),
+            runs_there_are(machine, truth, declared, size, duration, noise, seed),
             system=system_options(SYSTEMS[machine], declared=declared),
         )
         members = members_of(system, data.runs, question, {}, clock=1.0)
         there = members[right].nats - members[1 - right].nats
         if abs(there) < SURE:
             break
-    out |= {"size": size, "duration_s": duration, "nats_there": there, "tied": abs(there) < SURE}
+    out |= {
+        "size": size,
+        "duration_s": duration,
+        "noise": noise,
+        "nats_there": there,
+        "tied": abs(there) < SURE,
+    }
     if not out["tied"]:
         return out
     options = DesignOptions(
@@ -164,12 +193,13 @@ def one(machine: str, kind: str, seed: int) -> Json:
     out["words"] = list(e.plan.words)
     plans: Json = {}
     for i, plan in enumerate((e.plan, *e.baselines)):
-        run = flown(machine, truth, declared, plan, e, 1000 * seed + i)
+        run = flown(machine, truth, declared, plan, e, noise, 1000 * seed + i)
+        seen = flown(machine, truth, declared, plan, e, 0.0, 1000 * seed + i)
         fit = fit_all(system, e.members, data.runs, [run], clock=1.0)[0]
         plans[plan.name] = {
             "obtained": fit.against(right),
             "expected": plan.nats(right),
-            "use": float(e.limits.use(run.x).max()),
+            "use": float(e.limits.use(seen.x).max()),
             "excess": fit.excess,
         }
     out["plans"] = plans

@@ -117,8 +117,8 @@ def obtained(
         log = flown[int(np.argmax([f.excess for f in each]))].source or "the log"
         raise DataError(
             f"{log} is not of this machine, or the machine has changed: what {' and '.join(question.names)} leave of "
-            f"it, fitted to it too, is {excess**0.5:.1f} times the noise of the runs before. Look whether columns, units "
-            "and payload are those of the diagnosis."
+            f"it, fitted to it too, is {excess**0.5:.1f} times the noise of the runs before. Look whether columns, "
+            "units and payload are those of the diagnosis."
         )
     nats = [sum(f.against(i) for f in each) for i in range(len(members))]
     return Obtained(question, tuple(members), tuple(nats), excess, tuple(expected))

@@ -219,6 +219,6 @@ def _in_the_way(limits: Limits, share: float, state: int) -> str:
     reached = "leaves it" if not np.isfinite(share) else f"takes {share:.0%} of it"
     return (
         f"no experiment stays within the limits: what limits it is {room}; the gentlest input that was tried {reached}, "
-        f"where {1 - MARGIN:.0%} is allowed, because the members do not know all. Widen it, start inside of it "
+        f"where {1 - MARGIN:.0%} is allowed, as the members do not know all. Widen it, start inside of it "
         "(start.NAME=...), or plan a shorter experiment (duration=...)."
     )

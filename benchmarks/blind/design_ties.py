@@ -129,7 +129,13 @@ def runs_there_are(
 
 
 def flown(
-    machine: str, truth: Json, declared: tuple[str, ...] | None, plan: Plan, e: Experiment, seed: int
+    machine: str,
+    truth: Json,
+    declared: tuple[str, ...] | None,
+    plan: Plan,
+    e: Experiment,
+    noise: float,
+    seed: int,
 ) -> Run:
     """A plan flown once by the true machine."""
     parameters: Json = {k: v for k, v in truth.items() if k == "viscous_friction"}

@@ -218,7 +218,7 @@ def _in_the_way(limits: Limits, share: float, state: int) -> str:
     room = f"limits.{name}=[{low:.4g},{high:.4g}]" + ("" if name in limits.given else " (what the runs held)")
     reached = "leaves it" if not np.isfinite(share) else f"takes {share:.0%} of it"
     return (
-        f"no experiment stays within the limits: what limits it is {room}; the gentlest input that was tried {reached}, "
+        f"no experiment stays within the limits: what limits it is {room}; the gentlest input tried {reached}, "
         f"where {1 - MARGIN:.0%} is allowed, as the members do not know all. Widen it, start inside of it "
         "(start.NAME=...), or plan a shorter experiment (duration=...)."
     )

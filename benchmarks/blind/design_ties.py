@@ -4,7 +4,7 @@
 
 Every case is another machine: which member is true, its sizes and the runs there are. The runs are made ever smaller
 until they do not tell the members apart (less than 3 nats), as ties of a diagnosis are. Then one experiment is
-designed from the runs alone, as long as one of them and within what they held, flown once by the plant of the
+designed from the runs alone, as long as one of them and within `--wider` times what they held, flown once by the plant of the
 package, which integrates, delays and measures by itself, and fitted with the runs; the multisine, the chirp, the
 doublets and the longest run again are flown beside it, each at the size that its own design judged best. An
 experiment breaks the tie where it brings the truth more than 3 nats against the other member. One line of JSON a
@@ -17,6 +17,7 @@ import argparse
 import json
 import tempfile
 import time
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -29,6 +30,7 @@ from nsde_torch.design import DesignOptions, Experiment, Question, design
 from nsde_torch.design.designing import members_of
 from nsde_torch.design.experiment import SURE, Plan
 from nsde_torch.design.files import write_plan
+from nsde_torch.design.limits import limits_of
 from nsde_torch.design.rehearsal import fit_all
 from nsde_torch.systems import System
 from nsde_torch.systems.options import system_options
@@ -114,18 +116,31 @@ def runs_there_are(
         options: Json = {"force_size": 0.5 * size, "region": [[-0.3 * size, 0.3 * size]] * 2}
         if declared is not None and "viscous_friction" not in truth:
             parameters = {"viscous_friction": {"damping": 1e-9}}
-    else:
-        options = {"policy": "random"}
-    return nsde_torch.simulate(
-        SYSTEMS[machine],
-        effects=[{k: v} for k, v in truth.items() if k != "viscous_friction"],
-        parameters={**parameters, **{k: v for k, v in truth.items() if k == "viscous_friction"}},
-        durations=[duration] * 2,
-        seed=seed,
-        sensor_noise=noise,
-        dt=DT,
-        options=options,
-    )
+    shared: Json = {
+        "effects": [{k: v} for k, v in truth.items() if k != "viscous_friction"],
+        "parameters": {**parameters, **{k: v for k, v in truth.items() if k == "viscous_friction"}},
+        "sensor_noise": noise,
+        "dt": DT,
+    }
+    if machine == "spring":
+        return nsde_torch.simulate(
+            SYSTEMS[machine], durations=[duration] * 2, seed=seed, options=options, **shared
+        ).runs
+    runs = []
+    rng = np.random.default_rng([seed, 5])
+    t = DT * np.arange(round(duration / DT) + 1)
+    for i in range(2):
+        f = np.exp(rng.uniform(np.log(0.1), np.log(2.0), (6, 1)))
+        wave = np.sin(2 * np.pi * (f * t + rng.uniform(size=(6, 1)))).sum(0) / 3.0
+        with tempfile.TemporaryDirectory() as folder:
+            file = Path(folder) / "plan.csv"
+            write_plan(file, ("force",), np.column_stack((t, 6.0 * size * wave)))
+            hanging = {"start": {"theta": np.pi}}
+            made = nsde_torch.simulate(
+                SYSTEMS[machine], seed=seed + 500 * i, plan=file, options=hanging, **shared
+            )
+        runs.append(replace(made.runs[0], name=f"run_{i}"))
+    return runs
 
 
 def flown(
@@ -143,7 +158,7 @@ def flown(
         parameters = {"viscous_friction": {"damping": 1e-9}}
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "plan.csv"
-        write_plan(file, e.system.input_names, plan.table, e.dt)
+        write_plan(file, tuple(e.given), replace(e, plan=plan).rows())
         made = nsde_torch.simulate(
             SYSTEMS[machine],
             effects=[{k: v} for k, v in truth.items() if k != "viscous_friction"],
@@ -158,8 +173,8 @@ def flown(
     return Run(raw.name, raw.t, raw.x, raw.u)
 
 
-def one(machine: str, kind: str, seed: int) -> Json:
-    """One case."""
+def one(machine: str, kind: str, seed: int, wider: float) -> Json:
+    """One case, within limits `wider` times what the runs held."""
     began = time.perf_counter()
     rng = np.random.default_rng([seed, 77])
     _, both, declared = case(machine, kind, rng)
@@ -169,11 +184,9 @@ def one(machine: str, kind: str, seed: int) -> Json:
     question = Question(tuple(tuple(system.effect_key(e) for e in m) for m in both))
     out: Json = {"machine": machine, "kind": kind, "seed": seed, "truth": list(truth), "sizes": truth}
     for size, duration, noise in LADDER[kind]:
-        data = nsde_torch.read(
-            runs_there_are(machine, truth, declared, size, duration, noise, seed),
-            system=system_options(SYSTEMS[machine], declared=declared),
-        )
-        members = members_of(system, data.runs, question, {}, clock=1.0)
+        raw = runs_there_are(machine, truth, declared, size, duration, noise, seed)
+        runs = [Run(r.name, r.t, r.x, r.u) for r in raw]
+        members = members_of(system, runs, question, {}, clock=1.0)
         there = members[right].nats - members[1 - right].nats
         if abs(there) < SURE:
             break
@@ -187,6 +200,7 @@ def one(machine: str, kind: str, seed: int) -> Json:
     if not out["tied"]:
         return out
     options = DesignOptions(
+        limits=_wider(system, runs, wider),
         hertz=(0.2, 5.0),
         samples=3,
         proposals=24,
@@ -194,15 +208,15 @@ def one(machine: str, kind: str, seed: int) -> Json:
         rehearsals=6,
         seed=seed,
     )
-    e = design(system, data.runs, question, options)
+    e = design(system, runs, question, options)
     out["designed_s"] = e.seconds
-    out["words"] = list(e.plan.words)
+    out |= {"words": list(e.plan.words), "kind_of_plan": e.plan.name, "wider": wider}
     plans: Json = {}
     for i, plan in enumerate((e.plan, *e.baselines)):
         run = flown(machine, truth, declared, plan, e, noise, 1000 * seed + i)
         seen = flown(machine, truth, declared, plan, e, 0.0, 1000 * seed + i)
-        fit = fit_all(system, e.members, data.runs, [run], clock=1.0)[0]
-        plans[plan.name] = {
+        fit = fit_all(system, e.members, [run], clock=1.0)[0]
+        plans["the plan" if plan is e.plan else plan.name] = {
             "obtained": fit.against(right),
             "expected": plan.nats(right),
             "use": float(e.limits.use(seen.x).max()),
@@ -211,6 +225,15 @@ def one(machine: str, kind: str, seed: int) -> Json:
     out["plans"] = plans
     out["seconds"] = time.perf_counter() - began
     return out
+
+
+def _wider(system: System, runs: Any, factor: float) -> Json:
+    """Limits about the middle of what the runs held."""
+    held = limits_of(system, runs, {})
+    names = [*held.inputs, *held.states]
+    low, high = np.append(held.low, held.floor), np.append(held.high, held.ceiling)
+    middle, half = 0.5 * (low + high), 0.5 * factor * (high - low)
+    return {n: [m - h, m + h] for n, m, h in zip(names, middle.tolist(), half.tolist(), strict=True)}
 
 
 def report(folder: Path) -> str:
@@ -248,6 +271,7 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--count", type=int, default=3)
     parser.add_argument("--out", type=Path, required=True)
+    parser.add_argument("--wider", type=float, default=2.0, help="limits over what the runs held")
     parser.add_argument("--report", action="store_true")
     args = parser.parse_args()
     torch.set_num_threads(1)
@@ -255,7 +279,7 @@ def main() -> None:
     if not args.report:
         with (args.out / f"{args.machine}_{args.seed}.jsonl").open("a", encoding="utf-8") as file:
             for i in range(args.count):
-                found = one(args.machine, KINDS[i % len(KINDS)], args.seed + i)
+                found = one(args.machine, KINDS[i % len(KINDS)], args.seed + i, args.wider)
                 print(json.dumps(found), file=file, flush=True)
                 print(f"{found['machine']} {found['kind']} {found['seed']}: tied {found['tied']}", flush=True)
     print(report(args.out))

@@ -22,12 +22,14 @@ from nsde_torch.design.experiment import Experiment, Plan
 from nsde_torch.design.limits import limits_of
 from nsde_torch.design.members import Member, fitted_members, physics_with
 from nsde_torch.design.options import DesignOptions
-from nsde_torch.design.proposals import CAUTIOUS, Judge, Proposal, best_of, search
+from nsde_torch.design.paths import FlownPaths, Paths
+from nsde_torch.design.proposals import CAUTIOUS, Family, Judge, Proposal, best_of, search
 from nsde_torch.design.questions import Question
 from nsde_torch.design.rehearsal import Rehearsed, rehearse
+from nsde_torch.design.rollout import Drive
 from nsde_torch.design.signals import Signals
 from nsde_torch.errors import ConfigError, DataError
-from nsde_torch.systems import System
+from nsde_torch.systems import Multirotor, System
 
 Array = NDArray[np.float64]
 FINALISTS = 3
@@ -67,23 +69,30 @@ def design(
     """
     began = perf_counter()
     check_runs(system, runs)
+    limits, start = limits_of(system, runs, options.limits), first_state(system, runs, options.start)
     say("fitting what may be true", 0, 1)
     members = members_of(system, runs, question, values or {}, clock=clock)
-    limits = limits_of(system, runs, options.limits)
     rng = np.random.default_rng([options.seed, 11])
     dt = members[0].regression.physics.steps.dt
+    flies = isinstance(system, Multirotor)
     duration = max(run.duration for run in runs) * clock if options.duration is None else options.duration
     steps = max(round(duration / dt), 8)
     hertz = options.hertz or (_SLOWEST_SHARE / (steps * dt), _FASTEST_SHARE / dt)
-    signals = Signals(limits, dt, steps, (float(hertz[0]), float(hertz[1])))
-    start = first_state(system, runs, options.start)
-    drive = OpenLoop()
+    family: Family
+    drive: Callable[[Array], Drive]
+    if isinstance(system, Multirotor):
+        pilot = members[0].system
+        assert isinstance(pilot, Multirotor)
+        family, drive = Paths(limits, dt, steps, start), FlownPaths(pilot, dt=dt)
+    else:
+        family = Signals(limits, dt, steps, (float(hertz[0]), float(hertz[1])))
+        drive = OpenLoop()
     draws = [m.draws(options.samples, rng) for m in members]
     precision = _precision(members[0], question) if question.parameters else None
     judge = Judge(members, precision, limits, start, draws, drive)
     finalists = search(
         judge,
-        signals,
+        family,
         proposals=options.proposals,
         generations=options.generations,
         keep=FINALISTS,
@@ -93,7 +102,8 @@ def design(
     usual: list[Proposal] = []
     if baselines:
         longest = max(runs, key=len)
-        made = signals.baselines(rng, np.asarray(longest.u))
+        before = longest.x[:, :3] if flies else longest.u
+        made = family.baselines(rng, np.asarray(before))
         for i, (name, (tables, words)) in enumerate(made.items()):
             say("judging usual inputs", i, len(made))
             best = best_of(judge, name, tables, words)
@@ -106,7 +116,6 @@ def design(
             rehearse(
                 system,
                 members,
-                runs,
                 np.stack([p.table for p in plans]),
                 truth=i,
                 count=options.rehearsals,
@@ -131,7 +140,7 @@ def design(
         limits=limits,
         start=start,
         dt=dt / clock,
-        hertz=signals.hertz,
+        hertz=None if flies else (float(hertz[0]), float(hertz[1])),
         options=options,
         seconds=perf_counter() - began,
     )
@@ -162,10 +171,10 @@ def check_runs(system: System, runs: Sequence[Run]) -> None:
             f"the physics reads {', '.join(system.exogenous)}, which no plan can say. Leave out the effects that "
             "read it."
         )
-    if system.quaternion is not None:
+    if system.quaternion is not None and not isinstance(system, Multirotor):
         raise DataError(
-            f"{system.name!r} flies: inputs of an open loop do not, and references are not designed yet. "
-            "`separate` in diagnosis.json says which flight tells its ties apart."
+            f"{system.name!r} has an attitude and is no multirotor: no controller of the package flies it, and "
+            "inputs of an open loop would not."
         )
 
 
@@ -175,8 +184,13 @@ def first_state(system: System, runs: Sequence[Run], given: Mapping[str, float])
     Raises:
         ConfigError: a name that is no state.
     """
-    out = np.median([run.x[0] for run in runs], axis=0)
     names = list(system.state_names)
+    if system.quaternion is not None:  # hovering, in the middle of what was flown
+        out = np.zeros(len(names))
+        out[:3] = np.median(np.concatenate([run.x[:, :3] for run in runs]), axis=0)
+        out[system.quaternion.start] = 1.0
+    else:
+        out = np.asarray(np.median([run.x[0] for run in runs], axis=0))
     for _, rate, _ in system.position_derivatives:
         out[names.index(rate)] = 0.0
     for name, value in given.items():

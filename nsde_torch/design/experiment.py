@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from nsde_torch.design.limits import Limits
 from nsde_torch.design.members import Member
 from nsde_torch.design.options import DesignOptions
+from nsde_torch.design.paths import point_times
 from nsde_torch.design.questions import Question
 from nsde_torch.design.rehearsal import Rehearsed
 from nsde_torch.systems import System
@@ -66,7 +67,7 @@ class Experiment:
         limits: Limits.
         start: First state (nx,).
         dt: Step of the log [s].
-        hertz: Lowest and highest frequency of the inputs [Hz].
+        hertz: Lowest and highest frequency of the inputs [Hz]; None of flights.
         options: Settings.
         seconds: Time that it took.
     """
@@ -79,7 +80,7 @@ class Experiment:
     limits: Limits
     start: Array
     dt: float
-    hertz: tuple[float, float]
+    hertz: tuple[float, float] | None
     options: DesignOptions
     seconds: float
 
@@ -91,6 +92,22 @@ class Experiment:
             **dict(zip(s.input_names, s.input_units, strict=True)),
             **dict(zip(s.state_names, s.state_units, strict=True)),
         }
+
+    @property
+    def given(self) -> dict[str, int]:
+        """What the plan gives, with its columns of the table: inputs, or a place and heading to fly to."""
+        if self.hertz is not None:
+            return {name: i for i, name in enumerate(self.system.input_names)}
+        return {"p_x": 0, "p_y": 1, "p_z": 2, "yaw": 9}
+
+    def rows(self) -> Array:
+        """Rows of `plan.csv` (n, 1 + columns): inputs from step to step, or the points of a path."""
+        table, steps = self.plan.table[:, list(self.given.values())], len(self.plan.table)
+        if self.hertz is not None:
+            return np.column_stack((self.dt * np.arange(steps + 1), np.concatenate((table, table[-1:]))))
+        times = point_times(steps * self.dt)
+        at = np.minimum((times / self.dt).round().astype(int), steps - 1)
+        return np.column_stack((times, table[at]))
 
     @property
     def report(self) -> str:
@@ -122,12 +139,12 @@ class Experiment:
             },
             "plan": {
                 "file": "plan.csv",
-                "columns": ["t", *self.system.input_names],
-                "units": {"t": "s", **{n: units[n] for n in self.system.input_names}},
+                "columns": ["t", *self.given],
+                "units": {"t": "s", "yaw": "rad", **units} if self.hertz is None else {"t": "s", **units},
                 "duration_s": len(self.plan.table) * self.dt,
                 "dt_s": self.dt,
                 "start": dict(zip(self.system.state_names, self.start.tolist(), strict=True)),
-                "hertz": list(self.hertz),
+                "hertz": None if self.hertz is None else list(self.hertz),
                 "words": list(self.plan.words),
                 "largest_share_of_limits": {
                     n: float(v) for n, v in zip(self.system.state_names, use, strict=True) if v > 0

@@ -27,14 +27,13 @@ def save(experiment: Experiment, folder: str | Path) -> Path:
     folder.mkdir(parents=True, exist_ok=True)
     text = json.dumps(experiment.content(), indent=1, allow_nan=False)
     (folder / RESULT).write_text(text + "\n", encoding="utf-8")
-    write_plan(folder / PLAN, experiment.system.input_names, experiment.plan.table, experiment.dt)
+    write_plan(folder / PLAN, tuple(experiment.given), experiment.rows())
     save_figure(picture(experiment), folder / PICTURE)
     return folder
 
 
-def write_plan(file: Path, names: tuple[str, ...], table: Array, dt: float) -> None:
-    """Write inputs (N, nu) as rows of a CSV file, each held to the next; the last row ends the plan."""
-    rows = np.column_stack([dt * np.arange(len(table) + 1), np.concatenate((table, table[-1:]))])
+def write_plan(file: Path, names: tuple[str, ...], rows: Array) -> None:
+    """Write a plan as CSV: times and what is given from then on, (n, 1 + columns)."""
     with file.open("w", encoding="utf-8", newline="\n") as out:
         out.write(",".join(("t", *names)) + "\n")
         out.writelines(",".join(f"{v:.9g}" for v in row) + "\n" for row in rows.tolist())

@@ -44,8 +44,8 @@ class Limits:
         Args:
             states: States (..., N, nx).
         """
-        middle, half = 0.5 * (self.floor + self.ceiling), 0.5 * (self.ceiling - self.floor)
         with np.errstate(invalid="ignore"):
+            middle, half = 0.5 * (self.floor + self.ceiling), 0.5 * (self.ceiling - self.floor)
             share = np.abs(states - middle) / np.maximum(half, 1e-12)
         share = np.where(np.isfinite(half), share, 0.0)
         finite = np.asarray(np.isfinite(states).all((-1, -2)))
@@ -92,7 +92,7 @@ def limits_of(system: System, runs: Sequence[Run], given: Mapping[str, Any]) -> 
             known = [*inputs, *(n for i, n in enumerate(states) if i not in turned)]
             raise ConfigError(f"`limits` names {name!r}; {system.name!r} has: {', '.join(known)}.")
     for name, a, b in zip(inputs, low, high, strict=True):
-        if not a < b:
+        if q is None and not a < b:
             raise ConfigError(
                 f"the runs held {name} at {a:g}, so they say no limits of it: give limits.{name}=[lowest,highest]."
             )

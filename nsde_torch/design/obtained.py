@@ -111,7 +111,7 @@ def obtained(
         )
     check_runs(system, [*runs, *flown])
     members = members_of(system, runs, question, values or {}, clock=clock)
-    each = fit_all(system, members, runs, flown, clock=clock)
+    each = fit_all(system, members, flown, clock=clock)
     excess = max(f.excess for f in each)
     if not excess < STRANGE:
         log = flown[int(np.argmax([f.excess for f in each]))].source or "the log"

@@ -23,9 +23,8 @@ def picture(experiment: Experiment) -> Figure:
     t = e.dt * np.arange(len(e.plan.table) + 1, dtype=np.float64)
     some = np.unique(np.linspace(0, len(t) - 1, min(len(t), _POINTS)).round().astype(int))
     inputs = np.concatenate((e.plan.table, e.plan.table[-1:]))
-    given = [
-        Course(f"{name} [{units[name]}]", t, inputs[:, i]) for i, name in enumerate(e.system.input_names)
-    ]
+    unit = {"yaw": "rad", **units}
+    given = [Course(f"{name} [{unit[name]}]", t, inputs[:, i]) for name, i in e.given.items()]
     seen = []
     for i in _telling(experiment):
         name = e.system.state_names[i]

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import final
+from typing import Protocol, final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,14 +17,38 @@ from numpy.typing import NDArray
 from nsde_torch.design.expected import Precision, Separation
 from nsde_torch.design.limits import MARGIN, Limits
 from nsde_torch.design.members import Member
-from nsde_torch.design.rollout import Rollouts
+from nsde_torch.design.rollout import Drive, Rollouts
 from nsde_torch.errors import ConfigError
 
 Array = NDArray[np.float64]
-Flyer = Callable[[Array], Callable[..., object]]
 CAUTIOUS = 0.2
 """Quantile over draws of the parameters that an experiment is judged by."""
 _PARENTS = 8
+_NOTHING = -1e9  # what an experiment is worth that is not finite
+
+
+class Family(Protocol):
+    """What makes experiments of genes in [0, 1], one array each."""
+
+    def random(self, count: int, rng: np.random.Generator) -> Array:
+        """Genes of anything."""
+
+    def gentle(self, count: int, rng: np.random.Generator) -> Array:
+        """Genes of experiments that hardly do anything."""
+
+    def mutated(self, genes: Array, rng: np.random.Generator) -> Array:
+        """Genes near others."""
+
+    def inputs(self, genes: Array) -> Array:
+        """Rows of the experiments (count, N, m)."""
+
+    def words(self, genes: Array) -> list[str]:
+        """What a person reads of one of them."""
+
+    def baselines(
+        self, rng: np.random.Generator, before: Array | None = None
+    ) -> dict[str, tuple[Array, tuple[str, ...]]]:
+        """Usual experiments at several sizes (sizes, N, m), with words."""
 
 
 @dataclass(frozen=True)
@@ -62,7 +86,7 @@ class Judge:
         limits: Limits,
         start: Array,
         draws: Sequence[Array],
-        drive: Callable[[Array], Callable[..., object]],
+        drive: Callable[[Array], Drive],
     ) -> None:
         self.members, self.precision, self.limits = members, precision, limits
         self._start, self._draws, self._drive = start, draws, drive
@@ -82,7 +106,7 @@ class Judge:
         x, _, u = self._rollouts[member].run(
             np.repeat(draws, c, 0),
             np.tile(self._start, (len(whole), 1)),
-            self._drive(whole),  # type: ignore[arg-type]
+            self._drive(whole),
             tables.shape[1],
         )
         return x.reshape(len(draws), c, *x.shape[1:]), u.reshape(len(draws), c, *u.shape[1:])
@@ -96,7 +120,7 @@ class Judge:
             fine = np.isfinite(states).all((0, 2, 3)) & (uses[-1] < 3.0).all(1)
             each += self._told(i, states[:, fine], inputs[:, fine], fine)
         use, table = np.stack(uses).max(0), np.stack(each)
-        worth = np.quantile(table, CAUTIOUS, axis=1).min(0)
+        worth = np.quantile(np.maximum(table, _NOTHING), CAUTIOUS, axis=1).min(0)
         inside = np.nan_to_num(use, nan=np.inf).max(1) <= 1.0 - MARGIN
         return Judged(np.where(inside, worth, -np.inf), table, use)
 
@@ -160,7 +184,7 @@ def best_of(judge: Judge, name: str, tables: Array, words: Sequence[str] = ()) -
 
 def search(
     judge: Judge,
-    signals: object,
+    family: Family,
     *,
     proposals: int,
     generations: int,
@@ -172,7 +196,7 @@ def search(
 
     Args:
         judge: Judges them.
-        signals: Makes them of genes (`Signals`, `Paths`).
+        family: Makes them of genes (`Signals`, `Paths`).
         proposals: Number judged together.
         generations: Rounds of changes.
         keep: Number returned.
@@ -182,15 +206,12 @@ def search(
     Raises:
         ConfigError: none stays within the limits; says which limit is in the way.
     """
-    from nsde_torch.design.signals import Signals
-
-    assert isinstance(signals, Signals)
-    genes = np.concatenate((signals.random(proposals, rng), signals.gentle(proposals // 4, rng)))
+    genes = np.concatenate((family.random(proposals, rng), family.gentle(proposals // 4, rng)))
     found: list[tuple[float, Array, Proposal]] = []
     nearest: tuple[float, int] = (np.inf, 0)
     for generation in range(generations + 1):
         say("proposing experiments", generation, generations + 1)
-        tables = signals.inputs(genes)
+        tables = family.inputs(genes)
         judged = judge.judge(tables)
         for k in np.argsort(-judged.worth):
             if np.isfinite(judged.worth[k]):
@@ -202,13 +223,13 @@ def search(
         at = int(over.max(1).argmin())
         nearest = min(nearest, (float(over[at].max()), int(over[at].argmax())))
         found = sorted(found, key=lambda f: -f[0])[: max(4 * _PARENTS, keep)]
-        parents = np.stack([g for _, g, _ in found[:_PARENTS]]) if found else signals.gentle(_PARENTS, rng)
-        genes = signals.mutated(parents[rng.integers(len(parents), size=proposals)], rng)
+        parents = np.stack([g for _, g, _ in found[:_PARENTS]]) if found else family.gentle(_PARENTS, rng)
+        genes = family.mutated(parents[rng.integers(len(parents), size=proposals)], rng)
     say("proposing experiments", generations + 1, generations + 1)
     if not found:
         raise ConfigError(_in_the_way(judge.limits, *nearest))
     return [
-        Proposal(p.name, p.table, p.worth, p.each, p.use, tuple(signals.words(g))) for _, g, p in found[:keep]
+        Proposal(p.name, p.table, p.worth, p.each, p.use, tuple(family.words(g))) for _, g, p in found[:keep]
     ]
 
 

@@ -17,13 +17,13 @@ from nsde_torch.data import Run
 from nsde_torch.design.filtering import Filter, Problem, stretches
 from nsde_torch.design.limits import Limits
 from nsde_torch.design.members import Member, log_likelihood
-from nsde_torch.design.rollout import Rollouts, disturbances
+from nsde_torch.design.rollout import Drive, Rollouts, disturbances
 from nsde_torch.diagnosis.options import Options
 from nsde_torch.diagnosis.search import search_in
 from nsde_torch.systems import System
 
 Array = NDArray[np.float64]
-_ITERATIONS = 15
+_ITERATIONS = 5
 
 
 @dataclass(frozen=True)
@@ -67,20 +67,17 @@ class Rehearsed:
     inputs: Array
 
 
-def fit_all(
-    declared: System, members: Sequence[Member], runs: Sequence[Run], each: Sequence[Run], *, clock: float
-) -> list[Fits]:
+def fit_all(declared: System, members: Sequence[Member], each: Sequence[Run], *, clock: float) -> list[Fits]:
     """Fit all members to the runs there are and to one of several experiments beside them.
 
     Args:
         declared: Declared physics.
         members: Members, fitted to the runs there are.
-        runs: These.
         each: The experiments.
         clock: Physical seconds per logged second.
     """
     found = [
-        _by_filter(m, m.filter, each) if m.filter is not None else _by_steps(declared, m, runs, each, clock)
+        _by_filter(m, m.filter, each) if m.filter is not None else _by_steps(declared, m, each, clock)
         for m in members
     ]
     out = []
@@ -109,34 +106,43 @@ def _by_filter(member: Member, own: Filter, each: Sequence[Run]) -> list[_Fit]:
     ]
 
 
-def _by_steps(
-    declared: System, member: Member, runs: Sequence[Run], each: Sequence[Run], clock: float
-) -> list[_Fit]:
-    """The same by regressions of the residuals of steps."""
+def _by_steps(declared: System, member: Member, each: Sequence[Run], clock: float) -> list[_Fit]:
+    """The same by regressions of the experiment's residuals of steps, with what the runs say as a quadratic."""
     out: list[_Fit] = []
+    v = member.regression.vector
     for run in each:
-        search = search_in(declared, [*runs, run], clock, Options())
-        fit = search.regression(member.system, member.regression)
-        fit.run(_ITERATIONS)
-        basis = fit.shown.basis
-        mine = fit.whitened_rows(fit.owners) == len(runs)
-        left = np.square(fit.white[:, mine]).mean() / np.square(fit.white[:, ~mine]).mean()
-        cov = basis @ fit.spread().covariance @ basis.T
-        out.append((log_likelihood(fit) - member.nats, fit.theta, cov, float(left)))
+        fit = search_in(declared, [run], clock, Options()).regression(member.system, member.regression)
+        theta, best = member.theta, (-np.inf, fit, member.theta)
+        for _ in range(_ITERATIONS):
+            fit = fit.at(theta)
+            away = theta - member.theta
+            nats = log_likelihood(fit) - 0.5 * float(away @ member.known @ away)
+            if nats < best[0] + 0.02:
+                break
+            best = (nats, fit, theta)
+            flat = fit.slopes.reshape(-1, len(theta))
+            info = flat.T @ flat + member.known
+            pull = flat.T @ fit.white.reshape(-1) - member.known @ away
+            theta = v.inside(theta + np.linalg.solve(info, pull))
+        nats, fit, theta = best
+        flat = fit.slopes.reshape(-1, len(theta))
+        cov = np.asarray(np.linalg.inv(flat.T @ flat + member.known), dtype=np.float64)
+        old = {c: law.std for c, law in zip(member.regression.rows, member.regression.noises, strict=True)}
+        left = [law.std**2 / old[c] ** 2 for c, law in zip(fit.rows, fit.noises, strict=True)]
+        out.append((nats, theta, cov, float(np.mean(left))))
     return out
 
 
 def rehearse(
     declared: System,
     members: Sequence[Member],
-    runs: Sequence[Run],
     tables: Array,
     *,
     truth: int,
     count: int,
     start: Array,
     limits: Limits,
-    drive: Callable[[Array], Callable[..., object]],
+    drive: Callable[[Array], Drive],
     rng: np.random.Generator,
 ) -> list[Rehearsed]:
     """Rehearse plans with one member true.
@@ -144,7 +150,6 @@ def rehearse(
     Args:
         declared: Declared physics.
         members: What may be true.
-        runs: The runs there are.
         tables: Plans (P, N, m).
         truth: Number of the member that is true.
         count: Rehearsals of each plan; the parameters are drawn for each.
@@ -159,7 +164,7 @@ def rehearse(
     true, seen, inputs = Rollouts(member.system, dt=steps.dt).run(
         np.tile(member.draws(count + 1, rng)[1:], (plans, 1)),
         np.tile(start, (len(whole), 1)),
-        drive(whole),  # type: ignore[arg-type]
+        drive(whole),
         tables.shape[1],
         disturbances(member.regression, len(whole), tables.shape[1], rng),
     )
@@ -167,9 +172,7 @@ def rehearse(
     evidence, errors = np.zeros(len(whole)), np.full((len(whole), len(member.theta)), np.nan)
     dt, logged = steps.dt, steps.logged_dt
     kept = np.flatnonzero(fine)  # a run that is not finite tells nothing
-    fits = fit_all(
-        declared, members, runs, [as_run(seen[i], inputs[i], logged) for i in kept], clock=dt / logged
-    )
+    fits = fit_all(declared, members, [as_run(seen[i], inputs[i], logged) for i in kept], clock=dt / logged)
     for i, fit in zip(kept, fits, strict=True):
         evidence[i], errors[i] = fit.against(truth), fit.errors[truth]
     use = limits.use(true)

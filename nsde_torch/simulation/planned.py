@@ -1,4 +1,5 @@
-"""Runs of a plan: inputs that `nsde design` or anyone wrote into a CSV file, from the state that it begins in."""
+"""Runs of a plan that `nsde design` or anyone wrote into a CSV file: inputs from the state that the plan begins in, or,
+of multirotors, a path through points that a cascade flies."""
 
 from __future__ import annotations
 
@@ -11,11 +12,15 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from nsde_torch.control.waypoints import from_csv
 from nsde_torch.data.raw import RawRun
 from nsde_torch.errors import ConfigError, DataError
+from nsde_torch.simulation.battery import battery_column
+from nsde_torch.simulation.flights import fly_logged
 from nsde_torch.simulation.make import Making, make_plant, plant_options
+from nsde_torch.simulation.pilot import Path as Wanted
 from nsde_torch.simulation.recorder import record
-from nsde_torch.systems.machines import Effects
+from nsde_torch.systems.machines import Effects, machine
 
 Array = NDArray[np.float64]
 PLAN, DESIGN = "plan.csv", "design.json"
@@ -70,6 +75,58 @@ def planned_runs(
     return record(plant, np.tile(first, (len(lengths), 1)), control, durations=lengths, prefix="experiment")
 
 
+def planned_flights(
+    name: str,
+    *,
+    durations: Sequence[float] | None = None,
+    seed: int,
+    effects: Effects = (),
+    process_noise: float = 1.0,
+    sensor_noise: float = 1.0,
+    making: Making | None = None,
+    plan: str,
+) -> list[RawRun]:
+    """One flight of a plan for each duration, along a path through points (`nsde_torch.control.waypoints.from_csv`).
+
+    Arguments and errors are those of `planned_runs`; there is no start, because a flight begins at its first point.
+    """
+    made = making or Making()
+    dt = made.dt or machine(name).dt
+    path = from_csv(plan_file(plan))
+    lengths = [path.duration] if durations is None else list(durations)
+    grid = path.dt * np.arange(len(path.p))
+    wanted = []
+    for duration in lengths:
+        t = np.minimum(dt * np.arange(round(duration / dt) + 1), grid[-1])
+        p, v, a = (np.stack([np.interp(t, grid, c) for c in part.T], 1) for part in (path.p, path.v, path.a))
+        wanted.append(
+            Wanted(p, v, a, np.interp(t, grid, path.yaw), np.interp(t, grid, np.gradient(path.yaw, path.dt)))
+        )
+    flown = fly_logged(
+        name,
+        wanted,
+        generator=torch.Generator().manual_seed(int(np.random.default_rng([seed, 1]).integers(2**62))),
+        effects=effects,
+        process_noise=process_noise,
+        sensor_noise=sensor_noise,
+        making=making,
+        durations=lengths,
+    )
+    out = []
+    for i, one in enumerate(wanted):
+        n, part = len(one.p), flown.one(len(one.p), i)
+        t = dt * np.arange(n, dtype=np.float64)
+        extra = battery_column(part.voltage)
+        out.append(RawRun(f"experiment_{i}", t, part.x, part.u, source="simulated", extra=extra))
+    return out
+
+
+def plan_file(plan: str | Path) -> Path:
+    """The CSV file of a plan: itself, or that of the folder that `nsde design` wrote."""
+    path = Path(plan)
+    return path / PLAN if path.is_dir() else path
+
+
 def read_plan(plan: str | Path, names: Sequence[str]) -> tuple[Array, Array]:
     """Times (N,) [s] and inputs (N, nu) of a plan, each held to the next.
 
@@ -80,8 +137,7 @@ def read_plan(plan: str | Path, names: Sequence[str]) -> tuple[Array, Array]:
     Raises:
         DataError: the file or a column is missing, something is no number, or times do not increase.
     """
-    path = Path(plan)
-    path = path / PLAN if path.is_dir() else path
+    path = plan_file(plan)
     try:
         with path.open(encoding="utf-8", newline="") as opened:
             rows = list(csv.DictReader(opened))

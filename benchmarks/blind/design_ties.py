@@ -4,10 +4,10 @@
 
 Every case is another machine: which member is true, its sizes and the runs there are. The runs are made ever smaller
 until they do not tell the members apart (less than 3 nats), as ties of a diagnosis are. Then one experiment is
-designed from the runs alone, as long as one of them and within `--wider` times what they held, flown once by the plant of the
-package, which integrates, delays and measures by itself, and fitted with the runs; the multisine, the chirp, the
-doublets and the longest run again are flown beside it, each at the size that its own design judged best. An
-experiment breaks the tie where it brings the truth more than 3 nats against the other member. One line of JSON a
+designed from the runs alone, as long as one of them and within `--wider` times what they held, flown once by the
+plant of the package, which integrates, delays and measures by itself, and fitted with the runs; the multisine, the
+chirp, the doublets and the longest run again are flown beside it, each at the size that its own design judged best.
+An experiment breaks the tie where it brings the truth more than 3 nats against the other member. One line of JSON a
 case; `--report` sums up a folder.
 """
 

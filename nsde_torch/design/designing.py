@@ -23,7 +23,7 @@ from nsde_torch.design.limits import limits_of
 from nsde_torch.design.members import Member, fitted_members, physics_with
 from nsde_torch.design.options import DesignOptions
 from nsde_torch.design.paths import FlownPaths, Paths
-from nsde_torch.design.proposals import CAUTIOUS, Family, Judge, Proposal, best_of, search
+from nsde_torch.design.proposals import Family, Judge, Proposal, best_of, search, worth_of
 from nsde_torch.design.questions import Question
 from nsde_torch.design.rehearsal import Rehearsed, rehearse
 from nsde_torch.design.rollout import Drive
@@ -217,4 +217,4 @@ def _worth(plan: Plan, precision: Precision | None) -> float:
     left = sum(float((np.nan_to_num(r.use, nan=9.0).max(1) > 1.0).mean()) for r in plan.rehearsed)
     if precision is not None:
         return plan.worth - 10.0 * left
-    return min(float(np.quantile(r.evidence, CAUTIOUS)) for r in plan.rehearsed) - 1e3 * left
+    return min(float(worth_of(r.evidence, 0)) for r in plan.rehearsed) - 1e3 * left

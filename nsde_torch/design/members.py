@@ -83,6 +83,9 @@ class Member:
         error = np.sqrt(np.diag(self.covariance))
         positive = (v.low >= 0) & (self.theta > error)
         near = np.clip(out, self.theta / 3.0, 3.0 * self.theta)
+        # what may be nothing, as far as the runs show, may also be more: draws beyond the bound are turned back
+        low = np.where(np.isfinite(v.low), v.low, 0.0)
+        out = np.where((v.low >= 0) & ~positive, low + np.abs(out - low), out)
         return np.stack([v.inside(row) for row in np.where(positive, near, out)])
 
 

@@ -77,23 +77,26 @@ class Fitted:
         nats: Log-likelihood of the runs and of where other runs say the parameters are [nats].
         information: Of the runs of the problem and of the others (k, k).
         excess: Mean square of whitened innovations: 1 where noise is what it was taken for.
+        moved: How far the parameters are from what other runs say [standard errors of these].
     """
 
     theta: Array
     nats: float
     information: Array
     excess: float
+    moved: float
 
 
 @dataclass(frozen=True)
 class _Look:
-    """A problem at some parameters: cost, its pull and information, sum of squared innovations and their number."""
+    """A problem at some parameters: cost, pull, information, squares of innovations, their number, how far it moved."""
 
     cost: float
     pull: Array
     info: Array
     square: float
     count: int
+    moved: float
 
 
 @final
@@ -162,7 +165,7 @@ class Filter:
         k, v, n = len(self.vector), self.vector, len(problems)
         theta = np.stack([v.inside(q.centre) for q in problems])
         best_cost, damp = np.full(n, np.inf), np.ones(n)
-        best = [(t, _Look(np.inf, np.zeros(k), np.eye(k), 0.0, 1)) for t in theta]
+        best = [(t, _Look(np.inf, np.zeros(k), np.eye(k), 0.0, 1, 0.0)) for t in theta]
         done = np.zeros(n, dtype=bool)
         for _ in range(rounds):
             todo = np.flatnonzero(~done).tolist()
@@ -178,7 +181,9 @@ class Filter:
                 step = _bounded(look.pull, look.info, at, v.inside)
                 done[i] |= 0.5 * float(step @ look.info @ step) < _SETTLED
                 theta[i] = v.inside(at + damp[i] * step)
-        return [Fitted(t, -look.cost, look.info, look.square / max(look.count, 1)) for t, look in best]
+        return [
+            Fitted(t, -look.cost, look.info, look.square / max(look.count, 1), look.moved) for t, look in best
+        ]
 
     def foreseen(self, problems: Sequence[Problem]) -> list[tuple[float, Array]]:
         """What a refit leaves of runs without noise: half the square of the innovations after one step from the centre
@@ -222,7 +227,7 @@ class Filter:
             info, pull = q.information.copy(), q.information @ (q.centre - at)
             away = at - q.centre
             cost, count = 0.5 * float(away @ q.information @ away), 0
-            square = 0.0
+            square, moved = 0.0, (2.0 * cost) ** 0.5
             for u in q.inputs:
                 w = white[first : first + k + 1].reshape(k + 1, -1)
                 j = (w[1:] - w[0]) / small[:, None]
@@ -232,7 +237,7 @@ class Filter:
                 cost += 0.5 * float(w[0] @ w[0]) + float(dets[first])
                 count += len(u) * self._nx
                 first += k + 1
-            out.append(_Look(cost, pull, info, square, count))
+            out.append(_Look(cost, pull, info, square, count, moved))
         return out
 
 

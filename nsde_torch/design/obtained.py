@@ -17,9 +17,11 @@ from nsde_torch.design.rehearsal import fit_all
 from nsde_torch.errors import ConfigError, DataError
 from nsde_torch.systems import System
 
-STRANGE = 4.0
+STRANGE = 2.0
 """Mean square of what the best member leaves of an experiment, in units of the noise, from which it is another
 machine's."""
+FAR = 8.0
+"""Standard errors that the best member's parameters may be from what the runs before say."""
 
 
 @dataclass(frozen=True)
@@ -112,13 +114,13 @@ def obtained(
     check_runs(system, [*runs, *flown])
     members = members_of(system, runs, question, values or {}, clock=clock)
     each = fit_all(system, members, flown, clock=clock)
+    for log, fit in zip(flown, each, strict=True):
+        if fit.excess > STRANGE or fit.moved > FAR:
+            raise DataError(
+                f"{log.source or log.name} is not of this machine, or the machine has changed: where it is explained "
+                f"best, parameters are {fit.moved:.1f} standard errors from the runs before, and {fit.excess**0.5:.1f} "
+                "times the noise is left. Look whether columns, units and payload are those of the diagnosis."
+            )
     excess = max(f.excess for f in each)
-    if not excess < STRANGE:
-        log = flown[int(np.argmax([f.excess for f in each]))].source or "the log"
-        raise DataError(
-            f"{log} is not of this machine, or the machine has changed: what {' and '.join(question.names)} leave of "
-            f"it, fitted to it too, is {excess**0.5:.1f} times the noise of the runs before. Look whether columns, "
-            "units and payload are those of the diagnosis."
-        )
     nats = [sum(f.against(i) for f in each) for i in range(len(members))]
     return Obtained(question, tuple(members), tuple(nats), excess, tuple(expected))

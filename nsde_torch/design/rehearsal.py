@@ -35,12 +35,14 @@ class Fits:
         thetas: Parameters of each member.
         errors: Their standard errors.
         excess: Mean square of what the best member leaves, in units of the noise.
+        moved: How far its parameters are from what the runs say [standard errors of these].
     """
 
     brought: Array
     thetas: tuple[Array, ...]
     errors: tuple[Array, ...]
     excess: float
+    moved: float
 
     def against(self, truth: int) -> float:
         """Evidence for a member against the best of the others [nats]."""
@@ -86,22 +88,23 @@ def fit_all(declared: System, members: Sequence[Member], each: Sequence[Run], *,
         out.append(
             Fits(
                 np.array([nats for nats, *_ in fits]),
-                tuple(theta for _, theta, _, _ in fits),
-                tuple(np.sqrt(np.diag(cov).clip(0.0)) for _, _, cov, _ in fits),
+                tuple(f[1] for f in fits),
+                tuple(np.sqrt(np.diag(cov).clip(0.0)) for _, _, cov, *_ in fits),
                 best[3],
+                best[4],
             )
         )
     return out
 
 
-_Fit = tuple[float, Array, Array, float]
+_Fit = tuple[float, Array, Array, float, float]
 
 
 def _by_filter(member: Member, own: Filter, each: Sequence[Run]) -> list[_Fit]:
     """Growth of the log-likelihood, parameters, covariance and mean square of what is left, by the member's filter."""
     problems = [Problem(*stretches([run]), member.theta, member.known) for run in each]
     return [
-        (f.nats, f.theta, np.asarray(np.linalg.inv(f.information), dtype=np.float64), f.excess)
+        (f.nats, f.theta, np.asarray(np.linalg.inv(f.information), dtype=np.float64), f.excess, f.moved)
         for f in own.solve(problems)
     ]
 
@@ -129,7 +132,8 @@ def _by_steps(declared: System, member: Member, each: Sequence[Run], clock: floa
         cov = np.asarray(np.linalg.inv(flat.T @ flat + member.known), dtype=np.float64)
         old = {c: law.std for c, law in zip(member.regression.rows, member.regression.noises, strict=True)}
         left = [law.std**2 / old[c] ** 2 for c, law in zip(fit.rows, fit.noises, strict=True)]
-        out.append((nats, theta, cov, float(np.mean(left))))
+        away = theta - member.theta
+        out.append((nats, theta, cov, float(np.mean(left)), float(away @ member.known @ away) ** 0.5))
     return out
 
 

@@ -81,7 +81,7 @@ def diagnosed(folder: Path, moved: str | None) -> Diagnosed:
     if plain and recorded is not None and all_runs.fingerprint != recorded:
         raise DataError(
             f"{data.get('path', 'the data')} holds other runs than those that {folder} was made of. Say where they are "
-            "(data=FOLDER), or diagnose again."
+            "(runs=FOLDER), or diagnose again."
         )
     names = set(content["data"]["runs"])
     runs = [run for run in all_runs.runs if run.name in names]

@@ -28,7 +28,7 @@ import nsde_torch
 from nsde_torch.data import Run
 from nsde_torch.design import DesignOptions, Experiment, Question, design
 from nsde_torch.design.designing import members_of
-from nsde_torch.design.experiment import SURE, Plan
+from nsde_torch.design.experiment import SURE, PlannedRun
 from nsde_torch.design.files import write_plan
 from nsde_torch.design.limits import limits_of
 from nsde_torch.design.rehearsal import fit_all
@@ -147,7 +147,7 @@ def flown(
     machine: str,
     truth: Json,
     declared: tuple[str, ...] | None,
-    plan: Plan,
+    plan: PlannedRun,
     e: Experiment,
     noise: float,
     seed: int,

@@ -27,7 +27,7 @@ class DesignConfig:
     run: str = key(
         "???", "folder of a diagnosis (nsde diagnose), whose ties or hidden parameters are asked for"
     )
-    data: str | None = key(None, "where the runs of the diagnosis are now; null: where they were")
+    runs: str | None = key(None, "where the runs of the diagnosis are now; null: where they were")
     members: Any = key(
         None,
         "what may be true, each a list of effects beside the declared physics: [[coulomb_friction,constant_force],"
@@ -62,7 +62,7 @@ COMMAND = HydraCommand(
         ("run=diagnosis/ 'limits={q: [-0.5,0.5], force: [-1,1]}'", "within these limits"),
         ("run=diagnosis/ flown=log/ plan=experiment/ out_dir=obtained/", "what did the experiment tell?"),
     ),
-    paths=("run", "data", "flown", "plan", "out_dir"),
+    paths=("run", "runs", "flown", "plan", "out_dir"),
 )
 
 
@@ -84,7 +84,7 @@ def run(config: DictConfig, job: Job) -> None:
     started = time.perf_counter()
     torch.set_num_threads(config.threads)
     options = DesignOptions(**_options(config))
-    known = diagnosed(Path(config.run), config.data)
+    known = diagnosed(Path(config.run), config.runs)
     if config.flown is not None:
         _read(config, job, known, options)
         return
@@ -115,7 +115,7 @@ def _options(config: DictConfig) -> dict[str, Any]:
 
     from .. import build
 
-    given = build.options(config, "run", "data", "flown", "plan", "baselines", "threads", "out_dir")
+    given = build.options(config, "run", "runs", "flown", "plan", "baselines", "threads", "out_dir")
     members = given["members"]
     if members is not None:
         if not (isinstance(members, list) and all(isinstance(m, list) and m for m in members)):

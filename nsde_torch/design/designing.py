@@ -18,12 +18,12 @@ from numpy.typing import NDArray
 from nsde_torch.data import Run
 from nsde_torch.design.drives import OpenLoop
 from nsde_torch.design.expected import Precision
-from nsde_torch.design.experiment import Experiment, Plan
+from nsde_torch.design.experiment import Experiment, PlannedRun
 from nsde_torch.design.limits import limits_of
 from nsde_torch.design.members import Member, fitted_members, physics_with
 from nsde_torch.design.options import DesignOptions
 from nsde_torch.design.paths import FlownPaths, Paths
-from nsde_torch.design.proposals import Family, Judge, Proposal, best_of, search, worth_of
+from nsde_torch.design.proposals import Judge, Proposal, ProposalFamily, best_of, search, worth_of
 from nsde_torch.design.questions import Question
 from nsde_torch.design.rehearsal import Rehearsed, rehearse
 from nsde_torch.design.rollout import Drive
@@ -78,7 +78,7 @@ def design(
     duration = max(run.duration for run in runs) * clock if options.duration is None else options.duration
     steps = max(round(duration / dt), 8)
     hertz = options.hertz or (_SLOWEST_SHARE / (steps * dt), _FASTEST_SHARE / dt)
-    family: Family
+    family: ProposalFamily
     drive: Callable[[Array], Drive]
     if isinstance(system, Multirotor):
         pilot = members[0].system
@@ -127,7 +127,7 @@ def design(
         )
     say("rehearsing", len(members), len(members))
     judged = [
-        Plan(p.name, p.table, p.words, p.worth, p.each, tuple(r[k] for r in rehearsed))
+        PlannedRun(p.name, p.table, p.words, p.worth, p.each, tuple(r[k] for r in rehearsed))
         for k, p in enumerate(plans)
     ]
     worth = [_worth(plan, precision) for plan in judged]  # a usual one is taken where none is better
@@ -212,7 +212,7 @@ def _precision(member: Member, question: Question) -> Precision:
     return Precision(member, columns, sizes)
 
 
-def _worth(plan: Plan, precision: Precision | None) -> float:
+def _worth(plan: PlannedRun, precision: Precision | None) -> float:
     """What a plan was worth in rehearsal; less where it left a limit there."""
     left = sum(float((np.nan_to_num(r.use, nan=9.0).max(1) > 1.0).mean()) for r in plan.rehearsed)
     if precision is not None:

@@ -19,7 +19,7 @@ from typing import final
 import numpy as np
 from numpy.typing import NDArray
 
-from nsde_torch.design.filtering import Problem
+from nsde_torch.design.filtering import FilterProblem
 from nsde_torch.design.members import Member, prior_information
 from nsde_torch.design.rollout import physics_of, steps_from
 from nsde_torch.sysid.noise import extended
@@ -54,7 +54,9 @@ class Separation:
         a, b = self.truth, self.other
         there = b.regression.vector.inside(b.theta + self._follow @ (theta - a.theta))
         if b.filter is not None:
-            problems = [Problem((x,), (u,), there, b.known) for x, u in zip(states, inputs, strict=True)]
+            problems = [
+                FilterProblem((x,), (u,), there, b.known) for x, u in zip(states, inputs, strict=True)
+            ]
             return np.array([left for left, _ in b.filter.foreseen(problems)])
         steps = steps_from(a.system, states, inputs, dt=a.regression.physics.steps.dt)
         left = physics_of(b.system, steps)
@@ -87,7 +89,9 @@ class Precision:
         """Standard errors of all parameters (C, k) after experiments with the runs there are; see `Separation.nats`."""
         m = self.member
         if m.filter is not None:
-            problems = [Problem((x,), (u,), theta, m.known) for x, u in zip(states, inputs, strict=True)]
+            problems = [
+                FilterProblem((x,), (u,), theta, m.known) for x, u in zip(states, inputs, strict=True)
+            ]
             infos = [info for _, info in m.filter.foreseen(problems)]
         else:
             steps = steps_from(m.system, states, inputs, dt=m.regression.physics.steps.dt)

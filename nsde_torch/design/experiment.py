@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from nsde_torch.design.limits import Limits
+from nsde_torch.design.limits import ExperimentLimits
 from nsde_torch.design.members import Member
 from nsde_torch.design.options import DesignOptions
 from nsde_torch.design.paths import point_times
@@ -24,7 +24,7 @@ _LEVEL = 0.9
 
 
 @dataclass(frozen=True)
-class Plan:
+class PlannedRun:
     """An experiment with its rehearsals.
 
     Args:
@@ -75,9 +75,9 @@ class Experiment:
     system: System
     question: Question
     members: tuple[Member, ...]
-    plan: Plan
-    baselines: tuple[Plan, ...]
-    limits: Limits
+    plan: PlannedRun
+    baselines: tuple[PlannedRun, ...]
+    limits: ExperimentLimits
     start: Array
     dt: float
     hertz: tuple[float, float] | None
@@ -162,7 +162,7 @@ class Experiment:
             "seconds": self.seconds,
         }
 
-    def _expected(self, plan: Plan, truth: int) -> dict[str, Any]:
+    def _expected(self, plan: PlannedRun, truth: int) -> dict[str, Any]:
         member, rehearsed = self.members[truth], plan.rehearsed[truth]
         v = member.regression.vector
         now = np.sqrt(np.diag(member.covariance))

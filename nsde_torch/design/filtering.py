@@ -52,7 +52,7 @@ def noises_of(fit: Regression) -> Noises:
 
 
 @dataclass(frozen=True)
-class Problem:
+class FilterProblem:
     """Runs whose parameters are looked for.
 
     Args:
@@ -69,7 +69,7 @@ class Problem:
 
 
 @dataclass(frozen=True)
-class Fitted:
+class FilterFit:
     """The optimum of a problem.
 
     Args:
@@ -155,7 +155,7 @@ class Filter:
             dets = dets + torch.where(on, low.diagonal(dim1=1, dim2=2).log().sum(1), 0.0)
         return torch.stack(white, 1).numpy(), dets.numpy()
 
-    def solve(self, problems: Sequence[Problem], rounds: int = _ROUNDS) -> list[Fitted]:
+    def solve(self, problems: Sequence[FilterProblem], rounds: int = _ROUNDS) -> list[FilterFit]:
         """The most likely parameters of each problem.
 
         Args:
@@ -182,10 +182,11 @@ class Filter:
                 done[i] |= 0.5 * float(step @ look.info @ step) < _SETTLED
                 theta[i] = v.inside(at + damp[i] * step)
         return [
-            Fitted(t, -look.cost, look.info, look.square / max(look.count, 1), look.moved) for t, look in best
+            FilterFit(t, -look.cost, look.info, look.square / max(look.count, 1), look.moved)
+            for t, look in best
         ]
 
-    def foreseen(self, problems: Sequence[Problem]) -> list[tuple[float, Array]]:
+    def foreseen(self, problems: Sequence[FilterProblem]) -> list[tuple[float, Array]]:
         """What a refit leaves of runs without noise: half the square of the innovations after one step from the centre
         of each problem, with the price of the step [nats]; and the information of the runs and of the others (k, k)."""
         out = []
@@ -209,7 +210,7 @@ class Filter:
         later = later.reshape(b, each, nz)
         return later[:, 0], ((later[:, 1:] - later[:, :1]) / aside[:, None]).mT
 
-    def _looked(self, problems: Sequence[Problem], theta: Array) -> list[_Look]:
+    def _looked(self, problems: Sequence[FilterProblem], theta: Array) -> list[_Look]:
         """Cost of each problem at its parameters (P, k), and its slopes."""
         k = theta.shape[1]
         small = _SMALL * np.maximum(self.vector.scale, 1e-6)

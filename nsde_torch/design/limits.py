@@ -19,7 +19,7 @@ MARGIN = 0.05
 
 
 @dataclass(frozen=True)
-class Limits:
+class ExperimentLimits:
     """Lowest and highest values.
 
     Args:
@@ -66,7 +66,7 @@ class Limits:
         }
 
 
-def limits_of(system: System, runs: Sequence[Run], given: Mapping[str, Any]) -> Limits:
+def limits_of(system: System, runs: Sequence[Run], given: Mapping[str, Any]) -> ExperimentLimits:
     """Limits as they are given; of what is not named, what the runs held.
 
     Raises:
@@ -96,4 +96,4 @@ def limits_of(system: System, runs: Sequence[Run], given: Mapping[str, Any]) -> 
             raise ConfigError(
                 f"the runs held {name} at {a:g}, so they say no limits of it: give limits.{name}=[lowest,highest]."
             )
-    return Limits(tuple(inputs), low, high, tuple(states), floor, ceiling, tuple(given))
+    return ExperimentLimits(tuple(inputs), low, high, tuple(states), floor, ceiling, tuple(given))

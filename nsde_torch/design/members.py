@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nsde_torch.data import Run
-from nsde_torch.design.filtering import Filter, Noises, Problem, noises_of, stretches
+from nsde_torch.design.filtering import Filter, FilterProblem, Noises, noises_of, stretches
 from nsde_torch.diagnosis.candidates import make_candidate
 from nsde_torch.diagnosis.fitted import fitted_system
 from nsde_torch.diagnosis.options import Options
@@ -179,7 +179,7 @@ def _member(declared: System, name: str, fit: Regression, runs: Sequence[Run], n
     own = Filter(fitted_system(fit), dt=fit.physics.steps.dt, noise=noise)
     prior = prior_information(own.vector)
     own.vector.low, own.vector.high = fit.vector.low, fit.vector.high
-    found = own.solve([Problem(*stretches(runs), fit.theta, prior)], rounds=_ROUNDS)[0]
+    found = own.solve([FilterProblem(*stretches(runs), fit.theta, prior)], rounds=_ROUNDS)[0]
     system = fitted_system(fit)
     own.vector.write(system, found.theta)
     return Member(name, effects, system, fit, found.theta, found.information - prior, found.nats, own)

@@ -18,7 +18,7 @@ from scipy.interpolate import make_interp_spline
 from torch import Tensor
 
 from nsde_torch.control.cascade import Cascade
-from nsde_torch.design.limits import Limits
+from nsde_torch.design.limits import ExperimentLimits
 from nsde_torch.design.rollout import Drive
 from nsde_torch.systems import Multirotor
 
@@ -52,7 +52,7 @@ class Paths:
         start: First state (nx,).
     """
 
-    limits: Limits
+    limits: ExperimentLimits
     dt: float
     steps: int
     start: Array

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nsde_torch.design.expected import Precision, Separation
-from nsde_torch.design.limits import MARGIN, Limits
+from nsde_torch.design.limits import MARGIN, ExperimentLimits
 from nsde_torch.design.members import Member
 from nsde_torch.design.rollout import Drive, Rollouts
 from nsde_torch.errors import ConfigError
@@ -33,7 +33,7 @@ def worth_of(told: Array, axis: int) -> Array:
     return np.asarray(np.quantile(told, CAUTIOUS, axis=axis) + _MEAN * told.mean(axis))
 
 
-class Family(Protocol):
+class ProposalFamily(Protocol):
     """What makes experiments of genes in [0, 1], one array each."""
 
     def random(self, count: int, rng: np.random.Generator) -> Array:
@@ -89,7 +89,7 @@ class Judge:
         self,
         members: Sequence[Member],
         precision: Precision | None,
-        limits: Limits,
+        limits: ExperimentLimits,
         start: Array,
         draws: Sequence[Array],
         drive: Callable[[Array], Drive],
@@ -190,7 +190,7 @@ def best_of(judge: Judge, name: str, tables: Array, words: Sequence[str] = ()) -
 
 def search(
     judge: Judge,
-    family: Family,
+    family: ProposalFamily,
     *,
     proposals: int,
     generations: int,
@@ -239,7 +239,7 @@ def search(
     ]
 
 
-def _in_the_way(limits: Limits, share: float, state: int) -> str:
+def _in_the_way(limits: ExperimentLimits, share: float, state: int) -> str:
     name = limits.states[state]
     low, high = limits.floor[state], limits.ceiling[state]
     room = f"limits.{name}=[{low:.4g},{high:.4g}]" + ("" if name in limits.given else " (what the runs held)")

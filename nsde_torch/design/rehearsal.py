@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nsde_torch.data import Run
-from nsde_torch.design.filtering import Filter, Problem, stretches
-from nsde_torch.design.limits import Limits
+from nsde_torch.design.filtering import Filter, FilterProblem, stretches
+from nsde_torch.design.limits import ExperimentLimits
 from nsde_torch.design.members import Member, log_likelihood
 from nsde_torch.design.rollout import Drive, Rollouts, disturbances
 from nsde_torch.diagnosis.options import Options
@@ -102,7 +102,7 @@ _Fit = tuple[float, Array, Array, float, float]
 
 def _by_filter(member: Member, own: Filter, each: Sequence[Run]) -> list[_Fit]:
     """Growth of the log-likelihood, parameters, covariance and mean square of what is left, by the member's filter."""
-    problems = [Problem(*stretches([run]), member.theta, member.known) for run in each]
+    problems = [FilterProblem(*stretches([run]), member.theta, member.known) for run in each]
     return [
         (f.nats, f.theta, np.asarray(np.linalg.inv(f.information), dtype=np.float64), f.excess, f.moved)
         for f in own.solve(problems)
@@ -145,7 +145,7 @@ def rehearse(
     truth: int,
     count: int,
     start: Array,
-    limits: Limits,
+    limits: ExperimentLimits,
     drive: Callable[[Array], Drive],
     rng: np.random.Generator,
 ) -> list[Rehearsed]:

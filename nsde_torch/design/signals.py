@@ -14,7 +14,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from nsde_torch.design.limits import Limits
+from nsde_torch.design.limits import ExperimentLimits
 
 Array = NDArray[np.float64]
 
@@ -36,7 +36,7 @@ class Signals:
         hertz: Lowest and highest frequency [Hz].
     """
 
-    limits: Limits
+    limits: ExperimentLimits
     dt: float
     steps: int
     hertz: tuple[float, float]

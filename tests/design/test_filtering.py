@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from nsde_torch.design.filtering import Filter, Noises, Problem
+from nsde_torch.design.filtering import Filter, FilterProblem, Noises
 from nsde_torch.design.members import prior_information
 from nsde_torch.systems.options import system_options
 
@@ -58,7 +58,7 @@ def test_on_a_linear_machine_innovations_are_those_of_a_kalman_filter() -> None:
 def test_parameters_are_found_within_their_standard_errors_from_a_wrong_start() -> None:
     own, seen, u, _ = _spring()
     prior = prior_information(own.vector)
-    found = own.solve([Problem((seen,), (u,), own.vector.start * 1.5, prior)], rounds=15)[0]
+    found = own.solve([FilterProblem((seen,), (u,), own.vector.start * 1.5, prior)], rounds=15)[0]
     errors = np.sqrt(np.diag(np.linalg.inv(found.information)))
     assert np.abs(found.theta - own.vector.start).max() > 0
     assert (np.abs(found.theta - own.vector.start) < 3.5 * errors).all()

@@ -21,8 +21,8 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from nsde_torch.data import Run
+from nsde_torch.design.noises import Noises
 from nsde_torch.design.rollout import Rollouts
-from nsde_torch.sysid.regression import Regression
 from nsde_torch.systems import System
 
 Array = NDArray[np.float64]
@@ -31,24 +31,6 @@ _ASIDE = 1e-6  # of a state's
 _ROUNDS = 8
 _SETTLED = 0.02  # nats that a step promises
 _ROOM = 1e-10
-
-
-@dataclass(frozen=True)
-class Noises:
-    """Variances of what acts on a step (nx,) and of the sensors (nx,)."""
-
-    pushes: Array
-    sensors: Array
-
-
-def noises_of(fit: Regression) -> Noises:
-    """Noise as a regression found it, that of the machine as white as it is over long times."""
-    pushes, sensors = np.zeros(fit.vector.system.nx), np.square(fit.physics.sensor_std)
-    for law, channel in zip(fit.noises, fit.rows, strict=True):
-        lasting = law.std * (1.0 - law.carry) / max(abs(float(law.polynomial.sum())), 0.1)
-        pushes[channel] = lasting**2 / fit.box
-        sensors[channel] = law.std**2 * law.carry
-    return Noises(pushes, np.maximum(sensors, _ROOM))
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nsde_torch.data import Run
-from nsde_torch.design.filtering import Filter, FilterProblem, Noises, noises_of, stretches
+from nsde_torch.design.filtering import Filter, FilterProblem, stretches
+from nsde_torch.design.noises import Noises, noises_of
 from nsde_torch.diagnosis.candidates import make_candidate
 from nsde_torch.diagnosis.fitted import fitted_system
 from nsde_torch.diagnosis.options import Options

@@ -2,12 +2,8 @@
 
     x' = f(x, u; theta),  Runge and Kutta's fourth order;  x_{k+1} += w_k,   measured_k = x_k + s_k
 
-The law that was fitted to the residuals of steps (`sysid.noise`) is split into sensor and machine: of
-
-    r_k = w_k + s_{k+1} - s_k = (1 - c B) e_k
-
-the autocovariances give var s = c std^2 and var w = (1 - c)^2 std^2; what the autoregression says beside it lasts, and
-is the machine's.
+with w and s as the law of the residuals of steps says (`noises`); of machines whose gusts outweigh their sensors w
+keeps the colour that was found.
 """
 
 from __future__ import annotations
@@ -24,6 +20,7 @@ from scipy.signal import lfilter
 from torch import Tensor
 
 from nsde_torch.columns import by_column
+from nsde_torch.design.noises import noises_of
 from nsde_torch.rotation import rotate
 from nsde_torch.sysid.physics import Physics
 from nsde_torch.sysid.regression import Regression
@@ -54,12 +51,16 @@ def disturbances(fit: Regression, count: int, steps: int, rng: np.random.Generat
     """Noise as a fit found it, for `count` experiments."""
     nx = fit.vector.system.nx
     pushes, errors = np.zeros((count, steps, nx)), rng.standard_normal((count, steps + 1, nx))
+    if fit.vector.system.sensor_noise:
+        found = noises_of(fit)
+        return Disturbances(
+            np.sqrt(found.pushes) * rng.standard_normal((count, steps, nx)), np.sqrt(found.sensors) * errors
+        )
     errors *= fit.physics.sensor_std
     for law, channel in zip(fit.noises, fit.rows, strict=True):
         white = law.std * (1.0 - law.carry) * rng.standard_normal((count, steps + 50))
         # laws are of sums over boxes: a step has its share of their variance
-        coloured = lfilter([1.0], law.polynomial, white, axis=1)[:, 50:] / fit.box**0.5
-        pushes[..., channel] = coloured
+        pushes[..., channel] = lfilter([1.0], law.polynomial, white, axis=1)[:, 50:] / fit.box**0.5
         errors[..., channel] = law.std * law.carry**0.5 * rng.standard_normal((count, steps + 1))
     return Disturbances(pushes, errors)
 

@@ -6,8 +6,11 @@ import numpy as np
 import pytest
 import torch
 
-from nsde_torch.design.filtering import Filter, FilterProblem, Noises
+from nsde_torch.design.filtering import Filter, FilterProblem
 from nsde_torch.design.members import prior_information
+from nsde_torch.design.noises import Noises, split
+from nsde_torch.sysid.noise import Noise, estimate
+from nsde_torch.sysid.series import Series
 from nsde_torch.systems.options import system_options
 
 DT = 0.02
@@ -72,3 +75,19 @@ def test_a_run_that_is_shorter_counts_no_rows_behind_its_end() -> None:
     assert (both[1, 50:] == 0).all()
     alone = own.innovations(own.vector.start[None], [seen[:51]], [u[:50]])[1]
     assert dets[1] == pytest.approx(alone[0])
+
+
+@pytest.mark.parametrize("orders", [0, 12])
+def test_a_law_is_split_into_machine_and_sensor_whatever_its_orders(orders: int) -> None:
+    rng = np.random.default_rng(1)
+    push, sensor, n = 0.004, 0.01, 20_000
+    residual = push * rng.standard_normal(n) + np.diff(sensor * rng.standard_normal(n + 1))
+    law = estimate(residual, Series(((0, n),)), limit=0.999 if orders == 0 else 0.0, orders=orders)
+    assert (law.carry > 0) == (orders == 0)
+    found = split(law)
+    assert found[0] == pytest.approx(push**2, rel=0.6 if orders else 0.15)
+    assert found[1] == pytest.approx(sensor**2, rel=0.1)
+
+
+def test_the_split_of_a_moving_average_is_that_of_its_autocovariances() -> None:
+    assert split(Noise(0.8, np.zeros(0), 2.0)) == pytest.approx((4.0 * 0.04, 4.0 * 0.8))

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from nsde_torch.design.limits import ExperimentLimits
 from nsde_torch.design.members import Member
 from nsde_torch.design.options import DesignOptions
-from nsde_torch.design.paths import point_times
+from nsde_torch.design.paths import SIDE, UP, point_times
 from nsde_torch.design.questions import Question
 from nsde_torch.design.rehearsal import Rehearsed
 from nsde_torch.systems import System
@@ -151,6 +151,9 @@ class Experiment:
                 },
             },
             "limits": self.limits.content(units),
+            "path_limits": None
+            if self.hertz is not None
+            else {"acceleration_sideways": SIDE, "acceleration_up": UP, "unit": "m/s2"},
             "expected": [self._expected(self.plan, i) for i in range(len(self.members))],
             "baselines": [
                 {"name": b.name, "expected": [self._expected(b, i) for i in range(len(self.members))]}

@@ -28,6 +28,7 @@ class ExperimentLimits:
         states: Names of the states.
         floor, ceiling: Of the states (nx,), infinite where there are none.
         given: Names that the user gave limits of.
+        open_loop: Whether the experiment gives the inputs, and not a controller.
     """
 
     inputs: tuple[str, ...]
@@ -37,6 +38,7 @@ class ExperimentLimits:
     floor: Array
     ceiling: Array
     given: tuple[str, ...] = ()
+    open_loop: bool = True
 
     def use(self, states: Array) -> Array:
         """Share of each state's range that runs take (..., nx): 1 at a limit, above beyond it; nan where not finite.
@@ -53,7 +55,7 @@ class ExperimentLimits:
 
     def content(self, units: Mapping[str, str]) -> dict[str, Any]:
         """Plain containers, for JSON."""
-        rows = [*zip(self.inputs, self.low, self.high, strict=True)]
+        rows = [*zip(self.inputs, self.low, self.high, strict=True)] if self.open_loop else []
         rows += [r for r in zip(self.states, self.floor, self.ceiling, strict=True) if np.isfinite(r[1])]
         return {
             name: {
@@ -96,4 +98,4 @@ def limits_of(system: System, runs: Sequence[Run], given: Mapping[str, Any]) -> 
             raise ConfigError(
                 f"the runs held {name} at {a:g}, so they say no limits of it: give limits.{name}=[lowest,highest]."
             )
-    return ExperimentLimits(tuple(inputs), low, high, tuple(states), floor, ceiling, tuple(given))
+    return ExperimentLimits(tuple(inputs), low, high, tuple(states), floor, ceiling, tuple(given), q is None)

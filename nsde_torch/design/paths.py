@@ -28,6 +28,8 @@ GAP = 1.0
 """Time between points [s]."""
 SPEEDS = (0.5, 1.0, 1.5, 2.0, 3.0)
 """Of the lemniscates that are flown beside a plan [m/s]."""
+SIDE, UP = 6.0, 4.0
+"""Largest acceleration of a path sideways (a tilt of about 31 deg) and up or down [m/s2]."""
 _ROOM = 0.8
 """Share of the room that points may lie in: paths and flights swing beyond them."""
 _ACCELERATION = 4.5
@@ -135,6 +137,13 @@ class Paths:
         spline = make_interp_spline(self.times, flat, k=7, bc_type=(rest, rest))
         t = self.dt * np.arange(self.steps, dtype=np.float64)
         p, v, a = (spline(t, order).reshape(self.steps, count, 4).swapaxes(0, 1) for order in (0, 1, 2))
+        # a path is linear in its points: what asks for too much tilt or thrust becomes smaller
+        side, up = np.linalg.norm(a[..., :2], axis=-1).max(1), np.abs(a[..., 2]).max(1)
+        share = np.minimum(1.0, np.minimum(SIDE / np.maximum(side, 1e-9), UP / np.maximum(up, 1e-9)))[
+            :, None, None
+        ]
+        first = p[:, :1]
+        p, v, a = first + share * (p - first), share * v, share * a
         return np.concatenate((p[..., :3], v[..., :3], a[..., :3], p[..., 3:], v[..., 3:]), axis=-1)
 
     def words(self, genes: Array) -> list[str]:

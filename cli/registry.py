@@ -61,6 +61,9 @@ COMMANDS: dict[str, CommandEntry] = {
         ".commands.diagnose",
         "Find the effect that the declared physics lacks, add it, and report the errors",
     ),
+    "design": CommandEntry(
+        ".commands.design", "Plan the experiment that tells most, or read what a flown one told"
+    ),
     "evaluate": CommandEntry(
         ".commands.evaluate", "Score trained models on runs, against baselines and each other"
     ),

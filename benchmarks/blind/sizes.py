@@ -115,6 +115,7 @@ def shapes(cls: type[Effect], system: str, rng: np.random.Generator) -> Values:
         "pitch": lambda: between(0.2, 0.8) * place,
         "moment": lambda: rng.uniform(0.3, 0.7) * float(base.t.max()),
         "place": lambda: [float(v) for v in rng.uniform(-1.0, 1.0, 2)],
+        "order": lambda: float(rng.integers(1, 13)),
         "radius": lambda: between(0.4, 1.0),
     }
     out: Values = {}

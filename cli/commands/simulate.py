@@ -73,9 +73,11 @@ class SimulateConfig:
     pilot: str = key(
         "manual",
         "manual: the system's own recording, in which inputs may answer states; replay: interventions (multirotors): "
-        "from states of such flights, commands of another time, in fresh gusts, marked by the column `intervention`",
-        choices=("manual", "replay"),
+        "from states of such flights, commands of another time, in fresh gusts, marked by the column `intervention`; "
+        "plan: the inputs of a plan (nsde design), or of a CSV file of t and the inputs",
+        choices=("manual", "replay", "plan"),
     )
+    plan: str | None = key(None, "with pilot=plan: folder of nsde design, or the CSV file")
     threads: int = key(1, "CPU threads of torch", low=1)
     system: PlantSystem = group(PlantSystem, "the machine")
     plant: PlantConfig = group(PlantConfig, "what it holds")
@@ -89,7 +91,7 @@ COMMAND = HydraCommand(
     schema=SimulateConfig,
     module=__name__,
     groups={"system": "hexacopter"},
-    paths=("out", "truth"),
+    paths=("out", "truth", "plan"),
 )
 
 
@@ -102,6 +104,7 @@ def run(config: DictConfig, job: Job) -> None:
     # torch is imported here, not above: help and completion do without it.
     import torch
 
+    from nsde_torch.errors import ConfigError
     from nsde_torch.recording.simulated import Recording
     from nsde_torch.simulation.files import check_free, truth_path, write
     from nsde_torch.simulation.generate import simulate
@@ -113,6 +116,8 @@ def run(config: DictConfig, job: Job) -> None:
     torch.set_num_threads(config.threads)
     folder = Path(config.out)
     check_free(folder, truth_path(folder, config.truth), overwrite=config.overwrite)
+    if (config.pilot == "plan") != (config.plan is not None):
+        raise ConfigError("`pilot=plan` and `plan=FOLDER` go together: give both, or neither.")
     plant = build.options(config.plant)
     made = simulate(
         config.system.name,
@@ -120,6 +125,7 @@ def run(config: DictConfig, job: Job) -> None:
         seed=config.seed,
         dt=config.dt,
         recording=Recording(**build.options(config.recording)),
+        plan=config.plan,
         replay=Replay(**build.options(config.replay)) if config.pilot == "replay" else None,
         options=build.options(config)["options"],
         **plant,

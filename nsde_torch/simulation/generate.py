@@ -19,7 +19,7 @@ from nsde_torch.effects import Effect, Parameter, effect_class
 from nsde_torch.errors import ConfigError, NonFiniteError
 from nsde_torch.recording.simulated import Recording
 from nsde_torch.simulation.make import Making
-from nsde_torch.simulation.registry import RECORDINGS, RunRecorder, recorder
+from nsde_torch.simulation.registry import RECORDINGS, RunRecorder, planned, recorder
 from nsde_torch.simulation.replay import Replay, joined
 from nsde_torch.systems import System, make_system, system_class
 from nsde_torch.systems.machines import Effects, Values, machine, make_plant_system, named_effects
@@ -71,6 +71,7 @@ def simulate(
     battery: bool = False,
     recording: Recording | None = None,
     replay: Replay | None = None,
+    plan: str | Path | None = None,
     options: Mapping[str, Any] | None = None,
 ) -> Simulation:
     """Runs of a plant, as its recording chain logs them.
@@ -92,6 +93,8 @@ def simulate(
         recording: Faults of the recording chain.
         replay: Make interventions of the runs: from states of theirs, commands of another time (see
             `nsde_torch.simulation.replay`). None: the runs themselves.
+        plan: Inputs to give in place of the system's own recording: a CSV file, or the folder of `nsde design` (see
+            `nsde_torch.simulation.planned`).
         options: Further options of the system's recording (`force`, `policy`, `variants`, ...).
 
     Raises:
@@ -105,7 +108,7 @@ def simulate(
     """
     if not isinstance(system, str):
         system = key_of_class(system)
-    spec, recorded = machine(system), recorder(system)
+    spec, recorded = machine(system), recorder(system) if plan is None else planned(system, plan)
     chain = recording or Recording()
     known = make_system(system)
     asked, own_values = _with_parameters(

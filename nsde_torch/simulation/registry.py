@@ -12,6 +12,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from nsde_torch.control.waypoints import from_csv
 from nsde_torch.data import DataSet, RawRun, SystemInfo
 from nsde_torch.errors import ConfigError, DataError
 from nsde_torch.recording import assemble
@@ -21,8 +22,9 @@ from nsde_torch.simulation.cartpole import cartpole_episodes
 from nsde_torch.simulation.excitation import excited_runs
 from nsde_torch.simulation.flights import manual_flights
 from nsde_torch.simulation.mass_spring_damper import spring_runs
+from nsde_torch.simulation.planned import plan_file, planned_flights, planned_runs, read_plan
 from nsde_torch.simulation.replay import replayed_flights
-from nsde_torch.systems import System, make_system
+from nsde_torch.systems import Multirotor, System, make_system
 from nsde_torch.systems.machine import Excitation
 from nsde_torch.systems.machines import Effects, machine, make_plant_system, named_effects
 from nsde_torch.systems.options import key_of_class
@@ -66,6 +68,21 @@ def recorder(name: str) -> RunRecorder:
         return RECORDINGS[name]
     durations = Excitation(()).durations if own.excitation is None else own.excitation.durations
     return RunRecorder(own.recording or excited_runs, durations)
+
+
+def planned(name: str, plan: str | Path) -> RunRecorder:
+    """How runs of a plan are made (`nsde_torch.simulation.planned`).
+
+    Raises:
+        ConfigError: the system has no plant.
+        DataError: the plan does not fit the system.
+    """
+    machine(name)
+    own = make_system(name)
+    if isinstance(own, Multirotor):
+        return RunRecorder(planned_flights, (from_csv(plan_file(plan)).duration,), {"plan": str(plan)})
+    t, _ = read_plan(plan, own.input_names)
+    return RunRecorder(planned_runs, (float(t[-1]),), {"plan": str(plan)})
 
 
 def simulated(

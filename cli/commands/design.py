@@ -1,0 +1,160 @@
+"""`nsde design`: plan the experiment that tells most, or read one that was flown."""
+
+from __future__ import annotations
+
+import json
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from nsde_torch.design.options import DesignOptions
+
+from ..hydra_command import HydraCommand
+from ..keys import key, mirrors
+
+if TYPE_CHECKING:
+    from omegaconf import DictConfig
+
+    from ..jobs import Job
+
+OBTAINED = "obtained.json"
+
+
+@mirrors(DesignOptions)
+class DesignConfig:
+    """`nsde design`."""
+
+    run: str = key(
+        "???", "folder of a diagnosis (nsde diagnose), whose ties or hidden parameters are asked for"
+    )
+    runs: str | None = key(None, "where the runs of the diagnosis are now; null: where they were")
+    members: Any = key(
+        None,
+        "what may be true, each a list of effects beside the declared physics: [[coulomb_friction,constant_force],"
+        "[asymmetric_friction]]; null: the first tie of the diagnosis",
+    )
+    flown: str | None = key(
+        None,
+        "runs of a flown experiment: say what it told, and plan none (file or folder, as the runs of the diagnosis)",
+    )
+    plan: str | None = key(None, "with flown=: folder of its plan (nsde design), for what was expected")
+    baselines: bool = key(
+        True, "measure usual inputs beside the plan: multisine, chirp, doublets, the longest run again"
+    )
+    threads: int = key(1, "CPU threads of torch", low=1)
+    out_dir: str = key("???", "folder to write into")
+
+
+COMMAND = HydraCommand(
+    name="design",
+    help="Plan the experiment that tells most: between the members of a tie, or of parameters that are not shown",
+    schema=DesignConfig,
+    module=__name__,
+    folder="designs/${now:%Y-%m-%d}/${now:%H-%M-%S}",
+    result=("design.json", "a plan"),
+    examples=(
+        ("run=diagnosis/ out_dir=experiment/", "what would break the tie of this diagnosis?"),
+        (
+            "run=diagnosis/ 'members=[[coulomb_friction,constant_force],[asymmetric_friction]]'",
+            "between these",
+        ),
+        ("run=diagnosis/ 'parameters=[quadratic_damping.damping]' duration=10", "how large is this?"),
+        ("run=diagnosis/ 'limits={q: [-0.5,0.5], force: [-1,1]}'", "within these limits"),
+        ("run=diagnosis/ flown=log/ plan=experiment/ out_dir=obtained/", "what did the experiment tell?"),
+    ),
+    paths=("run", "runs", "flown", "plan", "out_dir"),
+)
+
+
+def run(config: DictConfig, job: Job) -> None:
+    """Plan an experiment, or read one.
+
+    Args:
+        config: The composed and checked configuration.
+        job: Where to write.
+    """
+    # torch is imported here, not above: help and completion do without it.
+    import torch
+
+    from nsde_torch.design import DesignOptions, design, question_of
+
+    from ..design_data import diagnosed
+    from ..stages import Stages
+
+    started = time.perf_counter()
+    torch.set_num_threads(config.threads)
+    options = DesignOptions(**_options(config))
+    known = diagnosed(Path(config.run), config.runs)
+    if config.flown is not None:
+        _read(config, job, known, options)
+        return
+    question = question_of(known.content, known.system, options)
+    stages = Stages()
+    made = design(
+        known.system,
+        known.runs,
+        question,
+        options,
+        clock=known.clock,
+        values=known.values,
+        baselines=config.baselines,
+        say=stages,
+    )
+    stages.close()
+    made.save(job.run_dir)
+    print(made.report)
+    print(
+        f"\ntook {time.perf_counter() - started:.0f} s; wrote {job.run_dir}: design.json, plan.csv, design.png\n"
+        f"give the machine plan.csv (simulated: nsde simulate pilot=plan plan={job.run_dir}), then: "
+        f"nsde design run={config.run} flown=LOG plan={job.run_dir}"
+    )
+
+
+def _options(config: DictConfig) -> dict[str, Any]:
+    from nsde_torch.errors import ConfigError
+
+    from .. import build
+
+    given = build.options(config, "run", "runs", "flown", "plan", "baselines", "threads", "out_dir")
+    members = given["members"]
+    if members is not None:
+        if not (isinstance(members, list) and all(isinstance(m, list) and m for m in members)):
+            raise ConfigError(
+                f"`members` takes lists of effects, [[EFFECT,...],[EFFECT,...]]; got {members!r}."
+            )
+        given["members"] = tuple(tuple(map(str, m)) for m in members)
+    for name in ("parameters", "hertz"):
+        given[name] = None if given[name] is None else tuple(given[name])
+    return given
+
+
+def _read(config: DictConfig, job: Job, known: Any, options: DesignOptions) -> None:
+    """Say what a flown experiment told."""
+    from dataclasses import replace
+
+    from nsde_torch.design import obtained, question_of
+    from nsde_torch.design.files import read_design
+
+    from ..design_data import flown_runs
+
+    expected: list[Any] = []
+    if config.plan is not None:
+        planned = read_design(config.plan)
+        expected = planned["expected"] if planned["question"]["kind"] == "tie" else []
+        if options.members is None and expected:
+            options = replace(options, members=tuple(map(tuple, planned["question"]["members"])))
+    found = obtained(
+        known.system,
+        known.runs,
+        flown_runs(known, config.flown),
+        question_of(known.content, known.system, options),
+        clock=known.clock,
+        values=known.values,
+        expected=expected,
+    )
+    text = json.dumps(found.content(), indent=1, allow_nan=False)
+    (job.run_dir / OBTAINED).write_text(text + "\n", encoding="utf-8")
+    print(found.report)
+    print(
+        f"wrote {job.run_dir / OBTAINED}; diagnose it with the other runs: nsde diagnose data.path=FOLDER_OF_ALL"
+    )

@@ -1,0 +1,35 @@
+"""Plan the experiment that tells most: between the members of a tie, or of parameters that no run shows.
+
+question    what a diagnosis leaves open, or what the user asks                    questions
+members     what may be true, fitted to the runs there are                         members, filtering
+search      inputs within limits, by what they tell whichever member is true       signals, proposals, expected
+rehearse    with noise, fitted as the measured run will be                         rehearsal
+report      `Experiment`: what to do, what it would tell, what one would see       experiment, text, pictures, files
+obtain      what a flown experiment told, beside what was expected                 obtained
+"""
+
+from typing import TYPE_CHECKING
+
+from nsde_torch.lazy import resolver
+
+if TYPE_CHECKING:
+    from nsde_torch.design.designing import design
+    from nsde_torch.design.experiment import Experiment
+    from nsde_torch.design.obtained import Obtained, obtained
+    from nsde_torch.design.options import DesignOptions
+    from nsde_torch.design.questions import Question, question_of
+
+__all__ = ["DesignOptions", "Experiment", "Obtained", "Question", "design", "obtained", "question_of"]
+
+__getattr__ = resolver(
+    __name__,
+    {
+        "DesignOptions": "options",
+        "Experiment": "experiment",
+        "Obtained": "obtained",
+        "Question": "questions",
+        "design": "designing",
+        "obtained": "obtained",
+        "question_of": "questions",
+    },
+)

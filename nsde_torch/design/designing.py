@@ -1,0 +1,220 @@
+"""From a question to a plan: fit what may be true, search, rehearse the best and the usual, and choose.
+
+fit         members, or the one whose parameters are asked for, to the runs there are     members
+search      inputs within the limits, judged without noise at several draws               proposals, expected
+rehearse    the best few and the usual ones, with noise, fitted as a measured run is      rehearsal
+choose      what tells most in the less favourable rehearsals, whichever member is true   here
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from time import perf_counter
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nsde_torch.data import Run
+from nsde_torch.design.drives import OpenLoop
+from nsde_torch.design.expected import Precision
+from nsde_torch.design.experiment import Experiment, PlannedRun
+from nsde_torch.design.limits import limits_of
+from nsde_torch.design.members import Member, fitted_members, physics_with
+from nsde_torch.design.options import DesignOptions
+from nsde_torch.design.paths import FlownPaths, Paths
+from nsde_torch.design.proposals import Judge, Proposal, ProposalFamily, best_of, search, worth_of
+from nsde_torch.design.questions import Question
+from nsde_torch.design.rehearsal import Rehearsed, rehearse
+from nsde_torch.design.rollout import Drive
+from nsde_torch.design.signals import Signals
+from nsde_torch.errors import ConfigError, DataError
+from nsde_torch.systems import Multirotor, System
+
+Array = NDArray[np.float64]
+FINALISTS = 3
+_SLOWEST_SHARE, _FASTEST_SHARE = 1.0, 0.2
+
+
+def _silent(stage: str, done: int, total: int) -> None:
+    return None
+
+
+def design(
+    system: System,
+    runs: Sequence[Run],
+    question: Question,
+    options: DesignOptions,
+    *,
+    clock: float = 1.0,
+    values: Mapping[str, Any] | None = None,
+    baselines: bool = True,
+    say: Callable[[str, int, int], None] = _silent,
+) -> Experiment:
+    """Plan the experiment that tells most.
+
+    Args:
+        system: Declared system.
+        runs: The runs there are.
+        question: What is asked.
+        options: Settings.
+        clock: Physical seconds per logged second.
+        values: First values of effects, `{effect: {parameter: value}}`.
+        baselines: Whether usual inputs are measured beside it.
+        say: Told stage, number done and number in all.
+
+    Raises:
+        ConfigError: nothing stays within the limits, or a name that the system does not know.
+        DataError: runs that an experiment cannot be planned from.
+    """
+    began = perf_counter()
+    check_runs(system, runs)
+    limits, start = limits_of(system, runs, options.limits), first_state(system, runs, options.start)
+    say("fitting what may be true", 0, 1)
+    members = members_of(system, runs, question, values or {}, clock=clock)
+    rng = np.random.default_rng([options.seed, 11])
+    dt = members[0].regression.physics.steps.dt
+    flies = isinstance(system, Multirotor)
+    duration = max(run.duration for run in runs) * clock if options.duration is None else options.duration
+    steps = max(round(duration / dt), 8)
+    hertz = options.hertz or (_SLOWEST_SHARE / (steps * dt), _FASTEST_SHARE / dt)
+    family: ProposalFamily
+    drive: Callable[[Array], Drive]
+    if isinstance(system, Multirotor):
+        pilot = members[0].system
+        assert isinstance(pilot, Multirotor)
+        family, drive = Paths(limits, dt, steps, start), FlownPaths(pilot, dt=dt)
+    else:
+        family = Signals(limits, dt, steps, (float(hertz[0]), float(hertz[1])))
+        drive = OpenLoop()
+    draws = [m.draws(options.samples, rng) for m in members]
+    precision = _precision(members[0], question) if question.parameters else None
+    judge = Judge(members, precision, limits, start, draws, drive)
+    finalists = search(
+        judge,
+        family,
+        proposals=options.proposals,
+        generations=options.generations,
+        keep=FINALISTS,
+        rng=rng,
+        say=say,
+    )
+    usual: list[Proposal] = []
+    if baselines:
+        longest = max(runs, key=len)
+        before = longest.x[:, :3] if flies else longest.u
+        made = family.baselines(rng, np.asarray(before))
+        for i, (name, (tables, words)) in enumerate(made.items()):
+            say("judging usual inputs", i, len(made))
+            best = best_of(judge, name, tables, words)
+            usual += [] if best is None else [best]
+    plans = [*finalists, *usual]
+    rehearsed: list[list[Rehearsed]] = []
+    for i in range(len(members)):
+        say("rehearsing", i, len(members))
+        rehearsed.append(
+            rehearse(
+                system,
+                members,
+                np.stack([p.table for p in plans]),
+                truth=i,
+                count=options.rehearsals,
+                start=start,
+                limits=limits,
+                drive=drive,
+                rng=rng,
+            )
+        )
+    say("rehearsing", len(members), len(members))
+    judged = [
+        PlannedRun(p.name, p.table, p.words, p.worth, p.each, tuple(r[k] for r in rehearsed))
+        for k, p in enumerate(plans)
+    ]
+    worth = [_worth(plan, precision) for plan in judged]  # a usual one is taken where none is better
+    return Experiment(
+        system=system,
+        question=question,
+        members=tuple(members),
+        plan=judged[int(np.argmax(worth))],
+        baselines=tuple(judged[len(finalists) :]),
+        limits=limits,
+        start=start,
+        dt=dt / clock,
+        hertz=None if flies else (float(hertz[0]), float(hertz[1])),
+        options=options,
+        seconds=perf_counter() - began,
+    )
+
+
+def members_of(
+    system: System, runs: Sequence[Run], question: Question, values: Mapping[str, Any], *, clock: float
+) -> list[Member]:
+    """The members of a question, fitted to the runs there are."""
+    named = [physics_with(system, effects, dict(values)) for effects in question.members]
+    return fitted_members(system, runs, named, question.names, clock=clock)[1]
+
+
+def check_runs(system: System, runs: Sequence[Run]) -> None:
+    """Refuse runs that an experiment cannot be planned from.
+
+    Raises:
+        DataError: what stands in the way.
+    """
+    if any(run.inferred for run in runs):
+        names = ", ".join(sorted({n for run in runs for n in run.inferred}))
+        raise DataError(
+            f"{names} were inferred from positions: what such a log would tell of an experiment is not worked out. Log "
+            "the rates too."
+        )
+    if system.exogenous:
+        raise DataError(
+            f"the physics reads {', '.join(system.exogenous)}, which no plan can say. Leave out the effects that "
+            "read it."
+        )
+    if system.quaternion is not None and not isinstance(system, Multirotor):
+        raise DataError(
+            f"{system.name!r} has an attitude and is no multirotor: no controller of the package flies it, and "
+            "inputs of an open loop would not."
+        )
+
+
+def first_state(system: System, runs: Sequence[Run], given: Mapping[str, float]) -> Array:
+    """Where an experiment begins: at rest where runs began, but for what is given.
+
+    Raises:
+        ConfigError: a name that is no state.
+    """
+    names = list(system.state_names)
+    if system.quaternion is not None:  # hovering, in the middle of what was flown
+        out = np.zeros(len(names))
+        out[:3] = np.median(np.concatenate([run.x[:, :3] for run in runs]), axis=0)
+        out[system.quaternion.start] = 1.0
+    else:
+        out = np.asarray(np.median([run.x[0] for run in runs], axis=0))
+    for _, rate, _ in system.position_derivatives:
+        out[names.index(rate)] = 0.0
+    for name, value in given.items():
+        if name not in names:
+            raise ConfigError(f"`start` names {name!r}; {system.name!r} has: {', '.join(names)}.")
+        out[names.index(name)] = float(value)
+    return out
+
+
+def _precision(member: Member, question: Question) -> Precision:
+    v = member.regression.vector
+    columns = []
+    for label in question.parameters:
+        at = [i for i, own in enumerate(v.labels) if own == label or own.startswith(f"{label}[")]
+        if not at:
+            raise ConfigError(f"`parameters` names {label!r}; the physics has: {', '.join(v.labels)}.")
+        columns += at
+    sizes = np.maximum(v.scale[columns], np.abs(member.theta[columns]))
+    return Precision(member, columns, sizes)
+
+
+def _worth(plan: PlannedRun, precision: Precision | None) -> float:
+    """What a plan was worth in rehearsal; less where it left a limit there."""
+    left = sum(float((np.nan_to_num(r.use, nan=9.0).max(1) > 1.0).mean()) for r in plan.rehearsed)
+    if precision is not None:
+        return plan.worth - 10.0 * left
+    return min(float(worth_of(r.evidence, 0)) for r in plan.rehearsed) - 1e3 * left

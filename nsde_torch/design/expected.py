@@ -1,0 +1,127 @@
+"""What an experiment would tell, without noise and fits: expected evidence between members, expected standard errors.
+
+Member A is true, with parameters a. What B leaves of A's experiment, in units of the noise, is d: innovations of B's
+filter, or, where gusts outweigh the sensors' noise, residuals of steps whitened by their law. B's parameters may move,
+at the price of what the runs there are say of them (information M, about b(a), where B's fit goes when A's parameters
+are a),
+
+    2 nats = min_b |d - J b|^2 + b' M b = d'd - g' (J'J + M)^-1 g,        g = J'd
+
+the likelihood ratio of two regressions with known noise (Atkinson and Fedorov, The design of experiments for
+discriminating between two rival models, Biometrika 62 (1975), with what a refit takes away linearised). A difference
+that a refit takes away tells nothing. The standard errors of A's own parameters are those of J'J + M.
+"""
+
+from __future__ import annotations
+
+from typing import final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nsde_torch.design.filtering import FilterProblem
+from nsde_torch.design.members import Member, prior_information
+from nsde_torch.design.rollout import physics_of, steps_from
+from nsde_torch.sysid.noise import extended
+from nsde_torch.sysid.physics import Physics
+from nsde_torch.sysid.regression import Regression
+from nsde_torch.sysid.series import Series
+
+Array = NDArray[np.float64]
+
+
+@final
+class Separation:
+    """Expected evidence for one member against another.
+
+    Args:
+        truth: The member that is true.
+        other: The one that is fitted instead.
+    """
+
+    def __init__(self, truth: Member, other: Member) -> None:
+        self.truth, self.other = truth, other
+        self._follow = _follow(truth, other)
+
+    def nats(self, states: Array, inputs: Array, theta: Array) -> Array:
+        """Expected evidence (C,) of experiments in which the truth has some parameters.
+
+        Args:
+            states: True states (C, N + 1, nx).
+            inputs: Inputs (C, N, nu).
+            theta: Parameters of the truth (k,).
+        """
+        a, b = self.truth, self.other
+        there = b.regression.vector.inside(b.theta + self._follow @ (theta - a.theta))
+        if b.filter is not None:
+            problems = [
+                FilterProblem((x,), (u,), there, b.known) for x, u in zip(states, inputs, strict=True)
+            ]
+            return np.array([left for left, _ in b.filter.foreseen(problems)])
+        steps = steps_from(a.system, states, inputs, dt=a.regression.physics.steps.dt)
+        left = physics_of(b.system, steps)
+        # what a rollout and a regression differ by in the truth itself is no evidence
+        own = physics_of(a.system, steps).residual(theta)
+        d, slopes, edges = whitened(a.regression, left, left.residual(there) - own, there)
+        out = []
+        for first, end in edges:
+            dd = d[:, first:end].reshape(-1)
+            j = slopes[:, first:end].reshape(len(dd), -1)
+            pull = j.T @ dd
+            out.append(0.5 * float(dd @ dd - pull @ np.linalg.solve(j.T @ j + b.known, pull)))
+        return np.array(out)
+
+
+@final
+class Precision:
+    """Expected standard errors of parameters.
+
+    Args:
+        member: Physics that has them.
+        columns: Their numbers.
+        sizes: What a good standard error is small beside (len(columns),).
+    """
+
+    def __init__(self, member: Member, columns: list[int], sizes: Array) -> None:
+        self.member, self.columns, self.sizes = member, columns, sizes
+
+    def errors(self, states: Array, inputs: Array, theta: Array) -> Array:
+        """Standard errors of all parameters (C, k) after experiments with the runs there are; see `Separation.nats`."""
+        m = self.member
+        if m.filter is not None:
+            problems = [
+                FilterProblem((x,), (u,), theta, m.known) for x, u in zip(states, inputs, strict=True)
+            ]
+            infos = [info for _, info in m.filter.foreseen(problems)]
+        else:
+            steps = steps_from(m.system, states, inputs, dt=m.regression.physics.steps.dt)
+            physics = physics_of(m.system, steps)
+            _, slopes, edges = whitened(m.regression, physics, physics.residual(theta), theta)
+            rows = [slopes[:, a:b].reshape(-1, slopes.shape[2]) for a, b in edges]
+            infos = [j.T @ j + m.known for j in rows]
+        return np.array([np.sqrt(np.diag(np.linalg.inv(info))) for info in infos])
+
+
+def whitened(
+    fit: Regression, physics: Physics, residual: Array, theta: Array
+) -> tuple[Array, Array, tuple[tuple[int, int], ...]]:
+    """Residuals (channels, M) and slopes (channels, M, k) in units of a fit's noise, and rows of each experiment."""
+    single = Series(physics.steps.segments)
+    boxes = single.boxes(fit.box)
+    rest, slopes = single.summed(residual, fit.box), single.summed(physics.slopes(theta), fit.box)
+    pairs = list(zip(fit.noises, fit.rows, strict=True))
+    return (
+        np.stack([law.whiten(rest[:, [c]], boxes)[:, 0] for law, c in pairs]),
+        np.stack([law.whiten(slopes[:, c], boxes) for law, c in pairs]),
+        extended(boxes).edges,
+    )
+
+
+def _follow(truth: Member, other: Member) -> Array:
+    """How the fit of the other member moves with the truth's parameters in the runs there are (k_other, k_truth)."""
+    mine, theirs = (
+        np.moveaxis(m.regression.slopes, 2, 0).reshape(m.regression.slopes.shape[2], -1)
+        for m in (truth, other)
+    )
+    known = theirs @ theirs.T + prior_information(other.regression.vector)
+    return np.asarray(np.linalg.solve(known, theirs @ mine.T))

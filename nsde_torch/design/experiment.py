@@ -1,0 +1,191 @@
+"""A planned experiment: what to do, what it is expected to tell, and what one would see."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nsde_torch.design.limits import ExperimentLimits
+from nsde_torch.design.members import Member
+from nsde_torch.design.options import DesignOptions
+from nsde_torch.design.paths import SIDE, UP, point_times
+from nsde_torch.design.questions import Question
+from nsde_torch.design.rehearsal import Rehearsed
+from nsde_torch.systems import System
+
+Array = NDArray[np.float64]
+SURE = 3.0
+"""Evidence from which a tie counts as broken: odds of 20 to 1 [nats]."""
+_LEVEL = 0.9
+
+
+@dataclass(frozen=True)
+class PlannedRun:
+    """An experiment with its rehearsals.
+
+    Args:
+        name: What it is called.
+        table: Its rows (N, m).
+        words: What a person reads of it.
+        worth: What it is worth without noise (see `proposals`).
+        each: The same by ordered pair of members and draw (pairs, S).
+        rehearsed: With each member true.
+    """
+
+    name: str
+    table: Array
+    words: tuple[str, ...]
+    worth: float
+    each: Array
+    rehearsed: tuple[Rehearsed, ...]
+
+    def nats(self, truth: int) -> dict[str, float]:
+        """Expected evidence where a member is true: mean and 90 % interval of the rehearsals [nats]."""
+        e = self.rehearsed[truth].evidence
+        low, high = np.quantile(e, [0.5 - _LEVEL / 2, 0.5 + _LEVEL / 2])
+        return {"mean": float(e.mean()), "low_90": float(low), "high_90": float(high)}
+
+    def separates(self, truth: int) -> float:
+        """Share of the rehearsals that break the tie for a member."""
+        return float((self.rehearsed[truth].evidence > SURE).mean())
+
+
+@dataclass(frozen=True)
+class Experiment:
+    """A planned experiment.
+
+    Args:
+        system: Declared system.
+        question: What it is asked.
+        members: What may be true, fitted.
+        plan: What to do.
+        baselines: Usual experiments of the same length and limits, the best size of each.
+        limits: Limits.
+        start: First state (nx,).
+        dt: Step of the log [s].
+        hertz: Lowest and highest frequency of the inputs [Hz]; None of flights.
+        options: Settings.
+        seconds: Time that it took.
+    """
+
+    system: System
+    question: Question
+    members: tuple[Member, ...]
+    plan: PlannedRun
+    baselines: tuple[PlannedRun, ...]
+    limits: ExperimentLimits
+    start: Array
+    dt: float
+    hertz: tuple[float, float] | None
+    options: DesignOptions
+    seconds: float
+
+    @property
+    def units(self) -> dict[str, str]:
+        """Units of inputs and states."""
+        s = self.system
+        return {
+            **dict(zip(s.input_names, s.input_units, strict=True)),
+            **dict(zip(s.state_names, s.state_units, strict=True)),
+        }
+
+    @property
+    def given(self) -> dict[str, int]:
+        """What the plan gives, with its columns of the table: inputs, or a place and heading to fly to."""
+        if self.hertz is not None:
+            return {name: i for i, name in enumerate(self.system.input_names)}
+        return {"p_x": 0, "p_y": 1, "p_z": 2, "yaw": 9}
+
+    def rows(self) -> Array:
+        """Rows of `plan.csv` (n, 1 + columns): inputs from step to step, or the points of a path."""
+        table, steps = self.plan.table[:, list(self.given.values())], len(self.plan.table)
+        if self.hertz is not None:
+            return np.column_stack((self.dt * np.arange(steps + 1), np.concatenate((table, table[-1:]))))
+        times = point_times(steps * self.dt)
+        at = np.minimum((times / self.dt).round().astype(int), steps - 1)
+        return np.column_stack((times, table[at]))
+
+    @property
+    def report(self) -> str:
+        """The plan in words, as `nsde design` prints it."""
+        from nsde_torch.design.text import lines
+
+        return "\n".join(lines(self.content()))
+
+    def save(self, folder: str | Path) -> Path:
+        """Write `design.json`, `plan.csv` and `design.png`; returns the folder."""
+        from nsde_torch.design.files import save
+
+        return save(self, folder)
+
+    def content(self) -> dict[str, Any]:
+        """What `design.json` holds."""
+        names, units = self.question.names, self.units
+        tie = not self.question.parameters
+        use = np.max([r.use.max(0) for r in self.plan.rehearsed], axis=0)
+        return {
+            "schema": "nsde_torch.design/1",
+            "system": self.system.name,
+            "question": {
+                "kind": "tie" if tie else "parameters",
+                "members": [list(m) for m in self.question.members],
+                "names": list(names),
+                "parameters": list(self.question.parameters),
+                "notes": list(self.question.notes),
+            },
+            "plan": {
+                "file": "plan.csv",
+                "columns": ["t", *self.given],
+                "units": {"t": "s", "yaw": "rad", **units} if self.hertz is None else {"t": "s", **units},
+                "duration_s": len(self.plan.table) * self.dt,
+                "dt_s": self.dt,
+                "start": dict(zip(self.system.state_names, self.start.tolist(), strict=True)),
+                "hertz": None if self.hertz is None else list(self.hertz),
+                "words": list(self.plan.words),
+                "largest_share_of_limits": {
+                    n: float(v) for n, v in zip(self.system.state_names, use, strict=True) if v > 0
+                },
+            },
+            "limits": self.limits.content(units),
+            "path_limits": None
+            if self.hertz is not None
+            else {"acceleration_sideways": SIDE, "acceleration_up": UP, "unit": "m/s2"},
+            "expected": [self._expected(self.plan, i) for i in range(len(self.members))],
+            "baselines": [
+                {"name": b.name, "expected": [self._expected(b, i) for i in range(len(self.members))]}
+                for b in self.baselines
+            ],
+            "sure_nats": SURE,
+            "rehearsals": self.options.rehearsals,
+            "seed": self.options.seed,
+            "seconds": self.seconds,
+        }
+
+    def _expected(self, plan: PlannedRun, truth: int) -> dict[str, Any]:
+        member, rehearsed = self.members[truth], plan.rehearsed[truth]
+        v = member.regression.vector
+        now = np.sqrt(np.diag(member.covariance))
+        with np.errstate(invalid="ignore"):
+            fine = rehearsed.errors[np.isfinite(rehearsed.errors).all(1)]
+        then = np.median(fine, axis=0) if len(fine) else np.full(len(now), np.nan)
+        out: dict[str, Any] = {
+            "if_true": self.question.names[truth],
+            "log_likelihood_now": member.nats,
+            "parameters": {
+                label: {
+                    "value": float(member.theta[i]),
+                    "standard_error": float(now[i]),
+                    "expected_standard_error": float(then[i]) if np.isfinite(then[i]) else None,
+                    "unit": v.units[i],
+                }
+                for i, label in enumerate(v.labels)
+            },
+        }
+        if not self.question.parameters:
+            out["nats"] = plan.nats(truth)
+            out["separated"] = plan.separates(truth)
+        return out

@@ -1,0 +1,198 @@
+"""What may be true: physics fitted to the runs there are, with what these leave open.
+
+All members are fitted with noise models of one kind, so that they are compared by their physics alone.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nsde_torch.data import Run
+from nsde_torch.design.filtering import Filter, FilterProblem, stretches
+from nsde_torch.design.noises import Noises, noises_of
+from nsde_torch.diagnosis.candidates import make_candidate
+from nsde_torch.diagnosis.fitted import fitted_system
+from nsde_torch.diagnosis.options import Options
+from nsde_torch.diagnosis.screening import starts
+from nsde_torch.diagnosis.search import Search, search_in
+from nsde_torch.errors import ConfigError, NsdeError
+from nsde_torch.sysid.regression import Regression
+from nsde_torch.sysid.sizes import data_sizes
+from nsde_torch.systems import System
+from nsde_torch.systems.parameters import ParameterVector
+
+Array = NDArray[np.float64]
+_ROUNDS = 12
+_STARTS = 8
+"""First values that the fit of a member is tried from."""
+
+
+@dataclass(frozen=True)
+class Member:
+    """Physics that may be true.
+
+    Args:
+        name: Its effects, as messages call them.
+        effects: Names of its effects beyond the declared physics.
+        system: Physics with the fitted values.
+        regression: The regression of the runs there are, for the laws of the noise.
+        theta: Fitted parameters (k,).
+        information: Of the runs about them (k, k).
+        nats: Log-likelihood of the runs [nats].
+        filter: Filters further runs; None where regressions judge them.
+    """
+
+    name: str
+    effects: tuple[str, ...]
+    system: System
+    regression: Regression
+    theta: Array
+    information: Array
+    nats: float
+    filter: Filter | None
+
+    @property
+    def known(self) -> Array:
+        """Information about the parameters with what is known of them without data (k, k)."""
+        return self.information + prior_information(self.regression.vector)
+
+    @property
+    def covariance(self) -> Array:
+        """Of the fitted parameters (k, k)."""
+        return np.asarray(np.linalg.inv(self.known), dtype=np.float64)
+
+    @property
+    def labels(self) -> list[str]:
+        """Names of the parameters."""
+        return self.regression.vector.labels
+
+    def draws(self, count: int, rng: np.random.Generator) -> Array:
+        """Parameters as the runs leave them open (count, k), the fitted ones first.
+
+        What is no less than nothing stays within a factor of three: a width that no run shows is no reason to plan for
+        one a thousandth as wide.
+        """
+        v = self.regression.vector
+        values, vectors = np.linalg.eigh(self.covariance)
+        root = vectors * np.sqrt(values.clip(0.0))
+        out = self.theta + np.clip(rng.standard_normal((count, len(v))), -2.0, 2.0) @ root.T
+        out[0] = self.theta
+        error = np.sqrt(np.diag(self.covariance))
+        positive = (v.low >= 0) & (self.theta > error)
+        near = np.clip(out, self.theta / 3.0, 3.0 * self.theta)
+        # what may be nothing, as far as the runs show, may also be more: draws beyond the bound are turned back
+        low = np.where(np.isfinite(v.low), v.low, 0.0)
+        out = np.where((v.low >= 0) & ~positive, low + np.abs(out - low), out)
+        return np.stack([v.inside(row) for row in np.where(positive, near, out)])
+
+
+def fitted_members(
+    declared: System, runs: Sequence[Run], named: Sequence[System], names: Sequence[str], *, clock: float
+) -> tuple[Search, list[Member]]:
+    """Fit what may be true to the runs there are.
+
+    Args:
+        declared: Declared physics.
+        runs: The runs.
+        named: Physics of each member with first values.
+        names: What they are called.
+        clock: Physical seconds per logged second.
+
+    Raises:
+        ConfigError: a member cannot be fitted to the runs.
+    """
+    search = search_in(declared, runs, clock, Options())
+    first = search.base(named[0]).regression
+    fits = [
+        first,
+        *(_nearest(search, system, first, name) for system, name in zip(named[1:], names[1:], strict=True)),
+    ]
+    noise = noises_of(first)
+    return search, [_member(declared, name, fit, runs, noise) for name, fit in zip(names, fits, strict=True)]
+
+
+def physics_with(
+    declared: System, effects: Sequence[str], values: dict[str, dict[str, float | list[float]]]
+) -> System:
+    """Declared physics with effects, at values where there are any.
+
+    Raises:
+        ConfigError: the system cannot have one of them.
+    """
+    out = declared
+    for name in effects:
+        key = declared.effect_key(name)
+        if key in out.effect_names:
+            continue
+        try:
+            out = out.with_effects(make_candidate(key, out, values.get(name, values.get(key, {}))))
+        except KeyError as error:
+            raise ConfigError(
+                f"`members` names {name!r}, which no effect of {declared.name!r} is called."
+            ) from error
+    return out
+
+
+def with_starts(search: Search, system: System, effects: Sequence[str]) -> list[System]:
+    """A system with the effects named at each of the first values that their fits are started from."""
+    scales = data_sizes(system, search.steps)
+    out = [system]
+    for name in effects:
+        begun = starts(system.without_effects(name), name, scales, [])
+        out = [
+            base.without_effects(name).with_effects(make_candidate(name, base, start))
+            for base in out
+            for start in (begun or [{}])
+        ]
+    step = max(1, -(-len(out) // _STARTS))
+    return out[::step]
+
+
+def _nearest(search: Search, system: System, like: Regression, name: str) -> Regression:
+    """The best fit of a system from several first values, with noise models of the kind of another fit."""
+    own = [n for n in system.effect_names if n not in like.vector.system.effect_names]
+    best: Regression | None = None
+    why = ""
+    for begun in [system, *with_starts(search, system, own)]:
+        try:
+            fit = search.regression(begun, like)
+            fit.run(search.budgets.iterations)
+        except (NsdeError, np.linalg.LinAlgError) as error:
+            why = str(error)
+            continue
+        if best is None or log_likelihood(fit) > log_likelihood(best):
+            best = fit
+    if best is None:
+        raise ConfigError(f"{name} cannot be fitted to the runs: {why}")
+    return best
+
+
+def _member(declared: System, name: str, fit: Regression, runs: Sequence[Run], noise: Noises) -> Member:
+    effects = tuple(n for n in fit.vector.system.effect_names if n not in declared.effect_names)
+    if not declared.sensor_noise:
+        flat = fit.slopes.reshape(-1, len(fit.vector))
+        nats = log_likelihood(fit)
+        return Member(name, effects, fitted_system(fit), fit, fit.theta, flat.T @ flat, nats, None)
+    own = Filter(fitted_system(fit), dt=fit.physics.steps.dt, noise=noise)
+    prior = prior_information(own.vector)
+    own.vector.low, own.vector.high = fit.vector.low, fit.vector.high
+    found = own.solve([FilterProblem(*stretches(runs), fit.theta, prior)], rounds=_ROUNDS)[0]
+    system = fitted_system(fit)
+    own.vector.write(system, found.theta)
+    return Member(name, effects, system, fit, found.theta, found.information - prior, found.nats, own)
+
+
+def log_likelihood(fit: Regression) -> float:
+    """Log-likelihood of the rows of a fit, less one for each parameter of its noise models [nats]."""
+    rows = fit.white.shape[1]
+    laws = sum(law.likelihood(rows) for law in fit.noises)
+    return float(laws - 0.5 * np.square(fit.white).sum())
+
+
+def prior_information(vector: ParameterVector) -> Array:
+    """What is known of every parameter without data (k, k): it is of the size that such a parameter has, within ten."""
+    return np.diag(1.0 / np.square(10.0 * vector.scale))

@@ -1,0 +1,251 @@
+"""The search for the experiment that tells most: random proposals, then changes of the best, judged by the worst case.
+
+An experiment is worth what it tells in the less favourable draws of the parameters (a fifth of the way up from the
+worst), whichever member is true: for a tie the expected evidence [nats], for parameters the logarithm of how much
+smaller than their usual size the standard errors become. One that leaves a limit under any member and draw is out.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Protocol, final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nsde_torch.design.expected import Precision, Separation
+from nsde_torch.design.limits import MARGIN, ExperimentLimits
+from nsde_torch.design.members import Member
+from nsde_torch.design.rollout import Drive, Rollouts
+from nsde_torch.errors import ConfigError
+
+Array = NDArray[np.float64]
+CAUTIOUS = 0.2
+"""Quantile over draws of the parameters that an experiment is judged by."""
+_MEAN = 0.1
+_PARENTS = 8
+_NOTHING = -1e9  # what an experiment is worth that is not finite
+
+
+def worth_of(told: Array, axis: int) -> Array:
+    """What draws are worth together: the less favourable ones and, where these tell nothing, a little the mean."""
+    return np.asarray(np.quantile(told, CAUTIOUS, axis=axis) + _MEAN * told.mean(axis))
+
+
+class ProposalFamily(Protocol):
+    """What makes experiments of genes in [0, 1], one array each."""
+
+    def random(self, count: int, rng: np.random.Generator) -> Array:
+        """Genes of anything."""
+
+    def gentle(self, count: int, rng: np.random.Generator) -> Array:
+        """Genes of experiments that hardly do anything."""
+
+    def mutated(self, genes: Array, rng: np.random.Generator) -> Array:
+        """Genes near others."""
+
+    def inputs(self, genes: Array) -> Array:
+        """Rows of the experiments (count, N, m)."""
+
+    def words(self, genes: Array) -> list[str]:
+        """What a person reads of one of them."""
+
+    def baselines(
+        self, rng: np.random.Generator, before: Array | None = None
+    ) -> dict[str, tuple[Array, tuple[str, ...]]]:
+        """Usual experiments at several sizes (sizes, N, m), with words."""
+
+
+@dataclass(frozen=True)
+class Judged:
+    """What a batch of experiments is worth.
+
+    Args:
+        worth: Of each (C,); -inf beyond the limits.
+        each: Per ordered pair of members, or per member, and draw (pairs, S, C): nats, or standard errors' worth.
+        use: Largest share of each state's range (C, nx), nan where a state is not finite.
+    """
+
+    worth: Array
+    each: Array
+    use: Array
+
+
+@final
+class Judge:
+    """Flies experiments of every member at every draw, and judges them.
+
+    Args:
+        members: What may be true.
+        precision: What is asked of one member's parameters; None asks which member is true.
+        limits: Limits.
+        start: First state (nx,).
+        draws: Draws of the parameters of each member (S, k).
+        drive: Makes the inputs of a batch of tables (B, N, m).
+    """
+
+    def __init__(
+        self,
+        members: Sequence[Member],
+        precision: Precision | None,
+        limits: ExperimentLimits,
+        start: Array,
+        draws: Sequence[Array],
+        drive: Callable[[Array], Drive],
+    ) -> None:
+        self.members, self.precision, self.limits = members, precision, limits
+        self._start, self._draws, self._drive = start, draws, drive
+        dt = members[0].regression.physics.steps.dt
+        self._rollouts = [Rollouts(m.system, dt=dt) for m in members]
+        self._pairs = {
+            (i, j): Separation(a, b)
+            for i, a in enumerate(members)
+            for j, b in enumerate(members)
+            if i != j and precision is None
+        }
+
+    def flown(self, member: int, tables: Array) -> tuple[Array, Array]:
+        """States (S, C, N + 1, nx) and inputs (S, C, N, nu) of experiments (C, N, m) at every draw of a member."""
+        draws, c = self._draws[member], len(tables)
+        whole = np.tile(tables, (len(draws), 1, 1))
+        x, _, u = self._rollouts[member].run(
+            np.repeat(draws, c, 0),
+            np.tile(self._start, (len(whole), 1)),
+            self._drive(whole),
+            tables.shape[1],
+        )
+        return x.reshape(len(draws), c, *x.shape[1:]), u.reshape(len(draws), c, *u.shape[1:])
+
+    def judge(self, tables: Array) -> Judged:
+        """Judge experiments (C, N, m)."""
+        uses, each = [], []
+        for i in range(len(self.members)):
+            states, inputs = self.flown(i, tables)
+            uses.append(self.limits.use(states).max(0))
+            fine = np.isfinite(states).all((0, 2, 3)) & (uses[-1] < 3.0).all(1)
+            each += self._told(i, states[:, fine], inputs[:, fine], fine)
+        use, table = np.stack(uses).max(0), np.stack(each)
+        worth = worth_of(np.maximum(table, _NOTHING), 1).min(0)
+        inside = np.nan_to_num(use, nan=np.inf).max(1) <= 1.0 - MARGIN
+        return Judged(np.where(inside, worth, -np.inf), table, use)
+
+    def _told(self, i: int, states: Array, inputs: Array, fine: NDArray[np.bool_]) -> list[Array]:
+        """What experiments tell where a member is true, one table (S, C) for each other member."""
+        draws = self._draws[i]
+        out = []
+        if self.precision is not None:
+            worth = np.full((len(draws), len(fine)), -np.inf)
+            for s, theta in enumerate(draws):
+                if fine.any():
+                    errors = self.precision.errors(states[s], inputs[s], theta)[:, self.precision.columns]
+                    worth[s, fine] = -np.log(errors / self.precision.sizes).mean(1)
+            return [worth]
+        for j in range(len(self.members)):
+            if i == j:
+                continue
+            nats = np.full((len(draws), len(fine)), -np.inf)
+            for s, theta in enumerate(draws):
+                if fine.any():
+                    nats[s, fine] = self._pairs[i, j].nats(states[s], inputs[s], theta)
+            out.append(nats)
+        return out
+
+    def pair(self, i: int, j: int) -> Separation:
+        """Expected evidence for member i against member j."""
+        return self._pairs[i, j]
+
+
+@dataclass(frozen=True)
+class Proposal:
+    """An experiment that was judged.
+
+    Args:
+        name: What it is called.
+        table: Its rows (N, m).
+        worth: What it is worth.
+        each: See `Judged` (pairs, S).
+        use: Largest share of each state's range (nx,).
+        words: What a person reads of it.
+    """
+
+    name: str
+    table: Array
+    worth: float
+    each: Array
+    use: Array
+    words: tuple[str, ...] = ()
+
+
+def best_of(judge: Judge, name: str, tables: Array, words: Sequence[str] = ()) -> Proposal | None:
+    """The best of some experiments; None where all leave the limits."""
+    judged = judge.judge(tables)
+    k = int(judged.worth.argmax())
+    if not np.isfinite(judged.worth[k]):
+        return None
+    return Proposal(
+        name, tables[k], float(judged.worth[k]), judged.each[:, :, k], judged.use[k], tuple(words)
+    )
+
+
+def search(
+    judge: Judge,
+    family: ProposalFamily,
+    *,
+    proposals: int,
+    generations: int,
+    keep: int,
+    rng: np.random.Generator,
+    say: Callable[[str, int, int], None],
+) -> list[Proposal]:
+    """The best experiments, the best first.
+
+    Args:
+        judge: Judges them.
+        family: Makes them of genes (`Signals`, `Paths`).
+        proposals: Number judged together.
+        generations: Rounds of changes.
+        keep: Number returned.
+        rng: Source of everything random.
+        say: Told stage, number done and number in all.
+
+    Raises:
+        ConfigError: none stays within the limits; says which limit is in the way.
+    """
+    genes = np.concatenate((family.random(proposals, rng), family.gentle(proposals // 4, rng)))
+    found: list[tuple[float, Array, Proposal]] = []
+    nearest: tuple[float, int] = (np.inf, 0)
+    for generation in range(generations + 1):
+        say("proposing experiments", generation, generations + 1)
+        tables = family.inputs(genes)
+        judged = judge.judge(tables)
+        for k in np.argsort(-judged.worth):
+            if np.isfinite(judged.worth[k]):
+                made = Proposal(
+                    "designed", tables[k], float(judged.worth[k]), judged.each[:, :, k], judged.use[k]
+                )
+                found.append((made.worth, genes[k], made))
+        over = np.nan_to_num(judged.use, nan=np.inf)
+        at = int(over.max(1).argmin())
+        nearest = min(nearest, (float(over[at].max()), int(over[at].argmax())))
+        found = sorted(found, key=lambda f: -f[0])[: max(4 * _PARENTS, keep)]
+        parents = np.stack([g for _, g, _ in found[:_PARENTS]]) if found else family.gentle(_PARENTS, rng)
+        genes = family.mutated(parents[rng.integers(len(parents), size=proposals)], rng)
+    say("proposing experiments", generations + 1, generations + 1)
+    if not found:
+        raise ConfigError(_in_the_way(judge.limits, *nearest))
+    return [
+        Proposal(p.name, p.table, p.worth, p.each, p.use, tuple(family.words(g))) for _, g, p in found[:keep]
+    ]
+
+
+def _in_the_way(limits: ExperimentLimits, share: float, state: int) -> str:
+    name = limits.states[state]
+    low, high = limits.floor[state], limits.ceiling[state]
+    room = f"limits.{name}=[{low:.4g},{high:.4g}]" + ("" if name in limits.given else " (what the runs held)")
+    reached = "leaves it" if not np.isfinite(share) else f"takes {share:.0%} of it"
+    return (
+        f"no experiment stays within the limits: what limits it is {room}; the gentlest input tried {reached}, "
+        f"where {1 - MARGIN:.0%} is allowed, as the members do not know all. Widen it, start inside of it "
+        "(start.NAME=...), or plan a shorter experiment (duration=...)."
+    )

@@ -1,0 +1,194 @@
+"""Experiments of a member, many at once, each with parameters of its own.
+
+    x' = f(x, u; theta),  Runge and Kutta's fourth order;  x_{k+1} += w_k,   measured_k = x_k + s_k
+
+with w and s as the law of the residuals of steps says (`noises`); of machines whose gusts outweigh their sensors w
+keeps the colour that was found.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from math import ceil
+from typing import final
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from scipy.signal import lfilter
+from torch import Tensor
+
+from nsde_torch.columns import by_column
+from nsde_torch.design.noises import noises_of
+from nsde_torch.rotation import rotate
+from nsde_torch.sysid.physics import Physics
+from nsde_torch.sysid.regression import Regression
+from nsde_torch.sysid.steps import Steps
+from nsde_torch.systems import System
+from nsde_torch.systems.parameters import ParameterVector
+
+Array = NDArray[np.float64]
+Drive = Callable[[int, Tensor], Tensor]
+"""Inputs (B, nu) from the number of the step and the measured states (B, nx)."""
+_SUBSTEPS = 8
+
+
+@dataclass(frozen=True)
+class Disturbances:
+    """What acts on experiments beside the inputs.
+
+    Args:
+        pushes: Changes of states over each step (B, N, nx), those of a turned velocity in body axes.
+        errors: Errors of the sensors (B, N + 1, nx).
+    """
+
+    pushes: Array
+    errors: Array
+
+
+def disturbances(fit: Regression, count: int, steps: int, rng: np.random.Generator) -> Disturbances:
+    """Noise as a fit found it, for `count` experiments."""
+    nx = fit.vector.system.nx
+    pushes, errors = np.zeros((count, steps, nx)), rng.standard_normal((count, steps + 1, nx))
+    if fit.vector.system.sensor_noise:
+        found = noises_of(fit)
+        return Disturbances(
+            np.sqrt(found.pushes) * rng.standard_normal((count, steps, nx)), np.sqrt(found.sensors) * errors
+        )
+    errors *= fit.physics.sensor_std
+    for law, channel in zip(fit.noises, fit.rows, strict=True):
+        white = law.std * (1.0 - law.carry) * rng.standard_normal((count, steps + 50))
+        # laws are of sums over boxes: a step has its share of their variance
+        pushes[..., channel] = lfilter([1.0], law.polynomial, white, axis=1)[:, 50:] / fit.box**0.5
+        errors[..., channel] = law.std * law.carry**0.5 * rng.standard_normal((count, steps + 1))
+    return Disturbances(pushes, errors)
+
+
+@final
+class Rollouts:
+    """Experiments of one system.
+
+    Args:
+        system: Physics.
+        dt: Step [s].
+    """
+
+    def __init__(self, system: System, *, dt: float) -> None:
+        self.vector, self.dt = ParameterVector(system), dt
+        self.system = self.vector.system
+        self._fine = self._substeps()
+        self._h = dt / self._fine
+        self._rk4 = torch.func.vmap(self._one, in_dims=(0, None, 0, 0))
+
+    @torch.no_grad()
+    def run(
+        self, thetas: Array, start: Array, drive: Drive, steps: int, noise: Disturbances | None = None
+    ) -> tuple[Array, Array, Array]:
+        """Fly experiments.
+
+        Args:
+            thetas: Parameters of each (B, k).
+            start: First states (B, nx).
+            drive: Inputs.
+            steps: Number of steps.
+            noise: What else acts; None: nothing.
+
+        Returns:
+            True states (B, N + 1, nx), measured states (B, N + 1, nx) and inputs (B, N, nu).
+        """
+        theta, x = torch.as_tensor(thetas), torch.as_tensor(start)
+        nx = self.system.nx
+        errors = None if noise is None else torch.as_tensor(noise.errors)
+        pushes = None if noise is None else torch.as_tensor(noise.pushes)
+        seen = x if errors is None else x + errors[:, 0]
+        u = drive(0, seen)
+        z = self.system.augment(x, u)
+        true, measured, inputs = [x], [seen], []
+        for k in range(steps):
+            if k:
+                u = drive(k, seen)
+            inputs.append(u)
+            z = self.later(theta, k, z, u)
+            if pushes is not None:
+                z = self.system.project(torch.cat((z[:, :nx] + self._pushed(z, pushes[:, k]), z[:, nx:]), 1))
+            x = z[:, :nx]
+            seen = x if errors is None else self.system.project(x + errors[:, k + 1])
+            true.append(x)
+            measured.append(seen)
+        return torch.stack(true, 1).numpy(), torch.stack(measured, 1).numpy(), torch.stack(inputs, 1).numpy()
+
+    def later(self, theta: Tensor, k: int, z: Tensor, u: Tensor) -> Tensor:
+        """States and memory (B, nz) after step k, of parameters (B, k) and inputs (B, nu)."""
+        for i in range(self._fine):
+            z = self.system.project(z + self._rk4(theta, k * self.dt + i * self._h, z, u))
+        return z
+
+    def _one(self, theta: Tensor, t: float, z: Tensor, u: Tensor) -> Tensor:
+        """Change of one state over a fine step."""
+        self.vector.use(theta)
+        h = self._h
+
+        def f(share: float, at: Tensor) -> Tensor:
+            return self.system.drift(t + share * h, at[None], u[None])[0]
+
+        k1 = f(0.0, z)
+        k2 = f(0.5, z + 0.5 * h * k1)
+        k3 = f(0.5, z + 0.5 * h * k2)
+        k4 = f(1.0, z + h * k3)
+        return (h / 6.0) * (k1 + 2.0 * (k2 + k3) + k4)
+
+    def _pushed(self, z: Tensor, push: Tensor) -> Tensor:
+        q = self.system.quaternion
+        if q is None:
+            return push
+        names = list(self.system.state_names)
+        at = names.index(next(v for _, v, frame in self.system.position_derivatives if frame == "world"))
+        return torch.cat((push[:, :at], rotate(z[:, q], push[:, at : at + 3]), push[:, at + 3 :]), 1)
+
+    @torch.no_grad()
+    def _substeps(self) -> int:
+        """Fine steps in a step: as many as follow the fastest mode at rest."""
+        x = torch.zeros(1, self.system.nx, dtype=torch.float64)
+        if self.system.quaternion is not None:
+            x[:, self.system.quaternion.start] = 1.0
+        u = torch.zeros(1, self.system.nu + len(self.system.exogenous), dtype=torch.float64)
+        slopes = torch.func.jacfwd(lambda z: self.system.drift(0.0, z, u)[0])(self.system.augment(x, u))[:, 0]
+        if not bool(torch.isfinite(slopes).all()):
+            return _SUBSTEPS
+        fastest = float(torch.linalg.eigvals(slopes).abs().max())
+        return min(max(1, ceil(0.7 * fastest * self.dt)), _SUBSTEPS)
+
+
+def steps_from(system: System, states: Array, inputs: Array, *, dt: float) -> Steps:
+    """Experiments as the steps that a regression looks at, one stretch for each.
+
+    Args:
+        system: The machine.
+        states: States (B, N + 1, nx).
+        inputs: Inputs (B, N, nu).
+        dt: Step [s].
+    """
+    b, n, nx = states.shape[0], inputs.shape[1], states.shape[2]
+
+    def flat(values: Array, width: int) -> Tensor:
+        return by_column(torch.from_numpy(np.ascontiguousarray(values).reshape(-1, width)))
+
+    x0, x1 = flat(states[:, :-1], nx), flat(states[:, 1:], nx)
+    return Steps(
+        t=torch.from_numpy(np.tile(dt * np.arange(n), b)),
+        x0=x0,
+        x1=x1,
+        seen0=x0,
+        seen1=x1,
+        u=flat(inputs, inputs.shape[2]),
+        logged_dt=dt,
+        dt=dt,
+        segments=tuple((i * n, (i + 1) * n) for i in range(b)),
+        runs=tuple(range(b)),
+    )
+
+
+def physics_of(system: System, steps: Steps) -> Physics:
+    """Residuals and slopes of noise-free experiments."""
+    return Physics(ParameterVector(system), steps, foresee=False)

@@ -1,0 +1,193 @@
+"""Inputs of an open loop: pieces of equal length, each a hold, ramp, sine, chirp, square wave or two sines.
+
+    u(t) = middle + half range * clip(offset + amplitude * wave(t), -1, 1)
+
+Each piece of each input has six genes in [0, 1]: kind, offset, amplitude, two frequencies (on a logarithmic scale) and
+a phase. They are few, a person can fly them, and a search can change one at a time.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nsde_torch.design.limits import ExperimentLimits
+
+Array = NDArray[np.float64]
+
+KINDS = ("hold", "ramp", "sine", "chirp", "square", "two sines")
+PIECES = 4
+GENES = 6
+SCALES = (1.0, 0.5, 0.25, 0.1)
+"""Shares of the range of the inputs that a baseline is tried at."""
+
+
+@dataclass(frozen=True)
+class Signals:
+    """Inputs of one length within limits.
+
+    Args:
+        limits: Limits.
+        dt: Step [s].
+        steps: Number of steps.
+        hertz: Lowest and highest frequency [Hz].
+    """
+
+    limits: ExperimentLimits
+    dt: float
+    steps: int
+    hertz: tuple[float, float]
+
+    @property
+    def shape(self) -> tuple[int, int, int]:
+        """Shape of the genes of an experiment: pieces, inputs, genes."""
+        return PIECES, len(self.limits.low), GENES
+
+    def random(self, count: int, rng: np.random.Generator) -> Array:
+        """Genes (count, pieces, nu, 6)."""
+        genes = rng.uniform(0.0, 1.0, (count, *self.shape))
+        same = rng.uniform(size=count) < 0.4  # one wave throughout
+        genes[same, 1:] = genes[same, :1]
+        genes[..., 1] = 0.5 + (genes[..., 1] - 0.5) * rng.choice([0.0, 0.3, 1.0], count)[:, None, None]
+        return genes
+
+    def gentle(self, count: int, rng: np.random.Generator) -> Array:
+        """Genes of inputs of small swing about where the machine is left alone (count, pieces, nu, 6)."""
+        genes = self.random(count, rng)
+        rest = np.clip(-self._middle / self._half, -1.0, 1.0)  # input 0, or the nearest to it
+        genes[..., 1] = 0.5 + 0.5 * rest + 0.01 * (genes[..., 1] - 0.5)
+        genes[..., 2] *= np.geomspace(0.005, 0.2, count)[:, None, None]
+        return np.clip(genes, 0.0, 1.0 - 1e-9)
+
+    def mutated(self, genes: Array, rng: np.random.Generator) -> Array:
+        """Genes near others (count, pieces, nu, 6)."""
+        out = genes.copy()
+        for g in out:
+            size = rng.choice([0.03, 0.1, 0.3])
+            chosen = rng.uniform(size=g.shape) < rng.choice([0.1, 0.3, 1.0])
+            g += size * chosen * rng.standard_normal(g.shape)
+            if rng.uniform() < 0.25:  # one piece as another
+                a, b = rng.integers(len(g), size=2)
+                g[a] = g[b]
+            if rng.uniform() < 0.2:
+                g[rng.integers(len(g)), :, 0] = rng.uniform()
+        return np.clip(out, 0.0, 1.0 - 1e-9)
+
+    def inputs(self, genes: Array) -> Array:
+        """Inputs (count, steps, nu) of genes (count, pieces, nu, 6)."""
+        t = self.dt * np.arange(self.steps, dtype=np.float64)
+        edges = np.linspace(0, self.steps, PIECES + 1).round().astype(int)
+        out = np.empty((len(genes), self.steps, genes.shape[2]))
+        for p, (a, b) in enumerate(pairwise(edges.tolist())):
+            out[:, a:b] = np.moveaxis(self._piece(genes[:, p], t[a:b]), 2, 1)
+        return self._scaled(out)
+
+    def words(self, genes: Array) -> list[str]:
+        """What a person reads of the genes (pieces, nu, 6) of one experiment."""
+        edges = self.dt * np.linspace(0, self.steps, PIECES + 1).round()
+        out = []
+        half, middle = self._half, self._middle
+        for p, (a, b) in enumerate(pairwise(edges.tolist())):
+            for i, name in enumerate(self.limits.inputs):
+                kind, offset, size, f1, f2, _ = self._decoded(genes[p, i])
+                about, swing = middle[i] + half[i] * offset, half[i] * size
+                told = {
+                    "hold": f"hold {about:.3g}",
+                    "ramp": f"ramp from {about - swing:.3g} to {about + swing:.3g}",
+                    "sine": f"sine of {f1:.2g} Hz, +- {swing:.3g} about {about:.3g}",
+                    "chirp": f"chirp from {f1:.2g} to {f2:.2g} Hz, +- {swing:.3g} about {about:.3g}",
+                    "square": f"to and fro at {f1:.2g} Hz, +- {swing:.3g} about {about:.3g}",
+                    "two sines": f"sines of {f1:.2g} and {f2:.2g} Hz, +- {swing:.3g} about {about:.3g}",
+                }[kind]
+                out.append(f"{a:.4g} to {b:.4g} s: {name} {told}")
+        return out
+
+    def baselines(
+        self, rng: np.random.Generator, before: Array | None = None
+    ) -> dict[str, tuple[Array, tuple[str, ...]]]:
+        """Usual inputs (scales, steps, nu), each at several sizes, with words.
+
+        Args:
+            rng: Source of the multisine's phases.
+            before: Inputs (n, nu) of a run there is, flown again.
+        """
+        t = self.dt * np.arange(self.steps, dtype=np.float64)
+        n = len(self.limits.low)
+        low, high = self.hertz
+        top = min(high, max(2.0, 4.0 * low))
+        f = np.exp(rng.uniform(np.log(low), np.log(top), (n, 8)))
+        sines = np.sin(2 * np.pi * f[..., None] * t + rng.uniform(0, 2 * np.pi, (n, 8, 1))).sum(1)
+        rate = np.log(high / low) / t[-1]
+        chirp = np.sin(2 * np.pi * low * np.expm1(rate * t) / rate)
+        period = 4.0 * max(0.5, 2.0 * self.dt)
+        place = np.mod(t, period) / period
+        doublet = np.where(place < 0.25, 1.0, np.where(place < 0.5, -1.0, 0.0))
+        waves = {
+            "multisine": sines / np.abs(sines).max(1, keepdims=True),
+            "chirp": np.tile(chirp, (n, 1)),
+            "doublets": np.tile(doublet, (n, 1)),
+        }
+        sizes = np.array(SCALES)[:, None, None]
+        told = {
+            "multisine": f"8 sines of random phase, {low:.2g} to {top:.2g} Hz",
+            "chirp": f"a chirp from {low:.2g} to {high:.2g} Hz",
+            "doublets": f"a doublet of {period:.2g} s, again and again",
+        }
+        out: dict[str, tuple[Array, tuple[str, ...]]] = {
+            name: (self._scaled(sizes * wave.T[None]), (told[name],)) for name, wave in waves.items()
+        }
+        if before is not None:
+            again = before[np.arange(self.steps) % len(before)]
+            table = np.clip(sizes * again, self.limits.low, self.limits.high)
+            out["the longest run again"] = table, ("the inputs of the longest run",)
+        return out
+
+    def _scaled(self, unit: Array) -> Array:
+        return np.asarray(self._middle + self._half * np.clip(unit, -1.0, 1.0))
+
+    @property
+    def _half(self) -> Array:
+        return np.asarray(0.5 * (self.limits.high - self.limits.low))
+
+    @property
+    def _middle(self) -> Array:
+        return np.asarray(0.5 * (self.limits.high + self.limits.low))
+
+    def _decoded(self, g: Array) -> tuple[str, float, float, float, float, float]:
+        low, high = np.log(self.hertz)
+        f1, f2 = np.exp(low + g[3:5] * (high - low))
+        return (
+            KINDS[int(g[0] * len(KINDS))],
+            float(2 * g[1] - 1),
+            float(g[2]),
+            float(f1),
+            float(f2),
+            float(g[5]),
+        )
+
+    def _piece(self, g: Array, t: Array) -> Array:
+        """Unit inputs (count, nu, n) of the genes (count, nu, 6) of one piece at times (n,)."""
+        low, high = np.log(self.hertz)
+        f1, f2 = (np.exp(low + g[..., k, None] * (high - low)) for k in (3, 4))
+        phase = 2 * np.pi * g[..., 5, None]
+        s = (t - t[0]) / max(t[-1] - t[0], self.dt)
+        length = max(t[-1] - t[0], self.dt)
+        one = np.sin(2 * np.pi * f1 * t + phase)
+        ratio = np.log(f2 / f1)
+        ratio = np.where(np.abs(ratio) < 1e-6, 1e-6, ratio)
+        waves = np.stack(
+            [
+                np.zeros_like(one),
+                np.broadcast_to(2.0 * s - 1.0, one.shape),
+                one,
+                np.sin(2 * np.pi * f1 * length * np.expm1(ratio * s) / ratio + phase),
+                np.where(one >= 0, 1.0, -1.0),
+                0.5 * (one + np.sin(2 * np.pi * f2 * t)),
+            ]
+        )
+        kind = (g[..., 0] * len(KINDS)).astype(int)
+        wave = np.take_along_axis(waves, kind[None, ..., None], 0)[0]
+        return np.asarray(2 * g[..., 1, None] - 1 + g[..., 2, None] * wave)

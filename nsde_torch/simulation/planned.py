@@ -1,0 +1,171 @@
+"""Runs of a plan that `nsde design` or anyone wrote into a CSV file: inputs from the state that the plan begins in, or,
+of multirotors, a path through points that a cascade flies."""
+
+from __future__ import annotations
+
+import csv
+import json
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from nsde_torch.control.waypoints import from_csv
+from nsde_torch.data.raw import RawRun
+from nsde_torch.errors import ConfigError, DataError
+from nsde_torch.simulation.battery import battery_column
+from nsde_torch.simulation.flights import fly_logged
+from nsde_torch.simulation.make import Making, make_plant, plant_options
+from nsde_torch.simulation.pilot import Path as Wanted
+from nsde_torch.simulation.recorder import record
+from nsde_torch.systems.machines import Effects, machine
+
+Array = NDArray[np.float64]
+PLAN, DESIGN = "plan.csv", "design.json"
+
+
+def planned_runs(
+    name: str,
+    *,
+    durations: Sequence[float] | None = None,
+    seed: int,
+    effects: Effects = (),
+    process_noise: float = 1.0,
+    sensor_noise: float = 1.0,
+    making: Making | None = None,
+    plan: str,
+    start: Mapping[str, float] | None = None,
+) -> list[RawRun]:
+    """One run of a plan for each duration, which the plan is held to the end of.
+
+    Args:
+        name: System.
+        durations: Length of each run [s]; default: one of the plan's.
+        seed: Seed of the noise.
+        effects: Effects that the plant has beyond its own.
+        process_noise: Factor on the gusts.
+        sensor_noise: Factor on the sensor noise.
+        making: How the plant is made.
+        plan: CSV file of `t` and the inputs, or the folder that `nsde design` wrote.
+        start: First values of states; default: those of `design.json` beside the plan, else 0.
+
+    Raises:
+        ConfigError: a name that is no state, or an unknown effect.
+        DataError: no plan, or one that does not fit the system.
+    """
+    plant = make_plant(
+        name,
+        generator=torch.Generator().manual_seed(int(np.random.default_rng([seed, 1]).integers(2**62))),
+        effects=effects,
+        process_noise=process_noise,
+        sensor_noise=sensor_noise,
+        **plant_options(making),
+    )
+    names = plant.system.state_names
+    t, table = read_plan(plan, plant.system.input_names)
+    first = _first_state(Path(plan), names, start)
+    lengths = [float(t[-1])] if durations is None else list(durations)
+
+    def control(at: float, x: torch.Tensor) -> torch.Tensor:
+        row = int(np.searchsorted(t, at + 1e-6 * plant.dt, side="right")) - 1
+        return torch.as_tensor(table[row]).expand(len(x), -1)
+
+    return record(plant, np.tile(first, (len(lengths), 1)), control, durations=lengths, prefix="experiment")
+
+
+def planned_flights(
+    name: str,
+    *,
+    durations: Sequence[float] | None = None,
+    seed: int,
+    effects: Effects = (),
+    process_noise: float = 1.0,
+    sensor_noise: float = 1.0,
+    making: Making | None = None,
+    plan: str,
+) -> list[RawRun]:
+    """One flight of a plan for each duration, along a path through points (`nsde_torch.control.waypoints.from_csv`).
+
+    Arguments and errors are those of `planned_runs`; there is no start, because a flight begins at its first point.
+    """
+    made = making or Making()
+    dt = made.dt or machine(name).dt
+    path = from_csv(plan_file(plan))
+    lengths = [path.duration] if durations is None else list(durations)
+    grid = path.dt * np.arange(len(path.p))
+    wanted = []
+    for duration in lengths:
+        t = np.minimum(dt * np.arange(round(duration / dt) + 1), grid[-1])
+        p, v, a = (np.stack([np.interp(t, grid, c) for c in part.T], 1) for part in (path.p, path.v, path.a))
+        wanted.append(
+            Wanted(p, v, a, np.interp(t, grid, path.yaw), np.interp(t, grid, np.gradient(path.yaw, path.dt)))
+        )
+    flown = fly_logged(
+        name,
+        wanted,
+        generator=torch.Generator().manual_seed(int(np.random.default_rng([seed, 1]).integers(2**62))),
+        effects=effects,
+        process_noise=process_noise,
+        sensor_noise=sensor_noise,
+        making=making,
+        durations=lengths,
+    )
+    out = []
+    for i, one in enumerate(wanted):
+        n, part = len(one.p), flown.one(len(one.p), i)
+        t = dt * np.arange(n, dtype=np.float64)
+        extra = battery_column(part.voltage)
+        out.append(RawRun(f"experiment_{i}", t, part.x, part.u, source="simulated", extra=extra))
+    return out
+
+
+def plan_file(plan: str | Path) -> Path:
+    """The CSV file of a plan: itself, or that of the folder that `nsde design` wrote."""
+    path = Path(plan)
+    return path / PLAN if path.is_dir() else path
+
+
+def read_plan(plan: str | Path, names: Sequence[str]) -> tuple[Array, Array]:
+    """Times (N,) [s] and inputs (N, nu) of a plan, each held to the next.
+
+    Args:
+        plan: The file, or the folder that holds it.
+        names: Columns of the inputs.
+
+    Raises:
+        DataError: the file or a column is missing, something is no number, or times do not increase.
+    """
+    path = plan_file(plan)
+    try:
+        with path.open(encoding="utf-8", newline="") as opened:
+            rows = list(csv.DictReader(opened))
+    except OSError as error:
+        raise DataError(f"plan {path}: {error.strerror}. `nsde design` writes {PLAN}.") from error
+    have = list(rows[0]) if rows else []
+    missing = [n for n in ("t", *names) if n not in have]
+    if missing:
+        raise DataError(
+            f"plan {path} has no column {', '.join(missing)}; it has: {', '.join(have) or 'none'}."
+        )
+    try:
+        table = np.array([[float(row[n]) for n in ("t", *names)] for row in rows])
+    except (TypeError, ValueError) as error:
+        raise DataError(f"plan {path} holds something that is no number ({error}).") from error
+    if len(table) < 2 or not np.isfinite(table).all() or (np.diff(table[:, 0]) <= 0).any():
+        raise DataError(f"plan {path} needs two rows or more of finite numbers whose times increase.")
+    return table[:, 0] - table[0, 0], table[:, 1:]
+
+
+def _first_state(plan: Path, names: Sequence[str], start: Mapping[str, float] | None) -> Array:
+    beside = (plan if plan.is_dir() else plan.parent) / DESIGN
+    given = start
+    if given is None and beside.is_file():
+        given = json.loads(beside.read_text(encoding="utf-8"))["plan"]["start"]
+    out = np.zeros(len(names))
+    for name, value in (given or {}).items():
+        if name not in names:
+            raise ConfigError(f"`options.start` names {name!r}; the states are {', '.join(names)}.")
+        out[list(names).index(name)] = float(value)
+    return out

@@ -1,0 +1,73 @@
+"""`nsde design` from a diagnosis to a plan, from the plan to a flown run, and what that told."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from nsde_torch.cli.main import main
+
+MEMBERS = "members=[[coulomb_friction,constant_force],[asymmetric_friction]]"
+TRUE = "plant.effects=[{coulomb_friction:{size:0.2,width:0.02}},{constant_force:{acceleration:0.06}}]"
+FEW = ("samples=2", "proposals=8", "generations=1", "rehearsals=2", "duration=3", "baselines=false")
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Runs and their diagnosis."""
+    out = tmp_path_factory.mktemp("design")
+    spring = "system=mass_spring_damper"
+    assert (
+        main(["simulate", spring, TRUE, "durations=[5,5]", "dt=0.05", "seed=3", f"out={out / 'runs'}"]) == 0
+    )
+    words = ["data=csv", f"data.path={out / 'runs'}", "candidates=[coulomb_friction,asymmetric_friction]"]
+    assert main(["diagnose", spring, *words, "retrain=false", f"out_dir={out / 'diagnosis'}"]) == 0
+    return out
+
+
+def test_a_tie_is_planned_flown_and_broken(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    asked = ["design", f"run={folder / 'diagnosis'}"]
+    assert main([*asked, MEMBERS, *FEW, f"out_dir={folder / 'plan'}"]) == 0
+    told = capsys.readouterr().out
+    assert "which is true: coulomb_friction + constant_force or asymmetric_friction" in told
+    assert "expected evidence [nats]" in told
+    content = json.loads((folder / "plan" / "design.json").read_text(encoding="utf-8"))
+    assert [e["if_true"] for e in content["expected"]] == content["question"]["names"]
+    plan = f"plan={folder / 'plan'}"
+    flown = ["simulate", "system=mass_spring_damper", "dt=0.05", "pilot=plan", plan]
+    assert main([*flown, TRUE, "seed=8", f"out={folder / 'flown'}"]) == 0
+    assert main([*asked, f"flown={folder / 'flown'}", plan, f"out_dir={folder / 'obtained'}"]) == 0
+    found = json.loads((folder / "obtained" / "obtained.json").read_text(encoding="utf-8"))
+    assert found["broken"]
+    assert found["speaks_for"] == "coulomb_friction + constant_force"
+    assert found["expected_nats"] == pytest.approx(content["expected"][0]["nats"]["mean"])
+
+
+def test_what_cannot_be_planned_is_said_before_any_work(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    asked = ["design", f"run={folder / 'diagnosis'}"]
+    assert main([*asked, MEMBERS, "limits={speed: [0,1]}", f"out_dir={folder / 'a'}"]) == 2
+    assert "names 'speed'" in capsys.readouterr().err
+    assert main([*asked, "members=[coulomb_friction]", f"out_dir={folder / 'b'}"]) == 2
+    assert "takes lists of effects" in capsys.readouterr().err
+    assert main(["design", f"run={folder / 'runs'}", f"out_dir={folder / 'c'}"]) == 2
+    assert "holds no diagnosis.json" in capsys.readouterr().err
+    assert main(["simulate", "system=cartpole", "pilot=plan", f"out={folder / 'd'}"]) == 2
+    assert "go together" in capsys.readouterr().err
+
+
+def test_other_runs_than_those_of_the_diagnosis_are_refused(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    other = folder / "other"
+    assert (
+        main(
+            ["simulate", "system=mass_spring_damper", "durations=[5,5]", "dt=0.05", "seed=4", f"out={other}"]
+        )
+        == 0
+    )
+    assert main(["design", f"run={folder / 'diagnosis'}", f"runs={other}", f"out_dir={folder / 'e'}"]) == 2
+    assert "holds other runs" in capsys.readouterr().err

@@ -1,0 +1,154 @@
+"""A plan for the spring's tie, from the question to the files; and what is refused."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import nsde_torch
+from nsde_torch.data import Run
+from nsde_torch.design import DesignOptions, Experiment, Question, design, obtained, question_of
+from nsde_torch.errors import ConfigError, DataError
+from nsde_torch.simulation.planned import read_plan
+from tests.helpers.ties import BIASED, DT, SIDED, TRUE, Tie
+
+OPTIONS = DesignOptions(
+    members=(BIASED, SIDED),
+    duration=3.0,
+    samples=2,
+    proposals=8,
+    generations=1,
+    rehearsals=2,
+    hertz=(0.3, 4.0),
+)
+
+
+@pytest.fixture(scope="module")
+def planned(tie: Tie) -> Experiment:
+    return design(tie.system, tie.runs, tie.question, OPTIONS, baselines=False)
+
+
+def test_the_plan_breaks_the_tie_within_the_limits(planned: Experiment, tie: Tie, tmp_path: Path) -> None:
+    table = planned.plan.table
+    u = np.concatenate([run.u for run in tie.runs])
+    assert table.shape == (60, 1)
+    assert u.min() - 1e-9 <= table.min() <= table.max() <= u.max() + 1e-9
+    assert max(r.use.max() for r in planned.plan.rehearsed) <= 1.0
+    assert min(planned.plan.nats(i)["mean"] for i in range(2)) > 3.0
+    folder = planned.save(tmp_path / "plan")
+    content = json.loads((folder / "design.json").read_text(encoding="utf-8"))
+    assert content["question"]["members"] == [list(BIASED), list(SIDED)]
+    assert content["expected"][0]["nats"] == pytest.approx(planned.plan.nats(0))
+    assert content["limits"]["q"]["unit"] == "m"
+    t, read = read_plan(folder, ("force",))
+    np.testing.assert_allclose(read[:-1], table, rtol=1e-8)
+    assert t[-1] == pytest.approx(3.0)
+    assert (folder / "design.png").stat().st_size > 10_000
+
+
+def test_flown_on_the_plant_it_speaks_for_what_is_true(planned: Experiment, tie: Tie, tmp_path: Path) -> None:
+    folder = planned.save(tmp_path / "plan")
+    made = nsde_torch.simulate("mass_spring_damper", effects=TRUE, seed=9, dt=DT, plan=folder)
+    (raw,) = made.runs
+    np.testing.assert_allclose(raw.u[:-1], planned.plan.table, rtol=1e-8)
+    assert np.abs(raw.x[0] - planned.start).max() < 0.05
+    run = Run("flown", raw.t, raw.x, raw.u)
+    found = obtained(tie.system, tie.runs, [run], tie.question, expected=planned.content()["expected"])
+    assert found.broken
+    assert found.question.names[found.best] == "coulomb_friction + constant_force"
+    assert "were expected" in found.report
+    other = Run("other", raw.t, 3.0 * raw.x + 0.2, raw.u, source="other.csv")
+    with pytest.raises(DataError, match=r"other\.csv is not of this machine"):
+        obtained(tie.system, tie.runs, [other], tie.question)
+
+
+def test_a_plan_that_leaves_its_limits_whatever_it_does_says_which(tie: Tie) -> None:
+    with pytest.raises(ConfigError, match=r"what limits it is limits\.q=\[0\.1,0\.2\]"):
+        design(tie.system, tie.runs, tie.question, replace(OPTIONS, generations=0, limits={"q": [0.1, 0.2]}))
+
+
+@pytest.mark.parametrize(
+    ("limits", "message"),
+    [({"speed": [0, 1]}, "names 'speed'"), ({"q": [1, 0]}, "must be"), ({"q": 3}, "must be")],
+)
+def test_limits_of_nothing_are_refused(tie: Tie, limits: dict[str, object], message: str) -> None:
+    with pytest.raises(ConfigError, match=message):
+        design(tie.system, tie.runs, tie.question, replace(OPTIONS, limits=limits))
+
+
+def test_parameters_of_an_effect_that_is_not_there_are_planned_for(tie: Tie) -> None:
+    asked = DesignOptions(
+        parameters=("quadratic_damping.damping",),
+        duration=3.0,
+        samples=2,
+        proposals=8,
+        generations=1,
+        rehearsals=2,
+    )
+    question = question_of({}, tie.system, asked)
+    assert question.members == (("quadratic_damping",),)
+    made = design(tie.system, tie.runs, question, asked, baselines=False)
+    (expected,) = made.content()["expected"]
+    one = expected["parameters"]["quadratic_damping.damping"]
+    assert one["expected_standard_error"] < one["standard_error"]
+    assert "quadratic_damping.damping [1/m]" in made.report
+
+
+def test_the_question_is_the_first_tie_of_effects(tie: Tie) -> None:
+    content = {
+        "findings": [
+            {"name": "coulomb_friction", "kind": "effect"},
+            {"name": "constant_force", "kind": "effect"},
+        ],
+        "ties": [
+            {"effects": ["constant_force", "sensor_bias"], "experiment": ""},
+            {"effects": ["coulomb_friction", "stribeck_friction"], "experiment": ""},
+        ],
+    }
+    question = question_of(content, tie.system, DesignOptions())
+    assert question.members == (
+        ("coulomb_friction", "constant_force"),
+        ("stribeck_friction", "constant_force"),
+    )
+    assert question.names == ("coulomb_friction", "stribeck_friction")
+    assert "sensor_bias is a fault of the recording chain" in question.notes[0]
+    hidden = {
+        "findings": [],
+        "ties": [],
+        "not_shown": [{"parameter": "hysteresis.size"}],
+    }
+    assert question_of(hidden, tie.system, DesignOptions()) == Question(
+        (("hysteresis",),), ("hysteresis.size",)
+    )
+    with pytest.raises(ConfigError, match="nothing to plan"):
+        question_of({"findings": [], "ties": [], "not_shown": []}, tie.system, DesignOptions())
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"members": (("a",),)},
+        {"members": (BIASED, BIASED)},
+        {"members": (BIASED, SIDED), "parameters": ("a.b",)},
+    ],
+)
+def test_questions_that_are_none_are_refused(wrong: dict[str, object]) -> None:
+    with pytest.raises(ConfigError):
+        DesignOptions(**wrong)  # type: ignore[arg-type]
+
+
+def test_an_effect_that_no_one_knows_is_refused(tie: Tie) -> None:
+    with pytest.raises(ConfigError, match="no effect that 'mass_spring_damper' can have"):
+        question_of({}, tie.system, DesignOptions(members=(("frictoin",), SIDED)))
+
+
+def test_a_plan_without_its_column_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "plan.csv").write_text("t,torque\n0,1\n1,1\n", encoding="utf-8")
+    with pytest.raises(DataError, match="no column force"):
+        nsde_torch.simulate("mass_spring_damper", seed=0, plan=tmp_path / "plan.csv")
+    with pytest.raises(DataError, match="no column p_x"):
+        nsde_torch.simulate("hexacopter", seed=0, plan=tmp_path / "plan.csv")

@@ -1,0 +1,63 @@
+"""What an experiment is expected to tell is what it tells: checked by noisy experiments that are fitted."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+
+from nsde_torch.design.drives import OpenLoop
+from nsde_torch.design.expected import Precision, Separation
+from nsde_torch.design.limits import limits_of
+from nsde_torch.design.rehearsal import rehearse
+from nsde_torch.design.rollout import Rollouts
+from tests.helpers.ties import DT, Tie
+
+HOLD = np.repeat([[0.1], [-0.1], [0.0]], 25, 0)  # stands still: the steady push is felt, or is not there
+TWICE = 2.0
+
+
+def _flown(tie: Tie, truth: int, table: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    member = tie.members[truth]
+    u = torch.as_tensor(table[None])
+    states, _, inputs = Rollouts(member.system, dt=DT).run(
+        member.theta[None], np.zeros((1, 2)), lambda k, x: u[:, k], len(table)
+    )
+    return states, inputs
+
+
+@pytest.mark.parametrize("truth", [0, 1])
+def test_rehearsed_evidence_is_within_a_factor_of_two_of_what_is_expected_without_noise(
+    tie: Tie, truth: int
+) -> None:
+    a, b = tie.members[truth], tie.members[1 - truth]
+    expected = Separation(a, b).nats(*_flown(tie, truth, HOLD), a.theta)[0]
+    (told,) = rehearse(
+        tie.system,
+        tie.members,
+        HOLD[None],
+        truth=truth,
+        count=4,
+        start=np.zeros(2),
+        limits=limits_of(tie.system, tie.runs, {}),
+        drive=OpenLoop(),
+        rng=np.random.default_rng(truth),
+    )
+    assert expected > 3.0
+    assert expected / TWICE < np.median(told.evidence) < expected * TWICE
+
+
+def test_no_evidence_is_expected_against_what_a_refit_takes_away(tie: Tie) -> None:
+    member = tie.members[0]
+    assert Separation(member, member).nats(*_flown(tie, 0, HOLD), member.theta)[0] == pytest.approx(
+        0.0, abs=1e-3
+    )
+
+
+def test_standard_errors_fall_with_an_experiment_and_never_rise(tie: Tie) -> None:
+    member = tie.members[0]
+    now = np.sqrt(np.diag(member.covariance))
+    then = Precision(member, [0], member.theta[:1]).errors(*_flown(tie, 0, HOLD), member.theta)[0]
+    assert (then <= 1.0001 * now).all()
+    steady = member.labels.index("constant_force.acceleration")
+    assert then[steady] < 0.9 * now[steady]

@@ -8,7 +8,7 @@ from typing import Any
 
 from nsde_torch.design.options import DesignOptions
 from nsde_torch.effects import EFFECTS, effect_class
-from nsde_torch.effects.law import split_name
+from nsde_torch.effects.law import AND, split_name
 from nsde_torch.errors import ConfigError
 from nsde_torch.systems import System
 
@@ -37,8 +37,7 @@ class Question:
         """What the members are called: their effects, without those that all have."""
         shared = set.intersection(*(set(m) for m in self.members)) if len(self.members) > 1 else set()
         return tuple(
-            " + ".join(e for e in m if e not in shared) or "nothing beside what all have"
-            for m in self.members
+            AND.join(e for e in m if e not in shared) or "nothing beside what all have" for m in self.members
         )
 
 
@@ -68,7 +67,7 @@ def question_of(content: Mapping[str, Any], system: System, options: DesignOptio
             if o not in able
         ]
         if first in found and able:
-            swapped = [tuple(o if f == first else f for f in found) for o in able]
+            swapped = [tuple(e for f in found for e in (o.split(AND) if f == first else [f])) for o in able]
             return Question((tuple(found), *swapped), notes=tuple(notes))
     lacking = [n["parameter"] for n in content.get("not_shown", ())]
     effects = list(dict.fromkeys(label.partition(".")[0] for label in lacking))[:_MOST]
@@ -99,7 +98,7 @@ def _is_wide(p: Mapping[str, Any]) -> bool:
 
 
 def _is_effect(name: str) -> bool:
-    return split_name(name)[0] in EFFECTS or ":" in name
+    return all(split_name(part)[0] in EFFECTS or ":" in part for part in name.split(AND))
 
 
 def _known(system: System, name: str) -> str:

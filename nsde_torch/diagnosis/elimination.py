@@ -20,6 +20,7 @@ from nsde_torch.diagnosis.selection import Selection
 from nsde_torch.diagnosis.trials import Trial, accept, fit_candidate, surely_above
 from nsde_torch.effects import effect_class
 from nsde_torch.effects.expression_grammar import is_law
+from nsde_torch.effects.law import AND
 from nsde_torch.errors import NsdeError
 from nsde_torch.sysid.loop_test import LoopTest
 from nsde_torch.systems import System
@@ -109,7 +110,8 @@ def _ties(
     """What explains the data as well as an effect that was found: in its place, or in that of a part of it."""
     ties = _in_its_place(search, own, this.trials)
     others = _rivals(search, own.name, rounds) - {*ties, *effect_class(own.name).includes, *names}
-    return (*ties, *_in_part(search, without, own, sorted(others), max(len(this.screened), 1)))
+    part = _in_part(search, without, own, sorted(others), max(len(this.screened), 1))
+    return (*ties, *part, *_by_two(search, own.name, rounds))
 
 
 def _in_its_place(search: Search, chosen: Trial, trials: Sequence[Trial]) -> list[str]:
@@ -146,6 +148,27 @@ def _in_part(search: Search, without: Base, own: Trial, names: Sequence[str], am
         if other is not None and accept(search, other) and not surely_above(own, other, search.decisions):
             out.append(name)
     return out
+
+
+def _by_two(search: Search, name: str, rounds: Sequence[Round]) -> list[str]:
+    """Pairs that explain the data as well: what an effect contains, and one more beside it, as it was chosen.
+
+    A friction that is stronger one way is a plain one and a steady push, as long as the machine moves.
+    """
+    out: list[str] = []
+    for one in rounds:
+        if one.chosen is None or one.chosen.name != name:
+            continue
+        for simple in set(effect_class(name).includes) & set(one.added):
+            out += [
+                f"{simple}{AND}{t.name}"
+                for t in one.trials
+                if simple not in effect_class(t.name).includes
+                and not is_law(t.name)
+                and accept(search, t)
+                and not surely_above(one.chosen, t, search.decisions)
+            ]
+    return list(dict.fromkeys(out))
 
 
 def _rivals(search: Search, name: str, rounds: Sequence[Round]) -> set[str]:

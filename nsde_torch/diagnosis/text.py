@@ -103,7 +103,8 @@ def _finding(finding: Mapping[str, Any], content: Mapping[str, Any]) -> list[str
     for tie in content["ties"]:
         if tie["effects"][0] == finding["name"]:
             out.append(
-                f"  cannot be told from {', '.join(tie['effects'][1:])}. To tell: {tie['experiment']}."
+                f"  cannot be told from {', '.join(tie['effects'][1:])}. To tell: {tie['experiment']}; "
+                "`nsde design` plans such a run."
             )
     return out
 

@@ -24,6 +24,9 @@ from nsde_torch.effects.base import Effect, Parameter, Port
 from nsde_torch.effects.coordinates import PLAIN, Bound
 from nsde_torch.errors import ConfigError
 
+AND = " + "
+"""Between the names of effects that are there together."""
+
 _NAME = re.compile(r"(.+)\[([^\[\]]+)\]")
 
 

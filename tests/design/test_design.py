@@ -116,6 +116,12 @@ def test_the_question_is_the_first_tie_of_effects(tie: Tie) -> None:
     )
     assert question.names == ("coulomb_friction", "stribeck_friction")
     assert "sensor_bias is a fault of the recording chain" in question.notes[0]
+    pair = {
+        "findings": [{"name": "asymmetric_friction", "kind": "effect"}],
+        "ties": [{"effects": ["asymmetric_friction", "coulomb_friction + constant_force"], "experiment": ""}],
+    }
+    members = question_of(pair, tie.system, DesignOptions()).members
+    assert members == (("asymmetric_friction",), ("coulomb_friction", "constant_force"))
     hidden = {
         "findings": [],
         "ties": [],

@@ -121,7 +121,8 @@ def judge(truth: dict[str, Any], answer: dict[str, Any]) -> dict[str, Any]:
         "true": names,
     }
     out["added"], out["verdict"] = added, answer["verdict"]
-    tied = {n for t in answer.get("ties", []) for n in t["effects"] if t["effects"][0] in added}
+    ties = [t["effects"] for t in answer.get("ties", []) if t["effects"][0] in added]
+    tied = {part for tie in ties for name in tie for part in name.split(" + ")}
     out["first"] = bool(added) and added[0] in names
     out["exact"] = sorted(added) == sorted(names)
     out["in_tie"] = all(n in added or n in tied for n in names)
@@ -178,10 +179,16 @@ def table(judged: dict[str, dict[str, Any]]) -> str:
         row("nothing missing: silent", system, null, [j["verdict"] == "no_effect" for j in null])
         out = [j for j in mine if j["kind"] == "outside"]
         good = [
-            j["verdict"] == "unexplained" or (bool(j["added"]) and j.get("gain", 1.0) > 1.0 and j["lead"])
+            j["verdict"] == "unexplained"
+            or (bool(j["added"]) and j.get("gain", 1.0) > 1.0 and j["lead"])
+            or (
+                all("=" in n for n in j["added"])
+                and j["verdict"] != "no_effect"
+                and j["beside_oracle"] < NEAR
+            )
             for j in out
         ]
-        row("outside the catalogue: unexplained, or a lead that helps", system, out, good)
+        row("outside the catalogue: the law, unexplained, or a lead that helps", system, out, good)
         seen = [
             (j, g)
             for j, g in zip(out, good, strict=True)

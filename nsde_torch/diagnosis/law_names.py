@@ -17,7 +17,7 @@ from nsde_torch.diagnosis.outcome import base_without
 from nsde_torch.diagnosis.search import Search
 from nsde_torch.diagnosis.selection import Selection
 from nsde_torch.diagnosis.trials import fit_candidate
-from nsde_torch.effects import Effect, Port, effect_class
+from nsde_torch.effects import Effect, Parameter, Port, effect_class
 from nsde_torch.effects.expression_grammar import is_law
 from nsde_torch.systems import System
 from nsde_torch.systems.vocabulary import seen_by
@@ -55,8 +55,11 @@ def _same(search: Search, system: System, law: str) -> str | None:
         return None
     mine = _pushes(search, system, own)
     for name in candidate_names(system):
-        other = make_candidate(name, system, dict.fromkeys(effect_class(name).amplitudes, 1.0))
-        if other.port is not own.port or other.n_memory or other.exogenous:
+        cls = effect_class(name)
+        if cls.port is not own.port or cls.exogenous:
+            continue
+        other = make_candidate(name, system, {k: _size(cls.PARAMETERS[k]) for k in cls.amplitudes})
+        if other.n_memory:
             continue
         theirs = _pushes(search, system, other)
         if theirs.shape != mine.shape or not (theirs @ theirs > 0 and mine @ mine > 0):
@@ -65,6 +68,12 @@ def _same(search: Search, system: System, law: str) -> str | None:
         if float(off @ off) <= _SAME**2 * float(theirs @ theirs):
             return name
     return None
+
+
+def _size(parameter: Parameter) -> float:
+    """Some size that is not nothing, within bounds."""
+    low, high = parameter.low or 0.0, parameter.high
+    return low + (1.0 if high is None else 0.5 * (high - low))
 
 
 @torch.no_grad()

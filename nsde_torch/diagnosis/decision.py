@@ -29,8 +29,10 @@ from nsde_torch.diagnosis.search import Base, Search
 from nsde_torch.diagnosis.selection import Selection
 from nsde_torch.diagnosis.specification import dependences
 from nsde_torch.effects import Effect, Port, effect_class
+from nsde_torch.effects.expression_grammar import is_law
 from nsde_torch.effects.law import split_name
 from nsde_torch.sysid.guard import Guarded, doubts_the_fit
+from nsde_torch.sysid.loop_test import LoopTest
 
 
 def set_aside(search: Search, chosen: Selection, kept: Retained, feedback: Feedback) -> Retained:
@@ -123,7 +125,8 @@ def decide(search: Search, chosen: Selection, kept: Retained, feedback: Feedback
             replace(
                 f,
                 provisional=provisional_reason(f, found, left, brought, search.decisions)
-                or _bent(bent_shape(base.regression, f.name)),
+                or _bent(bent_shape(base.regression, f.name))
+                or _of_many(f, tested),
             )
             for f in found
         ],
@@ -214,6 +217,15 @@ def of_one_variable(name: str, other: str) -> bool:
     """Whether two effects are laws of the same quantity, at the same place."""
     one, two = effect_class(name), effect_class(other)
     return bool(one.along) and _variable(one) == _variable(two)
+
+
+def _of_many(f: Found, tested: LoopTest) -> str:
+    """Why a law beyond the catalogue is provisional: there are so many that they need more than an effect does."""
+    if not is_law(f.name):
+        return ""
+    if tested.foretold:
+        return "inputs know what the log does not, and a law may stand for that"
+    return "other laws explain as much" if any(map(is_law, f.ties)) else ""
 
 
 def _bent(shape: str) -> str:

@@ -13,13 +13,14 @@ import numpy as np
 from nsde_torch.diagnosis.decision import variables_of
 from nsde_torch.diagnosis.elimination import Retained
 from nsde_torch.diagnosis.fitted import effect_of, fitted_system, moved_channels
-from nsde_torch.diagnosis.laws import library, worth_a_fit
+from nsde_torch.diagnosis.laws import Library, library, worth_a_fit
 from nsde_torch.diagnosis.outcome import base_without
 from nsde_torch.diagnosis.screening import joined, screen
-from nsde_torch.diagnosis.search import Search
+from nsde_torch.diagnosis.search import Base, Search
 from nsde_torch.diagnosis.selection import Selection
 from nsde_torch.diagnosis.trials import finished, fit_candidate
 from nsde_torch.effects import Law
+from nsde_torch.errors import NsdeError
 
 
 def a_law_is_nearer(search: Search, chosen: Selection, kept: Retained, name: str) -> bool:
@@ -45,17 +46,19 @@ def a_law_is_nearer(search: Search, chosen: Selection, kept: Retained, name: str
     found = library(search, without, moved_channels(kept.final.regression, name), wanted, variables)
     if found is None:
         return False
-    own, _ = screen(search, without, system, name, ())
-    power = 0.5 * np.square(found.columns.T @ found.residual)
     least = kept.final.score.fitted + log(found.tried) + search.decisions.alike_nats
-    rest = fitted_system(without.regression)
-    for j in worth_a_fit(found.laws, power, search):
-        if (
-            power[j] < own
-        ):  # the noise model without the effect may have learned it: what is no less is fitted
-            break
-        start = joined(rest, found.laws[j], {**found.starts[j]})
-        trial = fit_candidate(search, without, start, found.laws[j], among=1)
-        if finished(search, without, trial, 1).score.fitted > least:
-            return True
-    return False
+    try:
+        own, _ = screen(search, without, system, name, ())
+        power = 0.5 * np.square(found.columns.T @ found.residual)
+        # the noise model without the effect may have learned it: what is no less is fitted
+        rivals = [j for j in worth_a_fit(found.laws, power, search) if power[j] >= own]
+        return any(_fitted(search, without, found, j) > least for j in rivals)
+    except (NsdeError, np.linalg.LinAlgError):  # what cannot be fitted is no nearer
+        return False
+
+
+def _fitted(search: Search, without: Base, found: Library, j: int) -> float:
+    """Log-likelihood of all rows with a term of the library, less one for each parameter of the noise [nats]."""
+    law = found.laws[j]
+    start = joined(fitted_system(without.regression), law, {**found.starts[j]})
+    return finished(search, without, fit_candidate(search, without, start, law, among=1), 1).score.fitted

@@ -19,6 +19,7 @@ from nsde_torch.diagnosis.selection import Selection
 from nsde_torch.diagnosis.trials import fit_candidate
 from nsde_torch.effects import Effect, Parameter, Port, effect_class
 from nsde_torch.effects.expression_grammar import is_law
+from nsde_torch.errors import NsdeError
 from nsde_torch.systems import System
 from nsde_torch.systems.vocabulary import seen_by
 
@@ -41,7 +42,10 @@ def named_by_the_catalogue(search: Search, chosen: Selection, kept: Retained) ->
         without = base_without(search, kept.final, chosen.declared, f.name)
         system = fitted_system(without.regression)
         system = system.with_effects(make_candidate(name, system, {}))
-        trial = fit_candidate(search, without, system, name, among=1)
+        try:
+            trial = fit_candidate(search, without, system, name, among=1)
+        except (NsdeError, np.linalg.LinAlgError):  # the law stays, by its own name
+            continue
         trial = replace(trial, p=f.trial.p, p_corrected=f.trial.p_corrected)  # it was looked for as the law
         found = [replace(g, name=name, trial=trial) if g is f else g for g in kept.found]
         kept = replace(kept, found=found, final=search.grown(trial.regression))

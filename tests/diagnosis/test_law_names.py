@@ -9,7 +9,7 @@ from scipy.signal import butter, filtfilt
 
 import nsde_torch
 from nsde_torch.diagnosis.elimination import Retained
-from nsde_torch.diagnosis.law_names import named_by_the_catalogue
+from nsde_torch.diagnosis.law_names import _same, named_by_the_catalogue
 from nsde_torch.diagnosis.options import Options
 from nsde_torch.diagnosis.outcome import Found
 from nsde_torch.diagnosis.screening import joined
@@ -18,6 +18,7 @@ from nsde_torch.diagnosis.selection import Selection
 from nsde_torch.diagnosis.trials import fit_candidate
 from nsde_torch.simulation import simulate
 from nsde_torch.systems import make_system
+from nsde_torch.systems.vocabulary import vocabulary
 from tests.helpers.diagnosed import recorded
 
 
@@ -49,3 +50,15 @@ def test_behind_a_smoother_no_law_is_tried() -> None:
     found = nsde_torch.diagnose(runs, system="mass_spring_damper")
     assert all(run.band for run in found.data.runs)
     assert not [name for name in found.content()["added"] if "=" in name]
+
+
+@pytest.mark.parametrize("machine", ["mass_spring_damper", "cartpole", "hexacopter", "quadrotor"])
+def test_a_law_is_compared_with_every_candidate_of_a_machine_within_its_bounds(machine: str) -> None:
+    data, system = recorded(machine, durations=(2.0, 2.0)), make_system(machine)
+    search = search_in(system, data.runs, 1.0, Options())
+    for port in system.residual_ports:
+        row = dict(vocabulary(type(system)).ports)[port.value].names[0]
+        place = f"[{row}]" if row else ""
+        law = f"{port.value}{place} = c1 {system.state_names[-1]}^5"
+        law = system.effect_key(law)
+        assert _same(search, system.with_effects(system.make_effect(law, {"c1": 1.0})), law) is None

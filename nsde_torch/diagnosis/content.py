@@ -314,6 +314,8 @@ def parameters(found: Diagnosis) -> dict[str, Any]:
 def _interval(found: Diagnosis, e: Estimate) -> dict[str, Any]:
     if found.explanation.guard.objections:
         return {"interval_90": None, "bound": "not believed"}
+    if e.low is None and found.outcome.unsettled:
+        return {"interval_90": None, "bound": "not settled"}
     return {"interval_90": None if e.low is None else [e.low, e.high], "bound": e.bound}
 
 

@@ -122,6 +122,12 @@ class Outcome:
             return estimated(self.final.regression, self.spread, columns, self.doubt)
         return by_instruments(self.printed, [self.final.regression.vector.labels[j] for j in columns])
 
+    @property
+    def unsettled(self) -> bool:
+        """Whether the fit that estimates by instruments rest on had not settled, so that none has an interval."""
+        doubt = None if self.printed is None else self.printed.doubt
+        return doubt is not None and bool(np.isnan(doubt).all())
+
     @cached_property
     def doubt(self) -> Array:
         """By how much feedback may have bent each parameter of `final` (k,); nan for by anything.

@@ -5,7 +5,7 @@ members     what may be true, fitted to the runs there are                      
 search      inputs within limits, by what they tell whichever member is true       signals, proposals, expected
 rehearse    with noise, fitted as the measured run will be                         rehearsal
 report      `Experiment`: what to do, what it would tell, what one would see       experiment, text, pictures, files
-obtain      what a flown experiment told, beside what was expected                 obtained
+obtain      what a flown experiment told, beside what was expected                 flown
 """
 
 from typing import TYPE_CHECKING
@@ -15,7 +15,7 @@ from nsde_torch.lazy import resolver
 if TYPE_CHECKING:
     from nsde_torch.design.designing import design
     from nsde_torch.design.experiment import Experiment
-    from nsde_torch.design.obtained import Obtained, obtained
+    from nsde_torch.design.flown import Obtained, obtained
     from nsde_torch.design.options import DesignOptions
     from nsde_torch.design.questions import Question, question_of
 
@@ -26,10 +26,10 @@ __getattr__ = resolver(
     {
         "DesignOptions": "options",
         "Experiment": "experiment",
-        "Obtained": "obtained",
+        "Obtained": "flown",
         "Question": "questions",
         "design": "designing",
-        "obtained": "obtained",
+        "obtained": "flown",
         "question_of": "questions",
     },
 )

@@ -23,7 +23,7 @@ from nsde_torch.design.limits import limits_of
 from nsde_torch.design.members import Member, fitted_members, physics_with
 from nsde_torch.design.options import DesignOptions
 from nsde_torch.design.paths import FlownPaths, Paths
-from nsde_torch.design.proposals import Judge, Proposal, ProposalFamily, best_of, search, worth_of
+from nsde_torch.design.proposals import Judge, JudgedExperiment, ProposalFamily, best_of, search, worth_of
 from nsde_torch.design.questions import Question
 from nsde_torch.design.rehearsal import Rehearsed, rehearse
 from nsde_torch.design.rollout import Drive
@@ -99,7 +99,7 @@ def design(
         rng=rng,
         say=say,
     )
-    usual: list[Proposal] = []
+    usual: list[JudgedExperiment] = []
     if baselines:
         longest = max(runs, key=len)
         before = longest.x[:, :3] if flies else longest.u

@@ -157,7 +157,7 @@ class Judge:
 
 
 @dataclass(frozen=True)
-class Proposal:
+class JudgedExperiment:
     """An experiment that was judged.
 
     Args:
@@ -177,13 +177,13 @@ class Proposal:
     words: tuple[str, ...] = ()
 
 
-def best_of(judge: Judge, name: str, tables: Array, words: Sequence[str] = ()) -> Proposal | None:
+def best_of(judge: Judge, name: str, tables: Array, words: Sequence[str] = ()) -> JudgedExperiment | None:
     """The best of some experiments; None where all leave the limits."""
     judged = judge.judge(tables)
     k = int(judged.worth.argmax())
     if not np.isfinite(judged.worth[k]):
         return None
-    return Proposal(
+    return JudgedExperiment(
         name, tables[k], float(judged.worth[k]), judged.each[:, :, k], judged.use[k], tuple(words)
     )
 
@@ -197,7 +197,7 @@ def search(
     keep: int,
     rng: np.random.Generator,
     say: Callable[[str, int, int], None],
-) -> list[Proposal]:
+) -> list[JudgedExperiment]:
     """The best experiments, the best first.
 
     Args:
@@ -213,7 +213,7 @@ def search(
         ConfigError: none stays within the limits; says which limit is in the way.
     """
     genes = np.concatenate((family.random(proposals, rng), family.gentle(proposals // 4, rng)))
-    found: list[tuple[float, Array, Proposal]] = []
+    found: list[tuple[float, Array, JudgedExperiment]] = []
     nearest: tuple[float, int] = (np.inf, 0)
     for generation in range(generations + 1):
         say("proposing experiments", generation, generations + 1)
@@ -221,7 +221,7 @@ def search(
         judged = judge.judge(tables)
         for k in np.argsort(-judged.worth):
             if np.isfinite(judged.worth[k]):
-                made = Proposal(
+                made = JudgedExperiment(
                     "designed", tables[k], float(judged.worth[k]), judged.each[:, :, k], judged.use[k]
                 )
                 found.append((made.worth, genes[k], made))
@@ -235,7 +235,8 @@ def search(
     if not found:
         raise ConfigError(_in_the_way(judge.limits, *nearest))
     return [
-        Proposal(p.name, p.table, p.worth, p.each, p.use, tuple(family.words(g))) for _, g, p in found[:keep]
+        JudgedExperiment(p.name, p.table, p.worth, p.each, p.use, tuple(family.words(g)))
+        for _, g, p in found[:keep]
     ]
 
 

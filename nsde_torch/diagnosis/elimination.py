@@ -159,7 +159,7 @@ def _by_two(search: Search, name: str, rounds: Sequence[Round]) -> list[str]:
     for one in rounds:
         if one.chosen is None or one.chosen.name != name:
             continue
-        for simple in set(effect_class(name).includes) & set(one.added):
+        for simple in (set(effect_class(name).includes) & set(one.added)) - set(rounds[0].added):  # declared
             out += [
                 f"{simple}{AND}{t.name}"
                 for t in one.trials

@@ -10,11 +10,10 @@ told the law, with its size and shape free, and adds nothing.
 
 from __future__ import annotations
 
-import argparse
-import json
 import sys
 import tempfile
 import time
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +22,7 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).resolve().parent))
 import closed_loop
 import law_machines as machines
+from study import answers, options
 
 KINDS = {
     "spring": machines.SPRING,
@@ -283,36 +283,24 @@ def table(done: list[Json]) -> list[str]:
 
 def main() -> None:
     """Diagnoses cases one after another, and counts."""
-    parser = argparse.ArgumentParser(description="Blind cases with laws that no catalogue has.")
+    parser = options("Blind cases with laws that no catalogue has.", count=12)
     parser.add_argument("--machine", choices=list(KINDS), required=True)
-    parser.add_argument("--seed", type=int, required=True)
-    parser.add_argument("--count", type=int, default=12)
-    parser.add_argument("--first", type=int, default=0)
-    parser.add_argument("--out", type=Path, required=True)
     a = parser.parse_args()
-    a.out.mkdir(parents=True, exist_ok=True)
-    for i in range(a.first, a.first + a.count):
-        try:
-            answer = case(a.machine, a.seed, i)
-        except Exception as error:  # a case that ends in an error counts as wrong
-            kind = drawn(a.machine, a.seed, i)[1]
-            truth = None if kind is None else {"law": kind.text}
-            answer = {
-                "case": i,
-                "machine": a.machine,
-                "truth": truth,
-                "error": repr(error),
-                "added": [],
-                "laws": [],
-            }
-        path = a.out / f"{a.machine}_{a.seed}_{i:03d}.json"
-        path.write_text(json.dumps(answer, indent=1, default=float), encoding="utf-8")
-        told = {
-            k: answer.get(k) for k in ("named", "held", "moves", "beside_oracle", "seconds", "error", "lead")
-        }
-        print(i, answer["truth"], "->", answer["added"], told, flush=True)
-    done = [json.loads(f.read_text(encoding="utf-8")) for f in sorted(a.out.glob("*.json"))]
-    print("\n".join(table(done)))
+
+    def wrong(i: int) -> Json:
+        kind = drawn(a.machine, a.seed, i)[1]
+        truth = None if kind is None else {"law": kind.text}
+        return {"case": i, "machine": a.machine, "truth": truth, "added": [], "laws": []}
+
+    def line(answer: Json) -> str:
+        keys = ("named", "held", "moves", "beside_oracle", "seconds", "error", "lead")
+        return f"{answer['case']} {answer['truth']} -> {answer['added']} { {k: answer.get(k) for k in keys} }"
+
+    numbers = range(a.first, a.first + a.count)
+    cases = [
+        (f"{a.machine}_{a.seed}_{i:03d}", partial(case, a.machine, a.seed, i), wrong(i)) for i in numbers
+    ]
+    print("\n".join(table(answers(a.out, cases, line))))
 
 
 if __name__ == "__main__":

@@ -9,10 +9,9 @@ the effect that is there is named first, what is named of nothing, and whether 9
 
 from __future__ import annotations
 
-import argparse
-import json
 import sys
 import tempfile
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +19,7 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parent))
 from position_machines import RATES, Array, Law, cart, measured, rates, spring
+from study import Json, answers, options
 from two_joints import drawn, laws, make_data
 
 MACHINES = {
@@ -149,28 +149,25 @@ def case(seed: int, i: int, *, full: bool) -> dict[str, Any]:
 
 def main() -> None:
     """Diagnoses cases one after another, and counts."""
-    parser = argparse.ArgumentParser(description="Blind cases whose position alone is measured.")
-    parser.add_argument("--seed", type=int, required=True)
-    parser.add_argument("--count", type=int, default=30)
-    parser.add_argument("--first", type=int, default=0)
-    parser.add_argument("--out", type=Path, required=True)
-    a = parser.parse_args()
-    a.out.mkdir(parents=True, exist_ok=True)
-    for i in range(a.first, a.first + a.count):
-        for full in (False, True):
-            try:
-                answer = case(a.seed, i, full=full)
-            except Exception as error:  # a case that ends in an error counts as wrong
-                answer = {"case": i, "full": full, "named": False, "error": repr(error), "inside": [0, 0]}
-            path = a.out / f"seed_{a.seed}_case_{i:03d}_{'full' if full else 'position'}.json"
-            path.write_text(json.dumps(answer, indent=1, default=float), encoding="utf-8")
-            told = {
-                k: answer.get(k) for k in ("named", "truth", "added", "rate", "verdict", "inside", "error")
-            }
-            print(i, "full" if full else "position", told, flush=True)
-    answers = [json.loads(path.read_text(encoding="utf-8")) for path in sorted(a.out.glob("*.json"))]
+    a = options("Blind cases whose position alone is measured.", count=30).parse_args()
+
+    def line(answer: Json) -> str:
+        keys = ("named", "truth", "added", "rate", "verdict", "inside", "error")
+        what = "full" if answer["full"] else "position"
+        return f"{answer['case']} {what} { {k: answer.get(k) for k in keys} }"
+
+    cases = [
+        (
+            f"seed_{a.seed}_case_{i:03d}_{'full' if full else 'position'}",
+            partial(case, a.seed, i, full=full),
+            {"case": i, "full": full, "named": False, "inside": [0, 0]},
+        )
+        for i in range(a.first, a.first + a.count)
+        for full in (False, True)
+    ]
+    done = answers(a.out, cases, line)
     for full in (False, True):
-        some = [x for x in answers if x["full"] == full]
+        some = [x for x in done if x["full"] == full]
         inside, held = (sum(x["inside"][k] for x in some) for k in (0, 1))
         wrong = sum(bool(x.get("wrong_and_sure")) for x in some)
         print(

@@ -8,19 +8,19 @@ user's class beside it. Kinds in turn: one effect in one joint, one in each join
 
 from __future__ import annotations
 
-import argparse
-import json
 import sys
 import tempfile
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 MACHINE = Path(__file__).resolve().parents[2] / "examples" / "double_pendulum"
-sys.path.insert(0, str(MACHINE))
+sys.path[:0] = [str(Path(__file__).resolve().parent), str(MACHINE)]
 import make_data  # noqa: E402
+from study import Json, answers, options  # noqa: E402
 
 KINDS = ("single", "pair", "single", "null")
 Array = np.ndarray
@@ -120,39 +120,23 @@ def right(answer: dict[str, Any]) -> bool:
 
 def main() -> None:
     """Diagnoses cases one after another, and counts."""
-    parser = argparse.ArgumentParser(description="Blind cases on two-joint machines.")
-    parser.add_argument("--seed", type=int, required=True)
-    parser.add_argument("--count", type=int, default=20)
-    parser.add_argument("--first", type=int, default=0)
-    parser.add_argument("--out", type=Path, required=True)
-    a = parser.parse_args()
-    a.out.mkdir(parents=True, exist_ok=True)
-    for i in range(a.first, a.first + a.count):
-        try:
-            answer = case(a.seed, i)
-        except Exception as error:  # a case that ends in an error counts as wrong
-            answer = {
-                "case": i,
-                "kind": drawn(a.seed, i)[0],
-                "truth": drawn(a.seed, i)[1],
-                "error": repr(error),
-            }
-            answer |= {"added": ["error"], "inside": [0, 0]}
+    a = options("Blind cases on two-joint machines.", count=20).parse_args()
+
+    def wrong(i: int) -> Json:
+        kind, truth = drawn(a.seed, i)[:2]
+        return {"case": i, "kind": kind, "truth": truth, "added": ["error"], "inside": [0, 0]}
+
+    def line(answer: Json) -> str:
         answer["right"] = right(answer)
-        (a.out / f"seed_{a.seed}_case_{i:03d}.json").write_text(
-            json.dumps(answer, indent=1, default=float), encoding="utf-8"
+        told = "right" if answer["right"] else "WRONG"
+        return (
+            f"{answer['case']} {answer['kind']} {told} {list(answer['truth'])} -> {answer['added']} "
+            f"{answer['inside']} {answer.get('error', '')}"
         )
-        print(
-            i,
-            answer["kind"],
-            "right" if answer["right"] else "WRONG",
-            list(answer["truth"]),
-            "->",
-            answer["added"],
-            answer["inside"],
-            flush=True,
-        )
-    done = [json.loads(f.read_text(encoding="utf-8")) for f in sorted(a.out.glob("*.json"))]
+
+    numbers = range(a.first, a.first + a.count)
+    cases = [(f"seed_{a.seed}_case_{i:03d}", partial(case, a.seed, i), wrong(i)) for i in numbers]
+    done = answers(a.out, cases, line)
     for kind in dict.fromkeys(KINDS):
         own = [d for d in done if d["kind"] == kind]
         print(f"{kind}: {sum(d['right'] for d in own)} of {len(own)} right")

@@ -8,6 +8,7 @@ from typing import Any
 
 from nsde_torch.design.options import DesignOptions
 from nsde_torch.effects import EFFECTS, effect_class
+from nsde_torch.effects.expression_grammar import is_law
 from nsde_torch.effects.law import AND, split_name
 from nsde_torch.errors import ConfigError
 from nsde_torch.systems import System
@@ -98,7 +99,7 @@ def _is_wide(p: Mapping[str, Any]) -> bool:
 
 
 def _is_effect(name: str) -> bool:
-    return all(split_name(part)[0] in EFFECTS or ":" in part for part in name.split(AND))
+    return all(split_name(e)[0] in EFFECTS or ":" in e or is_law(e) for e in name.split(AND))
 
 
 def _known(system: System, name: str) -> str:

@@ -55,19 +55,15 @@ def eliminate(search: Search, chosen: Selection, *, also: Collection[str] = ()) 
     declared, base, rounds, names = chosen.declared, chosen.final, chosen.rounds, list(chosen.names)
     if not names:
         return Retained([], base)
-    if len(names) == 1 and rounds[0].chosen is not None and rounds[0].chosen.name == names[0]:
-        own = next(t for t in rounds[0].trials if t.name == names[0])
-        ties = _ties(search, declared, own, rounds[0], names, rounds)
-        return Retained([Found(own.name, own, ties)], base)
     found: list[Found] = []
     i = 0
     while i < len(names):
         name = names[i]
         rest = without_effect(fitted_system(base.regression), declared.system, name)
         contained = effect_class(name).includes
-        now = _looked_before(rest, name, rounds)
-        if now is None:
-            without = search.base(rest, warm=True, like=base.regression)
+        now, without = _looked_before(rest, name, rounds), search.base(rest, warm=True, like=base.regression)
+        # a noise model that was found with the effect may have been what made the difference
+        if now is None or without.score.fitted > now.base.score.fitted + search.decisions.alike_nats:
             now = look(
                 search, without, only={name, *contained, *_rivals(search, name, rounds), *also, *search.laws}
             )

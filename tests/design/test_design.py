@@ -122,6 +122,12 @@ def test_the_question_is_the_first_tie_of_effects(tie: Tie) -> None:
     }
     members = question_of(pair, tie.system, DesignOptions()).members
     assert members == (("asymmetric_friction",), ("coulomb_friction", "constant_force"))
+    laws = {
+        "findings": [{"name": "quadratic_damping", "kind": "effect"}],
+        "ties": [{"effects": ["quadratic_damping", "force = c1 q_dot^3"], "experiment": ""}],
+    }
+    members = question_of(laws, tie.system, DesignOptions()).members
+    assert members == (("quadratic_damping",), ("force = c1 q_dot^3",))
     hidden = {
         "findings": [],
         "ties": [],

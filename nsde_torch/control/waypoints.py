@@ -9,7 +9,6 @@ s and accelerations by s^2.
 
 from __future__ import annotations
 
-import csv
 from collections.abc import Sequence
 from math import radians, sqrt, tan
 from pathlib import Path
@@ -21,6 +20,7 @@ from scipy.interpolate import make_interp_spline
 from nsde_torch.control.options import WaypointOptions
 from nsde_torch.control.reference import FlightPath
 from nsde_torch.control.shapes import GRID
+from nsde_torch.data.csv_rows import csv_rows
 from nsde_torch.errors import ConfigError, DataError
 from nsde_torch.systems.multirotor import GRAVITY
 
@@ -95,23 +95,13 @@ def from_csv(file: str | Path, *, speed: float = _LIMITS.speed, tilt: float = _L
         ConfigError: the rows make no path.
     """
     path = Path(file)
-    try:
-        with path.open(encoding="utf-8", newline="") as opened:
-            rows = list(csv.DictReader(opened))
-    except OSError as error:
-        raise DataError(f"reference {path}: {error.strerror}. Name a CSV file.") from error
-    names = list(rows[0]) if rows else []
-    missing = [n for n in ("p_x", "p_y", "p_z") if n not in names]
-    if missing:
-        raise DataError(
-            f"reference {path} has no column {', '.join(missing)}; it has: {', '.join(names) or 'none'}."
-        )
+    rows = csv_rows(path, ("p_x", "p_y", "p_z"), what="reference", remedy="Name a CSV file.")
     try:
         points = [
             [*(float(row[n]) for n in ("p_x", "p_y", "p_z")), float(np.rad2deg(float(row.get("yaw") or 0.0)))]
             for row in rows
         ]
-        times = [float(row["t"]) for row in rows] if "t" in names else None
+        times = [float(row["t"]) for row in rows] if "t" in rows[0] else None
     except (TypeError, ValueError) as error:
         raise DataError(f"reference {path} holds something that is no number ({error}).") from error
     start = times[0] if times else 0.0

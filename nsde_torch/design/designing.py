@@ -36,10 +36,6 @@ FINALISTS = 3
 _SLOWEST_SHARE, _FASTEST_SHARE = 1.0, 0.2
 
 
-def _silent(stage: str, done: int, total: int) -> None:
-    return None
-
-
 def design(
     system: System,
     runs: Sequence[Run],
@@ -49,7 +45,7 @@ def design(
     clock: float = 1.0,
     values: Mapping[str, Any] | None = None,
     baselines: bool = True,
-    say: Callable[[str, int, int], None] = _silent,
+    say: Callable[[str, int, int], None] = lambda stage, done, total: None,
 ) -> Experiment:
     """Plan the experiment that tells most.
 

@@ -27,7 +27,7 @@ from nsde_torch.systems import System
 
 Array = NDArray[np.float64]
 _SMALL = 1e-5  # of a parameter's size
-_ASIDE = 1e-6  # of a state's
+_SMALL_STATE = 1e-6  # of a state's
 _ROUNDS = 8
 _SETTLED = 0.02  # nats that a step promises
 _ROOM = 1e-10
@@ -185,12 +185,12 @@ class Filter:
     def _predict(self, theta: Tensor, k: int, z: Tensor, u: Tensor) -> tuple[Tensor, Tensor]:
         """States a step later (B, nz), and their slopes (B, nz, nz) in the states before."""
         b, nz = z.shape
-        aside = _ASIDE * z.abs().amax(0).clamp_min(1e-2)
-        moved = torch.cat((z[:, None], z[:, None] + torch.diag(aside)), 1).reshape(-1, nz)
+        small = _SMALL_STATE * z.abs().amax(0).clamp_min(1e-2)
+        moved = torch.cat((z[:, None], z[:, None] + torch.diag(small)), 1).reshape(-1, nz)
         each = nz + 1
         later = self.rollouts.later(theta.repeat_interleave(each, 0), k, moved, u.repeat_interleave(each, 0))
         later = later.reshape(b, each, nz)
-        return later[:, 0], ((later[:, 1:] - later[:, :1]) / aside[:, None]).mT
+        return later[:, 0], ((later[:, 1:] - later[:, :1]) / small[:, None]).mT
 
     def _looked(self, problems: Sequence[FilterProblem], theta: Array) -> list[_Look]:
         """Cost of each problem at its parameters (P, k), and its slopes."""

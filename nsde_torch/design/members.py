@@ -39,7 +39,7 @@ class Member:
         name: Its effects, as messages call them.
         effects: Names of its effects beyond the declared physics.
         system: Physics with the fitted values.
-        regression: The regression of the runs there are, for the laws of the noise.
+        regression: The regression of the runs there are, for the noise models.
         theta: Fitted parameters (k,).
         information: Of the runs about them (k, k).
         nats: Log-likelihood of the runs [nats].

@@ -40,7 +40,7 @@ def with_laws(
         feedback: What is asked of the loop.
     """
     # the user says what may be tried; and in logs of many rows a box noise models learn what laws would then explain
-    if search.candidates is not None or search.box > 1:
+    if search.candidates is not None or search.box > 1 or not search.budgets.law_rounds:
         return outcome
     decisions, names = search.decisions, [f.name for f in outcome.found]
     bent = [(name,) for name in names if bent_shape(kept.final.regression, name)]

@@ -19,7 +19,7 @@ from nsde_torch.data.quaternion import euler_zyx
 from nsde_torch.data.raw import RawRun
 from nsde_torch.errors import ConfigError
 from nsde_torch.simulation.battery import battery_column, battery_of
-from nsde_torch.simulation.make import Making, make_plant, plant_options
+from nsde_torch.simulation.make import Making, make_plant, noise_generator, plant_options
 from nsde_torch.simulation.pilot import Path, Pilot, Sticks, figures
 from nsde_torch.systems import Multirotor
 from nsde_torch.systems.machines import Effects, machine, make_plant_system
@@ -229,7 +229,7 @@ def chosen_flights(
     dt = (making or Making()).dt or machine(name).dt
     lengths = DURATIONS if durations is None else tuple(durations)
     pilot = Pilot(lengths, dt=dt, seed=seed)
-    generator = torch.Generator().manual_seed(int(np.random.default_rng([seed, 2]).integers(2**62)))
+    generator = noise_generator(seed, 2)
     aim, sticks = pilot.targets / np.array(RESPONSE), Sticks()
     best: tuple[float, list[Flown]] = (float("inf"), [])
     for _ in range(rounds):

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from math import ceil, inf
 from typing import Any
 
+import numpy as np
 import torch
 
 from nsde_torch.errors import ConfigError
@@ -47,6 +48,16 @@ def plant_options(making: Making | None) -> dict[str, Any]:
         "step": made.step,
         "values": made.values,
     }
+
+
+def noise_generator(seed: int, stream: int) -> torch.Generator:
+    """Random numbers of a plant's noise, apart from those that are drawn of the same seed for other things.
+
+    Args:
+        seed: Of the recording.
+        stream: Which of its random numbers.
+    """
+    return torch.Generator().manual_seed(int(np.random.default_rng([seed, stream]).integers(2**62)))
 
 
 @torch.no_grad()

@@ -3,7 +3,6 @@ of multirotors, a path through points that a cascade flies."""
 
 from __future__ import annotations
 
-import csv
 import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -13,11 +12,12 @@ import torch
 from numpy.typing import NDArray
 
 from nsde_torch.control.waypoints import from_csv
+from nsde_torch.data.csv_rows import csv_rows
 from nsde_torch.data.raw import RawRun
 from nsde_torch.errors import ConfigError, DataError
 from nsde_torch.simulation.battery import battery_column
 from nsde_torch.simulation.flights import fly_logged
-from nsde_torch.simulation.make import Making, make_plant, plant_options
+from nsde_torch.simulation.make import Making, make_plant, noise_generator, plant_options
 from nsde_torch.simulation.pilot import Path as Wanted
 from nsde_torch.simulation.recorder import record
 from nsde_torch.systems.machines import Effects, machine
@@ -57,7 +57,7 @@ def planned_runs(
     """
     plant = make_plant(
         name,
-        generator=torch.Generator().manual_seed(int(np.random.default_rng([seed, 1]).integers(2**62))),
+        generator=noise_generator(seed, 1),
         effects=effects,
         process_noise=process_noise,
         sensor_noise=sensor_noise,
@@ -105,7 +105,7 @@ def planned_flights(
     flown = fly_logged(
         name,
         wanted,
-        generator=torch.Generator().manual_seed(int(np.random.default_rng([seed, 1]).integers(2**62))),
+        generator=noise_generator(seed, 1),
         effects=effects,
         process_noise=process_noise,
         sensor_noise=sensor_noise,
@@ -138,17 +138,7 @@ def read_plan(plan: str | Path, names: Sequence[str]) -> tuple[Array, Array]:
         DataError: the file or a column is missing, something is no number, or times do not increase.
     """
     path = plan_file(plan)
-    try:
-        with path.open(encoding="utf-8", newline="") as opened:
-            rows = list(csv.DictReader(opened))
-    except OSError as error:
-        raise DataError(f"plan {path}: {error.strerror}. `nsde design` writes {PLAN}.") from error
-    have = list(rows[0]) if rows else []
-    missing = [n for n in ("t", *names) if n not in have]
-    if missing:
-        raise DataError(
-            f"plan {path} has no column {', '.join(missing)}; it has: {', '.join(have) or 'none'}."
-        )
+    rows = csv_rows(path, ("t", *names), what="plan", remedy=f"`nsde design` writes {PLAN}.")
     try:
         table = np.array([[float(row[n]) for n in ("t", *names)] for row in rows])
     except (TypeError, ValueError) as error:

@@ -28,7 +28,7 @@ from nsde_torch.data.raw import RawRun
 from nsde_torch.errors import ConfigError
 from nsde_torch.simulation.battery import Battery, battery_column, used_of
 from nsde_torch.simulation.flights import Flown, chosen_flights
-from nsde_torch.simulation.make import Making, make_plant, plant_options
+from nsde_torch.simulation.make import Making, make_plant, noise_generator, plant_options
 from nsde_torch.simulation.options import ReplayOptions
 from nsde_torch.simulation.plant import Plant
 from nsde_torch.systems.machines import Effects, machine
@@ -99,7 +99,7 @@ def replayed_flights(
     starts, sources = _drawn(flights, replay.starts, before, after, np.random.default_rng([seed, 4]))
     plant = make_plant(
         name,
-        generator=torch.Generator().manual_seed(int(np.random.default_rng([seed, 5]).integers(2**62))),
+        generator=noise_generator(seed, 5),
         effects=effects,
         process_noise=process_noise,
         sensor_noise=sensor_noise,

@@ -94,12 +94,16 @@ class Coverage:
     def log_factor(self) -> float:
         """log of the factor nearest to 1 at which the coverage lies in [0.90, 0.92], within [1/4, 6].
 
-        Where sensor noise rules, the coverage hardly depends on sigma: then the factor stays near 1.
+        Where sensor noise rules, the coverage hardly depends on sigma. Intervals that hold too much by any factor
+        down to 1/4 are no evidence that sigma is too large: the factor is then 1. Intervals that hold too little by
+        any factor up to 6 get 6.
         """
         now = self(0.0)
         if _LEVEL <= now <= _MOST:
             return 0.0
         near, far = 0.0, _BRACKET[1] if now < _LEVEL else _BRACKET[0]
+        if now > _MOST and self(far) > _MOST:
+            return 0.0
         for _ in range(_HALVINGS):
             middle = (near + far) / 2
             held = self(middle)

@@ -14,13 +14,14 @@ from collections.abc import Sequence
 from dataclasses import replace
 from itertools import combinations
 
-from nsde_torch.diagnosis.decision import decide, of_one_variable, set_aside, variables_of
+from nsde_torch.diagnosis.decision import decide, of_one_variable, set_aside
 from nsde_torch.diagnosis.elimination import Retained, eliminate
 from nsde_torch.diagnosis.fitted import bent_shape, effect_of, fitted_system, values_of
 from nsde_torch.diagnosis.hidden import Feedback
 from nsde_torch.diagnosis.imitation import a_law_is_nearer
 from nsde_torch.diagnosis.law_names import named_by_the_catalogue
 from nsde_torch.diagnosis.laws import chosen_again, propose
+from nsde_torch.diagnosis.left_over import variables_of
 from nsde_torch.diagnosis.outcome import Outcome, base_without
 from nsde_torch.diagnosis.search import Search
 from nsde_torch.diagnosis.selection import Selection, forward_selection

@@ -22,9 +22,8 @@ from nsde_torch.diagnosis.hidden import (
     chance_beyond,
     likelihood_ratios,
 )
-from nsde_torch.diagnosis.multiplicity import bonferroni
+from nsde_torch.diagnosis.left_over import beyond_chance, variables_of
 from nsde_torch.diagnosis.outcome import Found, Outcome, Verdict, base_without
-from nsde_torch.diagnosis.regressors import Regressors, regressors
 from nsde_torch.diagnosis.search import Base, Search
 from nsde_torch.diagnosis.selection import Selection
 from nsde_torch.diagnosis.specification import dependences
@@ -145,45 +144,11 @@ def decide(search: Search, chosen: Selection, kept: Retained, feedback: Feedback
     )
 
 
-def variables_of(search: Search, base: Base) -> Regressors:
-    """What the residuals of physics may depend on.
-
-    Args:
-        search: Data and settings.
-        base: The physics, fitted.
-    """
-    return regressors(
-        base.regression,
-        inputs=search.inputs,
-        moved=search.moved,
-        decisions=search.decisions,
-        budgets=search.budgets,
-    )
-
-
 def _verdict(found: Sequence[Found], *, explained: float, rest: float, left: Sequence[Dependence]) -> Verdict:
     """The verdict, from what the effects explain and what most is left over [nats]."""
     if not found:
         return "unexplained" if left else "no_effect"
     return "unexplained" if rest > explained else "effect_found"
-
-
-def beyond_chance(
-    tests: Sequence[Dependence], allowed: Mapping[str, float], *, alpha: float
-) -> list[Dependence]:
-    """Tests that find something after correction for their number, what explains most first.
-
-    Args:
-        tests: All tests.
-        allowed: Likelihood ratio that feedback may hide, by channel (`hidden`).
-        alpha: Significance level of the stage.
-    """
-    found = (
-        d
-        for d in tests
-        if bonferroni(d.p, len(tests)) < alpha and d.excess > 0.5 * allowed.get(d.channel, 0.0)
-    )
-    return sorted(found, key=lambda d: -d.excess)
 
 
 def provisional_reason(
@@ -229,7 +194,7 @@ def _of_many(f: Found, tested: LoopTest) -> str:
 
 
 def _bent(shape: str) -> str:
-    return f"{shape} is as large as these data tell from another law" if shape else ""
+    return f"{shape} is at the end of what these data tell from another law" if shape else ""
 
 
 def _variable(effect: type[Effect]) -> tuple[str, Port, str]:

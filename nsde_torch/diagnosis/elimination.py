@@ -12,6 +12,7 @@ import numpy as np
 
 from nsde_torch.diagnosis.fitted import effect_of, fitted_system
 from nsde_torch.diagnosis.hidden import Hidden
+from nsde_torch.diagnosis.left_over import structure_returns
 from nsde_torch.diagnosis.outcome import Found, without_effect
 from nsde_torch.diagnosis.rounds import Round, look
 from nsde_torch.diagnosis.screening import joined
@@ -69,13 +70,13 @@ def eliminate(search: Search, chosen: Selection, *, also: Collection[str] = ()) 
             )
         without = now.base
         this = next((t for t in now.trials if t.name == name), None)
-        if this is None or not accept(search, this):
+        if this is None or not (accept(search, this) or _learned_by_noise(search, base, without, this)):
             # the others explain it, or it says no more than what it contains
             simpler = next((t for t in now.trials if t.name in contained and accept(search, t)), None)
             names[i : i + 1] = [] if simpler is None else [simpler.name]
             base, found, i = without if simpler is None else search.grown(simpler.regression), [], 0
             continue
-        best = next(t for t in now.trials if accept(search, t))
+        best = next((t for t in now.trials if accept(search, t)), this)
         if best.name != name and (best.name in contained or surely_above(best, this, search.decisions)):
             names[i] = best.name
             base, found, i = search.grown(best.regression), [], 0
@@ -86,6 +87,13 @@ def eliminate(search: Search, chosen: Selection, *, also: Collection[str] = ()) 
         found.append(Found(name, this, _ties(search, without, this, now, names, rounds)))
         i += 1
     return Retained(found, base)
+
+
+def _learned_by_noise(search: Search, base: Base, without: Base, trial: Trial) -> bool:
+    """Whether an effect that is there for sure brings no likelihood because the noise model without it learned it."""
+    return trial.p_corrected < search.level("effects") and structure_returns(
+        search, base, without, trial.name
+    )
 
 
 def _looked_before(rest: System, name: str, rounds: Sequence[Round]) -> Round | None:

@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from nsde_torch.effects import Effect, effect_class
+from nsde_torch.effects import Effect, Law, effect_class
 from nsde_torch.sysid.regression import Regression
 from nsde_torch.systems import System
 from nsde_torch.systems.parameters import ParameterVector, own_name
@@ -94,15 +94,25 @@ def at_bounds(regression: Regression) -> NDArray[np.bool_]:
 
 
 def bent_shape(regression: Regression, name: str) -> str:
-    """Label of a shape of an effect that stands at the largest that the data tell from another law; empty if none.
+    """Label of a shape of an effect that stands at the end of what the data tell from another law; empty if none.
 
-    A friction that is developed only beyond the speeds of the data is no dry one, whatever explains the data.
+    A friction that is developed only beyond the speeds of the data is no dry one, whatever explains the data; and a
+    force that repeats less than once in a turn does not repeat.
     """
     v = regression.vector
     (effect,) = (e for e in v.system.effects if isinstance(e, Effect) and e.name == name)
-    relative = effect.relative
-    high = regression.theta >= v.high - _AT_BOUND * v.scale
-    return next((v.labels[j] for j in v.of(name) if high[j] and own_name(v.labels[j]) in relative), "")
+    low, high = (
+        regression.theta <= v.low + _AT_BOUND * v.scale,
+        regression.theta >= v.high - _AT_BOUND * v.scale,
+    )
+
+    def bent(j: int) -> bool:
+        own = own_name(v.labels[j])
+        return bool(
+            high[j] if own in effect.relative else low[j] and own in effect.shapes and isinstance(effect, Law)
+        )
+
+    return next((v.labels[j] for j in v.of(name) if bent(j)), "")
 
 
 def carried(vector: ParameterVector, before: Regression) -> Array:

@@ -10,10 +10,10 @@ from math import log
 
 import numpy as np
 
-from nsde_torch.diagnosis.decision import variables_of
 from nsde_torch.diagnosis.elimination import Retained
 from nsde_torch.diagnosis.fitted import effect_of, fitted_system, moved_channels
 from nsde_torch.diagnosis.laws import Library, library, worth_a_fit
+from nsde_torch.diagnosis.left_over import variables_of
 from nsde_torch.diagnosis.outcome import base_without
 from nsde_torch.diagnosis.screening import joined, screen
 from nsde_torch.diagnosis.search import Base, Search

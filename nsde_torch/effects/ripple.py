@@ -25,7 +25,7 @@ class Ripple(Law):
     PARAMETERS = {
         "sine": Parameter(0.0, "force", scale=0.1, help="part that is nothing at the origin"),
         "cosine": Parameter(0.0, "force", scale=0.1, help="part that is largest at the origin"),
-        "order": Parameter(6.0, "1", low=0.0, scale=1.0, help="repeats in a turn"),
+        "order": Parameter(6.0, "1", low=0.5, scale=1.0, help="repeats in a turn"),
     }
     along = "position"
     null = {"sine": 0.0, "cosine": 0.0}

@@ -25,13 +25,8 @@ class LinearSpring(Law):
     along = "position"
     null = {"stiffness": 0.0}
     amplitudes = ("stiffness",)
-    sentence = "A spring pulls to the origin with {stiffness}."
+    sentence = "A spring pulls {it} to the origin with {stiffness}."
     separate = "push at several amplitudes"
-
-    @classmethod
-    def candidate(cls, system: str) -> bool:
-        """Never: a spring is declared where there is one."""
-        return False
 
     def term(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
         """See `Law.term`."""

@@ -3,7 +3,8 @@
 What a smoother took away, the noise model of the identification takes for noise that is not there: it weighs what the
 smoother left near nothing most, there the inputs move nothing, and gains go to nothing, surely.
 
-A spectrum that falls steeply may also be a motion's own. That the log was smoothed is believed where
+A spectrum that falls steeply may also be a motion's own; a motion alone ends in the white noise of the sensor, and not
+in the log's digits. That the log was smoothed is believed where it ends in no such noise, and where
 
 - position and integrated rate do not agree in the band in which S falls: what is left there is noise, of two sensors;
 - or else the declared physics, fitted to means over 0.15 s, foretells the changes of channels that inputs drive better
@@ -42,6 +43,9 @@ Array = NDArray[np.float64]
 MISFIT, GAIN = 2.0, 3.0
 """Deviance per bin of a spectrum without a smoother, above which one is looked for; and how many times smaller it must
 be behind one. Raw logs have 0.3 to 1.1; logs behind a smoother that cuts at up to a fifth of the rate 4.5 and more."""
+FLOOR, DIGITS = 0.5, 10.0
+"""Share of a white floor in what is seen where a smoother falls, and how many times more than the log's digits make it
+is, above which it is a sensor's noise and there is no smoother."""
 SOUND = 0.4
 """Share by which spectra may differ from the best fit (root mean square, beyond chance) and states be restored."""
 _CHANCE = 0.5  # deviance per bin by chance
@@ -157,6 +161,8 @@ def smoothed_states(runs: Sequence[Run], system: System, clock: float = 1.0) -> 
         fits = tuple(smoothers.fit(odd[sensor], smoother) for sensor in sensors)
         if any(GAIN * one.deviance >= without[sensor] for sensor, one in zip(sensors, fits, strict=True)):
             continue
+        if any(_noisy_behind(odd[k], one, smoother, k, runs) for k, one in zip(sensors, fits, strict=True)):
+            continue
         apart = [_apart(system, runs, sensor, smoother, dt) for sensor in sensors]
         if not max(apart) > APART:
             regression = regression or rough_fit(system, runs, clock, levels=False)
@@ -232,6 +238,30 @@ def _by_smoother(odd: Mapping[SensorGroup, Spectra]) -> list[tuple[tuple[SensorG
 def _off(one: SpectrumFit, seen: Spectra) -> float:
     """Share by which a spectrum differs from its fit, beyond chance: a share s has a deviance of K s^2 / 2."""
     return (2.0 * max(one.deviance - _CHANCE, 0.0) / seen.windows) ** 0.5
+
+
+def _noisy_behind(
+    seen: Spectra, one: SpectrumFit, smoother: Smoother, sensor: SensorGroup, runs: Sequence[Run]
+) -> bool:
+    """Whether what is seen where a smoother falls is white noise behind it, more than the log's digits make.
+
+    A motion that ends at some frequency (inputs of a few waves) falls as if smoothed, down to the sensor's noise.
+    """
+    x = np.concatenate([np.asarray(run.x[:, list(sensor.columns)]) for run in runs])
+    quantum = np.array([_quantum(column) for column in x.T])
+    by_digits = 2.0 * seen.dt * float(np.square(quantum).max()) / 12.0 * (4.0 if sensor.turns else 1.0)
+    beyond = seen.f > smoother.falls_to(0.5)
+    if not beyond.any():
+        return False
+    share = np.median(one.rounding[:, None] / seen.power[:, beyond], axis=1)
+    return bool((one.rounding > DIGITS * by_digits).any() and float(share.max()) > FLOOR)
+
+
+def _quantum(values: Array) -> float:
+    """The least step between values (N,), rounding of the arithmetic apart."""
+    steps = np.diff(np.unique(values))
+    steps = steps[steps > 1e-10 * max(float(np.ptp(values)), 1e-300)]
+    return float(steps.min()) if len(steps) else 0.0
 
 
 def _apart(system: System, runs: Sequence[Run], sensor: SensorGroup, smoother: Smoother, dt: float) -> float:

@@ -23,7 +23,14 @@ from nsde_torch.design.limits import limits_of
 from nsde_torch.design.members import Member, fitted_members, physics_with
 from nsde_torch.design.options import DesignOptions
 from nsde_torch.design.paths import FlownPaths, Paths
-from nsde_torch.design.proposals import Judge, JudgedExperiment, ProposalFamily, best_of, search, worth_of
+from nsde_torch.design.proposals import (
+    Judge,
+    JudgedExperiment,
+    ProposalFamily,
+    best_of_each,
+    search,
+    worth_of,
+)
 from nsde_torch.design.questions import Question
 from nsde_torch.design.rehearsal import Rehearsed, rehearse
 from nsde_torch.design.rollout import Drive
@@ -100,10 +107,8 @@ def design(
         longest = max(runs, key=len)
         before = longest.x[:, :3] if flies else longest.u
         made = family.baselines(rng, np.asarray(before))
-        for i, (name, (tables, words)) in enumerate(made.items()):
-            say("judging usual inputs", i, len(made))
-            best = best_of(judge, name, tables, words)
-            usual += [] if best is None else [best]
+        say("judging usual inputs", 0, 1)
+        usual = best_of_each(judge, made)
     plans = [*finalists, *usual]
     rehearsed: list[list[Rehearsed]] = []
     for i in range(len(members)):

@@ -1,7 +1,7 @@
 """Plan the experiment that tells most: between the members of a tie, or of parameters that no run shows.
 
 question    what a diagnosis leaves open, or what the user asks                    questions
-members     what may be true, fitted to the runs there are                         members, filtering
+members     what may be true, fitted to the runs there are                         members, filtering, flyable
 search      inputs within limits, by what they tell whichever member is true       signals, proposals, expected
 rehearse    with noise, fitted as the measured run will be                         rehearsal
 report      `Experiment`: what to do, what it would tell, what one would see       experiment, text, pictures, files

@@ -19,6 +19,7 @@ from nsde_torch.data import Run
 from nsde_torch.design.drives import OpenLoop
 from nsde_torch.design.expected import Precision
 from nsde_torch.design.experiment import Experiment, PlannedRun
+from nsde_torch.design.flyable import Draw, Flyable
 from nsde_torch.design.limits import limits_of
 from nsde_torch.design.members import Member, fitted_members, physics_with
 from nsde_torch.design.options import DesignOptions
@@ -90,7 +91,8 @@ def design(
     else:
         family = Signals(limits, dt, steps, (float(hertz[0]), float(hertz[1])))
         drive = OpenLoop()
-    draws = [m.draws(options.samples, rng) for m in members]
+    draw: Draw = Flyable(start, drive, dt) if flies else Member.draws
+    draws = [draw(m, options.samples, rng) for m in members]
     precision = _precision(members[0], question) if question.parameters else None
     judge = Judge(members, precision, limits, start, draws, drive)
     finalists = search(
@@ -123,6 +125,7 @@ def design(
                 start=start,
                 limits=limits,
                 drive=drive,
+                draw=draw,
                 rng=rng,
             )
         )

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from nsde_torch.data import Run
 from nsde_torch.design.filtering import Filter, FilterProblem, stretches
+from nsde_torch.design.flyable import Draw
 from nsde_torch.design.limits import ExperimentLimits
 from nsde_torch.design.members import Member, log_likelihood
 from nsde_torch.design.rollout import Drive, Rollouts, disturbances
@@ -147,6 +148,7 @@ def rehearse(
     start: Array,
     limits: ExperimentLimits,
     drive: Callable[[Array], Drive],
+    draw: Draw = Member.draws,
     rng: np.random.Generator,
 ) -> list[Rehearsed]:
     """Rehearse plans with one member true.
@@ -160,13 +162,14 @@ def rehearse(
         start: First state (nx,).
         limits: Limits.
         drive: Makes the inputs of a batch of tables.
+        draw: Draws the parameters, the fitted ones first.
         rng: Source of everything random.
     """
     member, plans = members[truth], len(tables)
     steps = member.regression.physics.steps
     whole = np.repeat(tables, count, 0)
     true, seen, inputs = Rollouts(member.system, dt=steps.dt).run(
-        np.tile(member.draws(count + 1, rng)[1:], (plans, 1)),
+        np.tile(draw(member, count + 1, rng)[1:], (plans, 1)),
         np.tile(start, (len(whole), 1)),
         drive(whole),
         tables.shape[1],

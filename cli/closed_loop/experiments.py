@@ -111,7 +111,7 @@ def run_experiments(loop: Round, diagnosis: Path) -> tuple[list[dict[str, Any]],
             return done, waiting, diagnosis
         told = _read(loop, place, known, plan, content)
         loop.diagnose(place / "diagnosis")
-        other = _other_machine(loop, place)
+        other = _other_machine(loop, place, content)
         if other is not None:
             return done, other, diagnosis
         diagnosis = place / "diagnosis"
@@ -280,20 +280,25 @@ def _read(
     return told
 
 
-def _other_machine(loop: Round, place: Path) -> Stop | None:
+def _other_machine(loop: Round, place: Path, before: Mapping[str, Any]) -> Stop | None:
     """Whether the diagnosis of all runs says that the experiment's is of another machine.
 
-    Nothing of such a log is kept as done: the next start reads what lies there then.
+    Of a log that a person put in, every objection that was not there before counts. Nothing of such a log is kept as
+    done: the next start reads what lies there then.
     """
-    warnings = diagnosis_content(place / "diagnosis")["warnings"]
+    warnings = [w for w in diagnosis_content(place / "diagnosis")["warnings"] if w["parameter"] is None]
+    known = {w["kind"] for w in before.get("warnings", ())}
     said = [w for w in warnings if w["kind"] in _OTHERS and place.name in w["sentence"]]
+    if loop.fly is None:
+        said += [w for w in warnings if w["kind"] not in known]
     if not said:
         return None
     for file in (place / OBTAINED, place / "diagnosis" / DIAGNOSED):
         file.unlink(missing_ok=True)
     return Stop(
         "other_machine",
-        f"the log of {place.name} is not of this machine, or the machine has changed: {said[0]['sentence']}; "
+        f"the log of {place.name} is not of this machine, or the machine has changed, or the log is at fault. With it "
+        f"among the others: {said[0]['sentence']}; "
         f"{said[0]['remedy']}. Put another log into {loop.logs}, and start this command again",
     )
 

@@ -17,6 +17,7 @@ from nsde_torch.diagnosis.files import EFFECTS, REPORT, RESULT, write_content, w
 from nsde_torch.diagnosis.report import write_report
 from nsde_torch.diagnosis.text import lines
 from nsde_torch.effects import files as effects_files
+from nsde_torch.errors import DataError
 from nsde_torch.recording.faults.registry import remedies
 from nsde_torch.systems import System
 from nsde_torch.systems.options import system_options
@@ -63,8 +64,13 @@ def read_logs(
         content: Content of a `diagnosis.json`: what it found that sensors did is taken out.
 
     Raises:
-        DataError: they cannot be read as runs of this machine.
+        DataError: they are of several kinds, or cannot be read as runs of this machine.
     """
+    kinds = sorted({p.suffix.lower() for p in log_files(folder)} - {".json"})
+    if kind is None and len(kinds) > 1:
+        raise DataError(
+            f"{folder} holds logs of several kinds ({', '.join(kinds)}): keep those of one kind there."
+        )
     faults: dict[str, Any] = {} if content is None else _faults(content)
     return nsde_torch.read(folder, system=system, kind=kind, **faults)
 

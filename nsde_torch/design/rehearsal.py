@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nsde_torch.data import Run
+from nsde_torch.design.expected import whitened_residual
 from nsde_torch.design.filtering import Filter, FilterProblem, stretches
 from nsde_torch.design.flyable import Draw
 from nsde_torch.design.limits import ExperimentLimits
@@ -131,8 +132,8 @@ def _by_steps(declared: System, member: Member, each: Sequence[Run], clock: floa
         nats, fit, theta = best
         flat = fit.slopes.reshape(-1, len(theta))
         cov = np.asarray(np.linalg.inv(flat.T @ flat + member.known), dtype=np.float64)
-        old = {c: law.std for c, law in zip(member.regression.rows, member.regression.noises, strict=True)}
-        left = [law.std**2 / old[c] ** 2 for c, law in zip(fit.rows, fit.noises, strict=True)]
+        # by the noise of the runs before: the experiment's own has learned what no parameter explains
+        left = np.square(whitened_residual(member.regression, fit.physics, fit.physics.residual(theta)))
         away = theta - member.theta
         out.append((nats, theta, cov, float(np.mean(left)), float(away @ member.known @ away) ** 0.5))
     return out

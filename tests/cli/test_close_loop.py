@@ -208,19 +208,17 @@ def test_by_hand_it_says_what_to_fly_and_goes_on_with_the_log(capsys: pytest.Cap
     assert Path("out/experiment_1/plan.csv").read_text().startswith("t,p_x,p_y,p_z,yaw\n")
     assert main([*machine, "pilot=plan", "plan=out/experiment_1", "seed=4", "out=plan_flown"]) == 0
     (log,) = Path("plan_flown").glob("*.csv")
-    right = log.read_text()
+    Path("out/log/experiment_1.ulg").write_text("")
+    assert main(["close-loop", *hand]) == 2
+    assert "logs of several kinds (.csv, .ulg)" in capsys.readouterr().err
+    Path("out/log/experiment_1.ulg").unlink()
     # of a log that is not of this machine it is said, by name, and another may be put in
-    Path("out/log/experiment_1.csv").write_text("\n".join(_stronger(right.splitlines())) + "\n")
+    Path("out/log/experiment_1.csv").write_text("\n".join(_stronger(log.read_text().splitlines())) + "\n")
     assert main(["close-loop", *hand]) == 0
     content = json.loads(Path("out/close_loop.json").read_text())
     assert content["stopped"]["kind"] == "other_machine"
-    assert "'experiment_1'" in content["stopped"]["sentence"]
-    Path("out/log/experiment_1.csv").write_text(right)
-    assert main(["close-loop", *hand]) == 0
-    content = json.loads(Path("out/close_loop.json").read_text())
-    (entry,) = content["experiments"]
-    assert entry["obtained"]["nats"]["linear_drag"] == pytest.approx(entry["nats_obtained"])
-    assert entry["obtained"]["speaks_for"] == "linear_drag"
+    assert "the log of experiment_1 is not of this machine" in content["stopped"]["sentence"]
+    assert not Path("out/experiment_1/obtained.json").exists()
 
 
 def _stronger(lines: list[str]) -> list[str]:

@@ -46,7 +46,7 @@ Say = Callable[[str], None]
 
 
 @dataclass(frozen=True)
-class Stop:
+class StoppedLoop:
     """Why there is no further experiment.
 
     Args:
@@ -59,7 +59,7 @@ class Stop:
 
 
 @dataclass(frozen=True)
-class Round:
+class ExperimentLoop:
     """What experiments need of the loop.
 
     Args:
@@ -81,11 +81,11 @@ class Round:
     say: Say
 
 
-def run_experiments(loop: Round, diagnosis: Path) -> tuple[list[dict[str, Any]], Stop, Path]:
+def run_experiments(loop: ExperimentLoop, diagnosis: Path) -> tuple[list[dict[str, Any]], StoppedLoop, Path]:
     """Experiments until nothing is open, the budget is spent, or none tells anything.
 
     Args:
-        loop: See `Round`.
+        loop: See `ExperimentLoop`.
         diagnosis: Folder of the first diagnosis.
 
     Returns:
@@ -104,7 +104,7 @@ def run_experiments(loop: Round, diagnosis: Path) -> tuple[list[dict[str, Any]],
         place.mkdir(parents=True, exist_ok=True)
         known = known_machine(loop.logs, diagnosis, loop.config.plant.system, loop.kind)
         plan = _planned(loop, place, known, open_questions(content, known.system), number)
-        if isinstance(plan, Stop):
+        if isinstance(plan, StoppedLoop):
             return done, plan, diagnosis
         waiting = _flown(loop, place, number)
         if waiting is not None:
@@ -123,7 +123,7 @@ def run_experiments(loop: Round, diagnosis: Path) -> tuple[list[dict[str, Any]],
     return done, settled(now) if now.settled else _spent(loop.config.experiments, now), diagnosis
 
 
-def settled(now: Standing) -> Stop:
+def settled(now: Standing) -> StoppedLoop:
     """Nothing is open."""
     rest = "".join(f"; {' or '.join(t)}: no input tells these apart" for t in now.beyond)
     what = (
@@ -131,11 +131,11 @@ def settled(now: Standing) -> Stop:
         if now.found
         else "nothing was found, and nothing is tied"
     )
-    return Stop("settled", what + rest)
+    return StoppedLoop("settled", what + rest)
 
 
-def _spent(budget: int, now: Standing) -> Stop:
-    return Stop(
+def _spent(budget: int, now: Standing) -> StoppedLoop:
+    return StoppedLoop(
         "budget", f"the budget of experiments={budget} is spent; {now.words}. A larger one goes on from here."
     )
 
@@ -166,8 +166,8 @@ def _options(config: DictConfig, number: int) -> DesignOptions:
 
 
 def _planned(
-    loop: Round, place: Path, known: KnownMachine, questions: Sequence[Question], number: int
-) -> dict[str, Any] | Stop:
+    loop: ExperimentLoop, place: Path, known: KnownMachine, questions: Sequence[Question], number: int
+) -> dict[str, Any] | StoppedLoop:
     """The plan for the first question that a plan within the limits answers, or why there is none."""
     file = place / REFUSED
     refused: list[str] = json.loads(file.read_text(encoding="utf-8")) if file.is_file() else []
@@ -186,11 +186,11 @@ def _planned(
         loop.say(found)
         refused.append(found)
         file.write_text(json.dumps(refused, indent=1), encoding="utf-8")
-    return Stop("limits", " ".join(refused))
+    return StoppedLoop("limits", " ".join(refused))
 
 
 def _designed(
-    loop: Round, place: Path, known: KnownMachine, question: Question, number: int
+    loop: ExperimentLoop, place: Path, known: KnownMachine, question: Question, number: int
 ) -> dict[str, Any] | str:
     """A plan for a question; the limit that is in the way where none stays within them."""
     loop.say(f"\nexperiment {number}: {asked(_content(question))}")
@@ -223,13 +223,13 @@ def _save(made: Experiment, place: Path) -> None:
     (place / ".unfinished").rmdir()
 
 
-def _flown(loop: Round, place: Path, number: int) -> Stop | None:
+def _flown(loop: ExperimentLoop, place: Path, number: int) -> StoppedLoop | None:
     """Fly the plan, unless that is done; why there is no log, where there is none."""
     name = f"experiment_{number}"
     if loop.fly is None:
         if log_files(loop.logs, name):
             return None
-        return Stop(
+        return StoppedLoop(
             "waiting",
             f"fly {place / PLAN} (a path: t, p_x, p_y, p_z, yaw), put the log into {loop.logs} as {name}.csv or "
             f"{name}.ulg, and start this command again",
@@ -240,12 +240,12 @@ def _flown(loop: Round, place: Path, number: int) -> Stop | None:
     if not log_files(loop.logs, name):
         found = json.loads((place / FLIGHT).read_text(encoding="utf-8"))
         why = found["trouble"]["text"] if found["trouble"] else "nothing was logged"
-        return Stop("flight", f"{name} was not flown: {why}")
+        return StoppedLoop("flight", f"{name} was not flown: {why}")
     return None
 
 
 def _read(
-    loop: Round,
+    loop: ExperimentLoop,
     place: Path,
     known: KnownMachine,
     plan: Mapping[str, Any],
@@ -280,7 +280,7 @@ def _read(
     return told
 
 
-def _other_machine(loop: Round, place: Path, before: Mapping[str, Any]) -> Stop | None:
+def _other_machine(loop: ExperimentLoop, place: Path, before: Mapping[str, Any]) -> StoppedLoop | None:
     """Whether the diagnosis of all runs says that the experiment's is of another machine.
 
     Of a log that a person put in, every objection that was not there before counts. Nothing of such a log is kept as
@@ -295,7 +295,7 @@ def _other_machine(loop: Round, place: Path, before: Mapping[str, Any]) -> Stop 
         return None
     for file in (place / OBTAINED, place / "diagnosis" / DIAGNOSED):
         file.unlink(missing_ok=True)
-    return Stop(
+    return StoppedLoop(
         "other_machine",
         f"the log of {place.name} is not of this machine, or the machine has changed, or the log is at fault. With it "
         f"among the others: {said[0]['sentence']}; "

@@ -16,7 +16,7 @@ from nsde_torch.control.waypoints import from_csv
 from nsde_torch.errors import DataError
 
 from .. import track_build
-from .experiments import Round, Stop, run_experiments
+from .experiments import ExperimentLoop, StoppedLoop, run_experiments
 from .logs import diagnose_logs, diagnosis_content, effects_found, log_files
 from .machines import HAND, FlyingMachine, machine_of, physics, true_effects
 
@@ -59,14 +59,14 @@ class ClosedLoop:
             tilt=self.config.reference.tilt_limit,
         )
 
-    def fly_logged(self) -> Stop | None:
+    def fly_logged(self) -> StoppedLoop | None:
         """The flights that are diagnosed; why there is none, where a person is to fly them."""
         logs = self.folder / LOG
         if self.machine is None:
             if log_files(logs):
                 return None
             logs.mkdir(parents=True, exist_ok=True)
-            return Stop(
+            return StoppedLoop(
                 "waiting", f"put logs of the machine into {logs} (CSV or ULog), and start this command again"
             )
         for k in range(self.config.logged):
@@ -75,14 +75,14 @@ class ClosedLoop:
             raise DataError(f"no flight was logged: see {logs}.")
         return None
 
-    def find(self) -> tuple[list[dict[str, Any]], Stop | None]:
+    def find(self) -> tuple[list[dict[str, Any]], StoppedLoop | None]:
         """Diagnose, and close what is open by experiments; what each told, and why there is no further one."""
         first = self.folder / DIAGNOSIS
         self.diagnose(first)
         self.diagnosis = first
         if not self.config.experiments:
             return [], None
-        settings = Round(
+        settings = ExperimentLoop(
             self.config,
             self.folder,
             self.folder / LOG,

@@ -12,7 +12,7 @@ from nsde_torch.plots import save
 from nsde_torch.plots.tracking import tracking
 
 from .. import build
-from .experiments import Stop
+from .experiments import StoppedLoop
 from .loop import AFTER, BEFORE, TRUTH, ClosedLoop
 from .told import experiment_lines
 
@@ -20,7 +20,7 @@ RESULT, PICTURE = "close_loop.json", "close_loop.png"
 _DRAWN = {BEFORE: "declared physics", AFTER: "with what was found", TRUTH: "told the truth"}
 
 
-def record(loop: ClosedLoop, experiments: list[dict[str, Any]], stop: Stop | None) -> dict[str, Any]:
+def record(loop: ClosedLoop, experiments: list[dict[str, Any]], stop: StoppedLoop | None) -> dict[str, Any]:
     """What `close_loop.json` holds.
 
     Args:

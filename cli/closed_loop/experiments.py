@@ -236,11 +236,10 @@ def _flown(loop: ExperimentLoop, place: Path, number: int) -> StoppedLoop | None
         )
     if not (place / FLIGHT).is_file():
         found = loop.fly(place / PLAN, loop.logs / f"{name}.csv", number)
+        if not log_files(loop.logs, name):  # never in the air: the next start tries it again
+            why = found["trouble"]["text"] if found["trouble"] else "nothing was logged"
+            return StoppedLoop("flight", f"{name} was not flown: {why}")
         (place / FLIGHT).write_text(json.dumps(found, allow_nan=False), encoding="utf-8")
-    if not log_files(loop.logs, name):
-        found = json.loads((place / FLIGHT).read_text(encoding="utf-8"))
-        why = found["trouble"]["text"] if found["trouble"] else "nothing was logged"
-        return StoppedLoop("flight", f"{name} was not flown: {why}")
     return None
 
 

@@ -24,7 +24,7 @@ from nsde_torch.systems.options import system_options
 
 from ..stages import Stages
 
-_HIDDEN = "."
+_HIDDEN, _RECORD = ".", ".json"
 
 
 @dataclass(frozen=True)
@@ -45,10 +45,12 @@ class KnownMachine:
 
 
 def log_files(folder: Path, name: str = "") -> list[Path]:
-    """Logs in a folder: files of any kind, those of `name` alone where one is given."""
+    """Logs in a folder: files of any kind but our own records, those of `name` alone where one is given."""
     if not folder.is_dir():
         return []
-    found = sorted(p for p in folder.iterdir() if p.is_file() and not p.name.startswith(_HIDDEN))
+    found = sorted(
+        p for p in folder.iterdir() if p.is_file() and not p.name.startswith(_HIDDEN) and p.suffix != _RECORD
+    )
     return [p for p in found if not name or p.stem == name or p.stem.startswith(f"{name}_")]
 
 
@@ -66,7 +68,7 @@ def read_logs(
     Raises:
         DataError: they are of several kinds, or cannot be read as runs of this machine.
     """
-    kinds = sorted({p.suffix.lower() for p in log_files(folder)} - {".json"})
+    kinds = sorted({p.suffix.lower() for p in log_files(folder)})
     if kind is None and len(kinds) > 1:
         raise DataError(
             f"{folder} holds logs of several kinds ({', '.join(kinds)}): keep those of one kind there."

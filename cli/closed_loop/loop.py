@@ -159,6 +159,9 @@ class ClosedLoop:
         seed = self.config.seed * 1000 + number + (_LOGGED if stage == LOG else 0)
         log = self.folder / stage / f"flight_{number}.csv"
         found = self._fly(f"{stage} {number + 1}", self.reference.path, effects, seed, log)
+        if not log.is_file():  # never in the air: the next start tries it again
+            why = found["trouble"]["text"] if found["trouble"] else "nothing was logged"
+            raise DataError(f"flight {number + 1} of {file.parent} was not flown: {why}")
         file.parent.mkdir(parents=True, exist_ok=True)
         content = {**found, "seed": seed, "told": effects}
         file.write_text(json.dumps(content, allow_nan=False), encoding="utf-8")

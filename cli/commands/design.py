@@ -140,9 +140,13 @@ def _read(config: DictConfig, job: Job, known: Any, options: DesignOptions) -> N
     expected: list[Any] = []
     if config.plan is not None:
         planned = read_design(config.plan)
-        expected = planned["expected"] if planned["question"]["kind"] == "tie" else []
-        if options.members is None and expected:
-            options = replace(options, members=tuple(map(tuple, planned["question"]["members"])))
+        expected, asked = planned["expected"], planned["question"]
+        if options.members is None and options.parameters is None:
+            options = (
+                replace(options, members=tuple(map(tuple, asked["members"])))
+                if asked["kind"] == "tie"
+                else replace(options, parameters=tuple(asked["parameters"]))
+            )
     found = obtained(
         known.system,
         known.runs,

@@ -19,11 +19,19 @@ from nsde_torch.data import Run
 from nsde_torch.design.drives import OpenLoop
 from nsde_torch.design.expected import Precision
 from nsde_torch.design.experiment import Experiment, PlannedRun
+from nsde_torch.design.flyable import Draw, Flyable
 from nsde_torch.design.limits import limits_of
 from nsde_torch.design.members import Member, fitted_members, physics_with
 from nsde_torch.design.options import DesignOptions
 from nsde_torch.design.paths import FlownPaths, Paths
-from nsde_torch.design.proposals import Judge, JudgedExperiment, ProposalFamily, best_of, search, worth_of
+from nsde_torch.design.proposals import (
+    Judge,
+    JudgedExperiment,
+    ProposalFamily,
+    best_of_each,
+    search,
+    worth_of,
+)
 from nsde_torch.design.questions import Question
 from nsde_torch.design.rehearsal import Rehearsed, rehearse
 from nsde_torch.design.rollout import Drive
@@ -83,7 +91,8 @@ def design(
     else:
         family = Signals(limits, dt, steps, (float(hertz[0]), float(hertz[1])))
         drive = OpenLoop()
-    draws = [m.draws(options.samples, rng) for m in members]
+    draw: Draw = Flyable(start, drive, dt) if flies else Member.draws
+    draws = [draw(m, options.samples, rng) for m in members]
     precision = _precision(members[0], question) if question.parameters else None
     judge = Judge(members, precision, limits, start, draws, drive)
     finalists = search(
@@ -100,10 +109,8 @@ def design(
         longest = max(runs, key=len)
         before = longest.x[:, :3] if flies else longest.u
         made = family.baselines(rng, np.asarray(before))
-        for i, (name, (tables, words)) in enumerate(made.items()):
-            say("judging usual inputs", i, len(made))
-            best = best_of(judge, name, tables, words)
-            usual += [] if best is None else [best]
+        say("judging usual inputs", 0, 1)
+        usual = best_of_each(judge, made)
     plans = [*finalists, *usual]
     rehearsed: list[list[Rehearsed]] = []
     for i in range(len(members)):
@@ -118,6 +125,7 @@ def design(
                 start=start,
                 limits=limits,
                 drive=drive,
+                draw=draw,
                 rng=rng,
             )
         )

@@ -108,13 +108,21 @@ def whitened(
     """Residuals (channels, M) and slopes (channels, M, k) in units of a fit's noise, and rows of each experiment."""
     single = Series(physics.steps.segments)
     boxes = single.boxes(fit.box)
-    rest, slopes = single.summed(residual, fit.box), single.summed(physics.slopes(theta), fit.box)
+    slopes = single.summed(physics.slopes(theta), fit.box)
     pairs = list(zip(fit.noises, fit.rows, strict=True))
     return (
-        np.stack([law.whiten(rest[:, [c]], boxes)[:, 0] for law, c in pairs]),
+        whitened_residual(fit, physics, residual),
         np.stack([law.whiten(slopes[:, c], boxes) for law, c in pairs]),
         extended(boxes).edges,
     )
+
+
+def whitened_residual(fit: Regression, physics: Physics, residual: Array) -> Array:
+    """Residuals (channels, M) in units of a fit's noise."""
+    single = Series(physics.steps.segments)
+    boxes, rest = single.boxes(fit.box), single.summed(residual, fit.box)
+    pairs = zip(fit.noises, fit.rows, strict=True)
+    return np.stack([law.whiten(rest[:, [c]], boxes)[:, 0] for law, c in pairs])
 
 
 def _follow(truth: Member, other: Member) -> Array:

@@ -153,7 +153,13 @@ class Experiment:
             "limits": self.limits.content(units),
             "path_limits": None
             if self.hertz is not None
-            else {"acceleration_sideways": SIDE, "acceleration_up": UP, "unit": "m/s2"},
+            else {
+                "acceleration_sideways": SIDE,
+                "largest_sideways": float(np.linalg.norm(self.plan.table[:, 6:8], axis=1).max()),
+                "acceleration_up": UP,
+                "largest_up": float(np.abs(self.plan.table[:, 8]).max()),
+                "unit": "m/s2",
+            },
             "expected": [self._expected(self.plan, i) for i in range(len(self.members))],
             "baselines": [
                 {"name": b.name, "expected": [self._expected(b, i) for i in range(len(self.members))]}

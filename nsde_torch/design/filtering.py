@@ -117,7 +117,7 @@ class Filter:
         u = torch.as_tensor(np.stack([_padded(v, longest) for v in inputs]))
         live = torch.as_tensor(np.arange(longest) < np.array([[len(v)] for v in inputs]))
         theta, b = torch.as_tensor(thetas), len(thetas)
-        z = system.augment(seen[:, 0], u[:, 0])
+        z = self.rollouts.begin(theta, seen[:, 0], u[:, 0])
         p = self._start.expand(b, -1, -1)
         eye = torch.eye(z.shape[1], dtype=z.dtype)
         white, dets = [], torch.zeros(b, dtype=z.dtype)

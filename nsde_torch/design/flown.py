@@ -1,9 +1,14 @@
-"""What a flown experiment told: the evidence that it brought each member, beside what was expected."""
+"""What a flown experiment told, beside what was expected.
+
+Between members it is the evidence that the experiment brought each. Of parameters it is how much smaller their standard
+errors became: ln(before / after) nats of each, the information gained about a number with normal errors (Lindley, On a
+measure of the information provided by an experiment, Annals of Mathematical Statistics 27 (1956)).
+"""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -13,8 +18,8 @@ from nsde_torch.design.designing import check_runs, members_of
 from nsde_torch.design.experiment import SURE
 from nsde_torch.design.members import Member
 from nsde_torch.design.questions import Question
-from nsde_torch.design.rehearsal import fit_all
-from nsde_torch.errors import ConfigError, DataError
+from nsde_torch.design.rehearsal import Fits, fit_all
+from nsde_torch.errors import DataError
 from nsde_torch.systems import System
 
 STRANGE = 2.0
@@ -25,15 +30,58 @@ FAR = 8.0
 
 
 @dataclass(frozen=True)
+class KnownBetter:
+    """A parameter that an experiment was to show.
+
+    Args:
+        value: With the experiment.
+        before: Standard error before it.
+        after: Standard error with it.
+        expected: What was expected of that; None where nothing was.
+        unit: Of all.
+    """
+
+    value: float
+    before: float
+    after: float
+    expected: float | None
+    unit: str
+
+    @property
+    def nats(self) -> float:
+        """Information gained."""
+        return float(np.log(self.before / self.after))
+
+    @property
+    def expected_nats(self) -> float | None:
+        """Information that was to be gained."""
+        return None if self.expected is None else float(np.log(self.before / self.expected))
+
+    def content(self) -> dict[str, Any]:
+        """Plain containers, for JSON."""
+        return {
+            "value": self.value,
+            "unit": self.unit,
+            "standard_error_before": self.before,
+            "standard_error": self.after,
+            "expected_standard_error": self.expected,
+            "nats": self.nats,
+            "expected_nats": self.expected_nats,
+        }
+
+
+@dataclass(frozen=True)
 class Obtained:
     """What an experiment told.
 
     Args:
         question: What it was asked.
         members: What may be true, as the runs before the experiment had them.
-        nats: Evidence that it brought each member against the best of the others (M,) [nats].
+        nats: Evidence that it brought each member against the best of the others (M,) [nats]; of parameters 0.
         excess: Mean square of what the best member leaves of it, in units of the noise.
         expected: What was expected where each member is true, as `design.json` has it; empty where nothing was.
+        parameters: Those that were asked for, by label; empty where members were.
+        doubt: Why no member explains it; None where one does.
     """
 
     question: Question
@@ -41,6 +89,8 @@ class Obtained:
     nats: tuple[float, ...]
     excess: float
     expected: tuple[Mapping[str, Any], ...] = ()
+    parameters: Mapping[str, KnownBetter] = field(default_factory=dict)
+    doubt: str | None = None
 
     @property
     def best(self) -> int:
@@ -55,21 +105,40 @@ class Obtained:
     def content(self) -> dict[str, Any]:
         """What `obtained.json` holds."""
         names = self.question.names
+        if self.parameters:
+            each = {label: p.content() for label, p in self.parameters.items()}
+            known = [p["expected_nats"] for p in each.values()]
+            return {
+                "schema": "nsde_torch.obtained/1",
+                "question": {"kind": "parameters", "parameters": list(self.question.parameters)},
+                "parameters": each,
+                "nats": sum(p["nats"] for p in each.values()),
+                "expected_nats": None if None in known else sum(known),
+                "excess": self.excess,
+                "doubt": self.doubt,
+            }
         expected = self.expected[self.best]["nats"]["mean"] if self.expected else None
         return {
             "schema": "nsde_torch.obtained/1",
-            "question": {"members": [list(m) for m in self.question.members], "names": list(names)},
+            "question": {
+                "kind": "tie",
+                "members": [list(m) for m in self.question.members],
+                "names": list(names),
+            },
             "nats": dict(zip(names, self.nats, strict=True)),
             "speaks_for": names[self.best],
             "broken": self.broken,
             "expected_nats": expected,
             "excess": self.excess,
+            "doubt": self.doubt,
         }
 
     @property
     def report(self) -> str:
         """What it told, in words."""
         content = self.content()
+        if self.parameters:
+            return "\n".join(_known_better(label, p) for label, p in self.parameters.items())
         name, nats = content["speaks_for"], self.nats[self.best]
         said = (
             f"the experiment speaks for {name}: {nats:.1f} nats against what else may be true"
@@ -90,6 +159,7 @@ def obtained(
     clock: float = 1.0,
     values: Mapping[str, Any] | None = None,
     expected: Sequence[Mapping[str, Any]] = (),
+    trusted: bool = False,
 ) -> Obtained:
     """What an experiment told.
 
@@ -101,26 +171,59 @@ def obtained(
         clock: Physical seconds per logged second.
         values: First values of effects.
         expected: What was expected (`design.json`).
+        trusted: Whether the log is known to be of this machine: what no member explains is told (`doubt`), not refused.
 
     Raises:
-        DataError: the log is not of this machine.
-        ConfigError: the question is not between members.
+        DataError: no member explains the log: it is not of this machine, or what may be true was not among them.
     """
-    if len(question.members) < 2:
-        raise ConfigError(
-            "a flown experiment is read where members were tied; where parameters were asked for, run `nsde diagnose` "
-            "with it among the runs."
-        )
     check_runs(system, [*runs, *flown])
     members = members_of(system, runs, question, values or {}, clock=clock)
     each = fit_all(system, members, flown, clock=clock)
-    for log, fit in zip(flown, each, strict=True):
-        if fit.excess > STRANGE or fit.moved > FAR:
-            raise DataError(
-                f"{log.source or log.name} is not of this machine, or the machine has changed: where it is explained "
-                f"best, parameters are {fit.moved:.1f} standard errors from the runs before, and {fit.excess**0.5:.1f} "
-                "times the noise is left. Look whether columns, units and payload are those of the diagnosis."
-            )
+    doubts = [
+        f"no member explains {log.source or log.name}: where one explains it best, parameters are {fit.moved:.1f} "
+        f"standard errors from the runs before, and {fit.excess**0.5:.1f} times the noise is left"
+        for log, fit in zip(flown, each, strict=True)
+        if fit.excess > STRANGE or fit.moved > FAR
+    ]
+    if doubts and not trusted:
+        raise DataError(
+            f"{doubts[0]}. It is not of this machine, or the machine has changed (look whether columns, units and "
+            "payload are those of the diagnosis), or something else is true: `nsde diagnose` with it among the runs "
+            "names a run of another machine, and else finds what explains them all."
+        )
     excess = max(f.excess for f in each)
     nats = [sum(f.against(i) for f in each) for i in range(len(members))]
-    return Obtained(question, tuple(members), tuple(nats), excess, tuple(expected))
+    asked = _parameters(members[0], question, each, expected) if question.parameters else {}
+    return Obtained(
+        question, tuple(members), tuple(nats), excess, tuple(expected), asked, doubts[0] if doubts else None
+    )
+
+
+def _parameters(
+    member: Member, question: Question, each: Sequence[Fits], expected: Sequence[Mapping[str, Any]]
+) -> dict[str, KnownBetter]:
+    """What was asked for, before and after; of several experiments by the sum of what each adds to 1 / error^2."""
+    v, before = member.regression.vector, np.sqrt(np.diag(member.covariance))
+    planned = expected[0]["parameters"] if expected else {}
+    weight = np.sum([1.0 / np.square(f.errors[0]) for f in each], axis=0) - (len(each) - 1) / np.square(
+        before
+    )
+    after = 1.0 / np.sqrt(np.maximum(weight, 1e-6 / np.square(before)))
+    value = np.mean([f.thetas[0] for f in each], axis=0)
+    return {
+        label: KnownBetter(
+            float(value[i]),
+            float(before[i]),
+            float(after[i]),
+            planned.get(label, {}).get("expected_standard_error"),
+            v.units[i],
+        )
+        for i, label in enumerate(v.labels)
+        if any(label == asked or label.startswith(f"{asked}[") for asked in question.parameters)
+    }
+
+
+def _known_better(label: str, p: KnownBetter) -> str:
+    unit = "" if p.unit == "1" else f" {p.unit}"
+    said = f"{label}: {p.value:.3g} +- {p.after:.2g}{unit} (standard error), {p.before:.2g} before"
+    return said if p.expected is None else f"{said}, {p.expected:.2g} expected"

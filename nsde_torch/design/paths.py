@@ -40,7 +40,7 @@ _REST = [(order, 0.0) for order in (1, 2, 3)]
 
 def point_times(duration: float) -> Array:
     """Times of the points of a flight (K,) [s]."""
-    return np.linspace(0.0, duration, max(round(duration / GAP), 8) + 1)
+    return np.linspace(0.0, duration, max(round(duration / GAP), 4) + 1)
 
 
 @dataclass(frozen=True)

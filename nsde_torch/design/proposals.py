@@ -7,7 +7,7 @@ smaller than their usual size the standard errors become. One that leaves a limi
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Protocol, final
 
@@ -177,15 +177,24 @@ class JudgedExperiment:
     words: tuple[str, ...] = ()
 
 
-def best_of(judge: Judge, name: str, tables: Array, words: Sequence[str] = ()) -> JudgedExperiment | None:
-    """The best of some experiments; None where all leave the limits."""
-    judged = judge.judge(tables)
-    k = int(judged.worth.argmax())
-    if not np.isfinite(judged.worth[k]):
-        return None
-    return JudgedExperiment(
-        name, tables[k], float(judged.worth[k]), judged.each[:, :, k], judged.use[k], tuple(words)
-    )
+def best_of_each(judge: Judge, made: Mapping[str, tuple[Array, tuple[str, ...]]]) -> list[JudgedExperiment]:
+    """The best of each family of experiments (sizes, N, m), with words; without those that all leave the limits.
+
+    All are judged in one batch: a rollout of many costs little more than one of few.
+    """
+    judged = judge.judge(np.concatenate([tables for tables, _ in made.values()]))
+    out, at = [], 0
+    for name, (tables, words) in made.items():
+        k = at + int(judged.worth[at : at + len(tables)].argmax())
+        if np.isfinite(judged.worth[k]):
+            table = tables[k - at]
+            out.append(
+                JudgedExperiment(
+                    name, table, float(judged.worth[k]), judged.each[:, :, k], judged.use[k], tuple(words)
+                )
+            )
+        at += len(tables)
+    return out
 
 
 def search(

@@ -13,7 +13,7 @@ from nsde_torch.effects.law import AND, split_name
 from nsde_torch.errors import ConfigError
 from nsde_torch.systems import System
 
-_MOST = 3
+MOST = 3
 """Effects that are not shown of which an experiment is to show the sizes."""
 _WIDE = 0.5
 """Half-width of an interval over its value above which a parameter is to be shown."""
@@ -53,52 +53,104 @@ def question_of(content: Mapping[str, Any], system: System, options: DesignOptio
     Raises:
         ConfigError: nothing is tied and everything is shown, or a name that the system does not know.
     """
-    found = [f["name"] for f in content.get("findings", ()) if f["kind"] != "recording"]
+    found = _found(content)
     if options.members is not None:
         return Question(tuple(tuple(_known(system, e) for e in member) for member in options.members))
     if options.parameters is not None:
-        return _of_parameters(system, found, options.parameters)
-    notes: list[str] = []
-    for tie in content.get("ties", ()):
-        first, *others = tie["effects"]
-        able = [o for o in others if _is_effect(o)]
-        notes += [
-            f"{o} is a fault of the recording chain: no input tells it from {first}"
-            for o in others
-            if o not in able
-        ]
-        if first in found and able:
-            swapped = [tuple(e for f in found for e in (o.split(AND) if f == first else [f])) for o in able]
-            return Question((tuple(found), *swapped), notes=tuple(notes))
+        return of_parameters(system, found, options.parameters)
+    ties = of_ties(content)
+    if ties:
+        return ties[0]
+    notes = tie_notes(content)
     lacking = [n["parameter"] for n in content.get("not_shown", ())]
-    effects = list(dict.fromkeys(label.partition(".")[0] for label in lacking))[:_MOST]
+    effects = list(dict.fromkeys(label.partition(".")[0] for label in lacking))[:MOST]
     labels = [label for label in lacking if label.partition(".")[0] in effects]
     if not labels:
         both = {**content.get("parameters", {}), **content.get("declared_parameters", {})}
-        labels = [name for name, p in both.items() if _is_wide(p) and name.partition(".")[0] not in notes]
+        labels = wide(both)
     if not labels:
         raise ConfigError(
             "the diagnosis ties nothing, and shows every parameter it asks for: there is nothing to plan. Name what "
             "may be true, members=[[EFFECT,...],[EFFECT,...]], or what is to be known better, parameters=[EFFECT.NAME]."
         )
-    out = _of_parameters(system, found, labels)
-    return Question(out.members, out.parameters, tuple(notes))
+    out = of_parameters(system, found, labels)
+    return Question(out.members, out.parameters, notes)
 
 
-def _of_parameters(system: System, found: Sequence[str], labels: Sequence[str]) -> Question:
+def of_ties(content: Mapping[str, Any]) -> list[Question]:
+    """The ties of a diagnosis that inputs may break, as questions."""
+    found = _found(content)
+    out = []
+    for first, *others in able_ties(content)[0]:
+        swapped = [tuple(e for f in found for e in (o.split(AND) if f == first else [f])) for o in others]
+        out.append(Question((tuple(found), *swapped), notes=tie_notes(content)))
+    return out
+
+
+def able_ties(
+    content: Mapping[str, Any],
+) -> tuple[tuple[tuple[str, ...], ...], tuple[tuple[str, ...], ...]]:
+    """Ties of a diagnosis, each with what was found first: those that inputs may break, and the others."""
+    found = _found(content)
+    able, beyond = [], []
+    for tie in content.get("ties", ()):
+        first, *others = tie["effects"]
+        rivals = [o for o in others if is_effect(o)] if first in found else []
+        if rivals:
+            able.append((first, *rivals))
+        else:
+            beyond.append((first, *others))
+    return tuple(able), tuple(beyond)
+
+
+def tie_notes(content: Mapping[str, Any]) -> tuple[str, ...]:
+    """What no input tells apart, in words, up to the first tie that inputs may break."""
+    notes: list[str] = []
+    for tie in content.get("ties", ()):
+        first, *others = tie["effects"]
+        faults = [o for o in others if not is_effect(o)]
+        notes += [f"{o} is a fault of the recording chain: no input tells it from {first}" for o in faults]
+        if first in _found(content) and len(faults) < len(others):
+            break
+    return tuple(notes)
+
+
+def _found(content: Mapping[str, Any]) -> list[str]:
+    return [f["name"] for f in content.get("findings", ()) if f["kind"] != "recording"]
+
+
+def of_parameters(system: System, found: Sequence[str], labels: Sequence[str]) -> Question:
+    """How large parameters are, beside what was found."""
     effects = [label.partition(".")[0] for label in labels if "." in label]
     beside = [e for e in dict.fromkeys(effects) if e not in found and e not in system.effect_names]
     return Question(((*found, *(_known(system, e) for e in beside)),), tuple(labels))
 
 
-def _is_wide(p: Mapping[str, Any]) -> bool:
-    if p.get("interval_90") is None:
-        return True
-    low, high = p["interval_90"]
-    return bool(high - low > 2 * _WIDE * abs(p["value"]))
+def wide(parameters: Mapping[str, Mapping[str, Any]]) -> list[str]:
+    """Labels of the parameters of a diagnosis that are not well known.
+
+    The half of an interval is held against the largest value of its vector: a weak motor is well known where the five
+    others are nothing within a hundredth.
+    """
+    largest: dict[str, float] = {}
+    for label, p in parameters.items():
+        vector = label.partition("[")[0]
+        largest[vector] = max(largest.get(vector, 0.0), abs(p["value"]))
+    out = []
+    for label, p in parameters.items():
+        if "." in label and not is_effect(label.partition(".")[0]):
+            continue  # what sensors do is known by no input
+        if p.get("interval_90") is None and p["value"] == 0.0 < largest[label.partition("[")[0]]:
+            continue  # held at nothing, beside another of its vector that is not
+        interval = p.get("interval_90")
+        most = 2 * _WIDE * largest[label.partition("[")[0]]
+        if interval is None or interval[1] - interval[0] > most:
+            out.append(label)
+    return out
 
 
-def _is_effect(name: str) -> bool:
+def is_effect(name: str) -> bool:
+    """Whether a name of a tie is physics, and no fault of the recording chain."""
     return all(split_name(e)[0] in EFFECTS or ":" in e or is_law(e) for e in name.split(AND))
 
 

@@ -14,7 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nsde_torch.data import Run
+from nsde_torch.design.expected import whitened_residual
 from nsde_torch.design.filtering import Filter, FilterProblem, stretches
+from nsde_torch.design.flyable import Draw
 from nsde_torch.design.limits import ExperimentLimits
 from nsde_torch.design.members import Member, log_likelihood
 from nsde_torch.design.rollout import Drive, Rollouts, disturbances
@@ -130,8 +132,8 @@ def _by_steps(declared: System, member: Member, each: Sequence[Run], clock: floa
         nats, fit, theta = best
         flat = fit.slopes.reshape(-1, len(theta))
         cov = np.asarray(np.linalg.inv(flat.T @ flat + member.known), dtype=np.float64)
-        old = {c: law.std for c, law in zip(member.regression.rows, member.regression.noises, strict=True)}
-        left = [law.std**2 / old[c] ** 2 for c, law in zip(fit.rows, fit.noises, strict=True)]
+        # by the noise of the runs before: the experiment's own has learned what no parameter explains
+        left = np.square(whitened_residual(member.regression, fit.physics, fit.physics.residual(theta)))
         away = theta - member.theta
         out.append((nats, theta, cov, float(np.mean(left)), float(away @ member.known @ away) ** 0.5))
     return out
@@ -147,6 +149,7 @@ def rehearse(
     start: Array,
     limits: ExperimentLimits,
     drive: Callable[[Array], Drive],
+    draw: Draw = Member.draws,
     rng: np.random.Generator,
 ) -> list[Rehearsed]:
     """Rehearse plans with one member true.
@@ -160,13 +163,14 @@ def rehearse(
         start: First state (nx,).
         limits: Limits.
         drive: Makes the inputs of a batch of tables.
+        draw: Draws the parameters, the fitted ones first.
         rng: Source of everything random.
     """
     member, plans = members[truth], len(tables)
     steps = member.regression.physics.steps
     whole = np.repeat(tables, count, 0)
     true, seen, inputs = Rollouts(member.system, dt=steps.dt).run(
-        np.tile(member.draws(count + 1, rng)[1:], (plans, 1)),
+        np.tile(draw(member, count + 1, rng)[1:], (plans, 1)),
         np.tile(start, (len(whole), 1)),
         drive(whole),
         tables.shape[1],

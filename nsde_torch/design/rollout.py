@@ -80,6 +80,7 @@ class Rollouts:
         self._fine = self._substeps()
         self._h = dt / self._fine
         self._rk4 = torch.func.vmap(self._one, in_dims=(0, None, 0, 0))
+        self._augmented = torch.func.vmap(self._first)
 
     @torch.no_grad()
     def run(
@@ -103,7 +104,7 @@ class Rollouts:
         pushes = None if noise is None else torch.as_tensor(noise.pushes)
         seen = x if errors is None else x + errors[:, 0]
         u = drive(0, seen)
-        z = self.system.augment(x, u)
+        z = self.begin(theta, x, u)
         true, measured, inputs = [x], [seen], []
         for k in range(steps):
             if k:
@@ -123,6 +124,16 @@ class Rollouts:
         for i in range(self._fine):
             z = self.system.project(z + self._rk4(theta, k * self.dt + i * self._h, z, u))
         return z
+
+    def begin(self, theta: Tensor, x: Tensor, u: Tensor) -> Tensor:
+        """States with the memory that a lasting input leaves (B, nz), of parameters (B, k), states and inputs."""
+        begun: Tensor = self._augmented(theta, x, u)
+        return begun
+
+    def _first(self, theta: Tensor, x: Tensor, u: Tensor) -> Tensor:
+        """One state of them; what lags behind another effect of the inputs begins where its parameters say."""
+        self.vector.use(theta)
+        return self.system.augment(x[None], u[None])[0]
 
     def _one(self, theta: Tensor, t: float, z: Tensor, u: Tensor) -> Tensor:
         """Change of one state over a fine step."""

@@ -145,6 +145,31 @@ def named_effects(effects: Effects) -> dict[str, Values]:
     return out
 
 
+def plant_effects(name: str, *, effects: Effects = (), declared_only: bool = False) -> dict[str, Values]:
+    """Effects of a plant beside the declared physics, with the values that are not those of the effects themselves.
+
+    Args:
+        name: Name of the system.
+        effects: See `make_plant_system`.
+        declared_only: See `make_plant_system`.
+
+    Raises:
+        ConfigError: no plant of that name, or an unknown effect.
+    """
+    spec, own = machine(name), system_class(name)
+    present: dict[str, Values] = {} if declared_only else {k: dict(v) for k, v in spec.effects.items()}
+    for asked, given in named_effects(effects).items():
+        key = own.effect_key(asked)
+        cls = own.effect_class(key)
+        for (
+            part
+        ) in cls.includes:  # it stands in for a simpler effect of the machine, with the values of that one
+            standing = present.pop(part, {})
+            given = {**{k: v for k, v in standing.items() if k in cls.PARAMETERS}, **given}
+        present.setdefault(key, {}).update(given)
+    return present
+
+
 def make_plant_system(
     name: str, *, effects: Effects = (), declared_only: bool = False, values: Mapping[str, Any] | None = None
 ) -> System:
@@ -159,17 +184,8 @@ def make_plant_system(
     Raises:
         ConfigError: no plant of that name, or an unknown effect or parameter.
     """
-    spec, own = machine(name), system_class(name)
-    present = {} if declared_only else {k: dict(v) for k, v in spec.effects.items()}
-    for asked, given in named_effects(effects).items():
-        key = own.effect_key(asked)
-        cls = own.effect_class(key)
-        for (
-            part
-        ) in cls.includes:  # it stands in for a simpler effect of the machine, with the values of that one
-            standing = present.pop(part, {})
-            given = {**{k: v for k, v in standing.items() if k in cls.PARAMETERS}, **given}
-        present.setdefault(key, {}).update(given)
+    spec = machine(name)
+    present = plant_effects(name, effects=effects, declared_only=declared_only)
     declared = make_system(name).effect_names
     parameters: Values = {**spec.values, **(values or {})}
     for key, held in present.items():

@@ -10,11 +10,12 @@ from typing import Any
 import pytest
 import torch
 
-from nsde_torch.cli.commands.close_loop import ClosedLoop
+from nsde_torch.cli.closed_loop import experiments, machines
+from nsde_torch.cli.closed_loop.machines import VirtualVehicle
 from nsde_torch.cli.main import main
+from nsde_torch.control.reference import FlightPath
 from nsde_torch.effects import files
-from nsde_torch.px4.flight.path import CascadeController
-from nsde_torch.px4.simulator import simulated
+from nsde_torch.px4.flight.path import CascadeController, PathPoints
 
 SHORT = (
     *("plant=quadrotor", "plant.effects=[{linear_drag:{drag:[0.6,0.6,0.2]}}]", "reference=hover"),
@@ -35,11 +36,11 @@ def told(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
     """Flown by the cascade, which costs little; what the predictive controller would know is listed."""
     known: list[Any] = []
 
-    def cascade(loop: ClosedLoop, effects: list[Any]) -> CascadeController:
+    def cascade(vehicle: VirtualVehicle, path: FlightPath, effects: list[Any]) -> CascadeController:
         known.append(effects)
-        return CascadeController(loop.path)
+        return CascadeController(PathPoints(path))
 
-    monkeypatch.setattr(ClosedLoop, "_controller", cascade)
+    monkeypatch.setattr(VirtualVehicle, "_controller", cascade)
     return known
 
 
@@ -77,7 +78,7 @@ def test_flights_before_and_after_are_compared_and_nothing_finished_is_done_agai
     def refuse(*arguments: Any, **options: Any) -> None:
         raise AssertionError("flown again")
 
-    monkeypatch.setattr(simulated, "fly_simulated", refuse)
+    monkeypatch.setattr(machines, "fly_simulated", refuse)
     assert main(["close-loop", *SHORT]) == 0
     assert json.loads(Path("out/close_loop.json").read_text()) == content
     assert main(["close-loop", *SHORT, "seed=1"]) == 2
@@ -97,6 +98,8 @@ def test_where_nothing_is_found_nothing_changes(told: list[Any], capsys: pytest.
     ("words", "said"),
     [
         (["plant=learned"], "plant=hexacopter or plant=quadrotor"),
+        (["by=link", "truth=true"], "known of simulated machines alone"),
+        (["by=glider"], "`by`"),
         (["plant.dt=0.01"], "without plant.dt"),
         (["plant.system=cartpole", "plant.effects=[]"], "multirotor"),
         (["plant.effects=[linear_drg]"], "linear_drag"),
@@ -111,3 +114,121 @@ def test_what_cannot_be_flown_is_said_at_once(
     assert main(["close-loop", "out_dir=out", *words]) == 2
     assert said in capsys.readouterr().err
     assert not Path("out/log").exists()
+
+
+TIED = (
+    *("plant=quadrotor", "plant.effects=[{linear_drag:{drag:[0.6,0.6,0.2]}}]", "reference=hover"),
+    *(
+        "reference.duration=1",
+        "logged=1",
+        "flights=1",
+        "candidates=[linear_drag,quadratic_drag]",
+        "out_dir=out",
+    ),
+    *("experiments=1", "experiment.duration=4", "experiment.samples=1", "experiment.proposals=4"),
+    *("experiment.generations=0", "experiment.rehearsals=2", "experiment.baselines=false"),
+)
+
+
+def _open(**changed: Any) -> None:
+    """A diagnosis of the hovering flight that says which drag cannot be told."""
+    _diagnosed({"linear_drag": {"drag": [0.5, 0.5, 0.1]}})
+    finding = {"name": "linear_drag", "kind": "effect", "sentence": "There is drag.", "lead": False}
+    content = {
+        "verdict": "effect_found",
+        "findings": [finding],
+        "ties": [{"effects": ["linear_drag", "quadratic_drag"], "experiment": ""}],
+        "not_shown": [],
+        "ranking": [],
+        "parameters": {},
+        "data": {"runs": ["flight_0"], "clock_scale": 1.0},
+        **changed,
+    }
+    Path("out/diagnosis/diagnosis.json").write_text(json.dumps(content))
+
+
+def test_a_tie_is_asked_of_an_experiment_and_the_record_has_nats_expected_and_obtained(
+    told: list[Any], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    _open()
+    assert main(["close-loop", *TIED]) == 0
+    printed = capsys.readouterr().out
+    assert "experiment 1: which is true, linear_drag or quadratic_drag?" in printed
+    content = json.loads(Path("out/close_loop.json").read_text())
+    (entry,) = content["experiments"]
+    assert entry["question"]["members"] == [["linear_drag"], ["quadratic_drag"]]
+    assert set(entry["expected_nats"]) == {"linear_drag", "quadratic_drag"}
+    assert entry["obtained"]["speaks_for"] in entry["expected_nats"]
+    assert entry["nats_obtained"] == max(entry["obtained"]["nats"].values())
+    assert entry["before"]["tied"] == [["linear_drag", "quadratic_drag"]]
+    assert entry["flight"]["tracked"]
+    assert content["stopped"]["kind"] in ("settled", "budget")
+    diagnosed = json.loads(Path("out/experiment_1/diagnosis/diagnosis.json").read_text())
+    assert diagnosed["data"]["runs"] == ["experiment_1", "flight_0"]
+    fence = json.loads(Path("out/experiment_1/design.json").read_text())["limits"]
+    assert fence["p_z"] == {"low": 0.4, "high": 4.0, "unit": "m", "from": "given"}
+
+    def refuse(*arguments: Any, **options: Any) -> None:
+        raise AssertionError("done again")
+
+    # started again it does nothing anew, and by hand it would ask for the next log
+    for name in ("design", "obtained"):
+        monkeypatch.setattr(experiments, name, refuse)
+    monkeypatch.setattr(machines, "fly_simulated", refuse)
+    assert main(["close-loop", *TIED]) == 0
+    assert json.loads(Path("out/close_loop.json").read_text()) == content
+
+
+def test_what_no_experiment_within_the_limits_tells_names_the_limit(
+    told: list[Any], capsys: pytest.CaptureFixture[str]
+) -> None:
+    _open()
+    assert main(["close-loop", *TIED, "experiment.fence=[[-3,3],[-3,3],[2.5,4]]"]) == 0
+    content = json.loads(Path("out/close_loop.json").read_text())
+    assert content["stopped"]["kind"] == "limits"
+    assert "what limits it is limits.p_z=[2.5,4]" in content["stopped"]["sentence"]
+    assert content["experiments"] == []
+    assert "no experiment stays within the limits" in capsys.readouterr().out
+
+
+def test_by_hand_it_says_what_to_fly_and_goes_on_with_the_log(capsys: pytest.CaptureFixture[str]) -> None:
+    hand = [*TIED, "by=hand"]
+    assert main(["close-loop", *hand]) == 0
+    assert "out/log (CSV or ULog)" in capsys.readouterr().out
+    machine = ["simulate", "system=quadrotor", "plant.effects=[{linear_drag:{drag:[0.6,0.6,0.2]}}]"]
+    assert main([*machine, "durations=[5]", "seed=3", "out=flown"]) == 0
+    (log,) = Path("flown").glob("*.csv")
+    log.rename("out/log/flight_0.csv")
+    _open()
+    assert main(["close-loop", *hand]) == 0
+    assert "as experiment_1.csv or experiment_1.ulg" in capsys.readouterr().out
+    content = json.loads(Path("out/close_loop.json").read_text())
+    assert content["stopped"]["kind"] == "waiting"
+    assert content["rmse_m"] == []
+    assert Path("out/experiment_1/plan.csv").read_text().startswith("t,p_x,p_y,p_z,yaw\n")
+    assert main([*machine, "pilot=plan", "plan=out/experiment_1", "seed=4", "out=plan_flown"]) == 0
+    (log,) = Path("plan_flown").glob("*.csv")
+    Path("out/log/experiment_1.ulg").write_text("")
+    assert main(["close-loop", *hand]) == 2
+    assert "logs of several kinds (.csv, .ulg)" in capsys.readouterr().err
+    Path("out/log/experiment_1.ulg").unlink()
+    # of a log that is not of this machine it is said, by name, and another may be put in
+    Path("out/log/experiment_1.csv").write_text("\n".join(_stronger(log.read_text().splitlines())) + "\n")
+    assert main(["close-loop", *hand]) == 0
+    content = json.loads(Path("out/close_loop.json").read_text())
+    assert content["stopped"]["kind"] == "other_machine"
+    assert "the log of experiment_1 is not of this machine" in content["stopped"]["sentence"]
+    assert not Path("out/experiment_1/obtained.json").exists()
+
+
+def _stronger(lines: list[str]) -> list[str]:
+    """A log of a machine whose motors are twice as strong: its commands are half as large."""
+    names = lines[0].split(",")
+    motors = [i for i, n in enumerate(names) if n.startswith("u_")]
+    out = [lines[0]]
+    for line in lines[1:]:
+        row = line.split(",")
+        for i in motors:
+            row[i] = str(0.5 * float(row[i]))
+        out.append(",".join(row))
+    return out

@@ -62,8 +62,10 @@ def test_flown_on_the_plant_it_speaks_for_what_is_true(planned: Experiment, tie:
     assert found.question.names[found.best] == "coulomb_friction + constant_force"
     assert "were expected" in found.report
     other = Run("other", raw.t, 3.0 * raw.x + 0.2, raw.u, source="other.csv")
-    with pytest.raises(DataError, match=r"other\.csv is not of this machine"):
+    with pytest.raises(DataError, match=r"explains other\.csv.*not of this machine"):
         obtained(tie.system, tie.runs, [other], tie.question)
+    doubted = obtained(tie.system, tie.runs, [other], tie.question, trusted=True).content()
+    assert "no member explains other.csv" in doubted["doubt"]
 
 
 def test_a_plan_that_leaves_its_limits_whatever_it_does_says_which(tie: Tie) -> None:
@@ -80,7 +82,7 @@ def test_limits_of_nothing_are_refused(tie: Tie, limits: dict[str, object], mess
         design(tie.system, tie.runs, tie.question, replace(OPTIONS, limits=limits))
 
 
-def test_parameters_of_an_effect_that_is_not_there_are_planned_for(tie: Tie) -> None:
+def test_parameters_of_an_effect_that_is_not_there_are_planned_for(tie: Tie, tmp_path: Path) -> None:
     asked = DesignOptions(
         parameters=("quadratic_damping.damping",),
         duration=3.0,
@@ -96,6 +98,19 @@ def test_parameters_of_an_effect_that_is_not_there_are_planned_for(tie: Tie) -> 
     one = expected["parameters"]["quadratic_damping.damping"]
     assert one["expected_standard_error"] < one["standard_error"]
     assert "quadratic_damping.damping [1/m]" in made.report
+    # flown, it tells of the parameter what was expected
+    again = nsde_torch.simulate(
+        "mass_spring_damper", effects=TRUE, seed=9, dt=DT, plan=made.save(tmp_path / "plan")
+    )
+    flown = [Run("flown", r.t, r.x, r.u) for r in again.runs]
+    told = obtained(tie.system, tie.runs, flown, question, expected=[expected], trusted=True)
+    better = told.parameters["quadratic_damping.damping"]
+    assert better.before == pytest.approx(one["standard_error"])
+    assert 0.5 < better.after / one["expected_standard_error"] < 2.0
+    content = told.content()
+    assert content["nats"] == pytest.approx(np.log(better.before / better.after))
+    assert content["expected_nats"] > 0
+    assert "expected" in told.report
 
 
 def test_the_question_is_the_first_tie_of_effects(tie: Tie) -> None:

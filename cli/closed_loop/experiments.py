@@ -1,0 +1,314 @@
+"""Experiments: ask what is open, design within the limits, fly, say what it told, diagnose with it, and so on.
+
+What each finished step wrote is read again, not done again:
+
+    experiment_1/design.json, plan.csv, design.png      the plan, with the nats that are expected of it
+    experiment_1/refused.json                           questions that no plan answers, and what limits it
+    log/experiment_1.csv, experiment_1/flight.json      the flight
+    experiment_1/obtained.json                          the nats that it brought
+    experiment_1/diagnosis/                             of all logs
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from omegaconf import DictConfig
+
+from nsde_torch.design import (
+    DesignOptions,
+    Experiment,
+    Question,
+    Standing,
+    design,
+    obtained,
+    open_questions,
+    standing_of,
+)
+from nsde_torch.design.files import PLAN, RESULT, read_design
+from nsde_torch.diagnosis.files import RESULT as DIAGNOSED
+from nsde_torch.errors import ConfigError, DataError
+
+from .. import build
+from ..stages import Stages
+from .logs import KnownMachine, diagnosis_content, known_machine, log_files, read_logs
+from .told import asked, entry_of, expected_nats, experiment_lines, too_little
+
+FLIGHT, OBTAINED, REFUSED = "flight.json", "obtained.json", "refused.json"
+_OTHERS = ("odd_run", "unexplained_run")
+"""Kinds of warnings of a diagnosis that speak of a run of another machine."""
+
+Say = Callable[[str], None]
+
+
+@dataclass(frozen=True)
+class StoppedLoop:
+    """Why there is no further experiment.
+
+    Args:
+        kind: `settled`, `budget`, `limits`, `flight`, `other_machine` or `waiting` (for a log).
+        sentence: In words.
+    """
+
+    kind: str
+    sentence: str
+
+
+@dataclass(frozen=True)
+class ExperimentLoop:
+    """What experiments need of the loop.
+
+    Args:
+        config: The configuration.
+        folder: Of the loop.
+        logs: Folder of all logs.
+        kind: Kind of the logs; None tells by their names.
+        fly: Flies a plan and writes a log, and returns what was measured; None where a person does.
+        diagnose: Diagnoses all logs into a folder.
+        say: Takes a line.
+    """
+
+    config: DictConfig
+    folder: Path
+    logs: Path
+    kind: str | None
+    fly: Callable[[Path, Path, int], dict[str, Any]] | None
+    diagnose: Callable[[Path], None]
+    say: Say
+
+
+def run_experiments(loop: ExperimentLoop, diagnosis: Path) -> tuple[list[dict[str, Any]], StoppedLoop, Path]:
+    """Experiments until nothing is open, the budget is spent, or none tells anything.
+
+    Args:
+        loop: See `ExperimentLoop`.
+        diagnosis: Folder of the first diagnosis.
+
+    Returns:
+        A record of each experiment, why there is no further one, and the folder of the last diagnosis.
+
+    Raises:
+        DataError: a log cannot be read as one of this machine.
+    """
+    done: list[dict[str, Any]] = []
+    for number in range(1, loop.config.experiments + 1):
+        content = diagnosis_content(diagnosis)
+        now = standing_of(content)
+        if now.settled:
+            return done, settled(now), diagnosis
+        place = loop.folder / f"experiment_{number}"
+        place.mkdir(parents=True, exist_ok=True)
+        known = known_machine(loop.logs, diagnosis, loop.config.plant.system, loop.kind)
+        plan = _planned(loop, place, known, open_questions(content, known.system), number)
+        if isinstance(plan, StoppedLoop):
+            return done, plan, diagnosis
+        waiting = _flown(loop, place, number)
+        if waiting is not None:
+            return done, waiting, diagnosis
+        told = _read(loop, place, known, plan, content)
+        loop.diagnose(place / "diagnosis")
+        other = _other_machine(loop, place, content)
+        if other is not None:
+            return done, other, diagnosis
+        diagnosis = place / "diagnosis"
+        after = standing_of(diagnosis_content(diagnosis))
+        done.append(entry_of(place, number, plan, told, now, after, _flight(place)))
+        for line in experiment_lines(done[-1]):
+            loop.say(line)
+    now = standing_of(diagnosis_content(diagnosis))
+    return done, settled(now) if now.settled else _spent(loop.config.experiments, now), diagnosis
+
+
+def settled(now: Standing) -> StoppedLoop:
+    """Nothing is open."""
+    rest = "".join(f"; {' or '.join(t)}: no input tells these apart" for t in now.beyond)
+    what = (
+        "nothing is tied, and what was found is sure"
+        if now.found
+        else "nothing was found, and nothing is tied"
+    )
+    return StoppedLoop("settled", what + rest)
+
+
+def _spent(budget: int, now: Standing) -> StoppedLoop:
+    return StoppedLoop(
+        "budget", f"the budget of experiments={budget} is spent; {now.words}. A larger one goes on from here."
+    )
+
+
+def _options(config: DictConfig, number: int) -> DesignOptions:
+    e = config.experiment
+    fence = build.options(e)["fence"]
+    if not (
+        isinstance(fence, list)
+        and len(fence) == 3
+        and all(isinstance(p, list) and len(p) == 2 for p in fence)
+    ):
+        raise ConfigError(
+            f"`experiment.fence` takes [[x_low,x_high],[y_low,y_high],[z_low,z_high]]; got {fence!r}."
+        )
+    limits = {f"p_{axis}": pair for axis, pair in zip("xyz", fence, strict=True)}
+    limits |= {f"v_{axis}": [-e.speed, e.speed] for axis in "xyz"}
+    limits |= {f"w_{axis}": [-e.rate, e.rate] for axis in "xyz"}
+    return DesignOptions(
+        duration=e.duration,
+        limits=limits,
+        samples=e.samples,
+        proposals=e.proposals,
+        generations=e.generations,
+        rehearsals=e.rehearsals,
+        seed=config.seed * 100 + number,
+    )
+
+
+def _planned(
+    loop: ExperimentLoop, place: Path, known: KnownMachine, questions: Sequence[Question], number: int
+) -> dict[str, Any] | StoppedLoop:
+    """The plan for the first question that a plan within the limits answers, or why there is none."""
+    file = place / REFUSED
+    refused: list[str] = json.loads(file.read_text(encoding="utf-8")) if file.is_file() else []
+    for question in questions[len(refused) :]:
+        found = (
+            read_design(place)
+            if (place / RESULT).is_file()
+            else _designed(loop, place, known, question, number)
+        )
+        if isinstance(found, dict):
+            told = expected_nats(found)
+            if told >= loop.config.experiment.least_nats:
+                return found
+            found = too_little(found, told, loop.config)
+            (place / RESULT).unlink()
+        loop.say(found)
+        refused.append(found)
+        file.write_text(json.dumps(refused, indent=1), encoding="utf-8")
+    return StoppedLoop("limits", " ".join(refused))
+
+
+def _designed(
+    loop: ExperimentLoop, place: Path, known: KnownMachine, question: Question, number: int
+) -> dict[str, Any] | str:
+    """A plan for a question; the limit that is in the way where none stays within them."""
+    loop.say(f"\nexperiment {number}: {asked(_content(question))}")
+    stages = Stages()
+    try:
+        made = design(
+            known.system,
+            known.runs,
+            question,
+            _options(loop.config, number),
+            clock=known.clock,
+            values=known.values,
+            baselines=loop.config.experiment.baselines,
+            say=stages,
+        )
+    except ConfigError as error:
+        return f"{asked(_content(question))} {error}"
+    finally:
+        stages.close()
+    _save(made, place)
+    loop.say(made.report)
+    return read_design(place)
+
+
+def _save(made: Experiment, place: Path) -> None:
+    """Write a plan; `design.json` is last, because it says that the stage is finished."""
+    made.save(place / ".unfinished")
+    for file in sorted((place / ".unfinished").iterdir(), key=lambda p: p.name == RESULT):
+        file.replace(place / file.name)
+    (place / ".unfinished").rmdir()
+
+
+def _flown(loop: ExperimentLoop, place: Path, number: int) -> StoppedLoop | None:
+    """Fly the plan, unless that is done; why there is no log, where there is none."""
+    name = f"experiment_{number}"
+    if loop.fly is None:
+        if log_files(loop.logs, name):
+            return None
+        return StoppedLoop(
+            "waiting",
+            f"fly {place / PLAN} (a path: t, p_x, p_y, p_z, yaw), put the log into {loop.logs} as {name}.csv or "
+            f"{name}.ulg, and start this command again",
+        )
+    if not (place / FLIGHT).is_file():
+        found = loop.fly(place / PLAN, loop.logs / f"{name}.csv", number)
+        if not log_files(loop.logs, name):  # never in the air: the next start tries it again
+            why = found["trouble"]["text"] if found["trouble"] else "nothing was logged"
+            return StoppedLoop("flight", f"{name} was not flown: {why}")
+        (place / FLIGHT).write_text(json.dumps(found, allow_nan=False), encoding="utf-8")
+    return None
+
+
+def _read(
+    loop: ExperimentLoop,
+    place: Path,
+    known: KnownMachine,
+    plan: Mapping[str, Any],
+    content: Mapping[str, Any],
+) -> dict[str, Any]:
+    """What the flight told, unless that is known.
+
+    Raises:
+        DataError: the logs hold no new run.
+    """
+    file = place / OBTAINED
+    if file.is_file():
+        found: dict[str, Any] = json.loads(file.read_text(encoding="utf-8"))
+        return found
+    data = read_logs(loop.logs, loop.config.plant.system, loop.kind, content)
+    before = {run.name for run in known.runs}
+    new = [run for run in data.runs if run.name not in before]
+    if not new:
+        raise DataError(f"{loop.logs} holds no run that the diagnosis before {place.name} did not have.")
+    asked_for = plan["question"]
+    told = obtained(
+        known.system,
+        known.runs,
+        new,
+        Question(tuple(map(tuple, asked_for["members"])), tuple(asked_for["parameters"])),
+        clock=known.clock,
+        values=known.values,
+        expected=plan["expected"],
+        trusted=True,  # whether it is of this machine the diagnosis of all runs says
+    ).content()
+    file.write_text(json.dumps(told, indent=1, allow_nan=False) + "\n", encoding="utf-8")
+    return told
+
+
+def _other_machine(loop: ExperimentLoop, place: Path, before: Mapping[str, Any]) -> StoppedLoop | None:
+    """Whether the diagnosis of all runs says that the experiment's is of another machine.
+
+    Of a log that a person put in, every objection that was not there before counts. Nothing of such a log is kept as
+    done: the next start reads what lies there then.
+    """
+    warnings = [w for w in diagnosis_content(place / "diagnosis")["warnings"] if w["parameter"] is None]
+    known = {w["kind"] for w in before.get("warnings", ())}
+    said = [w for w in warnings if w["kind"] in _OTHERS and place.name in w["sentence"]]
+    if loop.fly is None:
+        said += [w for w in warnings if w["kind"] not in known]
+    if not said:
+        return None
+    for file in (place / OBTAINED, place / "diagnosis" / DIAGNOSED):
+        file.unlink(missing_ok=True)
+    return StoppedLoop(
+        "other_machine",
+        f"the log of {place.name} is not of this machine, or the machine has changed, or the log is at fault. With it "
+        f"among the others: {said[0]['sentence']}; "
+        f"{said[0]['remedy']}. Put another log into {loop.logs}, and start this command again",
+    )
+
+
+def _content(question: Question) -> dict[str, Any]:
+    kind = "parameters" if question.parameters else "tie"
+    return {"kind": kind, "names": list(question.names), "parameters": list(question.parameters)}
+
+
+def _flight(place: Path) -> dict[str, Any]:
+    """What was measured in a flight of ours; nothing of one that a person flew."""
+    file = place / FLIGHT
+    found: dict[str, Any] = json.loads(file.read_text(encoding="utf-8")) if file.is_file() else {}
+    return found

@@ -1,0 +1,144 @@
+"""The logs there are, as a diagnosis and a design read them.
+
+All lie in one folder, and a diagnosis is of those that it names: a log that came later is no part of it.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import nsde_torch
+from nsde_torch.data import DataSet, Run
+from nsde_torch.diagnosis.files import EFFECTS, REPORT, RESULT, write_content, write_effects
+from nsde_torch.diagnosis.report import write_report
+from nsde_torch.diagnosis.text import lines
+from nsde_torch.effects import files as effects_files
+from nsde_torch.errors import DataError
+from nsde_torch.recording.faults.registry import remedies
+from nsde_torch.systems import System
+from nsde_torch.systems.options import system_options
+
+from ..stages import Stages
+
+_HIDDEN, _RECORD = ".", ".json"
+
+
+@dataclass(frozen=True)
+class KnownMachine:
+    """What a diagnosis knows of a machine.
+
+    Args:
+        system: Declared system.
+        runs: Runs that were looked at.
+        clock: Physical seconds per logged second.
+        values: Effects that were found, with values.
+    """
+
+    system: System
+    runs: Sequence[Run]
+    clock: float
+    values: Mapping[str, Any]
+
+
+def log_files(folder: Path, name: str = "") -> list[Path]:
+    """Logs in a folder: files of any kind but our own records, those of `name` alone where one is given."""
+    if not folder.is_dir():
+        return []
+    found = sorted(
+        p for p in folder.iterdir() if p.is_file() and not p.name.startswith(_HIDDEN) and p.suffix != _RECORD
+    )
+    return [p for p in found if not name or p.stem == name or p.stem.startswith(f"{name}_")]
+
+
+def read_logs(
+    folder: Path, system: str, kind: str | None, content: Mapping[str, Any] | None = None
+) -> DataSet:
+    """Read all logs.
+
+    Args:
+        folder: Where they are.
+        system: Name of the system.
+        kind: Their kind; None tells by their names.
+        content: Content of a `diagnosis.json`: what it found that sensors did is taken out.
+
+    Raises:
+        DataError: they are of several kinds, or cannot be read as runs of this machine.
+    """
+    kinds = sorted({p.suffix.lower() for p in log_files(folder)})
+    if kind is None and len(kinds) > 1:
+        raise DataError(
+            f"{folder} holds logs of several kinds ({', '.join(kinds)}): keep those of one kind there."
+        )
+    faults: dict[str, Any] = {} if content is None else _faults(content)
+    return nsde_torch.read(folder, system=system, kind=kind, **faults)
+
+
+def known_machine(folder: Path, diagnosis: Path, system: str, kind: str | None) -> KnownMachine:
+    """What a diagnosis in a folder knows, with the runs that it looked at."""
+    content = diagnosis_content(diagnosis)
+    names = set(content["data"]["runs"])
+    data = read_logs(folder, system, kind, content)
+    return KnownMachine(
+        system_options(system).make(),
+        [run for run in data.runs if run.name in names],
+        float(content["data"].get("clock_scale") or 1.0),
+        effects_files.read(diagnosis / EFFECTS)[1],
+    )
+
+
+def diagnosis_content(folder: Path) -> dict[str, Any]:
+    """Content of `diagnosis.json`."""
+    content: dict[str, Any] = json.loads((folder / RESULT).read_text(encoding="utf-8"))
+    return content
+
+
+def diagnose_logs(
+    folder: Path, out: Path, system: str, kind: str | None, *, settings: Mapping[str, Any]
+) -> None:
+    """Diagnose all logs, unless that is done, and write what a diagnosis writes.
+
+    Args:
+        folder: Where the logs are.
+        out: Where to write.
+        system: Name of the system.
+        kind: Kind of the logs.
+        settings: `alpha`, `max_effects`, `candidates` and `seed` (see `nsde_torch.diagnose`).
+    """
+    if (out / RESULT).is_file():
+        return
+    out.mkdir(parents=True, exist_ok=True)
+    data = read_logs(folder, system, kind)
+    print(data.summary)
+    stages = Stages()
+    found = nsde_torch.diagnose(data, system=system, **settings, say=stages)
+    stages.close()
+    content = found.content()
+    write_effects(found, out, system=system, note="found by nsde close-loop")
+    write_report(out / REPORT, found, content)
+    print()
+    print("\n".join(lines(content)))
+    # last, because it says that the stage is finished
+    write_content(content, out)
+
+
+def effects_found(diagnosis: Path) -> list[Any]:
+    """Effects that a diagnosis found, with values."""
+    _, effects = effects_files.read(diagnosis / EFFECTS)
+    return [{name: given} for name, given in effects.items()]
+
+
+def _faults(content: Mapping[str, Any]) -> dict[str, dict[str, float]]:
+    out: dict[str, dict[str, float]] = {}
+    for finding in content["findings"]:
+        if finding.get("kind") == "recording" and finding["name"] in remedies():
+            prefix = f"{finding['name']}."
+            out[finding["name"]] = {
+                label.removeprefix(prefix): p["value"]
+                for label, p in content["parameters"].items()
+                if label.startswith(prefix)
+            }
+    return out

@@ -1,0 +1,181 @@
+"""All stages of `nsde close-loop`; what is finished is not done again."""
+
+from __future__ import annotations
+
+import json
+import time
+from pathlib import Path
+from typing import Any
+
+from omegaconf import DictConfig
+
+from nsde_torch.control import feasible
+from nsde_torch.control.predictor import Predictor
+from nsde_torch.control.reference import FlightPath, Reference
+from nsde_torch.control.waypoints import from_csv
+from nsde_torch.errors import DataError
+
+from .. import track_build
+from .experiments import ExperimentLoop, StoppedLoop, run_experiments
+from .logs import diagnose_logs, diagnosis_content, effects_found, log_files
+from .machines import HAND, FlyingMachine, machine_of, physics, true_effects
+
+LOG, DIAGNOSIS, BEFORE, AFTER, TRUTH = "log", "diagnosis", "before", "after", "truth"
+_LOGGED, _EXPERIMENT = 500, 700
+"""Seeds of flights that are diagnosed, and of experiments, lie beyond those of flights that are compared."""
+
+
+class ClosedLoop:
+    """The stages, on what is finished already.
+
+    Args:
+        config: The configuration.
+        folder: Where to write.
+
+    Raises:
+        ConfigError: no multirotor, or options that it does not have.
+    """
+
+    def __init__(self, config: DictConfig, folder: Path) -> None:
+        self.config, self.folder = config, folder
+        self.reference: Reference = track_build.reference(config.reference)
+        self.machine: FlyingMachine | None = None if config.by == HAND else machine_of(config, say)
+        # what a person flew may be of any kind; what we fly we log as CSV, with a .ulg beside it
+        self.kind = "csv" if self.machine is not None else None
+
+    def check(self) -> None:
+        """Refuse a reference that the machine cannot fly.
+
+        Raises:
+            ConfigError: names what is too much.
+        """
+        problem = track_build.problem(self.config.mpc)
+        predictor = Predictor(physics(self.config, []), dt=problem.dt)
+        feasible.check(
+            self.reference,
+            predictor,
+            low=problem.low,
+            high=problem.high,
+            tilt=self.config.reference.tilt_limit,
+        )
+
+    def fly_logged(self) -> StoppedLoop | None:
+        """The flights that are diagnosed; why there is none, where a person is to fly them."""
+        logs = self.folder / LOG
+        if self.machine is None:
+            if log_files(logs):
+                return None
+            logs.mkdir(parents=True, exist_ok=True)
+            return StoppedLoop(
+                "waiting", f"put logs of the machine into {logs} (CSV or ULog), and start this command again"
+            )
+        for k in range(self.config.logged):
+            self._flight(LOG, k, [])
+        if not log_files(logs):
+            raise DataError(f"no flight was logged: see {logs}.")
+        return None
+
+    def find(self) -> tuple[list[dict[str, Any]], StoppedLoop | None]:
+        """Diagnose, and close what is open by experiments; what each told, and why there is no further one."""
+        first = self.folder / DIAGNOSIS
+        self.diagnose(first)
+        self.diagnosis = first
+        if not self.config.experiments:
+            return [], None
+        settings = ExperimentLoop(
+            self.config,
+            self.folder,
+            self.folder / LOG,
+            self.kind,
+            None if self.machine is None else self.fly_plan,
+            self.diagnose,
+            say,
+        )
+        done, stop, self.diagnosis = run_experiments(settings, first)
+        say(f"no further experiment: {stop.sentence}")
+        return done, stop
+
+    def diagnose(self, out: Path) -> None:
+        """Diagnose all logs there are into a folder, unless that is done."""
+        c = self.config
+        settings = {
+            "alpha": c.alpha,
+            "max_effects": c.max_effects,
+            "candidates": None if c.candidates is None else list(c.candidates),
+            "seed": c.seed,
+        }
+        diagnose_logs(self.folder / LOG, out, c.plant.system, self.kind, settings=settings)
+
+    @property
+    def found(self) -> dict[str, Any]:
+        """Content of the last diagnosis."""
+        return diagnosis_content(self.diagnosis)
+
+    @property
+    def told(self) -> list[Any]:
+        """What the controller is told of: effects of the last diagnosis."""
+        effects = effects_found(self.diagnosis)
+        return effects if self.machine is None else self.machine.told(effects)
+
+    def compare(self) -> None:
+        """The flights before and after, in the same gusts, and those of a controller that is told the truth."""
+        if self.machine is None:
+            return
+        stages = {BEFORE: [], AFTER: self.told} if self.told else {BEFORE: []}
+        if self.config.truth:
+            stages[TRUTH] = self.truth
+        for stage, effects in stages.items():
+            for k in range(self.config.flights):
+                self._flight(stage, k, effects)
+
+    @property
+    def truth(self) -> list[Any]:
+        """What a controller is told of that knows the simulated machine."""
+        assert self.machine is not None
+        return self.machine.told(true_effects(self.config))
+
+    def flown(self, stage: str) -> list[dict[str, Any]]:
+        """What was measured in the flights of a stage that are compared."""
+        files = [self.folder / stage / f"flight_{k}.json" for k in range(self.config.flights)]
+        return [json.loads(f.read_text(encoding="utf-8")) for f in files if f.is_file()]
+
+    def fly_plan(self, plan: Path, log: Path, number: int) -> dict[str, Any]:
+        """Fly the path of an experiment with the declared physics, and say what was measured.
+
+        Raises:
+            ConfigError: the machine cannot fly it.
+        """
+        seed = self.config.seed * 1000 + _EXPERIMENT + number
+        return self._fly(f"experiment {number}", from_csv(plan), [], seed, log)
+
+    def _flight(self, stage: str, number: int, effects: list[Any]) -> None:
+        """Fly the reference once, unless that is done with what the controller is told of."""
+        file = self.folder / stage / f"flight_{number}.json"
+        if file.is_file():
+            done = json.loads(file.read_text(encoding="utf-8"))
+            if done["told"] == effects:
+                return
+        # flights that are compared come in groups of the same seed; those that are diagnosed have others
+        seed = self.config.seed * 1000 + number + (_LOGGED if stage == LOG else 0)
+        log = self.folder / stage / f"flight_{number}.csv"
+        found = self._fly(f"{stage} {number + 1}", self.reference.path, effects, seed, log)
+        if not log.is_file():  # never in the air: the next start tries it again
+            why = found["trouble"]["text"] if found["trouble"] else "nothing was logged"
+            raise DataError(f"flight {number + 1} of {file.parent} was not flown: {why}")
+        file.parent.mkdir(parents=True, exist_ok=True)
+        content = {**found, "seed": seed, "told": effects}
+        file.write_text(json.dumps(content, allow_nan=False), encoding="utf-8")
+
+    def _fly(self, name: str, path: FlightPath, effects: list[Any], seed: int, log: Path) -> dict[str, Any]:
+        assert self.machine is not None
+        started = time.perf_counter()
+        found = self.machine.fly(path, effects, seed=seed, log=log)
+        rmse = "not flown" if found["rmse_m"] is None else f"RMSE {100 * found['rmse_m']:.1f} cm"
+        trouble = "" if found["trouble"] is None else f"; {found['trouble']['text']}"
+        say(f"{name}: {rmse}{trouble} ({time.perf_counter() - started:.0f} s)")
+        return found
+
+
+def say(line: str) -> None:
+    """Print a line at once."""
+    print(line, flush=True)

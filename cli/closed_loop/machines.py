@@ -1,0 +1,247 @@
+"""Who flies: the simulated vehicle in virtual time, the plant of `nsde track`, or a vehicle over MAVLink.
+
+A controller knows the declared physics with the values of the plant, and the effects that it is told of.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, Protocol, final
+
+from omegaconf import DictConfig
+
+from nsde_torch.control.controller import Controller
+from nsde_torch.control.knowledge import DECLARED, knowledge
+from nsde_torch.control.loop import fly as fly_plant
+from nsde_torch.control.reference import FlightPath, Reference
+from nsde_torch.control.summary import write_log
+from nsde_torch.errors import ConfigError
+from nsde_torch.px4.flight.controller import FlightController
+from nsde_torch.px4.flight.flying import fly as fly_vehicle
+from nsde_torch.px4.flight.path import PathPoints
+from nsde_torch.px4.flight.predictive import PredictiveController, PredictiveMaker, told
+from nsde_torch.px4.flight.runner import Process
+from nsde_torch.px4.link.connection import open_link
+from nsde_torch.px4.simulator.body import Body
+from nsde_torch.px4.simulator.simulated import fly_simulated
+from nsde_torch.systems import Multirotor, System
+from nsde_torch.systems.machines import plant_effects
+
+from .. import build, link_build, track_build
+
+VEHICLE, PLANT, LINK, HAND = "vehicle", "plant", "link", "hand"
+Say = Callable[[str], None]
+
+
+class FlyingMachine(Protocol):
+    """What flies."""
+
+    def told(self, effects: list[Any]) -> list[Any]:
+        """Those of some effects that a controller of this machine is to be told of."""
+
+    def fly(self, path: FlightPath, effects: list[Any], *, seed: int, log: Path) -> dict[str, Any]:
+        """Fly once.
+
+        Args:
+            path: Where to, from the place of take-off.
+            effects: Effects that the controller is told of.
+            seed: Of gusts and noise, where they are simulated.
+            log: CSV file to write.
+
+        Returns:
+            What was measured: `tracked`, `rmse_m`, `trouble`, `track` and more.
+        """
+
+
+def physics(config: DictConfig, effects: list[Any]) -> System:
+    """What a controller knows that is told of some effects.
+
+    Raises:
+        ConfigError: an effect that the machine cannot have.
+    """
+    known = knowledge(DECLARED, config.plant.system, effects=effects)
+    assert isinstance(known, System)
+    return known
+
+
+def true_effects(config: DictConfig) -> list[Any]:
+    """Effects that the simulated machine has beside the declared physics, with their values."""
+    given = build.options(config.plant)["effects"]
+    found = plant_effects(config.plant.system, effects=given, declared_only=config.plant.declared_only)
+    return [{name: values} for name, values in found.items()]
+
+
+@final
+class VirtualVehicle:
+    """The simulated vehicle with the link, the state machine and the logs of a PX4, in virtual time.
+
+    Lags and delays are not told: `delay` stands for them.
+
+    Raises:
+        ConfigError: no multirotor, or options that it does not have.
+    """
+
+    def __init__(self, config: DictConfig, say: Say) -> None:
+        if config.plant.dt is not None or config.plant.state_latency:
+            raise ConfigError(
+                "`nsde close-loop` flies the simulated vehicle without plant.dt and plant.state_latency; "
+                "by=plant has them."
+            )
+        self._config, self._say = config, say
+        self._controllers: dict[str, Controller] = {}
+        self._body(0)  # what the machine cannot be is said before anything is flown
+
+    def told(self, effects: list[Any]) -> list[Any]:
+        """See `FlyingMachine`."""
+        return _by_name(told(effects))
+
+    def fly(self, path: FlightPath, effects: list[Any], *, seed: int, log: Path) -> dict[str, Any]:
+        """See `FlyingMachine`."""
+        report = fly_simulated(
+            self._body(seed),
+            self._controller(path, effects),
+            PathPoints(path),
+            seed=seed,
+            period=self._config.mpc.period,
+            sensor_noise=self._config.plant.sensor_noise,
+            log=log,
+        )
+        return {**report.as_dict(), "track": _rounded(report.track)}
+
+    def _body(self, seed: int) -> Body:
+        plant = self._config.plant
+        return Body(
+            plant.system,
+            seed=seed,
+            effects=build.options(plant)["effects"],
+            declared_only=plant.declared_only,
+            process_noise=plant.process_noise,
+            latency=plant.latency,
+        )
+
+    def _controller(self, path: FlightPath, effects: list[Any]) -> FlightController:
+        """The solver is made once for all flights with the same knowledge."""
+        mpc, key = self._config.mpc, json.dumps(effects)
+        if key not in self._controllers:
+            self._controllers[key] = Controller(
+                physics(self._config, effects),
+                problem=track_build.problem(mpc),
+                solver=track_build.solver(mpc),
+                safety=track_build.safety(mpc),
+                say=self._say,
+            )
+        return PredictiveController(
+            self._controllers[key], Reference(path), delay=self._config.delay, lead=self._config.lead
+        )
+
+
+@final
+class TrackedPlant:
+    """The plant of `nsde track`, motors commanded directly."""
+
+    def __init__(self, config: DictConfig, say: Say) -> None:
+        self._config, self._say = config, say
+        track_build.plant(config.plant, physics(config, []), seed=0)
+
+    def told(self, effects: list[Any]) -> list[Any]:
+        """See `FlyingMachine`."""
+        return _by_name(effects)
+
+    def fly(self, path: FlightPath, effects: list[Any], *, seed: int, log: Path) -> dict[str, Any]:
+        """See `FlyingMachine`."""
+        known = physics(self._config, effects)
+        plant = track_build.plant(self._config.plant, known, seed=seed)
+        reference = Reference(path)
+        autopilot = track_build.autopilot(
+            DECLARED, known, self._config, reference, batch=1, sample=plant.dt, say=self._say
+        )
+        flight = fly_plant(
+            autopilot,
+            plant,
+            reference,
+            state_latency=self._config.plant.state_latency,
+            duration=path.duration,
+        )
+        (made,) = write_log([flight], known, log.parent / f".{log.stem}")
+        log.parent.mkdir(parents=True, exist_ok=True)
+        made.replace(log)
+        made.parent.rmdir()
+        lost = float(flight.lost[0])
+        t, x = flight.t, flight.x[:, 0]
+        errors = (x[:, :3] - flight.ref[:, :3]).norm(dim=1)
+        whole = bool(lost == float("inf"))
+        return {
+            "tracked": whole,
+            "trouble": None if whole else {"kind": "lost", "text": f"the machine was lost at {lost:.1f} s"},
+            "rmse_m": float(errors.square().mean().sqrt()) if whole else None,
+            "position_error_max_m": float(errors.max()) if whole else None,
+            "track": _rounded([(float(a), *row) for a, row in zip(t, x.tolist(), strict=True)]),
+        }
+
+
+@final
+class LinkedVehicle:
+    """A vehicle over MAVLink in real time: `nsde vehicle`, or a PX4."""
+
+    def __init__(self, config: DictConfig, say: Say) -> None:
+        self._config, self._say = config, say
+        self._key = link_build.key(config.link)
+        system = physics(config, [])
+        assert isinstance(system, Multirotor)
+        self._motors = system.nu
+
+    def told(self, effects: list[Any]) -> list[Any]:
+        """See `FlyingMachine`."""
+        return _by_name(told(effects))
+
+    def fly(self, path: FlightPath, effects: list[Any], *, seed: int, log: Path) -> dict[str, Any]:
+        """See `FlyingMachine`."""
+        c, mpc = self._config, self._config.mpc
+        maker = PredictiveMaker(
+            run=DECLARED,
+            system=c.plant.system,
+            path=path,
+            problem=track_build.problem(mpc),
+            solver=track_build.solver(mpc),
+            safety=track_build.safety(mpc),
+            delay=c.delay,
+            lead=c.lead,
+            effects=effects,
+            threads=c.threads,
+        )
+        # the solver is compiled and warm before the vehicle is spoken to
+        runner = Process(maker, period=mpc.period, say=self._say)
+        try:
+            runner.wait()
+            with open_link(c.link.url, expose=c.link.expose, target=c.link.system, key=self._key) as link:
+                report = fly_vehicle(
+                    link, runner, PathPoints(path), motors=self._motors, log=log, say=self._say
+                )
+        finally:
+            runner.close()
+        return {**report.as_dict(), "track": _rounded(report.track)}
+
+
+def machine_of(config: DictConfig, say: Say) -> FlyingMachine:
+    """Who flies, by `by=`; a person flies no machine of ours, and is no concern of this.
+
+    Raises:
+        ConfigError: options that the machine does not have.
+    """
+    kinds: dict[str, Callable[[DictConfig, Say], FlyingMachine]] = {
+        VEHICLE: VirtualVehicle,
+        PLANT: TrackedPlant,
+        LINK: LinkedVehicle,
+    }
+    return kinds[config.by](config, say)
+
+
+def _by_name(effects: list[Any]) -> list[Any]:
+    """In one order, whichever was found first: controllers of the same effects share what is compiled."""
+    return sorted(effects, key=lambda entry: str(next(iter(entry))))
+
+
+def _rounded(track: Any) -> list[list[float]]:
+    return [[round(float(v), 6) for v in row] for row in track]

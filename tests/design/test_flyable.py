@@ -1,0 +1,45 @@
+"""Parameters of a multirotor are drawn as far as the cascade can fly them."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+import nsde_torch
+from nsde_torch.design import DesignOptions, question_of
+from nsde_torch.design.designing import first_state, members_of
+from nsde_torch.design.flyable import STEP, Flyable
+from nsde_torch.design.paths import FlownPaths
+from nsde_torch.design.rollout import Rollouts
+from nsde_torch.systems import Multirotor
+from nsde_torch.systems.options import system_options
+
+
+def test_no_parameters_are_drawn_with_which_the_machine_is_lost() -> None:
+    system = system_options("quadrotor").make()
+    assert isinstance(system, Multirotor)
+    made = nsde_torch.simulate("quadrotor", durations=[4.0], seed=1)
+    data = nsde_torch.read(made, system="quadrotor")
+    asked = DesignOptions(parameters=("linear_drag.drag",))
+    question = question_of({}, system, asked)
+    (member,) = members_of(system, data.runs, question, {}, clock=1.0)
+    open_ = replace(member, information=1e-4 * member.information)  # runs that leave the gains open
+    dt = member.regression.physics.steps.dt
+    start = first_state(system, data.runs, {})
+    drive = FlownPaths(system, dt=dt)
+
+    def left(thetas: np.ndarray) -> np.ndarray:
+        table = np.zeros((len(thetas), 300, 11))
+        table[..., :3] = start[:3] + STEP
+        states, _, _ = Rollouts(member.system, dt=dt).run(
+            thetas, np.tile(start, (len(thetas), 1)), drive(table), 300
+        )
+        return np.asarray(np.nan_to_num(np.abs(states[:, -1, :3] - start[:3] - STEP).max(1), nan=np.inf))
+
+    wild = left(open_.draws(12, np.random.default_rng(0)))
+    assert wild.max() > 0.5
+    kept = Flyable(start, drive, dt)(open_, 3, np.random.default_rng(0))
+    assert kept.shape == (3, len(member.theta))
+    np.testing.assert_array_equal(kept[0], member.theta)
+    assert left(kept).max() < 0.5

@@ -1,0 +1,84 @@
+"""What a diagnosis leaves open, and what the next experiment is asked."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from nsde_torch.design import open_questions, standing_of
+from nsde_torch.systems.options import system_options
+
+HEXA = system_options("hexacopter").make()
+
+
+def _value(value: float, half: float | None) -> dict[str, Any]:
+    return {
+        "value": value,
+        "interval_90": None if half is None else [value - half, value + half],
+        "unit": "1",
+    }
+
+
+def _content(**changed: Any) -> dict[str, Any]:
+    names = changed.pop("found", ["linear_drag"])
+    return {
+        "findings": [{"name": n, "kind": "effect", "lead": False} for n in names],
+        "ties": [],
+        "not_shown": [],
+        "ranking": [],
+        "parameters": {},
+        **changed,
+    }
+
+
+def test_nothing_is_open_where_what_was_found_is_sure_and_untied() -> None:
+    parameters = {"linear_drag.drag[0]": _value(0.6, 0.02), "linear_drag.drag[2]": _value(0.02, 0.03)}
+    content = _content(parameters=parameters)
+    assert standing_of(content).settled
+    assert open_questions(content, HEXA) == []
+    # a small component of a vector is known as well as the large one needs it; a small vector is not
+    parameters = {"linear_drag.drag[2]": _value(0.02, 0.03)}
+    assert standing_of(_content(parameters=parameters)).wide == ("linear_drag.drag[2]",)
+
+
+def test_motors_that_are_held_at_nothing_beside_a_weak_one_are_not_open() -> None:
+    held = {f"motor_efficiency_loss.loss[{i}]": _value(0.0, None) for i in range(1, 6)}
+    content = _content(
+        found=["motor_efficiency_loss"],
+        parameters={"motor_efficiency_loss.loss[0]": _value(0.12, 0.01), **held},
+    )
+    assert standing_of(content).settled
+
+
+def test_a_tie_is_asked_before_what_is_wide_and_that_before_what_is_suspected() -> None:
+    content = _content(
+        ties=[{"effects": ["linear_drag", "quadratic_drag"]}],
+        parameters={"linear_drag.drag[0]": _value(0.6, 0.5)},
+        not_shown=[{"effect": "thrust_curve", "parameter": "thrust_curve.curvature"}],
+        ranking=[
+            {"round": 0, "effect": "com_offset", "evidence_nats": 50.0, "chosen": False},
+            {"round": 1, "effect": "thrust_curve", "evidence_nats": 4.0, "chosen": False},
+            {"round": 1, "effect": "flapping_moment", "evidence_nats": 9.0, "chosen": False},
+        ],
+    )
+    tie, wide, suspected = open_questions(content, HEXA)
+    assert tie.members == (("linear_drag",), ("quadratic_drag",))
+    assert wide.parameters == ("linear_drag.drag[0]",)
+    # of flapping the runs have said what they say: it would have shown at its usual size
+    assert standing_of(content).suspected == ("thrust_curve",)
+    assert suspected.parameters == ("thrust_curve.curvature",)
+    assert suspected.members == (("linear_drag", "thrust_curve"),)
+
+
+def test_a_tie_with_a_fault_of_the_recording_is_no_question() -> None:
+    content = _content(ties=[{"effects": ["linear_drag", "sensor_bias"]}])
+    now = standing_of(content)
+    assert now.settled
+    assert now.beyond == (("linear_drag", "sensor_bias"),)
+    assert "tied whatever the input: linear_drag or sensor_bias" in now.words
+
+
+def test_a_lead_is_asked_with_all_its_parameters() -> None:
+    content = _content(parameters={"linear_drag.drag[0]": _value(0.6, 0.1)})
+    content["findings"][0]["lead"] = True
+    (asked,) = open_questions(content, HEXA)
+    assert asked.parameters == ("linear_drag.drag[0]",)

@@ -120,9 +120,10 @@ def simulated(system: System, start: Array, u: Array, *, dt: float, finer: int =
     Raises:
         NonFiniteError: a state leaves the finite numbers.
     """
+    quick = ParameterVector(system).system  # its parameters are looked up, not worked out at every step
     with torch.no_grad():
         parts = [
-            _rollout(system, torch.from_numpy(start[k : k + rows]), torch.from_numpy(u[k : k + rows]), dt, finer)
+            _rollout(quick, torch.from_numpy(start[k : k + rows]), torch.from_numpy(u[k : k + rows]), dt, finer)
             for k in range(0, len(start), rows)
         ]
     return torch.cat(parts).numpy()

@@ -91,7 +91,9 @@ def run(config: DictConfig, job: Job) -> None:
     started = time.perf_counter()
     torch.set_num_threads(config.threads)
     benchmark = benchmark_class(config.name)
-    print(f"{benchmark.title} ({benchmark.repository}), about {benchmark.minutes:g} min\n{benchmark.protocol}")
+    print(
+        f"{benchmark.title} ({benchmark.repository}), about {benchmark.minutes:g} min\n{benchmark.protocol}"
+    )
     stages = Stages()
     content = run_benchmark(config.name, config.data.path, out_dir=job.run_dir, say=stages)
     stages.close()

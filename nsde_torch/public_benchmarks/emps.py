@@ -90,7 +90,10 @@ class Emps(PublicBenchmark):
         "Identified on DATA_EMPS, simulated open loop over the whole of DATA_EMPS_PULSES from its first position "
         "with the measured force; R2 and root mean square of the position, without the first 20 samples."
     )
-    metrics = (BenchmarkMetric("r2", "", higher_is_better=True, digits=4), BenchmarkMetric("rmse", "mm", digits=2))
+    metrics = (
+        BenchmarkMetric("r2", "", higher_is_better=True, digits=4),
+        BenchmarkMetric("rmse", "mm", digits=2),
+    )
     published = (
         PublishedRow(
             "neural state space, truncated simulation error",
@@ -110,7 +113,7 @@ class Emps(PublicBenchmark):
             "forgi86/sysid-neural-continuous, paper, of Janot, Gautier and Brunot (2019)",
         ),
     )
-    minutes = 3
+    minutes = 2
 
     def paths(self, folder: Path) -> list[Path]:
         """See `PublicBenchmark.paths`."""
@@ -138,7 +141,13 @@ class Emps(PublicBenchmark):
             system = machine.make().double()
             data = windows([_states(q)], [force[:, None]], dt=1 / RATE_HZ, length=WINDOW)
             estimate = output_error(
-                system, data, weights=weights, free=(0, 1), iterations=8, stage="fitting to rollouts", say=work.say
+                system,
+                data,
+                weights=weights,
+                free=(0, 1),
+                iterations=8,
+                stage="fitting to rollouts",
+                say=work.say,
             )
             return {"values": estimate.values}
 
@@ -175,7 +184,9 @@ def _read(path: Path) -> tuple[Array, Array, Array]:
     held = matrices(path, ("t", "qm", "vir", "gtau"), what="EMPS")
     t, q, force = held["t"], held["qm"], held["vir"] * held["gtau"][0]
     if not len(t) == len(q) == len(force):
-        raise DataError(f"{path}: t, qm and vir have {len(t)}, {len(q)} and {len(force)} rows. Fetch it again.")
+        raise DataError(
+            f"{path}: t, qm and vir have {len(t)}, {len(q)} and {len(force)} rows. Fetch it again."
+        )
     long_enough(len(t), LEAST, path)
     return t, q, force
 

@@ -68,15 +68,19 @@ def matrices(path: Path, names: Sequence[str], *, what: str) -> dict[str, Array]
         DataError: the file is damaged, or lacks one.
     """
     from scipy.io import loadmat
+    from scipy.io.matlab import MatReadError
 
+    damaged = (ValueError, TypeError, LookupError, OSError, NotImplementedError, zlib.error, MatReadError)
     try:
         content = loadmat(path)
-    except (ValueError, TypeError, OSError, NotImplementedError, EOFError, zlib.error) as error:
+    except damaged as error:
         raise DataError(f"{path} cannot be read as a MATLAB file ({error}). Fetch it again.") from None
     missing = [name for name in names if name not in content]
     if missing:
         holds = ", ".join(sorted(k for k in content if not k.startswith("_"))) or "nothing"
-        raise DataError(f"{path} lacks {', '.join(missing)} and holds {holds}: it is not of {what}. Check the path.")
+        raise DataError(
+            f"{path} lacks {', '.join(missing)} and holds {holds}: it is not of {what}. Check the path."
+        )
     return {name: np.asarray(content[name], dtype=np.float64).ravel() for name in names}
 
 
@@ -98,7 +102,9 @@ def table(path: Path, names: Sequence[str], *, what: str) -> dict[str, Array]:
     header = [cell.strip() for cell in lines[0].split(",")]
     missing = [name for name in names if name not in header]
     if missing:
-        raise DataError(f"{path} lacks the columns {', '.join(missing)}: it is not of {what}. Check the path.")
+        raise DataError(
+            f"{path} lacks the columns {', '.join(missing)}: it is not of {what}. Check the path."
+        )
     at = [header.index(name) for name in names]
     rows = np.empty((len(lines) - 1, len(names)))
     for k, line in enumerate(lines[1:]):
@@ -121,4 +127,6 @@ def long_enough(count: int, least: int, path: Path) -> None:
         DataError: it has fewer rows than the protocol needs.
     """
     if count < least:
-        raise DataError(f"{path} has {count} rows, and the protocol needs {least}: it is cut off. Fetch it again.")
+        raise DataError(
+            f"{path} has {count} rows, and the protocol needs {least}: it is cut off. Fetch it again."
+        )

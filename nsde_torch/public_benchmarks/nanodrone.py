@@ -9,6 +9,7 @@ all parameters are fitted to rollouts over the horizon of the protocol by the me
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any, final
 
@@ -28,7 +29,7 @@ from nsde_torch.public_benchmarks.benchmark import (
 )
 from nsde_torch.public_benchmarks.files import found, long_enough, table
 from nsde_torch.public_benchmarks.named import parameters_of, words_of
-from nsde_torch.public_benchmarks.output_error import output_error, simulated, windows
+from nsde_torch.public_benchmarks.output_error import output_error, simulated, times, windows
 from nsde_torch.public_benchmarks.work import Work
 from nsde_torch.systems.base import System
 from nsde_torch.systems.options import system_options
@@ -38,7 +39,9 @@ Array = NDArray[np.float64]
 STEP = 0.01
 HORIZON = 50
 SHOWN = (1, 10, 50)
-SPEED = 2000.0  # [rad/s] of a motor at a command of 1
+SPEED = (
+    3000.0  # [rad/s] of a motor at a command of 1; the fastest of the set reaches two thirds of its square
+)
 TRAIN = ("square", "random", "chirp")
 RUNS = (1, 2, 3)
 STRIDE = 50
@@ -51,7 +54,7 @@ MOTORS = (0, 2, 3, 1)  # of the set, in the order of quad-x: front right, rear l
 QUANTITIES = (("position", "m"), ("velocity", "m/s"), ("rotation", "rad"), ("rates", "rad/s"))
 GROUPS = tuple(tuple(range(k, k + 3)) for k in (0, 3, 6, 9))
 TYPICAL = (0.05, 0.2, 0.1, 0.5)  # errors of the published rows over the horizon
-FIRST = {"thrust_gain": 3.3, "roll_gain": 50.0, "pitch_gain": 50.0, "yaw_gain": 6.0}
+FIRST = {"thrust_gain": 7.4, "roll_gain": 100.0, "pitch_gain": 100.0, "yaw_gain": 12.0}
 TERMS = ("linear_drag", "flapping_moment", "angular_damping", "motor_lag")
 SOURCE = "idsia-robotics/nanodrone-sysid-benchmark, results/model_comparison.ipynb"
 
@@ -83,16 +86,41 @@ class Nanodrone(PublicBenchmark):
         for at in (*(f"h{h}" for h in SHOWN), "sum")
     )
     published = (
-        _row("naive", *(0.0143, 0.1430, 0.6797, 17.7878), *(0.0329, 0.3182, 1.4749, 38.9241),
-             *(0.0071, 0.0692, 0.3041, 8.2138), *(0.0796, 0.3596, 0.8837, 29.0866)),
-        _row("physics", *(0.0013, 0.0126, 0.1269, 2.3223), *(0.0080, 0.0570, 0.5781, 10.6232),
-             *(0.0011, 0.0205, 0.2544, 5.1013), *(0.0796, 0.3596, 0.8837, 29.0866)),
-        _row("MLP", *(0.0032, 0.0305, 0.1712, 4.0519), *(0.0116, 0.0890, 0.5720, 12.5809),
-             *(0.0022, 0.0331, 0.2268, 6.0591), *(0.1138, 0.5949, 0.9005, 35.5735)),
-        _row("hybrid", *(0.0016, 0.0166, 0.1119, 2.3625), *(0.0092, 0.0613, 0.5556, 10.4033),
-             *(0.0027, 0.0376, 0.2306, 6.1534), *(0.0912, 0.4880, 0.5979, 28.9873)),
-        _row("LSTM", *(0.0079, 0.0390, 0.2572, 5.9711), *(0.0247, 0.1175, 0.7407, 16.7207),
-             *(0.0066, 0.0372, 0.2325, 5.6525), *(0.1021, 0.4292, 1.2407, 35.8353)),
+        _row(
+            "naive",
+            *(0.0143, 0.1430, 0.6797, 17.7878),
+            *(0.0329, 0.3182, 1.4749, 38.9241),
+            *(0.0071, 0.0692, 0.3041, 8.2138),
+            *(0.0796, 0.3596, 0.8837, 29.0866),
+        ),
+        _row(
+            "physics",
+            *(0.0013, 0.0126, 0.1269, 2.3223),
+            *(0.0080, 0.0570, 0.5781, 10.6232),
+            *(0.0011, 0.0205, 0.2544, 5.1013),
+            *(0.0796, 0.3596, 0.8837, 29.0866),
+        ),
+        _row(
+            "MLP",
+            *(0.0032, 0.0305, 0.1712, 4.0519),
+            *(0.0116, 0.0890, 0.5720, 12.5809),
+            *(0.0022, 0.0331, 0.2268, 6.0591),
+            *(0.1138, 0.5949, 0.9005, 35.5735),
+        ),
+        _row(
+            "hybrid",
+            *(0.0016, 0.0166, 0.1119, 2.3625),
+            *(0.0092, 0.0613, 0.5556, 10.4033),
+            *(0.0027, 0.0376, 0.2306, 6.1534),
+            *(0.0912, 0.4880, 0.5979, 28.9873),
+        ),
+        _row(
+            "LSTM",
+            *(0.0079, 0.0390, 0.2572, 5.9711),
+            *(0.0247, 0.1175, 0.7407, 16.7207),
+            *(0.0066, 0.0372, 0.2325, 5.6525),
+            *(0.1021, 0.4292, 1.2407, 35.8353),
+        ),
     )
     minutes = 10
 
@@ -107,7 +135,7 @@ class Nanodrone(PublicBenchmark):
 
         def diagnosed() -> dict[str, Any]:
             logs = [  # run 2 of each kind: a diagnosis of all nine takes three times as long
-                RawRun(paths[k].stem, 100.0 * k + STEP * np.arange(len(train[k][0])), *train[k])
+                RawRun(paths[k].stem, 100.0 * k + times(len(train[k][0]), STEP), *train[k])
                 for k in range(1, len(train), len(RUNS))
             ]
             seen = diagnose(logs, system="quadrotor", parameters=FIRST, say=work.say)
@@ -118,14 +146,17 @@ class Nanodrone(PublicBenchmark):
         rows: dict[str, dict[str, float]] = {}
         for count in range(len(TERMS) + 1):
             terms = TERMS[:count]
-            made = work.stage(f"model_{count}", lambda t=terms, v=values: _fitted(t, v, train, test, work))
+            made = work.stage(f"model_{count}", partial(_fitted, terms, values, train, test, work))
             values = made["values"]
             rows[f"ours, {' + '.join(terms) or 'rigid body'}"] = made["scores"]
         system = _machine(TERMS, values)
         return BenchmarkOutcome(
             rows,
             named["added"],
-            {**named["parameters"], **{f"rollouts: {name}": {"value": value} for name, value in values.items()}},
+            {
+                **named["parameters"],
+                **{f"rollouts: {name}": {"value": value} for name, value in values.items()},
+            },
             words_of(named["added"], "the rigid quadrotor"),
             _traces(system, test[0]),
             {"terms_fitted_to_rollouts": list(TERMS), "verdict_of_the_diagnosis": named["verdict"]},
@@ -181,10 +212,16 @@ def _traces(system: System, flight: tuple[Array, Array]) -> list[Trace]:
         x, u = flight
     data = windows([x], [u], dt=STEP, length=HORIZON)
     path = simulated(system, data.x[:, 0], data.u, dt=STEP)
-    t = STEP * np.arange(len(path) * HORIZON)
+    t = times(len(path) * HORIZON, STEP)
     shown = ((3, "velocity along x [m/s]"), (7, "quaternion x [1]"), (10, "roll rate [rad/s]"))
     return [
-        Trace("melon, run 1, restarted every 0.5 s", label, t, data.x[:, :-1, k].ravel(), path[:, :-1, k].ravel())
+        Trace(
+            "melon, run 1, restarted every 0.5 s",
+            label,
+            t,
+            data.x[:, :-1, k].ravel(),
+            path[:, :-1, k].ravel(),
+        )
         for k, label in shown
     ]
 
@@ -199,6 +236,8 @@ def _read(path: Path) -> tuple[Array, Array]:
     x, speeds = rows[:, :13].copy(), rows[:, 13:]
     length = np.linalg.norm(x[:, 6:10], axis=1, keepdims=True)
     if (np.abs(length - 1.0) > 0.1).any():
-        raise DataError(f"{path}: qx, qy, qz, qw are no unit quaternion. Check that it is a file of this set.")
+        raise DataError(
+            f"{path}: qx, qy, qz, qw are no unit quaternion. Check that it is a file of this set."
+        )
     x[:, 6:10] /= length
     return x, (speeds[:, list(MOTORS)] / SPEED) ** 2

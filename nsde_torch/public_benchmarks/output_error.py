@@ -31,7 +31,7 @@ Array = NDArray[np.float64]
 Say = Callable[[str, int, int], None]
 
 _STEP = 1e-6
-_ENOUGH = 1e-7
+_ENOUGH = 1e-5
 """Relative fall of the cost of an iteration that ends the search."""
 
 
@@ -73,8 +73,19 @@ class Estimate:
     cost: tuple[float, ...]
 
 
+def times(count: int, dt: float) -> Array:
+    """Times of rows (count,) [s]."""
+    return np.arange(count, dtype=np.float64) * dt
+
+
 def windows(
-    x: Sequence[Array], u: Sequence[Array], *, dt: float, length: int, stride: int | None = None, finer: int = 1
+    x: Sequence[Array],
+    u: Sequence[Array],
+    *,
+    dt: float,
+    length: int,
+    stride: int | None = None,
+    finer: int = 1,
 ) -> Windows:
     """Cut runs into stretches.
 
@@ -103,7 +114,9 @@ def windows(
     )
 
 
-def simulated(system: System, start: Array, u: Array, *, dt: float, finer: int = 1, rows: int = 4096) -> Array:
+def simulated(
+    system: System, start: Array, u: Array, *, dt: float, finer: int = 1, rows: int = 4096
+) -> Array:
     """Open-loop rollouts by Runge-Kutta 4, without noise.
 
     Args:
@@ -123,7 +136,9 @@ def simulated(system: System, start: Array, u: Array, *, dt: float, finer: int =
     quick = ParameterVector(system).system  # its parameters are looked up, not worked out at every step
     with torch.no_grad():
         parts = [
-            _rollout(quick, torch.from_numpy(start[k : k + rows]), torch.from_numpy(u[k : k + rows]), dt, finer)
+            _rollout(
+                quick, torch.from_numpy(start[k : k + rows]), torch.from_numpy(u[k : k + rows]), dt, finer
+            )
             for k in range(0, len(start), rows)
         ]
     return torch.cat(parts).numpy()

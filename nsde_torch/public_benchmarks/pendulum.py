@@ -31,7 +31,7 @@ from nsde_torch.public_benchmarks.benchmark import (
 )
 from nsde_torch.public_benchmarks.files import found, long_enough, table
 from nsde_torch.public_benchmarks.named import parameters_of, words_of
-from nsde_torch.public_benchmarks.output_error import Windows, output_error, simulated, windows
+from nsde_torch.public_benchmarks.output_error import Windows, output_error, simulated, times, windows
 from nsde_torch.public_benchmarks.work import Work
 from nsde_torch.systems import Defaults, ErrorGroup, ResidualPort, System
 from nsde_torch.systems.options import system_options
@@ -113,7 +113,7 @@ class TorqueLimitedPendulum(PublicBenchmark):
         (x, u), (x_test, u_test) = (_read(path) for path in paths)
 
         def diagnosed() -> dict[str, Any]:
-            log = RawRun("ddp", STEP * np.arange(len(x)), x, u)
+            log = RawRun("ddp", times(len(x), STEP), x, u)
             seen = diagnose([log], system=MotorPendulum, say=work.say)
             declared = seen.content()["declared_parameters"]
             return {
@@ -151,10 +151,16 @@ class TorqueLimitedPendulum(PublicBenchmark):
                 key: float(np.sqrt((error[..., k] ** 2).mean())) for k, key in enumerate(("angle", "rate"))
             }
         every = round(SECONDS / STEP) // STRIDE  # stretches that follow one another without overlap
-        t = STEP * np.arange(len(test.x[::every]) * round(SECONDS / STEP))
+        t = times(len(test.x[::every]) * round(SECONDS / STEP), STEP)
         for k, (title, label) in enumerate((("angle", "angle [rad]"), ("rate", "rate [rad/s]"))):
             traces.append(
-                Trace(f"{title}, restarted every 0.5 s", label, t, test.x[::every, :-1, k].ravel(), path[::every, :-1, k].ravel())
+                Trace(
+                    f"{title}, restarted every 0.5 s",
+                    label,
+                    t,
+                    test.x[::every, :-1, k].ravel(),
+                    path[::every, :-1, k].ravel(),
+                )
             )
         return BenchmarkOutcome(
             rows,

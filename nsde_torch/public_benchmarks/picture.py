@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from nsde_torch.plots.style import BLACK, VERMILLION, panels, save, styled
+from nsde_torch.plots.style import BLACK, VERMILLION, key, panels, save, styled
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -26,12 +26,14 @@ def _figure(benchmark: PublicBenchmark, outcome: BenchmarkOutcome) -> Figure:
     )
     for row, trace in zip(axes.reshape(-1, 2), outcome.traces, strict=True):
         row[0].plot(trace.t, trace.measured, color=BLACK, linewidth=0.8, label="measured")
-        row[0].plot(trace.t, trace.simulated, color=VERMILLION, linewidth=0.8, linestyle="--", label="simulated")
+        row[0].plot(
+            trace.t, trace.simulated, color=VERMILLION, linewidth=0.8, linestyle="--", label="simulated"
+        )
         row[0].set_title(trace.title)
         row[0].set_ylabel(trace.label)
-        row[0].legend(loc="upper right")
         row[1].plot(trace.t, trace.simulated - trace.measured, color=VERMILLION, linewidth=0.8)
         row[1].set_title("simulated minus measured")
         for ax in row:
             ax.set_xlabel("time [s]")
+    key(figure, axes[0, 0])
     return figure

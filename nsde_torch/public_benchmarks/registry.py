@@ -5,7 +5,9 @@ from nsde_torch.public_benchmarks.benchmark import PublicBenchmark
 from nsde_torch.public_benchmarks.names import BENCHMARK_HOMES
 
 BENCHMARKS: dict[str, type[PublicBenchmark]] = {
-    name: class_by_name(home, {}, PublicBenchmark, kind="benchmark", home="nsde_torch.public_benchmarks.benchmark")
+    name: class_by_name(
+        home, {}, PublicBenchmark, kind="benchmark", home="nsde_torch.public_benchmarks.benchmark"
+    )
     for name, home in BENCHMARK_HOMES.items()
 }
 

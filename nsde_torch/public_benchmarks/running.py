@@ -112,7 +112,9 @@ def table(content: Mapping[str, Any], metrics: Sequence[BenchmarkMetric]) -> lis
         rows.append([name, *(_cell(values.get(k), d) for k, d in digits.items())])
     wide = [max(len(row[k]) for row in rows) for k in range(len(heads))]
     lines = [
-        "  ".join([row[0].ljust(wide[0]), *(c.rjust(w) for c, w in zip(row[1:], wide[1:], strict=True))]).rstrip()
+        "  ".join(
+            [row[0].ljust(wide[0]), *(c.rjust(w) for c, w in zip(row[1:], wide[1:], strict=True))]
+        ).rstrip()
         for row in rows
     ]
     return [lines[0], "-" * len(lines[0]), *lines[1:]]

@@ -36,7 +36,8 @@ def found(folder: Path, wanted: Sequence[str], *, repository: str) -> list[Path]
             same = sorted(folder.rglob(Path(name).name))
             if not same:
                 raise DataError(
-                    f"`data.path={folder}` holds no {Path(name).name}. Name a checkout of {repository}, where it is {name}."
+                    f"`data.path={folder}` holds no {Path(name).name}. Name a checkout of {repository}, where it is "
+                    f"{name}."
                 )
             if len(same) > 1:
                 raise DataError(

@@ -26,7 +26,6 @@ from nsde_torch.public_benchmarks.benchmark import (
     BenchmarkMetric,
     BenchmarkOutcome,
     PublicBenchmark,
-    PublishedRow,
     Trace,
 )
 from nsde_torch.public_benchmarks.files import found, long_enough, table

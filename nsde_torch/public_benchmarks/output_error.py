@@ -40,7 +40,7 @@ def silent(stage: str, done: int, total: int) -> None:
 
 
 @dataclass(frozen=True)
-class Windows:
+class Stretches:
     """Stretches of measured runs of one length.
 
     Args:
@@ -57,7 +57,7 @@ class Windows:
 
 
 @dataclass(frozen=True)
-class Estimate:
+class OutputErrorEstimate:
     """What the search found.
 
     Args:
@@ -86,7 +86,7 @@ def windows(
     length: int,
     stride: int | None = None,
     finer: int = 1,
-) -> Windows:
+) -> Stretches:
     """Cut runs into stretches.
 
     Args:
@@ -106,7 +106,7 @@ def windows(
         raise DataError(
             f"Windows of {length} steps need runs of more rows; the longest has {longest}. Take the whole files."
         )
-    return Windows(
+    return Stretches(
         np.stack([x[r][k : k + length + 1] for r, k in starts]),
         np.stack([u[r][k * finer : (k + length) * finer] for r, k in starts]),
         dt,
@@ -166,7 +166,7 @@ def _rollout(system: System, start: Tensor, u: Tensor, dt: float, finer: int) ->
 
 def output_error(
     system: System,
-    data: Windows,
+    data: Stretches,
     *,
     weights: Array,
     free: Sequence[int] = (),
@@ -175,7 +175,7 @@ def output_error(
     iterations: int = 30,
     stage: str = "fitting",
     say: Say = silent,
-) -> Estimate:
+) -> OutputErrorEstimate:
     """Fit the declared parameters of a system to rollouts; the system is given the result.
 
     Args:
@@ -250,7 +250,7 @@ def output_error(
     values = {place.name: _plain(theta[place.columns]) for place in vector.places}
     full = np.zeros((*now.shape[:2], len(weights)))
     full[..., used] = now / weights[used]
-    return Estimate(values, starts, full, tuple(cost))
+    return OutputErrorEstimate(values, starts, full, tuple(cost))
 
 
 def _columns(vector: ParameterVector) -> list[tuple[int, str]]:

@@ -30,7 +30,7 @@ from nsde_torch.public_benchmarks.benchmark import (
 )
 from nsde_torch.public_benchmarks.files import found, long_enough, table
 from nsde_torch.public_benchmarks.named import parameters_of, words_of
-from nsde_torch.public_benchmarks.output_error import Windows, output_error, simulated, times, windows
+from nsde_torch.public_benchmarks.output_error import Stretches, output_error, simulated, times, windows
 from nsde_torch.public_benchmarks.work import Work
 from nsde_torch.systems import Defaults, ErrorGroup, ResidualPort, System
 from nsde_torch.systems.options import system_options
@@ -198,5 +198,5 @@ def _read(path: Path) -> tuple[Array, Array]:
     return x, np.interp(grid + 0.5 * STEP, t, held["torque"])[:, None]
 
 
-def _cut(x: Array, u: Array, stride: int) -> Windows:
+def _cut(x: Array, u: Array, stride: int) -> Stretches:
     return windows([x], [u], dt=STEP, length=round(SECONDS / STEP), stride=stride)

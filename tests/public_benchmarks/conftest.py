@@ -31,7 +31,7 @@ def emps_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("emps")
     rng = np.random.default_rng(1)
     for name, shift in (("DATA_EMPS", 0.0), ("DATA_EMPS_PULSES", 0.4)):
-        t = 1e-3 * np.arange(4000)
+        t = 1e-3 * np.arange(3000)
         force = 70.0 * np.sin(2.0 * t + shift) + 30.0 * np.sin(7.1 * t) + rng.standard_normal(len(t))
         column = {"t": t, "qm": drive(force) + 1e-7 * rng.standard_normal(len(t)), "vir": force / 35.0}
         savemat(folder / f"{name}.mat", {k: v[:, None] for k, v in column.items()} | {"gtau": 35.0})

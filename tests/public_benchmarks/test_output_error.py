@@ -34,7 +34,7 @@ def test_parameters_are_found_from_positions_alone() -> None:
         assert made.values[name] == pytest.approx(value, rel=1e-3), name
     assert made.cost[-1] < 1e-8 * made.cost[0]
     assert np.abs(made.starts[:, 1]).max() > 0.1  # velocities that no column held
-    assert float(system.value("force_gain")) == pytest.approx(1.3, rel=1e-3)
+    assert system.value("force_gain").item() == pytest.approx(1.3, rel=1e-3)
 
 
 def test_the_cost_never_rises_and_what_is_fixed_stays() -> None:

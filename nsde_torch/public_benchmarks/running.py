@@ -14,6 +14,7 @@ from nsde_torch.public_benchmarks.registry import BENCHMARKS, benchmark_class
 from nsde_torch.public_benchmarks.work import Work, key_of
 
 RESULT = "benchmark.json"
+_SIDE_BY_SIDE = 4
 PICTURE = "benchmark.png"
 VERSION = 1
 """Raised when the stages of a set change their meaning: what was kept before is then refused."""
@@ -101,7 +102,12 @@ def _finite(values: Mapping[str, float]) -> dict[str, float | None]:
 
 
 def table(content: Mapping[str, Any], metrics: Sequence[BenchmarkMetric]) -> list[str]:
-    """Lines of a table: the published rows, then ours."""
+    """Lines of a table: the published rows, then ours; four numbers side by side, the next ones below."""
+    if len(metrics) > _SIDE_BY_SIDE:
+        first, *rest = (
+            table(content, metrics[k : k + _SIDE_BY_SIDE]) for k in range(0, len(metrics), _SIDE_BY_SIDE)
+        )
+        return [*first, *(line for part in rest for line in ("", *part))]
     digits = {metric.key: metric.digits for metric in metrics}
     heads = ["", *(f"{m.key} [{m.unit}]" if m.unit else m.key for m in metrics)]
     rows = [heads]

@@ -16,8 +16,9 @@ def parameters_of(found: Diagnosis) -> dict[str, Any]:
     }
 
 
-def words_of(added: Sequence[str], declared: str) -> list[str]:
+def words_of(added: Sequence[str], declared: str, verdict: str = "effect_found") -> list[str]:
     """A sentence that names what was found beside the declared physics."""
     if not added:
         return [f"Nothing was found missing in {declared}."]
-    return [f"Missing in {declared}: {', '.join(added)}."]
+    lead = " This is a lead: something else is missing too." if verdict == "unexplained" else ""
+    return [f"Missing in {declared}: {', '.join(added)}.{lead}"]

@@ -163,7 +163,7 @@ class Nanodrone(PublicBenchmark):
                 **named["parameters"],
                 **{f"rollouts: {name}": {"value": value} for name, value in values.items()},
             },
-            words_of(named["added"], "the rigid quadrotor"),
+            words_of(named["added"], "the rigid quadrotor", named["verdict"]),
             _traces(system, test[0]),
             {"terms_fitted_to_rollouts": list(TERMS), "verdict_of_the_diagnosis": named["verdict"]},
         )

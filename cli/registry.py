@@ -67,6 +67,9 @@ COMMANDS: dict[str, CommandEntry] = {
     "evaluate": CommandEntry(
         ".commands.evaluate", "Score trained models on runs, against baselines and each other"
     ),
+    "benchmark": CommandEntry(
+        ".commands.benchmark", "Run a public measured set by its own protocol, beside the published rows"
+    ),
     "figures": CommandEntry(
         ".commands.figures", "Make the supplement's figures anew, each with its claim and what was measured"
     ),

@@ -40,6 +40,7 @@ MAY_IMPORT = {
     "experiments": {*LEARNED, *TRAINED},
     "api": {*LEARNED, *TRAINED, "simulation", "diagnosis"},
     "diagnosis": {*LEARNED, *TRAINED, "control"},
+    "public_benchmarks": {*LEARNED, *TRAINED, "api", "diagnosis"},
     "design": {*LEARNED, "sysid", "diagnosis", "control"},
     "px4": {*LEARNED, "control", "export", "simulation"},
     "export": {*LEARNED, "control"},

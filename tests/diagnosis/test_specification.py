@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from nsde_torch.diagnosis.left_over import beyond_chance
 from nsde_torch.diagnosis.dependence import Dependence
+from nsde_torch.diagnosis.left_over import beyond_chance
 from nsde_torch.diagnosis.regressors import Regressors, own_space, projected, regressors
 from nsde_torch.diagnosis.search import Search
 from nsde_torch.diagnosis.specification import dependences

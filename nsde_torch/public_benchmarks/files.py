@@ -1,0 +1,133 @@
+"""Files of public sets: found below the folder that the user names, and read with errors that say what to do."""
+
+from __future__ import annotations
+
+import zlib
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nsde_torch.errors import DataError
+
+Array = NDArray[np.float64]
+
+_POINTER = b"version https://git-lfs"
+
+
+def found(folder: Path, wanted: Sequence[str], *, repository: str) -> list[Path]:
+    """The files `wanted` (paths relative to the repository), by their places or by their names alone.
+
+    Args:
+        folder: A checkout, or any folder that holds the files.
+        wanted: Paths inside the repository.
+        repository: For messages.
+
+    Raises:
+        DataError: no such folder, or a file is missing, empty, or a pointer of Git LFS.
+    """
+    if not folder.is_dir():
+        raise DataError(f"`data.path={folder}`: no such folder. Clone {repository} and name the checkout.")
+    out = []
+    for name in wanted:
+        path = folder / name
+        if not path.is_file():
+            same = sorted(folder.rglob(Path(name).name))
+            if not same:
+                raise DataError(
+                    f"`data.path={folder}` holds no {Path(name).name}. Name a checkout of {repository}, where it is "
+                    f"{name}."
+                )
+            if len(same) > 1:
+                raise DataError(
+                    f"`data.path={folder}` holds {Path(name).name} {len(same)} times, none of them at {name}. "
+                    "Name the folder of one."
+                )
+            path = same[0]
+        with path.open("rb") as file:
+            head = file.read(64)
+        if not head:
+            raise DataError(f"{path} is empty. Fetch it from {repository} again.")
+        if head.startswith(_POINTER):
+            raise DataError(
+                f"{path} is a pointer of Git LFS and holds no data. Run `git lfs pull` in the checkout of {repository}."
+            )
+        out.append(path)
+    return out
+
+
+def matrices(path: Path, names: Sequence[str], *, what: str) -> dict[str, Array]:
+    """Variables of a MATLAB file, each flattened to (n,).
+
+    Args:
+        path: The `.mat` file.
+        names: Variables that it must hold.
+        what: The set, for messages.
+
+    Raises:
+        DataError: the file is damaged, or lacks one.
+    """
+    from scipy.io import loadmat
+    from scipy.io.matlab import MatReadError
+
+    damaged = (ValueError, TypeError, LookupError, OSError, NotImplementedError, zlib.error, MatReadError)
+    try:
+        content = loadmat(path)
+    except damaged as error:
+        raise DataError(f"{path} cannot be read as a MATLAB file ({error}). Fetch it again.") from None
+    missing = [name for name in names if name not in content]
+    if missing:
+        holds = ", ".join(sorted(k for k in content if not k.startswith("_"))) or "nothing"
+        raise DataError(
+            f"{path} lacks {', '.join(missing)} and holds {holds}: it is not of {what}. Check the path."
+        )
+    return {name: np.asarray(content[name], dtype=np.float64).ravel() for name in names}
+
+
+def table(path: Path, names: Sequence[str], *, what: str) -> dict[str, Array]:
+    """Columns of a CSV file with a header row, each (n,); `nan` where a cell is empty.
+
+    Args:
+        path: The file.
+        names: Columns that it must have.
+        what: The set, for messages.
+
+    Raises:
+        DataError: the file is damaged, cut off, or lacks a column.
+    """
+    try:
+        lines = path.read_text(encoding="utf-8").splitlines()
+    except UnicodeDecodeError:
+        raise DataError(f"{path} is not a text file, as those of {what} are. Check the path.") from None
+    header = [cell.strip() for cell in lines[0].split(",")]
+    missing = [name for name in names if name not in header]
+    if missing:
+        raise DataError(
+            f"{path} lacks the columns {', '.join(missing)}: it is not of {what}. Check the path."
+        )
+    at = [header.index(name) for name in names]
+    rows = np.empty((len(lines) - 1, len(names)))
+    for k, line in enumerate(lines[1:]):
+        cells = line.split(",")
+        if len(cells) != len(header):
+            raise DataError(
+                f"{path}:{k + 2} has {len(cells)} cells and not {len(header)}: the file is cut off. Fetch it again."
+            )
+        try:
+            rows[k] = [float(cells[i]) if cells[i].strip() else np.nan for i in at]
+        except ValueError:
+            raise DataError(f"{path}:{k + 2} holds a cell that is no number. Fetch the file again.") from None
+    return {name: rows[:, k] for k, name in enumerate(names)}
+
+
+def long_enough(count: int, least: int, path: Path) -> None:
+    """Refuse a file that was cut off.
+
+    Raises:
+        DataError: it has fewer rows than the protocol needs.
+    """
+    if count < least:
+        raise DataError(
+            f"{path} has {count} rows, and the protocol needs {least}: it is cut off. Fetch it again."
+        )

@@ -1,0 +1,9 @@
+"""The public sets: a file each, and a line here. Listing them imports none."""
+
+BENCHMARK_HOMES: dict[str, str] = {
+    "emps": "nsde_torch.public_benchmarks.emps:Emps",
+    "silverbox": "nsde_torch.public_benchmarks.silverbox:Silverbox",
+    "nanodrone": "nsde_torch.public_benchmarks.nanodrone:Nanodrone",
+    "pendulum": "nsde_torch.public_benchmarks.pendulum:TorqueLimitedPendulum",
+}
+"""Name of a set -> `module:Class`."""

@@ -1,0 +1,314 @@
+"""Output-error estimates by shooting: parameters whose open-loop rollouts come closest to what was measured.
+
+Over windows w with initial states x_w and all parameters theta,
+
+    min_{theta, x_w}  sum_w sum_k | W (y(x(t_k; x_w, theta)) - y_k) |^2
+
+by Gauss-Newton with the damping of Marquardt; the initial states of a window appear in its own rows alone and are
+eliminated by the Schur complement (Bock, Recent advances in parameter identification techniques for O.D.E., 1983).
+Slopes are forward differences of rollouts. Noise of the process is not modelled: what the model does not explain is
+taken for noise of the sensors, which is what a benchmark asks that scores a simulation.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from nsde_torch.errors import DataError, NonFiniteError
+from nsde_torch.sde.integrate import rollout
+from nsde_torch.sde.protocol import Calculus, Time
+from nsde_torch.sde.registry import make_step
+from nsde_torch.systems.base import System
+from nsde_torch.systems.parameters import ParameterVector
+
+Array = NDArray[np.float64]
+Say = Callable[[str, int, int], None]
+
+_STEP = 1e-6
+_ENOUGH = 1e-5
+"""Relative fall of the cost of an iteration that ends the search."""
+
+
+def silent(stage: str, done: int, total: int) -> None:
+    """No progress."""
+
+
+@dataclass(frozen=True)
+class Stretches:
+    """Stretches of measured runs of one length.
+
+    Args:
+        x: Measured states (B, T + 1, nx); of a channel that is not scored only the first row is used, as a start.
+        u: Inputs (B, T * finer, nu), held over a step of `dt / finer`.
+        dt: Step of the rows of `x` [s].
+        finer: Steps of the integrator in a step of the rows.
+    """
+
+    x: Array
+    u: Array
+    dt: float
+    finer: int = 1
+
+
+@dataclass(frozen=True)
+class OutputErrorEstimate:
+    """What the search found.
+
+    Args:
+        values: Value of each declared parameter, by name (a list where it has axes).
+        starts: Initial states (B, nx).
+        errors: Predicted minus measured in error channels (B, T, n_error) at the end.
+        cost: Mean of the squared weighted errors, before each iteration and at the end.
+    """
+
+    values: dict[str, float | list[float]]
+    starts: Array
+    errors: Array
+    cost: tuple[float, ...]
+
+
+def times(count: int, dt: float) -> Array:
+    """Times of rows (count,) [s]."""
+    return np.arange(count, dtype=np.float64) * dt
+
+
+def windows(
+    x: Sequence[Array],
+    u: Sequence[Array],
+    *,
+    dt: float,
+    length: int,
+    stride: int | None = None,
+    finer: int = 1,
+) -> Stretches:
+    """Cut runs into stretches.
+
+    Args:
+        x: Measured states of each run (n, nx).
+        u: Inputs of each run (at least (n - 1) * finer, nu), on the finer grid.
+        dt: Step of the rows [s].
+        length: Steps of a stretch.
+        stride: Steps from one start to the next; None: `length`.
+        finer: Steps of the inputs in a step of the rows.
+
+    Raises:
+        DataError: no run is that long.
+    """
+    starts = [(r, k) for r, run in enumerate(x) for k in range(0, len(run) - length, stride or length)]
+    if not starts:
+        longest = max((len(run) for run in x), default=0)
+        raise DataError(
+            f"Windows of {length} steps need runs of more rows; the longest has {longest}. Take the whole files."
+        )
+    return Stretches(
+        np.stack([x[r][k : k + length + 1] for r, k in starts]),
+        np.stack([u[r][k * finer : (k + length) * finer] for r, k in starts]),
+        dt,
+        finer,
+    )
+
+
+def simulated(
+    system: System, start: Array, u: Array, *, dt: float, finer: int = 1, rows: int = 4096
+) -> Array:
+    """Open-loop rollouts by Runge-Kutta 4, without noise.
+
+    Args:
+        system: The machine.
+        start: First states (B, nx).
+        u: Inputs (B, T * finer, nu).
+        dt: Step of the rows of the result [s].
+        finer: Steps of the integrator in a step of the rows.
+        rows: Rollouts at a time.
+
+    Returns:
+        States (B, T + 1, nx).
+
+    Raises:
+        NonFiniteError: a state leaves the finite numbers.
+    """
+    quick = ParameterVector(system).system  # its parameters are looked up, not worked out at every step
+    with torch.no_grad():
+        parts = [
+            _rollout(
+                quick, torch.from_numpy(start[k : k + rows]), torch.from_numpy(u[k : k + rows]), dt, finer
+            )
+            for k in range(0, len(start), rows)
+        ]
+    return torch.cat(parts).numpy()
+
+
+class _WithoutNoise:
+    """The physics of a system as an equation that a solver takes."""
+
+    calculus: Calculus = "either"
+
+    def __init__(self, system: System) -> None:
+        self.drift, self.project = system.drift, system.project
+        self.set_step, self.inner = system.set_step, system.inner
+
+    def diffusion(self, t: Time, z: Tensor, u: Tensor) -> Tensor:
+        """Nothing."""
+        return torch.zeros_like(z)
+
+
+def _rollout(system: System, start: Tensor, u: Tensor, dt: float, finer: int) -> Tensor:
+    first = system.augment(start, u[:, 0])
+    path = rollout(_WithoutNoise(system), first, u, dt=dt / finer, step=make_step("rk4"), noise=None)
+    return path[0][:, ::finer, : system.nx]
+
+
+def output_error(
+    system: System,
+    data: Stretches,
+    *,
+    weights: Array,
+    free: Sequence[int] = (),
+    fixed: Sequence[str] = (),
+    groups: Sequence[Sequence[int]] = (),
+    iterations: int = 30,
+    stage: str = "fitting",
+    say: Say = silent,
+) -> OutputErrorEstimate:
+    """Fit the declared parameters of a system to rollouts; the system is given the result.
+
+    Args:
+        system: The machine; its values are where the search starts.
+        data: What was measured.
+        weights: One over the typical error of each error channel (n_error,); 0 leaves a channel out.
+        free: States whose initial values are fitted; the others start as measured.
+        fixed: Parameters that keep their values.
+        groups: Error channels whose length is to be small and not its square: each row is weighed by one over
+            the length that it has left (iteratively reweighted least squares); empty: squares.
+        iterations: Most iterations.
+        stage: What `say` is told.
+        say: Told stage, number done and number in all.
+
+    Raises:
+        NonFiniteError: the first values cannot be simulated.
+    """
+    vector = ParameterVector(system)
+    moved = np.array([j for j, place in _columns(vector) if place not in fixed], dtype=np.int64)
+    used = np.flatnonzero(weights > 0)
+    u = torch.from_numpy(data.u)
+    measured = torch.from_numpy(data.x[:, 1:])
+    theta, starts = vector.inside(vector.start), data.x[:, 0].copy()
+
+    def errors(theta: Array, starts: Array) -> Array:
+        vector.use(torch.from_numpy(theta))
+        with torch.no_grad():
+            path = _rollout(vector.system, torch.from_numpy(starts), u, data.dt, data.finer)
+            return vector.system.error(path[:, 1:], measured).numpy()[..., used] * weights[used]
+
+    def scaled(e: Array) -> Array:
+        out = np.ones_like(e)
+        for group in groups:
+            own = np.flatnonzero(np.isin(used, np.asarray(group)))
+            length = np.sqrt((e[..., own] ** 2).mean(-1, keepdims=True))
+            out[..., own] = 1.0 / np.sqrt(np.maximum(length, 0.05 * np.median(length) + 1e-12))
+        return out
+
+    now = errors(theta, starts)
+    share = scaled(now)
+    cost = [float(((now * share) ** 2).mean())]
+    damping = 1e-3
+    for done in range(iterations):
+        say(stage, done, iterations)
+        slopes = _slopes(errors, theta, starts, now, moved, free, vector, share)
+        better = False
+        for _ in range(8):
+            step, shift = _solve(*slopes, (now * share).reshape(len(now), -1), damping)
+            new_theta, new_starts = theta.copy(), starts.copy()
+            new_theta[moved] += step
+            new_theta = vector.inside(new_theta)
+            new_starts[:, list(free)] += shift
+            try:
+                new = errors(new_theta, new_starts)
+            except NonFiniteError:
+                new = np.full_like(now, np.inf)
+            total = float(((new * share) ** 2).mean())
+            if np.isfinite(total) and total < cost[-1]:
+                better = True
+                break
+            damping *= 5.0
+        if not better:
+            break
+        fell = 1.0 - total / cost[-1]
+        theta, starts, now, damping = new_theta, new_starts, new, max(damping / 10.0, 1e-12)
+        share = scaled(now)
+        cost.append(float(((now * share) ** 2).mean()))
+        if fell < _ENOUGH:
+            break
+    vector.write(system, theta)
+    say(stage, iterations, iterations)
+    values = {place.name: _plain(theta[place.columns]) for place in vector.places}
+    full = np.zeros((*now.shape[:2], len(weights)))
+    full[..., used] = now / weights[used]
+    return OutputErrorEstimate(values, starts, full, tuple(cost))
+
+
+def _columns(vector: ParameterVector) -> list[tuple[int, str]]:
+    return [(j, place.name) for place in vector.places for j in range(*place.columns.indices(len(vector)))]
+
+
+def _plain(values: Array) -> float | list[float]:
+    return float(values[0]) if len(values) == 1 else [float(v) for v in values]
+
+
+def _slopes(
+    errors: Callable[[Array, Array], Array],
+    theta: Array,
+    starts: Array,
+    now: Array,
+    moved: NDArray[np.int64],
+    free: Sequence[int],
+    vector: ParameterVector,
+    share: Array,
+) -> tuple[Array, Array]:
+    """Slopes of the weighted errors in the parameters (B, R, k) and in the initial states (B, R, f)."""
+    rows = now.shape[1] * now.shape[2]
+
+    def difference(a: Array, b: Array, size: float) -> Array:
+        return ((errors(a, b) - now) * share).reshape(len(now), rows) / size
+
+    by_theta = np.empty((len(now), rows, len(moved)))
+    for j, column in enumerate(moved):
+        size = _STEP * max(vector.scale[column], abs(theta[column]))
+        up = theta.copy()
+        up[column] += size if theta[column] + size < vector.high[column] else -size
+        by_theta[..., j] = difference(up, starts, up[column] - theta[column])
+    by_start = np.empty((len(now), rows, len(free)))
+    for j, column in enumerate(free):
+        size = _STEP * max(float(np.abs(starts[:, column]).max()), 1e-6)
+        up = starts.copy()
+        up[:, column] += size
+        by_start[..., j] = difference(theta, up, size)
+    return by_theta, by_start
+
+
+def _solve(by_theta: Array, by_start: Array, errors: Array, damping: float) -> tuple[Array, Array]:
+    """Step of the parameters (k,) and of the initial states (B, f)."""
+    a = np.einsum("brj,brk->jk", by_theta, by_theta)
+    g = np.einsum("brj,br->j", by_theta, errors)
+    if by_start.shape[-1]:
+        c = np.einsum("brj,brk->bjk", by_start, by_start)
+        c += (damping * np.einsum("bjj->bj", c) + 1e-300)[:, :, None] * np.eye(c.shape[-1])
+        d = np.einsum("brj,brk->bjk", by_theta, by_start)
+        h = np.einsum("brj,br->bj", by_start, errors)
+        inverse = np.linalg.pinv(c)
+        gain = np.einsum("bjk,bkl->bjl", d, inverse)
+        a = a - np.einsum("bjl,bkl->jk", gain, d)
+        g = g - np.einsum("bjl,bl->j", gain, h)
+    size = np.sqrt(np.maximum(np.diag(a), 1e-300))
+    scaled = a / size[:, None] / size[None, :] + damping * np.eye(len(a))
+    step: Array = -np.linalg.solve(scaled, g / size) / size
+    if not by_start.shape[-1]:
+        return step, np.zeros((len(errors), 0))
+    shift: Array = -np.einsum("bjk,bk->bj", inverse, h + np.einsum("bjk,j->bk", d, step))
+    return step, shift

@@ -1,0 +1,85 @@
+"""Tiny files in the layouts of the public sets, made by steppers of their own; no public data."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy.io import savemat
+
+Array = NDArray[np.float64]
+
+
+def drive(
+    force: Array, *, mass: float = 90.0, viscous: float = 180.0, dry: float = 20.0, dt: float = 1e-3
+) -> Array:
+    """Positions of a carriage under a force that is held, in steps of dt / 10."""
+    q = v = 0.0
+    out = np.empty(len(force))
+    for k, f in enumerate(force):
+        out[k] = q
+        for _ in range(10):
+            v += 0.1 * dt * (f - viscous * v - dry * np.tanh(v / 1e-3)) / mass
+            q += 0.1 * dt * v
+    return out
+
+
+@pytest.fixture(scope="session")
+def emps_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("emps")
+    rng = np.random.default_rng(1)
+    for name, shift in (("DATA_EMPS", 0.0), ("DATA_EMPS_PULSES", 0.4)):
+        t = 1e-3 * np.arange(3000)
+        force = 70.0 * np.sin(2.0 * t + shift) + 30.0 * np.sin(7.1 * t) + rng.standard_normal(len(t))
+        column = {"t": t, "qm": drive(force) + 1e-7 * rng.standard_normal(len(t)), "vir": force / 35.0}
+        savemat(folder / f"{name}.mat", {k: v[:, None] for k, v in column.items()} | {"gtau": 35.0})
+    return folder
+
+
+@pytest.fixture(scope="session")
+def pendulum_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("pendulum")
+    rng = np.random.default_rng(2)
+    for name, shift in (("ddp", 0.0), ("direct_collocation", 1.0)):
+        t = 0.002 * np.arange(3000)
+        torque = 1.5 * np.sin(3.0 * t + shift) + 0.8 * np.sin(8.0 * t)
+        theta = rate = 0.0
+        rows = np.empty((len(t), 4))
+        for k, u in enumerate(torque):
+            rows[k] = t[k], theta + 1e-4 * rng.standard_normal(), rate + 1e-3 * rng.standard_normal(), u
+            for _ in range(4):
+                rate += 5e-4 * (8.0 * u - 20.0 * np.sin(theta) - 0.5 * rate)
+                theta += 5e-4 * rate
+        path = folder / "results" / f"control_method_{name}" / "data_measured.csv"
+        path.parent.mkdir(parents=True)
+        np.savetxt(path, rows, delimiter=",", header="time,position,velocity,torque", comments="")
+    return folder
+
+
+def hovering(seed: int, rows: int) -> Array:
+    """Rows of a flight that hovers and rocks, in the columns of the nano-drone's files; no true flight moves so."""
+    rng = np.random.default_rng(seed)
+    t = 0.01 * np.arange(rows)
+    roll = 0.1 * np.sin(5.0 * t)
+    out = np.zeros((rows, 18))
+    out[:, 0] = t
+    out[:, 3] = 1.0
+    out[:, 7], out[:, 10] = np.sin(roll / 2), np.cos(roll / 2)
+    out[:, 11] = 0.5 * np.cos(5.0 * t)
+    out[:, 14:] = 1700.0 + 20.0 * rng.standard_normal((rows, 4))
+    return out
+
+
+@pytest.fixture(scope="session")
+def nanodrone_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("nanodrone")
+    head = "t,x,y,z,vx,vy,vz,qx,qy,qz,qw,wx,wy,wz,m1_rads,m2_rads,m3_rads,m4_rads"
+    names = [f"train/{kind}_20251017_run{k}" for kind in ("square", "random", "chirp") for k in (1, 2, 3)]
+    names += [f"test/melon_20251017_run{k}" for k in (1, 2, 3)]
+    for seed, name in enumerate(names):
+        path = folder / "data" / f"{name}.csv"
+        path.parent.mkdir(parents=True, exist_ok=True)
+        np.savetxt(path, hovering(seed, 160), delimiter=",", header=head, comments="")
+    return folder

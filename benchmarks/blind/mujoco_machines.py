@@ -84,9 +84,9 @@ class CartOnRail:
             rows.append([k * self.dt, *seen, force])
             for _ in range(round(self.dt / STEP)):
                 queue = [*queue[1:], force]
-                before, acting = acting, _lagged(acting, queue[0], machine.lag)
+                acting, mean = _lagged(acting, queue[0], machine.lag)
                 gust += -gust * STEP / 0.3 + 0.05 * rng.normal() * np.sqrt(2.0 * STEP / 0.3)
-                data.ctrl[0], data.qfrc_applied[0] = 0.5 * (before + acting), gust
+                data.ctrl[0], data.qfrc_applied[0] = mean, gust
                 mujoco.mj_step(model, data)
         return np.array(rows)
 
@@ -125,10 +125,10 @@ class QuadrotorOnPath:
             rows.append([k * self.dt, *p, *v, *turned, *w, *command])
             for _ in range(round(self.dt / STEP)):
                 queue = [*queue[1:], command]
-                before, acting = acting, _lagged(acting, queue[0], machine.lag)
+                acting, mean = _lagged(acting, queue[0], machine.lag)
                 force += -force * STEP / 0.6 + 0.12 * rng.normal(size=3) * np.sqrt(2.0 * STEP / 0.6)
                 moment += -moment * STEP / 0.1 + 0.004 * rng.normal(size=3) * np.sqrt(2.0 * STEP / 0.1)
-                data.ctrl[:] = 0.5 * (before + acting) * strength
+                data.ctrl[:] = mean * strength
                 data.xfrc_applied[1, :3], data.xfrc_applied[1, 3:] = force, _matrix(data.qpos[3:7]) @ moment
                 mujoco.mj_step(model, data)
         return np.array(rows)
@@ -142,7 +142,7 @@ class QuadrotorOnPath:
         )
         inertia = " ".join(str(v) for v in self.inertia)
         return mujoco.MjModel.from_xml_string(
-            f"""<mujoco><option timestep="{STEP}" integrator="implicitfast" gravity="0 0 -9.81" {of("air", "")}/>
+            f"""<mujoco><option timestep="{STEP}" integrator="RK4" gravity="0 0 -9.81" {of("air", "")}/>
             <worldbody><body pos="0 0 3"><freejoint/>
             <inertial pos="0 0 0" mass="{self.mass}" diaginertia="{inertia}"/>
             <geom type="ellipsoid" size=".16 .14 .05" mass="0" contype="0" conaffinity="0" {of("body", "")}/>{sites}
@@ -182,9 +182,12 @@ class _Cascade:
         return np.asarray(np.clip(commands, 0.02, 1.0))
 
 
-def _lagged(acting: Any, wanted: Any, lag: float) -> Any:
-    """What acts after one step; the mean over the step is half of that and of what acted before."""
-    return acting + (wanted - acting) * (1.0 - np.exp(-STEP / lag)) if lag else wanted
+def _lagged(acting: Any, wanted: Any, lag: float) -> tuple[Any, Any]:
+    """What acts after one step, and its mean over the step."""
+    if not lag:
+        return wanted, wanted
+    left = np.exp(-STEP / lag)
+    return wanted + (acting - wanted) * left, wanted + (acting - wanted) * (1.0 - left) * lag / STEP
 
 
 def _matrix(q: Array) -> Array:

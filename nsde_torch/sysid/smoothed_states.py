@@ -43,9 +43,8 @@ Array = NDArray[np.float64]
 MISFIT, GAIN = 2.0, 3.0
 """Deviance per bin of a spectrum without a smoother, above which one is looked for; and how many times smaller it must
 be behind one. Raw logs have 0.3 to 1.1; logs behind a smoother that cuts at up to a fifth of the rate 4.5 and more."""
-FLOOR, DIGITS = 0.5, 10.0
-"""Share of a white floor in what is seen where a smoother falls, and how many times more than the log's digits make it
-is, above which it is a sensor's noise and there is no smoother."""
+DIGITS = 10.0
+"""How many times the noise of a log's digits may be measured: what is more is a sensor's."""
 SOUND = 0.4
 """Share by which spectra may differ from the best fit (root mean square, beyond chance) and states be restored."""
 _CHANCE = 0.5  # deviance per bin by chance
@@ -161,7 +160,7 @@ def smoothed_states(runs: Sequence[Run], system: System, clock: float = 1.0) -> 
         fits = tuple(smoothers.fit(odd[sensor], smoother) for sensor in sensors)
         if any(GAIN * one.deviance >= without[sensor] for sensor, one in zip(sensors, fits, strict=True)):
             continue
-        if any(_noisy_behind(odd[k], one, smoother, k, runs) for k, one in zip(sensors, fits, strict=True)):
+        if any(_noisy_behind(odd[k], one, k, runs) for k, one in zip(sensors, fits, strict=True)):
             continue
         apart = [_apart(system, runs, sensor, smoother, dt) for sensor in sensors]
         if not max(apart) > APART:
@@ -240,21 +239,16 @@ def _off(one: SpectrumFit, seen: Spectra) -> float:
     return (2.0 * max(one.deviance - _CHANCE, 0.0) / seen.windows) ** 0.5
 
 
-def _noisy_behind(
-    seen: Spectra, one: SpectrumFit, smoother: Smoother, sensor: SensorGroup, runs: Sequence[Run]
-) -> bool:
-    """Whether what is seen where a smoother falls is white noise behind it, more than the log's digits make.
+def _noisy_behind(seen: Spectra, one: SpectrumFit, sensor: SensorGroup, runs: Sequence[Run]) -> bool:
+    """Whether white noise behind a smoother is more than the sensor's before it, and than the log's digits make.
 
     A motion that ends at some frequency (inputs of a few waves) falls as if smoothed, down to the sensor's noise.
     """
     x = np.concatenate([np.asarray(run.x[:, list(sensor.columns)]) for run in runs])
-    quantum = np.array([_quantum(column) for column in x.T])
-    by_digits = 2.0 * seen.dt * float(np.square(quantum).max()) / 12.0 * (4.0 if sensor.turns else 1.0)
-    beyond = seen.f > smoother.falls_to(0.5)
-    if not beyond.any():
-        return False
-    share = np.median(one.rounding[:, None] / seen.power[:, beyond], axis=1)
-    return bool((one.rounding > DIGITS * by_digits).any() and float(share.max()) > FLOOR)
+    quantum = max(_quantum(column) for column in x.T)
+    by_digits = 2.0 * seen.dt * quantum**2 / 12.0 * (4.0 if sensor.turns else 1.0)
+    louder = one.rounding > np.maximum(np.median(one.noise, axis=1), DIGITS * by_digits)
+    return bool(louder.any())
 
 
 def _quantum(values: Array) -> float:

@@ -2,12 +2,18 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+from typing import cast
+
 import numpy as np
 from scipy.integrate import solve_ivp
 
 import nsde_torch
 from nsde_torch.data import RawRun
 from nsde_torch.diagnosis.fitted import bent_shape
+from nsde_torch.sysid.regression import Regression
+from nsde_torch.systems import make_system
+from nsde_torch.systems.parameters import ParameterVector
 from tests.helpers.diagnosed import diagnosed
 
 
@@ -50,3 +56,14 @@ def test_where_no_law_may_be_tried_it_is_provisional() -> None:
     assert finding["name"] == "position_dependent_friction"
     assert finding["lead"]
     assert "another law" in finding["lead_reason"]
+
+
+def test_a_force_that_repeats_less_than_once_a_turn_is_none_that_repeats() -> None:
+    system = make_system("cartpole", effects=["ripple[pole]"])
+    vector = ParameterVector(system)
+    at = vector.labels.index("ripple[pole].order")
+    ends, theta = [], vector.start.copy()
+    for order in (float(vector.low[at]), 3.0):
+        theta[at] = order
+        ends.append(bent_shape(cast(Regression, SimpleNamespace(vector=vector, theta=theta)), "ripple[pole]"))
+    assert ends == ["ripple[pole].order", ""]

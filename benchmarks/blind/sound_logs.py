@@ -54,7 +54,9 @@ BENIGN = {"rank_deficient_inputs", "interventions", "constant_input"}
 def _waves(t: Array, rng: np.random.Generator) -> Array:
     f = rng.uniform(0.3, 1.6, 5)
     size = rng.uniform(0.3, 1.0, 5)
-    return np.asarray((size[:, None] * np.sin(2 * np.pi * f[:, None] * t + rng.uniform(0, 6.3, (5, 1)))).sum(0))
+    return np.asarray(
+        (size[:, None] * np.sin(2 * np.pi * f[:, None] * t + rng.uniform(0, 6.3, (5, 1)))).sum(0)
+    )
 
 
 def _one_wave(t: Array, rng: np.random.Generator) -> Array:
@@ -134,7 +136,11 @@ def cases(seed: int, systems: list[str], repeats: int) -> list[Case]:
     for system in systems:
         rng = np.random.default_rng([seed, *system.encode()])
         flying = system == "quadrotor"
-        habits = [h for h in HABITS if h not in (("rest", "wrap") if flying else ()) and (h, system) != ("wrap", "mass_spring_damper")]
+        habits = [
+            h
+            for h in HABITS
+            if h not in (("rest", "wrap") if flying else ()) and (h, system) != ("wrap", "mass_spring_damper")
+        ]
         for again in range(repeats):
             for excitation in FLIGHTS if flying else EXCITATIONS:
                 for i, habit in enumerate(habits):
@@ -149,7 +155,9 @@ def cases(seed: int, systems: list[str], repeats: int) -> list[Case]:
 # ---- springs and carts -----------------------------------------------------------------------------------
 
 
-def _rate(system: str, p: dict[str, float], y: list[float], u: float, white: tuple[float, float]) -> list[float]:
+def _rate(
+    system: str, p: dict[str, float], y: list[float], u: float, white: tuple[float, float]
+) -> list[float]:
     if system == "mass_spring_damper":
         return [y[1], -p["k"] * y[0] - p["b"] * y[1] + p["g"] * u + white[0]]
     sin, cos, w = math.sin(y[2]), math.cos(y[2]), y[3]
@@ -158,7 +166,9 @@ def _rate(system: str, p: dict[str, float], y: list[float], u: float, white: tup
     return [y[1], a - p["s"] * p["l"] * turn * cos, w, turn]
 
 
-def _run(case: Case, p: dict[str, float], gust: float, noise: Array, seconds: float, k: int) -> tuple[Array, ...]:
+def _run(
+    case: Case, p: dict[str, float], gust: float, noise: Array, seconds: float, k: int
+) -> tuple[Array, ...]:
     """Times (n,), true states (n, nx) and forces (n, 1): held over a row, with a controller that sees noisy states."""
     rng = np.random.default_rng([case.seed, 1 + k])
     dt, cart = case.dt, case.system == "cartpole"
@@ -188,7 +198,9 @@ def _run(case: Case, p: dict[str, float], gust: float, noise: Array, seconds: fl
             white = (size * rng.standard_normal(), size * rng.standard_normal())
             parts = [_rate(case.system, p, y, u, white)]
             for step in (0.5 * h, 0.5 * h, h):
-                parts.append(_rate(case.system, p, [a + step * b for a, b in zip(y, parts[-1], strict=True)], u, white))
+                parts.append(
+                    _rate(case.system, p, [a + step * b for a, b in zip(y, parts[-1], strict=True)], u, white)
+                )
             y = [a + h / 6 * (b + 2 * c + 2 * d + e) for a, b, c, d, e in zip(y, *parts, strict=True)]
     return t, rows, forces
 
@@ -199,7 +211,9 @@ def _small(case: Case) -> tuple[list[tuple[Array, ...]], Array]:
     noise = np.array(machine.noise)
     gust = 0.0 if "no noise" in case.habits else float(rng.choice((0.0, 0.02)))
     controller = noise * (0.0 if "no noise" in case.habits else 1.0)
-    return [_run(case, machine.values, gust, controller, s, k) for k, s in enumerate(_seconds(case, rng))], noise
+    return [
+        _run(case, machine.values, gust, controller, s, k) for k, s in enumerate(_seconds(case, rng))
+    ], noise
 
 
 def _seconds(case: Case, rng: np.random.Generator) -> list[float]:
@@ -286,9 +300,19 @@ def write(case: Case, folder: Path) -> None:
     part.mkdir(parents=True, exist_ok=True)
     for k, run in enumerate(runs):
         t, x, u = logged(case, *run, noise, k)
-        formats = ["%.7g" if "jitter" in case.habits else "%.6g", *[_format(case)] * (x.shape[1] + u.shape[1])]
+        formats = [
+            "%.7g" if "jitter" in case.habits else "%.6g",
+            *[_format(case)] * (x.shape[1] + u.shape[1]),
+        ]
         head = ",".join(names)
-        np.savetxt(part / f"run_{k}.csv", np.column_stack([t, x, u]), fmt=formats, delimiter=",", header=head, comments="")
+        np.savetxt(
+            part / f"run_{k}.csv",
+            np.column_stack([t, x, u]),
+            fmt=formats,
+            delimiter=",",
+            header=head,
+            comments="",
+        )
 
 
 # ---- judgement -----------------------------------------------------------------------------------------
@@ -341,7 +365,9 @@ def table(plan: list[Case], folder: Path) -> str:
     lines.append("")
     for case, alarms in answers.items():
         for kind, text in alarms:
-            lines.append(f"- {case.name} {case.excitation}, {'+'.join(case.habits)}, {1 / case.dt:g} Hz: {kind}: {text[:400]}")
+            lines.append(
+                f"- {case.name} {case.excitation}, {'+'.join(case.habits)}, {1 / case.dt:g} Hz: {kind}: {text[:400]}"
+            )
     return "\n".join(lines)
 
 
@@ -367,7 +393,10 @@ def main() -> None:
         said = read(case, given.out)
         answer.write_text(json.dumps(said), encoding="utf-8")
         alarms = [kind for kind, _ in false_alarms(case, said["found"])]
-        print(f"{case.name} {case.excitation}, {'+'.join(case.habits)}: {alarms or 'silent'} {said['seconds']:.1f} s", flush=True)
+        print(
+            f"{case.name} {case.excitation}, {'+'.join(case.habits)}: {alarms or 'silent'} {said['seconds']:.1f} s",
+            flush=True,
+        )
     print(table(plan, given.out))
 
 

@@ -1,27 +1,22 @@
 """Sound logs after the habits of laboratories: what does reading them say that is not so?
 
-    python benchmarks/blind/sound_logs.py --seed 5 --out sound/ --systems mass_spring_damper cartpole quadrotor
-    python benchmarks/blind/sound_logs.py --seed 5 --out sound/ --judge            # the table again
-    python benchmarks/blind/sound_logs.py --seed 5 --out sound/ --diagnose 12      # diagnoses of some springs and carts
+    python benchmarks/blind/sound_logs.py --seed 5 --out sound/
+    python benchmarks/blind/sound_logs_run.py --seed 5 --logs sound/
 
-writes three runs of each log (CSV) and reads them by `nsde_torch.read`. Each log has one excitation and one or two
-habits. Springs and carts are those of `small_machines`, integrated here in plain Python; quadrotors are those of
-`loop_flight`. None of it shares code with `nsde_torch`. Nothing is wrong with any log: what reading finds, beside what
-a habit truly does (`TRUE`), is a false alarm, and so is a refusal. Machines hold nothing that is not declared.
+writes three runs of each log (CSV). Each log has one excitation and one or two habits. Springs and carts are those of
+`small_machines`, integrated here in plain Python; quadrotors are those of `loop_flight`. None of it shares code with
+`nsde_torch`. Nothing is wrong with any log, and machines hold nothing that is not declared.
 """
 
 from __future__ import annotations
 
 import argparse
-import json
 import math
 import os
 import sys
-import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 sys.path.insert(0, str(Path(__file__).resolve().parent))
@@ -37,18 +32,10 @@ from small_machines import STATES, G, small
 Array = NDArray[np.float64]
 Signal = Callable[[Array, np.random.Generator], Array]
 RUNS, FINE = 3, 0.002
+SYSTEMS = ["mass_spring_damper", "cartpole", "quadrotor"]
 RATES = (20.0, 50.0, 100.0, 200.0, 500.0)
 FLIGHT_RATES = (50.0, 100.0, 200.0, 250.0)
 FLIGHTS = ("waypoints", "circle", "sines", "sticks", "hover")
-TRUE = {
-    "jitter": {"non_uniform_step"},
-    "wrap": {"angle_wrap"},
-    "tacho": {"late_sensor"},
-    "none": set(),
-}
-"""Findings that are so, by habit."""
-BENIGN = {"rank_deficient_inputs", "interventions", "constant_input"}
-"""Findings of what was asked for, no faults of a log."""
 
 
 def _waves(t: Array, rng: np.random.Generator) -> Array:
@@ -315,89 +302,18 @@ def write(case: Case, folder: Path) -> None:
         )
 
 
-# ---- judgement -----------------------------------------------------------------------------------------
-
-
-def read(case: Case, folder: Path) -> dict[str, Any]:
-    """What reading says of one log."""
-    import nsde_torch
-    from nsde_torch.errors import NsdeError
-
-    started = time.perf_counter()
-    found: list[tuple[str, str]] = []
-    try:
-        data = nsde_torch.read(folder / "data" / case.name, system=case.system)
-        found = [(f.kind, str(f)) for f in data.summary.findings]
-    except NsdeError as error:
-        found = [("refused", str(error))]
-    return {"found": found, "seconds": time.perf_counter() - started}
-
-
-def false_alarms(case: Case, found: list[tuple[str, str]]) -> list[tuple[str, str]]:
-    """Findings that are not so."""
-    true = set(BENIGN).union(*(TRUE.get(habit, set()) for habit in case.habits))
-    return [(kind, text) for kind, text in found if kind not in true]
-
-
-def table(plan: list[Case], folder: Path) -> str:
-    """False alarms by system, habit and excitation."""
-    answers = {
-        case: false_alarms(case, json.loads(path.read_text(encoding="utf-8"))["found"])
-        for case in plan
-        if (path := folder / "answers" / f"{case.name}.json").is_file()
-    }
-    systems = list(dict.fromkeys(case.system for case in answers))
-    lines = ["| | " + " | ".join(systems) + " |", "|---|" + "---|" * len(systems)]
-
-    def row(name: str, of: Callable[[Case], bool]) -> None:
-        cells = []
-        for system in systems:
-            some = [bool(alarms) for case, alarms in answers.items() if case.system == system and of(case)]
-            cells.append(f"{sum(some)} of {len(some)}" if some else "")
-        if any(cells):
-            lines.append(f"| {name} | " + " | ".join(cells) + " |")
-
-    for habit in HABITS:
-        row(habit, lambda case, habit=habit: habit in case.habits)  # type: ignore[misc]
-    for excitation in (*EXCITATIONS, *FLIGHTS):
-        row(excitation, lambda case, e=excitation: case.excitation == e)  # type: ignore[misc]
-    row("all", lambda case: True)
-    lines.append("")
-    for case, alarms in answers.items():
-        for kind, text in alarms:
-            lines.append(
-                f"- {case.name} {case.excitation}, {'+'.join(case.habits)}, {1 / case.dt:g} Hz: {kind}: {text[:400]}"
-            )
-    return "\n".join(lines)
-
-
 def main() -> None:
-    """Write and read what was not read yet, and judge."""
+    """Write the logs that are not there yet."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--seed", type=int, required=True, help="seed of the logs")
     parser.add_argument("--out", type=Path, required=True, help="folder to write into")
-    parser.add_argument("--systems", nargs="+", default=["mass_spring_damper", "cartpole", "quadrotor"])
+    parser.add_argument("--systems", nargs="+", default=SYSTEMS)
     parser.add_argument("--repeats", type=int, default=1, help="logs of each excitation and habit")
-    parser.add_argument("--again", nargs="*", default=None, help="read these again; none named: all")
-    parser.add_argument("--judge", action="store_true", help="judge what is there")
     given = parser.parse_args()
-    plan = cases(given.seed, given.systems, given.repeats)
-    (given.out / "answers").mkdir(parents=True, exist_ok=True)
-    for case in () if given.judge else plan:
-        answer = given.out / "answers" / f"{case.name}.json"
-        asked = given.again is not None and (not given.again or case.name in given.again)
-        if answer.is_file() and not asked:
-            continue
-        if not (given.out / "data" / case.name).is_dir():
+    for case in cases(given.seed, given.systems, given.repeats):
+        if not (given.out / "data" / case.name / f"run_{RUNS - 1}.csv").is_file():
             write(case, given.out)
-        said = read(case, given.out)
-        answer.write_text(json.dumps(said), encoding="utf-8")
-        alarms = [kind for kind, _ in false_alarms(case, said["found"])]
-        print(
-            f"{case.name} {case.excitation}, {'+'.join(case.habits)}: {alarms or 'silent'} {said['seconds']:.1f} s",
-            flush=True,
-        )
-    print(table(plan, given.out))
+            print(case.name, flush=True)
 
 
 if __name__ == "__main__":

@@ -252,7 +252,7 @@ def _noisy_behind(
 
     A motion that ends at some frequency (inputs of a few waves) falls as if smoothed, down to the sensor's noise.
     """
-    by_digits = 2.0 * seen.dt * float(_rounded(sensor, runs).max())
+    by_digits = 2.0 * seen.dt * float(_rounded(sensor, runs, least=True).max())
     beyond = seen.f > smoother.falls_to(0.5)
     if not beyond.any():
         return False
@@ -271,10 +271,17 @@ def _rounding(seen: Spectra, smoother: Smoother, sensor: SensorGroup, runs: Sequ
     return bool((squares < _NO_MORE * _rounded(sensor, runs)).any())
 
 
-def _rounded(sensor: SensorGroup, runs: Sequence[Run]) -> Array:
-    """Mean squares (C,) of what the grain of a sensor's columns rounds off; a rotation is twice a quaternion's part."""
+def _rounded(sensor: SensorGroup, runs: Sequence[Run], *, least: bool = False) -> Array:
+    """Mean squares (C,) of what the grain of a sensor's columns rounds off; a rotation is twice a quaternion's part.
+
+    Args:
+        sensor: The sensor.
+        runs: Recordings.
+        least: Of the values that come in the least steps, where they were written with significant digits.
+    """
     x = np.concatenate([np.asarray(run.x[:, list(sensor.columns)]) for run in runs])
-    squares = np.array([np.square(grains(column)).mean() for column in x.T]) / 12.0
+    steps = [grains(column) for column in x.T]
+    squares = np.array([np.square(s).min() if least else np.square(s).mean() for s in steps]) / 12.0
     return np.full(3, 4.0 * float(squares.max())) if sensor.turns else squares
 
 

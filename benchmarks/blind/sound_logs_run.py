@@ -25,10 +25,11 @@ import numpy as np
 from sound_logs import EXCITATIONS, FLIGHTS, HABITS, SYSTEMS, Case, cases
 
 TRUE = {
+    "3 decimals": {"quaternion_norm"},
+    "4 digits": {"quaternion_norm"},
     "jitter": {"non_uniform_step"},
     "wrap": {"angle_wrap"},
     "tacho": {"late_sensor"},
-    "none": set(),
 }
 """Findings that are so, by habit."""
 BENIGN = {"rank_deficient_inputs", "interventions", "constant_input"}

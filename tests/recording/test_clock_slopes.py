@@ -37,4 +37,4 @@ def test_what_quadrature_leaves_is_in_the_error(hertz: float) -> None:
 def test_a_wrong_clock_is_still_measured_in_noise() -> None:
     found = slope(0.9, noise=0.05, clock=1.05)
     assert found.value == pytest.approx(1.05, abs=3.0 * found.error)
-    assert found.error < 0.01
+    assert found.error < 0.02

@@ -298,21 +298,20 @@ def _apart(system: System, runs: Sequence[Run], sensor: SensorGroup, smoother: S
                     parts.append((change, integral))
     if not parts:
         return 0.0
-    spectra = [
+    apart, places, integrals = (
         smoothers.spectra_of(some, dt)
         for some in ([c - i for c, i in parts], [c for c, _ in parts], [i for _, i in parts])
-    ]
-    if spectra[0] is None or spectra[1] is None or spectra[2] is None:
+    )
+    if apart is None or places is None or integrals is None:
         return 0.0
-    level = np.abs(smoother.response(spectra[0].f))
+    level = np.abs(smoother.response(apart.f))
     band = (level < 0.7) & (level > 0.03)
     if band.sum() < 3:
         return 0.0
-    own, other = (
-        s.power[:, band] for s in (spectra[2 if sensor.rates else 1], spectra[1 if sensor.rates else 2])
-    )
-    both = 0.5 * (own + other - spectra[0].power[:, band])
-    heard = other < _DROWNED * spectra[0].windows * own
+    pair = (integrals, places) if sensor.rates else (places, integrals)
+    own, other = (seen.power[:, band] for seen in pair)
+    both = 0.5 * (own + other - apart.power[:, band])
+    heard = other < _DROWNED * apart.windows * own
     share = 1.0 - both / np.maximum(own, 1e-300)
     return float(np.median(share[heard])) if heard.sum() >= 3 else 0.0
 

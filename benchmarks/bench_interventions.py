@@ -256,7 +256,7 @@ def table(rows: Sequence[Mapping[str, Any]], system: str) -> str:
 
 
 def _parameters(mine: Sequence[Mapping[str, Any]], system: str, names: Sequence[str]) -> list[str]:
-    """Declared parameters: mean over the seeds, and how many of the 90 % intervals hold the truth."""
+    """Declared parameters: mean over the seeds, and how many of the 90 % intervals that are given hold the truth."""
     truth = {k: v[0].flatten().tolist() for k, v in make_plant_system(system).all_declared().items()}
     head = ["| parameter | truth | " + " | ".join(names) + " |", "|---" * (2 + len(names)) + "|"]
     lines = []
@@ -269,12 +269,11 @@ def _parameters(mine: Sequence[Mapping[str, Any]], system: str, names: Sequence[
                     cells.append("-")
                     continue
                 own = np.array([f["value"][i] for f in found])
-                half = np.array([f["half_width_90"][i] for f in found if f.get("half_width_90") is not None])
-                held = (
-                    f", {int((np.abs(own - value) <= half).sum())} of {len(own)}"
-                    if len(half) == len(own)
-                    else ""
-                )
+                halves = [(f.get("half_width_90") or [None] * len(values))[i] for f in found]
+                given = [
+                    abs(v - value) <= h for v, h in zip(own.tolist(), halves, strict=True) if h is not None
+                ]
+                held = f", {sum(given)} of {len(given)}" if given else ""
                 cells.append(f"{own.mean():.3g}{held}")
             label = key if len(values) == 1 else f"{key}[{i}]"
             lines.append(f"| {label} | {value:.3g} | " + " | ".join(cells) + " |")

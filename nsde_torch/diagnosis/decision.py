@@ -104,7 +104,7 @@ def decide(search: Search, chosen: Selection, kept: Retained, feedback: Feedback
         variables = variables_of(search, base)
         after = dependences(base.regression, variables)
     levels = search.levels(*(["effects"] if found else []))
-    left = beyond_chance(after, allowances_of_tests(tested), alpha=levels["structure"])
+    left = _left(base, after, tested, levels["structure"])
     explained = base.score.fitted - declared.score.fitted
     rest = max((d.excess for d in left), default=0.0)
     if found and explained < search.decisions.negligible_share * rest:
@@ -113,7 +113,7 @@ def decide(search: Search, chosen: Selection, kept: Retained, feedback: Feedback
         found, base, variables = [], declared, declared_variables
         tested = feedback.test(base.regression)
         levels = search.levels()
-        left = beyond_chance(before, allowances_of_tests(tested), alpha=levels["structure"])
+        left = _left(base, before, tested, levels["structure"])
     brought = nats_by_channel(declared.regression, base.regression)
     found = [replace(f, moves=moved_channels(base.regression, f.name)) for f in found]
     return Outcome(
@@ -141,6 +141,13 @@ def decide(search: Search, chosen: Selection, kept: Retained, feedback: Feedback
         hangs=feedback.hangs(base.regression),
         levels=levels,
         decisions=search.decisions,
+    )
+
+
+def _left(base: Base, tests: Sequence[Dependence], tested: LoopTest, alpha: float) -> list[Dependence]:
+    """Structure in what the physics leaves; what arithmetic leaves has some, and means nothing."""
+    return (
+        [] if base.regression.arithmetic else beyond_chance(tests, allowances_of_tests(tested), alpha=alpha)
     )
 
 

@@ -58,14 +58,15 @@ def forward_selection(
     lent: set[str] = set()
     while len(names) < search.decisions.most_effects:
         now = look(search, base)
-        short = below_a_step(search, now.trials)
+        exact = base.regression.arithmetic
+        short = None if exact else below_a_step(search, now.trials)
         if short is not None:
             aside.append(short.name)
             base = search.grown(short.regression)
             with_it = declared.system.with_effects(effect_of(base.system, short.name))
             declared = search.base(with_it, warm=True, like=declared.regression) if names else base
             continue
-        chosen = choice(search, now.trials, names)
+        chosen = None if exact else choice(search, now.trials, names)
         if chosen is not None and chosen.name not in lent:
             lent.add(chosen.name)
             better = _better_start(search, base, chosen, names)

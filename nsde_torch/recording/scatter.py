@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 _CURVE = 1.39  # what a cubic leaves of white noise, over its standard deviation
+_DIGITS, _SOME = 8, 2000  # most significant digits that are few, and values that are looked at
 
 
 def off_curve(x: Array) -> Array:
@@ -30,7 +31,34 @@ def white(x: Array) -> float:
 
 
 def quantum(x: Array) -> float:
-    """Smallest distance of two values of a column [its unit], beyond the rounding of floats."""
+    """The step that values of a column come in [its unit]; the median of `grains`, 0 where there is none."""
+    all_of = grains(x)
+    return float(np.median(all_of)) if len(all_of) else 0.0
+
+
+def grains(x: Array) -> Array:
+    """The step that each value of a column comes in [its unit]: the smallest distance of two, beyond floats' rounding.
+
+    Where values were written with some significant digits the smallest of them come in smaller steps than the others;
+    it is then the last digit of each.
+
+    Args:
+        x: Values (n,), without missing ones.
+
+    Returns:
+        Steps (n,).
+    """
     steps = np.diff(np.unique(x))
-    steps = steps[steps > 1e-9 * max(float(np.abs(x).max()), 1e-300)]
-    return float(steps.min()) if len(steps) else 0.0
+    steps = steps[steps > 1e-9 * max(float(np.abs(x).max(initial=0.0)), 1e-300)]
+    if not len(steps):
+        return np.zeros_like(x)
+    size = np.abs(x)
+    place = np.floor(np.log10(np.maximum(size, 1e-300)))
+    some = np.flatnonzero(size > 0)
+    some = some[:: max(1, len(some) // _SOME)]
+    for digits in range(1, _DIGITS + 1):
+        last = 10.0 ** (place - digits + 1)
+        off = size[some] / last[some]
+        if (np.abs(off - np.round(off)) < 1e-3 * 10.0 ** (digits - _DIGITS)).all():
+            return np.maximum(last, float(steps.min()))
+    return np.full_like(x, float(steps.min()))

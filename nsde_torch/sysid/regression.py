@@ -49,6 +49,7 @@ _ORDERS_S, _ORDERS = 0.4, 40  # longest autoregression [s], [steps]
 _SETTLED = 0.02  # standard errors
 _ROUGH = 8  # steps with the law of sensor noise alone, at most
 _ROUNDING = 1e-4  # of the measured changes: below that there is no noise to speak of
+_ARITHMETIC = 1e-5  # of the measured changes: what integrators and the digits of a log leave of exact physics
 _BLOCK_S = (0.5, 2.0)  # shortest and longest block of the covariance [s]
 _BLOCKS = 100
 
@@ -248,6 +249,12 @@ class Regression:
         measured = self.single.summed(self.physics.measured, self.box)[:, self.rows]
         left = np.array([n.std for n in self.noises])
         return bool((left <= _ROUNDING * np.sqrt(np.square(measured).mean(0))).all())
+
+    @property
+    def arithmetic(self) -> bool:
+        """Whether the physics leaves no more than arithmetic does; of a simulation without noise nothing is missing."""
+        measured, left = (values[:, self.rows] for values in (self.physics.measured, self.residual))
+        return bool((np.square(left).mean(0) <= _ARITHMETIC**2 * np.square(measured).mean(0)).all())
 
     def _size(self, residual: Array) -> float:
         pairs = zip(self.noises, self.rows, strict=True)

@@ -31,6 +31,7 @@ from nsde_torch.data.kinematics import ATTITUDE, axis_groups
 from nsde_torch.data.quaternion import conjugate, multiply, rotation_vector
 from nsde_torch.data.system_info import derivative_columns, rate_columns
 from nsde_torch.recording import smoothers
+from nsde_torch.recording.scatter import grains
 from nsde_torch.recording.smoothers import Likely, Smoother, Spectra, SpectrumFit
 from nsde_torch.rotation import turned
 from nsde_torch.sysid import signals
@@ -48,6 +49,8 @@ DIGITS = 10.0
 SOUND = 0.4
 """Share by which spectra may differ from the best fit (root mean square, beyond chance) and states be restored."""
 _CHANCE = 0.5  # deviance per bin by chance
+_DROWNED = 0.1  # of the windows: times that a partner is larger, to which what both hold shows (error 0.3)
+_NO_MORE = 2.0  # times what rounding makes, up to which nothing else is seen
 ALIKE = 0.3
 """Deviance that a sensor may lose by being fitted together with others."""
 APART = 0.5
@@ -162,6 +165,8 @@ def smoothed_states(runs: Sequence[Run], system: System, clock: float = 1.0) -> 
             continue
         if any(_noisy_behind(odd[k], one, k, runs) for k, one in zip(sensors, fits, strict=True)):
             continue
+        if any(_rounding(odd[k], smoother, k, runs) for k in sensors):
+            continue
         apart = [_apart(system, runs, sensor, smoother, dt) for sensor in sensors]
         if not max(apart) > APART:
             regression = regression or rough_fit(system, runs, clock, levels=False)
@@ -244,22 +249,41 @@ def _noisy_behind(seen: Spectra, one: SpectrumFit, sensor: SensorGroup, runs: Se
 
     A motion that ends at some frequency (inputs of a few waves) falls as if smoothed, down to the sensor's noise.
     """
-    x = np.concatenate([np.asarray(run.x[:, list(sensor.columns)]) for run in runs])
-    quantum = max(_quantum(column) for column in x.T)
-    by_digits = 2.0 * seen.dt * quantum**2 / 12.0 * (4.0 if sensor.turns else 1.0)
-    louder = one.rounding > np.maximum(np.median(one.noise, axis=1), DIGITS * by_digits)
+    by_digits = 2.0 * seen.dt * _rounded(sensor, runs, least=True)
+    louder = one.rounding > np.maximum(np.median(one.noise, axis=1), DIGITS * by_digits.max())
     return bool(louder.any())
 
 
-def _quantum(values: Array) -> float:
-    """The least step between values (N,), rounding of the arithmetic apart."""
-    steps = np.diff(np.unique(values))
-    steps = steps[steps > 1e-10 * max(float(np.ptp(values)), 1e-300)]
-    return float(steps.min()) if len(steps) else 0.0
+def _rounding(seen: Spectra, smoother: Smoother, sensor: SensorGroup, runs: Sequence[Run]) -> bool:
+    """Whether all that is seen where a smoother falls is no more than rounding makes of the raw motion.
+
+    The rounding of a slow motion, as that of an encoder, is no white noise: it is a saw of the grain, whose spectrum
+    falls too. Of whatever colour, its mean square is a twelfth of that of the grain.
+    """
+    beyond = seen.f > smoother.falls_to(BEGINS)
+    squares = seen.power[:, beyond].sum(1) * float(seen.f[1] - seen.f[0])
+    return bool((squares < _NO_MORE * _rounded(sensor, runs)).any())
+
+
+def _rounded(sensor: SensorGroup, runs: Sequence[Run], *, least: bool = False) -> Array:
+    """Mean squares (C,) of what the grain of a sensor's columns rounds off; a rotation is twice a quaternion's part.
+
+    Args:
+        sensor: The sensor.
+        runs: Recordings.
+        least: Of the values that come in the least steps, where they were written with significant digits.
+    """
+    x = np.concatenate([np.asarray(run.x[:, list(sensor.columns)]) for run in runs])
+    steps = [grains(column) for column in x.T]
+    squares = np.array([np.square(s).min() if least else np.square(s).mean() for s in steps]) / 12.0
+    return np.full(3, 4.0 * float(squares.max())) if sensor.turns else squares
 
 
 def _apart(system: System, runs: Sequence[Run], sensor: SensorGroup, smoother: Smoother, dt: float) -> float:
-    """Share in which changes of positions and integrals of rates differ where a smoother falls; 0 without a pair."""
+    """Share of a sensor that its partner in the kinematics does not know of, where a smoother falls; 0 without one.
+
+    Of changes of positions and integrals of rates. Where the noise of the partner drowns it, the partner cannot say.
+    """
     parts: list[tuple[Array, Array]] = []
     for run in runs:
         for a, b in run.segments:
@@ -268,18 +292,22 @@ def _apart(system: System, runs: Sequence[Run], sensor: SensorGroup, smoother: S
                     parts.append((change, integral))
     if not parts:
         return 0.0
-    spectra = [
+    apart, places, integrals = (
         smoothers.spectra_of(some, dt)
         for some in ([c - i for c, i in parts], [c for c, _ in parts], [i for _, i in parts])
-    ]
-    if spectra[0] is None or spectra[1] is None or spectra[2] is None:
+    )
+    if apart is None or places is None or integrals is None:
         return 0.0
-    level = np.abs(smoother.response(spectra[0].f))
+    level = np.abs(smoother.response(apart.f))
     band = (level < 0.7) & (level > 0.03)
     if band.sum() < 3:
         return 0.0
-    share = spectra[0].power / np.maximum(spectra[1].power + spectra[2].power, 1e-300)
-    return float(np.median(share[:, band]))
+    pair = (integrals, places) if sensor.rates else (places, integrals)
+    own, other = (seen.power[:, band] for seen in pair)
+    both = 0.5 * (own + other - apart.power[:, band])
+    heard = other < _DROWNED * apart.windows * own
+    share = 1.0 - both / np.maximum(own, 1e-300)
+    return float(np.median(share[heard])) if heard.sum() >= 3 else 0.0
 
 
 def _nats(regression: Regression, sensors: Sequence[SensorGroup], smoother: Smoother) -> float:

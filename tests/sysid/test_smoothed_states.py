@@ -155,3 +155,29 @@ def hanging_carts(seed: int) -> list[RawRun]:
 def test_a_motion_that_ends_with_its_inputs_is_not_taken_for_a_smoothed_one() -> None:
     """Behind the filter that was named, white noise would be a thousand times louder than the sensor's before it."""
     assert told(read(hanging_carts(1), system="cartpole")) == []
+
+
+def coarse(*, noisy: bool) -> list[RawRun]:
+    """A spring with an encoder of 4096 steps a turn: beside a noisy rate, or one without noise."""
+    rng = np.random.default_rng(2)
+    out = []
+    dt, n, sub, grain = 0.002, 8000, 2, 2.0 * np.pi / 4096.0
+    for name in ("a", "b", "c"):
+        knots = np.cumsum(rng.uniform(0.8, 3.0, 30))
+        u = np.interp(dt * np.arange(n), knots, rng.uniform(-1.8, 1.8, 30))
+        x = np.zeros((n, 2))
+        q, v = 0.0, 0.0
+        for k in range(n):
+            x[k] = q, v
+            for _ in range(sub):
+                v += 0.001 * (u[k] - STIFFNESS * q - DAMPING * v)
+                q += 0.001 * v
+        x[:, 0] = grain * np.round(x[:, 0] / grain)
+        x[:, 1] += 0.01 * rng.standard_normal(n) if noisy else 0.0
+        out.append(RawRun(name, dt * np.arange(n), x, u[:, None]))
+    return out
+
+
+@pytest.mark.parametrize("noisy", [True, False])
+def test_the_saw_of_an_encoder_and_a_rate_without_noise_are_no_smoother(noisy: bool) -> None:
+    assert not told(read(coarse(noisy=noisy), system="mass_spring_damper"))

@@ -11,59 +11,21 @@ Butterworth filter at 100 Hz, central differences, and every `--step` the states
 """
 
 import argparse
-from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, final
+from typing import Any
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from scipy.signal import butter, filtfilt
-from torch import Tensor
 
 import nsde_torch
-from nsde_torch.data.raw import RawRun
-from nsde_torch.effects import Parameter, Port
+from nsde_torch.public_benchmarks.emps import PositioningDrive, filtered_log
 from nsde_torch.recording.checks import assemble
-from nsde_torch.systems import Defaults, ErrorGroup, ResidualPort, System
 
 Array = NDArray[np.float64]
 
 STEP, CONTROL = 5e-5, 1e-3
 WITHIN = 0.02
-
-
-@final
-class Drive(System):
-    """A carriage that a force drives along a rail: viscous friction is declared."""
-
-    name = "drive"
-    state_names = ("q", "q_dot")
-    state_units = ("m", "m/s")
-    input_names = ("force",)
-    input_units = ("N",)
-    position_derivatives = (("q", "q_dot", "world"),)
-    sensor_noise = True
-    declared = ("viscous_friction",)
-    ports = {Port.FORCE: 1}
-    residual_ports = {Port.FORCE: ResidualPort(1, 0.5, "m/s2")}
-    PARAMETERS = {"force_gain": Parameter(0.05, "1/kg", low=0.0, help="1 / mass")}
-    defaults = Defaults(0.02, 25, (0.001, 0.05), 0.1, 1.0, "euler_maruyama")
-    error_names = state_names
-    error_groups = (ErrorGroup("position", (0,), "m"), ErrorGroup("velocity", (1,), "m/s"))
-    feature_names = ("q_dot",)
-    feature_units = ("m/s",)
-
-    def dynamics(self, t: float | Tensor, x: Tensor, u: Tensor, forces: Mapping[Port, Tensor]) -> Tensor:
-        """Rate (N, 2) of the states (N, 2)."""
-        acceleration = self.value("force_gain") * u
-        if Port.FORCE in forces:
-            acceleration = acceleration + forces[Port.FORCE]
-        return torch.cat((x[:, 1:], acceleration), 1)
-
-    def features(self, x: Tensor) -> Tensor:
-        """The velocity (N, 1)."""
-        return x[:, 1:]
 
 
 @dataclass(frozen=True)
@@ -126,18 +88,6 @@ def recorded(truth: Truth, rng: np.random.Generator, seconds: float = 25.0) -> t
     return t, log[:, 0], log[:, 1]
 
 
-def as_logged(t: Array, q: Array, force: Array, step: float) -> RawRun:
-    """The log as a user makes it: filtered, differentiated, and the mean force of every step."""
-    a, b = butter(4, 100.0 / 500.0)
-    smooth = filtfilt(a, b, q)
-    v = np.gradient(smooth, CONTROL)
-    n = round(step / CONTROL)
-    rows = np.arange(50, len(t) - 50, n)
-    mean = np.array([force[k : k + n].mean() for k in rows])
-    x = np.stack((smooth[rows], v[rows]), 1)
-    return RawRun("drive", t[rows], x, mean[:, None])
-
-
 def readings(found: Any) -> dict[str, tuple[float, float, float]]:
     """Value and ends of its interval of gain, viscous, dry friction and offset, over mass; nan where not named."""
     out = {}
@@ -180,8 +130,10 @@ def main() -> None:
     for number in range(arguments.count):
         rng = np.random.default_rng((arguments.seed, number))
         truth = drawn(rng)
-        run = as_logged(*recorded(truth, rng), arguments.step)
-        found = nsde_torch.diagnose(assemble([run], Drive(), kind="simulated"), system=Drive)
+        run = filtered_log(*recorded(truth, rng), step=arguments.step)
+        found = nsde_torch.diagnose(
+            assemble([run], PositioningDrive(), kind="simulated"), system=PositioningDrive
+        )
         m = truth.mass
         true = {"force_gain": 1 / m, "viscous_friction.damping": truth.viscous / m}
         true |= {"dry": truth.dry / m, "offset": truth.offset / m}

@@ -11,36 +11,25 @@ from typing import Any
 from omegaconf import DictConfig, OmegaConf
 
 from nsde_torch.data import Run
-from nsde_torch.diagnosis.files import EFFECTS, RESULT
-from nsde_torch.effects import files as effects_files
+from nsde_torch.diagnosis.files import RESULT
 from nsde_torch.errors import ConfigError, DataError
-from nsde_torch.systems import System
 
 from . import build, effects_file
+from .known_machine import KnownMachine, faults_of_sensors, known_machine
 
 CONFIG = ".hydra/config.yaml"
 
 
 @dataclass(frozen=True)
-class Diagnosed:
+class Diagnosed(KnownMachine):
     """A diagnosis, found again.
 
     Args:
-        folder: Where it is.
         content: Content of `diagnosis.json`.
-        system: Declared system.
-        runs: Runs that were looked at.
-        clock: Physical seconds per logged second.
-        values: Effects that were found, with values.
         data: Configuration of the data.
     """
 
-    folder: Path
     content: Mapping[str, Any]
-    system: System
-    runs: Sequence[Run]
-    clock: float
-    values: Mapping[str, Any]
     data: DictConfig
 
 
@@ -65,29 +54,21 @@ def diagnosed(folder: Path, moved: str | None) -> Diagnosed:
     effects_file.expand(config.system)
     system = build.system(config.system)
     data = config.data
-    for finding in content["findings"]:  # what sensors do is undone before any physics
-        if finding["kind"] == "recording" and finding["name"] in data:
-            values = {
-                k.partition(".")[2]: v["value"]
-                for k, v in content["parameters"].items()
-                if k.startswith(f"{finding['name']}.")
-            }
-            data[finding["name"]] = {**build.options(data)[finding["name"]], **values}
+    faults = faults_of_sensors(content)
+    for name, values in faults.items():  # what sensors do is undone before any physics
+        if name in data:
+            data[name] = {**build.options(data)[name], **values}
     if moved is not None:
         data.path = moved
     all_runs = build.dataset(data, system)
     recorded = content["data"].get("fingerprint")
-    plain = not any(f["kind"] == "recording" for f in content["findings"])
-    if plain and recorded is not None and all_runs.fingerprint != recorded:
+    if not faults and recorded is not None and all_runs.fingerprint != recorded:
         raise DataError(
             f"{data.get('path', 'the data')} holds other runs than those that {folder} was made of. Say where they are "
             "(runs=FOLDER), or diagnose again."
         )
-    names = set(content["data"]["runs"])
-    runs = [run for run in all_runs.runs if run.name in names]
-    values = effects_files.read(folder / EFFECTS)[1] if (folder / EFFECTS).is_file() else {}
-    clock = float(content["data"].get("clock_scale") or 1.0)
-    return Diagnosed(folder, content, system, runs, clock, values, data)
+    known = known_machine(folder, content, system, all_runs)
+    return Diagnosed(known.system, known.runs, known.clock, known.values, content, data)
 
 
 def flown_runs(known: Diagnosed, path: str) -> Sequence[Run]:

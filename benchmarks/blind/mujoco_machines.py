@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -200,20 +201,18 @@ Kind = Callable[[np.random.Generator], tuple[Machine, dict[str, float]]]
 """Draws a machine; the truth is names of effects, or of their parameters, with values (nan: no value of ours)."""
 
 
-def _rail(attribute: str, low: float, high: float, name: str) -> Kind:
+def _joint(joint: str, over: float, attribute: str, low: float, high: float, name: str) -> Kind:
+    """An attribute of a joint; as the package tells it, it is over the mass or the inertia."""
+
     def make(rng: np.random.Generator) -> tuple[Machine, dict[str, float]]:
         size = float(rng.uniform(low, high))
-        return Machine(model={"rail": f'{attribute}="{size}"'}), {name: size / CartOnRail.total}
+        return Machine(model={joint: f'{attribute}="{size}"'}), {name: size / over}
 
     return make
 
 
-def _pivot(attribute: str, low: float, high: float, name: str) -> Kind:
-    def make(rng: np.random.Generator) -> tuple[Machine, dict[str, float]]:
-        size = float(rng.uniform(low, high))
-        return Machine(model={"pivot": f'{attribute}="{size}"'}), {name: size / CartOnRail.inertia}
-
-    return make
+_rail = partial(_joint, "rail", CartOnRail.total)
+_pivot = partial(_joint, "pivot", CartOnRail.inertia)
 
 
 def _slow(name: str, low: float, high: float) -> Kind:

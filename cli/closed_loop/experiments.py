@@ -34,8 +34,9 @@ from nsde_torch.diagnosis.files import RESULT as DIAGNOSED
 from nsde_torch.errors import ConfigError, DataError
 
 from .. import build
+from ..known_machine import KnownMachine
 from ..stages import Stages
-from .logs import KnownMachine, diagnosis_content, known_machine, log_files, read_logs
+from .logs import diagnosis_content, log_files, machine_in, read_logs
 from .told import asked, entry_of, expected_nats, experiment_lines, too_little
 
 FLIGHT, OBTAINED, REFUSED = "flight.json", "obtained.json", "refused.json"
@@ -102,7 +103,7 @@ def run_experiments(loop: ExperimentLoop, diagnosis: Path) -> tuple[list[dict[st
             return done, settled(now), diagnosis
         place = loop.folder / f"experiment_{number}"
         place.mkdir(parents=True, exist_ok=True)
-        known = known_machine(loop.logs, diagnosis, loop.config.plant.system, loop.kind)
+        known = machine_in(loop.logs, diagnosis, loop.config.plant.system, loop.kind)
         plan = _planned(loop, place, known, open_questions(content, known.system), number)
         if isinstance(plan, StoppedLoop):
             return done, plan, diagnosis
@@ -193,7 +194,7 @@ def _designed(
     loop: ExperimentLoop, place: Path, known: KnownMachine, question: Question, number: int
 ) -> dict[str, Any] | str:
     """A plan for a question; the limit that is in the way where none stays within them."""
-    loop.say(f"\nexperiment {number}: {asked(_content(question))}")
+    loop.say(f"\nexperiment {number}: {asked(question.content())}")
     stages = Stages()
     try:
         made = design(
@@ -207,7 +208,7 @@ def _designed(
             say=stages,
         )
     except ConfigError as error:
-        return f"{asked(_content(question))} {error}"
+        return f"{asked(question.content())} {error}"
     finally:
         stages.close()
     _save(made, place)
@@ -300,11 +301,6 @@ def _other_machine(loop: ExperimentLoop, place: Path, before: Mapping[str, Any])
         f"among the others: {said[0]['sentence']}; "
         f"{said[0]['remedy']}. Put another log into {loop.logs}, and start this command again",
     )
-
-
-def _content(question: Question) -> dict[str, Any]:
-    kind = "parameters" if question.parameters else "tie"
-    return {"kind": kind, "names": list(question.names), "parameters": list(question.parameters)}
 
 
 def _flight(place: Path) -> dict[str, Any]:

@@ -6,42 +6,24 @@ All lie in one folder, and a diagnosis is of those that it names: a log that cam
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import nsde_torch
-from nsde_torch.data import DataSet, Run
+from nsde_torch.data import DataSet
 from nsde_torch.diagnosis.files import EFFECTS, REPORT, RESULT, write_content, write_effects
 from nsde_torch.diagnosis.report import write_report
 from nsde_torch.diagnosis.text import lines
 from nsde_torch.effects import files as effects_files
 from nsde_torch.errors import DataError
 from nsde_torch.recording.faults.registry import remedies
-from nsde_torch.systems import System
 from nsde_torch.systems.options import system_options
 
+from ..known_machine import KnownMachine, faults_of_sensors, known_machine
 from ..stages import Stages
 
 _HIDDEN, _RECORD = ".", ".json"
-
-
-@dataclass(frozen=True)
-class KnownMachine:
-    """What a diagnosis knows of a machine.
-
-    Args:
-        system: Declared system.
-        runs: Runs that were looked at.
-        clock: Physical seconds per logged second.
-        values: Effects that were found, with values.
-    """
-
-    system: System
-    runs: Sequence[Run]
-    clock: float
-    values: Mapping[str, Any]
 
 
 def log_files(folder: Path, name: str = "") -> list[Path]:
@@ -73,21 +55,16 @@ def read_logs(
         raise DataError(
             f"{folder} holds logs of several kinds ({', '.join(kinds)}): keep those of one kind there."
         )
-    faults: dict[str, Any] = {} if content is None else _faults(content)
+    known = {} if content is None else faults_of_sensors(content)
+    faults: dict[str, Any] = {name: values for name, values in known.items() if name in remedies()}
     return nsde_torch.read(folder, system=system, kind=kind, **faults)
 
 
-def known_machine(folder: Path, diagnosis: Path, system: str, kind: str | None) -> KnownMachine:
+def machine_in(folder: Path, diagnosis: Path, system: str, kind: str | None) -> KnownMachine:
     """What a diagnosis in a folder knows, with the runs that it looked at."""
     content = diagnosis_content(diagnosis)
-    names = set(content["data"]["runs"])
     data = read_logs(folder, system, kind, content)
-    return KnownMachine(
-        system_options(system).make(),
-        [run for run in data.runs if run.name in names],
-        float(content["data"].get("clock_scale") or 1.0),
-        effects_files.read(diagnosis / EFFECTS)[1],
-    )
+    return known_machine(diagnosis, content, system_options(system).make(), data)
 
 
 def diagnosis_content(folder: Path) -> dict[str, Any]:
@@ -129,16 +106,3 @@ def effects_found(diagnosis: Path) -> list[Any]:
     """Effects that a diagnosis found, with values."""
     _, effects = effects_files.read(diagnosis / EFFECTS)
     return [{name: given} for name, given in effects.items()]
-
-
-def _faults(content: Mapping[str, Any]) -> dict[str, dict[str, float]]:
-    out: dict[str, dict[str, float]] = {}
-    for finding in content["findings"]:
-        if finding.get("kind") == "recording" and finding["name"] in remedies():
-            prefix = f"{finding['name']}."
-            out[finding["name"]] = {
-                label.removeprefix(prefix): p["value"]
-                for label, p in content["parameters"].items()
-                if label.startswith(prefix)
-            }
-    return out

@@ -124,19 +124,12 @@ class Experiment:
 
     def content(self) -> dict[str, Any]:
         """What `design.json` holds."""
-        names, units = self.question.names, self.units
-        tie = not self.question.parameters
+        units = self.units
         use = np.max([r.use.max(0) for r in self.plan.rehearsed], axis=0)
         return {
             "schema": "nsde_torch.design/1",
             "system": self.system.name,
-            "question": {
-                "kind": "tie" if tie else "parameters",
-                "members": [list(m) for m in self.question.members],
-                "names": list(names),
-                "parameters": list(self.question.parameters),
-                "notes": list(self.question.notes),
-            },
+            "question": self.question.content(),
             "plan": {
                 "file": "plan.csv",
                 "columns": ["t", *self.given],

@@ -34,6 +34,21 @@ class Question:
     notes: tuple[str, ...] = ()
 
     @property
+    def kind(self) -> str:
+        """`tie`, or `parameters`."""
+        return "parameters" if self.parameters else "tie"
+
+    def content(self) -> dict[str, Any]:
+        """What files say of it."""
+        return {
+            "kind": self.kind,
+            "members": [list(m) for m in self.members],
+            "names": list(self.names),
+            "parameters": list(self.parameters),
+            "notes": list(self.notes),
+        }
+
+    @property
     def names(self) -> tuple[str, ...]:
         """What the members are called: their effects, without those that all have."""
         shared = set.intersection(*(set(m) for m in self.members)) if len(self.members) > 1 else set()

@@ -14,11 +14,9 @@ from pathlib import Path
 from typing import Any, final
 
 import numpy as np
-import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from nsde_torch.api.diagnosing import diagnose
 from nsde_torch.data.raw import RawRun
 from nsde_torch.effects import Parameter, Port
 from nsde_torch.errors import DataError
@@ -30,10 +28,10 @@ from nsde_torch.public_benchmarks.benchmark import (
     Trace,
 )
 from nsde_torch.public_benchmarks.files import found, long_enough, matrices
-from nsde_torch.public_benchmarks.named import parameters_of, words_of
+from nsde_torch.public_benchmarks.named import diagnosed, words_of
 from nsde_torch.public_benchmarks.output_error import output_error, simulated, windows
 from nsde_torch.public_benchmarks.work import Work
-from nsde_torch.systems import Defaults, ErrorGroup, ResidualPort, System
+from nsde_torch.systems import Defaults, ErrorGroup, OneDegreeOfFreedom, ResidualPort
 from nsde_torch.systems.options import system_options
 
 Array = NDArray[np.float64]
@@ -46,7 +44,7 @@ LEAST = 2000
 
 
 @final
-class PositioningDrive(System):
+class PositioningDrive(OneDegreeOfFreedom):
     """A carriage that a force drives along a rail: viscous friction is declared."""
 
     name = "positioning_drive"
@@ -55,9 +53,7 @@ class PositioningDrive(System):
     input_names = ("force",)
     input_units = ("N",)
     position_derivatives = (("q", "q_dot", "world"),)
-    sensor_noise = True
     declared = ("viscous_friction",)
-    ports = {Port.FORCE: 1}
     residual_ports = {Port.FORCE: ResidualPort(1, 0.5, "m/s2")}
     PARAMETERS = {"force_gain": Parameter(0.05, "1/kg", low=0.0, help="1 / mass")}
     defaults = Defaults(0.005, 25, (0.001, 0.05), 0.1, 1.0, "euler_maruyama")
@@ -65,13 +61,6 @@ class PositioningDrive(System):
     error_groups = (ErrorGroup("position", (0,), "m"), ErrorGroup("velocity", (1,), "m/s"))
     feature_names = ("q_dot",)
     feature_units = ("m/s",)
-
-    def dynamics(self, t: float | Tensor, x: Tensor, u: Tensor, forces: Mapping[Port, Tensor]) -> Tensor:
-        """See `System.dynamics`."""
-        acceleration = self.value("force_gain") * u
-        if Port.FORCE in forces:
-            acceleration = acceleration + forces[Port.FORCE]
-        return torch.cat((x[:, 1:], acceleration), 1)
 
     def features(self, x: Tensor) -> Tensor:
         """The velocity (N, 1)."""
@@ -123,23 +112,16 @@ class Emps(PublicBenchmark):
         """See `PublicBenchmark.run`."""
         (t, q, force), (t_test, q_test, force_test) = (_read(path) for path in paths)
 
-        def diagnosed() -> dict[str, Any]:
-            seen = diagnose([_log(t, q, force)], system=PositioningDrive, say=work.say)
-            declared = seen.content()["declared_parameters"]
-            return {
-                "effects": seen.effects,
-                "added": list(seen.added),
-                "values": {name: entry["value"] for name, entry in declared.items()},
-                "parameters": parameters_of(seen),
-            }
-
-        first = work.stage("diagnosis", diagnosed)
+        log = filtered_log(t, q, force, step=ROWS / RATE_HZ)
+        first = work.stage("diagnosis", lambda: diagnosed([log], system=PositioningDrive, say=work.say))
         machine = system_options(PositioningDrive, effects=first["effects"], parameters=first["values"])
         weights = np.array([1e4, 0.0])
 
         def fitted() -> dict[str, Any]:
             system = machine.make().double()
-            data = windows([_states(q)], [force[:, None]], dt=1 / RATE_HZ, length=WINDOW)
+            data = windows(
+                [np.stack((q, _filtered(q)[1]), 1)], [force[:, None]], dt=1 / RATE_HZ, length=WINDOW
+            )
             estimate = output_error(
                 system,
                 data,
@@ -191,23 +173,28 @@ def _read(path: Path) -> tuple[Array, Array, Array]:
     return t, q, force
 
 
-def _states(q: Array) -> Array:
-    """Position and, as first values of a search, the derivative of its zero-phase low-pass at 100 Hz."""
-    from scipy.signal import butter, filtfilt
-
-    b, a = butter(4, 100.0 / (0.5 * RATE_HZ))
-    return np.stack([q, np.gradient(filtfilt(b, a, q), 1 / RATE_HZ)], 1)
-
-
-def _log(t: Array, q: Array, force: Array) -> RawRun:
-    """The run at 200 Hz: filtered and differentiated as its authors do, with the mean force of every step."""
+def _filtered(q: Array) -> tuple[Array, Array]:
+    """Positions at 1 kHz behind a zero-phase low-pass at 100 Hz, and their derivative."""
     from scipy.signal import butter, filtfilt
 
     b, a = butter(4, 100.0 / (0.5 * RATE_HZ))
     smooth = filtfilt(b, a, q)
-    speed = np.gradient(smooth, 1 / RATE_HZ)
-    rows = np.arange(50, len(t) - 50, ROWS)
-    mean = np.array([force[k : k + ROWS].mean() for k in rows])
+    return smooth, np.gradient(smooth, 1 / RATE_HZ)
+
+
+def filtered_log(t: Array, q: Array, force: Array, *, step: float) -> RawRun:
+    """A run at 1 kHz on longer steps: filtered and differentiated as its authors do, with the mean force of every step.
+
+    Args:
+        t: Times (n,) [s].
+        q: Positions (n,) [m].
+        force: (n,) [N].
+        step: Of the log [s].
+    """
+    smooth, speed = _filtered(q)
+    width = round(step * RATE_HZ)
+    rows = np.arange(50, len(t) - 50, width)
+    mean = np.array([force[k : k + width].mean() for k in rows])
     return RawRun("emps", t[rows], np.stack((smooth[rows], speed[rows]), 1), mean[:, None])
 
 

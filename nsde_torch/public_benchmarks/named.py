@@ -5,14 +5,35 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-from nsde_torch.diagnosis.result import Diagnosis
+from nsde_torch.api.diagnosing import diagnose
+from nsde_torch.api.reading import Data
+from nsde_torch.public_benchmarks.work import Say
 
 
-def parameters_of(found: Diagnosis) -> dict[str, Any]:
-    """Value, 90 % interval and unit of the parameters found and declared, by name."""
+def diagnosed(data: Data, *, say: Say, **options: Any) -> dict[str, Any]:
+    """Diagnose runs, as plain values that a stage can keep.
+
+    Args:
+        data: The runs.
+        say: Told stage, number done and number in all.
+        options: Of `nsde_torch.diagnose`.
+
+    Returns:
+        `added` (names), `verdict`, `effects` (with values), `values` of the declared parameters, and `parameters` found
+        and declared with value, 90 % interval and unit.
+    """
+    seen = diagnose(data, say=say, **options)
+    content = seen.content()
+    declared = content["declared_parameters"]
     return {
-        name: {"value": entry["value"], "interval_90": entry["interval_90"], "unit": entry["unit"]}
-        for name, entry in {**found.content()["declared_parameters"], **found.parameters}.items()
+        "added": list(seen.added),
+        "verdict": seen.verdict,
+        "effects": seen.effects,
+        "values": {name: entry["value"] for name, entry in declared.items()},
+        "parameters": {
+            name: {key: entry[key] for key in ("value", "interval_90", "unit")}
+            for name, entry in {**declared, **content["parameters"]}.items()
+        },
     }
 
 

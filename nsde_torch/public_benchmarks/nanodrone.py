@@ -17,7 +17,6 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from nsde_torch.api.diagnosing import diagnose
 from nsde_torch.data.raw import RawRun
 from nsde_torch.errors import DataError
 from nsde_torch.public_benchmarks.benchmark import (
@@ -28,7 +27,7 @@ from nsde_torch.public_benchmarks.benchmark import (
     Trace,
 )
 from nsde_torch.public_benchmarks.files import found, long_enough, table
-from nsde_torch.public_benchmarks.named import parameters_of, words_of
+from nsde_torch.public_benchmarks.named import diagnosed, words_of
 from nsde_torch.public_benchmarks.output_error import output_error, simulated, times, windows
 from nsde_torch.public_benchmarks.work import Work
 from nsde_torch.systems.base import System
@@ -137,17 +136,16 @@ class Nanodrone(PublicBenchmark):
         runs = [_read(path) for path in paths]
         train, test = runs[: len(TRAIN) * len(RUNS)], runs[len(TRAIN) * len(RUNS) :]
 
-        def diagnosed() -> dict[str, Any]:
+        def name_effects() -> dict[str, Any]:
             logs = []
             for k in range(1, len(train), len(RUNS)):  # part of run 2 of each kind: the nine take an hour
                 x, u = (part[:NAMED_ROWS] for part in train[k])
                 logs.append(RawRun(paths[k].stem, 100.0 * k + times(len(x), STEP), x, u))
-            seen = diagnose(
+            return diagnosed(
                 logs, system="quadrotor", parameters=FIRST, candidates=CANDIDATES, max_effects=4, say=work.say
             )
-            return {"added": list(seen.added), "verdict": seen.verdict, "parameters": parameters_of(seen)}
 
-        named = work.stage("diagnosis", diagnosed)
+        named = work.stage("diagnosis", name_effects)
         values: dict[str, Any] = dict(FIRST)
         rows: dict[str, dict[str, float]] = {}
         for count in RUNGS:

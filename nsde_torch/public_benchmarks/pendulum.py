@@ -18,7 +18,6 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from nsde_torch.api.diagnosing import diagnose
 from nsde_torch.data.raw import RawRun
 from nsde_torch.effects import Parameter, Port
 from nsde_torch.errors import DataError
@@ -29,7 +28,7 @@ from nsde_torch.public_benchmarks.benchmark import (
     Trace,
 )
 from nsde_torch.public_benchmarks.files import found, long_enough, table
-from nsde_torch.public_benchmarks.named import parameters_of, words_of
+from nsde_torch.public_benchmarks.named import diagnosed, words_of
 from nsde_torch.public_benchmarks.output_error import Stretches, output_error, simulated, times, windows
 from nsde_torch.public_benchmarks.work import Work
 from nsde_torch.systems import Defaults, ErrorGroup, ResidualPort, System
@@ -111,18 +110,8 @@ class TorqueLimitedPendulum(PublicBenchmark):
         """See `PublicBenchmark.run`."""
         (x, u), (x_test, u_test) = (_read(path) for path in paths)
 
-        def diagnosed() -> dict[str, Any]:
-            log = RawRun("ddp", times(len(x), STEP), x, u)
-            seen = diagnose([log], system=MotorPendulum, say=work.say)
-            declared = seen.content()["declared_parameters"]
-            return {
-                "effects": seen.effects,
-                "added": list(seen.added),
-                "values": {name: entry["value"] for name, entry in declared.items()},
-                "parameters": parameters_of(seen),
-            }
-
-        first = work.stage("diagnosis", diagnosed)
+        log = RawRun("ddp", times(len(x), STEP), x, u)
+        first = work.stage("diagnosis", lambda: diagnosed([log], system=MotorPendulum, say=work.say))
         machine = system_options(MotorPendulum, effects=first["effects"], parameters=first["values"])
 
         def fitted() -> dict[str, Any]:

@@ -15,9 +15,7 @@ from pathlib import Path
 from typing import Any, final
 
 import numpy as np
-import torch
 from numpy.typing import NDArray
-from torch import Tensor
 
 from nsde_torch.effects import Parameter, Port
 from nsde_torch.public_benchmarks.benchmark import (
@@ -31,7 +29,7 @@ from nsde_torch.public_benchmarks.files import found, long_enough, matrices
 from nsde_torch.public_benchmarks.named import words_of
 from nsde_torch.public_benchmarks.output_error import output_error, simulated, times, windows
 from nsde_torch.public_benchmarks.work import Work
-from nsde_torch.systems import Defaults, ErrorGroup, ResidualPort, System
+from nsde_torch.systems import Defaults, ErrorGroup, OneDegreeOfFreedom, ResidualPort
 from nsde_torch.systems.options import system_options
 
 Array = NDArray[np.float64]
@@ -51,18 +49,17 @@ NORM = 1e3  # errors are in millivolts
 
 
 @final
-class SilverboxCircuit(System):
+class SilverboxCircuit(OneDegreeOfFreedom):
     """An oscillator of one degree of freedom in volts: a spring and a damper are declared."""
 
     name = "silverbox"
+    gain = "input_gain"
     state_names = ("y", "y_dot")
     state_units = ("V", "V/s")
     input_names = ("u",)
     input_units = ("V",)
     position_derivatives = (("y", "y_dot", "world"),)
-    sensor_noise = True
     declared = ("linear_spring", "viscous_friction")
-    ports = {Port.FORCE: 1}
     residual_ports = {Port.FORCE: ResidualPort(1, 1.0, "V/s2")}
     PARAMETERS = {"input_gain": Parameter(1.8e5, "1/s2", low=0.0, scale=1e4, help="gain of the input")}
     defaults = Defaults(STEP, 50, (1e-4, 0.1), 0.1, 1.0, "euler_maruyama")
@@ -70,17 +67,6 @@ class SilverboxCircuit(System):
     error_groups = (ErrorGroup("output", (0,), "V"), ErrorGroup("rate", (1,), "V/s"))
     feature_names = state_names
     feature_units = state_units
-
-    def dynamics(self, t: float | Tensor, x: Tensor, u: Tensor, forces: Mapping[Port, Tensor]) -> Tensor:
-        """See `System.dynamics`."""
-        acceleration = self.value("input_gain") * u
-        if Port.FORCE in forces:
-            acceleration = acceleration + forces[Port.FORCE]
-        return torch.cat((x[:, 1:], acceleration), 1)
-
-    def features(self, x: Tensor) -> Tensor:
-        """Output and its rate (N, 2)."""
-        return x
 
 
 @final

@@ -11,7 +11,7 @@ if TYPE_CHECKING:
     from nsde_torch.systems.machine import Excitation, Gust, Machine
     from nsde_torch.systems.machines import MACHINES, make_plant_system
     from nsde_torch.systems.multirotor import Hexacopter, Multirotor, Quadrotor
-    from nsde_torch.systems.one_dof import MassSpringDamper
+    from nsde_torch.systems.one_dof import MassSpringDamper, OneDegreeOfFreedom
     from nsde_torch.systems.options import SystemOptions
     from nsde_torch.systems.registry import SYSTEMS, make_system, system_class
 
@@ -27,6 +27,7 @@ __all__ = [
     "Machine",
     "MassSpringDamper",
     "Multirotor",
+    "OneDegreeOfFreedom",
     "Quadrotor",
     "ResidualPort",
     "System",
@@ -50,6 +51,7 @@ __getattr__ = resolver(
         "Machine": "machine",
         "MassSpringDamper": "one_dof",
         "Multirotor": "multirotor",
+        "OneDegreeOfFreedom": "one_dof",
         "Quadrotor": "multirotor",
         "ResidualPort": "constants",
         "System": "base",

@@ -12,7 +12,7 @@ import torch
 from scipy.io import savemat
 
 from nsde_torch.errors import DataError
-from nsde_torch.public_benchmarks import BENCHMARKS, nanodrone, run_benchmark, silverbox
+from nsde_torch.public_benchmarks import BENCHMARKS, named, nanodrone, run_benchmark, silverbox
 from nsde_torch.public_benchmarks.output_error import simulated
 from nsde_torch.public_benchmarks.running import listing, table
 from nsde_torch.systems.options import system_options
@@ -109,14 +109,14 @@ def test_the_nano_drone_is_read_and_scored_as_its_protocol_says(
 
     class Seen:
         added = ("flapping_moment",)
+        effects = ()
         verdict = "effect_found"
-        parameters: dict[str, Any] = {}
 
         def content(self) -> dict[str, Any]:
-            return {"declared_parameters": {}}
+            return {"declared_parameters": {}, "parameters": {}}
 
     logs = []
-    monkeypatch.setattr(nanodrone, "diagnose", lambda runs, **_: logs.extend(runs) or Seen())
+    monkeypatch.setattr(named, "diagnose", lambda runs, **_: logs.extend(runs) or Seen())
     content = run_benchmark("nanodrone", nanodrone_folder, out_dir=tmp_path)
     assert len(logs) == 3
     assert list(content["ours"]) == ["ours, rigid body", "ours, linear_drag"]

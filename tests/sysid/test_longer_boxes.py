@@ -2,59 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import replace
-from typing import Any, final
+from typing import Any
 
 import numpy as np
 import pytest
-import torch
 from scipy.signal import butter, filtfilt
-from torch import Tensor
 
 import nsde_torch
 from nsde_torch.data import DataSet, RawRun
-from nsde_torch.effects import Parameter, Port
 from nsde_torch.errors import DataError
+from nsde_torch.public_benchmarks.emps import PositioningDrive
 from nsde_torch.recording.checks import assemble
 from nsde_torch.sysid import Identification, identify_in_loop
 from nsde_torch.sysid.guard import Guarded, Objection
 from nsde_torch.sysid.longer_boxes import asks_for_longer_boxes, in_longer_boxes
-from nsde_torch.systems import Defaults, ErrorGroup, ResidualPort, System
 
 STEP = 1e-3
 GAIN, VISCOUS, DRY, PUSH = 0.02, 2.0, 0.3, 0.05
-
-
-@final
-class Axis(System):
-    """A carriage that a force drives: states q, q_dot, input force."""
-
-    name = "axis"
-    state_names = ("q", "q_dot")
-    state_units = ("m", "m/s")
-    input_names = ("force",)
-    input_units = ("N",)
-    position_derivatives = (("q", "q_dot", "world"),)
-    sensor_noise = True
-    declared = ("viscous_friction",)
-    ports = {Port.FORCE: 1}
-    residual_ports = {Port.FORCE: ResidualPort(1, 0.5, "m/s2")}
-    PARAMETERS = {"force_gain": Parameter(0.05, "1/kg", low=0.0)}
-    defaults = Defaults(0.02, 25, (0.001, 0.05), 0.1, 1.0, "euler_maruyama")
-    error_names = state_names
-    error_groups = (ErrorGroup("position", (0,), "m"), ErrorGroup("velocity", (1,), "m/s"))
-    feature_names = ("q_dot",)
-    feature_units = ("m/s",)
-
-    def dynamics(self, t: float | Tensor, x: Tensor, u: Tensor, forces: Mapping[Port, Tensor]) -> Tensor:
-        acceleration = self.value("force_gain") * u
-        if Port.FORCE in forces:
-            acceleration = acceleration + forces[Port.FORCE]
-        return torch.cat((x[:, 1:], acceleration), 1)
-
-    def features(self, x: Tensor) -> Tensor:
-        return x[:, 1:]
 
 
 def axis(seconds: float, slip: float, seed: int) -> DataSet:
@@ -75,11 +40,11 @@ def axis(seconds: float, slip: float, seed: int) -> DataSet:
     place = filtfilt(*butter(4, 0.2), np.round(log[:, 0] / 1e-6) * 1e-6)
     x = np.stack((place, np.gradient(place, STEP)), 1)[50:-50]
     run = RawRun("axis", STEP * np.arange(len(x)), x, log[50:-50, 2:])
-    return assemble([run], Axis(), kind="simulated")
+    return assemble([run], PositioningDrive(), kind="simulated")
 
 
 def identified(data: DataSet, **further: Any) -> Identification:
-    system = Axis(["coulomb_friction", "constant_force"])
+    system = PositioningDrive(["coulomb_friction", "constant_force"])
     return identify_in_loop(system, data.runs, **further)
 
 
@@ -142,7 +107,9 @@ def test_longer_boxes_are_refused_where_they_are_not_believed_either_or_do_not_f
 
 def test_a_diagnosis_searches_again_over_longer_boxes_where_only_these_are_believed() -> None:
     names = ("coulomb_friction", "constant_force", "asymmetric_friction", "cubic_stiffness")
-    found = nsde_torch.diagnose(axis(14.0, slip=5e-4, seed=3), system=Axis, candidates=list(names))
+    found = nsde_torch.diagnose(
+        axis(14.0, slip=5e-4, seed=3), system=PositioningDrive, candidates=list(names)
+    )
     assert "coulomb_friction" in found.added
     content = found.content()
     (warning,) = (w for w in content["warnings"] if w["kind"] == "longer_boxes")

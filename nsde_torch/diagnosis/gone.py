@@ -7,7 +7,8 @@ what is left, and no effect alone leads out of it: without gains a lag does noth
 In the other one gains are there, and two effects besides. So, where a declared parameter is a small part of its first
 value (`GONE` of the guard), effects are selected once more with such parameters held at their first values, and the
 parameters are free again beside what was found. That is taken where one of them stays, and the held-out
-log-likelihood is surely above that of the declared physics; else effects are selected as ever.
+log-likelihood is surely above that of the declared physics, and the selection goes on from there; else effects are
+selected as ever.
 """
 
 import copy
@@ -64,4 +65,5 @@ def _from_first_values(
     if chosen.aside:
         short = [effect_of(final.system, name) for name in chosen.aside]
         declared = search.base(declared.system.with_effects(*short), warm=True, like=declared.regression)
-    return Selection(declared, final, chosen.names, chosen.rounds, chosen.aside)
+    freed = Selection(declared, final, chosen.names, chosen.rounds, chosen.aside)
+    return forward_selection(search, declared, after=freed)

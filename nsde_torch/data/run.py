@@ -47,6 +47,8 @@ class Run:
         band: States that were smoothed before they were logged, and the frequency up to which they are restored [Hz].
         inferred: States that no sensor measured and that were inferred from positions: what is not known of them
             (standard deviation, their unit).
+        unbroken: Ranges without a gap that the segments are parts of, where rows between these were left out of a
+            regression alone: they still say what an effect with memory held. Default: none but the segments.
 
     Raises:
         ShapeError: an array has the wrong number of axes or rows.
@@ -62,6 +64,7 @@ class Run:
     extra: Mapping[str, Array] = field(default_factory=dict)
     band: Mapping[str, float] = field(default_factory=dict)
     inferred: Mapping[str, float] = field(default_factory=dict)
+    unbroken: tuple[tuple[int, int], ...] = ()
 
     def __post_init__(self) -> None:
         set_field = object.__setattr__
@@ -146,7 +149,14 @@ class Run:
         extra = {k: v[rows] for k, v in self.extra.items()}
         new = f"{self.name}[{start}:{stop}]" if name is None else name
         return replace(
-            self, name=new, t=self.t[rows], x=self.x[rows], u=self.u[rows], segments=segments, extra=extra
+            self,
+            name=new,
+            t=self.t[rows],
+            x=self.x[rows],
+            u=self.u[rows],
+            segments=segments,
+            extra=extra,
+            unbroken=(),
         )
 
 

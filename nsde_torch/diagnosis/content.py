@@ -109,6 +109,7 @@ def content(found: Diagnosis) -> dict[str, Any]:
             "duration_s": sum(run.duration for run in found.recorded.runs),
             "clock_scale": found.recorded.clock,
             "dt_s": found.data.dt,
+            "standing_share": found.explanation.standing,
             "fingerprint": found.data.fingerprint,
             "done": [str(f) for f in found.data.summary.findings],
         },

@@ -13,6 +13,7 @@ from nsde_torch.diagnosis.search import Search
 from nsde_torch.diagnosis.shape import Shape, shape
 from nsde_torch.diagnosis.views import rates
 from nsde_torch.sysid.guard import Guarded
+from nsde_torch.sysid.standing import moving
 
 
 @dataclass(frozen=True)
@@ -28,6 +29,7 @@ class Explanation:
         warned: Declared parameters that tell of a fault of the columns.
         guard: How the final physics stands beside simple fits, and what speaks against it.
         refused: What spoke against it over shorter boxes; None where these are the usual ones.
+        standing: Share of the rows that were left out because what has dry friction stands in them.
     """
 
     channels: list[ChannelResidual]
@@ -38,6 +40,7 @@ class Explanation:
     warned: tuple[Warned, ...] = ()
     guard: Guarded = field(default_factory=Guarded)
     refused: Guarded | None = None
+    standing: float = 0.0
 
 
 def explained(
@@ -67,4 +70,5 @@ def explained(
         warned=tuple(warned),
         guard=guard,
         refused=log.refused,
+        standing=moving(log.runs, log.slowest)[1] if log.slowest else 0.0,
     )

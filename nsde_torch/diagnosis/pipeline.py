@@ -32,6 +32,7 @@ from nsde_torch.diagnosis.outcome import Outcome
 from nsde_torch.diagnosis.reading import Log, read_effects, read_log
 from nsde_torch.diagnosis.result import Diagnosis
 from nsde_torch.diagnosis.search import Search
+from nsde_torch.diagnosis.standing import selected_again, tied, without_standing
 from nsde_torch.models.identified import SysidSpec
 from nsde_torch.sysid.in_loop import adopted
 from nsde_torch.sysid.result import Identification
@@ -81,6 +82,7 @@ def diagnose(
     if outcome.structured:
         say("checking the recording chain", 0, 1)
         log, search, outcome = _read_again(log, search, outcome)
+    log, search, outcome = without_standing(log, search, outcome, searched)
     log, search, outcome, guard = over_longer_boxes(log, search, outcome, searched)
     watch.lap("search")
     outcome, instrumented = _by_instruments(log, doubted(outcome, guard))
@@ -107,16 +109,17 @@ def diagnose(
     )
 
 
-def searched(log: Log, search: Search) -> Outcome:
+def searched(log: Log, search: Search, before: Outcome | None = None) -> Outcome:
     """Fit the declared physics, select effects, test what is left, and decide.
 
     Args:
         log: The log.
         search: The search in its runs.
+        before: What was concluded from other rows of them, to start from; None starts from the declared physics.
     """
     search.say("fitting the declared physics", 0, 1)
-    chosen = select(search, log.system)
-    kept = eliminate(search, chosen)
+    chosen = select(search, log.system) if before is None else selected_again(search, before)
+    kept = eliminate(search, chosen, also=() if before is None else tied(before))
     kept = set_aside(search, chosen, kept, log.feedback)
     outcome = decide(search, chosen, kept, log.feedback)
     if any(run.band for run in log.runs):  # what a smoother did to the states looks like laws of many names

@@ -1,7 +1,7 @@
 """What a diagnosis reads: runs with the logged channels that an effect could read, and options that fit the machine."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import torch
@@ -24,6 +24,7 @@ from nsde_torch.sysid.instruments import with_columns
 from nsde_torch.sysid.loop_test import LoopTest, tested
 from nsde_torch.sysid.regression import Regression
 from nsde_torch.sysid.result import Identification
+from nsde_torch.sysid.standing import moving
 from nsde_torch.systems import System
 from nsde_torch.systems.coordinates import check_pushes
 
@@ -44,6 +45,7 @@ class Log:
         say: Told stage, number done and number in all.
         box_s: Over which steps are summed [s]; None for the usual length.
         refused: What spoke against the search over the usual length, where another one is taken.
+        slowest: Speeds below which coordinates with dry friction stand, by column; rows in which one does are left out.
     """
 
     system: System
@@ -55,6 +57,7 @@ class Log:
     say: Callable[[str, int, int], None]
     box_s: float | None = None
     refused: Guarded | None = None
+    slowest: Mapping[int, float] = field(default_factory=dict)
 
     def search(self, runs: Sequence[Run]) -> Search:
         """A search in runs of the log."""
@@ -75,7 +78,7 @@ class Log:
     def _search(self, runs: Sequence[Run], *, inputs: bool, moved: bool) -> Search:
         return search_in(
             self.system,
-            runs,
+            moving(runs, self.slowest)[0] if self.slowest else runs,
             self.recorded.clock,
             self.options,
             inputs=inputs,

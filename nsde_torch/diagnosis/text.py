@@ -55,7 +55,7 @@ def lines(content: Mapping[str, Any]) -> list[str]:
         for name, c in content["residual"].items()
     ]
     head = ["residual of the rate of", "measured", "before", "after", "floor", "explained", "unit"]
-    out += ["", table(head, residual)]
+    out += ["", table(head, residual), *standing(content["data"])]
     out += _errors(content["errors"])
     out += feedback_lines(content)
     ranked = [r for r in content["ranking"] if r["round"] == 0 and r["p"] is not None][:_RANKED]
@@ -87,6 +87,16 @@ def lines(content: Mapping[str, Any]) -> list[str]:
         out += ["", "these data cannot show (smallest size that would be noticed):"]
         out += [f"  {text}" for text in unseen(content["not_shown"])]
     return out
+
+
+def standing(data: Mapping[str, Any]) -> list[str]:
+    """What was left out because dry friction holds what stands, as a sentence; none where nothing was."""
+    if not data["standing_share"]:
+        return []
+    return [
+        f"{data['standing_share']:.0%} of the rows were left out: the machine stands or turns round in them, and dry "
+        "friction is whatever holds it there."
+    ]
 
 
 def _finding(finding: Mapping[str, Any], content: Mapping[str, Any]) -> list[str]:

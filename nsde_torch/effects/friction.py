@@ -59,6 +59,7 @@ class CoulombFriction(Law):
     amplitudes = ("size",)
     shapes = {"width": WIDTHS}
     relative = {"width": "speed"}
+    dry = True
     sentence = "Dry friction brakes {it} with {size}, whatever its speed."
     separate = SLOW_AND_FAST
 
@@ -84,6 +85,7 @@ class AsymmetricFriction(Law):
     amplitudes = ("size_forward", "size_backward")
     shapes = {"width": WIDTHS}
     relative = {"width": "speed"}
+    dry = True
     includes = ("coulomb_friction",)
     same = {"size_forward": "size", "size_backward": "size"}
     sentence = "Dry friction brakes {it} with {size_forward} forwards and {size_backward} backwards."
@@ -113,6 +115,7 @@ class StribeckFriction(Law):
     amplitudes = ("size", "extra")
     shapes = {"speed": (0.1, 0.3), "width": (0.02,)}
     relative = {"speed": "speed", "width": "speed"}
+    dry = True
     includes = ("coulomb_friction",)
     sentence = (
         "Dry friction brakes {it} with {size} at speed and {extra} more near rest, below about {speed}."
@@ -166,6 +169,7 @@ class PositionDependentFriction(Law):
     amplitudes = ("size", "slope")
     shapes = {"width": WIDTHS}
     relative = {"width": "speed"}
+    dry = True
     includes = ("coulomb_friction",)
     sentence = "Dry friction brakes {it} with {size} at the origin and changes by {slope} along the way."
     separate = "run to and fro at one speed in several places, near both ends"
@@ -193,6 +197,7 @@ class LoadFriction(Law):
     amplitudes = ("coefficient",)
     shapes = {"width": WIDTHS}
     relative = {"width": "speed"}
+    dry = True
     sentence = "Dry friction brakes {it} with {coefficient} of its load."
     separate = "run at one speed under small and large loads"
 

@@ -53,6 +53,7 @@ class Law(Effect):
         kinds: Kinds of coordinates that it is for; empty: all.
         reads_position: Whether it is for coordinates whose position is known alone.
         reads_load: Whether it is for coordinates that say their load (`self.load(u)`).
+        dry: Whether it is a dry friction: it holds what stands, and is a function of the speed of what moves alone.
     """
 
     port = Port.FORCE
@@ -61,6 +62,7 @@ class Law(Effect):
     kinds: ClassVar[tuple[str, ...]] = ()
     reads_position: ClassVar[bool] = False
     reads_load: ClassVar[bool] = False
+    dry: ClassVar[bool] = False
     _declared: ClassVar[Mapping[str, Parameter]] = {}
     _sentence: ClassVar[str] = ""
 

@@ -4,18 +4,21 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from nsde_torch.data import Run
-from nsde_torch.errors import ConfigError
+from nsde_torch.errors import ConfigError, DataError
 from nsde_torch.models.identified import METHODS
 from nsde_torch.sysid.explained import bump, explained
 from nsde_torch.sysid.physics import Physics
 from nsde_torch.sysid.regression import ITERATIONS, Regression
 from nsde_torch.sysid.result import Identification
+from nsde_torch.sysid.standing import SHARE, moving, slowest
 from nsde_torch.sysid.steps import steps_of
 from nsde_torch.systems import System
 from nsde_torch.systems.parameters import ParameterVector
 
+Array = NDArray[np.float64]
 _BOX_S = 0.01  # data on a shorter step are summed to about this
 
 
@@ -52,9 +55,35 @@ def identify(
         >>> found = identify(make_system("hexacopter"), data.runs)  # doctest: +SKIP
         >>> dict(zip(found.vector.labels, found.values))  # doctest: +SKIP
     """
+    regression, _ = settled(system, runs, clock=clock, method=method, width=width, iterations=iterations)
+    return identification(regression, method)
+
+
+def settled(
+    system: System,
+    runs: Sequence[Run],
+    *,
+    clock: float,
+    method: str,
+    width: float | None,
+    iterations: int,
+) -> tuple[Regression, Sequence[Run]]:
+    """The regression of some runs after its last step, and its runs; arguments as those of `identify`.
+
+    Rows in which what has dry friction stands are left out, once the noise of its speed is known (`standing`).
+    """
     regression = regression_of(system, runs, clock=clock, method=method, width=width)
     regression.run(iterations)
-    return identification(regression, method)
+    speeds = slowest(system, regression.physics.sensor_std, runs) if method == "weak" else {}
+    some, share = moving(runs, speeds)
+    if share < SHARE:
+        return regression, runs
+    try:
+        again = regression_of(system, some, clock=clock, method=method, width=width, start=regression.theta)
+        again.run(iterations)
+    except DataError:  # too little is left
+        return regression, runs
+    return again, some
 
 
 def identification(regression: Regression, method: str) -> Identification:
@@ -94,8 +123,9 @@ def regression_of(
     clock: float = 1.0,
     method: str = "weak",
     width: float | None = None,
+    start: Array | None = None,
 ) -> Regression:
-    """The regression of some runs, before its first step; see `identify`."""
+    """The regression of some runs, before its first step; `start` is its first theta, else as for `identify`."""
     if method not in METHODS:
         raise ConfigError(f"`method` must be {' or '.join(METHODS)}; got {method!r}.")
     weak = method == "weak"
@@ -103,7 +133,7 @@ def regression_of(
     box = _box(width, runs[0].dt * clock) if runs else 1
     steps = steps_of(system, runs, clock=clock, smooth=not weak, shortest=box, differences=box if weak else 0)
     physics = Physics(vector, steps, curved=weak and system.sensor_noise, foresee=weak)
-    return Regression(physics, box=box, plain=not weak, feedback=weak)
+    return Regression(physics, box=box, start=start, plain=not weak, feedback=weak)
 
 
 def _box(width: float | None, dt: float) -> int:

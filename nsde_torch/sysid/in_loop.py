@@ -35,7 +35,7 @@ from numpy.typing import NDArray
 from nsde_torch.data import Run
 from nsde_torch.errors import ConfigError, DataError, NonFiniteError
 from nsde_torch.sysid.guard import guarded
-from nsde_torch.sysid.identify import identification, regression_of
+from nsde_torch.sysid.identify import identification, regression_of, settled
 from nsde_torch.sysid.inferred_rates import in_turn
 from nsde_torch.sysid.instrumented import MISSING, Instrumented
 from nsde_torch.sysid.instruments import between, instrumental, with_columns
@@ -118,8 +118,7 @@ def _over_boxes(
     instruments: Sequence[str],
 ) -> Identification:
     """As `identify_in_loop`, over boxes of one length, whatever the guard says of it."""
-    regression = regression_of(system, runs, clock=clock, method=method, width=width)
-    regression.run(iterations)
+    regression, runs = settled(system, runs, clock=clock, method=method, width=width, iterations=iterations)
     found = identification(regression, method)
     if method != "weak":
         why = "finite differences of smoothed states have no innovations"

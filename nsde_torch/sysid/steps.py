@@ -1,7 +1,7 @@
 """Runs as steps: both ends of every interval between samples, with the input held over it.
 
-Where effects carry memory (a lag), what they held when a recording began is unknown. The first steps of each segment
-then only bring it up: they are `run_in`, and no equation is asked of them.
+Where effects carry memory (a lag), what they held when a recording began is unknown. The first steps of each segment,
+or those before it where rows were left out, then only bring it up: they are `run_in`, and no equation is asked of them.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -117,17 +117,33 @@ def steps_of(
     if not (system.nz > system.nx if run_in is None else run_in):
         return _joined(system, runs, states, stretches, clock, unknown, differences)
     most = max(1, round(_RUN_IN_S / runs[0].dt))
-    lengths = [max(1, min(most, int(_RUN_IN_SHARE * (b - 1 - a)))) for _, a, b in stretches]
-    pairs = [(s, k) for s, k in zip(stretches, lengths, strict=True) if s[2] - 1 - s[1] - k >= shortest]
+    begun = [_run_in(runs[n], a, b, lead, most) for n, a, b in stretches]
+    pairs = [
+        (s, first, start)
+        for s, (first, start) in zip(stretches, begun, strict=True)
+        if s[2] - 1 - start >= shortest
+    ]
     if not pairs:
         raise DataError(f"no stretch of {shortest + 1} steps without a gap; identify from longer runs.")
-    before = _joined(
-        system, runs, states, [(n, a, a + k + 1) for (n, a, _), k in pairs], clock, unknown, differences
-    )
+    before = [(n, first, start + 1) for (n, _, _), first, start in pairs]
+    counted = [(n, start, b) for (n, _, b), _, start in pairs]
     return replace(
-        _joined(system, runs, states, [(n, a + k, b) for (n, a, b), k in pairs], clock, unknown, differences),
-        run_in=before,
+        _joined(system, runs, states, counted, clock, unknown, differences),
+        run_in=_joined(system, runs, states, before, clock, unknown, differences),
     )
+
+
+def _run_in(run: Run, a: int, b: int, lead: int, most: int) -> tuple[int, int]:
+    """First row of what brings memory up to a stretch (a, b), and the row from which its equations count.
+
+    Rows before the stretch do so where there are any without a gap; else its own first ones do.
+    """
+    whole = [start + lead for start, end in run.unbroken if start + lead <= a < end]
+    first = max(*whole, a - most) if whole else a
+    if a - first >= most:
+        return first, a
+    own = min(most - (a - first), int(_RUN_IN_SHARE * (b - 1 - a)))
+    return first, a + max(own, 1 if first == a else 0)
 
 
 def inferred_columns(system: System, runs: Sequence[Run]) -> dict[int, float]:

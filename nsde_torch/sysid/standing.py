@@ -1,0 +1,81 @@
+"""Rows in which a machine with dry friction moves, and those in which it stands.
+
+Where it stands, friction is whatever holds it, up to its size, and no function of the speed: `-c tanh(v / v0)` of a
+noisy speed is nothing on average there, and what friction really does looks like a deadband, or like a law of the speed
+times the input. And where its speed changes sign within a step, a few values at its ends and in its middle do not tell
+how long it went which way. So rows whose speed, averaged over a few of them, is within the noise of the speed and what
+it changes by in a step are left out of the regression, and so is what is too short between them.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import uniform_filter1d
+
+from nsde_torch.data import Run
+from nsde_torch.effects.law import Law
+from nsde_torch.systems import System
+
+WITHIN = 3.0
+"""Standard deviations of the noise of a speed, within which its direction is not known."""
+SHARE = 0.02
+"""Share of the rows that must be at a standstill to be left out; fewer turn nothing."""
+_AVERAGED = 5  # rows; their mean at a standstill is within `WITHIN` almost surely
+_SHORTEST = 5  # rows between two standstills; fewer say little and cost the start of a stretch
+
+
+def slowest(system: System, sensor_std: NDArray[np.float64], runs: Sequence[Run]) -> dict[int, float]:
+    """Speeds whose direction is not known, of coordinates with dry friction, by column of the state.
+
+    Args:
+        system: The machine with its effects.
+        sensor_std: Standard deviation of the noise of each state (nx,).
+        runs: Recordings. Of rates that were inferred nothing is told: physics is averaged over what is not known of
+            them (`inferred_rates`).
+    """
+    out: dict[int, float] = {}
+    for effect in system.effects:
+        if isinstance(effect, Law) and effect.dry:
+            column = effect.at.velocity
+            if not any(system.state_names[column] in run.inferred for run in runs):
+                out[column] = WITHIN * float(sensor_std[column])
+    return out
+
+
+def moving(runs: Sequence[Run], slowest: Mapping[int, float]) -> tuple[tuple[Run, ...], float]:
+    """Runs without the rows in which a coordinate stands, and the share of the rows that were left out.
+
+    Args:
+        runs: Recordings.
+        slowest: Speeds whose direction is not known, by column of the state.
+    """
+    out, all_rows, left = [], 0, 0
+    for run in runs:
+        segments: list[tuple[int, int]] = []
+        for a, b in run.segments:
+            kept = _stretches(_moves(run.x[a:b], slowest))
+            segments += [(a + first, a + last) for first, last in kept]
+            all_rows += b - a
+        segments = segments or list(run.segments)  # a run that stands throughout stays, as runs are numbered
+        left += sum(b - a for a, b in segments)
+        out.append(replace(run, segments=tuple(segments), unbroken=run.segments))
+    return tuple(out), 1.0 - left / max(all_rows, 1)
+
+
+def _moves(x: NDArray[np.float64], slowest: Mapping[int, float]) -> NDArray[np.bool_]:
+    """Whether all of the coordinates move, by row (n,)."""
+    out = np.ones(len(x), dtype=bool)
+    for column, speed in slowest.items():
+        mean = uniform_filter1d(np.asarray(x[:, column], dtype=np.float64), _AVERAGED, mode="nearest")
+        change = np.gradient(mean) if len(mean) > 1 else np.zeros_like(mean)
+        out &= np.abs(mean) >= speed + np.abs(change)
+    return out
+
+
+def _stretches(kept: NDArray[np.bool_]) -> list[tuple[int, int]]:
+    """Ranges (first, last + 1) of rows that are kept, those that are long enough."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], kept.astype(np.int8), [0]])))
+    pairs = zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True)
+    return [(a, b) for a, b in pairs if b - a >= _SHORTEST]

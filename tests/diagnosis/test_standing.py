@@ -1,0 +1,23 @@
+"""A machine that sticks has dry friction, and nothing beside it that tells how friction holds."""
+
+from __future__ import annotations
+
+import nsde_torch
+from tests.helpers.sticking import STICKING, sticking_runs
+
+
+def test_dry_friction_that_holds_is_named_alone_and_all_values_are_right() -> None:
+    found = nsde_torch.diagnose(
+        sticking_runs(1.0, seconds=20.0),
+        system="mass_spring_damper",
+        candidates=["coulomb_friction", "stribeck_friction", "actuator_deadband", "quadratic_damping"],
+    )
+    assert found.added == ["coulomb_friction"]
+    content = found.content()
+    for name, truth in {**STICKING, "coulomb_friction.size": 1.0}.items():
+        entry = {**found.parameters, **content["declared_parameters"]}[name]
+        low, high = entry["interval_90"]
+        assert abs(entry["value"] - truth) < max(1.5 * (high - low) / 2.0, 0.005 * truth)
+    share = content["data"]["standing_share"]
+    assert 0.1 < share < 0.4
+    assert f"{share:.0%} of the rows were left out" in found.report

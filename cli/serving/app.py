@@ -15,6 +15,7 @@ What is under `/api` needs the token. Files of a job need its id, which nobody c
 
 from __future__ import annotations
 
+import json
 import sys
 import traceback
 from collections.abc import Callable, Collection, Iterable
@@ -225,11 +226,15 @@ class ServedPage:
 
 def _content(request: Request) -> dict[str, Any]:
     """The JSON object of a request."""
-    if (request.content_length or 0) > _LARGEST:
-        raise RefusedError("The request is too large.", 413)
     if request.mimetype != "application/json":
         raise RefusedError("The request must be JSON.", 415)
-    content = request.get_json(force=True, silent=True)
+    raw = request.stream.read(_LARGEST + 1)
+    if len(raw) > _LARGEST:
+        raise RefusedError("The request is too large.", 413)
+    try:
+        content = json.loads(raw)
+    except (ValueError, RecursionError):
+        raise RefusedError("The request must be JSON.") from None
     if not isinstance(content, dict):
         raise RefusedError("The request must be a JSON object.")
     return content

@@ -15,7 +15,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from ..exit_status import USER_ERROR
+from ..exit_status import FAILED_JOBS, USER_ERROR
 from ..stages import PROGRESS
 from .limits import ServeLimits
 
@@ -23,7 +23,7 @@ Say = Callable[[str, int, int], None]
 _LINE = 1 << 16  # bytes of a line that are read at a time
 _LOG = 4 << 20  # bytes of a log that are kept
 _TAIL = 200  # lines that the sentence of an error is looked for in
-_NO_MEMORY = ("MemoryError", "can't allocate memory", "Cannot allocate memory", "std::bad_alloc")
+_NO_MEMORY = ("memoryerror", "can't allocate memory", "cannot allocate memory", "std::bad_alloc")
 
 
 @dataclass(frozen=True)
@@ -119,28 +119,38 @@ class CommandProcess:
         return list(tail)
 
     def _ended(self, status: int, tail: Sequence[str]) -> EndOfProcess:
-        limits, name = self._limits, self._words[0]
-        if self._stopped == "time" or status == -signal.SIGXCPU:
-            minutes = f"{limits.seconds / 60:g} min"
-            sentence = (
-                f"It took longer than {minutes} and was stopped: drop less, or serve with a larger `time`."
-            )
-        elif self._stopped:
-            sentence = "It was stopped."
-        elif status in (0, 1):
-            sentence = ""
-        elif any(sign in line for line in tail for sign in _NO_MEMORY):
-            sentence = (
-                f"It needs more memory than the {limits.memory / 2**30:g} GiB that it may have: drop less, or serve "
-                "with a larger `memory`."
-            )
-        elif status == USER_ERROR and (said := _said(tail, name)):
-            sentence = said
-        else:
-            sentence = (
-                f"It ended by a fault of the program (exit status {status}), not of the log: see log.txt."
-            )
+        sentence = why_ended(self._words[0], status, tail, stopped=self._stopped, limits=self._limits)
         return EndOfProcess(status, self._stopped, sentence)
+
+
+def why_ended(name: str, status: int, tail: Sequence[str], *, stopped: str, limits: ServeLimits) -> str:
+    """What went wrong with a command, one sentence; empty where nothing did.
+
+    Args:
+        name: Of the command.
+        status: Its exit status; negative: killed by that signal.
+        tail: The last lines that it printed.
+        stopped: Why it was stopped; empty where it was not.
+        limits: That it had.
+    """
+    if stopped == "time" or status == -signal.SIGXCPU:
+        return (
+            f"It took longer than {limits.seconds / 60:g} min and was stopped: drop less, or serve with a larger "
+            "`time`."
+        )
+    if stopped:
+        return "It was stopped."
+    if status == 0:
+        return ""
+    if any(sign in line.lower() for line in tail for sign in _NO_MEMORY):
+        return (
+            f"It needs more memory than the {limits.memory / 2**30:g} GiB that it may have: drop less, or serve with "
+            "a larger `memory`."
+        )
+    if status == FAILED_JOBS and not any(line.startswith("Traceback") for line in tail):
+        return ""  # done, with a result that is none: a check failed
+    said = _said(tail, name) if status == USER_ERROR else ""
+    return said or f"It ended by a fault of the program (exit status {status}), not of the log: see log.txt."
 
 
 def _told(line: str, say: Say) -> bool:

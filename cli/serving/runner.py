@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import json
 import queue
 import shutil
 import threading
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Protocol
 
+from ..quoted import quoted
 from .job import ServedJob
 from .limits import ServeLimits
 from .process import CommandProcess, EndOfProcess, Say
@@ -26,7 +29,7 @@ INSPECTION, SUMMARY, LOG, MAPPING, RESULT = (
     "result",
 )
 _LONGEST_MAPPING = 1 << 16  # letters
-_SOUND = 0  # exit status of a log that can be read as it is
+_LOOK = 300.0  # seconds that looking into logs may take at most
 
 
 class Work(Protocol):
@@ -162,10 +165,10 @@ class JobRunner:
             if not self._closed:  # else it is taken up by the next start
                 self.shelf.note(job, seconds=round(time.monotonic() - began, 1), **changed)
 
-    def _run(self, job: ServedJob, words: list[str], say: Say) -> EndOfProcess:
+    def _run(self, job: ServedJob, words: list[str], limits: ServeLimits, say: Say) -> EndOfProcess:
         folder = self.shelf.of(job)
         work = self._make(
-            words, folder=self.machines.folder or folder, log=folder / LOG, limits=self.limits, say=say
+            words, folder=self.machines.folder or folder, log=folder / LOG, limits=limits, say=say
         )
         with self.shelf.lock:
             self._work[job.id] = work
@@ -180,7 +183,8 @@ class JobRunner:
         given = folder / MAPPING if job.mapped else None
         out = folder / INSPECTION
         words = inspect_words(folder / "logs", known=self.machines, system=job.system, mapping=given, out=out)
-        end = self._run(job, words, _nothing)
+        limits = replace(self.limits, seconds=min(_LOOK, self.limits.seconds))
+        end = self._run(job, words, limits, _nothing)
         found = self.shelf.read(job, INSPECTION)
         if end.sentence or found is None:
             why = end.sentence or "The logs could not be looked into by a fault of the program: see log.txt."
@@ -213,7 +217,7 @@ class JobRunner:
 
         words = self._words(job)
         self.shelf.note(job, state="running", stages=stages, repeat=shell(words))
-        end = self._run(job, [*words, f"out_dir={folder / RESULT}"], say)
+        end = self._run(job, [*words, quoted(f"out_dir={folder / RESULT}", ("out_dir",))], self.limits, say)
         if end.stopped == "cancelled":
             return {"state": "cancelled", "sentence": end.sentence}
         content = self.shelf.read(job, f"{RESULT}/diagnosis.json")
@@ -237,8 +241,6 @@ def save_summary(folder: Path, content: dict[str, Any]) -> None:
         folder: Of the job.
         content: As `diagnosis.json` has it.
     """
-    import json
-
     plots = {path.name for path in (folder / RESULT / "plots").glob("*.png")}
     (folder / SUMMARY).write_text(json.dumps(page_summary(content, plots)), encoding="utf-8")
 

@@ -8,7 +8,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ..hydra_command import HydraCommand
-from ..keys import key
+from ..keys import group, key
+from ..schemas.model import SystemConfig
 
 if TYPE_CHECKING:
     from omegaconf import DictConfig
@@ -27,12 +28,15 @@ class ServeConfig:
 
     port: int = key(8765, "port on 127.0.0.1; 0: any that is free", low=0, high=65535)
     out_dir: str = key("served", "folder that keeps the logs and what was found in them")
-    system: str | None = key(None, "machine that the page chooses at first; null: guessed by what is logged")
     upload: float = key(512.0, "largest upload of one diagnosis, all its logs together", unit="MiB", above=0)
     time: float = key(3600.0, "longest time of one diagnosis", unit="s", above=0)
     memory: float = key(8.0, "largest memory of one diagnosis", unit="GiB", above=0)
     jobs: int = key(1, "diagnoses at a time; further ones wait", low=1)
     keep: int = key(50, "most diagnoses that are kept: then one has to be deleted", low=1)
+    system: SystemConfig = group(
+        SystemConfig,
+        "machine that the page chooses at first, with what is known of it; null: told by what is logged",
+    )
 
 
 COMMAND = HydraCommand(
@@ -40,8 +44,11 @@ COMMAND = HydraCommand(
     help="Open a page on this machine that takes dropped logs and gives their diagnosis",
     schema=ServeConfig,
     module=__name__,
+    groups={"system": None},
+    values={"system": {"name": "told by what is logged"}},
     examples=(
         ("", "print the address of the page; Ctrl-C ends it"),
+        ("system=hexacopter", "for logs of this machine"),
         ("out_dir=diagnoses", "keep logs and results in this folder"),
         ("--config-dir my_machines", "with machines of your own"),
     ),
@@ -77,10 +84,14 @@ def run(config: DictConfig, job: Job) -> None:
     from ..serving.shelf import Shelf
     from ..serving.words import machines
 
-    own = config_folders(HydraConfig.get().runtime.config_sources)
-    known = machines(Path(own[0]) if own else None)
-    if config.system is not None and config.system not in known.names:
-        raise ConfigError(f"`system` must be one of {', '.join(known.names)}; got {config.system!r}.")
+    typed = HydraConfig.get()
+    own = config_folders(typed.runtime.config_sources)
+    system = typed.runtime.choices.get("system")
+    known = machines(
+        Path(own[0]) if own else None,
+        first=system,
+        typed=[word for word in typed.overrides.task if word.lstrip("+~").startswith("system.")],
+    )
     limits = ServeLimits(
         upload=int(config.upload * 2**20),
         seconds=config.time,
@@ -93,7 +104,7 @@ def run(config: DictConfig, job: Job) -> None:
     shelf = Shelf(Path(config.out_dir), limits)
     runner = JobRunner(shelf, known, limits)
     hosts = [f"{name}:{server.port}" for name in (HOST, "localhost")]
-    page: Any = ServedPage(runner, token=token, hosts=hosts, system=config.system)
+    page: Any = ServedPage(runner, token=token, hosts=hosts)
     print(f"http://{HOST}:{server.port}/#{token}", flush=True)
     print(
         f"Open this address in a browser of this machine. Logs and results are kept in {shelf.folder}; Ctrl-C ends it.",

@@ -56,14 +56,11 @@ class ServedPage:
         runner: Works on the jobs.
         token: What requests must hold.
         hosts: `name:port` of this server.
-        system: Machine that is chosen first; None: guessed.
     """
 
-    def __init__(
-        self, runner: JobRunner, *, token: str, hosts: Collection[str], system: str | None = None
-    ) -> None:
+    def __init__(self, runner: JobRunner, *, token: str, hosts: Collection[str]) -> None:
         self._runner, self._shelf = runner, runner.shelf
-        self._token, self._hosts, self._system = token, hosts, system
+        self._token, self._hosts = token, hosts
         job = "/api/jobs/<name>"
         self._map = Map(
             [
@@ -128,7 +125,7 @@ class ServedPage:
         return answer_json(
             {
                 "systems": list(self._runner.machines.names),
-                "system": self._system,
+                "system": self._runner.machines.first,
                 "suffixes": list(FORMATS),
                 "upload": limits.upload,
                 "files": limits.files,

@@ -23,7 +23,7 @@ class PageServer:
     """
 
     def __init__(self, sock: socket.socket, *, largest: int, threads: int) -> None:
-        self._socket, self._largest, self._threads = sock, largest, threads
+        self.socket, self._largest, self._threads = sock, largest, threads
         self.port: int = sock.getsockname()[1]
 
     def run(self, application: WSGI) -> None:
@@ -34,7 +34,7 @@ class PageServer:
         """
         server = create_server(
             application,
-            sockets=[self._socket],
+            sockets=[self.socket],
             threads=self._threads,
             max_request_body_size=self._largest,
             clear_untrusted_proxy_headers=True,

@@ -19,10 +19,14 @@ class Machines:
     Args:
         names: Choice of the group `system` -> name of the system, of the package or `module:Class`.
         folder: Folder of the user's own choices (`--config-dir`), or None.
+        first: The one that is chosen at first; None: told by what is logged.
+        typed: What was typed of it, `system.effects=[linear_drag]`.
     """
 
     names: Mapping[str, str]
     folder: Path | None = None
+    first: str | None = None
+    typed: Sequence[str] = ()
 
     @property
     def options(self) -> list[str]:
@@ -30,11 +34,13 @@ class Machines:
         return [] if self.folder is None else ["--config-dir", str(self.folder)]
 
 
-def machines(folder: Path | None) -> Machines:
+def machines(folder: Path | None, *, first: str | None = None, typed: Sequence[str] = ()) -> Machines:
     """Those of the package and of a folder of the user's own.
 
     Args:
         folder: What `--config-dir` names.
+        first: The one that is chosen at first.
+        typed: What was typed of it.
     """
     from .. import groups
 
@@ -42,7 +48,7 @@ def machines(folder: Path | None) -> Machines:
         choice: groups.choice_values("system", choice, folder) for choice in groups.choices("system", folder)
     }
     named = {choice: str(v["name"]) for choice, v in values.items() if "name" in v}
-    return Machines(named, None if folder is None else folder.resolve())
+    return Machines(named, None if folder is None else folder.resolve(), first, typed)
 
 
 def inspect_words(
@@ -71,7 +77,8 @@ def diagnose_words(logs: Path, *, known: Machines, system: str, mapping: Path | 
         system: One of them.
         mapping: What columns mean; None: the reader needs none.
     """
-    words = ["diagnose", *known.options, f"system={system}", "data=log", f"data.path={logs}"]
+    own = known.typed if system == known.first else ()
+    words = ["diagnose", *known.options, f"system={system}", *own, "data=log", f"data.path={logs}"]
     words += [f"data.mapping={mapping}"] if mapping else []
     return [*(quoted(word, _PATHS) for word in words), "retrain=false"]
 

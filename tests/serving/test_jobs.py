@@ -6,7 +6,7 @@ import json
 import shlex
 from pathlib import Path
 
-from nsde_torch.cli.serving.words import machines
+from nsde_torch.cli.serving.words import diagnose_words, inspect_words, machines
 from tests.serving.conftest import INSPECTION, Page, Played, make_page
 
 CSV = {"run.csv": b"t,q\n0,1\n"}
@@ -149,4 +149,13 @@ def test_machines_of_ones_own_are_offered(tmp_path: Path) -> None:
     known = machines(tmp_path)
     assert known.names["mine"] == "my_machine:Mine"
     assert known.options == ["--config-dir", str(tmp_path)]
+    words = machines(tmp_path, first="mine", typed=["system.effects=[linear_drag]"])
+    logs = tmp_path / "logs"
+    made = diagnose_words(logs, known=words, system="mine", mapping=None)
+    assert made[1:5] == ["--config-dir", str(tmp_path), "system=mine", "system.effects=[linear_drag]"]
+    assert "linear_drag" not in str(diagnose_words(logs, known=words, system="cartpole", mapping=None))
+    assert (
+        inspect_words(logs, known=words, system="mine", mapping=None, out=logs)[-1]
+        == "system=my_machine:Mine"
+    )
     assert set(machines(None).names) == {"mass_spring_damper", "cartpole", "hexacopter", "quadrotor"}

@@ -73,12 +73,13 @@ def run(config: DictConfig, job: Job) -> None:
     from ..own_modules import config_folders
 
     try:
+        from ..serving.app import ServedPage
         from ..serving.server import listen
-    except ImportError as error:
+    except ModuleNotFoundError as error:
+        package = str(error.name).partition(".")[0]
         raise ConfigError(
-            f"`nsde serve` needs the package {error.name!r}, which is not installed: pip install 'nsde_torch[serve]'."
+            f"`nsde serve` needs the package {package!r}, which is not installed: pip install 'nsde_torch[serve]'."
         ) from error
-    from ..serving.app import ServedPage
     from ..serving.limits import ServeLimits
     from ..serving.runner import JobRunner
     from ..serving.shelf import Shelf

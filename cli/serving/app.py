@@ -20,7 +20,7 @@ import sys
 import traceback
 from collections.abc import Callable, Collection, Iterable
 from importlib import resources
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from werkzeug.exceptions import HTTPException
 from werkzeug.routing import Map, Rule
@@ -32,9 +32,6 @@ from .job import STATES, ServedJob
 from .refused import RefusedError
 from .runner import INSPECTION, LOG, MAPPING, RESULT, SUMMARY, JobRunner
 from .uploads import FORMATS, receive
-
-if TYPE_CHECKING:
-    from _typeshed.wsgi import StartResponse, WSGIEnvironment
 
 _STATIC = ("index.html", "page.js", "views.js", "page.css", "icon.svg")
 _LARGEST = 1 << 18  # bytes of a request that is no log
@@ -61,6 +58,7 @@ class ServedPage:
     def __init__(self, runner: JobRunner, *, token: str, hosts: Collection[str]) -> None:
         self._runner, self._shelf = runner, runner.shelf
         self._token, self._hosts = token, hosts
+        self._receiving: set[tuple[str, int]] = set()
         job = "/api/jobs/<name>"
         self._map = Map(
             [
@@ -90,7 +88,7 @@ class ServedPage:
             "file": self._file,
         }
 
-    def __call__(self, environ: WSGIEnvironment, start_response: StartResponse) -> Iterable[bytes]:
+    def __call__(self, environ: dict[str, Any], start_response: Callable[..., Any]) -> Iterable[bytes]:
         """Answer one request."""
         request = Request(environ)
         answer = self._answer(request)
@@ -154,11 +152,16 @@ class ServedPage:
             if job.state != "uploading" or index >= len(job.files) or job.files[index].there:
                 raise RefusedError("This log is not expected.", 409)
             file = job.files[index]
+            if (name, index) in self._receiving:
+                raise RefusedError("This log is being sent already.", 409)
+            self._receiving.add((name, index))
         try:
             receive(request.stream.read, self._shelf.of(job) / "logs" / file.name, file.size)
         except RefusedError:
             self._shelf.delete(job)
             raise
+        finally:
+            self._receiving.discard((name, index))
         file.there = True
         self._shelf.note(job)
         return answer_json(self._brief(job))

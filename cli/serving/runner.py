@@ -32,7 +32,7 @@ _LONGEST_MAPPING = 1 << 16  # letters
 _LOOK = 300.0  # seconds that looking into logs may take at most
 
 
-class Work(Protocol):
+class StoppableWork(Protocol):
     """A command that can be stopped."""
 
     def run(self) -> EndOfProcess:
@@ -42,7 +42,7 @@ class Work(Protocol):
         """End it now."""
 
 
-MakeWork = Callable[..., Work]
+MakeWork = Callable[..., StoppableWork]
 """Makes the work of words, as `CommandProcess` does."""
 
 
@@ -60,7 +60,7 @@ class JobRunner:
         self, shelf: Shelf, machines: Machines, limits: ServeLimits, *, make: MakeWork = CommandProcess
     ) -> None:
         self.shelf, self.machines, self.limits, self._make = shelf, machines, limits, make
-        self._work: dict[str, Work] = {}
+        self._work: dict[str, StoppableWork] = {}
         self._began: dict[str, float] = {}
         self._closed = False
         self._looks: queue.SimpleQueue[ServedJob | None] = queue.SimpleQueue()
@@ -205,12 +205,12 @@ class JobRunner:
     def _diagnose(self, job: ServedJob) -> dict[str, Any]:
         folder = self.shelf.of(job)
         began = time.monotonic()
-        stages: list[dict[str, Any]] = []
+        stages: list[dict[str, Any]] = [{"stage": "reading the logs", "done": 0, "total": 1, "began": 0.0}]
 
         def say(stage: str, done: int, total: int) -> None:
             now = round(time.monotonic() - began, 1)
             with self.shelf.lock:
-                if stages and stages[-1]["stage"] == stage:
+                if stages[-1]["stage"] == stage:
                     stages[-1].update(done=done, total=total)
                 else:
                     stages.append({"stage": stage, "done": done, "total": total, "began": now})

@@ -62,6 +62,7 @@ def listen(host: str, port: int, *, largest: int, threads: int) -> PageServer:
     sock.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
     try:
         sock.bind((host, port))
+        sock.listen()  # from here on a browser waits, though nothing answers yet
     except OSError as error:
         sock.close()
         raise ConfigError(

@@ -167,7 +167,7 @@ function show(job) {
     box.replaceChildren(
       h("h2", {}, title(job)),
       h("p", { attr: { role: "status" } }, `${job.called[0].toUpperCase()}${job.called.slice(1)}`, job.state === "done" && ` in ${clock(job.seconds)}`, "."),
-      h("div", { className: "row" }, buttons(job) || ""),
+      buttons(job) ? h("div", { className: "row" }, buttons(job)) : "",
       job.sentence ? h("p", { className: "message", attr: { role: "alert" } }, job.sentence) : "",
       ...[result(job, act)].flat(9).filter(Boolean), running,
       ...inspection(job, act, state.about.systems).flat(9).filter(Boolean),

@@ -133,7 +133,7 @@ class Page:
 
     def until(self, name: str, reached: Callable[[Any], bool]) -> Any:
         """The job once it is so."""
-        end = time.monotonic() + 60
+        end = time.monotonic() + 240
         while time.monotonic() < end:
             job = self.ask("GET", f"/api/jobs/{name}").json
             if reached(job):

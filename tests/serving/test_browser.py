@@ -126,6 +126,7 @@ def test_from_drop_to_report(screen: Screen, played: Played) -> None:
     screen.drop(CSV)
     screen.until("#start").send_keys("\n")  # by the keyboard
     screen.until(".stages .now", lambda row: row.text.startswith("screening effects (2 of 4)"))
+    assert screen.driver.switch_to.active_element.text == "Stop"
     played.go.set()
     verdict = screen.until(".verdict")
     golden = json.loads((Path(__file__).parents[1] / "golden" / "diagnosis.json").read_text())
@@ -147,6 +148,9 @@ def test_from_drop_to_report(screen: Screen, played: Played) -> None:
     screen.driver.switch_to.default_content()
     wrong = [e for e in screen.driver.get_log("browser") if "residual.png" not in e["message"]]
     assert not [e for e in wrong if e["level"] == "SEVERE"], wrong  # nothing against its own policy
+    asked = screen.driver.execute_script("return performance.getEntriesByType('resource').map((e) => e.name)")
+    assert len(asked) > 5
+    assert all(name.startswith(screen.address.partition("#")[0]) for name in asked)  # nothing of elsewhere
     screen.driver.refresh()  # the key is known still, and the job
     screen.until(".verdict")
 

@@ -1,4 +1,4 @@
-"""Real logs through the real commands, in this process: what is found, and that the shown command repeats it."""
+"""Real logs through the real commands: what is found, that the shown command repeats it, and what is refused."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ import pytest
 
 import nsde_torch
 from nsde_torch.cli.main import main
+from nsde_torch.cli.serving.process import CommandProcess
 from nsde_torch.data.raw import RawRun
 from tests.helpers import log_writers
 from tests.helpers.leaning import leaning_flight
@@ -71,8 +72,9 @@ def damaged(tmp_path_factory: pytest.TempPathFactory) -> dict[str, bytes]:
 
 @pytest.mark.slow
 def test_what_is_found_and_the_command_that_repeats_it(
-    real: Page, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    real = make_page(tmp_path / "served", CommandProcess)  # in processes of their own, with limits
     job = real.drop(_springs(5.0, [{"coulomb_friction": {"size": 0.3}}]), SPRING)
     assert job["state"] == "ready", job["sentence"]
     real.ask("POST", f"/api/jobs/{job['id']}/diagnose", {})
@@ -93,6 +95,7 @@ def test_what_is_found_and_the_command_that_repeats_it(
     after = json.loads(again.read_text())
     before.pop("seconds"), after.pop("seconds")
     assert after == before
+    real.runner.close()
 
 
 @pytest.mark.parametrize(

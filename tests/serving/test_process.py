@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import io
+import json
 import os
 import signal
 import subprocess
@@ -14,6 +16,7 @@ import pytest
 
 from nsde_torch.cli.serving.limits import ServeLimits
 from nsde_torch.cli.serving.process import CommandProcess, why_ended
+from nsde_torch.cli.stages import PROGRESS, Stages
 
 LIMITS = ServeLimits()
 ENDLESS = ["serve", "port=0"]
@@ -34,6 +37,21 @@ def _wait_for(path: Path, text: str) -> None:
     while not (path.is_file() and text in path.read_text()):
         assert time.monotonic() < end
         time.sleep(0.02)
+
+
+def test_progress_for_a_program_is_json(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv(PROGRESS, "json")
+    stream = io.StringIO()
+    stages = Stages(stream)
+    stages("screening effects", 0, 3)
+    stages("screening effects", 1, 3)
+    stages.close()
+    told = [json.loads(line) for line in stream.getvalue().splitlines()]
+    assert [(step["stage"], step["done"], step["total"]) for step in told] == [
+        ("screening effects", 0, 3),
+        ("screening effects", 1, 3),
+    ]
+    assert told[1]["seconds"] >= told[0]["seconds"] >= 0.0
 
 
 def test_a_fault_of_the_user_is_the_sentence_that_the_command_said(tmp_path: Path) -> None:

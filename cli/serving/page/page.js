@@ -137,7 +137,12 @@ const act = {
     await list();
   }),
   copy: async (text, button) => {
-    await navigator.clipboard.writeText(text);
+    try {
+      await navigator.clipboard.writeText(text);
+    } catch {
+      say("The browser does not let the page copy: mark the command and copy it by hand.");
+      return;
+    }
     button.textContent = "Copied";
     setTimeout(() => { button.textContent = "Copy"; }, 1500);
   },
@@ -164,6 +169,7 @@ function show(job) {
   if (now !== state.shown) { // what a person may be typing in is made anew when something changed alone
     state.shown = now;
     const running = h("div", { id: "progress" });
+    const inside = box.contains(document.activeElement);
     box.replaceChildren(
       h("h2", {}, title(job)),
       h("p", { attr: { role: "status" } }, `${job.called[0].toUpperCase()}${job.called.slice(1)}`, job.state === "done" && ` in ${clock(job.seconds)}`, "."),
@@ -174,6 +180,7 @@ function show(job) {
       h("p", {}, job.printed ? h("a", { href: `/jobs/${job.id}/log.txt`, target: "_blank", rel: "noopener", className: "small" }, "What the commands printed") : ""),
     );
     if (finished) byId("result")?.focus();
+    else if (inside) box.querySelector("button")?.focus(); // who uses the keyboard stays in the job
   }
   if (["waiting", "running"].includes(job.state)) byId("progress").replaceChildren(h("h3", {}, "Diagnosis"), ...progress(job, state.about.seconds));
   if (AT_WORK.includes(job.state)) state.timer = setTimeout(() => open(job.id, true), 700);

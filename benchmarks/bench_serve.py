@@ -65,9 +65,6 @@ def use(driver: Any, address: str, flights: list[Path], pictures: Path | None) -
     picture(driver, pictures, "serve_inspection.png")
     pressed = time.monotonic()
     button.click()
-    if pictures is not None:
-        wait(driver, ".stages li:nth-child(4)", pressed)
-        picture(driver, pictures, "serve_progress.png", "#job")
     verdict, seconds = wait(driver, ".verdict", pressed)
     print(f"what is in the logs: {looked:.1f} s after the drop")
     print(f"the report: {looked + seconds:.1f} s after the drop (Diagnose pressed at once)")

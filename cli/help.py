@@ -68,7 +68,7 @@ def _group_lines(chosen: dict[str, str], extra: Path | None) -> Iterator[str]:
 
 def _key_lines(entry: Key) -> Iterator[str]:
     default = "(required)" if entry.default == "???" else value_text(entry.default)
-    if entry.path in ("run_dir", "sweep_dir", "out_dir"):
+    if entry.path in ("run_dir", "sweep_dir", "out_dir") and entry.default == "???":
         default = "(dated)"
     left = f"  {entry.path}={default}" + (f" [{entry.unit}]" if entry.unit else "")
     right = entry.help + (f" ({entry.allowed})" if entry.allowed else "")

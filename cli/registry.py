@@ -61,6 +61,9 @@ COMMANDS: dict[str, CommandEntry] = {
         ".commands.diagnose",
         "Find the effect that the declared physics lacks, add it, and report the errors",
     ),
+    "serve": CommandEntry(
+        ".commands.serve", "Open a page on this machine that takes dropped logs and gives their diagnosis"
+    ),
     "design": CommandEntry(
         ".commands.design", "Plan the experiment that tells most, or read what a flown one told"
     ),

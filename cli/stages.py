@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+import json
+import os
 import sys
 import time
 from typing import TextIO
 
+PROGRESS = "NSDE_PROGRESS"
+"""Variable of the environment: `json` makes each step a line of JSON, for a program that shows them."""
+
 
 class Stages:
-    """Prints a line per stage; on a terminal the line counts.
+    """Prints a line per stage; on a terminal the line counts. With `NSDE_PROGRESS=json` every step is a line.
 
     Args:
         stream: Where to; standard error by default.
@@ -17,12 +22,17 @@ class Stages:
     def __init__(self, stream: TextIO | None = None) -> None:
         self._stream = sys.stderr if stream is None else stream
         self._live = self._stream.isatty()
+        self._json = os.environ.get(PROGRESS) == "json"
         self._stage = ""
         self._started = self._first = time.monotonic()
 
     def __call__(self, stage: str, done: int, total: int) -> None:
         """Tell that `done` of `total` pieces of a stage are done."""
         now = time.monotonic()
+        if self._json:
+            told = {"stage": stage, "done": done, "total": total, "seconds": round(now - self._started, 3)}
+            print(json.dumps(told), file=self._stream, flush=True)
+            return
         if stage != self._stage:
             self._end()
             self._stage, self._first = stage, now

@@ -108,6 +108,7 @@ def test_wheel_holds_code_commands_and_every_config_file(wheel: Path, root: Path
     expected = {str(path.relative_to(root)) for path in (root / "nsde_torch").rglob("*.py")}
     expected |= {f"nsde_torch/{path.relative_to(root)}" for path in (root / "cli").rglob("*.py")}
     expected |= {f"nsde_torch/{path.relative_to(root)}" for path in (root / "conf").rglob("*.yaml")}
+    expected |= {f"nsde_torch/{path.relative_to(root)}" for path in (root / "cli/serving/page").iterdir()}
     assert expected <= names
     assert not [name for name in names if name.startswith(("cli/", "conf/", "tests/"))]
 

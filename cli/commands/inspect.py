@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import json
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -23,6 +24,7 @@ KEYS = {
     "out": "file to write the mapping to; left out: mapping.yaml beside the logs; none: nothing is written",
     "overwrite": "true replaces a mapping that is there",
     "physics": "false leaves out the fit of the declared physics",
+    "json": "file to write all that was found to, for a program",
     "columns": "all lists every column, else those that move (40 at most)",
 }
 _HELP = """Usage: nsde inspect LOG [KEY=VALUE ...]
@@ -66,6 +68,8 @@ def _inspect(path: str, given: dict[str, str]) -> int:
         physics=given.get("physics", "true") != "false",
     )
     print(report(found, everything=given.get("columns") == "all"))
+    if "json" in given:
+        _save(Path(given["json"]), json.dumps(found.content(), indent=1, allow_nan=False) + "\n", "json")
     if found.mapping is not None and "mapping" not in given and target is not None:
         print(_write(found, target, overwrite=given.get("overwrite") == "true"))
     if found.usable:
@@ -94,14 +98,18 @@ def _write(found: Inspection, target: Path, *, overwrite: bool) -> str:
         if same:
             return f"\n{target} holds this mapping"
         return f"\n{target} is there and was not replaced (overwrite=true, or out=FILE)"
-    try:
-        target.write_text(found.yaml, encoding="utf-8")
-    except OSError as error:
-        raise ConfigError(
-            f"`out`: {target} cannot be written ({error.strerror}); name another file, out=FILE."
-        ) from error
+    _save(target, found.yaml, "out")
     after = "" if found.usable else " (to be corrected: a check failed)"
     return f"\nwrote {target}{after}"
+
+
+def _save(target: Path, text: str, key: str) -> None:
+    try:
+        target.write_text(text, encoding="utf-8")
+    except OSError as error:
+        raise ConfigError(
+            f"`{key}`: {target} cannot be written ({error.strerror}); name another file, {key}=FILE."
+        ) from error
 
 
 def report(found: Inspection, *, everything: bool = False) -> str:

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -91,10 +93,35 @@ class Inspection:
         there = self.native or (self.mapping is not None and not self.missing)
         return there and not any(check.passed is False for check in self.checks)
 
+    def content(self) -> dict[str, Any]:
+        """What was found as plain containers for a JSON file; a number that is not finite is None."""
+        rows = [{k: _plain(v) for k, v in asdict(row).items()} for row in self.columns]
+        return {
+            "path": self.path,
+            "kind": self.kind,
+            "runs": self.runs,
+            "system": self.system,
+            "usable": self.usable,
+            "native": self.native,
+            "mapping": self.yaml,
+            "mapped": sorted({name for e in self.mapping.columns.values() for name in e.source})
+            if self.mapping
+            else [],
+            "columns": rows,
+            "missing": self.missing,
+            "open": self.open,
+            "notes": self.notes,
+            "checks": [asdict(check) for check in self.checks],
+        }
+
     @property
     def yaml(self) -> str:
         """The mapping as YAML; empty without one."""
         return "" if self.mapping is None else text(self.mapping)
+
+
+def _plain(value: Any) -> Any:
+    return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 def inspect(

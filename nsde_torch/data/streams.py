@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nsde_torch.data.quaternion import continuous_signs, slerp
+from nsde_torch.errors import DataError
 
 Array = NDArray[np.float64]
 
@@ -40,7 +41,15 @@ class Stream:
     units: Mapping[str, str] = field(default_factory=dict)
 
     def columns(self, *names: str) -> Array:
-        """Fields side by side, (n, columns)."""
+        """Fields side by side, (n, columns).
+
+        Raises:
+            DataError: one is not there.
+        """
+        for name in names:
+            if name not in self.fields:
+                known = ", ".join(list(self.fields)[:8]) or "none"
+                raise DataError(f"{self.name or 'the table'!r} has no field {name!r}; it has {known}.")
         return np.stack([self.fields[n] for n in names], axis=1)
 
     def vector(self, name: str, size: int) -> Array:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -13,6 +14,11 @@ if TYPE_CHECKING:
     from nsde_torch.diagnosis.result import Diagnosis
 
 RESULT, EFFECTS, REPORT, PLOTS = "diagnosis.json", "effects.yaml", "report.html", "plots"
+
+
+def picture_file(name: str) -> str:
+    """Name of the file of a picture: without what a law has and a file should not."""
+    return re.sub(r"[^\w\[\].-]+", "_", name).strip("_") + ".png"
 
 
 def write_content(content: Mapping[str, Any], folder: Path) -> None:

@@ -6,7 +6,6 @@ depended most surely before; without an effect, what the residual depends on.
 
 from __future__ import annotations
 
-import re
 from collections.abc import Mapping, Sequence
 from itertools import zip_longest
 from pathlib import Path
@@ -18,6 +17,7 @@ from numpy.typing import NDArray
 from nsde_torch.diagnosis.channels import ChannelResidual, spectrum, white_parts
 from nsde_torch.diagnosis.dependence import Dependence
 from nsde_torch.diagnosis.effect_pictures import effect_panels
+from nsde_torch.diagnosis.files import picture_file
 from nsde_torch.diagnosis.outcome import Outcome
 from nsde_torch.diagnosis.regressors import Regressors
 from nsde_torch.diagnosis.shape import called, product_of
@@ -102,12 +102,7 @@ def save_pictures(figures: Mapping[str, Figure], folder: Path) -> list[Path]:
     """Write the figures as PNG files of their names into a folder."""
     from nsde_torch.plots import save
 
-    return [save(figure, folder / f"{_file_name(name)}.png") for name, figure in figures.items()]
-
-
-def _file_name(name: str) -> str:
-    """A name without what a law has and a file should not."""
-    return re.sub(r"[^\w\[\].-]+", "_", name).strip("_")
+    return [save(figure, folder / picture_file(name)) for name, figure in figures.items()]
 
 
 def effect_views(outcome: Outcome, channels: Sequence[ChannelResidual]) -> list[Panel]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import numpy as np
@@ -54,6 +55,20 @@ def test_from_a_folder_of_logs_to_a_model(
     )
     read = nsde_torch.read(springs, system="mass_spring_damper", kind="log")
     assert np.abs(read.runs[0].x - truth.runs[0].x).max() < 1e-9
+
+
+def test_what_was_found_is_written_as_json_for_a_program(
+    springs: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = [str(springs), "system=mass_spring_damper", "physics=false", "out=none"]
+    assert main(["inspect", *words, f"json={tmp_path / 'found.json'}"]) == 0
+    found = json.loads((tmp_path / "found.json").read_text(encoding="utf-8"))
+    assert (found["usable"], found["system"], len(found["runs"])) == (True, "mass_spring_damper", 2)
+    assert yaml.safe_load(found["mapping"])["columns"]["q"] == {"from": "position [mm]", "unit": "mm"}
+    assert {row["column"]: row["rows"] for row in found["columns"]}["force"] == 1201
+    assert all(check["passed"] for check in found["checks"])
+    assert main(["inspect", *words, f"json={tmp_path / 'no' / 'found.json'}"]) == 2
+    assert "`json`" in capsys.readouterr().err
 
 
 def test_a_wrong_sign_of_the_input_is_told_by_the_physics(

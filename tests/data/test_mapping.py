@@ -11,6 +11,7 @@ import yaml
 from nsde_torch.data.formats.log import StreamLog
 from nsde_torch.data.mapping.apply import apply
 from nsde_torch.data.mapping.checks import checks
+from nsde_torch.data.mapping.kinematic import lean
 from nsde_torch.data.mapping.mapping import LogMapping, mapping_of, read_mapping, text
 from nsde_torch.data.mapping.numbering import order
 from nsde_torch.data.mapping.units import factor
@@ -261,3 +262,10 @@ def test_a_channel_that_one_log_lacks_is_told_and_left_out(flight: RawRun) -> No
     run = apply(_log(ned_columns(flight)), _mapping(content), make_system("quadrotor"))
     assert "battery_voltage" not in run.extra
     assert [note.message for note in run.notes] == ["no column vbat for the channel 'battery_voltage'"]
+
+
+def test_times_that_no_clock_tells_say_nothing_of_the_lean(flight: RawRun) -> None:
+    t = flight.t.copy()
+    t[-1] = 1e45  # a flipped bit
+    assert lean(t, flight.x[:, 6:10], flight.x[:, :3]) is None
+    assert lean(flight.t, flight.x[:, 6:10], flight.x[:, :3]) is not None

@@ -222,6 +222,15 @@ def test_missing_topics_are_named_with_the_remedy(tmp_path: Path) -> None:
         read("ulog", QUADROTOR, path=str(tmp_path / "log.ulg"), state="odometry")
 
 
+def test_a_topic_without_its_fields_is_named(tmp_path: Path) -> None:
+    t = np.arange(0.0, 4.0, 0.01)
+    path = write_ulog(
+        tmp_path / "odd.ulg", {"vehicle_odometry": {"timestamp": t, "q": np.tile([1, 0, 0, 0], (len(t), 1))}}
+    )
+    with pytest.raises(DataError, match="'vehicle_odometry' has no field 'x'"):
+        read("ulog", QUADROTOR, path=path)
+
+
 def test_topics_too_slow_to_interpolate_are_refused(tmp_path: Path) -> None:
     *_, topics = logged()
     slow = three_topics(topics)

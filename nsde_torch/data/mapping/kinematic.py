@@ -175,6 +175,8 @@ def lean(t: Array, q: Array, p: Array) -> Lean | None:
     if len(t) < 2 or t[-1] - t[0] < 10 * _TILT_S:
         return None
     step = _TILT_S / 4
+    if t[-1] - t[0] > 2 * step * len(t):  # too few rows to say anything, or times that no clock tells
+        return None
     grid = np.arange(t[0], t[-1], step)
     third = rotate(q, np.broadcast_to([0.0, 0.0, 1.0], (len(q), 3)))
     edges = np.searchsorted(t, np.append(grid, t[-1]))

@@ -1,0 +1,118 @@
+"""`nsde serve`: a page on this machine that takes logs and gives their diagnosis."""
+
+from __future__ import annotations
+
+import secrets
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from ..hydra_command import HydraCommand
+from ..keys import group, key
+from ..schemas.model import SystemConfig
+
+if TYPE_CHECKING:
+    from omegaconf import DictConfig
+
+    from ..jobs import Job
+
+HOST = "127.0.0.1"
+"""The page is for who sits at this machine: no other address is ever bound."""
+_THREADS = 8  # requests at a time
+_SPARE = 1 << 20  # bytes of a request beside its logs
+
+
+@dataclass
+class ServeConfig:
+    """`nsde serve`."""
+
+    port: int = key(8765, "port on 127.0.0.1; 0: any that is free", low=0, high=65535)
+    out_dir: str = key("served", "folder that keeps the logs and what was found in them")
+    upload: float = key(512.0, "largest upload of one diagnosis, all its logs together", unit="MiB", above=0)
+    time: float = key(3600.0, "longest time of one diagnosis", unit="s", above=0)
+    memory: float = key(8.0, "largest memory of one diagnosis", unit="GiB", above=0)
+    jobs: int = key(1, "diagnoses at a time; further ones wait", low=1)
+    keep: int = key(50, "most diagnoses that are kept: then one has to be deleted", low=1)
+    system: SystemConfig = group(
+        SystemConfig,
+        "machine that the page chooses at first, with what is known of it; null: told by what is logged",
+    )
+
+
+COMMAND = HydraCommand(
+    name="serve",
+    help="Open a page on this machine that takes dropped logs and gives their diagnosis",
+    schema=ServeConfig,
+    module=__name__,
+    groups={"system": None},
+    values={"system": {"name": "told by what is logged"}},
+    examples=(
+        ("", "print the address of the page; Ctrl-C ends it"),
+        ("system=hexacopter", "for logs of this machine"),
+        ("out_dir=diagnoses", "keep logs and results in this folder"),
+        ("--config-dir my_machines", "with machines of your own"),
+    ),
+    paths=("out_dir",),
+)
+
+
+def run(config: DictConfig, job: Job) -> None:
+    """Serve until Ctrl-C.
+
+    Args:
+        config: The composed and checked configuration.
+        job: The job.
+
+    Raises:
+        ConfigError: a package, the port or the machine is not there.
+    """
+    from hydra.core.hydra_config import HydraConfig
+
+    from nsde_torch.errors import ConfigError
+
+    from ..own_modules import config_folders
+
+    try:
+        from ..serving.app import ServedPage
+        from ..serving.server import listen
+    except ModuleNotFoundError as error:
+        package = str(error.name).partition(".")[0]
+        raise ConfigError(
+            f"`nsde serve` needs the package {package!r}, which is not installed: pip install 'nsde_torch[serve]'."
+        ) from error
+    from ..serving.limits import ServeLimits
+    from ..serving.runner import JobRunner
+    from ..serving.shelf import Shelf
+    from ..serving.words import machines
+
+    typed = HydraConfig.get()
+    own = config_folders(typed.runtime.config_sources)
+    system = typed.runtime.choices.get("system")
+    known = machines(
+        Path(own[0]) if own else None,
+        first=system,
+        typed=[word for word in typed.overrides.task if word.lstrip("+~").startswith("system.")],
+    )
+    limits = ServeLimits(
+        upload=int(config.upload * 2**20),
+        seconds=config.time,
+        memory=int(config.memory * 2**30),
+        jobs=config.jobs,
+        keep=config.keep,
+    )
+    server = listen(HOST, config.port, largest=limits.upload + _SPARE, threads=_THREADS)
+    token = secrets.token_urlsafe(24)
+    shelf = Shelf(Path(config.out_dir), limits)
+    runner = JobRunner(shelf, known, limits)
+    hosts = [f"{name}:{server.port}" for name in (HOST, "localhost")]
+    page: Any = ServedPage(runner, token=token, hosts=hosts)
+    print(f"http://{HOST}:{server.port}/#{token}", flush=True)
+    print(
+        f"Open this address in a browser of this machine. Logs and results are kept in {shelf.folder}; Ctrl-C ends it.",
+        flush=True,
+    )
+    try:
+        server.run(page)
+    finally:
+        runner.close()
+    print(f"\nnsde serve: ended; {len(shelf.all())} diagnoses are kept in {shelf.folder}.")

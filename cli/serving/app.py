@@ -1,0 +1,251 @@
+"""The page and its requests:
+
+    GET    /                                the page; page.js and page.css beside it
+    GET    /api/jobs                        what can be chosen, limits, and the jobs that are kept
+    POST   /api/jobs                        {system, files: [{name, size}]}: a new job
+    PUT    /api/jobs/ID/logs/K              the K-th log, its bytes as they are
+    POST   /api/jobs/ID/inspect             {system, mapping}: look into the logs
+    POST   /api/jobs/ID/diagnose, cancel    start, stop
+    DELETE /api/jobs/ID                     remove it with its files
+    GET    /api/jobs/ID                     all that the page shows of it
+    GET    /jobs/ID/FILE                    report.html, effects.yaml, diagnosis.json, mapping.yaml, log.txt, a picture
+
+What is under `/api` needs the token. Files of a job need its id, which nobody can guess and only `/api` tells.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+import traceback
+from collections.abc import Callable, Collection, Iterable
+from importlib import resources
+from typing import Any
+
+from werkzeug.exceptions import HTTPException
+from werkzeug.routing import Map, Rule
+from werkzeug.wrappers import Request, Response
+
+from .answers import TYPES, answer_file, answer_json, shut_in
+from .checks import check_place, check_token
+from .job import STATES, ServedJob
+from .refused import RefusedError
+from .runner import INSPECTION, LOG, MAPPING, RESULT, SUMMARY, JobRunner
+from .uploads import FORMATS, receive
+
+_STATIC = ("index.html", "page.js", "views.js", "page.css", "icon.svg")
+_LARGEST = 1 << 18  # bytes of a request that is no log
+_COLUMNS = 300  # that are listed
+_HOMES = {
+    "report.html": RESULT,
+    "effects.yaml": RESULT,
+    "diagnosis.json": RESULT,
+    MAPPING: "",
+    LOG: "",
+}
+"""Files of a job that may be read -> folder in it."""
+
+
+class ServedPage:
+    """The application, as WSGI calls it.
+
+    Args:
+        runner: Works on the jobs.
+        token: What requests must hold.
+        hosts: `name:port` of this server.
+    """
+
+    def __init__(self, runner: JobRunner, *, token: str, hosts: Collection[str]) -> None:
+        self._runner, self._shelf = runner, runner.shelf
+        self._token, self._hosts = token, hosts
+        self._receiving: set[tuple[str, int]] = set()
+        job = "/api/jobs/<name>"
+        self._map = Map(
+            [
+                Rule("/", endpoint="page", methods=["GET"]),
+                Rule("/<file>", endpoint="page", methods=["GET"]),
+                Rule("/api/jobs", endpoint="list", methods=["GET"]),
+                Rule("/api/jobs", endpoint="create", methods=["POST"]),
+                Rule(job, endpoint="show", methods=["GET"]),
+                Rule(job, endpoint="delete", methods=["DELETE"]),
+                Rule(f"{job}/logs/<int:index>", endpoint="receive", methods=["PUT"]),
+                Rule(f"{job}/inspect", endpoint="inspect", methods=["POST"]),
+                Rule(f"{job}/diagnose", endpoint="diagnose", methods=["POST"]),
+                Rule(f"{job}/cancel", endpoint="cancel", methods=["POST"]),
+                Rule("/jobs/<name>/<file>", endpoint="file", methods=["GET"]),
+            ]
+        )
+        self._answers: dict[str, Callable[..., Response]] = {
+            "page": self._page,
+            "list": self._list,
+            "create": self._create,
+            "show": self._show,
+            "delete": self._delete,
+            "receive": self._receive,
+            "inspect": self._inspect,
+            "diagnose": self._diagnose,
+            "cancel": self._cancel,
+            "file": self._file,
+        }
+
+    def __call__(self, environ: dict[str, Any], start_response: Callable[..., Any]) -> Iterable[bytes]:
+        """Answer one request."""
+        request = Request(environ)
+        answer = self._answer(request)
+        shut_in(answer, sheet=request.path.startswith("/jobs/"))
+        return answer(environ, start_response)
+
+    def _answer(self, request: Request) -> Response:
+        try:
+            check_place(request, self._hosts)
+            if request.path.startswith("/api/"):
+                check_token(request, self._token)
+            endpoint, values = self._map.bind_to_environ(request.environ).match()
+            return self._answers[endpoint](request, **values)
+        except RefusedError as error:
+            return answer_json({"error": str(error)}, error.status)
+        except HTTPException as error:
+            return answer_json(
+                {"error": f"{error.name}: there is nothing of this kind here."}, error.code or 404
+            )
+        except Exception:  # a fault of ours: the terminal has it, the page a sentence
+            traceback.print_exc(file=sys.stderr)
+            return answer_json({"error": "The page has a fault; the terminal of `nsde serve` shows it."}, 500)
+
+    def _page(self, request: Request, file: str = "index.html") -> Response:
+        if file not in _STATIC:
+            raise RefusedError("There is nothing of this name here.", 404)
+        content = resources.files("nsde_torch.cli.serving").joinpath("page", file).read_bytes()
+        return Response(content, content_type=TYPES[f".{file.rpartition('.')[2]}"])
+
+    def _list(self, request: Request) -> Response:
+        limits = self._runner.limits
+        return answer_json(
+            {
+                "systems": list(self._runner.machines.names),
+                "system": self._runner.machines.first,
+                "suffixes": list(FORMATS),
+                "upload": limits.upload,
+                "files": limits.files,
+                "seconds": limits.seconds,
+                "folder": str(self._shelf.folder),
+                "jobs": [self._brief(job) for job in self._shelf.all()],
+            }
+        )
+
+    def _create(self, request: Request) -> Response:
+        given = _content(request)
+        system, files = given.get("system") or None, given.get("files")
+        if system is not None and system not in self._runner.machines.names:
+            raise RefusedError("Choose one of the systems of the list.")
+        if not isinstance(files, list) or not all(
+            isinstance(f, dict) and isinstance(f.get("name"), str) and type(f.get("size")) is int
+            for f in files
+        ):
+            raise RefusedError("`files` must hold the name and the size of each log.")
+        job = self._shelf.create([(f["name"], f["size"]) for f in files], system)
+        return answer_json(self._brief(job), 201)
+
+    def _receive(self, request: Request, name: str, index: int) -> Response:
+        job = self._shelf.get(name)
+        with self._shelf.lock:
+            if job.state != "uploading" or index >= len(job.files) or job.files[index].there:
+                raise RefusedError("This log is not expected.", 409)
+            file = job.files[index]
+            if (name, index) in self._receiving:
+                raise RefusedError("This log is being sent already.", 409)
+            self._receiving.add((name, index))
+        try:
+            receive(request.stream.read, self._shelf.of(job) / "logs" / file.name, file.size)
+        except RefusedError:
+            self._shelf.delete(job)
+            raise
+        finally:
+            self._receiving.discard((name, index))
+        file.there = True
+        self._shelf.note(job)
+        return answer_json(self._brief(job))
+
+    def _inspect(self, request: Request, name: str) -> Response:
+        job, given = self._shelf.get(name), _content(request)
+        system, mapping = given.get("system") or None, given.get("mapping") or None
+        if not isinstance(system, str | None) or not isinstance(mapping, str | None):
+            raise RefusedError("`system` and `mapping` must be text.")
+        self._runner.inspect(job, system=system, mapping=mapping)
+        return self._show(request, name)
+
+    def _diagnose(self, request: Request, name: str) -> Response:
+        self._runner.diagnose(self._shelf.get(name))
+        return self._show(request, name)
+
+    def _cancel(self, request: Request, name: str) -> Response:
+        self._runner.cancel(self._shelf.get(name))
+        return self._show(request, name)
+
+    def _delete(self, request: Request, name: str) -> Response:
+        self._shelf.delete(self._shelf.get(name))
+        return answer_json({})
+
+    def _show(self, request: Request, name: str) -> Response:
+        job = self._shelf.get(name)
+        with self._shelf.lock:
+            content = {**job.content(), **self._brief(job)}
+        found = self._shelf.read(job, INSPECTION)
+        if found is not None:
+            content["inspection"] = {**found, "columns": _first(found), "all_columns": len(found["columns"])}
+        folder = self._shelf.of(job)
+        content["mapping"] = (
+            (folder / MAPPING).read_text(encoding="utf-8") if (folder / MAPPING).is_file() else ""
+        )
+        if job.state == "done":
+            content["summary"] = self._shelf.read(job, SUMMARY)
+        content["printed"] = (folder / LOG).is_file()
+        return answer_json(content)
+
+    def _file(self, request: Request, name: str, file: str) -> Response:
+        job = self._shelf.get(name)
+        folder = self._shelf.of(job)
+        pictures = {path.name: path for path in (folder / RESULT / "plots").glob("*.png")}
+        path = folder / _HOMES[file] / file if file in _HOMES else pictures.get(file)
+        if path is None or not path.is_file():
+            raise RefusedError("There is no such file.", 404)
+        return answer_file(path, name=f"{file}" if "save" in request.args else None)
+
+    def _brief(self, job: ServedJob) -> dict[str, Any]:
+        return {
+            "id": job.id,
+            "created": job.created,
+            "system": job.system,
+            "machine": job.machine,
+            "files": [{"given": f.given, "name": f.name, "size": f.size} for f in job.files],
+            "state": job.state,
+            "called": STATES[job.state],
+            "seconds": self._runner.elapsed(job),
+        }
+
+
+def _content(request: Request) -> dict[str, Any]:
+    """The JSON object of a request."""
+    if request.mimetype != "application/json":
+        raise RefusedError("The request must be JSON.", 415)
+    raw = request.stream.read(_LARGEST + 1)
+    if len(raw) > _LARGEST:
+        raise RefusedError("The request is too large.", 413)
+    try:
+        content = json.loads(raw)
+    except (ValueError, RecursionError):
+        raise RefusedError("The request must be JSON.") from None
+    if not isinstance(content, dict):
+        raise RefusedError("The request must be a JSON object.")
+    return content
+
+
+def _first(found: dict[str, Any]) -> list[dict[str, Any]]:
+    """Columns that the mapping uses first, then those that move."""
+    used = set(found["mapped"])
+
+    def place(row: dict[str, Any]) -> int:
+        full = f"{row['stream']}/{row['column']}"
+        return 0 if row["column"] in used or full in used else 1 if row["low"] != row["high"] else 2
+
+    return sorted(found["columns"], key=place)[:_COLUMNS]

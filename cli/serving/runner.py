@@ -1,0 +1,259 @@
+"""What is done with the logs of a job: looked into, then diagnosed, each by a command in a process of its own."""
+
+from __future__ import annotations
+
+import json
+import queue
+import shutil
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, Protocol
+
+from ..quoted import quoted
+from .job import ServedJob
+from .limits import ServeLimits
+from .process import CommandProcess, EndOfProcess, Say
+from .refused import RefusedError
+from .shelf import Shelf
+from .summary import page_summary
+from .words import Machines, diagnose_words, inspect_words, shell
+
+INSPECTION, SUMMARY, LOG, MAPPING, RESULT = (
+    "inspection.json",
+    "summary.json",
+    "log.txt",
+    "mapping.yaml",
+    "result",
+)
+_LONGEST_MAPPING = 1 << 16  # letters
+_LOOK = 300.0  # seconds that looking into logs may take at most
+
+
+class StoppableWork(Protocol):
+    """A command that can be stopped."""
+
+    def run(self) -> EndOfProcess:
+        """Run it to its end."""
+
+    def stop(self, why: str = "cancelled") -> None:
+        """End it now."""
+
+
+MakeWork = Callable[..., StoppableWork]
+"""Makes the work of words, as `CommandProcess` does."""
+
+
+class JobRunner:
+    """Takes jobs one after another: one is looked into at a time, `limits.jobs` are diagnosed at a time.
+
+    Args:
+        shelf: The jobs.
+        machines: That are offered.
+        limits: Of time and memory.
+        make: Makes a process; another one in tests.
+    """
+
+    def __init__(
+        self, shelf: Shelf, machines: Machines, limits: ServeLimits, *, make: MakeWork = CommandProcess
+    ) -> None:
+        self.shelf, self.machines, self.limits, self._make = shelf, machines, limits, make
+        self._work: dict[str, StoppableWork] = {}
+        self._began: dict[str, float] = {}
+        self._closed = False
+        self._looks: queue.SimpleQueue[ServedJob | None] = queue.SimpleQueue()
+        self._diagnoses: queue.SimpleQueue[ServedJob | None] = queue.SimpleQueue()
+        self._threads = [threading.Thread(target=self._serve, args=(self._looks, self._look), daemon=True)]
+        self._threads += [
+            threading.Thread(target=self._serve, args=(self._diagnoses, self._diagnose), daemon=True)
+            for _ in range(limits.jobs)
+        ]
+        for thread in self._threads:
+            thread.start()
+
+    def inspect(self, job: ServedJob, *, system: str | None, mapping: str | None) -> None:
+        """Look into the logs of a job.
+
+        Args:
+            job: All of whose logs have arrived.
+            system: Machine; None: to be guessed.
+            mapping: Text of a mapping to check; None: one is proposed.
+
+        Raises:
+            RefusedError: an unknown machine, logs that have not arrived, or a job that is at work or done.
+        """
+        if system is not None and system not in self.machines.names:
+            raise RefusedError(
+                f"There is no system {system!r}: choose one of {', '.join(self.machines.names)}."
+            )
+        if mapping is not None and len(mapping) > _LONGEST_MAPPING:
+            raise RefusedError(f"The mapping is longer than {_LONGEST_MAPPING} letters.", 413)
+        with self.shelf.lock:
+            if not all(file.there for file in job.files):
+                raise RefusedError("Not all logs have arrived: drop them again.", 409)
+            if job.state not in ("uploading", "ready", "refused", "failed", "cancelled"):
+                raise RefusedError("It is at work, or done: drop the logs again for another look.", 409)
+            folder = self.shelf.of(job)
+            for name in (INSPECTION, MAPPING):
+                (folder / name).unlink(missing_ok=True)
+            if mapping is not None:
+                (folder / MAPPING).write_text(mapping, encoding="utf-8")
+            self.shelf.note(
+                job, state="looking", sentence="", system=system, mapped=mapping is not None, stages=[]
+            )
+        self._looks.put(job)
+
+    def diagnose(self, job: ServedJob) -> None:
+        """Diagnose a job that was looked into, when its turn comes.
+
+        Raises:
+            RefusedError: its logs cannot be read as they are, or it is at work or done.
+        """
+        with self.shelf.lock:
+            found = self.shelf.read(job, INSPECTION)
+            if job.state not in ("ready", "failed", "cancelled") or found is None or not found["usable"]:
+                raise RefusedError("These logs cannot be diagnosed as they are.", 409)
+            shutil.rmtree(self.shelf.of(job) / RESULT, ignore_errors=True)
+            self.shelf.note(job, state="waiting", sentence="", stages=[], seconds=0.0)
+        self._diagnoses.put(job)
+
+    def cancel(self, job: ServedJob) -> None:
+        """Stop a job that is at work or waits; its logs stay."""
+        with self.shelf.lock:
+            work = self._work.get(job.id)
+            if job.state == "waiting":
+                self.shelf.note(job, state="cancelled", sentence="It was stopped before it began.")
+            elif job.state == "looking" and work is None:
+                self.shelf.note(job, state="refused", sentence="It was stopped before it began.")
+        if work is not None:
+            work.stop()
+
+    def elapsed(self, job: ServedJob) -> float:
+        """Seconds since the work on a job began, or how long it took."""
+        began = self._began.get(job.id)
+        return job.seconds if began is None else time.monotonic() - began
+
+    def close(self) -> None:
+        """Stop everything."""
+        with self.shelf.lock:
+            self._closed = True
+            work = list(self._work.values())
+        for one in work:
+            one.stop("closed")
+        for thread in self._threads:
+            (self._looks if thread is self._threads[0] else self._diagnoses).put(None)
+        for thread in self._threads:
+            thread.join(timeout=10.0)
+
+    def _serve(
+        self, jobs: queue.SimpleQueue[ServedJob | None], work: Callable[[ServedJob], dict[str, Any]]
+    ) -> None:
+        while (job := jobs.get()) is not None:
+            if self._closed or job.state not in ("looking", "waiting"):  # stopped while it waited
+                continue
+            self._began[job.id] = time.monotonic()
+            try:
+                changed = work(job)
+            except Exception as error:  # the page goes on
+                changed = {
+                    "state": "failed",
+                    "sentence": f"A fault of the page: {type(error).__name__}: {error}.",
+                }
+            began = self._began.pop(job.id)
+            if not self._closed:  # else it is taken up by the next start
+                self.shelf.note(job, seconds=round(time.monotonic() - began, 1), **changed)
+
+    def _run(self, job: ServedJob, words: list[str], limits: ServeLimits, say: Say) -> EndOfProcess:
+        folder = self.shelf.of(job)
+        work = self._make(
+            words, folder=self.machines.folder or folder, log=folder / LOG, limits=limits, say=say
+        )
+        with self.shelf.lock:
+            self._work[job.id] = work
+        try:
+            return work.run()
+        finally:
+            with self.shelf.lock:
+                del self._work[job.id]
+
+    def _look(self, job: ServedJob) -> dict[str, Any]:
+        folder = self.shelf.of(job)
+        given = folder / MAPPING if job.mapped else None
+        out = folder / INSPECTION
+        words = inspect_words(folder / "logs", known=self.machines, system=job.system, mapping=given, out=out)
+        limits = replace(self.limits, seconds=min(_LOOK, self.limits.seconds))
+        end = self._run(job, words, limits, _nothing)
+        found = self.shelf.read(job, INSPECTION)
+        if end.sentence or found is None:
+            why = end.sentence or "The logs could not be looked into by a fault of the program: see log.txt."
+            return {"state": "refused", "sentence": self._plain(why, job)}
+        system = job.system or found["system"]
+        self.shelf.note(job, machine=system)
+        if found["mapping"] and not job.mapped:
+            (folder / MAPPING).write_text(found["mapping"], encoding="utf-8")
+        if not found["usable"] or system not in self.machines.names:
+            return {"state": "refused", "sentence": self._plain(_why_not(found), job)}
+        return {"state": "ready", "repeat": shell(self._words(job))}
+
+    def _words(self, job: ServedJob) -> list[str]:
+        folder = self.shelf.of(job)
+        mapping = folder / MAPPING if (folder / MAPPING).is_file() else None
+        return diagnose_words(folder / "logs", known=self.machines, system=job.machine, mapping=mapping)
+
+    def _diagnose(self, job: ServedJob) -> dict[str, Any]:
+        folder = self.shelf.of(job)
+        began = time.monotonic()
+        stages: list[dict[str, Any]] = [{"stage": "reading the logs", "done": 0, "total": 1, "began": 0.0}]
+
+        def say(stage: str, done: int, total: int) -> None:
+            now = round(time.monotonic() - began, 1)
+            with self.shelf.lock:
+                if stages[-1]["stage"] == stage:
+                    stages[-1].update(done=done, total=total)
+                else:
+                    stages.append({"stage": stage, "done": done, "total": total, "began": now})
+
+        words = self._words(job)
+        self.shelf.note(job, state="running", stages=stages, repeat=shell(words))
+        end = self._run(job, [*words, quoted(f"out_dir={folder / RESULT}", ("out_dir",))], self.limits, say)
+        if end.stopped == "cancelled":
+            return {"state": "cancelled", "sentence": end.sentence}
+        content = self.shelf.read(job, f"{RESULT}/diagnosis.json")
+        if end.status != 0 or content is None:
+            return {"state": "failed", "sentence": self._plain(end.sentence, job)}
+        save_summary(folder, content)
+        return {"state": "done"}
+
+    def _plain(self, sentence: str, job: ServedJob) -> str:
+        """A sentence of a command without the folders of the page."""
+        logs = self.shelf.of(job) / "logs"
+        for folder in (f"{logs}/", f"{self.shelf.of(job)}/"):
+            sentence = sentence.replace(folder, "")
+        return sentence.replace(str(logs), "the logs")
+
+
+def save_summary(folder: Path, content: dict[str, Any]) -> None:
+    """Write what the page shows of a diagnosis.
+
+    Args:
+        folder: Of the job.
+        content: As `diagnosis.json` has it.
+    """
+    plots = {path.name for path in (folder / RESULT / "plots").glob("*.png")}
+    (folder / SUMMARY).write_text(json.dumps(page_summary(content, plots)), encoding="utf-8")
+
+
+def _why_not(found: dict[str, Any]) -> str:
+    """The first reason why logs cannot be read as they are, one sentence."""
+    failed = [check for check in found["checks"] if check["passed"] is False]
+    if failed:
+        return f"The mapping contradicts the data: {failed[0]['text']}"
+    if found["missing"]:
+        return f"Something is missing: {found['missing'][0]}"
+    return "Too little was recognised in these logs to make a mapping of it."
+
+
+def _nothing(stage: str, done: int, total: int) -> None:
+    return None

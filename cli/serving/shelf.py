@@ -1,0 +1,156 @@
+"""The jobs that are kept, a folder each:
+
+OUT_DIR/ID/job.json             what is known of it
+OUT_DIR/ID/logs/                the logs as they were dropped, under names of our own
+OUT_DIR/ID/mapping.yaml         what their columns mean
+OUT_DIR/ID/inspection.json      what `nsde inspect` found
+OUT_DIR/ID/result/              what `nsde diagnose` wrote
+OUT_DIR/ID/log.txt              what the commands printed
+"""
+
+from __future__ import annotations
+
+import json
+import re
+import secrets
+import shutil
+import threading
+from collections.abc import Sequence
+from datetime import datetime
+from pathlib import Path
+from typing import Any
+
+from nsde_torch.errors import ConfigError
+
+from .job import AT_WORK, ServedJob, UploadedFile, load
+from .limits import ServeLimits
+from .refused import RefusedError
+from .uploads import file_names, shown
+
+_ID = re.compile(r"\d{8}-\d{6}-[0-9a-f]{16}")
+
+
+class Shelf:
+    """Jobs by id, and their folders.
+
+    Args:
+        folder: Where they are kept; made if it is not there.
+        limits: Of sizes and numbers.
+    """
+
+    def __init__(self, folder: Path, limits: ServeLimits) -> None:
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise ConfigError(
+                f"`out_dir`: {folder} cannot be made ({error.strerror}); name another folder."
+            ) from error
+        self.folder, self.limits = folder.resolve(), limits
+        self.lock = threading.RLock()
+        self._jobs: dict[str, ServedJob] = {}
+        for path in sorted(p for p in self.folder.iterdir() if _ID.fullmatch(p.name)):
+            job = load(path)
+            if job is not None:
+                self._jobs[job.id] = job
+                self._resume(job)
+
+    def _resume(self, job: ServedJob) -> None:
+        """A job that was at work when the page ended has its logs still."""
+        if job.state in AT_WORK:
+            state = "refused" if job.state == "looking" else "cancelled"
+            self.note(job, state=state, sentence="The page was closed while it was at work; start it again.")
+        elif job.state == "uploading":
+            self.note(
+                job,
+                state="refused",
+                sentence="The page was closed before all logs had arrived; drop them again.",
+            )
+
+    def all(self) -> list[ServedJob]:
+        """The jobs, the newest first."""
+        with self.lock:
+            return sorted(self._jobs.values(), key=lambda job: job.created, reverse=True)
+
+    def get(self, name: str) -> ServedJob:
+        """A job by its id.
+
+        Raises:
+            RefusedError: there is none.
+        """
+        with self.lock:
+            if name not in self._jobs:
+                raise RefusedError("There is no such diagnosis; it may have been deleted.", 404)
+            return self._jobs[name]
+
+    def of(self, job: ServedJob) -> Path:
+        """The folder of a job."""
+        return self.folder / job.id
+
+    def create(self, given: Sequence[tuple[str, int]], system: str | None) -> ServedJob:
+        """A job for logs that are about to be sent.
+
+        Args:
+            given: Name and size [bytes] of each.
+            system: Machine; None: to be guessed.
+
+        Raises:
+            RefusedError: no log, too many, too large, or no room.
+        """
+        limits, total = self.limits, sum(size for _, size in given)
+        if not given:
+            raise RefusedError("Nothing was dropped: drop a log, or several of one format.")
+        if len(given) > limits.files:
+            raise RefusedError(
+                f"{len(given)} files are too many: at most {limits.files} logs at a time.", 413
+            )
+        names = file_names([name for name, _ in given])
+        for name, size in given:
+            if size <= 0:
+                raise RefusedError(f"{shown(name)} is empty.")
+        if total > limits.upload:
+            most = f"{limits.upload / 2**20:g} MiB"
+            raise RefusedError(
+                f"The logs are too large: {total / 2**20:.4g} MiB, and at most {most} are taken (`upload`).",
+                413,
+            )
+        if shutil.disk_usage(self.folder).free < 2 * total + (1 << 26):
+            raise RefusedError(f"The disk of {self.folder} is full: make room first.", 507)
+        with self.lock:
+            if len(self._jobs) >= limits.keep:
+                raise RefusedError(f"{limits.keep} diagnoses are kept (`keep`): delete one first.", 409)
+            now = datetime.now().astimezone()
+            name = f"{now:%Y%m%d-%H%M%S}-{secrets.token_hex(8)}"
+            files = [UploadedFile(shown(g), n, s) for (g, s), n in zip(given, names, strict=True)]
+            job = ServedJob(name, now.isoformat(timespec="milliseconds"), system, files)
+            (self.folder / name).mkdir(mode=0o700)
+            (self.folder / name / "logs").mkdir()
+            self._jobs[name] = job
+            self.note(job)
+        return job
+
+    def note(self, job: ServedJob, **changed: Any) -> None:
+        """Change what is known of a job, and write it down."""
+        with self.lock:
+            for key, value in changed.items():
+                setattr(job, key, value)
+            if job.id in self._jobs:
+                job.save(self.of(job))
+
+    def delete(self, job: ServedJob) -> None:
+        """Remove a job that is not at work, with its folder.
+
+        Raises:
+            RefusedError: it is at work.
+        """
+        with self.lock:
+            if job.state in AT_WORK:
+                raise RefusedError("It is at work: stop it first.", 409)
+            self._jobs.pop(job.id, None)
+            shutil.rmtree(self.of(job), ignore_errors=True)
+
+    def read(self, job: ServedJob, name: str) -> Any:
+        """A JSON file of a job; None where it is not there."""
+        try:
+            return json.loads((self.of(job) / name).read_text(encoding="utf-8"))
+        except (OSError, ValueError):
+            return None

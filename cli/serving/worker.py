@@ -1,0 +1,66 @@
+"""The process of one job: limits on itself first, then the command of `nsde` that its words say.
+
+`python -m nsde_torch.cli.serving.worker MEMORY SECONDS PARENT WORD...`. It ends when its parent does.
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+
+_LARGEST_FILE = 2 << 30  # bytes that one file of a result may have
+_SPARE = 60.0  # seconds of computing beyond the time limit, which the parent holds
+
+
+def limit(memory: int, seconds: float) -> None:
+    """Bound memory, computing time and files of this process and its children, where the system can.
+
+    Args:
+        memory: Bytes of data.
+        seconds: Of computing on one core.
+    """
+    try:
+        import resource
+    except ImportError:  # not a POSIX system
+        return
+    wanted = {
+        resource.RLIMIT_DATA: memory,
+        resource.RLIMIT_CPU: int(seconds + _SPARE),
+        resource.RLIMIT_FSIZE: _LARGEST_FILE,
+        resource.RLIMIT_CORE: 0,
+    }
+    for kind, most in wanted.items():
+        hard = resource.getrlimit(kind)[1]
+        most = most if hard == resource.RLIM_INFINITY else min(most, hard)
+        resource.setrlimit(kind, (most, most))
+
+
+def end_with(parent: int) -> None:
+    """Be killed when the parent ends, however it ends (Linux).
+
+    Args:
+        parent: Its process id.
+    """
+    if sys.platform == "linux":
+        import ctypes
+
+        set_death_signal = 1  # PR_SET_PDEATHSIG
+        ctypes.CDLL(None).prctl(set_death_signal, signal.SIGKILL)
+        if os.getppid() != parent:
+            sys.exit(1)
+
+
+def main() -> None:
+    """Run the words after the limits."""
+    memory, seconds, parent, *words = sys.argv[1:]
+    end_with(int(parent))
+    limit(int(memory), float(seconds))
+    from ..main import entry
+
+    sys.argv = ["nsde", *words]
+    entry()
+
+
+if __name__ == "__main__":
+    main()

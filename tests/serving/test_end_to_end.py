@@ -1,0 +1,172 @@
+"""Real logs through the real commands: what is found, that the shown command repeats it, and what is refused."""
+
+from __future__ import annotations
+
+import json
+import shlex
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import nsde_torch
+from nsde_torch.cli.main import main
+from nsde_torch.cli.serving.process import CommandProcess
+from nsde_torch.data.raw import RawRun
+from tests.helpers import log_writers
+from tests.helpers.leaning import leaning_flight
+from tests.helpers.ulog_bytes import write_ulog
+from tests.serving.conftest import InProcess, Page, make_page
+
+SPRING = "mass_spring_damper"
+
+
+@pytest.fixture
+def real(tmp_path: Path) -> Any:
+    """A page whose commands are the real ones."""
+    made = make_page(tmp_path / "served", InProcess)
+    yield made
+    made.runner.close()
+
+
+def _springs(seconds: float, effects: list[dict[str, dict[str, float]]]) -> dict[str, bytes]:
+    """Two runs of a spring as CSV."""
+    out = {}
+    for run in nsde_torch.simulate(SPRING, effects=effects, durations=[seconds] * 2, seed=1).runs:
+        rows = np.column_stack([run.t, run.x, run.u[: len(run.t)]]).tolist()
+        lines = ["t,q,q_dot,force", *(",".join(map(repr, row)) for row in rows)]
+        out[f"{run.name}.csv"] = "\n".join(lines).encode()
+    return out
+
+
+@pytest.fixture(scope="module")
+def springs() -> dict[str, bytes]:
+    """A spring that lacks nothing."""
+    return _springs(12.0, [])
+
+
+@pytest.fixture(scope="module")
+def damaged(tmp_path_factory: pytest.TempPathFactory) -> dict[str, bytes]:
+    """Logs of every format that can be written here, cut off after a third."""
+    folder = tmp_path_factory.mktemp("whole")
+    flight: RawRun = leaning_flight(4.0)
+    files = []
+    for suffix in (".csv", ".tsv", ".npz", ".mat", ".h5", ".parquet"):
+        try:
+            files.append(log_writers.write_table(folder / f"run{suffix}", log_writers.ned_columns(flight)))
+        except ImportError:
+            continue
+    for name in ("run.mcap", "run.bag", "bag"):
+        try:
+            made = log_writers.write_ros(folder / name, flight)
+        except ImportError:
+            continue
+        files.append(next(made.glob("*.db3")) if made.is_dir() else made)
+    files.append(
+        write_ulog(folder / "run.ulg", {"vehicle_odometry": {"timestamp": flight.t, "q": flight.x[:, 6:10]}})
+    )
+    cut = {path.suffix: path.read_bytes() for path in files}
+    return {suffix: content[: len(content) // 3] for suffix, content in cut.items()}
+
+
+@pytest.mark.slow
+def test_what_is_found_and_the_command_that_repeats_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    real = make_page(tmp_path / "served", CommandProcess)  # in processes of their own, with limits
+    job = real.drop(_springs(5.0, [{"coulomb_friction": {"size": 0.3}}]), SPRING)
+    assert job["state"] == "ready", job["sentence"]
+    real.ask("POST", f"/api/jobs/{job['id']}/diagnose", {})
+    done = real.until(job["id"], lambda j: j["state"] in ("done", "failed"))
+    assert done["state"] == "done", done["sentence"]
+    first = done["summary"]["findings"][0]
+    assert first["name"] == "coulomb_friction"
+    assert float(first["parameters"][0]["value"].split()[0]) == pytest.approx(0.3, rel=0.1)
+    assert first["picture"] == "effect_coulomb_friction.png"
+    assert real.ask("GET", f"/jobs/{job['id']}/{first['picture']}").data.startswith(b"\x89PNG")
+    assert b"coulomb_friction" in real.ask("GET", f"/jobs/{job['id']}/report.html").data
+    monkeypatch.chdir(tmp_path)
+    nsde, *words = shlex.split(done["repeat"])
+    assert nsde == "nsde"
+    assert main(words) == 0
+    (again,) = (tmp_path / "diagnoses").rglob("diagnosis.json")
+    before = json.loads(real.ask("GET", f"/jobs/{job['id']}/diagnosis.json").data)
+    after = json.loads(again.read_text())
+    before.pop("seconds"), after.pop("seconds")
+    assert after == before
+    real.runner.close()
+
+
+@pytest.mark.parametrize(
+    "suffix", [".csv", ".tsv", ".npz", ".mat", ".h5", ".parquet", ".mcap", ".bag", ".db3", ".ulg"]
+)
+def test_a_log_that_was_cut_off_is_one_sentence(real: Page, damaged: dict[str, bytes], suffix: str) -> None:
+    if suffix not in damaged:
+        pytest.skip(f"needs what writes {suffix}")
+    job = real.drop({f"run{suffix}": damaged[suffix]}, "quadrotor")
+    assert job["state"] == "refused"
+    assert job["sentence"].endswith(".")
+    assert "fault" not in job["sentence"]
+    assert str(real.folder) not in job["sentence"]
+    assert not job["repeat"]
+    assert real.ask("POST", f"/api/jobs/{job['id']}/diagnose", {}).status_code == 409
+
+
+@pytest.mark.parametrize("suffix", [".csv", ".npz", ".mat", ".bin", ".ulg", ".txt"])
+@pytest.mark.parametrize(
+    "content",
+    [b"\x00" * 3000, b"no log at all\n" * 50, bytes(range(256)) * 9, b"<script>alert(1)</script>\n" * 9],
+)
+def test_what_is_no_log_under_a_log_s_name_is_one_sentence(real: Page, suffix: str, content: bytes) -> None:
+    job = real.drop({f"run{suffix}": content}, "quadrotor")
+    assert job["state"] == "refused"
+    assert "fault" not in job["sentence"]
+    assert job["sentence"].endswith(".")
+
+
+def test_a_mapping_of_a_topic_that_is_not_there_is_one_sentence(
+    real: Page, springs: dict[str, bytes]
+) -> None:
+    job = real.drop(springs, SPRING)
+    mapping = "columns:\n  q: {from: speed}\n  q_dot: {from: q_dot}\n  force: {from: force}\n"
+    real.ask("POST", f"/api/jobs/{job['id']}/inspect", {"system": SPRING, "mapping": mapping})
+    said = real.until(job["id"], lambda j: j["state"] != "looking")
+    assert said["state"] == "refused"
+    assert "the mapping reads 'speed'" in said["sentence"]
+
+
+@pytest.mark.parametrize(
+    ("line", "said"),
+    [
+        ("q_dot: {from: q_dot, sign: -1}", "opposite sign"),  # kinematics
+        ("force: {from: force, sign: -1}", "sign"),  # physics
+        ("q: {from: q, unit: mm}", "unit"),
+    ],
+)
+def test_a_mapping_that_contradicts_the_data_is_one_sentence(
+    real: Page, springs: dict[str, bytes], line: str, said: str
+) -> None:
+    job = real.drop(springs, SPRING)
+    entries = {"q": "q: {from: q}", "q_dot": "q_dot: {from: q_dot}", "force": "force: {from: force}"}
+    entries[line.split(":")[0]] = line
+    mapping = "columns:\n" + "".join(f"  {entry}\n" for entry in entries.values())
+    real.ask("POST", f"/api/jobs/{job['id']}/inspect", {"system": SPRING, "mapping": mapping})
+    now = real.until(job["id"], lambda j: j["state"] != "looking")
+    assert now["state"] == "refused"
+    assert now["sentence"].startswith("The mapping contradicts the data: ")
+    assert said in now["sentence"]
+    assert [f["name"] for f in now["files"]] == list(springs)
+
+
+@pytest.mark.parametrize(
+    "mapping", ["[", "a: &a [*a]", "columns: 1", "x" * 70_000, "!!python/object/apply:os.system [ls]"]
+)
+def test_a_mapping_that_is_none_is_one_sentence(real: Page, springs: dict[str, bytes], mapping: str) -> None:
+    job = real.drop(springs, SPRING)
+    answer = real.ask("POST", f"/api/jobs/{job['id']}/inspect", {"system": SPRING, "mapping": mapping})
+    if answer.status_code == 413:
+        return
+    now = real.until(job["id"], lambda j: j["state"] != "looking")
+    assert now["state"] == "refused"
+    assert "fault" not in now["sentence"]

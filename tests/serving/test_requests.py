@@ -1,0 +1,123 @@
+"""Who may ask what: nothing is told or done without the token, under another name, or for another site."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+
+from tests.serving.conftest import HOST, Page, Played
+
+CSV = {"run.csv": b"t,q\n0,1\n"}
+
+
+@pytest.mark.parametrize(
+    ("method", "path"),
+    [
+        ("GET", "/api/jobs"),
+        ("POST", "/api/jobs"),
+        ("GET", "/api/jobs/x"),
+        ("DELETE", "/api/jobs/x"),
+        ("PUT", "/api/jobs/x/logs/0"),
+        ("POST", "/api/jobs/x/diagnose"),
+    ],
+)
+@pytest.mark.parametrize("token", [None, "", "another", "ü"])
+def test_nothing_is_told_or_done_without_the_token(
+    page: Page, method: str, path: str, token: str | None
+) -> None:
+    answer = page.ask(method, path, headers={"X-Nsde-Token": token})
+    assert answer.status_code == 401
+    assert "nsde serve" in answer.json["error"]
+
+
+@pytest.mark.parametrize(
+    "host", ["evil.example:8765", "127.0.0.1", "127.0.0.1:1", "localhost.evil.example:8765", ""]
+)
+def test_another_name_is_refused_even_for_the_page_itself(page: Page, host: str) -> None:
+    for path in ("/", "/api/jobs"):
+        assert page.ask("GET", path, headers={"Host": host}).status_code == 421
+
+
+def test_the_token_of_another_site_s_page_is_of_no_use(page: Page) -> None:
+    for headers in ({"Origin": "http://evil.example"}, {"Origin": "null"}, {"Sec-Fetch-Site": "cross-site"}):
+        answer = page.ask("POST", "/api/jobs", {"files": [{"name": "a.csv", "size": 1}]}, headers=headers)
+        assert answer.status_code == 403
+    assert page.ask("GET", "/api/jobs", headers={"Origin": f"http://{HOST}"}).status_code == 200
+    assert not page.jobs()
+
+
+def test_every_answer_lets_nothing_in_and_nothing_out(page: Page) -> None:
+    job = page.drop(CSV)
+    for path in ("/", "/page.js", "/api/jobs", f"/jobs/{job['id']}/log.txt", "/no/such"):
+        headers = page.ask("GET", path).headers
+        policy = headers["Content-Security-Policy"]
+        assert policy.startswith("default-src 'none'")
+        assert "http" not in policy
+        assert headers["X-Content-Type-Options"] == "nosniff"
+        assert headers["Cache-Control"] == "no-store"
+    assert "sandbox" in page.ask("GET", f"/jobs/{job['id']}/log.txt").headers["Content-Security-Policy"]
+
+
+def test_the_page_asks_for_nothing_elsewhere(page: Page) -> None:
+    for name in ("", "page.js", "views.js", "page.css", "icon.svg"):
+        answer = page.ask("GET", f"/{name}")
+        assert answer.status_code == 200
+        assert "//" not in answer.text.replace("http://www.w3.org/2000/svg", "").replace("// ", "")
+    assert "style=" not in page.ask("GET", "/").text  # its own policy would not let it
+
+
+@pytest.mark.parametrize(
+    "path",
+    [
+        "/../job.json",
+        "/..%2fjob.json",
+        "/%2e%2e/%2e%2e/etc/passwd",
+        "/job.json",
+        "/logs/run.csv",
+        "/inspection.json",
+        "/report.html%00.png",
+    ],
+)
+def test_of_a_job_only_its_results_can_be_read(page: Page, path: str) -> None:
+    job = page.drop(CSV)
+    answer = page.ask("GET", f"/jobs/{job['id']}{path}")
+    assert answer.status_code == 404
+    assert b"root:" not in answer.data
+
+
+def test_files_outside_the_page_cannot_be_read(page: Page) -> None:
+    for path in ("/app.py", "/..%2fapp.py", "/%2fetc%2fpasswd", "/job.py"):
+        assert page.ask("GET", path).status_code in (404, 405)
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        [],
+        {},
+        {"files": "a.csv"},
+        {"files": [{"name": 1, "size": 2}]},
+        {"files": [{"name": "a.csv", "size": "3"}]},
+        {"files": [{"name": "a.csv", "size": True}]},
+        {"files": [{"name": "a.csv", "size": 3}], "system": "../x"},
+        {"files": [{"name": "a.csv", "size": 3}], "system": 7},
+        {"files": [{"name": "a.csv", "size": -3}]},
+        {"files": []},
+    ],
+)
+def test_requests_that_are_none_are_one_sentence(page: Page, played: Played, content: object) -> None:
+    answer = page.ask("POST", "/api/jobs", content)
+    assert answer.status_code == 400
+    assert answer.json["error"].endswith(".")
+    assert not page.jobs()
+    assert not played.words
+
+
+def test_what_is_no_json_is_refused(page: Page) -> None:
+    for kind, data in (("text/plain", b"{}"), ("application/json", b"{"), ("application/json", b"[" * 5000)):
+        answer = page.ask("POST", "/api/jobs", data=data, content_type=kind)
+        assert answer.status_code in (400, 415)
+        assert json.loads(answer.text)["error"]
+    large = page.ask("POST", "/api/jobs", data=b" " * (1 << 19), content_type="application/json")
+    assert large.status_code == 413

@@ -10,7 +10,7 @@ RIVALS = Options(candidates=("constant_wind", "linear_drag", "thrust_misalignmen
 
 def test_air_that_moves_is_drag_and_what_else_pushes_steadily() -> None:
     wind = {"constant_wind": {"drag": [0.2, 0.2, 0.2], "wind": [1.5, 0.5]}}
-    _, content = diagnosed("hexacopter", wind, options=RIVALS, durations=(8.0,) * 3, dt=0.02)
+    _, content = diagnosed("hexacopter", wind, options=RIVALS, durations=(8.0,) * 4)
     assert content["added"] == ["constant_wind"]
     (tie,) = content["ties"]  # all flights point the same way
     assert tie["effects"] == ["constant_wind", "thrust_misalignment"]

@@ -22,7 +22,10 @@ TEST_ENV := OMP_NUM_THREADS=1 MPLBACKEND=Agg
 run: $(VENV)/.installed
 	$(BIN)/nsde train system=hexacopter
 
-test: lint types docs pytest
+# What needs no test runs side by side, then the tests, which take all cores.
+test: $(VENV)/.installed-dev
+	$(MAKE) --jobs=$(JOBS) --output-sync lint types docs
+	$(MAKE) pytest
 
 lint: $(VENV)/.installed-dev
 	$(BIN)/ruff check .
@@ -35,8 +38,9 @@ types: $(VENV)/.installed-dev
 docs: $(VENV)/.installed-dev
 	NO_MKDOCS_2_WARNING=1 $(TEST_ENV) $(BIN)/mkdocs build --strict --quiet --config-file docs/mkdocs.yml
 
-pytest: $(VENV)/.installed-dev lint types docs
-	$(TEST_ENV) $(BIN)/python -m pytest --numprocesses $(JOBS) --dist loadfile
+# Files in the order of their names: by their numbers of tests, the last would be those of one long test.
+pytest: $(VENV)/.installed-dev
+	$(TEST_ENV) $(BIN)/python -m pytest --numprocesses $(JOBS) --dist loadfile --no-loadscope-reorder
 
 golden: $(VENV)/.installed-dev
 	$(TEST_ENV) $(BIN)/python -m pytest tests/golden --regenerate

@@ -22,12 +22,14 @@ def store(command: HydraCommand) -> None:
     known = ConfigStore.instance()
     known.store(group="schema", name=command.name, node=command.schema)
     known.store(name=command.name, node=primary(command))
-    for group_name, choices in CHOICES.items():
-        for choice, schema in choices.items():
-            known.store(group=f"schema/{group_name}", name=choice, node=schema)
+    if set(CHOICES) <= set(known.repo.get("schema", {})):
+        return  # these are of no command alone, and take Hydra a tenth of a second
     for group_name in {**CHOICES, **NAMES}:
         for choice, node in without_file(group_name).items():
             known.store(group=group_name, name=choice, node=node)
+    for group_name, choices in CHOICES.items():
+        for choice, schema in choices.items():
+            known.store(group=f"schema/{group_name}", name=choice, node=schema)
 
 
 def primary(command: HydraCommand) -> dict[str, Any]:

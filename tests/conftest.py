@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import os
 from collections.abc import Iterator
 from contextlib import suppress
@@ -32,6 +33,13 @@ def _one_torch_thread() -> Iterator[None]:
     torch.set_num_threads(1)
     yield
     torch.set_num_threads(before)
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _imports_are_no_garbage(_one_torch_thread: None) -> None:
+    """Collections pass over what was imported, which takes a quarter of a second each time that they look."""
+    gc.collect()
+    gc.freeze()
 
 
 @pytest.fixture(scope="session")

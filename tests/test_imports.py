@@ -160,6 +160,8 @@ def test_third_party_imports_are_declared_dependencies(root: Path) -> None:
             "torch hydra omegaconf numpy",
         ),
         ("from nsde_torch.cli.main import main; main(['sweep-report', '.'])", "torch hydra omegaconf numpy"),
+        ("from nsde_torch.cli.main import main; main(['train', 'trainer.steps=few'])", "torch scipy"),
+        ("from nsde_torch.cli.main import main; main(['diagnose', 'alhpa=0.1'])", "torch scipy"),
     ],
 )
 def test_light_things_stay_light(statement: str, absent: str, tmp_path: Path) -> None:

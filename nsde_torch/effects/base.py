@@ -14,11 +14,12 @@ from dataclasses import dataclass, replace
 from enum import Enum
 from itertools import product
 from math import inf
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import torch
 from torch import Tensor, nn
 
+from nsde_torch.effects.copying import copied
 from nsde_torch.errors import ConfigError
 
 
@@ -72,6 +73,10 @@ class Parameter:
     help: str = ""
     per_input: bool = False
 
+    def __deepcopy__(self, memo: dict[int, object]) -> "Parameter":
+        """Itself: nothing of it can change, and systems are copied by the hundred."""
+        return self
+
 
 class Parametrised(nn.Module):
     """A module with declared physical parameters, kept inside their bounds by construction.
@@ -93,6 +98,9 @@ class Parametrised(nn.Module):
             self.set_value(name, initial)
         for name, value in (values or {}).items():
             self.set_value(name, torch.as_tensor(value, dtype=torch.float64).reshape(-1))
+
+    def __deepcopy__(self, memo: dict[int, Any]) -> Any:
+        return copied(self, memo)
 
     def value(self, name: str) -> Tensor:
         """Value of a declared parameter, (k,), in its unit."""

@@ -3,15 +3,20 @@
 The data stay where they are: the user fetches a repository, and `run_benchmark` reads its files as they are.
 """
 
-from nsde_torch.public_benchmarks.benchmark import (
-    BenchmarkMetric,
-    BenchmarkOutcome,
-    PublicBenchmark,
-    PublishedRow,
-    Trace,
-)
-from nsde_torch.public_benchmarks.registry import BENCHMARKS
-from nsde_torch.public_benchmarks.running import run_benchmark
+from typing import TYPE_CHECKING
+
+from nsde_torch.lazy import resolver
+
+if TYPE_CHECKING:
+    from nsde_torch.public_benchmarks.benchmark import (
+        BenchmarkMetric,
+        BenchmarkOutcome,
+        PublicBenchmark,
+        PublishedRow,
+        Trace,
+    )
+    from nsde_torch.public_benchmarks.registry import BENCHMARKS
+    from nsde_torch.public_benchmarks.running import run_benchmark
 
 __all__ = [
     "BENCHMARKS",
@@ -22,3 +27,17 @@ __all__ = [
     "Trace",
     "run_benchmark",
 ]
+
+# the command line reads the names of the sets, and is to load nothing heavy for it
+__getattr__ = resolver(
+    __name__,
+    {
+        "BENCHMARKS": "registry",
+        "BenchmarkMetric": "benchmark",
+        "BenchmarkOutcome": "benchmark",
+        "PublicBenchmark": "benchmark",
+        "PublishedRow": "benchmark",
+        "Trace": "benchmark",
+        "run_benchmark": "running",
+    },
+)

@@ -7,7 +7,7 @@ and leaves the choice open: such an equation declares `calculus = "either"`, and
 gives the product its meaning.
 """
 
-from typing import Literal, Protocol, runtime_checkable
+from typing import Literal, Protocol, cast, runtime_checkable
 
 from torch import Tensor
 
@@ -54,7 +54,9 @@ class HoldsColumns(Protocol):
 
 def within(sde: SDE, z: Tensor, y: Tensor) -> Tensor:
     """Where to evaluate the drift for a stage at `y` of a step that began at `z`, both (N, nz)."""
-    return sde.inner(z, y) if isinstance(sde, HoldsColumns) else y
+    # first of the class, whose answer Python keeps: of an object, a protocol looks at every member each time
+    holds = issubclass(type(sde), HoldsColumns) or isinstance(sde, HoldsColumns)
+    return cast(HoldsColumns, sde).inner(z, y) if holds else y
 
 
 @runtime_checkable

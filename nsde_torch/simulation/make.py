@@ -75,7 +75,8 @@ def _longest_step(system: System) -> float:
     def rate(z: torch.Tensor) -> torch.Tensor:
         return system.drift(0.0, z, u)[0]
 
-    slopes = torch.func.jacfwd(rate)(system.augment(x, u))[:, 0]
+    # row by row: torch takes a second to load what it differentiates forward with
+    slopes = torch.autograd.functional.jacobian(rate, system.augment(x, u))[:, 0]
     if not bool(torch.isfinite(slopes).all()):
         return inf
     fastest = float(torch.linalg.eigvals(slopes).abs().max())

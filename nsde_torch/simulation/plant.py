@@ -42,6 +42,12 @@ class _Forced:
     def project(self, z: Tensor) -> Tensor:
         return self.system.project(z)
 
+    def set_step(self, dt: float) -> None:
+        self.system.set_step(dt)
+
+    def inner(self, z: Tensor, y: Tensor) -> Tensor:
+        return self.system.inner(z, y)
+
 
 @final
 class Plant:

@@ -162,7 +162,7 @@ class Regression:
 
     def _whiten(self) -> None:
         """Laws of the noise at theta, and everything in their units."""
-        if self._refined < 3 and not self._kept:
+        if self._refined < 3 and not (self._kept or self._plain):
             self.limits = self.carry_limits()
         noises = []
         for i, channel in enumerate(self.rows):

@@ -132,6 +132,7 @@ class System(Parametrised, ABC):
     def _arrange(self, effects: Sequence[Effect]) -> None:
         """Take these effects, and work out their order and where each finds its memory and its columns."""
         self.effects = nn.ModuleList(effects)
+        self._own = tuple(effects)  # a list of modules makes a text of each number that it is asked for
         self._parts = (self.nx, *(effect.n_memory for effect in effects))
         on_input = [k for k, effect in enumerate(effects) if effect.port is Port.INPUT]
         self._on_input = tuple(sorted(on_input, key=lambda k: (effects[k].stage, k)))
@@ -197,7 +198,7 @@ class System(Parametrised, ABC):
 
     @property
     def _all_effects(self) -> list[Effect]:
-        return [self._effect(k) for k in range(len(self.effects))]
+        return list(self._own)
 
     @property
     def nx(self) -> int:
@@ -377,9 +378,7 @@ class System(Parametrised, ABC):
         raise KeyError(name)
 
     def _effect(self, k: int) -> Effect:
-        effect = self.effects[k]
-        assert isinstance(effect, Effect)
-        return effect
+        return self._own[k]
 
     def applied(self, t: float | Tensor, z: Tensor, u: Tensor) -> Tensor:
         """Input after the effects on it (N, nu), from state and memory `z` (N, nz) and `u` as `drift` has it."""

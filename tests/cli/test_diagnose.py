@@ -246,7 +246,21 @@ def test_a_biased_and_late_sensor_is_put_right_in_what_the_model_is_trained_on(t
     made = simulate("mass_spring_damper", durations=(6.0,) * 4, seed=1, recording=chain)
     write(made, tmp_path / "data")
     few = ["trainer.steps=3", "trainer.polish=0", "trainer.calibrate=false"]
-    assert main(["diagnose", SYSTEM, "data=csv", "data.path=data", "out_dir=out", *few]) == 0
+    few.append("candidates=[coulomb_friction,input_delay]")
+    assert (
+        main(
+            [
+                "diagnose",
+                SYSTEM,
+                "data=csv",
+                "data.path=data",
+                "out_dir=out",
+                *few,
+                "candidates=[coulomb_friction,input_delay]",
+            ]
+        )
+        == 0
+    )
     assert json.loads((tmp_path / "out/diagnosis.json").read_text())["added"] == [
         "sensor_delay",
         "sensor_bias",

@@ -110,7 +110,7 @@ def test_a_quadrotor_is_recognised_and_its_mapping_checked(
 def test_the_numbers_of_motors_are_found_by_the_physics(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    made = nsde_torch.simulate("quadrotor", durations=[15.0], seed=3)
+    made = nsde_torch.simulate("quadrotor", durations=[8.0], seed=3)
     log_writers.write_table(tmp_path / "run.npz", log_writers.ned_columns(made.runs[0]))
     assert main(["inspect", str(tmp_path), "system=quadrotor"]) == 0
     assert "motors are numbered as in betaflight" in capsys.readouterr().out

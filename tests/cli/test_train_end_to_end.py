@@ -17,6 +17,7 @@ import numpy as np
 import pytest
 import torch
 import yaml
+from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
 import nsde_torch
 from nsde_torch.cli.main import main
@@ -144,7 +145,7 @@ def test_hexacopter_with_a_further_effect_and_a_second_process_that_loads_it(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     folder = train(
-        tmp_path / "run", "system=hexacopter", "data.durations=[9,9,6]", "system.effects=[linear_drag]"
+        tmp_path / "run", "system=hexacopter", "data.durations=[5,5,4]", "system.effects=[linear_drag]"
     )
     metrics = check(folder, "hexacopter")
     assert len(metrics["parameters"]["linear_drag.drag"]["value"]) == 3
@@ -175,7 +176,7 @@ def test_hexacopter_with_a_further_effect_and_a_second_process_that_loads_it(
 
 
 def test_quadrotor_with_the_papers_loss(tmp_path: Path) -> None:
-    folder = train(tmp_path / "run", "system=quadrotor", "data.durations=[8,8]", "loss=paper")
+    folder = train(tmp_path / "run", "system=quadrotor", "data.durations=[5,5]", "loss=paper")
     metrics = check(folder, "quadrotor")
     assert metrics["calibration"]["factor"] == 1.0
     sigma = nsde_torch.load(folder).h.log_sigma_max.exp()
@@ -236,6 +237,16 @@ def test_csv_files_of_the_user(tmp_path: Path, swings: Path) -> None:
     assert metrics["train_runs"] == ["swing_0", "swing_1"]
     assert metrics["test_runs"] == ["swing_2"]
     assert metrics["parameters"]["force_gain"]["half_width_90"][0] > 0
+    shown = {}
+    for file in (tmp_path / "run" / "tensorboard").rglob("events*"):
+        events = EventAccumulator(str(file), size_guidance={"images": 0})
+        events.Reload()
+        shown |= {name: events.Images(name)[0] for name in events.Tags()["images"]}
+    assert set(shown) == PICTURES | TEST_PICTURES
+    for name, image in shown.items():
+        assert image.encoded_image_string == (tmp_path / "run" / "plots" / f"{name}.png").read_bytes()
+        assert image.width == 1170
+        assert image.height > 300
 
 
 def test_a_folder_of_further_runs_is_the_test_and_brings_its_own_sensor_noise(

@@ -42,7 +42,7 @@ def train(folder: Path, *words: str) -> dict[str, Any]:
 
 @pytest.mark.parametrize(
     ("system", "durations", "dt"),
-    [("cartpole", "[4,4,4]", 0.02), ("hexacopter", "[8,8]", 0.05), ("mass_spring_damper", "[5,5]", 0.01)],
+    [("cartpole", "[4,4,4]", 0.02), ("hexacopter", "[5,5]", 0.05), ("mass_spring_damper", "[5,5]", 0.01)],
 )
 def test_it_trains_saves_loads_samples_and_is_scored_on_every_system(
     system: str, durations: str, dt: float, tmp_path: Path

@@ -33,7 +33,7 @@ def train(folder: Path, *words: str) -> dict[str, Any]:
 
 @pytest.mark.parametrize(
     ("system", "durations", "dt"),
-    [("cartpole", "[4,4,4,4]", 0.02), ("hexacopter", "[12,10]", 0.05), ("mass_spring_damper", "[5,5]", 0.01)],
+    [("cartpole", "[4,4,4,4]", 0.02), ("hexacopter", "[6,5]", 0.05), ("mass_spring_damper", "[5,5]", 0.01)],
 )
 def test_it_trains_saves_loads_samples_and_is_scored_on_every_system(
     system: str, durations: str, dt: float, tmp_path: Path, capsys: pytest.CaptureFixture[str]

@@ -6,6 +6,7 @@ from types import SimpleNamespace
 from typing import cast
 
 import numpy as np
+import pytest
 from scipy.integrate import solve_ivp
 
 import nsde_torch
@@ -17,7 +18,8 @@ from nsde_torch.systems.parameters import ParameterVector
 from tests.helpers.diagnosed import diagnosed
 
 
-def _runs() -> list[RawRun]:
+@pytest.fixture(scope="module")
+def runs() -> list[RawRun]:
     """A spring that is damped where it is stretched: -0.7 q q_dot above zero, by an integrator of its own."""
     rng, out = np.random.default_rng(5), []
     t = np.arange(0.0, 20.0, 0.01)
@@ -36,8 +38,8 @@ def _runs() -> list[RawRun]:
     return out
 
 
-def test_a_law_is_sought_in_the_place_of_a_friction_that_is_none() -> None:
-    found = nsde_torch.diagnose(_runs(), system="mass_spring_damper").content()
+def test_a_law_is_sought_in_the_place_of_a_friction_that_is_none(runs: list[RawRun]) -> None:
+    found = nsde_torch.diagnose(runs, system="mass_spring_damper").content()
     assert found["added"] == ["force = c1 max(q, 0) q_dot"]
     low, high = found["parameters"]["force = c1 max(q, 0) q_dot.c1"]["interval_90"]
     assert low < -0.7 < high
@@ -49,9 +51,9 @@ def test_a_friction_that_is_dry_has_no_such_shape() -> None:
     assert bent_shape(found.outcome.final.regression, "coulomb_friction") == ""
 
 
-def test_where_no_law_may_be_tried_it_is_provisional() -> None:
+def test_where_no_law_may_be_tried_it_is_provisional(runs: list[RawRun]) -> None:
     only = ("position_dependent_friction",)
-    found = nsde_torch.diagnose(_runs(), system="mass_spring_damper", candidates=only).content()
+    found = nsde_torch.diagnose(runs, system="mass_spring_damper", candidates=only).content()
     (finding,) = [f for f in found["findings"] if f["kind"] == "effect"]
     assert finding["name"] == "position_dependent_friction"
     assert finding["lead"]

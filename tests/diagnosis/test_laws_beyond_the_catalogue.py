@@ -19,6 +19,7 @@ from tests.helpers.diagnosed import diagnosed
 
 OUTSIDE = Path(__file__).parents[2] / "benchmarks" / "blind"
 LAW = "force = c1 q q_dot"
+SHORT: dict[str, Any] = {"durations": (8.0,) * 4, "dt": 0.02}
 
 
 def finding(content: dict[str, Any], name: str) -> dict[str, Any]:
@@ -32,7 +33,7 @@ def held(content: dict[str, Any], label: str, value: float, slack: float = 0.0) 
 
 
 def test_a_product_that_no_catalogue_has_is_found_added_verified_and_written(tmp_path: Path) -> None:
-    found, content = diagnosed("mass_spring_damper", {LAW: {"c1": 0.8}}, durations=(8.0,) * 5)
+    found, content = diagnosed("mass_spring_damper", {LAW: {"c1": 0.8}}, **SHORT)
     assert (content["verdict"], content["added"]) == ("effect_found", [LAW])
     own = finding(content, LAW)
     assert own["kind"] == "formula"
@@ -58,7 +59,7 @@ def test_a_product_that_no_catalogue_has_is_found_added_verified_and_written(tmp
 
 def test_a_hinge_is_found_with_its_place() -> None:
     stop = "force = c1 max(q - k1, 0)"
-    _, content = diagnosed("mass_spring_damper", {stop: {"c1": -6.0, "k1": 0.2}}, durations=(8.0,) * 5)
+    _, content = diagnosed("mass_spring_damper", {stop: {"c1": -6.0, "k1": 0.2}}, **SHORT)
     assert (content["verdict"], content["added"]) == ("effect_found", [stop])
     assert content["parameters"][f"{stop}.k1"]["value"] == pytest.approx(0.2, abs=0.02)
     assert content["parameters"][f"{stop}.c1"]["value"] == pytest.approx(-6.0, rel=0.1)
@@ -67,37 +68,35 @@ def test_a_hinge_is_found_with_its_place() -> None:
 
 def test_two_effects_of_the_catalogue_that_imitate_one_law_give_way_to_it() -> None:
     law = "force = c1 q_dot^3"  # told as a quadratic damping and a friction
-    _, content = diagnosed("mass_spring_damper", {law: {"c1": -0.6}}, durations=(8.0,) * 5)
+    _, content = diagnosed("mass_spring_damper", {law: {"c1": -0.6}}, **SHORT)
     assert (content["verdict"], content["added"]) == ("effect_found", [law])
     assert held(content, f"{law}.c1", -0.6, slack=0.5)
 
 
 def test_an_effect_that_only_comes_near_gives_way_to_the_law() -> None:
     law = "force = c1 q_dot^3"  # of a size at which a quadratic damping leaves no structure
-    _, content = diagnosed("mass_spring_damper", {law: {"c1": -0.2}}, durations=(8.0,) * 5)
+    _, content = diagnosed("mass_spring_damper", {law: {"c1": -0.2}}, **SHORT)
     assert (content["verdict"], content["added"]) == ("effect_found", [law])
 
 
 def test_two_effects_of_one_speed_that_are_there_stay() -> None:
     both = ({"coulomb_friction": {"size": 0.15}}, {"quadratic_damping": {"damping": 0.4}})
-    _, content = diagnosed("mass_spring_damper", *both, durations=(8.0,) * 5)
+    _, content = diagnosed("mass_spring_damper", *both, durations=(8.0,) * 4)
     assert sorted(content["added"]) == ["coulomb_friction", "quadratic_damping"]
 
 
 def test_beside_an_effect_of_the_catalogue_that_one_keeps_its_name() -> None:
     law = "force = c1 q^2"
     both = ({law: {"c1": -1.0}}, {"coulomb_friction": {"size": 0.15}})
-    _, content = diagnosed("mass_spring_damper", *both, durations=(8.0,) * 5)
+    _, content = diagnosed("mass_spring_damper", *both, **SHORT)
     assert content["verdict"] == "effect_found"
     assert sorted(content["added"]) == ["coulomb_friction", law]
 
 
 def test_what_the_catalogue_has_is_named_by_it_and_nothing_is_made_of_nothing() -> None:
-    _, content = diagnosed(
-        "mass_spring_damper", {"cubic_stiffness": {"stiffness": 3.0}}, durations=(8.0,) * 4
-    )
+    _, content = diagnosed("mass_spring_damper", {"cubic_stiffness": {"stiffness": 3.0}}, **SHORT)
     assert content["added"] == ["cubic_stiffness"]
-    found, content = diagnosed("mass_spring_damper", durations=(8.0,) * 4)
+    found, content = diagnosed("mass_spring_damper", **SHORT)
     assert (content["verdict"], content["added"]) == ("no_effect", [])
     assert not found.effects
 
@@ -105,16 +104,16 @@ def test_what_the_catalogue_has_is_named_by_it_and_nothing_is_made_of_nothing() 
 def test_laws_are_tried_neither_beside_named_candidates_nor_where_the_budget_has_none() -> None:
     truth = {LAW: {"c1": 0.8}}
     few = Options(candidates=("coulomb_friction",))
-    _, content = diagnosed("mass_spring_damper", truth, options=few, durations=(8.0,) * 4)
+    _, content = diagnosed("mass_spring_damper", truth, options=few, **SHORT)
     assert (content["verdict"], content["added"]) == ("unexplained", [])
     assert content["formula"]["verified"] is False
-    _, content = diagnosed("mass_spring_damper", truth, budgets=Budgets(law_rounds=0), durations=(8.0,) * 4)
+    _, content = diagnosed("mass_spring_damper", truth, budgets=Budgets(law_rounds=0), **SHORT)
     assert (content["verdict"], content["added"]) == ("unexplained", [])
 
 
 def test_a_coupling_of_cart_and_pole_is_found_in_its_port() -> None:
     law = "torque = c1 x_dot theta_dot"
-    _, content = diagnosed("cartpole", {law: {"c1": -0.15}}, durations=(4.0,) * 8)
+    _, content = diagnosed("cartpole", {law: {"c1": -0.15}}, durations=(4.0,) * 6)
     assert (content["verdict"], content["added"]) == ("effect_found", [law])
     assert held(content, f"{law}.c1", -0.15, slack=0.5)
     assert finding(content, law)["looks_like"].startswith("a coupling of motions")
@@ -126,7 +125,7 @@ def test_what_one_run_alone_has_is_no_law(monkeypatch: pytest.MonkeyPatch) -> No
     _, content = diagnosed(
         "mass_spring_damper",
         {"outside:Burst": {"size": 1.0, "moment": 4.0, "width": 0.3}},
-        durations=(8.0,) * 4,
+        **SHORT,
     )
     assert not [name for name in content["added"] if "=" in name]
 

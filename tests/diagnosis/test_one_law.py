@@ -34,7 +34,9 @@ def spring(*effects: str, **values: Mapping[str, float]) -> System:
 @pytest.fixture(scope="module")
 def rubbing() -> Search:
     """A search in runs of the spring with dry friction."""
-    made = recorded(SPRING, {"coulomb_friction": {"size": 0.3, "width": 0.002}}, seed=3, dt=0.02)
+    made = recorded(
+        SPRING, {"coulomb_friction": {"size": 0.3, "width": 0.002}}, seed=3, dt=0.02, durations=(6.0,) * 4
+    )
     return search_in(make_system(SPRING), made.runs, 1.0, Options(candidates=_FRICTIONS))
 
 

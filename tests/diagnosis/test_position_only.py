@@ -16,7 +16,7 @@ from tests.helpers.encoders import encoder_runs
 
 @pytest.mark.parametrize("rate", ["none", "backward"])
 def test_friction_is_named_and_what_was_inferred_is_said(rate: str) -> None:
-    data = nsde_torch.read(encoder_runs(rate, runs=4, noise=5e-4), system="mass_spring_damper")
+    data = nsde_torch.read(encoder_runs(rate, runs=3, noise=5e-4), system="mass_spring_damper")
     found = nsde_torch.diagnose(data, system="mass_spring_damper").content()
     assert (found["verdict"], found["added"]) == ("effect_found", ["coulomb_friction"])
     low, high = found["parameters"]["coulomb_friction.size"]["interval_90"]

@@ -47,7 +47,7 @@ def test_a_filtered_sensor_is_told_from_a_delayed_one() -> None:
 
 def test_a_camera_whose_angle_and_rate_are_late_alike_is_found_where_effects_leave_structure() -> None:
     chain = Recording(sensor_delay={"theta": 0.04, "theta_dot": 0.04})
-    _, content = diagnosed("cartpole", recording=chain)
+    _, content = diagnosed("cartpole", recording=chain, durations=(4.0,) * 4)
     assert content["added"] == ["sensor_delay"]
     for channel in ("theta", "theta_dot"):
         low, high = content["parameters"][f"sensor_delay.{channel}"]["interval_90"]
@@ -56,7 +56,8 @@ def test_a_camera_whose_angle_and_rate_are_late_alike_is_found_where_effects_lea
 
 
 def test_less_than_a_step_is_undone_where_physics_is_better_for_it_and_is_no_finding() -> None:
-    there, content = diagnosed("cartpole", recording=Recording(sensor_delay={"theta_dot": 0.009}))
+    late = Recording(sensor_delay={"theta_dot": 0.009})
+    there, content = diagnosed("cartpole", recording=late, durations=(4.0,) * 8)
     assert (content["verdict"], content["added"]) == ("no_effect", [])
     (aside,) = content["aside"]
     assert aside["effect"] == "sensor_delay"

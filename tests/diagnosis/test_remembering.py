@@ -26,7 +26,7 @@ def test_it_is_named_for_what_it_is(kind: str) -> None:
         "time": 0.25 if kind == "play" else 0.04,
     }
     runs = []
-    for n in range(4):
+    for n in range(3):
         x, u = run(kind, values, np.random.default_rng([9, n]))
         runs.append(RawRun(f"run_{n}", DT * np.arange(len(x)) + 100.0 * n, x, u))
     found = nsde_torch.diagnose(runs, system="mass_spring_damper").content()

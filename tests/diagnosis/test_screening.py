@@ -17,7 +17,8 @@ from tests.helpers.diagnosed import recorded
 def late() -> tuple[Search, Base]:
     """A spring whose input acts 60 ms late."""
     system = make_system("mass_spring_damper")
-    runs = recorded("mass_spring_damper", {"input_delay": {"delay": 0.06}}).runs
+    late = {"input_delay": {"delay": 0.06}}
+    runs = recorded("mass_spring_damper", late, durations=(6.0,) * 4, dt=0.01).runs
     search = Search(steps_of(system, runs, clock=1.0, smooth=False, run_in=True), box=1, alpha=0.01)
     return search, search.base(system)
 

@@ -16,10 +16,11 @@ from nsde_torch.recording.checks import assemble
 from nsde_torch.simulation import simulate
 from nsde_torch.systems import make_system
 
-SHORT: Mapping[str, tuple[float, ...]] = {
-    "mass_spring_damper": (6.0,) * 4,
-    "cartpole": (4.0,) * 8,
+SHORT: Mapping[str, tuple[tuple[float, ...], float]] = {
+    "mass_spring_damper": ((8.0,) * 3, 0.02),
+    "cartpole": ((4.0,) * 5, 0.02),
 }
+"""Lengths of runs and the step [s], where a test asks for nothing else."""
 
 
 def recorded(
@@ -33,10 +34,13 @@ def recorded(
     dt: float | None = None,
 ) -> DataSet:
     """Runs of a plant with these effects, as `nsde simulate` and `data=csv` would bring them."""
+    if durations is None:
+        durations, short = SHORT[system]
+        dt = short if dt is None else dt
     made = simulate(
         system,
         effects=list(effects),
-        durations=durations or SHORT[system],
+        durations=durations,
         seed=seed,
         sensor_noise=sensor_noise,
         dt=dt,

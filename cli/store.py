@@ -15,6 +15,9 @@ if TYPE_CHECKING:
     from .hydra_command import HydraCommand
 
 
+_TOLD: list[Any] = []  # what holds the choices of this module's own schemas
+
+
 def store(command: HydraCommand) -> None:
     """Tell Hydra of a command; schemas stand apart from the choices, in the group `schema`."""
     from hydra.core.config_store import ConfigStore
@@ -22,8 +25,9 @@ def store(command: HydraCommand) -> None:
     known = ConfigStore.instance()
     known.store(group="schema", name=command.name, node=command.schema)
     known.store(name=command.name, node=primary(command))
-    if set(CHOICES) <= set(known.repo.get("schema", {})):
+    if _TOLD and _TOLD[0] is known.repo:
         return  # these are of no command alone, and take Hydra a tenth of a second
+    _TOLD[:] = [known.repo]
     for group_name in {**CHOICES, **NAMES}:
         for choice, node in without_file(group_name).items():
             known.store(group=group_name, name=choice, node=node)

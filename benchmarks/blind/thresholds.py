@@ -3,8 +3,8 @@
     python benchmarks/blind/generate.py --seed 8123 --count 48 --systems mass_spring_damper cartpole --out blind/
     python benchmarks/blind/thresholds.py --cases blind/ --out thresholds/
 
-Each setting is a process of its own, in which one field of `Decisions` stands at half or at twice its value before any
-module reads it. An answer is the verdict, what was added, and what of it is a lead. Settings that are in the folder
+Each setting is a process of its own, in which one field of `Decisions` stands at half or at twice its value. An answer
+is the verdict, what was added, and what of it is a lead. Settings that are in the folder
 are not made again, so that an interrupted study goes on. `thresholds/table.md` says which answers changed.
 """
 
@@ -19,8 +19,6 @@ from dataclasses import MISSING, fields, replace
 from pathlib import Path
 from typing import Any
 
-_OPTIONS = {"alpha": "alpha", "most_effects": "max_effects"}  # fields that options of a diagnosis replace
-
 
 def settings() -> list[tuple[str, float | int]]:
     """Fields of `Decisions` with half and twice their values, inside their ranges."""
@@ -30,7 +28,12 @@ def settings() -> list[tuple[str, float | int]]:
     out: list[tuple[str, float | int]] = []
     for field in fields(Decisions):
         value = getattr(DECISIONS, field.name)
-        if isinstance(value, bool) or not isinstance(value, int | float) or field.default is MISSING:
+        if (
+            field.name == "most_effects"
+            or isinstance(value, bool)
+            or not isinstance(value, int | float)
+            or field.default is MISSING
+        ):
             continue
         for factor in (0.5, 2.0):
             other = max(1, round(value * factor)) if isinstance(value, int) else value * factor
@@ -45,26 +48,26 @@ def settings() -> list[tuple[str, float | int]]:
 
 
 def answers(cases: Path, names: list[str], field: str, value: float) -> dict[str, Any]:
-    """Diagnose the cases in this process with a field at another value; the reference where it is empty."""
-    from nsde_torch.diagnosis import decisions
-
-    if field:
-        changed: dict[str, Any] = {field: value}
-        decisions.DECISIONS = replace(decisions.DECISIONS, **changed)  # before others import it
+    """Diagnose the cases with a field at another value; the reference where it is empty."""
     import torch
 
-    import nsde_torch
+    from nsde_torch.diagnosis.decisions import DECISIONS
     from nsde_torch.diagnosis.options import Options
+    from nsde_torch.diagnosis.pipeline import diagnose
+    from nsde_torch.models.identified import SysidSpec
+    from nsde_torch.recording import read
+    from nsde_torch.systems import make_system
 
     torch.set_num_threads(1)
-    assert field in _OPTIONS or getattr(Options().decisions, field or "alpha") == (value if field else 0.01)
+    changed: dict[str, Any] = {field: value} if field else {}
+    options = Options(alpha=value) if field == "alpha" else Options()
     out: dict[str, Any] = {}
     for name in names:
-        system = json.loads((cases / "truth" / f"{name}.json").read_text(encoding="utf-8"))["system"]
-        more: dict[str, Any] = {}
-        if field in _OPTIONS:
-            more[_OPTIONS[field]] = value
-        found = nsde_torch.diagnose(cases / "data" / name, system=system, **more)
+        truth = json.loads((cases / "truth" / f"{name}.json").read_text(encoding="utf-8"))
+        system = make_system(truth["system"])
+        data = read("csv", system, path=str(cases / "data" / name))
+        spec = SysidSpec(system.name, dt=data.dt, horizon=system.defaults.horizon)
+        found = diagnose(system, spec, data, data.runs, options, decisions=replace(DECISIONS, **changed))
         leads = [f.name for f in found.outcome.found if f.provisional]
         out[name] = [found.verdict, sorted(found.added), sorted(leads)]
     return out

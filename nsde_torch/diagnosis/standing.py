@@ -8,8 +8,9 @@ from nsde_torch.diagnosis.outcome import Found, Outcome
 from nsde_torch.diagnosis.reading import Log
 from nsde_torch.diagnosis.search import Search
 from nsde_torch.diagnosis.selection import Selection, forward_selection
+from nsde_torch.effects import effect_class
 from nsde_torch.effects.expression_grammar import is_law
-from nsde_torch.effects.law import AND
+from nsde_torch.effects.law import AND, Law
 from nsde_torch.errors import DataError, NonFiniteError
 from nsde_torch.sysid.standing import SHARE, moving, slowest
 
@@ -42,7 +43,7 @@ def without_standing(
     if not set(slowest(other.system, std, log.runs)) >= set(speeds):
         return kept
     other = replace(
-        other, rounds=[*outcome.rounds, *other.rounds], found=[_with_ties(f, outcome) for f in other.found]
+        other, rounds=[*outcome.rounds, *other.rounds], found=[_as_before(f, outcome) for f in other.found]
     )
     return moved, again, other
 
@@ -67,7 +68,16 @@ def tied(before: Outcome) -> set[str]:
     return {name for f in before.found for tie in f.ties for name in tie.split(AND)}
 
 
-def _with_ties(found: Found, before: Outcome) -> Found:
-    """An effect with what explained the other rows as well, too: a part of it is not looked for again."""
-    ties = {f.name: f.ties for f in before.found}.get(found.name, ())
-    return replace(found, ties=tuple(dict.fromkeys([*found.ties, *ties])))
+def _as_before(found: Found, before: Outcome) -> Found:
+    """An effect with what all rows said of it.
+
+    What explained them as well stays tied: a part of it is not looked for again. And what tells a dry friction best is
+    how it changes at a turn, which was left out: between turns it is a constant, which noise may be too.
+    """
+    for f in before.found:
+        if f.name == found.name:
+            ties = tuple(dict.fromkeys([*found.ties, *f.ties]))
+            law = effect_class(f.name)
+            dry = issubclass(law, Law) and law.dry
+            return replace(found, ties=ties, trial=f.trial if dry else found.trial)
+    return found

@@ -1,0 +1,216 @@
+"""Springs with what real ones have and the catalogue states otherwise, or not at all: nothing may be surely wrong.
+
+    python benchmarks/blind/odd_springs.py --seed 1 --count 16 --out runs/odd
+
+A mass on a spring under a few waves of force, by semi-implicit steps of 20 kHz in which dry friction takes off what
+speed there is, logged at 100 Hz with noise, in gusts. Each kind says what may stand as found for sure: the effect that
+it is, or one that is the same law in these data. What else is found for sure counts as surely wrong; leads, ties and
+`unexplained` do not.
+"""
+
+from __future__ import annotations
+
+import math
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+sys.path.insert(0, str(Path(__file__).resolve().parent))
+
+import numpy as np
+from numpy.typing import NDArray
+from study import answers, options
+
+Json = dict[str, Any]
+Array = NDArray[np.float64]
+STEP, INNER = 0.01, 200
+GAIN, STIFFNESS, DAMPING = 1.2, 5.0, 0.4
+
+
+@dataclass
+class State:
+    """What moves: position and speed, time in the run, and what a kind remembers."""
+
+    q: float = 0.0
+    v: float = 0.0
+    t: float = 0.0
+    own: dict[str, float] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Kind:
+    """One machine.
+
+    Args:
+        acts: Input that acts, from the command and the state.
+        pulls: What is added to the acceleration, from the acting input and the state.
+        dry: Size of the dry friction at the state.
+        may: Effects that may stand as found for sure.
+        logs: What is logged of a position or a speed, from its true value.
+    """
+
+    acts: Callable[[float, State], float] = lambda u, s: u
+    pulls: Callable[[float, State], float] = lambda u, s: 0.0
+    dry: Callable[[State], float] = lambda s: 0.0
+    may: tuple[str, ...] = ()
+    logs: Callable[[Array], Array] = lambda x: x
+
+
+def _slew(limit: float) -> Callable[[float, State], float]:
+    def acts(u: float, s: State) -> float:
+        at, most = s.own.get("u", 0.0), limit * STEP / INNER
+        s.own["u"] = at + min(max(u - at, -most), most)
+        return s.own["u"]
+
+    return acts
+
+
+def _hidden(stiffness: float, damping: float) -> Callable[[float, State], float]:
+    """A second mass of a quarter on a spring of its own, which nobody sees."""
+
+    def pulls(u: float, s: State) -> float:
+        h, p, w = STEP / INNER, s.own.get("p", 0.0), s.own.get("w", 0.0)
+        force = stiffness * (s.q - p) + damping * (s.v - w)
+        s.own["w"] = w + h * force
+        s.own["p"] = p + h * s.own["w"]
+        return -0.25 * force
+
+    return pulls
+
+
+def kinds(rng: np.random.Generator) -> dict[str, Kind]:
+    """Kinds of machines, their sizes drawn anew."""
+    size = float(rng.uniform(0.25, 0.6))
+    stop, slope = float(rng.uniform(0.25, 0.35)), float(rng.uniform(30.0, 80.0))
+    weaker = float(rng.uniform(0.6, 0.8))
+    rate, turn = float(rng.uniform(4.0, 7.0)), float(rng.uniform(12.0, 25.0))
+    fast, part = float(rng.uniform(0.05, 0.1)), float(rng.uniform(0.3, 0.6))
+    dry = ("coulomb_friction", "stribeck_friction")
+    return {
+        "nothing": Kind(),
+        "sticks": Kind(dry=lambda s: 3.0 * size, may=dry),
+        "stribeck": Kind(dry=lambda s: size * (1.0 + 0.6 * math.exp(-((s.v / fast) ** 2))), may=dry),
+        "warms": Kind(dry=lambda s: size * (0.4 + 0.6 * math.exp(-s.t / 10.0)), may=dry),
+        "slew": Kind(acts=_slew(rate)),
+        "levels": Kind(acts=lambda u, s: round(u / 0.25) * 0.25),
+        "stops": Kind(
+            pulls=lambda u, s: -slope * (max(s.q - stop, 0.0) + min(s.q + stop, 0.0)), may=("end_stop",)
+        ),
+        "one stop": Kind(pulls=lambda u, s: -slope * max(s.q - stop, 0.0)),
+        "one-sided motor": Kind(acts=lambda u, s: u if u > 0 else weaker * u),
+        "loses its load": Kind(pulls=lambda u, s: 0.0 if s.t < 15.0 else 0.5 * (GAIN * u - STIFFNESS * s.q)),
+        "vibrates": Kind(
+            pulls=lambda u, s: 0.5 * math.sin(turn * s.t), may=("periodic_force", "sinusoidal_force")
+        ),
+        "hidden mass": Kind(pulls=_hidden(40.0, 0.2)),
+        "three": Kind(
+            pulls=lambda u, s: 0.3 - 1.5 * s.v * abs(s.v),
+            dry=lambda s: size,
+            may=(*dry, "constant_force", "quadratic_damping", "asymmetric_friction"),
+        ),
+        "coarse encoder": Kind(logs=lambda x: np.round(x / 0.01) * 0.01),
+        "pull in the past": Kind(pulls=lambda u, s: _late(u, s, 0.25, part)),
+        "wall of magnets": Kind(pulls=lambda u, s: 0.03 / (0.9 - min(s.q, 0.8)) ** 2),
+    }
+
+
+def _late(u: float, s: State, tau: float, part: float) -> float:
+    """A part of the force acts late: its low-pass, which a magnet's eddy currents give."""
+    at = s.own.get("m", 0.0)
+    s.own["m"] = at + STEP / INNER / tau * (u - at)
+    return part * GAIN * (s.own["m"] - u)
+
+
+def run(kind: Kind, rng: np.random.Generator, seconds: float = 30.0) -> Array:
+    """One run: time, position, speed, command (n, 4)."""
+    turn, phase, high = rng.uniform(0.8, 7.0, 5), rng.uniform(0.0, 6.3, 5), rng.uniform(0.4, 1.0, 5)
+    count, h = round(seconds / STEP), STEP / INNER
+    s, rows, gust = State(), np.empty((count, 4)), 0.0
+    for i in range(count):
+        u = float(high @ np.sin(turn * i * STEP + phase))
+        rows[i] = i * STEP, s.q, s.v, u
+        gust += -gust * STEP / 0.05 + 0.1 * float(rng.normal()) * math.sqrt(2.0 * STEP / 0.05)
+        for _ in range(INNER):
+            acting = kind.acts(u, s)
+            pull = GAIN * acting - STIFFNESS * s.q - DAMPING * s.v + kind.pulls(acting, s) + gust
+            free = s.v + h * pull
+            s.v = math.copysign(max(abs(free) - h * kind.dry(s), 0.0), free)
+            s.q += h * s.v
+            s.t += h
+    rows[:, 1:3] = kind.logs(rows[:, 1:3] + 0.003 * rng.normal(size=(count, 2)))
+    return rows
+
+
+def write(name: str, seed: int, folder: Path, runs: int = 3) -> Kind:
+    """Write the runs of a kind as CSV files."""
+    rng = np.random.default_rng([seed, list(kinds(np.random.default_rng(0))).index(name)])
+    kind = kinds(rng)[name]
+    for k in range(runs):
+        rows = run(kind, rng)
+        rows[:, 0] += 100.0 * k
+        header = "t,q,q_dot,force"
+        np.savetxt(folder / f"run_{k}.csv", rows, delimiter=",", header=header, comments="", fmt="%.9g")
+    return kind
+
+
+def diagnosed(name: str, seed: int) -> Json:
+    """Simulate a case and diagnose it."""
+    import torch
+
+    import nsde_torch
+
+    torch.set_num_threads(1)
+    with tempfile.TemporaryDirectory() as folder:
+        kind = write(name, seed, Path(folder))
+        start = time.perf_counter()
+        found = nsde_torch.diagnose(folder, system="mass_spring_damper")
+    content = found.content()
+    return {
+        "kind": name,
+        "seed": seed,
+        "may": kind.may,
+        "verdict": found.verdict,
+        "added": found.added,
+        "leads": [f.name for f in found.outcome.found if f.provisional],
+        "tied": [name for tie in content["ties"] for name in tie["effects"]] if content["ties"] else [],
+        "recording": [f.sentence for f in found.recorded.faults],
+        "parameters": found.parameters,
+        "declared": content["declared_parameters"],
+        "seconds": time.perf_counter() - start,
+    }
+
+
+def judge(answer: Json) -> str:
+    """Add to an answer what is surely wrong; returns a line."""
+    sure = [n for n in answer.get("added", []) if n not in answer["leads"] and n not in answer["tied"]]
+    answer["surely wrong"] = (
+        [] if answer.get("verdict") == "unexplained" else [n for n in sure if n not in answer["may"]]
+    )
+    wrong = f"; SURELY WRONG {', '.join(answer['surely wrong'])}" if answer["surely wrong"] else ""
+    leads = f"; leads {', '.join(answer['leads'])}" if answer.get("leads") else ""
+    told = f"; {' '.join(answer['recording'])}" if answer.get("recording") else ""
+    found = ", ".join(answer.get("added", [])) or "nothing"
+    what = answer.get("error") or f"{answer['verdict']}: {found}"
+    return f"{answer['kind']:16} {what}{leads}{wrong}{told} ({answer.get('seconds', math.nan):.0f} s)"
+
+
+def main() -> None:
+    """Run or go on, and print the table."""
+    names = list(kinds(np.random.default_rng(0)))
+    args = options(__doc__ or "", count=len(names)).parse_args()
+    cases = []
+    for i in range(args.first, args.first + args.count):
+        name, seed = names[i % len(names)], args.seed + i // len(names)
+        wrong = {"kind": name, "seed": seed, "may": (), "added": [], "leads": [], "tied": []}
+        cases.append((f"{name.replace(' ', '_')}_{seed}", partial(diagnosed, name, seed), wrong))
+    done = answers(args.out, cases, judge)
+    print(f"\n{sum(bool(a['surely wrong']) for a in done)} of {len(done)} surely wrong")
+
+
+if __name__ == "__main__":
+    main()

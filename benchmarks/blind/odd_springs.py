@@ -30,6 +30,7 @@ Json = dict[str, Any]
 Array = NDArray[np.float64]
 STEP, INNER = 0.01, 200
 GAIN, STIFFNESS, DAMPING = 1.2, 5.0, 0.4
+_STOP = "force = c1 max(q - k1, 0)"
 
 
 @dataclass
@@ -99,9 +100,10 @@ def kinds(rng: np.random.Generator) -> dict[str, Kind]:
         "slew": Kind(acts=_slew(rate)),
         "levels": Kind(acts=lambda u, s: round(u / 0.25) * 0.25),
         "stops": Kind(
-            pulls=lambda u, s: -slope * (max(s.q - stop, 0.0) + min(s.q + stop, 0.0)), may=("end_stop",)
+            pulls=lambda u, s: -slope * (max(s.q - stop, 0.0) + min(s.q + stop, 0.0)),
+            may=(_STOP, _STOP.replace("max", "min")),
         ),
-        "one stop": Kind(pulls=lambda u, s: -slope * max(s.q - stop, 0.0)),
+        "one stop": Kind(pulls=lambda u, s: -slope * max(s.q - stop, 0.0), may=(_STOP,)),
         "one-sided motor": Kind(acts=lambda u, s: u if u > 0 else weaker * u),
         "loses its load": Kind(pulls=lambda u, s: 0.0 if s.t < 15.0 else 0.5 * (GAIN * u - STIFFNESS * s.q)),
         "vibrates": Kind(

@@ -1,51 +1,102 @@
 """The search once more without the rows in which a machine with dry friction stands (`nsde_torch.sysid.standing`)."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 
+from nsde_torch.diagnosis.candidates import candidate_names
 from nsde_torch.diagnosis.fitted import fitted_system
 from nsde_torch.diagnosis.outcome import Found, Outcome
 from nsde_torch.diagnosis.reading import Log
 from nsde_torch.diagnosis.search import Search
 from nsde_torch.diagnosis.selection import Selection, forward_selection
-from nsde_torch.effects import effect_class
+from nsde_torch.effects import Effect, effect_class
 from nsde_torch.effects.expression_grammar import is_law
 from nsde_torch.effects.law import AND, Law
 from nsde_torch.errors import DataError, NonFiniteError
 from nsde_torch.sysid.standing import SHARE, moving, slowest
+from nsde_torch.systems import System
+
+MUCH = 0.3
+"""Share of the rows in which a coordinate stands or turns round, beyond which friction may hold it."""
+
+_STANDS = "the machine mostly stands, and where it moves this is not found: friction may hold it"
 
 
 def without_standing(
-    log: Log, search: Search, outcome: Outcome, searched: Callable[[Log, Search, Outcome], Outcome]
+    log: Log, search: Search, outcome: Outcome, searched: Callable[[Log, Search, Outcome | None], Outcome]
 ) -> tuple[Log, Search, Outcome]:
     """The log without the rows in which what has dry friction stands, and the search in it.
 
-    It is taken where friction is found there too: what else was found with these rows may be how friction holds.
+    It is taken where friction is found there too: what else was found with these rows may be how friction holds. And
+    friction may hold the machine so long that it is not found with them, or looks like a deadband: where a coordinate
+    stands for much of the time, or nothing explains the structure that is left, whatever may have friction is looked at
+    where it moves.
 
     Args:
         log: The log.
         search: The search in its runs.
         outcome: What it concluded.
-        searched: Searches a log.
+        searched: Searches a log, from what was concluded of other rows or from the declared physics.
     """
-    kept = log, search, outcome
     std = outcome.final.regression.physics.sensor_std
     speeds = slowest(outcome.system, std, log.runs)
-    if not speeds or moving(log.runs, speeds)[1] < SHARE:
-        return kept
+    if not speeds:
+        speeds = slowest(log.system, std, log.runs, _candidates(search, log.system))
+        stands = max((moving(log.runs, {j: v})[1] for j, v in speeds.items()), default=0.0)
+        if stands < MUCH and (outcome.found or not outcome.structured):
+            return log, search, outcome
+        there = _where_it_moves(log, search, None, speeds, searched)
+        if there is None or not _dry(there[2], log):
+            return log, search, outcome if stands < MUCH else _held(outcome, there)
+        log, search, outcome = there
+        speeds = _dry(outcome, log)
+        if speeds.keys() == log.slowest.keys():
+            return log, search, outcome
+    there = _where_it_moves(log, search, outcome, speeds, searched)
+    if there is None or not _dry(there[2], log).keys() >= speeds.keys():
+        return log, search, outcome
+    log, search, other = there
+    found = [_as_before(f, outcome) for f in other.found]
+    return log, search, replace(other, rounds=[*outcome.rounds, *other.rounds], found=found)
+
+
+def _where_it_moves(
+    log: Log,
+    search: Search,
+    before: Outcome | None,
+    speeds: Mapping[int, float],
+    searched: Callable[[Log, Search, Outcome | None], Outcome],
+) -> tuple[Log, Search, Outcome] | None:
+    """Log, search and outcome without rows that are slower; None where these are too few, or too many."""
+    if moving(log.runs, speeds)[1] < SHARE:
+        return None
     moved = replace(log, slowest=speeds)
     try:
         again = moved.search(log.runs)
         again.held = set(search.held)
-        other = searched(moved, again, outcome)
-    except (DataError, NonFiniteError):  # too little is left
-        return kept
-    if not set(slowest(other.system, std, log.runs)) >= set(speeds):
-        return kept
-    other = replace(
-        other, rounds=[*outcome.rounds, *other.rounds], found=[_as_before(f, outcome) for f in other.found]
-    )
-    return moved, again, other
+        return moved, again, searched(moved, again, before)
+    except (DataError, NonFiniteError):
+        return None
+
+
+def _dry(outcome: Outcome, log: Log) -> dict[int, float]:
+    """Speeds whose direction is not known, of coordinates in which dry friction was found or declared."""
+    return slowest(outcome.system, outcome.final.regression.physics.sensor_std, log.runs)
+
+
+def _held(outcome: Outcome, there: tuple[Log, Search, Outcome] | None) -> Outcome:
+    """The outcome of a machine that mostly stands: what is not found where it moves is no last word."""
+    names = set() if there is None else {f.name for f in there[2].found}
+    found = [
+        f if f.name in names else replace(f, provisional=f.provisional or _STANDS) for f in outcome.found
+    ]
+    return replace(outcome, found=found)
+
+
+def _candidates(search: Search, system: System) -> list[type[Effect]]:
+    """Classes of the effects that may be added to a system."""
+    names = candidate_names(system)
+    return [effect_class(n) for n in names if search.candidates is None or n in search.candidates]
 
 
 def selected_again(search: Search, before: Outcome) -> Selection:

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter1d
 
 from nsde_torch.data import Run
+from nsde_torch.effects import Effect
 from nsde_torch.effects.law import Law
 from nsde_torch.systems import System
 
@@ -26,18 +27,25 @@ _AVERAGED = 5  # rows; their mean at a standstill is within `WITHIN` almost sure
 _SHORTEST = 5  # rows between two standstills; fewer say little and cost the start of a stretch
 
 
-def slowest(system: System, sensor_std: NDArray[np.float64], runs: Sequence[Run]) -> dict[int, float]:
+def slowest(
+    system: System,
+    sensor_std: NDArray[np.float64],
+    runs: Sequence[Run],
+    effects: Sequence[type[Effect]] | None = None,
+) -> dict[int, float]:
     """Speeds whose direction is not known, of coordinates with dry friction, by column of the state.
 
     Args:
-        system: The machine with its effects.
+        system: The machine.
         sensor_std: Standard deviation of the noise of each state (nx,).
         runs: Recordings. Of rates that were inferred nothing is told: physics is averaged over what is not known of
             them (`inferred_rates`).
+        effects: Effects among which dry frictions are looked for; None takes those of the machine.
     """
     out: dict[int, float] = {}
-    for effect in system.effects:
-        if isinstance(effect, Law) and effect.dry:
+    own = [type(e) for e in system.effects if isinstance(e, Effect)]
+    for effect in own if effects is None else effects:
+        if issubclass(effect, Law) and effect.dry:
             column = effect.at.velocity
             if not any(system.state_names[column] in run.inferred for run in runs):
                 out[column] = WITHIN * float(sensor_std[column])

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import pytest
 
 import nsde_torch
@@ -9,6 +11,7 @@ from nsde_torch.diagnosis import gone
 from nsde_torch.diagnosis.gone import select
 from nsde_torch.diagnosis.options import Options
 from nsde_torch.diagnosis.search import Search, search_in
+from nsde_torch.diagnosis.selection import Selection, forward_selection
 from nsde_torch.systems import System, make_system
 
 LAG, FLAPPING = 0.04, 15.0
@@ -38,7 +41,16 @@ def test_effects_are_selected_from_first_values_where_gains_have_gone(
 ) -> None:
     where, system = search
     monkeypatch.setattr(gone, "GONE", 1.2)  # gains of 36 and 29 rad/s2 of a first value of 50 have gone then
+    went_on: list[Selection] = []
+
+    def selection(*args: Any, after: Selection | None = None) -> Selection:
+        went_on.extend([] if after is None else [after])
+        return forward_selection(*args, after=after)
+
+    monkeypatch.setattr(gone, "forward_selection", selection)
     chosen = select(where, system)
+    (freed,) = went_on  # once gains are free, other effects may be needed
+    assert freed.final.regression.theta == pytest.approx(chosen.final.regression.theta)
     assert set(chosen.names) == set(CANDIDATES)
     assert where.held == set()  # what was held while effects were selected is free again
     now = dict(zip(chosen.final.regression.vector.labels, chosen.final.regression.theta, strict=True))

@@ -2,22 +2,25 @@
 
 from __future__ import annotations
 
+import pytest
+
 import nsde_torch
 from tests.helpers.sticking import STICKING, sticking_runs
 
 
-def test_dry_friction_that_holds_is_named_alone_and_all_values_are_right() -> None:
+@pytest.mark.parametrize("size", [1.0, 2.4])  # it stands in a quarter of the rows, and in three quarters
+def test_dry_friction_that_holds_is_named_alone_and_all_values_are_right(size: float) -> None:
     found = nsde_torch.diagnose(
-        sticking_runs(1.0, seconds=20.0),
+        sticking_runs(size, seconds=20.0),
         system="mass_spring_damper",
         candidates=["coulomb_friction", "stribeck_friction", "actuator_deadband", "quadratic_damping"],
     )
     assert found.added == ["coulomb_friction"]
     content = found.content()
-    for name, truth in {**STICKING, "coulomb_friction.size": 1.0}.items():
+    for name, truth in {**STICKING, "coulomb_friction.size": size}.items():
         entry = {**found.parameters, **content["declared_parameters"]}[name]
         low, high = entry["interval_90"]
         assert abs(entry["value"] - truth) < max(1.5 * (high - low) / 2.0, 0.005 * truth)
     share = content["data"]["standing_share"]
-    assert 0.1 < share < 0.4
+    assert 0.1 < share < 0.85
     assert f"{share:.0%} of the rows were left out" in found.report

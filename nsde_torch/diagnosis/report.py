@@ -322,10 +322,8 @@ def _not_shown(entries: Sequence[Mapping[str, Any]]) -> str:
     if not entries:
         return ""
     how = {n["effect"]: escape(n["experiment"]) for n in entries}
-    lines = "".join(
-        f"<li>{escape(line)}<br><span class='small'>To show it: {how[line.partition(':')[0]]}.</span></li>"
-        for line in unseen(entries)
-    )
+    to_show = "<li>{}<br><span class='small'>To show it: {}.</span></li>"
+    lines = "".join(to_show.format(escape(line), how[line.partition(":")[0]]) for line in unseen(entries))
     return (
         "<h2>What these data cannot show</h2><p>Not found says nothing of these: sizes below would go unnoticed.</p>"
         f"<ul>{lines}</ul>"

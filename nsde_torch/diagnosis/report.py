@@ -21,12 +21,12 @@ from nsde_torch.diagnosis.text import (
     placed,
     signed,
     small_ones,
-    standing,
     unseen,
     warning,
     without_it,
 )
 from nsde_torch.evaluation.report import number
+from nsde_torch.sysid.standing import in_words
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -116,7 +116,7 @@ def page(content: Mapping[str, Any], figures: Mapping[str, Figure], *, width: fl
         feedback_html(content),
         "<h2>What is left over, channel by channel</h2>",
         _residuals(content["residual"]),
-        *(f"<p>{escape(sentence)}</p>" for sentence in standing(data)),
+        *(f"<p>{escape(sentence)}</p>" for sentence in in_words(data["standing_share"])),
         shown.get("spectrum", ""),
         _not_shown(content["not_shown"]),
         _ranking(content["ranking"]),

@@ -8,6 +8,7 @@ from nsde_torch.diagnosis.feedback_text import feedback_lines
 from nsde_torch.diagnosis.summary import small
 from nsde_torch.evaluation.report import number, table
 from nsde_torch.sysid.guard import doubts_the_fit
+from nsde_torch.sysid.standing import in_words
 
 _RANKED, _SENTENCES = 6, 4  # candidates and sentences that are listed
 _VERDICTS = {
@@ -55,7 +56,7 @@ def lines(content: Mapping[str, Any]) -> list[str]:
         for name, c in content["residual"].items()
     ]
     head = ["residual of the rate of", "measured", "before", "after", "floor", "explained", "unit"]
-    out += ["", table(head, residual), *standing(content["data"])]
+    out += ["", table(head, residual), *in_words(content["data"]["standing_share"])]
     out += _errors(content["errors"])
     out += feedback_lines(content)
     ranked = [r for r in content["ranking"] if r["round"] == 0 and r["p"] is not None][:_RANKED]
@@ -87,16 +88,6 @@ def lines(content: Mapping[str, Any]) -> list[str]:
         out += ["", "these data cannot show (smallest size that would be noticed):"]
         out += [f"  {text}" for text in unseen(content["not_shown"])]
     return out
-
-
-def standing(data: Mapping[str, Any]) -> list[str]:
-    """What was left out because dry friction holds what stands, as a sentence; none where nothing was."""
-    if not data["standing_share"]:
-        return []
-    return [
-        f"{data['standing_share']:.0%} of the rows were left out: the machine stands or turns round in them, and dry "
-        "friction is whatever holds it there."
-    ]
 
 
 def _finding(finding: Mapping[str, Any], content: Mapping[str, Any]) -> list[str]:

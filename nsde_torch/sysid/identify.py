@@ -55,8 +55,10 @@ def identify(
         >>> found = identify(make_system("hexacopter"), data.runs)  # doctest: +SKIP
         >>> dict(zip(found.vector.labels, found.values))  # doctest: +SKIP
     """
-    regression, _ = settled(system, runs, clock=clock, method=method, width=width, iterations=iterations)
-    return identification(regression, method)
+    regression, _, left_out = settled(
+        system, runs, clock=clock, method=method, width=width, iterations=iterations
+    )
+    return identification(regression, method, standing=left_out)
 
 
 def settled(
@@ -67,8 +69,8 @@ def settled(
     method: str,
     width: float | None,
     iterations: int,
-) -> tuple[Regression, Sequence[Run]]:
-    """The regression of some runs after its last step, and its runs; arguments as those of `identify`.
+) -> tuple[Regression, Sequence[Run], float]:
+    """The regression of some runs after its last step, its runs, and the share of rows that were left out of them.
 
     Rows in which what has dry friction stands are left out, once the noise of its speed is known (`standing`).
     """
@@ -77,17 +79,17 @@ def settled(
     speeds = slowest(system, regression.physics.sensor_std, runs) if method == "weak" else {}
     some, share = moving(runs, speeds)
     if share < SHARE:
-        return regression, runs
+        return regression, runs, 0.0
     try:
         again = regression_of(system, some, clock=clock, method=method, width=width, start=regression.theta)
         again.run(iterations)
     except DataError:  # too little is left
-        return regression, runs
-    return again, some
+        return regression, runs, 0.0
+    return again, some, share
 
 
-def identification(regression: Regression, method: str) -> Identification:
-    """What a regression that has settled found; see `identify`."""
+def identification(regression: Regression, method: str, *, standing: float = 0.0) -> Identification:
+    """What a regression that has settled found; see `identify`. `standing` is the share of rows that were left out."""
     weak = method == "weak"
     vector, physics, steps = regression.vector, regression.physics, regression.physics.steps
     sure, blocks = regression.spread(), regression.blocks
@@ -113,6 +115,7 @@ def identification(regression: Regression, method: str) -> Identification:
         converged=regression.converged,
         linear=physics.linear(regression.theta),
         blocks=int(blocks.max()) + 1,
+        standing=standing,
     )
 
 

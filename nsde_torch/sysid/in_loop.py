@@ -118,8 +118,10 @@ def _over_boxes(
     instruments: Sequence[str],
 ) -> Identification:
     """As `identify_in_loop`, over boxes of one length, whatever the guard says of it."""
-    regression, runs = settled(system, runs, clock=clock, method=method, width=width, iterations=iterations)
-    found = identification(regression, method)
+    regression, runs, left_out = settled(
+        system, runs, clock=clock, method=method, width=width, iterations=iterations
+    )
+    found = identification(regression, method, standing=left_out)
     if method != "weak":
         why = "finite differences of smoothed states have no innovations"
         return replace(found, loop=LoopTest(why_not=why), guard=guarded(regression, runs, clock=clock))

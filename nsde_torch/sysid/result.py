@@ -9,6 +9,7 @@ from scipy.special import stdtrit
 
 from nsde_torch.sysid.noise import Noise
 from nsde_torch.sysid.shown import Shown, sentences
+from nsde_torch.sysid.standing import in_words
 from nsde_torch.systems.parameters import ParameterVector
 
 if TYPE_CHECKING:
@@ -81,6 +82,7 @@ class Identification:
             anything; None for nothing.
         guard: How the fit stands beside simple ones; None where it was not asked for.
         finer: The fit over shorter boxes that the guard did not believe; None where these are the first ones.
+        standing: Share of the rows that were left out because what has dry friction stands in them.
     """
 
     vector: ParameterVector
@@ -103,6 +105,7 @@ class Identification:
     doubt: Array | None = None
     guard: "Guarded | None" = None
     finer: "Identification | None" = None
+    standing: float = 0.0
 
     @property
     def believed(self) -> bool:
@@ -157,9 +160,9 @@ class Identification:
         """What speaks against the fit, in words, with what the guard noted beside it."""
         notes = [] if self.guard is None else list(self.guard.notes)
         if self.finer is not None and self.finer.guard is not None:
-            from nsde_torch.sysid.longer_boxes import in_words
+            from nsde_torch.sysid import longer_boxes
 
-            return ["; ".join(in_words(self.box_s, self.finer.guard).values()), *notes]
+            return ["; ".join(longer_boxes.in_words(self.box_s, self.finer.guard).values()), *notes]
         if self.guard is None or not self.guard.objections:
             return []
         told = [str(objection) for objection in self.guard.objections]
@@ -167,8 +170,9 @@ class Identification:
 
     @property
     def notes(self) -> list[str]:
-        """What the guard noted of a fit that nothing speaks against."""
-        return [] if self.guard is None or self.warnings else list(self.guard.notes)
+        """What was left out, and what the guard noted of a fit that nothing speaks against."""
+        left_out = in_words(self.standing)
+        return left_out if self.guard is None or self.warnings else [*left_out, *self.guard.notes]
 
     def parameters(self) -> dict[str, dict[str, object]]:
         """Declared parameters as `metrics.json` holds them."""
@@ -212,6 +216,7 @@ class Identification:
             "channels": {c.name: c.as_dict() for c in self.channels},
             "test_function_s": self.width_s,
             "unexplained": self.unexplained,
+            **({"standing_share": self.standing} if self.standing else {}),
             **({} if self.guard is None else {"guard": self.guard.as_dict()}),
             **(
                 {}

@@ -72,6 +72,16 @@ def moving(runs: Sequence[Run], slowest: Mapping[int, float]) -> tuple[tuple[Run
     return tuple(out), 1.0 - left / max(all_rows, 1)
 
 
+def in_words(share: float) -> list[str]:
+    """What was left out, as a sentence; none where nothing was."""
+    if not share:
+        return []
+    return [
+        f"{share:.0%} of the rows were left out: the machine stands or turns round in them, and dry friction is "
+        "whatever holds it there."
+    ]
+
+
 def _moves(x: NDArray[np.float64], slowest: Mapping[int, float]) -> NDArray[np.bool_]:
     """Whether all of the coordinates move, by row (n,)."""
     out = np.ones(len(x), dtype=bool)

@@ -41,8 +41,12 @@ def test_physics_of_a_machine_that_sticks_is_right_where_it_moves(
     assert (_off(found) < 1.5).all()
     at = [found.vector.labels.index(name) for name in TRUTH]
     assert found.values[at] == pytest.approx(list(TRUTH.values()), rel=0.03)
+    assert found.as_dict()["standing_share"] == pytest.approx(found.standing)
+    assert f"{found.standing:.0%} of the rows were left out" in found.notes[0]
     monkeypatch.setattr(identify, "SHARE", 2.0)
     bent = identify_in_loop(system, data.runs)
+    assert not bent.standing
+    assert not any("left out" in note for note in bent.notes)
     assert bent.values[at[2]] < 0.5 * TRUTH["viscous_friction.damping"]
 
 

@@ -302,13 +302,19 @@ def write(case: Case, folder: Path) -> None:
         )
 
 
-def main() -> None:
-    """Write the logs that are not there yet."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+def options(description: str | None) -> argparse.ArgumentParser:
+    """Seed, machines and number of the logs."""
+    parser = argparse.ArgumentParser(description=(description or "").splitlines()[0])
     parser.add_argument("--seed", type=int, required=True, help="seed of the logs")
-    parser.add_argument("--out", type=Path, required=True, help="folder to write into")
     parser.add_argument("--systems", nargs="+", default=SYSTEMS)
     parser.add_argument("--repeats", type=int, default=1, help="logs of each excitation and habit")
+    return parser
+
+
+def main() -> None:
+    """Write the logs that are not there yet."""
+    parser = options(__doc__)
+    parser.add_argument("--out", type=Path, required=True, help="folder to write into")
     given = parser.parse_args()
     for case in cases(given.seed, given.systems, given.repeats):
         if not (given.out / "data" / case.name / f"run_{RUNS - 1}.csv").is_file():

@@ -11,7 +11,6 @@ is a refusal.
 
 from __future__ import annotations
 
-import argparse
 import json
 import sys
 import time
@@ -22,7 +21,7 @@ from typing import Any
 sys.path.insert(0, str(Path(__file__).resolve().parent))
 
 import numpy as np
-from sound_logs import EXCITATIONS, FLIGHTS, HABITS, SYSTEMS, Case, cases
+from sound_logs import EXCITATIONS, FLIGHTS, HABITS, Case, cases, options
 
 TRUE = {
     "3 decimals": {"quaternion_norm"},
@@ -129,11 +128,8 @@ def table(plan: list[Case], folder: Path) -> str:
 
 def main() -> None:
     """Read what was not read yet, and judge."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--seed", type=int, required=True, help="seed of the logs")
+    parser = options(__doc__)
     parser.add_argument("--logs", type=Path, required=True, help="folder of sound_logs.py")
-    parser.add_argument("--systems", nargs="+", default=SYSTEMS)
-    parser.add_argument("--repeats", type=int, default=1, help="as sound_logs.py was told")
     parser.add_argument("--again", nargs="*", default=None, help="read these again; none named: all")
     parser.add_argument("--judge", action="store_true", help="judge what is there")
     parser.add_argument(

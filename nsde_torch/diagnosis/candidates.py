@@ -1,6 +1,6 @@
 """Effects of the catalogue as candidates: which a system may have, and where their fits start."""
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 
 from nsde_torch.effects import Effect, Law, Port, effect_class, effects_of
 from nsde_torch.effects.law import joined_name, split_name
@@ -10,10 +10,14 @@ from nsde_torch.systems.parameters import own_name
 Start = dict[str, float | list[float]]
 
 
-def candidate_names(system: System) -> list[str]:
+def candidate_names(system: System, among: Collection[str] | None = None) -> list[str]:
     """Names of the effects that could be missing from a system and read no channels but its own.
 
     What an effect of the system contains is none of them: beside it, it would be one law in two names.
+
+    Args:
+        system: The machine.
+        among: Names to choose from; None for all.
     """
     there = {name for effect in system.effects if isinstance(effect, Effect) for name in effect.includes}
     return sorted(
@@ -21,7 +25,8 @@ def candidate_names(system: System) -> list[str]:
         for name, cls in effects_of(
             system.name, {*system.ports, Port.INPUT}, system.bound_coordinates()
         ).items()
-        if name not in there
+        if (among is None or name in among)
+        and name not in there
         and name not in system.effect_names
         and cls.candidate(system.name)
         and set(cls.exogenous) <= set(system.exogenous)

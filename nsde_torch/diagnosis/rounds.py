@@ -66,9 +66,7 @@ def look(search: Search, base: Base, *, only: Collection[str] | None = None) -> 
         base: Where the round starts.
         only: Candidates to look at; None for all. p values count all.
     """
-    names = candidate_names(base.system)
-    if search.candidates is not None:
-        names = [n for n in names if n in search.candidates]
+    names = candidate_names(base.system, search.candidates)
     among = max(len(names), 1)
     names += [law for law in search.laws if law not in base.system.effect_names]
     if only is not None:

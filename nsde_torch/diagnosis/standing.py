@@ -9,12 +9,11 @@ from nsde_torch.diagnosis.outcome import Found, Outcome
 from nsde_torch.diagnosis.reading import Log
 from nsde_torch.diagnosis.search import Search
 from nsde_torch.diagnosis.selection import Selection, forward_selection
-from nsde_torch.effects import Effect, effect_class
+from nsde_torch.effects import effect_class
 from nsde_torch.effects.expression_grammar import is_law
 from nsde_torch.effects.law import AND, Law
 from nsde_torch.errors import DataError, NonFiniteError
 from nsde_torch.sysid.standing import SHARE, moving, slowest
-from nsde_torch.systems import System
 
 MUCH = 0.3
 """Share of the rows in which a coordinate stands or turns round, beyond which friction may hold it."""
@@ -38,10 +37,11 @@ def without_standing(
         outcome: What it concluded.
         searched: Searches a log, from what was concluded of other rows or from the declared physics.
     """
-    std = outcome.final.regression.physics.sensor_std
-    speeds = slowest(outcome.system, std, log.runs)
+    speeds = _dry(outcome, log)
     if not speeds:
-        speeds = slowest(log.system, std, log.runs, _candidates(search, log.system))
+        std = outcome.final.regression.physics.sensor_std
+        candidates = [effect_class(name) for name in candidate_names(log.system, search.candidates)]
+        speeds = slowest(log.system, std, log.runs, candidates)
         stands = max((moving(log.runs, {j: v})[1] for j, v in speeds.items()), default=0.0)
         if stands < MUCH and (outcome.found or not outcome.structured):
             return log, search, outcome
@@ -91,12 +91,6 @@ def _held(outcome: Outcome, there: tuple[Log, Search, Outcome] | None) -> Outcom
         f if f.name in names else replace(f, provisional=f.provisional or _STANDS) for f in outcome.found
     ]
     return replace(outcome, found=found)
-
-
-def _candidates(search: Search, system: System) -> list[type[Effect]]:
-    """Classes of the effects that may be added to a system."""
-    names = candidate_names(system)
-    return [effect_class(n) for n in names if search.candidates is None or n in search.candidates]
 
 
 def selected_again(search: Search, before: Outcome) -> Selection:

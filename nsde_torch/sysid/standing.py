@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter1d
 
 from nsde_torch.data import Run
+from nsde_torch.data.raw import holes
 from nsde_torch.effects import Effect
 from nsde_torch.effects.law import Law
 from nsde_torch.systems import System
@@ -63,8 +64,8 @@ def moving(runs: Sequence[Run], slowest: Mapping[int, float]) -> tuple[tuple[Run
     for run in runs:
         segments: list[tuple[int, int]] = []
         for a, b in run.segments:
-            kept = _stretches(_moves(run.x[a:b], slowest))
-            segments += [(a + first, a + last) for first, last in kept]
+            kept = holes(_moves(run.x[a:b], slowest))
+            segments += [(a + i, a + j) for i, j in kept if j - i >= _SHORTEST]
             all_rows += b - a
         segments = segments or list(run.segments)  # a run that stands throughout stays, as runs are numbered
         left += sum(b - a for a, b in segments)
@@ -90,10 +91,3 @@ def _moves(x: NDArray[np.float64], slowest: Mapping[int, float]) -> NDArray[np.b
         change = np.gradient(mean) if len(mean) > 1 else np.zeros_like(mean)
         out &= np.abs(mean) >= speed + np.abs(change)
     return out
-
-
-def _stretches(kept: NDArray[np.bool_]) -> list[tuple[int, int]]:
-    """Ranges (first, last + 1) of rows that are kept, those that are long enough."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], kept.astype(np.int8), [0]])))
-    pairs = zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True)
-    return [(a, b) for a, b in pairs if b - a >= _SHORTEST]

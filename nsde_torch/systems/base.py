@@ -8,11 +8,9 @@ Kinematics are exact and belong to the system; everything that pushes is an effe
 import copy
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
-from itertools import accumulate
 from typing import Any, ClassVar
 
 import numpy as np
-import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
@@ -142,23 +140,23 @@ class System(Parametrised, ABC):
 
     def set_step(self, dt: float) -> None:
         """Tell the effects the step of the integrator [s] (see `Effect.whole_steps`); 0: as their formulas say."""
-        for k in range(len(self.effects)):
-            self._effect(k).step = float(dt)
+        for effect in self._own:
+            effect.step = float(dt)
 
     @property
     def step(self) -> float:
         """Step that the effects were told [s]; 0: none."""
-        return self._effect(0).step if len(self.effects) else 0.0
+        return self._own[0].step if self._own else 0.0
 
     @property
     def whole_steps(self) -> bool:
         """Whether every memory knows whole steps of held inputs exactly, once told the step."""
-        return all(effect.whole_steps for effect in self._all_effects if effect.n_memory)
+        return all(effect.whole_steps for effect in self._own if effect.n_memory)
 
     @property
     def held_columns(self) -> tuple[int, ...]:
         """Columns of (state, memory) whose rate is that of a whole step: memory of effects that know the step."""
-        return memory_of.held_columns(self._all_effects, self._parts)
+        return memory_of.held_columns(self._own, self._parts)
 
     def inner(self, z: Tensor, y: Tensor) -> Tensor:
         """The state `y` (N, nz) at which a step from `z` (N, nz) evaluates the drift again.
@@ -180,25 +178,21 @@ class System(Parametrised, ABC):
         if twice:
             raise ConfigError(f"system {self.name!r} has the effects {twice} already.")
         out = copy.deepcopy(self)
-        out._arrange([*out._all_effects, *(copy.deepcopy(e) for e in effects)])
+        out._arrange([*out._own, *(copy.deepcopy(e) for e in effects)])
         return out
 
     def reading(self, *names: str) -> "System":
         """A copy of the machine that is given further logged columns, whether an effect reads them or not."""
         out = copy.deepcopy(self)
         out._channels = (*self.exogenous, *names)
-        out._arrange(out._all_effects)
+        out._arrange(out._own)
         return out
 
     def without_effects(self, *names: str) -> "System":
         """A copy of the machine, with its present values, without some of its effects."""
         out = copy.deepcopy(self)
-        out._arrange([e for e in out._all_effects if e.name not in names])
+        out._arrange([e for e in out._own if e.name not in names])
         return out
-
-    @property
-    def _all_effects(self) -> list[Effect]:
-        return list(self._own)
 
     @property
     def nx(self) -> int:
@@ -218,13 +212,13 @@ class System(Parametrised, ABC):
     @property
     def exogenous(self) -> tuple[str, ...]:
         """Logged columns behind the inputs: those of `reading`, then what other effects read."""
-        read = (n for e in self.effects for n in e.exogenous)  # type: ignore[union-attr]
+        read = (n for e in self._own for n in e.exogenous)
         return tuple(dict.fromkeys((*self._channels, *read)))
 
     @property
     def effect_names(self) -> tuple[str, ...]:
         """Names of all effects, declared and added."""
-        return tuple(str(e.name) for e in self.effects)
+        return tuple(e.name for e in self._own)
 
     @property
     def physics_ports(self) -> set[Port]:
@@ -289,7 +283,7 @@ class System(Parametrised, ABC):
         rates: dict[int, Tensor] = {}
         command = self._applied(t, x, u, memories, rates)
         for k in self._on_force:
-            effect, own = self._effect(k), self._seen(k, x, command, u)
+            effect, own = self._own[k], self._seen(k, x, command, u)
             term = effect(t, x, own, memories[k])
             forces[effect.port] = forces[effect.port] + term if effect.port in forces else term
             if effect.n_memory:
@@ -305,24 +299,19 @@ class System(Parametrised, ABC):
         rates: dict[int, Tensor] = {}
         command = self._applied(t, x, u, memories, rates)
         for k in self._on_force:
-            if self._effect(k).n_memory:
-                rates[k] = self._effect(k).memory_rate(t, x, self._seen(k, x, command, u), memories[k])
+            if self._own[k].n_memory:
+                rates[k] = self._own[k].memory_rate(t, x, self._seen(k, x, command, u), memories[k])
         return join_columns(tuple(rates[k] for k in sorted(rates))) if rates else z[:, :0]
 
     def augment(self, x: Tensor, u: Tensor) -> Tensor:
         """State with the memory of the effects (N, nz), stationary under the input `u` (N, nu + n_exogenous)."""
         if self.nz == self.nx:
             return x
-        starts: dict[int, Tensor] = {}
-        command = u[:, : self.nu]
-        for k in (*self._on_input, *self._on_force):
-            effect = self._effect(k)
-            if effect.n_memory or effect.port is Port.INPUT:
-                own = self._seen(k, x, command, u)
-                starts[k] = effect.memory_start(x, own)
-                if effect.port is Port.INPUT:
-                    command = command + effect(0.0, x, own, starts[k])
-        return join_columns((x, *(starts[k] for k in sorted(starts))))
+        order = (*self._on_input, *self._on_force)
+        starts = memory_of.stationary(
+            self._own, order, lambda k, command: self._seen(k, x, command, u), x, u[:, : self.nu]
+        )
+        return join_columns((x, *starts))
 
     def remembered(self, x: Tensor, u: Tensor, u_before: Tensor | None, *, dt: float) -> Tensor:
         """State with the memory that the inputs until now have left (N, nz); differentiable.
@@ -353,32 +342,19 @@ class System(Parametrised, ABC):
             Memory that stands for its mean over each step (n, nz - nx), and whether each column is known (nz - nx,).
             What comes after an effect that does not know is not known.
         """
-        memory = x.new_zeros(len(x), self.nz - self.nx)
-        known = torch.zeros(memory.shape[1], dtype=torch.bool)
-        starts = list(accumulate(self._parts[1:], initial=0))
-        command = u[:, : self.nu]
-        for k in self._on_input:
-            effect, own = self._effect(k), self._seen(k, x, command, u)
-            columns = slice(starts[k], starts[k + 1])
-            if effect.n_memory:
-                held = effect.held(own, dt)
-                if held is None:
-                    break
-                memory[:, columns], known[columns] = held, True
-            command = command + effect(t, x, own, memory[:, columns])
-        for k in range(len(self.effects)):
-            followed = self._effect(k).followed(x, dt) if k not in self._on_input else None
-            if followed is not None:
-                columns = slice(starts[k], starts[k + 1])
-                memory[:, columns], known[columns] = followed, True
-        return memory, known
+        return memory_of.held_memory(
+            self._own,
+            self._on_input,
+            lambda k, command: self._seen(k, x, command, u),
+            t=t,
+            x=x,
+            command=u[:, : self.nu],
+            dt=dt,
+        )
 
     def quantity(self, name: str, x: Tensor, u: Tensor) -> Tensor:
         """One of `quantities` (N, its columns), from state and applied input."""
         raise KeyError(name)
-
-    def _effect(self, k: int) -> Effect:
-        return self._own[k]
 
     def applied(self, t: float | Tensor, z: Tensor, u: Tensor) -> Tensor:
         """Input after the effects on it (N, nu), from state and memory `z` (N, nz) and `u` as `drift` has it."""
@@ -396,7 +372,7 @@ class System(Parametrised, ABC):
         """Input after the effects on it (N, nu), one after another; writes the rates of their memory."""
         command = u[:, : self.nu]
         for k in self._on_input:
-            effect, own = self._effect(k), self._seen(k, x, command, u)
+            effect, own = self._own[k], self._seen(k, x, command, u)
             if effect.n_memory:
                 rates[k] = effect.memory_rate(t, x, own, memories[k])
             command = command + effect(t, x, own, memories[k])
@@ -404,13 +380,12 @@ class System(Parametrised, ABC):
 
     def _seen(self, k: int, x: Tensor, command: Tensor, u: Tensor) -> Tensor:
         """What effect k is given as its input: the command so far, its logged columns, its quantities."""
-        return given(self, self._effect(k), self._read[k], x, command, u)
+        return given(self, self._own[k], self._read[k], x, command, u)
 
     def all_declared(self) -> dict[str, tuple[Tensor, str]]:
         """Declared parameters of the system and of its effects: name -> (value (k,), unit)."""
         out = dict(self.declared_parameters())
-        for effect in self.effects:
-            assert isinstance(effect, Effect)
+        for effect in self._own:
             out |= {f"{effect.name}.{k}": v for k, v in effect.declared_parameters().items()}
         return out
 

@@ -9,7 +9,7 @@ are held over each step, however long it is. Others are followed by Runge and Ku
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from itertools import accumulate
 from math import ceil
 from typing import TYPE_CHECKING
@@ -18,7 +18,7 @@ import torch
 from torch import Tensor
 
 from nsde_torch.columns import join_columns, split_columns
-from nsde_torch.effects.base import Effect
+from nsde_torch.effects.base import Effect, Port
 from nsde_torch.errors import ShapeError
 
 if TYPE_CHECKING:
@@ -68,6 +68,28 @@ def _advanced(system: System, x: Tensor, memory: Tensor, u: Tensor, h: float) ->
     return memory + (h / 6.0) * (k1 + 2.0 * (k2 + k3) + k4)
 
 
+def stationary(
+    effects: Sequence[Effect],
+    order: Sequence[int],
+    seen: Callable[[int, Tensor], Tensor],
+    x: Tensor,
+    command: Tensor,
+) -> list[Tensor]:
+    """Memory of each effect that has one where it rests (N, its columns); arguments as of `held_memory`.
+
+    `order` is the order in which effects are worked out, those on the input first.
+    """
+    starts: dict[int, Tensor] = {}
+    for k in order:
+        effect = effects[k]
+        if effect.n_memory or effect.port is Port.INPUT:
+            own = seen(k, command)
+            starts[k] = effect.memory_start(x, own)
+            if effect.port is Port.INPUT:
+                command = command + effect(0.0, x, own, starts[k])
+    return [starts[k] for k in sorted(starts)]
+
+
 def held_within(system: System, z: Tensor, y: Tensor) -> Tensor:
     """See `System.inner`."""
     columns = system.held_columns
@@ -90,3 +112,32 @@ def held_columns(effects: Sequence[Effect], parts: Sequence[int]) -> tuple[int, 
         if effect.step and effect.whole_steps
         for column in range(start, stop)
     )
+
+
+def held_memory(
+    effects: Sequence[Effect],
+    on_input: Sequence[int],
+    seen: Callable[[int, Tensor], Tensor],
+    *,
+    t: Tensor,
+    x: Tensor,
+    command: Tensor,
+    dt: float,
+) -> tuple[Tensor, Tensor]:
+    """See `System.held_memory`; `seen` is what an effect reads as its input, from its place and the command so far."""
+    ends = list(accumulate((effect.n_memory for effect in effects), initial=0))
+    memory = x.new_zeros(len(x), ends[-1])
+    known = torch.zeros(ends[-1], dtype=torch.bool)
+    for k in on_input:
+        effect, own, columns = effects[k], seen(k, command), slice(ends[k], ends[k + 1])
+        if effect.n_memory:
+            held = effect.held(own, dt)
+            if held is None:
+                break
+            memory[:, columns], known[columns] = held, True
+        command = command + effect(t, x, own, memory[:, columns])
+    for k, effect in enumerate(effects):
+        followed = effect.followed(x, dt) if k not in on_input else None
+        if followed is not None:
+            memory[:, ends[k] : ends[k + 1]], known[ends[k] : ends[k + 1]] = followed, True
+    return memory, known

@@ -40,7 +40,6 @@ from nsde_torch.diagnosis.search import search_in
 from nsde_torch.evaluation.metrics import horizons_of, start_grid, thinned
 from nsde_torch.evaluation.scores import group_squares
 from nsde_torch.models.identified import SysidSpec
-from nsde_torch.recording import read
 from nsde_torch.systems import System, make_system
 
 PARTICLES = 32
@@ -117,7 +116,7 @@ def judged(folder: Path, name: str, out: Path) -> dict[str, Any]:
     """Errors of all on the runs that were held apart, as ratios to the declared physics."""
     truth = json.loads((folder / "truth" / f"{name}.json").read_text(encoding="utf-8"))
     system = make_system(truth["system"])
-    data = read("csv", system, path=str(folder / "data" / name))
+    data = nsde_torch.read(folder / "data" / name, system=system)
     spec = SysidSpec(system.name, dt=data.dt, horizon=system.defaults.horizon)
     training, test = held_apart(data)
     horizon = max(h for h in horizons_of(test, spec.dt) if h <= 1.0)

@@ -33,19 +33,19 @@ def diagnose_case(folder: Path, name: str) -> dict[str, Any]:
     import torch
     from outside import OUTSIDE
 
+    import nsde_torch
     from nsde_torch.diagnosis.cross_validation import held_out
     from nsde_torch.diagnosis.options import Options
     from nsde_torch.diagnosis.pipeline import diagnose
     from nsde_torch.diagnosis.reading import with_channels
     from nsde_torch.diagnosis.search import search_in
     from nsde_torch.models.identified import SysidSpec
-    from nsde_torch.recording import read
     from nsde_torch.systems import make_system
 
     torch.set_num_threads(1)
     truth = json.loads((folder / "truth" / f"{name}.json").read_text(encoding="utf-8"))
     system = make_system(truth["system"])
-    data = read("csv", system, path=str(folder / "data" / name))
+    data = nsde_torch.read(folder / "data" / name, system=system)
     spec = SysidSpec(system.name, dt=data.dt, horizon=system.defaults.horizon)
     started = time.perf_counter()
     found = diagnose(system, spec, data, data.runs, Options())

@@ -7,7 +7,9 @@
     python benchmarks/blind/smoothed.py --cases blind/ --out smooth/ --judge
 
 Each case of one effect or none gets a smoother of SciPy (`bench_smoothed_states.FILTERS`), with a cut-off between 2 and
-20 Hz, over all of its states. `--judge` holds the answers beside those on the raw logs (leads in brackets).
+20 Hz, over all of its states; every second flight over positions and velocities alone, as motion capture has them.
+`--judge` holds the answers beside those on the raw logs (leads in brackets). Flights of `closed_loop.py` are smoothed
+in the same way, diagnosed and judged by `closed_loop_run.py --cases smooth/`.
 """
 
 from __future__ import annotations
@@ -36,22 +38,24 @@ def smooth(cases: Path, out: Path, seed: int) -> int:
     count = 0
     for path in sorted((cases / "truth").glob("case_*.json")):
         truth = json.loads(path.read_text(encoding="utf-8"))
-        if truth["case"]["kind"] not in KINDS:
+        if "case" in truth and truth["case"]["kind"] not in KINDS:
             continue
         name = str(rng.choice(list(FILTERS)))
         cut = float(np.exp(rng.uniform(np.log(2.0), np.log(20.0))))
-        truth["smoother"] = {"name": name, "cut_hz": cut}
         system = make_system(truth["system"])
+        turns = () if system.quaternion is None else system.state_names[system.quaternion.start :]
+        spared = turns if count % 2 else ()
+        truth["smoother"] = {"name": name, "cut_hz": cut, "spared": spared}
         for file in sorted((cases / "data" / path.stem).glob("*.csv")):
             target = out / "data" / path.stem / file.name
             target.parent.mkdir(parents=True, exist_ok=True)
             header = file.read_text(encoding="utf-8").partition("\n")[0].strip().split(",")
             rows = np.loadtxt(file, delimiter=",", skiprows=1)
-            states = [header.index(s) for s in system.state_names]
-            x = FILTERS[name](rows[:, states], cut, truth["dt_s"])
+            states = [header.index(s) for s in system.state_names if s not in spared]
+            rows[:, states] = FILTERS[name](rows[:, states], cut, float(np.median(np.diff(rows[:, 0]))))
             if system.quaternion is not None:
-                x[:, system.quaternion] /= np.linalg.norm(x[:, system.quaternion], axis=1, keepdims=True)
-            rows[:, states] = x
+                q = [header.index(s) for s in system.state_names[system.quaternion]]
+                rows[:, q] /= np.linalg.norm(rows[:, q], axis=1, keepdims=True)
             np.savetxt(target, rows, delimiter=",", header=",".join(header), comments="", fmt="%.9g")
         (out / "truth").mkdir(parents=True, exist_ok=True)
         (out / "truth" / path.name).write_text(json.dumps(truth, indent=1), encoding="utf-8")

@@ -51,11 +51,11 @@ def answers(cases: Path, names: list[str], field: str, value: float) -> dict[str
     """Diagnose the cases with a field at another value; the reference where it is empty."""
     import torch
 
+    import nsde_torch
     from nsde_torch.diagnosis.decisions import DECISIONS
     from nsde_torch.diagnosis.options import Options
     from nsde_torch.diagnosis.pipeline import diagnose
     from nsde_torch.models.identified import SysidSpec
-    from nsde_torch.recording import read
     from nsde_torch.systems import make_system
 
     torch.set_num_threads(1)
@@ -65,7 +65,7 @@ def answers(cases: Path, names: list[str], field: str, value: float) -> dict[str
     for name in names:
         truth = json.loads((cases / "truth" / f"{name}.json").read_text(encoding="utf-8"))
         system = make_system(truth["system"])
-        data = read("csv", system, path=str(cases / "data" / name))
+        data = nsde_torch.read(cases / "data" / name, system=system)
         spec = SysidSpec(system.name, dt=data.dt, horizon=system.defaults.horizon)
         found = diagnose(system, spec, data, data.runs, options, decisions=replace(DECISIONS, **changed))
         leads = [f.name for f in found.outcome.found if f.provisional]

@@ -210,11 +210,15 @@ def _variable(effect: type[Effect]) -> tuple[str, Port, str]:
 
 
 def doubted(outcome: Outcome, guard: Guarded) -> Outcome:
-    """The outcome; where the guard speaks against the final physics, nothing that was found is sure."""
-    if not doubts_the_fit(o.kind for o in guard.objections):
+    """The outcome; where the guard speaks against the final physics, or it explains nothing, nothing found is sure."""
+    if not guard.objections:
         return outcome
-    found = [replace(f, provisional=f.provisional or "the fit is not believed") for f in outcome.found]
-    return replace(outcome, verdict="unexplained", found=found, doubted=True)
+    against = doubts_the_fit(o.kind for o in guard.objections)
+    why = (
+        "the fit is not believed" if against else "the physics explains next to nothing of what was measured"
+    )
+    outcome = replace(outcome, found=[replace(f, provisional=f.provisional or why) for f in outcome.found])
+    return replace(outcome, verdict="unexplained", doubted=True) if against else outcome
 
 
 def judged_on_runs_left_out(outcome: Outcome, errors: HeldOut) -> Outcome:

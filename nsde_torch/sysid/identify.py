@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nsde_torch.data import Run
-from nsde_torch.errors import ConfigError, DataError
+from nsde_torch.errors import ConfigError, DataError, NonFiniteError
 from nsde_torch.models.identified import METHODS
 from nsde_torch.sysid.explained import bump, explained
 from nsde_torch.sysid.physics import Physics
@@ -83,7 +83,7 @@ def settled(
     try:
         again = regression_of(system, some, clock=clock, method=method, width=width, start=regression.theta)
         again.run(iterations)
-    except DataError:  # too little is left
+    except (DataError, NonFiniteError):  # too little is left
         return regression, runs, 0.0
     return again, some, share
 

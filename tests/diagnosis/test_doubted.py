@@ -7,6 +7,10 @@ from scipy.signal import butter, sosfiltfilt
 
 import nsde_torch
 from nsde_torch.data import RawRun
+from nsde_torch.diagnosis.decision import doubted
+from nsde_torch.diagnosis.options import Options
+from nsde_torch.sysid.guard import Guarded, Objection
+from tests.helpers.diagnosed import diagnosed
 
 
 def test_what_is_found_behind_a_smoother_that_is_kept_is_no_more_than_a_lead() -> None:
@@ -23,3 +27,14 @@ def test_what_is_found_behind_a_smoother_that_is_kept_is_no_more_than_a_lead() -
     assert all(finding["lead"] for finding in content["findings"])
     assert all(p["interval_90"] is None for p in content["parameters"].values())
     assert "not believed" in found.report
+
+
+def test_where_physics_explains_next_to_nothing_what_is_found_is_a_lead_and_the_verdict_stays() -> None:
+    only = Options(candidates=("coulomb_friction",))
+    sure = diagnosed("mass_spring_damper", "coulomb_friction", options=only)[0].outcome
+    assert [(f.name, f.provisional) for f in sure.found] == [("coulomb_friction", "")]
+    poor = doubted(sure, Guarded((Objection("poor", "it explains next to nothing", "move it"),)))
+    assert [f.name for f in poor.found if f.provisional] == ["coulomb_friction"]
+    assert poor.verdict == sure.verdict == "effect_found"
+    assert not poor.doubted
+    assert doubted(sure, Guarded()) is sure

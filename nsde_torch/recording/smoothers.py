@@ -17,18 +17,20 @@ I(f), the mean of K windows,
 by multiplicative steps (Fevotte, Bertin and Durrieu, Neural Computation 21 (2009)). What the fit lacks is told as its
 deviance per bin, K (I / P - 1 - log(I / P)) on average, about 0.5 for a spectrum of this form.
 
-Windows are Kaiser's with sidelobes of -150 dB: behind a steep smoother a spectrum spans ten decades and more.
+Windows are Kaiser's with sidelobes of -150 dB: behind a steep smoother a spectrum spans ten decades and more. Their main
+lobe is twelve bins wide, so that a bin of a short window sees a steep flank from afar: P is fitted as the windows see
+it, sum_g L(f, g) P(g). Without this, windows of 128 rows place a cut-off at 6 of 100 Hz a quarter too high.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import log, pi
 from typing import Any
 
 import numpy as np
-from numpy.fft import rfft, rfftfreq
+from numpy.fft import fft, rfft, rfftfreq
 from numpy.polynomial import polynomial
 from numpy.typing import NDArray
 from scipy.signal import get_window, savgol_coeffs
@@ -40,6 +42,10 @@ _POWERS = (2, 4, 6, 8)
 _WINDOW, _SHORTEST, _FEWEST = 512, 128, 4  # rows of a window at most and at least, and windows
 _BETA = 20.0  # of Kaiser's window
 _FIRST = 6  # bins of the lowest frequencies, which a trend and the window's main lobe fill
+_FINER = 4  # frequencies for each bin of a window, which sees twelve bins at once
+_FLAT = (
+    3  # bins below which a motion is taken for flat, half of the first: a trend is taken out of each window
+)
 _EFFECTIVE = 0.6  # independent windows for each half-overlapping one
 _DAMPED = 0.7  # exponent of a multiplicative step, which keeps it from swinging
 _ROUGH, _FINE, _LAST = (
@@ -118,12 +124,16 @@ class Spectra:
         power: Mean periodograms (C, F) [unit^2 / Hz].
         windows: Number of independent windows.
         dt: Step [s].
+        fine: Frequencies (G,) that a bin sees more than one of [Hz].
+        lobe: What the window lets each bin see of them (G, F); of a constant, that constant.
     """
 
     f: Array
     power: Array
     windows: float
     dt: float
+    fine: Array
+    lobe: Array
 
 
 @dataclass(frozen=True)
@@ -228,9 +238,9 @@ are taken for the latter."""
 def spectra_of(parts: Sequence[Array], dt: float) -> Spectra | None:
     """Spectra of stretches (n, C) of rows, each window without its trend; None where they are too short."""
     longest = max((len(part) for part in parts), default=0)
-    rows = _WINDOW if longest >= 3 * _WINDOW else 2 ** int(np.log2(max(longest // 3, 1)))
-    if rows < _SHORTEST:
+    if longest < _SHORTEST:
         return None
+    rows = _WINDOW if longest >= 3 * _WINDOW else max(_SHORTEST, 2 ** int(np.log2(longest // 3)))
     taper, t = get_window(("kaiser", _BETA), rows), np.linspace(-1.0, 1.0, rows)
     squares, count = [], 0
     for part in parts:
@@ -243,23 +253,37 @@ def spectra_of(parts: Sequence[Array], dt: float) -> Spectra | None:
         return None
     keep = slice(_FIRST, -2)
     power = np.mean(squares, axis=0).T * (2.0 * dt / np.square(taper).sum())
-    return Spectra(
-        np.asarray(rfftfreq(rows, dt)[keep], dtype=np.float64), power[:, keep], _EFFECTIVE * count, dt
-    )
+    f = np.asarray(rfftfreq(rows, dt)[keep], dtype=np.float64)
+    return Spectra(f, power[:, keep], _EFFECTIVE * count, dt, *_lobe(taper, dt, keep))
+
+
+def _lobe(taper: Array, dt: float, keep: slice) -> tuple[Array, Array]:
+    """Frequencies in parts of a bin, and the mean periodogram in each bin (G, F) of a unit of power at each of them."""
+    rows, fine = len(taper), _FINER * len(taper)
+    seen = np.square(np.abs(fft(taper, fine)))  # by offset in parts of a bin, once around
+    bins, parts = _FINER * np.arange(rows // 2 + 1)[keep], np.arange(1, fine // 2 + 1)
+    lobe = seen[np.abs(bins - parts[:, None])] + seen[(bins + parts[:, None]) % fine]
+    return np.asarray(rfftfreq(fine, dt)[1:], dtype=np.float64), lobe / lobe.sum(0)
 
 
 def joined(some: Sequence[Spectra]) -> Spectra:
     """Spectra of several sensors as one, on the same frequencies."""
-    return Spectra(some[0].f, np.concatenate([s.power for s in some]), some[0].windows, some[0].dt)
+    return replace(some[0], power=np.concatenate([s.power for s in some]))
 
 
 def fit(seen: Spectra, smoother: Smoother | None, *, steps: int = _LAST) -> SpectrumFit:
     """Fit spectra behind a smoother; None for none."""
-    gain = np.ones_like(seen.f) if smoother is None else np.square(np.abs(smoother.response(seen.f)))
-    relative = seen.f / seen.f[len(seen.f) // 8]
+    gain = np.ones_like(seen.fine) if smoother is None else np.square(np.abs(smoother.response(seen.fine)))
     of_position = [2.0] if smoother is not None and smoother.family.differentiates else []
-    before = np.stack([relative**p for p in (*(-1.0 * m for m in _POWERS), 0.0, *of_position)])
-    base = np.concatenate([before * gain, np.ones((1, len(seen.f)))])
+    powers = [*(-1.0 * m for m in _POWERS), 0.0, *of_position]
+    bin_hz, middle = seen.f[1] - seen.f[0], seen.f[len(seen.f) // 8]
+
+    def shapes(f: Array) -> Array:
+        relative = np.maximum(f, _FLAT * bin_hz) / middle
+        return np.stack([relative**p for p in powers])
+
+    before = shapes(seen.f)
+    base = np.concatenate([(shapes(seen.fine) * gain) @ seen.lobe, np.ones((1, len(seen.f)))])
     weights = np.maximum((seen.power[:, None] / np.maximum(base, 1e-300)).min(2), 1e-40)
     for _ in range(steps):
         model = weights @ base

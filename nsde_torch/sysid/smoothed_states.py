@@ -17,7 +17,7 @@ Sensors behind one smoother are fitted together.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -222,21 +222,37 @@ def group_spectra(sensor: SensorGroup, runs: Sequence[Run], dt: float) -> Spectr
 
 
 def _by_smoother(odd: Mapping[SensorGroup, Spectra]) -> list[tuple[tuple[SensorGroup, ...], Likely]]:
-    """Sensors that went through one smoother, and those that each went through one of their own."""
+    """Sensors that went through one smoother, and those that each went through one of their own.
+
+    Who smooths a position smooths its rate: a family that is only near the true filter fits each a little better by a
+    member of its own, so that the two keep one smoother where it fits both.
+    """
     own = {sensor: smoothers.likeliest(s, rates=sensor.rates) for sensor, s in odd.items()}
-    steps = {len(s.f) for s in odd.values()}
-    if len(odd) > 1 and len(steps) == 1:
-        together = smoothers.joined(list(odd.values()))
-        common = smoothers.likeliest(together, rates=all(sensor.rates for sensor in odd))
-        fits = {k: smoothers.fit(s, common.smoother) for k, s in odd.items()}
+    out: list[tuple[tuple[SensorGroup, ...], Likely]] = []
+    left = dict(odd)
+    pairs = [[k for k in odd if k.group == name] for name in dict.fromkeys(k.group for k in odd if k.group)]
+    for some in (list(odd), *pairs):
+        if len(some) < 2 or not set(some) <= left.keys() or len({len(odd[k].f) for k in some}) > 1:
+            continue
+        together = smoothers.joined([odd[k] for k in some])
+        tried = [own[k] for k in some if not own[k].smoother.family.differentiates]
+        tried.append(smoothers.likeliest(together, rates=all(sensor.rates for sensor in some)))
+        common = _best_of(tried, together)
+        own |= {k: _best_of([own[k], *tried], odd[k]) for k in some}
+        fits = {k: smoothers.fit(odd[k], common.smoother) for k in some}
         near = {k for k, one in fits.items() if one.deviance - own[k].deviance < ALIKE}
-        # of a position and its rate, who smooths one smooths the other: a family that is only near the true filter
-        # fits each a little better by a member of its own
-        pairs = {k.group for k in near} - {""}
-        alike = tuple(k for k in odd if k in near or (k.group in pairs and _off(fits[k], odd[k]) < SOUND))
+        kept = {k.group for k in near} - {""} if len(some) == len(odd) else {k.group for k in some}
+        alike = [k for k in some if k in near or (k.group in kept and _off(fits[k], odd[k]) < SOUND)]
         if len(alike) > 1:
-            return [(alike, common), *(((k,), own[k]) for k in odd if k not in alike)]
-    return [((k,), likely) for k, likely in own.items()]
+            out.append((tuple(alike), common))
+            left = {k: s for k, s in left.items() if k not in alike}
+    return [*out, *(((k,), own[k]) for k in left)]
+
+
+def _best_of(tried: Sequence[Likely], seen: Spectra) -> Likely:
+    """The likeliest behind one of several smoothers: what is found of one sensor may be missed of another."""
+    fitted = [replace(one, deviance=smoothers.fit(seen, one.smoother).deviance) for one in tried]
+    return min(fitted, key=lambda one: one.deviance)
 
 
 def _off(one: SpectrumFit, seen: Spectra) -> float:

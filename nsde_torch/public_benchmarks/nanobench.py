@@ -81,7 +81,7 @@ NOTE = "another flight, below 3.8 V, not in the repository"
 
 
 @dataclass(frozen=True)
-class Flight:
+class BatteryFlight:
     """Rows of a flight, from the first on which the motors turn to the last.
 
     Args:
@@ -191,7 +191,7 @@ class NanoBench(PublicBenchmark):
         )
 
 
-def read_flight(path: Path) -> Flight:
+def read_flight(path: Path) -> BatteryFlight:
     """A file of the set.
 
     Raises:
@@ -210,10 +210,12 @@ def read_flight(path: Path) -> Flight:
             f"{path}: qx, qy, qz, qw are no unit quaternion. Check that it is a file of this set."
         )
     x[:, 6:10] /= length
-    return Flight(path.stem, t, x, u[:, list(MOTORS)] / FULL, voltage, vertical_acceleration(t, x[:, 2]))
+    return BatteryFlight(
+        path.stem, t, x, u[:, list(MOTORS)] / FULL, voltage, vertical_acceleration(t, x[:, 2])
+    )
 
 
-def _vertical(flight: Flight) -> VerticalRecord:
+def _vertical(flight: BatteryFlight) -> VerticalRecord:
     return VerticalRecord(flight.t - flight.t[0], flight.u, flight.voltage, flight.vertical)
 
 
@@ -221,7 +223,7 @@ def _machine(terms: Sequence[str], values: dict[str, Any]) -> System:
     return system_options("quadrotor", effects=terms, parameters=values).make().double()
 
 
-def _identified(terms: Sequence[str], flights: Sequence[Flight], work: Work) -> dict[str, Any]:
+def _identified(terms: Sequence[str], flights: Sequence[BatteryFlight], work: Work) -> dict[str, Any]:
     """Parameters from the training parts of all flights, and the scores of the tests."""
     name = " + ".join(["quadrotor", *terms])
     work.say(f"identifying {name}", 0, 1)
@@ -238,7 +240,7 @@ def _identified(terms: Sequence[str], flights: Sequence[Flight], work: Work) -> 
     return {"values": values, "scores": _scores(flights, predicted)}
 
 
-def predicted_acceleration(system: System, flight: Flight) -> Array:
+def predicted_acceleration(system: System, flight: BatteryFlight) -> Array:
     """Vertical acceleration and gravity (n,) [m/s2] that the physics gives each measured row."""
     u = torch.from_numpy(np.column_stack((flight.u, flight.voltage)) if system.exogenous else flight.u)
     x = torch.from_numpy(flight.x)
@@ -253,7 +255,7 @@ def predicted_acceleration(system: System, flight: Flight) -> Array:
     return np.asarray(rate.numpy() + GRAVITY)
 
 
-def _scores(flights: Sequence[Flight], predicted: Sequence[Array]) -> dict[str, float]:
+def _scores(flights: Sequence[BatteryFlight], predicted: Sequence[Array]) -> dict[str, float]:
     """Medians over flights of what the test rows leave."""
     seen: dict[str, list[float]] = {"rmse": [], "r2": [], "rmse_airborne": [], "r2_airborne": []}
     for flight, path in zip(flights, predicted, strict=True):
@@ -268,7 +270,7 @@ def _scores(flights: Sequence[Flight], predicted: Sequence[Array]) -> dict[str, 
     return {key: float(np.median(values)) for key, values in seen.items()}
 
 
-def _trace(system: System, flight: Flight) -> Trace:
+def _trace(system: System, flight: BatteryFlight) -> Trace:
     test = slice(flight.split, None)
     up = np.flatnonzero(flight.x[test, 2] > AIRBORNE) + flight.split
     path = predicted_acceleration(system, flight)

@@ -182,7 +182,7 @@ class NanoBench(PublicBenchmark):
                 **named["parameters"],
                 **{f"all flights: {name}": {"value": value} for name, value in values.items()},
             },
-            words_of(named["added"], "the rigid quadrotor", named["verdict"]),
+            [*words_of(named["added"], "the rigid quadrotor", named["verdict"]), *_reservations(named)],
             [_trace(system, flight) for flight in flights if flight.name in DIAGNOSED],
             {
                 "verdict_of_the_diagnosis": named["verdict"],
@@ -213,6 +213,16 @@ def read_flight(path: Path) -> BatteryFlight:
     return BatteryFlight(
         path.stem, t, x, u[:, list(MOTORS)] / FULL, voltage, vertical_acceleration(t, x[:, 2])
     )
+
+
+def _reservations(named: dict[str, Any]) -> list[str]:
+    """What of a diagnosis is a lead, and what the data do not show."""
+    unseen = [name for name, entry in named["parameters"].items() if entry["interval_90"] is None]
+    return [
+        f"{what}: {', '.join(names)}."
+        for what, names in (("Leads", named["leads"]), ("Not shown by the data", unseen))
+        if names
+    ]
 
 
 def _vertical(flight: BatteryFlight) -> VerticalRecord:

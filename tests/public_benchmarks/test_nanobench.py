@@ -90,13 +90,16 @@ def test_the_voltage_explains_what_the_rigid_body_does_not(
         verdict = "effect_found"
 
         def content(self) -> dict[str, Any]:
-            return {"declared_parameters": {}, "parameters": {}}
+            hidden = {"value": 5e-5, "interval_90": None, "unit": "rad/s2"}
+            found = [{"name": "battery_voltage", "lead": True}]
+            return {"declared_parameters": {"roll_gain": hidden}, "parameters": {}, "findings": found}
 
     logs = []
     monkeypatch.setattr(named, "diagnose", lambda runs, **_: logs.extend(runs) or Seen())
     content = run_benchmark("nanobench", nanobench_folder, out_dir=tmp_path)
     assert [log.name for log in logs] == [FLIGHTS[0]]
     assert all("battery_voltage" in log.extra for log in logs)
+    assert content["found"][1:] == ["Leads: battery_voltage.", "Not shown by the data: roll_gain."]
     rows = content["ours"]
     assert rows["voltage-conditioned, fitted here"]["rmse"] < rows["constant gain, fitted here"]["rmse"]
     assert rows["ours, quadrotor + battery_voltage"]["rmse"] < 0.8 * rows["ours, quadrotor"]["rmse"]

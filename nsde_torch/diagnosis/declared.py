@@ -9,11 +9,12 @@ leads out of the bound by several standard errors: a gain of an input that wants
 logged the wrong way round. Which column it is says the guard (`nsde_torch.sysid.guard`).
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import log10
 
 import numpy as np
 
+from nsde_torch.diagnosis.at_nothing import not_measured
 from nsde_torch.diagnosis.decisions import Decisions
 from nsde_torch.diagnosis.estimates import Estimate
 from nsde_torch.diagnosis.outcome import Outcome
@@ -42,11 +43,18 @@ class Warned:
 
 
 def declared(outcome: Outcome) -> dict[str, Estimate]:
-    """Parameters that the system declared, fitted with everything that was found, by name."""
+    """Parameters that the system declared, fitted with everything that was found, by name.
+
+    A gain at nothing that the loop may hide has no interval: it was not measured.
+    """
     r = outcome.final.regression
     found = {f.name for f in outcome.found}
     columns = [j for j, label in enumerate(r.vector.labels) if label.partition(".")[0] not in found]
-    return {e.name: e for e in outcome.estimated(columns)}
+    hidden = not_measured(outcome)
+    return {
+        e.name: replace(e, low=None, high=None, bound=None) if e.name in hidden else e
+        for e in outcome.estimated(columns)
+    }
 
 
 def warnings(outcome: Outcome, system: System) -> list[Warned]:

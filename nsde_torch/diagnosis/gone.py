@@ -4,24 +4,34 @@ In a closed loop inputs cancel what the physics lacks. Where they cancel nearly 
 grows with the speed, a trim that follows the battery), what they do is seen in the fast band alone; and where a lag is
 lacking too, not even there. Then the likelihood has two optima. In the one gains are nothing and the noise explains
 what is left, and no effect alone leads out of it: without gains a lag does nothing, and a moment explains nothing.
-In the other one gains are there, and two effects besides. So, where a declared parameter is a small part of its first
-value (`GONE` of the guard), effects are selected once more with such parameters held at their first values, and the
-parameters are free again beside what was found. That is taken where one of them stays, and the held-out
-log-likelihood is surely above that of the declared physics, and the selection goes on from there; else effects are
-selected as ever.
+In the other one gains are there, and one or two effects besides. So, where a declared parameter is a small part of its
+first value (`GONE` of the guard), effects are selected once more with such parameters held at their first values. A
+first value is only roughly that of the machine, and each effect that is added beside it takes up what the value lacks.
+So the likeliest candidates of each round are compared with the parameters freed beside them. Those that go again where
+others stay are held: these data do not show them, and their first values are no estimates. The first physics in which
+one stays, and whose held-out log-likelihood is surely above that of the declared physics, is what the selection goes on
+from; else effects are selected as ever.
 """
 
 import copy
 from collections.abc import Mapping
+from dataclasses import dataclass
 
 from nsde_torch.diagnosis.evidence import sum_error
-from nsde_torch.diagnosis.fitted import effect_of, fitted_system
+from nsde_torch.diagnosis.fitted import fitted_system
+from nsde_torch.diagnosis.rounds import Round, look
 from nsde_torch.diagnosis.search import Base, Search
-from nsde_torch.diagnosis.selection import Selection, forward_selection
+from nsde_torch.diagnosis.selection import Selection, choice, forward_selection
+from nsde_torch.diagnosis.trials import Trial, accept
 from nsde_torch.sysid.guard import GONE
 from nsde_torch.sysid.regression import Regression
 from nsde_torch.systems import System
 from nsde_torch.systems.parameters import ParameterVector
+
+DEPTH = 3
+"""Effects that are added with parameters held: beyond, what was added explains the values that they are held at."""
+FREED = 3
+"""Candidates of a round beside which parameters are freed, the likeliest first."""
 
 
 def select(search: Search, system: System) -> Selection:
@@ -48,22 +58,71 @@ def _gone(regression: Regression, first: Mapping[str, float]) -> set[str]:
 def _from_first_values(
     search: Search, declared: Base, system: System, first: Mapping[str, float], gone: set[str]
 ) -> Selection | None:
-    """What is selected with parameters that had gone held at their first values; None where that is no better."""
+    """What is selected from parameters held at their first values; None where none of them comes to stay."""
     held = copy.copy(search)
     held.held = search.held | gone
-    chosen = forward_selection(held, held.base(system))
-    if not chosen.names:
-        return None
+    base = held.base(system)
+    rounds: list[Round] = []
+    for _ in range(min(DEPTH, search.decisions.most_effects)):
+        now = look(held, base)
+        there = set(base.system.effect_names) - set(declared.system.effect_names)
+        if choice(held, now.trials, sorted(there)) is None:
+            return None
+        likeliest = [trial for trial in now.trials if accept(held, trial)][:FREED]
+        freed = [_freed(held, trial, first, gone) for trial in likeliest]
+        best = max(freed, key=lambda one: (one.stays, one.nats))
+        rounds.append(now)
+        now.chosen = best.trial
+        held.held = held.held | set(best.trial.held)
+        if best.stays and _surely_above(search, best.final, declared):
+            names = [n for n in best.final.system.effect_names if n not in declared.system.effect_names]
+            search.held = best.held
+            return forward_selection(
+                search, declared, after=Selection(declared, best.final, names, rounds, ())
+            )
+        base = held.grown(best.trial.regression)
+    return None
+
+
+@dataclass(frozen=True)
+class _Freed:
+    """A candidate beside which what had gone is free.
+
+    Args:
+        trial: The candidate, with what had gone held.
+        final: The physics with it, fitted.
+        held: Labels of parameters that are held still.
+        stays: Whether one that had gone stays.
+    """
+
+    trial: Trial
+    final: Base
+    held: set[str]
+    stays: bool
+
+    @property
+    def nats(self) -> float:
+        """Held-out log-likelihood."""
+        return float(self.final.score.blocks.sum())
+
+
+def _freed(held: Search, trial: Trial, first: Mapping[str, float], gone: set[str]) -> _Freed:
+    """The physics of a candidate with what had gone free.
+
+    A parameter that goes again where others stay is held: beside this physics, too, the data do not show it.
+    """
     free = copy.copy(held)
-    free.held = held.held - gone
-    final = free.base(fitted_system(chosen.final.regression), warm=True, like=chosen.final.regression)
+    free.held = {*held.held, *trial.held} - gone
+    start = fitted_system(trial.regression)
+    final = free.base(start, warm=True, like=trial.regression)
+    again = gone & _gone(final.regression, first)
+    if again and again < gone:
+        free.held = free.held | again
+        final = free.base(start, warm=True, like=trial.regression)
+        again |= gone & _gone(final.regression, first)
+    return _Freed(trial, final, free.held, again < gone)
+
+
+def _surely_above(search: Search, final: Base, declared: Base) -> bool:
     difference = final.score.blocks - declared.score.blocks
-    sure = search.decisions.alike_errors * sum_error(difference)
-    if gone <= _gone(final.regression, first) or float(difference.sum()) <= sure:
-        return None
-    search.held = free.held
-    if chosen.aside:
-        short = [effect_of(final.system, name) for name in chosen.aside]
-        declared = search.base(declared.system.with_effects(*short), warm=True, like=declared.regression)
-    freed = Selection(declared, final, chosen.names, chosen.rounds, chosen.aside)
-    return forward_selection(search, declared, after=freed)
+    return float(difference.sum()) > search.decisions.alike_errors * sum_error(difference)

@@ -17,6 +17,7 @@ from dataclasses import replace
 from time import perf_counter
 
 from nsde_torch.data import DataSet, Run
+from nsde_torch.diagnosis.at_nothing import beside_gains_at_nothing
 from nsde_torch.diagnosis.beyond_catalogue import with_laws
 from nsde_torch.diagnosis.chain import explains_more, undone, with_a_late_sensor
 from nsde_torch.diagnosis.cross_validation import cross_validated
@@ -85,7 +86,7 @@ def diagnose(
     log, search, outcome = without_standing(log, search, outcome, searched)
     log, search, outcome, guard = over_longer_boxes(log, search, outcome, searched)
     watch.lap("search")
-    outcome, instrumented = _by_instruments(log, doubted(outcome, guard))
+    outcome, instrumented = _by_instruments(log, beside_gains_at_nothing(doubted(outcome, guard)))
     feedback = outcome.test
     say("errors on runs left out", 0, 1)
     closed_loop = feedback.closed_loop if closed_loop is None else closed_loop

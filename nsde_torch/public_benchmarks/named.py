@@ -19,14 +19,15 @@ def diagnosed(data: Data, *, say: Say, **options: Any) -> dict[str, Any]:
         options: Of `nsde_torch.diagnose`.
 
     Returns:
-        `added` (names), `verdict`, `effects` (with values), `values` of the declared parameters, and `parameters` found
-        and declared with value, 90 % interval and unit.
+        `added` (names), `leads` (those of them that are provisional), `verdict`, `effects` (with values), `values` of
+        the declared parameters, and `parameters` found and declared with value, 90 % interval and unit.
     """
     seen = diagnose(data, say=say, **options)
     content = seen.content()
     declared = content["declared_parameters"]
     return {
         "added": list(seen.added),
+        "leads": [entry["name"] for entry in content.get("findings", ()) if entry["lead"]],
         "verdict": seen.verdict,
         "effects": seen.effects,
         "values": {name: entry["value"] for name, entry in declared.items()},

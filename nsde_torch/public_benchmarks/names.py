@@ -4,6 +4,7 @@ BENCHMARK_HOMES: dict[str, str] = {
     "emps": "nsde_torch.public_benchmarks.emps:Emps",
     "silverbox": "nsde_torch.public_benchmarks.silverbox:Silverbox",
     "nanodrone": "nsde_torch.public_benchmarks.nanodrone:Nanodrone",
+    "nanobench": "nsde_torch.public_benchmarks.nanobench:NanoBench",
     "pendulum": "nsde_torch.public_benchmarks.pendulum:TorqueLimitedPendulum",
 }
 """Name of a set -> `module:Class`."""

@@ -9,6 +9,8 @@ import pytest
 from numpy.typing import NDArray
 from scipy.io import savemat
 
+from nsde_torch.public_benchmarks.nanobench import COLUMNS, FLIGHTS
+
 Array = NDArray[np.float64]
 
 
@@ -82,4 +84,30 @@ def nanodrone_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
         path = folder / "data" / f"{name}.csv"
         path.parent.mkdir(parents=True, exist_ok=True)
         np.savetxt(path, hovering(seed, 160), delimiter=",", header=head, comments="")
+    return folder
+
+
+def flight_on_a_battery(seed: int, rows: int = 1500) -> Array:
+    """Rows of a flight that bobs under commands times the voltage, in NanoBench's columns; no true flight moves so."""
+    rng = np.random.default_rng(seed)
+    t = 0.01 * np.arange(rows)
+    voltage = 3.9 - 0.05 * seed - 0.02 * t + 0.02 * rng.standard_normal(rows).cumsum() / np.sqrt(rows)
+    asked = 9.81 + 0.8 * np.sin(2.1 * t + seed) + 0.5 * np.sin(5.3 * t)
+    height = 1.0 + np.cumsum(np.cumsum(asked - 9.81 - (asked - 9.81).mean())) * 1e-4
+    height += 1.0 - np.linspace(height[0], height[-1], rows)
+    squares = asked / (11.0 * (1.0 + 0.5 * (voltage - 4.0)))
+    out = np.zeros((rows, 19))
+    out[:, 0], out[:, 3], out[:, 7], out[:, 18] = t, height, 1.0, voltage
+    out[:, 6] = np.gradient(height, 0.01)
+    out[:, 11:14] = 0.01 * rng.standard_normal((rows, 3))
+    out[:, 14:18] = 65535.0 * np.sqrt(squares / 4)[:, None]
+    return out
+
+
+@pytest.fixture(scope="session")
+def nanobench_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("nanobench")
+    for seed, name in enumerate(FLIGHTS[:3]):
+        path = folder / f"{name}.csv"
+        np.savetxt(path, flight_on_a_battery(seed), delimiter=",", header=",".join(COLUMNS), comments="")
     return folder

@@ -17,9 +17,9 @@ I(f), the mean of K windows,
 by multiplicative steps (Fevotte, Bertin and Durrieu, Neural Computation 21 (2009)). What the fit lacks is told as its
 deviance per bin, K (I / P - 1 - log(I / P)) on average, about 0.5 for a spectrum of this form.
 
-Windows are Kaiser's with sidelobes of -150 dB: behind a steep smoother a spectrum spans ten decades and more. Their main
-lobe is twelve bins wide, so that a bin of a short window sees a steep flank from afar: P is fitted as the windows see
-it, sum_g L(f, g) P(g). Without this, windows of 128 rows place a cut-off at 6 of 100 Hz a quarter too high.
+Windows are Kaiser's with sidelobes of -150 dB: behind a steep smoother a spectrum spans ten decades and more. The main
+lobe is twelve bins wide, so that a bin of a short window sees a steep flank from afar: P is fitted as windows see it,
+sum_g L(f, g) P(g). Without this, windows of 128 rows place a cut-off at 6 of 100 Hz a quarter too high.
 """
 
 from __future__ import annotations

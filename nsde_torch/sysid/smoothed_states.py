@@ -299,6 +299,7 @@ def _apart(system: System, runs: Sequence[Run], sensor: SensorGroup, smoother: S
     """Share of a sensor that its partner in the kinematics does not know of, where a smoother falls; 0 without one.
 
     Of changes of positions and integrals of rates. Where the noise of the partner drowns it, the partner cannot say.
+    Where no more is seen than rounding makes, it is no sensor's noise.
     """
     parts: list[tuple[Array, Array]] = []
     for run in runs:
@@ -321,7 +322,10 @@ def _apart(system: System, runs: Sequence[Run], sensor: SensorGroup, smoother: S
     pair = (integrals, places) if sensor.rates else (places, integrals)
     own, other = (seen.power[:, band] for seen in pair)
     both = 0.5 * (own + other - apart.power[:, band])
-    heard = other < _DROWNED * apart.windows * own
+    turn = 2.0 * np.pi * apart.f[band] * dt
+    through = dt**2 * np.cos(0.5 * turn) ** 2 if sensor.rates else 2.0 * (1.0 - np.cos(turn))
+    rounded = 2.0 * dt * _rounded(sensor, runs)[:, None] * through
+    heard = (other < _DROWNED * apart.windows * own) & (own > _NO_MORE * rounded)
     share = 1.0 - both / np.maximum(own, 1e-300)
     return float(np.median(share[heard])) if heard.sum() >= 3 else 0.0
 

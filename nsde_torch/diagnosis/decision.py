@@ -221,6 +221,32 @@ def doubted(outcome: Outcome, guard: Guarded) -> Outcome:
     return replace(outcome, verdict="unexplained", doubted=True) if against else outcome
 
 
+def sized(outcome: Outcome) -> Outcome:
+    """The outcome, effects provisional that may be nothing by the intervals that are printed.
+
+    Evidence compares fits; intervals also hold what feedback and a smoother's band may have done to the values.
+    """
+    why = "its size may be nothing by its interval"
+    found = [
+        replace(f, provisional=f.provisional or (why if _may_be_nothing(outcome, f) else ""))
+        for f in outcome.found
+    ]
+    return replace(outcome, found=found)
+
+
+def _may_be_nothing(outcome: Outcome, found: Found) -> bool:
+    nothing = effect_class(found.name).null
+    sizes = [
+        (e, nothing[name])
+        for e in outcome.estimates(found.name)
+        if (name := e.name.rpartition(".")[2].partition("[")[0]) in nothing and e.name not in found.trial.held
+    ]
+    return bool(sizes) and all(
+        e.bound == "below" or (e.low is not None and e.high is not None and e.low <= null <= e.high)
+        for e, null in sizes
+    )
+
+
 def judged_on_runs_left_out(outcome: Outcome, errors: HeldOut) -> Outcome:
     """The outcome, its effects provisional where runs left out speak against them."""
     return replace(

@@ -21,7 +21,7 @@ from nsde_torch.diagnosis.at_nothing import beside_gains_at_nothing
 from nsde_torch.diagnosis.beyond_catalogue import with_laws
 from nsde_torch.diagnosis.chain import explains_more, undone, with_a_late_sensor
 from nsde_torch.diagnosis.cross_validation import cross_validated
-from nsde_torch.diagnosis.decision import decide, doubted, judged_on_runs_left_out, set_aside
+from nsde_torch.diagnosis.decision import decide, doubted, judged_on_runs_left_out, set_aside, sized
 from nsde_torch.diagnosis.decisions import BUDGETS, DECISIONS, Budgets, Decisions
 from nsde_torch.diagnosis.elimination import eliminate
 from nsde_torch.diagnosis.explanation import explained
@@ -87,6 +87,7 @@ def diagnose(
     log, search, outcome, guard = over_longer_boxes(log, search, outcome, searched)
     watch.lap("search")
     outcome, instrumented = _by_instruments(log, beside_gains_at_nothing(doubted(outcome, guard)))
+    outcome = sized(outcome)
     feedback = outcome.test
     say("errors on runs left out", 0, 1)
     closed_loop = feedback.closed_loop if closed_loop is None else closed_loop

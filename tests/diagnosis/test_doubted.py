@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
+import pytest
 from scipy.signal import butter, sosfiltfilt
 
 import nsde_torch
 from nsde_torch.data import RawRun
-from nsde_torch.diagnosis.decision import doubted
+from nsde_torch.diagnosis.decision import doubted, sized
 from nsde_torch.diagnosis.options import Options
+from nsde_torch.diagnosis.outcome import Outcome
 from nsde_torch.sysid.guard import Guarded, Objection
 from tests.helpers.diagnosed import diagnosed
 
@@ -29,12 +33,26 @@ def test_what_is_found_behind_a_smoother_that_is_kept_is_no_more_than_a_lead() -
     assert "not believed" in found.report
 
 
-def test_where_physics_explains_next_to_nothing_what_is_found_is_a_lead_and_the_verdict_stays() -> None:
+@pytest.fixture(scope="module")
+def sure() -> Outcome:
+    """Dry friction that is found for sure."""
     only = Options(candidates=("coulomb_friction",))
-    sure = diagnosed("mass_spring_damper", "coulomb_friction", options=only)[0].outcome
-    assert [(f.name, f.provisional) for f in sure.found] == [("coulomb_friction", "")]
+    outcome = diagnosed("mass_spring_damper", "coulomb_friction", options=only)[0].outcome
+    assert [(f.name, f.provisional) for f in outcome.found] == [("coulomb_friction", "")]
+    return outcome
+
+
+def test_where_physics_explains_next_to_nothing_what_is_found_is_a_lead_and_the_verdict_stays(
+    sure: Outcome,
+) -> None:
     poor = doubted(sure, Guarded((Objection("poor", "it explains next to nothing", "move it"),)))
     assert [f.name for f in poor.found if f.provisional] == ["coulomb_friction"]
     assert poor.verdict == sure.verdict == "effect_found"
     assert not poor.doubted
     assert doubted(sure, Guarded()) is sure
+
+
+def test_an_effect_that_may_be_nothing_by_its_interval_is_a_lead(sure: Outcome) -> None:
+    assert sized(sure).found == sure.found
+    wide = replace(sure, hangs=np.full(len(sure.final.regression.vector), 10.0))
+    assert [f.provisional for f in sized(wide).found] == ["its size may be nothing by its interval"]

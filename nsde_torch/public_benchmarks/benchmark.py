@@ -45,12 +45,14 @@ class PublishedRow:
         values: Value by key of the metric; those that were not published are left out.
         source: Repository and file, or paper, that states them.
         note: What has to be known of them: another split, a bound.
+        comparable: Whether they are of the same data, so that ours may be divided by them.
     """
 
     name: str
     values: Mapping[str, float]
     source: str
     note: str = ""
+    comparable: bool = True
 
 
 @dataclass(frozen=True)

@@ -87,11 +87,12 @@ def content_of(
 
 
 def ratios(benchmark: PublicBenchmark, outcome: BenchmarkOutcome) -> dict[str, float]:
-    """Our last row over the best published value of each error; metrics that grow with quality are left out."""
+    """Our last row over the best comparable published value of each error; metrics that grow with quality left out."""
     last = list(outcome.rows.values())[-1]
     out = {}
     for metric in benchmark.metrics:
-        known = [row.values[metric.key] for row in benchmark.published if metric.key in row.values]
+        comparable = [row.values for row in benchmark.published if row.comparable]
+        known = [values[metric.key] for values in comparable if metric.key in values]
         if known and metric.key in last and not metric.higher_is_better and math.isfinite(last[metric.key]):
             out[metric.key] = last[metric.key] / min(known)
     return out

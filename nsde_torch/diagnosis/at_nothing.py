@@ -6,8 +6,6 @@ what acts on inputs beside such a gain (a lag, a delay, a loss) is seen in part,
 of nothing is what was measured.
 """
 
-from dataclasses import replace
-
 from nsde_torch.diagnosis.fitted import at_bounds
 from nsde_torch.diagnosis.outcome import Outcome
 from nsde_torch.effects import Port, effect_class
@@ -35,10 +33,4 @@ def beside_gains_at_nothing(outcome: Outcome) -> Outcome:
     if not gone:
         return outcome
     reason = f"{', '.join(sorted(gone))} went to nothing, which the loop may hide: what acts on inputs is seen in part"
-    return replace(
-        outcome,
-        found=[
-            replace(f, provisional=f.provisional or reason) if effect_class(f.name).port is Port.INPUT else f
-            for f in outcome.found
-        ],
-    )
+    return outcome.provisional(lambda f: reason if effect_class(f.name).port is Port.INPUT else "")

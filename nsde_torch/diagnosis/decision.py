@@ -217,7 +217,7 @@ def doubted(outcome: Outcome, guard: Guarded) -> Outcome:
     why = (
         "the fit is not believed" if against else "the physics explains next to nothing of what was measured"
     )
-    outcome = replace(outcome, found=[replace(f, provisional=f.provisional or why) for f in outcome.found])
+    outcome = outcome.provisional(lambda _: why)
     return replace(outcome, verdict="unexplained", doubted=True) if against else outcome
 
 
@@ -227,11 +227,7 @@ def sized(outcome: Outcome) -> Outcome:
     Evidence compares fits; intervals also hold what feedback and a smoother's band may have done to the values.
     """
     why = "its size may be nothing by its interval"
-    found = [
-        replace(f, provisional=f.provisional or (why if _may_be_nothing(outcome, f) else ""))
-        for f in outcome.found
-    ]
-    return replace(outcome, found=found)
+    return outcome.provisional(lambda f: why if _may_be_nothing(outcome, f) else "")
 
 
 def _may_be_nothing(outcome: Outcome, found: Found) -> bool:
@@ -249,7 +245,4 @@ def _may_be_nothing(outcome: Outcome, found: Found) -> bool:
 
 def judged_on_runs_left_out(outcome: Outcome, errors: HeldOut) -> Outcome:
     """The outcome, its effects provisional where runs left out speak against them."""
-    return replace(
-        outcome,
-        found=[replace(f, provisional=f.provisional or errors.against(f.name)) for f in outcome.found],
-    )
+    return outcome.provisional(lambda f: errors.against(f.name))

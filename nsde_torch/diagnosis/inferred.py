@@ -59,8 +59,7 @@ def not_sure(log: Log, outcome: Outcome) -> Outcome:
     """
     if len(log.runs[0].inferred) < 2:
         return outcome
-    found = [replace(f, provisional=f.provisional or _SEVERAL) for f in outcome.found]
-    return replace(outcome, found=found)
+    return outcome.provisional(lambda _: _SEVERAL)
 
 
 def _at(log: Log, system: System) -> Log:

@@ -1,7 +1,7 @@
 """What a diagnosis concluded: the effects that were found, the tests of what is left, and the verdict."""
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Literal
 
@@ -101,6 +101,10 @@ class Outcome:
     def declared_system(self) -> System:
         """The declared physics and its fitted values; `system` where nothing was added."""
         return fitted_system(self.declared.regression) if self.found else self.system
+
+    def provisional(self, why: Callable[[Found], str]) -> "Outcome":
+        """The outcome, each effect provisional for the reason that `why` gives, "" for none; the first one stays."""
+        return replace(self, found=[replace(f, provisional=f.provisional or why(f)) for f in self.found])
 
     def without(self, effect: str) -> System:
         """The physics with everything that was added but one effect; the declared physics where that is all."""

@@ -87,10 +87,7 @@ def _dry(outcome: Outcome, log: Log) -> dict[int, float]:
 def _held(outcome: Outcome, there: tuple[Log, Search, Outcome] | None) -> Outcome:
     """The outcome of a machine that mostly stands: what is not found where it moves is no last word."""
     names = set() if there is None else {f.name for f in there[2].found}
-    found = [
-        f if f.name in names else replace(f, provisional=f.provisional or _STANDS) for f in outcome.found
-    ]
-    return replace(outcome, found=found)
+    return outcome.provisional(lambda f: "" if f.name in names else _STANDS)
 
 
 def selected_again(search: Search, before: Outcome) -> Selection:

@@ -81,24 +81,16 @@ NOTE = "another flight, below 3.8 V, not in the repository"
 
 
 @dataclass(frozen=True)
-class BatteryFlight:
-    """Rows of a flight, from the first on which the motors turn to the last.
+class BatteryFlight(VerticalRecord):
+    """Rows of a flight, from the first on which the motors turn to the last; motors in the order of quad-x.
 
     Args:
         name: Of the file.
-        t: Times (n,) [s].
         x: States (n, 13).
-        u: Commands (n, 4) in [0, 1], in the order of quad-x.
-        voltage: (n,) [V].
-        vertical: Vertical acceleration and gravity (n,) [m/s2].
     """
 
     name: str
-    t: Array
     x: Array
-    u: Array
-    voltage: Array
-    vertical: Array
 
     @property
     def split(self) -> int:
@@ -164,7 +156,7 @@ class NanoBench(PublicBenchmark):
         rows: dict[str, dict[str, float]] = {}
         as_published: dict[str, dict[str, float]] = {}
         for name, model in THRUST_MODELS.items():
-            fitted = [model(_vertical(flight), flight.split) for flight in flights]
+            fitted = [model(flight, flight.split) for flight in flights]
             rows[f"{name}, fitted here"] = _scores(flights, fitted)
             as_published[name] = _scores(
                 flights, [p if name == "linear regression" else p - GRAVITY for p in fitted]
@@ -210,9 +202,8 @@ def read_flight(path: Path) -> BatteryFlight:
             f"{path}: qx, qy, qz, qw are no unit quaternion. Check that it is a file of this set."
         )
     x[:, 6:10] /= length
-    return BatteryFlight(
-        path.stem, t, x, u[:, list(MOTORS)] / FULL, voltage, vertical_acceleration(t, x[:, 2])
-    )
+    vertical = vertical_acceleration(t, x[:, 2])
+    return BatteryFlight(t, u[:, list(MOTORS)] / FULL, voltage, vertical, path.stem, x)
 
 
 def _reservations(named: dict[str, Any]) -> list[str]:
@@ -223,10 +214,6 @@ def _reservations(named: dict[str, Any]) -> list[str]:
         for what, names in (("Leads", named["leads"]), ("Not shown by the data", unseen))
         if names
     ]
-
-
-def _vertical(flight: BatteryFlight) -> VerticalRecord:
-    return VerticalRecord(flight.t - flight.t[0], flight.u, flight.voltage, flight.vertical)
 
 
 def _machine(terms: Sequence[str], values: dict[str, Any]) -> System:

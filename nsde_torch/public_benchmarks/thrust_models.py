@@ -29,7 +29,7 @@ class VerticalRecord:
     """What the models read of a flight.
 
     Args:
-        t: Times from the first row (n,) [s].
+        t: Times (n,) [s].
         u: Commands (n, 4) in [0, 1].
         voltage: (n,) [V].
         vertical: Vertical acceleration and gravity (n,) [m/s2].

@@ -26,6 +26,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from math import log, pi
 from typing import Any
 
@@ -42,6 +43,7 @@ _POWERS = (2, 4, 6, 8)
 _WINDOW, _SHORTEST, _FEWEST = 512, 128, 4  # rows of a window at most and at least, and windows
 _BETA = 20.0  # of Kaiser's window
 _FIRST = 6  # bins of the lowest frequencies, which a trend and the window's main lobe fill
+_KEPT = slice(_FIRST, -2)
 _FINER = 4  # frequencies for each bin of a window, which sees twelve bins at once
 _FLAT = (
     3  # bins below which a motion is taken for flat, half of the first: a trend is taken out of each window
@@ -241,7 +243,7 @@ def spectra_of(parts: Sequence[Array], dt: float) -> Spectra | None:
     if longest < _SHORTEST:
         return None
     rows = _WINDOW if longest >= 3 * _WINDOW else max(_SHORTEST, 2 ** int(np.log2(longest // 3)))
-    taper, t = get_window(("kaiser", _BETA), rows), np.linspace(-1.0, 1.0, rows)
+    taper, t = _taper(rows), np.linspace(-1.0, 1.0, rows)
     squares, count = [], 0
     for part in parts:
         for a in range(0, len(part) - rows + 1, rows // 2):
@@ -251,19 +253,23 @@ def spectra_of(parts: Sequence[Array], dt: float) -> Spectra | None:
             count += 1
     if count < _FEWEST:
         return None
-    keep = slice(_FIRST, -2)
     power = np.mean(squares, axis=0).T * (2.0 * dt / np.square(taper).sum())
-    f = np.asarray(rfftfreq(rows, dt)[keep], dtype=np.float64)
-    return Spectra(f, power[:, keep], _EFFECTIVE * count, dt, *_lobe(taper, dt, keep))
+    f, fine = (np.asarray(rfftfreq(n, dt), dtype=np.float64) for n in (rows, _FINER * rows))
+    return Spectra(f[_KEPT], power[:, _KEPT], _EFFECTIVE * count, dt, fine[1:], _lobe(rows))
 
 
-def _lobe(taper: Array, dt: float, keep: slice) -> tuple[Array, Array]:
-    """Frequencies in parts of a bin, and the mean periodogram in each bin (G, F) of a unit of power at each of them."""
-    rows, fine = len(taper), _FINER * len(taper)
-    seen = np.square(np.abs(fft(taper, fine)))  # by offset in parts of a bin, once around
-    bins, parts = _FINER * np.arange(rows // 2 + 1)[keep], np.arange(1, fine // 2 + 1)
+def _taper(rows: int) -> Array:
+    return np.asarray(get_window(("kaiser", _BETA), rows))
+
+
+@lru_cache
+def _lobe(rows: int) -> Array:
+    """The mean periodogram in each bin (G, F) of a unit of power at each part of a bin; the same array each time."""
+    fine = _FINER * rows
+    seen = np.square(np.abs(fft(_taper(rows), fine)))  # by offset in parts of a bin, once around
+    bins, parts = _FINER * np.arange(rows // 2 + 1)[_KEPT], np.arange(1, fine // 2 + 1)
     lobe = seen[np.abs(bins - parts[:, None])] + seen[(bins + parts[:, None]) % fine]
-    return np.asarray(rfftfreq(fine, dt)[1:], dtype=np.float64), lobe / lobe.sum(0)
+    return np.asarray(lobe / lobe.sum(0))
 
 
 def joined(some: Sequence[Spectra]) -> Spectra:

@@ -230,8 +230,8 @@ def _by_smoother(odd: Mapping[SensorGroup, Spectra]) -> list[tuple[tuple[SensorG
     own = {sensor: smoothers.likeliest(s, rates=sensor.rates) for sensor, s in odd.items()}
     out: list[tuple[tuple[SensorGroup, ...], Likely]] = []
     left = dict(odd)
-    pairs = [[k for k in odd if k.group == name] for name in dict.fromkeys(k.group for k in odd if k.group)]
-    for some in (list(odd), *pairs):
+    pairs = [tuple(k for k in odd if k.group == name) for name in {k.group: None for k in odd if k.group}]
+    for some in dict.fromkeys((tuple(odd), *pairs)):  # two sensors may be all and a pair
         if len(some) < 2 or not set(some) <= left.keys() or len({len(odd[k].f) for k in some}) > 1:
             continue
         together = smoothers.joined([odd[k] for k in some])

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from nsde_torch.diagnosis.at_nothing import beside_gains_at_nothing, gains_at_nothing, not_measured
+from nsde_torch.diagnosis.outcome import Outcome
 
 LABELS = ("thrust_gain", "roll_gain", "inertia_x", "motor_lag.time_constant", "linear_drag.drag[0]")
 
@@ -35,6 +36,7 @@ class _Outcome:
     final: Any
     test: Any
     found: list[_Found] = field(default_factory=list)
+    provisional = Outcome.provisional
 
 
 def _outcome(roll_gain: float, *, closed_loop: bool) -> Any:

@@ -55,7 +55,7 @@ def eliminate(search: Search, chosen: Selection, *, also: Collection[str] = ()) 
     """
     declared, base, rounds, names = chosen.declared, chosen.final, chosen.rounds, list(chosen.names)
     if not names:
-        return Retained([], base)
+        return Retained([], search.narrower(base))
     found: list[Found] = []
     i = 0
     while i < len(names):
@@ -86,7 +86,7 @@ def eliminate(search: Search, chosen: Selection, *, also: Collection[str] = ()) 
             continue
         found.append(Found(name, this, _ties(search, without, this, now, names, rounds)))
         i += 1
-    return Retained(found, base)
+    return Retained(found, search.narrower(base))
 
 
 def _learned_by_noise(search: Search, base: Base, without: Base, trial: Trial) -> bool:

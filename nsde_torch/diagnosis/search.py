@@ -16,6 +16,7 @@ from nsde_torch.diagnosis.fitted import carried, dynamic_rows, fitted_system, no
 from nsde_torch.diagnosis.options import Options
 from nsde_torch.effects import register
 from nsde_torch.recording.levels import STAGES, level
+from nsde_torch.sysid.narrow_shapes import narrower
 from nsde_torch.sysid.noise import Noise
 from nsde_torch.sysid.physics import Physics
 from nsde_torch.sysid.regression import Regression
@@ -138,6 +139,15 @@ class Search:
     def grown(self, regression: Regression) -> Base:
         """The physics of a regression with a candidate, for the next round."""
         return self.base(fitted_system(regression), warm=True, like=regression)
+
+    def narrower(self, base: Base) -> Base:
+        """The same physics, with shapes as narrow as the data have them where they stand at bounds of the search."""
+        regression = narrower(base.regression, self.budgets.iterations)
+        if regression is base.regression:
+            return base
+        still = nonlinear(regression, smooth=False)
+        own = score(regression, base.fold, base.block, still=still)
+        return Base(base.system, regression, own, base.fold, base.block)
 
     def quick(self, system: System, *, warm: bool = False) -> Regression:
         """The regression of a system alone, without what candidates are compared by."""

@@ -211,6 +211,7 @@ class Effect(Parametrised, ABC):
 
         whole_steps: Whether, told the `step`, `memory_rate` is the mean rate over a step that starts from a memory, and
             `forward` the mean term over it, for inputs that are held: what they are given is then of its start.
+        jumps: Whether, of `whole_steps`, its memory jumps with a held input, so that it has a rate over a step alone.
         step: Step of the integrator [s], for effects of `whole_steps`. 0: rate and term are those of the instant.
 
     Args:
@@ -240,6 +241,7 @@ class Effect(Parametrised, ABC):
     sentence: ClassVar[str] = ""
     separate: ClassVar[str] = ""
     whole_steps: ClassVar[bool] = False
+    jumps: ClassVar[bool] = False
 
     def __init__(self, values: Mapping[str, float | list[float]] | None = None, *, n_inputs: int = 1) -> None:
         self.n_inputs = n_inputs

@@ -90,6 +90,7 @@ class InputPlay(Effect):
     port = Port.INPUT
     stage = 1
     whole_steps = True
+    jumps = True
     excludes = (Port.BODY_MOMENT,)  # rotors have none
     formula = "u_eff = m, |u - m| <= w"
     source = BOOK

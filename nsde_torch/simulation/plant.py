@@ -14,7 +14,7 @@ from typing import final
 import torch
 from torch import Tensor
 
-from nsde_torch.effects import Port
+from nsde_torch.effects import Effect, Port
 from nsde_torch.errors import ConfigError, NonFiniteError, ShapeError
 from nsde_torch.sde import Calculus, Time, make_step
 from nsde_torch.simulation.noise import Gusts, Sensor
@@ -103,8 +103,11 @@ class Plant:
         if not latency >= 0:
             raise ConfigError(f"`latency` must be a time of 0 s or more; got {latency!r}.")
         self.system = frozen(system).to(device=generator.device, dtype=dtype)
-        self.system.set_step(0.0)  # whatever integrator the system came from
         self.dt, self._fine = float(dt), float(dt) / self._substeps
+        self.system.set_step(0.0)  # whatever integrator the system came from
+        for effect in self.system.effects:
+            if isinstance(effect, Effect) and effect.jumps:
+                effect.step = self._fine
         self._delay = round(latency / self._fine)
         self._limits, self._check, self._dtype = limits, check, dtype
         self._generator = generator

@@ -10,6 +10,7 @@ from nsde_torch.data import Run
 from nsde_torch.errors import ConfigError, DataError, NonFiniteError
 from nsde_torch.models.identified import METHODS
 from nsde_torch.sysid.explained import bump, explained
+from nsde_torch.sysid.narrow_shapes import narrower
 from nsde_torch.sysid.physics import Physics
 from nsde_torch.sysid.regression import ITERATIONS, Regression
 from nsde_torch.sysid.result import Identification
@@ -76,6 +77,7 @@ def settled(
     """
     regression = regression_of(system, runs, clock=clock, method=method, width=width)
     regression.run(iterations)
+    regression = narrower(regression, iterations)
     speeds = slowest(system, regression.physics.sensor_std, runs) if method == "weak" else {}
     some, share = moving(runs, speeds)
     if share < SHARE:
@@ -83,6 +85,7 @@ def settled(
     try:
         again = regression_of(system, some, clock=clock, method=method, width=width, start=regression.theta)
         again.run(iterations)
+        again = narrower(again, iterations)
     except (DataError, NonFiniteError):  # too little is left
         return regression, runs, 0.0
     return again, some, share

@@ -68,6 +68,7 @@ class ParameterVector:
         scale: Typical size of each (k,).
         moves_memory: Whether the parameter is one of an effect that carries memory, or of one whose output such an
             effect follows: a dead band before a lag (k,).
+        raised: Whether `limit` raised the lower bound of a shape that is measured by a size of the data (k,).
 
     Raises:
         ConfigError: the system declares no parameter.
@@ -107,6 +108,7 @@ class ParameterVector:
             np.array(column, dtype=np.float64) for column in list(zip(*rows, strict=True))[:4]
         )
         self.moves_memory = np.array([row[4] for row in rows])
+        self.raised = np.zeros(len(rows), dtype=np.bool_)
         self.use(torch.as_tensor(self.start, dtype=dtype, device=_device(self.system)))
 
     def __len__(self) -> int:
@@ -137,7 +139,8 @@ class ParameterVector:
     def limit(self, sizes: Mapping[str, float]) -> None:
         """Narrow the bounds of shapes to a few times the grid of their effect, at these sizes of the data.
 
-        A width far below every speed, or far above, changes nothing any more: a search would not find back.
+        A width far below every speed, or far above, changes nothing any more: a search would not find back. A fit that
+        has come as far goes on (`nsde_torch.sysid.narrow_shapes`).
         """
         effects = {str(e.name): e for e in self.system.effects if isinstance(e, Effect)}
         for place in self.places:
@@ -149,7 +152,9 @@ class ParameterVector:
             if (kind is not None and kind not in sizes) or not grid.size or grid.min() <= 0:
                 continue
             size = 1.0 if kind is None else sizes[kind]
-            self.low[place.columns] = np.maximum(self.low[place.columns], size * grid.min() / _BEYOND)
+            least = size * grid.min() / _BEYOND
+            self.raised[place.columns] = (self.low[place.columns] < least) & (kind is not None)
+            self.low[place.columns] = np.maximum(self.low[place.columns], least)
             self.high[place.columns] = np.minimum(self.high[place.columns], size * grid.max() * _BEYOND)
 
     def at_first(self) -> System:

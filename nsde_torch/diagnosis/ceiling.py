@@ -129,7 +129,12 @@ def ceiling(log: Log, outcome: Outcome) -> Ceiling:
     blocks = _blocks(outcome.final, outcome, decisions)
     gains = beside.flexible - beside.plain
     allowed = allowances_of_tests(outcome.test)
-    counted = [i for i, n in enumerate(beside.names) if gains[:, i].sum() > 0.5 * allowed.get(n, 0.0)]
+    smaller = beside.flexible_squares.sum(0) <= beside.plain_squares.sum(0)
+    counted = [
+        i
+        for i, name in enumerate(beside.names)
+        if smaller[i] and gains[:, i].sum() > 0.5 * allowed.get(name, 0.0)
+    ]
     left = gains[:, counted].sum(1)
     p = _chance(left, outcome.final, beside, decisions)
     more = p < decisions.flexible_alpha and _without_the_best(left, outcome.final) > 0

@@ -19,7 +19,7 @@ from nsde_torch.diagnosis.flexible_part import Foretold, Part, Push
 from nsde_torch.diagnosis.laws import pushes_of
 from nsde_torch.diagnosis.regressors import Regressors
 from nsde_torch.diagnosis.search import Base
-from nsde_torch.diagnosis.smooth_functions import first_groups, scales
+from nsde_torch.diagnosis.smooth_functions import Group, first_groups, scales
 from nsde_torch.sysid.explained import bump, smooth_rate
 from nsde_torch.sysid.regression import Regression
 
@@ -36,6 +36,7 @@ class Flexible:
         names: Of the channels.
         plain, flexible: Log density of each whitened row (N, channels) [nat].
         plain_squares, flexible_squares: Squared mean residual rates over the test function (K, channels).
+        band_run: Number of the run of each of these means (K,).
         parts: By part: the functions, and what they foretell.
         pairs: Whether functions of two variables were among them.
     """
@@ -45,19 +46,23 @@ class Flexible:
     flexible: Array
     plain_squares: Array
     flexible_squares: Array
+    band_run: NDArray[np.int64]
     parts: tuple[tuple[Part, Foretold], ...]
     pairs: bool
 
 
-def flexible(base: Base, variables: Regressors, budgets: Budgets) -> Flexible:
+def flexible(
+    base: Base, variables: Regressors, budgets: Budgets, *, groups: Sequence[Group] | None = None
+) -> Flexible:
     """Fit a flexible model to what physics leaves, each fold left out in turn.
 
     Args:
         base: The physics at its optimum.
         variables: What its residual may depend on.
         budgets: How much is tried.
+        groups: Functions to choose from on every row; None takes all of `first_groups`.
     """
-    parts, pairs = _parts(base, variables, budgets)
+    parts, pairs = _parts(base, variables, budgets, groups)
     r = base.regression
     count = len(r.rows)
     shape = (len(base.fold), count)
@@ -72,11 +77,15 @@ def flexible(base: Base, variables: Regressors, budgets: Budgets) -> Flexible:
         done.append((part, both[1]))
     window = bump(r.dt)
     squares = [np.square(smooth_rate(rest, r.series.edges, window, r.dt)) for rest in left]
+    fitting = [max(b - a - len(window) + 1, 0) for a, b in r.series.edges]
+    run = np.repeat(np.array(r.physics.steps.runs, dtype=np.int64), fitting)
     names = tuple(r.physics.names[c] for c in r.rows)
-    return Flexible(names, densities[0], densities[1], squares[0], squares[1], tuple(done), pairs)
+    return Flexible(names, densities[0], densities[1], squares[0], squares[1], run, tuple(done), pairs)
 
 
-def _parts(base: Base, variables: Regressors, budgets: Budgets) -> tuple[list[Part], bool]:
+def _parts(
+    base: Base, variables: Regressors, budgets: Budgets, given: Sequence[Group] | None
+) -> tuple[list[Part], bool]:
     """Ports and channels that belong together, or each channel by itself where there are many."""
     scaled = scales(variables)
     together = _together(base.regression, _pushes(base))
@@ -85,7 +94,7 @@ def _parts(base: Base, variables: Regressors, budgets: Budgets) -> tuple[list[Pa
         for c in range(len(base.regression.rows))
     ]
     for split, pairs in ((together, True), (alone, True), (alone, False)):
-        groups = first_groups(variables, scaled, pairs=pairs)
+        groups = first_groups(variables, scaled, pairs=pairs) if given is None else list(given)
         columns = sum(g.columns.shape[1] for g in groups)
         if max((len(p) for p, _ in split), default=0) * columns <= budgets.flexible_columns or not pairs:
             break

@@ -63,6 +63,7 @@ class Foretold:
         noises: Noise models of these, by channel.
         density: Log density of each whitened row, by channel (N,) [nat].
         likelihood: Their sum, less one for each parameter of the noise models.
+        weighed_by: Noise models that rows were weighed by.
         chosen: Numbers of the terms in each fold.
     """
 
@@ -70,6 +71,7 @@ class Foretold:
     noises: dict[int, Noise]
     density: dict[int, Array]
     likelihood: float
+    weighed_by: dict[int, Noise]
     chosen: tuple[tuple[int, ...], ...] = ()
 
     @property
@@ -117,12 +119,10 @@ class Part:
         """What the physics leaves of folds that it was not fitted to, alone and with the flexible model."""
         r = self.regression
         own = {c: r.noises[c] for c in self.channels}
-        plain = self._turn(own, terms=False)
-        plain = self._turn(plain.noises, terms=False)
-        best = replace(plain, chosen=((),) * (int(self._fold.max()) + 1))
-        # the noise models of the physics alone may have learned all that there is
+        rough = self._rough()
+        plain = best = max(self._plain(own), self._plain(rough), key=lambda f: f.likelihood)
         few = sum(t.group.columns.shape[1] for t in self.terms) <= self._budgets.flexible_rough
-        for start in (own, self._rough()) if few else (own,):
+        for start in (own, rough) if few else (own,):
             last, noises = -np.inf, start
             for _ in range(self._budgets.flexible_turns):
                 now = self._turn(noises, terms=True)
@@ -135,7 +135,30 @@ class Part:
                 last, noises = now.likelihood, now.noises
             if best.used:
                 break
-        return plain, best
+        if best.used:  # what its noise models do for the physics alone is not the functions' doing
+            again = (self._plain(best.weighed_by), self._plain(best.noises))
+            plain = max(plain, *again, key=lambda f: f.likelihood)
+            best = self._where_chosen(plain, best)
+        return plain, best if best.likelihood > plain.likelihood else plain
+
+    def _where_chosen(self, plain: Foretold, found: Foretold) -> Foretold:
+        """The flexible model in folds for which functions were chosen, and the physics alone in the others."""
+        chosen = np.array([bool(fold) for fold in found.chosen])
+        rows, white = chosen[self._of_row], chosen[self._fold]
+        density = {c: np.where(white, found.density[c], plain.density[c]) for c in self.channels}
+        gain = sum(float((density[c] - plain.density[c]).sum()) for c in self.channels)
+        left = {c: np.where(rows, found.left[c], plain.left[c]) for c in self.channels}
+        return replace(found, left=left, density=density, likelihood=plain.likelihood + gain)
+
+    def _plain(self, noises: dict[int, Noise]) -> Foretold:
+        """The physics alone, by turns from some noise models."""
+        best = self._turn(noises, terms=False)
+        for _ in range(self._budgets.flexible_turns - 1):
+            now = self._turn(best.noises, terms=False)
+            if now.likelihood < best.likelihood + _SETTLED:
+                break
+            best = now
+        return best
 
     def products(self, noises: dict[int, Noise], at: Sequence[int]) -> Products:
         """Products over all rows of parameters, the terms `at` and the residual."""
@@ -222,7 +245,7 @@ class Part:
             density[c] = law.log_density(white / size, r.series) - np.log(size)
             left[c], models[c] = rest, law
             likelihood += float(density[c].sum()) - law.parameters
-        return Foretold(left, models, density, likelihood, chosen)
+        return Foretold(left, models, density, likelihood, noises, chosen)
 
     def _law(self, c: int, left: Array) -> Noise:
         r, channel = self.regression, self.regression.rows[c]

@@ -24,7 +24,7 @@ Array = NDArray[np.float64]
 Kind = Literal["constant", "polynomial", "smooth", "past"]
 
 _REACH = 1.5  # L, of the half range of the data
-_ONE, _TWO = 8, 5  # waves of one variable, and of each of two
+_ONE, _TWO = 12, 5  # waves of one variable, and of each of two
 _FEWEST, _FEW = (
     4,
     8,

@@ -76,6 +76,7 @@ def case(machine: str, seed: int, i: int) -> Json:
             k: content["flexible"][k]
             for k in ("why_not", "explained", "explained_90", "left", "left_nats", "p")
         },
+        "sentence": content["flexible"]["sentence"],
         "variables": [v["variable"] for v in content["flexible"]["variables"]],
     }
     if law is None or most.model is None:
@@ -92,12 +93,12 @@ def residuals(found: Any, law: machines.Law) -> Json:
     """Residual of mean rates on the last fifth of the runs, in the channel that the law moves most."""
     from nsde_torch.diagnosis.decisions import BUDGETS
     from nsde_torch.diagnosis.flexible import flexible
-    from nsde_torch.diagnosis.smooth_functions import Group
+    from nsde_torch.diagnosis.smooth_functions import FunctionGroup
 
     outcome, most = found.outcome, found.explanation.ceiling
     own = outcome.declared_variables.columns
     x = np.stack([own[name] for name in found.system.state_names], 1)
-    truth = Group(("the law",), "past", law(x, own["force"][:, None])[:, None])
+    truth = FunctionGroup(("the law",), "past", law(x, own["force"][:, None])[:, None])
     told = flexible(outcome.declared, outcome.declared_variables, BUDGETS, groups=[truth])
     training, test = held_apart(found.data)
     late = told.band_run >= len(training)

@@ -57,7 +57,7 @@ class Telling:
 
 
 @dataclass(frozen=True)
-class Left:
+class ChannelGain:
     """What a flexible model wins in one channel.
 
     Args:
@@ -102,15 +102,10 @@ class Ceiling:
     more: bool = False
     explained: float | None = None
     explained_interval: tuple[float, float] | None = None
-    channels: Mapping[str, Left] = field(default_factory=dict)
+    channels: Mapping[str, ChannelGain] = field(default_factory=dict)
     telling: tuple[Telling, ...] = ()
     pairs: bool = True
     model: Flexible | None = None
-
-    @property
-    def all_of_it(self) -> bool:
-        """Whether the effects explain at least all that a flexible model can."""
-        return self.explained is not None and self.explained >= 1.0
 
 
 def ceiling(log: Log, outcome: Outcome) -> Ceiling:
@@ -260,7 +255,7 @@ def _ends(gain: Array, blocks: Blocks, seed: int) -> tuple[float, float] | None:
     return None if np.isnan(ends).any() else ends
 
 
-def _channels(outcome: Outcome, first: Flexible, beside: Flexible, gains: Array) -> dict[str, Left]:
+def _channels(outcome: Outcome, first: Flexible, beside: Flexible, gains: Array) -> dict[str, ChannelGain]:
     """Held-out residuals by channel; none where no stretch is long enough."""
     if not len(beside.plain_squares):
         return {}
@@ -274,7 +269,7 @@ def _channels(outcome: Outcome, first: Flexible, beside: Flexible, gains: Array)
         )
     }
     return {
-        name: Left(
+        name: ChannelGain(
             per_second(r.physics.units[c]),
             rms["physics"].get(name, rms["effects"][name]),
             rms["effects"][name],

@@ -19,7 +19,7 @@ from nsde_torch.diagnosis.flexible_part import Foretold, Part, Push
 from nsde_torch.diagnosis.laws import pushes_of
 from nsde_torch.diagnosis.regressors import Regressors
 from nsde_torch.diagnosis.search import Base
-from nsde_torch.diagnosis.smooth_functions import Group, first_groups, scales
+from nsde_torch.diagnosis.smooth_functions import FunctionGroup, first_groups, scales
 from nsde_torch.sysid.explained import bump, smooth_rate
 from nsde_torch.sysid.regression import Regression
 
@@ -52,7 +52,7 @@ class Flexible:
 
 
 def flexible(
-    base: Base, variables: Regressors, budgets: Budgets, *, groups: Sequence[Group] | None = None
+    base: Base, variables: Regressors, budgets: Budgets, *, groups: Sequence[FunctionGroup] | None = None
 ) -> Flexible:
     """Fit a flexible model to what physics leaves, each fold left out in turn.
 
@@ -84,7 +84,7 @@ def flexible(
 
 
 def _parts(
-    base: Base, variables: Regressors, budgets: Budgets, given: Sequence[Group] | None
+    base: Base, variables: Regressors, budgets: Budgets, given: Sequence[FunctionGroup] | None
 ) -> tuple[list[Part], bool]:
     """Ports and channels that belong together, or each channel by itself where there are many."""
     scaled = scales(variables)

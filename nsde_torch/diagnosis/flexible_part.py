@@ -23,7 +23,7 @@ from nsde_torch.diagnosis.decisions import Budgets
 from nsde_torch.diagnosis.group_selection import Candidates, Products, Weights, weighted
 from nsde_torch.diagnosis.regressors import Regressors
 from nsde_torch.diagnosis.search import Base
-from nsde_torch.diagnosis.smooth_functions import Group, Scale, functions
+from nsde_torch.diagnosis.smooth_functions import FunctionGroup, Scale, functions
 from nsde_torch.sysid.noise import Noise, estimate, first_guess
 from nsde_torch.sysid.regression import Regression
 
@@ -47,11 +47,11 @@ class Push:
 
 
 @dataclass(frozen=True)
-class Term:
+class RowTerm:
     """Functions on a row."""
 
     row: str
-    group: Group
+    group: FunctionGroup
 
 
 @dataclass(frozen=True)
@@ -101,7 +101,7 @@ class Part:
         base: Base,
         variables: Regressors,
         scaled: dict[str, Scale],
-        groups: Sequence[Group],
+        groups: Sequence[FunctionGroup],
         pushes: Sequence[Push],
         channels: Sequence[int],
         budgets: Budgets,
@@ -112,8 +112,7 @@ class Part:
         self._blocks = int(base.block.max()) + 1
         self._of_row = _rows_of(base.regression, base.fold)
         self._limits = base.regression.carry_limits()
-        self.terms = [Term(p.row, g) for p in pushes for g in groups]
-        self._dictionary = len(self.terms)
+        self.terms = [RowTerm(p.row, g) for p in pushes for g in groups]
 
     def foretold(self) -> tuple[Foretold, Foretold]:
         """What the physics leaves of folds that it was not fitted to, alone and with the flexible model."""
@@ -178,7 +177,7 @@ class Part:
             row: The row.
         """
 
-        def stays(term: Term) -> bool:
+        def stays(term: RowTerm) -> bool:
             return not (variable in term.group.variables and term.row == row)
 
         kept = tuple(tuple(k for k in fold if stays(self.terms[k])) for fold in found.chosen)
@@ -301,7 +300,7 @@ class Part:
             of = term.group.variables
             if len(of) == 2 and (term.row, of, "smooth") not in have:
                 columns = functions(of, "smooth", self._variables.columns, self.scaled)
-                self.terms.append(Term(term.row, Group(of, "smooth", columns)))
+                self.terms.append(RowTerm(term.row, FunctionGroup(of, "smooth", columns)))
                 have.add((term.row, of, "smooth"))
 
 

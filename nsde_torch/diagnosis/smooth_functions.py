@@ -43,7 +43,7 @@ class Scale:
 
 
 @dataclass(frozen=True)
-class Group:
+class FunctionGroup:
     """Functions that are chosen together and share one prior variance.
 
     Args:
@@ -71,7 +71,7 @@ def scales(variables: Regressors) -> dict[str, Scale]:
     return out
 
 
-def first_groups(variables: Regressors, scaled: Mapping[str, Scale], *, pairs: bool) -> list[Group]:
+def first_groups(variables: Regressors, scaled: Mapping[str, Scale], *, pairs: bool) -> list[FunctionGroup]:
     """All groups; of many variables, processes of two join later, where their polynomial was chosen.
 
     Args:
@@ -80,23 +80,23 @@ def first_groups(variables: Regressors, scaled: Mapping[str, Scale], *, pairs: b
         pairs: Whether functions of two variables are among them.
     """
     names, values = list(scaled), variables.columns
-    out = [Group((), "constant", np.ones((len(variables.t), 1)))]
+    out = [FunctionGroup((), "constant", np.ones((len(variables.t), 1)))]
     for name in names:
         for kind in ("polynomial", "smooth"):
-            out.append(Group((name,), kind, functions((name,), kind, values, scaled)))
+            out.append(FunctionGroup((name,), kind, functions((name,), kind, values, scaled)))
     for name, (functions_before, _) in variables.functions.items():
         if name.endswith((BEFORE, OVER_TIME)) and name.partition(" ")[0] in scaled:
             spread = functions_before.std(0)
             live = spread > _FLAT
             if live.any():
-                out.append(Group((name,), "past", functions_before[:, live] / spread[live]))
+                out.append(FunctionGroup((name,), "past", functions_before[:, live] / spread[live]))
     for i, first in enumerate(names if pairs else []):
         for second in names[i + 1 :]:
             both = (first, second)
             columns = functions(both, "polynomial", values, scaled)
-            out.append(Group(both, "polynomial", columns if len(names) <= _FEW else columns[:, :1]))
+            out.append(FunctionGroup(both, "polynomial", columns if len(names) <= _FEW else columns[:, :1]))
             if len(names) <= _FEWEST:
-                out.append(Group(both, "smooth", functions(both, "smooth", values, scaled)))
+                out.append(FunctionGroup(both, "smooth", functions(both, "smooth", values, scaled)))
     return out
 
 

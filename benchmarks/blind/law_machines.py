@@ -97,6 +97,34 @@ HEXACOPTER = (
     ),
 )
 
+ODD_SPRING = (
+    Kind("mass_spring_damper", "a damping in one place", 0, lambda x, u, k: _near(x[:, 0], 0.3) * x[:, 1]),
+    Kind(
+        "mass_spring_damper", "a wave in the plane", 0, lambda x, u, k: np.sin(_in_plane(x)) * np.cos(x[:, 1])
+    ),
+    Kind(
+        "mass_spring_damper",
+        "a ridge",
+        0,
+        lambda x, u, k: np.tanh(2.0 * _in_plane(x)) ** 2 * np.tanh(2.0 * x[:, 0]),
+    ),
+    Kind("mass_spring_damper", "a gain in one place", 0, lambda x, u, k: _near(x[:, 0], -0.4) * u[:, 0]),
+)
+ODD_CART = (
+    Kind("cartpole", "a damping in one place", 0, lambda x, u, k: _near(x[:, 0], 0.3) * x[:, 1]),
+    Kind("cartpole", "a wave of place and speed", 0, lambda x, u, k: np.sin(2.0 * x[:, 0]) * np.cos(x[:, 1])),
+    Kind("cartpole", "a torque in one place", 1, lambda x, u, k: _near(x[:, 0], -0.2) * np.sin(x[:, 2])),
+)
+"""Laws that the grammar of the package cannot write with few terms."""
+
+
+def _near(v: Array, centre: float) -> Array:
+    return np.exp(-(((v - centre) / 0.5) ** 2))
+
+
+def _in_plane(x: Array) -> Array:
+    return np.asarray(1.5 * x[:, 0] + 0.8 * x[:, 1])
+
 
 @dataclass(frozen=True)
 class Law:

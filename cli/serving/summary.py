@@ -32,7 +32,11 @@ def page_summary(content: Mapping[str, Any], plots: Collection[str]) -> dict[str
         "horizons": [f"{h:g}" for h in errors["horizons_s"]],
         "predictions": _predictions(errors),
         "changed": changed,
-        "pictures": [name for name in ("held_out.png", "residual.png", "unexplained.png") if name in plots],
+        "pictures": [
+            name
+            for name in ("held_out.png", "residual.png", "unexplained.png", "flexible.png")
+            if name in plots
+        ],
     }
 
 

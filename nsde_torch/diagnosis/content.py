@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 from nsde_torch.diagnosis.buys import BY_RESIDUAL, BY_STEPS
+from nsde_torch.diagnosis.ceiling_text import ceiling_content, wanted
 from nsde_torch.diagnosis.decisions import Wording
 from nsde_torch.diagnosis.declared import declared
 from nsde_torch.diagnosis.dependence import Dependence
@@ -37,12 +38,19 @@ TWINS = {"constant_force": ("sensor_bias",)}
 def content(found: Diagnosis) -> dict[str, Any]:
     """What `diagnosis.json` holds; its keys are in docs/content/reference/diagnosis-json.md."""
     o, left = found.outcome, found.explanation
-    wording = o.decisions.wording
+    wording, flexible = o.decisions.wording, ceiling_content(left.ceiling, o, len(found.runs))
     return {
         "schema": "nsde_torch.diagnosis/1",
         "verdict": found.verdict,
         "added": found.added,
-        "summary": summary(found.verdict, [f.name for f in found.faults], found.told, o, left.shapes),
+        "summary": summary(
+            found.verdict,
+            [f.name for f in found.faults],
+            found.told,
+            o,
+            left.shapes,
+            wanted(flexible["variables"]),
+        ),
         "warnings": _warnings(found),
         "guard": found.explanation.guard.as_dict(),
         "findings": _findings(found),
@@ -96,6 +104,7 @@ def content(found: Diagnosis) -> dict[str, Any]:
         "between_runs": _between_runs(found),
         "in_run": _in_run(found),
         "formula": lead(found.explanation.formula),
+        "flexible": flexible,
         "errors": {
             **found.errors.content,
             "measured_on": "runs left out" if found.errors.whole_runs else "the last part of the only run",

@@ -142,6 +142,11 @@ class Decisions:
         0.8, "share of them in which it has to be about as good as the best term of the library", high=1
     )
 
+    # ---- the flexible model ---------------------------------------------------------------------------------
+    flexible_alpha: float = key(
+        1e-3, "chance of saying that a flexible model wins something where nothing is left", above=0, high=1
+    )
+
     # ---- verdict ----------------------------------------------------------------------------------------
     negligible_share: float = key(
         0.03, "share of what is left most, in nats, below which all effects together are none", low=0
@@ -209,6 +214,18 @@ class Budgets:
     law_variables: int = key(4, "most variables of the laws that are proposed at once", low=1)
     laws_fitted: int = key(4, "most laws that are proposed for each term of a formula", low=1)
     law_rounds: int = key(1, "most times that laws are proposed for what is left", low=0)
+    flexible_terms: int = key(
+        10, "most groups of functions of a flexible model, on ports that belong together", low=1
+    )
+    flexible_turns: int = key(
+        4, "most turns between a flexible model and its noise models; 0: none is fitted", low=0
+    )
+    flexible_columns: int = key(
+        1000, "most functions of a flexible model before it looks at each channel by itself", low=1
+    )
+    flexible_rough: int = key(
+        300, "most functions of one that is tried once more from the noise of the sensors alone", low=0
+    )
 
     def __post_init__(self) -> None:
         check(type(self), vars(self))

@@ -3,6 +3,7 @@
 from dataclasses import dataclass, field
 
 from nsde_torch.diagnosis.between_runs import RunZeros, between_runs
+from nsde_torch.diagnosis.ceiling import Ceiling
 from nsde_torch.diagnosis.channels import ChannelResidual, channel_residuals
 from nsde_torch.diagnosis.declared import Warned, warnings
 from nsde_torch.diagnosis.formula import Formula, formula
@@ -30,6 +31,7 @@ class Explanation:
         guard: How the final physics stands beside simple fits, and what speaks against it.
         refused: What spoke against it over shorter boxes; None where these are the usual ones.
         standing: Share of the rows that were left out because what has dry friction stands in them.
+        ceiling: What a flexible model could win.
     """
 
     channels: list[ChannelResidual]
@@ -41,10 +43,16 @@ class Explanation:
     guard: Guarded = field(default_factory=Guarded)
     refused: Guarded | None = None
     standing: float = 0.0
+    ceiling: Ceiling = field(default_factory=Ceiling)
 
 
 def explained(
-    log: Log, search: Search, outcome: Outcome, guard: Guarded, runs: tuple[str, ...]
+    log: Log,
+    search: Search,
+    outcome: Outcome,
+    guard: Guarded,
+    runs: tuple[str, ...],
+    most: Ceiling,
 ) -> Explanation:
     """Describe what is left.
 
@@ -54,6 +62,7 @@ def explained(
         outcome: What was concluded.
         guard: The final physics held against simple fits.
         runs: Names of the runs.
+        most: What a flexible model could win.
     """
     regression, left = outcome.final.regression, outcome.structured
     seen = rates(regression, outcome.variables)
@@ -71,4 +80,5 @@ def explained(
         guard=guard,
         refused=log.refused,
         standing=moving(log.runs, log.slowest)[1] if log.slowest else 0.0,
+        ceiling=most,
     )

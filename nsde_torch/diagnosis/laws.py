@@ -121,7 +121,7 @@ def library(
         {text: variables.columns[v] for v, text in in_law.items()},
         [text for v, text in in_law.items() if units.get(v) == "rad"],
     )
-    pushes = _pushes(base, channels)
+    pushes = pushes_of(base, channels)
     made = [one for term in terms for one in _slopes(base.regression, term, pushes)]
     for law, shapes in (beside or {}).items():
         row, _, text = law.partition(_SIZE)
@@ -149,7 +149,7 @@ def library(
     )
 
 
-def _pushes(base: Base, channels: Sequence[str]) -> list[tuple[str, Array]]:
+def pushes_of(base: Base, channels: Sequence[str]) -> list[tuple[str, Array]]:
     """What a push of 1 on each row of a port does to a step (N, nx), of rows that move one of some channels."""
     regression = base.regression
     physics, system = regression.physics, regression.vector.system

@@ -14,10 +14,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from nsde_torch.diagnosis.ceiling_text import row_units
 from nsde_torch.diagnosis.channels import ChannelResidual, spectrum, white_parts
 from nsde_torch.diagnosis.dependence import Dependence
 from nsde_torch.diagnosis.effect_pictures import effect_panels
 from nsde_torch.diagnosis.files import picture_file
+from nsde_torch.diagnosis.flexible_picture import flexible_picture
 from nsde_torch.diagnosis.outcome import Outcome
 from nsde_torch.diagnosis.regressors import Regressors
 from nsde_torch.diagnosis.shape import called, product_of
@@ -54,7 +56,7 @@ _REDUCED = 0.9  # of the residual before: what is below that was reduced
 def pictures(found: Diagnosis, content: Mapping[str, Any]) -> dict[str, Figure]:
     """Figures by name, as far as there is any.
 
-    `effect_NAME` of each effect that matters, `residual`, `unexplained`, `held_out`, `errors`, `spectrum`.
+    `effect_NAME` of each effect that matters, `residual`, `unexplained`, `flexible`, `held_out`, `errors`, `spectrum`.
     """
     outcome = found.outcome
     panels = effect_panels(outcome, found.told, found.buys, found.runs)
@@ -84,6 +86,9 @@ def pictures(found: Diagnosis, content: Mapping[str, Any]) -> dict[str, Figure]:
         if views:
             title = "What the physics leaves over, against what it depends on most: no more than chance"
             out["residual"] = residual_views(views, title=title)
+    flexible = flexible_picture(outcome, found.explanation.ceiling, row_units(outcome))
+    if flexible is not None:
+        out["flexible"] = flexible
     errors = content["errors"]
     if outcome.found and errors["residual"]:
         out["held_out"] = _held_out(errors)

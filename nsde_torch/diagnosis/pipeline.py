@@ -8,6 +8,7 @@ set aside       what feedback may have made                                     
 test, decide    what is left against all that was measured; the verdict         specification, decision
 beyond          laws that no catalogue has, where structure is left             beyond_catalogue, laws
 cross-validate  the physics without and with effects on runs left out           cross_validation
+ceiling         what a flexible model could win, alone and beside the effects   ceiling, flexible
 explain         what is left, as far as it can be                               explanation
 report          `Diagnosis`, and the content of `diagnosis.json`                result, content
 """
@@ -19,6 +20,7 @@ from time import perf_counter
 from nsde_torch.data import DataSet, Run
 from nsde_torch.diagnosis.at_nothing import beside_gains_at_nothing
 from nsde_torch.diagnosis.beyond_catalogue import with_laws
+from nsde_torch.diagnosis.ceiling import ceiling, judged
 from nsde_torch.diagnosis.chain import explains_more, undone, with_a_late_sensor
 from nsde_torch.diagnosis.cross_validation import cross_validated
 from nsde_torch.diagnosis.decision import decide, doubted, judged_on_runs_left_out, set_aside, sized
@@ -94,6 +96,9 @@ def diagnose(
     errors = cross_validated(log, search, outcome, spec, closed_loop=closed_loop)
     watch.lap("errors")
     outcome = not_sure(log, judged_on_runs_left_out(outcome, errors))
+    most = ceiling(log, outcome)
+    outcome = judged(outcome, most)
+    watch.lap("ceiling")
     names = tuple(run.name for run in runs)
     return Diagnosis(
         log.system,
@@ -102,7 +107,7 @@ def diagnose(
         log.recorded,
         outcome,
         errors,
-        explained(log, search, outcome, guard, names),
+        explained(log, search, outcome, guard, names, most),
         options,
         watch.seconds,
         feedback=feedback,

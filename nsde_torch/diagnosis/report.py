@@ -9,6 +9,7 @@ from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from nsde_torch.diagnosis.ceiling_text import FLEXIBLE, ceiling_html
 from nsde_torch.diagnosis.feedback_text import feedback_html
 from nsde_torch.diagnosis.pictures import EFFECT, pictures, save_pictures
 from nsde_torch.diagnosis.text import (
@@ -65,6 +66,7 @@ _CAPTIONS = {
     "errors": "Predictions from measured states, {how}, on {where}. Where a controller answers disturbances, so do "
     "these inputs: the errors tell how well this log is foretold, and not how right the effects are. Bars: 90 % "
     "interval of the difference.",
+    "flexible": FLEXIBLE,
     "spectrum": "Above the dashed floor more is left than white noise: gusts that last, or physics.",
 }
 
@@ -109,6 +111,7 @@ def page(content: Mapping[str, Any], figures: Mapping[str, Figure], *, width: fl
         *(f"<p>{escape(a['sentence'])} This is {escape(a['reason'])}.</p>" for a in content["aside"]),
         shown.get("residual", ""),
         _unexplained(content, shown.get("unexplained", "")),
+        ceiling_html(content, shown.get("flexible", ""), _table),
         shown.get("held_out", ""),
         _held_out(errors),
         shown.get("errors", ""),
@@ -131,9 +134,6 @@ def page(content: Mapping[str, Any], figures: Mapping[str, Figure], *, width: fl
         + "\n".join(part for part in parts if part)
         + "\n</body></html>\n"
     )
-
-
-# ---- pieces -------------------------------------------------------------------------------------------
 
 
 def _caption(name: str, width: float) -> str:

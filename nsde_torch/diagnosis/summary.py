@@ -9,7 +9,12 @@ from nsde_torch.diagnosis.shape import Shape
 
 
 def summary(
-    verdict: str, faults: Sequence[str], told: Told, outcome: Outcome, shapes: Sequence[Shape]
+    verdict: str,
+    faults: Sequence[str],
+    told: Told,
+    outcome: Outcome,
+    shapes: Sequence[Shape],
+    flexible: str = "",
 ) -> str:
     """The verdict in one or two sentences.
 
@@ -19,6 +24,7 @@ def summary(
         told: The effects that matter, and the others.
         outcome: What was concluded.
         shapes: What the residual still depends on, in words.
+        flexible: What a flexible model needs, where that alone says that something is missing.
     """
     if outcome.doubted:
         have = [*faults, *(f.name for f in outcome.found)]
@@ -57,6 +63,11 @@ def summary(
         if leads:
             return f"Missing: {names}.{more}: t{take}" if more else f"Missing: {names}. T{take}"
         return f"Missing: {names}.{more}{'.' if more else ''}"
+    if not added and not rest:
+        return (
+            "Something is missing that no test of structure names: a flexible model foretells unseen steps "
+            f"better than the declared physics ({flexible})."
+        )
     if not added:
         return f"Something is missing that no effect of the catalogue names: the residual depends ({rest})."
     what = (

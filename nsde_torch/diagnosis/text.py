@@ -4,6 +4,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from nsde_torch.diagnosis.buys import BY_STEPS
+from nsde_torch.diagnosis.ceiling_text import ceiling_lines, ceiling_rows
 from nsde_torch.diagnosis.feedback_text import feedback_lines
 from nsde_torch.diagnosis.summary import small
 from nsde_torch.evaluation.report import number, table
@@ -84,6 +85,9 @@ def lines(content: Mapping[str, Any]) -> list[str]:
         out += ["", f"a lead, unverified: {content['in_run']['sentence']}"]
     if content["formula"] is not None:
         out += ["", f"a lead, unverified: {content['formula']['text']}"]
+    out += ceiling_lines(content)
+    head, rows = ceiling_rows(content)
+    out += ["", table(head, rows)] if rows else []
     if content["not_shown"]:
         out += ["", "these data cannot show (smallest size that would be noticed):"]
         out += [f"  {text}" for text in unseen(content["not_shown"])]

@@ -16,6 +16,7 @@ starts as blocks would hold 80 % at 0.5 s and 50 % at 2 s. Assumed and not check
 of runs says nothing of a machine that changes from run to run.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -174,16 +175,46 @@ def mean_bootstrap(
     Raises:
         ShapeError: the rows do not agree.
     """
+    return function_bootstrap(
+        values, lambda means: means, blocks, generator=generator, replicates=replicates, level=level
+    )
+
+
+def function_bootstrap(
+    values: Tensor,
+    function: Callable[[Tensor], Tensor],
+    blocks: Blocks,
+    *,
+    generator: torch.Generator,
+    replicates: int = REPLICATES,
+    level: float = 0.95,
+) -> Difference:
+    """Interval of a function of means over rows, such as the ratio of two.
+
+    Args:
+        values: What is averaged (S, K).
+        function: From means (..., K) to quantities (..., L); NaN where there is none.
+        blocks: What to resample.
+        generator: Source of the resamples.
+        replicates: Number of resamples.
+        level: Nominal coverage of the interval.
+
+    Returns:
+        Quantities and intervals; below five blocks, or where a resample has no value, the ends are NaN.
+
+    Raises:
+        ShapeError: the rows do not agree.
+    """
     if values.ndim != 2 or len(values) != len(blocks.of_start):
         raise ShapeError(
             f"`values` must be (rows, K) with {len(blocks.of_start)} rows; got {tuple(values.shape)}."
         )
     values = values.double()
-    value = values.mean(0)
+    value = function(values.mean(0))
     if blocks.count < FEWEST_BLOCKS:
         nothing = torch.full_like(value, torch.nan)
         return Difference(value, nothing, nothing)
-    ends = _ends(_resampled(values, blocks, generator, replicates), blocks.count, level)
+    ends = _ends(function(_resampled(values, blocks, generator, replicates)), blocks.count, level)
     return Difference(value, ends[0], ends[1])
 
 

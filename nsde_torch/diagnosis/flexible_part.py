@@ -1,0 +1,312 @@
+"""A flexible model of the rows of some ports, on channels that these move: fitted without each fold, judged on it.
+
+    r_c = J_c a + sum over rows p of  m_cp f_p(z) + noise_c
+
+r_c is the residual over a box, m_cp what a push of 1 on row p changes of channel c, by the machine's own equations.
+What is foretold of a fold comes from the other folds alone: parameters, which functions there are, and their weights.
+The noise model is that of what is then left (`sysid.noise`), found by turns: one that was fitted to the physics alone
+has learned what the physics lacks.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import reduce
+from itertools import pairwise
+from operator import add
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nsde_torch.diagnosis.decisions import Budgets
+from nsde_torch.diagnosis.group_selection import Candidates, Products, Weights, weighted
+from nsde_torch.diagnosis.regressors import Regressors
+from nsde_torch.diagnosis.search import Base
+from nsde_torch.diagnosis.smooth_functions import FunctionGroup, Scale, functions
+from nsde_torch.sysid.noise import Noise, estimate, first_guess
+from nsde_torch.sysid.regression import Regression
+
+Array = NDArray[np.float64]
+Labels = NDArray[np.int64]
+
+_SETTLED = 1.0  # nats: turns between functions and noise model that bring less have converged
+
+
+@dataclass(frozen=True)
+class Push:
+    """What a push of 1 on a row of a port changes.
+
+    Args:
+        row: Name of the row, `body_moment[y]`.
+        changes: Of each box, by number of the channel among the rows of the regression (M,).
+    """
+
+    row: str
+    changes: dict[int, Array]
+
+
+@dataclass(frozen=True)
+class RowTerm:
+    """Functions on a row."""
+
+    row: str
+    group: FunctionGroup
+
+
+@dataclass(frozen=True)
+class Foretold:
+    """What is left of folds that were foretold from the others.
+
+    Args:
+        left: Residuals over boxes, by channel (M,).
+        noises: Noise models of these, by channel.
+        density: Log density of each whitened row, by channel (N,) [nat].
+        likelihood: Their sum, less one for each parameter of the noise models.
+        weighed_by: Noise models that rows were weighed by.
+        chosen: Numbers of the terms in each fold.
+    """
+
+    left: dict[int, Array]
+    noises: dict[int, Noise]
+    density: dict[int, Array]
+    likelihood: float
+    weighed_by: dict[int, Noise]
+    chosen: tuple[tuple[int, ...], ...] = ()
+
+    @property
+    def used(self) -> list[int]:
+        """Numbers of the terms that some fold chose."""
+        return sorted({k for fold in self.chosen for k in fold})
+
+
+class Part:
+    """Rows of ports and the channels that they move.
+
+    Args:
+        base: Physics at its optimum, with labels of folds and blocks.
+        variables: What its residual may depend on.
+        scaled: Scales of the variables.
+        groups: Functions to choose from.
+        pushes: What moves the channels.
+        channels: Numbers of the channels among the rows of the regression.
+        budgets: Most terms, and turns.
+
+    Attributes:
+        terms: Functions on rows to choose from, which grow by processes of two variables.
+    """
+
+    def __init__(
+        self,
+        base: Base,
+        variables: Regressors,
+        scaled: dict[str, Scale],
+        groups: Sequence[FunctionGroup],
+        pushes: Sequence[Push],
+        channels: Sequence[int],
+        budgets: Budgets,
+    ) -> None:
+        self.regression, self._variables, self.scaled = base.regression, variables, scaled
+        self.pushes, self.channels, self._budgets = {p.row: p for p in pushes}, tuple(channels), budgets
+        self._fold = base.fold
+        self._blocks = int(base.block.max()) + 1
+        self._of_row = _rows_of(base.regression, base.fold)
+        self._limits = base.regression.carry_limits()
+        self.terms = [RowTerm(p.row, g) for p in pushes for g in groups]
+
+    def foretold(self) -> tuple[Foretold, Foretold]:
+        """What the physics leaves of folds that it was not fitted to, alone and with the flexible model."""
+        r = self.regression
+        own = {c: r.noises[c] for c in self.channels}
+        rough = self._rough()
+        plain = best = max(self._plain(own), self._plain(rough), key=lambda f: f.likelihood)
+        few = sum(t.group.columns.shape[1] for t in self.terms) <= self._budgets.flexible_rough
+        for start in (own, rough) if few else (own,):
+            last, noises = -np.inf, start
+            for _ in range(self._budgets.flexible_turns):
+                now = self._turn(noises, terms=True)
+                if not now.used:
+                    break
+                self._grow(now)
+                best = max(best, now, key=lambda f: f.likelihood)
+                if now.likelihood < last + _SETTLED:
+                    break
+                last, noises = now.likelihood, now.noises
+            if best.used:
+                break
+        if best.used:  # what its noise models do for the physics alone is not the functions' doing
+            again = (self._plain(best.weighed_by), self._plain(best.noises))
+            plain = max(plain, *again, key=lambda f: f.likelihood)
+            best = self._where_chosen(plain, best)
+        return plain, best if best.likelihood > plain.likelihood else plain
+
+    def _where_chosen(self, plain: Foretold, found: Foretold) -> Foretold:
+        """The flexible model in folds for which functions were chosen, and the physics alone in the others."""
+        chosen = np.array([bool(fold) for fold in found.chosen])
+        rows, white = chosen[self._of_row], chosen[self._fold]
+        density = {c: np.where(white, found.density[c], plain.density[c]) for c in self.channels}
+        gain = sum(float((density[c] - plain.density[c]).sum()) for c in self.channels)
+        left = {c: np.where(rows, found.left[c], plain.left[c]) for c in self.channels}
+        return replace(found, left=left, density=density, likelihood=plain.likelihood + gain)
+
+    def _plain(self, noises: dict[int, Noise]) -> Foretold:
+        """The physics alone, by turns from some noise models."""
+        best = self._turn(noises, terms=False)
+        for _ in range(self._budgets.flexible_turns - 1):
+            now = self._turn(best.noises, terms=False)
+            if now.likelihood < best.likelihood + _SETTLED:
+                break
+            best = now
+        return best
+
+    def products(self, noises: dict[int, Noise], at: Sequence[int]) -> Products:
+        """Products over all rows of parameters, the terms `at` and the residual."""
+        return reduce(add, self._products(noises, at))
+
+    def members(self, at: Sequence[int]) -> list[Labels]:
+        """Columns of each of some terms, one after another."""
+        ends = np.cumsum([0, *(self.terms[k].group.columns.shape[1] for k in at)])
+        return [np.arange(a, b, dtype=np.int64) for a, b in pairwise(ends)]
+
+    def without(self, found: Foretold, variable: str, row: str = "") -> float:
+        """Log-likelihood of folds without the terms of a variable on a row, all weights fitted again [nats].
+
+        Args:
+            found: The flexible model.
+            variable: Its name; `""` leaves none out.
+            row: The row.
+        """
+
+        def stays(term: RowTerm) -> bool:
+            return not (variable in term.group.variables and term.row == row)
+
+        kept = tuple(tuple(k for k in fold if stays(self.terms[k])) for fold in found.chosen)
+        return self._judged(found.noises, kept, found.noises).likelihood
+
+    # ---- pieces ---------------------------------------------------------------------------------------
+
+    def _rough(self) -> dict[int, Noise]:
+        """Noise models of the sensors alone, which have learned nothing."""
+        r = self.regression
+        return {
+            c: first_guess(
+                r.residual[:, r.rows[c]], r.series, float(self._limits[r.rows[c]]), times=r.times(r.rows[c])
+            )
+            for c in self.channels
+        }
+
+    def _turn(self, noises: dict[int, Noise], *, terms: bool) -> Foretold:
+        """Choose functions without each fold under some noise models, and judge them on it."""
+        folds = int(self._fold.max()) + 1
+        if not terms:
+            return self._judged(noises, ((),) * folds)
+        every = range(len(self.terms))
+        own, columns, target = self._whitened(noises, every)
+        candidates = Candidates(own, columns, target, self.members(every))
+        most = self._budgets.flexible_terms
+        chosen = tuple(tuple(candidates.without(f, blocks=self._blocks, most=most)) for f in range(folds))
+        return self._judged(noises, chosen)
+
+    def _judged(
+        self,
+        noises: dict[int, Noise],
+        chosen: tuple[tuple[int, ...], ...],
+        fixed: dict[int, Noise] | None = None,
+    ) -> Foretold:
+        """Fit chosen terms without each fold and judge them on it.
+
+        Args:
+            noises: Noise models that weigh rows.
+            chosen: Numbers of the terms, by fold left out.
+            fixed: Noise models to judge by; None estimates those of what is left.
+        """
+        at = sorted({k for fold in chosen for k in fold})
+        parts, members = self._products(noises, at), self.members(at)
+        whole, place = reduce(add, parts), {k: j for j, k in enumerate(at)}
+        weights: list[Weights] = []
+        parameters: list[Array] = []
+        for part, fold in zip(parts, chosen, strict=True):
+            others = whole - part
+            found = weighted(others, members, [place[k] for k in fold])
+            weights.append(found)
+            parameters.append(others.parameters(found.mean))
+        r = self.regression
+        left, density, models, likelihood = {}, {}, {}, 0.0
+        for c in self.channels:
+            columns = self._columns(c, at)
+            jacobian, rest = r.jacobian[:, r.rows[c]], r.residual[:, r.rows[c]].copy()
+            for f, (own, found) in enumerate(zip(parameters, weights, strict=True)):
+                rows = self._of_row == f
+                rest[rows] -= jacobian[rows] @ own + columns[rows] @ found.mean
+            law = self._law(c, rest) if fixed is None else fixed[c]
+            white = r.whitened(law, rest[:, None])[:, 0]
+            size = np.sqrt(np.square(white).sum() / len(rest)) if fixed is None else 1.0
+            density[c] = law.log_density(white / size, r.series) - np.log(size)
+            left[c], models[c] = rest, law
+            likelihood += float(density[c].sum()) - law.parameters
+        return Foretold(left, models, density, likelihood, noises, chosen)
+
+    def _law(self, c: int, left: Array) -> Noise:
+        r, channel = self.regression, self.regression.rows[c]
+        return estimate(
+            left,
+            r.series,
+            limit=float(self._limits[channel]),
+            orders=r.orders,
+            memory=r.memory,
+            times=r.times(channel),
+        )
+
+    def _columns(self, c: int, at: Sequence[int]) -> Array:
+        """What unit weights of some terms change in a channel (M, p)."""
+        boxes = len(self.regression.series)
+        parts = []
+        for k in at:
+            term = self.terms[k]
+            change = self.pushes[term.row].changes.get(c)
+            own = np.zeros((boxes, 1)) if change is None else change[:, None]
+            parts.append(term.group.columns * own)
+        return np.concatenate(parts, 1) if parts else np.zeros((boxes, 0))
+
+    def _products(self, noises: dict[int, Noise], at: Sequence[int]) -> list[Products]:
+        """Products of parameters, some terms and the residual, fold by fold."""
+        own, columns, target = self._whitened(noises, at)
+        out = []
+        for j, z, w in zip(own, columns, target, strict=True):
+            whole = np.column_stack((j, z, w))
+            out.append(Products(whole.T @ whole, len(w), j.shape[1]))
+        return out
+
+    def _whitened(
+        self, noises: dict[int, Noise], at: Sequence[int]
+    ) -> tuple[list[Array], list[Array], list[Array]]:
+        """Slopes (n, k), columns of some terms (n, p) and the residual (n,) of each fold, channel after channel."""
+        r = self.regression
+        k = r.jacobian.shape[2]
+        white = []
+        for c in self.channels:
+            channel = r.rows[c]
+            whole = np.column_stack((r.jacobian[:, channel], self._columns(c, at), r.residual[:, channel]))
+            white.append(r.whitened(noises[c], whole))
+        folds = range(int(self._fold.max()) + 1)
+        parts = [np.concatenate([w[self._fold == f] for w in white]) for f in folds]
+        return [p[:, :k] for p in parts], [p[:, k:-1] for p in parts], [p[:, -1] for p in parts]
+
+    def _grow(self, found: Foretold) -> None:
+        """Add processes of two variables where their polynomial was chosen."""
+        have = {(t.row, t.group.variables, t.group.kind) for t in self.terms}
+        for k in found.used:
+            term = self.terms[k]
+            of = term.group.variables
+            if len(of) == 2 and (term.row, of, "smooth") not in have:
+                columns = functions(of, "smooth", self._variables.columns, self.scaled)
+                self.terms.append(RowTerm(term.row, FunctionGroup(of, "smooth", columns)))
+                have.add((term.row, of, "smooth"))
+
+
+def _rows_of(regression: Regression, fold: Labels) -> Labels:
+    """Fold of each row of the series, from those of whitened rows."""
+    out = np.empty(len(regression.series), dtype=np.int64)
+    numbers = regression.whitened_rows(np.arange(len(regression.series), dtype=np.int64))
+    out[numbers] = fold
+    return out

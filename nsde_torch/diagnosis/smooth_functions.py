@@ -1,0 +1,134 @@
+"""Smooth functions of one variable and of two: what a flexible model of a residual is a sum of.
+
+    f(z) = c + sum_i f_i(z_i) + sum_{i<j} f_ij(z_i, z_j)             (functional analysis of variance; GA2M)
+
+(Wahba and others, Annals of Statistics 23 (1995); Duvenaud, Nickisch and Rasmussen, NIPS 2011.) Each f is a polynomial
+of low degree, which goes on beyond the data, plus a Gaussian process in its reduced rank,
+
+    f(s) = sum_j w_j sqrt(S(omega_j)) sin(omega_j (s + L)),    omega_j = j pi / 2 L,    S a Matern spectrum
+
+on the range of the data scaled to [-1, 1], L = 1.5 (Solin and Sarkka, Statistics and Computing 30 (2020)). Beside these
+stand inputs as they were before, and variables that act more or less in the course of a run.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nsde_torch.diagnosis.regressors import BEFORE, OVER_TIME, Regressors
+
+Array = NDArray[np.float64]
+Kind = Literal["constant", "polynomial", "smooth", "past"]
+
+_REACH = 1.5  # L, of the half range of the data
+_ONE, _TWO = 12, 5  # waves of one variable, and of each of two
+_FEWEST, _FEW = (
+    4,
+    8,
+)  # variables up to which processes of two are tried at once, and beyond which products alone are
+_LENGTH = 1.0  # of the Matern process with nu = 3/2, of the half range
+_FLAT = 1e-9  # spread below which a column says nothing
+
+
+@dataclass(frozen=True)
+class Scale:
+    """How a variable is scaled: centre and half of its range, and its root mean square."""
+
+    centre: float
+    half: float
+    size: float
+
+
+@dataclass(frozen=True)
+class FunctionGroup:
+    """Functions that are chosen together and share one prior variance.
+
+    Args:
+        variables: What they are functions of; empty for the constant.
+        kind: What they are.
+        columns: Their values in the middle of each box (M, q).
+    """
+
+    variables: tuple[str, ...]
+    kind: Kind
+    columns: Array
+
+
+def scales(variables: Regressors) -> dict[str, Scale]:
+    """Scales of the variables that functions are of: an angle whose sine and cosine are there is not one of them."""
+    columns = variables.columns
+    out = {}
+    for name, v in columns.items():
+        if f"sin_{name}" in columns and f"cos_{name}" in columns:
+            continue
+        low, high = float(v.min()), float(v.max())
+        size = float(np.sqrt(np.square(v).mean()))
+        if high - low > _FLAT * max(size, _FLAT):
+            out[name] = Scale(0.5 * (low + high), 0.5 * (high - low), size)
+    return out
+
+
+def first_groups(variables: Regressors, scaled: Mapping[str, Scale], *, pairs: bool) -> list[FunctionGroup]:
+    """All groups; of many variables, processes of two join later, where their polynomial was chosen.
+
+    Args:
+        variables: Values of the variables.
+        scaled: Their scales.
+        pairs: Whether functions of two variables are among them.
+    """
+    names, values = list(scaled), variables.columns
+    out = [FunctionGroup((), "constant", np.ones((len(variables.t), 1)))]
+    for name in names:
+        for kind in ("polynomial", "smooth"):
+            out.append(FunctionGroup((name,), kind, functions((name,), kind, values, scaled)))
+    for name, (functions_before, _) in variables.functions.items():
+        if name.endswith((BEFORE, OVER_TIME)) and name.partition(" ")[0] in scaled:
+            spread = functions_before.std(0)
+            live = spread > _FLAT
+            if live.any():
+                out.append(FunctionGroup((name,), "past", functions_before[:, live] / spread[live]))
+    for i, first in enumerate(names if pairs else []):
+        for second in names[i + 1 :]:
+            both = (first, second)
+            columns = functions(both, "polynomial", values, scaled)
+            out.append(FunctionGroup(both, "polynomial", columns if len(names) <= _FEW else columns[:, :1]))
+            if len(names) <= _FEWEST:
+                out.append(FunctionGroup(both, "smooth", functions(both, "smooth", values, scaled)))
+    return out
+
+
+def functions(
+    of: Sequence[str], kind: Kind, values: Mapping[str, Array], scaled: Mapping[str, Scale]
+) -> Array:
+    """Values (n, q) of the functions of a group.
+
+    Args:
+        of: Its variables: none, one or two.
+        kind: `constant`, `polynomial` or `smooth`.
+        values: Values of the variables (n,).
+        scaled: Their scales.
+    """
+    if kind == "constant":
+        return np.ones((len(next(iter(values.values()))), 1))
+    if kind == "polynomial":
+        plain = [values[name] / scaled[name].size for name in of]
+        if len(plain) == 1:
+            return np.stack([plain[0] ** k for k in (1, 2, 3)], 1)
+        a, b = plain
+        return np.stack((a * b, a * a * b, a * b * b), 1)
+    ranged = [(values[name] - scaled[name].centre) / scaled[name].half for name in of]
+    if len(ranged) == 1:
+        return _waves(ranged[0], _ONE)
+    first, second = (_waves(s, _TWO) for s in ranged)
+    return (first[:, :, None] * second[:, None, :]).reshape(len(first), -1)
+
+
+def _waves(s: Array, count: int) -> Array:
+    """Waves (n, count) whose weights have a prior of one variance."""
+    omega = np.arange(1, count + 1) * np.pi / (2.0 * _REACH)
+    spectrum = (3.0 / _LENGTH**2 + omega**2) ** -2.0
+    waves = np.sin(omega * (np.clip(s, -_REACH, _REACH)[:, None] + _REACH))
+    return np.asarray(waves * np.sqrt(spectrum / spectrum.sum()))

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from math import cos, pi, sin
+from dataclasses import replace
+from math import cos, pi, radians, sin
 from pathlib import Path
+from typing import Any
 
 import pytest
 import torch
 
 from nsde_torch.control import shapes
-from nsde_torch.control.controller import Controller, Planner, SafetyOptions
+from nsde_torch.control.controller import Controller, Plan, Planner, SafetyOptions
 from nsde_torch.control.problem import ProblemOptions
 from nsde_torch.control.reference import FlightPath, Reference
 from nsde_torch.control.solve import SolverOptions
@@ -112,3 +114,50 @@ def test_a_machine_that_follows_late_is_held_in_its_place_and_by_a_file_as_by_it
     by_file = _flown(ExportedController(file), path)
     assert by_file.outcome.tracked
     assert by_file.rmse == pytest.approx(report.rmse, rel=0.02)
+
+
+class _OverTheTop:
+    """A controller whose plans lead over the top: those from the plan before, or all from some time on."""
+
+    def __init__(self, controller: Controller, *, always: bool = False) -> None:
+        self.inner, self.always, self.calls = controller, always, 0
+        self.options, self.hover, self.batch = controller.options, controller.hover, controller.batch
+        self.dtype, self.solver, self.predictor = controller.dtype, controller.solver, controller.predictor
+
+    def hovering(self) -> Plan:
+        return self.inner.hovering()
+
+    def plan(self, x: torch.Tensor, reference: torch.Tensor, before: Plan | None = None, **more: Any) -> Plan:
+        self.calls += 1
+        made = self.inner.plan(x, reference, before, **more)
+        if before is None and not (self.always and self.calls > 1):
+            return made
+        turned = made.x.clone()
+        half = torch.linspace(0.0, 0.5 * pi, turned.shape[1])
+        turned[0, :, 6], turned[0, :, 7] = half.cos(), half.sin()
+        return replace(made, x=turned, u=torch.ones_like(made.u))
+
+
+def test_a_plan_over_the_top_is_not_flown_and_another_is_made_from_hovering(controller: Controller) -> None:
+    # with plans that came 0.1 s late the solver was once seen to end in a loop, in the middle of a lemniscate
+    made = PredictiveController(_OverTheTop(controller), Reference(shapes.hover()))
+    made(_row(), 10.0, 1.0)
+    plan = made(_row(), 10.02, 1.02)
+    assert plan.status.endswith("tipped")
+    assert plan.at(10.02).thrust == pytest.approx(9.81, abs=0.5)
+
+
+def test_where_all_plans_lead_over_the_top_the_last_one_goes_on_for_a_moment_and_then_it_failed(
+    controller: Controller,
+) -> None:
+    made = PredictiveController(_OverTheTop(controller, always=True), Reference(shapes.hover()))
+    made(_row(), 10.0, 1.0)
+    statuses = [made(_row(), 10.0 + 0.05 * k, 1.0 + 0.05 * k).status for k in range(1, 7)]
+    assert statuses[0] == "tipped:kept"
+    assert statuses[-1] == "tipped: failed"
+
+
+def test_a_plan_that_begins_tilted_and_comes_back_is_flown(controller: Controller) -> None:
+    made = PredictiveController(controller, Reference(shapes.hover()), tilt=radians(30.0))
+    row = (0.0, 0.0, 1.5, 0.0, 0.0, 0.0, cos(radians(20.0)), sin(radians(20.0)), 0.0, 0.0, -2.0, 0.0, 0.0)
+    assert "tipped" not in made(row, 10.0, 1.0).status

@@ -8,6 +8,9 @@ over the delay by what was asked for meanwhile, and the plan starts there:
 
 `lead` is the time in which a rate that is asked for is reached. What lasts and the model does not know moves the
 reference, p_ref + trim with trim' = (p_ref - p) / T.
+
+A solver that starts from a plan that came late may end in another valley of its cost, which leads over the top: a plan
+that tilts beyond what ends a flight is not flown. Another is made from hovering, or the one before goes on.
 """
 
 from __future__ import annotations
@@ -16,12 +19,14 @@ import time as clock
 from bisect import bisect_right
 from collections.abc import Callable
 from dataclasses import dataclass
+from math import cos, radians
 from pathlib import Path
 from typing import Any, final
 
 import torch
+from torch import Tensor
 
-from nsde_torch.control.controller import HOVER, Controller, Planner, SafetyOptions
+from nsde_torch.control.controller import HOVER, KEPT, Controller, Planner, SafetyOptions
 from nsde_torch.control.controller import Plan as MotorPlan
 from nsde_torch.control.knowledge import knowledge
 from nsde_torch.control.problem import ProblemOptions
@@ -42,6 +47,12 @@ DELAY, LEAD = 0.08, 0.05
 STEP = 0.01
 TRIM_TIME, TRIM_LIMIT = 3.0, 0.3
 """Time constant [s] and largest size [m] of the trim."""
+TILT = radians(65.0)
+"""Tilt of a plan that is not flown [rad]; that at which a flight ends."""
+KEEP = 0.25
+"""Longest time for which the plan before goes on where new ones tilt too far [s]."""
+TIPPED = "tipped"
+"""Word of a status: the plan tilted too far."""
 WARM_UP = 20
 SLOWEST = 0.1
 """Longest time of a plan with which a vehicle can be flown, as the median of the warm-up [s]."""
@@ -69,19 +80,26 @@ class PredictiveController:
         reference: Where to fly.
         delay: From a setpoint to its effect [s].
         lead: How much earlier than the plan says rates are asked for [s].
+        tilt: Tilt beyond which a plan is not flown [rad].
 
     Raises:
         ConfigError: the model is of no multirotor.
     """
 
     def __init__(
-        self, controller: Planner, reference: Reference, *, delay: float = DELAY, lead: float = LEAD
+        self,
+        controller: Planner,
+        reference: Reference,
+        *,
+        delay: float = DELAY,
+        lead: float = LEAD,
+        tilt: float = TILT,
     ) -> None:
         system = controller.predictor.system
         if not isinstance(system, Multirotor):
             raise ConfigError(f"PX4 flies multirotors; the model is of a {system.name!r}.")
         self.controller, self.reference = controller, reference
-        self._delay, self._lead = delay, lead
+        self._delay, self._lead, self._upright = delay, lead, cos(tilt)
         self._system = system
         self._last: tuple[float, MotorPlan] | None = None
         self._trim = torch.zeros(3, dtype=torch.float64)
@@ -110,10 +128,29 @@ class PredictiveController:
         before = None if self._last is None else self._last[1]
         x = torch.tensor([self._ahead(row, time, asked)], dtype=torch.float64)
         plan = c.plan(x, window[None], before, elapsed=elapsed)
-        self._last = (time, plan)
         status = f"{plan.status[0]}: failed" if plan.status[0].endswith(HOVER) else plan.status[0]
+        if self._tips(plan):
+            plan, status = self._upright_plan(x, window, before, elapsed)
+        self._last = (time, plan)
         took = 1e3 * (clock.perf_counter() - started)
         return DemandPlan(time, plan.dt, self._demands(plan), status, took)
+
+    def _tips(self, plan: MotorPlan) -> bool:
+        """Whether a plan tilts too far; one that begins beyond the limit may come back from it."""
+        up = 1.0 - 2.0 * (plan.x[0, :, 7] ** 2 + plan.x[0, :, 8] ** 2)
+        return float(up.min()) < min(self._upright, float(up[0]) - 1e-3)
+
+    def _upright_plan(
+        self, x: Tensor, window: Tensor, before: MotorPlan | None, elapsed: float
+    ) -> tuple[MotorPlan, str]:
+        """A plan from hovering instead of one that tips, else the one before, and its status."""
+        plan = self.controller.plan(x, window[None])
+        if not self._tips(plan):
+            return plan, f"{plan.status[0]}:{TIPPED}"
+        if before is None:
+            return plan, f"{TIPPED}: failed"
+        kept = before.shifted(elapsed)
+        return kept, f"{TIPPED}:{KEPT}" if float(kept.age[0]) <= KEEP else f"{TIPPED}: failed"
 
     def _demands(self, plan: MotorPlan) -> tuple[Demand, ...]:
         rates, thrust = (one[0].tolist() for one in setpoints(plan, self._system, ahead=self._lead))
@@ -153,6 +190,7 @@ class PredictiveMaker:
         safety: When to disbelieve.
         delay: See `PredictiveController`.
         lead: See `PredictiveController`.
+        tilt: See `PredictiveController`.
         effects: Effects beside the declared ones, for `declared`.
         threads: Threads of torch.
     """
@@ -165,6 +203,7 @@ class PredictiveMaker:
     safety: SafetyOptions
     delay: float = DELAY
     lead: float = LEAD
+    tilt: float = TILT
     effects: Effects = ()
     threads: int = 1
 
@@ -187,7 +226,7 @@ class PredictiveMaker:
                 known, problem=self.problem, solver=self.solver, safety=self.safety, say=say
             )
         reference = Reference(self.path)
-        made = PredictiveController(controller, reference, delay=self.delay, lead=self.lead)
+        made = self._made(controller, reference)
         row = tuple(reference.at(torch.tensor(0.0)).tolist())
         took = sorted(made(row, 0.02 * k, 0.0).solve_ms for k in range(WARM_UP))[WARM_UP // 2]
         how = "compiled" if controller.solver.compiled else "not compiled"
@@ -199,4 +238,7 @@ class PredictiveMaker:
                 "C++ compiler (g++), or make plans shorter: mpc.steps, mpc.iterations."
             )
         say(f"the controller plans in {took:.1f} ms ({how})")
-        return PredictiveController(controller, reference, delay=self.delay, lead=self.lead)
+        return self._made(controller, reference)
+
+    def _made(self, controller: Planner, reference: Reference) -> PredictiveController:
+        return PredictiveController(controller, reference, delay=self.delay, lead=self.lead, tilt=self.tilt)

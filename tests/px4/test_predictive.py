@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from math import cos, pi, radians, sin
+from math import cos, exp, pi, radians, sin
 from pathlib import Path
 from typing import Any
 
@@ -75,6 +75,21 @@ def test_a_state_is_carried_forward_over_the_delay_by_what_was_asked_for(control
     assert row[5] == pytest.approx(-0.981)
     assert row[6:10] == pytest.approx((cos(0.05 * pi), 0.0, 0.0, sin(0.05 * pi)))
     assert row[12] == pytest.approx(pi)
+
+
+def test_a_state_that_is_carried_forward_is_braked_as_the_model_says() -> None:
+    system = make_plant_system(
+        "quadrotor", effects=[{"linear_drag": {"drag": [1.0, 0.5, 0.2]}}], declared_only=True
+    )
+    problem, solver = ProblemOptions(horizon=0.4, steps=3), SolverOptions(compile="off", iterations=1)
+    made = PredictiveController(
+        Controller(system, problem=problem, solver=solver), Reference(shapes.hover()), delay=0.1
+    )
+    # nose north: the body's x is the world's y
+    row = (0.0, 0.0, 1.5, 0.0, 3.0, 0.0, cos(0.25 * pi), 0.0, 0.0, sin(0.25 * pi), 0.0, 0.0, 0.0)
+    after = made._ahead(row, 10.0, ((9.8, Demand((0.0, 0.0, 0.0), 9.81)),))
+    assert after[4] == pytest.approx(3.0 * exp(-0.1), abs=0.01)
+    assert after[3] == pytest.approx(0.0, abs=1e-6)
 
 
 def _flown(planner: Planner, path: FlightPath) -> FlightReport:

@@ -55,7 +55,7 @@ class TestEveryKind(ModelContract):
 )
 def test_a_machines_own_step_becomes_a_whole_multiple_of_the_datas(step: float, dt: float) -> None:
     # PX4 in simulation logs its states every 8 ms, and a quadrotor's own step is 50 ms
-    run = Run("a", step * np.arange(10), np.zeros((10, 13)), np.zeros((10, 4)))
+    run = Run("a", step * np.arange(20), np.zeros((20, 13)), np.zeros((20, 4)))
     assert whole_steps(0.05, [run]) == pytest.approx(dt, rel=0.011)
     Windows([run], whole_steps(0.05, [run]), 1)
 

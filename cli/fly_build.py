@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from math import radians
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -103,6 +104,7 @@ def runner(config: DictConfig, path: PathPoints, reference: Reference, say: Call
         safety=track_build.safety(mpc),
         delay=config.delay,
         lead=LEAD if config.lead is None else config.lead,
+        tilt=radians(config.limits.tilt),
         effects=_effects(config) if config.run == DECLARED else (),
         threads=config.threads,
     )

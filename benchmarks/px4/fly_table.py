@@ -35,8 +35,8 @@ REFERENCES = {
     "lemniscate": ("reference=lemniscate",),
     "waypoints": ("reference=waypoints", "reference.points=[[0,0,1.5],[2,1,2],[0,2,1.5],[0,0,1.5]]"),
 }
-LONGEST = 300.0
-"""Time after which a flight that does not end is killed [s]."""
+LONGEST = 900.0
+"""Time after which a flight that does not end is killed [s]; a solver that is compiled takes minutes of it."""
 
 
 class Fly:
@@ -118,7 +118,7 @@ def _flight(name: str, run: str, k: int, options: argparse.Namespace, line: Line
 
 
 def _faulty(fault: Fault, options: argparse.Namespace, line: Line) -> dict[str, Any]:
-    run = options.models[0] if fault.predictive else "pid"
+    run = options.models[0] if fault.predictive or options.predictive else "pid"
     folder = options.out / "faults" / fault.name.replace(" ", "_").replace("'", "")
     line.cut = line.stale = False
     fly = Fly(folder, [f"run={run}", f"system={options.system}", *fault.words], options.port + INNER)
@@ -196,6 +196,9 @@ def main() -> None:
     )
     parser.add_argument("--references", nargs="*", default=list(REFERENCES), choices=list(REFERENCES))
     parser.add_argument("--faults", action="store_true", help="make the faults too")
+    parser.add_argument(
+        "--predictive", action="store_true", help="make every fault while a predictive controller flies"
+    )
     parser.add_argument("--only", nargs="*", default=[], help="names of the faults to make; none: all")
     parser.add_argument("--px4-pid", type=int, help="process id of PX4, to kill it in the end")
     parser.add_argument("--px4", default="not said", help="version of PX4 and simulator, for the table")
@@ -223,7 +226,9 @@ def main() -> None:
             write()
             print(json.dumps(content["flights"][-1]), flush=True)
         for fault in faults(options.px4_pid) if options.faults else ():
-            if (fault.predictive and not options.models) or (options.only and fault.name not in options.only):
+            if ((fault.predictive or options.predictive) and not options.models) or (
+                options.only and fault.name not in options.only
+            ):
                 continue
             content["faults"].append(_faulty(fault, options, line))
             write()

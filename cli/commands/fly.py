@@ -71,7 +71,7 @@ class FlyConfig:
     )
     lead: float | None = key(
         None,
-        "how much earlier than needed rates are asked for, because they are reached late; null: 0.05 (pid: 0.1)",
+        "how much earlier than needed rates are asked for, because they are reached late; null: 0.01 (pid: 0.1)",
         unit="s",
         low=0,
     )

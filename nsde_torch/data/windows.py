@@ -25,6 +25,8 @@ from nsde_torch.data.run import Run
 from nsde_torch.errors import ConfigError, DataError
 
 Ranges = NDArray[np.int64]
+TOLERANCE = 0.01
+"""Share by which a step may miss a whole multiple of the data's."""
 
 
 class Windows:
@@ -75,7 +77,7 @@ class Windows:
                     "as one data set, which resamples them."
                 )
         ratio = dt_model / data_dt
-        if not ratio > 0 or round(ratio) < 1 or abs(ratio / round(ratio) - 1) > 0.01:
+        if not ratio > 0 or round(ratio) < 1 or abs(ratio / round(ratio) - 1) > TOLERANCE:
             low = max(1, int(ratio))
             raise ConfigError(
                 f"`dt_model` must be a whole multiple of the data's step of {data_dt:.6g} s (within 1 %); "

@@ -11,6 +11,7 @@ from dataclasses import dataclass, field, fields
 from typing import Any, ClassVar
 
 from nsde_torch.data.run import Run
+from nsde_torch.data.windows import TOLERANCE
 from nsde_torch.errors import ConfigError
 from nsde_torch.lookup import class_by_name
 from nsde_torch.models.model import Model, ModelSpec
@@ -21,6 +22,23 @@ from nsde_torch.sde.registry import make_step
 from nsde_torch.sde.step import Step
 from nsde_torch.systems.base import System
 from nsde_torch.systems.options import SystemOptions
+
+
+def whole_steps(dt: float, runs: Sequence[Run]) -> float:
+    """The whole multiple of the data's step that is nearest to a model's own step.
+
+    A machine's step of 50 ms fits data at 10 ms, and PX4's logs at 8 ms not: they get 48 ms.
+
+    Args:
+        dt: Step that a machine has where nobody chose one [s].
+        runs: Training runs.
+    """
+    if not runs:
+        return dt
+    ratio = dt / runs[0].dt
+    nearest = max(round(ratio), 1)
+    # what fits within the tolerance of `Windows` is left as it is
+    return dt if abs(ratio / nearest - 1.0) <= TOLERANCE else nearest * runs[0].dt
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -53,7 +71,7 @@ class Choice:
             "effects": tuple(system.effects),
             "declared": None if system.declared is None else tuple(system.declared),
             "system_options": dict(system.options),
-            "dt": own.dt if system.dt is None else system.dt,
+            "dt": whole_steps(own.dt, self.runs) if system.dt is None else system.dt,
             "horizon": own.horizon if system.horizon is None else system.horizon,
         }
 

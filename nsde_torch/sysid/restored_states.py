@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 from nsde_torch.data import DataSet, Run, SystemInfo
 from nsde_torch.recording.faults.registry import remedies
 from nsde_torch.recording.smoothers import Smoother
+from nsde_torch.sysid.late_smoothers import on_time
 from nsde_torch.sysid.smoothed_states import Smoothed, group_spectra, sensors_of, smoothed_states
 from nsde_torch.systems import System
 
@@ -63,7 +64,8 @@ def restore_states(
     done = any(finding.kind == "state_smoothing" for finding in data.summary.findings)
     if policy == "keep" or smooths or done or not isinstance(system, System):
         return data
-    found = smoothed_states(data.runs, system, data.clock_scale)
+    clock = data.clock_scale
+    found = on_time(smoothed_states(data.runs, system, clock), data.runs, system, clock)
     if not found:
         return data
     runs = _restored(data.runs, found, seed)

@@ -30,7 +30,12 @@ class SystemOptions:
     )
     parameters: dict[str, Any] = key({}, "initial values, system.parameters.NAME=1 or ...EFFECT.NAME=1")
     options: dict[str, Any] = key({}, "further arguments of the system's class, system.options.NAME=1")
-    dt: float | None = key(None, "step of the model; null: the system's own", unit="s", above=0)
+    dt: float | None = key(
+        None,
+        "step of the model; null: the system's own, as the nearest whole multiple of the data's",
+        unit="s",
+        above=0,
+    )
     horizon: int | None = key(None, "steps of a training window; null: the system's own", unit="steps", low=1)
     sigma_max: tuple[float, ...] | None = key(
         None, "largest diffusion, one per state; null: the system's own", unit="state/s^0.5", low=0

@@ -4,14 +4,17 @@ from __future__ import annotations
 
 import pickle
 
+import numpy as np
 import pytest
 import torch
 
 import nsde_torch
 from nsde_torch.cli.schemas.choices import CHOICES
+from nsde_torch.data import Run
+from nsde_torch.data.windows import Windows
 from nsde_torch.errors import ConfigError
 from nsde_torch.models import MODELS, Capabilities, Model, make_model, save
-from nsde_torch.models.kind import model_kind, model_options
+from nsde_torch.models.kind import model_kind, model_options, whole_steps
 from nsde_torch.systems import SystemOptions
 from nsde_torch.training import model_spec
 from tests.helpers.model_contract import ModelContract
@@ -45,6 +48,16 @@ class TestEveryKind(ModelContract):
 
     def test_it_can_do_what_its_kind_can(self, trained: Model) -> None:
         assert trained.capabilities == CAN[trained.spec.kind]
+
+
+@pytest.mark.parametrize(
+    ("step", "dt"), [(0.01, 0.05), (0.0101, 0.0505), (0.008, 0.048), (0.004, 0.048), (0.08, 0.08)]
+)
+def test_a_machines_own_step_becomes_a_whole_multiple_of_the_datas(step: float, dt: float) -> None:
+    # PX4 in simulation logs its states every 8 ms, and a quadrotor's own step is 50 ms
+    run = Run("a", step * np.arange(20), np.zeros((20, 13)), np.zeros((20, 4)))
+    assert whole_steps(0.05, [run]) == pytest.approx(dt, rel=0.011)
+    Windows([run], whole_steps(0.05, [run]), 1)
 
 
 def test_an_unknown_kind_lists_the_choices() -> None:

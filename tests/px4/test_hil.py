@@ -8,7 +8,7 @@ import threading
 import time
 from collections.abc import Iterator
 from itertools import pairwise
-from math import atan2, degrees, sqrt
+from math import atan2, degrees, radians, sqrt
 from typing import Any
 
 import pytest
@@ -16,7 +16,7 @@ import pytest
 from nsde_torch.px4.link.codec import Codec
 from nsde_torch.px4.link.dialect import mavlink
 from nsde_torch.px4.link.transport import TcpIn
-from nsde_torch.px4.link.vectors import Quat, Vec
+from nsde_torch.px4.link.vectors import Quat, Vec, from_rotation_vector, rotate, turned_by_rates
 from nsde_torch.px4.simulator.body import Body
 from nsde_torch.px4.simulator.hil import HilPlant, HilServer, airframe
 from nsde_torch.px4.simulator.hil_sensors import (
@@ -86,6 +86,26 @@ def test_a_touch_down_loses_no_velocity_to_what_sensors_do_not_show(speed: float
         assert sqrt(imu.xacc**2 + imu.yacc**2 + imu.zacc**2) < 4.001 * 9.81
         v += 0.004 * (-imu.zacc - 9.81)
     assert v == pytest.approx(0.0, abs=1e-3)
+
+
+@pytest.mark.parametrize("tilt", [10.0, 25.0, 60.0])
+def test_a_machine_that_comes_down_tilted_and_sideways_is_level_and_at_rest_for_who_integrates(
+    tilt: float,
+) -> None:
+    # a real PX4 came down like this after its stream had been cut, and believed in 9 m/s where it stood still
+    sensors = HilSensors(seed=0, noise=0.0)
+    q = from_rotation_vector((radians(tilt), 0.0, 0.0))
+    v: Vec = (2.3, 1.0, -1.8)
+    for _ in range(60):
+        sensors.messages(1.0, REST, v, q, REST)
+    for k in range(100):
+        imu = _of(sensors.messages(1.004 + 0.004 * k, REST, REST, EAST, REST), "HIL_SENSOR")
+        q = turned_by_rates(q, (imu.xgyro, -imu.ygyro, -imu.zgyro), 0.004)
+        a = rotate(q, (imu.xacc, -imu.yacc, -imu.zacc))
+        v = (v[0] + 0.004 * a[0], v[1] + 0.004 * a[1], v[2] + 0.004 * (a[2] - 9.81))
+        assert max(abs(imu.xgyro), abs(imu.ygyro), abs(imu.zgyro)) < 10.001
+    assert q == pytest.approx(EAST, abs=1e-6)
+    assert v == pytest.approx(REST, abs=1e-3)
 
 
 @pytest.mark.parametrize("speed", [1.3, 5.0, 400.0])

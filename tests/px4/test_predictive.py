@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from math import cos, pi, sin
+from dataclasses import replace
+from math import cos, exp, pi, radians, sin
 from pathlib import Path
+from typing import Any
 
 import pytest
 import torch
 
 from nsde_torch.control import shapes
-from nsde_torch.control.controller import Controller, Planner, SafetyOptions
+from nsde_torch.control.controller import Controller, Plan, Planner, SafetyOptions
 from nsde_torch.control.problem import ProblemOptions
 from nsde_torch.control.reference import FlightPath, Reference
 from nsde_torch.control.solve import SolverOptions
@@ -75,6 +77,21 @@ def test_a_state_is_carried_forward_over_the_delay_by_what_was_asked_for(control
     assert row[12] == pytest.approx(pi)
 
 
+def test_a_state_that_is_carried_forward_is_braked_as_the_model_says() -> None:
+    system = make_plant_system(
+        "quadrotor", effects=[{"linear_drag": {"drag": [1.0, 0.5, 0.2]}}], declared_only=True
+    )
+    problem, solver = ProblemOptions(horizon=0.4, steps=3), SolverOptions(compile="off", iterations=1)
+    made = PredictiveController(
+        Controller(system, problem=problem, solver=solver), Reference(shapes.hover()), delay=0.1
+    )
+    # nose north: the body's x is the world's y
+    row = (0.0, 0.0, 1.5, 0.0, 3.0, 0.0, cos(0.25 * pi), 0.0, 0.0, sin(0.25 * pi), 0.0, 0.0, 0.0)
+    after = made._ahead(row, 10.0, ((9.8, Demand((0.0, 0.0, 0.0), 9.81)),))
+    assert after[4] == pytest.approx(3.0 * exp(-0.1), abs=0.01)
+    assert after[3] == pytest.approx(0.0, abs=1e-6)
+
+
 def _flown(planner: Planner, path: FlightPath) -> FlightReport:
     return fly_simulated(
         Body("quadrotor", seed=0, latency=0.02),
@@ -112,3 +129,50 @@ def test_a_machine_that_follows_late_is_held_in_its_place_and_by_a_file_as_by_it
     by_file = _flown(ExportedController(file), path)
     assert by_file.outcome.tracked
     assert by_file.rmse == pytest.approx(report.rmse, rel=0.02)
+
+
+class _OverTheTop:
+    """A controller whose plans lead over the top: those from the plan before, or all from some time on."""
+
+    def __init__(self, controller: Controller, *, always: bool = False) -> None:
+        self.inner, self.always, self.calls = controller, always, 0
+        self.options, self.hover, self.batch = controller.options, controller.hover, controller.batch
+        self.dtype, self.solver, self.predictor = controller.dtype, controller.solver, controller.predictor
+
+    def hovering(self) -> Plan:
+        return self.inner.hovering()
+
+    def plan(self, x: torch.Tensor, reference: torch.Tensor, before: Plan | None = None, **more: Any) -> Plan:
+        self.calls += 1
+        made = self.inner.plan(x, reference, before, **more)
+        if before is None and not (self.always and self.calls > 1):
+            return made
+        turned = made.x.clone()
+        half = torch.linspace(0.0, 0.5 * pi, turned.shape[1])
+        turned[0, :, 6], turned[0, :, 7] = half.cos(), half.sin()
+        return replace(made, x=turned, u=torch.ones_like(made.u))
+
+
+def test_a_plan_over_the_top_is_not_flown_and_another_is_made_from_hovering(controller: Controller) -> None:
+    # with plans that came 0.1 s late the solver was once seen to end in a loop, in the middle of a lemniscate
+    made = PredictiveController(_OverTheTop(controller), Reference(shapes.hover()))
+    made(_row(), 10.0, 1.0)
+    plan = made(_row(), 10.02, 1.02)
+    assert plan.status.endswith("tipped")
+    assert plan.at(10.02).thrust == pytest.approx(9.81, abs=0.5)
+
+
+def test_where_all_plans_lead_over_the_top_the_last_one_goes_on_for_a_moment_and_then_it_failed(
+    controller: Controller,
+) -> None:
+    made = PredictiveController(_OverTheTop(controller, always=True), Reference(shapes.hover()))
+    made(_row(), 10.0, 1.0)
+    statuses = [made(_row(), 10.0 + 0.05 * k, 1.0 + 0.05 * k).status for k in range(1, 7)]
+    assert statuses[0] == "tipped:kept"
+    assert statuses[-1] == "tipped: failed"
+
+
+def test_a_plan_that_begins_tilted_and_comes_back_is_flown(controller: Controller) -> None:
+    made = PredictiveController(controller, Reference(shapes.hover()), tilt=radians(30.0))
+    row = (0.0, 0.0, 1.5, 0.0, 0.0, 0.0, cos(radians(20.0)), sin(radians(20.0)), 0.0, 0.0, -2.0, 0.0, 0.0)
+    assert "tipped" not in made(row, 10.0, 1.0).status

@@ -5,6 +5,8 @@ docs/content/results/px4.md lists them with these tests.
 
 from __future__ import annotations
 
+from collections import Counter
+from itertools import pairwise
 from math import nan
 from typing import Any
 
@@ -122,10 +124,23 @@ def test_the_heartbeat_takes_no_interval_but_comes_when_it_is_asked_for() -> Non
 
 def test_a_hundred_hertz_come_as_ninety_nine() -> None:
     client = Client()
-    client.command(d.SET_INTERVAL, NUMBERS["ODOMETRY"], 1e4)
+    client.command(d.SET_INTERVAL, NUMBERS["ATTITUDE_QUATERNION"], 1e4)
     client.heard.clear()
     client.run(10.0)
-    assert 985 <= len(client.all("ODOMETRY")) <= 995
+    assert 985 <= len(client.all("ATTITUDE_QUATERNION")) <= 995
+
+
+@pytest.mark.parametrize(("rate", "steps"), [(100.0, {8: 0.75, 16: 0.25}), (125.0, {8: 1.0})])
+def test_its_estimate_is_new_every_8_ms_and_at_100_hz_one_in_five_is_left_out(
+    rate: float, steps: dict[int, float]
+) -> None:
+    client = Client()
+    client.command(d.SET_INTERVAL, NUMBERS["ODOMETRY"], 1e6 / rate)
+    client.heard.clear()
+    client.run(8.0)
+    stamps = [m.time_usec for m in client.all("ODOMETRY")][2:]
+    seen = Counter(round((b - a) / 1e3) for a, b in pairwise(stamps))
+    assert {k: n / (len(stamps) - 1) for k, n in seen.items()} == pytest.approx(steps, abs=0.01)
 
 
 @pytest.mark.parametrize(("thrust", "least", "most"), [(nan, 0.0, 0.0), (1.5, 0.9, 1.0)])

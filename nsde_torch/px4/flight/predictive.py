@@ -3,11 +3,15 @@
 What is sent at t acts at t + delay: the line, the rate loop and the motors follow late. So the state is carried forward
 over the delay by what was asked for meanwhile, and the plan starts there:
 
-    q' = q * w / 2,  v' = R (0, 0, f) - g,  p' = v   with (w, f) asked for a delay before;     x(t + delay) -> plan
+    q' = q * w / 2,  v' = R ((0, 0, f) - D R'v) - g,  p' = v   with (w, f) asked for a delay before
     rates(t) = omega(plan, t + delay + lead),      thrust(t) = thrust(plan, t + delay) / mass
 
-`lead` is the time in which a rate that is asked for is reached. What lasts and the model does not know moves the
+`D` is what the model says of braking by speed, a drag of 1 1/s is 0.2 m/s over a delay at 3 m/s. `lead` is the time in
+which a rate that is asked for is reached. What lasts and the model does not know moves the
 reference, p_ref + trim with trim' = (p_ref - p) / T.
+
+A solver that starts from a plan that came late may end in another valley of its cost, which leads over the top: a plan
+that tilts beyond what ends a flight is not flown. Another is made from hovering, or the one before goes on.
 """
 
 from __future__ import annotations
@@ -16,12 +20,14 @@ import time as clock
 from bisect import bisect_right
 from collections.abc import Callable
 from dataclasses import dataclass
+from math import cos, radians
 from pathlib import Path
 from typing import Any, final
 
 import torch
+from torch import Tensor
 
-from nsde_torch.control.controller import HOVER, Controller, Planner, SafetyOptions
+from nsde_torch.control.controller import HOVER, KEPT, Controller, Planner, SafetyOptions
 from nsde_torch.control.controller import Plan as MotorPlan
 from nsde_torch.control.knowledge import knowledge
 from nsde_torch.control.problem import ProblemOptions
@@ -33,15 +39,21 @@ from nsde_torch.export.exported import ExportedController
 from nsde_torch.px4.flight.cascade import GRAVITY
 from nsde_torch.px4.flight.controller import Asked, Demand, DemandPlan
 from nsde_torch.px4.flight.path import PAUSE
-from nsde_torch.px4.link.vectors import Vec, rotate, turned_by_rates
+from nsde_torch.px4.link.vectors import Vec, rotate, rotate_back, turned_by_rates
 from nsde_torch.systems import Multirotor
 from nsde_torch.systems.machines import Effects, named_effects
 
-DELAY, LEAD = 0.08, 0.05
-"""Measured best on the simulated machines [s]."""
+DELAY, LEAD = 0.08, 0.01
+"""Measured best on a real PX4 in simulation [s]: rates that are asked for are there 88 ms later."""
 STEP = 0.01
 TRIM_TIME, TRIM_LIMIT = 3.0, 0.3
 """Time constant [s] and largest size [m] of the trim."""
+TILT = radians(65.0)
+"""Tilt of a plan that is not flown [rad]; that at which a flight ends."""
+KEEP = 0.25
+"""Longest time for which the plan before goes on where new ones tilt too far [s]."""
+TIPPED = "tipped"
+"""Word of a status: the plan tilted too far."""
 WARM_UP = 20
 SLOWEST = 0.1
 """Longest time of a plan with which a vehicle can be flown, as the median of the warm-up [s]."""
@@ -60,6 +72,28 @@ def told(effects: Effects) -> list[dict[str, Any]]:
     return [{name: values} for name, values in named_effects(effects).items() if name not in COVERED]
 
 
+Drag = tuple[Vec, Vec, Vec]
+_NO_DRAG: Drag = ((0.0, 0.0, 0.0),) * 3
+SLOW = 2.0
+"""Speed at which a model is asked how it brakes [m/s]."""
+
+
+def braking(controller: Controller) -> Drag:
+    """How a model brakes by its speed along the body, D of a = -D v: slopes at hovering, level [1/s].
+
+    Args:
+        controller: The controller with the model; a file of `nsde export` does not tell.
+    """
+    known = controller.predictor
+    x = torch.zeros(6, known.nx, dtype=known.dtype)
+    x[:, 6] = 1.0
+    x[:3, 3:6], x[3:, 3:6] = SLOW * torch.eye(3), -SLOW * torch.eye(3)
+    u = controller.hover.to(known.dtype).expand(6, -1)
+    a = known.drift(known.augment(x, u), u, x.new_zeros(6, known.nd))[:, 3:6]
+    rows = ((a[3:] - a[:3]) / (2.0 * SLOW)).T.tolist()
+    return tuple((row[0], row[1], row[2]) for row in rows)  # type: ignore[return-value]
+
+
 @final
 class PredictiveController:
     """Plans with a model; see `nsde_torch.px4.flight.controller.Controller`.
@@ -69,20 +103,28 @@ class PredictiveController:
         reference: Where to fly.
         delay: From a setpoint to its effect [s].
         lead: How much earlier than the plan says rates are asked for [s].
+        tilt: Tilt beyond which a plan is not flown [rad].
 
     Raises:
         ConfigError: the model is of no multirotor.
     """
 
     def __init__(
-        self, controller: Planner, reference: Reference, *, delay: float = DELAY, lead: float = LEAD
+        self,
+        controller: Planner,
+        reference: Reference,
+        *,
+        delay: float = DELAY,
+        lead: float = LEAD,
+        tilt: float = TILT,
     ) -> None:
         system = controller.predictor.system
         if not isinstance(system, Multirotor):
             raise ConfigError(f"PX4 flies multirotors; the model is of a {system.name!r}.")
         self.controller, self.reference = controller, reference
-        self._delay, self._lead = delay, lead
+        self._delay, self._lead, self._upright = delay, lead, cos(tilt)
         self._system = system
+        self._drag = braking(controller) if isinstance(controller, Controller) else _NO_DRAG
         self._last: tuple[float, MotorPlan] | None = None
         self._trim = torch.zeros(3, dtype=torch.float64)
 
@@ -110,10 +152,29 @@ class PredictiveController:
         before = None if self._last is None else self._last[1]
         x = torch.tensor([self._ahead(row, time, asked)], dtype=torch.float64)
         plan = c.plan(x, window[None], before, elapsed=elapsed)
-        self._last = (time, plan)
         status = f"{plan.status[0]}: failed" if plan.status[0].endswith(HOVER) else plan.status[0]
+        if self._tips(plan):
+            plan, status = self._upright_plan(x, window, before, elapsed)
+        self._last = (time, plan)
         took = 1e3 * (clock.perf_counter() - started)
         return DemandPlan(time, plan.dt, self._demands(plan), status, took)
+
+    def _tips(self, plan: MotorPlan) -> bool:
+        """Whether a plan tilts too far; one that begins beyond the limit may come back from it."""
+        up = 1.0 - 2.0 * (plan.x[0, :, 7] ** 2 + plan.x[0, :, 8] ** 2)
+        return float(up.min()) < min(self._upright, float(up[0]) - 1e-3)
+
+    def _upright_plan(
+        self, x: Tensor, window: Tensor, before: MotorPlan | None, elapsed: float
+    ) -> tuple[MotorPlan, str]:
+        """A plan from hovering instead of one that tips, else the one before, and its status."""
+        plan = self.controller.plan(x, window[None])
+        if not self._tips(plan):
+            return plan, f"{plan.status[0]}:{TIPPED}"
+        if before is None:
+            return plan, f"{TIPPED}: failed"
+        kept = before.shifted(elapsed)
+        return kept, f"{TIPPED}:{KEPT}" if float(kept.age[0]) <= KEEP else f"{TIPPED}: failed"
 
     def _demands(self, plan: MotorPlan) -> tuple[Demand, ...]:
         rates, thrust = (one[0].tolist() for one in setpoints(plan, self._system, ahead=self._lead))
@@ -131,7 +192,9 @@ class PredictiveController:
             thrust = GRAVITY  # where nothing is known it hovers
             if newest >= 0:
                 w, thrust = asked[newest][1].w, asked[newest][1].thrust
-            push = rotate(q, (0.0, 0.0, thrust))  # type: ignore[arg-type]
+            u = rotate_back(q, v)  # type: ignore[arg-type]
+            x, y, z = (d[0] * u[0] + d[1] * u[1] + d[2] * u[2] for d in self._drag)
+            push = rotate(q, (-x, -y, thrust - z))  # type: ignore[arg-type]
             a = (push[0], push[1], push[2] - GRAVITY)
             p = tuple(pi + dt * vi + 0.5 * dt * dt * ai for pi, vi, ai in zip(p, v, a, strict=True))
             v = tuple(vi + dt * ai for vi, ai in zip(v, a, strict=True))
@@ -153,6 +216,7 @@ class PredictiveMaker:
         safety: When to disbelieve.
         delay: See `PredictiveController`.
         lead: See `PredictiveController`.
+        tilt: See `PredictiveController`.
         effects: Effects beside the declared ones, for `declared`.
         threads: Threads of torch.
     """
@@ -165,6 +229,7 @@ class PredictiveMaker:
     safety: SafetyOptions
     delay: float = DELAY
     lead: float = LEAD
+    tilt: float = TILT
     effects: Effects = ()
     threads: int = 1
 
@@ -187,7 +252,7 @@ class PredictiveMaker:
                 known, problem=self.problem, solver=self.solver, safety=self.safety, say=say
             )
         reference = Reference(self.path)
-        made = PredictiveController(controller, reference, delay=self.delay, lead=self.lead)
+        made = self._made(controller, reference)
         row = tuple(reference.at(torch.tensor(0.0)).tolist())
         took = sorted(made(row, 0.02 * k, 0.0).solve_ms for k in range(WARM_UP))[WARM_UP // 2]
         how = "compiled" if controller.solver.compiled else "not compiled"
@@ -199,4 +264,7 @@ class PredictiveMaker:
                 "C++ compiler (g++), or make plans shorter: mpc.steps, mpc.iterations."
             )
         say(f"the controller plans in {took:.1f} ms ({how})")
-        return PredictiveController(controller, reference, delay=self.delay, lead=self.lead)
+        return self._made(controller, reference)
+
+    def _made(self, controller: Planner, reference: Reference) -> PredictiveController:
+        return PredictiveController(controller, reference, delay=self.delay, lead=self.lead, tilt=self.tilt)

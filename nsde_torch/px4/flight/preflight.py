@@ -8,12 +8,14 @@ from nsde_torch.px4.flight import failsafe
 from nsde_torch.px4.flight.path import PathPoints
 from nsde_torch.px4.flight.safety import Limits
 from nsde_torch.px4.link.dialect import IN_AIR
-from nsde_torch.px4.link.endpoint import INTERVALS, SHARE, Endpoint
+from nsde_torch.px4.link.endpoint import Endpoint
 from nsde_torch.px4.link.telemetry import Status, VehicleState
 from nsde_torch.px4.link.vectors import cos_tilt, length
 
 PARAMETERS = ("MPC_THR_HOVER", *failsafe.PARAMETERS)
 """Parameters that are asked for."""
+FEWEST = 70.0
+"""States in a second with which a flight may begin; more are asked for, and some get lost."""
 
 
 def faults(
@@ -43,10 +45,9 @@ def faults(
     age = now - state.time
     if age > limits.estimate:
         out.append(f"the newest state is {age:.2f} s old")
-    wanted = SHARE * INTERVALS["ODOMETRY"]
-    if endpoint.telemetry.rate < wanted:
+    if endpoint.telemetry.rate < FEWEST:
         out.append(
-            f"states come at {endpoint.telemetry.rate:.0f} Hz, less than {wanted:.0f}: a faster link is needed"
+            f"states come at {endpoint.telemetry.rate:.0f} Hz, less than {FEWEST:.0f}: a faster link is needed"
         )
     if status.armed:
         out.append("the vehicle is armed already; disarm it")

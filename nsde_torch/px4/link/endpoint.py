@@ -27,14 +27,17 @@ from nsde_torch.px4.link.timesync import PERIOD
 from nsde_torch.px4.link.vectors import Vec
 
 INTERVALS: dict[str, float] = {
-    "ODOMETRY": 100.0,
-    "ATTITUDE_QUATERNION": 100.0,
+    "ODOMETRY": 125.0,
+    "ATTITUDE_QUATERNION": 125.0,
     "LOCAL_POSITION_NED": 50.0,
-    "SERVO_OUTPUT_RAW": 100.0,
+    "SERVO_OUTPUT_RAW": 125.0,
     "EXTENDED_SYS_STATE": 5.0,
     "SYS_STATUS": 2.0,
 }
-"""Messages that are asked for, with their rates [Hz]."""
+"""Messages that are asked for, with their rates [Hz].
+
+PX4's estimator runs at 125 Hz in simulation: 100 Hz would come as three states after 8 ms each and one after 16.
+"""
 _OTHERS = ("HEARTBEAT", "STATUSTEXT", "COMMAND_ACK", "PARAM_VALUE", "TIMESYNC", "ACTUATOR_OUTPUT_STATUS")
 _IN_ORDER = frozenset(("HEARTBEAT", "STATUSTEXT", "COMMAND_ACK", "EXTENDED_SYS_STATE", "SYS_STATUS"))
 NUMBERS: dict[str, int] = {kind.msgname: number for number, kind in mavlink.mavlink_map.items()}

@@ -6,7 +6,7 @@ What was measured on a real PX4 and holds here: OFFBOARD is accepted when disarm
 arming; DO_SET_MODE is answered twice, once always ACCEPTED; texts go only to a link on which a ground station is heard;
 setpoints are not sanitised (NaN thrust stops the motors, more than 1 is nearly full, no limits of rates); when the
 stream stops the last rates are held for COM_OF_LOSS_T, then it fails over, and when the stream returns it goes back
-to OFFBOARD by itself; ODOMETRY's velocity is in the local frame; 100 Hz comes as 99. What
+to OFFBOARD by itself; ODOMETRY's velocity is in the local frame. What
 its estimator gets wrong is in `estimate`.
 """
 
@@ -26,7 +26,7 @@ from nsde_torch.px4.link.endpoint import NUMBERS
 from nsde_torch.px4.link.vectors import Quat, Vec, multiply, rotation_vector, yaw_of
 from nsde_torch.px4.simulator.body import Body
 from nsde_torch.px4.simulator.estimate import Estimate, SimulatedEstimator
-from nsde_torch.px4.simulator.messages import MESSAGES, texts
+from nsde_torch.px4.simulator.messages import MESSAGES, due_next, is_due, texts
 from nsde_torch.px4.simulator.parameters import FAILSAFES, PARAMETERS, STICK_MODES
 
 ABANDONED = 0.85
@@ -141,9 +141,8 @@ class SimulatedAutopilot:
         body.step(self.commands)
         self._automatic(now)
         for name, (due, interval) in list(self._due.items()):
-            if now >= due:
-                # 100 Hz that were asked for come as 99
-                self._due[name] = (max(due + interval * 100.0 / 99.0, now), interval)
+            if is_due(name, due, now):
+                self._due[name] = (due_next(name, due, interval, now), interval)
                 message = self._message(name, now)
                 if message is not None:
                     self._send(message)

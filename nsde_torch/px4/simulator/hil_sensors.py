@@ -18,7 +18,15 @@ from nsde_torch.px4.flight.cascade import GRAVITY
 from nsde_torch.px4.link import frames
 from nsde_torch.px4.link.codec import Message
 from nsde_torch.px4.link.dialect import mavlink
-from nsde_torch.px4.link.vectors import Quat, Vec, length, rotate_back
+from nsde_torch.px4.link.vectors import (
+    Quat,
+    Vec,
+    length,
+    multiply,
+    rotate_back,
+    rotation_vector,
+    turned_by_rates,
+)
 
 LATITUDE, LONGITUDE, ALTITUDE = 47.397742, 8.545594, 488.0
 """Of the place of take-off [deg, deg, m]."""
@@ -42,6 +50,14 @@ HARDEST = 4.0 * GRAVITY
 
 What is more than that is shown by the samples after it, as the stop on a real ground lasts: no velocity may get lost.
 """
+FASTEST = 10.0
+"""Largest rate that is shown of a turn within one sample [rad/s]: the ground levels a machine that comes down tilted.
+
+The samples after it show the rest, and accelerations along the axes as they are shown: PX4 would take a turn that no
+gyroscope showed for a wrong attitude, and drift off by what it then sees of gravity.
+"""
+_STEADY = 1.0
+"""Rate that a turn within a sample may miss the machine's own by, which goes on within it [rad/s]."""
 _STD = {"acc": 0.03, "gyro": 0.003, "mag": 0.0015, "baro": 0.01, "p": 0.05, "h": 0.1, "v": 0.03}
 
 
@@ -64,6 +80,7 @@ class HilSensors:
         self._std = {k: v * noise for k, v in _STD.items()}
         self._before: Vec = (0.0, 0.0, 0.0)
         self._rest: Vec = (0.0, 0.0, 0.0)
+        self._shown: Quat | None = None
         self._count = 0
 
     def messages(self, time: float, p: Vec, v: Vec, q: Quat, w: Vec) -> list[Message]:
@@ -88,9 +105,10 @@ class HilSensors:
         shown: Vec = (share * gained[0], share * gained[1], share * gained[2])
         self._rest = (gained[0] - shown[0], gained[1] - shown[1], gained[2] - shown[2])
         self._before = v
-        force = rotate_back(q, shown)
+        rates = self._rates(q, w)
+        force = rotate_back(self._shown or q, shown)
         acc = self._noisy(frames.body(force), "acc")
-        gyro = self._noisy(frames.body(w), "gyro")
+        gyro = self._noisy(frames.body(rates), "gyro")
         # the field turned into the body: world to NED first, as the attitude is NED's here
         mag = self._noisy(rotate_back(frames.attitude(q), FIELD_NED), "mag")
         height = ALTITUDE + p[2]
@@ -109,6 +127,19 @@ class HilSensors:
         if _due("truth", k):
             out.append(_truth(stamp, p, v, q, w, force))
         return out
+
+    def _rates(self, q: Quat, w: Vec) -> Vec:
+        """Rates that lead from the attitude that was shown to the one that is; those of the machine where they do."""
+        last = self._shown
+        turn = (0.0, 0.0, 0.0) if last is None else rotation_vector(multiply(_back(last), q))
+        off = length((RATE * turn[0] - w[0], RATE * turn[1] - w[1], RATE * turn[2] - w[2]))
+        if last is None or off < _STEADY + 0.1 * length(w):
+            self._shown = q
+            return w
+        share = min(FASTEST / max(RATE * length(turn), FASTEST), 1.0) * RATE
+        rates: Vec = (share * turn[0], share * turn[1], share * turn[2])
+        self._shown = turned_by_rates(last, rates, 1.0 / RATE)
+        return rates
 
     def _gps(self, stamp: int, p: Vec, v: Vec) -> Message:
         gauss = self._random.gauss
@@ -140,6 +171,10 @@ class HilSensors:
     def _noisy(self, v: Vec, kind: str) -> Vec:
         s, gauss = self._std[kind], self._random.gauss
         return (v[0] + gauss(0.0, s), v[1] + gauss(0.0, s), v[2] + gauss(0.0, s))
+
+
+def _back(q: Quat) -> Quat:
+    return (q[0], -q[1], -q[2], -q[3])
 
 
 def _int16(value: float) -> int:

@@ -83,6 +83,29 @@ MESSAGES: dict[str, Callable[[SimulatedAutopilot, float], Message]] = {
 """Name -> function of the autopilot and the time that it stamps [s]."""
 
 
+ESTIMATOR = 0.008
+"""Step at which the estimator publishes [s]."""
+_ESTIMATED = frozenset(("ODOMETRY", "LOCAL_POSITION_NED"))
+
+
+def is_due(name: str, due: float, now: float) -> bool:
+    """Whether a message goes out now; one of the estimate waits for a new one."""
+    late = now % ESTIMATOR
+    new = name not in _ESTIMATED or min(late, ESTIMATOR - late) < 1e-6
+    return new and now >= due - 1e-6
+
+
+def due_next(name: str, due: float, interval: float, now: float) -> float:
+    """When a message that goes out now is due again [s].
+
+    An estimate is sent as often as it was asked for, at 100 Hz three after 8 ms each and one after 16. Of the others
+    100 Hz come as 99.
+    """
+    if name in _ESTIMATED:
+        return max(due + interval, now - interval)
+    return max(due + interval * 100.0 / 99.0, now)
+
+
 def texts(severity: int, text: str, number: int) -> list[Message]:
     """A text in pieces of fifty characters; one that has several bears its number."""
     data = text.encode()

@@ -1,0 +1,80 @@
+"""Smoothers that kinematics speaks against: an attitude on time is behind no filter that makes it late."""
+
+from __future__ import annotations
+
+from typing import Any, cast
+
+import numpy as np
+import pytest
+import torch
+from numpy.typing import NDArray
+from scipy.signal import bilinear, lfilter
+
+from nsde_torch.data import Run
+from nsde_torch.recording.smoothers import FAMILIES, Smoother
+from nsde_torch.rotation import turned
+from nsde_torch.sysid.late_smoothers import delay, on_time
+from nsde_torch.sysid.smoothed_states import Smoothed, sensors_of
+from nsde_torch.systems import make_system
+
+Array = NDArray[np.float64]
+DT = 0.004
+QUADROTOR = make_system("quadrotor")
+CAUSAL = next(family for family in FAMILIES if family.delays)
+RATES, ATTITUDE = Smoother(CAUSAL, 2, 39.8, DT), Smoother(CAUSAL, 1, 11.8, DT)
+
+
+def _behind(smoother: Smoother | None, x: Array) -> Array:
+    """What a filter of first order that is as late makes of rows."""
+    if smoother is None:
+        return x
+    b, a = bilinear([1.0], [delay(smoother), 1.0], fs=1 / DT)
+    return np.asarray(lfilter(b, a, x, axis=0))
+
+
+def _run(attitude: Smoother | None, rates: Smoother | None) -> Run:
+    """Half a minute of small turns, the integral of rates, each behind its filter."""
+    rng = np.random.default_rng(3)
+    n, fine = 8000, 4
+    slow = lfilter([0.002], [1.0, -0.998], rng.standard_normal((n * fine, 3)), axis=0)
+    w = 30.0 * np.asarray(slow)
+    turns = np.cumsum(w, 0) * DT / fine  # one axis alone turns far: the others stay small about it
+    turns[:, :2], w[:, :2] = 0.0, 0.0
+    turns, w = turns[::fine], w[::fine]
+    identity = torch.zeros(n, 4, dtype=torch.float64)
+    identity[:, 0] = 1.0
+    x = np.zeros((n, 13))
+    x[:, 6:10] = turned(identity, torch.from_numpy(_behind(attitude, turns))).numpy()
+    x[:, 10:13] = _behind(rates, w) + 0.002 * rng.standard_normal((n, 3))
+    x[:, 3:6] = 0.1 * rng.standard_normal((n, 3))
+    return Run("a", np.arange(n) * DT, x, np.zeros((n, 4)), ((50, n),))
+
+
+def _found(smoother: Smoother, name: str) -> Smoothed:
+    sensor = next(s for s in sensors_of(QUADROTOR) if name in s.names)
+    nothing = cast(Any, (None,))
+    return Smoothed((sensor,), smoother, (100.0,), (True,), nothing, nothing)
+
+
+def _kept(attitude: Smoother | None, rates: Smoother | None) -> list[str]:
+    found = [_found(RATES, "w_x"), _found(ATTITUDE, "q_w")]
+    kept = on_time(found, [_run(attitude, rates)], QUADROTOR, 1.0)
+    return [one.sensors[0].names[0] for one in kept]
+
+
+def test_a_filter_that_would_make_the_attitude_late_is_none_where_the_attitude_is_on_time() -> None:
+    assert delay(RATES) == pytest.approx(2**0.5 / (2.0 * np.pi * 39.8), rel=0.2)
+    assert _kept(None, RATES) == ["w_x"]
+
+
+def test_where_it_is_the_attitude_that_is_late_the_filter_of_the_rates_goes() -> None:
+    assert _kept(ATTITUDE, None) == ["q_w"]
+
+
+def test_both_filters_stay_where_both_are_late() -> None:
+    assert _kept(ATTITUDE, RATES) == ["w_x", "q_w"]
+
+
+def test_nothing_is_said_where_no_filter_explains_the_lateness() -> None:
+    late = Smoother(CAUSAL, 1, 5.0, DT)
+    assert _kept(late, RATES) == ["w_x", "q_w"]

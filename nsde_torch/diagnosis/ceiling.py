@@ -158,9 +158,22 @@ def ceiling(log: Log, outcome: Outcome) -> Ceiling:
 
 
 def judged(outcome: Outcome, found: Ceiling) -> Outcome:
-    """The outcome; where nothing was named and a flexible model wins more than chance, something is missing."""
-    missing = outcome.verdict == "no_effect" and found.more
-    return replace(outcome, verdict="unexplained") if missing else outcome
+    """The outcome, in the light of what a flexible model wins more than chance.
+
+    Where nothing was named, something is missing. Where effects explain less than is left, they are leads: a law that
+    was not written down is behind both, and they may be what comes near to it.
+    """
+    if not found.more:
+        return outcome
+    if outcome.verdict == "no_effect":
+        return replace(outcome, verdict="unexplained")
+    if found.explained is None or found.explained >= outcome.decisions.stand_in_share:
+        return outcome
+    why = (
+        f"a flexible model finds more, and effects explain {100 * found.explained:.0f} % of it: "
+        "it may stand in for another law"
+    )
+    return outcome.provisional(lambda _: why)
 
 
 # ---- pieces -------------------------------------------------------------------------------------------

@@ -12,11 +12,10 @@ from nsde_torch.evaluation.report import number
 from nsde_torch.systems import System
 from nsde_torch.systems.vocabulary import vocabulary
 
-FLEXIBLE = (
+FLEXIBLE = (  # caption of the picture of a flexible model
     "Fitted to all runs, beside everything that was found, as far as it hangs on these variables alone. Grey: no "
     "logged sample is near (eta above 0.5), so that nothing is known there."
 )
-"""Caption of the picture of a flexible model."""
 
 _NAMED = 3  # variables that a sentence names
 

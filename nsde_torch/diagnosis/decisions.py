@@ -146,6 +146,12 @@ class Decisions:
     flexible_alpha: float = key(
         1e-3, "chance of saying that a flexible model wins something where nothing is left", above=0, high=1
     )
+    stand_in_share: float = key(
+        0.5,
+        "share of what a flexible model can, below which effects are leads where more is left",
+        low=0,
+        high=1,
+    )
 
     # ---- verdict ----------------------------------------------------------------------------------------
     negligible_share: float = key(

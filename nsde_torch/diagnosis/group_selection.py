@@ -23,12 +23,10 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 Labels = NDArray[np.int64]
 
-_NEW = (
-    1e-4  # of a column's squared length: what is left of it beside the others, below which it is one of them
-)
+_NEW = 1e-4  # of a column's squared length that must be left beside the others; below, it is one of them
 _TURNS, _SETTLED = 40, 0.05  # of the variances, and change of their logarithm that ends them
 _GONE = 0.02  # of the noise variance: what a group changes in all rows together, below which it is nothing
-_JITTER = 1e-10
+_JITTER = 1e-10  # of a correlation, added so that it can be factorised
 _ALIKE = 1e-6  # added to correlations of columns of a group that are nearly one
 
 

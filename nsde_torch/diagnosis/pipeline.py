@@ -88,6 +88,8 @@ def diagnose(
     log, search, outcome = without_standing(log, search, outcome, searched)
     log, search, outcome, guard = over_longer_boxes(log, search, outcome, searched)
     watch.lap("search")
+    looked = outcome
+    outcome = replace(outcome, final=search.valued(outcome.final))
     outcome, instrumented = _by_instruments(log, beside_gains_at_nothing(doubted(outcome, guard)))
     outcome = sized(outcome)
     feedback = outcome.test
@@ -96,7 +98,7 @@ def diagnose(
     errors = cross_validated(log, search, outcome, spec, closed_loop=closed_loop)
     watch.lap("errors")
     outcome = not_sure(log, judged_on_runs_left_out(outcome, errors))
-    most = ceiling(log, outcome)
+    most = ceiling(log, replace(outcome, final=looked.final))
     outcome = judged(outcome, most)
     watch.lap("ceiling")
     names = tuple(run.name for run in runs)

@@ -20,7 +20,7 @@ from nsde_torch.sysid.narrow_shapes import narrower
 from nsde_torch.sysid.noise import Noise
 from nsde_torch.sysid.physics import Physics
 from nsde_torch.sysid.regression import Regression
-from nsde_torch.sysid.steps import Steps, steps_of
+from nsde_torch.sysid.steps import UNDERSMOOTHED, Steps, steps_of
 from nsde_torch.systems import System
 from nsde_torch.systems.parameters import ParameterVector
 
@@ -69,6 +69,7 @@ class Search:
         moved: Whether channels that were late have been moved.
         decisions: What it decides by, but for alpha.
         budgets: How much it tries.
+        rough: The data with states that are smoothed less, at which values are fitted; None for the same.
         say: Told what is going on: stage, number done, number in all.
 
     Attributes:
@@ -91,9 +92,11 @@ class Search:
         moved: bool = False,
         decisions: Decisions = DECISIONS,
         budgets: Budgets = BUDGETS,
+        rough: Steps | None = None,
         say: Callable[[str, int, int], None] = lambda stage, done, total: None,
     ) -> None:
         self.steps, self.box, self.alpha = steps, box, alpha
+        self._rough = rough
         self.decisions, self.budgets = replace(decisions, alpha=alpha), budgets
         self.candidates, self.say = candidates, say
         self.held: set[str] = set()
@@ -147,6 +150,30 @@ class Search:
             return base
         still = nonlinear(regression, smooth=False)
         own = score(regression, base.fold, base.block, still=still)
+        return Base(base.system, regression, own, base.fold, base.block)
+
+    def valued(self, base: Base) -> Base:
+        """The same physics fitted at states that are smoothed less, which bend its values less."""
+        if self._rough is None:
+            return base
+        before = base.regression
+        vector = ParameterVector(fitted_system(before))
+        regression = Regression(
+            Physics(vector, self._rough),
+            box=self.box,
+            rows=before.rows,
+            origin=base.system,
+            held=self.held,
+            start=before.theta,
+            noises=before.noises,
+            feedback=self.feedback,
+            memory_s=self.decisions.noise_memory,
+        )
+        regression.run(self.budgets.iterations)
+        regression = narrower(regression, self.budgets.iterations)
+        if not regression.converged or len(regression.series) != len(before.series):
+            return base
+        own = score(regression, base.fold, base.block, still=nonlinear(regression, smooth=False))
         return Base(base.system, regression, own, base.fold, base.block)
 
     def quick(self, system: System, *, warm: bool = False) -> Regression:
@@ -288,18 +315,22 @@ def search_in(
         say: Told stage, number done and number in all.
     """
     box = max(1, int((box_s or _BOX_S) / (runs[0].dt * clock) + 1e-6))
-    steps = steps_of(
-        system,
-        runs,
-        clock=clock,
-        smooth=False,
-        denoise=system.sensor_noise,
-        shortest=max(box, _SHORTEST),
-        run_in=True,
-        differences=box,
-    )
+
+    def steps(share: float) -> Steps:
+        return steps_of(
+            system,
+            runs,
+            clock=clock,
+            smooth=False,
+            denoise=system.sensor_noise,
+            share=share,
+            shortest=max(box, _SHORTEST),
+            run_in=True,
+            differences=box,
+        )
+
     return Search(
-        steps,
+        steps(1.0),
         box=box,
         alpha=options.alpha,
         candidates=None
@@ -311,5 +342,6 @@ def search_in(
         moved=moved,
         decisions=options.decisions if decisions is None else decisions,
         budgets=budgets,
+        rough=steps(UNDERSMOOTHED) if system.sensor_noise else None,
         say=say,
     )

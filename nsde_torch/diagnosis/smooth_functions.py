@@ -25,10 +25,8 @@ Kind = Literal["constant", "polynomial", "smooth", "past"]
 
 _REACH = 1.5  # L, of the half range of the data
 _ONE, _TWO = 12, 5  # waves of one variable, and of each of two
-_FEWEST, _FEW = (
-    4,
-    8,
-)  # variables up to which processes of two are tried at once, and beyond which products alone are
+_FEWEST = 4  # variables up to which processes of two are tried at once
+_FEW = 8  # variables beyond which products alone are
 _LENGTH = 1.0  # of the Matern process with nu = 3/2, of the half range
 _FLAT = 1e-9  # spread below which a column says nothing
 

@@ -27,10 +27,10 @@ _STRETCH = 5_000
 _RUN_IN_S, _RUN_IN_SHARE = 0.4, 0.1  # eight time constants of a motor; of short segments, a share
 
 
-_UNDERSMOOTHED = 0.1
-"""Share of the best penalty for states at which physics is evaluated: the best estimate of a state, whose bias is as
-large as its noise, bends what is fitted at it (twice a standard error of a quadratic damping at 15 rad/s); with a tenth
-of the bias, its noise is a third larger."""
+UNDERSMOOTHED = 0.1
+"""Share of the best penalty for states at which values are fitted: the best estimate of a state, whose bias is as large
+as its noise, bends them (twice a standard error of a quadratic damping at 15 rad/s); with a tenth of the bias, noise is
+a third larger. Evidence is compared at the best ones."""
 
 
 @dataclass(frozen=True)
@@ -87,6 +87,7 @@ def steps_of(
     shortest: int = 1,
     run_in: bool | None = None,
     denoise: bool = False,
+    share: float = 1.0,
     differences: int = 1,
 ) -> Steps:
     """Cut runs into steps.
@@ -98,6 +99,7 @@ def steps_of(
         smooth: Whether white sensor noise is taken out of the states and of their changes.
         shortest: Segments of fewer steps are left out.
         denoise: Whether it is taken out of the states alone, at which physics is evaluated.
+        share: Share of the penalty that estimates the states best (`denoised`).
         differences: Rows over which positions are differenced where their rates were inferred; 0 takes these as
             inferred.
         run_in: Whether to keep the first steps of each segment for memory alone; None: where an effect has any.
@@ -108,7 +110,7 @@ def steps_of(
     if not runs:
         raise DataError("no run to identify the physics from.")
     seen = [np.asarray(run.x) for run in runs]
-    clean = list(denoised(runs, share=1.0 if smooth else _UNDERSMOOTHED)[0]) if smooth or denoise else seen
+    clean = list(denoised(runs, share=share)[0]) if smooth or denoise else seen
     unknown = inferred_columns(system, runs) if differences else {}
     if unknown:
         clean = [np.array(x) for x in clean]

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from nsde_torch.diagnosis.ceiling import Ceiling, judged
 from nsde_torch.diagnosis.ceiling_text import ceiling_html, ceiling_rows
 from nsde_torch.diagnosis.decisions import BUDGETS, DECISIONS
 from nsde_torch.diagnosis.evidence import folds, score
@@ -96,9 +97,27 @@ def test_where_nothing_is_missing_a_flexible_model_finds_nothing(
     assert "flexible" not in pictures(*nothing)
 
 
-def test_an_effect_that_is_named_explains_all_that_a_flexible_model_can() -> None:
+@pytest.fixture(scope="module")
+def friction() -> tuple[Diagnosis, dict[str, Any]]:
     options = Options(candidates=("coulomb_friction",))
-    _, content = diagnosed("mass_spring_damper", {"coulomb_friction": {"size": 0.5}}, options=options)
+    return diagnosed("mass_spring_damper", {"coulomb_friction": {"size": 0.5}}, options=options)
+
+
+def test_an_effect_beside_which_more_is_left_than_it_explains_is_a_lead(
+    friction: tuple[Diagnosis, dict[str, Any]],
+) -> None:
+    outcome = friction[0].outcome
+    assert not outcome.found[0].provisional
+    assert judged(outcome, Ceiling(more=False, explained=0.4)) is outcome
+    assert judged(outcome, Ceiling(more=True, explained=0.6)) is outcome
+    (lead,) = judged(outcome, Ceiling(more=True, explained=0.4)).found
+    assert "effects explain 40 % of it: it may stand in for another law" in lead.provisional
+
+
+def test_an_effect_that_is_named_explains_all_that_a_flexible_model_can(
+    friction: tuple[Diagnosis, dict[str, Any]],
+) -> None:
+    content = friction[1]
     own = content["flexible"]
     assert content["added"] == ["coulomb_friction"]
     assert own["left"] is False

@@ -48,7 +48,11 @@ def test_an_effect_that_the_noise_model_learned_stays_where_structure_returns(
     }.items():
         monkeypatch.setattr(elimination, name, stands)
     search = SimpleNamespace(
-        base=lambda *a, **k: base(), decisions=DECISIONS, laws={}, level=lambda stage: 0.01
+        base=lambda *a, **k: base(),
+        decisions=DECISIONS,
+        laws={},
+        level=lambda stage: 0.01,
+        narrower=lambda found: found,
     )
     chosen = Selection(base(), base(), ["viscous_friction"], cast(Any, [looked]), ())
     kept = elimination.eliminate(cast(Any, search), chosen)

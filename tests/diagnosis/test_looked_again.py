@@ -30,7 +30,9 @@ def test_it_is_dropped_where_the_noise_model_did_it_alone(
         return SimpleNamespace(base=without, trials=[])  # with that noise model it does nothing
 
     before = SimpleNamespace(base=base(10.0), trials=[trial], chosen=trial, added=(), screened={})
-    search = SimpleNamespace(base=lambda *a, **k: base(fitted), decisions=DECISIONS, laws={})
+    search = SimpleNamespace(
+        base=lambda *a, **k: base(fitted), decisions=DECISIONS, laws={}, narrower=lambda found: found
+    )
     for name, stands in {
         "look": look,
         "fitted_system": lambda regression: None,

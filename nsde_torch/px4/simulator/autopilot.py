@@ -14,7 +14,7 @@ from __future__ import annotations
 
 from collections import deque
 from dataclasses import replace
-from math import inf, isfinite
+from math import hypot, inf, isfinite
 from typing import final
 
 from nsde_torch.px4.flight.cascade import GRAVITY, Point, SetpointCascade, levelling
@@ -36,9 +36,9 @@ BOOT = 1.0
 RATE_GAINS, RATE_INTEGRAL = (11.0, 11.0, 5.0), (4.0, 4.0, 2.0)
 CUT = 0.012
 """Time for which the motors stand still when LAND follows OFFBOARD [s]."""
+BRAKES = 3.0  # [m/s2], with which a mode of its own comes to where it then stays
 LOW_BATTERY = 0.1
-NEARLY_FULL = 0.95
-"""What a thrust above 1 becomes."""
+NEARLY_FULL = 0.95  # what a thrust above 1 becomes
 _NAMES = {number: name for name, number in NUMBERS.items()}
 
 
@@ -165,8 +165,9 @@ class SimulatedAutopilot:
         if mode != self.mode:
             if self.mode == d.OFFBOARD and mode == d.LAND:
                 self._cut_until = self.time + CUT
-            p, yaw = self.estimate[0], yaw_of(self.estimate[2])
-            self._point = Point(p, yaw=yaw)
+            p, v, q = self.estimate[:3]
+            way = hypot(v[0], v[1]) / (2.0 * BRAKES)
+            self._point = Point((p[0] + way * v[0], p[1] + way * v[1], p[2]), yaw=yaw_of(q))
             self._cascade.reset()
             self.mode = mode
 

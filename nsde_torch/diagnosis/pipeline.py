@@ -89,7 +89,9 @@ def diagnose(
     log, search, outcome, guard = over_longer_boxes(log, search, outcome, searched)
     watch.lap("search")
     looked = outcome
-    outcome = replace(outcome, final=search.valued(outcome.final))
+    final = search.valued(outcome.final)
+    same = outcome.final is outcome.declared
+    outcome = replace(outcome, final=final, declared=final if same else outcome.declared)
     outcome, instrumented = _by_instruments(log, beside_gains_at_nothing(doubted(outcome, guard)))
     outcome = sized(outcome)
     feedback = outcome.test

@@ -26,6 +26,7 @@ from nsde_torch.diagnosis.evidence import by_blocks, by_runs
 from nsde_torch.diagnosis.flexible import Flexible, flexible
 from nsde_torch.diagnosis.flexible_part import Foretold, Part
 from nsde_torch.diagnosis.hidden import allowances_of_tests
+from nsde_torch.diagnosis.innovations import blocks_of_steps
 from nsde_torch.diagnosis.outcome import Outcome
 from nsde_torch.diagnosis.reading import Log
 from nsde_torch.diagnosis.search import Base
@@ -33,7 +34,6 @@ from nsde_torch.evaluation.bootstrap import (
     FEWEST_BLOCKS,
     Blocks,
     function_bootstrap,
-    make_blocks,
     mean_bootstrap,
 )
 from nsde_torch.sysid.explained import per_second
@@ -115,13 +115,13 @@ def ceiling(log: Log, outcome: Outcome) -> Ceiling:
         log: The log.
         outcome: What was concluded.
     """
-    why_not = _why_not(log, outcome)
+    blocks = _blocks(outcome, log.decisions)
+    why_not = _why_not(log, outcome, blocks)
     if why_not:
         return Ceiling(why_not)
     say, decisions = log.say, log.decisions
     say("what a flexible model could win", 0, 1)
     beside = flexible(outcome.final, outcome.variables, log.budgets)
-    blocks = _blocks(outcome.final, outcome, decisions)
     gains = beside.flexible - beside.plain
     allowed = allowances_of_tests(outcome.test)
     smaller = beside.flexible_squares.sum(0) <= beside.plain_squares.sum(0)
@@ -179,7 +179,7 @@ def judged(outcome: Outcome, found: Ceiling) -> Outcome:
 # ---- pieces -------------------------------------------------------------------------------------------
 
 
-def _why_not(log: Log, outcome: Outcome) -> str:
+def _why_not(log: Log, outcome: Outcome, blocks: Blocks) -> str:
     """Why a flexible model would not tell, in words; empty where it does."""
     if not log.budgets.flexible_turns:
         return "not asked for"
@@ -193,19 +193,16 @@ def _why_not(log: Log, outcome: Outcome) -> str:
         )
     if outcome.final.regression.arithmetic:
         return "what is left is what arithmetic leaves"
-    if _blocks(outcome.final, outcome, log.decisions).count < FEWEST_BLOCKS:
+    if blocks.count < FEWEST_BLOCKS:
         return "the log is too short"
     return ""
 
 
-def _blocks(base: Base, outcome: Outcome, decisions: Decisions) -> Blocks:
+def _blocks(outcome: Outcome, decisions: Decisions) -> Blocks:
     """Blocks of time of the whitened rows, whole runs where there are ten."""
-    r = base.regression
+    r = outcome.final.regression
     place = r.whitened_rows(np.arange(len(r.series), dtype=np.int64))
-    run, t = r.owners[place], outcome.variables.t[place]
-    total = sum(float(np.ptp(t[run == k])) for k in np.unique(run))
-    ends = decisions.step_block_shortest, decisions.step_block_longest
-    return make_blocks(run, t, length=float(np.clip(total / decisions.step_blocks, *ends)))
+    return blocks_of_steps(r.owners[place], outcome.variables.t[place], decisions)
 
 
 def _chance(gain: Array, base: Base, model: Flexible, decisions: Decisions) -> float:

@@ -89,10 +89,7 @@ def _parts(
     """Ports and channels that belong together, or each channel by itself where there are many."""
     scaled = scales(variables)
     together = _together(base.regression, _pushes(base))
-    alone = [
-        ([Push(_rate(base.regression, c), {c: _unit(base.regression)})], [c])
-        for c in range(len(base.regression.rows))
-    ]
+    alone = [_alone(base.regression, c) for c in range(len(base.regression.rows))]
     for split, pairs in ((together, True), (alone, True), (alone, False)):
         groups = first_groups(variables, scaled, pairs=pairs) if given is None else list(given)
         columns = sum(g.columns.shape[1] for g in groups)
@@ -130,18 +127,11 @@ def _together(regression: Regression, pushes: Sequence[Push]) -> list[tuple[list
             own = (other[0] + own[0], other[1] | own[1])
         out.append(own)
     moved = {c for _, channels in out for c in channels}
-    rest = [
-        ([Push(_rate(regression, c), {c: _unit(regression)})], [c])
-        for c in range(len(regression.rows))
-        if c not in moved
-    ]
+    rest = [_alone(regression, c) for c in range(len(regression.rows)) if c not in moved]
     return [(p, sorted(c)) for p, c in out] + rest
 
 
-def _rate(regression: Regression, c: int) -> str:
-    return f"rate of {regression.physics.names[regression.rows[c]]}"
-
-
-def _unit(regression: Regression) -> Array:
-    """The change over a box by a rate of 1."""
-    return np.full(len(regression.series), regression.dt)
+def _alone(regression: Regression, c: int) -> tuple[list[Push], list[int]]:
+    """A channel by itself: a rate of 1 changes it over a box by the box's length."""
+    unit = np.full(len(regression.series), regression.dt)
+    return [Push(f"rate of {regression.physics.names[regression.rows[c]]}", {c: unit})], [c]

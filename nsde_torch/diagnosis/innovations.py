@@ -142,7 +142,7 @@ def one_step(
     gain = after.density - before.density
     members = quantities(system, before.names)
     sums = [gain.sum(1), *gain.T, *(gain[:, at].sum(1) for at in members.values())]
-    blocks = _blocks(before.run, before.t, decisions)
+    blocks = blocks_of_steps(before.run, before.t, decisions)
     cells = _totals(np.stack(sums, 1), blocks, seed)
     k = 1 + len(before.names)
     return {
@@ -168,7 +168,7 @@ def band(before: Scored, after: Scored, *, seed: int, decisions: Decisions = DEC
     """
     if not len(before.squares):
         return {}
-    blocks = _blocks(before.band_run, before.band_t, decisions)
+    blocks = blocks_of_steps(before.band_run, before.band_t, decisions)
     found = _difference(before.squares, after.squares, blocks, seed)
     first, second = (np.sqrt(s.squares.mean(0)) for s in (before, after))
     return {
@@ -257,7 +257,7 @@ def own(
     if not at:
         return None
     gain = full.density[:, at] - without.density[:, at]
-    cells = _totals(np.column_stack((gain.sum(1), gain)), _blocks(full.run, full.t, decisions), seed)
+    cells = _totals(np.column_stack((gain.sum(1), gain)), blocks_of_steps(full.run, full.t, decisions), seed)
     first, second = without.squares[:, at], full.squares[:, at]
     names = [full.names[i] for i in at]
     ratio, larger, left = np.ones(len(at)), False, dict[str, tuple[str, float, float]]()
@@ -267,7 +267,7 @@ def own(
         power = np.maximum(first.mean(0), 1e-300)
         ratio = np.sqrt(second.mean(0) / power)
         pooled = [(s / power).mean(1, keepdims=True) for s in (first, second)]
-        blocks = _blocks(full.band_run, full.band_t, decisions)
+        blocks = blocks_of_steps(full.band_run, full.band_t, decisions)
         larger = bool(_difference(pooled[0], pooled[1], blocks, seed).low[0] > 0)
     return Own(
         nats=float(cells[0]["nats"] or 0.0),
@@ -303,7 +303,7 @@ def _whitened(trained: Regression, residual: Array, series: Series) -> Array:
     return np.stack([noise.whiten(residual[:, [c]], series)[:, 0] for noise, c in pairs])
 
 
-def _blocks(run: Labels, t: Array, decisions: Decisions) -> Blocks:
+def blocks_of_steps(run: Labels, t: Array, decisions: Decisions) -> Blocks:
     """Blocks of time: innovations are nearly white, so that short data can be cut finer than predictions."""
     total = sum(float(np.ptp(t[run == r])) for r in np.unique(run))
     ends = decisions.step_block_shortest, decisions.step_block_longest

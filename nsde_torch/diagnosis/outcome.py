@@ -106,6 +106,11 @@ class Outcome:
         """The outcome, each effect provisional for the reason that `why` gives, "" for none; the first one stays."""
         return replace(self, found=[replace(f, provisional=f.provisional or why(f)) for f in self.found])
 
+    def fitted_again(self, final: Base) -> "Outcome":
+        """The outcome with another fit of its final physics, which is the declared one where nothing was added."""
+        same = self.final is self.declared
+        return replace(self, final=final, declared=final if same else self.declared)
+
     def without(self, effect: str) -> System:
         """The physics with everything that was added but one effect; the declared physics where that is all."""
         if len(self.found) == 1:

@@ -88,10 +88,8 @@ def diagnose(
     log, search, outcome = without_standing(log, search, outcome, searched)
     log, search, outcome, guard = over_longer_boxes(log, search, outcome, searched)
     watch.lap("search")
-    looked = outcome
-    final = search.valued(outcome.final)
-    same = outcome.final is outcome.declared
-    outcome = replace(outcome, final=final, declared=final if same else outcome.declared)
+    looked = outcome.final
+    outcome = outcome.fitted_again(search.valued(looked))
     outcome, instrumented = _by_instruments(log, beside_gains_at_nothing(doubted(outcome, guard)))
     outcome = sized(outcome)
     feedback = outcome.test
@@ -100,7 +98,7 @@ def diagnose(
     errors = cross_validated(log, search, outcome, spec, closed_loop=closed_loop)
     watch.lap("errors")
     outcome = not_sure(log, judged_on_runs_left_out(outcome, errors))
-    most = ceiling(log, replace(outcome, final=looked.final))
+    most = ceiling(log, replace(outcome, final=looked))
     outcome = judged(outcome, most)
     watch.lap("ceiling")
     names = tuple(run.name for run in runs)

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from typing import final
 
 import numpy as np
@@ -69,7 +69,7 @@ class Search:
         moved: Whether channels that were late have been moved.
         decisions: What it decides by, but for alpha.
         budgets: How much it tries.
-        rough: The data with states that are smoothed less, at which values are fitted; None for the same.
+        rough: Makes the data with states that are smoothed less, at which values are fitted; None for the same.
         say: Told what is going on: stage, number done, number in all.
 
     Attributes:
@@ -92,7 +92,7 @@ class Search:
         moved: bool = False,
         decisions: Decisions = DECISIONS,
         budgets: Budgets = BUDGETS,
-        rough: Steps | None = None,
+        rough: Callable[[], Steps] | None = None,
         say: Callable[[str, int, int], None] = lambda stage, done, total: None,
     ) -> None:
         self.steps, self.box, self.alpha = steps, box, alpha
@@ -145,33 +145,20 @@ class Search:
 
     def narrower(self, base: Base) -> Base:
         """The same physics, with shapes as narrow as the data have them where they stand at bounds of the search."""
-        regression = narrower(base.regression, self.budgets.iterations)
-        if regression is base.regression:
-            return base
-        still = nonlinear(regression, smooth=False)
-        own = score(regression, base.fold, base.block, still=still)
-        return Base(base.system, regression, own, base.fold, base.block)
+        return self._fitted_again(base, narrower(base.regression, self.budgets.iterations))
 
     def valued(self, base: Base) -> Base:
         """The same physics fitted at states that are smoothed less, which bend its values less."""
         if self._rough is None:
             return base
-        before = base.regression
-        vector = ParameterVector(fitted_system(before))
-        regression = Regression(
-            Physics(vector, self._rough),
-            box=self.box,
-            rows=before.rows,
-            origin=base.system,
-            held=self.held,
-            start=before.theta,
-            noises=before.noises,
-            feedback=self.feedback,
-            memory_s=self.decisions.noise_memory,
-        )
+        regression = self.regression(fitted_system(base.regression), base.regression, steps=self._rough())
         regression.run(self.budgets.iterations)
         regression = narrower(regression, self.budgets.iterations)
-        if not regression.converged or len(regression.series) != len(before.series):
+        return self._fitted_again(base, regression) if regression.converged else base
+
+    def _fitted_again(self, base: Base, regression: Regression) -> Base:
+        """A base with another fit of the same physics to the same rows."""
+        if regression is base.regression:
             return base
         own = score(regression, base.fold, base.block, still=nonlinear(regression, smooth=False))
         return Base(base.system, regression, own, base.fold, base.block)
@@ -239,6 +226,7 @@ class Search:
         noises: Sequence[Noise] | None = None,
         held: Collection[str] = (),
         warm: bool = False,
+        steps: Steps | None = None,
     ) -> Regression:
         """A regression that has not run yet.
 
@@ -249,9 +237,10 @@ class Search:
             noises: Noise models; None takes those of `before`.
             held: Labels of parameters that stay at their first values.
             warm: Whether the values of the system are near their optimum.
+            steps: Other steps of the same rows; None takes those of the search.
         """
         vector = ParameterVector(system)
-        physics = Physics(vector, self.steps)
+        physics = Physics(vector, self.steps if steps is None else steps)
         rows, still = dynamic_rows(system), {*held, *self.held}
         if before is None:
             return Regression(
@@ -342,6 +331,6 @@ def search_in(
         moved=moved,
         decisions=options.decisions if decisions is None else decisions,
         budgets=budgets,
-        rough=steps(UNDERSMOOTHED) if system.sensor_noise else None,
+        rough=partial(steps, UNDERSMOOTHED) if system.sensor_noise else None,
         say=say,
     )

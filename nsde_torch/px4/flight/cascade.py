@@ -14,7 +14,7 @@ from math import atan2, cos, radians, sin, sqrt, tan
 from typing import final
 
 from nsde_torch.px4.flight.controller import Demand
-from nsde_torch.px4.link.vectors import Quat, Vec, length, multiply, rotate, rotation_vector
+from nsde_torch.px4.link.vectors import Quat, Vec, conjugate, length, multiply, rotate, rotation_vector
 
 GRAVITY = 9.81
 
@@ -97,7 +97,7 @@ class SetpointCascade:
             fx, fy = fx * most / side, fy * most / side
         force: Vec = (fx, fy, fz)
         wanted = attitude_along(force, to.yaw)
-        r = rotation_vector(multiply((q[0], -q[1], -q[2], -q[3]), wanted))
+        r = rotation_vector(multiply(conjugate(q), wanted))
         up = rotate(q, (0.0, 0.0, 1.0))
         return Demand(
             (g.attitude[0] * r[0], g.attitude[0] * r[1], g.attitude[1] * r[2] + to.yaw_rate),

@@ -24,9 +24,14 @@ def rotate(q: Quat, v: Vec) -> Vec:
     )
 
 
+def conjugate(q: Quat) -> Quat:
+    """The rotation back."""
+    return (q[0], -q[1], -q[2], -q[3])
+
+
 def rotate_back(q: Quat, v: Vec) -> Vec:
     """Vector from world to body."""
-    return rotate((q[0], -q[1], -q[2], -q[3]), v)
+    return rotate(conjugate(q), v)
 
 
 def multiply(a: Quat, b: Quat) -> Quat:

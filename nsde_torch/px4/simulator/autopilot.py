@@ -23,7 +23,7 @@ from nsde_torch.px4.link import frames
 from nsde_torch.px4.link.codec import Codec, Message
 from nsde_torch.px4.link.dialect import Mode, mavlink
 from nsde_torch.px4.link.endpoint import NUMBERS
-from nsde_torch.px4.link.vectors import Quat, Vec, multiply, rotation_vector, yaw_of
+from nsde_torch.px4.link.vectors import Quat, Vec, conjugate, multiply, rotation_vector, yaw_of
 from nsde_torch.px4.simulator.body import Body
 from nsde_torch.px4.simulator.estimate import Estimate, SimulatedEstimator
 from nsde_torch.px4.simulator.messages import MESSAGES, due_next, is_due, texts
@@ -213,7 +213,7 @@ class SimulatedAutopilot:
             assert self._setpoint is not None
             _, mask, rates, attitude, thrust = self._setpoint
             if mask == d.ATTITUDE_MASK:
-                r = rotation_vector(multiply((q[0], -q[1], -q[2], -q[3]), attitude))
+                r = rotation_vector(multiply(conjugate(q), attitude))
                 rates = (6.5 * r[0], 6.5 * r[1], 2.8 * r[2])
             if not isfinite(thrust):
                 return (0.0,) * self.body.nu  # PX4 does not sanitise it: the motors stop

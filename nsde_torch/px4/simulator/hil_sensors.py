@@ -21,6 +21,7 @@ from nsde_torch.px4.link.dialect import mavlink
 from nsde_torch.px4.link.vectors import (
     Quat,
     Vec,
+    conjugate,
     length,
     multiply,
     rotate_back,
@@ -131,7 +132,7 @@ class HilSensors:
     def _rates(self, q: Quat, w: Vec) -> Vec:
         """Rates that lead from the attitude that was shown to the one that is; those of the machine where they do."""
         last = self._shown
-        turn = (0.0, 0.0, 0.0) if last is None else rotation_vector(multiply(_back(last), q))
+        turn = (0.0, 0.0, 0.0) if last is None else rotation_vector(multiply(conjugate(last), q))
         off = length((RATE * turn[0] - w[0], RATE * turn[1] - w[1], RATE * turn[2] - w[2]))
         if last is None or off < _STEADY + 0.1 * length(w):
             self._shown = q
@@ -171,10 +172,6 @@ class HilSensors:
     def _noisy(self, v: Vec, kind: str) -> Vec:
         s, gauss = self._std[kind], self._random.gauss
         return (v[0] + gauss(0.0, s), v[1] + gauss(0.0, s), v[2] + gauss(0.0, s))
-
-
-def _back(q: Quat) -> Quat:
-    return (q[0], -q[1], -q[2], -q[3])
 
 
 def _int16(value: float) -> int:

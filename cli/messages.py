@@ -20,6 +20,7 @@ _KEYS = {
     "dt": "data.dt",
 }
 _POINTER = "`nsde {command} --help` lists groups and keys."
+_NO_GROUP = re.compile(r"Could not override '(?P<group>[^'@]+)'. No match in the defaults list")
 _IN_FILE = re.compile(
     r"In '(?P<file>[^']+)': (?P<kind>\w+) raised while composing config:\n"
     r"(?P<reason>.*)\n\s*full_key: (?P<key>\S+)"
@@ -51,6 +52,9 @@ def explain(error: Exception, command: str, words: Sequence[str]) -> str | None:
     if isinstance(cause, OmegaConfBaseException) and cause.full_key:
         reason = _first_line(cause).rstrip(".")
         return f"`{cause.full_key}` cannot be set: {reason}.{_meaning(str(cause.full_key), command, words)}"
+    absent = _NO_GROUP.search(str(error))
+    if absent:
+        return _no_group(absent["group"], command)
     if isinstance(error, (HydraException, OmegaConfBaseException)):
         text = re.sub(r"\n?See https?://\S+.*", "", str(error)).strip()
         return f"{text}\n{_POINTER.format(command=command)}"
@@ -60,6 +64,26 @@ def explain(error: Exception, command: str, words: Sequence[str]) -> str | None:
 def in_keys(text: str) -> str:
     """A message of the library with its arguments under the names of their keys."""
     return re.sub(r"`(\w+)`", lambda found: f"`{_KEYS.get(found[1], found[1])}`", text)
+
+
+def _no_group(group: str, command: str) -> str:
+    """The message for a group that the command does not have, `system=` of one that reads a model above all."""
+    own = groups.defaults(command)
+    of_run = (
+        " The system is that of the model, run=DIR"
+        if group == "system" and groups.has(command, "run")
+        else ""
+    )
+    flies = (
+        "; it has to be a multirotor (hexacopter, quadrotor), which alone the controller flies."
+        if "mpc" in own
+        else "."
+    )
+    takes = ", ".join(f"{name}=" for name in own) or "none"
+    return (
+        f"`{group}` is not a group of `nsde {command}`.{of_run + flies if of_run else ''} Its groups: {takes}. "
+        f"{_POINTER.format(command=command)}"
+    )
 
 
 def unknown_key(path: str, command: str, words: Sequence[str]) -> str:

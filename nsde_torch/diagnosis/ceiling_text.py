@@ -126,6 +126,16 @@ def _explained(own: Mapping[str, Any], found: bool) -> str:
         return "" if own["left"] else f"A flexible model finds nothing to explain on {own['measured_on']}."
     if own["explained"] is None:
         return f"Neither the effects nor a flexible model win anything on {own['measured_on']}."
+    if own["effects_nats"] <= 0:
+        beside = (
+            f", where a flexible model in their place wins {own['alone_nats']:.1f}"
+            if own["alone_nats"] > 0
+            else ""
+        )
+        return (
+            f"The effects win no log-likelihood on {own['measured_on']} ({own['effects_nats']:+.1f} nats{beside}): "
+            "evidence for them is in the data that they were fitted to alone."
+        )
     ends = own["explained_90"]
     if own["explained"] >= 0.995:
         least = "" if ends is None or ends[0] >= 0.995 else f" (90 % interval: from {ends[0]:.0%} on)"

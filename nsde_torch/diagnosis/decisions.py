@@ -78,6 +78,11 @@ class Decisions:
     restart_nats: float = key(
         2.0, "nats by which an effect fitted again from another's shape must be better to stay so", unit="nat"
     )
+    part_share: float = key(
+        0.01,
+        "share of the push of an effect below which what it has beside a simpler one is nothing",
+        high=1,
+    )
     most_effects: int = key(8, "most effects to add", low=0)
 
     # ---- noise models -----------------------------------------------------------------------------------

@@ -74,7 +74,7 @@ def score(regression: Regression, fold: Labels, block: Labels, *, still: Flags) 
         block: Block of time of each whitened row.
         still: Parameters that folds take as all rows gave them (k,): shapes, in which steps are far from linear.
     """
-    white, x = regression.white, regression.slopes @ _free_basis(regression, still)
+    white, x = regression.white, regression.slopes @ free_basis(regression, still)
     r = x.shape[2]
     gram, pull = np.zeros((int(fold.max()) + 1, r, r)), np.zeros((int(fold.max()) + 1, r))
     for f in range(len(gram)):
@@ -97,8 +97,13 @@ def score(regression: Regression, fold: Labels, block: Labels, *, still: Flags) 
     return Score(blocks, fitted, regression.shown.rank)
 
 
-def _free_basis(regression: Regression, still: Flags) -> Array:
-    """Directions that the data show, without parameters that are still or stand at a bound."""
+def free_basis(regression: Regression, still: Flags) -> Array:
+    """Directions (k, r) that the data show, without parameters that are still or stand at a bound.
+
+    Args:
+        regression: The regression.
+        still: Parameters that do not move (k,).
+    """
     v = regression.vector
     held = still | at_bounds(regression)
     basis = regression.shown.basis.copy()

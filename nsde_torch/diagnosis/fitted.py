@@ -67,23 +67,44 @@ def nonlinear(regression: Regression, *, smooth: bool = True) -> NDArray[np.bool
     return out
 
 
-def adds_nothing(regression: Regression, effect: str) -> bool:
-    """Whether an effect says nothing of its own: all its sizes are nothing, or all that what it contains has not.
+def adds_nothing(regression: Regression, effect: str, *, share: float) -> bool:
+    """Whether an effect says nothing of its own: its sizes are at nothing, or it is nearly a simpler effect.
 
-    A size is nothing at the bound that stands for it; one that is free to be negative is judged by its interval.
+    Physics is never exact to a small share of a push: what an effect has beside a simpler one is there for sure as soon
+    as the data are many, and says nothing where it pushes so little.
+
+    Args:
+        regression: With it.
+        effect: Its name.
+        share: Of the push of the effect (rms, each step in its noise), below which what a simpler one lacks is nothing.
     """
-    cls, v = effect_class(effect), regression.vector
-    gone = at_bounds(regression)
-    nil = {
-        name
-        for name in cls.amplitudes
-        if cls.PARAMETERS[name].low == cls.null.get(name)
-        and all(gone[j] for j in v.of(effect) if own_name(v.labels[j]) == name)
-    }
-    if not nil:
-        return False
-    beyond = [set(cls.amplitudes) - set(cls.shared(effect_class(simple))) for simple in cls.includes]
-    return nil == set(cls.amplitudes) or any(own and own <= nil for own in beyond)
+    cls, v, gone = effect_class(effect), regression.vector, at_bounds(regression)
+    sizes = [j for j in v.of(effect) if own_name(v.labels[j]) in cls.amplitudes]
+    lowest = {name for name in cls.amplitudes if cls.PARAMETERS[name].low == cls.null.get(name)}
+    if sizes and all(gone[j] and own_name(v.labels[j]) in lowest for j in sizes):
+        return True
+    nothing = np.array([cls.null.get(own_name(v.labels[j]), 0.0) for j in sizes])
+    whole = regression.theta[sizes] - nothing
+    return any(
+        _push(regression, sizes, _beyond(cls, effect_class(simple), regression, sizes, whole))
+        <= share * _push(regression, sizes, whole)
+        for simple in cls.includes
+    )
+
+
+def _beyond(
+    cls: type[Effect], simple: type[Effect], regression: Regression, sizes: list[int], values: Array
+) -> Array:
+    """What the sizes of an effect have that a simpler one lacks: those of its own, and how far apart the others are."""
+    shared = cls.shared(simple)
+    theirs = [shared.get(own_name(regression.vector.labels[j]), "") for j in sizes]
+    means = {name: values[[t == name for t in theirs]].mean() for name in theirs if name}
+    return values - np.array([means.get(name, 0.0) for name in theirs])
+
+
+def _push(regression: Regression, columns: list[int], values: Array) -> float:
+    """Norm of what these sizes push, over all steps, each in its noise."""
+    return float(np.linalg.norm(regression.slopes[:, :, columns] @ values))
 
 
 def at_bounds(regression: Regression) -> NDArray[np.bool_]:

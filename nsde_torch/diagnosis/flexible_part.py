@@ -2,7 +2,8 @@
 
     r_c = J_c a + sum over rows p of  m_cp f_p(z) + noise_c
 
-r_c is the residual over a box, m_cp what a push of 1 on row p changes of channel c, by the machine's own equations.
+r_c is the residual over a box, a steps of parameters from their optimum (shapes stay), m_cp what a push of 1
+on row p changes of channel c, by the machine's own equations.
 What is foretold of a fold comes from the other folds alone: parameters, which functions there are, and their weights.
 The noise model is that of what is then left (`sysid.noise`), found by turns: one that was fitted to the physics alone
 has learned what the physics lacks.
@@ -20,6 +21,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nsde_torch.diagnosis.decisions import Budgets
+from nsde_torch.diagnosis.evidence import free_basis
+from nsde_torch.diagnosis.fitted import nonlinear
 from nsde_torch.diagnosis.group_selection import Candidates, Products, Weights, weighted
 from nsde_torch.diagnosis.regressors import Regressors
 from nsde_torch.diagnosis.search import Base
@@ -112,6 +115,8 @@ class Part:
         self._blocks = int(base.block.max()) + 1
         self._of_row = _rows_of(base.regression, base.fold)
         self._limits = base.regression.carry_limits()
+        still = nonlinear(base.regression, smooth=False)  # shapes, in which steps are far from linear
+        self._basis = free_basis(base.regression, still)
         self.terms = [RowTerm(p.row, g) for p in pushes for g in groups]
 
     def foretold(self) -> tuple[Foretold, Foretold]:
@@ -234,7 +239,7 @@ class Part:
         left, density, models, likelihood = {}, {}, {}, 0.0
         for c in self.channels:
             columns = self._columns(c, at)
-            jacobian, rest = r.jacobian[:, r.rows[c]], r.residual[:, r.rows[c]].copy()
+            jacobian, rest = self._jacobian(c), r.residual[:, r.rows[c]].copy()
             for f, (own, found) in enumerate(zip(parameters, weights, strict=True)):
                 rows = self._of_row == f
                 rest[rows] -= jacobian[rows] @ own + columns[rows] @ found.mean
@@ -256,6 +261,11 @@ class Part:
             memory=r.memory,
             times=r.times(channel),
         )
+
+    def _jacobian(self, c: int) -> Array:
+        """What unit steps of parameters change in a channel (M, k), in directions that the data show."""
+        r = self.regression
+        return np.asarray(r.jacobian[:, r.rows[c]] @ self._basis)
 
     def _columns(self, c: int, at: Sequence[int]) -> Array:
         """What unit weights of some terms change in a channel (M, p)."""
@@ -282,11 +292,11 @@ class Part:
     ) -> tuple[list[Array], list[Array], list[Array]]:
         """Slopes (n, k), columns of some terms (n, p) and the residual (n,) of each fold, channel after channel."""
         r = self.regression
-        k = r.jacobian.shape[2]
+        k = self._basis.shape[1]
         white = []
         for c in self.channels:
             channel = r.rows[c]
-            whole = np.column_stack((r.jacobian[:, channel], self._columns(c, at), r.residual[:, channel]))
+            whole = np.column_stack((self._jacobian(c), self._columns(c, at), r.residual[:, channel]))
             white.append(r.whitened(noises[c], whole))
         folds = range(int(self._fold.max()) + 1)
         parts = [np.concatenate([w[self._fold == f] for w in white]) for f in folds]

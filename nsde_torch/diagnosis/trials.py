@@ -170,7 +170,7 @@ def accept(search: Search, trial: Trial) -> bool:
         _beyond_chance(search, trial)
         and not _shorter_than_a_step(search, trial)
         and _comes_back(search, trial)
-        and not adds_nothing(trial.regression, trial.name)
+        and not adds_nothing(trial.regression, trial.name, share=search.decisions.part_share)
     )
 
 

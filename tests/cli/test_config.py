@@ -136,6 +136,23 @@ def test_a_mistake_is_one_clean_message(
     assert "https://" not in err
 
 
+@pytest.mark.parametrize(
+    ("command", "expected"),
+    [
+        ("track", "it has to be a multirotor (hexacopter, quadrotor)"),
+        ("export", "it has to be a multirotor (hexacopter, quadrotor)"),
+        ("design", "The system is that of the model, run=DIR. Its groups: none."),
+    ],
+)
+def test_a_system_is_not_chosen_where_a_model_has_one(
+    command: str, expected: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main([command, "system=mass_spring_damper"]) == 2
+    err = capsys.readouterr().err
+    assert f"`system` is not a group of `nsde {command}`. " in err
+    assert expected in err
+
+
 def test_traceback_is_shown_on_request(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:

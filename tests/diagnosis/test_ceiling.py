@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from nsde_torch.diagnosis.ceiling import Ceiling, judged
-from nsde_torch.diagnosis.ceiling_text import ceiling_html, ceiling_rows
+from nsde_torch.diagnosis.ceiling_text import ceiling_content, ceiling_html, ceiling_rows
 from nsde_torch.diagnosis.decisions import BUDGETS, DECISIONS
 from nsde_torch.diagnosis.evidence import folds, score
 from nsde_torch.diagnosis.fitted import fitted_system, nonlinear
@@ -122,11 +122,26 @@ def test_an_effect_that_is_named_explains_all_that_a_flexible_model_can(
     assert content["added"] == ["coulomb_friction"]
     assert own["left"] is False
     assert own["explained"] > 0.9
-    assert own["effects_nats"] > 20.0
+    outcome = friction[0].outcome
+    evidence = outcome.final.score.blocks.sum() - outcome.declared.score.blocks.sum()
+    assert evidence > 20.0
+    assert own["effects_nats"] == pytest.approx(
+        evidence, rel=0.3
+    )  # shapes stay: a step in a width is no linear one
     assert (
         "all that a flexible model can" in own["sentence"]
         or "% of what a flexible model can" in own["sentence"]
     )
+
+
+def test_effects_that_win_nothing_on_runs_left_out_are_no_share_of_what_can_be_won(
+    friction: tuple[Diagnosis, dict[str, Any]],
+) -> None:
+    lost = Ceiling(effects=-4.0, alone=3.0, explained=0.0, explained_interval=(0.0, 0.0))
+    sentence = ceiling_content(lost, friction[0].outcome, 3)["sentence"]
+    assert "The effects win no log-likelihood on runs left out (-4.0 nats" in sentence
+    assert "a flexible model in their place wins 3.0" in sentence
+    assert "%" not in sentence
 
 
 def test_what_no_candidate_names_is_won_by_a_flexible_model_and_told(

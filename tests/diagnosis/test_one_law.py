@@ -72,14 +72,29 @@ def test_what_stands_in_for_an_effect_starts_as_that_effect(rubbing: Search, rub
 def test_a_law_at_a_size_of_nothing_says_nothing_of_its_own(rubbing: Search) -> None:
     sizes = {"size": 0.3, "extra": 1e-7, "speed": 0.05, "width": 0.002}
     nil = rubbing.regression(spring("stribeck_friction", stribeck_friction=sizes))
-    assert adds_nothing(nil, "stribeck_friction")  # it is a Coulomb friction
+    assert adds_nothing(nil, "stribeck_friction", share=0.01)  # it is a Coulomb friction
     more = rubbing.regression(spring("stribeck_friction", stribeck_friction={**sizes, "extra": 0.1}))
-    assert not adds_nothing(more, "stribeck_friction")
+    assert not adds_nothing(more, "stribeck_friction", share=0.01)
     one_way = {"size_forward": 0.3, "size_backward": 1e-7, "width": 0.002}
     other = rubbing.regression(spring("asymmetric_friction", asymmetric_friction=one_way))
-    assert not adds_nothing(other, "asymmetric_friction")  # friction in one direction is a law of its own
+    assert not adds_nothing(
+        other, "asymmetric_friction", share=0.01
+    )  # friction in one direction is a law of its own
     none = rubbing.regression(spring("coulomb_friction", coulomb_friction={"size": 1e-7, "width": 0.002}))
-    assert adds_nothing(none, "coulomb_friction")
+    assert adds_nothing(none, "coulomb_friction", share=0.01)
+
+
+@pytest.mark.parametrize(("apart", "nothing"), [(0.001, True), (0.1, False)])
+def test_what_is_a_simpler_law_but_for_next_to_nothing_says_nothing_of_its_own(
+    rubbing: Search, apart: float, nothing: bool
+) -> None:
+    """A slope or a difference of a thousandth is there for sure in long data, and is nothing to name."""
+    place = {"size": 0.3, "slope": apart, "width": 0.002}
+    along = rubbing.regression(spring("position_dependent_friction", position_dependent_friction=place))
+    assert adds_nothing(along, "position_dependent_friction", share=0.01) is nothing
+    ways = {"size_forward": 0.3 * (1 + apart), "size_backward": 0.3 * (1 - apart), "width": 0.002}
+    both = rubbing.regression(spring("asymmetric_friction", asymmetric_friction=ways))
+    assert adds_nothing(both, "asymmetric_friction", share=0.01) is nothing
 
 
 def test_a_wide_law_whose_own_size_is_nothing_gives_way_to_what_it_contains(rubbing: Search) -> None:

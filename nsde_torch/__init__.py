@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from nsde_torch.api.inspecting import inspect
     from nsde_torch.api.reading import read
     from nsde_torch.api.training import train
+    from nsde_torch.design.diagnosis_rehearsal import rehearse
     from nsde_torch.effects.base import Effect
     from nsde_torch.models.neural_sde import NeuralSDE
     from nsde_torch.models.run_directory import load
@@ -39,6 +40,7 @@ __all__ = [
     "inspect",
     "load",
     "read",
+    "rehearse",
     "simulate",
     "train",
 ]
@@ -54,6 +56,7 @@ __getattr__ = resolver(
         "inspect": "api.inspecting",
         "load": "models.run_directory",
         "read": "api.reading",
+        "rehearse": "design.diagnosis_rehearsal",
         "simulate": "simulation.generate",
         "train": "api.training",
     },

@@ -33,6 +33,12 @@ class DiagnoseConfig:
     candidates: list[str] | None = of(Options, "candidates")
     also: list[str] = of(Options, "also")
     retrain: bool = key(True, "train the model of the group `model` with what was found, into OUT_DIR/model")
+    rehearse: bool = key(
+        False,
+        "simulate what was found and diagnose that: is it found again, do intervals hold, what would these data not "
+        "show? Takes as long as so many diagnoses",
+    )
+    rehearsals: int = key(3, "logs of the machine that was found, with rehearse=true", low=1)
     seed: int = of(Options, "seed", help="seed of resamples and of the training")
     device: str = key("cpu", "where the training's tensors live: cpu, cuda or cuda:N")
     dtype: str = key("float32", "precision of the training", choices=("float32", "float64"))
@@ -66,6 +72,7 @@ COMMAND = HydraCommand(
         ("'system.effects=[motor_lag]'", "with physics that is known already"),
         ("'candidates=[linear_drag,quadratic_drag]'", "try these alone"),
         ("retrain=false", "do not train with what was found"),
+        ("retrain=false rehearse=true", "would it be found again?"),
     ),
     paths=("out_dir",),
 )
@@ -81,6 +88,7 @@ def run(config: DictConfig, job: Job) -> None:
     # torch is imported here, not above: help and completion do without it.
     import nsde_torch
     from nsde_torch.diagnosis.files import EFFECTS, PLOTS, REPORT, RESULT, write_content, write_effects
+    from nsde_torch.diagnosis.rehearsal_text import rehearsal_lines
     from nsde_torch.diagnosis.report import write_report
     from nsde_torch.diagnosis.text import lines
 
@@ -120,6 +128,11 @@ def run(config: DictConfig, job: Job) -> None:
         content["model"] = _train(config, job, found)
         write_content(content, job.run_dir)
     write_report(job.run_dir / REPORT, found, content)
+    if config.rehearse:
+        content["rehearsal"] = _rehearse(config, found)
+        write_content(content, job.run_dir)
+        write_report(job.run_dir / REPORT, found, content)
+        print("\n".join(rehearsal_lines(content)))
     wrote = [RESULT, REPORT, f"{PLOTS}/", EFFECTS, *([f"{MODEL}/"] if "model" in content else [])]
     print(f"\ntook {time.perf_counter() - started:.0f} s; wrote {job.run_dir}: {', '.join(wrote)}")
 
@@ -140,6 +153,18 @@ def _training(config: DictConfig, job: Job) -> str:
     if isinstance(path := config.data.get("path"), str):
         words += [f"data={runtime.choices['data']}", quoted(f"data.path={path}", ("data.path",))]
     return " ".join([*words, quoted(f"system.effects={job.run_dir / 'effects.yaml'}", ("system.effects",))])
+
+
+def _rehearse(config: DictConfig, found: Diagnosis) -> dict[str, Any]:
+    """What simulated logs of the machine that was found say."""
+    import nsde_torch
+
+    from ..stages import Stages
+
+    stages = Stages()
+    rehearsal = nsde_torch.rehearse(found, logs=config.rehearsals, seed=config.seed, say=stages)
+    stages.close()
+    return rehearsal.content()
 
 
 def _train(config: DictConfig, job: Job, found: Diagnosis) -> dict[str, Any]:

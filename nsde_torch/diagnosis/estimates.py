@@ -71,8 +71,8 @@ def estimated(
     return [_inside(v, j, float(regression.theta[j]), float(half[j])) for j in columns]
 
 
-def by_instruments(found: Identification, labels: Sequence[str]) -> list[Estimate]:
-    """Estimates with 90 % intervals of an identification by instruments.
+def of_identification(found: Identification, labels: Sequence[str]) -> list[Estimate]:
+    """Estimates with 90 % intervals of an identification.
 
     Args:
         found: The identification.

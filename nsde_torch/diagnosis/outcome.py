@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from nsde_torch.diagnosis.decisions import DECISIONS, Decisions
 from nsde_torch.diagnosis.dependence import Dependence
-from nsde_torch.diagnosis.estimates import Estimate, by_instruments, estimated
+from nsde_torch.diagnosis.estimates import Estimate, estimated, of_identification
 from nsde_torch.diagnosis.fitted import fitted_system
 from nsde_torch.diagnosis.hidden import Hidden
 from nsde_torch.diagnosis.regressors import Regressors
@@ -64,7 +64,8 @@ class Outcome:
         hidden: Effects that are not named because feedback may have made them.
         test: What the data say of the loop that they were recorded in, by `final`.
         hangs: How far parameters of `final` hang on the band up to which smoothed states were restored (k,).
-        printed: Estimates by signals from outside the loop, where these are the ones to print.
+        printed: Estimates to print in place of those of `final`: by signals from outside the loop, or by prediction
+            errors where rates are inferred.
         levels: Significance level of each stage (`recording.levels`).
         doubted: Whether the guard speaks against the final physics, so that nothing that was found is sure.
         decisions: What was decided by.
@@ -129,7 +130,7 @@ class Outcome:
         """
         if self.printed is None:
             return estimated(self.final.regression, self.spread, columns, self.doubt)
-        return by_instruments(self.printed, [self.final.regression.vector.labels[j] for j in columns])
+        return of_identification(self.printed, [self.final.regression.vector.labels[j] for j in columns])
 
     @property
     def unsettled(self) -> bool:

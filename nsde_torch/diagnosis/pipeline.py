@@ -90,7 +90,7 @@ def diagnose(
     watch.lap("search")
     looked = outcome.final
     outcome = outcome.fitted_again(search.valued(looked))
-    outcome, instrumented = _by_instruments(log, beside_gains_at_nothing(doubted(outcome, guard)))
+    outcome, instrumented = _identified(log, beside_gains_at_nothing(doubted(outcome, guard)))
     outcome = sized(outcome)
     feedback = outcome.test
     say("errors on runs left out", 0, 1)
@@ -111,10 +111,10 @@ def diagnose(
         errors,
         explained(log, search, outcome, guard, names, most),
         options,
+        spec,
         watch.seconds,
         feedback=feedback,
         instrumented=instrumented,
-        system_name=spec.system,
     )
 
 
@@ -146,15 +146,17 @@ def _read_again(log: Log, search: Search, outcome: Outcome) -> tuple[Log, Search
     return (moved, again, other) if explains_more(other, outcome) else (log, search, outcome)
 
 
-def _by_instruments(log: Log, outcome: Outcome) -> tuple[Outcome, Identification | None]:
-    """The outcome, with the estimates by signals from outside the loop where these are the ones to print."""
-    if not log.options.instruments or outcome.test.why_not:
+def _identified(log: Log, outcome: Outcome) -> tuple[Outcome, Identification | None]:
+    """The outcome, with the estimates to print: by signals from outside the loop, or by errors of predictions."""
+    inferred, instruments = bool(log.runs[0].inferred), bool(log.options.instruments)
+    if not inferred and (not instruments or outcome.test.why_not):
         return outcome, None
-    log.say("estimates from signals outside the loop", 0, 1)
-    found = log.by_instruments(outcome.system)
-    if found.instrumented is not None and adopted(found.instrumented, outcome.test):
+    log.say("estimates from signals outside the loop" if instruments else "errors of predictions", 0, 1)
+    found = log.identified(outcome.system)
+    better = found.instrumented is not None and adopted(found.instrumented, outcome.test)
+    if better or (inferred and found.believed):
         outcome = replace(outcome, printed=found)
-    return outcome, found
+    return outcome, found if instruments else None
 
 
 class _Stopwatch:

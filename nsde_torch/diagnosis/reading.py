@@ -95,8 +95,8 @@ class Log:
         """What is asked of the loop that the log was recorded in."""
         return Feedback(self._loop_test, self._shown, self._hangs)
 
-    def by_instruments(self, physics: System) -> Identification:
-        """Physics identified with signals from outside the loop."""
+    def identified(self, physics: System) -> Identification:
+        """Physics identified as `nsde sysid` does: with signals from outside the loop where there are any."""
         return identify_in_loop(
             physics, self.runs, clock=self.recorded.clock, instruments=self.options.instruments
         )
@@ -113,7 +113,7 @@ class Log:
 
     def _shown(self, physics: System, effect: str) -> bool:
         return bool(self.options.instruments) and shown_by_instruments(
-            self.by_instruments(physics), effect, level("effects", self.decisions.alpha, self.recorded.stages)
+            self.identified(physics), effect, level("effects", self.decisions.alpha, self.recorded.stages)
         )
 
 

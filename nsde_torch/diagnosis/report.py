@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 from nsde_torch.diagnosis.ceiling_text import FLEXIBLE, ceiling_html
 from nsde_torch.diagnosis.feedback_text import feedback_html
 from nsde_torch.diagnosis.pictures import EFFECT, pictures, save_pictures
+from nsde_torch.diagnosis.rehearsal_text import rehearsal_html
 from nsde_torch.diagnosis.text import (
     OPEN_LOOP,
     between,
@@ -122,6 +123,7 @@ def page(content: Mapping[str, Any], figures: Mapping[str, Figure], *, width: fl
         *(f"<p>{escape(sentence)}</p>" for sentence in in_words(data["standing_share"])),
         shown.get("spectrum", ""),
         _not_shown(content["not_shown"]),
+        rehearsal_html(content, _table),
         _ranking(content["ranking"]),
         _declared(content["declared_parameters"]),
         _structure(content),
@@ -149,11 +151,9 @@ def _caption(name: str, width: float) -> str:
 def _figure(figure: Figure, name: str, caption: str) -> str:
     buffer = io.BytesIO()
     figure.savefig(buffer, format="png", dpi=_DPI)
-    text = base64.b64encode(buffer.getvalue()).decode("ascii")
-    return (
-        f'<figure><img alt="{escape(figure.get_suptitle())}" src="data:image/png;base64,{text}">'
-        f"<figcaption>{escape(caption)}</figcaption></figure>"
-    )
+    source = f"data:image/png;base64,{base64.b64encode(buffer.getvalue()).decode('ascii')}"
+    image = f'<img alt="{escape(figure.get_suptitle())}" src="{source}">'
+    return f"<figure>{image}<figcaption>{escape(caption)}</figcaption></figure>"
 
 
 def _table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:

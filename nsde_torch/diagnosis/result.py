@@ -17,6 +17,7 @@ from nsde_torch.diagnosis.outcome import Outcome
 from nsde_torch.diagnosis.text import lines
 from nsde_torch.diagnosis.views import rates_width
 from nsde_torch.effects import effect_class, key_of
+from nsde_torch.models.identified import SysidSpec
 from nsde_torch.recording.faults.registry import remedies
 from nsde_torch.recording.log import Detected, Recorded
 from nsde_torch.sysid.loop_test import LoopTest
@@ -37,10 +38,10 @@ class Diagnosis:
         errors: Errors on runs left out.
         explanation: What is left, and what may explain it.
         options: Settings.
+        spec: What models of the system are made of.
         seconds: Time that stages took.
         feedback: What the data say of the loop that they were recorded in.
         instrumented: Estimates with signals from outside the loop; None without any.
-        system_name: Name that makes the system, `module:Class` for one of the user's own.
     """
 
     system: System
@@ -51,10 +52,15 @@ class Diagnosis:
     errors: HeldOut
     explanation: Explanation
     options: Options
+    spec: SysidSpec
     seconds: dict[str, float] = field(default_factory=dict)
     feedback: LoopTest = field(default_factory=LoopTest)
     instrumented: Identification | None = None
-    system_name: str = ""
+
+    @property
+    def system_name(self) -> str:
+        """Name that makes the system, `module:Class` for one of the user's own."""
+        return self.spec.system
 
     @property
     def verdict(self) -> str:

@@ -57,6 +57,9 @@ WORSE = 1.05
 BEHIND = 0.3
 """By how much the sum over channels of log(left) must be smaller at the first values than at the fit, of channels of
 which least squares find no less."""
+MATTERS = 0.01
+"""Share of a channel's variance that the first values must explain beyond the fit, beside that: of what is explained
+almost wholly, the widths of frictions leave more or less in rough rates."""
 GONE = 10.0
 """Times smaller than its first value that a parameter must surely be (two standard errors) to have gone."""
 NOTHING = 0.02
@@ -259,7 +262,8 @@ def _disagreements(channels: Sequence[Compared], chance: float) -> list[Objectio
         )
     # smaller gains leave less too where inputs cancel what the physics lacks
     behind = sum(log(max(c.fit, 1e-12) / max(c.first_values, 1e-12)) for c in channels if not c.less)
-    if not out and behind > BEHIND and chance < CHANCE:
+    matters = any(c.fit**2 - c.first_values**2 > MATTERS * c.measured**2 for c in channels)
+    if not out and behind > BEHIND and matters and chance < CHANCE:
         out.append(
             Objection(
                 "first_values",

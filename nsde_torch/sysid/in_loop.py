@@ -41,6 +41,7 @@ from nsde_torch.sysid.instrumented import MISSING, Instrumented
 from nsde_torch.sysid.instruments import between, instrumental, with_columns
 from nsde_torch.sysid.longer_boxes import LENGTHS_S, in_longer_boxes
 from nsde_torch.sysid.loop_test import LoopTest, tested
+from nsde_torch.sysid.prediction_error import by_prediction_errors
 from nsde_torch.sysid.regression import ITERATIONS, Regression
 from nsde_torch.sysid.restored_states import narrowed
 from nsde_torch.sysid.result import Identification
@@ -104,7 +105,12 @@ def identify_in_loop(
         )
 
     found = over(width)
-    return in_longer_boxes(found, over) if width is None and method == "weak" else found
+    if method != "weak":
+        return found
+    found = in_longer_boxes(found, over) if width is None else found
+    if found.instrumented is not None and found.loop is not None and adopted(found.instrumented, found.loop):
+        return found
+    return by_prediction_errors(found, system, runs, clock)
 
 
 def _over_boxes(

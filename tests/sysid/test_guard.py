@@ -11,7 +11,7 @@ import pytest
 
 import nsde_torch
 from nsde_torch.data import DataSet, RawRun
-from nsde_torch.sysid.guard import Guarded, _gone
+from nsde_torch.sysid.guard import Compared, Guarded, _disagreements, _gone
 from nsde_torch.sysid.in_loop import identify_in_loop
 from nsde_torch.sysid.rough import left_at, rough_fit
 from nsde_torch.sysid.timing import Shifted
@@ -198,3 +198,12 @@ def test_steady_pushes_count_for_nothing_in_what_is_left() -> None:
     assert again is not None
     before, after = (left_at(one, rough.theta)[0].left for one in (rough, again))
     assert after < 1.2 * before + 5.0 * 10.0 * 0.5  # 0.5 1/s of damping answers the speed, nothing the push
+
+
+@pytest.mark.parametrize(("measured", "speaks"), [(10.6, False), (2.0, True)])
+def test_first_values_that_leave_less_speak_against_a_fit_where_that_matters(
+    measured: float, speaks: bool
+) -> None:
+    one = Compared("q_dot", "rad/s2", measured, fit=0.405, least_squares=0.377, first_values=0.258)
+    found = _disagreements((one,), 1e-5)
+    assert [o.kind for o in found] == (["first_values"] if speaks else [])

@@ -1,0 +1,249 @@
+"""A diagnosis rehearsed: the machine that was found is simulated, and its logs are diagnosed as the measured ones were.
+
+What is true of a simulated log is known. So it shows of these very data, with their length, noise and motion, whether
+what was found would be found again, how far values scatter and whether their intervals hold them; and, of the declared
+physics alone, whether anything is named of nothing. It shows nothing of a law that neither holds.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nsde_torch.data import Run
+from nsde_torch.data.raw import RawRun
+from nsde_torch.design.following import following, replayed
+from nsde_torch.design.rollout import Disturbances, Rollouts, disturbances
+from nsde_torch.diagnosis.fitted import effect_of, values_of
+from nsde_torch.diagnosis.pipeline import diagnose
+from nsde_torch.diagnosis.result import Diagnosis
+from nsde_torch.effects.law import AND
+from nsde_torch.errors import NsdeError
+from nsde_torch.recording import assemble
+from nsde_torch.sysid.observer import Observer
+from nsde_torch.systems import System
+
+Array = NDArray[np.float64]
+Say = Callable[[str, int, int], None]
+
+_PIECE_S = 2.0
+_BEYOND = 2.0  # ranges of the log beyond which a simulated machine has left it
+_NEAR = 1e-9
+
+
+@dataclass(frozen=True)
+class Rehearsal:
+    """A diagnosis that was made again of simulated logs.
+
+    Args:
+        truth: Parameters that were simulated: `effect.name` -> value.
+        names: Effects that were simulated.
+        followed: Whether inputs followed the log (feedback); else they were replayed.
+        again: `diagnosis.json` of each log of the machine that was found.
+        nothing: The same of a log of the declared physics alone; None where that is what `again` is, or cannot be made.
+        left_out: What was found and is not simulated, in words.
+        why_not: Why nothing was simulated; empty where it was.
+    """
+
+    truth: dict[str, float]
+    names: tuple[str, ...]
+    followed: bool
+    again: tuple[dict[str, Any], ...]
+    nothing: dict[str, Any] | None
+    left_out: tuple[str, ...] = ()
+    why_not: str = ""
+
+    def content(self) -> dict[str, Any]:
+        """The key `rehearsal` of `diagnosis.json`."""
+        return {
+            "why_not": self.why_not or None,
+            "logs": len(self.again),
+            "inputs": "follow the log" if self.followed else "as logged",
+            "left_out": list(self.left_out),
+            "effects": {name: self._effect(name) for name in self.names},
+            "others": sorted({n for c in self.again for n in _sure(c) if n not in self.names}),
+            "parameters": {label: self._parameter(label, value) for label, value in self.truth.items()},
+            "of_nothing": None if self.nothing is None else _sure(self.nothing),
+            "not_shown": (self.nothing or self.again[0])["not_shown"] if self.again else [],
+        }
+
+    def _effect(self, name: str) -> dict[str, int]:
+        """In how many logs an effect is named, surely or as a lead, and in how many something tied with it is."""
+        sure = sum(name in _sure(c) for c in self.again)
+        named = sum(name in c["added"] for c in self.again)
+        tied = sum(name not in c["added"] and name in _tied(c) for c in self.again)
+        return {"sure": sure, "lead": named - sure, "tied": tied}
+
+    def _parameter(self, label: str, value: float) -> dict[str, Any]:
+        """A parameter's estimates and how many of their intervals hold it."""
+        found = [c["parameters"][label] for c in self.again if label in c["parameters"]]
+        intervals = [p["interval_90"] for p in found if p["interval_90"] is not None]
+        return {
+            "value": value,
+            "again": [p["value"] for p in found],
+            "intervals": len(intervals),
+            "hold": sum(_holds(low, high, value) for low, high in intervals),
+            "unit": found[0]["unit"] if found else None,
+        }
+
+
+def rehearse(
+    found: Diagnosis, *, logs: int = 3, seed: int = 0, say: Say = lambda stage, done, total: None
+) -> Rehearsal:
+    """Rehearse a diagnosis.
+
+    Args:
+        found: The diagnosis.
+        logs: Logs of the machine that was found.
+        seed: Seed of their noise.
+        say: Told stage, number done and number in all.
+    """
+    outcome, rng = found.outcome, np.random.default_rng([seed, 2026])
+    names = tuple(f.name for f in outcome.found)
+    left_out = _left_out(found)
+    say("simulating what was found", 0, 1)
+    try:
+        made, followed = _simulated(found, outcome.system, logs, rng)
+    except NsdeError as error:
+        return Rehearsal({}, names, False, (), None, left_out, str(error))
+    alone: list[list[RawRun]] = []
+    if names:
+        try:
+            alone = _simulated(found, outcome.declared_system, 1, rng)[0]
+        except NsdeError:  # without a damping a machine may go anywhere
+            left_out = (*left_out, "the declared physics alone, which leaves the range of the log")
+    again: list[dict[str, Any]] = []
+    for log in [*made, *alone]:
+        say("diagnosing a simulated log", len(again), logs + len(alone))
+        try:
+            again.append(_diagnosed(found, log))
+        except NsdeError as error:
+            return Rehearsal({}, names, followed, (), None, left_out, f"a simulated log is refused: {error}")
+    values = {
+        f"{name}.{key}" if isinstance(value, float) else f"{name}.{key}[{i}]": one
+        for name in names
+        for key, value in values_of(effect_of(outcome.system, name)).items()
+        for i, one in enumerate([value] if isinstance(value, float) else value)
+    }
+    nothing = again[-1] if alone else None
+    return Rehearsal(values, names, followed, tuple(again[:logs]), nothing, left_out)
+
+
+def _simulated(
+    found: Diagnosis, system: System, logs: int, rng: np.random.Generator
+) -> tuple[list[list[RawRun]], bool]:
+    """Logs of a machine in the place of the measured one, and whether inputs followed the log.
+
+    They follow where the data were recorded in a loop, or where the machine leaves the range of the log else.
+
+    Args:
+        found: The diagnosis.
+        system: The machine.
+        logs: Number of logs.
+        rng: Source of the noise.
+    """
+    runs, steps = found.recorded.runs, found.outcome.final.regression.physics.steps
+    places = [(n, a, b) for n, run in enumerate(runs) for a, b in run.segments]
+    states, inputs = ([getattr(runs[n], key)[a:b] for n, a, b in places] for key in ("x", "u"))
+    rollouts, most = Rollouts(system, dt=steps.dt), max(b - a for _, a, b in places)
+    count = logs * len(places)
+    theta = np.tile(rollouts.vector.start, (count, 1))
+    start = np.repeat(np.stack([x[0] for x in states]), logs, 0)
+    noise = _noise(found, count, most - 1, rng)
+    for way in (found.feedback.closed, True):
+        drive = following(system, states, inputs, dt=steps.dt, copies=logs) if way else replayed(inputs, logs)
+        _, seen, pushed = rollouts.run(theta, start, drive, most - 1, noise)
+        if _stays(seen, states, logs):
+            break
+    else:
+        raise NsdeError("the simulated machine leaves the range of the log, also with inputs that follow it")
+    made: list[list[RawRun]] = []
+    for k in range(logs):
+        parts = [(seen[i * logs + k], pushed[i * logs + k]) for i in range(len(places))]
+        made.append([_raw(run, n, places, parts) for n, run in enumerate(runs)])
+    return made, way
+
+
+def _stays(seen: Array, states: Sequence[Array], logs: int) -> bool:
+    """Whether simulated machines stay near the range of the log."""
+    every = np.concatenate(list(states))
+    low, high = every.min(0), every.max(0)
+    room = _BEYOND * (high - low) + _NEAR
+    for i, x in enumerate(states):
+        own = seen[i * logs : (i + 1) * logs, : len(x)]
+        if not np.isfinite(own).all() or (own < low - room).any() or (own > high + room).any():
+            return False
+    return True
+
+
+def _raw(
+    run: Run, number: int, places: Sequence[tuple[int, int, int]], parts: Sequence[tuple[Array, Array]]
+) -> RawRun:
+    """A run with simulated states and inputs in the rows of its segments."""
+    t, x, u, extra = [], [], [], []
+    for (n, a, b), (states, inputs) in zip(places, parts, strict=True):
+        if n == number:
+            t.append(run.t[a:b])
+            x.append(states[: b - a])
+            u.append(np.concatenate((inputs, inputs[-1:]))[: b - a])
+            extra.append(np.arange(a, b))
+    rows, states = np.concatenate(extra), np.concatenate(x)
+    return RawRun(
+        run.name,
+        np.concatenate(t),
+        states,
+        np.concatenate(u),
+        {name: column[rows] for name, column in run.extra.items()},
+    )
+
+
+def _noise(found: Diagnosis, count: int, steps: int, rng: np.random.Generator) -> Disturbances:
+    """Noise as the diagnosis found it; where rates are inferred, that of a mass that white accelerations push."""
+    fit, runs = found.outcome.final.regression, found.recorded.runs
+    columns = [j for j, _ in fit.physics.steps.inferred]
+    if not columns:
+        return disturbances(fit, count, steps, rng)
+    system, dt = found.outcome.system, fit.physics.steps.dt
+    observer = Observer(system, runs, columns=columns, dt=dt, piece_s=_PIECE_S)
+    chosen, square, _ = observer.best()
+    pushes, errors = np.zeros((count, steps, system.nx)), np.zeros((count, steps + 1, system.nx))
+    for gain, own, i, j in zip(chosen, square, observer.positions, observer.rates, strict=True):
+        sensor = np.sqrt(max(1.0 - gain.alpha, 0.0) * own)
+        index = gain.beta / np.sqrt(max(1.0 - gain.alpha, _NEAR))  # Kalata: dt^2 (accelerations) / (sensor)
+        errors[..., i] = sensor * rng.standard_normal(errors.shape[:2])
+        errors[..., j] = np.nan
+        pushes[..., j] = index * sensor / dt * rng.standard_normal(pushes.shape[:2])
+    return Disturbances(pushes, errors)
+
+
+def _diagnosed(found: Diagnosis, log: list[RawRun]) -> dict[str, Any]:
+    """What a diagnosis like the one that was made says of a simulated log."""
+    data = assemble(log, found.system, kind="rehearsed")
+    return diagnose(found.system, found.spec, data, data.runs, found.options).content()
+
+
+def _left_out(found: Diagnosis) -> tuple[str, ...]:
+    """What was found and is not simulated."""
+    faults = [f"{f.name} of the recording" for f in found.faults]
+    smoothed = sorted({name for run in found.recorded.runs for name in run.band})
+    if smoothed:
+        faults.append(f"the smoother of {', '.join(smoothed)}: simulated states are raw")
+    return tuple(faults)
+
+
+def _sure(content: dict[str, Any]) -> list[str]:
+    """Effects that a diagnosis names without a doubt."""
+    return [f["name"] for f in content["findings"] if f["kind"] == "effect" and not f["lead"]]
+
+
+def _tied(content: dict[str, Any]) -> set[str]:
+    """What explains a log as well as an effect that was found."""
+    return {name for tie in content["ties"] for one in tie["effects"] for name in one.split(AND)}
+
+
+def _holds(low: float, high: float, value: float) -> bool:
+    return low <= value <= high

@@ -1,0 +1,86 @@
+"""Values from positions alone by errors of predictions: the truth is in their intervals."""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from nsde_torch.data.raw import RawRun
+from nsde_torch.recording import assemble
+from nsde_torch.sysid.in_loop import identify_in_loop
+from nsde_torch.sysid.observer import Observer
+from nsde_torch.sysid.prediction_error import by_prediction_errors
+from nsde_torch.systems import make_system
+from tests.helpers.encoders import DT, SPRING, encoder_runs
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "benchmarks" / "blind"))
+from two_joints import make_data
+
+TRUTH = {
+    "force_gain": SPRING["g"],
+    "linear_spring.stiffness": SPRING["k"],
+    "viscous_friction.damping": SPRING["b"],
+}
+
+
+def test_what_the_true_machine_foretells_leaves_white_errors() -> None:
+    system = make_system("mass_spring_damper", values=TRUTH)
+    data = assemble(encoder_runs("none", friction=0.0, runs=2), system, kind="test")
+    observer = Observer(system, data.runs, columns=[1], dt=DT, piece_s=2.0)
+    chosen, square, rates = observer.best()
+    assert rates.shape == (*observer.own.shape, 1)
+    errors = observer.follow([chosen])[1][0, :, :, 0]
+    assert np.square(errors[observer.judged]).mean() == pytest.approx(square[0])
+    both = observer.judged[1:] & observer.judged[:-1]
+    assert abs(np.corrcoef(errors[1:][both], errors[:-1][both])[0, 1]) < 0.1
+
+
+def test_intervals_hold_the_truth_over_seeds() -> None:
+    inside = []
+    for seed in range(6):
+        system = make_system("mass_spring_damper")
+        data = assemble(
+            encoder_runs("none", seed=seed, friction=0.0, runs=3, seconds=8.0), system, kind="test"
+        )
+        found = identify_in_loop(system, data.runs)
+        at = [found.vector.labels.index(name) for name in TRUTH]
+        assert np.isfinite(found.standard_errors[at]).all()
+        inside += (np.abs(found.values[at] - list(TRUTH.values())) < found.half_widths(0.9)[at]).tolist()
+    assert 13 <= sum(inside) <= 18  # 90 % of 18, by chance fewer than 13 once in a hundred
+
+
+def test_of_two_joints_the_truth_is_held_where_physics_at_inferred_rates_misses_it() -> None:
+    damping = 0.002
+    runs = []
+    rng = np.random.default_rng(1)
+    for k in range(3):
+        table = make_data.kept(
+            900, np.random.default_rng(k), lambda q, w: np.array([0.0, -damping * abs(w[1]) * w[1]]), 0.0
+        )
+        x = np.column_stack([table[:, :2] + 1e-3 * rng.standard_normal((900, 2)), np.full((900, 2), np.nan)])
+        runs.append(RawRun(f"run_{k}", make_data.DT * np.arange(900) + 100.0 * k, x, table[:, 4:]))
+    system = make_system(
+        "double_pendulum:DoublePendulum",
+        effects=["quadratic_damping[q2]"],
+        values={"quadratic_damping[q2].damping": 0.003},
+    )
+    data = assemble(runs, system, kind="test")
+    found = identify_in_loop(system, data.runs)
+    j = found.vector.labels.index("quadratic_damping[q2].damping")
+    half = found.half_widths(0.99)[j]
+    assert half < 0.01 * damping
+    assert abs(found.values[j] - damping) < half
+
+
+def test_where_every_rate_was_measured_or_a_fit_is_not_believed_nothing_changes() -> None:
+    system = make_system("mass_spring_damper")
+    data = assemble(encoder_runs("sensor", runs=1), system, kind="test")
+    found = identify_in_loop(system, data.runs)
+    assert by_prediction_errors(found, system, data.runs) is found
+    inferred = assemble(encoder_runs("none", runs=1), system, kind="test")
+    lost = replace(found, converged=False)
+    assert by_prediction_errors(lost, system, inferred.runs) is lost

@@ -47,9 +47,9 @@ class AlphaBeta:
         return sqrt(share * kept * square) / dt
 
 
-def gains(dt: float, count: int) -> list[AlphaBeta]:
-    """Filters from the slowest to one that takes positions as they are, for a step [s]."""
-    low = min((dt / SLOWEST_S) ** 2, 0.1)
+def gains(dt: float, count: int, *, slowest: float = SLOWEST_S) -> list[AlphaBeta]:
+    """Filters from one of this time constant [s] to one that takes positions as they are, for a step [s]."""
+    low = min((dt / slowest) ** 2, 0.1)
     out = []
     for index in np.logspace(log10(low), log10(_LARGEST), count).tolist():
         r = (4.0 + index - sqrt(8.0 * index + index * index)) / 4.0

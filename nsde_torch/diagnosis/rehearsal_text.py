@@ -7,7 +7,6 @@ from html import escape
 from typing import Any
 
 from nsde_torch.diagnosis.text import unseen
-from nsde_torch.evaluation.report import number
 
 Table = Callable[[Sequence[str], Sequence[Sequence[str]]], str]
 
@@ -88,8 +87,8 @@ def _rows(own: Mapping[str, Any]) -> list[tuple[str, ...]]:
     return [
         (
             label,
-            number(p["value"]),
-            ", ".join(number(v) for v in p["again"]),
+            f"{p['value']:.4g}",
+            ", ".join(f"{v:.4g}" for v in p["again"]),
             f"{p['hold']} of {p['intervals']}",
             p["unit"],
         )

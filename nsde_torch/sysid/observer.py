@@ -36,6 +36,7 @@ class Observer:
         columns: Columns of rates that were inferred from positions.
         dt: The step [s].
         piece_s: Length of a piece [s].
+        slowest: Longest time constant of the gains that are tried [s].
 
     Attributes:
         system: The copy, whose values may be changed between calls.
@@ -43,15 +44,25 @@ class Observer:
         pieces: Run, first row, end, and row from which on it is followed, of each piece.
         own: Rows of the pieces themselves (rows, pieces).
         judged: Those of them that are far enough from a start.
+        spread: Standard deviation of each rate that physics is averaged over (m,), by Gauss and Hermite's rule of three
+            points; nothing at first.
     """
 
     def __init__(
-        self, system: System, runs: Sequence[Run], *, columns: Sequence[int], dt: float, piece_s: float
+        self,
+        system: System,
+        runs: Sequence[Run],
+        *,
+        columns: Sequence[int],
+        dt: float,
+        piece_s: float,
+        slowest: float = SLOWEST_S,
     ) -> None:
-        self.system, self._dt = copy.deepcopy(system).double(), dt
+        self.system, self._dt, self._slowest = copy.deepcopy(system).double(), dt, slowest
         self.system.set_step(dt)
         pairs = [(i, j) for i, j in rate_pairs(self.system) if j in columns]
         self.positions, self.rates = [i for i, _ in pairs], [j for _, j in pairs]
+        self.spread = np.zeros(len(pairs))
         length, before = max(1, round(piece_s / dt)), round(_BEFORE_S / dt)
         self.pieces = [
             (n, c, min(c + length, b), max(a, c - before))
@@ -102,7 +113,7 @@ class Observer:
 
     def best(self) -> tuple[list[AlphaBeta], Array, Array]:
         """Gains of the smallest errors of each rate, their mean squares (m,), and the rates (rows, pieces, m)."""
-        tried, m = gains(self._dt, _GAINS), len(self.rates)
+        tried, m = gains(self._dt, _GAINS, slowest=self._slowest), len(self.rates)
         v, e = self.follow([[g] * m for g in tried])
         square = np.nan_to_num(np.square(e[:, self.judged]), nan=np.inf).mean(1)
         best = square.argmin(0)
@@ -112,8 +123,23 @@ class Observer:
     def _later(self, t: Tensor, z: Tensor, u: Tensor) -> Tensor:
         """States (N, nz) a step later."""
         system, h = self.system, self._dt
-        f1 = system.drift(t, z, u)
-        f2 = system.drift(t + 0.5 * h, system.inner(z, z + 0.5 * h * f1), u)
-        f3 = system.drift(t + 0.5 * h, system.inner(z, z + 0.5 * h * f2), u)
-        f4 = system.drift(t + h, system.inner(z, z + h * f3), u)
+        f1 = self._rate(t, z, u)
+        f2 = self._rate(t + 0.5 * h, system.inner(z, z + 0.5 * h * f1), u)
+        f3 = self._rate(t + 0.5 * h, system.inner(z, z + 0.5 * h * f2), u)
+        f4 = self._rate(t + h, system.inner(z, z + h * f3), u)
         return z + (h / 6.0) * (f1 + 2.0 * f2 + 2.0 * f3 + f4)
+
+    def _rate(self, t: Tensor, z: Tensor, u: Tensor) -> Tensor:
+        """f at states (N, nz), averaged over `spread`."""
+        aside = [(j, by) for j, by in zip(self.rates, self.spread.tolist(), strict=True) if by > 0]
+        if not aside:
+            return self.system.drift(t, z, u)
+        count = 1 + 2 * len(aside)
+        points = z.repeat(count, 1).view(count, *z.shape)
+        for k, (j, by) in enumerate(aside):
+            points[2 * k + 1, :, j] += by * 3.0**0.5
+            points[2 * k + 2, :, j] -= by * 3.0**0.5
+        f = self.system.drift(t.repeat(count), points.view(-1, z.shape[1]), u.repeat(count, 1)).view(
+            points.shape
+        )
+        return f[0] + (f[1:] - f[0]).sum(0) / 6.0

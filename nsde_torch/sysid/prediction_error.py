@@ -8,6 +8,11 @@ of the true ones: its values are a few standard errors off on joints. The errors
 less what was foretold, whatever it makes of the rates, and nearly white. The weak form chooses and tests; this fits
 once more from where it ended. Steps are those of Gauss and Newton, slopes are differences, intervals are the jackknife
 over blocks of time (`spread`).
+
+Which way a joint moves that is slower than what is not known of its rate, nobody knows: physics with a dry friction is
+its mean over that. Three points take most of the variance (`Observer.spread`); what lies between them is a wider
+tanh(v / w), w^2 = width^2 + (pi / 2) (the rest), whose slope at rest is that of its mean. Else errors jump with the
+parameters, and no step settles.
 """
 
 from collections.abc import Sequence
@@ -17,22 +22,28 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nsde_torch.data import Run
-from nsde_torch.data.tracking import AlphaBeta
+from nsde_torch.effects.law import Law
 from nsde_torch.sysid.observer import Observer
 from nsde_torch.sysid.result import Identification
 from nsde_torch.sysid.spread import Spread, spread
 from nsde_torch.sysid.steps import inferred_columns
 from nsde_torch.systems import System
-from nsde_torch.systems.parameters import ParameterVector
+from nsde_torch.systems.parameters import ParameterVector, own_name
 
 Array = NDArray[np.float64]
 Labels = NDArray[np.int64]
 
 _TURNS = 10
-_SETTLED = 0.1  # standard errors that parameters may still move by
+_CHOICES = 2  # turns that begin with gains of their own; then these stay
+_SETTLED, _STUCK = (
+    0.2,
+    0.5,
+)  # standard errors that parameters may still move by; where no share of a step is better
 _SMALLEST = 0.05  # share of a step that is tried
 _DIFFERENCE = 1e-4  # of a parameter's scale
+_BETWEEN = 0.3  # share of a variance that lies between three points
 _AT_BOUND = 1e-6  # of a parameter's scale
+_SLOWEST_S = 0.6  # longest time constant of the observer: here the physics is what is fitted, and may count
 _PIECE_S = 0.5  # short pieces side by side are fast
 _BLOCK_S = 2.0  # of the jackknife
 
@@ -56,16 +67,22 @@ def by_prediction_errors(
     if not columns or not found.believed:
         return found
     dt = runs[0].dt * clock
-    fit = _Fit(found.vector, Observer(system, runs, columns=list(columns), dt=dt, piece_s=_PIECE_S), dt)
+    observer = Observer(system, runs, columns=list(columns), dt=dt, piece_s=_PIECE_S, slowest=_SLOWEST_S)
+    fit = _Fit(found.vector, observer, [columns[j] for j in observer.rates], dt)
+    free = np.flatnonzero(found.shown.known)
     theta = found.values.copy()
-    for _ in range(_TURNS):
-        step = fit.step(theta, np.flatnonzero(found.shown.known))
+    for turn in range(_TURNS):
+        if turn < _CHOICES and not fit.choose(theta):
+            return found
+        step = fit.step(theta, free)
         if step is None:
             return found
         there = fit.after(theta, step)
-        if (np.abs(step.change) <= _SETTLED * np.sqrt(np.diag(step.sure.covariance))).all():
+        away = float(np.abs(step.change / np.sqrt(np.diag(step.sure.covariance))).max())
+        stuck = bool((there == theta).all())
+        if turn >= _CHOICES - 1 and away <= (_STUCK if stuck else _SETTLED):
             return _with(found, there, step)
-        if (there == theta).all():
+        if stuck:
             return found
         theta = there
     return found
@@ -79,44 +96,66 @@ class _Step:
         free: Numbers of the parameters that move (f,).
         change: By how much (f,).
         sure: Covariance of these.
-        chosen: Gains of the observer, by rate.
-        weights: Of the errors, by rate (m,).
+        size: The sum of squares before it.
     """
 
     free: Labels
     change: Array
     sure: Spread
-    chosen: list[AlphaBeta]
-    weights: Array
+    size: float
 
 
 class _Fit:
-    """The sum of squares and its steps."""
+    """The sum of squares and its steps.
 
-    def __init__(self, vector: ParameterVector, observer: Observer, dt: float) -> None:
-        self._vector, self._observer = vector, observer
+    Args:
+        vector: Parameters.
+        observer: What foretells.
+        unknown: What is not known of each rate (m,), before gains are chosen.
+        dt: The step [s].
+
+    Attributes:
+        widths: Numbers of the widths of dry frictions, with the number of the rate that each reads.
+    """
+
+    def __init__(
+        self, vector: ParameterVector, observer: Observer, unknown: Sequence[float], dt: float
+    ) -> None:
+        self._vector, self._observer, self._dt = vector, observer, dt
+        self._unknown = np.array(unknown)
+        self.widths = {
+            j: observer.rates.index(e.at.velocity)
+            for e in vector.system.effects
+            if isinstance(e, Law) and e.dry and e.at.velocity in observer.rates
+            for j in vector.of(e.name)
+            if own_name(vector.labels[j]) == "width"
+        }
         length = max(1, round(_BLOCK_S / dt))
         names = np.array([(n, first // length) for n, first, _, _ in observer.pieces])
         _, block = np.unique(names, axis=0, return_inverse=True)
         self._blocks = np.broadcast_to(block.reshape(-1), observer.judged.shape)[observer.judged]
 
-    def step(self, theta: Array, free: Labels) -> _Step | None:
-        """The step from theta, of parameters that do not leave their bounds; None where there is none."""
-        v = self._vector
-        v.write(self._observer.system, theta)
-        chosen, square, _ = self._observer.best()
+    def choose(self, theta: Array) -> bool:
+        """Choose gains and weights of the errors at theta; whether there are any."""
+        self._use(theta)
+        self._gains, square, _ = self._observer.best()
         if not (np.isfinite(square) & (square > 0)).all():
-            return None
-        weights = square**-0.5
-        errors = self._errors(theta, chosen)
-        left, slopes = errors * weights, np.zeros((*errors.shape, len(free)))
+            return False
+        self._weights = square**-0.5
+        pairs = zip(self._gains, square.tolist(), strict=True)
+        self._unknown = np.array([gain.unknown(own, self._dt) for gain, own in pairs])
+        return True
+
+    def step(self, theta: Array, free: Labels) -> _Step | None:
+        """The step from theta, of parameters that do not leave their bounds; None where none moves."""
+        v = self._vector
+        left = self._errors(theta)
+        slopes = np.zeros((*left.shape, len(free)))
         for k, j in enumerate(free):
-            aside = (
-                _DIFFERENCE * v.scale[j] * (1.0 if theta[j] + _DIFFERENCE * v.scale[j] <= v.high[j] else -1.0)
-            )
+            aside = _DIFFERENCE * v.scale[j]
             there = theta.copy()
-            there[j] += aside
-            slopes[..., k] = (self._errors(there, chosen) - errors) * weights / aside
+            there[j] += aside if theta[j] + aside <= v.high[j] else -aside
+            slopes[..., k] = (self._errors(there) - left) / (there[j] - theta[j])
         while len(free):
             scaled = slopes * v.scale[free]
             change = np.linalg.lstsq(scaled.reshape(-1, len(free)), -left.reshape(-1), rcond=1e-10)[0]
@@ -127,30 +166,35 @@ class _Fit:
             if not out.any():
                 # residuals are measured less foretold, and slopes those of what is foretold
                 sure = spread(-np.moveaxis(scaled, 1, 0), left.T, self._blocks, 0)
-                return _Step(free, change, _unscaled(sure, v.scale[free]), chosen, weights)
+                return _Step(free, change, _unscaled(sure, v.scale[free]), float(np.square(left).sum()))
             free, slopes = free[~out], slopes[..., ~out]
         return None
 
     def after(self, theta: Array, step: _Step) -> Array:
         """Theta after the largest share of a step that lowers the sum of squares; theta itself where none does."""
-        now = self._size(theta, step)
         share = 1.0
         while share > _SMALLEST:
             there = theta.copy()
             there[step.free] += share * step.change
             there = self._vector.inside(there)
-            if self._size(there, step) <= now:
+            if np.square(self._errors(there)).sum() <= step.size:
                 return there
             share *= 0.5
         return theta
 
-    def _size(self, theta: Array, step: _Step) -> float:
-        return float(np.square(self._errors(theta, step.chosen) * step.weights).sum())
+    def _use(self, theta: Array) -> None:
+        """Give the observer's machine its values, dry frictions as their means over what is not known."""
+        there = theta.copy()
+        for j, c in self.widths.items():
+            self._observer.spread[c] = (1.0 - _BETWEEN) ** 0.5 * self._unknown[c]
+            there[j] = np.hypot(theta[j], (0.5 * np.pi * _BETWEEN) ** 0.5 * self._unknown[c])
+        self._vector.write(self._observer.system, there)
 
-    def _errors(self, theta: Array, chosen: Sequence[AlphaBeta]) -> Array:
-        """Errors of the rows that judge (N, m)."""
-        self._vector.write(self._observer.system, theta)
-        return self._observer.follow([chosen])[1][0][self._observer.judged]
+    def _errors(self, theta: Array) -> Array:
+        """Errors of the rows that judge, each over their usual size (N, m)."""
+        self._use(theta)
+        errors = self._observer.follow([self._gains])[1][0][self._observer.judged]
+        return np.asarray(errors * self._weights)
 
 
 def _unscaled(sure: Spread, scale: Array) -> Spread:

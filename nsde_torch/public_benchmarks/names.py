@@ -6,5 +6,6 @@ BENCHMARK_HOMES: dict[str, str] = {
     "nanodrone": "nsde_torch.public_benchmarks.nanodrone:Nanodrone",
     "nanobench": "nsde_torch.public_benchmarks.nanobench:NanoBench",
     "pendulum": "nsde_torch.public_benchmarks.pendulum:TorqueLimitedPendulum",
+    "bam": "nsde_torch.public_benchmarks.bam:Bam",
 }
 """Name of a set -> `module:Class`."""

@@ -17,6 +17,7 @@ from typing import Any, final
 import numpy as np
 from numpy.typing import NDArray
 
+from nsde_torch.data.raw import RawRun
 from nsde_torch.errors import DataError
 from nsde_torch.public_benchmarks.benchmark import (
     BenchmarkMetric,
@@ -26,7 +27,7 @@ from nsde_torch.public_benchmarks.benchmark import (
     Trace,
 )
 from nsde_torch.public_benchmarks.files import found, long_enough
-from nsde_torch.public_benchmarks.named import words_of
+from nsde_torch.public_benchmarks.named import diagnosed, words_of
 from nsde_torch.public_benchmarks.output_error import Stretches, output_error, simulated, times
 from nsde_torch.public_benchmarks.servo import STEP, ServoPendulum
 from nsde_torch.public_benchmarks.servo_friction import swing
@@ -44,6 +45,8 @@ DUTY_PER_GAIN = 0.16383  # duty cycle per radian and unit of the gain, as the se
 VOLTS = 15.0  # what its recordings state, and its models were fitted with
 HELD_OUT = 8  # gain
 THINNED = 6  # of the recordings at other gains, one in so many chooses terms
+DIAGNOSED = 20  # of all recordings for training, one in so many is diagnosed
+ROWS_OF_A_STEP = 2  # of a diagnosed log: what was measured has 10 ms, and was interpolated
 GAIN = 0.02
 ITERATIONS = (8, 12)
 WIDTH = 0.05  # speed [rad/s] at which dry friction is 76 % developed: two steps of the logged speed
@@ -90,7 +93,7 @@ class Bam(PublicBenchmark):
         )
         for model, score in zip(MODELS, _SCORES, strict=True)
     )
-    minutes = 6
+    minutes = 7
 
     def paths(self, folder: Path) -> list[Path]:
         """See `PublicBenchmark.paths`."""
@@ -122,6 +125,8 @@ class Bam(PublicBenchmark):
         training, validation = logs[: LOGS["training"]], logs[LOGS["training"] :]
         others = [log for log in training if log["kp"] != HELD_OUT][::THINNED]
         held_out = [log for log in training if log["kp"] == HELD_OUT]
+
+        named = work.stage("diagnosis", lambda: _diagnosed(training[::DIAGNOSED], work))
 
         def tried(effects: tuple[str, ...]) -> dict[str, Any]:
             def make() -> dict[str, Any]:
@@ -172,9 +177,16 @@ class Bam(PublicBenchmark):
             rows,
             taken,
             {name: {"value": value, "unit": unit} for name, (value, unit) in _units(taken, last).items()},
-            words_of(taken, "the motor with its controller and the weight"),
+            [
+                *words_of(taken, "the motor with its controller and the weight"),
+                f"Named by a diagnosis of {len(training[::DIAGNOSED])} recordings, their logged speeds with them "
+                f"({named['verdict']}): {', '.join(named['named']) or 'nothing'}.",
+            ],
             _traces(taken, last, validation),
-            {"held_out": [{"effects": m["effects"], "mrad": 1e3 * m["held_out"]} for m in ladder]},
+            {
+                "diagnosis": named,
+                "held_out": [{"effects": m["effects"], "mrad": 1e3 * m["held_out"]} for m in ladder],
+            },
         )
 
 
@@ -201,6 +213,24 @@ def _read(path: Path) -> dict[str, Any]:
     gain, mass, length = np.broadcast_to(np.array(same)[:, None], (3, len(moving)))
     u = np.stack([moving[:, 0], gain, moving[:, 1], mass, length], 1)
     return {"x": x, "u": u, "kp": int(log["kp"]), "kind": kind}
+
+
+def _diagnosed(logs: Sequence[Mapping[str, Any]], work: Work) -> dict[str, Any]:
+    """What a diagnosis finds missing in the declared physics."""
+    step = ROWS_OF_A_STEP * STEP
+    runs = []
+    for k, log in enumerate(logs):
+        x, u = log["x"][: ROWS - 1 : ROWS_OF_A_STEP], log["u"][: ROWS - 1 : ROWS_OF_A_STEP]
+        runs.append(RawRun(f"recording {k}", times(len(x), step), x, u))
+    seen = diagnosed(runs, system=ServoPendulum, parameters=_FIRST, say=work.say)
+    values = {
+        name: entry for name, entry in seen["parameters"].items() if name.split(".")[0] in seen["added"]
+    }
+    return {
+        "verdict": seen["verdict"],
+        "named": [f"{name} {entry['value']:.4g} {entry['unit']}" for name, entry in values.items()]
+        or list(seen["added"]),
+    }
 
 
 def _parameters(path: Path) -> dict[str, float]:

@@ -4,14 +4,17 @@ from __future__ import annotations
 
 import json
 import shutil
+from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 import torch
 
+from nsde_torch.data.raw import RawRun
 from nsde_torch.errors import DataError
-from nsde_torch.public_benchmarks import bam, run_benchmark
+from nsde_torch.public_benchmarks import bam, named, run_benchmark
 from nsde_torch.public_benchmarks.servo_friction import budget, swing
 
 FRICTION = {"friction_base": 0.1, "friction_viscous": 0.05}
@@ -24,11 +27,29 @@ def _one_thread() -> None:
 
 @pytest.fixture
 def small(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The protocol, on the few short recordings of the tests."""
+    """The protocol, on the few short recordings of the tests; what is diagnosed is told by another."""
+
+    class Seen:
+        added = ("coulomb_friction",)
+        effects = ()
+        verdict = "effect_found"
+
+        def content(self) -> dict[str, Any]:
+            found = {"coulomb_friction.size": {"value": 0.1, "interval_90": None, "unit": "N m"}}
+            return {"declared_parameters": {}, "parameters": found}
+
+    def diagnose(runs: Sequence[RawRun], **_: Any) -> Seen:
+        assert len(runs) == 2
+        assert runs[0].x.shape == (45, 2)
+        assert np.allclose(np.diff(runs[0].t), 0.01)
+        return Seen()
+
+    monkeypatch.setattr(named, "diagnose", diagnose)
     for name, value in {
         "LOGS": {"training": 6, "validation": 2},
         "ROWS": 90,
         "THINNED": 1,
+        "DIAGNOSED": 3,
         "ITERATIONS": (5, 3),
         "CANDIDATES": {name: bam.CANDIDATES[name] for name in ("input_delay", "coulomb_friction")},
     }.items():
@@ -46,6 +67,7 @@ def test_delay_and_dry_friction_of_a_servo_are_found(servo_folder: Path, tmp_pat
     assert content["parameters"]["stall_torque"]["unit"] == "N m"
     *models, first, last = content["ours"].values()
     assert len(models) == 6
+    assert content["found"][1].endswith("(effect_found): coulomb_friction.size 0.1 N m.")
     assert last["validation"] < 0.3 * min(first["validation"], models[0]["validation"])
     assert content["ratio_to_best_published"]["training"] == pytest.approx(last["training"] / 29.9)
     assert (tmp_path / "benchmark.png").stat().st_size > 10_000

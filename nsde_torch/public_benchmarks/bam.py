@@ -1,10 +1,10 @@
 """BAM: a servo that swings a pendulum, whose friction models are compared by simulated trajectories (ICRA 2025).
 
-The recordings of that paper are in no public repository. These are of another bench that follows its pipeline: a
-Feetech STS3250 at eight loads, six gains and five trajectories, with the six friction models fitted and their scores
-published. Declared are the motor with its controller, the weight and the inertias (see `servo`). Terms of the catalogue
-are tried one after another by output error: one is taken where the simulation of recordings at a gain that was held out
-is better by more than `GAIN`, the best first. All training recordings then give the values.
+The recordings of that paper are not in its repository. These are of another bench that follows its pipeline: a Feetech
+STS3250 at eight loads, six gains and five trajectories, with the six friction models fitted and their scores published.
+Declared are the motor with its controller, the weight and the inertias (see `servo`). Terms of the catalogue are tried
+one after another by output error: one is taken where the simulation of recordings at a gain that was held out is better
+by more than `GAIN`, the best first. All training recordings then give the values.
 """
 
 from __future__ import annotations

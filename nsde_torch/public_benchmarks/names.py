@@ -6,5 +6,7 @@ BENCHMARK_HOMES: dict[str, str] = {
     "nanodrone": "nsde_torch.public_benchmarks.nanodrone:Nanodrone",
     "nanobench": "nsde_torch.public_benchmarks.nanobench:NanoBench",
     "pendulum": "nsde_torch.public_benchmarks.pendulum:TorqueLimitedPendulum",
+    "bam": "nsde_torch.public_benchmarks.bam:Bam",
+    "boucwen": "nsde_torch.public_benchmarks.boucwen:BoucWen",
 }
 """Name of a set -> `module:Class`."""

@@ -47,7 +47,7 @@ class _Lookup:
         self._own, self._theta = own, theta
 
     def __call__(self, name: str) -> Tensor:
-        return self._theta[0][self._own[name]]
+        return self._theta[0][..., self._own[name]]
 
 
 @final
@@ -119,7 +119,12 @@ class ParameterVector:
         return [j for j, label in enumerate(self.labels) if label.startswith(f"{effect}.")]
 
     def use(self, theta: Tensor) -> None:
-        """Take these values (k,), which may carry derivatives, for every following drift of the copy."""
+        """Take these values for every following drift of the copy.
+
+        Args:
+            theta: (k,), which may carry derivatives; or (N, k), a row of values for each row of the batch, for systems
+                whose formulas only multiply and add them by columns.
+        """
         self._theta[:] = [theta]
 
     def inside(self, theta: Array) -> Array:

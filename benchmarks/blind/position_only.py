@@ -87,18 +87,24 @@ def _of_joints(seed: int, i: int) -> tuple[str, dict[str, dict[str, float]], lis
     return "double_pendulum:DoublePendulum", truth, runs, make_data.DT
 
 
-def case(seed: int, i: int, *, full: bool) -> dict[str, Any]:
-    """Make and diagnose one case, with a sensor of the rate (`full`) or without."""
-    import torch
+def recorded(
+    seed: int, i: int, *, full: bool, how: str | None = None
+) -> tuple[str, dict[str, dict[str, float]], Any, Json]:
+    """System, true effects, data set and facts of a case, with a sensor of the rate (`full`) or without.
 
+    Args:
+        seed: Of the study.
+        i: Number of the case.
+        full: Whether the rate is measured.
+        how: What the user did for a rate (`position_machines.RATES`); None: by the number of the case.
+    """
     import nsde_torch
 
-    torch.set_num_threads(1)
     rng = np.random.default_rng([seed, i])
     joints = i % 3 == 2
     system, truth, runs, dt = _of_joints(seed, i) if joints else _of_one_body(i, rng)
     noise, counts = float(rng.choice([3e-4, 1e-3])), bool(rng.integers(2))
-    how = RATES[i % len(RATES)]
+    how = how or RATES[i % len(RATES)]
     columns = RATE_COLUMNS[system]
     with tempfile.TemporaryDirectory() as folder:
         for k, run in enumerate(runs):
@@ -119,7 +125,18 @@ def case(seed: int, i: int, *, full: bool) -> dict[str, Any]:
                 comments="",
             )
         data = nsde_torch.read(folder, system=system)
-        found = nsde_torch.diagnose(data, system=system).content()
+    return system, truth, data, {"rate": "sensor" if full else how, "noise": noise, "counts": counts}
+
+
+def case(seed: int, i: int, *, full: bool) -> dict[str, Any]:
+    """Make and diagnose one case, with a sensor of the rate (`full`) or without."""
+    import torch
+
+    import nsde_torch
+
+    torch.set_num_threads(1)
+    system, truth, data, told = recorded(seed, i, full=full)
+    found = nsde_torch.diagnose(data, system=system).content()
     inside = held = 0
     for effect, values in truth.items():
         for name, value in values.items():
@@ -133,9 +150,7 @@ def case(seed: int, i: int, *, full: bool) -> dict[str, Any]:
         "case": i,
         "system": system,
         "full": full,
-        "rate": "sensor" if full else how,
-        "noise": noise,
-        "counts": counts,
+        **told,
         "truth": truth,
         "inferred": sorted({n for run in data.runs for n in run.inferred}),
         "verdict": found["verdict"],

@@ -22,7 +22,7 @@ from nsde_torch.diagnosis.fitted import effect_of, values_of
 from nsde_torch.diagnosis.pipeline import diagnose
 from nsde_torch.diagnosis.result import Diagnosis
 from nsde_torch.effects.law import AND
-from nsde_torch.errors import NsdeError
+from nsde_torch.errors import ConfigError, NsdeError
 from nsde_torch.recording import assemble
 from nsde_torch.sysid.observer import Observer
 from nsde_torch.systems import System
@@ -40,7 +40,7 @@ class Rehearsal:
     """A diagnosis that was made again of simulated logs.
 
     Args:
-        truth: Parameters that were simulated: `effect.name` -> value.
+        truth: Parameters that were simulated, those with an interval: `effect.name` -> value.
         names: Effects that were simulated.
         followed: Whether inputs followed the log (feedback); else they were replayed.
         again: `diagnosis.json` of each log of the machine that was found.
@@ -65,11 +65,19 @@ class Rehearsal:
             "inputs": "follow the log" if self.followed else "as logged",
             "left_out": list(self.left_out),
             "effects": {name: self._effect(name) for name in self.names},
-            "others": sorted({n for c in self.again for n in _sure(c) if n not in self.names}),
+            "others": sorted({n for c in self.again for n in _sure(c) if n not in self.names})
+            if self.names
+            else [],
             "parameters": {label: self._parameter(label, value) for label, value in self.truth.items()},
-            "of_nothing": None if self.nothing is None else _sure(self.nothing),
+            "of_nothing": self._of_nothing(),
+            "unexplained": sum(c["verdict"] == "unexplained" for c in self.again),
             "not_shown": (self.nothing or self.again[0])["not_shown"] if self.again else [],
         }
+
+    def _of_nothing(self) -> list[str] | None:
+        """What is named surely of the declared physics alone; None where that was not simulated."""
+        logs = [self.nothing] if self.nothing is not None else [] if self.names else list(self.again)
+        return sorted({name for c in logs for name in _sure(c)}) if logs else None
 
     def _effect(self, name: str) -> dict[str, int]:
         """In how many logs an effect is named, surely or as a lead, and in how many something tied with it is."""
@@ -101,7 +109,12 @@ def rehearse(
         logs: Logs of the machine that was found.
         seed: Seed of their noise.
         say: Told stage, number done and number in all.
+
+    Raises:
+        ConfigError: less than one log.
     """
+    if logs < 1:
+        raise ConfigError(f"`logs` must be at least 1; got {logs}.")
     outcome, rng = found.outcome, np.random.default_rng([seed, 2026])
     names = tuple(f.name for f in outcome.found)
     left_out = _left_out(found)
@@ -129,6 +142,8 @@ def rehearse(
         for key, value in values_of(effect_of(outcome.system, name)).items()
         for i, one in enumerate([value] if isinstance(value, float) else value)
     }
+    shown = {label for label, p in found.parameters.items() if p["interval_90"] and p["bound"] is None}
+    values = {label: value for label, value in values.items() if label in shown}
     nothing = again[-1] if alone else None
     return Rehearsal(values, names, followed, tuple(again[:logs]), nothing, left_out)
 
@@ -149,6 +164,7 @@ def _simulated(
     runs, steps = found.recorded.runs, found.outcome.final.regression.physics.steps
     places = [(n, a, b) for n, run in enumerate(runs) for a, b in run.segments]
     states, inputs = ([getattr(runs[n], key)[a:b] for n, a, b in places] for key in ("x", "u"))
+    times = np.repeat([steps.dt / steps.logged_dt * runs[n].t[a] for n, a, _ in places], logs)
     rollouts, most = Rollouts(system, dt=steps.dt), max(b - a for _, a, b in places)
     count = logs * len(places)
     theta = np.tile(rollouts.vector.start, (count, 1))
@@ -156,7 +172,7 @@ def _simulated(
     noise = _noise(found, count, most - 1, rng)
     for way in (found.feedback.closed, True):
         drive = following(system, states, inputs, dt=steps.dt, copies=logs) if way else replayed(inputs, logs)
-        _, seen, pushed = rollouts.run(theta, start, drive, most - 1, noise)
+        _, seen, pushed = rollouts.run(theta, start, drive, most - 1, noise, times)
         if _stays(seen, states, logs):
             break
     else:
@@ -164,7 +180,7 @@ def _simulated(
     made: list[list[RawRun]] = []
     for k in range(logs):
         parts = [(seen[i * logs + k], pushed[i * logs + k]) for i in range(len(places))]
-        made.append([_raw(run, n, places, parts) for n, run in enumerate(runs)])
+        made.append([_raw(system, run, n, places, parts) for n, run in enumerate(runs)])
     return made, way
 
 
@@ -181,24 +197,24 @@ def _stays(seen: Array, states: Sequence[Array], logs: int) -> bool:
 
 
 def _raw(
-    run: Run, number: int, places: Sequence[tuple[int, int, int]], parts: Sequence[tuple[Array, Array]]
+    system: System,
+    run: Run,
+    number: int,
+    places: Sequence[tuple[int, int, int]],
+    parts: Sequence[tuple[Array, Array]],
 ) -> RawRun:
-    """A run with simulated states and inputs in the rows of its segments."""
-    t, x, u, extra = [], [], [], []
+    """A run with simulated states and inputs in the rows of its segments, without what no sensor measured."""
+    at, x, u = [], [], []
     for (n, a, b), (states, inputs) in zip(places, parts, strict=True):
         if n == number:
-            t.append(run.t[a:b])
+            at.append(np.arange(a, b))
             x.append(states[: b - a])
             u.append(np.concatenate((inputs, inputs[-1:]))[: b - a])
-            extra.append(np.arange(a, b))
-    rows, states = np.concatenate(extra), np.concatenate(x)
-    return RawRun(
-        run.name,
-        np.concatenate(t),
-        states,
-        np.concatenate(u),
-        {name: column[rows] for name, column in run.extra.items()},
-    )
+    rows, states, inputs = np.concatenate(at), np.concatenate(x), np.concatenate(u)
+    states[:, [system.state_names.index(name) for name in run.inferred]] = np.nan
+    extra = {name: column[rows] for name, column in run.extra.items()}
+    extra |= {name: inputs[:, system.nu + k] for k, name in enumerate(system.exogenous)}
+    return RawRun(run.name, run.t[rows], states, inputs[:, : system.nu], extra)
 
 
 def _noise(found: Diagnosis, count: int, steps: int, rng: np.random.Generator) -> Disturbances:
@@ -215,14 +231,13 @@ def _noise(found: Diagnosis, count: int, steps: int, rng: np.random.Generator) -
         sensor = np.sqrt(max(1.0 - gain.alpha, 0.0) * own)
         index = gain.beta / np.sqrt(max(1.0 - gain.alpha, _NEAR))  # Kalata: dt^2 (accelerations) / (sensor)
         errors[..., i] = sensor * rng.standard_normal(errors.shape[:2])
-        errors[..., j] = np.nan
         pushes[..., j] = index * sensor / dt * rng.standard_normal(pushes.shape[:2])
     return Disturbances(pushes, errors)
 
 
 def _diagnosed(found: Diagnosis, log: list[RawRun]) -> dict[str, Any]:
     """What a diagnosis like the one that was made says of a simulated log."""
-    data = assemble(log, found.system, kind="rehearsed")
+    data = assemble(log, found.system, kind="rehearsed", clock="trust")
     return diagnose(found.system, found.spec, data, data.runs, found.options).content()
 
 

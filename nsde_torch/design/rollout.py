@@ -79,12 +79,18 @@ class Rollouts:
         self.system = self.vector.system
         self._fine = self._substeps()
         self._h = dt / self._fine
-        self._rk4 = torch.func.vmap(self._one, in_dims=(0, None, 0, 0))
+        self._rk4 = torch.func.vmap(self._one)
         self._augmented = torch.func.vmap(self._first)
 
     @torch.no_grad()
     def run(
-        self, thetas: Array, start: Array, drive: Drive, steps: int, noise: Disturbances | None = None
+        self,
+        thetas: Array,
+        start: Array,
+        drive: Drive,
+        steps: int,
+        noise: Disturbances | None = None,
+        times: Array | None = None,
     ) -> tuple[Array, Array, Array]:
         """Fly experiments.
 
@@ -94,6 +100,7 @@ class Rollouts:
             drive: Inputs.
             steps: Number of steps.
             noise: What else acts; None: nothing.
+            times: When each begins (B,) [s]; None: at 0.
 
         Returns:
             True states (B, N + 1, nx), measured states (B, N + 1, nx) and inputs (B, N, nu).
@@ -105,12 +112,13 @@ class Rollouts:
         seen = x if errors is None else x + errors[:, 0]
         u = drive(0, seen)
         z = self.begin(theta, x, u)
+        begun = torch.zeros(len(x), dtype=torch.float64) if times is None else torch.as_tensor(times)
         true, measured, inputs = [x], [seen], []
         for k in range(steps):
             if k:
                 u = drive(k, seen)
             inputs.append(u)
-            z = self.later(theta, k, z, u)
+            z = self.later(theta, k, z, u, begun)
             if pushes is not None:
                 z = self.system.project(torch.cat((z[:, :nx] + self._pushed(z, pushes[:, k]), z[:, nx:]), 1))
             x = z[:, :nx]
@@ -119,10 +127,11 @@ class Rollouts:
             measured.append(seen)
         return torch.stack(true, 1).numpy(), torch.stack(measured, 1).numpy(), torch.stack(inputs, 1).numpy()
 
-    def later(self, theta: Tensor, k: int, z: Tensor, u: Tensor) -> Tensor:
-        """States and memory (B, nz) after step k, of parameters (B, k) and inputs (B, nu)."""
+    def later(self, theta: Tensor, k: int, z: Tensor, u: Tensor, begun: Tensor | None = None) -> Tensor:
+        """States and memory (B, nz) after step k, of parameters (B, k), inputs (B, nu) and times of the start (B,)."""
+        start = torch.zeros(len(z), dtype=torch.float64) if begun is None else begun
         for i in range(self._fine):
-            z = self.system.project(z + self._rk4(theta, k * self.dt + i * self._h, z, u))
+            z = self.system.project(z + self._rk4(theta, start + (k * self.dt + i * self._h), z, u))
         return z
 
     def begin(self, theta: Tensor, x: Tensor, u: Tensor) -> Tensor:
@@ -135,13 +144,13 @@ class Rollouts:
         self.vector.use(theta)
         return self.system.augment(x[None], u[None])[0]
 
-    def _one(self, theta: Tensor, t: float, z: Tensor, u: Tensor) -> Tensor:
+    def _one(self, theta: Tensor, t: Tensor, z: Tensor, u: Tensor) -> Tensor:
         """Change of one state over a fine step."""
         self.vector.use(theta)
         h = self._h
 
         def f(share: float, at: Tensor) -> Tensor:
-            return self.system.drift(t + share * h, at[None], u[None])[0]
+            return self.system.drift((t + share * h)[None], at[None], u[None])[0]
 
         k1 = f(0.0, z)
         k2 = f(0.5, z + 0.5 * h * k1)

@@ -85,19 +85,22 @@ def adds_nothing(regression: Regression, effect: str, *, share: float) -> bool:
         return True
     nothing = np.array([cls.null.get(own_name(v.labels[j]), 0.0) for j in sizes])
     whole = regression.theta[sizes] - nothing
-    return any(
-        _push(regression, sizes, _beyond(cls, effect_class(simple), regression, sizes, whole))
-        <= share * _push(regression, sizes, whole)
-        for simple in cls.includes
-    )
+    for simple in cls.includes:
+        beyond = _beyond(cls, effect_class(simple), [own_name(v.labels[j]) for j in sizes], whole)
+        if beyond is not None and _push(regression, sizes, beyond) <= share * _push(regression, sizes, whole):
+            return True
+    return False
 
 
-def _beyond(
-    cls: type[Effect], simple: type[Effect], regression: Regression, sizes: list[int], values: Array
-) -> Array:
-    """What the sizes of an effect have that a simpler one lacks: those of its own, and how far apart the others are."""
+def _beyond(cls: type[Effect], simple: type[Effect], names: list[str], values: Array) -> Array | None:
+    """What the sizes of an effect have that a simpler one lacks: those of its own, and how far apart the others are.
+
+    None where it has all sizes of the simpler one, each once, and no more: what it has beside it is no size.
+    """
     shared = cls.shared(simple)
-    theirs = [shared.get(own_name(regression.vector.labels[j]), "") for j in sizes]
+    theirs = [shared.get(name, "") for name in names]
+    if "" not in theirs and len(set(theirs)) == len(theirs):
+        return None
     means = {name: values[[t == name for t in theirs]].mean() for name in theirs if name}
     return values - np.array([means.get(name, 0.0) for name in theirs])
 

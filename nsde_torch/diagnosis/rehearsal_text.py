@@ -66,12 +66,14 @@ def sentences(own: Mapping[str, Any]) -> list[str]:
         out.append(f"{name}: {', '.join(parts)}.")
     if own["others"]:
         out.append(f"Named there, surely, and not simulated: {', '.join(own['others'])}.")
+    if own["unexplained"]:
+        out.append(f"Something stays unexplained in {own['unexplained']} of {many}.")
     if own["of_nothing"] is not None:
         named = ", ".join(own["of_nothing"])
         out.append(
             f"Of the declared physics alone these data would name {named}: be careful with that name."
             if named
-            else "Of the declared physics alone, simulated once, nothing is named."
+            else "Of the declared physics alone nothing is named."
         )
     blind = unseen(own["not_shown"])
     if blind:

@@ -18,6 +18,9 @@ from torch import Tensor
 from nsde_torch.data import Run
 from nsde_torch.data.system_info import rate_pairs
 from nsde_torch.data.tracking import SLOWEST_S, AlphaBeta, gains
+from nsde_torch.errors import DataError
+from nsde_torch.sysid.memory import memory_along
+from nsde_torch.sysid.steps import MOST, RUN_IN_S, RUN_IN_SHARE, steps_of
 from nsde_torch.systems import System
 
 Array = NDArray[np.float64]
@@ -43,7 +46,8 @@ class Observer:
         positions, rates: Columns of the positions and rates that are followed (m,).
         pieces: Run, first row, end, and row from which on it is followed, of each piece.
         own: Rows of the pieces themselves (rows, pieces).
-        judged: Those of them that are far enough from a start.
+        judged: Those of them that are far enough from a start; all where none are.
+        share: Share of them that are.
         spread: Standard deviation of each rate that physics is averaged over (m,), by Gauss and Hermite's rule of three
             points; nothing at first.
     """
@@ -74,8 +78,13 @@ class Observer:
         rows = np.arange(count)[:, None] + np.array([start for *_, start in self.pieces])
         first, end = (np.array([p[k] for p in self.pieces]) for k in (1, 2))
         self.own = (rows >= first) & (rows < end)
+        self._memory = (
+            _Memory(self.system, runs, self.pieces, dt) if self.system.nz > self.system.nx else None
+        )
         late = self.own & (np.arange(count)[:, None] >= _FIRST)
-        self.judged = late if late.any() else self.own
+        if self._memory is not None:
+            late &= rows >= self._memory.known
+        self.judged, self.share = (late if late.any() else self.own), float(late.sum() / self.own.sum())
         rows = np.minimum(rows, end - 1)
         of = [runs[n] for n, *_ in self.pieces]
         self._t, self._x, self._u = (
@@ -97,7 +106,10 @@ class Observer:
         alpha, beta = alpha.repeat_interleave(many, 0), beta.repeat_interleave(many, 0)
         rates, errors = [], []
         with torch.no_grad():
-            z = self.system.augment(self._x[0], self._u[0]).repeat(trials, 1)
+            z = self.system.augment(self._x[0], self._u[0])
+            if self._memory is not None:
+                z[:, self.system.nx :] = self._memory.now()
+            z = z.repeat(trials, 1)
             for t, x, u in zip(self._t, self._x, self._u, strict=True):
                 seen = x.repeat(trials, 1)
                 e = seen[:, self.positions] - z[:, self.positions]
@@ -143,3 +155,41 @@ class Observer:
             points.shape
         )
         return f[0] + (f[1:] - f[0]).sum(0) / 6.0
+
+
+class _Memory:
+    """What effects remember where pieces begin, along the states as they were read: a lag may last longer than a piece.
+
+    Args:
+        system: The machine, whose values may be changed between calls.
+        runs: Recordings, all on one step.
+        pieces: See `Observer`.
+        dt: The step [s].
+
+    Attributes:
+        known: First row from which a memory that began at rest counts, of each piece.
+    """
+
+    def __init__(
+        self, system: System, runs: Sequence[Run], pieces: Sequence[tuple[int, int, int, int]], dt: float
+    ) -> None:
+        self._system = system
+        self._steps = steps_of(system, runs, clock=dt / runs[0].dt, smooth=False, differences=0, run_in=False)
+        stretches = [(n, a, b) for n, run in enumerate(runs) for a, b in run.segments]
+        begun = [first for first, _ in self._steps.segments]
+        if len(begun) != len(stretches):
+            raise DataError(
+                f"rates of {len(runs)} runs cannot be inferred beside effects with memory: give less than {MOST} rows."
+            )
+        place = {(n, a): (first, b) for (n, a, b), first in zip(stretches, begun, strict=True)}
+        at, known = [], []
+        for n, first, _, start in pieces:
+            a = max(a for m, a in place if m == n and a <= first)
+            step, b = place[n, a]
+            at.append(min(step + start - a, step + b - a - 2))
+            known.append(a + min(round(RUN_IN_S / dt), int(RUN_IN_SHARE * (b - a))))
+        self._at, self.known = torch.tensor(at), np.array(known)
+
+    def now(self) -> Tensor:
+        """Memory where each piece begins (pieces, nz - nx)."""
+        return memory_along(self._system, self._steps)[0][self._at]

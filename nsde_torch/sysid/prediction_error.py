@@ -33,6 +33,7 @@ from nsde_torch.systems.parameters import ParameterVector, own_name
 Array = NDArray[np.float64]
 Labels = NDArray[np.int64]
 
+_FEWEST = 0.6  # share of the rows that must be far enough from a start
 _TURNS = 10
 _CHOICES = 2  # turns that begin with gains of their own; then these stay
 _SETTLED, _STUCK = (
@@ -61,13 +62,15 @@ def by_prediction_errors(
 
     Returns:
         `found` with values and intervals of all that it shows and that stands at no bound; `found` itself where no rate
-        is inferred, or where the fit does not settle.
+        is inferred, most rows are near a start, or the fit does not settle.
     """
     columns = inferred_columns(system, runs) if runs else {}
     if not columns or not found.believed:
         return found
     dt = runs[0].dt * clock
     observer = Observer(system, runs, columns=list(columns), dt=dt, piece_s=_PIECE_S, slowest=_SLOWEST_S)
+    if observer.share < _FEWEST:
+        return found
     fit = _Fit(found.vector, observer, [columns[j] for j in observer.rates], dt)
     free = np.flatnonzero(found.shown.known)
     theta = found.values.copy()

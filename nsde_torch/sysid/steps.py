@@ -24,7 +24,8 @@ _Stretch = tuple[int, int, int]  # run, first row, last row + 1
 MOST = 300_000
 """Steps that are looked at; of longer data, stretches spread evenly."""
 _STRETCH = 5_000
-_RUN_IN_S, _RUN_IN_SHARE = 0.4, 0.1  # eight time constants of a motor; of short segments, a share
+RUN_IN_S, RUN_IN_SHARE = 0.4, 0.1
+"""Time in which memory comes up, eight time constants of a motor [s]; of short segments, a share of their rows."""
 
 
 UNDERSMOOTHED = 0.1
@@ -124,7 +125,7 @@ def steps_of(
         raise DataError(f"no stretch of {shortest} steps without a gap; identify from longer runs.")
     if not (system.nz > system.nx if run_in is None else run_in):
         return _joined(system, runs, states, stretches, clock, unknown, differences)
-    most = max(1, round(_RUN_IN_S / runs[0].dt))
+    most = max(1, round(RUN_IN_S / runs[0].dt))
     begun = [_run_in(runs[n], a, b, lead, most) for n, a, b in stretches]
     pairs = [
         (s, first, start)
@@ -150,7 +151,7 @@ def _run_in(run: Run, a: int, b: int, lead: int, most: int) -> tuple[int, int]:
     first = max(*whole, a - most) if whole else a
     if a - first >= most:
         return first, a
-    own = min(most - (a - first), int(_RUN_IN_SHARE * (b - 1 - a)))
+    own = min(most - (a - first), int(RUN_IN_SHARE * (b - 1 - a)))
     return first, a + max(own, 1 if first == a else 0)
 
 

@@ -8,14 +8,20 @@ from typing import Any
 import numpy as np
 import pytest
 
-from nsde_torch.design.diagnosis_rehearsal import Rehearsal, rehearse
+from nsde_torch.data import Run
+from nsde_torch.design.diagnosis_rehearsal import Rehearsal, _raw, rehearse
 from nsde_torch.design.following import following, replayed
 from nsde_torch.design.rollout import Rollouts
 from nsde_torch.diagnosis.options import Options
+from nsde_torch.diagnosis.pipeline import diagnose
 from nsde_torch.diagnosis.rehearsal_text import rehearsal_html, rehearsal_lines, sentences
 from nsde_torch.diagnosis.result import Diagnosis
+from nsde_torch.errors import ConfigError
+from nsde_torch.models.identified import SysidSpec
+from nsde_torch.recording import assemble
 from nsde_torch.systems import make_system
 from tests.helpers.diagnosed import diagnosed
+from tests.helpers.encoders import encoder_runs
 
 UP = 0.0  # angle of a pole that stands
 
@@ -50,7 +56,7 @@ def test_it_is_told_in_the_terminal_and_on_the_page(rehearsal: Rehearsal) -> Non
     told = "\n".join(rehearsal_lines(content))
     assert "2 logs were simulated of what was found (inputs as logged) and diagnosed again." in told
     assert "coulomb_friction: found again, surely, in 2 of 2." in told
-    assert "Of the declared physics alone, simulated once, nothing is named." in told
+    assert "Of the declared physics alone nothing is named." in told
     assert "coulomb_friction.size" in told
     page = rehearsal_html(content, lambda head, rows: f"<table>{next(iter(rows))[0]}</table>")
     assert page.startswith("<h2>Rehearsed</h2>")
@@ -60,7 +66,14 @@ def test_it_is_told_in_the_terminal_and_on_the_page(rehearsal: Rehearsal) -> Non
 
 
 def test_what_is_named_wrongly_and_what_could_not_be_made_is_told(rehearsal: Rehearsal) -> None:
-    none: dict[str, Any] = {"findings": [], "added": [], "ties": [], "parameters": {}, "not_shown": []}
+    none: dict[str, Any] = {
+        "verdict": "no_effect",
+        "findings": [],
+        "added": [],
+        "ties": [],
+        "parameters": {},
+        "not_shown": [],
+    }
     wrong = {**none, "added": ["b"], "findings": [{"name": "b", "kind": "effect", "lead": False}]}
     tied = {**wrong, "ties": [{"effects": ["b", "a + c"]}]}
     own = Rehearsal({"a.size": 1.0}, ("a",), False, (none, tied), wrong).content()
@@ -103,3 +116,46 @@ def test_inputs_that_follow_keep_a_pole_up_which_replayed_ones_lose() -> None:
     left = {name: rollouts.run(theta, start, drive, 299)[0][0, -1, 2] - UP for name, drive in ways.items()}
     assert abs(left["follow"]) < 0.01
     assert abs(left["replay"]) > 0.5
+
+
+def test_positions_alone_are_simulated_without_a_rate() -> None:
+    system = make_system("mass_spring_damper")
+    options = Options(candidates=("coulomb_friction", "quadratic_damping"))
+    data = assemble(encoder_runs("none", runs=3, seconds=6.0), system, kind="test")
+    found = diagnose(
+        system, SysidSpec("mass_spring_damper", dt=data.dt, horizon=10), data, data.runs, options
+    )
+    own = rehearse(found, logs=1)
+    assert own.why_not == ""
+    assert own.content()["effects"] == {"coulomb_friction": {"sure": 1, "lead": 0, "tied": 0}}
+    assert own.again[0]["data"]["system"] == "mass_spring_damper"
+
+
+def test_what_reads_time_begins_where_its_stretch_does() -> None:
+    push = {f"periodic_force.{k}": v for k, v in (("sine", 1.0), ("cosine", 0.0), ("frequency", 0.5))}
+    system = make_system("mass_spring_damper", effects=["periodic_force"], values=push)
+    rollouts = Rollouts(system, dt=0.01)
+    theta, start = np.tile(rollouts.vector.start, (2, 1)), np.zeros((2, 2))
+    still = replayed([np.zeros((3, 1))], 2)
+    states, _, _ = rollouts.run(theta, start, still, 1, times=np.array([0.5, 1.5]))
+    np.testing.assert_allclose(
+        states[:, 1, 1], [0.01, -0.01], rtol=0.02
+    )  # a quarter and three quarters of a period
+
+
+def test_channels_that_the_physics_reads_are_no_inputs_of_the_log() -> None:
+    system = make_system("hexacopter", effects=["battery_voltage"])
+    nu, names = system.nu, list(system.exogenous)
+    assert names
+    rng = np.random.default_rng(0)
+    u = rng.uniform(0.4, 0.6, (6, nu + len(names)))
+    run = Run("r", 0.01 * np.arange(6), np.zeros((6, system.nx)), u, inferred={"v_x": 0.1})
+    raw = _raw(system, run, 0, [(0, 0, 6)], [(np.zeros((6, system.nx)), u[:5])])
+    assert raw.u.shape == (6, nu)
+    np.testing.assert_array_equal(raw.extra[names[0]][:5], u[:5, nu])
+    assert np.isnan(raw.x[:, system.state_names.index("v_x")]).all()
+
+
+def test_no_log_is_no_rehearsal(found: Diagnosis) -> None:
+    with pytest.raises(ConfigError, match="`logs` must be at least 1; got 0"):
+        rehearse(found, logs=0)

@@ -84,3 +84,45 @@ def test_where_every_rate_was_measured_or_a_fit_is_not_believed_nothing_changes(
     inferred = assemble(encoder_runs("none", runs=1), system, kind="test")
     lost = replace(found, converged=False)
     assert by_prediction_errors(lost, system, inferred.runs) is lost
+
+
+def _lagging(tau: float) -> list[RawRun]:
+    """Springs whose force lags by a time constant, by small steps of Euler's rule."""
+    out, fine = [], 20
+    h = DT / fine
+    for k in range(3):
+        rng = np.random.default_rng(k)
+        u = np.repeat(rng.uniform(-2.0, 2.0, 40), 40)
+        q, v, m, rows = 0.3, 0.0, float(u[0]), []
+        for now in u:
+            rows.append(q)
+            for _ in range(fine):
+                m += h * (now - m) / tau
+                v += h * (SPRING["g"] * m - SPRING["k"] * q - SPRING["b"] * v)
+                q += h * v
+        x = np.column_stack([np.array(rows) + 1e-3 * rng.standard_normal(len(u)), np.full(len(u), np.nan)])
+        out.append(RawRun(f"run_{k}", DT * np.arange(len(u)) + 100.0 * k, x, u[:, None]))
+    return out
+
+
+def test_a_lag_that_lasts_longer_than_a_piece_is_remembered() -> None:
+    system = make_system("mass_spring_damper", effects=["actuator_lag"])
+    data = assemble(_lagging(1.0), system, kind="test")
+    found = identify_in_loop(system, data.runs)
+    j = found.vector.labels.index("actuator_lag.time_constant")
+    half = found.half_widths(0.99)[j]
+    assert half < 0.05
+    assert abs(found.values[j] - 1.0) < half
+
+
+def test_stretches_that_are_mostly_start_leave_the_first_fit_as_it_is() -> None:
+    runs = encoder_runs("none", friction=0.0, runs=2)
+    for run in runs:
+        run.rows(np.flatnonzero(np.arange(len(run.t)) % 40 < 33))
+    system = make_system("mass_spring_damper")
+    data = assemble(runs, system, kind="test")
+    assert len(data.runs[0].segments) > 10
+    observer = Observer(system, data.runs, columns=[1], dt=DT, piece_s=0.5)
+    assert observer.share < 0.2
+    found = identify_in_loop(system, data.runs)
+    assert by_prediction_errors(found, system, data.runs) is found

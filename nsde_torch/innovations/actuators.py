@@ -16,7 +16,7 @@ from nsde_torch.data import Run
 from nsde_torch.effects import Effect, Port
 from nsde_torch.errors import NsdeError
 from nsde_torch.models.neural_sde import SDESpec
-from nsde_torch.sysid.identify import identification, regression_of
+from nsde_torch.sysid.identify import identification, settled
 from nsde_torch.sysid.regression import ITERATIONS, Regression
 from nsde_torch.systems import System
 
@@ -88,9 +88,8 @@ def identified(
 
 
 def _settled(system: System, runs: Sequence[Run], clock: float, method: str) -> Regression:
-    regression = regression_of(system, runs, clock=clock, method=method)
-    regression.run(ITERATIONS)
-    return regression
+    """The regression after its last step, without rows in which what has dry friction stands."""
+    return settled(system, runs, clock=clock, method=method, width=None, iterations=ITERATIONS)[0]
 
 
 def log_likelihood(regression: Regression, rows: int) -> float:

@@ -177,11 +177,14 @@ class Identification:
     def parameters(self) -> dict[str, dict[str, object]]:
         """Declared parameters as `metrics.json` holds them."""
         half = [h if np.isfinite(h) else None for h in self.half_widths(0.9).tolist()]
+        why = "something speaks against the fit" if self.converged else "the fit had not settled"
+        note = {} if self.believed else {"note": f"no interval: {why}"}
         return {
             p.name: {
                 "value": self.values[p.columns].tolist(),
                 "half_width_90": half[p.columns],
                 "unit": p.unit,
+                **note,
             }
             for p in self.vector.places
         }

@@ -84,6 +84,8 @@ def test_where_every_rate_was_measured_or_a_fit_is_not_believed_nothing_changes(
     inferred = assemble(encoder_runs("none", runs=1), system, kind="test")
     lost = replace(found, converged=False)
     assert by_prediction_errors(lost, system, inferred.runs) is lost
+    assert {p["note"] for p in lost.parameters().values()} == {"no interval: the fit had not settled"}
+    assert all("note" not in p for p in found.parameters().values())
 
 
 def _lagging(tau: float) -> list[RawRun]:

@@ -46,6 +46,12 @@ class AlphaBeta:
         share = max(self.beta * (2.0 * self.alpha - self.beta) / (2.0 * kept), 0.0)
         return sqrt(share * kept * square) / dt
 
+    def noises(self, square: float, dt: float) -> tuple[float, float]:
+        """Standard deviations of the noise of the position and of the rate's changes over steps, from the same."""
+        kept = max(1.0 - self.alpha, 1e-9)
+        sensor = sqrt(kept * square)
+        return sensor, self.beta / sqrt(kept) * sensor / dt  # the tracking index is beta / sqrt(1 - alpha)
+
 
 def gains(dt: float, count: int, *, slowest: float = SLOWEST_S) -> list[AlphaBeta]:
     """Filters from one of this time constant [s] to one that takes positions as they are, for a step [s]."""

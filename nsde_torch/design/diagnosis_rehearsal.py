@@ -94,7 +94,7 @@ class Rehearsal:
             "value": value,
             "again": [p["value"] for p in found],
             "intervals": len(intervals),
-            "hold": sum(_holds(low, high, value) for low, high in intervals),
+            "hold": sum(low <= value <= high for low, high in intervals),
             "unit": found[0]["unit"] if found else None,
         }
 
@@ -228,10 +228,9 @@ def _noise(found: Diagnosis, count: int, steps: int, rng: np.random.Generator) -
     chosen, square, _ = observer.best()
     pushes, errors = np.zeros((count, steps, system.nx)), np.zeros((count, steps + 1, system.nx))
     for gain, own, i, j in zip(chosen, square, observer.positions, observer.rates, strict=True):
-        sensor = np.sqrt(max(1.0 - gain.alpha, 0.0) * own)
-        index = gain.beta / np.sqrt(max(1.0 - gain.alpha, _NEAR))  # Kalata: dt^2 (accelerations) / (sensor)
+        sensor, push = gain.noises(float(own), dt)
         errors[..., i] = sensor * rng.standard_normal(errors.shape[:2])
-        pushes[..., j] = index * sensor / dt * rng.standard_normal(pushes.shape[:2])
+        pushes[..., j] = push * rng.standard_normal(pushes.shape[:2])
     return Disturbances(pushes, errors)
 
 
@@ -258,7 +257,3 @@ def _sure(content: dict[str, Any]) -> list[str]:
 def _tied(content: dict[str, Any]) -> set[str]:
     """What explains a log as well as an effect that was found."""
     return {name for tie in content["ties"] for one in tie["effects"] for name in one.split(AND)}
-
-
-def _holds(low: float, high: float, value: float) -> bool:
-    return low <= value <= high

@@ -17,6 +17,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from nsde_torch.design.drives import OpenLoop
 from nsde_torch.design.rollout import Drive
 from nsde_torch.systems import System
 
@@ -32,12 +33,7 @@ def replayed(inputs: Sequence[Array], copies: int) -> Drive:
         inputs: Of each stretch (n, nu).
         copies: Machines of each stretch, one after another.
     """
-    u = torch.from_numpy(_stacked(inputs, copies))
-
-    def drive(k: int, measured: Tensor) -> Tensor:
-        return u[:, min(k, u.shape[1] - 1)]
-
-    return drive
+    return OpenLoop()(_stacked(inputs, copies))
 
 
 def following(
@@ -63,10 +59,9 @@ def following(
     gain = torch.from_numpy(_stacked([k.reshape(len(k), -1) for k in gains], copies))
 
     def drive(k: int, measured: Tensor) -> Tensor:
-        now = min(k, u.shape[1] - 1)
-        away = (x[:, now] - measured)[:, :, None]
-        change = (gain[:, now].view(-1, nu, x.shape[2]) @ away)[:, :, 0]
-        whole = torch.cat((u[:, now, :nu] + change, u[:, now, nu:]), 1)
+        away = (x[:, k] - measured)[:, :, None]
+        change = (gain[:, k].view(-1, nu, x.shape[2]) @ away)[:, :, 0]
+        whole = torch.cat((u[:, k, :nu] + change, u[:, k, nu:]), 1)
         return torch.minimum(torch.maximum(whole, low), high)
 
     return drive

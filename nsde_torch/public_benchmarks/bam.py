@@ -27,6 +27,7 @@ from nsde_torch.public_benchmarks.benchmark import (
     Trace,
 )
 from nsde_torch.public_benchmarks.files import found, long_enough
+from nsde_torch.public_benchmarks.ladder import ladder
 from nsde_torch.public_benchmarks.named import diagnosed, words_of
 from nsde_torch.public_benchmarks.output_error import Stretches, output_error, simulated, times
 from nsde_torch.public_benchmarks.servo import STEP, ServoPendulum
@@ -128,28 +129,16 @@ class Bam(PublicBenchmark):
 
         named = work.stage("diagnosis", lambda: _diagnosed(training[::DIAGNOSED], work))
 
-        def tried(effects: tuple[str, ...]) -> dict[str, Any]:
+        def tried(effects: tuple[str, ...], first: Mapping[str, Any]) -> dict[str, Any]:
             def make() -> dict[str, Any]:
-                first = ladder[-1]["values"] if ladder else _FIRST
                 values = _fitted(effects, first, others, ITERATIONS[0], work)
-                return {
-                    "effects": list(effects),
-                    "values": values,
-                    "held_out": _error(effects, values, held_out),
-                }
+                error = _error(effects, values, held_out)
+                return {"effects": list(effects), "values": values, "held_out": error}
 
             return work.stage("_".join(["model", *effects]), make)
 
-        taken: tuple[str, ...] = ()
-        ladder: list[dict[str, Any]] = []
-        ladder.append(tried(taken))
-        while left := [name for name in CANDIDATES if name not in taken]:
-            best = min((tried((*taken, name)) for name in left), key=lambda made: float(made["held_out"]))
-            if best["held_out"] > (1.0 - GAIN) * ladder[-1]["held_out"]:
-                break
-            taken = tuple(best["effects"])
-            ladder.append(best)
-
+        rungs = ladder(tried, CANDIDATES, first=_FIRST, error="held_out", gain=GAIN)
+        taken = tuple(rungs[-1]["effects"])
         rows: dict[str, dict[str, float]] = {}
         parts = {
             "training": (training, ROWS),
@@ -162,7 +151,7 @@ class Bam(PublicBenchmark):
                 key: 1e3 * _mean([swing(p, x[:, 0], u, VOLTS) - x[..., 0] for x, u in _batches(part, count)])
                 for key, (part, count) in parts.items()
             }
-        for made in (ladder[0], ladder[-1]):
+        for made in (rungs[0], rungs[-1]):
             effects = tuple(made["effects"])
 
             def all_logs(effects: tuple[str, ...] = effects, first: Any = made["values"]) -> dict[str, Any]:
@@ -185,7 +174,7 @@ class Bam(PublicBenchmark):
             _traces(taken, last, validation),
             {
                 "diagnosis": named,
-                "held_out": [{"effects": m["effects"], "mrad": 1e3 * m["held_out"]} for m in ladder],
+                "held_out": [{"effects": m["effects"], "mrad": 1e3 * m["held_out"]} for m in rungs],
             },
         )
 

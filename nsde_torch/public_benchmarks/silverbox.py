@@ -26,6 +26,7 @@ from nsde_torch.public_benchmarks.benchmark import (
     Trace,
 )
 from nsde_torch.public_benchmarks.files import found, long_enough, matrices
+from nsde_torch.public_benchmarks.ladder import ladder
 from nsde_torch.public_benchmarks.named import words_of
 from nsde_torch.public_benchmarks.output_error import output_error, simulated, times, windows
 from nsde_torch.public_benchmarks.work import Work
@@ -115,31 +116,23 @@ class Silverbox(PublicBenchmark):
         record = _Record(_finer(u), y)
         middle = MULTISINE.start + round(TRAINED * (MULTISINE.stop - MULTISINE.start))
 
-        def tried(effects: tuple[str, ...]) -> dict[str, Any]:
-            def make() -> dict[str, Any]:
-                first = ladder[-1]["values"] if ladder else _FIRST
-                return record.tried(effects, first, MULTISINE.start, middle, work)
+        def tried(effects: tuple[str, ...], first: Mapping[str, Any]) -> dict[str, Any]:
+            return work.stage(
+                "model_" + "_".join(["linear", *effects]),
+                lambda: record.tried(effects, first, MULTISINE.start, middle, work),
+            )
 
-            return work.stage("model_" + "_".join(["linear", *effects]), make)
-
-        taken: tuple[str, ...] = ()
-        ladder: list[dict[str, Any]] = []
-        ladder.append(tried(taken))
-        while left := [name for name in CANDIDATES if name not in taken]:
-            best = min((tried((*taken, name)) for name in left), key=lambda made: float(made["held_out_mV"]))
-            if best["held_out_mV"] > (1.0 - GAIN) * ladder[-1]["held_out_mV"]:
-                break
-            taken = tuple(best["effects"])
-            ladder.append(best)
+        rungs = ladder(tried, CANDIDATES, first=_FIRST, error="held_out_mV", gain=GAIN)
+        taken = tuple(rungs[-1]["effects"])
         tests = {"arrow": ARROW, "multisine": slice(middle, MULTISINE.stop)}
         rows: dict[str, dict[str, float]] = {}
         traces = []
-        for made, name in ((ladder[0], "linear oscillator"), (ladder[-1], " + ".join(["linear", *taken]))):
+        for made, name in ((rungs[0], "linear oscillator"), (rungs[-1], " + ".join(["linear", *taken]))):
             errors = {}
             for test, part in tests.items():
                 path = record.simulated(made, part, f"{test}_{'_'.join(['linear', *made['effects']])}", work)
                 errors[test] = (path - y[part])[SKIPPED:]
-                if made is ladder[-1]:
+                if made is rungs[-1]:
                     t = times(len(path), STEP)
                     traces.append(Trace(f"{test}, open loop", "output [V]", t, y[part], path))
             rows[f"ours, {name}"] = {
@@ -150,10 +143,10 @@ class Silverbox(PublicBenchmark):
         return BenchmarkOutcome(
             rows,
             taken,
-            {name: {"value": value} for name, value in ladder[-1]["values"].items()},
+            {name: {"value": value} for name, value in rungs[-1]["values"].items()},
             words_of(taken, "the linear oscillator"),
             traces,
-            {"ladder": [{"effects": m["effects"], "held_out_mV": m["held_out_mV"]} for m in ladder]},
+            {"ladder": [{"effects": m["effects"], "held_out_mV": m["held_out_mV"]} for m in rungs]},
         )
 
 

@@ -68,19 +68,23 @@ class Observer:
         self.positions, self.rates = [i for i, _ in pairs], [j for _, j in pairs]
         self.spread = np.zeros(len(pairs))
         length, before = max(1, round(piece_s / dt)), round(_BEFORE_S / dt)
+        stretches = [(n, a, b) for n, run in enumerate(runs) for a, b in run.segments]
         self.pieces = [
             (n, c, min(c + length, b), max(a, c - before))
-            for n, run in enumerate(runs)
-            for a, b in run.segments
+            for n, a, b in stretches
             for c in range(a, b, length)
         ]
+        parts = [-(-(b - a) // length) for _, a, b in stretches]  # pieces of each
         count = max(end - start for _, _, end, start in self.pieces)
         rows = np.arange(count)[:, None] + np.array([start for *_, start in self.pieces])
         first, end = (np.array([p[k] for p in self.pieces]) for k in (1, 2))
         self.own = (rows >= first) & (rows < end)
-        self._memory = (
-            _Memory(self.system, runs, self.pieces, dt) if self.system.nz > self.system.nx else None
-        )
+        self._memory = None
+        if self.system.nz > self.system.nx:
+            begun = np.array([start for *_, start in self.pieces])
+            self._memory = _Memory(
+                self.system, runs, stretches, np.repeat(np.arange(len(parts)), parts), begun, dt
+            )
         late = self.own & (np.arange(count)[:, None] >= _FIRST)
         if self._memory is not None:
             late &= rows >= self._memory.known
@@ -163,7 +167,9 @@ class _Memory:
     Args:
         system: The machine, whose values may be changed between calls.
         runs: Recordings, all on one step.
-        pieces: See `Observer`.
+        stretches: Run, first row and end of each.
+        of: Number of the stretch of each piece.
+        begun: Row from which on each piece is followed.
         dt: The step [s].
 
     Attributes:
@@ -171,24 +177,25 @@ class _Memory:
     """
 
     def __init__(
-        self, system: System, runs: Sequence[Run], pieces: Sequence[tuple[int, int, int, int]], dt: float
+        self,
+        system: System,
+        runs: Sequence[Run],
+        stretches: Sequence[tuple[int, int, int]],
+        of: NDArray[np.int64],
+        begun: NDArray[np.int64],
+        dt: float,
     ) -> None:
         self._system = system
         self._steps = steps_of(system, runs, clock=dt / runs[0].dt, smooth=False, differences=0, run_in=False)
-        stretches = [(n, a, b) for n, run in enumerate(runs) for a, b in run.segments]
-        begun = [first for first, _ in self._steps.segments]
-        if len(begun) != len(stretches):
+        steps = np.array([first for first, _ in self._steps.segments])
+        if len(steps) != len(stretches):
             raise DataError(
                 f"rates of {len(runs)} runs cannot be inferred beside effects with memory: give less than {MOST} rows."
             )
-        place = {(n, a): (first, b) for (n, a, b), first in zip(stretches, begun, strict=True)}
-        at, known = [], []
-        for n, first, _, start in pieces:
-            a = max(a for m, a in place if m == n and a <= first)
-            step, b = place[n, a]
-            at.append(min(step + start - a, step + b - a - 2))
-            known.append(a + min(round(RUN_IN_S / dt), int(RUN_IN_SHARE * (b - a))))
-        self._at, self.known = torch.tensor(at), np.array(known)
+        first, end = (np.array([stretch[k] for stretch in stretches]) for k in (1, 2))
+        run_in = np.minimum(round(RUN_IN_S / dt), (RUN_IN_SHARE * (end - first)).astype(np.int64))
+        self.known = (first + run_in)[of]
+        self._at = torch.from_numpy(steps[of] + np.minimum(begun - first[of], (end - first)[of] - 2))
 
     def now(self) -> Tensor:
         """Memory where each piece begins (pieces, nz - nx)."""

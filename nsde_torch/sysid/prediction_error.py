@@ -168,8 +168,8 @@ class _Fit:
             out |= (theta[free] >= v.high[free] - margin) & (change > 0)
             if not out.any():
                 # residuals are measured less foretold, and slopes those of what is foretold
-                sure = spread(-np.moveaxis(scaled, 1, 0), left.T, self._blocks, 0)
-                return _Step(free, change, _unscaled(sure, v.scale[free]), float(np.square(left).sum()))
+                sure = spread(-np.moveaxis(slopes, 1, 0), left.T, self._blocks, 0)
+                return _Step(free, change, sure, float(np.square(left).sum()))
             free, slopes = free[~out], slopes[..., ~out]
         return None
 
@@ -198,12 +198,6 @@ class _Fit:
         self._use(theta)
         errors = self._observer.follow([self._gains])[1][0][self._observer.judged]
         return np.asarray(errors * self._weights)
-
-
-def _unscaled(sure: Spread, scale: Array) -> Spread:
-    """A spread of scaled parameters, as that of the parameters."""
-    both = np.outer(scale, scale)
-    return Spread(sure.covariance * both, sure.parts * scale, sure.weights * both)
 
 
 def _with(found: Identification, theta: Array, step: _Step) -> Identification:

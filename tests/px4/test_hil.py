@@ -161,6 +161,20 @@ def test_position_and_velocity_go_north_and_east() -> None:
     assert gps.lon - lon == pytest.approx(30.0 * metre / 0.67688, abs=3)
 
 
+def test_a_gps_says_where_the_machine_was_as_long_ago_as_px4_takes_it_to() -> None:
+    sensors = HilSensors(seed=0, noise=0.0)
+    flown = [
+        (0.004 * k, m)
+        for k in range(200)
+        for m in sensors.messages(0.004 * k, (0.0, 4.0 * 0.004 * k, 0.0), (0.0, 4.0, 0.0), NORTH, REST)
+        if m.get_type() == "HIL_GPS"
+    ]
+    north = place((0.0, 1.0, 0.0))[0] - place(REST)[0]
+    late = [t - (m.lat - place(REST)[0]) / north / 4.0 for t, m in flown[2:]]
+    assert late == pytest.approx([0.112] * len(late), abs=0.004)
+    assert len(late) > 4
+
+
 def test_rotors_of_the_quadrotor_are_where_px4_has_them() -> None:
     found = airframe(Body("quadrotor", seed=0).system, 0.5)
     assert found["CA_ROTOR_COUNT"] == 4

@@ -11,6 +11,7 @@ Magnetic Model, rounded). The IMU comes with every message, the others more seld
 from __future__ import annotations
 
 import random
+from collections import deque
 from math import atan2, cos, degrees, radians, sin
 from typing import final
 
@@ -46,6 +47,11 @@ BAROMETER = 1 << 9 | 1 << 11 | 1 << 12
 _EVERY = {"mag": (4, 1), "baro": (5, 2), "gps": (25, 3), "truth": (5, 4)}
 """One in so many samples, and which of them, so that they do not all come at once."""
 _EARTH = 6_371_000.0
+GPS_DELAY = 0.11
+"""Age of what a GPS says [s]: what PX4 takes it for by default (`SENS_GPS0_DELAY`, before `EKF2_GPS_DELAY`, 110 ms).
+
+Fixes that are fresher pull its estimate ahead of the machine, so that position, velocity and attitude no longer agree.
+"""
 HARDEST = 4.0 * GRAVITY
 """Largest acceleration that is shown [m/s2]: a touch-down within one sample would show more than any sensor does.
 
@@ -83,6 +89,7 @@ class HilSensors:
         self._rest: Vec = (0.0, 0.0, 0.0)
         self._shown: Quat | None = None
         self._count = 0
+        self._flown = deque[tuple[Vec, Vec]](maxlen=round(GPS_DELAY * RATE) + 1)
 
     def messages(self, time: float, p: Vec, v: Vec, q: Quat, w: Vec) -> list[Message]:
         """What is sent of one state; call it once for each sample.
@@ -118,13 +125,14 @@ class HilSensors:
         fields |= MAGNETOMETER if _due("mag", k) else 0
         fields |= BAROMETER if _due("baro", k) else 0
         stamp = round(time * 1e6)
+        self._flown.append((p, v))
         out = [
             mavlink.MAVLink_hil_sensor_message(
                 stamp, *acc, *gyro, *mag, air, 0.0, _height(air), 15.0 - 0.0065 * height, fields, 0
             )
         ]
         if _due("gps", k):
-            out.append(self._gps(stamp, p, v))
+            out.append(self._gps(stamp, *self._flown[0]))
         if _due("truth", k):
             out.append(_truth(stamp, p, v, q, w, force))
         return out

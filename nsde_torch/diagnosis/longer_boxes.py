@@ -5,6 +5,10 @@ the whole search. It is repeated over longer boxes where the guard asks for it, 
 the catalogue explains, and where nothing was found and more than noise may be left. It is taken where fits of what it
 finds are believed over longer boxes and not over shorter ones. Feedback makes no such difference: it pulls fits over
 longer boxes towards nothing, and of these the guard says nothing.
+
+Where the guard speaks against nothing over the usual boxes, what was named there is believed. A search over longer ones
+that lost some of it (a lag beside a delay, which differ within a few hundredths of a second) is not taken: its physics
+is refused over shorter boxes because it lacks what they show.
 """
 
 from collections.abc import Callable
@@ -13,6 +17,7 @@ from dataclasses import replace
 from nsde_torch.diagnosis.outcome import Outcome
 from nsde_torch.diagnosis.reading import Log
 from nsde_torch.diagnosis.search import Search
+from nsde_torch.effects import effect_class
 from nsde_torch.errors import DataError, NonFiniteError
 from nsde_torch.sysid.guard import Guarded, guarded
 from nsde_torch.sysid.in_loop import identify_in_loop
@@ -50,8 +55,20 @@ def over_longer_boxes(
         return kept
     if there.objections or not (other.found and other.final.regression.converged):
         return kept
+    if not asked and _lost(outcome, other):
+        return kept
     refused = refused or _refused_over_shorter(log, other)
     return kept if refused is None else (replace(longer, refused=refused), again, other, there)
+
+
+def _lost(outcome: Outcome, other: Outcome) -> bool:
+    """Whether something that was found is not among what another search found, nor contained in it or part of it."""
+
+    def same(one: str, two: str) -> bool:
+        return one == two or one in effect_class(two).includes or two in effect_class(one).includes
+
+    there = [found.name for found in other.found]
+    return any(not any(same(found.name, name) for name in there) for found in outcome.found)
 
 
 def _much_is_left(outcome: Outcome, guard: Guarded) -> bool:

@@ -21,6 +21,7 @@ from nsde_torch.control.options import SafetyOptions
 from nsde_torch.control.predictor import Predictor
 from nsde_torch.control.problem import ProblemOptions
 from nsde_torch.control.solve import Clock, Problem, Solution, Solver, SolverOptions
+from nsde_torch.effects import Port
 from nsde_torch.errors import ConfigError, ShapeError
 from nsde_torch.models import Model
 from nsde_torch.systems import System
@@ -145,6 +146,7 @@ class PredictorFace(Protocol):
     """What is to be known of a predictor."""
 
     system: System
+    ports: dict[Port, int]
 
 
 class SolverFace(Protocol):

@@ -3,12 +3,11 @@
 What is sent at t acts at t + delay: the line, the rate loop and the motors follow late. So the state is carried forward
 over the delay by what was asked for meanwhile, and the plan starts there:
 
-    q' = q * w / 2,  v' = R ((0, 0, f) - D R'v) - g,  p' = v   with (w, f) asked for a delay before
     rates(t) = omega(plan, t + delay + lead),      thrust(t) = thrust(plan, t + delay) / mass
 
-`D` is what the model says of braking by speed, a drag of 1 1/s is 0.2 m/s over a delay at 3 m/s. `lead` is the time in
-which a rate that is asked for is reached. What lasts and the model does not know moves the
-reference, p_ref + trim with trim' = (p_ref - p) / T.
+`lead` is the time in which a rate that is asked for is reached. What pushes the vehicle that the model does not know
+is learned from its velocities (`carried`) and planned with; what is off all the same moves the reference slowly,
+p_ref + trim with trim' = (p_ref - p) / T.
 
 A solver that starts from a plan that came late may end in another valley of its cost, which leads over the top: a plan
 that tilts beyond what ends a flight is not flown. Another is made from hovering, or the one before goes on.
@@ -17,7 +16,6 @@ that tilts beyond what ends a flight is not flown. Another is made from hovering
 from __future__ import annotations
 
 import time as clock
-from bisect import bisect_right
 from collections.abc import Callable
 from dataclasses import dataclass
 from math import cos, radians
@@ -34,20 +32,22 @@ from nsde_torch.control.problem import ProblemOptions
 from nsde_torch.control.reference import FlightPath, Reference
 from nsde_torch.control.setpoint import setpoints
 from nsde_torch.control.solve import SolverOptions
+from nsde_torch.effects import Port
 from nsde_torch.errors import ConfigError
 from nsde_torch.export.exported import ExportedController
-from nsde_torch.px4.flight.cascade import GRAVITY
+from nsde_torch.px4.flight.carried import NO_DRAG, NO_PUSH, Drag, PushEstimate, carried
 from nsde_torch.px4.flight.controller import Asked, Demand, DemandPlan
 from nsde_torch.px4.flight.path import PAUSE
-from nsde_torch.px4.link.vectors import Vec, rotate, rotate_back, turned_by_rates
+from nsde_torch.px4.link.vectors import Vec
 from nsde_torch.systems import Multirotor
 from nsde_torch.systems.machines import Effects, named_effects
 
 DELAY, LEAD = 0.08, 0.01
 """Measured best on a real PX4 in simulation [s]: rates that are asked for are there 88 ms later."""
-STEP = 0.01
-TRIM_TIME, TRIM_LIMIT = 3.0, 0.3
+TRIM_TIME, TRIM_LIMIT = 10.0, 0.3
 """Time constant [s] and largest size [m] of the trim."""
+PUSH_TIME, PUSH_LIMIT = 0.2, 4.0
+"""Time constant [s] and largest size [m/s2] of the push that is learned."""
 TILT = radians(65.0)
 """Tilt of a plan that is not flown [rad]; that at which a flight ends."""
 KEEP = 0.25
@@ -72,8 +72,6 @@ def told(effects: Effects) -> list[dict[str, Any]]:
     return [{name: values} for name, values in named_effects(effects).items() if name not in COVERED]
 
 
-Drag = tuple[Vec, Vec, Vec]
-_NO_DRAG: Drag = ((0.0, 0.0, 0.0),) * 3
 SLOW = 2.0
 """Speed at which a model is asked how it brakes [m/s]."""
 
@@ -104,6 +102,7 @@ class PredictiveController:
         delay: From a setpoint to its effect [s].
         lead: How much earlier than the plan says rates are asked for [s].
         tilt: Tilt beyond which a plan is not flown [rad].
+        push_time: Time constant of the push that is learned [s]; 0: none is.
 
     Raises:
         ConfigError: the model is of no multirotor.
@@ -117,20 +116,23 @@ class PredictiveController:
         delay: float = DELAY,
         lead: float = LEAD,
         tilt: float = TILT,
+        push_time: float = PUSH_TIME,
     ) -> None:
         system = controller.predictor.system
         if not isinstance(system, Multirotor):
             raise ConfigError(f"PX4 flies multirotors; the model is of a {system.name!r}.")
         self.controller, self.reference = controller, reference
         self._delay, self._lead, self._upright = delay, lead, cos(tilt)
-        self._system = system
-        self._drag = braking(controller) if isinstance(controller, Controller) else _NO_DRAG
+        self._system, self._ports = system, controller.predictor.ports
+        self._drag = braking(controller) if isinstance(controller, Controller) else NO_DRAG
+        self._push = PushEstimate(delay=delay, drag=self._drag, time=push_time, limit=PUSH_LIMIT)
         self._last: tuple[float, MotorPlan] | None = None
         self._trim = torch.zeros(3, dtype=torch.float64)
 
     def reset(self) -> None:
         """Forget the last flight."""
         self._last = None
+        self._push.reset()
         self._trim = torch.zeros(3, dtype=torch.float64)
 
     @torch.no_grad()
@@ -150,14 +152,26 @@ class PredictiveController:
             self._trim = self._trim.clamp(-TRIM_LIMIT, TRIM_LIMIT)
         window[:, :3] += self._trim
         before = None if self._last is None else self._last[1]
-        x = torch.tensor([self._ahead(row, time, asked)], dtype=torch.float64)
-        plan = c.plan(x, window[None], before, elapsed=elapsed)
+        push = self._push.take(row, time, asked)
+        x = torch.tensor([self._ahead(row, time, asked, push)], dtype=torch.float64)
+        forces = self._forces(push)
+        plan = c.plan(x, window[None], before, elapsed=elapsed, push=forces)
         status = f"{plan.status[0]}: failed" if plan.status[0].endswith(HOVER) else plan.status[0]
         if self._tips(plan):
-            plan, status = self._upright_plan(x, window, before, elapsed)
+            plan, status = self._upright_plan(x, window, before, elapsed, forces)
         self._last = (time, plan)
         took = 1e3 * (clock.perf_counter() - started)
         return DemandPlan(time, plan.dt, self._demands(plan), status, took)
+
+    def _forces(self, push: Vec) -> Tensor | None:
+        """The push on the ports of the model (1, nd); None where it has none."""
+        parts = []
+        for port, width in self._ports.items():
+            own = torch.zeros(1, width, dtype=torch.float64)
+            if port is Port.BODY_FORCE:
+                own[0] = torch.tensor(push, dtype=torch.float64)
+            parts.append(own)
+        return torch.cat(parts, 1) if parts else None
 
     def _tips(self, plan: MotorPlan) -> bool:
         """Whether a plan tilts too far; one that begins beyond the limit may come back from it."""
@@ -165,10 +179,10 @@ class PredictiveController:
         return float(up.min()) < min(self._upright, float(up[0]) - 1e-3)
 
     def _upright_plan(
-        self, x: Tensor, window: Tensor, before: MotorPlan | None, elapsed: float
+        self, x: Tensor, window: Tensor, before: MotorPlan | None, elapsed: float, push: Tensor | None
     ) -> tuple[MotorPlan, str]:
         """A plan from hovering instead of one that tips, else the one before, and its status."""
-        plan = self.controller.plan(x, window[None])
+        plan = self.controller.plan(x, window[None], push=push)
         if not self._tips(plan):
             return plan, f"{plan.status[0]}:{TIPPED}"
         if before is None:
@@ -180,26 +194,11 @@ class PredictiveController:
         rates, thrust = (one[0].tolist() for one in setpoints(plan, self._system, ahead=self._lead))
         return tuple(Demand((w[0], w[1], w[2]), a) for w, a in zip(rates, thrust, strict=True))
 
-    def _ahead(self, row: tuple[float, ...], time: float, asked: Asked) -> tuple[float, ...]:
+    def _ahead(
+        self, row: tuple[float, ...], time: float, asked: Asked, push: Vec = NO_PUSH
+    ) -> tuple[float, ...]:
         """The state a delay later, by what was asked for a delay before."""
-        p, v, q = row[0:3], row[3:6], row[6:10]
-        w: Vec = (row[10], row[11], row[12])
-        steps = max(round(self._delay / STEP), 1)
-        dt = self._delay / steps
-        times = [left for left, _ in asked]
-        for k in range(steps):
-            newest = bisect_right(times, time - self._delay + (k + 0.5) * dt) - 1
-            thrust = GRAVITY  # where nothing is known it hovers
-            if newest >= 0:
-                w, thrust = asked[newest][1].w, asked[newest][1].thrust
-            u = rotate_back(q, v)  # type: ignore[arg-type]
-            x, y, z = (d[0] * u[0] + d[1] * u[1] + d[2] * u[2] for d in self._drag)
-            push = rotate(q, (-x, -y, thrust - z))  # type: ignore[arg-type]
-            a = (push[0], push[1], push[2] - GRAVITY)
-            p = tuple(pi + dt * vi + 0.5 * dt * dt * ai for pi, vi, ai in zip(p, v, a, strict=True))
-            v = tuple(vi + dt * ai for vi, ai in zip(v, a, strict=True))
-            q = turned_by_rates(q, w, dt)  # type: ignore[arg-type]
-        return (*p, *v, *q, *w)
+        return carried(row, time, self._delay, asked, delay=self._delay, drag=self._drag, push=push)
 
 
 @dataclass(frozen=True)

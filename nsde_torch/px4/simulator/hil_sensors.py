@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import random
 from collections import deque
-from math import atan2, cos, degrees, radians, sin
+from math import atan2, ceil, cos, degrees, radians, sin
 from typing import final
 
 from nsde_torch.px4.flight.cascade import GRAVITY
@@ -47,10 +47,10 @@ BAROMETER = 1 << 9 | 1 << 11 | 1 << 12
 _EVERY = {"mag": (4, 1), "baro": (5, 2), "gps": (25, 3), "truth": (5, 4)}
 """One in so many samples, and which of them, so that they do not all come at once."""
 _EARTH = 6_371_000.0
-GPS_DELAY = 0.11
-"""Age of what a GPS says [s]: what PX4 takes it for by default (`SENS_GPS0_DELAY`, before `EKF2_GPS_DELAY`, 110 ms).
+GPS_DELAY = 0.01
+"""Age of what a GPS says [s]: what PX4 takes it for in simulation (`SENS_GPS0_DELAY`, before `EKF2_GPS_DELAY`, 10 ms).
 
-Fixes that are fresher pull its estimate ahead of the machine, so that position, velocity and attitude no longer agree.
+Fixes that are fresher or older pull its estimate off the path, so that position, velocity and attitude disagree.
 """
 HARDEST = 4.0 * GRAVITY
 """Largest acceleration that is shown [m/s2]: a touch-down within one sample would show more than any sensor does.
@@ -89,7 +89,7 @@ class HilSensors:
         self._rest: Vec = (0.0, 0.0, 0.0)
         self._shown: Quat | None = None
         self._count = 0
-        self._flown = deque[tuple[Vec, Vec]](maxlen=round(GPS_DELAY * RATE) + 1)
+        self._flown = deque[tuple[Vec, Vec]](maxlen=ceil(GPS_DELAY * RATE) + 1)
 
     def messages(self, time: float, p: Vec, v: Vec, q: Quat, w: Vec) -> list[Message]:
         """What is sent of one state; call it once for each sample.
@@ -132,7 +132,7 @@ class HilSensors:
             )
         ]
         if _due("gps", k):
-            out.append(self._gps(stamp, *self._flown[0]))
+            out.append(self._gps(stamp, *self._before_delay()))
         if _due("truth", k):
             out.append(_truth(stamp, p, v, q, w, force))
         return out
@@ -149,6 +149,12 @@ class HilSensors:
         rates: Vec = (share * turn[0], share * turn[1], share * turn[2])
         self._shown = turned_by_rates(last, rates, 1.0 / RATE)
         return rates
+
+    def _before_delay(self) -> tuple[Vec, Vec]:
+        """Position and velocity `GPS_DELAY` ago, between two samples; the first ones before there were any."""
+        (p, v), (p1, v1) = self._flown[0], self._flown[min(1, len(self._flown) - 1)]
+        share = ceil(GPS_DELAY * RATE) - GPS_DELAY * RATE
+        return _between(p, p1, share), _between(v, v1, share)
 
     def _gps(self, stamp: int, p: Vec, v: Vec) -> Message:
         gauss = self._random.gauss
@@ -180,6 +186,10 @@ class HilSensors:
     def _noisy(self, v: Vec, kind: str) -> Vec:
         s, gauss = self._std[kind], self._random.gauss
         return (v[0] + gauss(0.0, s), v[1] + gauss(0.0, s), v[2] + gauss(0.0, s))
+
+
+def _between(a: Vec, b: Vec, share: float) -> Vec:
+    return (a[0] + share * (b[0] - a[0]), a[1] + share * (b[1] - a[1]), a[2] + share * (b[2] - a[2]))
 
 
 def _int16(value: float) -> int:

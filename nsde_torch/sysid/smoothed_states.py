@@ -8,8 +8,9 @@ in the log's digits. That the log was smoothed is believed where it ends in no s
 
 - position and integrated rate do not agree in the band in which S falls: what is left there is noise, of two sensors;
 - or else the declared physics, fitted to means over 0.15 s, foretells the changes of channels that inputs drive better
-  behind S than as they are (in nats). It is not asked where the first shows it: in a closed loop inputs answer the
-  noise of the sensors, which looks like the machine's answer to them.
+  behind S than as they are (in nats), each behind the lag and the delay of actuators that suit it best. It is not asked
+  where the first shows it: in a closed loop inputs answer the noise of the sensors, which looks like the machine's
+  answer to them.
 
 Sensors behind one smoother are fitted together.
 """
@@ -57,6 +58,8 @@ APART = 0.5
 """Share of the changes in which position and integrated rate differ, above which they are noise (independent: 1)."""
 NATS = 20.0
 """By which the declared physics must be likelier behind a smoother."""
+LAGS_S, LATEST_S = (0.0, 0.02, 0.05, 0.1), 0.05
+"""Lags of actuators that the declared physics may lack, and the longest delay [s], by halves of a step."""
 DEPTH, BEGINS = 1e-3, 0.9
 """|S| down to which is restored; and at which noise is added instead."""
 _ROUNDED = 0.1  # share of rounding in what is left, up to which it is restored
@@ -331,32 +334,49 @@ def _apart(system: System, runs: Sequence[Run], sensor: SensorGroup, smoother: S
 
 
 def _nats(regression: Regression, sensors: Sequence[SensorGroup], smoother: Smoother) -> float:
-    """By how much changes are likelier from the physics behind a smoother than from it alone, where inputs drive."""
+    """By how much changes are likelier from the physics behind a smoother than from it alone, where inputs drive.
+
+    A lag of actuators that is not declared takes the fast part of what inputs do as a smoother does. So both are judged
+    behind the lag and the delay that suit each best.
+    """
     physics = regression.physics
     steps, left = physics.steps, physics.residual(regression.theta)
     driven = {channel for way in signals.directions(regression) for channel in way.channels}
-    total = 0.0
-    for channel in driven & {c for sensor in sensors for c in sensor.columns}:
-        foretold = physics.measured[:, channel] - left[:, channel]
-        alone = [left[a:b, [channel]] for a, b in steps.segments]
-        behind = [
-            physics.measured[a:b, [channel]] - _through(foretold[a:b], smoother, steps.dt)[:, None]
-            for a, b in steps.segments
-        ]
-        kept, filtered = (smoothers.spectra_of(some, steps.dt) for some in (alone, behind))
-        if kept is None or filtered is None:
-            continue
-        level = np.abs(smoother.response(kept.f))
-        band = (level < BEGINS) & (level > 0.01)
-        total += kept.windows * float(np.log(kept.power / filtered.power)[:, band].sum())
-    return total
+    channels = sorted(driven & {c for sensor in sensors for c in sensor.columns})
+    foretold = {c: physics.measured[:, c] - left[:, c] for c in channels}
+
+    def likelihood(smoothed: bool, lag: float, delay: float) -> float:
+        total = 0.0
+        for c in channels:
+            rest = [
+                (
+                    physics.measured[a:b, c]
+                    - _through(foretold[c][a:b], smoother if smoothed else None, lag, delay, steps.dt)
+                )
+                for a, b in steps.segments
+            ]
+            seen = smoothers.spectra_of([one[:, None] for one in rest], steps.dt)
+            if seen is None:
+                continue
+            level = np.abs(smoother.response(seen.f))
+            band = (level < BEGINS) & (level > 0.01)
+            total -= seen.windows * float(np.log(seen.power)[:, band].sum())
+        return total
+
+    delays = 0.5 * steps.dt * np.arange(int(2.0 * LATEST_S / steps.dt) + 1)
+    late = [(lag, delay) for lag in LAGS_S for delay in delays.tolist()]
+    with_it, without = (max(likelihood(smoothed, *one) for one in late) for smoothed in (True, False))
+    return with_it - without
 
 
-def _through(values: Array, smoother: Smoother, dt: float) -> Array:
-    """Values (n,) of one stretch through a smoother."""
+def _through(values: Array, smoother: Smoother | None, lag: float, delay: float, dt: float) -> Array:
+    """Values (n,) of one stretch through a lag of first order and a delay [s], and a smoother."""
     n, around = len(values), min(len(values) - 1, 200)
     longer = np.concatenate([values[around:0:-1], values, values[-2 : -around - 2 : -1]])
-    response: NDArray[Any] = smoother.response(rfftfreq(len(longer), dt))
+    f = rfftfreq(len(longer), dt)
+    response: NDArray[Any] = np.exp(-2j * np.pi * f * delay) / (1.0 + 2j * np.pi * f * lag)
+    if smoother is not None:
+        response = response * smoother.response(f)
     through = irfft(np.multiply(rfft(longer), response), len(longer))
     return np.asarray(through[around : around + n])
 

@@ -20,6 +20,7 @@ from nsde_torch.diagnosis.pictures import pictures
 from nsde_torch.diagnosis.result import Diagnosis
 from nsde_torch.diagnosis.search import Base
 from nsde_torch.diagnosis.smooth_functions import first_groups, functions, scales
+from nsde_torch.diagnosis.summary import summary
 from nsde_torch.diagnosis.text import lines
 from tests.diagnosis.test_shape import Push, pushed
 from tests.helpers.diagnosed import diagnosed
@@ -110,8 +111,13 @@ def test_an_effect_beside_which_more_is_left_than_it_explains_is_a_lead(
     assert not outcome.found[0].provisional
     assert judged(outcome, Ceiling(more=False, explained=0.4)) is outcome
     assert judged(outcome, Ceiling(more=True, explained=0.6)) is outcome
-    (lead,) = judged(outcome, Ceiling(more=True, explained=0.4)).found
+    doubtful = judged(outcome, Ceiling(more=True, explained=0.4))
+    (lead,) = doubtful.found
     assert "effects explain 40 % of it: it may stand in for another law" in lead.provisional
+    assert doubtful.verdict == "unexplained"
+    told = summary(doubtful.verdict, [], friction[0].told, doubtful, (), "q and q_dot on force")
+    assert "a flexible model finds more (q and q_dot on force) than coulomb_friction can explain" in told
+    assert told.endswith("which is a lead.")
 
 
 def test_an_effect_that_is_named_explains_all_that_a_flexible_model_can(
@@ -155,6 +161,7 @@ def test_what_no_candidate_names_is_won_by_a_flexible_model_and_told(
     assert (own["variables"][0]["row"], own["variables"][0]["unit"]) == ("force", "m/s2")
     channel = own["channels"]["q_dot"]
     assert channel["flexible"] < 0.8 * channel["effects"]
+    assert content["residual"]["q_dot"]["floor"] <= channel["flexible"]
     low, high = own["left_90"]
     assert 0.0 < low < own["left_nats"] < high
     assert "q_dot" in own["sentence"]

@@ -119,6 +119,7 @@ def library(
     variables: Regressors,
     *,
     beside: Mapping[str, Mapping[str, float]] | None = None,
+    port: str = "",
 ) -> Library | None:
     """The library of some variables beside physics; None where there is nothing to try.
 
@@ -129,6 +130,7 @@ def library(
         wanted: The variables.
         variables: Values of them.
         beside: Laws of one term that are in it too, with values of their shapes.
+        port: The port whose rows are tried alone; empty tries those of all.
     """
     system = base.regression.vector.system
     known = [*(name for name, _, _ in vocabulary(type(system)).variables), *system.exogenous]
@@ -140,7 +142,7 @@ def library(
         {text: variables.columns[v] for v, text in in_law.items()},
         [text for v, text in in_law.items() if units.get(v) == "rad"],
     )
-    pushes = pushes_of(base, channels)
+    pushes = [push for push in pushes_of(base, channels) if push[0].partition("[")[0] == port or not port]
     made = [one for term in terms for one in _slopes(base.regression, term, pushes)]
     for law, shapes in (beside or {}).items():
         row, _, text = law.partition(_SIZE)

@@ -26,9 +26,9 @@ from tests.diagnosis.test_shape import Push, pushed
 from tests.helpers.diagnosed import diagnosed
 
 
-def fitted(push: Push) -> tuple[Flexible, Base]:
+def fitted(push: Push, times: str = "") -> tuple[Flexible, Base]:
     """A flexible model of a spring with a push, which the physics knows nothing of."""
-    r, variables = pushed(push)
+    r, variables = pushed(push, times)
     fold, block = folds(r), r.whitened_rows(r.blocks)
     base = Base(fitted_system(r), r, score(r, fold, block, still=nonlinear(r, smooth=False)), fold, block)
     return flexible(base, variables, BUDGETS), base
@@ -50,6 +50,16 @@ def test_a_force_in_one_place_is_won_on_runs_that_were_not_seen(noise: Flexible)
     assert (gain > 10.0).all()
 
 
+def test_a_gain_that_is_another_in_one_place_is_won(noise: Flexible) -> None:
+    found, _ = fitted(lambda q, t, run: 1.2 * np.exp(-(((q - 0.1) / 0.1) ** 2)), "force")
+    floor = noise.plain_squares.mean()
+    plain, left = found.plain_squares.mean() - floor, found.flexible_squares.mean() - floor
+    assert left < 0.2 * plain
+    ((part, foretold),) = found.parts
+    kinds = {(part.terms[k].group.variables, part.terms[k].group.kind) for k in foretold.used}
+    assert (("q", "force"), "varying") in kinds
+
+
 def test_of_noise_nothing_is_chosen_and_nothing_is_won(noise: Flexible) -> None:
     np.testing.assert_array_equal(noise.flexible, noise.plain)
     np.testing.assert_array_equal(noise.flexible_squares, noise.plain_squares)
@@ -69,7 +79,7 @@ def test_functions_are_taken_at_the_scale_of_the_data() -> None:
     scaled = scales(variables)
     for group in first_groups(variables, scaled, pairs=True):
         assert np.isfinite(group.columns).all()
-        if group.kind in ("polynomial", "smooth"):
+        if group.kind in ("polynomial", "smooth", "varying"):
             again = functions(group.variables, group.kind, variables.columns, scaled)
             np.testing.assert_array_equal(again, group.columns)
     names = [g.variables for g in first_groups(variables, scaled, pairs=False)]

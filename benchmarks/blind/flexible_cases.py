@@ -3,9 +3,10 @@
     pip install -e '.[diagnosis]'
     python benchmarks/blind/flexible_cases.py --machine odd_spring --seed 1 --count 12 --out runs/flexible
 
-Cases are those of `laws.py`: springs and carts with one law that no catalogue has, and nulls; of `odd_spring` and
-`odd_cart` the law cannot be written with few terms. Everything is judged on the last fifth of the runs, which nothing
-was fitted to, by the rms of the mean residual rates over a quarter of a second in the channel that the law moves most:
+Cases are those of `laws.py`: springs, carts and two joints with one law that no catalogue has, and nulls; of
+`odd_spring` and `odd_cart` the law cannot be written with few terms. Everything is judged on the last fifth of the
+runs, which nothing was fitted to, by the rms of the mean residual rates over a quarter of a second in the channel that
+the law moves most:
 
 - physics, effects, flexible: of the diagnosis, whose parameters, functions and noise come from the other runs; which
   effects there are was decided on all runs;
@@ -72,6 +73,7 @@ def case(machine: str, seed: int, i: int) -> Json:
         "verdict": content["verdict"],
         "added": content["added"],
         "leads": [f["name"] for f in content["findings"] if f["lead"]],
+        "sure": laws.sure(content),
         "flexible": {
             k: content["flexible"][k]
             for k in ("why_not", "explained", "explained_90", "left", "left_nats", "p")
@@ -97,8 +99,10 @@ def residuals(found: Any, law: machines.Law) -> Json:
 
     outcome, most = found.outcome, found.explanation.ceiling
     own = outcome.declared_variables.columns
-    x = np.stack([own[name] for name in found.system.state_names], 1)
-    truth = FunctionGroup(("the law",), "past", law(x, own["force"][:, None])[:, None])
+    x, u = (
+        np.stack([own[k] for k in names], 1) for names in (found.system.state_names, found.system.input_names)
+    )
+    truth = FunctionGroup(("the law",), "past", law(x, u)[:, None])
     told = flexible(outcome.declared, outcome.declared_variables, BUDGETS, groups=[truth])
     training, test = held_apart(found.data)
     late = told.band_run >= len(training)
@@ -167,8 +171,12 @@ def table(done: list[Json]) -> list[str]:
             )
             line += str({k: round(v, 2) for k, v in medians.items()})
             sure = [d for d in cases if not d["added"] or set(d["leads"]) == set(d["added"])]
+            wrong = [
+                d for d in cases if d["sure"] and d["residual"]["effects"] > NEAR * d["residual"]["oracle"]
+            ]
             near_sure = sum(d["residual"]["flexible"] <= NEAR * d["residual"]["oracle"] for d in sure)
             line += f"; of {len(sure)} where nothing was verified, flexible near the oracle: {near_sure}"
+            line += f"; sure of effects that are farther from it: {len(wrong)}"
             right = [d["sindy_right"] for d in cases if "sindy_right" in d]
             line += f"; PySINDy's terms right: {sum(right)} of {len(right)}"
         line += f"; median {np.median([d['ceiling_seconds'] for d in own if 'error' not in d]):.1f} s for the ceiling"
@@ -179,7 +187,9 @@ def table(done: list[Json]) -> list[str]:
 def main() -> None:
     """Judges cases one after another, and counts."""
     parser = options("A flexible model beside effects, an oracle and PySINDy.", count=12)
-    parser.add_argument("--machine", choices=["spring", "cart", "odd_spring", "odd_cart"], required=True)
+    parser.add_argument(
+        "--machine", choices=["spring", "cart", "joints", "odd_spring", "odd_cart"], required=True
+    )
     a = parser.parse_args()
 
     def line(answer: Json) -> str:
@@ -187,6 +197,7 @@ def main() -> None:
             "truth",
             "added",
             "leads",
+            "sure",
             "flexible",
             "variables",
             "residual",

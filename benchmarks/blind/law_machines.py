@@ -8,122 +8,17 @@ of what moves the machine anyway.
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
 import loop_flight
 import numpy as np
 import small_machines
+from law_kinds import Array, Kind
 from loop_machine import Bodies, Machine, rotation
-from numpy.typing import NDArray
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "examples" / "double_pendulum"))
 import make_data
-
-Array = NDArray[np.float64]
-Term = Callable[[Array, Array, float], Array]
-"""A term of unit size of states (n, nx), inputs (n, nu) and its shape, (n,)."""
-
-
-@dataclass(frozen=True)
-class Kind:
-    """One kind of law.
-
-    Args:
-        system: Name of the machine.
-        text: The law in the grammar of the package, to judge by.
-        row: Which of the machine's forces it adds to.
-        term: Its term, of unit size.
-        shape: Quantile of the first variable that its shape k1 is, or None.
-    """
-
-    system: str
-    text: str
-    row: int
-    term: Term
-    shape: float | None = None
-
-
-def column(k: int) -> Callable[[Array], Array]:
-    """Column k of states."""
-    return lambda x: x[:, k]
-
-
-SPRING = (
-    Kind("mass_spring_damper", "force = c1 q q_dot", 0, lambda x, u, k: x[:, 0] * x[:, 1]),
-    Kind("mass_spring_damper", "force = c1 q^2", 0, lambda x, u, k: x[:, 0] ** 2),
-    Kind(
-        "mass_spring_damper",
-        "force = c1 max(q - k1, 0)",
-        0,
-        lambda x, u, k: np.maximum(x[:, 0] - k, 0.0),
-        0.8,
-    ),
-    Kind("mass_spring_damper", "force = c1 q^5", 0, lambda x, u, k: x[:, 0] ** 5),
-    Kind("mass_spring_damper", "force = c1 q^2 q_dot", 0, lambda x, u, k: x[:, 0] ** 2 * x[:, 1]),
-    Kind("mass_spring_damper", "force = c1 q_dot^3", 0, lambda x, u, k: x[:, 1] ** 3),
-    Kind("mass_spring_damper", "force = c1 q force", 0, lambda x, u, k: x[:, 0] * u[:, 0]),
-    Kind(
-        "mass_spring_damper", "force = c1 max(q_dot, 0)^2", 0, lambda x, u, k: np.maximum(x[:, 1], 0.0) ** 2
-    ),
-    Kind("mass_spring_damper", "force = c1 q q_dot^2", 0, lambda x, u, k: x[:, 0] * x[:, 1] ** 2),
-)
-CART = (
-    Kind("cartpole", "force = c1 x_dot theta_dot", 0, lambda x, u, k: x[:, 1] * x[:, 3]),
-    Kind("cartpole", "torque = c1 x_dot theta_dot", 1, lambda x, u, k: x[:, 1] * x[:, 3]),
-    Kind("cartpole", "force = c1 x^2 x_dot", 0, lambda x, u, k: x[:, 0] ** 2 * x[:, 1]),
-    Kind("cartpole", "torque = c1 sin(theta) x_dot", 1, lambda x, u, k: np.sin(x[:, 2]) * x[:, 1]),
-    Kind("cartpole", "force = c1 max(x - k1, 0)", 0, lambda x, u, k: np.maximum(x[:, 0] - k, 0.0), 0.8),
-    Kind("cartpole", "force = c1 sin(theta)", 0, lambda x, u, k: np.sin(x[:, 2])),
-    Kind("cartpole", "torque = c1 x", 1, lambda x, u, k: x[:, 0]),
-)
-JOINTS = (
-    Kind("joints", "torque[q1] = c1 q2_dot", 0, lambda x, u, k: x[:, 3]),
-    Kind("joints", "torque[q2] = c1 q1_dot q2_dot", 1, lambda x, u, k: x[:, 2] * x[:, 3]),
-    Kind("joints", "torque[q1] = c1 sin(q2)", 0, lambda x, u, k: np.sin(x[:, 1])),
-    Kind("joints", "torque[q2] = c1 q1^2", 1, lambda x, u, k: x[:, 0] ** 2),
-)
-HEXACOPTER = (
-    Kind("hexacopter", "body_moment[y] = c1 v_body_x w_z", 4, lambda x, u, k: x[:, 0] * x[:, 5]),
-    Kind("hexacopter", "body_force[z] = c1 v_body_x^2", 2, lambda x, u, k: x[:, 0] ** 2),
-    Kind("hexacopter", "body_moment[z] = c1 v_body_x v_body_y", 5, lambda x, u, k: x[:, 0] * x[:, 1]),
-    Kind("hexacopter", "body_force[y] = c1 v_body_x w_z", 1, lambda x, u, k: x[:, 0] * x[:, 5]),
-    Kind(
-        "hexacopter",
-        "body_moment[x] = c1 abs(v_body_y) v_body_y",
-        3,
-        lambda x, u, k: np.abs(x[:, 1]) * x[:, 1],
-    ),
-)
-
-ODD_SPRING = (
-    Kind("mass_spring_damper", "a damping in one place", 0, lambda x, u, k: _near(x[:, 0], 0.3) * x[:, 1]),
-    Kind(
-        "mass_spring_damper", "a wave in the plane", 0, lambda x, u, k: np.sin(_in_plane(x)) * np.cos(x[:, 1])
-    ),
-    Kind(
-        "mass_spring_damper",
-        "a ridge",
-        0,
-        lambda x, u, k: np.tanh(2.0 * _in_plane(x)) ** 2 * np.tanh(2.0 * x[:, 0]),
-    ),
-    Kind("mass_spring_damper", "a gain in one place", 0, lambda x, u, k: _near(x[:, 0], -0.4) * u[:, 0]),
-)
-ODD_CART = (
-    Kind("cartpole", "a damping in one place", 0, lambda x, u, k: _near(x[:, 0], 0.3) * x[:, 1]),
-    Kind("cartpole", "a wave of place and speed", 0, lambda x, u, k: np.sin(2.0 * x[:, 0]) * np.cos(x[:, 1])),
-    Kind("cartpole", "a torque in one place", 1, lambda x, u, k: _near(x[:, 0], -0.2) * np.sin(x[:, 2])),
-)
-"""Laws that the grammar of the package cannot write with few terms."""
-
-
-def _near(v: Array, centre: float) -> Array:
-    return np.exp(-(((v - centre) / 0.5) ** 2))
-
-
-def _in_plane(x: Array) -> Array:
-    return np.asarray(1.5 * x[:, 0] + 0.8 * x[:, 1])
 
 
 @dataclass(frozen=True)
@@ -180,7 +75,7 @@ class LawBodies(Bodies):
     ) -> tuple[Array, Array, Array, Array]:
         """See `Bodies.rates`."""
         r = rotation(q)
-        seen = np.concatenate([np.einsum("bji,bj->bi", r, v), w], 1)
+        seen = np.concatenate([np.einsum("bji,bj->bi", r, v), w, p], 1)
         pushed = push.copy()
         for b, law in enumerate(self.laws):
             if law is None:
@@ -193,12 +88,13 @@ class LawBodies(Bodies):
         return super().rates(p, v, q, w, m, t, pushed)
 
 
-def flights(machine: Machine, seed: int, runs: int, seconds: float) -> list[loop_flight.Logged]:
-    """Flights of a machine whose `effects` may hold a law."""
+def flights(
+    machine: Machine, seed: int, seconds: float, paths: tuple[str, ...], noise: float = 1.0
+) -> list[loop_flight.Logged]:
+    """Flights of a machine whose `effects` may hold a law, one for each path."""
     rng = np.random.default_rng([seed, 9])
-    paths = [loop_flight.PATHS[i % 3] for i in range(runs)]
     asked = [
-        loop_flight.Flight(machine, path, "a", seconds, 0.0, int(rng.integers(2**31)), 1.0, 1.2)
+        loop_flight.Flight(machine, path, "a", seconds, 0.0, int(rng.integers(2**31)), noise, 1.2)
         for path in paths
     ]
     plain, loop_flight.Bodies = loop_flight.Bodies, LawBodies

@@ -5,7 +5,8 @@
 Every case has another machine, another size and shape of the law, other noise and other forces. In turn three laws and
 none; of seeds from 100000 on all have none. A law counts as named where what was added is the same function of the
 logged states (correlation above 0.999) in the same row, in whatever spelling, and nothing else was added. The oracle is
-told the law, with its size and shape free, and adds nothing.
+told the law, with its size and shape free, and adds nothing. Surely wrong is what is no such law, no lead and no member
+of a tie, where a diagnosis says that it found an effect.
 """
 
 from __future__ import annotations
@@ -21,16 +22,18 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parent))
 import closed_loop
+import law_kinds as kinds
 import law_machines as machines
 from study import answers, options
 
 KINDS = {
-    "spring": machines.SPRING,
-    "cart": machines.CART,
-    "joints": machines.JOINTS,
-    "hexacopter": machines.HEXACOPTER,
-    "odd_spring": machines.ODD_SPRING,
-    "odd_cart": machines.ODD_CART,
+    "spring": kinds.SPRING,
+    "cart": kinds.CART,
+    "joints": kinds.JOINTS,
+    "hexacopter": kinds.HEXACOPTER,
+    "quadrotor": kinds.QUADROTOR,
+    "odd_spring": kinds.ODD_SPRING,
+    "odd_cart": kinds.ODD_CART,
 }
 SYSTEMS = {
     "odd_spring": "mass_spring_damper",
@@ -39,7 +42,13 @@ SYSTEMS = {
     "cart": "cartpole",
     "joints": "double_pendulum:DoublePendulum",
     "hexacopter": "hexacopter",
+    "quadrotor": "quadrotor",
 }
+PATHS = {
+    "hexacopter": ("waypoints", "circle", "sines", "waypoints"),
+    "quadrotor": ("sticks", "sines", "sticks", "waypoints"),
+}
+"""What multirotors fly; by sticks a pilot's tilts, which a weak hold answers."""
 COLUMNS = {
     "spring": ("t", "q", "q_dot", "force"),
     "cart": ("t", "x", "x_dot", "theta", "theta_dot", "force"),
@@ -56,7 +65,7 @@ Json = dict[str, Any]
 Array = np.ndarray
 
 
-def drawn(machine: str, seed: int, i: int) -> tuple[np.random.Generator, machines.Kind | None]:
+def drawn(machine: str, seed: int, i: int) -> tuple[np.random.Generator, kinds.Kind | None]:
     """Random numbers and kind of a case; None of a null."""
     order = np.random.default_rng([seed, 77]).permutation(len(KINDS[machine]))
     turn = i - i // EVERY_NULL
@@ -65,13 +74,13 @@ def drawn(machine: str, seed: int, i: int) -> tuple[np.random.Generator, machine
     return np.random.default_rng([seed, i]), kind
 
 
-def write(machine: str, seed: int, i: int, folder: Path) -> machines.Law | None:
-    """Write the runs of a case; returns its law."""
+def write(machine: str, seed: int, i: int, folder: Path, weaker: float = 1.0) -> machines.Law | None:
+    """Write the runs of a case; returns its law, so many times weaker."""
     rng, kind = drawn(machine, seed, i)
     share, sign = float(np.exp(rng.uniform(np.log(0.05), np.log(0.25)))), float(rng.choice((-1.0, 1.0)))
-    own = int(rng.integers(2**30))
-    if machine == "hexacopter":
-        return _hexacopter(kind, share * sign, rng, own, folder)
+    own, share = int(rng.integers(2**30)), share / weaker
+    if machine in PATHS:
+        return _multirotor(machine, kind, share * sign, rng, own, folder)
     runs, seconds = int(rng.integers(4, 9)), float(rng.uniform(10.0, 20.0))
     if machine == "joints":
         return _joints(kind, share * sign, rng, own, folder)
@@ -100,13 +109,13 @@ def _force(runs: list[tuple[Array, Array, Array]]) -> float:
 
 
 def _sized(
-    kind: machines.Kind | None, share: float, runs: list[tuple[Array, Array]], force: float
+    kind: kinds.Kind | None, share: float, runs: list[tuple[Array, Array]], force: float
 ) -> machines.Law | None:
     """A law whose root mean square is a share of a force, on runs without it."""
     if kind is None:
         return None
     x, u = (np.concatenate(part) for part in zip(*runs, strict=True))
-    shape = 0.0 if kind.shape is None else float(np.quantile(x[:, 0], kind.shape))
+    shape = 0.0 if kind.shape is None else float(np.quantile(x[:, kind.along], kind.shape))
     size = float(np.sqrt(np.mean(np.square(kind.term(x, u, shape)))))
     # a stop pushes back
     share = -abs(share) * 3.0 if kind.shape is not None else share
@@ -114,7 +123,7 @@ def _sized(
 
 
 def _joints(
-    kind: machines.Kind | None, share: float, rng: np.random.Generator, seed: int, folder: Path
+    kind: kinds.Kind | None, share: float, rng: np.random.Generator, seed: int, folder: Path
 ) -> machines.Law | None:
     make_data = machines.make_data
     scale = np.exp(rng.uniform(np.log(0.7), np.log(1.4), 2))
@@ -122,31 +131,53 @@ def _joints(
     torque = make_data.TORQUE[0 if kind is None else kind.row]
     swing = np.random.default_rng(seed).normal(size=(4000, 4)) * (0.5, 0.7, 2.0, 4.0)
     law = _sized(kind, 2.0 * share, [(swing, np.zeros((4000, 2)))], torque)
-    make_data.write(
-        folder,
-        machines.joint_push(law),
-        seed=seed % 100000,
-        runs=4,
-        seconds=12.0,
-        noise=float(rng.uniform(0.3, 1.5)),
-    )
+    noise = float(rng.uniform(0.3, 1.5))
+    with np.errstate(all="ignore"):
+        for _ in range(12):
+            if law is None or _stays(law, seed % 100000):
+                break
+            law = machines.Law(law.kind, -0.8 * law.size, law.shape)  # it drives the machine off
+        make_data.write(
+            folder, machines.joint_push(law), seed=seed % 100000, runs=4, seconds=12.0, noise=noise
+        )
     return law
 
 
-def _hexacopter(
-    kind: machines.Kind | None, share: float, rng: np.random.Generator, seed: int, folder: Path
+def _stays(law: machines.Law, seed: int) -> bool:
+    """Whether two joints stay within bounds under half of their torques, in the runs of a seed."""
+    make_data = machines.make_data
+    rng = np.random.default_rng(seed)
+    for own in [int(rng.integers(2**31)) for _ in range(4)]:
+        x = make_data.simulate(1200, np.random.default_rng(own), machines.joint_push(law), 0.0, 0.5)
+        if not np.abs(x[:, 1]).max() < make_data.WITHIN:
+            return False
+    return True
+
+
+def _multirotor(
+    machine: str, kind: kinds.Kind | None, share: float, rng: np.random.Generator, seed: int, folder: Path
 ) -> machines.Law | None:
-    made = closed_loop._machine("hexacopter", rng)
+    made = closed_loop._machine(machine, rng)
     law = None
     if kind is not None:
-        seen = np.random.default_rng(seed).normal(size=(4000, 6)) * (1.0, 1.0, 0.4, 0.4, 0.4, 0.5)
+        seen = np.random.default_rng(seed).normal(size=(4000, 9)) * (
+            1.0,
+            1.0,
+            0.4,
+            0.4,
+            0.4,
+            0.5,
+            1.0,
+            1.0,
+            0.4,
+        )
         law = _sized(kind, share, [(seen, np.zeros((4000, 6)))], 2.0 if kind.row < 3 else 4.0)
         made = machines.Machine(**{**vars(made), "effects": {"law": {"of": law}}})
     names = (
         *("t", "p_x", "p_y", "p_z", "v_x", "v_y", "v_z", "q_w", "q_x", "q_y", "q_z", "w_x", "w_y", "w_z"),
-        *(f"u_{k}" for k in range(1, 7)),
+        *(f"u_{k + 1}" for k in range(closed_loop.SIGNS[machine].shape[1])),
     )
-    for r, log in enumerate(machines.flights(made, seed, 4, 25.0)):
+    for r, log in enumerate(machines.flights(made, seed, 25.0, PATHS[machine])):
         _save(folder / f"flight_{r}.csv", names, np.column_stack((log.t, log.x, log.u)))
     return law
 
@@ -155,7 +186,7 @@ def _save(path: Path, names: tuple[str, ...], rows: Array) -> None:
     np.savetxt(path, rows, delimiter=",", header=",".join(names), comments="", fmt="%.9g")
 
 
-def case(machine: str, seed: int, i: int) -> Json:
+def case(machine: str, seed: int, i: int, weaker: float = 1.0) -> Json:
     """Make, diagnose and judge one case."""
     import torch
 
@@ -164,7 +195,7 @@ def case(machine: str, seed: int, i: int) -> Json:
     torch.set_num_threads(1)
     system = SYSTEMS[machine]
     with tempfile.TemporaryDirectory() as folder:
-        law = write(machine, seed, i, Path(folder))
+        law = write(machine, seed, i, Path(folder), weaker)
         data = nsde_torch.read(folder, system=system)
         started = time.perf_counter()
         found = nsde_torch.diagnose(data, system=system)
@@ -187,8 +218,9 @@ def case(machine: str, seed: int, i: int) -> Json:
         "lead": None if content["formula"] is None else content["formula"]["text"],
     }
     out["laws"] = [name for name in content["added"] if "=" in name]
+    out["sure"] = sure(content)
     if law is None:
-        out |= {"named": not out["added"], "false_law": bool(out["laws"])}
+        out |= {"named": not out["added"], "false_law": bool(out["laws"]), "surely_wrong": out["sure"]}
         return out
     channel = max(content["residual"], key=lambda c: _change(oracle.content()["residual"][c], content, c))
     told = oracle.content()["errors"]
@@ -200,9 +232,19 @@ def case(machine: str, seed: int, i: int) -> Json:
         "there": bool(same),
         "named": len(same) == 1 and len(out["added"]) == 1,
         "false_law": any(name not in same for name in out["laws"]),
+        "surely_wrong": [name for name in out["sure"] if name not in same],
         "held": None if not same else _held(found, same[0], law, out["parameters"]),
     }
     return out
+
+
+def sure(content: Json) -> list[str]:
+    """Effects that a diagnosis is sure of: no leads, no members of a tie, and nothing where most is unexplained."""
+    if content["verdict"] != "effect_found":
+        return []
+    tied = {name for tie in content["ties"] or () for name in tie["effects"]}
+    leads = {f["name"] for f in content["findings"] if f["lead"]}
+    return [name for name in content["added"] if name not in leads | tied]
 
 
 def _change(told: Json, content: Json, channel: str) -> float:
@@ -239,9 +281,9 @@ def _true(found: Any, law: machines.Law) -> Array:
     """What the true law adds at the logged states (n,)."""
     runs = found.recorded.runs
     x, u = (np.concatenate([getattr(run, k) for run in runs]) for k in ("x", "u"))
-    if law.kind.system == "hexacopter":
+    if law.kind.system in PATHS:
         r = machines.rotation(x[:, 6:10])
-        x = np.concatenate([np.einsum("bji,bj->bi", r, x[:, 3:6]), x[:, 10:13]], 1)
+        x = np.concatenate([np.einsum("bji,bj->bi", r, x[:, 3:6]), x[:, 10:13], x[:, :3]], 1)
     return law(x, u)
 
 
@@ -278,7 +320,8 @@ def table(done: list[Json]) -> list[str]:
             f"{machine}: {sum(bool(d.get('named')) for d in laws)} of {len(laws)} laws named alone, "
             f"{len(there)} named, {sum(held)} of {len(held)} sizes in their interval, "
             f"{len(near)} within 10 % of the oracle, "
-            f"{sum(bool(d.get('false_law')) for d in laws)} with a false law; "
+            f"{sum(bool(d.get('false_law')) for d in laws)} with a false law, "
+            f"{sum(bool(d.get('surely_wrong')) for d in laws)} with anything wrong that is no lead; "
             f"{sum(bool(d['laws']) for d in nulls)} of {len(nulls)} nulls with a law, "
             f"{sum(bool(d['added']) for d in nulls)} with any effect; "
             f"median {np.median([d['seconds'] for d in own if 'seconds' in d]):.0f} s"
@@ -290,6 +333,7 @@ def main() -> None:
     """Diagnoses cases one after another, and counts."""
     parser = options("Blind cases with laws that no catalogue has.", count=12)
     parser.add_argument("--machine", choices=[m for m in KINDS if not m.startswith(ODD)], required=True)
+    parser.add_argument("--weaker", type=float, default=1.0, help="how many times weaker laws are made")
     a = parser.parse_args()
 
     def wrong(i: int) -> Json:
@@ -298,12 +342,23 @@ def main() -> None:
         return {"case": i, "machine": a.machine, "truth": truth, "added": [], "laws": []}
 
     def line(answer: Json) -> str:
-        keys = ("named", "held", "moves", "beside_oracle", "seconds", "error", "lead")
+        keys = (
+            "named",
+            "leads",
+            "surely_wrong",
+            "held",
+            "moves",
+            "beside_oracle",
+            "seconds",
+            "error",
+            "lead",
+        )
         return f"{answer['case']} {answer['truth']} -> {answer['added']} { {k: answer.get(k) for k in keys} }"
 
     numbers = range(a.first, a.first + a.count)
     cases = [
-        (f"{a.machine}_{a.seed}_{i:03d}", partial(case, a.machine, a.seed, i), wrong(i)) for i in numbers
+        (f"{a.machine}_{a.seed}_{i:03d}", partial(case, a.machine, a.seed, i, a.weaker), wrong(i))
+        for i in numbers
     ]
     print("\n".join(table(answers(a.out, cases, line))))
 

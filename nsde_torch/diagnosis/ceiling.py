@@ -160,8 +160,8 @@ def ceiling(log: Log, outcome: Outcome) -> Ceiling:
 def judged(outcome: Outcome, found: Ceiling) -> Outcome:
     """The outcome, in the light of what a flexible model wins more than chance.
 
-    Where nothing was named, something is missing. Where effects explain less than is left, they are leads: a law that
-    was not written down is behind both, and they may be what comes near to it.
+    Where nothing was named, something is missing. Where effects explain less than is left, something is unexplained
+    too, and they are leads: a law that was not written down is behind both, and they may be what comes near to it.
     """
     if not found.more:
         return outcome
@@ -173,7 +173,7 @@ def judged(outcome: Outcome, found: Ceiling) -> Outcome:
         f"a flexible model finds more, and effects explain {100 * found.explained:.0f} % of it: "
         "it may stand in for another law"
     )
-    return outcome.provisional(lambda _: why)
+    return replace(outcome.provisional(lambda _: why), verdict="unexplained")
 
 
 # ---- pieces -------------------------------------------------------------------------------------------

@@ -222,7 +222,9 @@ class Budgets:
     shapes: int = key(6, "dependences that are described in words", low=0)
     formula_terms: int = key(4, "most terms of a formula", low=1)
     formula_variables: int = key(3, "most variables of a formula", low=1)
-    law_variables: int = key(4, "most variables of the laws that are proposed at once", low=1)
+    law_variables: int = key(
+        4, "most variables that laws are tried of because tests name them, at once", low=1
+    )
     laws_fitted: int = key(4, "most laws that are proposed for each term of a formula", low=1)
     law_rounds: int = key(1, "most times that laws are proposed for what is left", low=0)
     flexible_terms: int = key(
@@ -235,7 +237,7 @@ class Budgets:
         1000, "most functions of a flexible model before it looks at each channel by itself", low=1
     )
     flexible_rough: int = key(
-        300, "most functions of one that is tried once more from the noise of the sensors alone", low=0
+        450, "most functions of one that is tried once more from the noise of the sensors alone", low=0
     )
 
     def __post_init__(self) -> None:

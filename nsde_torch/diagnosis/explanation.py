@@ -1,6 +1,6 @@
 """What is left, explained as far as it can be: in words, in one run, by a formula, by a fault of the columns."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 from nsde_torch.diagnosis.between_runs import RunZeros, between_runs
 from nsde_torch.diagnosis.ceiling import Ceiling
@@ -71,7 +71,7 @@ def explained(
     warned = warnings(outcome, log.system)
 
     return Explanation(
-        channel_residuals(outcome.declared.regression, regression),
+        [_no_noise(c, most) for c in channel_residuals(outcome.declared.regression, regression)],
         shapes=shapes,
         between_runs=between_runs(regression, runs, tie=log.decisions.alike_nats) if left else None,
         in_run=None if odd is None else in_run(log.again(search, [log.runs[odd]]), outcome.system, odd),
@@ -82,3 +82,9 @@ def explained(
         standing=moving(log.runs, log.slowest)[1] if log.slowest else 0.0,
         ceiling=most,
     )
+
+
+def _no_noise(channel: ChannelResidual, most: Ceiling) -> ChannelResidual:
+    """The residual of a channel with a floor that holds nothing which a flexible model surely foretells."""
+    won = most.channels.get(channel.name) if most.more else None
+    return channel if won is None else replace(channel, floor=min(channel.floor, won.flexible))

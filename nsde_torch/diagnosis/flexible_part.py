@@ -26,7 +26,7 @@ from nsde_torch.diagnosis.fitted import nonlinear
 from nsde_torch.diagnosis.group_selection import Candidates, Products, Weights, weighted
 from nsde_torch.diagnosis.regressors import Regressors
 from nsde_torch.diagnosis.search import Base
-from nsde_torch.diagnosis.smooth_functions import FunctionGroup, Scale, functions
+from nsde_torch.diagnosis.smooth_functions import FunctionGroup, Scale, processes_of_two
 from nsde_torch.sysid.noise import Noise, estimate, first_guess
 from nsde_torch.sysid.regression import Regression
 
@@ -118,15 +118,13 @@ class Part:
         still = nonlinear(base.regression, smooth=False)  # shapes, in which steps are far from linear
         self._basis = free_basis(base.regression, still)
         self.terms = [RowTerm(p.row, g) for p in pushes for g in groups]
+        self._few = sum(t.group.columns.shape[1] for t in self.terms) <= budgets.flexible_rough
 
     def foretold(self) -> tuple[Foretold, Foretold]:
         """What the physics leaves of folds that it was not fitted to, alone and with the flexible model."""
-        r = self.regression
-        own = {c: r.noises[c] for c in self.channels}
-        rough = self._rough()
+        own, rough = {c: self.regression.noises[c] for c in self.channels}, self._rough()
         plain = best = max(self._plain(own), self._plain(rough), key=lambda f: f.likelihood)
-        few = sum(t.group.columns.shape[1] for t in self.terms) <= self._budgets.flexible_rough
-        for start in (own, rough) if few else (own,):
+        for start in (own, rough) if self._few else (own,):
             last, noises = -np.inf, start
             for _ in range(self._budgets.flexible_turns):
                 now = self._turn(noises, terms=True)
@@ -303,15 +301,15 @@ class Part:
         return [p[:, :k] for p in parts], [p[:, k:-1] for p in parts], [p[:, -1] for p in parts]
 
     def _grow(self, found: Foretold) -> None:
-        """Add processes of two variables where their polynomial was chosen."""
+        """Add processes of two variables where their polynomial was chosen; of many functions, none that vary."""
         have = {(t.row, t.group.variables, t.group.kind) for t in self.terms}
         for k in found.used:
-            term = self.terms[k]
-            of = term.group.variables
-            if len(of) == 2 and (term.row, of, "smooth") not in have:
-                columns = functions(of, "smooth", self._variables.columns, self.scaled)
-                self.terms.append(RowTerm(term.row, FunctionGroup(of, "smooth", columns)))
-                have.add((term.row, of, "smooth"))
+            row, of = self.terms[k].row, self.terms[k].group.variables
+            if len(of) == 2 and not {(row, of, "smooth"), (row, of[::-1], "smooth")} & have:
+                new = processes_of_two((of[0], of[1]), self._variables.columns, self.scaled)
+                new = new if self._few else new[:1]
+                self.terms += [RowTerm(row, group) for group in new]
+                have |= {(row, group.variables, group.kind) for group in new}
 
 
 def _rows_of(regression: Regression, fold: Labels) -> Labels:

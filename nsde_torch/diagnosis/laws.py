@@ -29,6 +29,7 @@ from nsde_torch.diagnosis.search import Base, Search
 from nsde_torch.diagnosis.shape import product_of
 from nsde_torch.diagnosis.views import variable_units
 from nsde_torch.sysid.regression import Regression
+from nsde_torch.systems import System
 from nsde_torch.systems.vocabulary import seen_by, vocabulary
 
 Array = NDArray[np.float64]
@@ -67,7 +68,9 @@ def wanted_variables(
     """Variables that a law may be one of: those of what is left, the surest first, then those of all tests.
 
     A variable counts by whatever is tested of it: itself, its products, and it over time or by run, as what grows with
-    a second variable looks like a drift where that one grows.
+    a second variable looks like a drift where that one grows. Of a coordinate that something left hangs on, place and
+    speed both count: a friction that grows with the square of the place is odd in the speed, and shows nothing of the
+    place.
 
     Args:
         regression: Of the tests.
@@ -75,11 +78,19 @@ def wanted_variables(
         tests: All tests.
         variables: What was tested.
     """
+    most, channels = variables.budgets.law_variables, {d.channel for d in left}
+    sure = _told_by(regression, left, variables)[:most]
+    others = _told_by(regression, [d for d in tests if d.channel in channels], variables)
+    told = list(dict.fromkeys((*sure, *others)))[:most]
+    beside = [v for v in _beside(regression.vector.system, sure) if v in variables.columns]
+    return list(dict.fromkeys((*told, *beside)))
+
+
+def _told_by(regression: Regression, tests: Sequence[Dependence], variables: Regressors) -> list[str]:
+    """Variables of some tests, the surest first."""
     names = [regression.physics.names[c] for c in regression.rows]
-    channels = {d.channel for d in left}
-    others = (d for d in tests if d.channel in channels)
     out: list[str] = []
-    for d in (*sorted(left, key=lambda d: -d.excess), *sorted(others, key=lambda d: -d.excess)):
+    for d in sorted(tests, key=lambda d: -d.excess):
         if not d.everywhere or d.moment is not None or d.variable in ("time", "run"):
             continue
         plain = d.variable
@@ -87,9 +98,17 @@ def wanted_variables(
             plain = plain.removesuffix(end)
         pair = product_of(regression, names.index(d.channel), plain, variables)
         out += [v for v in pair.split(" * ") if v in variables.columns and v not in out]
-        if len(out) >= variables.budgets.law_variables:
-            break
-    return out[: variables.budgets.law_variables]
+    return out
+
+
+def _beside(system: System, names: Sequence[str]) -> list[str]:
+    """Places of the speeds and speeds of the places among some variables, in their order."""
+    states, other = system.state_names, dict[str, str]()
+    for at in system.bound_coordinates():
+        if at.position is not None:
+            place, speed = states[at.position], states[at.velocity]
+            other |= {place: speed, speed: place}
+    return [other[name] for name in names if name in other]
 
 
 def library(
@@ -100,6 +119,7 @@ def library(
     variables: Regressors,
     *,
     beside: Mapping[str, Mapping[str, float]] | None = None,
+    port: str = "",
 ) -> Library | None:
     """The library of some variables beside physics; None where there is nothing to try.
 
@@ -110,6 +130,7 @@ def library(
         wanted: The variables.
         variables: Values of them.
         beside: Laws of one term that are in it too, with values of their shapes.
+        port: The port whose rows are tried alone; empty tries those of all.
     """
     system = base.regression.vector.system
     known = [*(name for name, _, _ in vocabulary(type(system)).variables), *system.exogenous]
@@ -121,7 +142,7 @@ def library(
         {text: variables.columns[v] for v, text in in_law.items()},
         [text for v, text in in_law.items() if units.get(v) == "rad"],
     )
-    pushes = pushes_of(base, channels)
+    pushes = [push for push in pushes_of(base, channels) if push[0].partition("[")[0] == port or not port]
     made = [one for term in terms for one in _slopes(base.regression, term, pushes)]
     for law, shapes in (beside or {}).items():
         row, _, text = law.partition(_SIZE)

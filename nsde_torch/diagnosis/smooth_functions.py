@@ -7,8 +7,11 @@ of low degree, which goes on beyond the data, plus a Gaussian process in its red
 
     f(s) = sum_j w_j sqrt(S(omega_j)) sin(omega_j (s + L)),    omega_j = j pi / 2 L,    S a Matern spectrum
 
-on the range of the data scaled to [-1, 1], L = 1.5 (Solin and Sarkka, Statistics and Computing 30 (2020)). Beside these
-stand inputs as they were before, and variables that act more or less in the course of a run.
+on the range of the data scaled to [-1, 1], L = 1.5 (Solin and Sarkka, Statistics and Computing 30 (2020)). Functions of
+two variables are products of few waves of each, and f(z_i) z_j with as many waves as a function of one has: a damping
+or a gain that changes with the place (varying coefficients; Hastie and Tibshirani, Journal of the Royal Statistical
+Society B 55 (1993)). Beside these stand inputs as they were before, and variables that act more or less in the course
+of a run.
 """
 
 from collections.abc import Mapping, Sequence
@@ -21,7 +24,7 @@ from numpy.typing import NDArray
 from nsde_torch.diagnosis.regressors import BEFORE, OVER_TIME, Regressors
 
 Array = NDArray[np.float64]
-Kind = Literal["constant", "polynomial", "smooth", "past"]
+Kind = Literal["constant", "polynomial", "smooth", "varying", "past"]
 
 _REACH = 1.5  # L, of the half range of the data
 _ONE, _TWO = 12, 5  # waves of one variable, and of each of two
@@ -94,8 +97,26 @@ def first_groups(variables: Regressors, scaled: Mapping[str, Scale], *, pairs: b
             columns = functions(both, "polynomial", values, scaled)
             out.append(FunctionGroup(both, "polynomial", columns if len(names) <= _FEW else columns[:, :1]))
             if len(names) <= _FEWEST:
-                out.append(FunctionGroup(both, "smooth", functions(both, "smooth", values, scaled)))
+                out += processes_of_two(both, values, scaled)
     return out
+
+
+def processes_of_two(
+    of: tuple[str, str], values: Mapping[str, Array], scaled: Mapping[str, Scale]
+) -> list[FunctionGroup]:
+    """Groups of functions of two variables beside their polynomial: of both at once, and each times the other.
+
+    Args:
+        of: The variables.
+        values: Values of the variables (n,).
+        scaled: Their scales.
+    """
+    kinds: tuple[tuple[tuple[str, str], Kind], ...] = (
+        (of, "smooth"),
+        (of, "varying"),
+        ((of[1], of[0]), "varying"),
+    )
+    return [FunctionGroup(names, kind, functions(names, kind, values, scaled)) for names, kind in kinds]
 
 
 def functions(
@@ -105,7 +126,7 @@ def functions(
 
     Args:
         of: Its variables: none, one or two.
-        kind: `constant`, `polynomial` or `smooth`.
+        kind: `constant`, `polynomial`, `smooth`, or `varying`: waves of the first one times the second.
         values: Values of the variables (n,).
         scaled: Their scales.
     """
@@ -118,6 +139,8 @@ def functions(
         a, b = plain
         return np.stack((a * b, a * a * b, a * b * b), 1)
     ranged = [(values[name] - scaled[name].centre) / scaled[name].half for name in of]
+    if kind == "varying":
+        return _waves(ranged[0], _ONE) * (values[of[1]] / scaled[of[1]].size)[:, None]
     if len(ranged) == 1:
         return _waves(ranged[0], _ONE)
     first, second = (_waves(s, _TWO) for s in ranged)

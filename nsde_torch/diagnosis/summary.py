@@ -24,7 +24,7 @@ def summary(
         told: The effects that matter, and the others.
         outcome: What was concluded.
         shapes: What the residual still depends on, in words.
-        flexible: What a flexible model needs, where that alone says that something is missing.
+        flexible: What a flexible model needs, where no test of structure says what is missing.
     """
     if outcome.doubted:
         have = [*faults, *(f.name for f in outcome.found)]
@@ -70,10 +70,8 @@ def summary(
         )
     if not added:
         return f"Something is missing that no effect of the catalogue names: the residual depends ({rest})."
-    what = (
-        f"Something is missing that no effect of the catalogue names: the residual depends on more ({rest}) "
-        f"than {names} can explain"
-    )
+    more = f"the residual depends on more ({rest})" if rest else f"a flexible model finds more ({flexible})"
+    what = f"Something is missing that no effect names: {more} than {names} can explain"
     if len(leads) == len(added):
         return f"{what}, which {'are leads' if len(added) > 1 else 'is a lead'}."
     return f"{what}. T{take}" if leads else f"{what}."

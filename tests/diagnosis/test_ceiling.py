@@ -20,14 +20,15 @@ from nsde_torch.diagnosis.pictures import pictures
 from nsde_torch.diagnosis.result import Diagnosis
 from nsde_torch.diagnosis.search import Base
 from nsde_torch.diagnosis.smooth_functions import first_groups, functions, scales
+from nsde_torch.diagnosis.summary import summary
 from nsde_torch.diagnosis.text import lines
 from tests.diagnosis.test_shape import Push, pushed
 from tests.helpers.diagnosed import diagnosed
 
 
-def fitted(push: Push) -> tuple[Flexible, Base]:
+def fitted(push: Push, times: str = "") -> tuple[Flexible, Base]:
     """A flexible model of a spring with a push, which the physics knows nothing of."""
-    r, variables = pushed(push)
+    r, variables = pushed(push, times)
     fold, block = folds(r), r.whitened_rows(r.blocks)
     base = Base(fitted_system(r), r, score(r, fold, block, still=nonlinear(r, smooth=False)), fold, block)
     return flexible(base, variables, BUDGETS), base
@@ -49,6 +50,16 @@ def test_a_force_in_one_place_is_won_on_runs_that_were_not_seen(noise: Flexible)
     assert (gain > 10.0).all()
 
 
+def test_a_gain_that_is_another_in_one_place_is_won(noise: Flexible) -> None:
+    found, _ = fitted(lambda q, t, run: 1.2 * np.exp(-(((q - 0.1) / 0.1) ** 2)), "force")
+    floor = noise.plain_squares.mean()
+    plain, left = found.plain_squares.mean() - floor, found.flexible_squares.mean() - floor
+    assert left < 0.2 * plain
+    ((part, foretold),) = found.parts
+    kinds = {(part.terms[k].group.variables, part.terms[k].group.kind) for k in foretold.used}
+    assert (("q", "force"), "varying") in kinds
+
+
 def test_of_noise_nothing_is_chosen_and_nothing_is_won(noise: Flexible) -> None:
     np.testing.assert_array_equal(noise.flexible, noise.plain)
     np.testing.assert_array_equal(noise.flexible_squares, noise.plain_squares)
@@ -68,7 +79,7 @@ def test_functions_are_taken_at_the_scale_of_the_data() -> None:
     scaled = scales(variables)
     for group in first_groups(variables, scaled, pairs=True):
         assert np.isfinite(group.columns).all()
-        if group.kind in ("polynomial", "smooth"):
+        if group.kind in ("polynomial", "smooth", "varying"):
             again = functions(group.variables, group.kind, variables.columns, scaled)
             np.testing.assert_array_equal(again, group.columns)
     names = [g.variables for g in first_groups(variables, scaled, pairs=False)]
@@ -110,8 +121,13 @@ def test_an_effect_beside_which_more_is_left_than_it_explains_is_a_lead(
     assert not outcome.found[0].provisional
     assert judged(outcome, Ceiling(more=False, explained=0.4)) is outcome
     assert judged(outcome, Ceiling(more=True, explained=0.6)) is outcome
-    (lead,) = judged(outcome, Ceiling(more=True, explained=0.4)).found
+    doubtful = judged(outcome, Ceiling(more=True, explained=0.4))
+    (lead,) = doubtful.found
     assert "effects explain 40 % of it: it may stand in for another law" in lead.provisional
+    assert doubtful.verdict == "unexplained"
+    told = summary(doubtful.verdict, [], friction[0].told, doubtful, (), "q and q_dot on force")
+    assert "a flexible model finds more (q and q_dot on force) than coulomb_friction can explain" in told
+    assert told.endswith("which is a lead.")
 
 
 def test_an_effect_that_is_named_explains_all_that_a_flexible_model_can(
@@ -155,6 +171,7 @@ def test_what_no_candidate_names_is_won_by_a_flexible_model_and_told(
     assert (own["variables"][0]["row"], own["variables"][0]["unit"]) == ("force", "m/s2")
     channel = own["channels"]["q_dot"]
     assert channel["flexible"] < 0.8 * channel["effects"]
+    assert content["residual"]["q_dot"]["floor"] <= channel["flexible"]
     low, high = own["left_90"]
     assert 0.0 < low < own["left_nats"] < high
     assert "q_dot" in own["sentence"]

@@ -26,14 +26,20 @@ Push = Callable[[Array, Array, Array], Array]
 RUNS = ("run_0", "run_1", "run_2", "run_3")
 
 
-def pushed(push: Push) -> tuple[Regression, Regressors]:
-    """A spring whose residual rate is that of noise and a push (of q, time, number of the run) [m/s2]."""
+def pushed(push: Push, times: str = "") -> tuple[Regression, Regressors]:
+    """A spring whose residual rate is that of noise and a push (of q, time, number of the run) [m/s2].
+
+    Args:
+        push: The push.
+        times: Another variable that it is multiplied by.
+    """
     system = make_system("mass_spring_damper")
     data = recorded("mass_spring_damper", durations=(8.0,) * 4)
     steps = steps_of(system, data.runs, clock=1.0, smooth=False, denoise=True, run_in=True)
     r = Search(steps, box=1, alpha=0.01).quick(system)
     variables = regressors(r)
     force = push(variables.values("q"), variables.values("time"), r.owners)
+    force *= variables.values(times) if times else 1.0
     r.residual[:, r.rows[0]] += force * r.dt
     r.noises = r.own_noises()
     (noise,) = r.noises

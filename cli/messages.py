@@ -132,8 +132,8 @@ def _unknown_choice(error: Exception, command: str, words: Sequence[str]) -> str
     if missing.startswith("data/") and "/" in missing.removeprefix("data/"):
         path = missing.removeprefix("data/")
         return (
-            f"`data={path}`: `data` is a kind of data, and a path goes into `data.path`: data=log data.path={path} (the "
-            "format is told by the names of the files)."
+            f"`data={path}`: `data` is a kind of data, and a path goes into `data.path`: data=log data.path={path} "
+            "(the format is told by the names of the files)."
         )
     options = [str(option) for option in getattr(error, "options", None) or []]
     if not group:

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from nsde_torch.data import Run
 from nsde_torch.design.drives import OpenLoop
 from nsde_torch.design.expected import Precision
-from nsde_torch.design.experiment import Experiment, PlannedRun
+from nsde_torch.design.experiment import SURE, Experiment, PlannedRun
 from nsde_torch.design.flyable import Draw, Flyable
 from nsde_torch.design.limits import limits_of
 from nsde_torch.design.members import Member, fitted_members, physics_with
@@ -41,6 +41,8 @@ from nsde_torch.systems import Multirotor, System
 
 Array = NDArray[np.float64]
 FINALISTS = 3
+APART = 0.05
+"""Evidence below which nothing tells members apart [nats]: what rounding leaves of one equation is less."""
 _SLOWEST_SHARE, _FASTEST_SHARE = 1.0, 0.2
 
 
@@ -95,7 +97,7 @@ def design(
     draws = [draw(m, options.samples, rng) for m in members]
     precision = _precision(members[0], question) if question.parameters else None
     judge = Judge(members, precision, limits, start, draws, drive)
-    finalists = search(
+    searched = search(
         judge,
         family,
         proposals=options.proposals,
@@ -104,6 +106,7 @@ def design(
         rng=rng,
         say=say,
     )
+    finalists = searched.finalists
     usual: list[JudgedExperiment] = []
     if baselines:
         longest = max(runs, key=len)
@@ -111,6 +114,8 @@ def design(
         made = family.baselines(rng, np.asarray(before))
         say("judging usual inputs", 0, 1)
         usual = best_of_each(judge, made)
+    if precision is None:
+        _check_apart(question, max([searched.most, *(p.worth for p in usual)]))
     plans = [*finalists, *usual]
     rehearsed: list[list[Rehearsed]] = []
     for i in range(len(members)):
@@ -147,6 +152,8 @@ def design(
         hertz=None if flies else (float(hertz[0]), float(hertz[1])),
         options=options,
         seconds=perf_counter() - began,
+        most=searched.most,
+        most_use=searched.use,
     )
 
 
@@ -216,9 +223,34 @@ def _precision(member: Member, question: Question) -> Precision:
     return Precision(member, columns, sizes)
 
 
+def _check_apart(question: Question, most: float) -> None:
+    """Refuse members that say the same of everything that was tried.
+
+    Raises:
+        ConfigError: they do.
+    """
+    if most < APART:
+        raise ConfigError(
+            f"no experiment tells {' from '.join(question.names)}: whatever was tried, within the limits or beyond, "
+            f"tells {max(most, 0.0):.2g} nats or less, where {SURE:g} are wanted. They are one equation in this "
+            "physics, or are fitted where they are. Measure by other means (weigh it, a motor on a stand), or name "
+            "members that differ, members=[[EFFECT,...],[EFFECT,...]]."
+        )
+
+
 def _worth(plan: PlannedRun, precision: Precision | None) -> float:
     """What a plan was worth in rehearsal; less where it left a limit there."""
     left = sum(float((np.nan_to_num(r.use, nan=9.0).max(1) > 1.0).mean()) for r in plan.rehearsed)
     if precision is not None:
         return plan.worth - 10.0 * left
-    return min(float(worth_of(r.evidence, 0)) for r in plan.rehearsed) - 1e3 * left
+    return _together(plan.worth, min(float(worth_of(r.evidence, 0)) for r in plan.rehearsed)) - 1e3 * left
+
+
+def _together(judged: float, rehearsed: float) -> float:
+    """What is worth that much without noise and that much in rehearsal: the harmonic mean of the two.
+
+    The first is linearised and may be far too large, the second is of few noisy draws; the mean is at most twice the
+    smaller one.
+    """
+    least = min(judged, rehearsed)
+    return least if least <= 0.0 else 2.0 * judged * rehearsed / (judged + rehearsed)

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from nsde_torch.data import Run
 from nsde_torch.design.filtering import Filter, FilterProblem, stretches
 from nsde_torch.design.noises import Noises, noises_of
-from nsde_torch.design.widths import Branch, branches, deeper, width_columns
+from nsde_torch.design.widths import Branch, branches, lower_bounds, width_columns
 from nsde_torch.diagnosis.candidates import make_candidate
 from nsde_torch.diagnosis.fitted import fitted_system
 from nsde_torch.diagnosis.options import Options
@@ -200,7 +200,8 @@ def _member(declared: System, name: str, fit: Regression, runs: Sequence[Run], n
         return Member(name, effects, fitted_system(fit), fit, fit.theta, known, nats, None, (only,))
     own = Filter(fitted_system(fit), dt=fit.physics.steps.dt, noise=noise)
     prior = prior_information(own.vector)
-    own.vector.low = deeper(fit.vector, fit.theta, fit.physics.steps.dt)
+    dt = fit.physics.steps.dt
+    own.vector.low = lower_bounds(fit.vector, fit.theta, dt=dt, fine_dt=own.rollouts.fine_dt)
     own.vector.high = fit.vector.high
     found = own.solve([FilterProblem(*stretches(runs), fit.theta, prior)], rounds=_ROUNDS)[0]
     each = branches(own, runs, Branch(found.theta, found.information, found.nats), prior)

@@ -128,6 +128,10 @@ class Judge:
         """See `Judging.limits`."""
         return self._limits
 
+    def within(self, limits: ExperimentLimits) -> Judge:
+        """The same judge within other limits."""
+        return Judge(self.members, self.precision, limits, self._start, self._draws, self._drive)
+
     def flown(self, member: int, tables: Array) -> tuple[Array, Array]:
         """States (S, C, N + 1, nx) and inputs (S, C, N, nu) of experiments (C, N, m) at every draw of a member."""
         draws, c = self._draws[member], len(tables)

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from nsde_torch.data import Run
 from nsde_torch.design.filtering import Filter, FilterProblem, stretches
+from nsde_torch.effects import Effect
 from nsde_torch.effects.law import Law
 from nsde_torch.systems.parameters import ParameterVector, own_name
 
@@ -28,6 +29,7 @@ _WORST = 4.0  # nats: widths that explain the runs worse by more are left out
 _KNOWN = 0.25  # standard error over width below which it is known
 _HELD = 0.05  # of a width, while the other parameters are fitted
 _ROUNDS = 6
+_STABLE = 0.9  # delay over step: Runge and Kutta's rule follows the poles of the approximation, 2.45 / delay
 _FOLLOWED = 0.7  # width over what a friction changes of a speed in a step: narrower ones turn round within it
 
 
@@ -52,13 +54,14 @@ def width_columns(vector: ParameterVector) -> list[int]:
     return [i for i, k in enumerate(vector.labels) if own_name(k) in dry.get(k.partition(".")[0], {})]
 
 
-def deeper(fit: ParameterVector, theta: Array, dt: float) -> Array:
-    """Lower bounds (k,) with widths below what the search looked for, as far as steps follow a friction.
+def lower_bounds(fit: ParameterVector, theta: Array, *, dt: float, fine_dt: float) -> Array:
+    """Lower bounds (k,) of a filter: widths below what the search looked for, and delays that its steps follow.
 
     Args:
         fit: Parameters with the bounds of the search.
         theta: Their values (k,).
-        dt: Step [s].
+        dt: Step of the log [s].
+        fine_dt: Step of the filter's integration [s].
     """
     sizes = {str(e.name): e.amplitudes for e in fit.system.effects if isinstance(e, Law)}
     low = fit.low.copy()
@@ -68,6 +71,10 @@ def deeper(fit: ParameterVector, theta: Array, dt: float) -> Array:
             dry = [j for j in fit.of(effect) if own_name(fit.labels[j]) in sizes[effect]]
             least = _FOLLOWED * dt * float(np.max(theta[dry], initial=0.0))
             low[i] = min(low[i], max(low[i] / DEEPER, least))
+    late = {str(e.name): e.relative for e in fit.system.effects if isinstance(e, Effect) and e.n_memory}
+    for i, label in enumerate(fit.labels):
+        if late.get(label.partition(".")[0], {}).get(own_name(label)) == "step":
+            low[i] = max(low[i], _STABLE * fine_dt)
     return low
 
 

@@ -79,6 +79,14 @@ def test_members_that_are_one_equation_are_refused_and_not_planned_for(tie: Tie)
         design(tie.system, tie.runs, same, replace(OPTIONS, generations=0), baselines=False)
 
 
+def test_limits_within_which_nothing_tells_are_named(tie: Tie) -> None:
+    apart = Question((("quadratic_damping",), ("cubic_stiffness",)))
+    still = {"force": [-0.1, 0.1], "q": [-0.15, 0.15], "q_dot": [-0.15, 0.15]}
+    small = replace(OPTIONS, generations=0, limits=still, start={"q": 0.0})
+    with pytest.raises(ConfigError, match=r"In ranges 10 times as wide .* widen limits\.q"):
+        design(tie.system, tie.runs, apart, small, baselines=False)
+
+
 @pytest.mark.parametrize(
     ("limits", "message"),
     [({"speed": [0, 1]}, "names 'speed'"), ({"q": [1, 0]}, "must be"), ({"q": 3}, "must be")],

@@ -59,6 +59,7 @@ def diagnosed(folder: Path, moved: str | None) -> Diagnosed:
         if name in data:
             data[name] = {**build.options(data)[name], **values}
     if moved is not None:
+        _check_there("runs", moved, "where the runs of the diagnosis are now")
         data.path = moved
     all_runs = build.dataset(data, system)
     recorded = content["data"].get("fingerprint")
@@ -75,8 +76,10 @@ def flown_runs(known: Diagnosed, path: str) -> Sequence[Run]:
     """Runs of a flown experiment, read as those of the diagnosis were.
 
     Raises:
+        ConfigError: nothing is there.
         DataError: they are on another step, or cannot be read as runs of this machine.
     """
+    _check_there("flown", path, "the log of the experiment")
     config = known.data.copy()
     if config.kind == "simulated":
         config = OmegaConf.create(
@@ -101,3 +104,8 @@ def flown_runs(known: Diagnosed, path: str) -> Sequence[Run]:
             "rate, or resample (data.dt) and diagnose again."
         )
     return found.runs
+
+
+def _check_there(key: str, path: str, what: str) -> None:
+    if not Path(path).exists():
+        raise ConfigError(f"`{key}`: {path} does not exist; it names {what}, a file or folder.")

@@ -9,6 +9,7 @@ choose      what tells most in the less favourable rehearsals, whichever member 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from time import perf_counter
 from typing import Any
 
@@ -18,7 +19,7 @@ from numpy.typing import NDArray
 from nsde_torch.data import Run
 from nsde_torch.design.drives import OpenLoop
 from nsde_torch.design.expected import Precision
-from nsde_torch.design.experiment import Experiment, PlannedRun
+from nsde_torch.design.experiment import SURE, Experiment, PlannedRun
 from nsde_torch.design.flyable import Draw, Flyable
 from nsde_torch.design.limits import limits_of
 from nsde_torch.design.members import Member, fitted_members, physics_with
@@ -27,7 +28,6 @@ from nsde_torch.design.paths import FlownPaths, Paths
 from nsde_torch.design.proposals import (
     Judge,
     JudgedExperiment,
-    ProposalFamily,
     best_of_each,
     search,
     worth_of,
@@ -41,6 +41,9 @@ from nsde_torch.systems import Multirotor, System
 
 Array = NDArray[np.float64]
 FINALISTS = 3
+APART = 0.05
+"""Evidence below which nothing tells members apart [nats]: what rounding leaves of one equation is less."""
+_WIDER, _WIDE_ONES = 10.0, 16
 _SLOWEST_SHARE, _FASTEST_SHARE = 1.0, 0.2
 
 
@@ -82,7 +85,7 @@ def design(
     duration = max(run.duration for run in runs) * clock if options.duration is None else options.duration
     steps = max(round(duration / dt), 8)
     hertz = options.hertz or (_SLOWEST_SHARE / (steps * dt), _FASTEST_SHARE / dt)
-    family: ProposalFamily
+    family: Signals | Paths
     drive: Callable[[Array], Drive]
     if isinstance(system, Multirotor):
         pilot = members[0].system
@@ -95,7 +98,7 @@ def design(
     draws = [draw(m, options.samples, rng) for m in members]
     precision = _precision(members[0], question) if question.parameters else None
     judge = Judge(members, precision, limits, start, draws, drive)
-    finalists = search(
+    searched = search(
         judge,
         family,
         proposals=options.proposals,
@@ -104,6 +107,7 @@ def design(
         rng=rng,
         say=say,
     )
+    finalists = searched.finalists
     usual: list[JudgedExperiment] = []
     if baselines:
         longest = max(runs, key=len)
@@ -111,6 +115,8 @@ def design(
         made = family.baselines(rng, np.asarray(before))
         say("judging usual inputs", 0, 1)
         usual = best_of_each(judge, made)
+    if precision is None and max([searched.most, *(p.worth for p in usual)]) < APART:
+        _check_apart(question, judge, family, rng)
     plans = [*finalists, *usual]
     rehearsed: list[list[Rehearsed]] = []
     for i in range(len(members)):
@@ -147,6 +153,8 @@ def design(
         hertz=None if flies else (float(hertz[0]), float(hertz[1])),
         options=options,
         seconds=perf_counter() - began,
+        most=searched.most,
+        most_use=searched.use,
     )
 
 
@@ -216,9 +224,46 @@ def _precision(member: Member, question: Question) -> Precision:
     return Precision(member, columns, sizes)
 
 
+def _check_apart(question: Question, judge: Judge, family: Signals | Paths, rng: np.random.Generator) -> None:
+    """Refuse members that say the same of everything that was tried.
+
+    Raises:
+        ConfigError: one equation, or limits within which nothing tells; says which is most in the way.
+    """
+    wide = judge.limits.widened(_WIDER)
+    judged = judge.within(wide).judge(replace(family, limits=wide).inputs(family.random(_WIDE_ONES, rng)))
+    at = int(judged.told.argmax())
+    most = max(float(judged.told[at]), 0.0)
+    apart = " from ".join(question.names)
+    if most < APART:
+        raise ConfigError(
+            f"no experiment tells {apart}: whatever was tried, in ranges {_WIDER:g} times as wide as the limits too, "
+            f"tells {most:.2g} nats or less, where {SURE:g} are wanted. They are one equation in this physics, or are "
+            "fitted where they are. Measure by other means (weigh it, a motor on a stand), or name members that "
+            "differ, members=[[EFFECT,...],[EFFECT,...]]."
+        )
+    name = wide.states[int(judged.use[at].argmax())]
+    raise ConfigError(
+        f"no experiment within the limits tells {apart}: what was tried tells less than {APART:g} nats, where {SURE:g} "
+        f"are wanted. In ranges {_WIDER:g} times as wide one tells {most:.2g}, by {name} more than by other states: "
+        f"widen limits.{name}{' and those of the inputs' if wide.open_loop else ''}, or plan a longer experiment "
+        "(duration=...)."
+    )
+
+
 def _worth(plan: PlannedRun, precision: Precision | None) -> float:
     """What a plan was worth in rehearsal; less where it left a limit there."""
     left = sum(float((np.nan_to_num(r.use, nan=9.0).max(1) > 1.0).mean()) for r in plan.rehearsed)
     if precision is not None:
         return plan.worth - 10.0 * left
-    return min(float(worth_of(r.evidence, 0)) for r in plan.rehearsed) - 1e3 * left
+    return _together(plan.worth, min(float(worth_of(r.evidence, 0)) for r in plan.rehearsed)) - 1e3 * left
+
+
+def _together(judged: float, rehearsed: float) -> float:
+    """What is worth that much without noise and that much in rehearsal: the harmonic mean of the two.
+
+    The first is linearised and may be far too large, the second is of few noisy draws; the mean is at most twice the
+    smaller one.
+    """
+    least = min(judged, rehearsed)
+    return least if least <= 0.0 else 2.0 * judged * rehearsed / (judged + rehearsed)

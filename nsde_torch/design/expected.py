@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 from nsde_torch.design.filtering import FilterProblem
 from nsde_torch.design.members import Member, prior_information
 from nsde_torch.design.rollout import physics_of, steps_from
+from nsde_torch.design.widths import Branch, width_columns
 from nsde_torch.sysid.noise import extended
 from nsde_torch.sysid.physics import Physics
 from nsde_torch.sysid.regression import Regression
@@ -43,21 +44,40 @@ class Separation:
         self.truth, self.other = truth, other
         self._follow = _follow(truth, other)
 
-    def nats(self, states: Array, inputs: Array, theta: Array) -> Array:
-        """Expected evidence (C,) of experiments in which the truth has some parameters.
+    def nats(self, states: Array, inputs: Array, thetas: Array) -> Array:
+        """Expected evidence (S, C) of experiments in which the truth has some parameters.
 
         Args:
-            states: True states (C, N + 1, nx).
-            inputs: Inputs (C, N, nu).
-            theta: Parameters of the truth (k,).
+            states: True states (S, C, N + 1, nx).
+            inputs: Inputs (S, C, N, nu).
+            thetas: Parameters of the truth (S, k).
         """
+        b = self.other
+        if b.filter is None:
+            return np.stack([self._by_steps(*each) for each in zip(states, inputs, thetas, strict=True)])
+        near = [nearest(self.truth, theta) for theta in thetas]
+        problems = [
+            FilterProblem((x,), (u,), self._there(branch, theta, own.theta), branch.known)
+            for branch in b.branches
+            for theta, own, xs, us in zip(thetas, near, states, inputs, strict=True)
+            for x, u in zip(xs, us, strict=True)
+        ]
+        left = np.array([nats for nats, _ in b.filter.foreseen(problems)])
+        left = left.reshape(len(b.branches), *states.shape[:2])
+        # a width that explains the runs worse has that to make good
+        worse = np.array([branch.nats - b.nats for branch in b.branches])[:, None, None]
+        return np.asarray(
+            (left - worse).min(0) + np.array([own.nats - self.truth.nats for own in near])[:, None]
+        )
+
+    def _there(self, branch: Branch, theta: Array, near: Array) -> Array:
+        """Where the other member's fit of the runs there are goes when the truth has some parameters (k,)."""
+        return self.other.vector.inside(branch.theta + self._follow @ (theta - near))
+
+    def _by_steps(self, states: Array, inputs: Array, theta: Array) -> Array:
+        """Expected evidence (C,) by residuals of steps, at one set of parameters of the truth (k,)."""
         a, b = self.truth, self.other
-        there = b.regression.vector.inside(b.theta + self._follow @ (theta - a.theta))
-        if b.filter is not None:
-            problems = [
-                FilterProblem((x,), (u,), there, b.known) for x, u in zip(states, inputs, strict=True)
-            ]
-            return np.array([left for left, _ in b.filter.foreseen(problems)])
+        there = self._there(b.branches[0], theta, a.theta)
         steps = steps_from(a.system, states, inputs, dt=a.regression.physics.steps.dt)
         left = physics_of(b.system, steps)
         # what a rollout and a regression differ by in the truth itself is no evidence
@@ -132,4 +152,16 @@ def _follow(truth: Member, other: Member) -> Array:
         for m in (truth, other)
     )
     known = theirs @ theirs.T + prior_information(other.regression.vector)
-    return np.asarray(np.linalg.solve(known, theirs @ mine.T))
+    out = np.asarray(np.linalg.solve(known, theirs @ mine.T))
+    if len(truth.branches) > 1:  # widths are followed by branches
+        out[:, width_columns(truth.vector)] = 0.0
+    if len(other.branches) > 1:
+        out[width_columns(other.vector)] = 0.0
+    return out
+
+
+def nearest(member: Member, theta: Array) -> Branch:
+    """The branch of a member whose widths are the nearest to those of some parameters (k,)."""
+    columns = width_columns(member.vector) if len(member.branches) > 1 else []
+    away = [float(np.abs(np.log(b.theta[columns] / theta[columns])).sum()) for b in member.branches]
+    return member.branches[int(np.argmin(away))]

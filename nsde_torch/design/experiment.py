@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from nsde_torch.design.limits import ExperimentLimits
+from nsde_torch.design.limits import MARGIN, ExperimentLimits
 from nsde_torch.design.members import Member
 from nsde_torch.design.options import DesignOptions
 from nsde_torch.design.paths import SIDE, UP, point_times
@@ -70,6 +70,8 @@ class Experiment:
         hertz: Lowest and highest frequency of the inputs [Hz]; None of flights.
         options: Settings.
         seconds: Time that it took.
+        most: The most that an experiment was worth that was tried, within the limits or beyond.
+        most_use: Largest share of each state's range that this one takes (nx,).
     """
 
     system: System
@@ -83,6 +85,8 @@ class Experiment:
     hertz: tuple[float, float] | None
     options: DesignOptions
     seconds: float
+    most: float
+    most_use: Array
 
     @property
     def units(self) -> dict[str, str]:
@@ -158,11 +162,20 @@ class Experiment:
                 {"name": b.name, "expected": [self._expected(b, i) for i in range(len(self.members))]}
                 for b in self.baselines
             ],
+            "beyond_limits": self._beyond(),
             "sure_nats": SURE,
             "rehearsals": self.options.rehearsals,
             "seed": self.options.seed,
             "seconds": self.seconds,
         }
+
+    def _beyond(self) -> dict[str, Any] | None:
+        """What limits the plan: the state of which more would tell most."""
+        i = int(self.most_use.argmax())
+        if self.question.parameters or not self.most > self.plan.worth or self.most_use[i] <= 1.0 - MARGIN:
+            return None
+        name = self.system.state_names[i]
+        return {"limit": name, "share": float(self.most_use[i]), "worth_nats": self.most}
 
     def _expected(self, plan: PlannedRun, truth: int) -> dict[str, Any]:
         member, rehearsed = self.members[truth], plan.rehearsed[truth]

@@ -102,7 +102,7 @@ class Filter:
 
     @torch.no_grad()
     def innovations(
-        self, thetas: Array, states: Sequence[Array], inputs: Sequence[Array]
+        self, thetas: Array, states: Sequence[Array], inputs: Sequence[Array], *, shared: int = 1
     ) -> tuple[Array, Array]:
         """Whitened innovations (B, N, nx), zero behind the end of a run, and sums of log determinants (B,).
 
@@ -110,6 +110,7 @@ class Filter:
             thetas: Parameters of each (B, k).
             states: Measured states of each (n, nx).
             inputs: Inputs of each (n - 1, nu).
+            shared: Number of neighbours that are filtered with the gains of the first of them; 1: each with its own.
         """
         system, nx = self.vector.system, self._nx
         longest = max(len(u) for u in inputs)
@@ -118,23 +119,24 @@ class Filter:
         live = torch.as_tensor(np.arange(longest) < np.array([[len(v)] for v in inputs]))
         theta, b = torch.as_tensor(thetas), len(thetas)
         z = self.rollouts.begin(theta, seen[:, 0], u[:, 0])
-        p = self._start.expand(b, -1, -1)
+        p = self._start.expand(b // shared, -1, -1)
         eye = torch.eye(z.shape[1], dtype=z.dtype)
         white, dets = [], torch.zeros(b, dtype=z.dtype)
         for k in range(longest):
-            z, slope = self._predict(theta, k, z, u[:, k])
+            z, slope = self._predict(theta, k, z, u[:, k], shared)
             p = slope @ p @ slope.mT + self._q
             s = p[:, :nx, :nx] + self._r
             low, info = torch.linalg.cholesky_ex(s)
-            new = seen[:, k + 1] - z[:, :nx]
-            w = torch.linalg.solve_triangular(low, new[..., None], upper=False)[..., 0]
+            new = (seen[:, k + 1] - z[:, :nx]).reshape(len(p), shared, nx).mT
+            w = torch.linalg.solve_triangular(low, new, upper=False).mT.reshape(b, nx)
             gain = torch.cholesky_solve(p[:, :nx, :], low).mT
-            z = system.project(z + (gain @ new[..., None])[..., 0])
+            z = system.project(z + (gain @ new).mT.reshape(b, -1))
             keep = eye - torch.nn.functional.pad(gain, (0, eye.shape[0] - nx))
             p = keep @ p @ keep.mT + gain @ self._r @ gain.mT
-            on = live[:, k] & (info == 0)
+            on = live[:, k] & (info == 0).repeat_interleave(shared)
             white.append(torch.where(on[:, None], w, 0.0))
-            dets = dets + torch.where(on, low.diagonal(dim1=1, dim2=2).log().sum(1), 0.0)
+            logs = low.diagonal(dim1=1, dim2=2).log().sum(1).repeat_interleave(shared)
+            dets = dets + torch.where(on, logs, 0.0)
         return torch.stack(white, 1).numpy(), dets.numpy()
 
     def solve(self, problems: Sequence[FilterProblem], rounds: int = _ROUNDS) -> list[FilterFit]:
@@ -172,9 +174,8 @@ class Filter:
         """What a refit leaves of runs without noise: half the square of the innovations after one step from the centre
         of each problem, with the price of the step [nats]; and the information of the runs and of the others (k, k)."""
         out = []
-        for q, look in zip(
-            problems, self._looked(problems, np.stack([q.centre for q in problems])), strict=True
-        ):
+        centres = np.stack([q.centre for q in problems])
+        for q, look in zip(problems, self._looked(problems, centres), strict=True):
             step = _bounded(look.pull, look.info, q.centre, self.vector.inside)
             gain = float(look.pull @ step - 0.5 * step @ look.info @ step)
             out.append((0.5 * look.square - gain, look.info))
@@ -182,18 +183,23 @@ class Filter:
 
     # ---- pieces ---------------------------------------------------------------------------------------
 
-    def _predict(self, theta: Tensor, k: int, z: Tensor, u: Tensor) -> tuple[Tensor, Tensor]:
-        """States a step later (B, nz), and their slopes (B, nz, nz) in the states before."""
+    def _predict(self, theta: Tensor, k: int, z: Tensor, u: Tensor, shared: int) -> tuple[Tensor, Tensor]:
+        """States a step later (B, nz), and slopes (B / shared, nz, nz) of the first of neighbours in those before."""
         b, nz = z.shape
         small = _SMALL_STATE * z.abs().amax(0).clamp_min(1e-2)
-        moved = torch.cat((z[:, None], z[:, None] + torch.diag(small)), 1).reshape(-1, nz)
-        each = nz + 1
-        later = self.rollouts.later(theta.repeat_interleave(each, 0), k, moved, u.repeat_interleave(each, 0))
-        later = later.reshape(b, each, nz)
-        return later[:, 0], ((later[:, 1:] - later[:, :1]) / small[:, None]).mT
+        first = z[::shared]
+        moved = (first[:, None] + torch.diag(small)).reshape(-1, nz)
+        t, v = (torch.cat((own, own[::shared].repeat_interleave(nz, 0))) for own in (theta, u))
+        later = self.rollouts.later(t, k, torch.cat((z, moved)), v)
+        around = later[b:].reshape(len(first), nz, nz)
+        return later[:b], ((around - later[:b:shared, None]) / small[:, None]).mT
 
     def _looked(self, problems: Sequence[FilterProblem], theta: Array) -> list[_Look]:
-        """Cost of each problem at its parameters (P, k), and its slopes."""
+        """Cost of each problem at its parameters (P, k), and its slopes with the gains there.
+
+        What a change of the gains does to innovations averages out, as both are of earlier noise, and costs several
+        times as much to know.
+        """
         k = theta.shape[1]
         small = _SMALL * np.maximum(self.vector.scale, 1e-6)
         rows, states, inputs = [], [], []
@@ -203,7 +209,7 @@ class Filter:
                 rows.append(around)
                 states += [x] * (k + 1)
                 inputs += [u] * (k + 1)
-        white, dets = self.innovations(np.concatenate(rows), states, inputs)
+        white, dets = self.innovations(np.concatenate(rows), states, inputs, shared=k + 1)
         white, dets = np.nan_to_num(white, nan=1e3, posinf=1e3, neginf=-1e3), np.nan_to_num(dets, nan=1e6)
         out, first = [], 0
         for q, at in zip(problems, theta, strict=True):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -52,6 +52,16 @@ class ExperimentLimits:
         share = np.where(np.isfinite(half), share, 0.0)
         finite = np.asarray(np.isfinite(states).all((-1, -2)))
         return np.where(finite[..., None], share.max(-2), np.nan)
+
+    def widened(self, factor: float) -> ExperimentLimits:
+        """Ranges so many times as wide about their middles, of the inputs too."""
+        out = []
+        for low, high in ((self.low, self.high), (self.floor, self.ceiling)):
+            with np.errstate(invalid="ignore"):
+                middle, half = 0.5 * (low + high), 0.5 * factor * (high - low)
+            fine = np.isfinite(half)
+            out += [np.where(fine, middle - half, low), np.where(fine, middle + half, high)]
+        return replace(self, low=out[0], high=out[1], floor=out[2], ceiling=out[3])
 
     def content(self, units: Mapping[str, str]) -> dict[str, Any]:
         """Plain containers, for JSON."""

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from nsde_torch.data import Run
 from nsde_torch.design.filtering import Filter, FilterProblem, stretches
 from nsde_torch.design.noises import Noises, noises_of
+from nsde_torch.design.widths import Branch, branches, lower_bounds, width_columns
 from nsde_torch.diagnosis.candidates import make_candidate
 from nsde_torch.diagnosis.fitted import fitted_system
 from nsde_torch.diagnosis.options import Options
@@ -44,6 +45,7 @@ class Member:
         information: Of the runs about them (k, k).
         nats: Log-likelihood of the runs [nats].
         filter: Filters further runs; None where regressions judge them.
+        branches: The member at the widths that the runs leave open, the likeliest first; itself where they leave none.
     """
 
     name: str
@@ -54,6 +56,12 @@ class Member:
     information: Array
     nats: float
     filter: Filter | None
+    branches: tuple[Branch, ...]
+
+    @property
+    def vector(self) -> ParameterVector:
+        """Its parameters, within the bounds that hold for experiments."""
+        return self.regression.vector if self.filter is None else self.filter.vector
 
     @property
     def known(self) -> Array:
@@ -73,21 +81,32 @@ class Member:
     def draws(self, count: int, rng: np.random.Generator) -> Array:
         """Parameters as the runs leave them open (count, k), the fitted ones first.
 
-        What is no less than nothing stays within a factor of three: a width that no run shows is no reason to plan for
-        one a thousandth as wide.
+        What is no less than nothing stays within a factor of three of a branch.
         """
-        v = self.regression.vector
-        values, vectors = np.linalg.eigh(self.covariance)
+        v = self.vector
+        weights = np.cumsum(np.exp([b.nats - self.nats for b in self.branches]))
+        out = [self.theta]
+        # every width has its share of the draws, whatever their number
+        shares = (np.arange(count - 1) + rng.uniform(size=count - 1)) / max(count - 1, 1)
+        for share in rng.permutation(shares):
+            branch = self.branches[int(np.searchsorted(weights, share * weights[-1]))]
+            out.append(self._drawn(branch, rng))
+        return np.stack([v.inside(row) for row in out])
+
+    def _drawn(self, branch: Branch, rng: np.random.Generator) -> Array:
+        """Parameters (k,) near a branch."""
+        v, theta, covariance = self.vector, branch.theta, np.linalg.inv(branch.known)
+        values, vectors = np.linalg.eigh(covariance)
         root = vectors * np.sqrt(values.clip(0.0))
-        out = self.theta + np.clip(rng.standard_normal((count, len(v))), -2.0, 2.0) @ root.T
-        out[0] = self.theta
-        error = np.sqrt(np.diag(self.covariance))
-        positive = (v.low >= 0) & (self.theta > error)
-        near = np.clip(out, self.theta / 3.0, 3.0 * self.theta)
+        out = theta + root @ np.clip(rng.standard_normal(len(v)), -2.0, 2.0)
+        error = np.sqrt(np.diag(covariance))
+        positive = (v.low >= 0) & (theta > error)
+        if len(self.branches) > 1:
+            positive[width_columns(v)] = True
         # what may be nothing, as far as the runs show, may also be more: draws beyond the bound are turned back
         low = np.where(np.isfinite(v.low), v.low, 0.0)
         out = np.where((v.low >= 0) & ~positive, low + np.abs(out - low), out)
-        return np.stack([v.inside(row) for row in np.where(positive, near, out)])
+        return np.where(positive, np.clip(out, theta / 3.0, 3.0 * theta), out)
 
 
 def fitted_members(
@@ -176,14 +195,20 @@ def _member(declared: System, name: str, fit: Regression, runs: Sequence[Run], n
     if not declared.sensor_noise:
         flat = fit.slopes.reshape(-1, len(fit.vector))
         nats = log_likelihood(fit)
-        return Member(name, effects, fitted_system(fit), fit, fit.theta, flat.T @ flat, nats, None)
+        known = flat.T @ flat
+        only = Branch(fit.theta, known + prior_information(fit.vector), nats)
+        return Member(name, effects, fitted_system(fit), fit, fit.theta, known, nats, None, (only,))
     own = Filter(fitted_system(fit), dt=fit.physics.steps.dt, noise=noise)
     prior = prior_information(own.vector)
-    own.vector.low, own.vector.high = fit.vector.low, fit.vector.high
+    dt = fit.physics.steps.dt
+    own.vector.low = lower_bounds(fit.vector, fit.theta, dt=dt, fine_dt=own.rollouts.fine_dt)
+    own.vector.high = fit.vector.high
     found = own.solve([FilterProblem(*stretches(runs), fit.theta, prior)], rounds=_ROUNDS)[0]
+    each = branches(own, runs, Branch(found.theta, found.information, found.nats), prior)
     system = fitted_system(fit)
-    own.vector.write(system, found.theta)
-    return Member(name, effects, system, fit, found.theta, found.information - prior, found.nats, own)
+    theta = each[0].theta
+    own.vector.write(system, theta)
+    return Member(name, effects, system, fit, theta, each[0].known - prior, each[0].nats, own, each)
 
 
 def log_likelihood(fit: Regression) -> float:

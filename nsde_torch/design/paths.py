@@ -116,6 +116,10 @@ class Paths:
                 g[:, axis] = other[:, axis]
         return np.clip(out, 0.0, 1.0)
 
+    def shrunk(self, genes: Array, shares: Array) -> Array:
+        """Genes of the same flights with shares (count,) of their distances (count, K, 4)."""
+        return np.asarray(0.5 + shares[:, None, None] * (genes - 0.5))
+
     def points(self, genes: Array) -> Array:
         """Points and headings (..., K, 4) [m, rad], the first where the experiment begins."""
         middle, half = self._box

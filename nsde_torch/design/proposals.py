@@ -8,7 +8,7 @@ smaller than their usual size the standard errors become. One that leaves a limi
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Protocol, final
 
 import numpy as np
@@ -25,6 +25,8 @@ CAUTIOUS = 0.2
 """Quantile over draws of the parameters that an experiment is judged by."""
 _MEAN = 0.1
 _PARENTS = 8
+_SMALLER = 4  # of so many proposals, one is what left the limits, made smaller
+_ALIKE = 0.1  # of an experiment's size
 _NOTHING = -1e9  # what an experiment is worth that is not finite
 
 
@@ -45,6 +47,9 @@ class ProposalFamily(Protocol):
     def mutated(self, genes: Array, rng: np.random.Generator) -> Array:
         """Genes near others."""
 
+    def shrunk(self, genes: Array, shares: Array) -> Array:
+        """Genes of the same experiments, each smaller by a share."""
+
     def inputs(self, genes: Array) -> Array:
         """Rows of the experiments (count, N, m)."""
 
@@ -63,13 +68,26 @@ class Judged:
 
     Args:
         worth: Of each (C,); -inf beyond the limits.
+        told: The same, whatever the limits; far below 0 where it was not judged.
         each: Per ordered pair of members, or per member, and draw (pairs, S, C): nats, or standard errors' worth.
         use: Largest share of each state's range (C, nx), nan where a state is not finite.
     """
 
     worth: Array
+    told: Array
     each: Array
     use: Array
+
+
+class Judging(Protocol):
+    """What judges experiments within limits."""
+
+    @property
+    def limits(self) -> ExperimentLimits:
+        """Limits."""
+
+    def judge(self, tables: Array) -> Judged:
+        """Judge experiments (C, N, m)."""
 
 
 @final
@@ -94,7 +112,7 @@ class Judge:
         draws: Sequence[Array],
         drive: Callable[[Array], Drive],
     ) -> None:
-        self.members, self.precision, self.limits = members, precision, limits
+        self.members, self.precision, self._limits = members, precision, limits
         self._start, self._draws, self._drive = start, draws, drive
         dt = members[0].regression.physics.steps.dt
         self._rollouts = [Rollouts(m.system, dt=dt) for m in members]
@@ -104,6 +122,15 @@ class Judge:
             for j, b in enumerate(members)
             if i != j and precision is None
         }
+
+    @property
+    def limits(self) -> ExperimentLimits:
+        """See `Judging.limits`."""
+        return self._limits
+
+    def within(self, limits: ExperimentLimits) -> Judge:
+        """The same judge within other limits."""
+        return Judge(self.members, self.precision, limits, self._start, self._draws, self._drive)
 
     def flown(self, member: int, tables: Array) -> tuple[Array, Array]:
         """States (S, C, N + 1, nx) and inputs (S, C, N, nu) of experiments (C, N, m) at every draw of a member."""
@@ -122,13 +149,13 @@ class Judge:
         uses, each = [], []
         for i in range(len(self.members)):
             states, inputs = self.flown(i, tables)
-            uses.append(self.limits.use(states).max(0))
+            uses.append(self._limits.use(states).max(0))
             fine = np.isfinite(states).all((0, 2, 3)) & (uses[-1] < 3.0).all(1)
             each += self._told(i, states[:, fine], inputs[:, fine], fine)
         use, table = np.stack(uses).max(0), np.stack(each)
         worth = worth_of(np.maximum(table, _NOTHING), 1).min(0)
         inside = np.nan_to_num(use, nan=np.inf).max(1) <= 1.0 - MARGIN
-        return Judged(np.where(inside, worth, -np.inf), table, use)
+        return Judged(np.where(inside, worth, -np.inf), worth, table, use)
 
     def _told(self, i: int, states: Array, inputs: Array, fine: NDArray[np.bool_]) -> list[Array]:
         """What experiments tell where a member is true, one table (S, C) for each other member."""
@@ -145,9 +172,8 @@ class Judge:
             if i == j:
                 continue
             nats = np.full((len(draws), len(fine)), -np.inf)
-            for s, theta in enumerate(draws):
-                if fine.any():
-                    nats[s, fine] = self._pairs[i, j].nats(states[s], inputs[s], theta)
+            if fine.any():
+                nats[:, fine] = self._pairs[i, j].nats(states, inputs, draws)
             out.append(nats)
         return out
 
@@ -177,7 +203,22 @@ class JudgedExperiment:
     words: tuple[str, ...] = ()
 
 
-def best_of_each(judge: Judge, made: Mapping[str, tuple[Array, tuple[str, ...]]]) -> list[JudgedExperiment]:
+@dataclass(frozen=True)
+class Searched:
+    """What a search found.
+
+    Args:
+        finalists: The best experiments, the best first.
+        most: The most that any experiment told that was tried, within the limits or beyond.
+        use: Largest share of each state's range that this one takes (nx,).
+    """
+
+    finalists: list[JudgedExperiment]
+    most: float
+    use: Array
+
+
+def best_of_each(judge: Judging, made: Mapping[str, tuple[Array, tuple[str, ...]]]) -> list[JudgedExperiment]:
     """The best of each family of experiments (sizes, N, m), with words; without those that all leave the limits.
 
     All are judged in one batch: a rollout of many costs little more than one of few.
@@ -198,7 +239,7 @@ def best_of_each(judge: Judge, made: Mapping[str, tuple[Array, tuple[str, ...]]]
 
 
 def search(
-    judge: Judge,
+    judge: Judging,
     family: ProposalFamily,
     *,
     proposals: int,
@@ -206,8 +247,8 @@ def search(
     keep: int,
     rng: np.random.Generator,
     say: Callable[[str, int, int], None],
-) -> list[JudgedExperiment]:
-    """The best experiments, the best first.
+) -> Searched:
+    """The best experiments.
 
     Args:
         judge: Judges them.
@@ -224,6 +265,7 @@ def search(
     genes = np.concatenate((family.random(proposals, rng), family.gentle(proposals // 4, rng)))
     found: list[tuple[float, Array, JudgedExperiment]] = []
     nearest: tuple[float, int] = (np.inf, 0)
+    most, widest = -np.inf, np.zeros(0)
     for generation in range(generations + 1):
         say("proposing experiments", generation, generations + 1)
         tables = family.inputs(genes)
@@ -234,19 +276,44 @@ def search(
                     "designed", tables[k], float(judged.worth[k]), judged.each[:, :, k], judged.use[k]
                 )
                 found.append((made.worth, genes[k], made))
+        top = int(judged.told.argmax())
+        if judged.told[top] > most:
+            most, widest = float(judged.told[top]), judged.use[top]
         over = np.nan_to_num(judged.use, nan=np.inf)
         at = int(over.max(1).argmin())
         nearest = min(nearest, (float(over[at].max()), int(over[at].argmax())))
         found = sorted(found, key=lambda f: -f[0])[: max(4 * _PARENTS, keep)]
         parents = np.stack([g for _, g, _ in found[:_PARENTS]]) if found else family.gentle(_PARENTS, rng)
-        genes = family.mutated(parents[rng.integers(len(parents), size=proposals)], rng)
+        fresh = family.mutated(parents[rng.integers(len(parents), size=proposals)], rng)
+        genes = np.concatenate((fresh, _within(family, genes, judged, found, proposals // _SMALLER)))
     say("proposing experiments", generations + 1, generations + 1)
     if not found:
         raise ConfigError(_in_the_way(judge.limits, *nearest))
-    return [
-        JudgedExperiment(p.name, p.table, p.worth, p.each, p.use, tuple(family.words(g)))
-        for _, g, p in found[:keep]
-    ]
+    kept: list[JudgedExperiment] = []
+    for _, g, p in found:
+        if len(kept) < keep and all(_differ(p.table, other.table) for other in kept):
+            kept.append(replace(p, words=tuple(family.words(g))))
+    return Searched(kept, most, widest)
+
+
+def _within(
+    family: ProposalFamily,
+    genes: Array,
+    judged: Judged,
+    found: Sequence[tuple[float, Array, JudgedExperiment]],
+    most: int,
+) -> Array:
+    """Genes of what tells much and leaves the limits, as small as would stay inside if motion were in proportion."""
+    worth = found[0][0] if found else -np.inf
+    use = np.nan_to_num(judged.use, nan=np.inf).max(1)
+    left = np.flatnonzero((use > 1.0 - MARGIN) & (use < 3.0) & (judged.told > worth))
+    chosen = left[np.argsort(-judged.told[left])][:most]
+    return family.shrunk(genes[chosen], (1.0 - 2.0 * MARGIN) / use[chosen])
+
+
+def _differ(one: Array, other: Array) -> bool:
+    """Whether two experiments are more than nearly the same: rehearsing one twice says nothing new."""
+    return float(np.linalg.norm(one - other)) > _ALIKE * float(np.linalg.norm(other))
 
 
 def _in_the_way(limits: ExperimentLimits, share: float, state: int) -> str:

@@ -89,6 +89,8 @@ def question_of(content: Mapping[str, Any], system: System, options: DesignOptio
             "may be true, members=[[EFFECT,...],[EFFECT,...]], or what is to be known better, parameters=[EFFECT.NAME]."
         )
     out = of_parameters(system, found, labels)
+    why = "what it leaves open" if not lacking else "what its runs cannot show"
+    notes += (f"the diagnosis holds no tie that an input may break: this is a plan for the sizes of {why}",)
     return Question(out.members, out.parameters, notes)
 
 

@@ -104,11 +104,15 @@ _Fit = tuple[float, Array, Array, float, float]
 
 def _by_filter(member: Member, own: Filter, each: Sequence[Run]) -> list[_Fit]:
     """Growth of the log-likelihood, parameters, covariance and mean square of what is left, by the member's filter."""
-    problems = [FilterProblem(*stretches([run]), member.theta, member.known) for run in each]
-    return [
-        (f.nats, f.theta, np.asarray(np.linalg.inv(f.information), dtype=np.float64), f.excess, f.moved)
-        for f in own.solve(problems)
-    ]
+    problems = [FilterProblem(*stretches([run]), b.theta, b.known) for run in each for b in member.branches]
+    worse, found = [b.nats - member.nats for b in member.branches], own.solve(problems)
+    out: list[_Fit] = []
+    for first in range(0, len(found), len(worse)):
+        fits = zip(found[first : first + len(worse)], worse, strict=True)
+        nats, f = max(((f.nats + nats, f) for f, nats in fits), key=lambda pair: pair[0])
+        covariance = np.asarray(np.linalg.inv(f.information), dtype=np.float64)
+        out.append((nats, f.theta, covariance, f.excess, f.moved))
+    return out
 
 
 def _by_steps(declared: System, member: Member, each: Sequence[Run], clock: float) -> list[_Fit]:

@@ -79,6 +79,8 @@ class Rollouts:
         self.system = self.vector.system
         self._fine = self._substeps()
         self._h = dt / self._fine
+        self.fine_dt = self._h
+        """Step of the integration [s]."""
         self._rk4 = torch.func.vmap(self._one)
         self._augmented = torch.func.vmap(self._first)
 

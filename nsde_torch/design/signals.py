@@ -3,7 +3,9 @@
     u(t) = middle + half range * clip(offset + amplitude * wave(t), -1, 1)
 
 Each piece of each input has six genes in [0, 1]: kind, offset, amplitude, two frequencies (on a logarithmic scale) and
-a phase. They are few, a person can fly them, and a search can change one at a time.
+a phase. They are few, a person can fly them, and a search can change one at a time. Offset and amplitude are on a scale
+that is fine about rest, value = sinh(5 g) / sinh(5): what a machine does may hang on forces that are a hundredth of
+those that its runs held, a dry friction for one.
 """
 
 from __future__ import annotations
@@ -23,6 +25,8 @@ PIECES = 4
 GENES = 6
 SCALES = (1.0, 0.5, 0.25, 0.1)
 """Shares of the range of the inputs that a baseline is tried at."""
+_FINE = 5.0
+_SMALLEST = 0.1
 
 
 @dataclass(frozen=True)
@@ -51,15 +55,16 @@ class Signals:
         genes = rng.uniform(0.0, 1.0, (count, *self.shape))
         same = rng.uniform(size=count) < 0.4  # one wave throughout
         genes[same, 1:] = genes[same, :1]
-        genes[..., 1] = 0.5 + (genes[..., 1] - 0.5) * rng.choice([0.0, 0.3, 1.0], count)[:, None, None]
+        size = rng.uniform(_SMALLEST, 1.0, count)[:, None, None]  # of the whole experiment
+        genes[..., 1] = 0.5 + (genes[..., 1] - 0.5) * size * rng.choice([0.0, 0.3, 1.0], count)[:, None, None]
+        genes[..., 2] *= size
         return genes
 
     def gentle(self, count: int, rng: np.random.Generator) -> Array:
         """Genes of inputs of small swing about where the machine is left alone (count, pieces, nu, 6)."""
         genes = self.random(count, rng)
-        rest = np.clip(-self._middle / self._half, -1.0, 1.0)  # input 0, or the nearest to it
-        genes[..., 1] = 0.5 + 0.5 * rest + 0.01 * (genes[..., 1] - 0.5)
-        genes[..., 2] *= np.geomspace(0.005, 0.2, count)[:, None, None]
+        genes[..., 1] = 0.5 + 0.02 * (genes[..., 1] - 0.5)
+        genes[..., 2] *= np.linspace(0.03, 0.5, count)[:, None, None]
         return np.clip(genes, 0.0, 1.0 - 1e-9)
 
     def mutated(self, genes: Array, rng: np.random.Generator) -> Array:
@@ -75,6 +80,13 @@ class Signals:
             if rng.uniform() < 0.2:
                 g[rng.integers(len(g)), :, 0] = rng.uniform()
         return np.clip(out, 0.0, 1.0 - 1e-9)
+
+    def shrunk(self, genes: Array, shares: Array) -> Array:
+        """Genes of the same inputs with shares (count,) of their distance from rest (count, pieces, nu, 6)."""
+        out, share = genes.copy(), shares[:, None, None]
+        out[..., 1] = 0.5 + 0.5 * _gene(share * _fine(2.0 * genes[..., 1] - 1.0))
+        out[..., 2] = _gene(share * _fine(genes[..., 2]))
+        return out
 
     def inputs(self, genes: Array) -> Array:
         """Inputs (count, steps, nu) of genes (count, pieces, nu, 6)."""
@@ -92,7 +104,8 @@ class Signals:
         half, middle = self._half, self._middle
         for p, (a, b) in enumerate(pairwise(edges.tolist())):
             for i, name in enumerate(self.limits.inputs):
-                kind, offset, size, f1, f2, _ = self._decoded(genes[p, i])
+                kind, size, f1, f2 = self._decoded(genes[p, i])
+                offset = self._offset(genes[p, :, 1])[i]
                 about, swing = middle[i] + half[i] * offset, half[i] * size
                 told = {
                     "hold": f"hold {about:.3g}",
@@ -156,17 +169,20 @@ class Signals:
     def _middle(self) -> Array:
         return np.asarray(0.5 * (self.limits.high + self.limits.low))
 
-    def _decoded(self, g: Array) -> tuple[str, float, float, float, float, float]:
+    @property
+    def _rest(self) -> Array:
+        """Input 0, or the nearest to it, in [-1, 1]."""
+        return np.clip(-self._middle / self._half, -1.0, 1.0)
+
+    def _offset(self, gene: Array) -> Array:
+        """Offsets in [-1, 1] of genes (..., nu): 0.5 is rest, 0 and 1 are the ends of the range."""
+        away = _fine(2.0 * gene - 1.0)
+        return np.asarray(self._rest + away * np.where(away < 0, 1.0 + self._rest, 1.0 - self._rest))
+
+    def _decoded(self, g: Array) -> tuple[str, float, float, float]:
         low, high = np.log(self.hertz)
         f1, f2 = np.exp(low + g[3:5] * (high - low))
-        return (
-            KINDS[int(g[0] * len(KINDS))],
-            float(2 * g[1] - 1),
-            float(g[2]),
-            float(f1),
-            float(f2),
-            float(g[5]),
-        )
+        return KINDS[int(g[0] * len(KINDS))], float(_fine(g[2])), float(f1), float(f2)
 
     def _piece(self, g: Array, t: Array) -> Array:
         """Unit inputs (count, nu, n) of the genes (count, nu, 6) of one piece at times (n,)."""
@@ -190,4 +206,14 @@ class Signals:
         )
         kind = (g[..., 0] * len(KINDS)).astype(int)
         wave = np.take_along_axis(waves, kind[None, ..., None], 0)[0]
-        return np.asarray(2 * g[..., 1, None] - 1 + g[..., 2, None] * wave)
+        return np.asarray(self._offset(g[..., 1])[..., None] + _fine(g[..., 2, None]) * wave)
+
+
+def _fine(gene: Array) -> Array:
+    """Values in [-1, 1] of genes in [-1, 1], with the more room the nearer to 0."""
+    return np.asarray(np.sinh(_FINE * gene) / np.sinh(_FINE))
+
+
+def _gene(value: Array) -> Array:
+    """Genes in [-1, 1] of values in [-1, 1]."""
+    return np.asarray(np.arcsinh(value * np.sinh(_FINE)) / _FINE)

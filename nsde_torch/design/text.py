@@ -53,6 +53,12 @@ def _of_tie(content: Mapping[str, Any]) -> list[str]:
         f"{least:.0%} of the rehearsals where it is hardest): allow more (limits, hertz, duration), or the members are "
         "one law at the values that the runs show"
     )
+    wide = content["beyond_limits"]
+    if least < _OFTEN and wide is not None and wide["worth_nats"] > content["sure_nats"]:
+        out.append(
+            f"what limits it is limits.{wide['limit']}: an experiment that takes {wide['share']:.0%} of it would tell "
+            f"{wide['worth_nats']:.1f} nats in the less favourable cases"
+        )
     return out
 
 

@@ -55,6 +55,9 @@ def test_what_cannot_be_planned_is_said_before_any_work(
     assert "takes lists of effects" in capsys.readouterr().err
     assert main(["design", f"run={folder / 'runs'}", f"out_dir={folder / 'c'}"]) == 2
     assert "holds no diagnosis.json" in capsys.readouterr().err
+    for key in ("runs", "flown"):
+        assert main([*asked, f"{key}={folder / 'nowhere'}", f"out_dir={folder / 'c'}"]) == 2
+        assert f"`{key}`: {folder / 'nowhere'} does not exist" in capsys.readouterr().err
     assert main(["simulate", "system=cartpole", "pilot=plan", f"out={folder / 'd'}"]) == 2
     assert "go together" in capsys.readouterr().err
 

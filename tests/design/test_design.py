@@ -73,6 +73,20 @@ def test_a_plan_that_leaves_its_limits_whatever_it_does_says_which(tie: Tie) -> 
         design(tie.system, tie.runs, tie.question, replace(OPTIONS, generations=0, limits={"q": [0.1, 0.2]}))
 
 
+def test_members_that_are_one_equation_are_refused_and_not_planned_for(tie: Tie) -> None:
+    same = Question((BIASED, BIASED[::-1]))
+    with pytest.raises(ConfigError, match=r"no experiment tells .* one equation in this physics"):
+        design(tie.system, tie.runs, same, replace(OPTIONS, generations=0), baselines=False)
+
+
+def test_limits_within_which_nothing_tells_are_named(tie: Tie) -> None:
+    apart = Question((("quadratic_damping",), ("cubic_stiffness",)))
+    still = {"force": [-0.1, 0.1], "q": [-0.15, 0.15], "q_dot": [-0.15, 0.15]}
+    small = replace(OPTIONS, generations=0, limits=still, start={"q": 0.0})
+    with pytest.raises(ConfigError, match=r"In ranges 10 times as wide .* widen limits\.q"):
+        design(tie.system, tie.runs, apart, small, baselines=False)
+
+
 @pytest.mark.parametrize(
     ("limits", "message"),
     [({"speed": [0, 1]}, "names 'speed'"), ({"q": [1, 0]}, "must be"), ({"q": 3}, "must be")],
@@ -148,9 +162,9 @@ def test_the_question_is_the_first_tie_of_effects(tie: Tie) -> None:
         "ties": [],
         "not_shown": [{"parameter": "hysteresis.size"}],
     }
-    assert question_of(hidden, tie.system, DesignOptions()) == Question(
-        (("hysteresis",),), ("hysteresis.size",)
-    )
+    question = question_of(hidden, tie.system, DesignOptions())
+    assert (question.members, question.parameters) == ((("hysteresis",),), ("hysteresis.size",))
+    assert "holds no tie that an input may break" in question.notes[0]
     with pytest.raises(ConfigError, match="nothing to plan"):
         question_of({"findings": [], "ties": [], "not_shown": []}, tie.system, DesignOptions())
 

@@ -77,6 +77,17 @@ def test_a_run_that_is_shorter_counts_no_rows_behind_its_end() -> None:
     assert dets[1] == pytest.approx(alone[0])
 
 
+def test_neighbours_are_filtered_with_the_gains_of_the_first_of_them() -> None:
+    own, seen, u, _ = _spring()
+    start = own.vector.start
+    rows = np.stack([start, 1.02 * start, 0.9 * start, start])
+    shared, _ = own.innovations(rows, [seen] * 4, [u] * 4, shared=2)
+    alone, _ = own.innovations(rows, [seen] * 4, [u] * 4)
+    np.testing.assert_allclose(shared[::2], alone[::2], rtol=0, atol=1e-6)
+    away = np.abs(shared[1] - alone[1]).max()
+    assert 0.0 < away < 0.05 * np.abs(alone[1] - alone[0]).max()
+
+
 @pytest.mark.parametrize("orders", [0, 12])
 def test_a_law_is_split_into_machine_and_sensor_whatever_its_orders(orders: int) -> None:
     rng = np.random.default_rng(1)

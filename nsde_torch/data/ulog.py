@@ -24,7 +24,7 @@ from nsde_torch.data.findings import Finding
 from nsde_torch.data.frames import attitude_to_enu, swap_body, swap_world
 from nsde_torch.data.quaternion import rotate
 from nsde_torch.data.raw import RawRun
-from nsde_torch.data.streams import Stream, held, linear
+from nsde_torch.data.streams import Stream, attitudes, held, linear
 from nsde_torch.data.system_info import SystemInfo, rate_columns
 from nsde_torch.errors import ConfigError, DataError
 
@@ -51,6 +51,7 @@ MOTOR_RATE = 50.0
 Motors answer within 50 ms. PX4's default profile logs them at 10 Hz: held for 100 ms, they gave half of the roll gain.
 """
 _HIGH_RATE = "Log more: set bit 4 (high rate) of the parameter SDLOG_PROFILE, `param set SDLOG_PROFILE 17`, and restart"
+_MISSING = 0.6  # of a step of the attitude, from which on none is near
 _FIRST_MOTOR = 101
 """PX4 output function of motor 1; motor k is 100 + k."""
 
@@ -137,7 +138,7 @@ def _state(topics: dict[str, list[Stream]], source: str, path: Path) -> tuple[Ar
             f"{path} lacks the topics {wanted}{other}; it has {sorted(topics) or 'none of those needed'}. "
             f"{_HIGH_RATE}, or add them to etc/logging/logger_topics.txt on the SD card."
         )
-    t = attitude.t
+    t = _with_missing(attitude, position)
     p = linear(position, position.columns("x", "y", "z"), t)
     v = linear(position, position.columns("vx", "vy", "vz"), t)
     for flag, columns in (("xy_valid", slice(0, 2)), ("z_valid", slice(2, 3))):
@@ -145,9 +146,30 @@ def _state(topics: dict[str, list[Stream]], source: str, path: Path) -> tuple[Ar
             p[held(position, position.columns(flag), t)[:, 0] < 0.5, columns] = np.nan
     w = linear(rates, rates.vector("xyz", 3), t)
     x = np.concatenate(
-        [swap_world(p), swap_world(v), attitude_to_enu(attitude.vector("q", 4)), swap_body(w)], axis=1
+        [
+            swap_world(p),
+            swap_world(v),
+            attitude_to_enu(attitudes(attitude, attitude.vector("q", 4), t)),
+            swap_body(w),
+        ],
+        axis=1,
     )
     return t, x, [attitude, position, rates]
+
+
+def _with_missing(attitude: Stream, position: Stream) -> Array:
+    """Times of the attitude, and of positions where an attitude is missing.
+
+    A logger that is late leaves messages out. Without a row at a position's own time, a longer step would have in its
+    place the mean of values that are means themselves.
+    """
+    if not attitude.rate > 0.9 * position.rate:
+        return attitude.t
+    step, at = 1.0 / attitude.rate, position.t
+    after = np.clip(np.searchsorted(attitude.t, at), 1, len(attitude.t) - 1)
+    near = np.minimum(np.abs(at - attitude.t[after - 1]), np.abs(attitude.t[after] - at))
+    inside = (at > attitude.t[0]) & (at < attitude.t[-1])
+    return np.asarray(np.sort(np.concatenate((attitude.t, at[inside & (near > _MISSING * step)]))))
 
 
 def _output_channels(parameters: dict[str, Any], motors: int) -> tuple[list[int], Array, Array]:

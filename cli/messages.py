@@ -128,11 +128,14 @@ def _in_file(found: re.Match[str], command: str, words: Sequence[str]) -> str:
 
 def _unknown_choice(error: Exception, command: str, words: Sequence[str]) -> str:
     missing = str(getattr(error, "missing_cfg_file", "") or "")
-    group, _, choice = missing.rpartition("/")
-    if missing.startswith("data/") and "/" in missing.removeprefix("data/"):
-        path = missing.removeprefix("data/")
+    if missing.startswith("hydra/"):  # its groups have a slash, as hydra/launcher
+        group, _, choice = missing.rpartition("/")
+    else:  # a choice may be a path
+        group, slash, choice = missing.partition("/")
+        group = group if slash else ""
+    if group == "data" and "/" in choice:
         return (
-            f"`data={path}`: `data` is a kind of data, and a path goes into `data.path`: data=log data.path={path} "
+            f"`data={choice}`: `data` is a kind of data, and a path goes into `data.path`: data=log data.path={choice} "
             "(the format is told by the names of the files)."
         )
     options = [str(option) for option in getattr(error, "options", None) or []]

@@ -18,16 +18,17 @@ Payload against thrust is none: the physics of a multirotor is per mass, so both
 from __future__ import annotations
 
 import argparse
-import json
 import tempfile
 import time
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 import torch
 from design_oracle import Array, Json, oracle
 from design_ties import report
+from study import appended
 
 import nsde_torch
 from nsde_torch.data import Run
@@ -174,13 +175,12 @@ def main() -> None:
     parser.add_argument("--report", action="store_true")
     args = parser.parse_args()
     torch.set_num_threads(1)
-    args.out.mkdir(parents=True, exist_ok=True)
     if not args.report:
-        with (args.out / f"flights_{args.seed}.jsonl").open("a", encoding="utf-8") as file:
-            for i in range(args.count):
-                found = one(args.kinds[i % len(args.kinds)], args.seed + i)
-                print(json.dumps(found), file=file, flush=True)
-                print(f"{found['kind']} {found['seed']}: tied {found['tied']}", flush=True)
+        appended(
+            args.out / f"flights_{args.seed}.jsonl",
+            (partial(one, args.kinds[i % len(args.kinds)], args.seed + i) for i in range(args.count)),
+            lambda found: f"{found['kind']} {found['seed']}: tied {found['tied']}",
+        )
     print(report(args.out))
 
 

@@ -22,12 +22,14 @@ import json
 import tempfile
 import time
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import torch
 from design_oracle import Array, Json, oracle
+from study import appended
 
 import nsde_torch
 from nsde_torch.data import Run
@@ -311,13 +313,15 @@ def main() -> None:
     parser.add_argument("--report", action="store_true")
     args = parser.parse_args()
     torch.set_num_threads(1)
-    args.out.mkdir(parents=True, exist_ok=True)
     if not args.report:
-        with (args.out / f"{args.machine}_{args.seed}.jsonl").open("a", encoding="utf-8") as file:
-            for i in range(args.count):
-                found = one(args.machine, KINDS[i % len(KINDS)], args.seed + i, args.wider)
-                print(json.dumps(found), file=file, flush=True)
-                print(f"{found['machine']} {found['kind']} {found['seed']}: tied {found['tied']}", flush=True)
+        appended(
+            args.out / f"{args.machine}_{args.seed}.jsonl",
+            (
+                partial(one, args.machine, KINDS[i % len(KINDS)], args.seed + i, args.wider)
+                for i in range(args.count)
+            ),
+            lambda found: f"{found['machine']} {found['kind']} {found['seed']}: tied {found['tied']}",
+        )
     print(report(args.out))
 
 

@@ -44,3 +44,19 @@ def answers(
         (out / f"{name}.json").write_text(json.dumps(answer, indent=1, default=float), encoding="utf-8")
         print(line, flush=True)
     return [json.loads(path.read_text(encoding="utf-8")) for path in sorted(out.glob("*.json"))]
+
+
+def appended(file: Path, cases: Iterable[Callable[[], Json]], line: Callable[[Json], str]) -> None:
+    """Append the outcome of each case to a file of JSON lines, and print a line for each.
+
+    Args:
+        file: The file; its folder is made.
+        cases: What makes each outcome.
+        line: What is printed of one.
+    """
+    file.parent.mkdir(parents=True, exist_ok=True)
+    with file.open("a", encoding="utf-8") as out:
+        for make in cases:
+            found = make()
+            print(json.dumps(found), file=out, flush=True)
+            print(line(found), flush=True)

@@ -38,7 +38,8 @@ def a_law_is_nearer(search: Search, chosen: Selection, kept: Retained, name: str
         kept: What elimination kept.
         name: Of the effect.
     """
-    effect = effect_of(fitted_system(kept.final.regression), name)
+    system = fitted_system(kept.final.regression)
+    effect = effect_of(system, name)
     if is_law(name) or effect.n_memory or effect.exogenous or effect.port is Port.INPUT:
         return False
     without = base_without(search, kept.final, chosen.declared, name)
@@ -49,7 +50,6 @@ def a_law_is_nearer(search: Search, chosen: Selection, kept: Retained, name: str
         wanted, port = _of_tests(search, without, variables, moved), effect.port.value
     if not wanted:
         return False
-    system = fitted_system(kept.final.regression)
     found = library(search, without, moved, wanted, variables, port=port)
     if found is None:
         return False

@@ -31,7 +31,7 @@ from math import log, pi
 from typing import Any
 
 import numpy as np
-from numpy.fft import fft, rfft, rfftfreq
+from numpy.fft import fft, irfft, rfft, rfftfreq
 from numpy.polynomial import polynomial
 from numpy.typing import NDArray
 from scipy.signal import get_window, savgol_coeffs
@@ -298,6 +298,30 @@ def fit(seen: Spectra, smoother: Smoother | None, *, steps: int = _LAST) -> Spec
     deviance = seen.windows * float((ratio - 1.0 - np.log(ratio)).mean())
     m = len(_POWERS)
     return SpectrumFit(deviance, weights[:, :m] @ before[:m], weights[:, m:-1] @ before[m:], weights[:, -1])
+
+
+class Stretch:
+    """Values (n,) of one stretch, to go through filters.
+
+    Args:
+        values: The values.
+        dt: Step [s].
+    """
+
+    def __init__(self, values: Array, dt: float) -> None:
+        self._count, self._around = len(values), min(len(values) - 1, 200)
+        around = self._around
+        longer = np.concatenate([values[around:0:-1], values, values[-2 : -around - 2 : -1]])
+        self._length, self._f = len(longer), rfftfreq(len(longer), dt)
+        self._spectrum = rfft(longer)
+
+    def through(self, smoother: Smoother | None, lag: float, delay: float) -> Array:
+        """The values (n,) behind a lag of first order and a delay [s], and a smoother."""
+        response: NDArray[Any] = np.exp(-2j * np.pi * self._f * delay) / (1.0 + 2j * np.pi * self._f * lag)
+        if smoother is not None:
+            response = response * smoother.response(self._f)
+        through = irfft(np.multiply(self._spectrum, response), self._length)
+        return np.asarray(through[self._around : self._around + self._count])
 
 
 @dataclass(frozen=True)

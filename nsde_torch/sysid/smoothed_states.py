@@ -19,11 +19,9 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 import torch
-from numpy.fft import irfft, rfft, rfftfreq
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d
 
@@ -342,20 +340,21 @@ def _nats(regression: Regression, sensors: Sequence[SensorGroup], smoother: Smoo
     physics = regression.physics
     steps, left = physics.steps, physics.residual(regression.theta)
     driven = {channel for way in signals.directions(regression) for channel in way.channels}
-    channels = sorted(driven & {c for sensor in sensors for c in sensor.columns})
-    foretold = {c: physics.measured[:, c] - left[:, c] for c in channels}
+    channels = [
+        [
+            (physics.measured[a:b, c], smoothers.Stretch(physics.measured[a:b, c] - left[a:b, c], steps.dt))
+            for a, b in steps.segments
+        ]
+        for c in sorted(driven & {c for sensor in sensors for c in sensor.columns})
+    ]
 
-    def likelihood(smoothed: bool, lag: float, delay: float) -> float:
+    def likelihood(behind: Smoother | None, lag: float, delay: float) -> float:
         total = 0.0
-        for c in channels:
+        for parts in channels:
             rest = [
-                (
-                    physics.measured[a:b, c]
-                    - _through(foretold[c][a:b], smoother if smoothed else None, lag, delay, steps.dt)
-                )
-                for a, b in steps.segments
+                (measured - foretold.through(behind, lag, delay))[:, None] for measured, foretold in parts
             ]
-            seen = smoothers.spectra_of([one[:, None] for one in rest], steps.dt)
+            seen = smoothers.spectra_of(rest, steps.dt)
             if seen is None:
                 continue
             level = np.abs(smoother.response(seen.f))
@@ -365,20 +364,8 @@ def _nats(regression: Regression, sensors: Sequence[SensorGroup], smoother: Smoo
 
     delays = 0.5 * steps.dt * np.arange(int(2.0 * LATEST_S / steps.dt) + 1)
     late = [(lag, delay) for lag in LAGS_S for delay in delays.tolist()]
-    with_it, without = (max(likelihood(smoothed, *one) for one in late) for smoothed in (True, False))
+    with_it, without = (max(likelihood(behind, *one) for one in late) for behind in (smoother, None))
     return with_it - without
-
-
-def _through(values: Array, smoother: Smoother | None, lag: float, delay: float, dt: float) -> Array:
-    """Values (n,) of one stretch through a lag of first order and a delay [s], and a smoother."""
-    n, around = len(values), min(len(values) - 1, 200)
-    longer = np.concatenate([values[around:0:-1], values, values[-2 : -around - 2 : -1]])
-    f = rfftfreq(len(longer), dt)
-    response: NDArray[Any] = np.exp(-2j * np.pi * f * delay) / (1.0 + 2j * np.pi * f * lag)
-    if smoother is not None:
-        response = response * smoother.response(f)
-    through = irfft(np.multiply(rfft(longer), response), len(longer))
-    return np.asarray(through[around : around + n])
 
 
 def _reach(seen: Spectra, one: SpectrumFit, smoother: Smoother) -> float:

@@ -104,6 +104,7 @@ def test_parameters_of_effects_are_reached_with_dots() -> None:
             "`data=/logs/monday`: `data` is a kind of data, and a path goes into `data.path`",
         ),
         (["data=logs/monday"], "data=log data.path=logs/monday"),
+        (["loss=my/own"], "`loss=my/own`: no such choice."),
         (["hydra/launcher=joblob"], "`hydra/launcher=joblob`: no such choice."),
         (["data.path=x"], "`data.path` is a key of data=csv or data=ulog or data=published"),
         (["data=csv"], "`data.path` must be given: file or folder to read. Add data.path=..."),

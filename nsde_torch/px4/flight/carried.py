@@ -18,6 +18,7 @@ from nsde_torch.px4.flight.controller import Asked
 from nsde_torch.px4.link.vectors import Vec, rotate, rotate_back, turned_by_rates
 
 STEP = 0.01
+"""Longest step of the integration, about [s]."""
 Drag = tuple[Vec, Vec, Vec]
 NO_DRAG: Drag = ((0.0, 0.0, 0.0),) * 3
 NO_PUSH: Vec = (0.0, 0.0, 0.0)

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
-from nsde_torch.px4.link.vectors import Vec
+from nsde_torch.px4.link.vectors import Vec, between
 
 
 @dataclass(frozen=True)
@@ -48,11 +48,7 @@ class DemandPlan:
             return self.demands[-1]
         a, b, share = self.demands[k], self.demands[k + 1], s - k
         return Demand(
-            (
-                a.w[0] + share * (b.w[0] - a.w[0]),
-                a.w[1] + share * (b.w[1] - a.w[1]),
-                a.w[2] + share * (b.w[2] - a.w[2]),
-            ),
+            between(a.w, b.w, share),
             a.thrust + share * (b.thrust - a.thrust),
         )
 

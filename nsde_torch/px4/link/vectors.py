@@ -93,6 +93,11 @@ def distance(a: Vec, b: Vec) -> float:
     return length((a[0] - b[0], a[1] - b[1], a[2] - b[2]))
 
 
+def between(a: Vec, b: Vec, share: float) -> Vec:
+    """The vector at a share of the way from one to another."""
+    return (a[0] + share * (b[0] - a[0]), a[1] + share * (b[1] - a[1]), a[2] + share * (b[2] - a[2]))
+
+
 def finite(*values: float) -> bool:
     """Whether all numbers are finite."""
     return all(map(isfinite, values))

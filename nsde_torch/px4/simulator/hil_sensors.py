@@ -22,6 +22,7 @@ from nsde_torch.px4.link.dialect import mavlink
 from nsde_torch.px4.link.vectors import (
     Quat,
     Vec,
+    between,
     conjugate,
     length,
     multiply,
@@ -154,7 +155,7 @@ class HilSensors:
         """Position and velocity `GPS_DELAY` ago, between two samples; the first ones before there were any."""
         (p, v), (p1, v1) = self._flown[0], self._flown[min(1, len(self._flown) - 1)]
         share = ceil(GPS_DELAY * RATE) - GPS_DELAY * RATE
-        return _between(p, p1, share), _between(v, v1, share)
+        return between(p, p1, share), between(v, v1, share)
 
     def _gps(self, stamp: int, p: Vec, v: Vec) -> Message:
         gauss = self._random.gauss
@@ -186,10 +187,6 @@ class HilSensors:
     def _noisy(self, v: Vec, kind: str) -> Vec:
         s, gauss = self._std[kind], self._random.gauss
         return (v[0] + gauss(0.0, s), v[1] + gauss(0.0, s), v[2] + gauss(0.0, s))
-
-
-def _between(a: Vec, b: Vec, share: float) -> Vec:
-    return (a[0] + share * (b[0] - a[0]), a[1] + share * (b[1] - a[1]), a[2] + share * (b[2] - a[2]))
 
 
 def _int16(value: float) -> int:

@@ -17,15 +17,24 @@ from itertools import combinations
 from nsde_torch.diagnosis.decision import decide, of_one_variable, set_aside
 from nsde_torch.diagnosis.elimination import Retained, eliminate
 from nsde_torch.diagnosis.fitted import bent_shape, effect_of, fitted_system, values_of
+from nsde_torch.diagnosis.flexible_gain import FlexibleGain, flexible_gain
 from nsde_torch.diagnosis.hidden import Feedback
 from nsde_torch.diagnosis.imitation import a_law_is_nearer
 from nsde_torch.diagnosis.law_names import named_by_the_catalogue
-from nsde_torch.diagnosis.laws import chosen_again, propose
+from nsde_torch.diagnosis.laws import (
+    chosen_again,
+    plain_name,
+    propose,
+    wanted_variables,
+    with_coordinates,
+)
 from nsde_torch.diagnosis.left_over import variables_of
 from nsde_torch.diagnosis.outcome import Outcome, base_without
-from nsde_torch.diagnosis.search import Search
+from nsde_torch.diagnosis.regressors import Regressors
+from nsde_torch.diagnosis.search import Base, Search
 from nsde_torch.diagnosis.selection import Selection, forward_selection
 from nsde_torch.effects.expression_grammar import is_law
+from nsde_torch.evaluation.bootstrap import FEWEST_BLOCKS
 
 
 def with_laws(
@@ -77,14 +86,24 @@ def _with_laws(
 ) -> Outcome:
     """The outcome with laws, round by round."""
     for _ in range(search.budgets.law_rounds):
-        left = outcome.structured  # a law may show as one moment where it is largest, or as a drift
-        if not left or not propose(search, kept.final, left, outcome.after, outcome.variables):
+        left, base = outcome.structured, kept.final
+        if left:  # a law may show as one moment where it is largest, or as a drift
+            channels = [d.channel for d in left]
+            wanted = wanted_variables(base.regression, left, outcome.after, outcome.variables)
+        else:  # noise models may have learned it, where no test of one variable shows it
+            outcome = _beside_a_flexible_model(search, base, outcome)
+            if outcome.beside is None or not outcome.beside.more:
+                break
+            channels, wanted = list(outcome.beside.by_channel), _told(outcome.beside, outcome.variables)
+            base = _weighed(base, outcome.beside)
+        new = propose(search, base, list(dict.fromkeys(channels)), wanted, outcome.variables)
+        if not new and base is kept.final:
             break
-        more = forward_selection(search, chosen.declared, after=chosen, final=kept.final)
-        if not any(map(is_law, more.names)):
+        more = forward_selection(search, chosen.declared, after=chosen, final=base)
+        if not _news(more.names, kept):
             break
         now = _stable(search, more, set_aside(search, more, eliminate(search, more), feedback))
-        if not any(is_law(name) for name in (*(f.name for f in now.found), *(h.name for h in now.hidden))):
+        if not _news([*(f.name for f in now.found), *(h.name for h in now.hidden)], kept):
             break
         now = named_by_the_catalogue(search, more, now)
         chosen, kept = replace(more, names=[f.name for f in now.found]), now
@@ -92,6 +111,36 @@ def _with_laws(
         if not any(is_law(f.name) for f in now.found):  # what feedback may hide is told, and not named
             break
     return outcome
+
+
+def _news(names: Sequence[str], kept: Retained) -> bool:
+    """Whether there is an effect or a law among some names that was not kept, nor set aside, before."""
+    return not {*names} <= {*(f.name for f in kept.found), *(h.name for h in kept.hidden)}
+
+
+def _beside_a_flexible_model(search: Search, base: Base, outcome: Outcome) -> Outcome:
+    """The outcome, with what a flexible model wins beside its physics; as it is where such a model would not tell."""
+    blocks = int(base.block.max()) + 1
+    tells = search.budgets.flexible_turns and search.inputs and not base.regression.arithmetic
+    if not tells or blocks < FEWEST_BLOCKS:
+        return outcome
+    won = flexible_gain(base, outcome.variables, outcome.test, search.decisions, search.budgets)
+    return replace(outcome, beside=won)
+
+
+def _told(found: FlexibleGain, variables: Regressors) -> list[str]:
+    """Variables that a flexible model needs, the most important first, with the places of speeds and so on."""
+    names = dict.fromkeys(plain_name(t.variable) for t in found.telling)
+    known = [v for v in names if v in variables.columns][: variables.budgets.law_variables]
+    return with_coordinates(found.base.regression.vector.system, known, variables)
+
+
+def _weighed(base: Base, found: FlexibleGain) -> Base:
+    """Physics whose rows are weighed by the noise that a flexible model leaves: its own may have learned the law."""
+    regression = base.regression
+    for channel, law in found.noises.items():
+        regression = regression.under(channel, law)
+    return replace(base, regression=regression)
 
 
 def _stable(search: Search, chosen: Selection, kept: Retained) -> Retained:

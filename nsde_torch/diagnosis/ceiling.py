@@ -14,7 +14,7 @@ what was not logged is not in it: as such it is a lower bound.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from math import nan
 
 import numpy as np
@@ -22,14 +22,11 @@ import torch
 from numpy.typing import NDArray
 
 from nsde_torch.diagnosis.decisions import INTERVAL_LEVEL, Decisions
-from nsde_torch.diagnosis.evidence import by_blocks, by_runs
 from nsde_torch.diagnosis.flexible import Flexible, flexible
-from nsde_torch.diagnosis.flexible_part import Foretold, Part
-from nsde_torch.diagnosis.hidden import allowances_of_tests
+from nsde_torch.diagnosis.flexible_gain import Telling, flexible_gain
 from nsde_torch.diagnosis.innovations import blocks_of_steps
 from nsde_torch.diagnosis.outcome import Outcome
 from nsde_torch.diagnosis.reading import Log
-from nsde_torch.diagnosis.search import Base
 from nsde_torch.evaluation.bootstrap import (
     FEWEST_BLOCKS,
     Blocks,
@@ -39,21 +36,6 @@ from nsde_torch.evaluation.bootstrap import (
 from nsde_torch.sysid.explained import per_second
 
 Array = NDArray[np.float64]
-
-
-@dataclass(frozen=True)
-class Telling:
-    """What a flexible model needs.
-
-    Args:
-        row: Row of a port, `force`, or `rate of CHANNEL`.
-        variable: Name of a variable, `force before` of an input as it was, `q over time` of one whose part drifts.
-        nats: Held-out log-likelihood that is lost without it.
-    """
-
-    row: str
-    variable: str
-    nats: float
 
 
 @dataclass(frozen=True)
@@ -84,6 +66,7 @@ class Ceiling:
             place, of one beside them.
         interval: 90 % interval of `left`; None where there are too few blocks.
         p: Chance of `left` if there were nothing.
+        left_by: What of `left` is in each channel; of channels that count.
         more: Whether it is more than chance and feedback may make.
         explained: Share of what a flexible model can that the effects explain; None where nothing can be explained.
         explained_interval: Its 90 % interval; None where there are too few blocks.
@@ -99,6 +82,7 @@ class Ceiling:
     left: float = 0.0
     interval: tuple[float, float] | None = None
     p: float = 1.0
+    left_by: Mapping[str, float] = field(default_factory=dict)
     more: bool = False
     explained: float | None = None
     explained_interval: tuple[float, float] | None = None
@@ -119,24 +103,16 @@ def ceiling(log: Log, outcome: Outcome) -> Ceiling:
     why_not = _why_not(log, outcome, blocks)
     if why_not:
         return Ceiling(why_not)
-    say, decisions = log.say, log.decisions
-    say("what a flexible model could win", 0, 1)
-    beside = flexible(outcome.final, outcome.variables, log.budgets)
-    gains = beside.flexible - beside.plain
-    allowed = allowances_of_tests(outcome.test)
-    smaller = beside.flexible_squares.sum(0) <= beside.plain_squares.sum(0)
-    counted = [
-        i
-        for i, name in enumerate(beside.names)
-        if smaller[i] and gains[:, i].sum() > 0.5 * allowed.get(name, 0.0)
-    ]
-    left = gains[:, counted].sum(1)
-    p = _chance(left, outcome.final, beside, decisions)
-    more = p < decisions.flexible_alpha and _without_the_best(left, outcome.final) > 0
-    first = flexible(outcome.declared, outcome.declared_variables, log.budgets) if outcome.found else beside
+    log.say("what a flexible model could win", 0, 1)
+    won = outcome.beside
+    if won is None or won.base is not outcome.final:
+        won = flexible_gain(outcome.final, outcome.variables, outcome.test, log.decisions, log.budgets)
+    beside, gains, left = won.model, won.gains, won.left
+    declared, variables = outcome.declared, outcome.declared_variables
+    first = flexible(declared, variables, log.budgets) if outcome.found else beside
     found = _gain(first, beside) if outcome.found else np.zeros(len(left))
     alone = (first.flexible - first.plain).sum(1)
-    sums = np.stack((found, alone, left if more else np.zeros(len(left))), 1)
+    sums = np.stack((found, alone, left if won.more else np.zeros(len(left))), 1)
     explained = bounds = None
     if outcome.found:
         explained, bounds = _share(sums, blocks, log.options.seed)
@@ -146,34 +122,16 @@ def ceiling(log: Log, outcome: Outcome) -> Ceiling:
         alone=float(alone.sum()),
         left=float(left.sum()),
         interval=interval,
-        p=p,
-        more=more,
+        p=won.p,
+        left_by=won.by_channel,
+        more=won.more,
         explained=explained,
         explained_interval=bounds,
         channels=_channels(outcome, first, beside, gains),
-        telling=_telling(beside, decisions) if more else (),
+        telling=won.telling,
         pairs=beside.pairs,
         model=beside,
     )
-
-
-def judged(outcome: Outcome, found: Ceiling) -> Outcome:
-    """The outcome, in the light of what a flexible model wins more than chance.
-
-    Where nothing was named, something is missing. Where effects explain less than is left, something is unexplained
-    too, and they are leads: a law that was not written down is behind both, and they may be what comes near to it.
-    """
-    if not found.more:
-        return outcome
-    if outcome.verdict == "no_effect":
-        return replace(outcome, verdict="unexplained")
-    if found.explained is None or found.explained >= outcome.decisions.stand_in_share:
-        return outcome
-    why = (
-        f"a flexible model finds more, and effects explain {100 * found.explained:.0f} % of it: "
-        "it may stand in for another law"
-    )
-    return replace(outcome.provisional(lambda _: why), verdict="unexplained")
 
 
 # ---- pieces -------------------------------------------------------------------------------------------
@@ -203,25 +161,6 @@ def _blocks(outcome: Outcome, decisions: Decisions) -> Blocks:
     r = outcome.final.regression
     place = r.whitened_rows(np.arange(len(r.series), dtype=np.int64))
     return blocks_of_steps(r.owners[place], outcome.variables.t[place], decisions)
-
-
-def _chance(gain: Array, base: Base, model: Flexible, decisions: Decisions) -> float:
-    """Chance of a gain (N,) on folds left out if there were nothing: twice the smaller of two tests (`evidence`).
-
-    By the scatter over blocks of time; and by what is left without the run that says most, as a likelihood ratio.
-    """
-    of_block = np.bincount(base.block, weights=gain).astype(np.float64)
-    first = np.unique(base.block, return_index=True)[1]
-    runs = base.regression.whitened_rows(base.regression.owners)[first]
-    count = sum(part.terms[k].group.columns.shape[1] for part, foretold in model.parts for k in foretold.used)
-    whole = by_runs(of_block, runs, max(count, 1), fewest=decisions.folds_fewest_runs)
-    return min(1.0, 2.0 * min(by_blocks(of_block), whole))
-
-
-def _without_the_best(gain: Array, base: Base) -> float:
-    """The gain without the fold that says most."""
-    folds = np.bincount(base.fold, weights=gain)
-    return float(folds.sum() - folds.max())
 
 
 def _gain(before: Flexible, after: Flexible) -> Array:
@@ -288,23 +227,3 @@ def _channels(outcome: Outcome, first: Flexible, beside: Flexible, gains: Array)
         )
         for i, (name, c) in enumerate(zip(beside.names, r.rows, strict=True))
     }
-
-
-def _telling(found: Flexible, decisions: Decisions) -> tuple[Telling, ...]:
-    """Variables without which the flexible model foretells surely less, by row of a port."""
-    out: list[Telling] = []
-    for part, foretold in found.parts:
-        for row, names in _variables(part, foretold).items():
-            for name in names:
-                lost = part.without(foretold, "") - part.without(foretold, name, row)
-                if lost > decisions.alike_nats:
-                    out.append(Telling(row, name, lost))
-    return tuple(sorted(out, key=lambda t: -t.nats))
-
-
-def _variables(part: Part, foretold: Foretold) -> dict[str, list[str]]:
-    out: dict[str, list[str]] = {}
-    for k in foretold.used:
-        own = out.setdefault(part.terms[k].row, [])
-        own += [v for v in part.terms[k].group.variables if v not in own]
-    return out

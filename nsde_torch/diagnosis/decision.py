@@ -8,6 +8,7 @@ in noise, which is taken off first.
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
+from nsde_torch.diagnosis.ceiling import Ceiling
 from nsde_torch.diagnosis.cross_validation import HeldOut
 from nsde_torch.diagnosis.decisions import DECISIONS, Decisions
 from nsde_torch.diagnosis.dependence import Dependence
@@ -178,11 +179,38 @@ def provisional_reason(
         The reason in words; empty where it is the last word.
     """
     rest = max((d.excess for d in left if d.channel in f.moves), default=0.0)
-    if rest > decisions.provisional_share * sum(brought[name] for name in f.moves):
+    if _too_much(rest, f, brought, decisions):
         return "something else is there too"
     if any(of_one_variable(f.name, g.name) for g in found if g.name != f.name):
         return f"two laws of the same {effect_class(f.name).along} may stand for one that the catalogue lacks"
     return ""
+
+
+def judged_by_the_ceiling(outcome: Outcome, found: Ceiling) -> Outcome:
+    """The outcome, in the light of what a flexible model wins more than chance: structure, as tests find it.
+
+    Where nothing was named, something is missing. Effects that act where it wins as much as makes one provisional are
+    leads, as a law that was not written down may be behind both. Where it wins more than all effects, the verdict is
+    `unexplained`.
+    """
+    if not found.more:
+        return outcome
+    rest, decisions = sum(found.left_by.values()), outcome.decisions
+    verdict: Verdict = "unexplained" if not outcome.found or rest > found.effects else outcome.verdict
+    brought = nats_by_channel(outcome.declared.regression, outcome.final.regression)
+
+    def why(f: Found) -> str:
+        own = sum(nats for channel, nats in found.left_by.items() if channel in f.moves)
+        if not (verdict == "unexplained" or _too_much(own, f, brought, decisions)):
+            return ""
+        return f"a flexible model finds {rest:.0f} nats more: it may stand in for another law"
+
+    return replace(outcome.provisional(why), verdict=verdict)
+
+
+def _too_much(rest: float, f: Found, brought: Mapping[str, float], decisions: Decisions) -> bool:
+    """Whether what is left in the channels of an effect is much beside what effects brought there [nats]."""
+    return rest > decisions.provisional_share * sum(brought[name] for name in f.moves)
 
 
 def of_one_variable(name: str, other: str) -> bool:

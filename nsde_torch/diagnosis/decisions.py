@@ -151,12 +151,6 @@ class Decisions:
     flexible_alpha: float = key(
         1e-3, "chance of saying that a flexible model wins something where nothing is left", above=0, high=1
     )
-    stand_in_share: float = key(
-        0.5,
-        "share of what a flexible model can, below which effects are leads where more is left",
-        low=0,
-        high=1,
-    )
 
     # ---- verdict ----------------------------------------------------------------------------------------
     negligible_share: float = key(
@@ -164,7 +158,8 @@ class Decisions:
     )
     provisional_share: float = key(
         0.1,
-        "share of what the effects bring to its channels above which structure there makes one provisional",
+        "share of what effects bring to its channels above which structure, or what a flexible model wins, makes one "
+        "provisional",
     )
     late_sensor_share: float = key(
         0.1, "share of the structure, in nats, that a late sensor may leave to stand for the effects"
@@ -237,7 +232,7 @@ class Budgets:
         1000, "most functions of a flexible model before it looks at each channel by itself", low=1
     )
     flexible_rough: int = key(
-        450, "most functions of one that is tried once more from the noise of the sensors alone", low=0
+        1000, "most functions of one that is tried once more from the noise of the sensors alone", low=0
     )
 
     def __post_init__(self) -> None:

@@ -11,7 +11,7 @@ has learned what the physics lacks.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 from functools import reduce
 from itertools import pairwise
@@ -118,6 +118,7 @@ class Part:
         still = nonlinear(base.regression, smooth=False)  # shapes, in which steps are far from linear
         self._basis = free_basis(base.regression, still)
         self.terms = [RowTerm(p.row, g) for p in pushes for g in groups]
+        self._candidates: tuple[dict[int, Noise], Candidates] | None = None
         self._few = sum(t.group.columns.shape[1] for t in self.terms) <= budgets.flexible_rough
 
     def foretold(self) -> tuple[Foretold, Foretold]:
@@ -171,20 +172,20 @@ class Part:
         ends = np.cumsum([0, *(self.terms[k].group.columns.shape[1] for k in at)])
         return [np.arange(a, b, dtype=np.int64) for a, b in pairwise(ends)]
 
-    def without(self, found: Foretold, variable: str, row: str = "") -> float:
-        """Log-likelihood of folds without the terms of a variable on a row, all weights fitted again [nats].
+    def without(self, found: Foretold, variable: str, row: str) -> float:
+        """Log-likelihood of folds without functions of a variable on a row, others chosen in their place [nats].
 
         Args:
             found: The flexible model.
-            variable: Its name; `""` leaves none out.
+            variable: Its name.
             row: The row.
         """
+        of_it = {k for k, t in enumerate(self.terms) if variable in t.group.variables and t.row == row}
+        return self._judged(found.noises, self._chosen(found.noises, of_it), found.noises).likelihood
 
-        def stays(term: RowTerm) -> bool:
-            return not (variable in term.group.variables and term.row == row)
-
-        kept = tuple(tuple(k for k in fold if stays(self.terms[k])) for fold in found.chosen)
-        return self._judged(found.noises, kept, found.noises).likelihood
+    def again(self, found: Foretold) -> float:
+        """Log-likelihood of folds with the terms that were chosen, under the noise that they leave [nats]."""
+        return self._judged(found.noises, found.chosen, found.noises).likelihood
 
     # ---- pieces ---------------------------------------------------------------------------------------
 
@@ -203,12 +204,16 @@ class Part:
         folds = int(self._fold.max()) + 1
         if not terms:
             return self._judged(noises, ((),) * folds)
-        every = range(len(self.terms))
-        own, columns, target = self._whitened(noises, every)
-        candidates = Candidates(own, columns, target, self.members(every))
-        most = self._budgets.flexible_terms
-        chosen = tuple(tuple(candidates.without(f, blocks=self._blocks, most=most)) for f in range(folds))
-        return self._judged(noises, chosen)
+        return self._judged(noises, self._chosen(noises))
+
+    def _chosen(self, noises: dict[int, Noise], barred: Collection[int] = ()) -> tuple[tuple[int, ...], ...]:
+        """Numbers of the terms that are chosen without each fold, of all but those that are barred."""
+        of = self._candidates
+        if of is None or of[0] is not noises or len(of[1].members) < len(self.terms):
+            every = range(len(self.terms))
+            of = self._candidates = noises, Candidates(*self._whitened(noises, every), self.members(every))
+        most, folds = self._budgets.flexible_terms, range(int(self._fold.max()) + 1)
+        return tuple(tuple(of[1].without(f, blocks=self._blocks, most=most, barred=barred)) for f in folds)
 
     def _judged(
         self,

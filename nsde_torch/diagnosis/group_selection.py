@@ -3,16 +3,18 @@
     w = J a + sum over chosen groups g of  Z_g b_g + e,          b_g ~ N(0, v_g I),    e ~ N(0, s^2 I),    a free
 
 Groups are chosen one at a time (forward selection of groups; Yuan and Lin, Journal of the Royal Statistical Society B
-68 (2006), discuss it beside the group lasso), the one whose log-likelihood exceeds its Schwarz price most,
+68 (2006), discuss it beside the group lasso), the one with the largest marginal likelihood less a price,
 
-    |P w|^2 / 2 s^2 - q_g log(B) / 2 - log(number of groups),
+    max over v of  sum_i [ p_i^2 v / (1 + l_i v) - log(1 + l_i v) ] / 2   -   log(B) / 2   -   log(number of groups),
 
-with P the projection on what Z_g adds to J and to the groups before, and B blocks of time. The variances v_g then
-maximise the marginal likelihood (MacKay, Neural Computation 4 (1992)). All of it needs only the products of columns, so
-that leaving rows out is a subtraction.
+with l_i the eigenvalues of Z_g' Z_g / s^2 free of J and of the groups before, p_i the pull of w along their
+eigenvectors, and B blocks of time, the price of v. A group of many fine functions thus pays for what it needs of them,
+and not for their number. The variances v_g of all that were chosen then maximise the marginal likelihood together
+(MacKay, Neural Computation 4 (1992)). All of it needs only the products of columns, so that leaving rows out is a
+subtraction.
 """
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from math import log
 from typing import final
@@ -27,7 +29,9 @@ _NEW = 1e-4  # of a column's squared length that must be left beside the others;
 _TURNS, _SETTLED = 40, 0.05  # of the variances, and change of their logarithm that ends them
 _GONE = 0.02  # of the noise variance: what a group changes in all rows together, below which it is nothing
 _JITTER = 1e-10  # of a correlation, added so that it can be factorised
-_ALIKE = 1e-6  # added to correlations of columns of a group that are nearly one
+_VARIANCES = np.logspace(-3.0, 4.0, 36)[
+    :, None
+]  # times that at which a usual function would show as much as noise
 
 
 @dataclass(frozen=True)
@@ -105,13 +109,14 @@ class Candidates:
         self._blocks = [[z[:, at].T @ z[:, at] for at in members] for z in columns]
         self._of_group: dict[int, list[Array]] = {}
 
-    def without(self, fold: int, *, blocks: int, most: int) -> list[int]:
+    def without(self, fold: int, *, blocks: int, most: int, barred: Collection[int] = ()) -> list[int]:
         """Numbers of the groups that explain more than they cost without a fold, in the order in which they are chosen.
 
         Args:
             fold: Number of the fold left out.
             blocks: Blocks of time.
             most: Most groups.
+            barred: Numbers of groups that may not be.
         """
         others = [f for f in range(len(self.rows)) if f != fold]
         rows = sum(self.rows[f] for f in others)
@@ -126,17 +131,11 @@ class Candidates:
             rest = cross[:, -1] - along @ (inverse @ pull)
             gains = np.full(len(self.members), -np.inf)
             for g, at in enumerate(self.members):
-                if g in chosen:
+                if g in chosen or g in barred:
                     continue
                 new = within[g] - along[at] @ inverse @ along[at].T
-                live = new.diagonal() > _NEW * within[g].diagonal()
-                if not live.any():
-                    continue
-                size = np.sqrt(new.diagonal()[live])
-                unit = new[np.ix_(live, live)] / size / size[:, None] + _ALIKE * np.eye(len(size))
-                towards = rest[at[live]] / size
-                gain = 0.5 * float(towards @ np.linalg.solve(unit, towards)) / noise
-                gains[g] = gain - 0.5 * int(live.sum()) * log(max(blocks, 2)) - price
+                if (new.diagonal() > _NEW * within[g].diagonal()).any():
+                    gains[g] = _evidence(new, rest[at], noise) - 0.5 * log(max(blocks, 2)) - price
             best = int(gains.argmax())
             if not gains[best] > 0:
                 break
@@ -198,6 +197,20 @@ def weighted(products: Products, members: Sequence[Labels], chosen: Sequence[int
     out = np.zeros(len(nothing.mean))
     out[at[live]] = mean
     return Weights(out, covariance, at[live])
+
+
+def _evidence(gram: Array, pull: Array, noise: float) -> float:
+    """Gain in the marginal likelihood by a group of functions, at its best prior variance [nats].
+
+    Args:
+        gram, pull: Products of its columns with each other (q, q) and with what is to be explained (q,).
+        noise: Variance of the noise.
+    """
+    values, vectors = np.linalg.eigh(gram / noise)
+    squares = np.square(vectors.T @ pull / noise)
+    variance = _VARIANCES * len(values) / max(float(values.sum()), 1e-300)
+    grown = 1.0 + np.maximum(values, 0.0) * variance
+    return 0.5 * float((squares * variance / grown - np.log(grown)).sum(1).max())
 
 
 def _pseudo_inverse(gram: Array) -> Array:

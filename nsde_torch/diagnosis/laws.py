@@ -82,7 +82,7 @@ def wanted_variables(
     sure = _told_by(regression, left, variables)[:most]
     others = _told_by(regression, [d for d in tests if d.channel in channels], variables)
     told = list(dict.fromkeys((*sure, *others)))[:most]
-    beside = [v for v in _beside(regression.vector.system, sure) if v in variables.columns]
+    beside = with_coordinates(regression.vector.system, sure, variables)
     return list(dict.fromkeys((*told, *beside)))
 
 
@@ -93,12 +93,23 @@ def _told_by(regression: Regression, tests: Sequence[Dependence], variables: Reg
     for d in sorted(tests, key=lambda d: -d.excess):
         if not d.everywhere or d.moment is not None or d.variable in ("time", "run"):
             continue
-        plain = d.variable
-        for end in (OVER_TIME, BY_RUN, BEFORE):
-            plain = plain.removesuffix(end)
+        plain = plain_name(d.variable)
         pair = product_of(regression, names.index(d.channel), plain, variables)
         out += [v for v in pair.split(" * ") if v in variables.columns and v not in out]
     return out
+
+
+def plain_name(variable: str) -> str:
+    """The variable of which something is tested: without "over time", "by run" or "before"."""
+    for end in (OVER_TIME, BY_RUN, BEFORE):
+        variable = variable.removesuffix(end)
+    return variable
+
+
+def with_coordinates(system: System, names: Sequence[str], variables: Regressors) -> list[str]:
+    """Some variables, then places of the speeds and speeds of the places among them, as far as they were measured."""
+    beside = [v for v in _beside(system, names) if v in variables.columns]
+    return list(dict.fromkeys((*names, *beside)))
 
 
 def _beside(system: System, names: Sequence[str]) -> list[str]:
@@ -215,23 +226,17 @@ def _law(row: str, term: LawTerm) -> str:
 
 
 def propose(
-    search: Search,
-    base: Base,
-    left: Sequence[Dependence],
-    tests: Sequence[Dependence],
-    variables: Regressors,
+    search: Search, base: Base, channels: Sequence[str], wanted: Sequence[str], variables: Regressors
 ) -> bool:
     """Put laws beside the catalogue that may be what is left; whether there is a new one.
 
     Args:
         search: Data and settings; its `laws` grow.
         base: The physics.
-        left: What its residual depends on beyond chance.
-        tests: All tests of it.
-        variables: What it may depend on.
+        channels: Those in which something is left.
+        wanted: Variables of the laws.
+        variables: What its residual may depend on.
     """
-    wanted = wanted_variables(base.regression, left, tests, variables)
-    channels = list(dict.fromkeys(d.channel for d in left))
     found = library(search, base, channels, wanted, variables) if wanted else None
     if found is None:
         return False

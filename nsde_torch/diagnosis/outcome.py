@@ -12,6 +12,7 @@ from nsde_torch.diagnosis.decisions import DECISIONS, Decisions
 from nsde_torch.diagnosis.dependence import Dependence
 from nsde_torch.diagnosis.estimates import Estimate, estimated, of_identification
 from nsde_torch.diagnosis.fitted import fitted_system
+from nsde_torch.diagnosis.flexible_gain import FlexibleGain
 from nsde_torch.diagnosis.hidden import Hidden
 from nsde_torch.diagnosis.regressors import Regressors
 from nsde_torch.diagnosis.rounds import Round
@@ -69,6 +70,7 @@ class Outcome:
         levels: Significance level of each stage (`recording.levels`).
         doubted: Whether the guard speaks against the final physics, so that nothing that was found is sure.
         decisions: What was decided by.
+        beside: What a flexible model wins beside some physics of the search, as far as it was asked.
     """
 
     verdict: Verdict
@@ -89,6 +91,7 @@ class Outcome:
     levels: Mapping[str, float] = field(default_factory=dict)
     decisions: Decisions = DECISIONS
     doubted: bool = False
+    beside: FlexibleGain | None = None
 
     @cached_property
     def system(self) -> System:

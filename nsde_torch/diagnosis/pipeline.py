@@ -20,10 +20,17 @@ from time import perf_counter
 from nsde_torch.data import DataSet, Run
 from nsde_torch.diagnosis.at_nothing import beside_gains_at_nothing
 from nsde_torch.diagnosis.beyond_catalogue import with_laws
-from nsde_torch.diagnosis.ceiling import ceiling, judged
+from nsde_torch.diagnosis.ceiling import ceiling
 from nsde_torch.diagnosis.chain import explains_more, undone, with_a_late_sensor
 from nsde_torch.diagnosis.cross_validation import cross_validated
-from nsde_torch.diagnosis.decision import decide, doubted, judged_on_runs_left_out, set_aside, sized
+from nsde_torch.diagnosis.decision import (
+    decide,
+    doubted,
+    judged_by_the_ceiling,
+    judged_on_runs_left_out,
+    set_aside,
+    sized,
+)
 from nsde_torch.diagnosis.decisions import BUDGETS, DECISIONS, Budgets, Decisions
 from nsde_torch.diagnosis.elimination import eliminate
 from nsde_torch.diagnosis.explanation import explained
@@ -99,7 +106,7 @@ def diagnose(
     watch.lap("errors")
     outcome = not_sure(log, judged_on_runs_left_out(outcome, errors))
     most = ceiling(log, replace(outcome, final=looked))
-    outcome = judged(outcome, most)
+    outcome = judged_by_the_ceiling(outcome, most)
     watch.lap("ceiling")
     names = tuple(run.name for run in runs)
     return Diagnosis(

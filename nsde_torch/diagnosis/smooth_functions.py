@@ -10,12 +10,14 @@ of low degree, which goes on beyond the data, plus a Gaussian process in its red
 on the range of the data scaled to [-1, 1], L = 1.5 (Solin and Sarkka, Statistics and Computing 30 (2020)). Functions of
 two variables are products of few waves of each, and f(z_i) z_j with as many waves as a function of one has: a damping
 or a gain that changes with the place (varying coefficients; Hastie and Tibshirani, Journal of the Royal Statistical
-Society B 55 (1993)). Beside these stand inputs as they were before, and variables that act more or less in the course
-of a run.
+Society B 55 (1993)). Fine functions of one and of two have more waves and a length of a fifth of half the range; those
+of two have the spectrum of the plane, which falls with their joint frequency. Beside these stand inputs as they were
+before, and variables that act more or less in the course of a run.
 """
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import reduce
 from typing import Literal
 
 import numpy as np
@@ -24,10 +26,11 @@ from numpy.typing import NDArray
 from nsde_torch.diagnosis.regressors import BEFORE, OVER_TIME, Regressors
 
 Array = NDArray[np.float64]
-Kind = Literal["constant", "polynomial", "smooth", "varying", "past"]
+Kind = Literal["constant", "polynomial", "smooth", "fine", "varying", "past"]
 
 _REACH = 1.5  # L, of the half range of the data
 _ONE, _TWO = 12, 5  # waves of one variable, and of each of two
+_FINE, _FINE_LENGTH = 16, 0.2  # waves of each of two where they are fine, and length of their process
 _FEWEST = 4  # variables up to which processes of two are tried at once
 _FEW = 8  # variables beyond which products alone are
 _LENGTH = 1.0  # of the Matern process with nu = 3/2, of the half range
@@ -83,7 +86,7 @@ def first_groups(variables: Regressors, scaled: Mapping[str, Scale], *, pairs: b
     names, values = list(scaled), variables.columns
     out = [FunctionGroup((), "constant", np.ones((len(variables.t), 1)))]
     for name in names:
-        for kind in ("polynomial", "smooth"):
+        for kind in ("polynomial", "smooth", "fine"):
             out.append(FunctionGroup((name,), kind, functions((name,), kind, values, scaled)))
     for name, (functions_before, _) in variables.functions.items():
         if name.endswith((BEFORE, OVER_TIME)) and name.partition(" ")[0] in scaled:
@@ -104,7 +107,7 @@ def first_groups(variables: Regressors, scaled: Mapping[str, Scale], *, pairs: b
 def processes_of_two(
     of: tuple[str, str], values: Mapping[str, Array], scaled: Mapping[str, Scale]
 ) -> list[FunctionGroup]:
-    """Groups of functions of two variables beside their polynomial: of both at once, and each times the other.
+    """Groups of functions of two variables beside their polynomial: of both, fine ones too, and each times the other.
 
     Args:
         of: The variables.
@@ -113,6 +116,7 @@ def processes_of_two(
     """
     kinds: tuple[tuple[tuple[str, str], Kind], ...] = (
         (of, "smooth"),
+        (of, "fine"),
         (of, "varying"),
         ((of[1], of[0]), "varying"),
     )
@@ -126,7 +130,7 @@ def functions(
 
     Args:
         of: Its variables: none, one or two.
-        kind: `constant`, `polynomial`, `smooth`, or `varying`: waves of the first one times the second.
+        kind: `constant`, `polynomial`, `smooth`, `fine`, or `varying`: waves of the first one times the second.
         values: Values of the variables (n,).
         scaled: Their scales.
     """
@@ -141,6 +145,8 @@ def functions(
     ranged = [(values[name] - scaled[name].centre) / scaled[name].half for name in of]
     if kind == "varying":
         return _waves(ranged[0], _ONE) * (values[of[1]] / scaled[of[1]].size)[:, None]
+    if kind == "fine":
+        return _fine(*ranged)
     if len(ranged) == 1:
         return _waves(ranged[0], _ONE)
     first, second = (_waves(s, _TWO) for s in ranged)
@@ -149,7 +155,23 @@ def functions(
 
 def _waves(s: Array, count: int) -> Array:
     """Waves (n, count) whose weights have a prior of one variance."""
-    omega = np.arange(1, count + 1) * np.pi / (2.0 * _REACH)
+    waves, omega = _sines(s, count)
     spectrum = (3.0 / _LENGTH**2 + omega**2) ** -2.0
-    waves = np.sin(omega * (np.clip(s, -_REACH, _REACH)[:, None] + _REACH))
     return np.asarray(waves * np.sqrt(spectrum / spectrum.sum()))
+
+
+def _fine(*ranged: Array) -> Array:
+    """Products of waves of one or two variables (n, q) up to one joint frequency, with a prior of one variance."""
+    waves, omega = zip(*(_sines(s, _FINE) for s in ranged), strict=True)
+    squared = reduce(np.add.outer, [w**2 for w in omega])
+    at = np.nonzero(squared <= omega[0][-1] ** 2 * (1.0 + 1e-9))
+    spectrum = (3.0 / _FINE_LENGTH**2 + squared[at]) ** -(1.5 + 0.5 * len(ranged))
+    out = reduce(np.multiply, [w[:, k] for w, k in zip(waves, at, strict=True)])
+    return np.asarray(out * np.sqrt(spectrum / spectrum.sum()))
+
+
+def _sines(s: Array, count: int) -> tuple[Array, Array]:
+    """Sines (n, count) that vanish at the ends of [-L, L], and their frequencies (count,)."""
+    omega = np.arange(1, count + 1) * np.pi / (2.0 * _REACH)
+    waves = np.sin(omega * (np.clip(s, -_REACH, _REACH)[:, None] + _REACH))
+    return np.asarray(waves), np.asarray(omega)

@@ -9,13 +9,15 @@ from typing import Any
 import numpy as np
 import pytest
 
-from nsde_torch.diagnosis.ceiling import Ceiling, judged
+from nsde_torch.diagnosis.ceiling import Ceiling
 from nsde_torch.diagnosis.ceiling_text import ceiling_content, ceiling_html, ceiling_rows
+from nsde_torch.diagnosis.decision import judged_by_the_ceiling
 from nsde_torch.diagnosis.decisions import BUDGETS, DECISIONS
-from nsde_torch.diagnosis.evidence import folds, score
+from nsde_torch.diagnosis.evidence import folds, nats_by_channel, score
 from nsde_torch.diagnosis.fitted import fitted_system, nonlinear
 from nsde_torch.diagnosis.flexible import Flexible, flexible
 from nsde_torch.diagnosis.options import Options
+from nsde_torch.diagnosis.outcome import Outcome
 from nsde_torch.diagnosis.pictures import pictures
 from nsde_torch.diagnosis.result import Diagnosis
 from nsde_torch.diagnosis.search import Base
@@ -119,11 +121,26 @@ def test_an_effect_beside_which_more_is_left_than_it_explains_is_a_lead(
 ) -> None:
     outcome = friction[0].outcome
     assert not outcome.found[0].provisional
-    assert judged(outcome, Ceiling(more=False, explained=0.4)) is outcome
-    assert judged(outcome, Ceiling(more=True, explained=0.6)) is outcome
-    doubtful = judged(outcome, Ceiling(more=True, explained=0.4))
+    (channel,) = outcome.found[0].moves
+    brought = nats_by_channel(outcome.declared.regression, outcome.final.regression)[channel]
+
+    def with_more(share: float, *, more: bool = True) -> Outcome:
+        left_by = {channel: share * brought}
+        return judged_by_the_ceiling(outcome, Ceiling(more=more, effects=brought, left_by=left_by))
+
+    assert with_more(2.0, more=False) is outcome
+    beside = with_more(0.9 * DECISIONS.provisional_share)
+    assert not beside.found[0].provisional
+    half = with_more(0.5)
+    assert "nats more: it may stand in for another law" in half.found[0].provisional
+    assert half.verdict == "effect_found"
+    elsewhere = judged_by_the_ceiling(
+        outcome, Ceiling(more=True, effects=brought, left_by={"q": 0.5 * brought})
+    )
+    assert not elsewhere.found[0].provisional
+    doubtful = with_more(1.5)
     (lead,) = doubtful.found
-    assert "effects explain 40 % of it: it may stand in for another law" in lead.provisional
+    assert lead.provisional
     assert doubtful.verdict == "unexplained"
     told = summary(doubtful.verdict, [], friction[0].told, doubtful, (), "q and q_dot on force")
     assert "a flexible model finds more (q and q_dot on force) than coulomb_friction can explain" in told
@@ -191,7 +208,8 @@ def test_it_is_drawn_with_where_it_may_be_trusted(
     axis = figure.axes[0]
     assert axis.get_xlabel().startswith("q_dot")
     labels = axis.get_legend_handles_labels()[1]
-    assert {"what is added", "90 % interval", "no data near: not to be trusted", "data"} <= set(labels)
+    assert {"no data near: not to be trusted", "data"} <= set(labels)
+    assert axis.get_ylabel().startswith("force")  
     page = missed[0].save(tmp_path).read_text(encoding="utf-8")
     assert "What a flexible model could win" in page
     assert (tmp_path / "plots" / "flexible.png").is_file()

@@ -1,0 +1,135 @@
+"""What a flexible model wins beside physics on runs left out, whether it is more than chance, and what it needs."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nsde_torch.diagnosis.decisions import Budgets, Decisions
+from nsde_torch.diagnosis.evidence import by_blocks, by_runs
+from nsde_torch.diagnosis.flexible import Flexible, flexible
+from nsde_torch.diagnosis.flexible_part import Foretold, Part
+from nsde_torch.diagnosis.hidden import allowances_of_tests
+from nsde_torch.diagnosis.regressors import Regressors
+from nsde_torch.diagnosis.search import Base
+from nsde_torch.sysid.loop_test import LoopTest
+from nsde_torch.sysid.noise import Noise
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Telling:
+    """What a flexible model needs.
+
+    Args:
+        row: Row of a port, `force`, or `rate of CHANNEL`.
+        variable: Name of a variable, `force before` of an input as it was, `q over time` of one whose part drifts.
+        nats: Held-out log-likelihood that is lost without it.
+    """
+
+    row: str
+    variable: str
+    nats: float
+
+
+@dataclass(frozen=True)
+class FlexibleGain:
+    """What a flexible model wins beside physics.
+
+    Args:
+        base: The physics.
+        model: The flexible model.
+        gains: Gain of each whitened row (N, channels) [nat].
+        left: Their sum over channels that count (N,): in which more is won than feedback may hide, and the residual
+            falls.
+        p: Chance of it if there were nothing.
+        more: Whether it is more than chance.
+        by_channel: Gain in each channel that counts [nat].
+        telling: What the flexible model needs, the most important first; empty where it wins no more than chance.
+    """
+
+    base: Base
+    model: Flexible
+    gains: Array
+    left: Array
+    p: float
+    more: bool
+    by_channel: Mapping[str, float]
+    telling: tuple[Telling, ...]
+
+    @property
+    def noises(self) -> dict[int, Noise]:
+        """Noise models of what it leaves, by number of the channel among the rows of the regression."""
+        return {c: law for _, foretold in self.model.parts for c, law in foretold.noises.items()}
+
+
+def flexible_gain(
+    base: Base, variables: Regressors, tested: LoopTest, decisions: Decisions, budgets: Budgets
+) -> FlexibleGain:
+    """Fit a flexible model beside physics, and judge it on runs left out.
+
+    Args:
+        base: The physics at its optimum.
+        variables: What its residual may depend on.
+        tested: What the data say of the loop.
+        decisions: What is more than chance.
+        budgets: How much is tried.
+    """
+    model = flexible(base, variables, budgets)
+    gains = model.flexible - model.plain
+    allowed = allowances_of_tests(tested)
+    smaller = model.flexible_squares.sum(0) <= model.plain_squares.sum(0)
+    by_channel = {
+        name: float(gains[:, i].sum())
+        for i, name in enumerate(model.names)
+        if smaller[i] and gains[:, i].sum() > 0.5 * allowed.get(name, 0.0)
+    }
+    left = gains[:, [name in by_channel for name in model.names]].sum(1)
+    p = _chance(left, base, model, decisions)
+    more = p < decisions.flexible_alpha and _without_the_best(left, base) > 0
+    telling = _telling(model, decisions) if more else ()
+    return FlexibleGain(base, model, gains, left, p, more, by_channel, telling)
+
+
+def _chance(gain: Array, base: Base, model: Flexible, decisions: Decisions) -> float:
+    """Chance of a gain (N,) on folds left out if there were nothing: twice the smaller of two tests (`evidence`).
+
+    By the scatter over blocks of time; and by what is left without the run that says most, as a likelihood ratio.
+    """
+    of_block = np.bincount(base.block, weights=gain).astype(np.float64)
+    first = np.unique(base.block, return_index=True)[1]
+    runs = base.regression.whitened_rows(base.regression.owners)[first]
+    count = sum(part.terms[k].group.columns.shape[1] for part, foretold in model.parts for k in foretold.used)
+    whole = by_runs(of_block, runs, max(count, 1), fewest=decisions.folds_fewest_runs)
+    return min(1.0, 2.0 * min(by_blocks(of_block), whole))
+
+
+def _without_the_best(gain: Array, base: Base) -> float:
+    """The gain without the fold that says most."""
+    folds = np.bincount(base.fold, weights=gain)
+    return float(folds.sum() - folds.max())
+
+
+def _telling(found: Flexible, decisions: Decisions) -> tuple[Telling, ...]:
+    """Variables without any function of which the flexible model foretells surely less, by row of a port."""
+    out: list[Telling] = []
+    for part, foretold in found.parts:
+        whole = part.again(foretold)
+        for row, names in _variables(part, foretold).items():
+            for name in names:
+                lost = whole - part.without(foretold, name, row)
+                if lost > decisions.alike_nats:
+                    out.append(Telling(row, name, lost))
+    return tuple(sorted(out, key=lambda t: -t.nats))
+
+
+def _variables(part: Part, foretold: Foretold) -> dict[str, list[str]]:
+    out: dict[str, list[str]] = {}
+    for k in foretold.used:
+        own = out.setdefault(part.terms[k].row, [])
+        own += [v for v in part.terms[k].group.variables if v not in own]
+    return out

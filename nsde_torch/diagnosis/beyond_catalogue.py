@@ -1,23 +1,27 @@
 """The search beyond the catalogue: where structure is left, laws of the machine's own variables are tried as effects.
 
-    select and eliminate (catalogue)  ->  structure left  ->  propose laws  ->  select and eliminate again, with them
+    select and eliminate (catalogue)  ->  something left  ->  propose laws  ->  select and eliminate again, with them
 
-until nothing is left, no law is new or none holds. Laws are tried first in the place of effects that may only imitate
-one: where the shape of an effect ends at the largest that the data tell from another law (`bent_shape`), where one term
-explains surely more (`imitation`), and where two effects are laws of one variable (a friction and a quadratic damping
-for a cubic one). A law that is not chosen again in halves of the runs is taken out.
+until nothing is left, no law is new or none holds. Laws are made of what tests of structure name. Where that brings
+none, they are made of what a flexible model needs (`flexible_gain`) under the noise that it leaves: the noise model of
+the physics may have learned the law, and a test of one variable may not show it.
+
+Laws are tried first in the place of effects that may only imitate one: where the shape of an effect ends at the largest
+that the data tell from another law (`bent_shape`), where one term explains surely more (`imitation`), and where two
+effects are laws of one variable (a friction and a quadratic damping for a cubic one). A law that is not chosen again in
+halves of the runs is taken out.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from itertools import combinations
 
 from nsde_torch.diagnosis.decision import decide, of_one_variable, set_aside
 from nsde_torch.diagnosis.elimination import Retained, eliminate
 from nsde_torch.diagnosis.fitted import bent_shape, effect_of, fitted_system, values_of
-from nsde_torch.diagnosis.flexible_gain import FlexibleGain, flexible_gain
+from nsde_torch.diagnosis.flexible_gain import flexible_gain
 from nsde_torch.diagnosis.hidden import Feedback
 from nsde_torch.diagnosis.imitation import a_law_is_nearer
 from nsde_torch.diagnosis.law_names import named_by_the_catalogue
@@ -30,11 +34,11 @@ from nsde_torch.diagnosis.laws import (
 )
 from nsde_torch.diagnosis.left_over import variables_of
 from nsde_torch.diagnosis.outcome import Outcome, base_without
-from nsde_torch.diagnosis.regressors import Regressors
 from nsde_torch.diagnosis.search import Base, Search
 from nsde_torch.diagnosis.selection import Selection, forward_selection
 from nsde_torch.effects.expression_grammar import is_law
 from nsde_torch.evaluation.bootstrap import FEWEST_BLOCKS
+from nsde_torch.sysid.noise import Noise
 
 
 def with_laws(
@@ -81,36 +85,70 @@ def _in_place_of(
     return _with_laws(search, some, without, decide(search, some, without, feedback), feedback)
 
 
+@dataclass(frozen=True)
+class _Lead:
+    """What laws are looked for: channels in which something is left, variables, and the physics that weighs rows."""
+
+    base: Base
+    channels: Sequence[str]
+    wanted: Sequence[str]
+
+
 def _with_laws(
     search: Search, chosen: Selection, kept: Retained, outcome: Outcome, feedback: Feedback
 ) -> Outcome:
-    """The outcome with laws, round by round."""
+    """The outcome with laws, round by round: of what tests name, else of what a flexible model needs."""
     for _ in range(search.budgets.law_rounds):
-        left, base = outcome.structured, kept.final
-        if left:  # a law may show as one moment where it is largest, or as a drift
-            channels = [d.channel for d in left]
-            wanted = wanted_variables(base.regression, left, outcome.after, outcome.variables)
-        else:  # noise models may have learned it, where no test of one variable shows it
-            outcome = _beside_a_flexible_model(search, base, outcome)
-            if outcome.beside is None or not outcome.beside.more:
-                break
-            channels, wanted = list(outcome.beside.by_channel), _told(outcome.beside, outcome.variables)
-            base = _weighed(base, outcome.beside)
-        new = propose(search, base, list(dict.fromkeys(channels)), wanted, outcome.variables)
-        if not new and base is kept.final:
+        found = None
+        if outcome.structured:
+            found = _one_round(search, chosen, kept, outcome, feedback, _of_tests(kept.final, outcome))
+        if found is None:
+            outcome = _beside_a_flexible_model(search, kept.final, outcome)
+            lead = _of_a_flexible_model(outcome)
+            found = None if lead is None else _one_round(search, chosen, kept, outcome, feedback, lead)
+        if found is None:
             break
-        more = forward_selection(search, chosen.declared, after=chosen, final=base)
-        if not _news(more.names, kept):
-            break
-        now = _stable(search, more, set_aside(search, more, eliminate(search, more), feedback))
-        if not _news([*(f.name for f in now.found), *(h.name for h in now.hidden)], kept):
-            break
-        now = named_by_the_catalogue(search, more, now)
-        chosen, kept = replace(more, names=[f.name for f in now.found]), now
-        outcome = decide(search, more, now, feedback)
-        if not any(is_law(f.name) for f in now.found):  # what feedback may hide is told, and not named
+        more, kept = found
+        chosen = replace(more, names=[f.name for f in kept.found])
+        outcome = decide(search, more, kept, feedback)
+        if not any(is_law(f.name) for f in kept.found):  # what feedback may hide is told, and not named
             break
     return outcome
+
+
+def _one_round(
+    search: Search, chosen: Selection, kept: Retained, outcome: Outcome, feedback: Feedback, lead: _Lead
+) -> tuple[Selection, Retained] | None:
+    """Propose laws, select and eliminate again; None where that brings nothing that was not there."""
+    new = propose(search, lead.base, list(dict.fromkeys(lead.channels)), lead.wanted, outcome.variables)
+    if not new and lead.base is kept.final:
+        return None
+    more = forward_selection(search, chosen.declared, after=chosen, final=lead.base)
+    if not _news(more.names, kept):
+        return None
+    now = _stable(search, more, set_aside(search, more, eliminate(search, more), feedback))
+    if not _news([*(f.name for f in now.found), *(h.name for h in now.hidden)], kept):
+        return None
+    return more, named_by_the_catalogue(search, more, now)
+
+
+def _of_tests(base: Base, outcome: Outcome) -> _Lead:
+    """What tests of structure name: a law may show as one moment where it is largest, or as a drift."""
+    left = outcome.structured
+    wanted = wanted_variables(base.regression, left, outcome.after, outcome.variables)
+    return _Lead(base, [d.channel for d in left], wanted)
+
+
+def _of_a_flexible_model(outcome: Outcome) -> _Lead | None:
+    """What a flexible model needs, and rows weighed by the noise that it leaves."""
+    found = outcome.beside
+    if found is None or not found.more:
+        return None
+    names = dict.fromkeys(plain_name(t.variable) for t in found.telling)
+    variables = outcome.variables
+    known = [v for v in names if v in variables.columns][: variables.budgets.law_variables]
+    wanted = with_coordinates(found.base.regression.vector.system, known, variables)
+    return _Lead(_weighed(found.base, found.noises), list(found.by_channel), wanted)
 
 
 def _news(names: Sequence[str], kept: Retained) -> bool:
@@ -128,17 +166,10 @@ def _beside_a_flexible_model(search: Search, base: Base, outcome: Outcome) -> Ou
     return replace(outcome, beside=won)
 
 
-def _told(found: FlexibleGain, variables: Regressors) -> list[str]:
-    """Variables that a flexible model needs, the most important first, with the places of speeds and so on."""
-    names = dict.fromkeys(plain_name(t.variable) for t in found.telling)
-    known = [v for v in names if v in variables.columns][: variables.budgets.law_variables]
-    return with_coordinates(found.base.regression.vector.system, known, variables)
-
-
-def _weighed(base: Base, found: FlexibleGain) -> Base:
-    """Physics whose rows are weighed by the noise that a flexible model leaves: its own may have learned the law."""
+def _weighed(base: Base, noises: Mapping[int, Noise]) -> Base:
+    """Physics whose rows are weighed by other noise models, by number of the channel among its rows."""
     regression = base.regression
-    for channel, law in found.noises.items():
+    for channel, law in noises.items():
         regression = regression.under(channel, law)
     return replace(base, regression=regression)
 
@@ -150,6 +181,9 @@ def _stable(search: Search, chosen: Selection, kept: Retained) -> Retained:
             continue
         without = base_without(search, kept.final, chosen.declared, f.name)
         variables = variables_of(search, without)
+        without = _weighed(
+            without, dict(enumerate(kept.final.regression.noises))
+        )  # its own may have learned it
         values = values_of(effect_of(fitted_system(kept.final.regression), f.name))
         shapes = {k: float(v) for k, v in values.items() if k != "c1" and isinstance(v, float)}
         if chosen_again(search, without, f.name, shapes, variables) < search.decisions.law_share:

@@ -119,7 +119,7 @@ class Part:
         self._basis = free_basis(base.regression, still)
         self.terms = [RowTerm(p.row, g) for p in pushes for g in groups]
         self._candidates: tuple[dict[int, Noise], Candidates] | None = None
-        self._few = sum(t.group.columns.shape[1] for t in self.terms) <= budgets.flexible_rough
+        self._few = len(self.terms) <= budgets.flexible_rough
 
     def foretold(self) -> tuple[Foretold, Foretold]:
         """What the physics leaves of folds that it was not fitted to, alone and with the flexible model."""

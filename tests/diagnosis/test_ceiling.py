@@ -209,7 +209,7 @@ def test_it_is_drawn_with_where_it_may_be_trusted(
     assert axis.get_xlabel().startswith("q_dot")
     labels = axis.get_legend_handles_labels()[1]
     assert {"no data near: not to be trusted", "data"} <= set(labels)
-    assert axis.get_ylabel().startswith("force")  
+    assert axis.get_ylabel().startswith("force")
     page = missed[0].save(tmp_path).read_text(encoding="utf-8")
     assert "What a flexible model could win" in page
     assert (tmp_path / "plots" / "flexible.png").is_file()

@@ -21,6 +21,7 @@ from nsde_torch.diagnosis.hidden import (
     allowances,
     allowances_of_tests,
     chance_beyond,
+    lengths_of_parameters,
     likelihood_ratios,
 )
 from nsde_torch.diagnosis.left_over import beyond_chance, variables_of
@@ -67,12 +68,13 @@ def _beyond_feedback(search: Search, chosen: Selection, kept: Retained, feedback
     tested = feedback.test(base.regression)
     among = max(len(chosen.rounds[0].screened), 1) if chosen.rounds else 1
     while found:
-        allowed = allowances(tested)
+        lengths = lengths_of_parameters(tested, base.regression)
         weakest: tuple[float, Found, Base, tuple[str, ...]] | None = None
-        for f in found if allowed else ():
+        for f in found if lengths else ():
             moved = moved_channels(base.regression, f.name)
-            if not set(moved) & set(allowed):
+            if not set(moved) & set(lengths):
                 continue
+            allowed = allowances(lengths, base.regression.vector.of(f.name))
             without = base_without(search, base, chosen.declared, f.name)
             count = len(base.regression.vector.of(f.name))
             brought = likelihood_ratios(nats_by_channel(without.regression, base.regression))

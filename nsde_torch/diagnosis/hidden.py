@@ -6,9 +6,10 @@ term can bring at most
 
     2 log L = z_i^2
 
-of channel i. An effect counts by what it brings beyond that on the channels that it moves, and so does what is left
-over. An effect that does not reach it is not named; it is set aside with its reason, unless signals from outside the
-loop show it (`sysid.instruments`).
+of channel i, and by what inputs do between rows no more of it than the share by which the effect leans along inputs of
+neighbouring rows (`lengths_of_parameters`). An effect counts by what it brings beyond that on the channels that it
+moves, and so does what is left over. An effect that does not reach it is not named; it is set aside with its reason,
+unless signals from outside the loop show it (`sysid.instruments`).
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -18,10 +19,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import chi2
 
+from nsde_torch.sysid.between_rows import leaning
 from nsde_torch.sysid.loop_test import LoopTest
 from nsde_torch.sysid.regression import Regression
 from nsde_torch.sysid.result import Identification
 from nsde_torch.systems import System
+
+Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -61,13 +65,34 @@ class Hidden:
         )
 
 
-def allowances(test: LoopTest) -> dict[str, float]:
-    """Likelihood ratio (2 log L) that feedback may hide, by channel; where it may hide nothing, none.
+def lengths_of_parameters(test: LoopTest, regression: Regression) -> dict[str, Array]:
+    """Standard errors (k,) by which inputs from other sensors may bend each parameter, by channel; none where none are.
+
+    What they know of a step may look like anything. What they do between rows points along the inputs of neighbouring
+    rows, and bends a parameter as far as its estimate leans along these (`sysid.between_rows`).
+
+    Args:
+        test: What the data say of the loop.
+        regression: The same physics at its optimum.
+    """
+    if not test.other_sensors:
+        return {}
+    lean, known = leaning(regression), test.known
+    rows = {regression.physics.names[c]: i for i, c in enumerate(regression.rows)}
+    return {c: np.maximum(lean[rows[c]] * test.moving[c], known.get(c, 0.0)) for c in test.other_sensors}
+
+
+def allowances(lengths: Mapping[str, Array], own: Sequence[int]) -> dict[str, float]:
+    """Likelihood ratio (2 log L) that feedback may hide of an effect, by channel; where it may hide nothing, none.
 
     Of inputs that were made from the logged measurement, or in an open loop, what they foretell is physics that is
     missing, and has to be looked for.
+
+    Args:
+        lengths: Of parameters (`lengths_of_parameters`).
+        own: Numbers of the effect's parameters.
     """
-    return {c: z**2 for c, z in test.hidden_by_sensors.items()}
+    return {c: float(np.square(z[own]).max(initial=0.0)) for c, z in lengths.items()}
 
 
 def allowances_of_tests(test: LoopTest) -> dict[str, float]:

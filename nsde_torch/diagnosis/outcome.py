@@ -13,7 +13,7 @@ from nsde_torch.diagnosis.dependence import Dependence
 from nsde_torch.diagnosis.estimates import Estimate, estimated, of_identification
 from nsde_torch.diagnosis.fitted import fitted_system
 from nsde_torch.diagnosis.flexible_gain import FlexibleGain
-from nsde_torch.diagnosis.hidden import Hidden
+from nsde_torch.diagnosis.hidden import Hidden, lengths_of_parameters
 from nsde_torch.diagnosis.regressors import Regressors
 from nsde_torch.diagnosis.rounds import Round
 from nsde_torch.diagnosis.search import Base, Search
@@ -145,11 +145,13 @@ class Outcome:
     def doubt(self) -> Array:
         """By how much feedback may have bent each parameter of `final` (k,); nan for by anything.
 
-        Effects that were found are bent by what was made from other sensors alone, as in `hidden.allowances`.
+        Effects that were found are bent by what was made from other sensors alone, as in
+        `hidden.allowances`.
         """
         r, found = self.final.regression, {f.name for f in self.found}
         of_effects = np.array([label.partition(".")[0] in found for label in r.vector.labels], dtype=bool)
-        bias = np.where(of_effects, largest_bias(r, self.test.hidden_by_sensors), hidden_bias(r, self.test))
+        by_sensors = largest_bias(r, lengths_of_parameters(self.test, r))
+        bias = np.where(of_effects, by_sensors, hidden_bias(r, self.test))
         return bias if self.hangs is None else np.maximum(bias, self.hangs)
 
     @cached_property

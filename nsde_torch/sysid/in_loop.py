@@ -260,12 +260,12 @@ def _changed(
     return np.asarray(np.abs(regression.theta - other.theta))
 
 
-def largest_bias(regression: Regression, hidden: Mapping[str, float]) -> Array:
+def largest_bias(regression: Regression, hidden: Mapping[str, float | Array]) -> Array:
     """The largest bias (k,) of each parameter that a hidden part of such lengths may cause.
 
     Args:
         regression: At its optimum.
-        hidden: Length of the part by channel (`LoopTest.hidden`).
+        hidden: Length of the part by channel (`LoopTest.hidden`), one number or one per parameter (k,).
     """
     out = np.zeros(len(regression.vector))
     if not hidden:

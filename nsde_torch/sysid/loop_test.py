@@ -33,7 +33,7 @@ from scipy.stats import chi2
 from nsde_torch.data import Run
 from nsde_torch.errors import ConfigError, DataError, NonFiniteError
 from nsde_torch.recording.smoothing import smoothing_width
-from nsde_torch.sysid import signals
+from nsde_torch.sysid import between_rows, signals
 from nsde_torch.sysid.identify import regression_of
 from nsde_torch.sysid.loop_words import FACTOR, NO_INPUT, sentences
 from nsde_torch.sysid.noise import extended
@@ -133,24 +133,25 @@ class LoopTest:
         return tuple(dict.fromkeys(c for own in made.values() for c in own if c not in from_log))
 
     @property
-    def hidden(self) -> dict[str, float]:
-        """By channel: standard errors by which what inputs know beyond the log may bend an estimate.
+    def known(self) -> dict[str, float]:
+        """By channel: standard errors by which what inputs know of a step beyond the log may bend an estimate.
 
-        Inputs may know `FACTOR` times as much of a step as they may be seen to foretell of later ones; those that were
-        made from other sensors may also move between rows (`between`).
+        Inputs may know `FACTOR` times as much of a step as they may be seen to foretell of later ones.
         """
-        most, others = self.moving, self.other_sensors
+        out, others = dict[str, float](), self.other_sensors
         for a in self.knowledge:
             if a.channel in others or a.chance < ALPHA:
                 known = FACTOR * float(np.sqrt(self.rows * a.upper))
-                most[a.channel] = max(most.get(a.channel, 0.0), known)
-        return most
+                out[a.channel] = max(out.get(a.channel, 0.0), known)
+        return out
 
     @property
-    def hidden_by_sensors(self) -> dict[str, float]:
-        """The part of `hidden` on channels of `other_sensors`."""
-        hidden = self.hidden
-        return {c: hidden[c] for c in self.other_sensors}
+    def hidden(self) -> dict[str, float]:
+        """By channel: the larger one of `known` and of what inputs do that move between rows (`moving`)."""
+        most = self.moving
+        for channel, known in self.known.items():
+            most[channel] = max(most.get(channel, 0.0), known)
+        return most
 
     @property
     def hidden_from_tests(self) -> dict[str, float]:
@@ -272,7 +273,7 @@ def loop_test(regression: Regression, *, still: Sequence[str] = ()) -> LoopTest:
         new=_new(regression, ways, driven, series),
         driven={way.name: tuple(regression.physics.names[c] for c in way.channels) for way in ways},
         rows=len(regression.series),
-        between=_between(regression, ways),
+        between=between_rows.lengths(regression, ways),
         still=tuple(still),
     )
 
@@ -337,27 +338,6 @@ def _knowledge(
         replace(a, upper=min(1.0, a.share + _UPPER * float(np.sqrt(2 * count + 4 * n * a.share)) / n))
         for a in _judged(found, regression.dt)
     )
-
-
-def _between(regression: Regression, ways: Sequence[Direction]) -> dict[str, float]:
-    """What inputs do in whitened rows, times half of what they move from row to row over what they move at all."""
-    physics, known = regression.physics, [*regression.rows]
-    u = np.asarray(physics.steps.u[:, : physics.vector.system.nu])
-    later = np.ones(len(u), dtype=bool)
-    later[[b - 1 for _, b in regression.single.edges]] = False
-    at = np.flatnonzero(later)
-    out: dict[str, float] = {}
-    for way in ways:
-        v = u @ way.weights
-        share = 0.5 * float((v[at + 1] - v[at]).std() / max(float(v.std()), 1e-300))
-        for channel, slope in zip(way.channels, way.slopes, strict=True):
-            acts = (
-                slope * regression.single.summed((v - v.mean())[:, None], regression.box) * physics.steps.dt
-            )
-            white = regression.whitened(regression.noises[known.index(channel)], acts)
-            name = physics.names[channel]
-            out[name] = float(np.hypot(out.get(name, 0.0), share * np.linalg.norm(white)))
-    return out
 
 
 def _first_of_box(regression: Regression) -> NDArray[np.int64]:

@@ -34,6 +34,11 @@ class Series:
             out[j:, j - 1] = np.where(place[j:] >= j, values[:-j], 0.0)
         return out
 
+    def shifted(self, values: Array, by: int) -> Array:
+        """Values (N, ...) of so many rows later, of the first or last row where a stretch has none."""
+        rows = [np.clip(np.arange(a, b) + by, a, b - 1) for a, b in self.edges]
+        return np.asarray(values[np.concatenate(rows)])
+
     def boxes(self, width: int) -> "Series":
         """Series of the sums that `summed` makes."""
         ends = np.cumsum([(b - a) // width for a, b in self.edges]).tolist()

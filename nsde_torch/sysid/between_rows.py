@@ -1,0 +1,92 @@
+"""What inputs that move between rows of the log may do to channels, and to estimates of parameters.
+
+A controller with sensors and a clock of its own may move its inputs between rows of the log, by half of what they move
+from row to row, always to the same side of what was logged. What that adds to a channel points along the inputs of
+neighbouring rows, through the machine's own equations. An estimate is bent as far as it leans along these: a gain or a
+damping does, a product of two states that inputs do not follow does not.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from nsde_torch.sysid.regression import Regression
+from nsde_torch.sysid.signals import Direction, basis_of, directions
+
+Array = NDArray[np.float64]
+
+_NEIGHBOURS = (-2, -1, 0, 1, 2)  # rows of the log whose inputs may have acted
+
+
+def lengths(regression: Regression, ways: Sequence[Direction]) -> dict[str, float]:
+    """What inputs do in whitened rows, times half of what they move from row to row over what they move at all.
+
+    Args:
+        regression: Where its iteration has settled.
+        ways: Combinations of inputs that drive its channels.
+    """
+    physics, known = regression.physics, [*regression.rows]
+    u = np.asarray(physics.steps.u[:, : physics.vector.system.nu])
+    later = np.ones(len(u), dtype=bool)
+    later[[b - 1 for _, b in regression.single.edges]] = False
+    at = np.flatnonzero(later)
+    out: dict[str, float] = {}
+    for way in ways:
+        v = u @ way.weights
+        share = 0.5 * float((v[at + 1] - v[at]).std() / max(float(v.std()), 1e-300))
+        for channel, slope in zip(way.channels, way.slopes, strict=True):
+            acts = (
+                slope * regression.single.summed((v - v.mean())[:, None], regression.box) * physics.steps.dt
+            )
+            white = regression.whitened(regression.noises[known.index(channel)], acts)
+            name = physics.names[channel]
+            out[name] = float(np.hypot(out.get(name, 0.0), share * np.linalg.norm(white)))
+    return out
+
+
+def leaning(regression: Regression) -> Array:
+    """How far the estimate of each parameter leans along inputs of neighbouring rows, 0 to 1 (channels, k).
+
+    The share, as a length, of what weighs a channel's rows in the estimate that lies along what these inputs do there.
+
+    Args:
+        regression: At its optimum.
+    """
+    basis = regression.shown.basis
+    slopes = [own @ basis for own in regression.slopes]
+    squares = [s.T @ s for s in slopes]
+    back = basis @ np.linalg.pinv(sum(squares[1:], squares[0]))
+    acts = _neighbours(regression)
+    out = np.zeros((len(regression.rows), len(regression.vector)))
+    for i, own in enumerate(slopes):
+        weighs = own @ back.T
+        size = np.linalg.norm(weighs, axis=0)
+        along = basis_of(regression.whitened(regression.noises[i], acts[:, i]))
+        out[i] = np.linalg.norm(along.T @ weighs, axis=0) / np.where(size > 0, size, np.inf)
+    return out
+
+
+@torch.no_grad()
+def _neighbours(regression: Regression) -> Array:
+    """What inputs of neighbouring rows change in each box (M, channels, ways * neighbours)."""
+    physics = regression.physics
+    system, s = physics.vector.system, physics.steps
+    physics.vector.use(torch.as_tensor(regression.theta))
+    columns = []
+    for way in directions(regression):
+        size = 1e-3 * max(float(s.u[:, : system.nu].abs().max()), 1e-3)
+        aside = torch.zeros_like(s.u)
+        aside[:, : system.nu] = size * torch.as_tensor(way.weights)
+        ends = [
+            system.drift(s.t, system.augment(s.x0, v), v)[:, : system.nx] for v in (s.u + aside, s.u - aside)
+        ]
+        slope = physics.turn(ends[0] - ends[1], physics.attitude).numpy()[:, regression.rows] / (2.0 * size)
+        v = np.asarray(s.u[:, : system.nu]) @ way.weights
+        v = v - v.mean()
+        columns += [slope * regression.single.shifted(v, by)[:, None] for by in _NEIGHBOURS]
+    summed = [regression.single.summed(column, regression.box) * s.dt for column in columns]
+    return np.stack(summed, 2) if summed else np.zeros((len(regression.series), len(regression.rows), 0))

@@ -1,10 +1,17 @@
 """What feedback may hide: which effects and which structure count."""
 
+from dataclasses import replace
+
 import pytest
 
-from nsde_torch.diagnosis.hidden import Hidden, allowances, chance_beyond
+from nsde_torch.diagnosis.hidden import Hidden, allowances, chance_beyond, lengths_of_parameters
+from nsde_torch.diagnosis.search import Search
+from nsde_torch.sysid.between_rows import leaning
 from nsde_torch.sysid.loop_test import Answer, LoopTest
 from nsde_torch.sysid.loop_words import FACTOR
+from nsde_torch.sysid.steps import steps_of
+from nsde_torch.systems import make_system
+from tests.helpers.diagnosed import recorded
 
 DRIVEN = {"the input of w_x": ("w_x",), "the input of w_z": ("w_z",)}
 
@@ -25,22 +32,22 @@ def test_inputs_made_from_the_logged_measurement_hide_nothing() -> None:
     test = loop(own=0.3, elsewhere=0.3)
     assert test.closed
     assert test.other_sensors == ()
-    assert allowances(test) == {}
+    assert test.moving == {}
 
 
 def test_inputs_that_answer_other_channels_alone_were_made_from_other_sensors() -> None:
     test = loop(own=0.001, elsewhere=0.3)
     assert test.other_sensors == ("w_x", "w_z")
-    assert allowances(test)["w_x"] == pytest.approx(FACTOR**2 * 10_000 * 0.002)
+    assert test.hidden["w_x"] ** 2 == pytest.approx(FACTOR**2 * 10_000 * 0.002)
     assert "other sensors" in " ".join(test.findings)
     # what moves between rows counts where it is more
-    assert allowances(loop(own=0.001, elsewhere=0.3, between=30.0))["w_x"] == pytest.approx(900.0)
+    assert loop(own=0.001, elsewhere=0.3, between=30.0).hidden["w_x"] ** 2 == pytest.approx(900.0)
 
 
 def test_an_open_loop_hides_nothing() -> None:
     test = loop(own=0.0, elsewhere=0.0)
     assert test.open
-    assert allowances(test) == {}
+    assert test.hidden == {}
     assert test.as_dict()["closed_loop"] is False
 
 
@@ -60,3 +67,27 @@ def test_an_effect_counts_by_what_it_brings_beyond_what_may_be_hidden() -> None:
     # of an effect that moves another channel too, that one shows it
     assert chance_beyond({"w_x": 150.0, "v_y": 60.0}, ["w_x", "v_y"], allowed, 2) < 1e-9
     assert "data.instruments" in Hidden("angular_damping", ("w_x",)).reason
+
+
+def test_an_effect_is_bent_by_inputs_between_rows_as_far_as_it_leans_along_them() -> None:
+    product = "force = c1 q q_dot"
+    system = make_system("mass_spring_damper")
+    runs = recorded("mass_spring_damper", durations=(8.0,) * 3).runs
+    steps = steps_of(system, runs, clock=1.0, smooth=False, denoise=True, run_in=True)
+    fitted = Search(steps, box=1, alpha=0.01).quick(
+        system.with_effects(system.make_effect(product, {"c1": 0.1}))
+    )
+    lean = dict(zip(fitted.vector.labels, leaning(fitted)[0], strict=True))
+    assert lean["force_gain"] > 0.5
+    assert lean[f"{product}.c1"] < 0.6 * lean["force_gain"]
+
+    way = "force"
+    answers = (Answer(way, "q_dot", 0.001, 1e-9),)
+    test = LoopTest(answers, (), driven={way: ("q_dot",)}, rows=1000, between={"q_dot": 30.0})
+    lengths = lengths_of_parameters(test, fitted)
+    (own,) = fitted.vector.of(product)
+    assert allowances(lengths, [own])["q_dot"] == pytest.approx((30.0 * lean[f"{product}.c1"]) ** 2)
+    # what inputs know of a step may look like anything
+    knows = replace(test, knowledge=(Answer(way, "q_dot", 0.0, 0.5, upper=0.4),))
+    assert allowances(lengths_of_parameters(knows, fitted), [own])["q_dot"] == pytest.approx(FACTOR**2 * 400)
+    assert lengths_of_parameters(LoopTest(), fitted) == {}

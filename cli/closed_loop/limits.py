@@ -1,0 +1,64 @@
+"""Within what an experiment is planned: the fence and speeds that were asked for, and no faster turns than are sent."""
+
+from __future__ import annotations
+
+from omegaconf import DictConfig
+
+from nsde_torch.errors import ConfigError
+from nsde_torch.px4.flight.options import Limits
+
+from .. import build
+
+
+def fence_of(experiment: DictConfig) -> list[list[float]]:
+    """Lowest and highest x, y, z of an experiment [m].
+
+    Raises:
+        ConfigError: a fence that is none.
+    """
+    fence = build.options(experiment)["fence"]
+    if not (
+        isinstance(fence, list)
+        and len(fence) == 3
+        and all(isinstance(p, list) and len(p) == 2 and float(p[0]) < float(p[1]) for p in fence)
+    ):
+        raise ConfigError(
+            f"`experiment.fence` takes [[x_low,x_high],[y_low,y_high],[z_low,z_high]]; got {fence!r}."
+        )
+    return fence
+
+
+def plan_limits(config: DictConfig) -> dict[str, list[float]]:
+    """Lowest and highest value of each state of a plan, by its name.
+
+    Raises:
+        ConfigError: a fence that is none.
+    """
+    e = config.experiment
+    limits = {f"p_{axis}": pair for axis, pair in zip("xyz", fence_of(e), strict=True)}
+    limits |= {f"v_{axis}": [-e.speed, e.speed] for axis in "xyz"}
+    rates = dict.fromkeys("xyz", e.rate)
+    if config.by == "link":  # what is faster would be planned, and not sent
+        sent = config.limits
+        rates = {"x": min(e.rate, sent.rate), "y": min(e.rate, sent.rate), "z": min(e.rate, sent.yaw_rate)}
+    return limits | {f"w_{axis}": [-rate, rate] for axis, rate in rates.items()}
+
+
+def check_inside(experiment: DictConfig, limits: Limits) -> None:
+    """Refuse experiments that may leave what a flight is ended by.
+
+    Raises:
+        ConfigError: names both keys.
+    """
+    names = ("x", "y", "z")
+    for axis, (low, high), (lowest, highest) in zip(names, fence_of(experiment), limits.fence, strict=True):
+        if low < lowest or high > highest:
+            raise ConfigError(
+                f"`experiment.fence` reaches from {low:g} to {high:g} m along {axis}, beyond `limits.fence` "
+                f"({lowest:g} to {highest:g} m), where a flight is ended. Make the first smaller, or the second larger."
+            )
+    if experiment.speed > limits.speed:
+        raise ConfigError(
+            f"`experiment.speed` is {experiment.speed:g} m/s, beyond `limits.speed` of {limits.speed:g} m/s, where a "
+            "flight is ended."
+        )

@@ -4,8 +4,12 @@ from __future__ import annotations
 
 from omegaconf import DictConfig
 
+from nsde_torch.control import feasible
+from nsde_torch.control.predictor import Predictor
+from nsde_torch.control.reference import FlightPath, Reference
 from nsde_torch.errors import ConfigError
 from nsde_torch.px4.flight.options import Limits
+from nsde_torch.systems import System
 
 from .. import build
 
@@ -62,3 +66,21 @@ def check_inside(experiment: DictConfig, limits: Limits) -> None:
             f"`experiment.speed` is {experiment.speed:g} m/s, beyond `limits.speed` of {limits.speed:g} m/s, where a "
             "flight is ended."
         )
+
+
+def check_path(path: FlightPath, machine: System, limits: Limits, *, dt: float) -> None:
+    """Refuse a path that would be ended on the way.
+
+    Raises:
+        ConfigError: names the limit.
+    """
+    asked = feasible.envelope(Reference(path), Predictor(machine, dt=dt))
+    for name, most, limit, unit in (
+        ("tilt", asked.tilt, limits.tilt, "deg"),
+        ("speed", asked.speed, limits.speed, "m/s"),
+    ):
+        if most > limit:
+            raise ConfigError(
+                f"the path {path.name!r} asks for a {name} of up to {most:.2g} {unit}, and `limits.{name}={limit:g}` "
+                f"ends a flight there. Start the same command again with a larger `limits.{name}`."
+            )

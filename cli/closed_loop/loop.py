@@ -28,6 +28,8 @@ _LOGGED, _EXPERIMENT = 500, 700
 """Seeds of flights that are diagnosed, and of experiments, lie beyond those of flights that are compared."""
 FLYING = ".flying"
 """Where a log is written until it counts: what a flight left that was stopped or refused is never diagnosed."""
+LEAST = 0.5
+"""Share of a path that a flight over a link must have flown to be diagnosed."""
 
 
 class ClosedLoop:
@@ -176,7 +178,7 @@ class ClosedLoop:
         """Fly once, and put the log into its place.
 
         Raises:
-            EndedError: the flight does not count: the reference was not begun, or the vehicle is not ours to fly on.
+            EndedError: the flight does not count: too little was flown, or the vehicle is not ours to fly on.
             LinkError: it was refused.
         """
         assert self.machine is not None
@@ -195,8 +197,12 @@ class ClosedLoop:
         except LinkError as error:
             raise LinkError(f"{name}: {error}. {again}") from error
         trouble = "" if found["trouble"] is None else f"; {found['trouble']['text']}"
-        if not found["track"] or not unfinished.is_file():
-            raise EndedError(f"{name}: the reference was not begun{trouble}. {again}", FLIGHT_ENDED)
+        flown = found["track"][-1][0] if found["track"] and unfinished.is_file() else 0.0
+        least = LEAST if self.config.by == LINK and log.parent.name == LOG else 0.0
+        if flown <= least * path.duration:
+            raise EndedError(
+                f"{name}: {flown:.2g} s of {path.duration:.3g} s were flown{trouble}. {again}", FLIGHT_ENDED
+            )
         log.parent.mkdir(parents=True, exist_ok=True)
         for file in (unfinished, unfinished.with_suffix(".ulg")):
             if file.is_file():

@@ -33,7 +33,7 @@ from nsde_torch.systems.machines import plant_effects
 
 from .. import build, link_build, track_build
 from ..flight_end import check_end
-from .limits import check_inside
+from .limits import check_inside, check_path
 
 VEHICLE, PLANT, LINK, HAND = "vehicle", "plant", "link", "hand"
 Say = Callable[[str], None]
@@ -211,10 +211,12 @@ class LinkedVehicle:
         """See `FlyingMachine`.
 
         Raises:
+            ConfigError: the path leans further or is faster than where a flight is ended.
             LinkError: it was refused before it began.
             EndedError: it was stopped, or the vehicle was taken from us or is not seen to stand.
         """
         c, mpc = self._config, self._config.mpc
+        check_path(path, physics(c, []), self._limits, dt=track_build.problem(mpc).dt)
         maker = PredictiveMaker(
             run=DECLARED,
             system=c.plant.system,

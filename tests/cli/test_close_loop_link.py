@@ -210,7 +210,8 @@ def test_what_trips_a_limit_counts_as_an_experiment_and_is_flown_again_where_it_
     _plan()
 
     def push(flight: Any, vehicle: Any) -> None:
-        vehicle.body.v = (0.0, 9.0, 0.0)
+        if flight._elapsed > 0.6 * flight.path.duration:
+            vehicle.body.v = (0.0, 9.0, 0.0)
 
     flights.harm[2], flights.harm[3] = push, push
     assert main(LINKED) == 0
@@ -223,6 +224,31 @@ def test_what_trips_a_limit_counts_as_an_experiment_and_is_flown_again_where_it_
     assert main([*LINKED, "limits.speed=8"]) == 0
     assert flights.paths == ["hover", "plan", "hover", "hover", "hover"]
     assert _content()["ratio"] is not None
+
+
+def test_an_experiment_of_which_little_was_flown_does_not_count(
+    flights: Flights, capsys: pytest.CaptureFixture[str]
+) -> None:
+    _plan()
+    flights.harm[2] = lambda flight, vehicle: setattr(vehicle.body, "v", (0.0, 9.0, 0.0))
+    assert main(LINKED) == 3
+    said = capsys.readouterr().err
+    assert "experiment 1: 0.5" in said
+    assert "s of 4.01 s were flown; the velocity jumped" in said
+    assert [p.name for p in Path("out/log").glob("*.csv")] == ["flight_0.csv"]
+
+
+def test_a_plan_that_leans_further_than_a_flight_may_is_not_begun(
+    flights: Flights, capsys: pytest.CaptureFixture[str]
+) -> None:
+    _plan()
+    assert main([*LINKED, "limits.tilt=5"]) == 2
+    said = capsys.readouterr().err
+    assert "`limits.tilt=5` ends a flight there" in said
+    assert flights.paths == ["hover"]
+    # the limit may be another at the next start
+    assert main(LINKED) == 0
+    assert flights.paths == ["hover", "plan", "hover", "hover"]
 
 
 def test_planning_that_is_interrupted_says_how_to_go_on(

@@ -41,11 +41,19 @@ def plan_limits(config: DictConfig) -> dict[str, list[float]]:
     e = config.experiment
     limits = {f"p_{axis}": pair for axis, pair in zip("xyz", fence_of(e), strict=True)}
     limits |= {f"v_{axis}": [-e.speed, e.speed] for axis in "xyz"}
-    rates = dict.fromkeys("xyz", e.rate)
-    if config.by == "link":  # what is faster would be planned, and not sent
-        sent = config.limits
-        rates = {"x": min(e.rate, sent.rate), "y": min(e.rate, sent.rate), "z": min(e.rate, sent.yaw_rate)}
-    return limits | {f"w_{axis}": [-rate, rate] for axis, rate in rates.items()}
+    for axis in "xyz":
+        group, _, key = limit_key(f"w_{axis}", config).partition(".")
+        limits[f"w_{axis}"] = [-config[group][key], config[group][key]]
+    return limits
+
+
+def limit_key(state: str, config: DictConfig) -> str:
+    """The key that bounds a state (`p_x`, `v_x`, `w_x`) of a plan: over a link no faster turns than are sent."""
+    if state[0] != "w":
+        return {"p": "experiment.fence", "v": "experiment.speed"}[state[0]]
+    sent = "yaw_rate" if state == "w_z" else "rate"
+    slower = config.by == "link" and config.limits[sent] < config.experiment.rate
+    return f"limits.{sent}" if slower else "experiment.rate"
 
 
 def check_inside(experiment: DictConfig, limits: Limits) -> None:

@@ -51,6 +51,7 @@ class HydraCommand:
         values: Values beside the defaults of the schema, as nested mappings.
         folder: Pattern of the folder of a run, for the key `run_dir` or `out_dir`; None for a command without one.
         result: File that a finished run holds, and what it is called: a folder that has it is not written over.
+        goes_on: Whether the same command, started again on its folder, goes on from what is finished there.
         unnamed: Keys that do not name the jobs of a sweep.
         paths: Keys whose values are files or folders, which may be typed without Hydra's quotes.
         words: What is typed, one word at a time, as Hydra is to have it.
@@ -65,6 +66,7 @@ class HydraCommand:
     values: Mapping[str, Any] = field(default_factory=dict)
     folder: str | None = None
     result: tuple[str, str] | None = None
+    goes_on: bool = False
     unnamed: tuple[str, ...] = ()
     paths: tuple[str, ...] = ()
     words: Callable[[Sequence[str]], list[str]] = list
@@ -180,6 +182,8 @@ class HydraCommand:
             line += f" Finished jobs are in {LAST.sweep_dir}; see: nsde sweep-report {LAST.sweep_dir}"
         elif LAST.run_dir is not None and groups.has(self.name, "resume"):
             line += f" Continue with: nsde {self.name} resume={LAST.run_dir}"
+        elif LAST.run_dir is not None and self.goes_on:
+            line += f" What is finished is kept: start the same command again with out_dir={LAST.run_dir} to go on."
         print(f"\n{line}", file=sys.stderr)
         return INTERRUPTED
 

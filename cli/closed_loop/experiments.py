@@ -33,9 +33,9 @@ from nsde_torch.design.files import PLAN, RESULT, read_design
 from nsde_torch.diagnosis.files import RESULT as DIAGNOSED
 from nsde_torch.errors import ConfigError, DataError
 
-from .. import build
 from ..known_machine import KnownMachine
 from ..stages import Stages
+from .limits import plan_limits
 from .logs import diagnosis_content, log_files, machine_in, read_logs
 from .told import asked, entry_of, expected_nats, experiment_lines, too_little
 
@@ -51,7 +51,7 @@ class StoppedLoop:
     """Why there is no further experiment.
 
     Args:
-        kind: `settled`, `budget`, `limits`, `flight`, `other_machine` or `waiting` (for a log).
+        kind: `settled`, `budget`, `limits`, `other_machine` or `waiting` (for a log).
         sentence: In words.
     """
 
@@ -143,21 +143,9 @@ def _spent(budget: int, now: Standing) -> StoppedLoop:
 
 def _options(config: DictConfig, number: int) -> DesignOptions:
     e = config.experiment
-    fence = build.options(e)["fence"]
-    if not (
-        isinstance(fence, list)
-        and len(fence) == 3
-        and all(isinstance(p, list) and len(p) == 2 for p in fence)
-    ):
-        raise ConfigError(
-            f"`experiment.fence` takes [[x_low,x_high],[y_low,y_high],[z_low,z_high]]; got {fence!r}."
-        )
-    limits = {f"p_{axis}": pair for axis, pair in zip("xyz", fence, strict=True)}
-    limits |= {f"v_{axis}": [-e.speed, e.speed] for axis in "xyz"}
-    limits |= {f"w_{axis}": [-e.rate, e.rate] for axis in "xyz"}
     return DesignOptions(
         duration=e.duration,
-        limits=limits,
+        limits=plan_limits(config),
         samples=e.samples,
         proposals=e.proposals,
         generations=e.generations,
@@ -237,9 +225,6 @@ def _flown(loop: ExperimentLoop, place: Path, number: int) -> StoppedLoop | None
         )
     if not (place / FLIGHT).is_file():
         found = loop.fly(place / PLAN, loop.logs / f"{name}.csv", number)
-        if not log_files(loop.logs, name):  # never in the air: the next start tries it again
-            why = found["trouble"]["text"] if found["trouble"] else "nothing was logged"
-            return StoppedLoop("flight", f"{name} was not flown: {why}")
         (place / FLIGHT).write_text(json.dumps(found, allow_nan=False), encoding="utf-8")
     return None
 
@@ -284,7 +269,7 @@ def _other_machine(loop: ExperimentLoop, place: Path, before: Mapping[str, Any])
     """Whether the diagnosis of all runs says that the experiment's is of another machine.
 
     Of a log that a person put in, every objection that was not there before counts. Nothing of such a log is kept as
-    done: the next start reads what lies there then.
+    done: the next start reads what lies there then, or flies again.
     """
     warnings = [w for w in diagnosis_content(place / "diagnosis")["warnings"] if w["parameter"] is None]
     known = {w["kind"] for w in before.get("warnings", ())}
@@ -295,11 +280,16 @@ def _other_machine(loop: ExperimentLoop, place: Path, before: Mapping[str, Any])
         return None
     for file in (place / OBTAINED, place / "diagnosis" / DIAGNOSED):
         file.unlink(missing_ok=True)
+    remedy = f"Put another log into {loop.logs}, and start this command again"
+    if loop.fly is not None:
+        (place / FLIGHT).unlink(missing_ok=True)
+        for log in log_files(loop.logs, place.name):
+            log.replace(place / log.name)
+        remedy = f"Its log lies in {place} now; start this command again, and it is flown again"
     return StoppedLoop(
         "other_machine",
         f"the log of {place.name} is not of this machine, or the machine has changed, or the log is at fault. With it "
-        f"among the others: {said[0]['sentence']}; "
-        f"{said[0]['remedy']}. Put another log into {loop.logs}, and start this command again",
+        f"among the others: {said[0]['sentence']}; {said[0]['remedy']}. {remedy}",
     )
 
 

@@ -14,15 +14,22 @@ from nsde_torch.control.predictor import Predictor
 from nsde_torch.control.reference import FlightPath, Reference
 from nsde_torch.control.waypoints import from_csv
 from nsde_torch.errors import DataError
+from nsde_torch.px4.link.transport import LinkError
 
 from .. import track_build
+from ..exit_status import FLIGHT_ENDED, EndedError
 from .experiments import ExperimentLoop, StoppedLoop, run_experiments
+from .limits import fence_of
 from .logs import diagnose_logs, diagnosis_content, effects_found, log_files
-from .machines import HAND, FlyingMachine, machine_of, physics, true_effects
+from .machines import HAND, LINK, FlyingMachine, machine_of, physics, true_effects
 
 LOG, DIAGNOSIS, BEFORE, AFTER, TRUTH = "log", "diagnosis", "before", "after", "truth"
 _LOGGED, _EXPERIMENT = 500, 700
 """Seeds of flights that are diagnosed, and of experiments, lie beyond those of flights that are compared."""
+FLYING = ".flying"
+"""Where a log is written until it counts: what a flight left that was stopped or refused is never diagnosed."""
+LEAST = 0.5
+"""Share of a path that a flight over a link must have flown to be diagnosed."""
 
 
 class ClosedLoop:
@@ -38,6 +45,8 @@ class ClosedLoop:
 
     def __init__(self, config: DictConfig, folder: Path) -> None:
         self.config, self.folder = config, folder
+        if config.experiments:
+            fence_of(config.experiment)
         self.reference: Reference = track_build.reference(config.reference)
         self.machine: FlyingMachine | None = None if config.by == HAND else machine_of(config, say)
         # what a person flew may be of any kind; what we fly we log as CSV, with a .ulg beside it
@@ -153,25 +162,53 @@ class ClosedLoop:
         file = self.folder / stage / f"flight_{number}.json"
         if file.is_file():
             done = json.loads(file.read_text(encoding="utf-8"))
-            if done["told"] == effects:
+            # over a link what ended a flight may be gone; elsewhere the same seed ends it again
+            again = self.config.by == LINK and stage != LOG and not done["tracked"]
+            if done["told"] == effects and not again:
                 return
         # flights that are compared come in groups of the same seed; those that are diagnosed have others
         seed = self.config.seed * 1000 + number + (_LOGGED if stage == LOG else 0)
         log = self.folder / stage / f"flight_{number}.csv"
         found = self._fly(f"{stage} {number + 1}", self.reference.path, effects, seed, log)
-        if not log.is_file():  # never in the air: the next start tries it again
-            why = found["trouble"]["text"] if found["trouble"] else "nothing was logged"
-            raise DataError(f"flight {number + 1} of {file.parent} was not flown: {why}")
         file.parent.mkdir(parents=True, exist_ok=True)
         content = {**found, "seed": seed, "told": effects}
         file.write_text(json.dumps(content, allow_nan=False), encoding="utf-8")
 
     def _fly(self, name: str, path: FlightPath, effects: list[Any], seed: int, log: Path) -> dict[str, Any]:
+        """Fly once, and put the log into its place.
+
+        Raises:
+            EndedError: the flight does not count: too little was flown, or the vehicle is not ours to fly on.
+            LinkError: it was refused.
+        """
         assert self.machine is not None
         started = time.perf_counter()
-        found = self.machine.fly(path, effects, seed=seed, log=log)
-        rmse = "not flown" if found["rmse_m"] is None else f"RMSE {100 * found['rmse_m']:.1f} cm"
+        again = (
+            f"It does not count, and what is finished is kept: start the same command again with "
+            f"out_dir={self.folder}, and it is flown again."
+        )
+        unfinished = self.folder / FLYING / log.name
+        for file in (unfinished, unfinished.with_suffix(".ulg")):
+            file.unlink(missing_ok=True)
+        try:
+            found = self.machine.fly(path, effects, seed=seed, log=unfinished)
+        except EndedError as error:
+            raise EndedError(f"{name}: {error}. {again}", error.status) from error
+        except LinkError as error:
+            raise LinkError(f"{name}: {error}. {again}") from error
         trouble = "" if found["trouble"] is None else f"; {found['trouble']['text']}"
+        flown = found["track"][-1][0] if found["track"] and unfinished.is_file() else 0.0
+        least = LEAST if self.config.by == LINK and log.parent.name == LOG else 0.0
+        if flown <= least * path.duration:
+            raise EndedError(
+                f"{name}: {flown:.2g} s of {path.duration:.3g} s were flown{trouble}. {again}", FLIGHT_ENDED
+            )
+        log.parent.mkdir(parents=True, exist_ok=True)
+        for file in (unfinished, unfinished.with_suffix(".ulg")):
+            if file.is_file():
+                file.replace(log.parent / file.name)
+        unfinished.parent.rmdir()
+        rmse = "not flown" if found["rmse_m"] is None else f"RMSE {100 * found['rmse_m']:.1f} cm"
         say(f"{name}: {rmse}{trouble} ({time.perf_counter() - started:.0f} s)")
         return found
 

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
+from math import radians
 from pathlib import Path
 from typing import Any, Protocol, final
 
@@ -20,6 +21,7 @@ from nsde_torch.control.summary import write_log
 from nsde_torch.errors import ConfigError
 from nsde_torch.px4.flight.controller import FlightController
 from nsde_torch.px4.flight.flying import fly as fly_vehicle
+from nsde_torch.px4.flight.options import FlightOptions
 from nsde_torch.px4.flight.path import PathPoints
 from nsde_torch.px4.flight.predictive import PredictiveController, PredictiveMaker, told
 from nsde_torch.px4.flight.runner import Process
@@ -30,6 +32,8 @@ from nsde_torch.systems import Multirotor, System
 from nsde_torch.systems.machines import plant_effects
 
 from .. import build, link_build, track_build
+from ..flight_end import check_end
+from .limits import check_inside, check_path
 
 VEHICLE, PLANT, LINK, HAND = "vehicle", "plant", "link", "hand"
 Say = Callable[[str], None]
@@ -183,11 +187,18 @@ class TrackedPlant:
 
 @final
 class LinkedVehicle:
-    """A vehicle over MAVLink in real time: `nsde vehicle`, or a PX4."""
+    """A vehicle over MAVLink in real time: `nsde vehicle`, or a PX4.
+
+    Raises:
+        ConfigError: limits that are none, or that an experiment may leave.
+    """
 
     def __init__(self, config: DictConfig, say: Say) -> None:
         self._config, self._say = config, say
         self._key = link_build.key(config.link)
+        self._limits, self._setpoints = link_build.limits(config.limits), link_build.setpoints(config.limits)
+        if config.experiments:
+            check_inside(config.experiment, self._limits)
         system = physics(config, [])
         assert isinstance(system, Multirotor)
         self._motors = system.nu
@@ -197,8 +208,15 @@ class LinkedVehicle:
         return _by_name(told(effects))
 
     def fly(self, path: FlightPath, effects: list[Any], *, seed: int, log: Path) -> dict[str, Any]:
-        """See `FlyingMachine`."""
+        """See `FlyingMachine`.
+
+        Raises:
+            ConfigError: the path leans further or is faster than where a flight is ended.
+            LinkError: it was refused before it began.
+            EndedError: it was stopped, or the vehicle was taken from us or is not seen to stand.
+        """
         c, mpc = self._config, self._config.mpc
+        check_path(path, physics(c, []), self._limits, dt=track_build.problem(mpc).dt)
         maker = PredictiveMaker(
             run=DECLARED,
             system=c.plant.system,
@@ -208,6 +226,7 @@ class LinkedVehicle:
             safety=track_build.safety(mpc),
             delay=c.delay,
             lead=c.lead,
+            tilt=radians(c.limits.tilt),
             effects=effects,
             threads=c.threads,
         )
@@ -217,10 +236,20 @@ class LinkedVehicle:
             runner.wait()
             with open_link(c.link.url, expose=c.link.expose, target=c.link.system, key=self._key) as link:
                 report = fly_vehicle(
-                    link, runner, PathPoints(path), motors=self._motors, log=log, say=self._say
+                    link,
+                    runner,
+                    PathPoints(path),
+                    motors=self._motors,
+                    log=log,
+                    limits=self._limits,
+                    setpoints=self._setpoints,
+                    # an experiment ends anywhere, and the next flight has its fence about where it takes off
+                    options=FlightOptions(come_back=True),
+                    say=self._say,
                 )
         finally:
             runner.close()
+        check_end(report.outcome)
         return {**report.as_dict(), "track": _rounded(report.track)}
 
 

@@ -14,6 +14,7 @@ from nsde_torch.plots.tracking import tracking
 from .. import build
 from .experiments import StoppedLoop
 from .loop import AFTER, BEFORE, TRUTH, ClosedLoop
+from .machines import HAND, LINK
 from .told import experiment_lines
 
 RESULT, PICTURE = "close_loop.json", "close_loop.png"
@@ -44,7 +45,10 @@ def record(loop: ClosedLoop, experiments: list[dict[str, Any]], stop: StoppedLoo
     content: dict[str, Any] = {
         "system": config.plant.system,
         "by": config.by,
-        "plant": {
+        # what a person flies, or is at the other end of a link, is not known
+        "plant": None
+        if config.by in (LINK, HAND)
+        else {
             "effects": build.options(config.plant)["effects"],
             "declared_only": config.plant.declared_only,
         },
@@ -60,6 +64,12 @@ def record(loop: ClosedLoop, experiments: list[dict[str, Any]], stop: StoppedLoo
         "ratio": _mean(ratios) if ratios else None,
         "better_in": sum(r < 1.0 for r in ratios),
         "pairs": len(pairs),
+        "not_to_the_end": [
+            {"flight": f"{stage} {k + 1}", "trouble": f["trouble"]["text"] if f["trouble"] else None}
+            for stage, flights in ((BEFORE, before), (AFTER, after if told else []), (TRUTH, truth))
+            for k, f in enumerate(flights)
+            if not f["tracked"]
+        ],
         "units": {"rmse_m": "m", "nats": "nat"},
     }
     if truth:
@@ -87,6 +97,9 @@ def text(content: dict[str, Any]) -> str:
         if "truth_m" in p:
             shown.append(f"{_cm(p['truth_m'])} told the truth")
         lines.append(f"seed {p['seed']}: RMSE {', '.join(shown)}")
+    again = " Start the same command again, and it is flown again." if content["by"] == LINK else ""
+    for f in content["not_to_the_end"]:
+        lines.append(f"{f['flight']} was not flown to its end: {f['trouble']}.{again}")
     if content["ratio"] is not None:
         lines.append(
             f"mean {_cm(content['before_mean_m'])} -> {_cm(content['after_mean_m'])} "

@@ -12,6 +12,8 @@ from omegaconf import DictConfig
 from nsde_torch.design import Standing
 from nsde_torch.design.files import PLAN
 
+from .limits import limit_key
+
 _NAMED = 3
 _NEAR = 0.7
 """Share of a limit from which it is named as one that binds."""
@@ -44,11 +46,10 @@ def _information(p: Mapping[str, Any]) -> float:
 
 def too_little(plan: Mapping[str, Any], told: float, config: DictConfig) -> str:
     """That no plan tells anything, and which limits the best one comes close to."""
-    keys = {"p": "experiment.fence", "v": "experiment.speed", "w": "experiment.rate"}
     near = [
-        f"{name} ({'leaves' if share > 1 else f'takes {share:.0%} of'} {keys[name[0]]} in rehearsal)"
+        f"{name} ({'leaves' if share > 1 else f'takes {share:.0%} of'} {limit_key(name, config)} in rehearsal)"
         for name, share in sorted(plan["plan"]["largest_share_of_limits"].items(), key=lambda kv: -kv[1])
-        if share >= _NEAR and name[0] in keys
+        if share >= _NEAR and name[:2] in ("p_", "v_", "w_")
     ][:_NAMED]
     path = plan["path_limits"] or {}
     for name, what in (("sideways", "acceleration_sideways"), ("up", "acceleration_up")):

@@ -20,6 +20,7 @@ from ..hydra_command import HydraCommand
 from ..keys import group, key, of
 from ..schemas.control import FlownPlantConfig, LinkConfig, MpcConfig
 from ..schemas.experiment import ExperimentConfig
+from ..schemas.limits import LimitsConfig
 from ..schemas.reference import ReferenceConfig
 
 if TYPE_CHECKING:
@@ -28,7 +29,7 @@ if TYPE_CHECKING:
     from ..jobs import Job
 
 SETTINGS = "settings.json"
-_FREE = ("out_dir", "threads", "experiments", "truth", "link")
+_FREE = ("out_dir", "threads", "experiments", "truth", "link", "limits")
 """Keys that another start on the same folder may have otherwise."""
 
 
@@ -67,6 +68,7 @@ class CloseLoopConfig:
     mpc: MpcConfig = group(MpcConfig, "the controller")
     experiment: ExperimentConfig = group(ExperimentConfig, "what an experiment may do")
     link: LinkConfig = group(LinkConfig, "how the vehicle is reached, with by=link")
+    limits: LimitsConfig = group(LimitsConfig, "when something is wrong in flight, with by=link")
 
 
 COMMAND = HydraCommand(
@@ -76,6 +78,7 @@ COMMAND = HydraCommand(
     module=__name__,
     groups={"reference": "lemniscate", "plant": "hexacopter", "mpc": "default", "link": "default"},
     values={"plant": {"effects": [{"linear_drag": {"drag": [0.6, 0.6, 0.2]}}]}},
+    goes_on=True,
     folder="close_loops/${now:%Y-%m-%d}/${now:%H-%M-%S}_${hydra:runtime.choices.reference}",
     paths=("out_dir",),
 )
@@ -157,6 +160,7 @@ def _same_settings(config: DictConfig, folder: Path) -> None:
         other = sorted(k for k in {*before, *settings} if before.get(k) != settings.get(k))
         if other:
             raise ConfigError(
-                f"`out_dir={folder}` holds a closed loop with other settings ({', '.join(other)}); name another folder."
+                f"`out_dir={folder}` holds a closed loop with other settings ({', '.join(other)}): give those of "
+                f"{file} to go on with it, or name another folder."
             )
     file.write_text(json.dumps(settings, indent=1), encoding="utf-8")

@@ -8,13 +8,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from nsde_torch.px4.flight.options import FlightOptions, Limits, SetpointLimits
+from nsde_torch.px4.flight.options import FlightOptions
 
-from ..exit_status import FLIGHT_ENDED, INTERRUPTED, NOT_LANDED, EndedError
+from ..exit_status import FLIGHT_ENDED, EndedError
 from ..hydra_command import HydraCommand
-from ..keys import group, key, mirrors, of
+from ..keys import group, key, of
 from ..quoted import from_file
 from ..schemas.control import LinkConfig, MpcConfig
+from ..schemas.limits import LimitsConfig
 from ..schemas.reference import ReferenceConfig
 
 if TYPE_CHECKING:
@@ -25,16 +26,6 @@ if TYPE_CHECKING:
     from ..jobs import Job
 
 RESULT, LOG = "flight.json", "log"
-
-
-@mirrors(Limits, without=("heartbeat", "patience"))
-class LimitsConfig:
-    """When something is wrong in flight; what is done about it is in the documentation of nsde fly."""
-
-    fence: Any = of(Limits, "fence")
-    rate: float = of(SetpointLimits, "rate")
-    yaw_rate: float = of(SetpointLimits, "yaw_rate")
-    throttle: list[float] = of(SetpointLimits, "throttle")
 
 
 @dataclass
@@ -61,6 +52,7 @@ class FlyConfig:
     climb_past: float = of(FlightOptions, "climb_past")
     climb: float = of(FlightOptions, "climb")
     hold: float = of(FlightOptions, "hold")
+    come_back: bool = of(FlightOptions, "come_back")
     safe_hold: float = of(FlightOptions, "safe_hold")
     rate: float = key(100.0, "setpoints in a second", unit="Hz", low=50, high=250)
     delay: float = key(
@@ -138,6 +130,7 @@ def run(config: DictConfig, job: Job) -> float | None:
         climb_past=config.climb_past,
         climb=config.climb,
         hold=config.hold,
+        come_back=config.come_back,
         safe_hold=config.safe_hold,
     )
     key = link_build.key(config.link)
@@ -230,17 +223,12 @@ def _verdict(reports: list[FlightReport]) -> float | None:
         LinkError: the flight was refused before it began.
         EndedError: it began and went wrong, or was not seen to land.
     """
-    from nsde_torch.px4.link.transport import LinkError
+    from ..flight_end import check_end
 
     last = reports[-1].outcome
-    if last.trouble is not None and last.trouble.kind == "refused":
-        raise LinkError(last.trouble.text)
-    why = "the reference was not flown to its end" if last.trouble is None else last.trouble.text
-    if not last.landed:
-        raise EndedError(f"the vehicle was NOT seen to land: {why}", NOT_LANDED)
-    if last.trouble is not None and last.trouble.kind in ("stop", "stopped"):
-        raise EndedError(f"the flight was stopped, and landed: {why}", INTERRUPTED)
+    check_end(last)
     if last.trouble is not None or not last.tracked:
+        why = "the reference was not flown to its end" if last.trouble is None else last.trouble.text
         raise EndedError(f"the flight went wrong, and landed: {why}", FLIGHT_ENDED)
     errors = [e for r in reports for e in r.errors]
     if not errors:

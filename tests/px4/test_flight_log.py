@@ -47,6 +47,18 @@ def test_a_flight_is_read_back_as_a_run_with_states_motors_and_setpoints(tmp_pat
     assert same.extra["battery_voltage"] == pytest.approx(run.extra["battery_voltage"], abs=1e-4)
 
 
+def test_positions_are_from_the_place_of_take_off_wherever_px4_was_switched_on(tmp_path: Path) -> None:
+    world = World(path=PathPoints(shapes.hover(duration=1.0, height=1.0)))
+    world.body.p = (40.0, -7.0, 0.0)
+    with FlightLog(tmp_path / "flight_0.csv", 4) as log:
+        recorder = Recorder(world.flight, log)
+        world.run(lambda w: recorder.look(w.now))
+    rows = np.loadtxt(tmp_path / "flight_0.csv", delimiter=",", skiprows=1)
+    assert np.abs(rows[:, 1:3]).max() < 0.5
+    assert np.median(rows[:, 3]) == pytest.approx(1.0, abs=0.4)
+    assert world.body.p[:2] == pytest.approx((40.0, -7.0), abs=0.5)
+
+
 def test_landing_is_px4s_and_not_logged_though_the_estimate_sinks_at_touch_down(tmp_path: Path) -> None:
     world = World(path=PathPoints(shapes.hover(duration=2.0, height=1.0)))
     believed: list[tuple[float, float]] = []

@@ -5,6 +5,7 @@ from __future__ import annotations
 import pytest
 
 from nsde_torch.control import shapes
+from nsde_torch.control.waypoints import waypoints
 from nsde_torch.px4.flight.options import FlightOptions
 from nsde_torch.px4.flight.path import PathPoints
 from nsde_torch.px4.flight.phases import Phase
@@ -30,6 +31,17 @@ def test_the_supplements_circle_is_flown_within_a_quarter_of_a_metre_at_its_spee
     world = World(path=PathPoints(shapes.circle(duration=16.0))).run()
     assert world.flight.outcome.tracked, world.says
     assert world.rmse < 0.25
+
+
+@pytest.mark.parametrize(("come_back", "left"), [(True, 0.0), (False, 2.0)])
+def test_a_flight_lands_where_its_reference_ends_or_where_it_took_off(come_back: bool, left: float) -> None:
+    path = PathPoints(waypoints([[0.0, 0.0, 1.0], [2.0, 0.0, 0.6]], times=[0.0, 3.0]))
+    options = FlightOptions(height=1.0, climb=1.2, hold=0.3, idle=0.4, spool=0.4, come_back=come_back)
+    world = World(path=path, options=options).run()
+    assert world.flight.outcome.tracked, world.says
+    assert world.flight.outcome.landed
+    assert world.safe
+    assert world.body.p[:2] == pytest.approx((left, 0.0), abs=0.3)
 
 
 def test_setpoints_come_at_a_hundred_hertz_from_stream_to_landing() -> None:

@@ -1,8 +1,8 @@
 """The log of a flight: a CSV data set as `nsde diagnose` reads it, written while it flies.
 
-One row a state, on the autopilot's clock: state (ENU, FLU), the motors' commands as the autopilot reports them, then
-what was asked for (`rate_sp_*` [rad/s], `throttle_sp`) and `battery_voltage` [V]. What is not known is `nan`. Beside
-it the same flight as ULog, for PX4's tools.
+One row a state, on the autopilot's clock: state (ENU from the place of take-off, FLU), the motors' commands as the
+autopilot reports them, then what was asked for (`rate_sp_*` [rad/s], `throttle_sp`) and `battery_voltage` [V]. What is
+not known is `nan`. Beside it the same flight as ULog, for PX4's tools.
 """
 
 from __future__ import annotations

@@ -10,7 +10,7 @@ import threading
 from array import array
 from collections import deque
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from math import degrees
 from pathlib import Path
 from typing import Any
@@ -169,13 +169,14 @@ class Recorder:
     def _take(self, flown: FlownState, tracked: bool, home: Vec) -> None:
         """A state that is known to be ours: into the statistics while the reference was tracked, and into the log."""
         f, state = self._flight, flown.state
-        if self._log is not None and state.p[2] > home[2] + LOGGED_FROM:
-            self._log.add(flown)
+        # PX4 counts from where it was switched on; fences and plans count from the place of take-off
+        at: Vec = (state.p[0] - home[0], state.p[1] - home[1], state.p[2] - home[2])
+        if self._log is not None and at[2] > LOGGED_FROM:
+            self._log.add(replace(flown, state=replace(state, p=at)))
         if f.started is None or not tracked:
             return
         # at the time for which the state is valid
         t = state.time - f.started
-        at: Vec = tuple(a - b for a, b in zip(state.p, home, strict=True))  # type: ignore[assignment]
         self.report.errors.append(distance(at, f.path.at(t).p))
         if not self.report.track or t > self.report.track[-1][0]:
             self.report.track.append((t, *at, *state.row[3:]))

@@ -24,6 +24,8 @@ from nsde_torch.px4.link.vectors import Vec, distance, length, yaw_of
 
 ROOM = 0.4
 """Distance from the fence's top that is kept on the way up [m]."""
+REST, SETTLE = 1.0, 4.0
+"""Time of rest after the reference, and longest wait for it above the place of take-off [s]."""
 
 
 @final
@@ -234,10 +236,18 @@ class Offboard(Supervised):
         self._hold_at(self._where, state)
 
     def _return(self, state: VehicleState | None, status: Status) -> None:
-        if state is None:
+        """Come to rest, and where that is asked for fly back: the next flight then has the same place and fence."""
+        if state is None or self.home is None or self._watch is None:
             return
-        self._hold_at(self._where, state)
-        if (self._elapsed > 1.0 and length(state.v) < 0.4) or self._elapsed > 5.0:
+        at = goal = self._where.p
+        if self.options.come_back:
+            goal = self._watch.inside((self.home[0], self.home[1], self._ground + self.options.height))
+        if self._elapsed > REST:
+            at = self._towards(at, goal, self.options.approach)
+        if at != goal or self._elapsed <= REST:
+            self._arrived = self._now
+        self._hold_at(Point(at, yaw=self._where.yaw), state)
+        if self._now > self._arrived and (length(state.v) < 0.4 or self._now - self._arrived > SETTLE):
             self._go(Phase.LAND)
 
     def _safe_hold(self, state: VehicleState | None, status: Status) -> None:

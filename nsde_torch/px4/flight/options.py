@@ -23,6 +23,7 @@ class FlightOptions:
     climb: float = key(0.8, "speed of take-off", unit="m/s", above=0, high=3)
     hold: float = key(2.0, "time of hovering before the reference", unit="s", low=0)
     approach: float = key(1.0, "speed at which the start of the reference is flown to", unit="m/s", above=0)
+    come_back: bool = key(False, "after the reference fly back, and land at the place of take-off")
     safe_hold: float = key(2.0, "time of hovering before landing when something is wrong", unit="s", low=0)
     connect: float = key(10.0, "longest wait for the vehicle", unit="s", low=0)
     checks: float = key(10.0, "longest wait for the checks to pass", unit="s", low=0)

@@ -76,7 +76,7 @@ class Supervised(ABC):
         self._cascade = SetpointCascade()
         self._watch: Watch | None = None
         self._begun: float | None = None
-        self._since = self._asked = self._now = self._last = self._grace = 0.0
+        self._since = self._asked = self._now = self._last = self._grace = self._arrived = 0.0
         self._good_since: float | None = None
         self._bad_since: float | None = None
         self._where = Point((0.0, 0.0, 0.0))
@@ -184,6 +184,7 @@ class Supervised(ABC):
         """Before the flight every trouble ends it; what may have been armed is disarmed."""
         if self._stop:
             why = "asked to stop"
+            self._trouble(Trouble("stop", why, Action.LAND))
         elif self.phase in (Phase.CONNECT, Phase.PREFLIGHT):
             return
         elif self._now - status.heard > self.limits.silence:

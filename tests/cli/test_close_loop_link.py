@@ -1,0 +1,296 @@
+"""`nsde close-loop by=link`: what a flight over a link may do to the loop, on vehicles in virtual time."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+
+from nsde_torch.cli.closed_loop import experiments, loop, machines
+from nsde_torch.cli.main import main
+from nsde_torch.control.waypoints import waypoints
+from nsde_torch.design.files import write_plan
+from nsde_torch.effects import files
+from nsde_torch.px4.flight.path import CascadeController, PathPoints
+from nsde_torch.px4.flight.phases import Phase
+from nsde_torch.px4.flight.runner import Inline
+from nsde_torch.px4.link import dialect as d
+from nsde_torch.px4.simulator.autopilot import SimulatedAutopilot
+from nsde_torch.px4.simulator.body import Body
+from nsde_torch.px4.simulator.virtual import VirtualLink
+
+LINKED = (
+    *(
+        "close-loop",
+        "by=link",
+        "plant=quadrotor",
+        "reference=hover",
+        "reference.duration=1",
+        "logged=1",
+        "flights=1",
+    ),
+    *("experiments=1", "out_dir=out"),
+)
+TIE = {
+    "kind": "tie",
+    "members": [["linear_drag"], ["quadratic_drag"]],
+    "names": ["linear_drag", "quadratic_drag"],
+}
+
+
+@pytest.fixture(autouse=True)
+def _elsewhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    monkeypatch.chdir(tmp_path)
+    before = torch.get_num_threads()
+    yield
+    torch.set_num_threads(before)
+
+
+class Flights:
+    """Vehicles that the loop flew, and what happens to the flight of that number."""
+
+    def __init__(self) -> None:
+        self.paths: list[str] = []
+        self.vehicle: SimulatedAutopilot | None = None
+        self.harm: dict[int, Callable[[Any, SimulatedAutopilot], None]] = {}
+
+
+@pytest.fixture
+def flights(monkeypatch: pytest.MonkeyPatch) -> Flights:
+    """Every flight is of a new vehicle in virtual time, by the cascade; a diagnosis is written, not made."""
+    made, fly = Flights(), machines.fly_vehicle
+
+    def opened(url: str, **more: Any) -> VirtualLink:
+        made.vehicle = SimulatedAutopilot(Body("quadrotor", seed=len(made.paths), latency=0.02), seed=1)
+        return VirtualLink(made.vehicle)
+
+    def flown(link: Any, runner: Any, path: PathPoints, **more: Any) -> Any:
+        made.paths.append(path.name)
+        harm, vehicle = made.harm.get(len(made.paths)), made.vehicle
+        assert vehicle is not None
+
+        def watch(flight: Any, now: float) -> None:
+            if harm is not None and flight.phase is Phase.TRACK and flight._elapsed > 0.5:
+                harm(flight, vehicle)
+
+        return fly(link, runner, path, **more, watch=watch)
+
+    def diagnosed(logs: Path, out: Path, *given: Any, **settings: Any) -> None:
+        if not (out / "diagnosis.json").is_file():
+            _diagnosis(out, tied=out.parent.name == "out", runs=[p.stem for p in sorted(logs.glob("*.csv"))])
+
+    monkeypatch.setattr(machines, "open_link", opened)
+    monkeypatch.setattr(machines, "fly_vehicle", flown)
+    monkeypatch.setattr(
+        machines, "Process", lambda maker, **more: Inline(CascadeController(PathPoints(maker.path)))
+    )
+    monkeypatch.setattr(loop, "diagnose_logs", diagnosed)
+    monkeypatch.setattr(experiments, "obtained", lambda *given, **more: Obtained())
+    return made
+
+
+class Obtained:
+    """What an experiment told, as if it had been looked at."""
+
+    def content(self) -> dict[str, Any]:
+        """See `nsde_torch.design.Obtained`."""
+        nats = {"linear_drag": 9.0, "quadratic_drag": -9.0}
+        return {
+            "nats": nats,
+            "speaks_for": "linear_drag",
+            "broken": True,
+            "expected_nats": 8.0,
+            "doubt": None,
+        }
+
+
+def _diagnosis(out: Path, *, tied: bool, runs: list[str]) -> None:
+    out.mkdir(parents=True, exist_ok=True)
+    files.write(out / "effects.yaml", "quadrotor", {"linear_drag": {"drag": [0.5, 0.5, 0.1]}}, "found")
+    finding = {"name": "linear_drag", "kind": "effect", "sentence": "There is drag.", "lead": False}
+    content = {
+        "verdict": "effect_found",
+        "findings": [finding],
+        "ties": [{"effects": ["linear_drag", "quadratic_drag"], "experiment": ""}] if tied else [],
+        "not_shown": [],
+        "ranking": [],
+        "parameters": {},
+        "warnings": [],
+        "data": {"runs": runs, "clock_scale": 1.0},
+    }
+    (out / "diagnosis.json").write_text(json.dumps(content))
+
+
+def _plan(content: Any = TIE) -> None:
+    """A plan for the tie, as an earlier start left it: two metres away in four seconds."""
+    place = Path("out/experiment_1")
+    place.mkdir(parents=True)
+    path = waypoints([[0.0, 0.0, 1.5], [2.0, 0.0, 1.2]], times=[0.0, 4.0])
+    rows = [[0.0, 0.0, 0.0, 1.5, 0.0], [4.0, 2.0, 0.0, 1.2, 0.0]]
+    write_plan(place / "plan.csv", ("p_x", "p_y", "p_z", "yaw"), torch.tensor(rows).double().numpy())
+    expected = [{"if_true": n, "nats": {"mean": 8.0}} for n in TIE["names"]]
+    plan = {"words": ["one way"], "duration_s": path.duration, "largest_share_of_limits": {}}
+    design = {"question": {**TIE, "parameters": []}, "expected": expected, "plan": plan, "path_limits": None}
+    (place / "design.json").write_text(json.dumps(design))
+
+
+def _content() -> dict[str, Any]:
+    content: dict[str, Any] = json.loads(Path("out/close_loop.json").read_text())
+    return content
+
+
+def test_a_stopped_experiment_does_not_count_and_is_flown_again_alone(
+    flights: Flights, capsys: pytest.CaptureFixture[str]
+) -> None:
+    _plan()
+    flights.harm[2] = lambda flight, vehicle: flight.stop() if not flight._stop else None
+    assert main(LINKED) == 130
+    said = capsys.readouterr().err
+    assert "experiment 1: the flight was stopped, and landed" in said
+    assert f"start the same command again with out_dir={Path('out').resolve()}" in said
+    assert flights.paths == ["hover", "plan"]
+    # nothing of it is among the logs that are diagnosed
+    assert {p.name for p in Path("out/log").iterdir()} == {"flight_0.csv", "flight_0.ulg", "flight_0.json"}
+    assert not Path("out/experiment_1/flight.json").exists()
+    assert main(LINKED) == 0
+    assert flights.paths == ["hover", "plan", "plan", "hover", "hover"]
+    assert (Path("out/log/experiment_1.csv")).stat().st_size > 1000
+    (entry,) = _content()["experiments"]
+    assert entry["flight"]["tracked"]
+    assert entry["nats_obtained"] == 9.0
+    assert _content()["plant"] is None  # what is at the other end of a link is not known
+    assert main(LINKED) == 0
+    assert len(flights.paths) == 5
+
+
+@pytest.mark.parametrize(
+    ("harm", "status", "said"),
+    [
+        (lambda flight, vehicle: vehicle.set_mode(d.LAND), 3, "the mode is LAND"),
+        (lambda flight, vehicle: setattr(vehicle, "mute", True), 4, "NOT seen to land"),
+    ],
+)
+def test_a_vehicle_that_was_taken_or_lost_is_not_flown_on(
+    harm: Any, status: int, said: str, flights: Flights, capsys: pytest.CaptureFixture[str]
+) -> None:
+    flights.harm[1] = harm
+    assert main(LINKED) == status
+    error = capsys.readouterr().err
+    assert said in error
+    assert "log 1: " in error
+    assert f"start the same command again with out_dir={Path('out').resolve()}" in error
+    assert flights.paths == ["hover"]
+    assert not list(Path("out/log").glob("*.csv")) if Path("out/log").is_dir() else True
+
+
+def test_a_refused_flight_says_why_and_what_to_do(
+    flights: Flights, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def empty(url: str, **more: Any) -> VirtualLink:
+        body = Body("quadrotor", seed=1)
+        body.used = 0.95
+        flights.vehicle = SimulatedAutopilot(body, seed=1)
+        return VirtualLink(flights.vehicle)
+
+    monkeypatch.setattr(machines, "open_link", empty)
+    assert main(LINKED) == 2
+    said = capsys.readouterr().err
+    assert "log 1: " in said
+    assert "battery" in said
+    assert f"with out_dir={Path('out').resolve()}, and it is flown again" in said
+
+
+def test_what_trips_a_limit_counts_as_an_experiment_and_is_flown_again_where_it_is_compared(
+    flights: Flights, capsys: pytest.CaptureFixture[str]
+) -> None:
+    _plan()
+
+    def push(flight: Any, vehicle: Any) -> None:
+        if flight._elapsed > 0.6 * flight.path.duration:
+            vehicle.body.v = (0.0, 9.0, 0.0)
+
+    flights.harm[2], flights.harm[3] = push, push
+    assert main(LINKED) == 0
+    assert flights.paths == ["hover", "plan", "hover", "hover"]
+    content = _content()
+    assert content["experiments"][0]["flight"]["trouble"]["kind"] in ("speed", "jump")
+    assert content["ratio"] is None
+    assert "before 1 was not flown to its end" in capsys.readouterr().out
+    # a limit may be changed, and what was flown to its end is not flown again
+    assert main([*LINKED, "limits.speed=8"]) == 0
+    assert flights.paths == ["hover", "plan", "hover", "hover", "hover"]
+    assert _content()["ratio"] is not None
+
+
+def test_an_experiment_of_which_little_was_flown_does_not_count(
+    flights: Flights, capsys: pytest.CaptureFixture[str]
+) -> None:
+    _plan()
+    flights.harm[2] = lambda flight, vehicle: setattr(vehicle.body, "v", (0.0, 9.0, 0.0))
+    assert main(LINKED) == 3
+    said = capsys.readouterr().err
+    assert "experiment 1: 0.5" in said
+    assert "s of 4.01 s were flown; the velocity jumped" in said
+    assert [p.name for p in Path("out/log").glob("*.csv")] == ["flight_0.csv"]
+
+
+def test_a_plan_that_leans_further_than_a_flight_may_is_not_begun(
+    flights: Flights, capsys: pytest.CaptureFixture[str]
+) -> None:
+    _plan()
+    assert main([*LINKED, "limits.tilt=5"]) == 2
+    said = capsys.readouterr().err
+    assert "`limits.tilt=5` ends a flight there" in said
+    assert flights.paths == ["hover"]
+    # the limit may be another at the next start
+    assert main(LINKED) == 0
+    assert flights.paths == ["hover", "plan", "hover", "hover"]
+
+
+def test_planning_that_is_interrupted_says_how_to_go_on(
+    flights: Flights, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def stopped(*given: Any, **more: Any) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(experiments, "design", stopped)
+    assert main(LINKED) == 130
+    assert f"start the same command again with out_dir={Path('out').resolve()}" in capsys.readouterr().err
+    assert main(LINKED) == 130
+    assert flights.paths == ["hover"]
+
+
+@pytest.mark.parametrize(
+    ("word", "said"),
+    [
+        ("limits.fence=[[-2,2],[-2,2],[-0.5,6]]", "`experiment.fence` reaches from -3.5 to 3.5 m along x"),
+        ("limits.speed=3", "`experiment.speed` is 4 m/s, beyond `limits.speed` of 3 m/s"),
+        ("limits.fence=[[1,2]]", "`limits.fence` takes"),
+        ("experiment.fence=[[1,2]]", "`experiment.fence` takes"),
+    ],
+)
+def test_experiments_stay_within_what_a_flight_is_ended_by(
+    word: str, said: str, flights: Flights, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main([*LINKED, word]) == 2
+    assert said in capsys.readouterr().err
+    assert not flights.paths
+
+
+def test_no_turn_is_planned_that_is_faster_than_what_is_sent() -> None:
+    from omegaconf import OmegaConf
+
+    from nsde_torch.cli.closed_loop.limits import limit_key, plan_limits
+    from nsde_torch.cli.commands.close_loop import CloseLoopConfig
+
+    config = OmegaConf.structured(CloseLoopConfig(by="link", out_dir="out"))
+    assert plan_limits(config)["w_z"] == [-2.5, 2.5]
+    assert plan_limits(config)["w_x"] == [-4.0, 4.0]
+    assert limit_key("w_z", config) == "limits.yaw_rate"  # what is said to be in the way
+    assert limit_key("w_x", config) == "experiment.rate"
+    config.by = "plant"  # whose motors are commanded directly
+    assert plan_limits(config)["w_z"] == [-4.0, 4.0]

@@ -21,8 +21,8 @@ from numpy.typing import NDArray
 
 from nsde_torch.design.filtering import FilterProblem
 from nsde_torch.design.members import Member, prior_information
+from nsde_torch.design.noise_units import NoiseUnits
 from nsde_torch.design.rollout import physics_of, steps_from
-from nsde_torch.design.whitening import Whitening
 from nsde_torch.design.widths import Branch, width_columns
 
 Array = NDArray[np.float64]
@@ -40,7 +40,7 @@ class Separation:
     def __init__(self, truth: Member, other: Member) -> None:
         self.truth, self.other = truth, other
         self._follow = _follow(truth, other)
-        self._units = Whitening(truth.regression) if other.filter is None else None
+        self._units = NoiseUnits(truth.regression) if other.filter is None else None
 
     def nats(self, states: Array, inputs: Array, thetas: Array) -> Array:
         """Expected evidence (S, C) of experiments in which the truth has some parameters.
@@ -115,7 +115,7 @@ class Precision:
         else:
             steps = steps_from(m.system, states, inputs, dt=m.regression.physics.steps.dt)
             physics = physics_of(m.system, steps)
-            units = Whitening(m.regression)
+            units = NoiseUnits(m.regression)
             slopes = units.slopes(physics, theta)
             rows = [slopes[:, a:b].reshape(-1, slopes.shape[2]) for a, b in units.experiments(physics)]
             infos = [j.T @ j + m.known for j in rows]

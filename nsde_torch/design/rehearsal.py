@@ -18,8 +18,8 @@ from nsde_torch.design.filtering import Filter, FilterProblem, stretches
 from nsde_torch.design.flyable import Draw
 from nsde_torch.design.limits import ExperimentLimits
 from nsde_torch.design.members import Member, log_likelihood
+from nsde_torch.design.noise_units import NoiseUnits
 from nsde_torch.design.rollout import Drive, Rollouts, disturbances
-from nsde_torch.design.whitening import Whitening
 from nsde_torch.diagnosis.options import Options
 from nsde_torch.diagnosis.search import search_in
 from nsde_torch.systems import System
@@ -118,7 +118,7 @@ def _by_filter(member: Member, own: Filter, each: Sequence[Run]) -> list[_Fit]:
 def _by_steps(declared: System, member: Member, each: Sequence[Run], clock: float) -> list[_Fit]:
     """The same by regressions of the experiment's residuals of steps, with what the runs say as a quadratic."""
     out: list[_Fit] = []
-    v, units = member.regression.vector, Whitening(member.regression)
+    v, units = member.regression.vector, NoiseUnits(member.regression)
     for run in each:
         search = search_in(declared, [run], clock, Options(), channels=True)
         fit = search.regression(member.system, member.regression)

@@ -13,7 +13,7 @@ from nsde_torch.design import Question
 from nsde_torch.design.designing import members_of
 from nsde_torch.design.files import write_plan
 from nsde_torch.design.members import Member
-from nsde_torch.design.whitening import Whitening
+from nsde_torch.design.noise_units import NoiseUnits
 from nsde_torch.diagnosis.options import Options
 from nsde_torch.diagnosis.search import search_in
 from nsde_torch.systems import System
@@ -88,7 +88,7 @@ def test_a_fit_knows_less_of_its_parameters_than_if_its_noise_were_given(members
 
 def test_experiments_are_whitened_as_the_fit_whitened_its_own_runs(members: list[Member]) -> None:
     fit = members[0].regression
-    units, residual = Whitening(fit), fit.physics.residual(fit.theta)
+    units, residual = NoiseUnits(fit), fit.physics.residual(fit.theta)
     white = units.residual(fit.physics, residual)
     for ours, theirs in zip(white, fit.white, strict=True):  # whose past is that of a step before the last
         assert np.corrcoef(ours, theirs)[0, 1] > 0.99

@@ -21,8 +21,8 @@ Array = NDArray[np.float64]
 
 
 @final
-class Whitening:
-    """Makes residuals white by the noise of a fit.
+class NoiseUnits:
+    """Puts residuals of steps into units of the noise of a fit.
 
     Args:
         fit: Fitted, with all channels in its past (`Regression.channels`).

@@ -21,12 +21,9 @@ from numpy.typing import NDArray
 
 from nsde_torch.design.filtering import FilterProblem
 from nsde_torch.design.members import Member, prior_information
+from nsde_torch.design.noise_units import NoiseUnits
 from nsde_torch.design.rollout import physics_of, steps_from
 from nsde_torch.design.widths import Branch, width_columns
-from nsde_torch.sysid.noise import extended
-from nsde_torch.sysid.physics import Physics
-from nsde_torch.sysid.regression import Regression
-from nsde_torch.sysid.series import Series
 
 Array = NDArray[np.float64]
 
@@ -43,6 +40,7 @@ class Separation:
     def __init__(self, truth: Member, other: Member) -> None:
         self.truth, self.other = truth, other
         self._follow = _follow(truth, other)
+        self._units = NoiseUnits(truth.regression) if other.filter is None else None
 
     def nats(self, states: Array, inputs: Array, thetas: Array) -> Array:
         """Expected evidence (S, C) of experiments in which the truth has some parameters.
@@ -76,15 +74,16 @@ class Separation:
 
     def _by_steps(self, states: Array, inputs: Array, theta: Array) -> Array:
         """Expected evidence (C,) by residuals of steps, at one set of parameters of the truth (k,)."""
-        a, b = self.truth, self.other
+        a, b, units = self.truth, self.other, self._units
+        assert units is not None
         there = self._there(b.branches[0], theta, a.theta)
         steps = steps_from(a.system, states, inputs, dt=a.regression.physics.steps.dt)
         left = physics_of(b.system, steps)
         # what a rollout and a regression differ by in the truth itself is no evidence
         own = physics_of(a.system, steps).residual(theta)
-        d, slopes, edges = whitened(a.regression, left, left.residual(there) - own, there)
+        d, slopes = units.residual(left, left.residual(there) - own), units.slopes(left, there)
         out = []
-        for first, end in edges:
+        for first, end in units.experiments(left):
             dd = d[:, first:end].reshape(-1)
             j = slopes[:, first:end].reshape(len(dd), -1)
             pull = j.T @ dd
@@ -116,33 +115,11 @@ class Precision:
         else:
             steps = steps_from(m.system, states, inputs, dt=m.regression.physics.steps.dt)
             physics = physics_of(m.system, steps)
-            _, slopes, edges = whitened(m.regression, physics, physics.residual(theta), theta)
-            rows = [slopes[:, a:b].reshape(-1, slopes.shape[2]) for a, b in edges]
+            units = NoiseUnits(m.regression)
+            slopes = units.slopes(physics, theta)
+            rows = [slopes[:, a:b].reshape(-1, slopes.shape[2]) for a, b in units.experiments(physics)]
             infos = [j.T @ j + m.known for j in rows]
         return np.array([np.sqrt(np.diag(np.linalg.inv(info))) for info in infos])
-
-
-def whitened(
-    fit: Regression, physics: Physics, residual: Array, theta: Array
-) -> tuple[Array, Array, tuple[tuple[int, int], ...]]:
-    """Residuals (channels, M) and slopes (channels, M, k) in units of a fit's noise, and rows of each experiment."""
-    single = Series(physics.steps.segments)
-    boxes = single.boxes(fit.box)
-    slopes = single.summed(physics.slopes(theta), fit.box)
-    pairs = list(zip(fit.noises, fit.rows, strict=True))
-    return (
-        whitened_residual(fit, physics, residual),
-        np.stack([law.whiten(slopes[:, c], boxes) for law, c in pairs]),
-        extended(boxes).edges,
-    )
-
-
-def whitened_residual(fit: Regression, physics: Physics, residual: Array) -> Array:
-    """Residuals (channels, M) in units of a fit's noise."""
-    single = Series(physics.steps.segments)
-    boxes, rest = single.boxes(fit.box), single.summed(residual, fit.box)
-    pairs = zip(fit.noises, fit.rows, strict=True)
-    return np.stack([law.whiten(rest[:, [c]], boxes)[:, 0] for law, c in pairs])
 
 
 def _follow(truth: Member, other: Member) -> Array:

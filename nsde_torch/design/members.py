@@ -1,12 +1,19 @@
 """What may be true: physics fitted to the runs there are, with what these leave open.
 
 All members are fitted with noise models of one kind, so that they are compared by their physics alone.
+
+Where inputs react to measurements, as those of every flight do, what the past of all channels foretells is taken out of
+residuals and slopes (`sysid.feedback`), and what is left of the slopes beside the laws of the noise is what a member
+knows of its parameters. Gentle flights in gusts answer the gusts: with a law for each channel alone, gains of such
+flights come out a quarter too small, and surely so.
 """
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import chain, product
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,7 +22,7 @@ from nsde_torch.data import Run
 from nsde_torch.design.filtering import Filter, FilterProblem, stretches
 from nsde_torch.design.noises import Noises, noises_of
 from nsde_torch.design.widths import Branch, branches, lower_bounds, width_columns
-from nsde_torch.diagnosis.candidates import make_candidate
+from nsde_torch.diagnosis.candidates import alone, make_candidate
 from nsde_torch.diagnosis.fitted import fitted_system
 from nsde_torch.diagnosis.options import Options
 from nsde_torch.diagnosis.screening import starts
@@ -30,6 +37,8 @@ Array = NDArray[np.float64]
 _ROUNDS = 12
 _STARTS = 8
 """First values that the fit of a member is tried from."""
+_BETTER = 0.02  # nats by which another optimum is one
+_SURE_OF_HELD = 1e-3  # of its typical size
 
 
 @dataclass(frozen=True)
@@ -124,12 +133,14 @@ def fitted_members(
     Raises:
         ConfigError: a member cannot be fitted to the runs.
     """
-    search = search_in(declared, runs, clock, Options())
-    first = search.base(named[0]).regression
-    fits = [
-        first,
-        *(_nearest(search, system, first, name) for system, name in zip(named[1:], names[1:], strict=True)),
-    ]
+    search = search_in(declared, runs, clock, Options(), channels=True)
+    fits: list[Regression] = []
+    for system, name in zip(named, names, strict=True):
+        first = fits[0] if fits else None
+        known = declared if first is None else first.vector.system
+        own = [n for n in system.effect_names if n not in known.effect_names]
+        fits.append(_nearest(search, system, first, name, own))
+    first = fits[0]
     noise = noises_of(first)
     return search, [_member(declared, name, fit, runs, noise) for name, fit in zip(names, fits, strict=True)]
 
@@ -171,44 +182,85 @@ def with_starts(search: Search, system: System, effects: Sequence[str]) -> list[
     return out[::step]
 
 
-def _nearest(search: Search, system: System, like: Regression, name: str) -> Regression:
-    """The best fit of a system from several first values, with noise models of the kind of another fit."""
-    own = [n for n in system.effect_names if n not in like.vector.system.effect_names]
+def _nearest(
+    search: Search, system: System, like: Regression | None, name: str, own: Sequence[str]
+) -> Regression:
+    """The best fit of a system from several first values of some effects.
+
+    Of a parameter that every input has one of, one alone is tried too, as a diagnosis does: all of them together and a
+    gain may be one number, which no data show and which bounds keep from where the others want it.
+
+    Args:
+        search: Data and settings.
+        system: Physics.
+        like: A fit whose values it starts from, and whose kind its noise models are of; None: of its own.
+        name: What it is called.
+        own: Names of the effects.
+    """
     best: Regression | None = None
     why = ""
     for begun in [system, *with_starts(search, system, own)]:
-        try:
-            fit = search.regression(begun, like)
-            fit.run(search.budgets.iterations)
-        except (NsdeError, np.linalg.LinAlgError) as error:
-            why = str(error)
-            continue
-        if best is None or log_likelihood(fit) > log_likelihood(best):
-            best = fit
+        for held in [(), *_one_input_each(ParameterVector(begun), own)]:
+            try:
+                fit = _fit(search, begun, like, held)
+            except (NsdeError, np.linalg.LinAlgError) as error:
+                why = str(error)
+                continue
+            if best is None or _score(fit) > _score(best) + _BETTER:
+                best = fit
     if best is None:
         raise ConfigError(f"{name} cannot be fitted to the runs: {why}")
     return best
 
 
+def _fit(search: Search, system: System, like: Regression | None, held: Sequence[str]) -> Regression:
+    """A fit with parameters held at nothing."""
+    system = system.with_effects()
+    vector = ParameterVector(system)
+    vector.write(system, np.where(np.isin(vector.labels, held), vector.low, vector.start))
+    if like is None:
+        own = copy.copy(search)
+        own.held = search.held | set(held)
+        return own.base(system).regression
+    out = search.regression(system, like, held=held)
+    out.run(search.budgets.iterations)
+    return out
+
+
+def _one_input_each(vector: ParameterVector, effects: Sequence[str]) -> list[tuple[str, ...]]:
+    """Labels to hold at nothing, a choice at a time: what effects have one of for every input, but of one input."""
+    each = [alone(name, [vector.labels[j] for j in vector.of(name)]) for name in effects]
+    return [held for held in (tuple(chain(*some)) for some in product(*each)) if held]
+
+
+def _score(fit: Regression) -> float:
+    """Log-likelihood less one for each parameter that was free (Akaike)."""
+    return log_likelihood(fit) + float(fit.held.sum())
+
+
 def _member(declared: System, name: str, fit: Regression, runs: Sequence[Run], noise: Noises) -> Member:
     effects = tuple(n for n in fit.vector.system.effect_names if n not in declared.effect_names)
     if not declared.sensor_noise:
-        flat = fit.slopes.reshape(-1, len(fit.vector))
-        nats = log_likelihood(fit)
-        known = flat.T @ flat
+        nats, known = log_likelihood(fit), fit.information() + _of_held(fit)
         only = Branch(fit.theta, known + prior_information(fit.vector), nats)
         return Member(name, effects, fitted_system(fit), fit, fit.theta, known, nats, None, (only,))
     own = Filter(fitted_system(fit), dt=fit.physics.steps.dt, noise=noise)
     prior = prior_information(own.vector)
+    given = prior + _of_held(fit)
     dt = fit.physics.steps.dt
     own.vector.low = lower_bounds(fit.vector, fit.theta, dt=dt, fine_dt=own.rollouts.fine_dt)
     own.vector.high = fit.vector.high
-    found = own.solve([FilterProblem(*stretches(runs), fit.theta, prior)], rounds=_ROUNDS)[0]
-    each = branches(own, runs, Branch(found.theta, found.information, found.nats), prior)
+    found = own.solve([FilterProblem(*stretches(runs), fit.theta, given)], rounds=_ROUNDS)[0]
+    each = branches(own, runs, Branch(found.theta, found.information, found.nats), given)
     system = fitted_system(fit)
     theta = each[0].theta
     own.vector.write(system, theta)
     return Member(name, effects, system, fit, theta, each[0].known - prior, each[0].nats, own, each)
+
+
+def _of_held(fit: Regression) -> Array:
+    """What is known of parameters that a fit held at nothing (k, k)."""
+    return np.diag(fit.held / np.square(_SURE_OF_HELD * fit.vector.scale))
 
 
 def log_likelihood(fit: Regression) -> float:

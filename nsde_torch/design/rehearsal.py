@@ -14,11 +14,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nsde_torch.data import Run
-from nsde_torch.design.expected import whitened_residual
 from nsde_torch.design.filtering import Filter, FilterProblem, stretches
 from nsde_torch.design.flyable import Draw
 from nsde_torch.design.limits import ExperimentLimits
 from nsde_torch.design.members import Member, log_likelihood
+from nsde_torch.design.noise_units import NoiseUnits
 from nsde_torch.design.rollout import Drive, Rollouts, disturbances
 from nsde_torch.diagnosis.options import Options
 from nsde_torch.diagnosis.search import search_in
@@ -118,9 +118,10 @@ def _by_filter(member: Member, own: Filter, each: Sequence[Run]) -> list[_Fit]:
 def _by_steps(declared: System, member: Member, each: Sequence[Run], clock: float) -> list[_Fit]:
     """The same by regressions of the experiment's residuals of steps, with what the runs say as a quadratic."""
     out: list[_Fit] = []
-    v = member.regression.vector
+    v, units = member.regression.vector, NoiseUnits(member.regression)
     for run in each:
-        fit = search_in(declared, [run], clock, Options()).regression(member.system, member.regression)
+        search = search_in(declared, [run], clock, Options(), channels=True)
+        fit = search.regression(member.system, member.regression)
         theta, best = member.theta, (-np.inf, fit, member.theta)
         for _ in range(_ITERATIONS):
             fit = fit.at(theta)
@@ -134,10 +135,9 @@ def _by_steps(declared: System, member: Member, each: Sequence[Run], clock: floa
             pull = flat.T @ fit.white.reshape(-1) - member.known @ away
             theta = v.inside(theta + np.linalg.solve(info, pull))
         nats, fit, theta = best
-        flat = fit.slopes.reshape(-1, len(theta))
-        cov = np.asarray(np.linalg.inv(flat.T @ flat + member.known), dtype=np.float64)
+        cov = np.asarray(np.linalg.inv(fit.information() + member.known), dtype=np.float64)
         # by the noise of the runs before: the experiment's own has learned what no parameter explains
-        left = np.square(whitened_residual(member.regression, fit.physics, fit.physics.residual(theta)))
+        left = np.square(units.residual(fit.physics, fit.physics.residual(theta)))
         away = theta - member.theta
         out.append((nats, theta, cov, float(np.mean(left)), float(away @ member.known @ away) ** 0.5))
     return out

@@ -64,6 +64,7 @@ class Search:
         alpha: Chance of adding an effect where none is missing.
         candidates: Names to choose from; None takes all that the system may have.
         feedback: Take out what kinematic residuals foretell, where inputs react to sensors (`identify.feedback`).
+        channels: With `feedback`: what the residuals of all channels foretell.
         inputs: Whether the inputs are what acted, and not restored from an average.
         stages: Stages of the recording chain that found something (`recording.levels`).
         moved: Whether channels that were late have been moved.
@@ -87,6 +88,7 @@ class Search:
         alpha: float,
         candidates: Sequence[str] | None = None,
         feedback: bool = False,
+        channels: bool = False,
         inputs: bool = True,
         stages: Collection[str] = (),
         moved: bool = False,
@@ -104,7 +106,7 @@ class Search:
         self.tried = 0
         self.law_variables: tuple[str, ...] = ()
         self.law_channels: tuple[str, ...] = ()
-        self.feedback, self.inputs, self.moved = feedback, inputs, moved
+        self.feedback, self.channels, self.inputs, self.moved = feedback, channels, inputs, moved
         self._stages = frozenset(stages)
 
     def level(self, stage: str, *found: str) -> float:
@@ -250,6 +252,7 @@ class Search:
                 origin=system,
                 held=still,
                 feedback=self.feedback,
+                channels=self.channels,
                 warm=warm,
                 memory_s=self.decisions.noise_memory,
             )
@@ -265,6 +268,7 @@ class Search:
             origin=system,
             held=still,
             feedback=self.feedback,
+            channels=self.channels,
             memory_s=self.decisions.noise_memory,
         )
 
@@ -281,6 +285,7 @@ def search_in(
     options: Options,
     *,
     inputs: bool = True,
+    channels: bool = False,
     stages: Collection[str] = (),
     moved: bool = False,
     decisions: Decisions | None = None,
@@ -296,6 +301,7 @@ def search_in(
         clock: Physical seconds per logged second.
         options: Settings.
         inputs: Whether the inputs are what acted (see `Search`).
+        channels: Take out what all channels foretell, not the kinematic ones alone, where inputs react to sensors.
         stages: Stages of the recording chain that found something.
         moved: Whether channels that were late have been moved.
         decisions: What it decides by; None takes the options'.
@@ -326,6 +332,7 @@ def search_in(
         if options.candidates is None
         else on_coordinates(system, (*options.candidates, *map(register, options.also))),
         feedback=not system.sensor_noise,
+        channels=channels,
         inputs=inputs,
         stages=stages,
         moved=moved,

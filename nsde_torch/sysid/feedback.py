@@ -7,6 +7,12 @@ residuals foretells is taken out of it:
 
     s = measured minus integrated change of the states that no parameter moves,   S_j = sum_i c_j^i s_{k-1-i}
     e_k <- e_k - S_k b,    b by least squares (multivariate prediction errors: Ljung, 1999, section 7.2)
+
+A gentle flight in gusts has little in its inputs but answers to what struck it. There the kinematic residuals are not
+enough: a channel's own law was fitted without them, and beside them its past says something else. With `channels` the
+past of the residuals of the channels themselves is taken out too, all in one regression. What is left is new to inputs
+that were made from the log, and the slopes that it is compared with were known before it: the estimate is right
+whatever the laws are (an instrumental variable; Soderstrom and Stoica, 1983), at the price of wider intervals.
 """
 
 import numpy as np
@@ -20,17 +26,20 @@ Array = NDArray[np.float64]
 
 _FADING = (0.0, 0.5, 0.8, 0.9, 0.95)
 _FEWEST_ROWS = 200  # per column: what is taken out is lost to the parameters, and short data cannot afford it
+_FADING_OF_ALL = (0.0, 0.8, 0.95)
+_FEWEST_ROWS_OF_ALL = 5  # per column: without it, short data in a closed loop are wrong and not only vague
 
 
-def past(kinematic: Array, series: Series) -> Array:
+def past(residuals: Array, series: Series, *, channels: bool = False) -> Array:
     """Orthonormal columns (N + stretches, p) that span what is known before each whitened row; none for short data.
 
     Args:
-        kinematic: Kinematic residuals (N, m).
+        residuals: Kinematic residuals (N, m), with `channels` those of all channels.
         series: Their stretches.
+        channels: Whether the channels themselves are among them.
     """
-    out = faded(kinematic, series)
-    if len(out) < _FEWEST_ROWS * out.shape[1]:
+    out = faded(residuals, series, channels=channels)
+    if len(out) < _fewest(channels) * out.shape[1]:
         return out[:, :0]
     length = np.linalg.norm(out, axis=0)
     if not length.any():
@@ -39,31 +48,35 @@ def past(kinematic: Array, series: Series) -> Array:
     return np.asarray(basis[:, values > 1e-6 * values[0]])
 
 
-def faded(kinematic: Array, series: Series) -> Array:
-    """What is known before each whitened row: fading sums S of earlier kinematic residuals (N + stretches, p).
+def faded(residuals: Array, series: Series, *, channels: bool = False) -> Array:
+    """What is known before each whitened row: fading sums S of earlier residuals (N + stretches, p), see `past`.
 
-    Args:
-        kinematic: Kinematic residuals (N, m).
-        series: Their stretches.
+    Columns are those of the residuals with the first c, then with the second, and so on.
     """
-    out = np.zeros((len(kinematic) + len(series.edges), kinematic.shape[1] * len(_FADING)))
+    fading = _FADING_OF_ALL if channels else _FADING
+    out = np.zeros((len(residuals) + len(series.edges), residuals.shape[1] * len(fading)))
     for (a, b), (first, last) in zip(series.edges, extended(series).edges, strict=True):
-        parts = [lfilter([1.0], [1.0, -c], kinematic[a:b], axis=0) for c in _FADING]
+        parts = [lfilter([1.0], [1.0, -c], residuals[a:b], axis=0) for c in fading]
         out[first + 2 : last] = np.concatenate(parts, 1)[:-1]
     return out
 
 
-def foretelling(kinematic: Array, series: Series, white: Array) -> Array:
+def foretelling(residuals: Array, series: Series, white: Array, *, channels: bool = False) -> Array:
     """Coefficients b (p, channels) of `faded` for other data of the same machine; none (0, channels) for short data.
 
     Args:
-        kinematic: Kinematic residuals (N, m).
+        residuals: See `past`.
         series: Their stretches.
         white: Whitened residuals with what is foretold in them (channels, N + stretches).
+        channels: See `past`.
     """
-    columns = faded(kinematic, series)
+    columns = faded(residuals, series, channels=channels)
     size = np.linalg.norm(columns, axis=0)
-    if len(columns) < _FEWEST_ROWS * columns.shape[1] or not size.any():
+    if len(columns) < _fewest(channels) * columns.shape[1] or not size.any():
         return np.zeros((0, len(white)))
     size = np.maximum(size, 1e-12 * size.max())
     return np.asarray(np.linalg.lstsq(columns / size, white.T, rcond=1e-6)[0] / size[:, None])
+
+
+def _fewest(channels: bool) -> int:
+    return _FEWEST_ROWS_OF_ALL if channels else _FEWEST_ROWS

@@ -70,6 +70,7 @@ class Regression:
         warm: Start with the noise models at the first theta, where that is near its optimum.
         memory_s: Time after which noise forgets [s] (see `noise`).
         feedback: Take out of `white` and `slopes` what kinematic residuals foretell (see `feedback`).
+        channels: With `feedback`: what the residuals of all channels foretell.
         levels: Take the mean of each run out of `white` and `slopes`: a steady push is nobody's.
 
     Attributes:
@@ -78,6 +79,7 @@ class Regression:
         noises: Their laws.
         white, slopes: Whitened residuals (channels, N) and slopes (channels, N, k) at theta.
         memory: Rows after which noise forgets.
+        held: Whether each parameter stays where it started (k,).
     """
 
     def __init__(
@@ -92,14 +94,15 @@ class Regression:
         held: Collection[str] = (),
         plain: bool = False,
         feedback: bool = False,
+        channels: bool = False,
         warm: bool = False,
         levels: bool = False,
         memory_s: float = inf,
     ) -> None:
-        self._feedback = feedback
+        self._feedback, self._channels = feedback, channels
         self._past = np.zeros((0, 0))
         self.physics, self.box, self.origin, self._plain = physics, box, origin, plain
-        self._held = np.array([label in held for label in physics.vector.labels])
+        self.held = np.array([label in held for label in physics.vector.labels])
         self.vector = physics.vector
         single = Series(physics.steps.segments)
         self.single, self.series = single, single.boxes(box)
@@ -150,7 +153,7 @@ class Regression:
 
     def _relinearise(self) -> None:
         self.jacobian = self.single.summed(self.physics.slopes(self.theta), self.box)
-        self.jacobian[..., self._held] = 0.0
+        self.jacobian[..., self.held] = 0.0
 
     def carry_limits(self) -> Array:
         """Largest c of each channel (see `carry_limits`)."""
@@ -194,8 +197,8 @@ class Regression:
         self.noises = noises
         pairs = list(zip(noises, self.rows, strict=True))
         if self._feedback and self._refined < 3:
-            kinematic = self.physics.kinematic(self.physics.residual(self.theta), self.rows)
-            self._past = past(self.single.summed(kinematic, self.box), self.series)
+            known = self.known_before(self.physics, self.physics.residual(self.theta))
+            self._past = past(self.single.summed(known, self.box), self.series, channels=self._channels)
         self.white = np.stack([self.whitened(n, self.residual[:, [c]])[:, 0] for n, c in pairs])
         self.slopes = np.stack([self.whitened(n, self.jacobian[:, c]) for n, c in pairs])
         finite = [
@@ -264,6 +267,11 @@ class Regression:
         """Columns (N, k) in whitened rows, without what the past of other channels foretells."""
         return self._purged(noise.whiten(values, self.series))
 
+    def known_before(self, physics: Physics, residual: Array) -> Array:
+        """Residuals (N, m) whose past foretells later ones (`feedback`), of these or other steps of its physics."""
+        kinematic = physics.kinematic(residual, self.rows)
+        return np.concatenate((kinematic, residual[:, self.rows]), 1) if self._channels else kinematic
+
     def _purged(self, values: Array) -> Array:
         return values - self._past @ (self._past.T @ values) if self._past.size else values
 
@@ -284,15 +292,26 @@ class Regression:
 
     def spread(self) -> Spread:
         """Covariance in the directions that are shown."""
+        purged, used = self._beside_laws(self.shown.basis)
+        return spread(purged, self.white, self.whitened_rows(self.blocks), used)
+
+    def information(self) -> Array:
+        """What the rows say of theta (k, k), where the laws of the noise were fitted to the same rows."""
+        k = len(self.vector)
+        flat = self._beside_laws(np.eye(k))[0].reshape(-1, k)
+        return np.asarray(flat.T @ flat)
+
+    def _beside_laws(self, basis: Array) -> tuple[Array, int]:
+        """Slopes (channels, N, r) along directions (k, r) without what those of the laws explain, and how many do."""
         purged, used = [], 0
         for i, (noise, channel) in enumerate(zip(self.noises, self.rows, strict=True)):
-            x = self.slopes[i] @ self.shown.basis
+            x = self.slopes[i] @ basis
             own = self._purged(noise.own_slopes(self.residual[:, channel], self.series))
             if own.shape[1]:
                 x = x - own @ np.linalg.lstsq(own, x, rcond=None)[0]
             purged.append(x)
             used += own.shape[1] + self._past.shape[1]
-        return spread(np.stack(purged), self.white, self.whitened_rows(self.blocks), used)
+        return np.stack(purged), used
 
     def at(self, theta: Array) -> "Regression":
         """The same at other values, with noise models of the same kind."""

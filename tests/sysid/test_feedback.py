@@ -29,6 +29,19 @@ def test_few_rows_give_no_columns_that_they_could_not_bear() -> None:
     assert past(s, Series(((0, 900),))).shape == (901, 0)
 
 
+def test_with_all_channels_short_data_bear_what_they_need_and_it_is_past() -> None:
+    s = np.random.default_rng(0).normal(size=(900, 4))
+    one = Series(((0, 900),))
+    assert past(s, one).shape == (901, 0)
+    basis = past(s, one, channels=True)
+    assert basis.shape == (901, 12)
+    changed = s.copy()
+    changed[500:] += 3.0  # whitened row 502 is the first that knows of it
+    before, after = (faded(v, one, channels=True) for v in (s, changed))
+    np.testing.assert_array_equal(before[:502], after[:502])
+    assert np.abs(before[502] - after[502]).max() > 1.0
+
+
 def test_what_the_past_foretells_of_one_data_set_is_taken_out_of_another() -> None:
     rng = np.random.default_rng(1)
     coefficients = 0.3 * rng.normal(size=(10, 1))

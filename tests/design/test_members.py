@@ -1,0 +1,102 @@
+"""Members of a tie in gusts that the inputs answer: gains near the truth, and the weak motor that is."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import nsde_torch
+from nsde_torch.data import Run
+from nsde_torch.design import Question
+from nsde_torch.design.designing import members_of
+from nsde_torch.design.files import write_plan
+from nsde_torch.design.members import Member
+from nsde_torch.design.noise_units import NoiseUnits
+from nsde_torch.diagnosis.options import Options
+from nsde_torch.diagnosis.search import search_in
+from nsde_torch.systems import System
+from nsde_torch.systems.options import system_options
+
+LOSS = 0.11
+WEAK, OFFSET = ("motor_efficiency_loss",), ("com_offset",)
+GAINS = {"thrust_gain": 6.4, "roll_gain": 58.0, "pitch_gain": 58.0}
+
+
+@pytest.fixture(scope="module")
+def flights(tmp_path_factory: pytest.TempPathFactory) -> tuple[System, list[Run]]:
+    """Two gentle flights of a quadrotor whose third motor is weak."""
+    runs = []
+    for i in range(2):
+        t = np.arange(9.0)
+        points = [0.5 * np.sin(f * t + i) for f in (0.7, 0.5)]
+        plan = tmp_path_factory.mktemp("plan") / "plan.csv"
+        write_plan(
+            Path(plan), ("p_x", "p_y", "p_z", "yaw"), np.column_stack((t, *points, 2.0 + 0.0 * t, 0.0 * t))
+        )
+        weak = [{"motor_efficiency_loss": {"loss": [0.0, 0.0, LOSS, 0.0]}}]
+        raw = nsde_torch.simulate("quadrotor", effects=weak, declared_only=True, seed=70 + i, plan=plan).runs[
+            0
+        ]
+        runs.append(Run(f"run_{i}", raw.t, raw.x, raw.u))
+    return system_options("quadrotor").make(), runs
+
+
+@pytest.fixture(scope="module")
+def members(flights: tuple[System, list[Run]]) -> list[Member]:
+    system, runs = flights
+    return members_of(system, runs, Question((WEAK, OFFSET)), {}, clock=1.0)
+
+
+def away(labels: list[str], theta: np.ndarray, errors: np.ndarray) -> float:
+    """Standard errors by which the gain that is off most is off."""
+    return max(abs(theta[i] - GAINS[k]) / errors[i] for i, k in enumerate(labels) if k in GAINS)
+
+
+def test_gains_of_a_gentle_flight_are_near_the_truth_for_what_is_said_of_them(
+    flights: tuple[System, list[Run]], members: list[Member]
+) -> None:
+    system, runs = flights
+    for member in members:
+        assert away(member.labels, member.theta, np.sqrt(np.diag(member.covariance))) < 3.0
+    # with a law for each channel alone, which is what is left of a diagnosis' means for runs as short, one is wrong
+    base = search_in(system, runs, 1.0, Options()).base(members[0].system, warm=True).regression
+    flat = base.slopes.reshape(-1, len(base.vector))
+    errors = np.sqrt(np.diag(np.linalg.pinv(flat.T @ flat)))
+    assert away(base.vector.labels, base.theta, errors) > 4.0
+
+
+def test_one_weak_motor_is_found_and_not_spoken_against(members: list[Member]) -> None:
+    weak, offset = members
+    loss = [weak.theta[weak.labels.index(f"motor_efficiency_loss.loss[{i}]")] for i in range(4)]
+    np.testing.assert_allclose(loss, [0.0, 0.0, LOSS, 0.0], atol=0.02)
+    assert weak.nats > offset.nats - 3.0
+    # what is held at nothing is drawn there
+    drawn = weak.draws(8, np.random.default_rng(0))
+    first = weak.labels.index("motor_efficiency_loss.loss[0]")
+    assert np.abs(drawn[:, first]).max() < 1e-3
+
+
+def test_a_fit_knows_less_of_its_parameters_than_if_its_noise_were_given(members: list[Member]) -> None:
+    fit = members[1].regression
+    flat = fit.slopes.reshape(-1, len(fit.vector))
+    lost = np.linalg.eigvalsh(flat.T @ flat - fit.information())
+    assert lost.min() > -1e-9 * lost.max()
+    assert lost.max() > 0
+
+
+def test_experiments_are_whitened_as_the_fit_whitened_its_own_runs(members: list[Member]) -> None:
+    fit = members[0].regression
+    units, residual = NoiseUnits(fit), fit.physics.residual(fit.theta)
+    white = units.residual(fit.physics, residual)
+    for ours, theirs in zip(white, fit.white, strict=True):  # whose past is that of a step before the last
+        assert np.corrcoef(ours, theirs)[0, 1] > 0.99
+    moved = np.zeros(len(fit.theta))
+    moved[fit.vector.labels.index("roll_gain")] = 0.3
+    more = residual + fit.physics.slopes(fit.theta) @ moved
+    slopes = units.slopes(fit.physics, fit.theta)
+    difference = units.residual(fit.physics, more) - white
+    np.testing.assert_allclose(difference, slopes @ moved, atol=1e-9 * np.abs(difference).max())
+    first, last = units.experiments(fit.physics)[0]
+    assert (first, last - first) == (0, fit.series.edges[0][1] - fit.series.edges[0][0] + 1)

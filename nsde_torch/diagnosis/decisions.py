@@ -231,10 +231,8 @@ class Budgets:
     flexible_columns: int = key(
         1000, "most functions of a flexible model before it looks at each channel by itself", low=1
     )
-    flexible_rough: int = key(
-        100,
-        "most groups of functions of one that is tried once more from the noise of the sensors alone",
-        low=0,
+    flexible_fine: int = key(
+        100, "most groups of functions of one in which fine functions of two variables join", low=0
     )
 
     def __post_init__(self) -> None:

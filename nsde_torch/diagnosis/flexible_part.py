@@ -5,8 +5,8 @@
 r_c is the residual over a box, a steps of parameters from their optimum (shapes stay), m_cp what a push of 1
 on row p changes of channel c, by the machine's own equations.
 What is foretold of a fold comes from the other folds alone: parameters, which functions there are, and their weights.
-The noise model is that of what is then left (`sysid.noise`), found by turns: one that was fitted to the physics alone
-has learned what the physics lacks.
+The noise model is that of what is then left (`sysid.noise`), found by turns from two first ones: that of the physics
+alone, which has learned what the physics lacks, and one of white pushes and sensors, which has learned nothing.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from nsde_torch.diagnosis.group_selection import Candidates, Products, Weights, 
 from nsde_torch.diagnosis.regressors import Regressors
 from nsde_torch.diagnosis.search import Base
 from nsde_torch.diagnosis.smooth_functions import FunctionGroup, Scale, processes_of_two
-from nsde_torch.sysid.noise import Noise, estimate, first_guess
+from nsde_torch.sysid.noise import Noise, estimate
 from nsde_torch.sysid.regression import Regression
 
 Array = NDArray[np.float64]
@@ -119,13 +119,14 @@ class Part:
         self._basis = free_basis(base.regression, still)
         self.terms = [RowTerm(p.row, g) for p in pushes for g in groups]
         self._candidates: tuple[dict[int, Noise], Candidates] | None = None
-        self._few = len(self.terms) <= budgets.flexible_rough
+        self._few = len(self.terms) <= budgets.flexible_fine
 
     def foretold(self) -> tuple[Foretold, Foretold]:
         """What the physics leaves of folds that it was not fitted to, alone and with the flexible model."""
-        own, rough = {c: self.regression.noises[c] for c in self.channels}, self._rough()
-        plain = best = max(self._plain(own), self._plain(rough), key=lambda f: f.likelihood)
-        for start in (own, rough) if self._few else (own,):
+        # one that was fitted to the physics alone has learned what it lacks, and turns may not get away from it
+        starts = {c: self.regression.noises[c] for c in self.channels}, self._without_memory()
+        plain = best = max(map(self._plain, starts), key=lambda f: f.likelihood)
+        for start in starts:
             last, noises = -np.inf, start
             for _ in range(self._budgets.flexible_turns):
                 now = self._turn(noises, terms=True)
@@ -136,8 +137,6 @@ class Part:
                 if now.likelihood < last + _SETTLED:
                     break
                 last, noises = now.likelihood, now.noises
-            if best.used:
-                break
         if best.used:  # what its noise models do for the physics alone is not the functions' doing
             again = (self._plain(best.weighed_by), self._plain(best.noises))
             plain = max(plain, *again, key=lambda f: f.likelihood)
@@ -189,13 +188,10 @@ class Part:
 
     # ---- pieces ---------------------------------------------------------------------------------------
 
-    def _rough(self) -> dict[int, Noise]:
-        """Noise models of the sensors alone, which have learned nothing."""
-        r = self.regression
+    def _without_memory(self) -> dict[int, Noise]:
+        """Noise models of white pushes and sensors, which have learned nothing that lasts."""
         return {
-            c: first_guess(
-                r.residual[:, r.rows[c]], r.series, float(self._limits[r.rows[c]]), times=r.times(r.rows[c])
-            )
+            c: self._law(c, self.regression.residual[:, self.regression.rows[c]], orders=0)
             for c in self.channels
         }
 
@@ -254,13 +250,13 @@ class Part:
             likelihood += float(density[c].sum()) - law.parameters
         return Foretold(left, models, density, likelihood, noises, chosen)
 
-    def _law(self, c: int, left: Array) -> Noise:
+    def _law(self, c: int, left: Array, *, orders: int | None = None) -> Noise:
         r, channel = self.regression, self.regression.rows[c]
         return estimate(
             left,
             r.series,
             limit=float(self._limits[channel]),
-            orders=r.orders,
+            orders=r.orders if orders is None else orders,
             memory=r.memory,
             times=r.times(channel),
         )

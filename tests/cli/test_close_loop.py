@@ -223,13 +223,13 @@ def test_by_hand_it_says_what_to_fly_and_goes_on_with_the_log(capsys: pytest.Cap
 
 
 def _stronger(lines: list[str]) -> list[str]:
-    """A log of a machine whose motors are twice as strong: its commands are half as large."""
+    """A log of a machine whose motors are 1.4 times as strong: its commands are smaller by as much."""
     names = lines[0].split(",")
     motors = [i for i, n in enumerate(names) if n.startswith("u_")]
     out = [lines[0]]
     for line in lines[1:]:
         row = line.split(",")
         for i in motors:
-            row[i] = str(0.5 * float(row[i]))
+            row[i] = str(float(row[i]) / 1.4)
         out.append(",".join(row))
     return out

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nsde_torch.diagnosis.decisions import Budgets, Decisions
-from nsde_torch.diagnosis.evidence import by_blocks, by_runs
+from nsde_torch.diagnosis.evidence import by_blocks
 from nsde_torch.diagnosis.flexible import Flexible, flexible
 from nsde_torch.diagnosis.flexible_part import Foretold, Part
 from nsde_torch.diagnosis.hidden import allowances_of_tests
@@ -89,23 +89,24 @@ def flexible_gain(
         if smaller[i] and gains[:, i].sum() > 0.5 * allowed.get(name, 0.0)
     }
     left = gains[:, [name in by_channel for name in model.names]].sum(1)
-    p = _chance(left, base, model, decisions)
+    p = _chance(left, base)
     more = p < decisions.flexible_alpha and _without_the_best(left, base) > 0
     telling = _telling(model, decisions) if more else ()
     return FlexibleGain(base, model, gains, left, p, more, by_channel, telling)
 
 
-def _chance(gain: Array, base: Base, model: Flexible, decisions: Decisions) -> float:
-    """Chance of a gain (N,) on folds left out if there were nothing: twice the smaller of two tests (`evidence`).
+def _chance(gain: Array, base: Base) -> float:
+    """Chance of a gain (N,) on folds left out if there were nothing: twice the smaller of two tests.
 
-    By the scatter over blocks of time; and by what is left without the run that says most, as a likelihood ratio.
+    By the scatter over blocks of time (`evidence.by_blocks`). And by what is left without the fold that says most: the
+    density of a fold, foretold from the others, over that of the physics alone is a likelihood ratio whose mean is 1
+    where the physics is right, and exceeds 1 / p with a chance of p at most (Ville; Wasserman, Ramdas and Balakrishnan,
+    PNAS 117 (2020)), whatever the number of functions.
     """
+    folds = np.sort(np.bincount(base.fold, weights=gain))
+    second = len(folds) * float(np.exp(-max(folds[-2], 0.0))) if len(folds) > 1 else 1.0
     of_block = np.bincount(base.block, weights=gain).astype(np.float64)
-    first = np.unique(base.block, return_index=True)[1]
-    runs = base.regression.whitened_rows(base.regression.owners)[first]
-    count = sum(part.terms[k].group.columns.shape[1] for part, foretold in model.parts for k in foretold.used)
-    whole = by_runs(of_block, runs, max(count, 1), fewest=decisions.folds_fewest_runs)
-    return min(1.0, 2.0 * min(by_blocks(of_block), whole))
+    return min(1.0, 2.0 * min(by_blocks(of_block), second))
 
 
 def _without_the_best(gain: Array, base: Base) -> float:

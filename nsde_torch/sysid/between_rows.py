@@ -1,9 +1,9 @@
 """What inputs that move between rows of the log may do to channels, and to estimates of parameters.
 
 A controller with sensors and a clock of its own may move its inputs between rows of the log, by half of what they move
-from row to row, always to the same side of what was logged. What that adds to a channel points along the inputs of
-neighbouring rows, through the machine's own equations. An estimate is bent as far as it leans along these: a gain or a
-damping does, a product of two states that inputs do not follow does not.
+from row to row, always to the same side of what was logged. Within a row a loop is as good as linear: what it does is a
+linear function of the states and of the inputs of neighbouring rows, and acts through the machine's own equations. An
+estimate is bent as far as it leans along these: a gain or a damping does, a product of two states does not.
 """
 
 from __future__ import annotations
@@ -49,9 +49,10 @@ def lengths(regression: Regression, ways: Sequence[Direction]) -> dict[str, floa
 
 
 def leaning(regression: Regression) -> Array:
-    """How far the estimate of each parameter leans along inputs of neighbouring rows, 0 to 1 (channels, k).
+    """How far the estimate of each parameter leans along what inputs may do between rows, 0 to 1 (channels, k).
 
-    The share, as a length, of what weighs a channel's rows in the estimate that lies along what these inputs do there.
+    The share, as a length, of what weighs the rows of a channel in the estimate that lies along what inputs do that are
+    linear functions of the states and of the inputs of neighbouring rows.
 
     Args:
         regression: At its optimum.
@@ -72,10 +73,11 @@ def leaning(regression: Regression) -> Array:
 
 @torch.no_grad()
 def _neighbours(regression: Regression) -> Array:
-    """What inputs of neighbouring rows change in each box (M, channels, ways * neighbours)."""
+    """What inputs change in each box that are those of neighbouring rows, or a state (M, channels, columns)."""
     physics = regression.physics
     system, s = physics.vector.system, physics.steps
     physics.vector.use(torch.as_tensor(regression.theta))
+    x = s.x0[:, : system.nx].numpy()
     columns = []
     for way in directions(regression):
         size = 1e-3 * max(float(s.u[:, : system.nu].abs().max()), 1e-3)
@@ -88,5 +90,6 @@ def _neighbours(regression: Regression) -> Array:
         v = np.asarray(s.u[:, : system.nu]) @ way.weights
         v = v - v.mean()
         columns += [slope * regression.single.shifted(v, by)[:, None] for by in _NEIGHBOURS]
+        columns += [slope * own[:, None] for own in (x - x.mean(0)).T]
     summed = [regression.single.summed(column, regression.box) * s.dt for column in columns]
     return np.stack(summed, 2) if summed else np.zeros((len(regression.series), len(regression.rows), 0))

@@ -103,6 +103,7 @@ class Precision:
 
     def __init__(self, member: Member, columns: list[int], sizes: Array) -> None:
         self.member, self.columns, self.sizes = member, columns, sizes
+        self._units = NoiseUnits(member.regression) if member.filter is None else None
 
     def errors(self, states: Array, inputs: Array, theta: Array) -> Array:
         """Standard errors of all parameters (C, k) after experiments with the runs there are; see `Separation.nats`."""
@@ -115,7 +116,8 @@ class Precision:
         else:
             steps = steps_from(m.system, states, inputs, dt=m.regression.physics.steps.dt)
             physics = physics_of(m.system, steps)
-            units = NoiseUnits(m.regression)
+            units = self._units
+            assert units is not None
             slopes = units.slopes(physics, theta)
             rows = [slopes[:, a:b].reshape(-1, slopes.shape[2]) for a, b in units.experiments(physics)]
             infos = [j.T @ j + m.known for j in rows]

@@ -3,7 +3,7 @@
 All members are fitted with noise models of one kind, so that they are compared by their physics alone.
 
 Where inputs react to measurements, as those of every flight do, what the past of all channels foretells is taken out of
-residuals and slopes (`sysid.feedback`), and what is left of the slopes beside the laws of the noise is what a member
+residuals and slopes (`sysid.feedback`), and what is left of the slopes beside the noise models is what a member
 knows of its parameters. Gentle flights in gusts answer the gusts: with a law for each channel alone, gains of such
 flights come out a quarter too small, and surely so.
 """

@@ -181,9 +181,8 @@ def _stable(search: Search, chosen: Selection, kept: Retained) -> Retained:
             continue
         without = base_without(search, kept.final, chosen.declared, f.name)
         variables = variables_of(search, without)
-        without = _weighed(
-            without, dict(enumerate(kept.final.regression.noises))
-        )  # its own may have learned it
+        # the noise of the physics without the law may have learned it
+        without = _weighed(without, dict(enumerate(kept.final.regression.noises)))
         values = values_of(effect_of(fitted_system(kept.final.regression), f.name))
         shapes = {k: float(v) for k, v in values.items() if k != "c1" and isinstance(v, float)}
         if chosen_again(search, without, f.name, shapes, variables) < search.decisions.law_share:

@@ -29,9 +29,8 @@ _NEW = 1e-4  # of a column's squared length that must be left beside the others;
 _TURNS, _SETTLED = 40, 0.05  # of the variances, and change of their logarithm that ends them
 _GONE = 0.02  # of the noise variance: what a group changes in all rows together, below which it is nothing
 _JITTER = 1e-10  # of a correlation, added so that it can be factorised
-_VARIANCES = np.logspace(-3.0, 4.0, 36)[
-    :, None
-]  # times that at which a usual function would show as much as noise
+# prior variances that are tried, in units of that at which a usual function would show as much as noise
+_VARIANCES = np.logspace(-3.0, 4.0, 36)[:, None]
 
 
 @dataclass(frozen=True)

@@ -6,10 +6,10 @@ term can bring at most
 
     2 log L = z_i^2
 
-of channel i, and by what inputs do between rows no more of it than the share by which the effect leans along inputs of
-neighbouring rows (`lengths_of_parameters`). An effect counts by what it brings beyond that on the channels that it
-moves, and so does what is left over. An effect that does not reach it is not named; it is set aside with its reason,
-unless signals from outside the loop show it (`sysid.instruments`).
+of channel i, and by what inputs do between rows no more of it than the share by which the effect leans along linear
+functions of inputs and states (`lengths_of_parameters`). An effect counts by what it brings beyond that on the channels
+that it moves, and so does what is left over. An effect that does not reach it is not named; it is set aside with its
+reason, unless signals from outside the loop show it (`sysid.instruments`).
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -68,8 +68,8 @@ class Hidden:
 def lengths_of_parameters(test: LoopTest, regression: Regression) -> dict[str, Array]:
     """Standard errors (k,) by which inputs from other sensors may bend each parameter, by channel; none where none are.
 
-    What they know of a step may look like anything. What they do between rows points along the inputs of neighbouring
-    rows, and bends a parameter as far as its estimate leans along these (`sysid.between_rows`).
+    What they know of a step may look like anything. What they do between rows is a linear function of states and of the
+    inputs of neighbouring rows, and bends a parameter as far as its estimate leans along these (`sysid.between_rows`).
 
     Args:
         test: What the data say of the loop.

@@ -15,7 +15,7 @@ import torch
 from numpy.typing import NDArray
 
 from nsde_torch.sysid.regression import Regression
-from nsde_torch.sysid.signals import Direction, basis_of, directions
+from nsde_torch.sysid.signals import Direction, basis_of, directions, input_slopes, row_weights
 
 Array = NDArray[np.float64]
 
@@ -57,37 +57,24 @@ def leaning(regression: Regression) -> Array:
     Args:
         regression: At its optimum.
     """
-    basis = regression.shown.basis
-    slopes = [own @ basis for own in regression.slopes]
-    squares = [s.T @ s for s in slopes]
-    back = basis @ np.linalg.pinv(sum(squares[1:], squares[0]))
     acts = _neighbours(regression)
     out = np.zeros((len(regression.rows), len(regression.vector)))
-    for i, own in enumerate(slopes):
-        weighs = own @ back.T
+    for i, weighs in enumerate(row_weights(regression)):
         size = np.linalg.norm(weighs, axis=0)
         along = basis_of(regression.whitened(regression.noises[i], acts[:, i]))
         out[i] = np.linalg.norm(along.T @ weighs, axis=0) / np.where(size > 0, size, np.inf)
     return out
 
 
-@torch.no_grad()
 def _neighbours(regression: Regression) -> Array:
     """What inputs change in each box that are those of neighbouring rows, or a state (M, channels, columns)."""
-    physics = regression.physics
-    system, s = physics.vector.system, physics.steps
-    physics.vector.use(torch.as_tensor(regression.theta))
-    x = s.x0[:, : system.nx].numpy()
+    system, s = regression.physics.vector.system, regression.physics.steps
+    x, u = s.x0[:, : system.nx].numpy(), s.u[:, : system.nu].numpy()
+    size = 1e-3 * max(float(np.abs(u).max()), 1e-3)
     columns = []
     for way in directions(regression):
-        size = 1e-3 * max(float(s.u[:, : system.nu].abs().max()), 1e-3)
-        aside = torch.zeros_like(s.u)
-        aside[:, : system.nu] = size * torch.as_tensor(way.weights)
-        ends = [
-            system.drift(s.t, system.augment(s.x0, v), v)[:, : system.nx] for v in (s.u + aside, s.u - aside)
-        ]
-        slope = physics.turn(ends[0] - ends[1], physics.attitude).numpy()[:, regression.rows] / (2.0 * size)
-        v = np.asarray(s.u[:, : system.nu]) @ way.weights
+        slope = input_slopes(regression, way.weights, size, torch.arange(len(s)))
+        v = u @ way.weights
         v = v - v.mean()
         columns += [slope * regression.single.shifted(v, by)[:, None] for by in _NEIGHBOURS]
         columns += [slope * own[:, None] for own in (x - x.mean(0)).T]

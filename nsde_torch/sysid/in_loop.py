@@ -45,6 +45,7 @@ from nsde_torch.sysid.prediction_error import by_prediction_errors
 from nsde_torch.sysid.regression import ITERATIONS, Regression
 from nsde_torch.sysid.restored_states import narrowed
 from nsde_torch.sysid.result import Identification
+from nsde_torch.sysid.signals import row_weights
 from nsde_torch.systems import System
 
 Array = NDArray[np.float64]
@@ -270,10 +271,6 @@ def largest_bias(regression: Regression, hidden: Mapping[str, float | Array]) ->
     out = np.zeros(len(regression.vector))
     if not hidden:
         return out
-    basis = regression.shown.basis
-    squares = [s.T @ s for s in (slopes @ basis for slopes in regression.slopes)]
-    back = basis @ np.linalg.pinv(sum(squares[1:], squares[0]))
-    for channel, square in zip(regression.rows, squares, strict=True):
-        spread = np.einsum("ja,ab,jb->j", back, square, back).clip(0.0)
-        out += hidden.get(regression.physics.names[channel], 0.0) * np.sqrt(spread)
+    for channel, weighs in zip(regression.rows, row_weights(regression), strict=True):
+        out += hidden.get(regression.physics.names[channel], 0.0) * np.linalg.norm(weighs, axis=0)
     return out

@@ -296,7 +296,7 @@ class Regression:
         return spread(purged, self.white, self.whitened_rows(self.blocks), used)
 
     def information(self) -> Array:
-        """What the rows say of theta (k, k), where the laws of the noise were fitted to the same rows."""
+        """What the rows say of theta (k, k), where the noise models were fitted to the same rows."""
         k = len(self.vector)
         flat = self._beside_laws(np.eye(k))[0].reshape(-1, k)
         return np.asarray(flat.T @ flat)

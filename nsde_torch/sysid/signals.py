@@ -149,6 +149,35 @@ def principal(values: Array) -> Array:
 
 
 @torch.no_grad()
+def input_slopes(regression: Regression, way: Array, size: float, some: torch.Tensor) -> Array:
+    """What a unit along a combination of inputs changes of the rates of channels, at some steps (n, channels).
+
+    Args:
+        regression: Physics where it stands.
+        way: The combination (nu,).
+        size: Length of the central difference.
+        some: Numbers of the steps (n,).
+    """
+    physics = regression.physics
+    system, steps = physics.vector.system, physics.steps
+    physics.vector.use(torch.as_tensor(regression.theta))
+    t, x, u = steps.t[some], steps.x0[some], steps.u[some]
+    aside = torch.zeros_like(u)
+    aside[:, : system.nu] = size * torch.as_tensor(way)
+    ends = [system.drift(t, system.augment(x, v), v)[:, : system.nx] for v in (u + aside, u - aside)]
+    change = physics.turn(ends[0] - ends[1], physics.attitude[some])
+    return np.asarray(change.numpy()[:, regression.rows] / (2.0 * size))
+
+
+def row_weights(regression: Regression) -> list[Array]:
+    """What each row of a channel weighs in the estimate of each parameter, channel by channel (N, k)."""
+    basis = regression.shown.basis
+    slopes = [own @ basis for own in regression.slopes]
+    squares = [s.T @ s for s in slopes]
+    back = basis @ np.linalg.pinv(sum(squares[1:], squares[0]))
+    return [own @ back.T for own in slopes]
+
+
 def directions(regression: Regression) -> list[Direction]:
     """Combinations of the inputs that drive the channels of a regression, by the physics where it stands.
 
@@ -156,17 +185,11 @@ def directions(regression: Regression) -> list[Direction]:
     """
     physics = regression.physics
     system, steps = physics.vector.system, physics.steps
-    physics.vector.use(torch.as_tensor(regression.theta))
     some = torch.linspace(0, len(steps) - 1, min(len(steps), _ROWS)).round().long()
-    t, x, u = steps.t[some], steps.x0[some], steps.u[some]
-    attitude = physics.attitude[some]
     slopes = np.empty((len(some), len(regression.rows), system.nu))
-    for j in range(system.nu):
-        aside = torch.zeros_like(u)
-        aside[:, j] = 1e-3 * max(float(u[:, j].abs().max()), 1e-3)
-        ends = [system.drift(t, system.augment(x, v), v)[:, : system.nx] for v in (u + aside, u - aside)]
-        slope = physics.turn(ends[0] - ends[1], attitude) / (2.0 * aside[:, [j]])
-        slopes[:, :, j] = slope.numpy()[:, regression.rows]
+    for j, way in enumerate(np.eye(system.nu)):
+        size = 1e-3 * max(float(steps.u[some, j].abs().max()), 1e-3)
+        slopes[:, :, j] = input_slopes(regression, way, size, some)
     size = np.sqrt(np.square(slopes).mean(0).sum(1))
     motion = np.asarray(steps.u[:, : system.nu]).std(0)
     out: list[Direction] = []

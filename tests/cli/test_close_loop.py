@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
-import torch
 
 from nsde_torch.cli.closed_loop import experiments, machines
 from nsde_torch.cli.closed_loop.machines import VirtualVehicle
@@ -17,18 +15,13 @@ from nsde_torch.control.reference import FlightPath
 from nsde_torch.effects import files
 from nsde_torch.px4.flight.path import CascadeController, PathPoints
 
+pytestmark = pytest.mark.usefixtures("elsewhere")
+
+
 SHORT = (
     *("plant=quadrotor", "plant.effects=[{linear_drag:{drag:[0.6,0.6,0.2]}}]", "reference=hover"),
     *("reference.duration=1", "logged=1", "flights=1", "out_dir=out"),
 )
-
-
-@pytest.fixture(autouse=True)
-def _elsewhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
-    monkeypatch.chdir(tmp_path)
-    before = torch.get_num_threads()
-    yield
-    torch.set_num_threads(before)
 
 
 @pytest.fixture

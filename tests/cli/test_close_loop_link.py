@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +23,9 @@ from nsde_torch.px4.simulator.autopilot import SimulatedAutopilot
 from nsde_torch.px4.simulator.body import Body
 from nsde_torch.px4.simulator.virtual import VirtualLink
 
+pytestmark = pytest.mark.usefixtures("elsewhere")
+
+
 LINKED = (
     *(
         "close-loop",
@@ -40,14 +43,6 @@ TIE = {
     "members": [["linear_drag"], ["quadratic_drag"]],
     "names": ["linear_drag", "quadratic_drag"],
 }
-
-
-@pytest.fixture(autouse=True)
-def _elsewhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
-    monkeypatch.chdir(tmp_path)
-    before = torch.get_num_threads()
-    yield
-    torch.set_num_threads(before)
 
 
 class Flights:

@@ -4,13 +4,11 @@ from __future__ import annotations
 
 import csv
 import json
-from collections.abc import Iterator
 from math import degrees
 from pathlib import Path
 from typing import Any
 
 import pytest
-import torch
 import yaml
 from omegaconf import OmegaConf
 
@@ -23,15 +21,9 @@ from nsde_torch.recording import Recording
 from nsde_torch.simulation import simulate
 from nsde_torch.simulation.files import write
 
+pytestmark = pytest.mark.usefixtures("elsewhere")
+
 SYSTEM = "system=mass_spring_damper"
-
-
-@pytest.fixture(autouse=True)
-def _elsewhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
-    monkeypatch.chdir(tmp_path)
-    before = torch.get_num_threads()
-    yield
-    torch.set_num_threads(before)
 
 
 @pytest.fixture(scope="module")
@@ -195,6 +187,7 @@ def test_a_model_is_trained_with_what_was_found_and_loads(runs: Path) -> None:
 COGGING = """
 import torch
 from nsde_torch.effects import Effect, Parameter, Port
+
 
 class Cogging(Effect):
     name = "cogging"

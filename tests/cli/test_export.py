@@ -7,13 +7,15 @@ import os
 import shutil
 import subprocess
 import sys
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 import torch
 
 from nsde_torch.cli.main import main
+
+pytestmark = pytest.mark.usefixtures("elsewhere")
+
 
 MPC = ("mpc.steps=6", "mpc.horizon=0.3", "mpc.iterations=2")
 
@@ -24,14 +26,6 @@ def file(tmp_path_factory: pytest.TempPathFactory) -> Path:
     out = tmp_path_factory.mktemp("export") / "controller.ts"
     assert main(["export", "run=declared", f"out={out}", *MPC]) == 0
     return out
-
-
-@pytest.fixture(autouse=True)
-def _elsewhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
-    monkeypatch.chdir(tmp_path)
-    before = torch.get_num_threads()
-    yield
-    torch.set_num_threads(before)
 
 
 def test_a_file_is_written_once_and_verified(file: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -4,12 +4,10 @@ from __future__ import annotations
 
 import csv
 import json
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
-import torch
 
 from nsde_torch.cli import fly_build
 from nsde_torch.cli.main import main
@@ -23,15 +21,10 @@ from nsde_torch.px4.simulator.autopilot import SimulatedAutopilot
 from nsde_torch.px4.simulator.body import Body
 from nsde_torch.px4.simulator.virtual import VirtualLink
 
+pytestmark = pytest.mark.usefixtures("elsewhere")
+
+
 SHORT = ("reference=hover", "reference.duration=1", "height=1", "reference.height=1", "hold=0.3")
-
-
-@pytest.fixture(autouse=True)
-def _elsewhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
-    monkeypatch.chdir(tmp_path)
-    before = torch.get_num_threads()
-    yield
-    torch.set_num_threads(before)
 
 
 @pytest.fixture

@@ -5,12 +5,10 @@ from __future__ import annotations
 import json
 import shlex
 import sys
-from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 import pytest
-import torch
 import yaml
 from omegaconf import OmegaConf
 
@@ -18,8 +16,11 @@ from nsde_torch.cli import effects_file, own_modules
 from nsde_torch.cli.main import main
 from nsde_torch.cli.quoted import coordinates_named
 
+pytestmark = pytest.mark.usefixtures("elsewhere")
+
 NAMELESS = """
 from nsde_torch.effects import Effect, Port
+
 
 class Bare(Effect):
     port, formula, source = Port.FORCE, "0", "a test"
@@ -27,14 +28,6 @@ class Bare(Effect):
     def forward(self, t, x, u, memory):
         return 0.0 * x[:, :1]
 """
-
-
-@pytest.fixture(autouse=True)
-def _elsewhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
-    monkeypatch.chdir(tmp_path)
-    before = torch.get_num_threads()
-    yield
-    torch.set_num_threads(before)
 
 
 @pytest.fixture(scope="module")

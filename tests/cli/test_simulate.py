@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-import torch
 
 from nsde_torch.cli.main import main
 
+pytestmark = pytest.mark.usefixtures("elsewhere")
+
 OWN = """
 from nsde_torch.effects import Effect, Parameter, Port
+
 
 class Quintic(Effect):
     name = "quintic"
@@ -24,14 +25,6 @@ class Quintic(Effect):
     def forward(self, t, x, u, memory):
         return -self.value("stiffness") * x[:, :1] ** 5
 """
-
-
-@pytest.fixture(autouse=True)
-def _elsewhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
-    monkeypatch.chdir(tmp_path)
-    before = torch.get_num_threads()
-    yield
-    torch.set_num_threads(before)
 
 
 def test_a_data_set_and_its_truth_are_all_that_is_written(capsys: pytest.CaptureFixture[str]) -> None:

@@ -4,23 +4,16 @@ from __future__ import annotations
 
 import csv
 import json
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-import torch
 
 from nsde_torch.cli.main import main
 
+pytestmark = pytest.mark.usefixtures("elsewhere")
+
+
 FAST = ("mpc.compile=off", "mpc.period=0.04", "mpc.iterations=2")
-
-
-@pytest.fixture(autouse=True)
-def _elsewhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
-    monkeypatch.chdir(tmp_path)
-    before = torch.get_num_threads()
-    yield
-    torch.set_num_threads(before)
 
 
 def test_a_flight_leaves_numbers_a_log_that_other_commands_read_and_figures(

@@ -4,6 +4,7 @@ fit         members, or the one whose parameters are asked for, to the runs ther
 search      inputs within the limits, judged without noise at several draws               proposals, expected
 rehearse    the best few and the usual ones, with noise, fitted as a measured run is      rehearsal
 choose      what tells most in the less favourable rehearsals, whichever member is true   here
+confirm     rehearse it anew: the best of several noisy rehearsals was lucky in them      here
 """
 
 from __future__ import annotations
@@ -41,6 +42,8 @@ from nsde_torch.systems import Multirotor, System
 
 Array = NDArray[np.float64]
 FINALISTS = 3
+CONFIRMED = 2
+"""Rehearsals of the plan that was chosen, over those that it was chosen by."""
 APART = 0.05
 """Evidence below which nothing tells members apart [nats]: what rounding leaves of one equation is less."""
 _WIDER, _WIDE_ONES = 10.0, 16
@@ -118,34 +121,43 @@ def design(
     if precision is None and max([searched.most, *(p.worth for p in usual)]) < APART:
         _check_apart(question, judge, family, rng)
     plans = [*finalists, *usual]
-    rehearsed: list[list[Rehearsed]] = []
-    for i in range(len(members)):
-        say("rehearsing", i, len(members))
-        rehearsed.append(
-            rehearse(
-                system,
-                members,
-                np.stack([p.table for p in plans]),
-                truth=i,
-                count=options.rehearsals,
-                start=start,
-                limits=limits,
-                drive=drive,
-                draw=draw,
-                rng=rng,
+    stages = 2 * len(members)
+
+    def rehearsed(tables: Sequence[Array], count: int, stage: int) -> list[tuple[Rehearsed, ...]]:
+        out = []
+        for i in range(len(members)):
+            say("rehearsing", stage + i, stages)
+            out.append(
+                rehearse(
+                    system,
+                    members,
+                    np.stack(tables),
+                    truth=i,
+                    count=count,
+                    start=start,
+                    limits=limits,
+                    drive=drive,
+                    draw=draw,
+                    rng=rng,
+                )
             )
-        )
-    say("rehearsing", len(members), len(members))
+        return list(zip(*out, strict=True))
+
+    first = rehearsed([p.table for p in plans], options.rehearsals, 0)
     judged = [
-        PlannedRun(p.name, p.table, p.words, p.worth, p.each, tuple(r[k] for r in rehearsed))
-        for k, p in enumerate(plans)
+        PlannedRun(p.name, p.table, p.words, p.worth, p.each, own)
+        for p, own in zip(plans, first, strict=True)
     ]
-    worth = [_worth(plan, precision) for plan in judged]  # a usual one is taken where none is better
+    # a usual one is taken where none is better
+    best = judged[int(np.argmax([_worth(plan, precision) for plan in judged]))]
+    # the best of several noisy rehearsals was lucky in them: what is expected of it is told by others
+    (again,) = rehearsed([best.table], CONFIRMED * options.rehearsals, len(members))
+    say("rehearsing", stages, stages)
     return Experiment(
         system=system,
         question=question,
         members=tuple(members),
-        plan=judged[int(np.argmax(worth))],
+        plan=replace(best, rehearsed=again),
         baselines=tuple(judged[len(finalists) :]),
         limits=limits,
         start=start,

@@ -43,6 +43,11 @@ class PlannedRun:
     each: Array
     rehearsed: tuple[Rehearsed, ...]
 
+    @property
+    def count(self) -> int:
+        """Number of its rehearsals with each member true."""
+        return len(self.rehearsed[0].evidence)
+
     def nats(self, truth: int) -> dict[str, float]:
         """Expected evidence where a member is true: mean and 90 % interval of the rehearsals [nats]."""
         e = self.rehearsed[truth].evidence
@@ -159,12 +164,16 @@ class Experiment:
             },
             "expected": [self._expected(self.plan, i) for i in range(len(self.members))],
             "baselines": [
-                {"name": b.name, "expected": [self._expected(b, i) for i in range(len(self.members))]}
+                {
+                    "name": b.name,
+                    "rehearsals": b.count,
+                    "expected": [self._expected(b, i) for i in range(len(self.members))],
+                }
                 for b in self.baselines
             ],
             "beyond_limits": self._beyond(),
             "sure_nats": SURE,
-            "rehearsals": self.options.rehearsals,
+            "rehearsals": self.plan.count,
             "seed": self.options.seed,
             "seconds": self.seconds,
         }

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from nsde_torch.data import Run
 from nsde_torch.design.filtering import Filter, FilterProblem, stretches
+from nsde_torch.design.likeliest import likeliest, log_likelihood, with_values
 from nsde_torch.design.noises import Noises, noises_of
 from nsde_torch.design.widths import Branch, branches, lower_bounds, width_columns
 from nsde_torch.diagnosis.candidates import alone, make_candidate
@@ -203,6 +204,8 @@ def _nearest(
         for held in [(), *_one_input_each(ParameterVector(begun), own)]:
             try:
                 fit = _fit(search, begun, like, held)
+                if not system.sensor_noise:  # else a filter goes on
+                    fit = _climbed(search, fit, like)
             except (NsdeError, np.linalg.LinAlgError) as error:
                 why = str(error)
                 continue
@@ -225,6 +228,26 @@ def _fit(search: Search, system: System, like: Regression | None, held: Sequence
     out = search.regression(system, like, held=held)
     out.run(search.budgets.iterations)
     return out
+
+
+def _climbed(search: Search, fit: Regression, like: Regression | None) -> Regression:
+    """The likeliest of the fits that begin where a regression ended, at its first values, and at those of another fit.
+
+    Args:
+        search: Data and settings.
+        fit: The regression.
+        like: The other fit; its noise models give the kind of all. None: those of the first.
+    """
+    v, known, none = fit.vector, prior_information(fit.vector) + _of_held(fit), np.zeros(len(fit.theta))
+    alike = fit if like is None else like
+    begun = (fit.theta, v.start, with_values(fit, alike))
+    starts = [np.where(fit.held, fit.theta, start) for start in begun]
+    theta = max((likeliest(fit, start, known, none) for start in starts), key=lambda f: f[0])[1].theta
+    system = v.system.with_effects()
+    v.write(system, theta)
+    held = [label for label, fixed in zip(v.labels, fit.held, strict=True) if fixed]
+    # what is foretold by the past of residuals is that of those at the optimum
+    return likeliest(search.regression(system, alike, held=held), theta, known, none)[1]
 
 
 def _one_input_each(vector: ParameterVector, effects: Sequence[str]) -> list[tuple[str, ...]]:
@@ -261,13 +284,6 @@ def _member(declared: System, name: str, fit: Regression, runs: Sequence[Run], n
 def _of_held(fit: Regression) -> Array:
     """What is known of parameters that a fit held at nothing (k, k)."""
     return np.diag(fit.held / np.square(_SURE_OF_HELD * fit.vector.scale))
-
-
-def log_likelihood(fit: Regression) -> float:
-    """Log-likelihood of the rows of a fit, less one for each parameter of its noise models [nats]."""
-    rows = fit.white.shape[1]
-    laws = sum(law.likelihood(rows) for law in fit.noises)
-    return float(laws - 0.5 * np.square(fit.white).sum())
 
 
 def prior_information(vector: ParameterVector) -> Array:

@@ -1,8 +1,14 @@
 """Experiments rehearsed: simulated with noise for each member in turn, and fitted as a measured one will be.
 
 What a fit says of a tie after an experiment is a random number; rehearsals say of which size. The evidence that an
-experiment brings to a member is by how much the log-likelihood of its fit grows with the experiment's run, noise models
-of one kind for all members; what it brings beyond another member's is what it tells.
+experiment brings to a member is the density that it had for the run before it was flown: the likelihood averaged over
+what the runs there are leave open of the parameters theta_0 with information K, by Laplace's rule,
+
+    ln p(run) = max_theta [ln p(run | theta) - d' K d / 2] + ln |K| / 2 - ln |K + J'J| / 2,      d = theta - theta_0
+
+(MacKay, Bayesian interpolation, Neural Computation 4 (1992)), noise models of one kind for all members. What it brings
+beyond another member's is what it tells. A member that could have said anything is told by the determinants what it
+is worth that it can say this; of the density of what is simulated no other is expected to be larger.
 """
 
 from __future__ import annotations
@@ -14,18 +20,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nsde_torch.data import Run
-from nsde_torch.design.filtering import Filter, FilterProblem, stretches
+from nsde_torch.design.filtering import FilterProblem, stretches
 from nsde_torch.design.flyable import Draw
+from nsde_torch.design.likeliest import likeliest, with_values
 from nsde_torch.design.limits import ExperimentLimits
-from nsde_torch.design.members import Member, log_likelihood
+from nsde_torch.design.members import Member
 from nsde_torch.design.noise_units import NoiseUnits
-from nsde_torch.design.rollout import Drive, Rollouts, disturbances
+from nsde_torch.design.rollout import Disturbances, Drive, Rollouts, disturbances
 from nsde_torch.diagnosis.options import Options
 from nsde_torch.diagnosis.search import search_in
+from nsde_torch.sysid.regression import Regression
 from nsde_torch.systems import System
 
 Array = NDArray[np.float64]
-_ITERATIONS = 5
 
 
 @dataclass(frozen=True)
@@ -33,7 +40,7 @@ class Fits:
     """All members fitted to the runs there are and an experiment.
 
     Args:
-        brought: Growth of each member's log-likelihood (M,) [nats].
+        brought: Logarithm of the density of the experiment under each member (M,) [nats].
         thetas: Parameters of each member.
         errors: Their standard errors.
         excess: Mean square of what the best member leaves, in units of the noise.
@@ -80,12 +87,13 @@ def fit_all(declared: System, members: Sequence[Member], each: Sequence[Run], *,
         each: The experiments.
         clock: Physical seconds per logged second.
     """
-    found = [
-        _by_filter(m, m.filter, each) if m.filter is not None else _by_steps(declared, m, each, clock)
-        for m in members
-    ]
+    found = (
+        [_by_steps(declared, members, run, clock) for run in each]
+        if members[0].filter is None
+        else list(zip(*(_by_filter(m, each) for m in members), strict=True))
+    )
     out = []
-    for fits in zip(*found, strict=True):
+    for fits in found:
         best = max(fits, key=lambda f: f[0])
         out.append(
             Fits(
@@ -102,44 +110,60 @@ def fit_all(declared: System, members: Sequence[Member], each: Sequence[Run], *,
 _Fit = tuple[float, Array, Array, float, float]
 
 
-def _by_filter(member: Member, own: Filter, each: Sequence[Run]) -> list[_Fit]:
-    """Growth of the log-likelihood, parameters, covariance and mean square of what is left, by the member's filter."""
-    problems = [FilterProblem(*stretches([run]), b.theta, b.known) for run in each for b in member.branches]
-    worse, found = [b.nats - member.nats for b in member.branches], own.solve(problems)
-    out: list[_Fit] = []
-    for first in range(0, len(found), len(worse)):
-        fits = zip(found[first : first + len(worse)], worse, strict=True)
-        nats, f = max(((f.nats + nats, f) for f, nats in fits), key=lambda pair: pair[0])
+def _density(nats: float, before: Array, after: Array) -> float:
+    """A likelihood at its best averaged over the parameters [nats], by information about them before and after."""
+    return nats + 0.5 * float(np.linalg.slogdet(before)[1] - np.linalg.slogdet(after)[1])
+
+
+def _by_filter(member: Member, each: Sequence[Run]) -> list[_Fit]:
+    """Density of each experiment, and parameters, covariance and mean square of what is left, by the member's filter.
+
+    The density is that of all its branches, with the weights that they are drawn with.
+    """
+    own, branches = member.filter, member.branches
+    assert own is not None
+    problems = [FilterProblem(*stretches([run]), b.theta, b.known) for run in each for b in branches]
+    weights = np.array([b.nats for b in branches])
+    weights -= np.logaddexp.reduce(weights)
+    found, out = own.solve(problems), list[_Fit]()
+    for first in range(0, len(found), len(branches)):
+        fits = found[first : first + len(branches)]
+        told = weights + [
+            _density(f.nats, b.known, f.information) for f, b in zip(fits, branches, strict=True)
+        ]
+        f = fits[int(told.argmax())]
         covariance = np.asarray(np.linalg.inv(f.information), dtype=np.float64)
-        out.append((nats, f.theta, covariance, f.excess, f.moved))
+        out.append((float(np.logaddexp.reduce(told)), f.theta, covariance, f.excess, f.moved))
     return out
 
 
-def _by_steps(declared: System, member: Member, each: Sequence[Run], clock: float) -> list[_Fit]:
-    """The same by regressions of the experiment's residuals of steps, with what the runs say as a quadratic."""
+def _by_steps(declared: System, members: Sequence[Member], run: Run, clock: float) -> list[_Fit]:
+    """The same of all members by regressions of the residuals of steps, with what the runs say as a quadratic.
+
+    Where runs leave much open there are several optima. Each member begins where the runs have it, and again where
+    another one ended, with its own value of what that one has not.
+    """
+    search = search_in(declared, [run], clock, Options(), channels=True)
+    first: list[tuple[float, Regression]] = []
+    for m in members:
+        own = search.regression(m.system, m.regression)
+        first.append(likeliest(own, m.theta, m.known, m.theta))
     out: list[_Fit] = []
-    v, units = member.regression.vector, NoiseUnits(member.regression)
-    for run in each:
-        search = search_in(declared, [run], clock, Options(), channels=True)
-        fit = search.regression(member.system, member.regression)
-        theta, best = member.theta, (-np.inf, fit, member.theta)
-        for _ in range(_ITERATIONS):
-            fit = fit.at(theta)
-            away = theta - member.theta
-            nats = log_likelihood(fit) - 0.5 * float(away @ member.known @ away)
-            if nats < best[0] + 0.02:
-                break
-            best = (nats, fit, theta)
-            flat = fit.slopes.reshape(-1, len(theta))
-            info = flat.T @ flat + member.known
-            pull = flat.T @ fit.white.reshape(-1) - member.known @ away
-            theta = v.inside(theta + np.linalg.solve(info, pull))
-        nats, fit, theta = best
-        cov = np.asarray(np.linalg.inv(fit.information() + member.known), dtype=np.float64)
+    for i, m in enumerate(members):
+        best, known = first[i], m.known
+        for j, (_, other) in enumerate(first):
+            if i != j:
+                start = with_values(best[1], other)
+                best = max(best, likeliest(best[1], start, known, m.theta), key=lambda f: f[0])
+        nats, fit = best
+        after = fit.information() + known
         # by the noise of the runs before: the experiment's own has learned what no parameter explains
-        left = np.square(units.residual(fit.physics, fit.physics.residual(theta)))
-        away = theta - member.theta
-        out.append((nats, theta, cov, float(np.mean(left)), float(away @ member.known @ away) ** 0.5))
+        left = NoiseUnits(m.regression).residual(fit.physics, fit.physics.residual(fit.theta))
+        away = fit.theta - m.theta
+        moved = float(np.sqrt(away @ known @ away))
+        excess = float(np.mean(np.square(left)))
+        covariance = np.asarray(np.linalg.inv(after), dtype=np.float64)
+        out.append((_density(nats, known, after), fit.theta, covariance, excess, moved))
     return out
 
 
@@ -172,13 +196,13 @@ def rehearse(
     """
     member, plans = members[truth], len(tables)
     steps = member.regression.physics.steps
-    whole = np.repeat(tables, count, 0)
+    whole, thetas = np.repeat(tables, count, 0), draw(member, count + 1, rng)[1:]
     true, seen, inputs = Rollouts(member.system, dt=steps.dt).run(
-        np.tile(draw(member, count + 1, rng)[1:], (plans, 1)),
+        np.tile(thetas, (plans, 1)),
         np.tile(start, (len(whole), 1)),
         drive(whole),
         tables.shape[1],
-        disturbances(member.regression, len(whole), tables.shape[1], rng),
+        _noise_at(member, thetas, plans, tables.shape[1], rng),
     )
     fine = np.isfinite(seen).all((1, 2)) & np.isfinite(inputs).all((1, 2))
     evidence, errors = np.zeros(len(whole)), np.full((len(whole), len(member.theta)), np.nan)
@@ -192,6 +216,28 @@ def rehearse(
         Rehearsed(*(part[p * count : (p + 1) * count] for part in (evidence, errors, use, true, inputs)))
         for p in range(plans)
     ]
+
+
+def _noise_at(
+    member: Member, thetas: Array, plans: int, steps: int, rng: np.random.Generator
+) -> Disturbances:
+    """Noise of rehearsals, those of one plan beside each other: what the runs leave at each of the parameters.
+
+    What a fit leaves is less than the noise, by what its parameters have learned of it. At parameters drawn from what
+    is known of them it is as large as it was.
+
+    Args:
+        member: The member that is true.
+        thetas: Parameters of the rehearsals of one plan (count, k).
+        plans: Number of plans.
+        steps: Number of steps.
+        rng: Source of everything random.
+    """
+    if member.filter is not None:
+        return disturbances(member.regression, plans * len(thetas), steps, rng)
+    each = [disturbances(member.regression.at(theta), plans, steps, rng) for theta in thetas]
+    pushes, errors = (np.stack([getattr(d, key) for d in each], 1) for key in ("pushes", "errors"))
+    return Disturbances(pushes.reshape(-1, *pushes.shape[2:]), errors.reshape(-1, *errors.shape[2:]))
 
 
 def as_run(states: Array, inputs: Array, dt: float, name: str = "experiment") -> Run:

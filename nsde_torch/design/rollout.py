@@ -3,7 +3,7 @@
     x' = f(x, u; theta),  Runge and Kutta's fourth order;  x_{k+1} += w_k,   measured_k = x_k + s_k
 
 with w and s as the law of the residuals of steps says (`noises`); of machines whose gusts outweigh their sensors w
-keeps the colour that was found.
+keeps the colour of these residuals (`coloured`).
 """
 
 from __future__ import annotations
@@ -16,10 +16,10 @@ from typing import final
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from scipy.signal import lfilter
 from torch import Tensor
 
 from nsde_torch.columns import by_column
+from nsde_torch.design.coloured import coloured, split_spectrum
 from nsde_torch.design.noises import noises_of
 from nsde_torch.rotation import rotate
 from nsde_torch.sysid.physics import Physics
@@ -57,11 +57,12 @@ def disturbances(fit: Regression, count: int, steps: int, rng: np.random.Generat
             np.sqrt(found.pushes) * rng.standard_normal((count, steps, nx)), np.sqrt(found.sensors) * errors
         )
     errors *= fit.physics.sensor_std
-    for law, channel in zip(fit.noises, fit.rows, strict=True):
-        white = law.std * (1.0 - law.carry) * rng.standard_normal((count, steps + 50))
-        # laws are of sums over boxes: a step has its share of their variance
-        pushes[..., channel] = lfilter([1.0], law.polynomial, white, axis=1)[:, 50:] / fit.box**0.5
-        errors[..., channel] = law.std * law.carry**0.5 * rng.standard_normal((count, steps + 1))
+    edges, left = fit.single.edges, fit.physics.residual(fit.theta)
+    length = 2 * max(steps, *(b - a for a, b in edges))  # the end of a stretch says nothing of its beginning
+    for channel in fit.rows:
+        spectrum, sensor = split_spectrum(left[:, channel], edges, length)
+        pushes[..., channel] = coloured(spectrum, count, steps, length, rng)
+        errors[..., channel] = sensor**0.5 * rng.standard_normal((count, steps + 1))
     return Disturbances(pushes, errors)
 
 

@@ -6,8 +6,8 @@ term can bring at most
 
     2 log L = z_i^2
 
-of channel i, and by what inputs do between rows no more of it than the share by which the effect leans along linear
-functions of inputs and states (`lengths_of_parameters`). An effect counts by what it brings beyond that on the channels
+of channel i, and no more of it than the share by which the effect leans along linear functions of inputs and states
+(`lengths_of_parameters`). An effect counts by what it brings beyond that on the channels
 that it moves, and so does what is left over. An effect that does not reach it is not named; it is set aside with its
 reason, unless signals from outside the loop show it (`sysid.instruments`).
 """
@@ -66,27 +66,29 @@ class Hidden:
 
 
 def lengths_of_parameters(test: LoopTest, regression: Regression) -> dict[str, Array]:
-    """Standard errors (k,) by which inputs from other sensors may bend each parameter, by channel; none where none are.
+    """Standard errors (k,) by which inputs that know more than the log may bend each parameter, by channel.
 
-    What they know of a step may look like anything. What they do between rows is a linear function of states and of the
-    inputs of neighbouring rows, and bends a parameter as far as its estimate leans along these (`sysid.between_rows`).
+    What they know of a step, and what they do between rows, is as in a loop that is linear within a row: a linear
+    function of states and of the inputs of neighbouring rows. It bends a parameter as far as its estimate leans along
+    these (`sysid.between_rows`).
 
     Args:
         test: What the data say of the loop.
         regression: The same physics at its optimum.
     """
-    if not test.other_sensors:
+    if not test.not_from_the_log:
         return {}
-    lean, known = leaning(regression), test.known
+    lean = leaning(regression)
     rows = {regression.physics.names[c]: i for i, c in enumerate(regression.rows)}
-    return {c: np.maximum(lean[rows[c]] * test.moving[c], known.get(c, 0.0)) for c in test.other_sensors}
+    most = test.hidden
+    return {c: lean[rows[c]] * most.get(c, 0.0) for c in test.not_from_the_log}
 
 
 def allowances(lengths: Mapping[str, Array], own: Sequence[int]) -> dict[str, float]:
     """Likelihood ratio (2 log L) that feedback may hide of an effect, by channel; where it may hide nothing, none.
 
-    Of inputs that were made from the logged measurement, or in an open loop, what they foretell is physics that is
-    missing, and has to be looked for.
+    Of inputs of an open loop, what they foretell is physics that is missing, and has to be looked for; so it is in a
+    closed one until effects have been looked for, and what they foretell of the last fit is what they know.
 
     Args:
         lengths: Of parameters (`lengths_of_parameters`).

@@ -133,6 +133,19 @@ class LoopTest:
         return tuple(dict.fromkeys(c for own in made.values() for c in own if c not in from_log))
 
     @property
+    def not_from_the_log(self) -> tuple[str, ...]:
+        """Channels of a closed loop whose inputs know more of a step than the log does.
+
+        Those of `other_sensors`, and those whose innovations inputs foretell, beyond what the physics explains: that of
+        a fit without the effects that these data have may be physics, that of the last one has no other name.
+        """
+        if not self.closed:
+            return ()
+        played = {way for way, share in self.new.items() if share >= _PLAYED}
+        surely = [a.channel for a in self.knowledge if a.chance < ALPHA and a.input not in played]
+        return tuple(dict.fromkeys((*self.other_sensors, *surely)))
+
+    @property
     def known(self) -> dict[str, float]:
         """By channel: standard errors by which what inputs know of a step beyond the log may bend an estimate.
 

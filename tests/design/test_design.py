@@ -12,6 +12,7 @@ import pytest
 import nsde_torch
 from nsde_torch.data import Run
 from nsde_torch.design import DesignOptions, Experiment, Question, design, obtained, question_of
+from nsde_torch.design.designing import CONFIRMED
 from nsde_torch.errors import ConfigError, DataError
 from nsde_torch.simulation.planned import read_plan
 from tests.helpers.ties import BIASED, DT, SIDED, TRUE, Tie
@@ -39,6 +40,8 @@ def test_the_plan_breaks_the_tie_within_the_limits(planned: Experiment, tie: Tie
     assert u.min() - 1e-9 <= table.min() <= table.max() <= u.max() + 1e-9
     assert max(r.use.max() for r in planned.plan.rehearsed) <= 1.0
     assert min(planned.plan.nats(i)["mean"] for i in range(2)) > 3.0
+    # what it was chosen by was lucky: others say what is expected
+    assert [len(r.evidence) for r in planned.plan.rehearsed] == [CONFIRMED * OPTIONS.rehearsals] * 2
     folder = planned.save(tmp_path / "plan")
     content = json.loads((folder / "design.json").read_text(encoding="utf-8"))
     assert content["question"]["members"] == [list(BIASED), list(SIDED)]

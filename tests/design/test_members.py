@@ -12,6 +12,7 @@ from nsde_torch.data import Run
 from nsde_torch.design import Question
 from nsde_torch.design.designing import members_of
 from nsde_torch.design.files import write_plan
+from nsde_torch.design.likeliest import log_likelihood, with_values
 from nsde_torch.design.members import Member
 from nsde_torch.design.noise_units import NoiseUnits
 from nsde_torch.diagnosis.options import Options
@@ -65,6 +66,16 @@ def test_gains_of_a_gentle_flight_are_near_the_truth_for_what_is_said_of_them(
     flat = base.slopes.reshape(-1, len(base.vector))
     errors = np.sqrt(np.diag(np.linalg.pinv(flat.T @ flat)))
     assert away(base.vector.labels, base.theta, errors) > 4.0
+
+
+def test_no_parameters_are_likelier_than_those_of_a_member(members: list[Member]) -> None:
+    """Neither the true ones nor those of the other member: the likelihood decides between members."""
+    for member, other in (members, members[::-1]):
+        fit = member.regression
+        true = {**GAINS, "thrust_offset": -0.8, "yaw_gain": 2.8, "inertia_x": 0.53, "inertia_y": 0.53}
+        there = np.array([true.get(k, own) for k, own in zip(fit.vector.labels, fit.theta, strict=True)])
+        for theta in (there, with_values(fit, other.regression)):
+            assert log_likelihood(fit.at(theta)) < member.nats + 0.5
 
 
 def test_one_weak_motor_is_found_and_not_spoken_against(members: list[Member]) -> None:

@@ -51,6 +51,18 @@ def test_an_open_loop_hides_nothing() -> None:
     assert test.as_dict()["closed_loop"] is False
 
 
+def test_what_inputs_foretell_in_a_closed_loop_may_be_what_an_effect_explains() -> None:
+    test = loop(own=0.3, elsewhere=0.3)
+    assert test.not_from_the_log == ()
+    surely = Answer("the input of w_x", "w_x", 0.004, 1e-6, upper=0.006)
+    test = replace(test, knowledge=(*test.knowledge, surely))
+    assert test.other_sensors == ()
+    assert test.not_from_the_log == ("w_x",)
+    assert replace(test, answers=()).not_from_the_log == ()  # an open loop: what is missing is physics
+    played = replace(test, new={"the input of w_x": 0.9})
+    assert played.not_from_the_log == ()  # no controller made it
+
+
 def test_inputs_that_foretell_leave_open_whether_the_loop_is() -> None:
     knowledge = (Answer("the input of w_x", "w_x", 0.002, 1e-6, upper=0.003),)
     test = LoopTest((), knowledge, driven=DRIVEN, rows=10_000)
@@ -87,7 +99,9 @@ def test_an_effect_is_bent_by_inputs_between_rows_as_far_as_it_leans_along_them(
     lengths = lengths_of_parameters(test, fitted)
     (own,) = fitted.vector.of(product)
     assert allowances(lengths, [own])["q_dot"] == pytest.approx((30.0 * lean[f"{product}.c1"]) ** 2)
-    # what inputs know of a step may look like anything
+    # so does what inputs know of a step
     knows = replace(test, knowledge=(Answer(way, "q_dot", 0.0, 0.5, upper=0.4),))
-    assert allowances(lengths_of_parameters(knows, fitted), [own])["q_dot"] == pytest.approx(FACTOR**2 * 400)
+    assert allowances(lengths_of_parameters(knows, fitted), [own])["q_dot"] == pytest.approx(
+        FACTOR**2 * 400 * lean[f"{product}.c1"] ** 2
+    )
     assert lengths_of_parameters(LoopTest(), fitted) == {}

@@ -1,0 +1,80 @@
+"""The evidence of an experiment is the density that it had before it was flown."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from nsde_torch.data import Run
+from nsde_torch.design.drives import OpenLoop
+from nsde_torch.design.limits import limits_of
+from nsde_torch.design.rehearsal import as_run, fit_all, rehearse
+from nsde_torch.design.rollout import Rollouts
+from nsde_torch.design.widths import Branch
+from tests.helpers.ties import DT, Tie
+
+HOLD = np.repeat([[0.1], [-0.1], [0.0]], 25, 0)
+
+
+def _flown(tie: Tie, seed: int) -> Run:
+    """An experiment of the first member in the noise of its sensors."""
+    member, rng = tie.members[0], np.random.default_rng(seed)
+    x, _, u = Rollouts(member.system, dt=DT).run(
+        member.theta[None], np.zeros((1, 2)), OpenLoop()(HOLD[None]), len(HOLD)
+    )
+    return as_run(x[0] + [0.005, 0.01] * rng.standard_normal(x[0].shape), u[0], DT)
+
+
+def test_the_density_is_the_likelihood_averaged_over_what_is_known(tie: Tie) -> None:
+    """By quadrature over one parameter, the others known."""
+    member, run = tie.members[0], _flown(tie, 1)
+    own, theta = member.filter, member.branches[0].theta
+    assert own is not None
+    j = member.labels.index("constant_force.acceleration")
+    std = 0.05
+    known = np.diag(1.0 / np.square(np.where(np.arange(len(theta)) == j, std, 1e-7 * member.vector.scale)))
+    begun = replace(member, branches=(Branch(theta + 0.3 * std * (np.arange(len(theta)) == j), known, 0.0),))
+    (fit,) = fit_all(tie.system, [begun], [run], clock=1.0)
+    grid = np.linspace(-5.0, 5.0, 401)
+    values = np.tile(begun.branches[0].theta, (len(grid), 1))
+    values[:, j] += std * grid
+    white, dets = own.innovations(values, [run.x] * len(grid), [run.u[:-1]] * len(grid))
+    log = -0.5 * np.square(white).sum((1, 2)) - dets - 0.5 * grid**2 - 0.5 * np.log(2 * np.pi)
+    whole = log.max() + np.log(np.sum(np.exp(log - log.max())) * (grid[1] - grid[0]))
+    assert fit.brought[0] == pytest.approx(whole, abs=0.05)
+
+
+def test_a_member_is_not_worth_more_for_knowing_less(tie: Tie) -> None:
+    """Of two members that are one but for what they know, the one that is surer of the truth is worth more."""
+    member = tie.members[0]
+    (only, *_) = member.branches
+    sure = replace(member, branches=(only,))
+    lost = np.diag(np.full(len(only.theta), 0.0))
+    j = member.labels.index("constant_force.acceleration")
+    lost[j, j] = 0.99 / np.linalg.inv(only.known)[j, j]
+    vague = replace(member, branches=(Branch(only.theta, only.known - lost, only.nats),))
+    told = [
+        f.against(0)
+        for f in fit_all(tie.system, [sure, vague], [_flown(tie, s) for s in range(4)], clock=1.0)
+    ]
+    assert np.mean(told) > 0.3
+
+
+@pytest.mark.parametrize("truth", [0, 1])
+def test_no_rehearsal_speaks_against_what_it_simulates_on_average(tie: Tie, truth: int) -> None:
+    """Of an experiment that tells nothing, too: the last term of the density is what keeps it so."""
+    still = np.zeros((20, 1))
+    (told,) = rehearse(
+        tie.system,
+        tie.members,
+        still[None],
+        truth=truth,
+        count=8,
+        start=np.zeros(2),
+        limits=limits_of(tie.system, tie.runs, {}),
+        drive=OpenLoop(),
+        rng=np.random.default_rng(3),
+    )
+    assert told.evidence.mean() > -0.5

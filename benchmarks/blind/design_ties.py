@@ -68,7 +68,7 @@ LADDER: dict[str, tuple[tuple[float, float, float], ...]] = {
 }
 """Size of the forces, length [s] and noise of the runs there are, tried in turn until the members are tied."""
 DT = 0.02
-ORACLE = (96, 8)
+ORACLE = (192, 14)
 """Proposals and generations of the oracle's search."""
 
 
@@ -213,8 +213,8 @@ def one(machine: str, kind: str, seed: int, wider: float) -> Json:
         limits=_wider(system, runs, wider),
         hertz=(0.2, 5.0),
         samples=3,
-        proposals=40,
-        generations=6,
+        proposals=120,
+        generations=12,
         rehearsals=6,
         seed=seed,
     )

@@ -32,8 +32,8 @@ class PlantConfig:
 
     effects: Any = key(
         [],
-        "effects that nobody declares: names, module:Class of your own, or {NAME: {parameter: 1}}; a size that is not "
-        "given is a typical one (`nsde effects` lists them)",
+        "effects that nobody declares: names, module:Class of your own, {NAME: {parameter: 1}}, or an effects.yaml of "
+        "nsde diagnose; a size that is not given is a typical one (`nsde effects` lists them)",
     )
     parameters: dict[str, Any] = key(
         {}, "values of these effects and of the declared physics, plant.parameters.EFFECT.NAME=1"

@@ -22,7 +22,8 @@ from nsde_torch.data import Run
 from nsde_torch.design.filtering import Filter, FilterProblem, stretches
 from nsde_torch.design.likeliest import likeliest, log_likelihood, with_values
 from nsde_torch.design.noises import Noises, noises_of
-from nsde_torch.design.widths import Branch, branches, lower_bounds, width_columns
+from nsde_torch.design.rollout import Rollouts
+from nsde_torch.design.widths import Branch, branches, followed_delays, lower_bounds, width_columns
 from nsde_torch.diagnosis.candidates import alone, make_candidate
 from nsde_torch.diagnosis.fitted import fitted_system
 from nsde_torch.diagnosis.options import Options
@@ -264,6 +265,9 @@ def _score(fit: Regression) -> float:
 def _member(declared: System, name: str, fit: Regression, runs: Sequence[Run], noise: Noises) -> Member:
     effects = tuple(n for n in fit.vector.system.effect_names if n not in declared.effect_names)
     if not declared.sensor_noise:
+        fine = Rollouts(fitted_system(fit), dt=fit.physics.steps.dt).fine_dt
+        fit.vector.low = np.maximum(fit.vector.low, followed_delays(fit.vector, fine))
+        fit = fit.at(fit.vector.inside(fit.theta))
         nats, known = log_likelihood(fit), fit.information() + _of_held(fit)
         only = Branch(fit.theta, known + prior_information(fit.vector), nats)
         return Member(name, effects, fitted_system(fit), fit, fit.theta, known, nats, None, (only,))

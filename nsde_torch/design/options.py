@@ -44,8 +44,8 @@ class DesignOptions:
     samples: int = key(
         5, "sets of parameters, drawn as the data leave them open, that inputs are judged at", low=1
     )
-    proposals: int = key(48, "inputs that are judged together", low=4)
-    generations: int = key(6, "rounds of proposals, each near the best of the last", low=0)
+    proposals: int = key(120, "inputs that are judged together", low=4)
+    generations: int = key(12, "rounds of proposals, each near the best of the last", low=0)
     rehearsals: int = key(8, "simulated experiments of each member, fitted as measured ones are", low=2)
     seed: int = key(0, "seed of proposals, parameters and noise", low=0)
 

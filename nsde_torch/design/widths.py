@@ -71,10 +71,21 @@ def lower_bounds(fit: ParameterVector, theta: Array, *, dt: float, fine_dt: floa
             dry = [j for j in fit.of(effect) if own_name(fit.labels[j]) in sizes[effect]]
             least = _FOLLOWED * dt * float(np.max(theta[dry], initial=0.0))
             low[i] = min(low[i], max(low[i] / DEEPER, least))
-    late = {str(e.name): e.relative for e in fit.system.effects if isinstance(e, Effect) and e.n_memory}
-    for i, label in enumerate(fit.labels):
+    return np.maximum(low, followed_delays(fit, fine_dt))
+
+
+def followed_delays(vector: ParameterVector, fine_dt: float) -> Array:
+    """The shortest delays (k,) that steps of the integration follow, -inf of other parameters.
+
+    Args:
+        vector: Parameters.
+        fine_dt: Step of the integration [s].
+    """
+    low = np.full(len(vector), -np.inf)
+    late = {str(e.name): e.relative for e in vector.system.effects if isinstance(e, Effect) and e.n_memory}
+    for i, label in enumerate(vector.labels):
         if late.get(label.partition(".")[0], {}).get(own_name(label)) == "step":
-            low[i] = max(low[i], _STABLE * fine_dt)
+            low[i] = _STABLE * fine_dt
     return low
 
 

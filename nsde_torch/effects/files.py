@@ -26,24 +26,26 @@ def is_file(entry: str) -> bool:
     return entry.endswith(SUFFIXES)
 
 
-def read(path: str | Path) -> tuple[str, dict[str, dict[str, Any]]]:
+def read(path: str | Path, key: str = "system.effects") -> tuple[str, dict[str, dict[str, Any]]]:
     """System and effects of a file.
+
+    Args:
+        path: The file.
+        key: The key that names it, for messages.
 
     Raises:
         ConfigError: no such file, or not what it should be.
     """
     file = Path(path)
     if not file.is_file():
-        raise ConfigError(f"`system.effects`: no file {str(path)!r}. `nsde diagnose` writes effects.yaml.")
+        raise ConfigError(f"`{key}`: no file {str(path)!r}. `nsde diagnose` writes effects.yaml.")
     try:
         content = yaml.safe_load(file.read_text(encoding="utf-8"))
     except (yaml.YAMLError, UnicodeDecodeError) as error:
-        raise ConfigError(f"`system.effects`: {file} is not YAML: {error}") from error
+        raise ConfigError(f"`{key}`: {file} is not YAML: {error}") from error
     effects = content.get("effects") if isinstance(content, Mapping) else None
     if not isinstance(effects, Mapping) or not all(isinstance(v, Mapping | None) for v in effects.values()):
-        raise ConfigError(
-            f"`system.effects`: {file} must hold `effects:` with `NAME: {{parameter: value}}` under it."
-        )
+        raise ConfigError(f"`{key}`: {file} must hold `effects:` with `NAME: {{parameter: value}}` under it.")
     return str(content.get("system", "")), {str(k): dict(v or {}) for k, v in effects.items()}
 
 
@@ -55,15 +57,20 @@ def write(path: Path, system: str, effects: Mapping[str, Mapping[str, Any]], not
     path.write_text(f"# {note}\n{text}", encoding="utf-8")
 
 
-def read_for(path: str | Path, system: str) -> dict[str, dict[str, Any]]:
+def read_for(path: str | Path, system: str | None, key: str = "system.effects") -> dict[str, dict[str, Any]]:
     """Effects of a file for a system, by name.
+
+    Args:
+        path: The file.
+        system: Name of the system; None: any.
+        key: The key that names it, for messages.
 
     Raises:
         ConfigError: a file that cannot be used, or one of another system.
     """
-    of, effects = read(path)
-    if of and of != system:
-        raise ConfigError(f"`system.effects`: {path} was found on system {of!r}, and this is {system!r}.")
+    of, effects = read(path, key)
+    if of and system is not None and of != system:
+        raise ConfigError(f"`{key}`: {path} was found on system {of!r}, and this is {system!r}.")
     return effects
 
 

@@ -112,7 +112,7 @@ def simulate(
     chain = recording or Recording()
     known = make_system(system)
     asked, own_values = _with_parameters(
-        named_effects(effects), parameters or {}, known, spec.effects, system
+        named_effects(effects, system), parameters or {}, known, spec.effects, system
     )
     chain.check(known)
     _check(durations, dt, seed, battery=battery and "u_1" not in known.input_names, system=system)

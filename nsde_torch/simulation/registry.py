@@ -147,7 +147,7 @@ def simulated(
     settings: dict[str, Any] = {
         "durations": None if durations is None else [float(d) for d in durations],
         "seed": int(seed),
-        "effects": named_effects(effects),
+        "effects": named_effects(effects, name),
         "process_noise": float(process_noise),
         "sensor_noise": float(sensor_noise),
     }

@@ -30,7 +30,7 @@ from nsde_torch.data import Run
 from nsde_torch.errors import DataError
 from nsde_torch.sysid import signals
 from nsde_torch.sysid.instrumented import Instrumented
-from nsde_torch.sysid.loop_test import ALPHA, own_innovations
+from nsde_torch.sysid.loop_statistics import ALPHA, own_innovations
 from nsde_torch.sysid.noise import extended
 from nsde_torch.sysid.regression import Regression
 from nsde_torch.sysid.series import Series

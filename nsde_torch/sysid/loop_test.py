@@ -15,6 +15,7 @@ noise and the past do not foretell), and v_k those of the inputs (against their 
   innovation. Of a loop that is closed, a direction that is a function of the state to a quarter at least, and hardly
   answers any channel which it drives, was made from something else. On simulated flights the share of the answer was
   0.27 to 0.77 where the controller had the logged measurement, and at most 0.006 where it had a sensor of its own.
+- made: v_k on states of rows before, which a controller makes inputs from, whatever its sensors.
 - new: the share of the inputs that is no function (of second degree) of the logged state. Where it is small in a closed
   loop, gains rest on what was assumed of the noise (Soderstrom, Gustavsson and Ljung, International Journal of Control
   21 (1975)): with a share of 8 % a simulated gain of 100 came out as 34.
@@ -28,55 +29,31 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import chi2
 
 from nsde_torch.data import Run
 from nsde_torch.errors import ConfigError, DataError, NonFiniteError
 from nsde_torch.recording.smoothing import smoothing_width
 from nsde_torch.sysid import between_rows, signals
 from nsde_torch.sysid.identify import regression_of
+from nsde_torch.sysid.loop_statistics import (
+    ALPHA,
+    Answer,
+    answers_of,
+    knowledge_of,
+    made_from_states,
+    new_shares,
+)
 from nsde_torch.sysid.loop_words import FACTOR, NO_INPUT, sentences
 from nsde_torch.sysid.noise import extended
 from nsde_torch.sysid.regression import ITERATIONS, Regression
-from nsde_torch.sysid.series import Series
-from nsde_torch.sysid.signals import Direction
 from nsde_torch.systems import System
 
 Array = NDArray[np.float64]
 
-ALPHA = 0.01  # chance of a finding where there is none, for each of the tests
-_ANSWER_S, _ANSWERS = 0.2, 20  # how long after a disturbance an answer is looked for [s], [rows]
-_BINS = (1, 2, 3, 5, 9, 14, 21)  # rows between which it is summed up: an answer to what lasts is smooth
-_KNOWN_S, _KNOWN = 0.08, 8  # how long before a disturbance an input may have known of it
-_OWN = 10  # order of the inputs' own past
-_FOREKNOWN = 1e-6  # share of an input that is new: below, it is known beforehand and answers nothing
 _PLAYED = 0.75  # share of an input that is no function of the logged state, above which no controller made it
 _OWN_ANSWER = 0.02  # share of what is new in an input, below which it hardly answers a channel
-_UPPER = 1.645  # standard deviations of the upper limit of a share
 _NEW = 0.1  # share of an input's variance below which it is nearly a function of the state
 _FEWEST = 400  # rows
-_MOST_OF_IT = 0.8  # share of an answer by whose time it is told
-
-
-@dataclass(frozen=True)
-class Answer:
-    """How inputs of one direction answer, or foretell, one channel.
-
-    Args:
-        input: Name of the direction.
-        channel: Name of the channel.
-        share: Of the variance of what is new in the input (an answer) or in the channel (knowledge).
-        chance: p value, adjusted for the number of tests (Holm).
-        within_s: Time by which most of it has come [s]; 0 where that means nothing.
-        upper: Upper 95 % limit of `share`.
-    """
-
-    input: str
-    channel: str
-    share: float
-    chance: float
-    within_s: float = 0.0
-    upper: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -94,6 +71,7 @@ class LoopTest:
         still: Names of inputs that never move.
         why_not: Why nothing was tested; empty where it was.
         smoothed: Channels whose states were smoothed before they were logged, and restored.
+        made: Directions that past states foretell beyond the past of the inputs.
     """
 
     answers: tuple[Answer, ...] = ()
@@ -106,6 +84,7 @@ class LoopTest:
     still: tuple[str, ...] = ()
     why_not: str = ""
     smoothed: tuple[str, ...] = ()
+    made: tuple[str, ...] = ()
 
     @property
     def closed(self) -> bool:
@@ -134,16 +113,21 @@ class LoopTest:
 
     @property
     def not_from_the_log(self) -> tuple[str, ...]:
-        """Channels of a closed loop whose inputs know more of a step than the log does.
+        """Channels of which inputs know more of a step than the log does, where these were made from states.
 
         Those of `other_sensors`, and those whose innovations inputs foretell, beyond what the physics explains: that of
-        a fit without the effects that these data have may be physics, that of the last one has no other name.
+        a fit without the effects that these data have may be physics, that of the last one has no other name. Sensors
+        much better than those of the log show no answers: inputs that were made from states and foretell innovations
+        were made from such.
         """
-        if not self.closed:
-            return ()
-        played = {way for way, share in self.new.items() if share >= _PLAYED}
-        surely = [a.channel for a in self.knowledge if a.chance < ALPHA and a.input not in played]
-        return tuple(dict.fromkeys((*self.other_sensors, *surely)))
+        surely = {
+            a.input for a in self.knowledge if a.chance < ALPHA and self.new.get(a.input, 0.0) < _PLAYED
+        }
+        if self.closed:
+            own = [a.channel for a in self.knowledge if a.chance < ALPHA and a.input in surely]
+            return tuple(dict.fromkeys((*self.other_sensors, *own)))
+        ways = [way for way in self.driven if way in {*self.made, *surely}] if self.made and surely else []
+        return tuple(dict.fromkeys(c for way in ways for c in self.driven[way]))
 
     @property
     def known(self) -> dict[str, float]:
@@ -151,7 +135,7 @@ class LoopTest:
 
         Inputs may know `FACTOR` times as much of a step as they may be seen to foretell of later ones.
         """
-        out, others = dict[str, float](), self.other_sensors
+        out, others = dict[str, float](), self.not_from_the_log
         for a in self.knowledge:
             if a.channel in others or a.chance < ALPHA:
                 known = FACTOR * float(np.sqrt(self.rows * a.upper))
@@ -278,109 +262,15 @@ def loop_test(regression: Regression, *, still: Sequence[str] = ()) -> LoopTest:
     u = signals.inputs_of(regression)
     driven = u @ np.stack([way.weights for way in ways], 1)
     known = [*regression.rows]
-    answers, together = _answers(regression, ways, driven, signals.principal(u), series)
+    answers, together = answers_of(regression, ways, driven, signals.principal(u), series)
     return LoopTest(
         answers=answers,
         together=together,
-        knowledge=_knowledge(regression, ways, driven, known, series),
-        new=_new(regression, ways, driven, series),
+        knowledge=knowledge_of(regression, ways, driven, known, series),
+        new=new_shares(regression, ways, driven, series),
         driven={way.name: tuple(regression.physics.names[c] for c in way.channels) for way in ways},
         rows=len(regression.series),
         between=between_rows.lengths(regression, ways),
+        made=made_from_states(regression, ways, driven, signals.principal(u), series),
         still=tuple(still),
     )
-
-
-# ---- the tests --------------------------------------------------------------------------------------------
-
-
-def own_innovations(values: Array, among: Array, series: Series) -> Array:
-    """What columns (N, n) hold that the past of `among` (N, m) does not foretell, zero near starts."""
-    live = signals.late(series, _OWN)
-    past = signals.lagged(among, series, range(1, _OWN + 1))
-    past = np.column_stack((past, np.ones(len(past))))[live]
-    out = np.zeros_like(values)
-    out[live] = signals.without(values[live], signals.basis_of(past))
-    return out
-
-
-def _answers(
-    regression: Regression, ways: Sequence[Direction], driven: Array, among: Array, series: Series
-) -> tuple[tuple[Answer, ...], float]:
-    """Every answer, and the chance of all own ones together."""
-    new = own_innovations(driven, among, series)
-    rows = max(1, min(_ANSWERS, round(_ANSWER_S / regression.dt)))
-    live = signals.late(series, max(rows, _OWN))
-    nothing = np.zeros((int(live.sum()), 0))
-    found, own = [], []
-    for j, way in enumerate(ways):
-        known = signals.foreknown(new[live, j], driven[live, j], _FOREKNOWN)
-        for i, channel in enumerate(regression.rows):
-            columns = signals.lagged(regression.white[i][:, None], series, range(1, rows + 1))[live]
-            score = signals.score_test(new[live, j], signals.binned(columns, _BINS), nothing)
-            chance, share = (1.0, 0.0) if known else score
-            found.append(
-                (way.name, regression.physics.names[channel], share, chance, _within(new[live, j], columns))
-            )
-            own += [chance] if channel in way.channels else []
-    statistic = -2.0 * float(np.log(np.maximum(own, 1e-300)).sum())
-    return _judged(found, regression.dt), float(chi2.sf(statistic, 2 * len(own))) if own else 1.0
-
-
-def _within(new: Array, columns: Array) -> int:
-    """Rows by which most of an answer has come."""
-    size = np.square(columns.T @ new) / np.maximum(np.square(columns).sum(0), 1e-300)
-    return int(np.searchsorted(np.cumsum(size), _MOST_OF_IT * size.sum())) + 1
-
-
-def _knowledge(
-    regression: Regression, ways: Sequence[Direction], driven: Array, known: Sequence[int], series: Series
-) -> tuple[Answer, ...]:
-    rows = max(2, min(_KNOWN, round(_KNOWN_S / regression.dt)))
-    live = signals.late(series, rows + 1)
-    found = []
-    for j, way in enumerate(ways):
-        columns = signals.lagged(driven[:, [j]], series, range(rows + 1))[live]
-        for channel in way.channels:
-            i = known.index(channel)
-            fitted = signals.basis_of(regression.fitted_columns(i)[live])
-            chance, share = signals.score_test(regression.white[i][live], columns, fitted)
-            found.append((way.name, regression.physics.names[channel], share, chance, 0))
-    n, count = max(int(live.sum()), 1), rows + 1
-    return tuple(
-        replace(a, upper=min(1.0, a.share + _UPPER * float(np.sqrt(2 * count + 4 * n * a.share)) / n))
-        for a in _judged(found, regression.dt)
-    )
-
-
-def _first_of_box(regression: Regression) -> NDArray[np.int64]:
-    """Row of the steps at which each box begins."""
-    parts = [a + np.arange((b - a) // regression.box) * regression.box for a, b in regression.single.edges]
-    return np.concatenate(parts)
-
-
-def _new(
-    regression: Regression, ways: Sequence[Direction], driven: Array, series: Series
-) -> dict[str, float]:
-    """Share of each direction's variance that a quadratic function of the logged state does not give."""
-    system = regression.physics.vector.system
-    x = np.asarray(regression.physics.steps.seen0)[_first_of_box(regression)]
-    x = signals.spread_out(regression, (x - x.mean(0)) / np.maximum(x.std(0), 1e-12))
-    live = signals.late(series, 1)
-    columns = [np.ones((len(series), 1)), x]
-    pairs = system.nx * (system.nx + 1) // 2
-    if 20 * pairs < len(series):
-        columns.append(np.stack([x[:, i] * x[:, k] for i in range(system.nx) for k in range(i + 1)], 1))
-    basis = signals.basis_of(np.concatenate(columns, 1)[live])
-    values = driven[live] - driven[live].mean(0)
-    left = np.square(signals.without(values, basis)).sum(0)
-    return {
-        way.name: float(a / b) if b > 0 else 0.0
-        for way, a, b in zip(ways, left, np.square(values).sum(0), strict=True)
-    }
-
-
-def _judged(found: Sequence[tuple[str, str, float, float, int]], dt: float) -> tuple[Answer, ...]:
-    chances = signals.holm([chance for *_, chance, _ in found])
-    rows = zip(found, chances, strict=True)
-    return tuple(Answer(a, b, share, chance, dt * within) for (a, b, share, _, within), chance in rows)

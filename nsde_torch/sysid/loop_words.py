@@ -8,7 +8,8 @@ from numpy.typing import NDArray
 
 if TYPE_CHECKING:
     from nsde_torch.sysid.instrumented import Instrumented
-    from nsde_torch.sysid.loop_test import Answer, LoopTest
+    from nsde_torch.sysid.loop_statistics import Answer
+    from nsde_torch.sysid.loop_test import LoopTest
 
 FACTOR = 3.0
 """How much more inputs may know of their own step than they are seen to know of later ones (see `in_loop`)."""
@@ -26,7 +27,7 @@ _SHOWN = 3  # answers that a sentence names
 
 def sentences(found: "LoopTest") -> list[str]:
     """One sentence per finding; the first says whether the loop is closed."""
-    from nsde_torch.sysid.loop_test import ALPHA
+    from nsde_torch.sysid.loop_statistics import ALPHA
 
     if found.why_not == NO_INPUT:
         return [f"{NO_INPUT}, so that there is no loop to test"]

@@ -32,6 +32,7 @@ from math import radians
 from typing import Any
 
 from nsde_torch.effects import Port, effect_class
+from nsde_torch.effects.files import is_file, read_for
 from nsde_torch.errors import ConfigError
 from nsde_torch.systems.base import System
 from nsde_torch.systems.machine import Gust, Machine
@@ -39,7 +40,8 @@ from nsde_torch.systems.registry import SYSTEMS, make_system, system_class
 
 Values = dict[str, float | list[float]]
 Effects = Sequence[str | Mapping[str, Mapping[str, float | list[float]] | None]] | Mapping[str, Any]
-"""Effects as a user names them: `name`, or `{name: {parameter: value}}`, in a list or as one mapping."""
+"""Effects as a user names them: `name`, `{name: {parameter: value}}` or a file `effects.yaml` of a diagnosis, in a list
+or as one of them."""
 
 
 _MULTIROTOR: dict[str, Any] = {
@@ -122,15 +124,22 @@ def _bare(cls: type[System]) -> Machine:
     return Machine(values={}, dt=dt, step=0.25 * dt, sensor_std=(0.0,) * len(cls.error_names))
 
 
-def named_effects(effects: Effects) -> dict[str, Values]:
+def named_effects(effects: Effects, system: str | None = None) -> dict[str, Values]:
     """Effects as a mapping from name to parameter values.
 
+    Args:
+        effects: See `Effects`; files are read.
+        system: Name of the system that they are of; None: any.
+
     Raises:
-        ConfigError: an entry is neither a name nor `{name: {parameter: value}}`, or a name comes twice.
+        ConfigError: an entry is no name, file of this system or `{name: {parameter: value}}`, or a name comes
+            twice.
     """
     out: dict[str, Values] = {}
     for entry in [effects] if isinstance(effects, str | Mapping) else effects:
-        pairs = {entry: None} if isinstance(entry, str) else entry
+        pairs: Any = entry
+        if isinstance(entry, str):
+            pairs = read_for(entry, system, "plant.effects") if is_file(entry) else {entry: None}
         if not isinstance(pairs, Mapping):
             raise ConfigError(f"`effects` takes names or {{name: {{parameter: value}}}}; got {entry!r}.")
         for name, values in pairs.items():
@@ -158,7 +167,7 @@ def plant_effects(name: str, *, effects: Effects = (), declared_only: bool = Fal
     """
     spec, own = machine(name), system_class(name)
     present: dict[str, Values] = {} if declared_only else {k: dict(v) for k, v in spec.effects.items()}
-    for asked, given in named_effects(effects).items():
+    for asked, given in named_effects(effects, name).items():
         key = own.effect_key(asked)
         cls = own.effect_class(key)
         for (

@@ -45,6 +45,27 @@ def test_a_data_set_and_its_truth_are_all_that_is_written(capsys: pytest.Capture
     assert (truth["seed"], truth["sensor_noise"]) == (3, 2.0)
 
 
+@pytest.mark.parametrize("word", ["plant.effects=law.yaml", "plant.effects=[law.yaml,input_delay]"])
+def test_laws_of_a_file_are_what_the_machine_has(word: str) -> None:
+    law = "force = c1 q q_dot"
+    Path("law.yaml").write_text(f"system: mass_spring_damper\neffects:\n  {law}: {{c1: 0.3}}\n")
+    assert main(["simulate", "system=mass_spring_damper", "out=data", "durations=[2]", word]) == 0
+    truth = json.loads(Path("data.truth.json").read_text())["effects"]
+    assert truth[law]["parameters"]["c1"] == 0.3
+    assert ("input_delay" in truth) == ("input_delay" in word)
+
+
+def test_a_file_of_another_machine_is_refused_by_the_key_that_names_it(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    Path("law.yaml").write_text("system: cartpole\neffects:\n  input_delay: {}\n")
+    words = ["simulate", "system=mass_spring_damper", "out=data"]
+    assert main([*words, "plant.effects=law.yaml"]) != 0
+    assert "`plant.effects`: law.yaml was found on system 'cartpole'" in capsys.readouterr().err
+    assert main([*words, "plant.effects=[none.yaml]"]) != 0
+    assert "`plant.effects`: no file 'none.yaml'" in capsys.readouterr().err
+
+
 def test_a_second_data_set_does_not_replace_the_first(capsys: pytest.CaptureFixture[str]) -> None:
     words = [
         "simulate",

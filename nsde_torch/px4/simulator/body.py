@@ -69,7 +69,7 @@ class Body:
         latency: float = 0.0,
         dt: float = 0.004,
     ) -> None:
-        spec, asked = machine(name), named_effects(effects)
+        spec, asked = machine(name), named_effects(effects, name)
         delay = asked.pop("input_delay", None)
         if delay is not None:
             latency += float(delay.get("delay", 0.02))  # type: ignore[arg-type]

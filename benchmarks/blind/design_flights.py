@@ -36,8 +36,9 @@ from nsde_torch.design import DesignOptions, Question, design
 from nsde_torch.design.designing import members_of
 from nsde_torch.design.experiment import SURE
 from nsde_torch.design.files import write_plan
+from nsde_torch.design.flown import evidence
 from nsde_torch.design.paths import FlownPaths, Paths, point_times
-from nsde_torch.design.rehearsal import fit_all
+from nsde_torch.design.rehearsal import against, fit_all
 from nsde_torch.systems import Multirotor
 from nsde_torch.systems.options import system_options
 
@@ -156,8 +157,10 @@ def one(kind: str, seed: int) -> Json:
     for i, (name, table) in enumerate(tables.items()):
         run = flown(truth, replace(e, plan=replace(e.plan, table=table)).rows(), 1000 * seed + i)
         fit = fit_all(system, e.members, [run], clock=1.0)[0]
+        told = evidence(system, e.members, [fit], runs, [run], question, {}, clock=1.0)
         plans[name] = {
-            "obtained": fit.against(right),
+            "obtained": against(told, right),
+            "obtained_by_quadratics": fit.against(right),
             "expected": hoped[name],
             "use": float(np.nanmax(e.limits.use(run.x))),
             "excess": fit.excess,

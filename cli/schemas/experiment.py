@@ -23,8 +23,8 @@ class ExperimentConfig:
     rate: float = key(4.0, "largest rate of turn about each axis", unit="rad/s", above=0)
     duration: float = key(12.0, "length of an experiment", unit="s", low=4)
     samples: int = of(DesignOptions, "samples", default=3)
-    proposals: int = of(DesignOptions, "proposals", default=16)
-    generations: int = of(DesignOptions, "generations", default=2)
+    proposals: int | None = of(DesignOptions, "proposals", default=16)
+    generations: int | None = of(DesignOptions, "generations", default=2)
     rehearsals: int = of(DesignOptions, "rehearsals", default=4)
     baselines: bool = key(
         True, "take a usual flight where none is better: lemniscate, doublets, the longest again"

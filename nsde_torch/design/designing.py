@@ -46,6 +46,7 @@ CONFIRMED = 2
 """Rehearsals of the plan that was chosen, over those that it was chosen by."""
 APART = 0.05
 """Evidence below which nothing tells members apart [nats]: what rounding leaves of one equation is less."""
+_SEARCH = {False: (120, 12), True: (48, 6)}  # proposals and generations; flights take longer
 _WIDER, _WIDE_ONES = 10.0, 16
 _SLOWEST_SHARE, _FASTEST_SHARE = 1.0, 0.2
 
@@ -104,8 +105,8 @@ def design(
     searched = search(
         judge,
         family,
-        proposals=options.proposals,
-        generations=options.generations,
+        proposals=_SEARCH[flies][0] if options.proposals is None else options.proposals,
+        generations=_SEARCH[flies][1] if options.generations is None else options.generations,
         keep=FINALISTS,
         rng=rng,
         say=say,

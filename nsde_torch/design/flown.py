@@ -8,20 +8,22 @@ measure of the information provided by an experiment, Annals of Mathematical Sta
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from nsde_torch.data import Run
 from nsde_torch.design.designing import check_runs, members_of
 from nsde_torch.design.experiment import SURE
 from nsde_torch.design.members import Member
 from nsde_torch.design.questions import Question
-from nsde_torch.design.rehearsal import Fits, fit_all
+from nsde_torch.design.rehearsal import Fits, against, density, fit_all
 from nsde_torch.errors import DataError
 from nsde_torch.systems import System
 
+Array = NDArray[np.float64]
 STRANGE = 2.0
 """Mean square of what the best member leaves of an experiment, in units of the noise, from which it is another
 machine's."""
@@ -192,11 +194,45 @@ def obtained(
             "names a run of another machine, and else finds what explains them all."
         )
     excess = max(f.excess for f in each)
-    nats = [sum(f.against(i) for f in each) for i in range(len(members))]
+    brought = evidence(system, members, each, runs, flown, question, values or {}, clock=clock)
+    nats = [against(brought, i) for i in range(len(members))]
     asked = _parameters(members[0], question, each, expected) if question.parameters else {}
     return Obtained(
         question, tuple(members), tuple(nats), excess, tuple(expected), asked, doubts[0] if doubts else None
     )
+
+
+def evidence(
+    system: System,
+    members: Sequence[Member],
+    each: Sequence[Fits],
+    runs: Sequence[Run],
+    flown: Sequence[Run],
+    question: Question,
+    values: Mapping[str, Any],
+    *,
+    clock: float,
+) -> Array:
+    """Logarithm of the density that the experiments had under each member (M,) [nats].
+
+    What gentle flights say of parameters is no quadratic: a wind is known as its product with a drag. So members
+    without a filter are fitted to all runs together, once before and once with the experiments.
+
+    Args:
+        system: Declared system.
+        members: Members, fitted to the runs before.
+        each: Their fits of each experiment.
+        runs: The runs before.
+        flown: The experiments.
+        question: What was asked.
+        values: First values of effects.
+        clock: Physical seconds per logged second.
+    """
+    if members[0].filter is not None or len(members) == 1:
+        return np.sum([f.brought for f in each], axis=0)
+    named = [replace(run, name=f"experiment_{i}") for i, run in enumerate(flown)]
+    after = members_of(system, [*runs, *named], question, values, clock=clock)
+    return np.array([density(b.nats - a.nats, a.known, b.known) for a, b in zip(members, after, strict=True)])
 
 
 def _parameters(

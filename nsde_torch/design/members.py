@@ -243,12 +243,12 @@ def _climbed(search: Search, fit: Regression, like: Regression | None) -> Regres
     alike = fit if like is None else like
     begun = (fit.theta, v.start, with_values(fit, alike))
     starts = [np.where(fit.held, fit.theta, start) for start in begun]
-    theta = max((likeliest(fit, start, known, none) for start in starts), key=lambda f: f[0])[1].theta
+    best = max((likeliest(fit, start, known, none) for start in starts), key=lambda f: f[0])
     system = v.system.with_effects()
-    v.write(system, theta)
+    v.write(system, best[1].theta)
     held = [label for label, fixed in zip(v.labels, fit.held, strict=True) if fixed]
-    # what is foretold by the past of residuals is that of those at the optimum
-    return likeliest(search.regression(system, alike, held=held), theta, known, none)[1]
+    # what is foretold by the past of residuals is that of those at the optimum, of every member
+    return likeliest(search.regression(system, alike, held=held), best[1].theta, known, none)[1]
 
 
 def _one_input_each(vector: ParameterVector, effects: Sequence[str]) -> list[tuple[str, ...]]:

@@ -44,8 +44,12 @@ class DesignOptions:
     samples: int = key(
         5, "sets of parameters, drawn as the data leave them open, that inputs are judged at", low=1
     )
-    proposals: int = key(120, "inputs that are judged together", low=4)
-    generations: int = key(12, "rounds of proposals, each near the best of the last", low=0)
+    proposals: int | None = key(
+        None, "inputs that are judged together; null: 120, of multirotors, which fly slower, 48", low=4
+    )
+    generations: int | None = key(
+        None, "rounds of proposals, each near the best of the last; null: 12, of multirotors 6", low=0
+    )
     rehearsals: int = key(8, "simulated experiments of each member, fitted as measured ones are", low=2)
     seed: int = key(0, "seed of proposals, parameters and noise", low=0)
 

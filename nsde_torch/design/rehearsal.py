@@ -55,8 +55,7 @@ class Fits:
 
     def against(self, truth: int) -> float:
         """Evidence for a member against the best of the others [nats]."""
-        others = np.delete(self.brought, truth)
-        return float(self.brought[truth] - others.max()) if len(others) else 0.0
+        return against(self.brought, truth)
 
 
 @dataclass(frozen=True)
@@ -110,7 +109,13 @@ def fit_all(declared: System, members: Sequence[Member], each: Sequence[Run], *,
 _Fit = tuple[float, Array, Array, float, float]
 
 
-def _density(nats: float, before: Array, after: Array) -> float:
+def against(brought: Array, number: int) -> float:
+    """What one of several densities (M,) is larger than the largest of the others [nats]; 0 without others."""
+    others = np.delete(brought, number)
+    return float(brought[number] - others.max()) if len(others) else 0.0
+
+
+def density(nats: float, before: Array, after: Array) -> float:
     """A likelihood at its best averaged over the parameters [nats], by information about them before and after."""
     return nats + 0.5 * float(np.linalg.slogdet(before)[1] - np.linalg.slogdet(after)[1])
 
@@ -129,7 +134,7 @@ def _by_filter(member: Member, each: Sequence[Run]) -> list[_Fit]:
     for first in range(0, len(found), len(branches)):
         fits = found[first : first + len(branches)]
         told = weights + [
-            _density(f.nats, b.known, f.information) for f, b in zip(fits, branches, strict=True)
+            density(f.nats, b.known, f.information) for f, b in zip(fits, branches, strict=True)
         ]
         f = fits[int(told.argmax())]
         covariance = np.asarray(np.linalg.inv(f.information), dtype=np.float64)
@@ -163,7 +168,7 @@ def _by_steps(declared: System, members: Sequence[Member], run: Run, clock: floa
         moved = float(np.sqrt(away @ known @ away))
         excess = float(np.mean(np.square(left)))
         covariance = np.asarray(np.linalg.inv(after), dtype=np.float64)
-        out.append((_density(nats, known, after), fit.theta, covariance, excess, moved))
+        out.append((density(nats, known, after), fit.theta, covariance, excess, moved))
     return out
 
 

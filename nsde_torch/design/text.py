@@ -37,7 +37,9 @@ def _of_tie(content: Mapping[str, Any]) -> list[str]:
     width = max(len(name) for name, _ in rows)
     heads = [f"if {name} is true" for name in names]
     columns = [max(len(h), 24) for h in heads]
-    usual = f" of the plan, {content['baselines'][0]['rehearsals']} of the others" if content["baselines"] else ""
+    usual = (
+        f" of the plan, {content['baselines'][0]['rehearsals']} of the others" if content["baselines"] else ""
+    )
     out = [
         f"expected evidence [nats], mean (90 %), of {content['rehearsals']} rehearsals{usual}; "
         f"{content['sure_nats']:g} break the tie (20 to 1)",

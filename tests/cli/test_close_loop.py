@@ -190,7 +190,7 @@ def test_by_hand_it_says_what_to_fly_and_goes_on_with_the_log(capsys: pytest.Cap
     assert main(["close-loop", *hand]) == 0
     assert "out/log (CSV or ULog)" in capsys.readouterr().out
     machine = ["simulate", "system=quadrotor", "plant.effects=[{linear_drag:{drag:[0.6,0.6,0.2]}}]"]
-    assert main([*machine, "durations=[5]", "seed=3", "out=flown"]) == 0
+    assert main([*machine, "durations=[10]", "seed=3", "out=flown"]) == 0
     (log,) = Path("flown").glob("*.csv")
     log.rename("out/log/flight_0.csv")
     _open()

@@ -12,9 +12,11 @@ from nsde_torch.data import Run
 from nsde_torch.design import Question
 from nsde_torch.design.designing import members_of
 from nsde_torch.design.files import write_plan
+from nsde_torch.design.flown import evidence
 from nsde_torch.design.likeliest import log_likelihood, with_values
 from nsde_torch.design.members import Member
 from nsde_torch.design.noise_units import NoiseUnits
+from nsde_torch.design.rehearsal import against, fit_all
 from nsde_torch.diagnosis.options import Options
 from nsde_torch.diagnosis.search import search_in
 from nsde_torch.systems import System
@@ -87,6 +89,25 @@ def test_one_weak_motor_is_found_and_not_spoken_against(members: list[Member]) -
     drawn = weak.draws(8, np.random.default_rng(0))
     first = weak.labels.index("motor_efficiency_loss.loss[0]")
     assert np.abs(drawn[:, first]).max() < 1e-3
+
+
+def test_a_faster_flight_speaks_for_the_weak_motor(
+    flights: tuple[System, list[Run]], members: list[Member], tmp_path: Path
+) -> None:
+    """Members without a filter are fitted to all runs together."""
+    system, runs = flights
+    t = np.arange(7.0)
+    points = [1.5 * np.sin(0.9 * t), 1.5 * np.sin(1.4 * t), 2.0 + 0.5 * np.sin(t), 0.3 * t]
+    write_plan(tmp_path / "plan.csv", ("p_x", "p_y", "p_z", "yaw"), np.column_stack((t, *points)))
+    weak = [{"motor_efficiency_loss": {"loss": [0.0, 0.0, LOSS, 0.0]}}]
+    (raw,) = nsde_torch.simulate(
+        "quadrotor", effects=weak, declared_only=True, seed=75, plan=tmp_path / "plan.csv"
+    ).runs
+    run, question = Run("flown", raw.t, raw.x, raw.u), Question((WEAK, OFFSET))
+    each = fit_all(system, members, [run], clock=1.0)
+    told = evidence(system, members, each, runs, [run], question, {}, clock=1.0)
+    assert against(told, 0) > 3.0
+    assert each[0].excess < 1.5
 
 
 def test_a_fit_knows_less_of_its_parameters_than_if_its_noise_were_given(members: list[Member]) -> None:

@@ -50,12 +50,22 @@ class Answer:
 
 def own_innovations(values: Array, among: Array, series: Series) -> Array:
     """What columns (N, n) hold that the past of `among` (N, m) does not foretell, zero near starts."""
-    live = signals.late(series, _OWN)
-    past = signals.lagged(among, series, range(1, _OWN + 1))
-    past = np.column_stack((past, np.ones(len(past))))[live]
+    live, past = signals.late(series, _OWN), _past(among, series)
     out = np.zeros_like(values)
-    out[live] = signals.without(values[live], signals.basis_of(past))
+    out[live] = signals.without(values[live], past)
     return out
+
+
+def _past(among: Array, series: Series) -> Array:
+    """Orthonormal columns of the past of `among` (N, m) and a constant, of the rows that have one."""
+    past = signals.lagged(among, series, range(1, _OWN + 1))
+    return signals.basis_of(np.column_stack((past, np.ones(len(past))))[signals.late(series, _OWN)])
+
+
+def _states(regression: Regression) -> Array:
+    """Logged states in whitened rows (N, nx), each of variance one."""
+    x = np.asarray(regression.physics.steps.seen0)[_first_of_box(regression)]
+    return signals.spread_out(regression, (x - x.mean(0)) / np.maximum(x.std(0), 1e-12))
 
 
 def answers_of(
@@ -85,16 +95,13 @@ def made_from_states(
     regression: Regression, ways: Sequence[Direction], driven: Array, among: Array, series: Series
 ) -> tuple[str, ...]:
     """Names of directions that past states foretell beyond the past of the inputs (Granger, Econometrica 37 (1969))."""
-    new, live = own_innovations(driven, among, series), signals.late(series, _OWN)
-    past = signals.lagged(among, series, range(1, _OWN + 1))[live]
-    fitted = signals.basis_of(np.column_stack((past, np.ones(len(past)))))
-    x = np.asarray(regression.physics.steps.seen0)[_first_of_box(regression)]
-    x = signals.spread_out(regression, (x - x.mean(0)) / np.maximum(x.std(0), 1e-12))
-    columns = signals.lagged(x, series, _STATES_BEFORE)[live]
+    live, past = signals.late(series, _OWN), _past(among, series)
+    new = signals.without(driven[live], past)
+    columns = signals.lagged(_states(regression), series, _STATES_BEFORE)[live]
     found = []
     for j in range(len(ways)):
-        known = signals.foreknown(new[live, j], driven[live, j], _FOREKNOWN)
-        found.append((1.0, 0.0) if known else signals.score_test(new[live, j], columns, fitted))
+        known = signals.foreknown(new[:, j], driven[live, j], _FOREKNOWN)
+        found.append((1.0, 0.0) if known else signals.score_test(new[:, j], columns, past))
     chances = signals.holm([chance for chance, _ in found])
     return tuple(
         way.name
@@ -112,6 +119,7 @@ def _within(new: Array, columns: Array) -> int:
 def knowledge_of(
     regression: Regression, ways: Sequence[Direction], driven: Array, known: Sequence[int], series: Series
 ) -> tuple[Answer, ...]:
+    """What inputs at and before a step foretell of the innovations of each channel that they drive."""
     rows = max(2, min(_KNOWN, round(_KNOWN_S / regression.dt)))
     live = signals.late(series, rows + 1)
     found = []
@@ -140,9 +148,7 @@ def new_shares(
 ) -> dict[str, float]:
     """Share of each direction's variance that a quadratic function of the logged state does not give."""
     system = regression.physics.vector.system
-    x = np.asarray(regression.physics.steps.seen0)[_first_of_box(regression)]
-    x = signals.spread_out(regression, (x - x.mean(0)) / np.maximum(x.std(0), 1e-12))
-    live = signals.late(series, 1)
+    x, live = _states(regression), signals.late(series, 1)
     columns = [np.ones((len(series), 1)), x]
     pairs = system.nx * (system.nx + 1) // 2
     if 20 * pairs < len(series):

@@ -261,8 +261,8 @@ def loop_test(regression: Regression, *, still: Sequence[str] = ()) -> LoopTest:
         )
     u = signals.inputs_of(regression)
     driven = u @ np.stack([way.weights for way in ways], 1)
-    known = [*regression.rows]
-    answers, together = answers_of(regression, ways, driven, signals.principal(u), series)
+    known, among = [*regression.rows], signals.principal(u)
+    answers, together = answers_of(regression, ways, driven, among, series)
     return LoopTest(
         answers=answers,
         together=together,
@@ -271,6 +271,6 @@ def loop_test(regression: Regression, *, still: Sequence[str] = ()) -> LoopTest:
         driven={way.name: tuple(regression.physics.names[c] for c in way.channels) for way in ways},
         rows=len(regression.series),
         between=between_rows.lengths(regression, ways),
-        made=made_from_states(regression, ways, driven, signals.principal(u), series),
+        made=made_from_states(regression, ways, driven, among, series),
         still=tuple(still),
     )

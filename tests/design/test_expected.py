@@ -6,10 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from nsde_torch.design.drives import OpenLoop
 from nsde_torch.design.expected import Precision, Separation
-from nsde_torch.design.limits import limits_of
-from nsde_torch.design.rehearsal import rehearse
 from nsde_torch.design.rollout import Rollouts
 from tests.helpers.ties import DT, Tie
 
@@ -39,17 +36,7 @@ def test_rehearsed_evidence_is_within_a_factor_of_two_of_what_is_expected_withou
 ) -> None:
     a, b = tie.members[truth], tie.members[1 - truth]
     expected = _nats(tie, truth, Separation(a, b), HOLD)
-    (told,) = rehearse(
-        tie.system,
-        tie.members,
-        HOLD[None],
-        truth=truth,
-        count=4,
-        start=np.zeros(2),
-        limits=limits_of(tie.system, tie.runs, {}),
-        drive=OpenLoop(),
-        rng=np.random.default_rng(truth),
-    )
+    told = tie.rehearsed(truth, HOLD, count=4, seed=truth)
     assert expected > 3.0
     assert expected / TWICE < np.median(told.evidence) < expected * TWICE
 

@@ -9,8 +9,7 @@ import pytest
 
 from nsde_torch.data import Run
 from nsde_torch.design.drives import OpenLoop
-from nsde_torch.design.limits import limits_of
-from nsde_torch.design.rehearsal import as_run, fit_all, rehearse
+from nsde_torch.design.rehearsal import as_run, fit_all
 from nsde_torch.design.rollout import Rollouts
 from nsde_torch.design.widths import Branch
 from tests.helpers.ties import DT, Tie
@@ -51,7 +50,7 @@ def test_a_member_is_not_worth_more_for_knowing_less(tie: Tie) -> None:
     member = tie.members[0]
     (only, *_) = member.branches
     sure = replace(member, branches=(only,))
-    lost = np.diag(np.full(len(only.theta), 0.0))
+    lost = np.zeros_like(only.known)
     j = member.labels.index("constant_force.acceleration")
     lost[j, j] = 0.99 / np.linalg.inv(only.known)[j, j]
     vague = replace(member, branches=(Branch(only.theta, only.known - lost, only.nats),))
@@ -65,16 +64,5 @@ def test_a_member_is_not_worth_more_for_knowing_less(tie: Tie) -> None:
 @pytest.mark.parametrize("truth", [0, 1])
 def test_no_rehearsal_speaks_against_what_it_simulates_on_average(tie: Tie, truth: int) -> None:
     """Of an experiment that tells nothing, too: the last term of the density is what keeps it so."""
-    still = np.zeros((20, 1))
-    (told,) = rehearse(
-        tie.system,
-        tie.members,
-        still[None],
-        truth=truth,
-        count=8,
-        start=np.zeros(2),
-        limits=limits_of(tie.system, tie.runs, {}),
-        drive=OpenLoop(),
-        rng=np.random.default_rng(3),
-    )
+    told = tie.rehearsed(truth, np.zeros((20, 1)), count=8, seed=3)
     assert told.evidence.mean() > -0.5

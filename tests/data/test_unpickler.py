@@ -117,6 +117,15 @@ def test_lists_that_share_each_other_many_times_are_refused_in_time(tmp_path: Pa
         load(tmp_path, pickle.dumps(bomb))
 
 
+@pytest.mark.parametrize("put", [b"r" + struct.pack("<I", 2**28), b"p268435456\n"])
+def test_a_value_noted_under_a_huge_number_is_refused_before_memory_is_taken(
+    tmp_path: Path, put: bytes
+) -> None:
+    """The table of notes would take 4 GiB."""
+    with pytest.raises(DataError, match="notes a value as number 268435456 of 2"):
+        load(tmp_path, b"\x80\x02}" + put + b".")
+
+
 def test_missing_files_folders_and_damage_are_named(tmp_path: Path) -> None:
     with pytest.raises(DataError, match="does not exist"):
         read_pickle(tmp_path / "none.pkl")

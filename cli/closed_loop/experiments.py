@@ -127,6 +127,11 @@ def run_experiments(loop: ExperimentLoop, diagnosis: Path) -> tuple[list[dict[st
 def settled(now: Standing) -> StoppedLoop:
     """Nothing is open."""
     rest = "".join(f"; {' or '.join(t)}: no input tells these apart" for t in now.beyond)
+    if now.confounded:
+        rest += (
+            f"; the intervals of {', '.join(now.confounded)} are wide by what feedback may hide, which a further "
+            "flight of this kind leaves: log what the controller saw"
+        )
     what = (
         "nothing is tied, and what was found is sure"
         if now.found

@@ -121,6 +121,8 @@ def experiment_lines(entry: Mapping[str, Any]) -> list[str]:
                 f"    {label}: standard error {p['standard_error_before']:.2g} -> {p['standard_error']:.2g} {p['unit']}"
                 + ("" if wanted is None else f" ({wanted:.2g} expected)")
             )
+    if told.get("surprise"):
+        lines.append(f"  {told['surprise']}")
     if told["doubt"] is not None:
         lines.append(f"  what was thought possible is not all: {told['doubt']}")
     return [*lines, f"  after: {entry['after']['words']}"]

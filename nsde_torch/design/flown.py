@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from nsde_torch.data import Run
 from nsde_torch.design.designing import check_runs, members_of
-from nsde_torch.design.experiment import SURE
+from nsde_torch.design.experiment import LEVELS, SURE
 from nsde_torch.design.members import Member
 from nsde_torch.design.questions import Question
 from nsde_torch.design.rehearsal import Fits, against, density, fit_all
@@ -104,6 +104,28 @@ class Obtained:
         """Whether the tie is broken."""
         return self.nats[self.best] > SURE
 
+    @property
+    def expected_nats(self) -> Mapping[str, float] | None:
+        """Evidence that was expected where the member that it speaks for is true (`PlannedRun.nats`)."""
+        return self.expected[self.best]["nats"] if self.expected and not self.parameters else None
+
+    @property
+    def surprise(self) -> str | None:
+        """That it brought far less or more than was expected, in words; None where it did not."""
+        planned, nats = self.expected_nats, self.nats[self.best]
+        if (
+            planned is None or f"low_{LEVELS[-1]}" not in planned
+        ):  # plans of older versions have the mean alone
+            return None
+        low, high = planned[f"low_{LEVELS[-1]}"], planned[f"high_{LEVELS[-1]}"]
+        if low <= nats <= high:
+            return None
+        return (
+            f"{nats:.1f} nats are far {'less' if nats < low else 'more'} than what was expected ({low:.1f} to "
+            f"{high:.1f} in {LEVELS[-1]} %): the flight, the noise or the machine were not as in the runs before, or "
+            "none of what was thought possible is true. Look at the log, and run `nsde diagnose` with it among the runs"
+        )
+
     def content(self) -> dict[str, Any]:
         """What `obtained.json` holds."""
         names = self.question.names
@@ -119,7 +141,7 @@ class Obtained:
                 "excess": self.excess,
                 "doubt": self.doubt,
             }
-        expected = self.expected[self.best]["nats"]["mean"] if self.expected else None
+        expected = self.expected_nats
         return {
             "schema": "nsde_torch.obtained/1",
             "question": {
@@ -130,9 +152,11 @@ class Obtained:
             "nats": dict(zip(names, self.nats, strict=True)),
             "speaks_for": names[self.best],
             "broken": self.broken,
-            "expected_nats": expected,
+            "expected_nats": None if expected is None else expected["mean"],
+            "expected_90": None if expected is None else [expected["low_90"], expected["high_90"]],
             "excess": self.excess,
             "doubt": self.doubt,
+            "surprise": self.surprise,
         }
 
     @property
@@ -148,8 +172,9 @@ class Obtained:
             else f"still tied: {nats:.1f} nats for {name}, where {SURE:g} would break the tie"
         )
         if content["expected_nats"] is not None:
-            said += f" ({content['expected_nats']:.1f} were expected)"
-        return said
+            low, high = content["expected_90"]
+            said += f" ({content['expected_nats']:.1f} were expected, {low:.1f} to {high:.1f} in 90 %)"
+        return said if self.surprise is None else f"{said}\nnote: {self.surprise}."
 
 
 def obtained(

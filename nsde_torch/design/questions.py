@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from math import inf
 from typing import Any
 
 from nsde_torch.design.options import DesignOptions
@@ -144,25 +145,40 @@ def of_parameters(system: System, found: Sequence[str], labels: Sequence[str]) -
 
 
 def wide(parameters: Mapping[str, Mapping[str, Any]]) -> list[str]:
-    """Labels of the parameters of a diagnosis that are not well known.
+    """Labels of the parameters of a diagnosis that are not well known, and that more data would show better.
 
     The half of an interval is held against the largest value of its vector: a weak motor is well known where the five
-    others are nothing within a hundredth.
+    others are nothing within a hundredth. What widens an interval beyond chance (`widened_by`: what feedback and
+    smoothing may hide) does not count, because no further run makes it smaller.
     """
+    return [label for label, (by_chance, _) in _relative_widths(parameters).items() if by_chance > 2 * _WIDE]
+
+
+def confounded(parameters: Mapping[str, Mapping[str, Any]]) -> list[str]:
+    """Labels of the parameters that are not well known, and that no further run of the same kind shows better."""
+    widths = _relative_widths(parameters)
+    return [label for label, (by_chance, whole) in widths.items() if by_chance <= 2 * _WIDE < whole]
+
+
+def _relative_widths(parameters: Mapping[str, Mapping[str, Any]]) -> dict[str, tuple[float, float]]:
+    """Widths of intervals over the largest value of their vector, by chance alone and whole; inf without interval."""
     largest: dict[str, float] = {}
     for label, p in parameters.items():
         vector = label.partition("[")[0]
         largest[vector] = max(largest.get(vector, 0.0), abs(p["value"]))
-    out = []
+    out = {}
     for label, p in parameters.items():
         if "." in label and not is_effect(label.partition(".")[0]):
             continue  # what sensors do is known by no input
-        if p.get("interval_90") is None and p["value"] == 0.0 < largest[label.partition("[")[0]]:
+        size, interval = largest[label.partition("[")[0]], p.get("interval_90")
+        if interval is None and p["value"] == 0.0 < size:
             continue  # held at nothing, beside another of its vector that is not
-        interval = p.get("interval_90")
-        most = 2 * _WIDE * largest[label.partition("[")[0]]
-        if interval is None or interval[1] - interval[0] > most:
-            out.append(label)
+        if interval is None or size == 0.0:
+            out[label] = (inf, inf)
+            continue
+        below, above = p["value"] - interval[0], interval[1] - p["value"]
+        by_chance = max(below, above) - p.get("widened_by", 0.0)
+        out[label] = ((min(below, by_chance) + min(above, by_chance)) / size, (below + above) / size)
     return out
 
 

@@ -3,6 +3,7 @@
     tied         two laws explain the runs as well, and an input may tell them apart
     leads        what was found only provisionally
     wide         parameters of what was found whose 90 % interval is wider than the parameter is large
+    confounded   the same where feedback or smoothing widens the interval, which no further run of the kind changes
     suspected    effects that the runs lean to, by 3 nats or more, and could not show at their usual size
     beyond       ties that no input breaks: an effect and a fault of the recording chain
 
@@ -17,7 +18,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from nsde_torch.design.experiment import SURE
-from nsde_torch.design.questions import MOST, Question, able_ties, of_parameters, of_ties, wide
+from nsde_torch.design.questions import MOST, Question, able_ties, confounded, of_parameters, of_ties, wide
 from nsde_torch.systems import System
 
 LATE = ("input_delay", "motor_lag", "actuator_lag")
@@ -33,7 +34,8 @@ class Standing:
         tied: Names that cannot be told apart, the one that was found first.
         beyond: The same, where no input tells them apart.
         leads: Effects that are found provisionally.
-        wide: Labels of the parameters that are not well known.
+        wide: Labels of the parameters that are not well known, and that more data would show better.
+        confounded: Labels of those that are not well known because feedback or smoothing may have bent them.
         suspected: Effects that were not found, and that the runs lean to.
     """
 
@@ -42,6 +44,7 @@ class Standing:
     beyond: tuple[tuple[str, ...], ...]
     leads: tuple[str, ...]
     wide: tuple[str, ...]
+    confounded: tuple[str, ...]
     suspected: tuple[str, ...]
 
     @property
@@ -57,6 +60,7 @@ class Standing:
             "tied_whatever_the_input": [list(t) for t in self.beyond],
             "leads": list(self.leads),
             "wide": list(self.wide),
+            "confounded": list(self.confounded),
             "suspected": list(self.suspected),
             "words": self.words,
         }
@@ -71,6 +75,8 @@ class Standing:
             said.append(f"no more than leads: {', '.join(self.leads)}")
         if self.wide:
             said.append(f"not well known: {', '.join(self.wide)}")
+        if self.confounded:
+            said.append(f"wide by what feedback may hide: {', '.join(self.confounded)}")
         if self.suspected:
             said.append(f"suspected: {', '.join(self.suspected)}")
         return "; ".join(said)
@@ -83,7 +89,7 @@ def standing_of(content: Mapping[str, Any]) -> Standing:
     tied, beyond = able_ties(content)
     own = {label: p for label, p in content.get("parameters", {}).items() if label.partition(".")[0] in found}
     leads = tuple(f["name"] for f in effects if f.get("lead"))
-    return Standing(found, tied, beyond, leads, tuple(wide(own)), suspected(content))
+    return Standing(found, tied, beyond, leads, tuple(wide(own)), tuple(confounded(own)), suspected(content))
 
 
 def suspected(content: Mapping[str, Any]) -> tuple[str, ...]:

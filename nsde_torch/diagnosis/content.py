@@ -302,7 +302,10 @@ def _springs(found: Diagnosis, coordinate: str) -> bool:
 
 
 def parameters(found: Diagnosis) -> dict[str, Any]:
-    """Parameters of everything that was found: `effect.name` -> `value`, `interval_90`, `bound`, `unit`."""
+    """Parameters of everything that was found.
+
+    `effect.name` -> `value`, `interval_90`, `bound`, `widened_by` (where it is not nothing), `unit`.
+    """
     out: dict[str, Any] = {}
     for fault in found.faults:
         for name, (value, low, high, unit) in fault.values.items():
@@ -326,7 +329,8 @@ def _interval(found: Diagnosis, e: Estimate) -> dict[str, Any]:
         return {"interval_90": None, "bound": "not believed"}
     if e.low is None and found.outcome.unsettled:
         return {"interval_90": None, "bound": "not settled"}
-    return {"interval_90": None if e.low is None else [e.low, e.high], "bound": e.bound}
+    widened = {"widened_by": e.widened} if e.widened and e.low is not None else {}
+    return {"interval_90": None if e.low is None else [e.low, e.high], "bound": e.bound, **widened}
 
 
 def sentence(outcome: Outcome, effect: str, held: Sequence[str] = ()) -> str:

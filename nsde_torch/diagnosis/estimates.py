@@ -32,6 +32,7 @@ class Estimate:
         low, high: 90 % interval, inside the bounds; None where the data do not show it.
         unit: Unit of all.
         bound: `below` or `above` where that end alone is what the data say: the other one is the bound of the search.
+        widened: What its half-width is larger by than chance makes it: by what more data do not show.
     """
 
     name: str
@@ -40,6 +41,7 @@ class Estimate:
     high: float | None
     unit: str
     bound: Literal["below", "above"] | None = None
+    widened: float = 0.0
 
 
 def estimates(regression: Regression, sure: Spread, name: str) -> list[Estimate]:
@@ -68,7 +70,7 @@ def estimated(
     error = np.sqrt(np.clip(np.diag(basis @ sure.covariance @ basis.T), 0.0, None))
     half = stdtrit(sure.degrees(basis).clip(1.0), 0.5 * (1 + INTERVAL_LEVEL)) * error
     half = np.where(regression.shown.known, half if doubt is None else half + doubt, np.nan)
-    return [_inside(v, j, float(regression.theta[j]), float(half[j])) for j in columns]
+    return [_inside(v, j, float(regression.theta[j]), float(half[j]), _widened(doubt, j)) for j in columns]
 
 
 def of_identification(found: Identification, labels: Sequence[str]) -> list[Estimate]:
@@ -80,14 +82,17 @@ def of_identification(found: Identification, labels: Sequence[str]) -> list[Esti
     """
     v, half = found.vector, found.half_widths(INTERVAL_LEVEL)
     columns = [v.labels.index(label) for label in labels]
-    return [_inside(v, j, float(found.values[j]), float(half[j])) for j in columns]
+    return [_inside(v, j, float(found.values[j]), float(half[j]), _widened(found.doubt, j)) for j in columns]
 
 
-def _inside(v: ParameterVector, j: int, value: float, half: float) -> Estimate:
+def _widened(doubt: Array | None, j: int) -> float:
+    return 0.0 if doubt is None else float(doubt[j])
+
+
+def _inside(v: ParameterVector, j: int, value: float, half: float, widened: float) -> Estimate:
     """A parameter with the interval of this half-width inside its bounds; without one where that is not finite."""
     if not np.isfinite(half):
         return Estimate(v.labels[j], value, None, None, v.units[j])
     low, high = float(max(value - half, v.low[j])), float(min(value + half, v.high[j]))
-    return Estimate(
-        v.labels[j], value, low, high, v.units[j], _BOUNDS.get((low <= v.low[j], high >= v.high[j]))
-    )
+    bound = _BOUNDS.get((low <= v.low[j], high >= v.high[j]))
+    return Estimate(v.labels[j], value, low, high, v.units[j], bound, widened)

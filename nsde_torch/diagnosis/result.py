@@ -92,7 +92,7 @@ class Diagnosis:
 
     @property
     def parameters(self) -> dict[str, Any]:
-        """Parameters of everything that was found: `effect.name` -> `value`, `interval_90`, `bound`, `unit`."""
+        """Parameters of everything that was found (`content.parameters`)."""
         return contents.parameters(self)
 
     @property

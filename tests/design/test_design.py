@@ -64,11 +64,30 @@ def test_flown_on_the_plant_it_speaks_for_what_is_true(planned: Experiment, tie:
     assert found.broken
     assert found.question.names[found.best] == "coulomb_friction + constant_force"
     assert "were expected" in found.report
+    assert found.surprise is None
+    # in one of a hundred flights it is far less: said, and what may be the reason
+    assert found.expected_nats is not None
+    low = found.expected_nats["low_99"]
+    nats = [min(low, 3.0) - 1.0 if i == found.best else -1e3 for i in range(2)]
+    less = replace(found, nats=tuple(nats))
+    assert "far less than what was expected" in less.report
+    assert less.content()["surprise"] == less.surprise
     other = Run("other", raw.t, 3.0 * raw.x + 0.2, raw.u, source="other.csv")
     with pytest.raises(DataError, match=r"explains other\.csv.*not of this machine"):
         obtained(tie.system, tie.runs, [other], tie.question)
     doubted = obtained(tie.system, tie.runs, [other], tie.question, trusted=True).content()
     assert "no member explains other.csv" in doubted["doubt"]
+
+
+def test_where_evidence_lies_holds_one_more_rehearsal_as_often_as_it_says(planned: Experiment) -> None:
+    rng = np.random.default_rng(0)
+    held = np.zeros(2)
+    for _ in range(2000):
+        *first, last = rng.normal(50.0, 20.0, 17)
+        rehearsed = replace(planned.plan.rehearsed[0], evidence=np.array(first))
+        nats = replace(planned.plan, rehearsed=(rehearsed,)).nats(0)
+        held += [nats[f"low_{level}"] <= last <= nats[f"high_{level}"] for level in (90, 99)]
+    assert held / 2000 == pytest.approx([0.90, 0.99], abs=0.02)
 
 
 def test_a_plan_that_leaves_its_limits_whatever_it_does_says_which(tie: Tie) -> None:

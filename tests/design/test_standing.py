@@ -40,6 +40,22 @@ def test_nothing_is_open_where_what_was_found_is_sure_and_untied() -> None:
     assert standing_of(_content(parameters=parameters)).wide == ("linear_drag.drag[2]",)
 
 
+def test_what_feedback_may_hide_is_told_and_not_asked() -> None:
+    of_chance, of_feedback = _value(0.6, 0.5), {**_value(0.6, 0.5), "widened_by": 0.4}
+    now = standing_of(_content(parameters={"linear_drag.drag[0]": of_feedback}))
+    assert now.settled
+    assert now.confounded == ("linear_drag.drag[0]",)
+    assert "wide by what feedback may hide: linear_drag.drag[0]" in now.words
+    # chance alone is more than half of the value still
+    both = {**_value(0.6, 0.5), "widened_by": 0.1}
+    for asked in (of_chance, both):
+        now = standing_of(_content(parameters={"linear_drag.drag[0]": asked}))
+        assert (now.wide, now.confounded) == (("linear_drag.drag[0]",), ())
+    # an end at the bound of the search is no nearer for what widens the other one
+    clipped = {"value": 0.02, "interval_90": [0.0, 0.12], "widened_by": 0.05, "unit": "1"}
+    assert standing_of(_content(parameters={"linear_drag.drag[2]": clipped})).wide == ("linear_drag.drag[2]",)
+
+
 def test_motors_that_are_held_at_nothing_beside_a_weak_one_are_not_open() -> None:
     held = {f"motor_efficiency_loss.loss[{i}]": _value(0.0, None) for i in range(1, 6)}
     content = _content(

@@ -37,6 +37,7 @@ from nsde_torch.diagnosis.outcome import Outcome, base_without
 from nsde_torch.diagnosis.search import Base, Search
 from nsde_torch.diagnosis.selection import Selection, forward_selection
 from nsde_torch.effects.expression_grammar import is_law
+from nsde_torch.effects.law import AND
 from nsde_torch.evaluation.bootstrap import FEWEST_BLOCKS
 from nsde_torch.sysid.noise import Noise
 
@@ -58,13 +59,18 @@ def with_laws(
         return outcome
     decisions, names = search.decisions, [f.name for f in outcome.found]
     bent = [(name,) for name in names if bent_shape(kept.final.regression, name)]
-    near = [(name,) for name in names if (name,) not in bent and a_law_is_nearer(search, chosen, kept, name)]
+    near = []
+    for i, name in enumerate(names):
+        search.say("holding effects against laws", i, len(names))
+        if (name,) not in bent and a_law_is_nearer(search, chosen, kept, name):
+            near.append((name,))
     alike = [pair for pair in combinations(names, 2) if of_one_variable(*pair)]
     likelier, as_good = decisions.alike_nats, -decisions.wider_nats
     for replaced, least in (
         *((one, likelier) for one in (*bent, *near)),
         *((pair, as_good) for pair in alike),
     ):
+        search.say(f"trying laws in the place of {AND.join(replaced)}", 0, 1)
         other = _in_place_of(search, chosen, kept, feedback, replaced)
         fewer = len(other.found) <= len(names) - len(replaced) + 1 and other.found
         if fewer and other.final.score.fitted > outcome.final.score.fitted + least:
@@ -120,6 +126,7 @@ def _one_round(
     search: Search, chosen: Selection, kept: Retained, outcome: Outcome, feedback: Feedback, lead: _Lead
 ) -> tuple[Selection, Retained] | None:
     """Propose laws, select and eliminate again; None where that brings nothing that was not there."""
+    search.say("proposing laws for what is left", 0, 1)
     new = propose(search, lead.base, list(dict.fromkeys(lead.channels)), lead.wanted, outcome.variables)
     if not new and lead.base is kept.final:
         return None

@@ -34,10 +34,9 @@ def picture(experiment: Experiment) -> Figure:
             bands.append((low, middle, high))
         seen.append(Seen(f"{name} [{units[name]}]", t[some], tuple(bands)))
     plans = [e.plan, *e.baselines]
-    nats = None
-    if not e.question.parameters:
-        nats = {p.name: [r.evidence for r in p.rehearsed] for p in plans}
-    q = e.question
+    nats, q = None, e.question
+    if not q.parameters:
+        nats = {p.name: [p.nats(i) for i in range(len(q.names))] for p in plans}
     title = (
         f"An experiment to show {', '.join(q.parameters)}"
         if q.parameters

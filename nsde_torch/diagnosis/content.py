@@ -310,12 +310,8 @@ def parameters(found: Diagnosis) -> dict[str, Any]:
     for fault in found.faults:
         for name, (value, low, high, unit) in fault.values.items():
             interval = None if low is None else [low, high]
-            out[f"{fault.name}.{name}"] = {
-                "value": value,
-                "interval_90": interval,
-                "bound": None,
-                "unit": unit,
-            }
+            known = {"value": value, "interval_90": interval, "bound": None, "unit": unit}
+            out[f"{fault.name}.{name}"] = known
     for f in found.outcome.found:
         for e in found.outcome.estimates(f.name):
             held = e.name in f.trial.held

@@ -40,7 +40,7 @@ def experiment_figure(
     given: Sequence[Course],
     seen: Sequence[Seen],
     names: Sequence[str],
-    nats: Mapping[str, Sequence[Array]] | None,
+    nats: Mapping[str, Sequence[Mapping[str, float]]] | None,
     *,
     title: str,
 ) -> Figure:
@@ -50,7 +50,7 @@ def experiment_figure(
         given: Inputs or references.
         seen: What one would see.
         names: Members.
-        nats: Evidence of the rehearsals of each plan, one array per member; None without a tie.
+        nats: Expected evidence of each plan for each member, with its 90 % range; None without a tie.
         title: What is planned.
     """
     rows = len(given) + len(seen) + (nats is not None)
@@ -79,19 +79,24 @@ def experiment_figure(
 
 
 def _evidence(
-    ax: object, nats: Mapping[str, Sequence[Array]], names: Sequence[str], colours: Sequence[str]
+    ax: object,
+    nats: Mapping[str, Sequence[Mapping[str, float]]],
+    names: Sequence[str],
+    colours: Sequence[str],
 ) -> None:
     from matplotlib.axes import Axes
 
     assert isinstance(ax, Axes)
     for row, (_, values) in enumerate(nats.items()):
-        for i, evidence in enumerate(values):
+        for i, expected in enumerate(values):
             y = row + 0.25 * (i - 0.5 * (len(names) - 1))
-            low, high = np.quantile(evidence, [0.05, 0.95])
-            ax.plot([low, high], [y, y], color=colours[i], linewidth=3.0, alpha=0.5)
-            ax.plot([evidence.mean()], [y], "o", color=colours[i], markersize=4)
+            ends = [expected["low_90"], expected["high_90"]]
+            ax.plot(ends, [y, y], color=colours[i], linewidth=3.0, alpha=0.5)
+            ax.plot([expected["mean"]], [y], "o", color=colours[i], markersize=4)
     ax.axvline(0.0, color=style.BLACK, linewidth=0.8)
     ax.set_yticks(range(len(nats)), list(nats))
     ax.invert_yaxis()
     ax.set_xscale("symlog", linthresh=3.0)
-    ax.set_xlabel("evidence for what is true against the others [nats]: mean and 90 % of rehearsals")
+    ax.set_xlabel(
+        "evidence for what is true against the others [nats]: mean, and where 90 % of experiments lie"
+    )

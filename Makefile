@@ -1,5 +1,6 @@
 # make run    a virtual environment, the package in it, and the hexacopter trained
 # make test   the same plus the tools of development: style, types, documentation, tests
+# make slow   the tests that `make test` leaves out for their time
 # make docs   the documentation as a site, into build/docs
 # make golden writes the files anew that tests/golden holds behaviour against
 # make clean  removes the environment and the caches; runs stay
@@ -15,8 +16,9 @@ BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check $(PIP_FLAGS) --constraint constraints.txt
 # Tests run one torch thread: more make small rollouts slower, up to a thousand times on a busy machine.
 TEST_ENV := OMP_NUM_THREADS=1 MPLBACKEND=Agg
+PYTEST = $(TEST_ENV) $(BIN)/python -m pytest --numprocesses $(JOBS) --dist loadfile --no-loadscope-reorder
 
-.PHONY: run test lint types docs pytest golden clean
+.PHONY: run test lint types docs pytest slow golden clean
 .DEFAULT_GOAL := run
 
 run: $(VENV)/.installed
@@ -40,7 +42,10 @@ docs: $(VENV)/.installed-dev
 
 # Files in the order of their names: by their numbers of tests, the last would be those of one long test.
 pytest: $(VENV)/.installed-dev
-	$(TEST_ENV) $(BIN)/python -m pytest --numprocesses $(JOBS) --dist loadfile --no-loadscope-reorder
+	$(PYTEST) -m 'not slow'
+
+slow: $(VENV)/.installed-dev
+	$(PYTEST) -m slow
 
 golden: $(VENV)/.installed-dev
 	$(TEST_ENV) $(BIN)/python -m pytest tests/golden --regenerate

@@ -51,6 +51,7 @@ def _flown(seed: int) -> RawRun:
     return RawRun(f"run_{seed}", 0.01 * np.arange(2000), x, np.array(inputs))
 
 
+@pytest.mark.slow
 def test_a_betaflight_log_gives_the_gains_back(tmp_path: Path) -> None:
     pytest.importorskip("orangebox")
     for seed in range(3):

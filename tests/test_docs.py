@@ -112,6 +112,7 @@ def test_the_effect_of_the_page_is_one(root: Path) -> None:
     assert float(force.detach()) == pytest.approx(-2.0)
 
 
+@pytest.mark.slow
 def test_the_fault_of_the_page_is_simulated_found_and_undone(monkeypatch: pytest.MonkeyPatch) -> None:
     fault, register, use = code(CONTENT / "how-to" / "extend" / "recording-fault.md", "python")
     names: dict[str, Any] = {"__name__": __name__}

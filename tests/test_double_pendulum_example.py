@@ -65,6 +65,7 @@ def logs(folder: Path, dry: tuple[float, float], viscous: tuple[float, float]) -
     ],
     ids=["dry in both", "viscous and dry", "nothing"],
 )
+@pytest.mark.slow
 def test_frictions_are_named_with_their_joint_and_their_size(
     dry: tuple[float, float], viscous: tuple[float, float], named: dict[str, float], tmp_path: Path
 ) -> None:
@@ -86,6 +87,7 @@ def test_the_effects_of_the_machine_are_listed(root: Path, capsys: pytest.Captur
     assert "damping [N m s/rad]" in printed.replace("\n", " ")
 
 
+@pytest.mark.slow
 def test_an_effect_of_one_joint_is_trained_from_the_command_line(root: Path, tmp_path: Path) -> None:
     folder = root / "examples" / "double_pendulum"
     data = logs(tmp_path / "data", (0.1, 0.05), (0.0, 0.0))

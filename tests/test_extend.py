@@ -179,6 +179,7 @@ def test_an_effect_is_fitted_where_it_is_declared(held: Simulation, tmp_path: Pa
     assert repr(loaded.step) == "Ralston()"
 
 
+@pytest.mark.slow
 def test_an_effect_is_found_where_it_is_a_candidate(held: Simulation) -> None:
     found = nsde_torch.diagnose(
         held, system=RAIL, effects=["coulomb_friction"], candidates=["quadratic_damping"], also=[DETENT]

@@ -94,6 +94,7 @@ def test_the_data_determine_the_declared_parameters(data_folder: Path) -> None:
     np.testing.assert_allclose(found[[0, 2]], [9.81 / 0.5, 8.0], rtol=0.05)
 
 
+@pytest.mark.slow
 def test_its_dry_friction_is_named_from_the_catalogue(data_folder: Path) -> None:
     import nsde_torch
 
@@ -119,6 +120,7 @@ def finite(value: Any) -> Iterator[float]:
         yield value
 
 
+@pytest.mark.slow
 def test_the_command_of_the_readme_trains_it_and_the_model_loads(
     root: Path, data_folder: Path, tmp_path: Path
 ) -> None:

@@ -61,6 +61,7 @@ def test_a_function_documents_arguments_results_and_errors(name: str) -> None:
         assert f"{argument}:" in function.__doc__ or f"{argument}," in function.__doc__, argument
 
 
+@pytest.mark.slow
 def test_python_trains_the_model_that_the_command_trains(
     runs: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -90,6 +91,7 @@ def test_python_trains_the_model_that_the_command_trains(
     assert model.folder == Path("python")
 
 
+@pytest.mark.slow
 def test_python_finds_what_the_command_finds(runs: Path, tmp_path: Path) -> None:
     names = ["coulomb_friction", "quadratic_damping"]
     found = nsde_torch.diagnose(runs, system=SYSTEM, candidates=names)
@@ -113,6 +115,7 @@ def test_python_finds_what_the_command_finds(runs: Path, tmp_path: Path) -> None
     }
 
 
+@pytest.mark.slow
 def test_what_was_found_is_given_to_a_training_by_name_file_and_mapping(runs: Path, tmp_path: Path) -> None:
     file = tmp_path / "effects.yaml"
     file.write_text(f"system: {SYSTEM}\neffects: {{coulomb_friction: {{size: 0.28}}}}\n")
@@ -125,6 +128,7 @@ def test_what_was_found_is_given_to_a_training_by_name_file_and_mapping(runs: Pa
         nsde_torch.diagnose(runs, system="cartpole", effects=file)
 
 
+@pytest.mark.slow
 def test_evaluation_compares_models_by_their_names(runs: Path, tmp_path: Path) -> None:
     plain = nsde_torch.train(runs, system=SYSTEM, model="sysid", say=silent)
     better = nsde_torch.train(runs, system=SYSTEM, model="sysid", effects="coulomb_friction", say=silent)
@@ -205,6 +209,7 @@ def test_a_system_of_ones_own_is_given_as_a_class(runs: Path) -> None:
     assert nsde_torch.Effect is Effect
 
 
+@pytest.mark.slow
 def test_a_newcomer_gets_from_files_to_a_named_effect(
     runs: Path,
     tmp_path: Path,

@@ -148,6 +148,7 @@ def _open(folder: Path = Path("out/diagnosis"), **changed: Any) -> None:
 
 
 @pytest.mark.usefixtures("few")
+@pytest.mark.slow
 def test_a_tie_is_asked_of_an_experiment_and_the_record_has_nats_expected_and_obtained(
     told: list[Any], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -190,6 +191,7 @@ def test_a_tie_is_asked_of_an_experiment_and_the_record_has_nats_expected_and_ob
     assert json.loads(Path("out/close_loop.json").read_text()) == content
 
 
+@pytest.mark.slow
 def test_what_no_experiment_within_the_limits_tells_names_the_limit(
     told: list[Any], capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -203,6 +205,7 @@ def test_what_no_experiment_within_the_limits_tells_names_the_limit(
 
 
 @pytest.mark.usefixtures("few")
+@pytest.mark.slow
 def test_by_hand_it_says_what_to_fly_and_goes_on_with_the_log(capsys: pytest.CaptureFixture[str]) -> None:
     hand = [*TIED, "by=hand", "experiment.least_nats=0"]
     assert main(["close-loop", *hand]) == 0

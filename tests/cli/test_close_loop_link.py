@@ -138,6 +138,7 @@ def _content() -> dict[str, Any]:
     return content
 
 
+@pytest.mark.slow
 def test_a_stopped_experiment_does_not_count_and_is_flown_again_alone(
     flights: Flights, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -199,6 +200,7 @@ def test_a_refused_flight_says_why_and_what_to_do(
     assert f"with out_dir={Path('out').resolve()}, and it is flown again" in said
 
 
+@pytest.mark.slow
 def test_what_trips_a_limit_counts_as_an_experiment_and_is_flown_again_where_it_is_compared(
     flights: Flights, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -221,6 +223,7 @@ def test_what_trips_a_limit_counts_as_an_experiment_and_is_flown_again_where_it_
     assert _content()["ratio"] is not None
 
 
+@pytest.mark.slow
 def test_an_experiment_of_which_little_was_flown_does_not_count(
     flights: Flights, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -233,6 +236,7 @@ def test_an_experiment_of_which_little_was_flown_does_not_count(
     assert [p.name for p in Path("out/log").glob("*.csv")] == ["flight_0.csv"]
 
 
+@pytest.mark.slow
 def test_a_plan_that_leans_further_than_a_flight_may_is_not_begun(
     flights: Flights, capsys: pytest.CaptureFixture[str]
 ) -> None:

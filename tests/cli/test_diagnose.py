@@ -87,6 +87,7 @@ def test_effects_yaml_gives_a_training_the_effects_and_their_values(
     assert given.parameters.coulomb_friction.size == 0.7
 
 
+@pytest.mark.slow
 def test_a_training_takes_effects_yaml(diagnosed: tuple[Path, dict[str, Any]], runs: Path) -> None:
     out, _ = diagnosed
     words = ["model=sysid", SYSTEM, f"system.effects={out / 'effects.yaml'}", "data=csv", f"data.path={runs}"]
@@ -165,6 +166,7 @@ def test_only_runs_that_are_not_held_back_are_looked_at(runs: Path) -> None:
         assert next(csv.reader(file)) == ["t", "q", "q_dot", "force"]
 
 
+@pytest.mark.slow
 def test_a_model_is_trained_with_what_was_found_and_loads(runs: Path) -> None:
     words = [
         SYSTEM,
@@ -203,6 +205,7 @@ class Cogging(Effect):
 """
 
 
+@pytest.mark.slow
 def test_an_effect_of_the_users_own_is_found_and_its_file_names_it_for_other_commands(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -234,6 +237,7 @@ def find(tree: Any, key: str) -> Any:
     return tree[key] if key in tree else next((v for v in (find(t, key) for t in tree.values()) if v), None)
 
 
+@pytest.mark.slow
 def test_a_biased_and_late_sensor_is_put_right_in_what_the_model_is_trained_on(tmp_path: Path) -> None:
     chain = Recording(sensor_bias={"q_dot": 0.2}, sensor_delay={"q_dot": 0.06})
     made = simulate("mass_spring_damper", durations=(6.0,) * 4, seed=1, recording=chain)

@@ -75,6 +75,7 @@ def refused(capsys: pytest.CaptureFixture[str], *words: str) -> str:
     return err
 
 
+@pytest.mark.slow
 def test_one_run_on_its_own_test_gives_the_figures_of_its_training(
     here: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -161,6 +162,7 @@ def test_a_run_of_an_older_version_is_judged_by_names_and_says_so(
     assert "recognised by name alone" in " ".join(said.split())
 
 
+@pytest.mark.slow
 def test_the_sensors_of_a_further_folder_are_those_that_a_training_assumes(here: Path) -> None:
     expected = metrics(here / "noisy")["test"]
     content = evaluate(f"run={here / 'noisy'}", "particles=199")

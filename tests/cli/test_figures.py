@@ -48,6 +48,7 @@ def table(monkeypatch: pytest.MonkeyPatch) -> dict[str, figure_table.Figure]:
 
 
 @pytest.mark.usefixtures("table")
+@pytest.mark.slow
 def test_a_figure_is_trained_drawn_and_captioned_and_a_second_call_trains_nothing(
     tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
@@ -65,6 +66,7 @@ def test_a_figure_is_trained_drawn_and_captioned_and_a_second_call_trains_nothin
 
 
 @pytest.mark.usefixtures("table")
+@pytest.mark.slow
 def test_a_training_that_fails_is_named_with_its_reason(
     tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:

@@ -34,6 +34,7 @@ def springs(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+@pytest.mark.slow
 def test_from_a_folder_of_logs_to_a_model(
     springs: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -107,6 +108,7 @@ def test_a_quadrotor_is_recognised_and_its_mapping_checked(
     assert "next:" not in out
 
 
+@pytest.mark.slow
 def test_the_numbers_of_motors_are_found_by_the_physics(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

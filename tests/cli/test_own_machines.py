@@ -91,6 +91,7 @@ def test_an_effect_without_a_name_is_refused_in_one_sentence(capsys: pytest.Capt
     assert "name = 'bare'" in error
 
 
+@pytest.mark.slow
 def test_the_command_that_a_diagnosis_advises_trains(
     root: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -152,6 +153,7 @@ def double(root: Path) -> list[str]:
     ]  # fmt: skip
 
 
+@pytest.mark.slow
 def test_a_machine_of_ones_own_is_simulated_from_its_class(double: list[str]) -> None:
     effects = "plant.effects=[{coulomb_friction[q2]:{size:0.05}}]"
     assert main([*double, effects, "plant.parameters.a=0.09", "plant.parameters.b=0.02", "out=data"]) == 0

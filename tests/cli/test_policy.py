@@ -34,6 +34,7 @@ def model(folder: Path, system: str = "cartpole") -> Path:
     return folder
 
 
+@pytest.mark.slow
 def test_policies_learn_on_the_truth_and_in_a_model_and_are_scored(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -109,6 +110,7 @@ def test_missing_extra_is_named(
     assert "pip install 'nsde_torch[policy]'" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_members_of_an_ensemble_are_kept_or_redrawn_as_asked_and_only_an_ensemble_has_them(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

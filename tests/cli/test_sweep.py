@@ -160,6 +160,7 @@ def test_ctrl_c_says_how_to_go_on(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("launcher", ["basic", "joblib", "submitit_local"])
+@pytest.mark.slow
 def test_a_failed_job_does_not_take_the_others_along(launcher: str, probe: Probe, tmp_path: Path) -> None:
     if launcher != "basic":
         _needs(f"hydra_{launcher.split('_')[0]}_launcher")
@@ -191,6 +192,7 @@ def test_a_value_with_slashes_and_brackets_makes_a_plain_folder(probe: Probe, tm
     assert all((job / "metrics.json").is_file() for job in _jobs(tmp_path / "sweep"))
 
 
+@pytest.mark.slow
 def test_optuna_minimises_the_score_and_outlives_failed_trials(probe: Probe, tmp_path: Path) -> None:
     _needs("hydra_optuna_sweeper")
     done = probe(
@@ -210,6 +212,7 @@ def test_optuna_minimises_the_score_and_outlives_failed_trials(probe: Probe, tmp
     assert done.returncode == (1 if any((job / "failed.json").is_file() for job in jobs) else 0)
 
 
+@pytest.mark.slow
 def test_optuna_with_nothing_but_failures_says_so(probe: Probe) -> None:
     _needs("hydra_optuna_sweeper")
     words = ["-m", "hydra/sweeper=optuna", "sweep_dir=s", "hydra.sweeper.n_trials=2", "seed=choice(13,14)"]

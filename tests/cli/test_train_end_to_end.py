@@ -141,6 +141,7 @@ def train(folder: Path, *words: str) -> Path:
     return folder
 
 
+@pytest.mark.slow
 def test_hexacopter_with_a_further_effect_and_a_second_process_that_loads_it(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -175,6 +176,7 @@ def test_hexacopter_with_a_further_effect_and_a_second_process_that_loads_it(
     assert done.stdout.strip() == "(3, 2, 6, 13)", done.stderr
 
 
+@pytest.mark.slow
 def test_quadrotor_with_the_papers_loss(tmp_path: Path) -> None:
     folder = train(tmp_path / "run", "system=quadrotor", "data.durations=[5,5]", "loss=paper")
     metrics = check(folder, "quadrotor")
@@ -183,12 +185,14 @@ def test_quadrotor_with_the_papers_loss(tmp_path: Path) -> None:
     torch.testing.assert_close(sigma, torch.tensor(make_system("quadrotor").defaults.sigma_max))
 
 
+@pytest.mark.slow
 def test_cartpole_in_double_precision(tmp_path: Path) -> None:
     folder = train(tmp_path / "run", "system=cartpole", "dtype=float64", "data.durations=[6,6]")
     check(folder, "cartpole")
     assert all(v.dtype == torch.float64 for v in nsde_torch.load(folder).state_dict().values())
 
 
+@pytest.mark.slow
 def test_mass_spring_damper_on_one_run_without_a_test(tmp_path: Path) -> None:
     folder = train(
         tmp_path / "run",
@@ -249,6 +253,7 @@ def test_csv_files_of_the_user(tmp_path: Path, swings: Path) -> None:
         assert image.height > 300
 
 
+@pytest.mark.slow
 def test_a_folder_of_further_runs_is_the_test_and_brings_its_own_sensor_noise(
     tmp_path: Path, swings: Path
 ) -> None:
@@ -261,6 +266,7 @@ def test_a_folder_of_further_runs_is_the_test_and_brings_its_own_sensor_noise(
         assert metrics["test"]["sensor_std"][name] > 4 * metrics["sensor_std"][name]
 
 
+@pytest.mark.slow
 def test_a_run_killed_midway_and_resumed_ends_in_the_same_metrics(tmp_path: Path, swings: Path) -> None:
     """SIGKILL at a checkpoint, in a process of its own; `resume=` finishes the run as if nothing had happened."""
     words = (*SPRING, f"data.path={swings}", "trainer.steps=30", "seed=3")
@@ -288,6 +294,7 @@ def test_a_run_killed_midway_and_resumed_ends_in_the_same_metrics(tmp_path: Path
     assert metrics["seed"] == 3
 
 
+@pytest.mark.slow
 def test_a_neural_ode_has_no_intervals_and_says_so(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

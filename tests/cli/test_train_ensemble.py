@@ -44,6 +44,7 @@ def train(folder: Path, *words: str) -> dict[str, Any]:
     ("system", "durations", "dt"),
     [("cartpole", "[4,4,4]", 0.02), ("hexacopter", "[5,5]", 0.05), ("mass_spring_damper", "[5,5]", 0.01)],
 )
+@pytest.mark.slow
 def test_it_trains_saves_loads_samples_and_is_scored_on_every_system(
     system: str, durations: str, dt: float, tmp_path: Path
 ) -> None:
@@ -78,6 +79,7 @@ def test_the_keys_of_the_group_reach_the_model_and_what_does_not_apply_is_let_be
     assert model.low.dtype == torch.float64
 
 
+@pytest.mark.slow
 def test_effects_are_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     words = ("system=hexacopter", "data.durations=[8,8]", "system.effects=[linear_drag]")
     assert main(["train", *FAST, f"run_dir={tmp_path / 'run'}", *words]) == 2
@@ -94,6 +96,7 @@ def test_a_finished_run_resumed_ends_in_the_same_metrics(tmp_path: Path) -> None
     assert first == again
 
 
+@pytest.mark.slow
 def test_it_is_swept_and_ranked(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     words = (*UNTESTED, f"sweep_dir={tmp_path / 'sweep'}")
     assert main(["train", "-m", *FAST, *words, "model.propagation=fixed,redrawn"]) == 0

@@ -35,6 +35,7 @@ def train(folder: Path, *words: str) -> dict[str, Any]:
     ("system", "durations", "dt"),
     [("cartpole", "[4,4,4,4]", 0.02), ("hexacopter", "[6,5]", 0.05), ("mass_spring_damper", "[5,5]", 0.01)],
 )
+@pytest.mark.slow
 def test_it_trains_saves_loads_samples_and_is_scored_on_every_system(
     system: str, durations: str, dt: float, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -106,6 +107,7 @@ def test_a_method_that_does_not_exist_is_refused_with_the_choices(
     assert "`model.method` must be weak | differences" in said.out + said.err
 
 
+@pytest.mark.slow
 def test_a_finished_run_resumed_ends_in_the_same_metrics(tmp_path: Path) -> None:
     first = train(tmp_path / "run", *SPRING)
     (tmp_path / "run" / "metrics.json").unlink()
@@ -115,6 +117,7 @@ def test_a_finished_run_resumed_ends_in_the_same_metrics(tmp_path: Path) -> None
     assert first == again
 
 
+@pytest.mark.slow
 def test_it_is_swept_ranked_and_compared(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     sweep = tmp_path / "sweep"
     words = ("model=sysid", "threads=1", *SPRING, f"sweep_dir={sweep}", "model.method=weak,differences")

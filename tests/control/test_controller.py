@@ -141,6 +141,7 @@ def test_a_reference_far_outside_the_envelope_gives_a_safe_plan(
     assert plan.status[0] in ("converged", "improved")
 
 
+@pytest.mark.slow
 def test_a_model_that_diverges_is_not_flown_on(model: NeuralSDE, path: Reference) -> None:
     controller = controller_of(model)
     plan = controller.plan(_state(path), _window(path))

@@ -77,6 +77,7 @@ def test_with_the_right_model_and_no_noise_tracking_is_within_a_few_centimetres(
     assert {d.status[0] for d in flight.decisions} <= {"converged", "improved"}
 
 
+@pytest.mark.slow
 def test_latency_is_made_up_for_by_prediction(declared: System) -> None:
     late = {"latency": 0.03, "state_latency": 0.02}
     known, unknown = _flight(declared, **late), _flight(declared, **late, known=0.0)  # type: ignore[arg-type]
@@ -84,6 +85,7 @@ def test_latency_is_made_up_for_by_prediction(declared: System) -> None:
     assert _rmse(known) < 0.7 * _rmse(unknown)
 
 
+@pytest.mark.slow
 def test_a_push_that_lasts_is_learned_in_flight(declared: System) -> None:
     plain = {"duration": 3.0, "effects": [{"motor_efficiency_loss": {"loss": [0.1] * 6}}]}
     still = Reference(hover(duration=3.0))
@@ -94,6 +96,7 @@ def test_a_push_that_lasts_is_learned_in_flight(declared: System) -> None:
     assert off[1] < 0.4 * off[0]
 
 
+@pytest.mark.slow
 def test_one_motor_at_seventy_percent_is_flown_with(declared: System) -> None:
     weak = [0.3, *[1e-6] * 5]
     flight = _flight(
@@ -119,6 +122,7 @@ def test_states_that_are_lost_on_their_way_for_a_while_do_not_lose_the_machine(d
     assert _rmse(flight) < 0.1
 
 
+@pytest.mark.slow
 def test_a_state_that_jumps_for_a_sample_changes_little(declared: System) -> None:
     def jump(t: float, x: torch.Tensor) -> torch.Tensor:
         return (
@@ -130,12 +134,14 @@ def test_a_state_that_jumps_for_a_sample_changes_little(declared: System) -> Non
     assert _rmse(flight) < 0.04
 
 
+@pytest.mark.slow
 def test_a_reference_outside_the_envelope_is_flown_as_well_as_can_be(declared: System) -> None:
     flight = _flight(declared, Reference(lemniscate(duration=6.0, ramp=0.5, speed=12.0)))
     assert bool(torch.isfinite(flight.u).all())
     assert 0.0 <= float(flight.u.min()) <= float(flight.u.max()) <= 1.0
 
 
+@pytest.mark.slow
 def test_machines_in_one_batch_fly_as_each_alone(declared: System) -> None:
     alone, together = _flight(declared, duration=0.6), _flight(declared, machines=3, duration=0.6)
     assert torch.allclose(together.x[:, 1:2], alone.x, atol=2e-3)
@@ -158,6 +164,7 @@ def test_a_learned_model_can_stand_for_the_machine(model: NeuralSDE) -> None:
     assert _rmse(flight) < 0.1
 
 
+@pytest.mark.slow
 def test_a_machine_that_is_lost_is_counted_and_when(declared: System) -> None:
     def elsewhere(t: float, x: torch.Tensor) -> torch.Tensor:
         return torch.full_like(x, float("nan")) if t > 1.0 else x

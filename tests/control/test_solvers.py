@@ -51,6 +51,7 @@ def _independent(h: Horizon, p: Problem, row: int, first: torch.Tensor) -> float
     return float(found.fun)
 
 
+@pytest.mark.slow
 def test_gauss_newton_finds_the_optimum_of_an_independent_optimiser(
     model: NeuralSDE, path: Reference
 ) -> None:
@@ -88,6 +89,7 @@ def test_the_gradient_put_together_from_slopes_is_that_of_the_cost(model: Neural
 
 
 @pytest.mark.parametrize(("name", "iterations"), [("gauss_newton", 8), ("apg", 30)])
+@pytest.mark.slow
 def test_iterations_never_make_a_plan_worse_and_never_leave_the_box(
     model: NeuralSDE, path: Reference, name: str, iterations: int
 ) -> None:
@@ -110,6 +112,7 @@ def test_a_far_start_with_inputs_at_their_bounds_is_solved_too(declared: System,
     assert float(found.gap.max()) < 1e-3
 
 
+@pytest.mark.slow
 def test_accelerated_gradient_comes_to_the_same_optimum(model: NeuralSDE, path: Reference) -> None:
     h = horizon_of(model, steps=10, horizon=0.5)
     p = problem_of(h, path, rows=3, off=0.5)

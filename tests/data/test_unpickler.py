@@ -109,6 +109,7 @@ def test_an_array_that_claims_more_than_it_holds_is_refused_before_memory_is_tak
         load(tmp_path, array.replace(b"K\x07\x85", b"K\x09\x85"))
 
 
+@pytest.mark.slow
 def test_lists_that_share_each_other_many_times_are_refused_in_time(tmp_path: Path) -> None:
     bomb: list = []
     for _ in range(30):

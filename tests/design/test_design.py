@@ -53,6 +53,7 @@ def test_the_plan_breaks_the_tie_within_the_limits(planned: Experiment, tie: Tie
     assert (folder / "design.png").stat().st_size > 10_000
 
 
+@pytest.mark.slow
 def test_flown_on_the_plant_it_speaks_for_what_is_true(planned: Experiment, tie: Tie, tmp_path: Path) -> None:
     folder = planned.save(tmp_path / "plan")
     made = nsde_torch.simulate("mass_spring_damper", effects=TRUE, seed=9, dt=DT, plan=folder)

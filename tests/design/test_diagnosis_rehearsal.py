@@ -37,6 +37,7 @@ def rehearsal(found: Diagnosis) -> Rehearsal:
     return rehearse(found, logs=2, seed=1)
 
 
+@pytest.mark.slow
 def test_what_was_found_is_found_again_with_values_and_nothing_of_nothing(
     found: Diagnosis, rehearsal: Rehearsal
 ) -> None:
@@ -51,6 +52,7 @@ def test_what_was_found_is_found_again_with_values_and_nothing_of_nothing(
     assert (size["intervals"], size["unit"]) == (2, "m/s2")
 
 
+@pytest.mark.slow
 def test_it_is_told_in_the_terminal_and_on_the_page(rehearsal: Rehearsal) -> None:
     content = {"rehearsal": rehearsal.content()}
     told = "\n".join(rehearsal_lines(content))
@@ -65,6 +67,7 @@ def test_it_is_told_in_the_terminal_and_on_the_page(rehearsal: Rehearsal) -> Non
     assert rehearsal_html({}, lambda head, rows: "") == ""
 
 
+@pytest.mark.slow
 def test_what_is_named_wrongly_and_what_could_not_be_made_is_told(rehearsal: Rehearsal) -> None:
     none: dict[str, Any] = {
         "verdict": "no_effect",
@@ -118,6 +121,7 @@ def test_inputs_that_follow_keep_a_pole_up_which_replayed_ones_lose() -> None:
     assert abs(left["replay"]) > 0.5
 
 
+@pytest.mark.slow
 def test_positions_alone_are_simulated_without_a_rate() -> None:
     system = make_system("mass_spring_damper")
     options = Options(candidates=("coulomb_friction", "quadratic_damping"))

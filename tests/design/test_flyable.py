@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+import pytest
 
 import nsde_torch
 from nsde_torch.design import DesignOptions, question_of
@@ -16,6 +17,7 @@ from nsde_torch.systems import Multirotor
 from nsde_torch.systems.options import system_options
 
 
+@pytest.mark.slow
 def test_no_parameters_are_drawn_with_which_the_machine_is_lost() -> None:
     system = system_options("quadrotor").make()
     assert isinstance(system, Multirotor)

@@ -27,6 +27,9 @@ WEAK, OFFSET = ("motor_efficiency_loss",), ("com_offset",)
 GAINS = {"thrust_gain": 6.4, "roll_gain": 58.0, "pitch_gain": 58.0}
 
 
+pytestmark = pytest.mark.slow  # all look at one flight, whose members take a minute
+
+
 @pytest.fixture(scope="module")
 def flights(tmp_path_factory: pytest.TempPathFactory) -> tuple[System, list[Run]]:
     """Two gentle flights of a quadrotor whose third motor is weak."""

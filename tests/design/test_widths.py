@@ -33,6 +33,7 @@ def fast() -> Member:
     return members_of(system, runs, Question((BIASED, SIDED)), {}, clock=1.0)[0]
 
 
+@pytest.mark.slow
 def test_a_width_that_no_run_shows_is_followed_down_to_the_true_one(fast: Member) -> None:
     (column,) = width_columns(fast.vector)
     widths = np.array([b.theta[column] for b in fast.branches])

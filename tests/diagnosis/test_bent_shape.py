@@ -38,6 +38,7 @@ def runs() -> list[RawRun]:
     return out
 
 
+@pytest.mark.slow
 def test_a_law_is_sought_in_the_place_of_a_friction_that_is_none(runs: list[RawRun]) -> None:
     found = nsde_torch.diagnose(runs, system="mass_spring_damper").content()
     assert found["added"] == ["force = c1 max(q, 0) q_dot"]
@@ -45,12 +46,14 @@ def test_a_law_is_sought_in_the_place_of_a_friction_that_is_none(runs: list[RawR
     assert low < -0.7 < high
 
 
+@pytest.mark.slow
 def test_a_friction_that_is_dry_has_no_such_shape() -> None:
     found, content = diagnosed("mass_spring_damper", {"coulomb_friction": {"size": 0.5, "width": 0.01}})
     assert content["added"] == ["coulomb_friction"]
     assert bent_shape(found.outcome.final.regression, "coulomb_friction") == ""
 
 
+@pytest.mark.slow
 def test_where_no_law_may_be_tried_it_is_provisional(runs: list[RawRun]) -> None:
     only = ("position_dependent_friction",)
     found = nsde_torch.diagnose(runs, system="mass_spring_damper", candidates=only).content()

@@ -114,6 +114,7 @@ def found() -> tuple[Diagnosis, dict[str, Any]]:
     return diagnosed("mass_spring_damper", friction, push, options=options)
 
 
+@pytest.mark.slow
 def test_what_returns_is_said_where_the_effect_is(found: tuple[Diagnosis, dict[str, Any]]) -> None:
     diagnosis, content = found
     assert content["told"]["by"] == BY_STEPS

@@ -41,6 +41,7 @@ def noise() -> Flexible:
     return fitted(lambda q, t, run: 0.0 * q)[0]
 
 
+@pytest.mark.slow
 def test_a_force_in_one_place_is_won_on_runs_that_were_not_seen(noise: Flexible) -> None:
     found, base = fitted(lambda q, t, run: 0.8 * np.exp(-(((q - 0.1) / 0.15) ** 2)))
     floor = noise.plain_squares.mean()
@@ -116,6 +117,7 @@ def friction() -> tuple[Diagnosis, dict[str, Any]]:
     return diagnosed("mass_spring_damper", {"coulomb_friction": {"size": 0.5}}, options=options)
 
 
+@pytest.mark.slow
 def test_an_effect_beside_which_more_is_left_than_it_explains_is_a_lead(
     friction: tuple[Diagnosis, dict[str, Any]],
 ) -> None:

@@ -72,6 +72,7 @@ def _twice(budgets: Budgets) -> Budgets:
 
 
 @pytest.mark.parametrize("effects", [[], [_FRICTION]])
+@pytest.mark.slow
 def test_twice_the_budget_finds_the_same(effects: list[Any]) -> None:
     once, twice = (diagnosed(_SPRING, *effects, budgets=b, **_SHORT)[1] for b in (BUDGETS, _twice(BUDGETS)))
     assert (once["verdict"], once["added"]) == (twice["verdict"], twice["added"])
@@ -80,6 +81,7 @@ def test_twice_the_budget_finds_the_same(effects: list[Any]) -> None:
         assert low <= twice["parameters"][name]["value"] <= high
 
 
+@pytest.mark.slow
 def test_what_is_decided_reaches_the_search() -> None:
     _, content = diagnosed(_SPRING, _FRICTION, decisions=Decisions(least_nats=1e6), **_SHORT)
     assert (content["verdict"], content["added"]) == ("unexplained", [])

@@ -38,6 +38,7 @@ def turned(run: Run) -> Run:
     return replace(run, u=-np.asarray(run.u))
 
 
+@pytest.mark.slow
 def test_a_force_that_was_logged_the_wrong_way_round_is_named_on_page_and_terminal() -> None:
     found, content = told("mass_spring_damper", turned, durations=(12.0,) * 3)
     first, second = content["warnings"]
@@ -62,6 +63,7 @@ def test_a_force_that_was_logged_the_wrong_way_round_is_named_on_page_and_termin
         ("'theta' counted from the other side", 2, 1.0, np.pi),
     ],
 )
+@pytest.mark.slow
 def test_columns_of_a_cart_that_are_turned_are_told_apart(
     words: str, column: int | None, sign: float, shift: float
 ) -> None:
@@ -87,6 +89,7 @@ def test_a_sound_log_has_no_warnings_and_its_parameters_are_told_with_intervals(
     assert all(name in said for name in declared)
 
 
+@pytest.mark.slow
 def test_a_machine_of_another_size_is_asked_about_only_where_the_physics_does_not_explain_it() -> None:
     def heavy(run: Run) -> Run:
         return replace(run, u=2e4 * np.asarray(run.u))

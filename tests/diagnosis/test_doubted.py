@@ -17,6 +17,7 @@ from nsde_torch.sysid.guard import Guarded, Objection
 from tests.helpers.diagnosed import diagnosed
 
 
+@pytest.mark.slow
 def test_what_is_found_behind_a_smoother_that_is_kept_is_no_more_than_a_lead() -> None:
     runs = []
     for run in nsde_torch.simulate("cartpole", durations=[10.0] * 3, seed=3, declared_only=True).runs:
@@ -42,6 +43,7 @@ def sure() -> Outcome:
     return outcome
 
 
+@pytest.mark.slow
 def test_where_physics_explains_next_to_nothing_what_is_found_is_a_lead_and_the_verdict_stays(
     sure: Outcome,
 ) -> None:

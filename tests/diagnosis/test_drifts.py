@@ -62,6 +62,7 @@ def same(number: int, at: float) -> float:
     ],
     ids=["stiffness falls", "mass differs", "filtered force"],
 )
+@pytest.mark.slow
 def test_it_is_said_and_told_apart(
     stiffness: Factor, mass: Factor, memory: float, variable: str, words: str
 ) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 from numpy.typing import NDArray
 
 import nsde_torch
@@ -39,6 +40,7 @@ def chirps(friction: float) -> list[RawRun]:
     return out
 
 
+@pytest.mark.slow
 def test_a_simulation_without_noise_that_lacks_nothing_is_told_so() -> None:
     found = nsde_torch.diagnose(chirps(0.0), system="mass_spring_damper")
     assert found.outcome.declared.regression.arithmetic
@@ -46,6 +48,7 @@ def test_a_simulation_without_noise_that_lacks_nothing_is_told_so() -> None:
     assert not found.outcome.structured
 
 
+@pytest.mark.slow
 def test_a_millionth_of_structure_is_arithmetic_and_a_thousandth_is_not() -> None:
     for size, arithmetic in ((1e-6, True), (1e-3, False)):
         runs = nsde_torch.read(chirps(size), system="mass_spring_damper").runs

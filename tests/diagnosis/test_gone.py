@@ -39,6 +39,7 @@ def search() -> tuple[Search, System]:
     return search_in(system, data.runs, data.clock_scale, Options(candidates=CANDIDATES)), system
 
 
+@pytest.mark.slow
 def test_effects_are_selected_from_first_values_where_gains_have_gone(
     search: tuple[Search, System], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -68,6 +69,7 @@ def test_effects_are_selected_from_first_values_where_gains_have_gone(
     assert now["flapping_moment.gain[0]"] == pytest.approx(FLAPPING, rel=0.1)
 
 
+@pytest.mark.slow
 def test_a_gain_that_goes_again_where_another_stays_is_held_and_not_shown(
     search: tuple[Search, System], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -93,6 +95,7 @@ def test_a_gain_that_goes_again_where_another_stays_is_held_and_not_shown(
     assert shown["roll_gain"]
 
 
+@pytest.mark.slow
 def test_ordinary_selection_stands_where_no_gain_has_gone_or_none_comes_back(
     search: tuple[Search, System], monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -52,6 +52,7 @@ def effect_on_runs_left_out(name: str, *, seed: int, values: Mapping[str, float]
     )
 
 
+@pytest.mark.slow
 def test_an_effect_that_is_not_there_does_not_surely_raise_the_log_likelihood() -> None:
     found = [
         effect_on_runs_left_out("quadratic_damping", seed=seed).own["quadratic_damping"] for seed in range(4)
@@ -61,6 +62,7 @@ def test_an_effect_that_is_not_there_does_not_surely_raise_the_log_likelihood() 
     assert all(f.low is not None and f.high is not None and f.low <= f.nats <= f.high for f in found)
 
 
+@pytest.mark.slow
 def test_an_effect_that_is_there_surely_raises_it_and_leaves_less() -> None:
     for seed in range(2):
         measured = effect_on_runs_left_out("coulomb_friction", seed=seed, values={"size": 0.2})
@@ -201,6 +203,7 @@ def flown() -> tuple[dict[str, Any], dict[str, tuple[str, ...]]]:
     return found.content(), moves
 
 
+@pytest.mark.slow
 def test_drag_of_a_machine_in_a_loop_is_named_and_is_no_lead(flown: tuple[dict[str, Any], Any]) -> None:
     content, _ = flown
     (finding,) = content["findings"]
@@ -221,12 +224,14 @@ def test_drag_of_a_machine_in_a_loop_is_named_and_is_no_lead(flown: tuple[dict[s
     assert errors["residual"]["w_z"]["ratio"] == pytest.approx(1.0, abs=0.02)
 
 
+@pytest.mark.slow
 def test_what_an_effect_moves_follows_from_its_slopes(flown: tuple[Any, dict[str, tuple[str, ...]]]) -> None:
     _, moves = flown
     assert moves["angular_damping"] == ("w_x", "w_y", "w_z")
     assert "v_z (body)" in moves["thrust_curve"]
 
 
+@pytest.mark.slow
 def test_the_terminal_tells_residual_and_likelihood_before_predictions_and_says_what_those_are(
     flown: tuple[dict[str, Any], Any],
 ) -> None:

@@ -24,6 +24,7 @@ NAME = "flapping_moment"
     ],
     ids=["a moment of the square of a speed", "a moment of the speed"],
 )
+@pytest.mark.slow
 def test_an_effect_of_a_multirotor_is_held_against_laws(
     effect: dict[str, dict[str, float]], nearer: bool
 ) -> None:

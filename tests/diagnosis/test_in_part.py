@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import pytest
+
 from nsde_torch.diagnosis.options import Options
 from tests.helpers.diagnosed import diagnosed
 
 RIVALS = Options(candidates=("constant_wind", "linear_drag", "thrust_misalignment"))
 
 
+@pytest.mark.slow
 def test_air_that_moves_is_drag_and_what_else_pushes_steadily() -> None:
     wind = {"constant_wind": {"drag": [0.2, 0.2, 0.2], "wind": [1.5, 0.5]}}
     _, content = diagnosed("hexacopter", wind, options=RIVALS, durations=(8.0,) * 4)
@@ -17,6 +20,7 @@ def test_air_that_moves_is_drag_and_what_else_pushes_steadily() -> None:
     assert "turned by a quarter" in tie["experiment"]
 
 
+@pytest.mark.slow
 def test_a_friction_that_is_stronger_one_way_is_tied_with_a_plain_one_and_a_push() -> None:
     both = ({"coulomb_friction": {"size": 0.2}}, {"constant_force": {"acceleration": 0.06}})
     _, content = diagnosed(

@@ -42,6 +42,7 @@ def test_a_law_that_is_a_multiple_of_an_effect_takes_its_name(law: str, size: fl
         assert value == pytest.approx(2.0, rel=0.1)
 
 
+@pytest.mark.slow
 def test_behind_a_smoother_no_law_is_tried() -> None:
     law = {"force = c1 q q_dot": {"c1": 0.8}}
     made = simulate("mass_spring_damper", effects=[law], durations=(8.0,) * 4, seed=1)

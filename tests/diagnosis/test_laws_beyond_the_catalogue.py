@@ -61,6 +61,7 @@ def test_a_product_that_no_catalogue_has_is_found_added_verified_and_written(tmp
     assert value == pytest.approx(content["parameters"][f"{LAW}.c1"]["value"], rel=1e-5)
 
 
+@pytest.mark.slow
 def test_a_hinge_is_found_with_its_place() -> None:
     stop = "force = c1 max(q - k1, 0)"
     _, content = diagnosed("mass_spring_damper", {stop: {"c1": -6.0, "k1": 0.2}}, **SHORT)
@@ -70,6 +71,7 @@ def test_a_hinge_is_found_with_its_place() -> None:
     assert "a stop or a spring" in finding(content, stop)["looks_like"]
 
 
+@pytest.mark.slow
 def test_two_effects_of_the_catalogue_that_imitate_one_law_give_way_to_it() -> None:
     law = "force = c1 q_dot^3"  # told as a quadratic damping and a friction
     _, content = diagnosed("mass_spring_damper", {law: {"c1": -0.6}}, **SHORT)
@@ -77,18 +79,21 @@ def test_two_effects_of_the_catalogue_that_imitate_one_law_give_way_to_it() -> N
     assert held(content, f"{law}.c1", -0.6, slack=0.5)
 
 
+@pytest.mark.slow
 def test_an_effect_that_only_comes_near_gives_way_to_the_law() -> None:
     law = "force = c1 q_dot^3"  # of a size at which a quadratic damping leaves no structure
     _, content = diagnosed("mass_spring_damper", {law: {"c1": -0.2}}, **SHORT)
     assert (content["verdict"], content["added"]) == ("effect_found", [law])
 
 
+@pytest.mark.slow
 def test_two_effects_of_one_speed_that_are_there_stay() -> None:
     both = ({"coulomb_friction": {"size": 0.15}}, {"quadratic_damping": {"damping": 0.4}})
     _, content = diagnosed("mass_spring_damper", *both, durations=(8.0,) * 4)
     assert sorted(content["added"]) == ["coulomb_friction", "quadratic_damping"]
 
 
+@pytest.mark.slow
 def test_beside_an_effect_of_the_catalogue_that_one_keeps_its_name() -> None:
     law = "force = c1 q^2"
     both = ({law: {"c1": -1.0}}, {"coulomb_friction": {"size": 0.15}})
@@ -105,6 +110,7 @@ def test_what_the_catalogue_has_is_named_by_it_and_nothing_is_made_of_nothing() 
     assert not found.effects
 
 
+@pytest.mark.slow
 def test_laws_are_tried_neither_beside_named_candidates_nor_where_the_budget_has_none() -> None:
     truth = {LAW: {"c1": 0.8}}
     few = Options(candidates=("coulomb_friction",))
@@ -115,6 +121,7 @@ def test_laws_are_tried_neither_beside_named_candidates_nor_where_the_budget_has
     assert (content["verdict"], content["added"]) == ("unexplained", [])
 
 
+@pytest.mark.slow
 def test_a_coupling_of_cart_and_pole_is_found_in_its_port() -> None:
     law = "torque = c1 x_dot theta_dot"
     _, content = diagnosed("cartpole", {law: {"c1": -0.15}}, durations=(4.0,) * 6)
@@ -137,6 +144,7 @@ def test_a_law_may_hang_on_the_place_where_only_the_speed_shows() -> None:
 
 
 @pytest.mark.skipif(not OUTSIDE.is_dir(), reason="the benchmarks are not part of a wheel")
+@pytest.mark.slow
 def test_what_one_run_alone_has_is_no_law(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.syspath_prepend(OUTSIDE)
     _, content = diagnosed(

@@ -21,6 +21,7 @@ SHORT: dict[str, Any] = {"durations": (8.0,) * 4, "dt": 0.02}
 
 
 @pytest.mark.parametrize(("law", "size"), [("force = c1 q q_dot^2", -10.0), ("force = c1 q^2 q_dot", -10.0)])
+@pytest.mark.slow
 def test_a_law_of_two_variables_is_named(law: str, size: float) -> None:
     _, content = diagnosed("mass_spring_damper", {law: {"c1": size}}, **SHORT)
     assert (content["verdict"], content["added"]) == ("effect_found", [law])
@@ -43,6 +44,7 @@ def ridge() -> Base:
     return Base(fitted_system(r), r, score(r, fold, block, still=nonlinear(r, smooth=False)), fold, block)
 
 
+@pytest.mark.slow
 def test_a_ridge_across_a_plane_is_won_by_fine_functions_of_it() -> None:
     base = ridge()
     _, variables = pushed(lambda q, t, run: 0.0 * q)

@@ -30,6 +30,7 @@ ALONE: list[tuple[str, str, dict[str, Any]]] = [
 
 
 @pytest.mark.parametrize(("system", "name", "values"), ALONE, ids=[name for _, name, _ in ALONE])
+@pytest.mark.slow
 def test_an_effect_alone_is_named_first_and_its_size_lies_near_the_interval(
     system: str, name: str, values: dict[str, float]
 ) -> None:
@@ -56,6 +57,7 @@ def test_nothing_is_found_where_nothing_is_missing(system: str, seed: int) -> No
     assert content["formula"] is None
 
 
+@pytest.mark.slow
 def test_two_effects_at_once_are_both_found() -> None:
     _, content = diagnosed(
         "mass_spring_damper", {"coulomb_friction": {"size": 0.3}}, {"input_delay": {"delay": 0.05}}
@@ -83,6 +85,7 @@ def test_effects_that_the_data_cannot_tell_apart_are_a_tie_with_an_experiment() 
     assert tie["experiment"]
 
 
+@pytest.mark.slow
 def test_rows_that_are_missing_do_not_hide_an_effect() -> None:
     _, content = diagnosed(
         "mass_spring_damper", {"coulomb_friction": {"size": 0.3}}, recording=Recording(dropout=0.1)
@@ -91,6 +94,7 @@ def test_rows_that_are_missing_do_not_hide_an_effect() -> None:
     assert any("gaps in time" in line for line in content["data"]["done"])
 
 
+@pytest.mark.slow
 def test_one_run_alone_is_diagnosed_and_its_last_part_is_what_errors_are_measured_on() -> None:
     _, content = diagnosed("mass_spring_damper", {"coulomb_friction": {"size": 0.3}}, durations=(20.0,))
     assert content["added"] == ["coulomb_friction"]
@@ -98,12 +102,14 @@ def test_one_run_alone_is_diagnosed_and_its_last_part_is_what_errors_are_measure
     assert content["errors"]["ratio"]["velocity"]["0.5"] < 0.9
 
 
+@pytest.mark.slow
 def test_only_the_candidates_that_are_named_are_tried() -> None:
     options = Options(candidates=("quadratic_damping", "cubic_stiffness"))
     _, content = diagnosed("mass_spring_damper", {"coulomb_friction": {"size": 0.3}}, options=options)
     assert {r["effect"] for r in content["ranking"]} <= {"quadratic_damping", "cubic_stiffness"}
 
 
+@pytest.mark.slow
 def test_runs_without_an_input_cannot_show_what_the_input_does() -> None:
     _, content = diagnosed("mass_spring_damper", {"input_delay": {"delay": 0.05}}, plant={"force": "zero"})
     assert content["verdict"] == "no_effect"
@@ -126,6 +132,7 @@ def test_a_machine_at_rest_shows_nothing_and_the_diagnosis_says_so() -> None:
 @pytest.mark.parametrize(
     "beside", [{}, {"coulomb_friction[cart]": {"size": 0.4}}], ids=["alone", "beside friction"]
 )
+@pytest.mark.slow
 def test_inputs_that_act_a_fraction_of_a_step_late_are_taken_into_account_and_not_named(
     beside: dict[str, Any],
 ) -> None:

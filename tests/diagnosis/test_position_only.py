@@ -15,6 +15,7 @@ from tests.helpers.encoders import encoder_runs
 
 
 @pytest.mark.parametrize("rate", ["none", "backward"])
+@pytest.mark.slow
 def test_friction_is_named_and_what_was_inferred_is_said(rate: str) -> None:
     data = nsde_torch.read(encoder_runs(rate, runs=3, noise=5e-4), system="mass_spring_damper")
     found = nsde_torch.diagnose(data, system="mass_spring_damper").content()
@@ -26,12 +27,14 @@ def test_friction_is_named_and_what_was_inferred_is_said(rate: str) -> None:
     assert "known from the reading" in aside["reason"]
 
 
+@pytest.mark.slow
 def test_nothing_is_named_of_a_count_that_holds_nothing() -> None:
     runs = encoder_runs("savgol", runs=4, friction=0.0, noise=5e-4, counts=True)
     found = nsde_torch.diagnose(runs, system="mass_spring_damper").content()
     assert (found["verdict"], found["added"]) == ("no_effect", [])
 
 
+@pytest.mark.slow
 def test_what_is_found_with_inferred_rates_of_several_coordinates_is_provisional() -> None:
     found, _ = diagnosed("mass_spring_damper", {"coulomb_friction": {"size": 0.5, "width": 0.01}})
     (one,) = found.outcome.found

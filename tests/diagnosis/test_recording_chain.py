@@ -18,6 +18,7 @@ ALONE = Options(max_effects=0)  # the recording chain is looked at before any ef
 @pytest.mark.parametrize(
     ("system", "name", "size"), [("mass_spring_damper", "q_dot", 0.1), ("cartpole", "x_dot", -0.1)]
 )
+@pytest.mark.slow
 def test_a_rate_that_reads_too_much_is_found_where_its_integral_is_logged(
     system: str, name: str, size: float
 ) -> None:
@@ -39,12 +40,14 @@ def test_a_sensor_that_comes_late_is_found_and_not_taken_for_an_effect(system: s
     assert f"{name} is logged" in content["findings"][0]["sentence"]
 
 
+@pytest.mark.slow
 def test_a_filtered_sensor_is_told_from_a_delayed_one() -> None:
     _, content = diagnosed("cartpole", recording=Recording(sensor_lag={"theta_dot": 0.05}))
     assert content["added"] == ["sensor_lag"]
     assert content["parameters"]["sensor_lag.theta_dot"]["value"] == pytest.approx(0.05, rel=0.05)
 
 
+@pytest.mark.slow
 def test_a_camera_whose_angle_and_rate_are_late_alike_is_found_where_effects_leave_structure() -> None:
     chain = Recording(sensor_delay={"theta": 0.04, "theta_dot": 0.04})
     _, content = diagnosed("cartpole", recording=chain, durations=(4.0,) * 4)
@@ -55,6 +58,7 @@ def test_a_camera_whose_angle_and_rate_are_late_alike_is_found_where_effects_lea
     assert content["unexplained"] == []
 
 
+@pytest.mark.slow
 def test_less_than_a_step_is_undone_where_physics_is_better_for_it_and_is_no_finding() -> None:
     late = Recording(sensor_delay={"theta_dot": 0.009})
     there, content = diagnosed("cartpole", recording=late, durations=(4.0,) * 8)
@@ -64,6 +68,7 @@ def test_less_than_a_step_is_undone_where_physics_is_better_for_it_and_is_no_fin
     assert there.recorded.delays["theta_dot"] == pytest.approx(0.009, rel=0.1)
 
 
+@pytest.mark.slow
 def test_inputs_that_were_averaged_are_found_and_restored() -> None:
     there, averaged = diagnosed(
         "cartpole", options=ALONE, durations=(12.0,) * 4, recording=Recording(input_smoothing=0.2)
@@ -99,6 +104,7 @@ def test_restored_inputs_are_nearer_to_those_that_acted_than_their_average() -> 
     assert left < 0.2 * np.square(average - u)[inner].mean()
 
 
+@pytest.mark.slow
 def test_a_clock_that_runs_wrong_is_found() -> None:
     _, content = diagnosed(
         "cartpole", options=ALONE, recording=Recording(clock_scale=1.08), durations=(4.0,) * 12
@@ -112,6 +118,7 @@ def test_a_clock_that_runs_wrong_is_found() -> None:
 
 
 @pytest.mark.parametrize(("scale", "how"), [(1.06, "further"), (0.94, "less far")])
+@pytest.mark.slow
 def test_a_clock_and_the_scale_of_a_single_speed_are_a_tie(scale: float, how: str) -> None:
     _, content = diagnosed(
         "mass_spring_damper", options=ALONE, recording=Recording(clock_scale=scale), durations=(12.0,) * 6
@@ -127,6 +134,7 @@ def test_a_clock_and_the_scale_of_a_single_speed_are_a_tie(scale: float, how: st
     assert "a single position and its rate cannot tell" in done
 
 
+@pytest.mark.slow
 def test_an_angle_that_reads_too_much_is_named_where_no_kinematics_can_show_it() -> None:
     _, content = diagnosed(
         "cartpole", recording=Recording(sensor_bias={"theta": 0.03}), durations=(4.0,) * 6, seed=4

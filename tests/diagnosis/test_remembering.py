@@ -16,6 +16,7 @@ from remembering import DT, RIGHT, run
 
 
 @pytest.mark.parametrize("kind", ["bouc_wen", "play", "delay", "coulomb"])
+@pytest.mark.slow
 def test_it_is_named_for_what_it_is(kind: str) -> None:
     values = {
         "k": 3.0,

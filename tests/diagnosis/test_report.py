@@ -59,6 +59,7 @@ def written(folder: Path, case: tuple[Diagnosis, dict[str, Any]]) -> tuple[str, 
     return page, parser.images
 
 
+@pytest.mark.slow
 def test_the_page_loads_nothing_and_fits_a_phone(
     tmp_path: Path, found: tuple[Diagnosis, dict[str, Any]]
 ) -> None:
@@ -100,6 +101,7 @@ def test_the_page_names_the_effect_its_values_its_tie_and_the_experiment(
     assert "What these data cannot show" in text
 
 
+@pytest.mark.slow
 def test_a_page_of_nothing_found_shows_the_residual_and_the_floor(
     tmp_path: Path, nothing: tuple[Diagnosis, dict[str, Any]]
 ) -> None:
@@ -175,6 +177,7 @@ def test_an_interval_that_ends_where_the_search_does_has_one_end(
     assert interval(ends, bound) == words
 
 
+@pytest.mark.slow
 def test_no_interval_is_given_where_something_speaks_against_the_fit() -> None:
     found, before = diagnosed("mass_spring_damper", {"coulomb_friction": {"size": 0.3}})
     assert before["parameters"]["coulomb_friction.size"]["interval_90"] is not None
@@ -187,6 +190,7 @@ def test_no_interval_is_given_where_something_speaks_against_the_fit() -> None:
     assert content["warnings"][0]["sentence"] == "the fit is worse than nothing"
 
 
+@pytest.mark.slow
 def test_a_width_that_is_crossed_within_a_step_is_below_something(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

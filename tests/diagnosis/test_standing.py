@@ -9,6 +9,7 @@ from tests.helpers.sticking import STICKING, sticking_runs
 
 
 @pytest.mark.parametrize("size", [1.0, 2.4])  # it stands in a quarter of the rows, and in three quarters
+@pytest.mark.slow
 def test_dry_friction_that_holds_is_named_alone_and_all_values_are_right(size: float) -> None:
     found = nsde_torch.diagnose(
         sticking_runs(size, seconds=20.0),

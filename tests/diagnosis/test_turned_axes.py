@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
 from nsde_torch.diagnosis.options import Options
 from nsde_torch.recording import Recording
@@ -13,6 +14,7 @@ THERE = {"frame_misalignment", "motor_lag"}
 RIVALS = Options(candidates=(*sorted(THERE), "thrust_misalignment", "inertia_coupling"))
 
 
+@pytest.mark.slow
 def test_axes_of_the_log_that_are_turned_are_named_and_not_a_tilted_thrust_or_skew_masses() -> None:
     _, content = diagnosed(
         "hexacopter",

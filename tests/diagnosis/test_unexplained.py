@@ -31,6 +31,7 @@ def one_term(content: dict[str, Any]) -> tuple[str, float, float]:
 
 @needs_outside
 @pytest.mark.usefixtures("_outside")
+@pytest.mark.slow
 def test_a_magnet_on_the_pole_is_a_ripple_of_the_catalogue_and_unexplained_without_it() -> None:
     magnet = {"outside:PoleMagnet": {"size": 1.5}}
     _, content = diagnosed("cartpole", magnet, durations=(4.0,) * 16)
@@ -57,6 +58,7 @@ def test_a_magnet_on_the_pole_is_a_ripple_of_the_catalogue_and_unexplained_witho
 
 @needs_outside
 @pytest.mark.usefixtures("_outside")
+@pytest.mark.slow
 def test_a_spring_that_hardens_faster_than_the_catalogue_knows_is_a_law_with_its_power() -> None:
     case = ("mass_spring_damper", {"outside:QuinticStiffness": {"size": 8.0}})
     _, content = diagnosed(*case, durations=(10.0,) * 6)
@@ -102,6 +104,7 @@ def test_the_time_in_a_formula_is_that_of_the_log() -> None:
 
 @needs_outside
 @pytest.mark.usefixtures("_outside")
+@pytest.mark.slow
 def test_effects_that_explain_nothing_of_what_is_missing_are_no_leads() -> None:
     case = ("mass_spring_damper", {"outside:QuinticStiffness": {"size": 8.0}})
     options = Options(candidates=("cubic_stiffness", "coulomb_friction", "constant_force"))  # and no law

@@ -123,6 +123,7 @@ def test_a_plant_can_have_a_law_and_a_model_with_it_is_trained_saved_and_evaluat
     assert torch.allclose(again, value)
 
 
+@pytest.mark.slow
 def test_a_controller_with_a_law_is_exported_as_it_is(declared: System) -> None:
     effect = declared.make_effect(TWIST, {"c1": 0.44, "c2": -0.3})
     system = declared.with_effects(effect.to(next(declared.parameters()).dtype))

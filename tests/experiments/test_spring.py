@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pytest
 import torch
 from torch import Tensor
 
@@ -37,6 +38,7 @@ def lost() -> Model:
     return Lost(spec, generator=torch.Generator().manual_seed(0))
 
 
+@pytest.mark.slow
 def test_a_right_sde_passes_every_check_beside_a_wrong_ode_and_a_lost_ensemble() -> None:
     outcome = state_evolution(
         {"sde": [spring(damping=0.5)], "ode": [spring(damping=0.9, step="rk4")], "ensemble": [lost()]},
@@ -49,6 +51,7 @@ def test_a_right_sde_passes_every_check_beside_a_wrong_ode_and_a_lost_ensemble()
     assert set(outcome.figures) == {"evolution"}
 
 
+@pytest.mark.slow
 def test_a_wrong_sde_fails() -> None:
     wrong = [spring(damping=1.5, sigma=1e-5)]
     outcome = state_evolution(
@@ -58,6 +61,7 @@ def test_a_wrong_sde_fails() -> None:
     assert not outcome.passed
 
 
+@pytest.mark.slow
 def test_several_seeds_are_averaged_and_several_outcomes_joined() -> None:
     models = {"sde": [spring(damping=d) for d in (0.5, 0.6)], "ode": [spring(damping=0.5, step="rk4")]}
     one = state_evolution(models, title="spring; unknown", seed=0)
@@ -67,6 +71,7 @@ def test_several_seeds_are_averaged_and_several_outcomes_joined() -> None:
     assert [c.claim.split(":")[0] for c in joined.checks] == ["unknown"] * 2 + ["declared"] * 2
 
 
+@pytest.mark.slow
 def test_pairs_of_seeds_say_whether_sde_and_ode_differ_by_more_than_seeds_do() -> None:
     sde = [spring(damping=d, sigma=1e-5) for d in (0.50, 0.51)]
     alike = state_evolution(

@@ -52,6 +52,7 @@ def file(model: NeuralSDE, run_dir: Path, tmp_path_factory: pytest.TempPathFacto
         return _export(model, run_dir, folder / "controller.ts")
 
 
+@pytest.mark.slow
 def test_a_file_plans_as_its_controller_and_stands_whatever_it_is_given(
     file: Path, model: NeuralSDE, path: Reference
 ) -> None:
@@ -75,6 +76,7 @@ def test_what_differs_and_what_is_unsafe_fails() -> None:
     assert not verify.Verification(unsafe=["sample 1"]).passed
 
 
+@pytest.mark.slow
 def test_another_process_makes_the_same_bytes_but_for_the_time(
     file: Path, run_dir: Path, tmp_path: Path, root: Path
 ) -> None:

@@ -17,6 +17,7 @@ from nsde_torch.systems import System
 from tests.helpers.exported import flight, small_controller, step_of
 
 
+@pytest.mark.slow
 def test_sample_after_sample_graphs_of_the_step_do_what_the_controller_does(
     model: NeuralSDE, path: Reference
 ) -> None:
@@ -38,6 +39,7 @@ def test_sample_after_sample_graphs_of_the_step_do_what_the_controller_does(
     assert words & {"converged", "improved"}
 
 
+@pytest.mark.slow
 def test_graphs_of_every_stage_give_its_numbers(declared: System) -> None:
     step = step_of(small_controller(declared, particles=2, steps=3), declared)
     for name, example in step.examples().items():

@@ -57,6 +57,7 @@ def small(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.usefixtures("small")
+@pytest.mark.slow
 def test_delay_and_dry_friction_of_a_servo_are_found(servo_folder: Path, tmp_path: Path) -> None:
     content = run_benchmark("bam", servo_folder, out_dir=tmp_path)
     assert sorted(content["effects"]) == ["coulomb_friction", "input_delay"]

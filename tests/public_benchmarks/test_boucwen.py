@@ -74,6 +74,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return out
 
 
+@pytest.mark.slow
 def test_the_weights_of_a_hysteresis_are_found(folder: Path, tmp_path: Path) -> None:
     content = run_benchmark("boucwen", folder, out_dir=tmp_path)
     linear, equal, free = content["ours"].values()

@@ -24,6 +24,7 @@ def _measured(noise: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
     return x + noise * rng.standard_normal(x.shape), u[0]
 
 
+@pytest.mark.slow
 def test_parameters_are_found_from_positions_alone() -> None:
     x, u = _measured()
     x[:, 1] = 0.0  # nobody measured it

@@ -35,6 +35,7 @@ def test_every_set_says_what_to_fetch_and_how_it_is_scored() -> None:
             assert row.source
 
 
+@pytest.mark.slow
 def test_the_drive_is_found_and_the_second_call_keeps_the_stages(emps_folder: Path, tmp_path: Path) -> None:
     told: list[str] = []
     content = run_benchmark("emps", emps_folder, out_dir=tmp_path, tell=told.append)
@@ -61,6 +62,7 @@ def test_the_pendulum_is_found(pendulum_folder: Path, tmp_path: Path) -> None:
     assert ours < 0.1 * published
 
 
+@pytest.mark.slow
 def test_the_cubic_spring_is_found_from_the_output_alone(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -100,6 +102,7 @@ def test_the_cubic_spring_is_found_from_the_output_alone(
         run_benchmark("silverbox", tmp_path, out_dir=tmp_path / "out2")
 
 
+@pytest.mark.slow
 def test_the_nano_drone_is_read_and_scored_as_its_protocol_says(
     nanodrone_folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

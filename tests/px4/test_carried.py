@@ -67,6 +67,7 @@ def test_a_state_carried_over_a_delay_knows_the_push() -> None:
     assert after[0] == pytest.approx(0.005)
 
 
+@pytest.mark.slow
 def test_a_machine_that_is_pushed_forward_is_asked_to_lean_back_further_once_the_push_is_known() -> None:
     problem, solver = ProblemOptions(horizon=0.5, steps=10), SolverOptions(compile="off", iterations=4)
     known = Controller(make_plant_system("quadrotor", declared_only=True), problem=problem, solver=solver)

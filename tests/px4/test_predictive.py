@@ -103,6 +103,7 @@ def _flown(planner: Planner, path: FlightPath) -> FlightReport:
     )
 
 
+@pytest.mark.slow
 def test_a_machine_that_follows_late_is_held_in_its_place_and_by_a_file_as_by_its_controller(
     tmp_path: Path,
 ) -> None:

@@ -64,6 +64,7 @@ def test_the_family_and_the_frequency_response_are_found(name: str) -> None:
     assert np.abs(np.abs(found.response(f))[band] / true[band] - 1.0).max() < 0.1
 
 
+@pytest.mark.slow
 def test_a_rate_made_of_positions_by_a_polynomial_is_told_from_a_smoothed_one() -> None:
     x = sensor(4)
     rate = savgol_filter(x, 11, 3, deriv=1, delta=DT, axis=0)

@@ -116,6 +116,7 @@ def test_runs_and_segments_of_unequal_length_are_pooled() -> None:
     assert smoothing_width([short, cut], 4) == pytest.approx(0.4, abs=1.01 * DT)
 
 
+@pytest.mark.slow
 def test_simulated_flights_were_not_averaged() -> None:
     from nsde_torch.simulation import simulated
 

@@ -23,6 +23,7 @@ def case(batch: int, particles: int = 2) -> tuple[Tensor, Tensor, Tensor, Tensor
 
 @pytest.mark.usefixtures("compiler")
 @pytest.mark.parametrize("name", ["milstein", "milstein_ito"])
+@pytest.mark.slow
 def test_compiled_and_eager_rollouts_agree_in_value_and_gradient(name: str) -> None:
     sde, step = SmallNetwork(), make_step(name)
     for batch in (5, 8):

@@ -42,6 +42,7 @@ WHERE_IT_SHOWS: dict[str, Any] = {
 
 
 @pytest.mark.parametrize("system", sorted(SHORT))
+@pytest.mark.slow
 def test_every_effect_of_the_catalogue_can_be_held_by_a_plant_and_changes_its_data(system: str) -> None:
     plain = short(system)
     there = {*make_system(system).effect_names, *MACHINES[system].effects}
@@ -124,6 +125,7 @@ def test_a_wrong_clock_is_found_by_the_checks_of_measured_data(tmp_path: Path) -
     assert data.dt == pytest.approx(0.02)
 
 
+@pytest.mark.slow
 def test_a_battery_falls_with_use_and_is_logged_where_asked() -> None:
     made = short("hexacopter", effects=["battery_voltage"], durations=[3.0, 3.0])
     unloaded = [run.extra["battery_voltage"] + LOAD * run.u.mean(1) for run in made.runs]

@@ -43,6 +43,7 @@ def test_a_plant_resumes_with_its_memory_its_latency_and_its_clock() -> None:
         plants[1].resume(plants[0].whole_state, commands[30:40])
 
 
+@pytest.mark.slow
 def test_commands_of_the_same_time_fly_the_same_flight(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(
         replay, "_drawn", lambda flights, count, *_: ([(0, 80), (1, 300)], [(0, 80), (1, 300)])

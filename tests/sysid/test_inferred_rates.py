@@ -33,6 +33,7 @@ def _off(found: Identification) -> np.ndarray:
 
 
 @pytest.mark.parametrize("counts", [False, True])
+@pytest.mark.slow
 def test_friction_is_right_from_positions_alone(counts: bool) -> None:
     found = _identified("none", counts=counts)
     assert found.believed
@@ -42,11 +43,13 @@ def test_friction_is_right_from_positions_alone(counts: bool) -> None:
     assert found.standard_errors[size] < 0.01
 
 
+@pytest.mark.slow
 def test_a_difference_of_rows_gives_the_same_as_no_rate_at_all() -> None:
     made, none = _identified("backward", seed=1), _identified("none", seed=1)
     assert np.abs(made.values - none.values).max() < 0.01 * np.abs(none.values).max()
 
 
+@pytest.mark.slow
 def test_kept_as_it_is_a_difference_of_rows_bends_the_estimate_or_is_not_believed() -> None:
     kept, right = (_identified("backward", policy=policy, seed=1) for policy in ("keep", "infer"))
     assert (_off(right) < 1.6).all()

@@ -105,6 +105,7 @@ def test_longer_boxes_are_refused_where_they_are_not_believed_either_or_do_not_f
     )
 
 
+@pytest.mark.slow
 def test_a_diagnosis_searches_again_over_longer_boxes_where_only_these_are_believed() -> None:
     names = ("coulomb_friction", "constant_force", "asymmetric_friction", "cubic_stiffness")
     found = nsde_torch.diagnose(

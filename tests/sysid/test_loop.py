@@ -176,6 +176,7 @@ def test_estimates_by_instruments_lean_on_what_the_instruments_do_not_show() -> 
     assert any(abs(f.values[0] - GAIN) > 1.7 * f.standard_errors[0] for f in leaning)
 
 
+@pytest.mark.slow
 def test_instruments_show_the_gain_of_inputs_that_are_a_function_of_the_state() -> None:
     (runs,) = fly("logged", seeds=range(1), stick=0.03, seconds=500.0)
     plain = identify_in_loop(RateLoop(), runs)

@@ -39,6 +39,7 @@ def test_what_the_true_machine_foretells_leaves_white_errors() -> None:
     assert abs(np.corrcoef(errors[1:][both], errors[:-1][both])[0, 1]) < 0.1
 
 
+@pytest.mark.slow
 def test_intervals_hold_the_truth_over_seeds() -> None:
     inside = []
     for seed in range(6):
@@ -53,6 +54,7 @@ def test_intervals_hold_the_truth_over_seeds() -> None:
     assert 13 <= sum(inside) <= 18  # 90 % of 18, by chance fewer than 13 once in a hundred
 
 
+@pytest.mark.slow
 def test_of_two_joints_the_truth_is_held_where_physics_at_inferred_rates_misses_it() -> None:
     damping = 0.002
     runs = []
@@ -107,6 +109,7 @@ def _lagging(tau: float) -> list[RawRun]:
     return out
 
 
+@pytest.mark.slow
 def test_a_lag_that_lasts_longer_than_a_piece_is_remembered() -> None:
     system = make_system("mass_spring_damper", effects=["actuator_lag"])
     data = assemble(_lagging(1.0), system, kind="test")

@@ -70,6 +70,7 @@ def test_without_noise_parameters_are_exact(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", ["mass_spring_damper", "cartpole", "hexacopter"])
+@pytest.mark.slow
 def test_with_noise_errors_are_a_few_standard_errors(name: str) -> None:
     found = identify(declared(name), runs_of(name, 1.0))
     assert found.converged

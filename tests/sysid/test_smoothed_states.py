@@ -104,6 +104,7 @@ def errors(data: DataSet) -> Array:
 
 
 @pytest.mark.parametrize("name", FILTERS)
+@pytest.mark.slow
 def test_a_smoothed_log_gives_the_parameters_of_the_raw_one(name: str) -> None:
     data = read(swings(1, smooth=FILTERS[name]), system=SPRING)
     assert [v["states"] for v in told(data)] == [["q", "q_dot"]]
@@ -131,6 +132,7 @@ def test_raw_logs_are_left_alone_whatever_their_noise(noise: float) -> None:
 
 
 @pytest.mark.parametrize("smoothed", [False, True])
+@pytest.mark.slow
 def test_an_estimators_smooth_noise_on_a_machine_that_lags_is_no_smoother_of_its_motion(
     smoothed: bool,
 ) -> None:
@@ -141,11 +143,13 @@ def test_an_estimators_smooth_noise_on_a_machine_that_lags_is_no_smoother_of_its
     assert [v["states"] for v in told(data)] == ([["q", "q_dot"]] if smoothed else [])
 
 
+@pytest.mark.slow
 def test_the_same_log_is_restored_in_the_same_way() -> None:
     made = swings(4, smooth=FILTERS["butterworth 10 Hz"])
     assert read(made, system=SPRING).fingerprint == read(made, system=SPRING).fingerprint
 
 
+@pytest.mark.slow
 def test_what_was_restored_is_not_restored_again() -> None:
     data = read(swings(5, smooth=FILTERS["butterworth 10 Hz"]), system=SPRING)
     assert restore_states(data, SPRING) is data

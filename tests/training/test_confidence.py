@@ -67,6 +67,7 @@ def fit(model: NeuralSDE, windows: Windows) -> None:
             raw.sub_(change)
 
 
+@pytest.mark.slow
 def test_ninety_per_cent_intervals_hold_the_true_parameters_about_that_often() -> None:
     """Fifteen clusters. Eight (4 runs of 5 s) still held only 82 % of 160 when this was written."""
     held = []

@@ -117,6 +117,7 @@ def test_a_second_call_finds_the_first_one_finished_and_another_task_is_refused(
         fitted(closed_loop(3, lag=0.0), tmp_path, steps=20, seed=1)
 
 
+@pytest.mark.slow
 def test_a_port_without_declared_physics_is_all_network(tmp_path: Path) -> None:
     found = fitted(closed_loop(4, lag=0.0), tmp_path, replace(SPEC, declared=()), steps=400)
     model = found.model

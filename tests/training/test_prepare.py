@@ -91,6 +91,7 @@ def test_error_scale_is_a_share_of_the_error_of_holding_one_per_group() -> None:
 
 
 @pytest.mark.parametrize("system", ["hexacopter"])
+@pytest.mark.slow
 def test_first_parameters_of_a_multirotor_come_near_those_of_the_plant(system: str) -> None:
     data = simulated(system, durations=[10.0], process_noise=0.1, sensor_noise=0.1)
     spec = SDESpec(system, dt=0.05, horizon=20, step="milstein")

@@ -44,6 +44,7 @@ def run(
     return metrics, "\n".join(said)
 
 
+@pytest.mark.slow
 def test_a_training_run_too_short_to_test_on_is_not_left_out_and_that_is_said(tmp_path: Path) -> None:
     metrics, said = run([8.0, 6.0, 0.08], tmp_path, test=[], horizon=3)
     assert len(metrics["calibration"]["left_out"]) == 2

@@ -23,7 +23,7 @@ from nsde_torch.diagnosis.screening import joined, screen
 from nsde_torch.diagnosis.search import Base, Search
 from nsde_torch.diagnosis.selection import Selection
 from nsde_torch.diagnosis.specification import dependences
-from nsde_torch.diagnosis.trials import finished, fit_candidate
+from nsde_torch.diagnosis.trials import fit_candidate, with_own_noise
 from nsde_torch.effects import Law, Port
 from nsde_torch.effects.expression_grammar import is_law
 from nsde_torch.errors import NsdeError
@@ -86,4 +86,6 @@ def _fitted(search: Search, without: Base, found: Library, j: int) -> float:
     """Log-likelihood of all rows with a term of the library, less one for each parameter of the noise [nats]."""
     law = found.laws[j]
     start = joined(fitted_system(without.regression), law, {**found.starts[j]})
-    return finished(search, without, fit_candidate(search, without, start, law, among=1), 1).score.fitted
+    return with_own_noise(
+        search, without, fit_candidate(search, without, start, law, among=1), 1
+    ).score.fitted

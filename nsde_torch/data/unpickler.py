@@ -4,8 +4,8 @@ A pickle is a program: a `GLOBAL` names any importable object and a `REDUCE` cal
 documentation ("Restricting Globals") says to override `Unpickler.find_class`. Here that method knows the few
 names by which NumPy 1 and 2 rebuild arrays, scalars and dtypes, resolves them to functions of this file
 (never by import), and refuses all others by name before anything is called. Opcodes are read once beforehand: Python's
-unpickler makes a table as long as the largest number under which a value is noted (`LONG_BINPUT`), so that eight bytes
-may take 64 GiB.
+unpickler makes its memo as long as the largest index that is put into it (`LONG_BINPUT`), so that eight bytes may take
+64 GiB.
 """
 
 from __future__ import annotations
@@ -198,18 +198,18 @@ class _Unwrap:
         return value
 
 
-def _check_notes(file: BinaryIO, where: str) -> None:
-    """Refuse a pickle that notes a value under a number larger than those of all values there can be.
+def _check_memo(file: BinaryIO, where: str) -> None:
+    """Refuse a pickle with an index into the memo that is larger than the number of opcodes before it.
 
     Raises:
-        DataError: such a number.
+        DataError: such an index.
         ValueError: bytes that are no opcodes, or end too early.
     """
     for count, (opcode, number, _) in enumerate(pickletools.genops(file)):
         if opcode.name in ("PUT", "BINPUT", "LONG_BINPUT") and not 0 <= int(number or 0) <= count:
             raise DataError(
-                f"{where}: the pickle notes a value as number {number} of {count}, which no writer does. It is "
-                "damaged, or made to fill the memory: copy it again, or save the data as CSV."
+                f"{where}: the pickle's opcode {count} puts a value at index {number} of the memo, which no writer "
+                "does. It is damaged, or made to fill the memory: copy it again, or save the data as CSV."
             )
 
 
@@ -232,7 +232,7 @@ def read_pickle(path: str | Path) -> object:
         raise DataError(f"`path`: {path} {reason}; expected a pickle file (.pkl).")
     try:
         with path.open("rb") as file:
-            _check_notes(file, str(path))
+            _check_memo(file, str(path))
             file.seek(0)
             return _Unwrap(str(path))(_Unpickler(file, str(path)).load())
     except DataError:

@@ -113,9 +113,8 @@ class Obtained:
     def surprise(self) -> str | None:
         """That it brought far less or more than was expected, in words; None where it did not."""
         planned, nats = self.expected_nats, self.nats[self.best]
-        if (
-            planned is None or f"low_{LEVELS[-1]}" not in planned
-        ):  # plans of older versions have the mean alone
+        # plans of older versions lack the range
+        if planned is None or f"low_{LEVELS[-1]}" not in planned:
             return None
         low, high = planned[f"low_{LEVELS[-1]}"], planned[f"high_{LEVELS[-1]}"]
         if low <= nats <= high:

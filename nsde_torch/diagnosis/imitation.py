@@ -86,6 +86,5 @@ def _fitted(search: Search, without: Base, found: Library, j: int) -> float:
     """Log-likelihood of all rows with a term of the library, less one for each parameter of the noise [nats]."""
     law = found.laws[j]
     start = joined(fitted_system(without.regression), law, {**found.starts[j]})
-    return with_own_noise(
-        search, without, fit_candidate(search, without, start, law, among=1), 1
-    ).score.fitted
+    trial = fit_candidate(search, without, start, law, among=1)
+    return with_own_noise(search, without, trial, 1).score.fitted

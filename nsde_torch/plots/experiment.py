@@ -87,7 +87,7 @@ def _evidence(
     from matplotlib.axes import Axes
 
     assert isinstance(ax, Axes)
-    for row, (_, values) in enumerate(nats.items()):
+    for row, values in enumerate(nats.values()):
         for i, expected in enumerate(values):
             y = row + 0.25 * (i - 0.5 * (len(names) - 1))
             ends = [expected["low_90"], expected["high_90"]]

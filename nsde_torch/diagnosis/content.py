@@ -52,6 +52,7 @@ def content(found: Diagnosis) -> dict[str, Any]:
             wanted(flexible["variables"]),
         ),
         "warnings": _warnings(found),
+        "not_done": [one.as_dict() for one in found.not_done],
         "guard": found.explanation.guard.as_dict(),
         "findings": _findings(found),
         "told": _told(found),

@@ -44,6 +44,8 @@ from nsde_torch.systems import System
 REPLAYED = "replayed"
 """Where the inputs of open-loop predictions come from (`errors.inputs` of `diagnosis.json`)."""
 
+_NO_PREDICTIONS: dict[str, Any] = {"horizons_s": [], "before": {}, "after": {}, "ratio": {}}
+
 
 def judges_replay(closed_loop: bool | None) -> bool:
     """Whether errors of predictions under replayed inputs may judge an effect: only where inputs are exogenous.
@@ -185,8 +187,7 @@ def held_out(
                 owner.append(len(names) + run)
                 times.append(t)
         names += [r.name for r in test]
-    content = _replayed(squares, owner, times, horizons, before, seed, decisions)
-    content |= {"inputs": REPLAYED, "closed_loop": closed_loop, "one_step": None, "residual": {}}
+    content = _replayed(squares, owner, times, horizons, before, seed, decisions) | _of_steps(closed_loop)
     brought: dict[str, Own] = {}
     if steps_of_all["before"]:
         of = {key: joined(parts) for key, parts in steps_of_all.items()}
@@ -228,6 +229,18 @@ def cross_validated(
     )
 
 
+def none_held_out(log: Log, closed_loop: bool | None) -> HeldOut:
+    """What is known where nothing was measured on runs left out."""
+    content = _NO_PREDICTIONS | _of_steps(closed_loop)
+    inputs = not log.recorded.inputs_restored
+    return HeldOut(content, len(log.runs) > 1, (), {}, closed_loop, inputs, log.decisions)
+
+
+def _of_steps(closed_loop: bool | None) -> dict[str, Any]:
+    """Content of what is measured step by step, before it is."""
+    return {"inputs": REPLAYED, "closed_loop": closed_loop, "one_step": None, "residual": {}}
+
+
 def _steps(make: Callable[[Sequence[Run]], Search], runs: Sequence[Run]) -> Steps | None:
     """Steps of runs left out; None where no stretch is long enough."""
     try:
@@ -255,9 +268,8 @@ def _replayed(
         seed: Seed of the resamples.
         decisions: Blocks of time, and which horizons are told.
     """
-    nothing: dict[str, Any] = {"horizons_s": [], "before": {}, "after": {}, "ratio": {}}
     if not owner:
-        return nothing
+        return _NO_PREDICTIONS
     first, second = (torch.cat(list(s)) for s in squares)
     finished = [torch.isfinite(s).all(2) for s in (first, second)]
     both = finished[0] & finished[1]
@@ -265,7 +277,7 @@ def _replayed(
         (both.float().mean(0) >= decisions.replay_finite_share).sum()
     )  # horizons at which nearly all predictions are still numbers
     if far == 0:
-        return nothing
+        return _NO_PREDICTIONS
     horizons = horizons[:far]
     rows = both[:, far - 1]
     diverged = [int((~f[:, far - 1]).sum()) for f in finished]

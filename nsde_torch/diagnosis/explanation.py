@@ -65,18 +65,29 @@ def explained(
         most: What a flexible model could win.
     """
     regression, left = outcome.final.regression, outcome.structured
-    seen = rates(regression, outcome.variables)
-    shapes = tuple(shape(regression, d, outcome.variables, seen, runs) for d in left[: log.budgets.shapes])
-    odd = odd_run(left, shapes)
-    warned = warnings(outcome, log.system)
+    attempt = log.stages.attempt
 
+    def shaped() -> tuple[Shape, ...]:
+        seen = rates(regression, outcome.variables)
+        return tuple(shape(regression, d, outcome.variables, seen, runs) for d in left[: log.budgets.shapes])
+
+    def zeros() -> RunZeros | None:
+        return between_runs(regression, runs, tie=log.decisions.alike_nats) if left else None
+
+    def alone() -> InRun | None:
+        odd = odd_run(left, shapes)
+        return None if odd is None else in_run(log.again(search, [log.runs[odd]]), outcome.system, odd)
+
+    shapes = attempt("the shape of what is left", shaped, ())
     return Explanation(
         [_no_noise(c, most) for c in channel_residuals(outcome.declared.regression, regression)],
         shapes=shapes,
-        between_runs=between_runs(regression, runs, tie=log.decisions.alike_nats) if left else None,
-        in_run=None if odd is None else in_run(log.again(search, [log.runs[odd]]), outcome.system, odd),
-        formula=formula(regression, left, outcome.variables, runs),
-        warned=tuple(warned),
+        between_runs=attempt("a sensor's zero that differs between runs", zeros, None),
+        in_run=attempt("what is special about one run", alone, None),
+        formula=attempt(
+            "a formula for what is left", lambda: formula(regression, left, outcome.variables, runs), None
+        ),
+        warned=attempt("odd declared values", lambda: tuple(warnings(outcome, log.system)), ()),
         guard=guard,
         refused=log.refused,
         standing=moving(log.runs, log.slowest)[1] if log.slowest else 0.0,

@@ -11,18 +11,21 @@ cross-validate  the physics without and with effects on runs left out           
 ceiling         what a flexible model could win, alone and beside the effects   ceiling, flexible
 explain         what is left, as far as it can be                               explanation
 report          `Diagnosis`, and the content of `diagnosis.json`                result, content
+
+A stage whose numbers fail costs itself and not the run (`not_done`), but for the fit of the declared physics.
 """
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
 from time import perf_counter
 
 from nsde_torch.data import DataSet, Run
 from nsde_torch.diagnosis.at_nothing import beside_gains_at_nothing
 from nsde_torch.diagnosis.beyond_catalogue import with_laws
-from nsde_torch.diagnosis.ceiling import ceiling
+from nsde_torch.diagnosis.ceiling import Ceiling, ceiling
 from nsde_torch.diagnosis.chain import explains_more, undone, with_a_late_sensor
-from nsde_torch.diagnosis.cross_validation import cross_validated
+from nsde_torch.diagnosis.cross_validation import cross_validated, none_held_out
 from nsde_torch.diagnosis.decision import (
     decide,
     doubted,
@@ -37,6 +40,7 @@ from nsde_torch.diagnosis.explanation import explained
 from nsde_torch.diagnosis.gone import select
 from nsde_torch.diagnosis.inferred import at_declared, at_found, not_sure
 from nsde_torch.diagnosis.longer_boxes import over_longer_boxes
+from nsde_torch.diagnosis.not_done import OptionalStages
 from nsde_torch.diagnosis.options import Options
 from nsde_torch.diagnosis.outcome import Outcome
 from nsde_torch.diagnosis.reading import Log, read_effects, read_log
@@ -44,6 +48,8 @@ from nsde_torch.diagnosis.result import Diagnosis
 from nsde_torch.diagnosis.search import Search
 from nsde_torch.diagnosis.standing import selected_again, tied, without_standing
 from nsde_torch.models.identified import SysidSpec
+from nsde_torch.recording.log import Recorded
+from nsde_torch.sysid.guard import Guarded
 from nsde_torch.sysid.in_loop import adopted
 from nsde_torch.sysid.result import Identification
 from nsde_torch.systems import System
@@ -79,33 +85,61 @@ def diagnose(
         DataError: too few rows, or nothing moves.
         ConfigError: a candidate that the system cannot have.
     """
-    watch = _Stopwatch()
+    watch, stages = _Stopwatch(), OptionalStages()
     decisions = replace(decisions, alpha=options.alpha, most_effects=options.max_effects)
     own_effects = read_effects(system, runs, options)
     say("checking the recording chain", 0, 1)
-    recorded = undone(data, runs, system, options, decisions, budgets)
+    recorded = stages.attempt(
+        "faults of the recording chain",
+        lambda: undone(data, runs, system, options, decisions, budgets),
+        Recorded(tuple(runs), 1.0, ()),
+    )
     log = read_log(system, recorded, options, own_effects, decisions=decisions, budgets=budgets, say=say)
+    log = replace(log, stages=stages)
     log = at_declared(log)
     search = log.search(log.runs)
     watch.lap("recording")
     log, search, outcome = at_found(log, search, searched(log, search), searched)
     if outcome.structured:
         say("checking the recording chain", 0, 1)
-        log, search, outcome = _read_again(log, search, outcome)
-    log, search, outcome = without_standing(log, search, outcome, searched)
-    log, search, outcome, guard = over_longer_boxes(log, search, outcome, searched)
+        log, search, outcome = stages.attempt(
+            "a sensor that is late as a whole",
+            partial(_read_again, log, search, outcome),
+            (log, search, outcome),
+        )
+    log, search, outcome = stages.attempt(
+        "the search without rows in which friction holds",
+        partial(without_standing, log, search, outcome, searched),
+        (log, search, outcome),
+    )
+    log, search, outcome, guard = stages.attempt(
+        "the search over longer boxes",
+        partial(over_longer_boxes, log, search, outcome, searched),
+        (log, search, outcome, Guarded()),
+    )
     watch.lap("search")
     looked = outcome.final
-    outcome = outcome.fitted_again(search.valued(looked))
-    outcome, instrumented = _identified(log, beside_gains_at_nothing(doubted(outcome, guard)))
+    final = stages.attempt("values at rougher states", partial(search.valued, looked), looked)
+    outcome = beside_gains_at_nothing(doubted(outcome.fitted_again(final), guard))
+    outcome, instrumented = stages.attempt(
+        "estimates in the loop", partial(_identified, log, outcome), (outcome, None)
+    )
     outcome = sized(outcome)
     feedback = outcome.test
     say("errors on runs left out", 0, 1)
     closed_loop = feedback.closed_loop if closed_loop is None else closed_loop
-    errors = cross_validated(log, search, outcome, spec, closed_loop=closed_loop)
+    errors = stages.attempt(
+        "errors on runs left out",
+        partial(cross_validated, log, search, outcome, spec, closed_loop=closed_loop),
+        none_held_out(log, closed_loop),
+    )
     watch.lap("errors")
     outcome = not_sure(log, judged_on_runs_left_out(outcome, errors))
-    most = ceiling(log, replace(outcome, final=looked))
+    most = stages.attempt(
+        "what a flexible model could win",
+        partial(ceiling, log, replace(outcome, final=looked)),
+        Ceiling("it could not be computed"),
+    )
     outcome = judged_by_the_ceiling(outcome, most)
     watch.lap("ceiling")
     names = tuple(run.name for run in runs)
@@ -122,6 +156,7 @@ def diagnose(
         watch.seconds,
         feedback=feedback,
         instrumented=instrumented,
+        not_done=tuple(stages.not_done),
     )
 
 
@@ -140,7 +175,11 @@ def searched(log: Log, search: Search, before: Outcome | None = None) -> Outcome
     outcome = decide(search, chosen, kept, log.feedback)
     if any(run.band for run in log.runs):  # what a smoother did to the states looks like laws of many names
         return outcome
-    return with_laws(search, chosen, kept, outcome, log.feedback)
+    return log.stages.attempt(
+        "laws beyond the catalogue",
+        lambda: with_laws(search, chosen, kept, outcome, log.feedback),
+        outcome,
+    )
 
 
 def _read_again(log: Log, search: Search, outcome: Outcome) -> tuple[Log, Search, Outcome]:

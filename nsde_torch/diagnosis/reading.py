@@ -11,6 +11,7 @@ from nsde_torch.data import Run
 from nsde_torch.diagnosis.candidates import candidate_names, on_coordinates
 from nsde_torch.diagnosis.decisions import Budgets, Decisions
 from nsde_torch.diagnosis.hidden import Feedback, shown_by_instruments
+from nsde_torch.diagnosis.not_done import OptionalStages
 from nsde_torch.diagnosis.options import Options
 from nsde_torch.diagnosis.search import Search, search_in
 from nsde_torch.effects import EFFECTS, effect_class, effects_of, register
@@ -46,6 +47,7 @@ class Log:
         box_s: Over which steps are summed [s]; None for the usual length.
         refused: What spoke against the search over the usual length, where another one is taken.
         slowest: Speeds below which coordinates with dry friction stand, by column; rows in which one does are left out.
+        stages: Stages that may fail, and those that did.
     """
 
     system: System
@@ -58,6 +60,7 @@ class Log:
     box_s: float | None = None
     refused: Guarded | None = None
     slowest: Mapping[int, float] = field(default_factory=dict)
+    stages: OptionalStages = field(default_factory=OptionalStages)
 
     def search(self, runs: Sequence[Run]) -> Search:
         """A search in runs of the log."""
@@ -109,7 +112,11 @@ class Log:
     def _loop_test(self, regression: Regression) -> LoopTest:
         if self.recorded.inputs_restored:
             return LoopTest(why_not="the inputs were logged as an average and know the future")
-        return tested(regression, self.runs)
+        return self.stages.attempt(
+            "the test of feedback",
+            lambda: tested(regression, self.runs),
+            LoopTest(why_not="it could not be computed"),
+        )
 
     def _shown(self, physics: System, effect: str) -> bool:
         return bool(self.options.instruments) and shown_by_instruments(

@@ -20,11 +20,11 @@ from nsde_torch.diagnosis.text import (
     heading,
     in_order,
     interval,
+    notices,
     placed,
     signed,
     small_ones,
     unseen,
-    warning,
     without_it,
 )
 from nsde_torch.evaluation.report import number
@@ -101,7 +101,7 @@ def page(content: Mapping[str, Any], figures: Mapping[str, Figure], *, width: fl
         f"<h1>Diagnosis of {escape(data['system'])}: {len(data['runs'])} runs, {data['duration_s']:.0f} s</h1>",
         f'<div class="verdict {content["verdict"]}"><b>{heading(content)}</b>'
         f"{escape(content['summary'])}{_gain(errors)}</div>",
-        *(f'<p class="finding"><b>Warning.</b> {escape(warning(w))}</p>' for w in content["warnings"]),
+        *(f'<p class="finding"><b>{title}.</b> {escape(said)}</p>' for title, said in notices(content)),
         *(
             _finding(f, content, shown.get(f"{EFFECT}{f['name']}", ""))
             for f in in_order(content)

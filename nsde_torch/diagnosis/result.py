@@ -12,6 +12,7 @@ from nsde_torch.diagnosis.buys import Bought, Told, bought, told
 from nsde_torch.diagnosis.cross_validation import HeldOut
 from nsde_torch.diagnosis.explanation import Explanation
 from nsde_torch.diagnosis.fitted import effect_of, values_of
+from nsde_torch.diagnosis.not_done import NotDone
 from nsde_torch.diagnosis.options import Options
 from nsde_torch.diagnosis.outcome import Outcome
 from nsde_torch.diagnosis.text import lines
@@ -42,6 +43,7 @@ class Diagnosis:
         seconds: Time that stages took.
         feedback: What the data say of the loop that they were recorded in.
         instrumented: Estimates with signals from outside the loop; None without any.
+        not_done: Stages that could not be computed or were left out.
     """
 
     system: System
@@ -56,6 +58,7 @@ class Diagnosis:
     seconds: dict[str, float] = field(default_factory=dict)
     feedback: LoopTest = field(default_factory=LoopTest)
     instrumented: Identification | None = None
+    not_done: tuple[NotDone, ...] = ()
 
     @property
     def system_name(self) -> str:

@@ -29,7 +29,7 @@ def heading(content: Mapping[str, Any]) -> str:
 def lines(content: Mapping[str, Any]) -> list[str]:
     """Lines of text from the content of `diagnosis.json`."""
     out = [f"verdict: {content['verdict']}", content["summary"]]
-    out += [line for w in content["warnings"] for line in ("", f"warning: {warning(w)}")]
+    out += [line for title, said in notices(content) for line in ("", f"{title.lower()}: {said}")]
     for finding in in_order(content):
         out += _finding(finding, content)
     if content["told"]["rest"]:
@@ -148,6 +148,12 @@ def small_ones(content: Mapping[str, Any]) -> str:
         f"and {small(len(told['rest']))}, together {told['rest_share']:.1%} of what all effects buy on "
         f"{content['errors']['measured_on']}: {each}"
     )
+
+
+def notices(content: Mapping[str, Any]) -> list[tuple[str, str]]:
+    """Title and text of what is to be read before the findings: warnings, and stages without a result."""
+    odd = [("Warning", warning(w)) for w in content["warnings"]]
+    return [*odd, *(("Not done", f"{n['stage']}: {n['why']}.") for n in content.get("not_done", ()))]
 
 
 def warning(entry: Mapping[str, Any]) -> str:

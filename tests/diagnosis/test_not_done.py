@@ -1,0 +1,79 @@
+"""A stage whose numbers fail costs itself and not the run."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+import nsde_torch
+from nsde_torch.diagnosis import pipeline
+from nsde_torch.diagnosis.not_done import NotDone, OptionalStages
+from nsde_torch.diagnosis.text import lines
+from nsde_torch.errors import ConfigError, DataError
+
+OPTIONAL = ("undone", "without_standing", "over_longer_boxes", "with_laws", "cross_validated", "ceiling")
+
+
+def test_stages_that_fail_are_told_and_cost_themselves(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    def fails(*_: object, **__: object) -> None:
+        raise np.linalg.LinAlgError("Singular matrix")
+
+    for name in OPTIONAL:
+        monkeypatch.setattr(pipeline, name, fails)
+    made = nsde_torch.simulate(
+        "mass_spring_damper", effects=[{"coulomb_friction": {"size": 0.3}}], durations=[3.0] * 3, seed=1
+    )
+    found = nsde_torch.diagnose(made, system="mass_spring_damper", candidates=["coulomb_friction"])
+    assert found.added == ["coulomb_friction"]
+    content = found.content()
+    assert len(content["not_done"]) == len(OPTIONAL)
+    ceiling = content["not_done"][-1]
+    assert ceiling == {
+        "stage": "what a flexible model could win",
+        "why": "it could not be computed (LinAlgError: Singular matrix)",
+    }
+    said = f"{ceiling['stage']}: {ceiling['why']}."
+    assert f"not done: {said}" in lines(content)
+    assert said in found.save(tmp_path).read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize(
+    "error",
+    [
+        np.linalg.LinAlgError("Singular matrix"),
+        torch.linalg.LinAlgError("Singular matrix"),
+        FloatingPointError("overflow"),
+        ValueError("array must not contain infs or NaNs"),
+    ],
+)
+def test_what_fails_numerically_is_noted_once(error: Exception) -> None:
+    def fails() -> int:
+        raise error
+
+    stages = OptionalStages()
+    assert stages.attempt("a stage", fails, 7) == 7
+    assert stages.attempt("a stage", fails, 7) == 7
+    assert stages.attempt("another stage", lambda: 3, 7) == 3
+    why = f"it could not be computed ({type(error).__name__}: {error})"
+    assert stages.not_done == [NotDone("a stage", why)]
+
+
+def test_the_words_of_the_package_are_told_as_they_are() -> None:
+    def short() -> None:
+        raise DataError("run 'a' is too short.")
+
+    stages = OptionalStages()
+    stages.attempt("a stage", short, None)
+    assert stages.not_done[0].why == "it could not be computed (run 'a' is too short)"
+
+
+@pytest.mark.parametrize("error", [ConfigError("no such effect"), TypeError("a fault of the program")])
+def test_wrong_options_and_faults_of_the_program_end_the_run(error: Exception) -> None:
+    def fails() -> None:
+        raise error
+
+    with pytest.raises(type(error)):
+        OptionalStages().attempt("a stage", fails, None)

@@ -17,7 +17,8 @@ SHORT = PathPoints(shapes.hover(duration=2.0, height=1.0))
 
 def _killed(parameters: dict[str, float]) -> float:
     """Speed at which the ground is met after the link was cut in fast flight [m/s]."""
-    world = World(path=FAST, parameters={"COM_RC_IN_MODE": 0.0, **parameters}).until(Phase.TRACK, 6.0)
+    world = World(path=FAST, parameters={"COM_RC_IN_MODE": 0.0}).until(Phase.TRACK, 6.0)
+    world.vehicle.parameters.update(parameters)  # some are refused before the flight
     for _ in range(1500):
         before = world.body.v
         for data in world.vehicle.advance(world.vehicle.time + 0.01):
@@ -32,18 +33,34 @@ def test_with_px4s_default_a_flight_that_is_killed_drifts_into_the_ground_and_wi
     assert _killed({"COM_OBL_RC_ACT": 4.0}) < 1.2
 
 
-@pytest.mark.parametrize("action", [0.0, 1.0, 2.0])
-def test_flying_is_refused_where_nobody_could_take_over(action: float) -> None:
+def _refused(action: float, sticks: float) -> str:
+    """Why a flight is refused before a setpoint leaves."""
     world = World(
         path=SHORT,
         options=FlightOptions(checks=1.0),
-        parameters={"COM_OBL_RC_ACT": action, "COM_RC_IN_MODE": 4.0},
+        parameters={"COM_OBL_RC_ACT": action, "COM_RC_IN_MODE": sticks},
     ).run()
     trouble = world.flight.outcome.trouble
     assert trouble is not None
     assert trouble.kind == "refused"
-    assert "`param set COM_OBL_RC_ACT 4`" in trouble.text
     assert not world.setpoints
+    return trouble.text
+
+
+@pytest.mark.parametrize("action", [0.0, 1.0, 2.0])
+def test_flying_is_refused_where_nobody_could_take_over(action: float) -> None:
+    assert "`param set COM_OBL_RC_ACT 4`" in _refused(action, sticks=4.0)
+
+
+@pytest.mark.parametrize(("action", "what"), [(6.0, "terminates the flight"), (7.0, "disarms")])
+def test_flying_is_refused_where_px4_would_stop_the_motors_in_the_air(action: float, what: str) -> None:
+    text = _refused(action, sticks=1.0)
+    assert f"COM_OBL_RC_ACT is {action:g}: when the stream ends PX4 {what} in the air" in text
+    assert "`param set COM_OBL_RC_ACT 4` makes it land; 5 holds, 3 returns" in text
+
+
+def test_a_flight_that_is_killed_falls_where_px4_stops_the_motors() -> None:
+    assert _killed({"COM_OBL_RC_ACT": 7.0}) > 4.0
 
 
 @pytest.mark.parametrize(
@@ -51,7 +68,6 @@ def test_flying_is_refused_where_nobody_could_take_over(action: float) -> None:
     [
         ({"COM_OBL_RC_ACT": 0.0, "COM_RC_IN_MODE": 1.0}, "`param set COM_OBL_RC_ACT 4`"),
         ({"COM_OBL_RC_ACT": 3.0}, "RTL_RETURN_ALT"),
-        ({"COM_OBL_RC_ACT": 7.0}, "disarms in the air"),
         ({"COM_OF_LOSS_T": 1.0}, "`param set COM_OF_LOSS_T 0.5`"),
     ],
 )

@@ -3,7 +3,7 @@
 | parameter | judged |
 |---|---|
 | COM_OF_LOSS_T | how long it flies on the last rates: refused above 2 s, told where that is more than 2 m of the way |
-| COM_OBL_RC_ACT | what it does then: refused where it hands over to sticks and there are none, told where it might |
+| COM_OBL_RC_ACT | what it does then: refused where it stops the motors, or hands over to sticks and there are none |
 | COM_RC_IN_MODE | whether there are sticks: 4 switches them off |
 
 (Values: PX4 parameter reference.) With COM_OBL_RC_ACT 0 and no sticks a real PX4 was seen to drift at 6.5 m/s into the
@@ -24,7 +24,7 @@ ADVISED_LOSS, ADVISED_ACTION = 0.5, 4
 NO_STICKS = 4
 _MANUAL = {0: "POSITION", 1: "ALTITUDE", 2: "MANUAL"}
 _FALLS = {6: "terminates the flight", 7: "disarms"}
-_RETURNS = 3
+_RETURNS, _HOLDS = 3, 5
 
 
 def line(name: str, value: float) -> str:
@@ -43,6 +43,11 @@ def faults(known: Mapping[str, float]) -> list[str]:
     if loss is not None and not 0.0 < loss <= LONGEST_LOSS:
         out.append(
             f"{OF_LOSS} is {loss:g} s: so long would PX4 fly on stale rates. {line(OF_LOSS, ADVISED_LOSS)} sets it"
+        )
+    if action in _FALLS:
+        out.append(
+            f"{ACTION} is {action:g}: when the stream ends PX4 {_FALLS[int(action)]} in the air: the motors stop, and "
+            f"it falls. {line(ACTION, ADVISED_ACTION)} makes it land; {_HOLDS} holds, {_RETURNS} returns"
         )
     if action in _MANUAL and known.get(STICKS) == NO_STICKS:
         out.append(
@@ -70,11 +75,6 @@ def warnings(known: Mapping[str, float], speed: float) -> list[str]:
         out.append(
             f"{ACTION} is {action:g}: when the stream ends PX4 goes to {_MANUAL[int(action)]}, and without a pilot at "
             f"the sticks drifts into the ground. {line(ACTION, ADVISED_ACTION)} makes it land"
-        )
-    if action in _FALLS:
-        out.append(
-            f"{ACTION} is {action:g}: when the stream ends PX4 {_FALLS[int(action)]} in the air. "
-            f"{line(ACTION, ADVISED_ACTION)} makes it land"
         )
     if action == _RETURNS:
         out.append(

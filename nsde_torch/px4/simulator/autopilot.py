@@ -6,8 +6,7 @@ What was measured on a real PX4 and holds here: OFFBOARD is accepted when disarm
 arming; DO_SET_MODE is answered twice, once always ACCEPTED; texts go only to a link on which a ground station is heard;
 setpoints are not sanitised (NaN thrust stops the motors, more than 1 is nearly full, no limits of rates); when the
 stream stops the last rates are held for COM_OF_LOSS_T, then it fails over, and when the stream returns it goes back
-to OFFBOARD by itself; ODOMETRY's velocity is in the local frame. What
-its estimator gets wrong is in `estimate`.
+to OFFBOARD by itself; ODOMETRY's velocity is in the local frame. What its estimator gets wrong is in `estimate`.
 """
 
 from __future__ import annotations
@@ -27,7 +26,7 @@ from nsde_torch.px4.link.vectors import Quat, Vec, conjugate, multiply, rotation
 from nsde_torch.px4.simulator.body import Body
 from nsde_torch.px4.simulator.estimate import Estimate, SimulatedEstimator
 from nsde_torch.px4.simulator.messages import MESSAGES, due_next, is_due, texts
-from nsde_torch.px4.simulator.parameters import FAILSAFES, PARAMETERS, STICK_MODES
+from nsde_torch.px4.simulator.parameters import FAILSAFES, MOTORS_OFF, PARAMETERS, STICK_MODES
 
 ABANDONED = 0.85
 """Share of its weight that it carries in a mode of sticks that nobody holds: it drifts on, into the ground."""
@@ -99,12 +98,7 @@ class SimulatedAutopilot:
         self._cascade = SetpointCascade()
         self._point = Point((0.0, 0.0, 0.0))
         self._armed_at = self._landed_at = self._cut_until = 0.0
-        self.estimate: Estimate = (
-            (0.0,) * 3,
-            (0.0,) * 3,
-            (1.0, 0.0, 0.0, 0.0),
-            (0.0,) * 3,
-        )
+        self.estimate: Estimate = ((0.0,) * 3, (0.0,) * 3, (1.0, 0.0, 0.0, 0.0), (0.0,) * 3)
         self.commands: tuple[float, ...] = (0.0,) * body.nu
         self.flown = False
 
@@ -177,7 +171,10 @@ class SimulatedAutopilot:
         if self.mode == d.OFFBOARD and not self.streaming:
             self.failsafe = True
             self._text(2, "Failsafe activated: offboard control signal lost")
-            self._enter(FAILSAFES.get(int(self.parameters["COM_OBL_RC_ACT"]), d.HOLD))
+            action = int(self.parameters["COM_OBL_RC_ACT"])
+            self._enter(FAILSAFES.get(action, d.HOLD))
+            if action in MOTORS_OFF:
+                self._disarm("Disarmed by failsafe")
         elif self.failsafe and self.intended == d.OFFBOARD and self.streaming:
             self.failsafe = False
             self._enter(d.OFFBOARD)

@@ -22,4 +22,6 @@ PARAMETERS: dict[str, tuple[float, int]] = {
 """The parameters that are answered for."""
 FAILSAFES = {0: d.POSITION, 1: d.ALTITUDE, 2: d.MANUAL, 4: d.LAND}
 """Modes of COM_OBL_RC_ACT in which it ends without a stream; HOLD in all others."""
+MOTORS_OFF = (6, 7)
+"""Values of COM_OBL_RC_ACT that stop the motors wherever it is: flight termination, and disarming."""
 STICK_MODES = (d.POSITION, d.ALTITUDE, d.MANUAL)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from nsde_torch.px4.flight.phases import FlightOutcome, Phase
+from nsde_torch.px4.flight.phases import REFUSED, FlightOutcome
 from nsde_torch.px4.link.transport import LinkError
 
 from .exit_status import FLIGHT_ENDED, INTERRUPTED, NOT_LANDED, EndedError
@@ -20,11 +20,11 @@ def check_end(outcome: FlightOutcome) -> None:
         EndedError: it was not seen to land, was stopped, or the vehicle was taken from us.
     """
     trouble = outcome.trouble
-    if trouble is not None and trouble.kind == "refused":
+    if trouble is not None and trouble.kind == REFUSED:
         raise LinkError(trouble.text)
     why = "the reference was not flown to its end" if trouble is None else trouble.text
     stopped = trouble is not None and trouble.kind in _STOPPED
-    if stopped and not any(phase == Phase.ARM.value for _, phase, _ in outcome.actions):
+    if stopped and not outcome.begun:
         raise EndedError(f"the flight was stopped before it began: {why}", INTERRUPTED)
     if not outcome.landed:
         raise EndedError(f"the vehicle was NOT seen to land: {why}", NOT_LANDED)

@@ -189,6 +189,8 @@ def _say(line: str) -> None:
 def _line(report: FlightReport) -> str:
     """One flight in some lines."""
     o, found = report.outcome, report.as_dict()
+    if not o.begun and o.trouble is not None:
+        return f"the flight did not begin; {o.trouble.kind}: {o.trouble.text}"
     ends = "landed and disarmed" if o.landed else "NOT seen to land"
     if o.trouble is not None:
         ends += f"; {o.trouble.kind}: {o.trouble.text}"

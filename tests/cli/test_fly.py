@@ -134,7 +134,10 @@ def test_a_refused_flight_is_a_fault_of_the_user_with_the_reasons(
 ) -> None:
     words = ["run=pid", "system=quadrotor", "limits.fence=[[-1,1],[-1,1],[0,0.5]]", "out_dir=out"]
     assert main(["fly", *words, *SHORT]) == 2
-    assert "leaves the fence" in capsys.readouterr().err
+    said = capsys.readouterr()
+    assert "leaves the fence" in said.err
+    assert "the flight did not begin; refused: not fit to fly" in said.out
+    assert "NOT seen to land" not in said.out + said.err
 
 
 @pytest.mark.parametrize(

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 
 from nsde_torch.control import shapes
 from nsde_torch.control.waypoints import waypoints
+from nsde_torch.px4.flight import preflight
 from nsde_torch.px4.flight.options import FlightOptions
 from nsde_torch.px4.flight.path import PathPoints
 from nsde_torch.px4.flight.phases import Phase
@@ -105,13 +108,51 @@ def test_without_a_vehicle_the_flight_says_that_nothing_was_heard() -> None:
     assert "nothing was heard" in world.flight.outcome.trouble.text
 
 
-def test_an_armed_vehicle_is_left_alone() -> None:
+@pytest.mark.parametrize("flies", [False, True])
+def test_an_armed_vehicle_is_left_alone_and_only_on_the_ground_it_is_to_be_disarmed(flies: bool) -> None:
     world = World(options=FlightOptions(checks=1.5))
     world.vehicle.armed = True
     world.vehicle.parameters["COM_DISARM_PRFLT"] = -1.0
+    if flies:
+        world.body.p, world.body.on_ground = (0.0, 0.0, 2.0), False
+        world.vehicle.estimate = (world.body.p, *world.vehicle.estimate[1:])
+        world.vehicle.set_mode(d.POSITION)
     while not world.flight.done:
         world.tick()
     assert world.flight.outcome.trouble is not None
-    assert "armed already" in world.flight.outcome.trouble.text
+    said = world.flight.outcome.trouble.text
+    assert "armed already" in said
+    assert ("on the ground: disarm it" in said) != flies
+    assert ("do not disarm it. Take it over" in said) == flies
     assert not world.setpoints
-    assert world.vehicle.mode == d.HOLD
+    assert world.vehicle.armed
+    assert world.vehicle.mode == (d.POSITION if flies else d.HOLD)
+
+
+@pytest.mark.parametrize(
+    ("armed", "landed", "speed", "said"),
+    [
+        (True, d.ON_GROUND, 0.0, "armed already, on the ground: disarm it"),
+        (True, d.ON_GROUND, 1.0, "but moves: it may be flying, so do not disarm it"),
+        (True, d.IN_AIR, 0.0, "says that it is in the air: it may be flying, so do not disarm it"),
+        (True, d.LANDING, 0.0, "says that it is landing: it may be flying, so do not disarm it"),
+        (True, 0, 0.0, "does not say whether it is on the ground: it may be flying, so do not disarm it"),
+        (False, d.IN_AIR, 0.0, "disarmed and says that it is in the air: wait until"),
+        (False, d.ON_GROUND, 0.0, None),
+        (False, 0, 0.0, None),
+    ],
+)
+def test_what_may_be_flying_is_to_be_taken_over_and_landed_and_never_disarmed(
+    armed: bool, landed: int, speed: float, said: str | None
+) -> None:
+    world = World().until(Phase.STREAM)
+    state = world.endpoint.state
+    assert state is not None
+    status = replace(world.endpoint.telemetry.status, armed=armed, landed=landed)
+    moving = replace(state, v=(speed, 0.0, 0.0))
+    found = preflight.faults(world.endpoint, status, moving, world.path, Limits(), height=1.0, now=world.now)
+    told = [line for line in found if line.startswith("the vehicle is")]
+    assert len(told) == (said is not None)
+    if said is not None:
+        assert said in told[0]
+        assert "disarm it" not in told[0].replace("do not disarm it", "") or landed == d.ON_GROUND

@@ -33,6 +33,10 @@ FLYING = (Phase.TAKEOFF, Phase.HOLD, Phase.TRACK, Phase.RETURN, Phase.SAFE_HOLD)
 """Phases in which we fly the vehicle and it must be in OFFBOARD."""
 
 
+REFUSED = "refused"
+"""Kind of the trouble of a flight that was not begun."""
+
+
 @dataclass
 class FlightOutcome:
     """How a flight ended.
@@ -50,3 +54,9 @@ class FlightOutcome:
     trouble: Trouble | None = None
     actions: list[tuple[float, str, str]] = field(default_factory=list)
     steps: list[tuple[float, EstimateStep]] = field(default_factory=list)
+
+    @property
+    def begun(self) -> bool:
+        """Whether it came to arming; before that, and where it was refused, the vehicle has not moved."""
+        refused = self.trouble is not None and self.trouble.kind == REFUSED
+        return not refused and any(phase == Phase.ARM.value for _, phase, _ in self.actions)

@@ -7,7 +7,7 @@ from math import acos, degrees, isfinite
 from nsde_torch.px4.flight import failsafe
 from nsde_torch.px4.flight.path import PathPoints
 from nsde_torch.px4.flight.safety import Limits
-from nsde_torch.px4.link.dialect import IN_AIR
+from nsde_torch.px4.link import dialect as d
 from nsde_torch.px4.link.endpoint import Endpoint
 from nsde_torch.px4.link.telemetry import Status, VehicleState
 from nsde_torch.px4.link.vectors import cos_tilt, length
@@ -16,6 +16,15 @@ PARAMETERS = ("MPC_THR_HOVER", *failsafe.PARAMETERS)
 """Parameters that are asked for."""
 FEWEST = 70.0
 """States in a second with which a flight may begin; more are asked for, and some get lost."""
+MOVES = 0.5
+"""Speed from which on a vehicle does not stand [m/s]; an estimate that settles is slower."""
+_LANDED = {
+    d.ON_GROUND: "says that it is on the ground, but moves",
+    d.IN_AIR: "says that it is in the air",
+    d.TAKING_OFF: "says that it takes off",
+    d.LANDING: "says that it is landing",
+}
+"""What EXTENDED_SYS_STATE says of a vehicle that may be flying."""
 
 
 def faults(
@@ -49,14 +58,11 @@ def faults(
         out.append(
             f"states come at {endpoint.telemetry.rate:.0f} Hz, less than {FEWEST:.0f}: a faster link is needed"
         )
-    if status.armed:
-        out.append("the vehicle is armed already; disarm it")
-    if status.landed == IN_AIR:
-        out.append("the vehicle says that it is in the air")
+    out += _not_at_rest(status, state)
     tilt = degrees(acos(min(max(cos_tilt(state.q), -1.0), 1.0)))
     if tilt > 12.0:
         out.append(f"it stands tilted by {tilt:.0f} deg")
-    if length(state.v) > 0.5 or length(state.w) > 0.5:
+    if length(state.v) > MOVES or length(state.w) > 0.5:
         out.append(f"it moves: {length(state.v):.1f} m/s, {length(state.w):.1f} rad/s")
     if isfinite(status.remaining) and status.remaining < limits.battery + 0.1:
         out.append(f"battery at {100 * status.remaining:.0f} %: charge it")
@@ -65,6 +71,22 @@ def faults(
     out += failsafe.faults(status.parameters)
     out += _outside(path, limits, height)
     return out
+
+
+def _not_at_rest(status: Status, state: VehicleState) -> list[str]:
+    """Armed or in the air; only what says that it stands, and does not move, may be disarmed by hand."""
+    stands = status.landed == d.ON_GROUND and length(state.v) <= MOVES
+    if status.armed and stands:
+        return ["the vehicle is armed already, on the ground: disarm it"]
+    where = _LANDED.get(status.landed, "does not say whether it is on the ground")
+    if status.armed:
+        return [
+            f"the vehicle is armed already and {where}: it may be flying, so do not disarm it. Take it over with the "
+            "sticks or from the ground station, and land it"
+        ]
+    if status.landed in _LANDED and status.landed != d.ON_GROUND:
+        return [f"the vehicle is disarmed and {where}: wait until it says that it is on the ground"]
+    return []
 
 
 def _outside(path: PathPoints, limits: Limits, height: float) -> list[str]:

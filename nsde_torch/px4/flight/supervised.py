@@ -12,7 +12,7 @@ from nsde_torch.px4.flight.cascade import Point, SetpointCascade
 from nsde_torch.px4.flight.controller import Demand
 from nsde_torch.px4.flight.options import FlightOptions
 from nsde_torch.px4.flight.path import PathPoints
-from nsde_torch.px4.flight.phases import FLYING, FlightOutcome, Phase
+from nsde_torch.px4.flight.phases import FLYING, REFUSED, FlightOutcome, Phase
 from nsde_torch.px4.flight.runner import Runner
 from nsde_torch.px4.flight.safety import Action, Limits, Trouble, Watch
 from nsde_torch.px4.flight.setpoint import Guard, HoverThrottle, SetpointLimits, level
@@ -118,7 +118,7 @@ class Supervised(ABC):
     def _refuse(self, why: str) -> None:
         """End a flight that has not begun."""
         self.streaming = False
-        self.outcome.trouble = self.outcome.trouble or Trouble("refused", why, Action.SILENCE)
+        self.outcome.trouble = self.outcome.trouble or Trouble(REFUSED, why, Action.SILENCE)
         self._go(Phase.DONE, why)
 
     @property

@@ -9,6 +9,7 @@ from nsde_torch.control.predictor import Predictor
 from nsde_torch.control.reference import FlightPath, Reference
 from nsde_torch.errors import ConfigError
 from nsde_torch.px4.flight.options import Limits
+from nsde_torch.px4.flight.safety import MARGIN
 from nsde_torch.systems import System
 
 from .. import build
@@ -64,10 +65,14 @@ def check_inside(experiment: DictConfig, limits: Limits) -> None:
     """
     names = ("x", "y", "z")
     for axis, (low, high), (lowest, highest) in zip(names, fence_of(experiment), limits.fence, strict=True):
-        if low < lowest or high > highest:
+        highest -= (
+            MARGIN if axis == "z" else 0.0
+        )  # a path nearer to the fence's top is refused before take-off
+        if low < lowest or high > highest + 1e-6:
             raise ConfigError(
-                f"`experiment.fence` reaches from {low:g} to {high:g} m along {axis}, beyond `limits.fence` "
-                f"({lowest:g} to {highest:g} m), where a flight is ended. Make the first smaller, or the second larger."
+                f"`experiment.fence` reaches from {low:g} to {high:g} m along {axis}, beyond `limits.fence`, where a "
+                f"flight is ended: a flight may be planned from {lowest:g} to {highest:g} m. Make the first smaller, "
+                "or the second larger."
             )
     if experiment.speed > limits.speed:
         raise ConfigError(

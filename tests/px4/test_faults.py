@@ -129,7 +129,7 @@ def test_a_disarmed_vehicle_is_not_armed_again() -> None:
 @pytest.mark.parametrize(
     ("kind", "limits"),
     [
-        ("fence", Limits(fence=((-6.0, 6.0), (-6.0, 6.0), (-0.5, 1.2)))),
+        ("fence", Limits(fence=((-6.0, 6.0), (-0.2, 0.2), (-0.5, 6.0)))),
         ("speed", Limits(speed=2.0)),
         ("tilt", Limits(tilt=20.0)),
         ("battery", Limits(battery=0.5)),
@@ -146,7 +146,7 @@ def test_limits_hold_and_land(kind: str, limits: Limits) -> None:
         if world.phase is Phase.TRACK and kind == "battery":
             world.body.used = 0.6
         if world.phase is Phase.TRACK and kind == "fence" and world.flight._elapsed > 0.5:
-            world.body._push = (0.0, 0.0, 4.0)
+            world.body._push = (0.0, 4.0, 0.0)
 
     world = World(path=path, limits=limits).run(harm)
     assert world.flight.outcome.trouble is not None, world.says

@@ -102,6 +102,36 @@ def test_flying_is_refused_before_arming_with_every_reason() -> None:
     assert not world.setpoints
 
 
+def _near_the_top(path: float = 1.0, height: float = 1.0, climb: float = 0.8, top: float = 1.8) -> World:
+    options = FlightOptions(height=height, climb=climb, hold=0.3, idle=0.4, spool=0.4, checks=1.0)
+    fence = Limits(fence=((-6.0, 6.0), (-6.0, 6.0), (-0.5, top)))
+    reference = PathPoints(shapes.hover(duration=1.0, height=path))
+    return World(path=reference, options=options, limits=fence).run()
+
+
+@pytest.mark.parametrize(
+    ("given", "said"),
+    [
+        ({"height": 1.7}, "Keep 0.44 m: a take-off (height) to 1.36 m at most, a slower climb, or a fence"),
+        ({"climb": 2.0}, "Keep 1.1 m: a take-off (height) to 0.7 m at most"),
+        ({"path": 1.7}, "Keep 0.3 m: a reference up to 1.5 m, or a fence (limits.fence) up to 2 m"),
+    ],
+)
+def test_what_comes_near_the_fences_top_is_refused_before_arming_with_the_room_that_it_needs(
+    given: dict[str, float], said: str
+) -> None:
+    world = _near_the_top(**given)
+    assert world.flight.outcome.trouble is not None
+    assert said in world.flight.outcome.trouble.text
+    assert not world.setpoints
+
+
+def test_with_that_room_a_take_off_and_a_reference_stay_below_the_fences_top() -> None:
+    world = _near_the_top(path=1.5, height=1.36)
+    assert world.flight.outcome.tracked, world.says
+    assert 1.36 < world.highest < 1.8
+
+
 def test_without_a_vehicle_the_flight_says_that_nothing_was_heard() -> None:
     world = World(down=lambda data, now: [], options=FlightOptions(connect=1.0)).run()
     assert world.flight.outcome.trouble is not None
@@ -150,7 +180,9 @@ def test_what_may_be_flying_is_to_be_taken_over_and_landed_and_never_disarmed(
     assert state is not None
     status = replace(world.endpoint.telemetry.status, armed=armed, landed=landed)
     moving = replace(state, v=(speed, 0.0, 0.0))
-    found = preflight.faults(world.endpoint, status, moving, world.path, Limits(), height=1.0, now=world.now)
+    found = preflight.faults(
+        world.endpoint, status, moving, world.path, Limits(), options=world.options, now=world.now
+    )
     told = [line for line in found if line.startswith("the vehicle is")]
     assert len(told) == (said is not None)
     if said is not None:

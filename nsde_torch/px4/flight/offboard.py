@@ -22,8 +22,6 @@ from nsde_torch.px4.link.connection import why_no_state
 from nsde_torch.px4.link.telemetry import Status, VehicleState
 from nsde_torch.px4.link.vectors import Vec, distance, length, yaw_of
 
-ROOM = 0.4
-"""Distance from the fence's top that is kept on the way up [m]."""
 REST, SETTLE = 1.0, 4.0
 """Time of rest after the reference, and longest wait for it above the place of take-off [s]."""
 
@@ -88,7 +86,7 @@ class Offboard(Supervised):
             state,
             self.path,
             self.limits,
-            height=self.options.height,
+            options=self.options,
             now=self._now,
         )
         if found:
@@ -151,8 +149,8 @@ class Offboard(Supervised):
     @property
     def _top(self) -> float:
         """Height of take-off: past that at which PX4 resets its heading, where the fence has room for it [m]."""
-        room = self.limits.fence[2][1] - ROOM
-        return max(self.options.height, min(self.options.climb_past, room))
+        highest = self.limits.fence[2][1] - preflight.climb_room(self.options)
+        return max(self.options.height, min(self.options.climb_past, highest))
 
     def _takeoff(self, state: VehicleState | None, status: Status) -> None:
         if state is None or self.home is None:

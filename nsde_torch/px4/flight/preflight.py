@@ -5,8 +5,9 @@ from __future__ import annotations
 from math import acos, degrees, isfinite
 
 from nsde_torch.px4.flight import failsafe
+from nsde_torch.px4.flight.options import FlightOptions
 from nsde_torch.px4.flight.path import PathPoints
-from nsde_torch.px4.flight.safety import Limits
+from nsde_torch.px4.flight.safety import MARGIN, Limits
 from nsde_torch.px4.link import dialect as d
 from nsde_torch.px4.link.endpoint import Endpoint
 from nsde_torch.px4.link.telemetry import Status, VehicleState
@@ -16,6 +17,10 @@ PARAMETERS = ("MPC_THR_HOVER", *failsafe.PARAMETERS)
 """Parameters that are asked for."""
 FEWEST = 70.0
 """States in a second with which a flight may begin; more are asked for, and some get lost."""
+CLIMB_TIME = 0.55
+"""How far a climb rises past its end, as a time at its speed [s]; simulated: 0.2 m at 0.8 m/s, 0.6 at 1.5, 1.5 at 3."""
+ROUNDED = 1e-3
+"""What is said of heights is rounded to this, and what follows it is not refused [m]."""
 MOVES = 0.5
 """Speed from which on a vehicle does not stand [m/s]; an estimate that settles is slower."""
 _LANDED = {
@@ -34,7 +39,7 @@ def faults(
     path: PathPoints,
     limits: Limits,
     *,
-    height: float,
+    options: FlightOptions,
     now: float,
 ) -> list[str]:
     """Reasons not to fly; empty: none.
@@ -45,7 +50,7 @@ def faults(
         state: The newest state.
         path: Where to fly, from the place of take-off.
         limits: See `Limits`.
-        height: Of take-off [m].
+        options: See `FlightOptions`.
         now: [s]
     """
     out = []
@@ -69,7 +74,7 @@ def faults(
     if limits.voltage > 0 and isfinite(status.voltage) and status.voltage < limits.voltage:
         out.append(f"battery at {status.voltage:.1f} V: charge it")
     out += failsafe.faults(status.parameters)
-    out += _outside(path, limits, height)
+    out += _outside(path, limits, options)
     return out
 
 
@@ -89,15 +94,34 @@ def _not_at_rest(status: Status, state: VehicleState) -> list[str]:
     return []
 
 
-def _outside(path: PathPoints, limits: Limits, height: float) -> list[str]:
+def climb_room(options: FlightOptions) -> float:
+    """Height below the fence's top at which a climb must end, because it rises past its end [m]."""
+    return max(CLIMB_TIME * options.climb, MARGIN)
+
+
+def _outside(path: PathPoints, limits: Limits, options: FlightOptions) -> list[str]:
     out = []
     for axis, low, high, (from_, to) in zip("xyz", path.low, path.high, limits.fence, strict=True):
         if low < from_ or high > to:
             out.append(
                 f"the reference leaves the fence: {axis} from {low:.1f} to {high:.1f} m, fence {from_:g} to {to:g}"
             )
-    if not limits.fence[2][0] <= height <= limits.fence[2][1]:
-        out.append(f"the height of take-off, {height:g} m, is outside the fence")
+    floor, top = limits.fence[2]
+    high, room = path.high[2], climb_room(options)
+    if top - MARGIN + ROUNDED < high <= top:
+        out.append(
+            f"the reference goes up to {high:.4g} m, and the fence's top is at {top:g} m: no flight is that exact. "
+            f"Keep {MARGIN:g} m: a reference up to {top - MARGIN:.4g} m, or a fence (limits.fence) up to "
+            f"{high + MARGIN:.4g} m"
+        )
+    if options.height < floor:
+        out.append(f"the height of take-off, {options.height:g} m, is below the fence")
+    if options.height > top - room + ROUNDED:
+        out.append(
+            f"the height of take-off is {options.height:g} m, and the fence's top is at {top:g} m: a climb at "
+            f"{options.climb:g} m/s rises past its end. Keep {room:.2g} m: a take-off (height) to {top - room:.4g} m "
+            f"at most, a slower climb, or a fence (limits.fence) up to {options.height + room:.4g} m"
+        )
     return out
 
 

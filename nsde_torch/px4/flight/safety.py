@@ -29,6 +29,9 @@ from nsde_torch.px4.flight.steps import UNANNOUNCED, EstimateStep, step_between
 from nsde_torch.px4.link.telemetry import Status, VehicleState
 from nsde_torch.px4.link.vectors import Vec, cos_tilt, length
 
+MARGIN = 0.3
+"""Distance from the fence's edge that is kept where the place can be chosen: to hold, and below its top [m]."""
+
 
 class Action(Enum):
     """What is done about a trouble, the strongest last."""
@@ -129,7 +132,7 @@ class Watch:
             return False
         return now - self._since.setdefault(kind, now) >= patience
 
-    def inside(self, p: Vec, margin: float = 0.3) -> Vec:
+    def inside(self, p: Vec, margin: float = MARGIN) -> Vec:
         """The nearest point well inside the fence."""
         out = []
         for c, h, (low, high) in zip(p, self._home, self.limits.fence, strict=True):

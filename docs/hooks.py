@@ -276,15 +276,12 @@ def _api_path(name: str) -> str:
 def _api(name: str) -> str:
     """What a package offers, and a table of its modules with what each is for."""
     folder = ROOT.joinpath(*name.split("."))
-    lines = [
-        f"# {name}",
-        "",
-        f"::: {name}",
-        "    options:",
-        "      show_root_heading: false",
-        "      show_root_toc_entry: false",
-        "",
-    ]
+    lines = [f"# {name}", "", f"::: {name}", "    options:"]
+    lines += ["      show_root_heading: false", "      show_root_toc_entry: false"]
+    if name == "nsde_torch":
+        lines += ["      members: false", ""]
+        lines += [f"::: {name}.{public}\n" for public in _verbs_first()]
+    lines += [""]
     modules = sorted(folder.glob("*.py") if name == "nsde_torch" else folder.rglob("*.py"))
     modules = [path for path in modules if not path.name.startswith("__") or path.parent != folder]
     if modules:
@@ -295,6 +292,15 @@ def _api(name: str) -> str:
         text = ast.get_docstring(ast.parse(path.read_text(encoding="utf-8"))) or ""
         lines.append(f"| `{dotted}` | {_cell(_first(text))} |")
     return "\n".join(lines)
+
+
+def _verbs_first() -> list[str]:
+    """What `nsde_torch` exports: the verbs of a first hour in their order, the other functions, the classes."""
+    import nsde_torch
+
+    hour = ["read", "inspect", "diagnose", "train", "evaluate"]
+    others = [name for name in nsde_torch.__all__ if name not in hour and not name.startswith("_")]
+    return hour + sorted(others, key=lambda name: name[0].isupper())
 
 
 def _first(text: str | None) -> str:

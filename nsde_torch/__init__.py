@@ -2,11 +2,11 @@
 
 Five verbs, each what the command of the same name does:
 
-    found = nsde_torch.diagnose("logs/", system="hexacopter")                       what the declared physics lacks
+    found = nsde_torch.diagnose("logs/", system="hexacopter")   what the declared physics lacks
     model = nsde_torch.train("logs/", system="hexacopter", effects=found.effects)   a model with it
-    scores = nsde_torch.evaluate(model, "more_logs/")                               its errors and intervals
-    made = nsde_torch.simulate("hexacopter", effects=["linear_drag"], seed=0)       runs of a simulated machine
-    model = nsde_torch.load("runs/hexacopter")                                      a model that was trained before
+    scores = nsde_torch.evaluate(model, "more_logs/")           its errors and intervals
+    made = nsde_torch.simulate("hexacopter", seed=0)            runs of a simulated machine
+    model = nsde_torch.load("runs/hexacopter")                  a model that was trained before
 
 `nsde_torch.inspect("log")` says what is in a log of any format, and what its columns mean.
 `System` and `Effect` are what a machine and a physical term of your own derive from.

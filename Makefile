@@ -2,6 +2,7 @@
 # make test   the same plus the tools of development: style, types, documentation, tests
 # make slow   the tests that `make test` leaves out for their time
 # make docs   the documentation as a site, into build/docs
+# make blocks runs the commands whose output the documentation shows, and writes what they print today into its pages
 # make golden writes the files anew that tests/golden holds behaviour against
 # make clean  removes the environment and the caches; runs stay
 #
@@ -18,7 +19,7 @@ PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check $(PIP_FL
 TEST_ENV := OMP_NUM_THREADS=1 MPLBACKEND=Agg
 PYTEST = $(TEST_ENV) $(BIN)/python -m pytest --numprocesses $(JOBS) --dist loadfile --no-loadscope-reorder
 
-.PHONY: run test lint types docs pytest slow golden clean
+.PHONY: run test lint types docs pytest slow blocks golden clean
 .DEFAULT_GOAL := run
 
 run: $(VENV)/.installed
@@ -46,6 +47,9 @@ pytest: $(VENV)/.installed-dev
 
 slow: $(VENV)/.installed-dev
 	$(PYTEST) -m slow
+
+blocks: $(VENV)/.installed-dev
+	$(TEST_ENV) $(BIN)/python docs/blocks.py
 
 golden: $(VENV)/.installed-dev
 	$(TEST_ENV) $(BIN)/python -m pytest tests/golden --regenerate

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import importlib
 import re
 import shlex
+import sys
 import textwrap
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -21,6 +23,9 @@ from nsde_torch.effects import Effect
 from nsde_torch.recording import FAULTS
 
 ROOT = Path(__file__).resolve().parents[1]
+sys.path.insert(0, str(ROOT / "docs"))
+blocks = importlib.import_module("blocks")  # docs/ is no package
+sys.path.pop(0)
 CONTENT = ROOT / "docs" / "content"
 PAGES = sorted(CONTENT.rglob("*.md"))
 OUTSIDE = [
@@ -110,6 +115,54 @@ def test_the_effect_of_the_page_is_one(root: Path) -> None:
     effect = names["Cogging"]({"size": 2.0, "pitch": 0.4})
     force = effect(torch.tensor(0.0), torch.tensor([[0.1, 0.0]]), torch.zeros(1, 1), torch.zeros(1, 0))
     assert float(force.detach()) == pytest.approx(-2.0)
+
+
+SHORT = [p for p in PAGES if any(blocks.is_output(m) for m in blocks.marks(p.read_text(), slow=False))]
+
+
+@pytest.mark.parametrize("page", SHORT, ids=lambda page: page.stem)
+def test_short_blocks_are_what_their_commands_print_today(page: Path) -> None:
+    text, failed = blocks.renewed(page, slow=False)
+    assert not failed
+    assert text == page.read_text(encoding="utf-8")
+
+
+def test_every_block_of_output_names_its_command_or_says_why_none_can_print_it() -> None:
+    made = 0
+    for page in [ROOT / "README.md", *PAGES]:
+        text = page.read_text(encoding="utf-8")
+        marked = {mark.start("fence"): mark for mark in blocks.MARK.finditer(text) if mark["fence"]}
+        for fence in re.finditer(r"^ *``` ?(?:text|\{ \.text.*\})$", text, flags=re.MULTILINE):
+            line = text.count("\n", 0, fence.start()) + 1
+            assert fence.start() in marked, f"{page.relative_to(ROOT)}:{line}: what prints this block?"
+            mark = marked[fence.start()]
+            assert mark["command"], f"{page.relative_to(ROOT)}:{line}: no command and no reason"
+            made += not mark["no"]
+    assert made > 10
+
+
+def test_a_block_made_anew_keeps_seconds_and_dates_and_takes_every_other_change(tmp_path: Path) -> None:
+    page = tmp_path / "page.md"
+    lines = "$ nsde train", "took 3 s; wrote runs/2026-01-02/03-04-05_cart", "left: {left}", "[...]"
+    fence = "\n".join(f"  {line}" for line in ("```text", *lines, "```\n"))
+    printed = r"took 9 s; wrote runs/2027-01-02/03-04-05_cart\nleft: 0.06\n1\n2\n"
+    page.write_text(
+        f"  <!-- run: printf '{printed}' | sed '/^.$/c[...]' -->\n{fence.format(left=0.07)}after\n"
+    )
+    text, failed = blocks.renewed(page)
+    assert not failed
+    assert text == page.read_text().replace("0.07", "0.06")
+
+
+def test_a_command_that_fails_leaves_its_block_and_is_named_and_slow_ones_wait(tmp_path: Path) -> None:
+    page = tmp_path / "page.md"
+    block = "```text\nold\n```\n"
+    page.write_text(f"<!-- run: echo new; false -->\n{block}\n<!-- run slow: echo new -->\n{block}")
+    text, failed = blocks.renewed(page)
+    assert [entry.partition(":")[0] for entry in failed] == ["line 1"]
+    assert "status 1" in failed[0]
+    assert text.count("old") == text.count("\nnew") == 1
+    assert blocks.renewed(page, slow=False)[0] == page.read_text()
 
 
 @pytest.mark.slow

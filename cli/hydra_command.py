@@ -184,6 +184,10 @@ class HydraCommand:
             line += f" Continue with: nsde {self.name} resume={LAST.run_dir}"
         elif LAST.run_dir is not None and self.goes_on:
             line += f" What is finished is kept: start the same command again with out_dir={LAST.run_dir} to go on."
+        elif (
+            LAST.run_dir is not None and self.result is not None and (LAST.run_dir / self.result[0]).is_file()
+        ):
+            line += f" What is known is kept in {LAST.run_dir}."
         print(f"\n{line}", file=sys.stderr)
         return INTERRUPTED
 

@@ -32,9 +32,9 @@ from nsde_torch.design import (
 from nsde_torch.design.files import PLAN, RESULT, read_design
 from nsde_torch.diagnosis.files import RESULT as DIAGNOSED
 from nsde_torch.errors import ConfigError, DataError
+from nsde_torch.progress import Stages
 
 from ..known_machine import KnownMachine
-from ..stages import Stages
 from .limits import plan_limits
 from .logs import diagnosis_content, log_files, machine_in, read_logs
 from .told import asked, entry_of, expected_nats, experiment_lines, too_little

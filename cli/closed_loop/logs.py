@@ -21,7 +21,6 @@ from nsde_torch.recording.faults.registry import remedies
 from nsde_torch.systems.options import system_options
 
 from ..known_machine import KnownMachine, faults_of_sensors, known_machine
-from ..stages import Stages
 
 _HIDDEN, _RECORD = ".", ".json"
 
@@ -90,9 +89,7 @@ def diagnose_logs(
     out.mkdir(parents=True, exist_ok=True)
     data = read_logs(folder, system, kind)
     print(data.summary)
-    stages = Stages()
-    found = nsde_torch.diagnose(data, system=system, **settings, say=stages)
-    stages.close()
+    found = nsde_torch.diagnose(data, system=system, **settings).finished()
     content = found.content()
     write_effects(found, out, system=system, note="found by nsde close-loop")
     write_report(out / REPORT, found, content)

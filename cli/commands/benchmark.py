@@ -83,10 +83,9 @@ def run(config: DictConfig, job: Job) -> None:
     # torch is imported here, not above: help and completion do without it.
     import torch
 
+    from nsde_torch.progress import Stages
     from nsde_torch.public_benchmarks.registry import benchmark_class
     from nsde_torch.public_benchmarks.running import PICTURE, RESULT, run_benchmark, table
-
-    from ..stages import Stages
 
     started = time.perf_counter()
     torch.set_num_threads(config.threads)

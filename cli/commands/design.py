@@ -77,9 +77,9 @@ def run(config: DictConfig, job: Job) -> None:
     import torch
 
     from nsde_torch.design import DesignOptions, design, question_of
+    from nsde_torch.progress import Stages
 
     from ..design_data import diagnosed
-    from ..stages import Stages
 
     started = time.perf_counter()
     torch.set_num_threads(config.threads)

@@ -87,13 +87,12 @@ def run(config: DictConfig, job: Job) -> None:
     """
     # torch is imported here, not above: help and completion do without it.
     import nsde_torch
-    from nsde_torch.diagnosis.files import EFFECTS, PLOTS, REPORT, RESULT, write_content, write_effects
+    from nsde_torch.diagnosis.files import EFFECTS, PLOTS, REPORT, RESULT, DiagnosisFiles, write_content
     from nsde_torch.diagnosis.rehearsal_text import rehearsal_lines
     from nsde_torch.diagnosis.report import write_report
     from nsde_torch.diagnosis.text import lines
 
     from .. import build, effects_file
-    from ..stages import Stages
 
     started = time.perf_counter()
     build.settings(config, sweep=job.sweep)
@@ -102,7 +101,8 @@ def run(config: DictConfig, job: Job) -> None:
     system = machine.make()
     data = build.dataset(config.data, system)
     print(data.summary)
-    stages = Stages()
+    note = f"found by nsde diagnose; use it with: {_training(config, job)}"
+    files = DiagnosisFiles(job.run_dir, system=config.system.name, note=note)
     found = nsde_torch.diagnose(
         data,
         system=machine,
@@ -114,20 +114,17 @@ def run(config: DictConfig, job: Job) -> None:
         test_data=build.test_data(config.data, system),
         instruments=list(config.data.instruments),
         seed=config.seed,
-        say=stages,
+        so_far=files.write_so_far,
     )
-    stages.close()
-    content = found.content()
-    write_content(content, job.run_dir)
-    note = f"found by nsde diagnose; use it with: {_training(config, job)}"
-    write_effects(found, job.run_dir, system=config.system.name, note=note)
+    content = files.write(found)
     print()
-    print("\n".join(lines(content)))
+    print("\n".join(lines(content)), flush=True)
+    if found.so_far is not None:
+        raise KeyboardInterrupt
     if config.retrain and (found.effects or set(found.sensor_faults) & set(found.added)):
         print(f"\ntraining the model with {', '.join(found.added)}", flush=True)
         content["model"] = _train(config, job, found)
         write_content(content, job.run_dir)
-    write_report(job.run_dir / REPORT, found, content)
     if config.rehearse:
         content["rehearsal"] = _rehearse(config, found)
         write_content(content, job.run_dir)
@@ -158,8 +155,7 @@ def _training(config: DictConfig, job: Job) -> str:
 def _rehearse(config: DictConfig, found: Diagnosis) -> dict[str, Any]:
     """What simulated logs of the machine that was found say."""
     import nsde_torch
-
-    from ..stages import Stages
+    from nsde_torch.progress import Stages
 
     stages = Stages()
     rehearsal = nsde_torch.rehearse(found, logs=config.rehearsals, seed=config.seed, say=stages)

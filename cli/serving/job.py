@@ -7,6 +7,8 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
+from nsde_torch.whole_files import write_whole
+
 RECORD = "job.json"
 STATES = {
     "uploading": "logs are being sent",
@@ -53,7 +55,8 @@ class ServedJob:
         state: Key of `STATES`.
         sentence: Why it is refused or failed; empty where it is not.
         mapped: Whether the user gave the mapping.
-        stages: What the diagnosis did: stage, number done, number in all, second at which it began.
+        stages: What the diagnosis did: stage, number done, number in all, second at which it began, and
+            what was found so far.
         seconds: How long the diagnosis took or has taken.
         repeat: The command that repeats the diagnosis.
     """
@@ -80,9 +83,7 @@ class ServedJob:
         Args:
             folder: Of the job.
         """
-        part = folder / f"{RECORD}.part"
-        part.write_text(json.dumps(self.content(), indent=1) + "\n", encoding="utf-8")
-        part.replace(folder / RECORD)
+        write_whole(folder / RECORD, json.dumps(self.content(), indent=1) + "\n")
 
 
 def load(folder: Path) -> ServedJob | None:

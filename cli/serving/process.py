@@ -15,11 +15,14 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from nsde_torch.progress import PROGRESS
+
 from ..exit_status import FAILED_JOBS, USER_ERROR
-from ..stages import PROGRESS
 from .limits import ServeLimits
 
-Say = Callable[[str, int, int], None]
+Say = Callable[
+    ..., None
+]  # takes stage, number done, number in all, and what was found so far, in a few words
 _LINE = 1 << 16  # bytes of a line that are read at a time
 _LOG = 4 << 20  # bytes of a log that are kept
 _TAIL = 200  # lines that the sentence of an error is looked for in
@@ -49,7 +52,7 @@ class CommandProcess:
         folder: Where it runs.
         log: File for what it prints.
         limits: Of its time and memory.
-        say: Told stage, number done and number in all.
+        say: Takes stage, number done, number in all, and what was found so far.
     """
 
     def __init__(
@@ -159,7 +162,7 @@ def _told(line: str, say: Say) -> bool:
         return False
     try:
         step = json.loads(line)
-        say(str(step["stage"]), int(step["done"]), int(step["total"]))
+        say(str(step["stage"]), int(step["done"]), int(step["total"]), str(step.get("found", "")))
     except (ValueError, KeyError, TypeError):
         return False
     return True

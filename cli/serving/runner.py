@@ -205,15 +205,16 @@ class JobRunner:
     def _diagnose(self, job: ServedJob) -> dict[str, Any]:
         folder = self.shelf.of(job)
         began = time.monotonic()
-        stages: list[dict[str, Any]] = [{"stage": "reading the logs", "done": 0, "total": 1, "began": 0.0}]
+        stages: list[dict[str, Any]] = [
+            {"stage": "reading the logs", "done": 0, "total": 1, "began": 0.0, "found": ""}
+        ]
 
-        def say(stage: str, done: int, total: int) -> None:
+        def say(stage: str, done: int, total: int, found: str = "") -> None:
             now = round(time.monotonic() - began, 1)
             with self.shelf.lock:
-                if stages[-1]["stage"] == stage:
-                    stages[-1].update(done=done, total=total)
-                else:
-                    stages.append({"stage": stage, "done": done, "total": total, "began": now})
+                if stages[-1]["stage"] != stage:
+                    stages.append({"stage": stage, "began": now})
+                stages[-1].update(done=done, total=total, found=found)
 
         words = self._words(job)
         self.shelf.note(job, state="running", stages=stages, repeat=shell(words))
@@ -255,5 +256,5 @@ def _why_not(found: dict[str, Any]) -> str:
     return "Too little was recognised in these logs to make a mapping of it."
 
 
-def _nothing(stage: str, done: int, total: int) -> None:
+def _nothing(*step: object) -> None:
     return None

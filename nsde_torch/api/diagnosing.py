@@ -3,19 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any
+from typing import Any, Literal
 
 from nsde_torch.api.reading import Data, read, split_runs
+from nsde_torch.diagnosis.not_done import StoppedError
 from nsde_torch.diagnosis.options import Options
 from nsde_torch.diagnosis.pipeline import diagnose as diagnose_runs
 from nsde_torch.diagnosis.result import Diagnosis
 from nsde_torch.models.identified import SysidSpec
+from nsde_torch.progress import Say, Stages, silent
 from nsde_torch.systems.base import System
 from nsde_torch.systems.options import Effects, SystemOptions, system_options
-
-
-def _silent(stage: str, done: int, total: int) -> None:
-    return None
 
 
 def diagnose(
@@ -33,9 +31,14 @@ def diagnose(
     test_data: Data | None = None,
     instruments: Sequence[str] = (),
     seed: int = 0,
-    say: Callable[[str, int, int], None] = _silent,
+    say: Say | Literal[False] | None = None,
+    so_far: Callable[[Diagnosis], None] = lambda found: None,
 ) -> Diagnosis:
     """Find what the declared physics of a machine lacks, as `nsde diagnose` does.
+
+    Ctrl-C (in a notebook: interrupt) ends it with what is known: once the declared physics is fitted, the diagnosis so
+    far is returned, marked `so_far`, with `not_done`. Before that, it is a KeyboardInterrupt as ever. Code that must
+    not go on with half a diagnosis calls `diagnose(...).finished()`, which raises KeyboardInterrupt then.
 
     Args:
         data: Folder of CSV files, PX4 log, simulation, arrays or data set (see `nsde_torch.read`).
@@ -51,10 +54,13 @@ def diagnose(
         test_data: Further runs that are kept back; a run of theirs among `data` is refused.
         instruments: Logged columns that nothing inside the control loop moves: sticks, setpoints.
         seed: Seed of the resamples.
-        say: Told stage, number done and number in all.
+        say: None: progress is printed on standard error, with what was found so far and roughly how long is left;
+            False: nothing is printed; or a function that takes stage, number done and number in all.
+        so_far: Takes the diagnosis so far after each round of the search and each later stage.
 
     Returns:
-        The diagnosis: `verdict` ("no_effect", "effect_found" or "unexplained"), `added` (names), `effects` (names with
+        The diagnosis: `verdict` ("no_effect", "effect_found" or "unexplained"; "undecided" of one that was stopped
+        early), `added` (names), `effects` (names with
         values, for `nsde_torch.train`), `parameters` (value, 90 % interval and unit), `report` (text), `content()`
         (what `diagnosis.json` holds) and `save(folder)`.
 
@@ -97,4 +103,21 @@ def diagnose(
         declared=None if machine_options.declared is None else tuple(machine_options.declared),
         system_options=dict(machine_options.options),
     )
-    return diagnose_runs(machine, spec, runs, looked_at, options, say=say)
+    printed = Stages() if say is None else None
+
+    def known(found: Diagnosis) -> None:
+        if printed is not None and found.so_far is not None:
+            printed.known(found.in_short, found.so_far.left_s)
+        so_far(found)
+
+    try:
+        return diagnose_runs(
+            machine, spec, runs, looked_at, options, say=printed or say or silent, so_far=known
+        )
+    except StoppedError as stop:
+        if printed is not None:
+            printed("stopped, with what is known so far", 1, 1)
+        return stop.found
+    finally:
+        if printed is not None:
+            printed.close()

@@ -41,6 +41,7 @@ def content(found: Diagnosis) -> dict[str, Any]:
     wording, flexible = o.decisions.wording, ceiling_content(left.ceiling, o, len(found.runs))
     return {
         "schema": "nsde_torch.diagnosis/1",
+        **({} if found.so_far is None else {"so_far": found.so_far.as_dict()}),
         "verdict": found.verdict,
         "added": found.added,
         "summary": summary(
@@ -77,12 +78,7 @@ def content(found: Diagnosis) -> dict[str, Any]:
         "not_shown": _not_shown(found),
         "parameters": parameters(found),
         "declared_parameters": {
-            name: {
-                "value": e.value,
-                **_interval(found, e),
-                "unit": e.unit,
-                "shown": e.low is not None,
-            }
+            name: {"value": e.value, **_interval(found, e), "unit": e.unit, "shown": e.low is not None}
             for name, e in declared(o).items()
         },
         "residual": {
@@ -326,7 +322,9 @@ def _interval(found: Diagnosis, e: Estimate) -> dict[str, Any]:
         return {"interval_90": None, "bound": "not believed"}
     if e.low is None and found.outcome.unsettled:
         return {"interval_90": None, "bound": "not settled"}
-    widened = {"widened_by": e.widened} if e.widened and e.low is not None else {}
+    widened: dict[str, Any] = {"widened_by": e.widened} if e.widened and e.low is not None else {}
+    if found.so_far is not None:
+        widened["provisional"] = True
     return {"interval_90": None if e.low is None else [e.low, e.high], "bound": e.bound, **widened}
 
 

@@ -66,7 +66,10 @@ def eliminate(search: Search, chosen: Selection, *, also: Collection[str] = ()) 
         # a noise model that was found with the effect may have been what made the difference
         if now is None or without.score.fitted > now.base.score.fitted + search.decisions.alike_nats:
             now = look(
-                search, without, only={name, *contained, *_rivals(search, name, rounds), *also, *search.laws}
+                search,
+                without,
+                only={name, *contained, *_rivals(search, name, rounds), *also, *search.laws},
+                called=f"looking again at {name}",
             )
         without = now.base
         this = next((t for t in now.trials if t.name == name), None)
@@ -144,7 +147,7 @@ def _in_part(search: Search, without: Base, own: Trial, names: Sequence[str], am
     for name in names:
         if own.name in effect_class(name).includes or is_law(name):
             continue
-        search.say("comparing effects", len(out), len(names))
+        search.say(f"looking for what may stand in for a part of {own.name}", len(out), len(names))
         try:
             other = _shared(search, without, own, name, among=among)
         except (NsdeError, np.linalg.LinAlgError):

@@ -6,13 +6,19 @@ import json
 import re
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from time import perf_counter
+from typing import TYPE_CHECKING, Any, final
 
 from nsde_torch.effects import files as effects_files
+from nsde_torch.whole_files import write_whole
 
 if TYPE_CHECKING:
     from nsde_torch.diagnosis.result import Diagnosis
 
+_REPORTS, _REPORT_S = (
+    0.05,
+    5.0,
+)  # share of the time that reports so far may take, and what one takes about [s]
 RESULT, EFFECTS, REPORT, PLOTS = "diagnosis.json", "effects.yaml", "report.html", "plots"
 
 
@@ -23,7 +29,7 @@ def picture_file(name: str) -> str:
 
 def write_content(content: Mapping[str, Any], folder: Path) -> None:
     """Write `diagnosis.json`."""
-    (folder / RESULT).write_text(json.dumps(content, indent=1, allow_nan=False), encoding="utf-8")
+    write_whole(folder / RESULT, json.dumps(content, indent=1, allow_nan=False))
 
 
 def write_effects(found: Diagnosis, folder: Path, *, system: str, note: str) -> None:
@@ -33,18 +39,53 @@ def write_effects(found: Diagnosis, folder: Path, *, system: str, note: str) -> 
         found: The diagnosis.
         folder: Where to.
         system: Name of the system that takes the file.
-        note: First line.
+        note: First line; that the diagnosis is not finished stands before it.
     """
+    note = f"so far, not finished: {note}" if found.so_far is not None else note
     effects_files.write(folder / EFFECTS, system, found.effects, note)
+
+
+@final
+class DiagnosisFiles:
+    """Keeps the files of a diagnosis up to date while it goes on.
+
+    Args:
+        folder: Where to.
+        system: Name of the system that takes `effects.yaml`.
+        note: First line of `effects.yaml`.
+    """
+
+    def __init__(self, folder: Path, *, system: str, note: str) -> None:
+        self._folder, self._system, self._note = folder, system, note
+        self._began, self._spent = perf_counter(), 0.0
+
+    def write_so_far(self, found: Diagnosis) -> None:
+        """Write what is known so far; the report too, where that takes little of the time so far."""
+        now = perf_counter()
+        if max(self._spent, _REPORT_S) < _REPORTS * (now - self._began):
+            self.write(found)
+            self._spent += perf_counter() - now
+        else:
+            self._write(found)
+
+    def write(self, found: Diagnosis) -> dict[str, Any]:
+        """Write everything; returns the content of `diagnosis.json`."""
+        from nsde_torch.diagnosis.report import write_report
+
+        content = self._write(found)
+        write_report(self._folder / REPORT, found, content)
+        return content
+
+    def _write(self, found: Diagnosis) -> dict[str, Any]:
+        content = found.content()
+        write_content(content, self._folder)
+        write_effects(found, self._folder, system=self._system, note=self._note)
+        return content
 
 
 def save(found: Diagnosis, folder: str | Path) -> Path:
     """Write all files of a diagnosis (`Diagnosis.save`)."""
-    from nsde_torch.diagnosis.report import write_report
-
-    folder, content = Path(folder), found.content()
+    folder = Path(folder)
     folder.mkdir(parents=True, exist_ok=True)
-    write_content(content, folder)
-    write_effects(found, folder, system=found.system_name, note="found by nsde_torch.diagnose")
-    write_report(folder / REPORT, found, content)
+    DiagnosisFiles(folder, system=found.system_name, note="found by nsde_torch.diagnose").write(found)
     return folder / REPORT

@@ -19,6 +19,7 @@ from dataclasses import dataclass
 
 from nsde_torch.diagnosis.evidence import sum_error
 from nsde_torch.diagnosis.fitted import fitted_system
+from nsde_torch.diagnosis.outcome import undecided
 from nsde_torch.diagnosis.rounds import Round, look
 from nsde_torch.diagnosis.search import Base, Search
 from nsde_torch.diagnosis.selection import Selection, choice, forward_selection
@@ -42,6 +43,7 @@ def select(search: Search, system: System) -> Selection:
         system: Declared physics with its first values.
     """
     declared = search.base(system)
+    search.so_far(undecided(search, declared, declared))
     vector = ParameterVector(system)
     first = {k: v for k, v in zip(vector.labels, vector.start.tolist(), strict=True) if "." not in k}
     gone = _gone(declared.regression, first)
@@ -64,7 +66,7 @@ def _from_first_values(
     base = held.base(system)
     rounds: list[Round] = []
     for _ in range(min(DEPTH, search.decisions.most_effects)):
-        now = look(held, base)
+        now = look(held, base, called=f"round {len(rounds) + 1}, gains held")
         there = set(base.system.effect_names) - set(declared.system.effect_names)
         if choice(held, now.trials, sorted(there)) is None:
             return None

@@ -1,12 +1,26 @@
-"""Stages of a diagnosis that could not be computed, or were left out: each costs itself, and not the run."""
+"""Stages of a diagnosis that could not be computed, or were left out: each costs itself, and not the run.
+
+A diagnosis that is not finished (`SoFar`) lists those that are still to come, or were stopped.
+"""
 
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, field
-from typing import TypeVar
+from typing import TYPE_CHECKING, TypeVar, final
 
 import torch
 
 from nsde_torch.errors import ConfigError, NsdeError
+
+if TYPE_CHECKING:
+    from nsde_torch.diagnosis.result import Diagnosis
+
+SELECTION, SECOND_LOOK = "the selection of effects", "a second look at each effect beside the others"
+TESTS, LAWS = "tests of feedback and of what is left", "laws beyond the catalogue"
+OTHER_ROWS = "the search in other rows and over longer boxes"
+ESTIMATES, ERRORS = "estimates in the loop", "errors on runs left out"
+CEILING, EXPLANATION = "what a flexible model could win", "an explanation of what is left"
+NOT_YET = "not done yet"
+STOPPED = "the diagnosis was stopped before its end"
 
 T = TypeVar("T")
 D = TypeVar("D")
@@ -27,6 +41,37 @@ class NotDone:
     def as_dict(self) -> dict[str, str]:
         """Plain containers, for JSON."""
         return asdict(self)
+
+
+@dataclass(frozen=True)
+class SoFar:
+    """That a diagnosis is not finished.
+
+    Args:
+        stopped_during: What was being done when it was stopped; None while it goes on.
+        left_s: Roughly how long it will yet take [s]; None: not known, or stopped.
+    """
+
+    stopped_during: str | None = None
+    left_s: float | None = None
+
+    def as_dict(self) -> dict[str, str | float | None]:
+        """Plain containers, for JSON."""
+        left = None if self.left_s is None else round(self.left_s)
+        return {"stopped_during": self.stopped_during, "roughly_left_s": left}
+
+
+@final
+class StoppedError(KeyboardInterrupt):
+    """A diagnosis was stopped, and something is known.
+
+    Args:
+        found: The diagnosis so far.
+    """
+
+    def __init__(self, found: "Diagnosis") -> None:
+        super().__init__("the diagnosis was stopped")
+        self.found = found
 
 
 @dataclass

@@ -26,7 +26,7 @@ from nsde_torch.sysid.spread import Spread
 from nsde_torch.systems import System
 
 Array = NDArray[np.float64]
-Verdict = Literal["no_effect", "effect_found", "unexplained"]
+Verdict = Literal["no_effect", "effect_found", "unexplained", "undecided"]
 
 
 @dataclass(frozen=True)
@@ -53,7 +53,7 @@ class Outcome:
     """What was concluded.
 
     Args:
-        verdict: `no_effect`, `effect_found` or `unexplained`.
+        verdict: `no_effect`, `effect_found` or `unexplained`; `undecided` before what is left is tested.
         declared: The declared physics, fitted.
         final: The physics with everything that was added, fitted.
         found: Effects, in the order in which they were added.
@@ -158,6 +158,42 @@ class Outcome:
     def spread(self) -> Spread:
         """Cluster-robust covariance of the parameters of `final`."""
         return self.final.regression.spread()
+
+
+def undecided(
+    search: Search,
+    declared: Base,
+    final: Base,
+    found: Sequence[Found] = (),
+    rounds: Sequence[Round] = (),
+    aside: tuple[str, ...] = (),
+) -> Outcome:
+    """What is known before what is left is tested.
+
+    Args:
+        search: Data and settings.
+        declared: The declared physics, fitted.
+        final: The physics with what was added so far, fitted.
+        found: Effects so far.
+        rounds: Looks at the catalogue so far.
+        aside: Effects that joined what is declared so far.
+    """
+    nothing = Regressors({}, np.zeros(0), {})
+    return Outcome(
+        verdict="undecided",
+        declared=declared,
+        final=final,
+        found=list(found),
+        rounds=list(rounds),
+        declared_variables=nothing,
+        variables=nothing,
+        before=[],
+        after=[],
+        aside=aside,
+        test=LoopTest(why_not="not done yet"),
+        levels=search.levels(),
+        decisions=search.decisions,
+    )
 
 
 def without_effect(system: System, declared: System, name: str) -> System:

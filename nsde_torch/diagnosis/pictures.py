@@ -56,9 +56,12 @@ _REDUCED = 0.9  # of the residual before: what is below that was reduced
 def pictures(found: Diagnosis, content: Mapping[str, Any]) -> dict[str, Figure]:
     """Figures by name, as far as there is any.
 
-    `effect_NAME` of each effect that matters, `residual`, `unexplained`, `flexible`, `held_out`, `errors`, `spectrum`.
+    `effect_NAME` of each effect that matters, `residual`, `unexplained`, `flexible`, `held_out`, `errors`, `spectrum`;
+    of a diagnosis that was stopped before what is left was tested, `spectrum` alone.
     """
     outcome = found.outcome
+    if outcome.verdict == "undecided":  # what residuals may depend on was not asked
+        return _spectra(found)
     panels = effect_panels(outcome, found.told, found.buys, found.runs)
     out: dict[str, Figure] = {
         f"{EFFECT}{name}": residual_views(
@@ -94,13 +97,15 @@ def pictures(found: Diagnosis, content: Mapping[str, Any]) -> dict[str, Figure]:
         out["held_out"] = _held_out(errors)
     if outcome.found and errors["horizons_s"]:
         out["errors"] = _errors(errors)
+    return out | _spectra(found)
+
+
+def _spectra(found: Diagnosis) -> dict[str, Figure]:
     shown = _most_reduced(found.explanation.channels)[: 2 * _CHANNELS]
-    if shown:
-        out["spectrum"] = residual_spectra(
-            [_spectrum(outcome, c.name) for c in shown],
-            title="Spectrum of what the physics leaves over, and the floor of white noise",
-        )
-    return out
+    if not shown:
+        return {}
+    title = "Spectrum of what the physics leaves over, and the floor of white noise"
+    return {"spectrum": residual_spectra([_spectrum(found.outcome, c.name) for c in shown], title=title)}
 
 
 def save_pictures(figures: Mapping[str, Figure], folder: Path) -> list[Path]:

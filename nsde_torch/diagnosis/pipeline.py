@@ -18,13 +18,13 @@ A stage whose numbers fail costs itself and not the run (`not_done`), but for th
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
-from time import perf_counter
 
 from nsde_torch.data import DataSet, Run
 from nsde_torch.diagnosis.at_nothing import beside_gains_at_nothing
 from nsde_torch.diagnosis.beyond_catalogue import with_laws
 from nsde_torch.diagnosis.ceiling import Ceiling, ceiling
 from nsde_torch.diagnosis.chain import explains_more, undone, with_a_late_sensor
+from nsde_torch.diagnosis.course import DiagnosisCourse
 from nsde_torch.diagnosis.cross_validation import cross_validated, none_held_out
 from nsde_torch.diagnosis.decision import (
     decide,
@@ -40,12 +40,24 @@ from nsde_torch.diagnosis.explanation import explained
 from nsde_torch.diagnosis.gone import select
 from nsde_torch.diagnosis.inferred import at_declared, at_found, not_sure
 from nsde_torch.diagnosis.longer_boxes import over_longer_boxes
-from nsde_torch.diagnosis.not_done import OptionalStages
+from nsde_torch.diagnosis.not_done import (
+    CEILING,
+    ERRORS,
+    ESTIMATES,
+    LAWS,
+    OTHER_ROWS,
+    SECOND_LOOK,
+    SELECTION,
+    TESTS,
+    OptionalStages,
+    StoppedError,
+)
 from nsde_torch.diagnosis.options import Options
-from nsde_torch.diagnosis.outcome import Outcome
+from nsde_torch.diagnosis.outcome import Outcome, undecided
 from nsde_torch.diagnosis.reading import Log, read_effects, read_log
 from nsde_torch.diagnosis.result import Diagnosis
 from nsde_torch.diagnosis.search import Search
+from nsde_torch.diagnosis.selection import so_far as chosen_so_far
 from nsde_torch.diagnosis.standing import selected_again, tied, without_standing
 from nsde_torch.models.identified import SysidSpec
 from nsde_torch.recording.log import Recorded
@@ -66,6 +78,7 @@ def diagnose(
     decisions: Decisions = DECISIONS,
     budgets: Budgets = BUDGETS,
     say: Callable[[str, int, int], None] = lambda stage, done, total: None,
+    so_far: Callable[[Diagnosis], None] = lambda found: None,
 ) -> Diagnosis:
     """Diagnose a declared model.
 
@@ -80,13 +93,35 @@ def diagnose(
         decisions: What is decided by, but for alpha and the most effects, which the options give.
         budgets: How much is tried.
         say: Told stage, number done and number in all.
+        so_far: Takes what is known after each round of the selection and each later stage (`Diagnosis.so_far`).
 
     Raises:
         DataError: too few rows, or nothing moves.
         ConfigError: a candidate that the system cannot have.
+        StoppedError: Ctrl-C once something was known; before, a plain KeyboardInterrupt.
     """
-    watch, stages = _Stopwatch(), OptionalStages()
+    course = DiagnosisCourse(data, tuple(run.name for run in runs), options, spec, say=say, so_far=so_far)
     decisions = replace(decisions, alpha=options.alpha, most_effects=options.max_effects)
+    try:
+        return _diagnosed(course, system, runs, closed_loop, decisions, budgets)
+    except KeyboardInterrupt as stop:
+        found = course.stopped()
+        if found is None:
+            raise
+        raise StoppedError(found) from stop
+
+
+def _diagnosed(
+    course: DiagnosisCourse,
+    system: System,
+    runs: Sequence[Run],
+    closed_loop: bool | None,
+    decisions: Decisions,
+    budgets: Budgets,
+) -> Diagnosis:
+    """The stages, in order."""
+    stages, say = OptionalStages(), course.say
+    data, names, options, spec = course.data, course.runs, course.options, course.spec
     own_effects = read_effects(system, runs, options)
     say("checking the recording chain", 0, 1)
     recorded = stages.attempt(
@@ -95,11 +130,13 @@ def diagnose(
         Recorded(tuple(runs), 1.0, ()),
     )
     log = read_log(system, recorded, options, own_effects, decisions=decisions, budgets=budgets, say=say)
-    log = replace(log, stages=stages)
+    log = replace(log, stages=stages, so_far=course.known)
     log = at_declared(log)
     search = log.search(log.runs)
-    watch.lap("recording")
-    log, search, outcome = at_found(log, search, searched(log, search), searched)
+    course.lap("recording")
+    outcome = searched(log, search)
+    course.known(LAWS, log, outcome)
+    log, search, outcome = at_found(log, search, outcome, searched)
     if outcome.structured:
         say("checking the recording chain", 0, 1)
         log, search, outcome = stages.attempt(
@@ -117,32 +154,33 @@ def diagnose(
         partial(over_longer_boxes, log, search, outcome, searched),
         (log, search, outcome, Guarded()),
     )
-    watch.lap("search")
+    course.lap("search")
+    course.known(OTHER_ROWS, log, outcome, guard=guard)
     looked = outcome.final
     final = stages.attempt("values at rougher states", partial(search.valued, looked), looked)
     outcome = beside_gains_at_nothing(doubted(outcome.fitted_again(final), guard))
-    outcome, instrumented = stages.attempt(
-        "estimates in the loop", partial(_identified, log, outcome), (outcome, None)
-    )
+    outcome, instrumented = stages.attempt(ESTIMATES, partial(_identified, log, outcome), (outcome, None))
     outcome = sized(outcome)
     feedback = outcome.test
-    say("errors on runs left out", 0, 1)
+    course.known(ESTIMATES, log, outcome, guard=guard, instrumented=instrumented)
+    say(ERRORS, 0, 1)
     closed_loop = feedback.closed_loop if closed_loop is None else closed_loop
     errors = stages.attempt(
-        "errors on runs left out",
+        ERRORS,
         partial(cross_validated, log, search, outcome, spec, closed_loop=closed_loop),
         none_held_out(log, closed_loop),
     )
-    watch.lap("errors")
+    course.lap("errors")
     outcome = not_sure(log, judged_on_runs_left_out(outcome, errors))
+    course.known(ERRORS, log, outcome, guard=guard, errors=errors, instrumented=instrumented)
     most = stages.attempt(
-        "what a flexible model could win",
+        CEILING,
         partial(ceiling, log, replace(outcome, final=looked)),
         Ceiling("it could not be computed"),
     )
     outcome = judged_by_the_ceiling(outcome, most)
-    watch.lap("ceiling")
-    names = tuple(run.name for run in runs)
+    course.lap("ceiling")
+    course.known(CEILING, log, outcome, guard=guard, errors=errors, most=most, instrumented=instrumented)
     return Diagnosis(
         log.system,
         data,
@@ -153,7 +191,7 @@ def diagnose(
         explained(log, search, outcome, guard, names, most),
         options,
         spec,
-        watch.seconds,
+        course.seconds,
         feedback=feedback,
         instrumented=instrumented,
         not_done=tuple(stages.not_done),
@@ -170,13 +208,19 @@ def searched(log: Log, search: Search, before: Outcome | None = None) -> Outcome
     """
     search.say("fitting the declared physics", 0, 1)
     chosen = select(search, log.system) if before is None else selected_again(search, before)
+    log.so_far(SELECTION, log, chosen_so_far(search, chosen))
     kept = eliminate(search, chosen, also=() if before is None else tied(before))
+    known = undecided(search, chosen.declared, kept.final, kept.found, chosen.rounds, chosen.aside)
+    log.so_far(SECOND_LOOK, log, known)
+    search.say("what feedback may have made", 0, 1)
     kept = set_aside(search, chosen, kept, log.feedback)
+    search.say("testing what is left", 0, 1)
     outcome = decide(search, chosen, kept, log.feedback)
+    log.so_far(TESTS, log, outcome)
     if any(run.band for run in log.runs):  # what a smoother did to the states looks like laws of many names
         return outcome
     return log.stages.attempt(
-        "laws beyond the catalogue",
+        LAWS,
         lambda: with_laws(search, chosen, kept, outcome, log.feedback),
         outcome,
     )
@@ -203,16 +247,3 @@ def _identified(log: Log, outcome: Outcome) -> tuple[Outcome, Identification | N
     if better or (inferred and found.believed):
         outcome = replace(outcome, printed=found)
     return outcome, found if instruments else None
-
-
-class _Stopwatch:
-    """Seconds that each stage took."""
-
-    def __init__(self) -> None:
-        self.seconds: dict[str, float] = {}
-        self._last = perf_counter()
-
-    def lap(self, stage: str) -> None:
-        """Note the time since the last stage."""
-        now = perf_counter()
-        self.seconds[stage], self._last = now - self._last, now

@@ -2,6 +2,8 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
+from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
@@ -29,6 +31,9 @@ from nsde_torch.sysid.standing import moving
 from nsde_torch.systems import System
 from nsde_torch.systems.coordinates import check_pushes
 
+if TYPE_CHECKING:
+    from nsde_torch.diagnosis.outcome import Outcome
+
 _CHECKED = 50  # rows of the data at which coordinates are checked
 
 
@@ -48,6 +53,7 @@ class Log:
         refused: What spoke against the search over the usual length, where another one is taken.
         slowest: Speeds below which coordinates with dry friction stand, by column; rows in which one does are left out.
         stages: Stages that may fail, and those that did.
+        so_far: Takes what is known after a stage (`not_done.SELECTION` and those after it; None: within the selection).
     """
 
     system: System
@@ -61,6 +67,7 @@ class Log:
     refused: Guarded | None = None
     slowest: Mapping[int, float] = field(default_factory=dict)
     stages: OptionalStages = field(default_factory=OptionalStages)
+    so_far: "Callable[[str | None, Log, Outcome], None]" = lambda stage, log, outcome: None
 
     def search(self, runs: Sequence[Run]) -> Search:
         """A search in runs of the log."""
@@ -91,6 +98,7 @@ class Log:
             budgets=self.budgets,
             box_s=self.box_s,
             say=self.say,
+            so_far=partial(self.so_far, None, self),
         )
 
     @property

@@ -20,15 +20,19 @@ from nsde_torch.diagnosis.text import (
     heading,
     in_order,
     interval,
+    interval_head,
+    measured,
     notices,
     placed,
     signed,
     small_ones,
+    unfinished,
     unseen,
     without_it,
 )
 from nsde_torch.evaluation.report import number
 from nsde_torch.sysid.standing import in_words
+from nsde_torch.whole_files import write_whole
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -37,6 +41,7 @@ if TYPE_CHECKING:
 
 _DPI = 100  # of the pictures
 _RANKED, _DECIDED = 8, 6  # candidates and tests of structure that are listed
+_LEFT = ("measured", "before", "after", "floor")
 
 _STYLE = """
 :root { color-scheme: light }
@@ -46,6 +51,7 @@ h1 { font-size: 1.3rem; margin: 0 0 .6rem } h2 { font-size: 1.1rem; margin: 2rem
 .verdict { border-left: .5rem solid; padding: .6rem 1rem; background: #f6f6f6 }
 .verdict b { display: block; font-size: 1.15rem } .effect_found { border-color: #0072B2 }
 .no_effect { border-color: #009E73 } .unexplained { border-color: #D55E00 }
+.undecided { border-color: #777 }
 .finding { border: 1px solid #ddd; border-radius: .4rem; padding: .7rem 1rem; margin: .8rem 0 }
 .finding h3 { font-size: 1rem; margin: 0 } .finding p { margin: .3rem 0 }
 .lead { background: #fdf0d5; border-radius: .3rem; padding: 0 .4rem; font-weight: normal; font-size: .85rem }
@@ -82,7 +88,7 @@ def write_report(path: Path, found: Diagnosis, content: Mapping[str, Any]) -> No
     """
     figures = pictures(found, content)
     save_pictures(figures, path.parent / "plots")
-    path.write_text(page(content, figures, width=found.width), encoding="utf-8")
+    write_whole(path, page(content, figures, width=found.width))
 
 
 def page(content: Mapping[str, Any], figures: Mapping[str, Figure], *, width: float) -> str:
@@ -99,6 +105,7 @@ def page(content: Mapping[str, Any], figures: Mapping[str, Figure], *, width: fl
     shown = {k: _figure(f, k, captions.get(k, _caption(k, width))) for k, f in figures.items()}
     parts = [
         f"<h1>Diagnosis of {escape(data['system'])}: {len(data['runs'])} runs, {data['duration_s']:.0f} s</h1>",
+        *(f'<p class="finding"><b>Not finished.</b> {escape(said)}</p>' for said in unfinished(content)),
         f'<div class="verdict {content["verdict"]}"><b>{heading(content)}</b>'
         f"{escape(content['summary'])}{_gain(errors)}</div>",
         *(f'<p class="finding"><b>{title}.</b> {escape(said)}</p>' for title, said in notices(content)),
@@ -116,7 +123,7 @@ def page(content: Mapping[str, Any], figures: Mapping[str, Figure], *, width: fl
         shown.get("held_out", ""),
         _held_out(errors),
         shown.get("errors", ""),
-        _errors(errors),
+        _errors(errors) if measured(content) else "",
         feedback_html(content),
         "<h2>What is left over, channel by channel</h2>",
         _residuals(content["residual"]),
@@ -125,7 +132,7 @@ def page(content: Mapping[str, Any], figures: Mapping[str, Figure], *, width: fl
         _not_shown(content["not_shown"]),
         rehearsal_html(content, _table),
         _ranking(content["ranking"]),
-        _declared(content["declared_parameters"]),
+        _declared(content),
         _structure(content),
         _data(content),
     ]
@@ -191,8 +198,7 @@ def _held_out(errors: Mapping[str, Any]) -> str:
         cells = ["-"] * 4
         if left is not None:
             cells = [
-                number(left["before"]),
-                number(left["after"]),
+                *(number(left[k]) for k in ("before", "after")),
                 f"×{left['ratio']:.2g}",
                 _unit(left["unit"]),
             ]
@@ -238,7 +244,7 @@ def _finding(finding: Mapping[str, Any], content: Mapping[str, Any], figure: str
             ]
             for k, p in own.items()
         ]
-        text += _table(["parameter", "value", "90 % interval"], rows)
+        text += _table(["parameter", "value", interval_head(content)], rows)
     if finding["p"] is not None:
         text += f'<p class="small">Chance of this if it were not there: p {escape(chance(finding["p"]))}'
         text += (
@@ -306,12 +312,7 @@ def _errors(errors: Mapping[str, Any]) -> str:
 
 def _residuals(residual: Mapping[str, Any]) -> str:
     rows = [
-        [
-            name,
-            *(number(c[k]) for k in ("measured", "before", "after", "floor")),
-            f"{c['explained']:.0%}",
-            _unit(c["unit"]),
-        ]
+        [name, *(number(c[k]) for k in _LEFT), f"{c['explained']:.0%}", _unit(c["unit"])]
         for name, c in residual.items()
     ]
     head = ["rate of", "measured", "left before", "left after", "noise floor", "explained", "unit"]
@@ -343,24 +344,20 @@ def _ranking(ranking: Sequence[Mapping[str, Any]]) -> str:
         if r["p"] is not None
     ]
     rest = ", ".join(r["effect"] for r in first if r["p"] is None)
-    text = (
-        _table(["first look", "evidence on runs left out [nat]", "p", "added"], rows[:_RANKED])
-        if rows
-        else ""
-    )
+    head = ["first look", "evidence on runs left out [nat]", "p", "added"]
+    text = _table(head, rows[:_RANKED]) if rows else ""
     if rest:
         text += f'<p class="small">Tried, of no use: {escape(rest)}.</p>'
     return _folded("All effects that were tried", text) if text else ""
 
 
-def _declared(parameters: Mapping[str, Any]) -> str:
+def _declared(content: Mapping[str, Any]) -> str:
     rows = [
         [name, f"{number(p['value'])} {_unit(p['unit'])}", interval(p["interval_90"], p["bound"])]
-        for name, p in parameters.items()
+        for name, p in content["declared_parameters"].items()
     ]
-    if not rows:
-        return ""
-    return _folded("Declared parameters, fitted again", _table(["parameter", "value", "90 % interval"], rows))
+    head = ["parameter", "value", interval_head(content)]
+    return _folded("Declared parameters, fitted again", _table(head, rows)) if rows else ""
 
 
 def _structure(content: Mapping[str, Any]) -> str:

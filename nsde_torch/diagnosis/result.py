@@ -12,7 +12,7 @@ from nsde_torch.diagnosis.buys import Bought, Told, bought, told
 from nsde_torch.diagnosis.cross_validation import HeldOut
 from nsde_torch.diagnosis.explanation import Explanation
 from nsde_torch.diagnosis.fitted import effect_of, values_of
-from nsde_torch.diagnosis.not_done import NotDone
+from nsde_torch.diagnosis.not_done import NotDone, SoFar, StoppedError
 from nsde_torch.diagnosis.options import Options
 from nsde_torch.diagnosis.outcome import Outcome
 from nsde_torch.diagnosis.text import lines
@@ -44,6 +44,7 @@ class Diagnosis:
         feedback: What the data say of the loop that they were recorded in.
         instrumented: Estimates with signals from outside the loop; None without any.
         not_done: Stages that could not be computed or were left out.
+        so_far: That the diagnosis is not finished; None of one that is.
     """
 
     system: System
@@ -59,6 +60,17 @@ class Diagnosis:
     feedback: LoopTest = field(default_factory=LoopTest)
     instrumented: Identification | None = None
     not_done: tuple[NotDone, ...] = ()
+    so_far: SoFar | None = None
+
+    def finished(self) -> Diagnosis:
+        """The diagnosis, for work that goes on with it.
+
+        Raises:
+            KeyboardInterrupt: it was stopped.
+        """
+        if self.so_far is not None:
+            raise StoppedError(self)
+        return self
 
     @property
     def system_name(self) -> str:
@@ -67,7 +79,10 @@ class Diagnosis:
 
     @property
     def verdict(self) -> str:
-        """`no_effect`, `effect_found` or `unexplained`; a fault of the recording chain counts as found."""
+        """`no_effect`, `effect_found` or `unexplained`; a fault of the recording chain counts as found.
+
+        `undecided` of a diagnosis that was stopped before what is left was tested.
+        """
         if self.outcome.verdict == "no_effect" and self.faults:
             return "effect_found"
         return self.outcome.verdict
@@ -119,6 +134,12 @@ class Diagnosis:
         """The few effects that matter, and the others."""
         names = [f.name for f in self.outcome.found]
         return told(names, self.buys, self.outcome.decisions.wording)
+
+    @property
+    def in_short(self) -> str:
+        """Names of everything that was found, effects with the evidence for them: `motor_lag (+812 nats)`."""
+        brought = {f.name: f" ({f.trial.nats:+.0f} nats)" for f in self.outcome.found}
+        return ", ".join(f"{name}{brought.get(name, '')}" for name in self.added)
 
     @property
     def width(self) -> float:

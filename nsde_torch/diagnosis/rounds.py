@@ -56,7 +56,9 @@ class _Start:
     held: tuple[str, ...]
 
 
-def look(search: Search, base: Base, *, only: Collection[str] | None = None) -> Round:
+def look(
+    search: Search, base: Base, *, only: Collection[str] | None = None, called: str = "looking again"
+) -> Round:
     """Fit and rank the candidates beside the physics of `base`.
 
     A candidate that contains an effect which was added before stands in for it.
@@ -65,6 +67,7 @@ def look(search: Search, base: Base, *, only: Collection[str] | None = None) -> 
         search: Data and settings.
         base: Where the round starts.
         only: Candidates to look at; None for all. p values count all.
+        called: What the look is called while it goes on.
     """
     names = candidate_names(base.system, search.candidates)
     among = max(len(names), 1)
@@ -73,25 +76,25 @@ def look(search: Search, base: Base, *, only: Collection[str] | None = None) -> 
         names = [n for n in names if n in only]
     out = Round(base=base, trials=[], screened={})
     peaks = lines(base.regression, decisions=search.decisions, budgets=search.budgets)
-    best = _screened(search, base, names, [peak.frequency for peak in peaks], out)
+    best = _screened(search, base, names, [peak.frequency for peak in peaks], out, called)
     # from without what it contains, a first step says nothing of a candidate that stands in for it
     sure = [n for n in best if set(effect_class(n).includes) & set(base.system.effect_names)]
     # nor of a sinusoid at a line of the spectrum: the noise model has learned the line
     if peaks and peaks[0].p < search.level("effects"):
         sure += [n for n in best if has_frequency(n)]
-    _fit_promising(search, base, best, sure, among, out)
-    _finish_best(search, base, among, out)
+    _fit_promising(search, base, best, sure, among, out, called)
+    _finish_best(search, base, among, out, called)
     return out
 
 
 def _screened(
-    search: Search, base: Base, names: Sequence[str], frequencies: Sequence[float], out: Round
+    search: Search, base: Base, names: Sequence[str], frequencies: Sequence[float], out: Round, called: str
 ) -> dict[str, _Start]:
     """Screen candidates from all their starts; returns the best start of each."""
     scales = data_sizes(base.system, search.steps)
     best: dict[str, _Start] = {}
     for i, name in enumerate(names):
-        search.say("screening effects", i, len(names))
+        search.say(f"{called}: trying {len(names)} effect{'s' if len(names) > 1 else ''}", i, len(names))
         law = [search.laws[name]] if name in search.laws else None
         begun = law or starts(base.system, name, scales, frequencies)
         systems = [joined(base.system, name, start) for start in begun]
@@ -113,7 +116,13 @@ def _screened(
 
 
 def _fit_promising(
-    search: Search, base: Base, best: dict[str, _Start], sure: Sequence[str], among: int, out: Round
+    search: Search,
+    base: Base,
+    best: dict[str, _Start],
+    sure: Sequence[str],
+    among: int,
+    out: Round,
+    called: str,
 ) -> None:
     """Iterate the candidates whose first step promises most, and those that are sure to be fitted."""
     budgets = search.budgets
@@ -128,7 +137,7 @@ def _fit_promising(
         part = any(name in effect_class(t.name).includes for t in out.trials)
         if (enough or i >= most) and name not in sure and not part:
             continue
-        search.say("fitting effects", i, min(len(order), most))
+        search.say(f"{called}: fitting the likeliest", i, min(len(order), most))
         start = best[name]
         try:
             trial = fit_candidate(search, base, start.system, name, among=among, held=start.held)
@@ -140,11 +149,11 @@ def _fit_promising(
     out.trials.sort(key=lambda t: -t.rank_score)
 
 
-def _finish_best(search: Search, base: Base, among: int, out: Round) -> None:
+def _finish_best(search: Search, base: Base, among: int, out: Round, called: str) -> None:
     """Give the best candidates noise models of their own, and rank all anew."""
     most = out.trials[0].nats if out.trials else 0.0
     for i, trial in enumerate(out.trials):
         if i < search.budgets.finished_fewest or trial.nats > search.budgets.finished_share * most:
-            search.say("comparing effects", i, len(out.trials))
+            search.say(f"{called}: comparing the best", i, len(out.trials))
             out.trials[i] = finished(search, base, trial, among)
     out.trials = simplest_first(sorted(out.trials, key=lambda t: -t.rank_score), search.decisions)

@@ -3,7 +3,7 @@
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
-from typing import final
+from typing import TYPE_CHECKING, final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,6 +23,9 @@ from nsde_torch.sysid.regression import Regression
 from nsde_torch.sysid.steps import UNDERSMOOTHED, Steps, steps_of
 from nsde_torch.systems import System
 from nsde_torch.systems.parameters import ParameterVector
+
+if TYPE_CHECKING:
+    from nsde_torch.diagnosis.outcome import Outcome
 
 Array = NDArray[np.float64]
 
@@ -72,6 +75,7 @@ class Search:
         budgets: How much it tries.
         rough: Makes the data with states that are smoothed less, at which values are fitted; None for the same.
         say: Told what is going on: stage, number done, number in all.
+        so_far: Takes what is known after each round.
 
     Attributes:
         held: Labels of parameters that stay at their first values.
@@ -96,11 +100,12 @@ class Search:
         budgets: Budgets = BUDGETS,
         rough: Callable[[], Steps] | None = None,
         say: Callable[[str, int, int], None] = lambda stage, done, total: None,
+        so_far: "Callable[[Outcome], None]" = lambda outcome: None,
     ) -> None:
         self.steps, self.box, self.alpha = steps, box, alpha
         self._rough = rough
         self.decisions, self.budgets = replace(decisions, alpha=alpha), budgets
-        self.candidates, self.say = candidates, say
+        self.candidates, self.say, self.so_far = candidates, say, so_far
         self.held: set[str] = set()
         self.laws: dict[str, Start] = {}
         self.tried = 0
@@ -292,6 +297,7 @@ def search_in(
     budgets: Budgets = BUDGETS,
     box_s: float | None = None,
     say: Callable[[str, int, int], None] = lambda stage, done, total: None,
+    so_far: "Callable[[Outcome], None]" = lambda outcome: None,
 ) -> Search:
     """A search in runs whose recording chain was undone.
 
@@ -308,6 +314,7 @@ def search_in(
         budgets: How much it tries.
         box_s: Over which steps are summed [s]; None takes the usual length.
         say: Told stage, number done and number in all.
+        so_far: Takes what is known after each round.
     """
     box = max(1, int((box_s or _BOX_S) / (runs[0].dt * clock) + 1e-6))
 
@@ -340,4 +347,5 @@ def search_in(
         budgets=budgets,
         rough=partial(steps, UNDERSMOOTHED) if system.sensor_noise else None,
         say=say,
+        so_far=so_far,
     )

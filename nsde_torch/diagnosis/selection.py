@@ -10,7 +10,8 @@ it makes other effects look likely. Where it explains more than any of them, it 
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from nsde_torch.diagnosis.fitted import effect_of, fitted_system, values_of
+from nsde_torch.diagnosis.fitted import effect_of, fitted_system, moved_channels, values_of
+from nsde_torch.diagnosis.outcome import Found, Outcome, undecided
 from nsde_torch.diagnosis.rounds import Round, look
 from nsde_torch.diagnosis.screening import joined
 from nsde_torch.diagnosis.search import Base, Search
@@ -57,7 +58,7 @@ def forward_selection(
         names = [n for n in base.system.effect_names if n not in declared.system.effect_names]
     lent: set[str] = set()
     while len(names) < search.decisions.most_effects:
-        now = look(search, base)
+        now = look(search, base, called=f"round {len(rounds) + 1}")
         exact = base.regression.arithmetic
         short = None if exact else below_a_step(search, now.trials)
         if short is not None:
@@ -81,7 +82,24 @@ def forward_selection(
         names = [*(n for n in names if n not in replaced), now.chosen.name]
         search.held |= set(now.chosen.held)
         base = search.grown(now.chosen.regression)
+        search.so_far(so_far(search, Selection(declared, base, names, rounds, tuple(aside))))
     return Selection(declared, base, names, rounds, tuple(aside))
+
+
+def so_far(search: Search, chosen: Selection) -> Outcome:
+    """What is known once effects were chosen, and before each is looked at again.
+
+    Args:
+        search: Data and settings.
+        chosen: What was chosen.
+    """
+    trials = {one.chosen.name: one.chosen for one in chosen.rounds if one.chosen is not None}
+    found = [
+        Found(name, trials[name], (), moved_channels(chosen.final.regression, name))
+        for name in chosen.names
+        if name in trials
+    ]
+    return undecided(search, chosen.declared, chosen.final, found, chosen.rounds, chosen.aside)
 
 
 def choice(search: Search, trials: Sequence[Trial], added: Sequence[str]) -> Trial | None:

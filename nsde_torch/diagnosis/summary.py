@@ -19,7 +19,7 @@ def summary(
     """The verdict in one or two sentences.
 
     Args:
-        verdict: `no_effect`, `effect_found` or `unexplained`.
+        verdict: `no_effect`, `effect_found`, `unexplained` or `undecided`.
         faults: Names of the faults of the recording chain that were found.
         told: The effects that matter, and the others.
         outcome: What was concluded.
@@ -51,6 +51,8 @@ def summary(
             )
         return "Nothing is missing: what the declared physics leaves is noise."
     added = [*faults, *told.few, *told.rest]
+    if verdict == "undecided":
+        return f"Found so far: {named(added, told)}." if added else "Nothing was found so far."
     names, rest = named([*faults, *told.few], told), _rest(outcome, shapes)
     provisional = {f.name for f in outcome.found if f.provisional}
     leads = [name for name in added if name in provisional]

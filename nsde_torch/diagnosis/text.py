@@ -6,6 +6,7 @@ from typing import Any
 from nsde_torch.diagnosis.buys import BY_STEPS
 from nsde_torch.diagnosis.ceiling_text import ceiling_lines, ceiling_rows
 from nsde_torch.diagnosis.feedback_text import feedback_lines
+from nsde_torch.diagnosis.not_done import ERRORS, NOT_YET, STOPPED
 from nsde_torch.diagnosis.summary import small
 from nsde_torch.evaluation.report import number, table
 from nsde_torch.sysid.guard import doubts_the_fit
@@ -16,6 +17,7 @@ _VERDICTS = {
     "no_effect": "Nothing is missing",
     "effect_found": "Found what is missing",
     "unexplained": "Something is missing that the catalogue does not name",
+    "undecided": "Not decided yet",
     "doubted": "The fit is not believed",
 }
 
@@ -28,7 +30,7 @@ def heading(content: Mapping[str, Any]) -> str:
 
 def lines(content: Mapping[str, Any]) -> list[str]:
     """Lines of text from the content of `diagnosis.json`."""
-    out = [f"verdict: {content['verdict']}", content["summary"]]
+    out = [*unfinished(content), f"verdict: {content['verdict']}", content["summary"]]
     out += [line for title, said in notices(content) for line in ("", f"{title.lower()}: {said}")]
     for finding in in_order(content):
         out += _finding(finding, content)
@@ -40,13 +42,13 @@ def lines(content: Mapping[str, Any]) -> list[str]:
             [name, number(p["value"]), interval(p["interval_90"], p["bound"]), p["unit"]]
             for name, p in content["parameters"].items()
         ]
-        out += ["", table(["parameter", "value", "90 % interval", "unit"], rows)]
+        out += ["", table(["parameter", "value", interval_head(content), "unit"], rows)]
     if content["declared_parameters"]:
         rows = [
             [name, number(p["value"]), interval(p["interval_90"], p["bound"]), p["unit"]]
             for name, p in content["declared_parameters"].items()
         ]
-        out += ["", table(["declared parameter", "value", "90 % interval", "unit"], rows)]
+        out += ["", table(["declared parameter", "value", interval_head(content), "unit"], rows)]
     residual = [
         [
             name,
@@ -58,7 +60,7 @@ def lines(content: Mapping[str, Any]) -> list[str]:
     ]
     head = ["residual of the rate of", "measured", "before", "after", "floor", "explained", "unit"]
     out += ["", table(head, residual), *in_words(content["data"]["standing_share"])]
-    out += _errors(content["errors"])
+    out += _errors(content["errors"]) if measured(content) else []
     out += feedback_lines(content)
     ranked = [r for r in content["ranking"] if r["round"] == 0 and r["p"] is not None][:_RANKED]
     if ranked:
@@ -150,10 +152,27 @@ def small_ones(content: Mapping[str, Any]) -> str:
     )
 
 
+def interval_head(content: Mapping[str, Any]) -> str:
+    """Head of a column of intervals."""
+    return "90 % interval, provisional" if "so_far" in content else "90 % interval"
+
+
+def unfinished(content: Mapping[str, Any]) -> list[str]:
+    """That a diagnosis is not finished, and what is not done, in a line; none of one that is."""
+    so_far = content.get("so_far")
+    if so_far is None:
+        return []
+    during = so_far["stopped_during"]
+    left = ", ".join(n["stage"] for n in content["not_done"] if n["why"] in (NOT_YET, STOPPED))
+    how = f"so far: stopped during {during}; not done" if during else "so far; not done yet"
+    return [f"{how}: {left}"]
+
+
 def notices(content: Mapping[str, Any]) -> list[tuple[str, str]]:
     """Title and text of what is to be read before the findings: warnings, and stages without a result."""
     odd = [("Warning", warning(w)) for w in content["warnings"]]
-    return [*odd, *(("Not done", f"{n['stage']}: {n['why']}.") for n in content.get("not_done", ()))]
+    failed = [n for n in content.get("not_done", ()) if n["why"] not in (NOT_YET, STOPPED)]
+    return [*odd, *(("Not done", f"{n['stage']}: {n['why']}.") for n in failed)]
 
 
 def warning(entry: Mapping[str, Any]) -> str:
@@ -177,6 +196,11 @@ def unseen(entries: Sequence[Mapping[str, Any]]) -> list[str]:
         size = "at any size" if n["smallest"] is None else f"below {number(n['smallest'])}{unit}"
         by_effect.setdefault(n["effect"], []).append(f"{own} {size}")
     return [f"{effect}: {', '.join(parts)}" for effect, parts in by_effect.items()]
+
+
+def measured(content: Mapping[str, Any]) -> bool:
+    """Whether errors on runs left out were asked for, and could be computed."""
+    return ERRORS not in (n["stage"] for n in content.get("not_done", ()))
 
 
 def _errors(errors: Mapping[str, Any]) -> list[str]:

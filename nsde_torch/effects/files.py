@@ -17,6 +17,7 @@ import yaml
 
 from nsde_torch.effects.expression_grammar import is_law
 from nsde_torch.errors import ConfigError
+from nsde_torch.whole_files import write_whole
 
 SUFFIXES = (".yaml", ".yml")
 
@@ -54,7 +55,7 @@ def write(path: Path, system: str, effects: Mapping[str, Mapping[str, Any]], not
     text = yaml.safe_dump(
         {"system": system, "effects": {k: dict(v) for k, v in effects.items()}}, sort_keys=False
     )
-    path.write_text(f"# {note}\n{text}", encoding="utf-8")
+    write_whole(path, f"# {note}\n{text}")
 
 
 def read_for(path: str | Path, system: str | None, key: str = "system.effects") -> dict[str, dict[str, Any]]:

@@ -22,7 +22,7 @@ def diagnosed(data: Data, *, say: Say, **options: Any) -> dict[str, Any]:
         `added` (names), `leads` (those of them that are provisional), `verdict`, `effects` (with values), `values` of
         the declared parameters, and `parameters` found and declared with value, 90 % interval and unit.
     """
-    seen = diagnose(data, say=say, **options)
+    seen = diagnose(data, say=say, **options).finished()
     content = seen.content()
     declared = content["declared_parameters"]
     return {

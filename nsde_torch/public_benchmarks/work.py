@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from nsde_torch.errors import CheckpointError
+from nsde_torch.whole_files import write_whole
 
 Say = Callable[[str, int, int], None]
 
@@ -53,9 +54,7 @@ class Work:
             return result
         result = make()
         path.parent.mkdir(parents=True, exist_ok=True)
-        part = path.with_suffix(".part")
-        part.write_text(json.dumps({"key": self.key, "result": result}, indent=1), encoding="utf-8")
-        part.replace(path)  # a stage is kept whole or not at all
+        write_whole(path, json.dumps({"key": self.key, "result": result}, indent=1))
         return result
 
 

@@ -25,7 +25,7 @@ def test_it_is_dropped_where_the_noise_model_did_it_alone(
 ) -> None:
     trial, looks = SimpleNamespace(name=NAME), []
 
-    def look(search: Any, without: Any, *, only: set[str]) -> Any:
+    def look(search: Any, without: Any, *, only: set[str], called: str) -> Any:
         looks.append(only)
         return SimpleNamespace(base=without, trials=[])  # with that noise model it does nothing
 

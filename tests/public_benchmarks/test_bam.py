@@ -34,6 +34,9 @@ def small(monkeypatch: pytest.MonkeyPatch) -> None:
         effects = ()
         verdict = "effect_found"
 
+        def finished(self) -> Seen:
+            return self
+
         def content(self) -> dict[str, Any]:
             found = {"coulomb_friction.size": {"value": 0.1, "interval_90": None, "unit": "N m"}}
             return {"declared_parameters": {}, "parameters": found}

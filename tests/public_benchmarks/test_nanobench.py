@@ -89,6 +89,9 @@ def test_the_voltage_explains_what_the_rigid_body_does_not(
         effects = ()
         verdict = "effect_found"
 
+        def finished(self) -> Seen:
+            return self
+
         def content(self) -> dict[str, Any]:
             hidden = {"value": 5e-5, "interval_90": None, "unit": "rad/s2"}
             found = [{"name": "battery_voltage", "lead": True}]

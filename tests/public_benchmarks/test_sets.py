@@ -115,6 +115,9 @@ def test_the_nano_drone_is_read_and_scored_as_its_protocol_says(
         effects = ()
         verdict = "effect_found"
 
+        def finished(self) -> Seen:
+            return self
+
         def content(self) -> dict[str, Any]:
             return {"declared_parameters": {}, "parameters": {}}
 

@@ -66,7 +66,7 @@ class PlayedWork:
         if self.words[0] == "inspect":
             Path(given["json"]).write_text(json.dumps(self.played.inspection))
             return EndOfProcess(0, "", "")
-        self.say("screening effects", 1, 4)
+        self.say("screening effects", 1, 4, "motor_lag (+812 nats)")
         self.played.go.wait(20)
         if self.stopped:
             return EndOfProcess(-9, self.stopped, "It was stopped.")

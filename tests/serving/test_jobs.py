@@ -30,6 +30,7 @@ def test_from_drop_to_report(page: Page, played: Played) -> None:
     assert running["state"] == "running"
     now = running["stages"][-1]
     assert (now["stage"], now["done"], now["total"]) == ("screening effects", 1, 4)
+    assert now["found"] == "motor_lag (+812 nats)"
     played.go.set()
     done = page.until(job["id"], lambda j: j["state"] == "done")
     golden = json.loads((Path(__file__).parents[1] / "golden" / "diagnosis.json").read_text())

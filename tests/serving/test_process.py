@@ -16,7 +16,7 @@ import pytest
 
 from nsde_torch.cli.serving.limits import ServeLimits
 from nsde_torch.cli.serving.process import CommandProcess, why_ended
-from nsde_torch.cli.stages import PROGRESS, Stages
+from nsde_torch.progress import PROGRESS, Stages
 
 LIMITS = ServeLimits()
 ENDLESS = ["serve", "port=0"]
@@ -44,6 +44,7 @@ def test_progress_for_a_program_is_json(monkeypatch: pytest.MonkeyPatch) -> None
     stream = io.StringIO()
     stages = Stages(stream)
     stages("screening effects", 0, 3)
+    stages.known("motor_lag (+812 nats)", 60.0)
     stages("screening effects", 1, 3)
     stages.close()
     told = [json.loads(line) for line in stream.getvalue().splitlines()]
@@ -51,6 +52,7 @@ def test_progress_for_a_program_is_json(monkeypatch: pytest.MonkeyPatch) -> None
         ("screening effects", 0, 3),
         ("screening effects", 1, 3),
     ]
+    assert [step.get("found") for step in told] == [None, "motor_lag (+812 nats)"]
     assert told[1]["seconds"] >= told[0]["seconds"] >= 0.0
 
 

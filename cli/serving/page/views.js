@@ -88,7 +88,7 @@ export function progress(job, seconds) {
   });
   const share = last && last.total > 1 ? { max: last.total, value: last.done } : {};
   const text = job.state === "waiting" ? "Waits for the diagnosis before it." : `${last ? last.stage : "starting"}, ${clock(job.seconds)} since it began. Three minutes of flight take about two minutes.`;
-  return [h("p", {}, text), h("progress", { ...share, attr: { "aria-label": "this stage" } }),
+  return [h("p", {}, text), last && last.found ? h("p", {}, `Found so far: ${last.found}.`) : "", h("progress", { ...share, attr: { "aria-label": "this stage" } }),
     h("ol", { className: "stages" }, rows), h("p", { className: "small" }, `It is stopped after ${clock(seconds)}.`)];
 }
 

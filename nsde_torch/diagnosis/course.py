@@ -1,0 +1,185 @@
+"""How far a diagnosis is: what is known so far, as a diagnosis that says what is not done.
+
+After the fit of the declared physics, each round of the selection and each later stage, what is known is given to
+whoever listens, and kept for the case that the diagnosis is stopped. It is never less than before: a search that is
+repeated (in other rows, over longer boxes) is known once it has come to an end.
+
+How long all will yet take is rough: one more round of the selection, and later stages as so many rounds, as they took
+on springs and flights.
+"""
+
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from time import perf_counter
+from typing import final
+
+from nsde_torch.data import DataSet
+from nsde_torch.diagnosis.ceiling import Ceiling
+from nsde_torch.diagnosis.channels import channel_residuals
+from nsde_torch.diagnosis.cross_validation import HeldOut, none_held_out
+from nsde_torch.diagnosis.explanation import Explanation
+from nsde_torch.diagnosis.not_done import (
+    CEILING,
+    ERRORS,
+    ESTIMATES,
+    EXPLANATION,
+    LAWS,
+    NOT_YET,
+    OTHER_ROWS,
+    SECOND_LOOK,
+    SELECTION,
+    STOPPED,
+    TESTS,
+    NotDone,
+    SoFar,
+)
+from nsde_torch.diagnosis.options import Options
+from nsde_torch.diagnosis.outcome import Outcome
+from nsde_torch.diagnosis.reading import Log
+from nsde_torch.diagnosis.result import Diagnosis
+from nsde_torch.models.identified import SysidSpec
+from nsde_torch.progress import Say
+from nsde_torch.sysid.guard import Guarded
+from nsde_torch.sysid.result import Identification
+
+_ROUNDS: Mapping[str, float] = {  # in order, and how long each takes, in rounds of the selection
+    SELECTION: 1.0,
+    SECOND_LOOK: 0.5,
+    TESTS: 0.2,
+    LAWS: 0.5,
+    OTHER_ROWS: 1.5,
+    ESTIMATES: 0.2,
+    ERRORS: 1.0,
+    CEILING: 1.0,
+    EXPLANATION: 0.2,
+}
+_ORDER = list(_ROUNDS)
+_UNFINISHED = "the diagnosis is not finished"
+
+
+@final
+class DiagnosisCourse:
+    """What a diagnosis does and knows.
+
+    Args:
+        data: The data set.
+        runs: Names of its runs that are looked at.
+        options: Settings.
+        spec: What models of the system are made of.
+        say: Told stage, number done and number in all.
+        so_far: Takes what is known after each round and stage.
+
+    Attributes:
+        seconds: Time that stages took.
+    """
+
+    def __init__(
+        self,
+        data: DataSet,
+        runs: tuple[str, ...],
+        options: Options,
+        spec: SysidSpec,
+        *,
+        say: Say,
+        so_far: Callable[[Diagnosis], None],
+    ) -> None:
+        self.data, self.runs, self.options, self.spec = data, runs, options, spec
+        self.seconds: dict[str, float] = {}
+        self._tell, self._so_far = say, so_far
+        self._found: Diagnosis | None = None
+        self._during = ""
+        self._done = self._rounds = 0
+        self._began = self._lapped = perf_counter()
+        self._round_s = 0.0
+
+    def lap(self, name: str) -> None:
+        """Note the time since the last call."""
+        now = perf_counter()
+        self.seconds[name], self._lapped = now - self._lapped, now
+
+    def say(self, stage: str, done: int, total: int) -> None:
+        """Tell that `done` of `total` pieces of a stage are done."""
+        if self._done == _ORDER.index(OTHER_ROWS):
+            stage = f"second search, {stage}"
+        self._during = stage
+        self._tell(stage, done, total)
+
+    def known(
+        self,
+        stage: str | None,
+        log: Log,
+        outcome: Outcome,
+        *,
+        guard: Guarded | None = None,
+        errors: HeldOut | None = None,
+        most: Ceiling | None = None,
+        instrumented: Identification | None = None,
+    ) -> None:
+        """Keep what is known after a stage, and give it to whoever listens.
+
+        Args:
+            stage: The stage that is done; None: a round of the selection.
+            log: The log.
+            outcome: What was concluded.
+            guard: The final physics held against simple fits.
+            errors: Errors on runs left out.
+            most: What a flexible model could win.
+            instrumented: Estimates with signals from outside the loop.
+        """
+        done = 0 if stage is None else _ORDER.index(stage) + 1
+        if done < self._done:  # a search that is repeated
+            return
+        self._done = done
+
+        def known() -> Diagnosis:
+            channels = channel_residuals(outcome.declared.regression, outcome.final.regression)
+            return Diagnosis(
+                log.system,
+                self.data,
+                self.runs,
+                log.recorded,
+                outcome.provisional(lambda _: _UNFINISHED),
+                errors or none_held_out(log, None),
+                Explanation(
+                    channels,
+                    guard=guard or Guarded(),
+                    refused=log.refused,
+                    ceiling=most or Ceiling(NOT_YET),
+                ),
+                self.options,
+                self.spec,
+                dict(self.seconds),
+                feedback=outcome.test,
+                instrumented=instrumented,
+                not_done=(*log.stages.not_done, *self._left(NOT_YET)),
+                so_far=SoFar(left_s=self._left_s(stage)),
+            )
+
+        found = log.stages.attempt("what was known before the end", known, None)
+        if found is not None:
+            self._found = found
+            self._so_far(found)
+
+    def stopped(self) -> Diagnosis | None:
+        """What is known where it is stopped; None while that is nothing."""
+        if self._found is None:
+            return None
+        other = [one for one in self._found.not_done if one.why != NOT_YET]
+        return replace(
+            self._found, not_done=(*other, *self._left(STOPPED)), so_far=SoFar(stopped_during=self._during)
+        )
+
+    def _left(self, why: str) -> list[NotDone]:
+        return [NotDone(stage, why) for stage in _ORDER[self._done :]]
+
+    def _left_s(self, stage: str | None) -> float | None:
+        """Roughly how long all will yet take [s]; None before a round has ended."""
+        if stage is None or stage == SELECTION:
+            self._rounds += 1
+        rounds = self._rounds - 1  # what is known first is the declared physics
+        if rounds < 1:
+            self._began = perf_counter()
+            return None
+        if stage is None or stage == SELECTION:
+            self._round_s = (perf_counter() - self._began) / rounds
+        return self._round_s * sum(_ROUNDS[one] for one in _ORDER[self._done :])

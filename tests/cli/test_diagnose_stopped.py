@@ -1,0 +1,83 @@
+"""`nsde diagnose` that is stopped: what is known is on disk and printed, and the exit status says so."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from nsde_torch.api import diagnosing
+from nsde_torch.cli.exit_status import INTERRUPTED
+from nsde_torch.cli.main import main
+from nsde_torch.diagnosis.files import EFFECTS, REPORT, RESULT
+from nsde_torch.progress import Stages
+from nsde_torch.simulation import simulate
+from nsde_torch.simulation.files import write
+
+pytestmark = pytest.mark.usefixtures("elsewhere")
+
+FRICTION = "coulomb_friction"
+
+
+@pytest.fixture(scope="module")
+def words(tmp_path_factory: pytest.TempPathFactory) -> list[str]:
+    """The command, but for its folder."""
+    folder = tmp_path_factory.mktemp("data") / "spring"
+    made = simulate("mass_spring_damper", effects=[{FRICTION: {"size": 0.3}}], durations=(3.0,) * 3, seed=1)
+    write(made, folder)
+    return ["diagnose", "system=mass_spring_damper", "data=csv", f"data.path={folder}", "retrain=false"]
+
+
+def test_ctrl_c_writes_and_prints_what_is_known(
+    words: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    class Interrupted(Stages):
+        def __call__(self, stage: str, done: int, total: int) -> None:
+            if stage == "testing what is left":
+                raise KeyboardInterrupt
+            super().__call__(stage, done, total)
+
+    monkeypatch.setattr(diagnosing, "Stages", Interrupted)
+    out = tmp_path / "out"
+    assert main([*words, f"candidates=[{FRICTION}]", f"out_dir={out}"]) == INTERRUPTED
+    said = capsys.readouterr()
+    assert "\nso far: stopped during testing what is left; not done: tests of feedback" in said.out
+    assert said.err.splitlines()[-1] == f"nsde diagnose: interrupted. What is known is kept in {out}."
+    content = json.loads((out / RESULT).read_text())
+    assert content["added"] == [FRICTION]
+    assert content["so_far"]["stopped_during"] == "testing what is left"
+    assert FRICTION in (out / EFFECTS).read_text()
+    assert "Not finished." in (out / REPORT).read_text()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("sent", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_ends_it_with_what_is_known(words: list[str], tmp_path: Path, sent: signal.Signals) -> None:
+    out = tmp_path / "out"
+    process = subprocess.Popen(
+        [sys.executable, "-m", "nsde_torch.cli", *words, f"out_dir={out}"],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        env={**os.environ, "MPLBACKEND": "Agg"},
+    )
+    end = time.monotonic() + 120
+    while not ((out / RESULT).is_file() and json.loads((out / RESULT).read_text())["added"]):
+        assert process.poll() is None
+        assert time.monotonic() < end
+        time.sleep(0.02)
+    assert "so_far" in json.loads((out / RESULT).read_text())
+    process.send_signal(sent)
+    said, err = process.communicate(timeout=60)
+    assert process.returncode == INTERRUPTED, err
+    assert "so far: stopped during " in said
+    content = json.loads((out / RESULT).read_text())
+    assert content["so_far"]["stopped_during"]
+    assert content["not_done"]
+    assert (out / REPORT).is_file()

@@ -1,0 +1,182 @@
+"""A diagnosis that is stopped, or goes on, leaves what is known, marked as such; progress names what was found."""
+
+from __future__ import annotations
+
+import io
+import json
+import os
+import sys
+from itertools import pairwise
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import pytest
+
+import nsde_torch
+from nsde_torch.diagnosis import files
+from nsde_torch.diagnosis.files import EFFECTS, REPORT, RESULT, DiagnosisFiles
+from nsde_torch.diagnosis.not_done import ERRORS, NOT_YET, SELECTION, STOPPED, TESTS
+from nsde_torch.diagnosis.result import Diagnosis
+from nsde_torch.diagnosis.text import lines
+from nsde_torch.effects import files as effects_files
+from nsde_torch.progress import Stages, no_bar
+from nsde_torch.simulation.generate import Simulation
+from nsde_torch.whole_files import write_whole
+
+SPRING, FRICTION = "mass_spring_damper", "coulomb_friction"
+
+
+@pytest.fixture(scope="module")
+def made() -> Simulation:
+    return nsde_torch.simulate(SPRING, effects=[{FRICTION: {"size": 0.3}}], durations=[3.0] * 3, seed=1)
+
+
+def _stopped(made: Simulation, at: str) -> Diagnosis:
+    def say(stage: str, done: int, total: int) -> None:
+        if stage.startswith(at):
+            raise KeyboardInterrupt
+
+    return nsde_torch.diagnose(made, system=SPRING, candidates=[FRICTION], say=say)
+
+
+@pytest.mark.parametrize(
+    ("at", "verdict", "added", "first"),
+    [
+        ("round 1: trying 1 effect", "undecided", [], SELECTION),
+        ("testing what is left", "undecided", [FRICTION], TESTS),
+        (ERRORS, "effect_found", [FRICTION], ERRORS),
+    ],
+)
+def test_what_is_known_is_kept_where_it_is_stopped(
+    made: Simulation, tmp_path: Path, at: str, verdict: str, added: list[str], first: str
+) -> None:
+    found = _stopped(made, at)
+    found.save(tmp_path)
+    content = json.loads((tmp_path / RESULT).read_text())
+    assert content["so_far"] == {"stopped_during": at, "roughly_left_s": None}
+    assert (content["verdict"], content["added"]) == (verdict, added)
+    assert content["not_done"][0] == {"stage": first, "why": STOPPED}
+    assert lines(content)[0].startswith(f"so far: stopped during {at}; not done: {first}, ")
+    assert all(f["lead"] and f["lead_reason"] for f in content["findings"])
+    own = {**content["parameters"], **content["declared_parameters"]}
+    assert own
+    assert all(p["provisional"] for p in own.values())
+    text = (tmp_path / EFFECTS).read_text()
+    assert text.startswith("# so far, not finished: ")
+    assert list(effects_files.read(tmp_path / EFFECTS)[1]) == added
+    assert f"stopped during {at}" in (tmp_path / REPORT).read_text().partition('<div class="verdict')[0]
+    with pytest.raises(KeyboardInterrupt):
+        found.finished()
+
+
+def test_before_anything_is_known_it_is_an_interrupt_as_ever(made: Simulation) -> None:
+    with pytest.raises(KeyboardInterrupt):
+        _stopped(made, "fitting the declared physics")
+
+
+def test_python_shows_what_was_found_and_each_stage_leaves_less_to_do(
+    made: Simulation, capsys: pytest.CaptureFixture[str]
+) -> None:
+    told: list[dict[str, Any]] = []
+
+    def so_far(found: Diagnosis) -> None:
+        told.append(found.content())
+        json.dumps(told[-1], allow_nan=False)
+
+    found = nsde_torch.diagnose(made, system=SPRING, candidates=[FRICTION], so_far=so_far)
+    shown = capsys.readouterr()
+    assert not shown.out
+    later = [line for line in shown.err.splitlines() if ERRORS in line]
+    assert f"so far: {FRICTION} (+" in later[0]
+    left = [[n["stage"] for n in one["not_done"]] for one in told]
+    assert left[0][0] == SELECTION
+    assert all(set(after) <= set(before) for before, after in pairwise(left))
+    assert all(n["why"] == NOT_YET for one in told for n in one["not_done"])
+    first = next(one for one in told if one["added"])
+    assert first["verdict"] == "undecided"
+    assert first["so_far"]["roughly_left_s"] > 0
+    content = found.finished().content()
+    assert "so_far" not in content
+    assert content["not_done"] == []
+    assert not any("provisional" in p for p in content["parameters"].values())
+    assert lines(content)[0] == "verdict: effect_found"
+
+
+def test_progress_is_off_where_it_is_asked_for(made: Simulation, capsys: pytest.CaptureFixture[str]) -> None:
+    def enough(found: Diagnosis) -> None:
+        raise KeyboardInterrupt
+
+    found = nsde_torch.diagnose(made, system=SPRING, candidates=[FRICTION], say=False, so_far=enough)
+    assert found.verdict == "undecided"
+    assert capsys.readouterr() == ("", "")
+
+
+def test_a_line_says_what_was_found_and_roughly_how_long_is_left() -> None:
+    stream = io.StringIO()
+    stages = Stages(stream)
+    stages("round 1: trying 57 effects", 0, 57)
+    stages.known("motor_lag (+812 nats)", 61.0)
+    stages("round 2: trying 56 effects", 0, 56)
+    stages.known("motor_lag (+812 nats)", 300.0)
+    stages("round 3: trying 55 effects", 0, 55)
+    stages.known("motor_lag (+812 nats)", 0.0)  # it took longer than that: nothing is said of it
+    stages("testing what is left", 0, 1)
+    assert stream.getvalue().splitlines() == [
+        "[    0 s] round 1: trying 57 effects",
+        "[    0 s] round 2: trying 56 effects; so far: motor_lag (+812 nats); roughly 60 s left",
+        "[    0 s] round 3: trying 55 effects; so far: motor_lag (+812 nats); roughly 5 min left",
+        "[    0 s] testing what is left; so far: motor_lag (+812 nats)",
+    ]
+
+
+def test_a_line_is_no_wider_than_the_terminal(monkeypatch: pytest.MonkeyPatch) -> None:
+    class Terminal(io.StringIO):
+        def isatty(self) -> bool:
+            return True
+
+    monkeypatch.setattr("shutil.get_terminal_size", lambda: os.terminal_size((60, 24)))
+    stream = Terminal()
+    stages = Stages(stream)
+    stages.known("motor_lag (+812 nats), linear_drag (+230 nats), wind (+40 nats)", None)
+    stages("round 4: trying 54 effects", 3, 54)
+    stages.close()
+    shown = [line for line in stream.getvalue().replace("\n", "\r").split("\r") if line]
+    assert len(shown) == 2
+    assert all(len(line) == 59 and line.endswith("...") for line in shown)
+
+
+def test_the_report_so_far_is_written_where_it_takes_little_of_the_time(
+    made: Simulation, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    found = _stopped(made, "round 1: trying 1 effect")
+    kept = DiagnosisFiles(tmp_path, system=SPRING, note="found")
+    kept.write_so_far(found)
+    assert sorted(p.name for p in tmp_path.iterdir()) == [RESULT, EFFECTS]
+    monkeypatch.setattr(files, "_REPORT_S", 0.0)
+    kept.write_so_far(found)
+    assert "Not finished." in (tmp_path / REPORT).read_text()
+
+
+def test_bars_are_shown_in_notebooks_too_and_nowhere_where_it_is_to_be_quiet(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    assert no_bar() is None  # tqdm asks whether it is a terminal
+    monkeypatch.setitem(sys.modules, "ipykernel", ModuleType("ipykernel"))
+    assert no_bar() is False
+    assert no_bar(quiet=True) is True
+
+
+def test_an_interrupt_leaves_no_half_a_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = tmp_path / RESULT
+    write_whole(path, "whole")
+
+    def half(self: Path, text: str, encoding: str) -> int:
+        with self.open("w", encoding=encoding) as file:
+            file.write(text[:2])
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(Path, "write_text", half)
+    with pytest.raises(KeyboardInterrupt):
+        write_whole(path, "other")
+    assert path.read_text() == "whole"

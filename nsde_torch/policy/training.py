@@ -24,6 +24,7 @@ from nsde_torch.policy.environment import BatchEnvironment
 from nsde_torch.policy.evaluate import Policy, Rewards, episode_rewards, random_policy, score
 from nsde_torch.policy.options import PolicyOptions
 from nsde_torch.policy.task import Box, CartpoleSwingUp
+from nsde_torch.progress import no_bar
 
 if TYPE_CHECKING:
     from nsde_torch.policy.ppo import Learner
@@ -90,7 +91,7 @@ class PolicyTraining:
             desc="policy",
             unit="step",
             unit_scale=True,
-            disable=None,
+            disable=no_bar(),
             leave=False,
             mininterval=0.5,
         )

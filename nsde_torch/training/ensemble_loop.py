@@ -14,6 +14,7 @@ from tqdm.auto import tqdm
 
 from nsde_torch.errors import CheckpointError, NonFiniteError
 from nsde_torch.models.ensemble import GaussianEnsemble
+from nsde_torch.progress import no_bar
 from nsde_torch.training.checkpoint import read_checkpoint, write_checkpoint
 from nsde_torch.training.options import TrainerOptions
 from nsde_torch.training.progress import Progress
@@ -181,7 +182,7 @@ class EnsembleLoop:
             initial=progress.step,
             desc=title,
             unit="step",
-            disable=True if quiet else None,
+            disable=no_bar(quiet),
             leave=False,
             mininterval=0.5,
         )

@@ -44,6 +44,7 @@ from nsde_torch.innovations.residuals import (
 )
 from nsde_torch.models.networks import MLP
 from nsde_torch.models.neural_sde import NeuralSDE, SDESpec
+from nsde_torch.progress import no_bar
 from nsde_torch.sysid.identify import identification
 from nsde_torch.sysid.in_loop import identify_in_loop
 from nsde_torch.sysid.noise import white_noise
@@ -247,7 +248,7 @@ class _Fit:
             penalty=lambda networks: self._decay(networks),
         )
         inputs = self.physics.steps.u[:, : model.system.nu].numpy()
-        with tqdm(total=settings.steps, desc=task.name, unit="step", disable=None, leave=False) as bar:
+        with tqdm(total=settings.steps, desc=task.name, unit="step", disable=no_bar(), leave=False) as bar:
             learned = fit_networks(
                 model.residuals,
                 lambda networks: pushed(model, networks, left, y),

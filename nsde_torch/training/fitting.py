@@ -19,6 +19,7 @@ from nsde_torch.data import Windows
 from nsde_torch.errors import CheckpointError, NonFiniteError
 from nsde_torch.evaluation.before import inputs_before
 from nsde_torch.models.neural_sde import NeuralSDE
+from nsde_torch.progress import no_bar
 from nsde_torch.sde import brownian
 from nsde_torch.training.checkpoint import read_checkpoint, write_checkpoint
 from nsde_torch.training.losses import data_loss, distance_losses, draw_ball, mu_weight
@@ -210,7 +211,7 @@ class Fit:
             initial=progress.step + progress.polished,
             desc=title,
             unit="step",
-            disable=True if quiet else None,
+            disable=no_bar(quiet),
             leave=False,
             mininterval=0.5,
         )

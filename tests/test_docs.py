@@ -165,6 +165,14 @@ def test_a_command_that_fails_leaves_its_block_and_is_named_and_slow_ones_wait(t
     assert blocks.renewed(page, slow=False)[0] == page.read_text()
 
 
+def test_a_command_on_the_published_data_waits_for_them(monkeypatch: pytest.MonkeyPatch) -> None:
+    text = "<!-- run: ls $PUBLISHED -->\n<!-- run: ls -->\n"
+    monkeypatch.delenv("PUBLISHED", raising=False)
+    assert [mark["command"] for mark in blocks.marks(text)] == ["ls"]
+    monkeypatch.setenv("PUBLISHED", "/data")
+    assert [mark["command"] for mark in blocks.marks(text)] == ["ls $PUBLISHED", "ls"]
+
+
 @pytest.mark.slow
 def test_the_fault_of_the_page_is_simulated_found_and_undone(monkeypatch: pytest.MonkeyPatch) -> None:
     fault, register, use = code(CONTENT / "how-to" / "extend" / "recording-fault.md", "python")

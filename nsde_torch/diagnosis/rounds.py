@@ -84,6 +84,7 @@ def look(
         sure += [n for n in best if has_frequency(n)]
     _fit_promising(search, base, best, sure, among, out, called)
     _finish_best(search, base, among, out, called)
+    base.forget()
     return out
 
 

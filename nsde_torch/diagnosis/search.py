@@ -56,6 +56,11 @@ class Base:
         slopes = self.regression.slopes.reshape(-1, len(self.regression.vector))
         return np.asarray(np.linalg.qr(slopes @ self.regression.shown.basis)[0])
 
+    def forget(self) -> None:
+        """Let go of what a look at the catalogue needs and what is made again where it is asked for."""
+        vars(self).pop("span", None)
+        self.regression.physics.forget()
+
 
 @final
 class Search:
@@ -207,10 +212,19 @@ class Search:
         fold: NDArray[np.int64],
         block: NDArray[np.int64],
         held: Collection[str],
+        best: Score | None = None,
     ) -> tuple[Regression, Score]:
-        """The regression, or one with noise models of a kind that suits its residuals better; and its score."""
+        """The regression, or one with noise models of a kind that suits its residuals better; and its score.
+
+        Args:
+            regression: At its optimum.
+            system: Its physics.
+            fold, block: Labels of whitened rows.
+            held: Labels of parameters that stay at their first values.
+            best: Its score; None works it out.
+        """
         still = nonlinear(regression, smooth=False)
-        best = score(regression, fold, block, still=still)
+        best = best or score(regression, fold, block, still=still)
         for orders in (None, 0):
             models = regression.own_noises(orders)
             if (

@@ -33,7 +33,7 @@ class Trial:
 
     Args:
         name: Of the effect.
-        regression: With it.
+        regression: With it, as it was concluded: a search has dozens of them.
         own: Columns of theta that are the effect's.
         score: On runs left out.
         nats: Held-out log-likelihood difference to the physics without the effect [nats].
@@ -42,6 +42,7 @@ class Trial:
         p: Chance of so large a difference if the effect did nothing, for one candidate.
         p_corrected: The same corrected for all starts of all candidates of the round (`multiplicity`).
         spread: Cluster-robust covariance from blocks of time, in the identifiable directions.
+        nothing: Whether it says nothing of its own (`adds_nothing`).
         held: Labels of parameters that were held at nothing.
     """
 
@@ -55,6 +56,7 @@ class Trial:
     p: float
     p_corrected: float
     spread: Spread
+    nothing: bool
     held: tuple[str, ...] = ()
 
 
@@ -116,7 +118,11 @@ def with_own_noise(search: Search, base: Base, trial: Trial, among: int) -> Tria
     """The candidate with the noise models that are likeliest in all rows."""
     system = trial.regression.origin
     assert isinstance(system, System)
-    regression, this = search.best_noise(trial.regression, system, base.fold, base.block, trial.held)
+    regression, this = search.best_noise(
+        trial.regression.with_residuals(), system, base.fold, base.block, trial.held, trial.score
+    )
+    if this is trial.score:
+        return trial
     return _judged(search, base, regression, this, trial.name, among, trial.held)
 
 
@@ -147,7 +153,7 @@ def _judged(
     starts = starts_of(name, labels[mine[0] : mine[-1] + 1], search.longest)
     return Trial(
         name=name,
-        regression=regression,
+        regression=regression.concluded(),
         own=slice(mine[0], mine[-1] + 1),
         score=this,
         nats=float(difference.sum()),
@@ -156,6 +162,7 @@ def _judged(
         p=p,
         p_corrected=bonferroni(p, among * starts),
         spread=sure,
+        nothing=adds_nothing(regression, name, share=search.decisions.part_share),
         held=held,
     )
 
@@ -176,7 +183,7 @@ def accept(search: Search, trial: Trial) -> bool:
         _beyond_chance(search, trial)
         and not _shorter_than_a_step(search, trial)
         and _comes_back(search, trial)
-        and not adds_nothing(trial.regression, trial.name, share=search.decisions.part_share)
+        and not trial.nothing
     )
 
 

@@ -25,7 +25,9 @@ Velocities that the system measures in the world are turned into the body, so th
 channel and forces sideways are others.
 """
 
+import copy
 from collections.abc import Sequence
+from functools import cached_property
 from typing import final
 
 import numpy as np
@@ -63,7 +65,6 @@ class Physics:
 
     Attributes:
         names, units: Of the channels (the states' own; `(body)` where turned).
-        measured: What was measured to change over each step (N, nx).
         sensor_std: Standard deviation of white sensor noise (nx,), as the last `estimate_sensors` found it.
     """
 
@@ -82,11 +83,31 @@ class Physics:
                 self.names[i] += " (body)"
         self._starts = steps.starts
         self.tied = _tied(system, steps)
-        self.attitude = self._middle_attitude()
-        self.measured: Array = self.turn(steps.seen1 - steps.seen0, self.attitude).numpy()
         self.sensor_std: Array = np.zeros(system.nx)
         self._remembered: tuple[Tensor, tuple[Tensor, ...]] | None = None
         self._foreseen: tuple[Tensor, Tensor] | None = None
+
+    @cached_property
+    def attitude(self) -> Tensor:
+        """Attitude in the middle of each step (N, 4); of a system that has none (N, 0)."""
+        return self._middle_attitude()
+
+    @cached_property
+    def measured(self) -> Array:
+        """What was measured to change over each step (N, nx)."""
+        return np.asarray(self.turn(self.steps.seen1 - self.steps.seen0, self.attitude))
+
+    def bare(self) -> "Physics":
+        """The same without anything as long as the data."""
+        out = copy.copy(self)
+        out.forget()
+        return out
+
+    def forget(self) -> None:
+        """Let go of what is as long as the data, which is made again where it is asked for."""
+        self._remembered = self._foreseen = None
+        for made in ("attitude", "measured"):
+            vars(self).pop(made, None)
 
     @torch.no_grad()
     def residual(self, theta: Array) -> Array:

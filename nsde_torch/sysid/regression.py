@@ -184,16 +184,7 @@ class Regression:
                 noises.append(again(self.noises[i], r, self.series, memory=self.memory))
                 continue
             orders = self.orders if self._refined > 1 else 1  # theta first: an order would learn its errors
-            noises.append(
-                estimate(
-                    r,
-                    self.series,
-                    limit=limit,
-                    orders=orders,
-                    memory=self.memory,
-                    times=self.times(channel),
-                )
-            )
+            noises.append(self.law(channel, r, limit, orders))
         self.noises = noises
         pairs = list(zip(noises, self.rows, strict=True))
         if self._feedback and self._refined < 3:
@@ -323,6 +314,19 @@ class Regression:
         out._whiten()
         return out
 
+    def concluded(self) -> "Regression":
+        """What was found: theta, noise models and what the data show of theta, without anything as long as the data."""
+        out = copy.copy(self)
+        out.physics = self.physics.bare()
+        out.residual = out.jacobian = out.white = out.slopes = out._past = np.zeros((0, 0))
+        return out
+
+    def with_residuals(self) -> "Regression":
+        """The same as it was before it was concluded, as far as noise models need it."""
+        out = copy.copy(self)
+        out.residual = out._residual(self.theta)
+        return out
+
     def fitted_columns(self, row: int) -> Array:
         """Columns that the whitened residual of channel `row` of `rows` was fitted with: theta, its law, its past."""
         own = self.noises[row].own_slopes(self.residual[:, self.rows[row]], self.series)
@@ -333,17 +337,12 @@ class Regression:
         """Laws of the noise of the residuals at theta, of whatever kind suits them, up to some order."""
         limits = self.carry_limits()
         most = self.orders if orders is None else orders
-        return [
-            estimate(
-                self.residual[:, c],
-                self.series,
-                limit=float(limits[c]),
-                orders=most,
-                memory=self.memory,
-                times=self.times(c),
-            )
-            for c in self.rows
-        ]
+        return [self.law(c, self.residual[:, c], float(limits[c]), most) for c in self.rows]
+
+    def law(self, channel: int, left: Array, limit: float, orders: int) -> Noise:
+        """Law of the noise of what is left of a channel (M,), its c up to a limit and its order up to another."""
+        memory, times = self.memory, self.times(channel)
+        return estimate(left, self.series, limit=limit, orders=orders, memory=memory, times=times)
 
     def under(self, row: int, law: Noise) -> "Regression":
         """The same with another noise model of one channel; theta stays.

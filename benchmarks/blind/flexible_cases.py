@@ -102,7 +102,7 @@ def residuals(found: Any, law: machines.Law) -> Json:
     x, u = (
         np.stack([own[k] for k in names], 1) for names in (found.system.state_names, found.system.input_names)
     )
-    truth = FunctionGroup(("the law",), "past", law(x, u)[:, None])
+    truth = FunctionGroup(("the law",), "past", 1, lambda: law(x, u)[:, None])
     told = flexible(outcome.declared, outcome.declared_variables, BUDGETS, groups=[truth])
     training, test = held_apart(found.data)
     late = told.band_run >= len(training)

@@ -92,7 +92,7 @@ def _parts(
     alone = [_alone(base.regression, c) for c in range(len(base.regression.rows))]
     for split, pairs in ((together, True), (alone, True), (alone, False)):
         groups = first_groups(variables, scaled, pairs=pairs) if given is None else list(given)
-        columns = sum(g.columns.shape[1] for g in groups)
+        columns = sum(g.width for g in groups)
         if max((len(p) for p, _ in split), default=0) * columns <= budgets.flexible_columns or not pairs:
             break
     parts = [Part(base, variables, scaled, groups, p, c, budgets) for p, c in split]

@@ -119,12 +119,13 @@ def _telling(found: Flexible, decisions: Decisions) -> tuple[Telling, ...]:
     """Variables without any function of which the flexible model foretells surely less, by row of a port."""
     out: list[Telling] = []
     for part, foretold in found.parts:
+        which = [(name, row) for row, names in _variables(part, foretold).items() for name in names]
+        if not which:
+            continue
         whole = part.again(foretold)
-        for row, names in _variables(part, foretold).items():
-            for name in names:
-                lost = whole - part.without(foretold, name, row)
-                if lost > decisions.alike_nats:
-                    out.append(Telling(row, name, lost))
+        for (name, row), left in zip(which, part.without(foretold, which), strict=True):
+            if whole - left > decisions.alike_nats:
+                out.append(Telling(row, name, whole - left))
     return tuple(sorted(out, key=lambda t: -t.nats))
 
 

@@ -11,29 +11,30 @@ alone, which has learned what the physics lacks, and one of white pushes and sen
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import reduce
-from itertools import pairwise
+from itertools import chain, groupby, pairwise
 from operator import add
 
 import numpy as np
 from numpy.typing import NDArray
 
 from nsde_torch.diagnosis.decisions import Budgets
-from nsde_torch.diagnosis.evidence import free_basis
+from nsde_torch.diagnosis.evidence import free_basis, stretches
 from nsde_torch.diagnosis.fitted import nonlinear
 from nsde_torch.diagnosis.group_selection import Candidates, Products, Weights, weighted
 from nsde_torch.diagnosis.regressors import Regressors
 from nsde_torch.diagnosis.search import Base
 from nsde_torch.diagnosis.smooth_functions import FunctionGroup, Scale, processes_of_two
-from nsde_torch.sysid.noise import Noise, estimate
+from nsde_torch.sysid.noise import Noise
 from nsde_torch.sysid.regression import Regression
 
 Array = NDArray[np.float64]
 Labels = NDArray[np.int64]
 
 _SETTLED = 1.0  # nats: turns between functions and noise model that bring less have converged
+_AT_ONCE = 64  # columns that are whitened together: filters need several times their memory
 
 
 @dataclass(frozen=True)
@@ -114,11 +115,11 @@ class Part:
         self._fold = base.fold
         self._blocks = int(base.block.max()) + 1
         self._of_row = _rows_of(base.regression, base.fold)
+        self._stretches = stretches(base.fold)
         self._limits = base.regression.carry_limits()
         still = nonlinear(base.regression, smooth=False)  # shapes, in which steps are far from linear
         self._basis = free_basis(base.regression, still)
         self.terms = [RowTerm(p.row, g) for p in pushes for g in groups]
-        self._candidates: tuple[dict[int, Noise], Candidates] | None = None
         self._few = len(self.terms) <= budgets.flexible_fine
 
     def foretold(self) -> tuple[Foretold, Foretold]:
@@ -168,23 +169,27 @@ class Part:
 
     def members(self, at: Sequence[int]) -> list[Labels]:
         """Columns of each of some terms, one after another."""
-        ends = np.cumsum([0, *(self.terms[k].group.columns.shape[1] for k in at)])
+        ends = np.cumsum([0, *(self.terms[k].group.width for k in at)])
         return [np.arange(a, b, dtype=np.int64) for a, b in pairwise(ends)]
 
-    def without(self, found: Foretold, variable: str, row: str) -> float:
+    def without(self, found: Foretold, which: Sequence[tuple[str, str]]) -> list[float]:
         """Log-likelihood of folds without functions of a variable on a row, others chosen in their place [nats].
 
         Args:
             found: The flexible model.
-            variable: Its name.
-            row: The row.
+            which: Names of variables and rows, one after another.
         """
-        of_it = {k for k, t in enumerate(self.terms) if variable in t.group.variables and t.row == row}
-        return self._judged(found.noises, self._chosen(found.noises, of_it), found.noises).likelihood
+        candidates = self._candidates(found.noises)
+        out = []
+        for variable, row in which:
+            of_it = {k for k, t in enumerate(self.terms) if variable in t.group.variables and t.row == row}
+            chosen = self._chosen(candidates, of_it)
+            out.append(self._judged(found.noises, chosen, candidates, found.noises).likelihood)
+        return out
 
     def again(self, found: Foretold) -> float:
         """Log-likelihood of folds with the terms that were chosen, under the noise that they leave [nats]."""
-        return self._judged(found.noises, found.chosen, found.noises).likelihood
+        return self._judged(found.noises, found.chosen, fixed=found.noises).likelihood
 
     # ---- pieces ---------------------------------------------------------------------------------------
 
@@ -197,24 +202,26 @@ class Part:
 
     def _turn(self, noises: dict[int, Noise], *, terms: bool) -> Foretold:
         """Choose functions without each fold under some noise models, and judge them on it."""
-        folds = int(self._fold.max()) + 1
         if not terms:
-            return self._judged(noises, ((),) * folds)
-        return self._judged(noises, self._chosen(noises))
+            return self._judged(noises, ((),) * (int(self._fold.max()) + 1))
+        candidates = self._candidates(noises)
+        return self._judged(noises, self._chosen(candidates), candidates)
 
-    def _chosen(self, noises: dict[int, Noise], barred: Collection[int] = ()) -> tuple[tuple[int, ...], ...]:
+    def _candidates(self, noises: dict[int, Noise]) -> Candidates:
+        """All terms under some noise models."""
+        every = range(len(self.terms))
+        return Candidates(self._products(noises, every), self.members(every))
+
+    def _chosen(self, among: Candidates, barred: Collection[int] = ()) -> tuple[tuple[int, ...], ...]:
         """Numbers of the terms that are chosen without each fold, of all but those that are barred."""
-        of = self._candidates
-        if of is None or of[0] is not noises or len(of[1].members) < len(self.terms):
-            every = range(len(self.terms))
-            of = self._candidates = noises, Candidates(*self._whitened(noises, every), self.members(every))
-        most, folds = self._budgets.flexible_terms, range(int(self._fold.max()) + 1)
-        return tuple(tuple(of[1].without(f, blocks=self._blocks, most=most, barred=barred)) for f in folds)
+        most, folds = self._budgets.flexible_terms, range(len(among.products))
+        return tuple(tuple(among.without(f, blocks=self._blocks, most=most, barred=barred)) for f in folds)
 
     def _judged(
         self,
         noises: dict[int, Noise],
         chosen: tuple[tuple[int, ...], ...],
+        among: Candidates | None = None,
         fixed: dict[int, Noise] | None = None,
     ) -> Foretold:
         """Fit chosen terms without each fold and judge them on it.
@@ -222,10 +229,11 @@ class Part:
         Args:
             noises: Noise models that weigh rows.
             chosen: Numbers of the terms, by fold left out.
+            among: All terms under these noise models, where they are at hand.
             fixed: Noise models to judge by; None estimates those of what is left.
         """
         at = sorted({k for fold in chosen for k in fold})
-        parts, members = self._products(noises, at), self.members(at)
+        parts, members = self._products(noises, at) if among is None else among.of(at), self.members(at)
         whole, place = reduce(add, parts), {k: j for j, k in enumerate(at)}
         weights: list[Weights] = []
         parameters: list[Array] = []
@@ -252,14 +260,7 @@ class Part:
 
     def _law(self, c: int, left: Array, *, orders: int | None = None) -> Noise:
         r, channel = self.regression, self.regression.rows[c]
-        return estimate(
-            left,
-            r.series,
-            limit=float(self._limits[channel]),
-            orders=r.orders if orders is None else orders,
-            memory=r.memory,
-            times=r.times(channel),
-        )
+        return r.law(channel, left, float(self._limits[channel]), r.orders if orders is None else orders)
 
     def _jacobian(self, c: int) -> Array:
         """What unit steps of parameters change in a channel (M, k), in directions that the data show."""
@@ -279,27 +280,36 @@ class Part:
 
     def _products(self, noises: dict[int, Noise], at: Sequence[int]) -> list[Products]:
         """Products of parameters, some terms and the residual, fold by fold."""
-        own, columns, target = self._whitened(noises, at)
-        out = []
-        for j, z, w in zip(own, columns, target, strict=True):
-            whole = np.column_stack((j, z, w))
-            out.append(Products(whole.T @ whole, len(w), j.shape[1]))
+        own, members = self._basis.shape[1], self.members(at)
+        width = own + sum(map(len, members)) + 1
+        grams = np.zeros((int(self._fold.max()) + 1, width, width))
+        for c in self.channels:
+            moved = [i for i, k in enumerate(at) if c in self.pushes[self.terms[k].row].changes]
+            places = np.concatenate((np.arange(own), [width - 1], *(own + members[i] for i in moved)))
+            white = self._whitened(c, noises[c], [at[i] for i in moved], len(places))
+            for f, a, b in self._stretches:
+                part = white[a:b]
+                grams[f][np.ix_(places, places)] += part.T @ part
+            del part, white  # before those of the next channel are made
+        rows = np.bincount(self._fold) * len(self.channels)
+        return [Products(gram, int(n), own) for gram, n in zip(grams, rows, strict=True)]
+
+    def _whitened(self, c: int, noise: Noise, at: Sequence[int], width: int) -> Array:
+        """Slopes, the residual and columns of some terms in a channel (N, width), which holds them all but once."""
+        r = self.regression
+        first = np.column_stack((self._jacobian(c), r.residual[:, r.rows[c]]))
+        out = np.empty((len(self._fold), width), order="F")
+        done = 0
+        for part in chain((first,), (self._columns(c, some) for some in self._batches(at))):
+            out[:, done : done + part.shape[1]] = r.whitened(noise, part)
+            done += part.shape[1]
         return out
 
-    def _whitened(
-        self, noises: dict[int, Noise], at: Sequence[int]
-    ) -> tuple[list[Array], list[Array], list[Array]]:
-        """Slopes (n, k), columns of some terms (n, p) and the residual (n,) of each fold, channel after channel."""
-        r = self.regression
-        k = self._basis.shape[1]
-        white = []
-        for c in self.channels:
-            channel = r.rows[c]
-            whole = np.column_stack((self._jacobian(c), self._columns(c, at), r.residual[:, channel]))
-            white.append(r.whitened(noises[c], whole))
-        folds = range(int(self._fold.max()) + 1)
-        parts = [np.concatenate([w[self._fold == f] for w in white]) for f in folds]
-        return [p[:, :k] for p in parts], [p[:, k:-1] for p in parts], [p[:, -1] for p in parts]
+    def _batches(self, at: Sequence[int]) -> Iterator[Sequence[int]]:
+        """Some terms, a few columns at a time."""
+        place = np.cumsum([self.terms[k].group.width for k in at]) // _AT_ONCE
+        for _, some in groupby(range(len(at)), key=place.__getitem__):
+            yield [at[i] for i in some]
 
     def _grow(self, found: Foretold) -> None:
         """Add processes of two variables where their polynomial was chosen; of many functions, none that vary."""

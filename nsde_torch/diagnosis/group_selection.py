@@ -16,7 +16,9 @@ subtraction.
 
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
+from functools import reduce
 from math import log
+from operator import add
 from typing import final
 
 import numpy as np
@@ -53,6 +55,11 @@ class Products:
     def __add__(self, other: "Products") -> "Products":
         return Products(self.gram + other.gram, self.rows + other.rows, self.own)
 
+    def of(self, at: Labels) -> "Products":
+        """The same of some of the columns Z alone."""
+        kept = np.concatenate((np.arange(self.own), self.own + at, [len(self.gram) - 1]))
+        return Products(self.gram[np.ix_(kept, kept)], self.rows, self.own)
+
     def freed(self) -> Array:
         """Products (p + 1, p + 1) of Z and w without what J can do."""
         k = self.own
@@ -84,29 +91,24 @@ class Weights:
 
 @final
 class Candidates:
-    """Groups of columns to choose from, in folds; products of two groups are made once one of them is chosen.
+    """Groups of columns to choose from.
 
     Args:
-        own: Columns J of each fold (n, k).
-        columns: Columns Z of each fold (n, p).
-        target: w of each fold (n,).
+        products: Of each fold.
         members: Columns of Z of each group.
     """
 
-    def __init__(
-        self,
-        own: Sequence[Array],
-        columns: Sequence[Array],
-        target: Sequence[Array],
-        members: Sequence[Labels],
-    ) -> None:
-        self.members, self._columns = members, columns
-        self.rows = [len(w) for w in target]
-        fixed = [np.column_stack((j, w)) for j, w in zip(own, target, strict=True)]
-        self._fixed = [f.T @ f for f in fixed]
-        self._cross = [z.T @ f for z, f in zip(columns, fixed, strict=True)]
-        self._blocks = [[z[:, at].T @ z[:, at] for at in members] for z in columns]
-        self._of_group: dict[int, list[Array]] = {}
+    def __init__(self, products: Sequence[Products], members: Sequence[Labels]) -> None:
+        self.products, self.members = products, members
+        widths = np.array([len(at) for at in members], dtype=np.int64)
+        alike = [np.flatnonzero(widths == width) for width in np.unique(widths)]
+        # groups of one width, which are looked at together, and their columns (G, q)
+        self._alike = [(of, np.stack([members[g] for g in of.tolist()])) for of in alike]
+
+    def of(self, groups: Sequence[int]) -> list[Products]:
+        """Products of some groups alone, of each fold."""
+        at = np.concatenate([np.zeros(0, dtype=np.int64), *(self.members[g] for g in groups)])
+        return [part.of(at) for part in self.products]
 
     def without(self, fold: int, *, blocks: int, most: int, barred: Collection[int] = ()) -> list[int]:
         """Numbers of the groups that explain more than they cost without a fold, in the order in which they are chosen.
@@ -117,40 +119,32 @@ class Candidates:
             most: Most groups.
             barred: Numbers of groups that may not be.
         """
-        others = [f for f in range(len(self.rows)) if f != fold]
-        rows = sum(self.rows[f] for f in others)
-        fixed, cross = (np.sum([part[f] for f in others], 0) for part in (self._fixed, self._cross))
-        within = [np.sum([self._blocks[f][g] for f in others], 0) for g in range(len(self.members))]
+        others = reduce(add, [part for f, part in enumerate(self.products) if f != fold])
+        gram, own = others.gram, others.own
+        within = [gram[own + at[:, :, None], own + at[:, None, :]] for _, at in self._alike]
+        free = np.ones(len(self.members), dtype=bool)
+        free[[*barred]] = False
         chosen, price = list[int](), log(max(len(self.members), 1))
-        # beside what there is (J and the groups chosen), whose products are `basis`, with Z `along` and with w `pull`
-        basis, along, pull = fixed[:-1, :-1], cross[:, :-1], fixed[:-1, -1]
+        # beside what there is (J and the groups chosen), whose columns are `there`
+        there = np.arange(own, dtype=np.int64)
         while len(chosen) < most:
-            inverse = _pseudo_inverse(basis)
-            noise = max(float(fixed[-1, -1] - pull @ inverse @ pull), 1e-300) / max(rows, 1)
-            rest = cross[:, -1] - along @ (inverse @ pull)
+            pull, along = gram[there, -1], gram[own:-1, there]
+            inverse = _pseudo_inverse(gram[np.ix_(there, there)])
+            noise = max(float(gram[-1, -1] - pull @ inverse @ pull), 1e-300) / max(others.rows, 1)
+            rest = gram[own:-1, -1] - along @ (inverse @ pull)
             gains = np.full(len(self.members), -np.inf)
-            for g, at in enumerate(self.members):
-                if g in chosen or g in barred:
-                    continue
-                new = within[g] - along[at] @ inverse @ along[at].T
-                if (new.diagonal() > _NEW * within[g].diagonal()).any():
-                    gains[g] = _evidence(new, rest[at], noise) - 0.5 * log(max(blocks, 2)) - price
+            for (of, at), whole in zip(self._alike, within, strict=True):
+                new = whole - along[at] @ inverse @ np.swapaxes(along[at], 1, 2)
+                sizes, left = (np.diagonal(g, axis1=1, axis2=2) for g in (whole, new))
+                live = free[of] & (left > _NEW * sizes).any(1)
+                gains[of[live]] = _evidence(new[live], rest[at[live]], noise)
+            gains -= 0.5 * log(max(blocks, 2)) + price
             best = int(gains.argmax())
             if not gains[best] > 0:
                 break
-            at = self.members[best]
-            more = np.sum([self._with(best)[f] for f in others], 0)
-            basis = np.block([[basis, along[at].T], [along[at], within[best]]])
-            along, pull = np.concatenate((along, more), 1), np.append(pull, cross[at, -1])
+            there, free[best] = np.append(there, own + self.members[best]), False
             chosen.append(best)
         return chosen
-
-    def _with(self, group: int) -> list[Array]:
-        """Products of all columns with those of a group, by fold."""
-        if group not in self._of_group:
-            at = self.members[group]
-            self._of_group[group] = [z.T @ z[:, at] for z in self._columns]
-        return self._of_group[group]
 
 
 def weighted(products: Products, members: Sequence[Labels], chosen: Sequence[int]) -> Weights:
@@ -198,18 +192,18 @@ def weighted(products: Products, members: Sequence[Labels], chosen: Sequence[int
     return Weights(out, covariance, at[live])
 
 
-def _evidence(gram: Array, pull: Array, noise: float) -> float:
-    """Gain in the marginal likelihood by a group of functions, at its best prior variance [nats].
+def _evidence(gram: Array, pull: Array, noise: float) -> Array:
+    """Gain in the marginal likelihood by each of some groups of functions (G,), at its best prior variance [nats].
 
     Args:
-        gram, pull: Products of its columns with each other (q, q) and with what is to be explained (q,).
+        gram, pull: Products of its columns with each other (G, q, q) and with what is to be explained (G, q).
         noise: Variance of the noise.
     """
     values, vectors = np.linalg.eigh(gram / noise)
-    squares = np.square(vectors.T @ pull / noise)
-    variance = _VARIANCES * len(values) / max(float(values.sum()), 1e-300)
-    grown = 1.0 + np.maximum(values, 0.0) * variance
-    return 0.5 * float((squares * variance / grown - np.log(grown)).sum(1).max())
+    squares = np.square(np.swapaxes(vectors, 1, 2) @ pull[:, :, None] / noise)[:, None, :, 0]
+    variance = _VARIANCES * values.shape[1] / np.maximum(values.sum(1), 1e-300)[:, None, None]
+    grown = 1.0 + np.maximum(values, 0.0)[:, None] * variance
+    return np.asarray(0.5 * (squares * variance / grown - np.log(grown)).sum(2).max(1))
 
 
 def _pseudo_inverse(gram: Array) -> Array:

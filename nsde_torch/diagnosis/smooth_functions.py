@@ -15,9 +15,9 @@ of two have the spectrum of the plane, which falls with their joint frequency. B
 before, and variables that act more or less in the course of a run.
 """
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from functools import reduce
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import partial, reduce
 from typing import Literal
 
 import numpy as np
@@ -53,12 +53,19 @@ class FunctionGroup:
     Args:
         variables: What they are functions of; empty for the constant.
         kind: What they are.
-        columns: Their values in the middle of each box (M, q).
+        width: Number q of them.
+        made: Makes their values: those of all groups together are a hundred times as many as the data.
     """
 
     variables: tuple[str, ...]
     kind: Kind
-    columns: Array
+    width: int
+    made: Callable[[], Array]
+
+    @property
+    def columns(self) -> Array:
+        """Their values in the middle of each box (M, q), made anew."""
+        return self.made()[:, : self.width]
 
 
 def scales(variables: Regressors) -> dict[str, Scale]:
@@ -84,21 +91,21 @@ def first_groups(variables: Regressors, scaled: Mapping[str, Scale], *, pairs: b
         pairs: Whether functions of two variables are among them.
     """
     names, values = list(scaled), variables.columns
-    out = [FunctionGroup((), "constant", np.ones((len(variables.t), 1)))]
-    for name in names:
-        for kind in ("polynomial", "smooth", "fine"):
-            out.append(FunctionGroup((name,), kind, functions((name,), kind, values, scaled)))
+    out = [FunctionGroup((), "constant", 1, partial(np.ones, (len(variables.t), 1)))]
+    out += [
+        _group((name,), kind, values, scaled) for name in names for kind in ("polynomial", "smooth", "fine")
+    ]
     for name, (functions_before, _) in variables.functions.items():
         if name.endswith((BEFORE, OVER_TIME)) and name.partition(" ")[0] in scaled:
             spread = functions_before.std(0)
-            live = spread > _FLAT
-            if live.any():
-                out.append(FunctionGroup((name,), "past", functions_before[:, live] / spread[live]))
+            live = int((spread > _FLAT).sum())
+            if live:
+                out.append(FunctionGroup((name,), "past", live, partial(_past, functions_before, spread)))
     for i, first in enumerate(names if pairs else []):
         for second in names[i + 1 :]:
             both = (first, second)
-            columns = functions(both, "polynomial", values, scaled)
-            out.append(FunctionGroup(both, "polynomial", columns if len(names) <= _FEW else columns[:, :1]))
+            products = _group(both, "polynomial", values, scaled)
+            out.append(products if len(names) <= _FEW else replace(products, width=1))
             if len(names) <= _FEWEST:
                 out += processes_of_two(both, values, scaled)
     return out
@@ -120,7 +127,21 @@ def processes_of_two(
         (of, "varying"),
         ((of[1], of[0]), "varying"),
     )
-    return [FunctionGroup(names, kind, functions(names, kind, values, scaled)) for names, kind in kinds]
+    return [_group(names, kind, values, scaled) for names, kind in kinds]
+
+
+def _group(
+    of: tuple[str, ...], kind: Kind, values: Mapping[str, Array], scaled: Mapping[str, Scale]
+) -> FunctionGroup:
+    """Functions of one variable or of two, as a group."""
+    width = functions(of, kind, {name: values[name][:1] for name in of}, scaled).shape[1]
+    return FunctionGroup(of, kind, width, partial(functions, of, kind, values, scaled))
+
+
+def _past(values: Array, spread: Array) -> Array:
+    """What spreads of some columns (M, k), in units of its spread (k,)."""
+    live = spread > _FLAT
+    return np.asarray(values[:, live] / spread[live])
 
 
 def functions(

@@ -31,15 +31,19 @@ def products(own: list[Array], groups: list[Array], target: list[Array]) -> Prod
     return Products(whole.T @ whole, len(whole), 2)
 
 
+def by_fold(own: list[Array], groups: list[Array], target: list[Array]) -> list[Products]:
+    return [products([j], [z], [w]) for j, z, w in zip(own, groups, target, strict=True)]
+
+
 def test_the_groups_that_are_there_are_chosen_without_each_fold() -> None:
-    candidates = Candidates(*columns(0.5), MEMBERS)
+    candidates = Candidates(by_fold(*columns(0.5)), MEMBERS)
     for fold in range(FOLDS):
         assert candidates.without(fold, blocks=60, most=10) == [4, 7]
     assert candidates.without(0, blocks=60, most=1) == [4]
 
 
 def test_noise_chooses_no_group() -> None:
-    candidates = Candidates(*columns(0.0), MEMBERS)
+    candidates = Candidates(by_fold(*columns(0.0)), MEMBERS)
     assert [candidates.without(fold, blocks=60, most=10) for fold in range(FOLDS)] == [[]] * FOLDS
 
 
@@ -48,7 +52,7 @@ def test_columns_that_the_parameters_can_do_are_not_chosen() -> None:
     copies = [np.column_stack((j @ np.array([[1.0, 0.5], [-1.0, 2.0]]), j[:, 0])) for j in own]
     target = [w + 5.0 * j[:, 0] for w, j in zip(target, own, strict=True)]
     there = [np.concatenate((c, z[:, 3:]), 1) for c, z in zip(copies, groups, strict=True)]
-    assert Candidates(own, there, target, MEMBERS).without(0, blocks=60, most=10) == []
+    assert Candidates(by_fold(own, there, target), MEMBERS).without(0, blocks=60, most=10) == []
 
 
 def test_weights_are_those_that_were_put_in_and_unused_directions_stay_small() -> None:

@@ -56,7 +56,7 @@ def a_law_is_nearer(search: Search, chosen: Selection, kept: Retained, name: str
     least = kept.final.score.fitted + log(found.tried) + search.decisions.alike_nats
     try:
         own, _ = screen(search, without, system, name, ())
-        power = 0.5 * np.square(found.columns.T @ found.residual)
+        power = 0.5 * np.square(found.pull)
         # the noise model without the effect may have learned it: what is no less is fitted
         rivals = [j for j in worth_a_fit(found.laws, power, search) if power[j] >= own]
         return any(_fitted(search, without, found, j) > least for j in rivals)

@@ -14,7 +14,7 @@ Meinshausen and Buehlmann, Journal of the Royal Statistical Society B 72, 2010, 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
 from math import log
 
 import numpy as np
@@ -22,9 +22,9 @@ import torch
 from numpy.typing import NDArray
 
 from nsde_torch.diagnosis.dependence import Dependence
+from nsde_torch.diagnosis.evidence import stretches
 from nsde_torch.diagnosis.law_terms import LawTerm, terms_of
 from nsde_torch.diagnosis.regressors import BEFORE, BY_RUN, OVER_TIME, Regressors
-from nsde_torch.diagnosis.screening import whitened_slopes
 from nsde_torch.diagnosis.search import Base, Search
 from nsde_torch.diagnosis.shape import product_of
 from nsde_torch.diagnosis.views import variable_units
@@ -37,29 +37,50 @@ Array = NDArray[np.float64]
 _NEW = 0.03  # of the length of a term: less of it is nothing that the parameters cannot do already
 _SIZE = " = c1 "
 _MOVES = 1e-9  # of the largest push: rows of a port that do not move a channel
+_AT_ONCE = 64  # columns that are whitened together: filters need several times their memory
+_FLAT = 1e-12  # of the largest square of what the physics can do: directions that some folds do not show
+_SHOWN = 1e-6  # of the length of a term: less of it in some folds is rounding
 
 
 @dataclass(frozen=True)
 class Library:
-    """Terms as columns of the whitened residuals.
+    """Terms as columns z of the whitened residuals w: their products, beside what the physics can do already.
+
+    The columns themselves are thousands of times as many as the data of one channel.
 
     Args:
-        laws: A law of one term for each, its text.
+        laws: A law of one term for each (P), its text.
         starts: First values of their shapes.
-        columns: What one unit of each changes (rows, P), free of what the physics can do already, of length 1.
-        residual: The whitened residuals, freed alike (rows,).
-        span: What was taken out, orthonormal (rows, r).
-        fold: Fold of each row.
+        gram, pull: Products of the columns with each other (P, P) and with the residuals (P,), all free of what the
+            physics can do already, the columns of length 1.
+        length: What the columns were divided by to be so (P,).
+        parts: Sums of products over the rows of each fold (F, ...).
         tried: Number of laws before those went that the physics can do already.
     """
 
     laws: tuple[str, ...]
     starts: tuple[dict[str, float], ...]
-    columns: Array
-    residual: Array
-    span: Array
-    fold: NDArray[np.int64]
+    gram: Array
+    pull: Array
+    length: Array
+    parts: _Parts
     tried: int
+
+
+@dataclass(frozen=True)
+class _Parts:
+    """Products of columns z, residuals w and an orthonormal span of what the physics can do, fold by fold.
+
+    Args:
+        squares, pull, cross: Of each z with itself (F, P), with w (F, P) and with the span (F, P, r).
+        own, of_own: Of the span with itself (F, r, r) and with w (F, r).
+    """
+
+    squares: Array
+    pull: Array
+    cross: Array
+    own: Array
+    of_own: Array
 
 
 def wanted_variables(
@@ -154,31 +175,57 @@ def library(
         [text for v, text in in_law.items() if units.get(v) == "rad"],
     )
     pushes = [push for push in pushes_of(base, channels) if push[0].partition("[")[0] == port or not port]
-    made = [one for term in terms for one in _slopes(base.regression, term, pushes)]
+    made = [one for term in terms for one in _made(base.regression, term, pushes)]
     for law, shapes in (beside or {}).items():
         row, _, text = law.partition(_SIZE)
         own = [push for push in pushes if push[0] == row]
-        made += _slopes(base.regression, LawTerm(text, tuple(shapes.items())), own)
+        made += _made(base.regression, LawTerm(text, tuple(shapes.items())), own)
     if not made:
         return None
-    whole = np.concatenate(
-        [whitened_slopes(search, base.regression, slope[:, :, None]) for _, _, slope in made], 1
-    )
-    residual, span = base.regression.white.reshape(-1), base.span
-    columns = whole - span @ (span.T @ whole)
-    length, size = np.linalg.norm(columns, axis=0), np.linalg.norm(whole, axis=0)
-    new = np.isfinite(length) & (length > _NEW * size) & (size > 0)
-    if not new.any():
+    whole, parts = _products(base, made)
+    along, squares = parts.cross.sum(0), whole.diagonal()
+    length = np.sqrt(np.maximum(squares - np.square(along).sum(1), 0.0))
+    new = np.flatnonzero(np.isfinite(length) & (length > _NEW * np.sqrt(squares)) & (squares > 0))
+    if not len(new):
         return None
+    along, length = along[new], length[new]
     return Library(
-        tuple(law for (law, _, _), is_new in zip(made, new, strict=True) if is_new),
-        tuple(start for (_, start, _), is_new in zip(made, new, strict=True) if is_new),
-        columns[:, new] / length[new],
-        residual - span @ (span.T @ residual),
-        span,
-        np.tile(base.fold, len(base.regression.rows)),
+        tuple(made[j].law for j in new.tolist()),
+        tuple(made[j].start for j in new.tolist()),
+        (whole[np.ix_(new, new)] - along @ along.T) / np.outer(length, length),
+        (parts.pull.sum(0)[new] - along @ parts.of_own.sum(0)) / length,
+        length,
+        replace(parts, **{key: getattr(parts, key)[:, new] for key in ("squares", "pull", "cross")}),
         len(made),
     )
+
+
+def _products(base: Base, made: Sequence[_Made]) -> tuple[Array, _Parts]:
+    """Products of the columns of all laws over all rows (P, P), and those of each fold; a channel at a time."""
+    r, span = base.regression, base.span.reshape(*base.regression.white.shape, -1)
+    folds, of_fold = int(base.fold.max()) + 1, stretches(base.fold)
+    count, own = len(made), span.shape[2]
+    out = _Parts(
+        *(np.zeros((folds, *shape)) for shape in ((count,), (count,), (count, own), (own, own), (own,)))
+    )
+    whole = np.zeros((count, count))
+    for white, known, noise, c in zip(r.white, span, r.noises, r.rows, strict=True):
+        moved = [j for j, one in enumerate(made) if one.change[:, c].any()]
+        columns = np.empty((len(white), len(moved)), order="F")
+        for at in range(0, len(moved), _AT_ONCE):
+            some = [made[j].change[:, c] * made[j].value for j in moved[at : at + _AT_ONCE]]
+            boxed = r.single.summed(np.stack(some, 1), r.box)
+            columns[:, at : at + len(some)] = r.whitened(noise, boxed)
+        whole[np.ix_(moved, moved)] += columns.T @ columns
+        for f, a, b in of_fold:
+            z, s, w = columns[a:b], known[a:b], white[a:b]
+            out.squares[f, moved] += np.square(z).sum(0)
+            out.pull[f, moved] += z.T @ w
+            out.cross[f, moved] += z.T @ s
+            out.own[f] += s.T @ s
+            out.of_own[f] += s.T @ w
+        del z, columns  # before those of the next channel are made
+    return whole, out
 
 
 def pushes_of(base: Base, channels: Sequence[str]) -> list[tuple[str, Array]]:
@@ -204,10 +251,18 @@ def pushes_of(base: Base, channels: Sequence[str]) -> list[tuple[str, Array]]:
     return out
 
 
-def _slopes(
-    regression: Regression, term: LawTerm, pushes: Sequence[tuple[str, Array]]
-) -> Iterator[tuple[str, dict[str, float], Array]]:
-    """The laws that a term is on some rows, their first values, and what one unit of each changes (N, nx)."""
+@dataclass(frozen=True)
+class _Made:
+    """A law of one term on a row: what one unit of it changes is `change` (N, nx) times `value` (N,)."""
+
+    law: str
+    start: dict[str, float]
+    value: Array
+    change: Array
+
+
+def _made(regression: Regression, term: LawTerm, pushes: Sequence[tuple[str, Array]]) -> Iterator[_Made]:
+    """The laws that a term is on some rows, at their first values."""
     if not pushes:
         return
     physics, system = regression.physics, regression.vector.system
@@ -216,9 +271,9 @@ def _slopes(
     first = system.make_effect(_law(pushes[0][0], term), {"c1": 1.0, **start}).double()
     with torch.no_grad():
         seen = seen_by(system, first, s.t + 0.5 * s.logged_dt, middle, s.u)
-        value = first(s.t, middle[:, : system.nx], seen, middle[:, :0]).sum(1, keepdim=True).numpy()
+        value = first(s.t, middle[:, : system.nx], seen, middle[:, :0]).sum(1).numpy()
     for row, change in pushes:
-        yield system.effect_key(_law(row, term)), start, change * value
+        yield _Made(system.effect_key(_law(row, term)), start, value, change)
 
 
 def _law(row: str, term: LawTerm) -> str:
@@ -245,20 +300,20 @@ def propose(
     search.law_channels = tuple(dict.fromkeys((*search.law_channels, *channels)))
     price = 0.5 * log(int(base.block.max()) + 1) + log(found.tried)
     new = False
-    rest, columns = found.residual, found.columns
+    gram, pull = found.gram, found.pull
     for _ in range(search.budgets.formula_terms):
-        power = 0.5 * np.square(columns.T @ rest)
+        power = 0.5 * np.square(pull)
         best = int(power.argmax())
         if power[best] <= price:
             break
         for j in worth_a_fit(found.laws, power, search):
             if found.laws[j] not in search.laws:
                 search.laws[found.laws[j]], new = {**found.starts[j]}, True
-        direction = columns[:, best].copy()
-        rest = rest - direction * (direction @ rest)
-        columns = columns - np.outer(direction, direction @ columns)
-        size = np.linalg.norm(columns, axis=0)
-        columns = columns / np.where(size > _NEW, size, np.inf)
+        along = gram[best]
+        pull, gram = pull - along * pull[best], gram - np.outer(along, along)
+        size = np.sqrt(np.maximum(gram.diagonal(), 0.0))
+        size = np.where(size > _NEW, size, np.inf)
+        pull, gram = pull / size, gram / np.outer(size, size)
     return new
 
 
@@ -295,21 +350,19 @@ def chosen_again(
     if found is None or law not in found.laws:
         return 0.0
     rng = np.random.default_rng(search.decisions.law_halves)
-    labels = np.unique(found.fold)
+    labels = np.unique(base.fold)
     mine = [j for j, name in enumerate(found.laws) if name == law]
     again = 0
     for _ in range(search.decisions.law_halves):
-        half = np.isin(found.fold, rng.choice(labels, max(len(labels) // 2, 1), replace=False))
-        power = _power(found, half)
+        power = _power(found, rng.choice(labels, max(len(labels) // 2, 1), replace=False))
         again += max(power[mine]) > power.max() - search.decisions.alike_nats
     return again / search.decisions.law_halves
 
 
-def _power(found: Library, half: NDArray[np.bool_]) -> Array:
-    """Nats that each term brings to a part of the rows, free of what the physics can do there."""
-    q = np.linalg.qr(found.span[half])[0]
-    columns, rest = found.columns[half], found.residual[half]
-    columns = columns - q @ (q.T @ columns)
-    size = np.linalg.norm(columns, axis=0)
-    pull = columns.T @ (rest - q @ (q.T @ rest))
-    return np.asarray(0.5 * np.square(pull / np.where(size > 1e-9, size, np.inf)))
+def _power(found: Library, half: NDArray[np.int64]) -> Array:
+    """Nats that each term brings to some folds, free of what the physics can do there."""
+    squares, pull, cross, own, of_own = (getattr(found.parts, f.name)[half].sum(0) for f in fields(_Parts))
+    theirs = cross @ np.linalg.pinv(own, rcond=_FLAT, hermitian=True)
+    size = np.sqrt(np.maximum(squares - (theirs * cross).sum(1), 0.0))
+    live = size > _SHOWN * found.length
+    return np.asarray(0.5 * np.square((pull - theirs @ of_own) / np.where(live, size, np.inf)))

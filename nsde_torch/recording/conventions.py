@@ -90,8 +90,9 @@ def check_runs(system: SystemInfo, runs: Sequence[Run]) -> None:
             others = [s for n, (s, _) in enumerate(left) if n != k]
             if others and share > _OWN and beyond > _NOISE and float(np.median(others)) < _OTHERS:
                 a, b = system.state_names[i], system.state_names[j]
+                much = f"{share:.0%}" if share < 10.0 else "more than ten times"
                 raise DataError(
-                    f"run {run.name!r}: {a!r} and {b!r} do not belong together: {b!r} leaves {share:.0%} of what {a!r} "
+                    f"run {run.name!r}: {a!r} and {b!r} do not belong together: {b!r} leaves {much} of what {a!r} "
                     f"changes by over {_OWN_S:g} s, and {np.median(others):.1%} in the other runs. One of the columns "
                     "is of another run or another time: write the right one, or leave the run out."
                 )

@@ -150,7 +150,7 @@ class _Fit:
         return True
 
     def step(self, theta: Array, free: Labels) -> _Step | None:
-        """The step from theta, of parameters that do not leave their bounds; None where none moves."""
+        """The step, of parameters that do not leave their bounds; None where none moves, or they are not told apart."""
         v = self._vector
         left = self._errors(theta)
         slopes = np.zeros((*left.shape, len(free)))
@@ -161,7 +161,11 @@ class _Fit:
             slopes[..., k] = (self._errors(there) - left) / (there[j] - theta[j])
         while len(free):
             scaled = slopes * v.scale[free]
-            change = np.linalg.lstsq(scaled.reshape(-1, len(free)), -left.reshape(-1), rcond=1e-10)[0]
+            change, _, rank, _ = np.linalg.lstsq(
+                scaled.reshape(-1, len(free)), -left.reshape(-1), rcond=1e-10
+            )
+            if rank < len(free):  # predictions show some of these only together
+                return None
             change = change * v.scale[free]
             margin = _AT_BOUND * v.scale[free]
             out = (theta[free] <= v.low[free] + margin) & (change < 0)

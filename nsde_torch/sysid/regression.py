@@ -52,6 +52,7 @@ _ROUNDING = 1e-4  # of the measured changes: below that there is no noise to spe
 _ARITHMETIC = 1e-5  # of the measured changes: what integrators and the digits of a log leave of exact physics
 _BLOCK_S = (0.5, 2.0)  # shortest and longest block of the covariance [s]
 _BLOCKS = 100
+_KEPT = 1e-8  # share of what laws explain of slopes that is kept
 
 
 @final
@@ -299,7 +300,8 @@ class Regression:
             x = self.slopes[i] @ basis
             own = self._purged(noise.own_slopes(self.residual[:, channel], self.series))
             if own.shape[1]:
-                x = x - own @ np.linalg.lstsq(own, x, rcond=None)[0]
+                # the rest keeps a direction that a law explains wholly: its variance is huge and finite
+                x = x - (1.0 - _KEPT) * (own @ np.linalg.lstsq(own, x, rcond=None)[0])
             purged.append(x)
             used += own.shape[1] + self._past.shape[1]
         return np.stack(purged), used

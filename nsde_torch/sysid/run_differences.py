@@ -234,7 +234,7 @@ def unexplained_runs(rough: Regression, runs: Sequence[Run]) -> list[Unexplained
 def _left_alone(rough: Regression, rows: NDArray[np.bool_]) -> Array:
     """Whitened residuals (channels, n) of some rows at parameters of their own."""
     slopes, white = rough.slopes[:, rows] @ rough.shown.basis, rough.white[:, rows]
-    flat = slopes.reshape(-1, slopes.shape[2])
+    flat = slopes.reshape(white.size, -1)
     return np.asarray(white - slopes @ np.linalg.lstsq(flat, white.reshape(-1), rcond=None)[0])
 
 
@@ -250,8 +250,7 @@ class _Alone:
 def _alone(regression: Regression, rows: NDArray[np.bool_], blocks: NDArray[np.int64]) -> _Alone | None:
     slopes = regression.slopes[:, rows] @ regression.shown.basis
     white = regression.white[:, rows]
-    r = slopes.shape[2]
-    flat = slopes.reshape(-1, r)
+    flat = slopes.reshape(white.size, -1)
     square = flat.T @ flat
     try:
         own = np.asarray(np.linalg.solve(square, flat.T @ white.reshape(-1)), dtype=np.float64)

@@ -216,6 +216,8 @@ def _smooth(q: Array, dt: float) -> Array:
 def group_spectra(sensor: SensorGroup, runs: Sequence[Run], dt: float) -> Spectra | None:
     """Spectra of what is filtered of a sensor; None where stretches are short or a channel never moves."""
     parts = [sensor.values(np.asarray(run.x[a:b]), dt) for run in runs for a, b in run.segments]
+    if not np.any([(part != part[0]).any(0) for part in parts], axis=0).all():
+        return None
     found = smoothers.spectra_of(parts, dt)
     if found is None or not (found.power > 0).all():
         return None

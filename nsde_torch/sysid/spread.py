@@ -40,17 +40,22 @@ def spread(slopes: Array, residual: Array, blocks: NDArray[np.int64], used: int)
     """Covariance of the least-squares estimate at its optimum.
 
     Args:
-        slopes: Whitened slopes of all channels (channels, N, r), of full rank r.
+        slopes: Whitened slopes of all channels (channels, N, r), of full rank r; r may be nothing.
         residual: Whitened residuals (channels, N).
         blocks: Block of each row (N,).
         used: Number of parameters of the noise that were fitted to the same rows.
+
+    Raises:
+        LinAlgError: slopes of less than full rank.
     """
     channels, rows, r = slopes.shape
+    count = int(blocks.max()) + 1
+    if not r:
+        return Spread(np.zeros((0, 0)), np.zeros((count, 0)), np.zeros((count, 0, 0)))
     # in the coordinates that make M the identity the powers of (I - H) are those of r x r matrices
     triangle = np.linalg.qr(slopes.reshape(-1, r), mode="r")
     back = np.linalg.inv(triangle)
     x = slopes @ back
-    count = int(blocks.max()) + 1
     score, share = np.zeros((count, r)), np.zeros((count, r, r))
     np.add.at(score, blocks, np.einsum("cnr,cn->nr", x, residual))
     order = np.argsort(blocks, kind="stable")

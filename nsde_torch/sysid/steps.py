@@ -106,10 +106,15 @@ def steps_of(
         run_in: Whether to keep the first steps of each segment for memory alone; None: where an effect has any.
 
     Raises:
-        DataError: no run, or no segment that is long enough.
+        DataError: no run, no segment that is long enough, or nothing moves.
     """
     if not runs:
         raise DataError("no run to identify the physics from.")
+    if not any((run.x != run.x[0]).any() for run in runs):
+        raise DataError(
+            f"nothing moves: {', '.join(system.state_names)} never change. If these columns are no measurements, write "
+            "what the sensors measured. Record runs in which the machine moves."
+        )
     seen = [np.asarray(run.x) for run in runs]
     clean = list(denoised(runs, share=share)[0]) if smooth or denoise else seen
     unknown = inferred_columns(system, runs) if differences else {}

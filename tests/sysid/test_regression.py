@@ -17,6 +17,7 @@ from nsde_torch.simulation import simulated
 from nsde_torch.simulation.flights import fly
 from nsde_torch.simulation.pilot import Pilot, Sticks
 from nsde_torch.sysid.identify import identify
+from nsde_torch.sysid.in_loop import identify_in_loop
 from nsde_torch.sysid.result import Identification
 from nsde_torch.systems import MACHINES, System, make_plant_system, make_system
 from nsde_torch.systems.parameters import ParameterVector
@@ -192,3 +193,24 @@ def test_what_cannot_be_is_refused_with_a_remedy() -> None:
         outcome(runs, method="magic")
     with pytest.raises(ConfigError, match=r"`model\.width`"):
         outcome(runs, width=0.001)
+
+
+@pytest.mark.parametrize("size", [1e-9, 1e-4])
+def test_inputs_too_small_to_show_anything_leave_no_interval_and_no_error(size: float) -> None:
+    rng = np.random.default_rng(0)
+    t = 0.01 * np.arange(500)
+    q = 1e-3 * np.cumsum(np.cumsum(rng.normal(size=(2, 500)), axis=1), axis=1)
+    runs = [
+        Run(str(i), t, np.stack((q[i], np.gradient(q[i], t)), 1), size * np.sin(t)[:, None]) for i in range(2)
+    ]
+    found = identify_in_loop(make_system("mass_spring_damper", declared=[]), runs)
+    assert found.shown.rank == 0
+    assert np.isnan(found.standard_errors).all()
+    assert found.findings == ["force_gain: nothing in the data depends on it"]
+
+
+def test_a_log_in_which_nothing_moves_is_refused_with_its_columns() -> None:
+    rest = np.repeat([[0.2, 0.0]], 300, axis=0)
+    run = Run("still", 0.01 * np.arange(300), rest, np.full((300, 1), 0.5))
+    with pytest.raises(DataError, match=r"nothing moves: q, q_dot never change\. .* write what the sensors"):
+        identify(make_system("mass_spring_damper"), [run])

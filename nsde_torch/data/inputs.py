@@ -54,7 +54,7 @@ def input_rank(inputs: Sequence[Array]) -> InputRank:
             r = np.asarray(np.linalg.qr(np.concatenate([r, u[first : first + 65536]]), mode="r"))
     _, s, vt = np.linalg.svd(r, full_matrices=True)
     s = np.concatenate([s, np.zeros(nu - len(s))])
-    rank = int((s > RELATIVE_RANK * s[0]).sum()) if s[0] > 0 else 0
+    rank = int((s > RELATIVE_RANK * s[0]).sum()) if s.any() else 0  # nor of a machine without inputs
     null = _readable(vt[rank:])
     return InputRank(rank, nu, (s / np.sqrt(max(total, 1))).tolist(), null.round(6).tolist())
 

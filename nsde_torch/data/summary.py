@@ -156,7 +156,8 @@ class DataSummary:
                 ("|yaw - mean| [deg]", f"{e.heading_q95:.1f}", f"{e.heading_max:.1f}"),
             ]
             lines += _columns(table)
-        lines.append(f"inputs span {self.input_rank.rank} of {self.input_rank.channels} dimensions")
+        if self.input_rank.channels:
+            lines.append(f"inputs span {self.input_rank.rank} of {self.input_rank.channels} dimensions")
         if self.findings:
             lines.append("found:")
             lines += [f"  {text}" for text in _grouped(self.findings)]

@@ -52,6 +52,6 @@ def fit_filter(target: InputFilter, logged: Sequence[Run], restored: Sequence[Ru
 
 
 def _means(u: Array, stride: int) -> Array:
-    """Means over `stride` rows from every row on (n - stride + 1, nu), one in `stride` of them."""
+    """Means over `stride` rows from every row on (n - stride + 1, nu), one in `stride` of them; none of fewer rows."""
     count = len(u) // stride
-    return np.asarray(u[: count * stride].reshape(count, stride, -1).mean(1))
+    return np.asarray(u[: count * stride].reshape(count, stride, u.shape[1]).mean(1))

@@ -26,6 +26,7 @@ Array = NDArray[np.float64]
 
 _FADING = (0.0, 0.5, 0.8, 0.9, 0.95)  # share of a memory that is left after a step
 _SPANNED = 1e-3  # of the largest singular value: directions that inputs hardly take
+_ROUNDING = 1e-9  # of the inputs: what is left of constant ones once their mean is taken off
 _ORDERS_S, _ORDERS = 0.4, 40  # longest autoregression [s], [steps]
 _MOVES = 1e-6  # of the largest slope: below that a port does not move a channel
 
@@ -126,7 +127,7 @@ def input_history(u: Array, series: Series) -> Tensor:
     """
     centred = u - u.mean(0)
     _, values, directions = np.linalg.svd(centred, full_matrices=False)
-    if not len(values) or not values[0] > 0:
+    if not len(values) or values[0] <= _ROUNDING * np.linalg.norm(u):  # of constant inputs rounding is left
         return torch.zeros(len(u), 0)
     own = centred @ directions[values > _SPANNED * values[0]].T
     own = own / own.std(0)

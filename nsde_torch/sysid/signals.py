@@ -81,8 +81,8 @@ def binned(columns: Array, edges: Sequence[int]) -> Array:
 
 
 def foreknown(new: Array, values: Array, share: float) -> bool:
-    """Whether at most this share of the variance of values (N,) is new (N,): such a signal answers nothing."""
-    return bool(np.square(new).mean() <= share * values.var())
+    """Whether at most this share of the variance of values (N,) is new (N,), or there is none: that answers nothing."""
+    return not len(values) or bool(np.square(new).mean() <= share * values.var())
 
 
 def late(series: Series, rows: int) -> NDArray[np.bool_]:

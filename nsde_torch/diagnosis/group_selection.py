@@ -31,6 +31,7 @@ _NEW = 1e-4  # of a column's squared length that must be left beside the others;
 _TURNS, _SETTLED = 40, 0.05  # of the variances, and change of their logarithm that ends them
 _GONE = 0.02  # of the noise variance: what a group changes in all rows together, below which it is nothing
 _JITTER = 1e-10  # of a correlation, added so that it can be factorised
+_ROUNDING = 1e-12  # of a squared length: less is not left of it
 # prior variances that are tried, in units of that at which a usual function would show as much as noise
 _VARIANCES = np.logspace(-3.0, 4.0, 36)[:, None]
 
@@ -127,10 +128,11 @@ class Candidates:
         chosen, price = list[int](), log(max(len(self.members), 1))
         # beside what there is (J and the groups chosen), whose columns are `there`
         there = np.arange(own, dtype=np.int64)
-        while len(chosen) < most:
+        square = float(gram[-1, -1])
+        while square > 0 and len(chosen) < most:
             pull, along = gram[there, -1], gram[own:-1, there]
             inverse = _pseudo_inverse(gram[np.ix_(there, there)])
-            noise = max(float(gram[-1, -1] - pull @ inverse @ pull), 1e-300) / max(others.rows, 1)
+            noise = max(square - float(pull @ inverse @ pull), _ROUNDING * square) / max(others.rows, 1)
             rest = gram[own:-1, -1] - along @ (inverse @ pull)
             gains = np.full(len(self.members), -np.inf)
             for (of, at), whole in zip(self._alike, within, strict=True):
@@ -181,7 +183,7 @@ def weighted(products: Products, members: Sequence[Labels], chosen: Sequence[int
         new = np.where(count > 0, squares / np.maximum(count, 1e-9), 0.0)
         new[new * size < _GONE * noise] = 0.0
         rest = square - 2.0 * float(mean @ pull[live]) + float(mean @ gram[np.ix_(live, live)] @ mean)
-        noise = max(rest, 1e-12 * square) / max(products.rows - float(count.sum()), 1.0)
+        noise = max(rest, _ROUNDING * square) / max(products.rows - float(count.sum()), 1.0)
         there = variance > 0
         moved = np.abs(np.log(np.maximum(new[there], 1e-300) / variance[there])).max()
         variance = new

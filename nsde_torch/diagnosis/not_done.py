@@ -99,7 +99,8 @@ class OptionalStages:
             return do()
         except ConfigError:
             raise
-        except (ValueError, ArithmeticError, torch.linalg.LinAlgError) as error:  # numpy's is a ValueError
+        # numpy's LinAlgError is a ValueError, and it answers some empty arrays with an IndexError
+        except (ValueError, ArithmeticError, IndexError, torch.linalg.LinAlgError) as error:
             self.leave_out(stage, f"it could not be computed ({reason(error)})")
             return otherwise
 

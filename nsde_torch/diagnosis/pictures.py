@@ -120,6 +120,8 @@ def effect_views(outcome: Outcome, channels: Sequence[ChannelResidual]) -> list[
     before = rates(outcome.declared.regression, outcome.declared_variables)
     after = rates(outcome.final.regression, outcome.variables)
     out: list[Panel] = []
+    if not len(before.residual):  # no stretch is as long as the means
+        return out
     for c in _most_reduced(channels)[: 2 * _CHANNELS]:
         if out and c.after > _REDUCED * c.before:
             break
@@ -158,6 +160,8 @@ def unexplained_views(
     regression = outcome.final.regression
     seen = rates(regression, outcome.variables)
     out: list[Panel] = []
+    if not len(seen.residual):
+        return out
     done: set[tuple[str, str, int | None, float | None]] = set()
     for d, note in zip_longest(outcome.structured if left is None else left, notes, fillvalue=""):
         if not isinstance(d, Dependence) or d.sinusoid is not None:

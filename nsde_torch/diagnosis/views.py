@@ -128,6 +128,8 @@ def bins(value: Array, residual: Array, block: Labels, *, count: int = _BINS) ->
         block: Block of time (M,).
         count: Number of bins.
     """
+    if not len(value):
+        return Bins(np.zeros(0), np.zeros(0), np.zeros(0))
     # half of the edges at equal numbers, half at equal distances, so that rare extremes are seen too
     inner = np.linspace(0.01, 0.99, count // 2 + 1)
     low, high = np.quantile(value, [0.01, 0.99])

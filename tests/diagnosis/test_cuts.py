@@ -1,0 +1,162 @@
+"""Cuts of logs, short, still, exact, fast and slow: each ends in an answer or in an error that says what to do."""
+
+from __future__ import annotations
+
+import json
+import warnings
+from collections.abc import Callable, Mapping
+from functools import cache
+from typing import final
+
+import numpy as np
+import pytest
+import torch
+from torch import Tensor
+
+import nsde_torch
+from nsde_torch.data import RawRun
+from nsde_torch.effects import Parameter, Port
+from nsde_torch.errors import NsdeError
+from nsde_torch.systems import Defaults, ErrorGroup, ResidualPort, System
+
+ANSWER = "answer"
+SHORT = "no stretch of 20 steps without a gap; identify from longer runs"
+
+
+@final
+class FreePendulum(System):
+    """A pendulum that nothing drives."""
+
+    name = "free_pendulum"
+    state_names, state_units = ("theta", "theta_dot"), ("rad", "rad/s")
+    input_names = input_units = ()
+    position_derivatives = (("theta", "theta_dot", "world"),)
+    ports = {Port.TORQUE: 1}
+    residual_ports = {Port.TORQUE: ResidualPort(1, 1.0, "rad/s2")}
+    sensor_noise = True
+    defaults = Defaults(0.02, 25, (0.002, 0.1), 0.1, 1.0, "euler_maruyama")
+    PARAMETERS = {"gravity": Parameter(15.0, "1/s2", low=0.0), "damping": Parameter(0.2, "1/s", low=0.0)}
+    error_names = state_names
+    error_groups = (ErrorGroup("angle", (0,), "rad"), ErrorGroup("rate", (1,), "rad/s"))
+    feature_names, feature_units = state_names, state_units
+
+    def dynamics(self, t: float | Tensor, x: Tensor, u: Tensor, forces: Mapping[Port, Tensor]) -> Tensor:
+        swing = -self.value("gravity") * torch.sin(x[:, :1]) - self.value("damping") * x[:, 1:]
+        return torch.cat((x[:, 1:], swing + forces.get(Port.TORQUE, torch.zeros_like(swing))), 1)
+
+    def features(self, x: Tensor) -> Tensor:
+        return x
+
+
+def swinging(rows: int, noise: float) -> list[RawRun]:
+    """Two runs of a pendulum that swings out, at 100 Hz."""
+    runs = []
+    for number, theta in enumerate((1.0, -0.7)):
+        rng, y, x = np.random.default_rng(number), np.array([theta, 0.0]), np.empty((rows, 2))
+        for k in range(rows):
+            x[k] = y
+            for _ in range(10):
+                y = y + 0.001 * np.array([y[1], -19.6 * np.sin(y[0]) - 0.3 * y[1]])
+        x += noise * rng.normal(size=x.shape) * (0.002, 0.01)
+        runs.append(RawRun(f"run_{number}", 0.01 * np.arange(rows), x, np.zeros((rows, 0))))
+    return runs
+
+
+@cache
+def springs(noise: float) -> tuple[RawRun, ...]:
+    options = {"sensor_noise": noise, "process_noise": noise, "durations": [4.0, 4.0]}
+    return nsde_torch.simulate("mass_spring_damper", seed=1, **options).runs
+
+
+def cut(
+    change: Callable[[RawRun], None] = lambda run: None, rows: int = 400, noise: float = 1.0
+) -> list[RawRun]:
+    """The first rows of runs of a spring, changed."""
+    runs = [RawRun(r.name, r.t[:rows].copy(), r.x[:rows].copy(), r.u[:rows].copy()) for r in springs(noise)]
+    for run in runs:
+        change(run)
+    return runs
+
+
+def still(run: RawRun) -> None:
+    run.x[:], run.u[:] = (0.2, 0.0), 0.5
+
+
+def constant_input(run: RawRun) -> None:
+    run.u[:] = 0.3
+
+
+def pieces(run: RawRun) -> None:
+    run.t += 0.5 * (np.arange(len(run.t)) // 5)
+
+
+def no_rates(run: RawRun) -> None:
+    run.x[:, 1] = np.nan
+
+
+def at_rate(hertz: float) -> Callable[[RawRun], None]:
+    def change(run: RawRun) -> None:
+        run.x[:, 1] *= 0.01 * hertz
+        run.t[:] = np.arange(len(run.t)) / hertz
+
+    return change
+
+
+CUTS: dict[str, tuple[Callable[[], list[RawRun]], str]] = {
+    "one row": (lambda: cut(rows=1), "a run needs at least two"),
+    "two rows": (lambda: cut(rows=2), SHORT),
+    "nineteen rows": (lambda: cut(rows=19), SHORT),
+    "forty rows": (lambda: cut(rows=40), ANSWER),
+    "pieces of five rows": (lambda: cut(pieces, rows=100), SHORT),
+    "nothing moves": (lambda: cut(still), "nothing moves: q, q_dot never change"),
+    "an input that never moves": (lambda: cut(constant_input, rows=150), ANSWER),
+    "two kilohertz": (lambda: cut(at_rate(2000.0), rows=60), ANSWER),
+    "two hertz": (lambda: cut(at_rate(2.0), rows=60), ANSWER),
+}
+SLOW: dict[str, tuple[Callable[[], list[RawRun]], str]] = {
+    "two kilohertz, longer": (
+        lambda: cut(at_rate(2000.0), rows=150),
+        ANSWER,
+    ),
+    "no noise": (lambda: cut(noise=0.0), ANSWER),
+    "positions alone": (lambda: cut(no_rates), ANSWER),
+}
+
+
+def diagnosed(runs: list[RawRun], system: str | type[System]) -> str:
+    """`ANSWER`, or the package's own error; anything else, warnings too, is raised."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        try:
+            data = nsde_torch.read(runs, system=system)
+            found = nsde_torch.diagnose(data, system=system, candidates=["coulomb_friction"])
+            json.dumps(found.content(), allow_nan=False)
+            nsde_torch.train(data, system=system, model="sysid", test=[], say=lambda text: None)
+        except NsdeError as error:
+            return str(error)
+    assert found.report
+    return ANSWER
+
+
+@pytest.mark.parametrize("name", CUTS)
+def test_every_cut_ends_in_an_answer_or_a_remedy(name: str) -> None:
+    runs, expected = CUTS[name]
+    assert expected in diagnosed(runs(), "mass_spring_damper")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", SLOW)
+def test_every_long_cut_ends_in_an_answer(name: str) -> None:
+    runs, expected = SLOW[name]
+    assert expected in diagnosed(runs(), "mass_spring_damper")
+
+
+@pytest.mark.parametrize("rows", [1, 30, 150])
+def test_a_machine_without_inputs_is_diagnosed(rows: int) -> None:
+    expected = ANSWER if rows > 20 else "a run needs at least two"
+    assert expected in diagnosed(swinging(rows, 1.0), FreePendulum)
+
+
+@pytest.mark.slow
+def test_a_machine_without_inputs_and_noise_is_diagnosed() -> None:
+    assert diagnosed(swinging(300, 0.0), FreePendulum) == ANSWER

@@ -100,7 +100,7 @@ def run(config: DictConfig, job: Job) -> None:
     machine = build.system_options(config.system)
     system = machine.make()
     data = build.dataset(config.data, system)
-    print(data.summary)
+    print(data.summary, flush=True)
     note = f"found by nsde diagnose; use it with: {_training(config, job)}"
     files = DiagnosisFiles(job.run_dir, system=config.system.name, note=note)
     found = nsde_torch.diagnose(

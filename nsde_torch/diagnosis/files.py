@@ -57,14 +57,15 @@ class DiagnosisFiles:
 
     def __init__(self, folder: Path, *, system: str, note: str) -> None:
         self._folder, self._system, self._note = folder, system, note
-        self._began, self._spent = perf_counter(), 0.0
+        self._began, self._spent, self._next = perf_counter(), 0.0, _REPORT_S
 
     def write_so_far(self, found: Diagnosis) -> None:
         """Write what is known so far; the report too, where that takes little of the time so far."""
         now = perf_counter()
-        if max(self._spent, _REPORT_S) < _REPORTS * (now - self._began):
+        if self._spent + self._next < _REPORTS * (now - self._began):
             self.write(found)
-            self._spent += perf_counter() - now
+            self._next = perf_counter() - now
+            self._spent += self._next
         else:
             self._write(found)
 

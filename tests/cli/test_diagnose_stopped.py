@@ -74,7 +74,7 @@ def test_a_signal_ends_it_with_what_is_known(words: list[str], tmp_path: Path, s
         time.sleep(0.02)
     assert "so_far" in json.loads((out / RESULT).read_text())
     process.send_signal(sent)
-    said, err = process.communicate(timeout=60)
+    said, err = process.communicate(timeout=120)
     assert process.returncode == INTERRUPTED, err
     assert "so far: stopped during " in said
     content = json.loads((out / RESULT).read_text())

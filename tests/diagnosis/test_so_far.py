@@ -150,12 +150,15 @@ def test_the_report_so_far_is_written_where_it_takes_little_of_the_time(
     made: Simulation, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     found = _stopped(made, "round 1: trying 1 effect")
-    kept = DiagnosisFiles(tmp_path, system=SPRING, note="found")
-    kept.write_so_far(found)
+    DiagnosisFiles(tmp_path, system=SPRING, note="found").write_so_far(found)
     assert sorted(p.name for p in tmp_path.iterdir()) == [RESULT, EFFECTS]
     monkeypatch.setattr(files, "_REPORT_S", 0.0)
+    kept = DiagnosisFiles(tmp_path, system=SPRING, note="found")
     kept.write_so_far(found)
     assert "Not finished." in (tmp_path / REPORT).read_text()
+    (tmp_path / REPORT).unlink()
+    kept.write_so_far(found)  # the last one took more than its share
+    assert not (tmp_path / REPORT).exists()
 
 
 def test_bars_are_shown_in_notebooks_too_and_nowhere_where_it_is_to_be_quiet(

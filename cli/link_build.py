@@ -45,6 +45,9 @@ def limits(config: DictConfig) -> Limits:
         estimate=config.estimate,
         silence=config.silence,
         solver=config.solver,
+        tracking_error=config.tracking_error,
+        tracking_time=config.tracking_time,
+        tipped_plans=config.tipped_plans,
         jump=config.jump,
         velocity_jump=config.velocity_jump,
     )

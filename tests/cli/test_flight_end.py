@@ -17,7 +17,9 @@ def _ended(kind: str | None, *, landed: bool = True) -> FlightOutcome:
     return FlightOutcome(tracked=kind is None, landed=landed, trouble=trouble, actions=[(3.0, "arm", "")])
 
 
-@pytest.mark.parametrize("kind", [None, "fence", "speed", "tilt", "solver", "battery", "estimate"])
+@pytest.mark.parametrize(
+    "kind", [None, "fence", "speed", "tilt", "tracking", "tipped", "solver", "battery", "estimate"]
+)
 def test_a_flight_of_ours_that_stands_may_be_followed_by_another(kind: str | None) -> None:
     check_end(_ended(kind))
     with pytest.raises(EndedError, match="NOT seen to land") as error:

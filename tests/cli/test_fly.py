@@ -144,6 +144,7 @@ def test_a_refused_flight_is_a_fault_of_the_user_with_the_reasons(
     ("fault", "status", "said"),
     [
         ("battery", 3, "went wrong, and landed: battery at"),
+        ("push", 3, "went wrong, and landed: more than 0.6 m from the reference for 0.5 s"),
         ("mode", 3, "went wrong, and landed: the mode is HOLD"),
         ("link", 4, "NOT seen to land"),
         ("stop", 130, "was stopped, and landed"),
@@ -170,6 +171,8 @@ def test_the_exit_status_says_how_a_flight_that_began_went_wrong(
                 return
             if fault == "battery":
                 body.used = 0.95
+            elif fault == "push":  # a wind that it cannot hold its place in
+                body.v = (body.v[0] + 0.06, *body.v[1:])
             elif fault == "mode":
                 vehicle.set_mode(d.HOLD)
             elif fault == "link":

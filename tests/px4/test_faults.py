@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import pytest
 
@@ -190,6 +191,59 @@ def test_a_controller_that_breaks_is_replaced_by_holding_and_landing(how: str) -
     assert "safe hold" in world.phases
     assert world.safe
     assert world.highest < 2.2
+
+
+TIPS: dict[str, tuple[Callable[[float], bool], bool]] = {
+    "never": (lambda t: False, True),
+    "once, for as long as three plans": (lambda t: 1.0 <= t < 1.03, True),
+    "again and again": (lambda t: t % 0.2 < 0.01, False),
+}
+"""Plans that are made anew because they tilted too far, by the time in the reference, and whether that is flown on."""
+
+
+@pytest.mark.parametrize("when", TIPS)
+def test_plans_that_tip_again_and_again_end_the_flight_and_a_few_do_not(when: str) -> None:
+    tips, flown_on = TIPS[when]
+    good = CascadeController(SHORT)
+
+    def plan(row: tuple[float, ...], time: float, t: float, asked: Asked = ()) -> DemandPlan:
+        return replace(good(row, time, t), status="converged:tipped" if tips(t) else "converged")
+
+    world = World(path=SHORT, runner=Inline(plan)).run()
+    assert world.safe
+    assert world.flight.outcome.landed
+    assert world.flight.outcome.tracked == flown_on
+    if not flown_on:
+        assert world.flight.outcome.trouble is not None
+        assert world.flight.outcome.trouble.kind == "tipped"
+        assert "4 plans within 5 s tilted beyond 65 deg" in world.flight.outcome.trouble.text
+        assert "safe hold" in world.phases
+
+
+@pytest.mark.parametrize(
+    ("off", "lasts", "flown_on"), [(0.4, 9.0, True), (1.2, 0.4, True), (0.9, 9.0, False)]
+)
+def test_a_reference_that_is_not_followed_ends_the_flight_if_that_lasts(
+    off: float, lasts: float, flown_on: bool
+) -> None:
+    """A controller that flies beside the reference, as one with another machine's model does."""
+    path = PathPoints(shapes.hover(duration=4.0, height=1.0))
+    good = CascadeController(path)
+
+    def beside(row: tuple[float, ...], time: float, t: float, asked: Asked = ()) -> DemandPlan:
+        side = off if 1.0 < t < 1.0 + lasts else 0.0
+        return good((row[0] - side, *row[1:]), time, t)
+
+    world = World(path=path, runner=Inline(beside)).run()
+    assert world.safe
+    assert world.flight.outcome.landed
+    assert world.flight.outcome.tracked == flown_on, world.says
+    if not flown_on:
+        assert world.flight.outcome.trouble is not None
+        assert world.flight.outcome.trouble.kind == "tracking"
+        assert "more than 0.6 m from the reference for 0.5 s" in world.flight.outcome.trouble.text
+        assert "safe hold" in world.phases
+        assert max(world.errors) < 1.0
 
 
 @pytest.mark.parametrize(

@@ -8,6 +8,9 @@ from typing import Protocol
 
 from nsde_torch.px4.link.vectors import Vec, between
 
+TIPPED = "tipped"
+"""Word of a status: a plan tilted too far."""
+
 
 @dataclass(frozen=True)
 class Demand:
@@ -30,7 +33,8 @@ class DemandPlan:
         time: From when the first demand holds, on our clock [s].
         dt: Time between demands [s].
         demands: One or more; between two of them both are mixed, the last one holds for `dt`.
-        status: One word or two; `failed` in it means that the controller itself does not trust it.
+        status: One word or two; `failed` in it means that the controller itself does not trust it, `TIPPED` that the
+            plan that it replaces tilted too far.
         solve_ms: Time that it took.
     """
 

@@ -13,6 +13,7 @@ from typing import final
 
 from nsde_torch.px4.flight import preflight
 from nsde_torch.px4.flight.cascade import GRAVITY, Point
+from nsde_torch.px4.flight.controller import DemandPlan
 from nsde_torch.px4.flight.phases import FLYING, Phase
 from nsde_torch.px4.flight.safety import Action, Trouble, Watch
 from nsde_torch.px4.flight.setpoint import HoverThrottle, level
@@ -215,23 +216,30 @@ class Offboard(Supervised):
         self.runner.offer(self._own(state), state.time, state.time - self.started, tuple(self._left))
         self.runner.collect()
         plan = self.runner.plan
-        if self.runner.fault is not None:
-            self._act(
-                Trouble("solver", f"the controller failed: {self.runner.fault}", Action.HOLD), state, status
-            )
-        elif plan is None or self._now - plan.time > self.limits.solver:
-            late = inf if plan is None else self._now - plan.time
-            self._act(Trouble("solver", f"the newest plan is {late:.2f} s old", Action.HOLD), state, status)
-        elif "failed" in plan.status:
-            self._act(Trouble("solver", f"the controller says: {plan.status}", Action.HOLD), state, status)
+        trouble = self._tracking_trouble(plan, state, state.time - self.started)
+        if trouble is not None:
+            self._act(trouble, state, status)
         elif t > self.path.duration + 0.5:
             self.outcome.tracked = True
             self._where = self._stop_point(state)
             self._go(Phase.RETURN)
-        else:
+        elif plan is not None:
             self._send(plan.at(self._now), state)
             return
         self._hold_at(self._where, state)
+
+    def _tracking_trouble(self, plan: DemandPlan | None, state: VehicleState, t: float) -> Trouble | None:
+        """Why the controller may not fly on, with the state of a time in the reference [s]."""
+        assert self._watch is not None
+        if self.runner.fault is not None:
+            return Trouble("solver", f"the controller failed: {self.runner.fault}", Action.HOLD)
+        if plan is None or self._now - plan.time > self.limits.solver:
+            late = inf if plan is None else self._now - plan.time
+            return Trouble("solver", f"the newest plan is {late:.2f} s old", Action.HOLD)
+        if "failed" in plan.status:
+            return Trouble("solver", f"the controller says: {plan.status}", Action.HOLD)
+        off = distance(state.p, self._moved(self.path.at(t).p))
+        return self._watch.track(off, plan, self._now)
 
     def _return(self, state: VehicleState | None, status: Status) -> None:
         """Come to rest, and where that is asked for fly back: the next flight then has the same place and fence."""

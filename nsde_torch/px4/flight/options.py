@@ -64,6 +64,19 @@ class Limits:
     silence: float = key(1.0, "longest time without any message", unit="s", above=0, high=5)
     heartbeat: float = key(3.5, "longest time without a heartbeat", unit="s", above=0)
     solver: float = key(0.3, "oldest plan", unit="s", above=0, high=2)
+    tracking_error: float = key(
+        0.6,
+        "largest distance from the reference that may last for tracking_time; beyond, the controller or its model does "
+        "not suit the machine",
+        unit="m",
+        above=0,
+    )
+    tracking_time: float = key(
+        0.5, "how long a larger distance from the reference than tracking_error may last", unit="s", low=0
+    )
+    tipped_plans: int = key(
+        3, "most plans within 5 s that tilt beyond limits.tilt, and are made anew instead of flown", low=0
+    )
     jump: float = key(
         0.5, "largest step of the position that its velocity does not explain", unit="m", above=0
     )

@@ -36,7 +36,7 @@ from nsde_torch.effects import Port
 from nsde_torch.errors import ConfigError
 from nsde_torch.export.exported import ExportedController
 from nsde_torch.px4.flight.carried import NO_DRAG, NO_PUSH, Drag, PushEstimate, carried
-from nsde_torch.px4.flight.controller import Asked, Demand, DemandPlan
+from nsde_torch.px4.flight.controller import TIPPED, Asked, Demand, DemandPlan
 from nsde_torch.px4.flight.path import PAUSE
 from nsde_torch.px4.link.vectors import Vec
 from nsde_torch.systems import Multirotor
@@ -52,8 +52,6 @@ TILT = radians(65.0)
 """Tilt of a plan that is not flown [rad]; that at which a flight ends."""
 KEEP = 0.25
 """Longest time for which the plan before goes on where new ones tilt too far [s]."""
-TIPPED = "tipped"
-"""Word of a status: the plan tilted too far."""
 WARM_UP = 20
 SLOWEST = 0.1
 """Longest time of a plan with which a vehicle can be flown, as the median of the warm-up [s]."""

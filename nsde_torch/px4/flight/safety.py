@@ -6,6 +6,8 @@
 | link silent | no message at all | silence: PX4 fails over by itself, and we never stream again |
 | solver late, failed, dead | age of the newest plan, its process | hold by the built-in cascade, then LAND |
 | outside the fence, too fast, too steep | the state | hold (inside the fence), then LAND |
+| reference not followed | the distance from it, while it is flown | hold, then LAND |
+| plans that tip, again and again | words of the plans | hold, then LAND |
 | estimate of position or velocity jumped | the state against its prediction | hold, then LAND |
 | estimate of the heading jumped | the same | noted; a heading that is held moves with it |
 | battery low | SYS_STATUS | LAND at once |
@@ -19,11 +21,13 @@
 
 from __future__ import annotations
 
+from collections import deque
 from dataclasses import dataclass
 from enum import Enum
 from math import acos, degrees, inf, isfinite
 from typing import final
 
+from nsde_torch.px4.flight.controller import TIPPED, DemandPlan
 from nsde_torch.px4.flight.options import Limits
 from nsde_torch.px4.flight.steps import UNANNOUNCED, EstimateStep, step_between
 from nsde_torch.px4.link.telemetry import Status, VehicleState
@@ -31,6 +35,10 @@ from nsde_torch.px4.link.vectors import Vec, cos_tilt, length
 
 MARGIN = 0.3
 """Distance from the fence's edge that is kept where the place can be chosen: to hold, and below its top [m]."""
+
+
+TIPPED_WINDOW = 5.0
+"""Time within which plans that tip are counted [s]."""
 
 
 class Action(Enum):
@@ -51,6 +59,9 @@ class Trouble:
     action: Action
 
 
+_UNSUITED = "the controller or its model does not suit the machine, or its plans come too late"
+
+
 @final
 class Watch:
     """Looks at state and status, and says what is wrong.
@@ -68,6 +79,8 @@ class Watch:
         self._since: dict[str, float] = {}
         self._last: VehicleState | None = None
         self._jumped: str | None = None
+        self._plan: DemandPlan | None = None
+        self._tipped: deque[float] = deque()
         self.steps: list[EstimateStep] = []
 
     def look(self, state: VehicleState | None, status: Status, now: float) -> Trouble | None:
@@ -84,6 +97,28 @@ class Watch:
         if battery is not None:
             return battery
         return self._motion(state, status, now)
+
+    def track(self, off: float, plan: DemandPlan, now: float) -> Trouble | None:
+        """What is wrong with how the reference is followed; None: nothing.
+
+        Args:
+            off: Distance from it [m].
+            plan: The newest plan.
+            now: [s]
+        """
+        m = self.limits
+        if plan is not self._plan and TIPPED in plan.status:
+            self._tipped.append(now)
+        self._plan = plan
+        while self._tipped and self._tipped[0] < now - TIPPED_WINDOW:
+            self._tipped.popleft()
+        if len(self._tipped) > m.tipped_plans:
+            text = f"{len(self._tipped)} plans within {TIPPED_WINDOW:g} s tilted beyond {m.tilt:g} deg"
+            return Trouble("tipped", f"{text}: {_UNSUITED}", Action.HOLD)
+        if self._lasting("tracking", off > m.tracking_error, now, m.tracking_time):
+            text = f"more than {m.tracking_error:g} m from the reference for {m.tracking_time:g} s, now {off:.2f} m"
+            return Trouble("tracking", f"{text}: {_UNSUITED}", Action.HOLD)
+        return None
 
     def _battery(self, status: Status, now: float) -> Trouble | None:
         m = self.limits

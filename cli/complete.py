@@ -13,10 +13,6 @@ _HYDRA_GROUPS = {
     "hydra/launcher": ("basic", "joblib", "submitit_local", "submitit_slurm", "ray"),
     "hydra/sweeper": ("basic", "optuna"),
 }
-_PATHS = (
-    *("data.path", "data.test_path", "resume", "run", "run_dir", "out_dir", "sweep_dir", "data.cache"),
-    *("environment", "reference"),
-)
 
 
 def overrides(command: str, words: Sequence[str]) -> list[str]:
@@ -72,7 +68,7 @@ def _values(command: str, name: str, value: str, chosen: dict[str, str], extra: 
         options = groups.choices(name, extra)
     elif name in _HYDRA_GROUPS:
         options = _HYDRA_GROUPS[name]
-    elif name in _PATHS:
+    elif name in groups.files(command):
         # A list of folders, `run=[a,b`: complete its last item.
         done, comma, last = value.rpartition(",") if value.startswith("[") else ("", "", value)
         if value.startswith("[") and not comma:

@@ -16,6 +16,7 @@ from nsde_torch.errors import ConfigError, DataError
 
 from . import build, effects_file
 from .known_machine import KnownMachine, faults_of_sensors, known_machine
+from .quoted import as_typed
 
 CONFIG = ".hydra/config.yaml"
 
@@ -45,9 +46,8 @@ def diagnosed(folder: Path, moved: str | None) -> Diagnosed:
         DataError: the runs are not those of the diagnosis.
     """
     if not (folder / RESULT).is_file() or not (folder / CONFIG).is_file():
-        raise ConfigError(
-            f"`run`: {folder} holds no {RESULT} with {CONFIG}; `nsde diagnose out_dir={folder}` writes them."
-        )
+        command = as_typed("nsde", "diagnose", paths={"out_dir": folder})
+        raise ConfigError(f"`run`: {folder} holds no {RESULT} with {CONFIG}; `{command}` writes them.")
     content = json.loads((folder / RESULT).read_text(encoding="utf-8"))
     config = OmegaConf.load(folder / CONFIG)
     assert isinstance(config, DictConfig)

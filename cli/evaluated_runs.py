@@ -15,6 +15,7 @@ from nsde_torch.models.run_directory import CONFIG, METRICS, load, read_metrics
 
 from .jobs import FAILED
 from .own_modules import see_own_modules
+from .quoted import as_typed
 
 
 @dataclass(frozen=True)
@@ -112,7 +113,8 @@ def _what_is_wrong(folder: Path) -> str:
     if (folder / FAILED).is_file():
         return f"this training failed (see {folder / FAILED}); train again."
     if (folder / ".hydra").is_dir() or (folder / CONFIG).is_file():
-        return f"this training has not finished (no {METRICS}); finish it with `nsde train resume={folder}`."
+        command = as_typed("nsde", "train", paths={"resume": folder})
+        return f"this training has not finished (no {METRICS}); finish it with `{command}`."
     return f"this is no run directory (no {METRICS}); give the folder that `nsde train` printed."
 
 

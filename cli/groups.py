@@ -5,14 +5,17 @@ Help and shell completion start at every key press, so they read the few files t
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from importlib import resources
 from pathlib import Path
 from typing import Any
 
 import yaml
+
+from nsde_torch.errors import ConfigError
 
 from .keys import Key, walk
 from .registry import hydra_command
@@ -30,6 +33,38 @@ def config_dir(words: Sequence[str]) -> Path | None:
         if word.startswith("--config-dir="):
             return Path(word.split("=", 1)[1])
     return None
+
+
+def read_yaml(file: Path) -> Any:
+    """What a YAML file of the user's own holds.
+
+    Raises:
+        ConfigError: it is no plain YAML in UTF-8.
+    """
+    try:
+        return yaml.safe_load(file.read_text(encoding="utf-8"))
+    except UnicodeDecodeError:
+        raise ConfigError(f"{file} is no UTF-8 text; expected a YAML file.") from None
+    except yaml.YAMLError as error:
+        mark, why = getattr(error, "problem_mark", None), getattr(error, "problem", None) or str(error)
+        line = "" if mark is None else f", line {mark.line + 1}"
+        raise ConfigError(f"{file}{line}: no plain YAML ({' '.join(why.split())}).") from None
+
+
+def check_own_files(folder: Path, chosen: Mapping[str, str]) -> None:
+    """Refuse choices of the user's own that cannot be read, before Hydra reads them.
+
+    Args:
+        folder: Of `--config-dir`.
+        chosen: Choice of every group.
+
+    Raises:
+        ConfigError: one is no plain YAML, which could name objects of Python.
+    """
+    for group, choice in chosen.items():
+        for name in (choice, *_parents(group, choice, folder)):
+            if (file := folder / group / f"{name}.yaml").is_file():
+                read_yaml(file)
 
 
 def schema(command: str) -> type:
@@ -61,6 +96,14 @@ def choices(group: str, extra: Path | None = None) -> list[str]:
     if extra is not None and (extra / group).is_dir():
         names |= {path.stem for path in (extra / group).glob("*.yaml")}
     return sorted(names)
+
+
+def files(command: str) -> dict[str, Key]:
+    """The keys of a command that name files or folders, whatever is chosen in its groups."""
+    found = list(walk(schema(command)))
+    for group in defaults(command):
+        found += [entry for own in CHOICES.get(group, {}).values() for entry in walk(own, f"{group}.")]
+    return {entry.path: entry for entry in found if entry.file}
 
 
 def without_file(group: str) -> dict[str, type | dict[str, str]]:
@@ -132,19 +175,16 @@ def _parents(group: str, choice: str, extra: Path | None) -> list[str]:
 
 
 def _read(group: str, choice: str, extra: Path | None) -> dict[str, Any]:
-    text = None
+    content = None
+    own = None if extra is None else extra / group / f"{choice}.yaml"
     for item in _package_files(group):
         if item.name == f"{choice}.yaml":
-            text = item.read_text(encoding="utf-8")
-    if text is None and choice in NAMES.get(group, ()):
+            content = yaml.safe_load(item.read_text(encoding="utf-8"))
+    if content is None and choice in NAMES.get(group, ()):
         return {"name": choice}
-    own = None if extra is None else extra / group / f"{choice}.yaml"
-    if text is None and own is not None and os.path.isfile(own):
-        text = own.read_text(encoding="utf-8")
-    try:
-        content = yaml.safe_load(text or "")
-    except yaml.YAMLError:  # Hydra will say so in its own words once the command runs
-        return {}
+    if content is None and own is not None and os.path.isfile(own):
+        with contextlib.suppress(ConfigError):  # the command says so once it runs
+            content = read_yaml(own)
     return content if isinstance(content, dict) else {}
 
 

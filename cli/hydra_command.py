@@ -16,13 +16,16 @@ from nsde_torch.errors import CheckpointError, ConfigError, NsdeError
 
 from . import complete, groups, help, messages
 from .exit_status import CRASHED, FAILED_JOBS, INTERRUPTED, OK, USER_ERROR, EndedError
-from .quoted import coordinates_named, quoted
+from .quoted import as_typed, coordinates_named, path_word, quoted, typed_path
 from .registry import hydra_commands
 from .schemas.choices import CHOICES
 from .store import store
 
 _CONFIG_PATH = "pkg://nsde_torch.conf"
 _TRACEBACK = "NSDE_TRACEBACK"
+# Hydra's own folders with the keys of ours that set them, and its names of what lies inside.
+_HYDRA_FOLDERS = {"hydra.run.dir": "run_dir or out_dir", "hydra.sweep.dir": "sweep_dir"}
+_HYDRA_NAMES = ("hydra.output_subdir", "hydra.sweep.subdir", "hydra.job.name")
 # Hydra's options that are followed by a value.
 _WITH_VALUE = {
     "--config-dir",
@@ -53,7 +56,6 @@ class HydraCommand:
         result: File that a finished run holds, and what it is called: a folder that has it is not written over.
         goes_on: Whether the same command, started again on its folder, goes on from what is finished there.
         unnamed: Keys that do not name the jobs of a sweep.
-        paths: Keys whose values are files or folders, which may be typed without Hydra's quotes.
         words: What is typed, one word at a time, as Hydra is to have it.
         examples: Words and what they do, for the help.
     """
@@ -68,15 +70,12 @@ class HydraCommand:
     result: tuple[str, str] | None = None
     goes_on: bool = False
     unnamed: tuple[str, ...] = ()
-    paths: tuple[str, ...] = ()
     words: Callable[[Sequence[str]], list[str]] = list
     examples: tuple[tuple[str, str], ...] = ()
 
     def main(self, arguments: Sequence[str]) -> int:
         """Run the command; returns the exit status."""
-        words = self.words(arguments)
-        if not _is_sweep(words):  # there a comma is between two folders
-            words = [quoted(word, self.paths) for word in words]
+        words = _reader_chosen(self.words(arguments), self.name)
         if "-h" in words or "--help" in words:
             print(help.describe(self.name, words))
             return OK
@@ -87,10 +86,6 @@ class HydraCommand:
             return self._run(self._prepare(words))
         except KeyboardInterrupt:
             return self._interrupted()
-        except (FileExistsError, NotADirectoryError, PermissionError) as error:
-            return self._user_error(
-                error, f"{error.filename}: {error.strerror}. Name another folder or file."
-            )
         except EndedError as error:
             print(f"nsde {self.name}: {error}", file=sys.stderr)
             return error.status
@@ -115,6 +110,7 @@ class HydraCommand:
         if folder is not None:
             if not folder.is_dir():
                 raise ConfigError(f"`--config-dir {folder}`: no such folder.")
+            groups.check_own_files(folder, groups.selected(self.name, words))
             sys.path.insert(0, str(folder.resolve()))
         if _is_sweep(words):
             if not groups.sweeps(self.name):
@@ -123,11 +119,13 @@ class HydraCommand:
             if any(word.startswith("hydra/sweeper=optuna") for word in words):
                 # A failed job is a failed trial, not the end of the sweep.
                 words = _with_default(words, "hydra.sweeper.max_failure_rate", "1.0")
+        _refuse_other_folders(words)
         _refuse_used_folders(words)
-        resumed = [word.split("=", 1)[1] for word in words if word.startswith("resume=")]
-        if resumed and resumed[-1] not in ("", "null"):
-            words = _resume(words, Path(resumed[-1]))
-        return _options_first([_listed(_opened(coordinates_named(word), self.name)) for word in words])
+        resumed, files = _resumed(words), groups.files(self.name)
+        words = [path_word(word, files, sweep=_is_sweep(words)) for word in words]
+        if resumed is not None:
+            words = _resume(words, resumed)
+        return _options_first([_opened(coordinates_named(word), self.name) for word in words])
 
     def _run(self, words: list[str]) -> int:
         import hydra
@@ -157,7 +155,7 @@ class HydraCommand:
         if failed:
             names = "\n".join(f"  {path}" for path in failed)
             print(f"nsde {self.name}: {len(failed)} job(s) failed:\n{names}", file=sys.stderr)
-        print(f"Compare the jobs with: nsde sweep-report {sweep_dir}")
+        print(f"Compare the jobs with: {_report(sweep_dir)}")
         return FAILED_JOBS if failed else OK
 
     def _sweep_message(self) -> str | None:
@@ -166,7 +164,7 @@ class HydraCommand:
 
         if LAST.sweep_dir is None or not failed_jobs(LAST.sweep_dir):
             return None
-        return f"the sweep stopped after failed jobs; see: nsde sweep-report {LAST.sweep_dir}"
+        return f"the sweep stopped after failed jobs; see: {_report(LAST.sweep_dir)}"
 
     def _user_error(self, error: Exception, message: str) -> int:
         if os.environ.get(_TRACEBACK) == "1":
@@ -175,15 +173,21 @@ class HydraCommand:
         return USER_ERROR
 
     def _interrupted(self) -> int:
-        from .jobs import LAST
+        from .jobs import LAST, Job, record
 
         line = f"nsde {self.name}: interrupted."
         if LAST.sweep_dir is not None:
-            line += f" Finished jobs are in {LAST.sweep_dir}; see: nsde sweep-report {LAST.sweep_dir}"
+            line += f" Finished jobs are in {LAST.sweep_dir}; see: {_report(LAST.sweep_dir)}"
+        elif LAST.run_dir is not None and _holds_no_work(LAST.run_dir):
+            record(
+                KeyboardInterrupt("interrupted"), Job(LAST.run_dir, sweep=False)
+            )  # its folder is free again
+            line += " There is nothing to continue yet: start the same command again."
         elif LAST.run_dir is not None and groups.has(self.name, "resume"):
-            line += f" Continue with: nsde {self.name} resume={LAST.run_dir}"
+            line += f" Continue with: {as_typed('nsde', self.name, paths={'resume': LAST.run_dir})}"
         elif LAST.run_dir is not None and self.goes_on:
-            line += f" What is finished is kept: start the same command again with out_dir={LAST.run_dir} to go on."
+            line += " What is finished is kept: start the same command again with "
+            line += f"{as_typed(paths={'out_dir': LAST.run_dir})} to go on."
         elif (
             LAST.run_dir is not None and self.result is not None and (LAST.run_dir / self.result[0]).is_file()
         ):
@@ -194,6 +198,37 @@ class HydraCommand:
 
 def _is_sweep(words: Sequence[str]) -> bool:
     return "-m" in words or "--multirun" in words
+
+
+def _resumed(words: Sequence[str]) -> Path | None:
+    """The folder of the run that is to be continued."""
+    found = [word.partition("=")[2] for word in words if word.startswith("resume=")]
+    return Path(typed_path(found[-1])) if found and found[-1] not in ("", "null") else None
+
+
+def _reader_chosen(words: list[str], command: str) -> list[str]:
+    """The words with `data=log` where a path is named and no reader: then the names of the files tell the format."""
+    typed = [word.partition("=")[0].lstrip("+") for word in words]
+    if "data" not in groups.defaults(command) or _resumed(words) is not None:
+        return words
+    if "data.path" not in typed or "data" in typed:
+        return words
+    return ["data=log", *words]
+
+
+def _refuse_other_folders(words: Sequence[str]) -> None:
+    """What is written lies in the folder of the run or the sweep, which a key of the command names."""
+    for word in words:
+        key, _, value = word.lstrip("+").partition("=")
+        if key in _HYDRA_FOLDERS:
+            raise ConfigError(
+                f"`{key}` is set by the command: name the folder with {_HYDRA_FOLDERS[key]}=..."
+            )
+        inside = Path(typed_path(value))
+        if key in _HYDRA_NAMES and (inside.is_absolute() or ".." in inside.parts):
+            raise ConfigError(
+                f"`{key}` must be a name in the folder of the run, without `..`; got {value!r}."
+            )
 
 
 def _check_sweep(words: Sequence[str]) -> None:
@@ -209,10 +244,11 @@ def _refuse_used_folders(words: Sequence[str]) -> None:
     results = [command.result for command in hydra_commands().values() if command.result is not None]
     for word in words:
         key, _, value = word.partition("=")
-        folder = Path(value.strip("'\""))
+        folder = Path(typed_path(value))
         if key == "run_dir" and (folder / ".hydra").is_dir() and not _never_began(folder):
             raise ConfigError(
-                f"`run_dir={folder}` holds a run already. Continue it with resume={folder}, or name another."
+                f"`run_dir={folder}` holds a run already. Continue it with {as_typed(paths={'resume': folder})}, or "
+                "name another."
             )
         for file, called in results if key == "out_dir" else ():
             if (folder / file).is_file():
@@ -223,9 +259,15 @@ def _refuse_used_folders(words: Sequence[str]) -> None:
 
 def _never_began(folder: Path) -> bool:
     """Whether a run failed before it did any work (a wrong key, a missing file): nothing there to keep or continue."""
-    if not (folder / "failed.json").is_file():
-        return False
+    return (folder / "failed.json").is_file() and _holds_no_work(folder)
+
+
+def _holds_no_work(folder: Path) -> bool:
     return all(path.name in (".hydra", "failed.json") or path.suffix == ".log" for path in folder.iterdir())
+
+
+def _report(sweep_dir: Path) -> str:
+    return as_typed("nsde", "sweep-report", str(sweep_dir), paths={})
 
 
 def _with_default(words: list[str], key: str, value: str) -> list[str]:
@@ -241,14 +283,6 @@ def _opened(word: str, command: str) -> str:
     for entry in chain(walk(groups.schema(command)), *own):
         if entry.default == {} and (path == entry.path or path.startswith(f"{entry.path}.")):
             return f"++{word}"
-    return word
-
-
-def _listed(word: str) -> str:
-    """`system.effects=PATH.yaml` as the list that it is."""
-    key, _, value = word.partition("=")
-    if key == "system.effects" and value.endswith((".yaml", ".yml")) and not value.startswith("["):
-        return f"{key}=['{value}']"
     return word
 
 
@@ -284,7 +318,8 @@ def _resume(words: list[str], folder: Path) -> list[str]:
         if not str(word).startswith(("resume=", "run_dir="))
     ]
     # Hydra's record of the first start stays as it is, so that the run can be continued again.
-    fixed = [f"run_dir='{folder}'", f"hydra.run.dir='{folder}'", "hydra.output_subdir=null"]
+    name = quoted(str(folder))
+    fixed = [f"run_dir={name}", f"hydra.run.dir={name}", "hydra.output_subdir=null"]
     sources = yaml.safe_load((folder / ".hydra" / "hydra.yaml").read_text(encoding="utf-8"))
     for source in sources["hydra"]["runtime"]["config_sources"]:
         if source["provider"] == "command-line" and groups.config_dir(words) is None:

@@ -104,7 +104,7 @@ class HydraJob:
         except Exception as error:
             LAST.error = error
             if self.folder:
-                _record(error, job)
+                record(error, job)
             if job.sweep:
                 log.error("job failed: %s", error)  # a single run's error is printed by the command
             return None
@@ -149,7 +149,8 @@ def see_user_modules(hydra: Any) -> None:
             sys.path.insert(0, source.path)
 
 
-def _record(error: Exception, job: Job) -> None:
+def record(error: BaseException, job: Job) -> None:
+    """Write why a job ended into its folder."""
     text = "".join(traceback.format_exception(type(error), error, error.__traceback__))
     content = {"error": type(error).__name__, "message": str(error), "traceback": text}
     job.run_dir.mkdir(parents=True, exist_ok=True)

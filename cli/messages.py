@@ -4,11 +4,15 @@ from __future__ import annotations
 
 import dataclasses
 import difflib
+import errno
 import re
 from collections.abc import Sequence
 
+import yaml
+
 from . import groups
 from .keys import walk
+from .quoted import as_typed
 from .schemas.choices import CHOICES
 
 # Arguments of the library whose key on the command line has another name.
@@ -19,6 +23,12 @@ _KEYS = {
     "horizon": "system.horizon",
     "dt": "data.dt",
 }
+# What the system says of a path that cannot be written to, or is none.
+_NO_PLACE = {
+    *(errno.EEXIST, errno.ENOTDIR, errno.EISDIR, errno.EACCES, errno.EPERM),
+    *(errno.ELOOP, errno.ENAMETOOLONG, errno.ENOSPC, errno.EROFS),
+}
+_TYPES = {"Float": "a number, without its unit", "Integer": "a whole number", "Boolean": "true or false"}
 _POINTER = "`nsde {command} --help` lists groups and keys."
 _NO_GROUP = re.compile(r"Could not override '(?P<group>[^'@]+)'. No match in the defaults list")
 _IN_FILE = re.compile(
@@ -38,7 +48,7 @@ def explain(error: Exception, command: str, words: Sequence[str]) -> str | None:
     Returns:
         The message, or None if the error is not about the configuration.
     """
-    from hydra.errors import HydraException, MissingConfigException
+    from hydra.errors import HydraException, MissingConfigException, OverrideParseException
     from omegaconf.errors import ConfigAttributeError, ConfigKeyError, OmegaConfBaseException
 
     in_file = _IN_FILE.match(str(error))
@@ -50,15 +60,36 @@ def explain(error: Exception, command: str, words: Sequence[str]) -> str | None:
     if isinstance(cause, (ConfigAttributeError, ConfigKeyError)) and cause.full_key:
         return unknown_key(str(cause.full_key), command, words)
     if isinstance(cause, OmegaConfBaseException) and cause.full_key:
-        reason = _first_line(cause).rstrip(".")
-        return f"`{cause.full_key}` cannot be set: {reason}.{_meaning(str(cause.full_key), command, words)}"
+        return f"`{cause.full_key}` {_wrong_type(cause)}.{_meaning(str(cause.full_key), command, words)}"
+    if isinstance(error, OverrideParseException):
+        return (
+            f"`{error.override}` is not in Hydra's grammar. Put text with spaces, brackets, quotes or letters beyond "
+            "ASCII into quotes, of the shell too: \"KEY='VALUE'\"."
+        )
+    if isinstance(error, yaml.YAMLError):
+        return f"A file of --config-dir is no plain YAML: {' '.join(str(error).split())}."
     absent = _NO_GROUP.search(str(error))
     if absent:
         return _no_group(absent["group"], command)
     if isinstance(error, (HydraException, OmegaConfBaseException)):
         text = re.sub(r"\n?See https?://\S+.*", "", str(error)).strip()
         return f"{text}\n{_POINTER.format(command=command)}"
+    if isinstance(error, OSError) and error.errno in _NO_PLACE and error.filename is not None:
+        return f"{error.filename}: {error.strerror}. Name another folder or file."
     return None
+
+
+def _wrong_type(error: Exception) -> str:
+    """What OmegaConf says of a value of another type, without the names of its converters."""
+    reason = _first_line(error).rstrip(".")
+    found = re.search(r"Value '(.*)' of type '.*' could not be converted to (\w+)", reason)
+    if found and found[2] in _TYPES:
+        return f"must be {_TYPES[found[2]]}; got {found[1]!r}"
+    if "not a ListConfig" in reason:
+        return "must be a list"
+    if "is not Optional" in reason:
+        return "must be given; it cannot be null"
+    return f"cannot be set: {reason}"
 
 
 def in_keys(text: str) -> str:
@@ -118,7 +149,7 @@ def _in_file(found: re.Match[str], command: str, words: Sequence[str]) -> str:
     """The message for a fault in a YAML file, most likely one of the user's own."""
     file, path = found["file"], found["key"]
     if "Key" not in found["kind"] and "Attribute" not in found["kind"]:
-        return f"In {file}.yaml: `{path}` cannot be set: {found['reason'].rstrip('.')}."
+        return f"In {file}.yaml: `{path}` {_wrong_type(ValueError(found['reason']))}."
     message = f"In {file}.yaml: {unknown_key(path, command, words)}"
     group = file.split("/")[0]
     if group in CHOICES:
@@ -134,9 +165,10 @@ def _unknown_choice(error: Exception, command: str, words: Sequence[str]) -> str
         group, slash, choice = missing.partition("/")
         group = group if slash else ""
     if group == "data" and "/" in choice:
+        instead = as_typed(paths={"data.path": choice})
         return (
-            f"`data={choice}`: `data` is a kind of data, and a path goes into `data.path`: data=log data.path={choice} "
-            "(the format is told by the names of the files)."
+            f"`data={choice}`: `data` is a kind of data, and a path goes into `data.path`: {instead} (the format is "
+            "told by the names of the files)."
         )
     options = [str(option) for option in getattr(error, "options", None) or []]
     if not group:

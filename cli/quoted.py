@@ -1,26 +1,98 @@
 """Words as a user types them that Hydra's grammar wants otherwise.
 
-Folders: quotes around the `=` and `,` in the folders of a sweep's jobs. Effects of one coordinate: the brackets of
-`coulomb_friction[q2]` are escaped in values, and are a level of their own in keys.
+Paths: a key of a file or folder holds a name, not grammar. It is quoted for Hydra, so that umlauts, spaces, brackets,
+`=`, `,` and quotes are letters like others. With -m a comma separates two of them; in a key that takes several `[A,B]`
+is a list. Text that is in quotes altogether was quoted by the user; `${...}` stays an interpolation.
+
+Effects of one coordinate: the brackets of `coulomb_friction[q2]` are escaped in values, and are a level of their own in
+keys.
 """
 
 from __future__ import annotations
 
+import os
 import re
-from collections.abc import Collection, Sequence
+import shlex
+from collections.abc import Mapping, Sequence
+
+from .keys import Key
 
 _QUOTED = re.compile(r"('(?:[^'\\]|\\.)*'|\"(?:[^\"\\]|\\.)*\")")
+_ITEM = re.compile(rf"\s*({_QUOTED.pattern[1:-1]}|\[[^\[\]]*\]|[^,]*?)\s*(?:,|$)")
 _LAW = re.compile(r"([A-Za-z_]\w*)\[(\w+)\]")
-_PLAIN = re.compile(r"[\w./:+@%~-]*|[\['\"$].*")
+# Hydra reads these as the text that they are, unless they are words of its own.
+_PLAIN = re.compile(r"(?:[A-Za-z_/]|\.{1,2}/)[\w./+-]*|\.{0,2}", re.ASCII)
+_WORDS = re.compile(r"true|false|null|nan|inf(inity)?", re.IGNORECASE)
+_SWEPT = re.compile(r"(choice|glob|interval|range|shuffle|sort|tag)\(.*\)")
+_EFFECTS = (".yaml", ".yml")
+_ONE_FOLDER = ("run_dir", "sweep_dir", "resume")
 
 
-def quoted(word: str, keys: Collection[str]) -> str:
-    """`KEY=DIR` with the quotes that DIR needs, for one of these keys; any other word as it is."""
-    name, _, value = word.partition("=")
-    if name not in keys or _PLAIN.fullmatch(value):
+def typed_path(value: str) -> str:
+    """The path that a value says: without the user's quotes, `~/` being the home folder as in a shell."""
+    if _QUOTED.fullmatch(value):
+        return re.sub(rf"(\\+)({value[0]}|$)", lambda m: m[1][: len(m[1]) // 2] + m[2], value[1:-1])
+    return os.path.expanduser(value) if value == "~" or value.startswith("~/") else value
+
+
+def quoted(value: str) -> str:
+    """A path as Hydra's grammar has it: in quotes, unless it is plain."""
+    if _PLAIN.fullmatch(value) and not _WORDS.fullmatch(value):
+        return value
+    escaped = re.sub(r"(\\*)('|$)", lambda m: 2 * m[1] + ("\\'" if m[2] else ""), value)
+    return f"'{escaped}'"
+
+
+def path_word(word: str, files: Mapping[str, Key], *, sweep: bool = False) -> str:
+    """`KEY=PATH` for Hydra, where KEY names files or folders; any other word as it is.
+
+    Args:
+        word: As it was typed.
+        files: The keys that name files or folders, by their path.
+        sweep: Whether a comma separates the values of two jobs.
+    """
+    name, equals, value = word.partition("=")
+    entry = files.get(name.lstrip("+"))
+    if entry is None or not equals or word.startswith("-") or (sweep and _SWEPT.fullmatch(value)):
         return word
-    escaped = value.replace("\\", "\\\\").replace("'", "\\'")
-    return f"{name}='{escaped}'"
+    effects = name.endswith("effects")
+    if effects and not any(end in value for end in _EFFECTS):
+        return word  # names and laws, which are Hydra's grammar
+    several = effects or "list" in entry.annotation or "Any" in entry.annotation
+
+    def one(item: str) -> str:
+        if (effects and not item.endswith(_EFFECTS)) or item in ("", "null", "???"):
+            return item
+        return quoted(typed_path(item))
+
+    def made(item: str) -> str:
+        if several and item.startswith("[") and item.endswith("]"):
+            return f"[{','.join(map(one, _items(item[1:-1])))}]"
+        alone = name.endswith("system.effects") and item.endswith(_EFFECTS)
+        return f"[{one(item)}]" if alone else one(item)  # that key holds a list, of one file as well
+
+    swept = sweep and name not in _ONE_FOLDER
+    return f"{name}={','.join(map(made, _items(value) if swept else [value]))}"
+
+
+def _items(text: str) -> list[str]:
+    """What commas separate, but for those in quotes and brackets."""
+    found, place = [], 0
+    while place <= len(text):
+        match = _ITEM.match(text, place)
+        assert match is not None  # its last choice is any text
+        found.append(match[1])
+        place = match.end() + (match.end() == len(text) and not match[0].endswith(","))
+    return found
+
+
+def as_typed(*words: str, paths: Mapping[str, object]) -> str:
+    """Words, and `KEY=PATH` for each of the paths, as a shell takes them: a line that is printed can be copied."""
+    return shlex.join([*words, *(f"{key}={_literal(str(path))}" for key, path in paths.items())])
+
+
+def _literal(path: str) -> str:
+    return f"./{path}" if typed_path(path) != path else path
 
 
 def coordinates_named(word: str) -> str:

@@ -63,6 +63,8 @@ def function_by_name(name: str, *, kind: str = "function") -> Callable[..., Any]
 
 
 def _found(module: str, attribute: str, *, kind: str, name: str, what: str) -> Any:
+    if not module or module.startswith("."):
+        raise ConfigError(f"{kind} {name!r}: expected `module:{what}`, with the full name of the module.")
     try:
         return getattr(importlib.import_module(module), attribute)
     except ModuleNotFoundError as error:

@@ -41,6 +41,7 @@ def key(
     low: float | None = None,
     above: float | None = None,
     high: float | None = None,
+    file: bool = False,
 ) -> Any:
     """A dataclass field that documents itself.
 
@@ -52,8 +53,10 @@ def key(
         low: Smallest value allowed (of every entry, if the value is a list).
         above: Bound that the value must exceed.
         high: Largest value allowed.
+        file: Whether the value names a file or folder (or several, or may do so).
     """
     metadata = {"help": help, "unit": unit, "choices": choices, "low": low, "above": above, "high": high}
+    metadata["file"] = file
     return declared(default, metadata)
 
 
@@ -77,6 +80,7 @@ class Key:
     low: float | None
     above: float | None
     high: float | None
+    file: bool
     owner: type
 
     @property

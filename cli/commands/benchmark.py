@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 class BenchmarkData:
     """Where the files of the set are."""
 
-    path: str = key("???", "checkout of the repository of the set, or a folder with its files")
+    path: str = key("???", "checkout of the repository of the set, or a folder with its files", file=True)
 
 
 @dataclass
@@ -32,7 +32,7 @@ class BenchmarkConfig:
 
     name: str = key("???", f"the set: {', '.join(BENCHMARK_HOMES)}, or module:Class of your own")
     threads: int = key(1, "CPU threads of torch", low=1)
-    out_dir: str = key("???", "folder to write into; finished stages in it are used again")
+    out_dir: str = key("???", "folder to write into; finished stages in it are used again", file=True)
     data: BenchmarkData = group(BenchmarkData, "its files")
 
 
@@ -69,7 +69,6 @@ COMMAND = BenchmarkCommand(
         ("emps data.path=sysid-neural-continuous/", "friction of a drive"),
         ("silverbox data.path=nsi-silverbox/", "a cubic spring, from positions alone"),
     ),
-    paths=("out_dir", "data.path"),
 )
 
 

@@ -60,7 +60,7 @@ class CloseLoopConfig:
     lead: float = key(0.05, "how much earlier than needed rates are asked for", unit="s", low=0)
     seed: int = key(0, "seed of gusts and noise", low=0)
     threads: int = key(1, "CPU threads of torch", low=1)
-    out_dir: str = key("???", "folder to write into; what is finished in it is not done again")
+    out_dir: str = key("???", "folder to write into; what is finished in it is not done again", file=True)
     reference: ReferenceConfig = group(ReferenceConfig, "where to fly, from the place of take-off")
     plant: FlownPlantConfig = group(
         FlownPlantConfig, "the machine, with effects that the controller is not told of"
@@ -80,7 +80,6 @@ COMMAND = HydraCommand(
     values={"plant": {"effects": [{"linear_drag": {"drag": [0.6, 0.6, 0.2]}}]}},
     goes_on=True,
     folder="close_loops/${now:%Y-%m-%d}/${now:%H-%M-%S}_${hydra:runtime.choices.reference}",
-    paths=("out_dir",),
 )
 
 

@@ -11,6 +11,7 @@ from nsde_torch.design.options import DesignOptions
 
 from ..hydra_command import HydraCommand
 from ..keys import key, mirrors
+from ..quoted import as_typed
 
 if TYPE_CHECKING:
     from omegaconf import DictConfig
@@ -25,9 +26,11 @@ class DesignConfig:
     """`nsde design`."""
 
     run: str = key(
-        "???", "folder of a diagnosis (nsde diagnose), whose ties or hidden parameters are asked for"
+        "???",
+        "folder of a diagnosis (nsde diagnose), whose ties or hidden parameters are asked for",
+        file=True,
     )
-    runs: str | None = key(None, "where the runs of the diagnosis are now; null: where they were")
+    runs: str | None = key(None, "where the runs of the diagnosis are now; null: where they were", file=True)
     members: Any = key(
         None,
         "what may be true, each a list of effects beside the declared physics: [[coulomb_friction,constant_force],"
@@ -36,13 +39,16 @@ class DesignConfig:
     flown: str | None = key(
         None,
         "runs of a flown experiment: say what it told, and plan none (file or folder, as the runs of the diagnosis)",
+        file=True,
     )
-    plan: str | None = key(None, "with flown=: folder of its plan (nsde design), for what was expected")
+    plan: str | None = key(
+        None, "with flown=: folder of its plan (nsde design), for what was expected", file=True
+    )
     baselines: bool = key(
         True, "measure usual inputs beside the plan: multisine, chirp, doublets, the longest run again"
     )
     threads: int = key(1, "CPU threads of torch", low=1)
-    out_dir: str = key("???", "folder to write into")
+    out_dir: str = key("???", "folder to write into", file=True)
 
 
 COMMAND = HydraCommand(
@@ -62,7 +68,6 @@ COMMAND = HydraCommand(
         ("run=diagnosis/ 'limits={q: [-0.5,0.5], force: [-1,1]}'", "within these limits"),
         ("run=diagnosis/ flown=log/ plan=experiment/ out_dir=obtained/", "what did the experiment tell?"),
     ),
-    paths=("run", "runs", "flown", "plan", "out_dir"),
 )
 
 
@@ -103,10 +108,11 @@ def run(config: DictConfig, job: Job) -> None:
     stages.close()
     made.save(job.run_dir)
     print(made.report)
+    plan = {"plan": job.run_dir}
     print(
         f"\ntook {time.perf_counter() - started:.0f} s; wrote {job.run_dir}: design.json, plan.csv, design.png\n"
-        f"give the machine plan.csv (simulated: nsde simulate pilot=plan plan={job.run_dir}), then: "
-        f"nsde design run={config.run} flown=LOG plan={job.run_dir}"
+        f"give the machine plan.csv (simulated: {as_typed('nsde', 'simulate', 'pilot=plan', paths=plan)}), then: "
+        f"{as_typed('nsde', 'design', 'flown=LOG', paths={'run': config.run, **plan})}"
     )
 
 

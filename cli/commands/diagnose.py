@@ -43,7 +43,7 @@ class DiagnoseConfig:
     device: str = key("cpu", "where the training's tensors live: cpu, cuda or cuda:N")
     dtype: str = key("float32", "precision of the training", choices=("float32", "float64"))
     threads: int = key(1, "CPU threads of torch; more seldom help and hurt on a busy machine", low=1)
-    out_dir: str = key("???", "folder to write into")
+    out_dir: str = key("???", "folder to write into", file=True)
     system: SystemConfig = group(SystemConfig, "the machine, with the physics that is declared")
     data: DataConfig = group(DataConfig, "where the runs come from")
     model: ModelConfig = group(ModelConfig, "what is trained with the effects")
@@ -74,7 +74,6 @@ COMMAND = HydraCommand(
         ("retrain=false", "do not train with what was found"),
         ("retrain=false rehearse=true", "would it be found again?"),
     ),
-    paths=("out_dir",),
 )
 
 
@@ -141,15 +140,19 @@ def _training(config: DictConfig, job: Job) -> str:
     from nsde_torch.systems.names import SYSTEM_HOMES as CHOICES
 
     from ..own_modules import config_folders
-    from ..quoted import quoted
+    from ..quoted import as_typed
 
     runtime = HydraConfig.get().runtime
-    words = ["nsde train", *(f"--config-dir {path}" for path in config_folders(runtime.config_sources))]
+    words = ["nsde", "train"]
+    for folder in config_folders(runtime.config_sources):
+        words += ["--config-dir", folder]
     choice, name = runtime.choices["system"], config.system.name
     words.append(f"system.name={name}" if choice != name and choice in CHOICES else f"system={choice}")
+    paths: dict[str, object] = {"system.effects": job.run_dir / "effects.yaml"}
     if isinstance(path := config.data.get("path"), str):
-        words += [f"data={runtime.choices['data']}", quoted(f"data.path={path}", ("data.path",))]
-    return " ".join([*words, quoted(f"system.effects={job.run_dir / 'effects.yaml'}", ("system.effects",))])
+        words.append(f"data={runtime.choices['data']}")
+        paths = {"data.path": path, **paths}
+    return as_typed(*words, paths=paths)
 
 
 def _rehearse(config: DictConfig, found: Diagnosis) -> dict[str, Any]:

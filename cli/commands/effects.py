@@ -11,8 +11,6 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import yaml
-
 from nsde_torch.errors import ConfigError, NsdeError
 
 from .. import groups
@@ -119,7 +117,7 @@ def _own_name(system: str, config_dir: Path | None) -> str:
     file = None if config_dir is None else config_dir / "system" / f"{system}.yaml"
     if file is None or not file.is_file():
         return system
-    content = yaml.safe_load(file.read_text(encoding="utf-8"))
+    content = groups.read_yaml(file)
     name = content.get("name") if isinstance(content, dict) else None
     if not isinstance(name, str):
         raise ConfigError(f"{file} must hold `name: module:Class`.")

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 class EvaluateConfig:
     """`nsde evaluate`."""
 
-    run: Any = key("???", "run directory to evaluate, or several to compare: run=[A,B]")
+    run: Any = key("???", "run directory to evaluate, or several to compare: run=[A,B]", file=True)
     names: list[str] | None = key(None, "name of each run in tables and figures; null: its folder")
     seed: int = key(0, "seed of the sampled paths and of the bootstrap", low=0)
     device: str = key("cpu", "where tensors live: cpu, cuda or cuda:N")
@@ -37,7 +37,7 @@ class EvaluateConfig:
         choices=("train", "data"),
     )
     compile: bool = key(False, "compile the step: half a minute or more, which some thousand starts repay")
-    out_dir: str = key("???", "folder to write into")
+    out_dir: str = key("???", "folder to write into", file=True)
     data: RunChoice = group(RunChoice, "runs to score on; null: those that the first run was tested on")
 
 
@@ -57,7 +57,6 @@ COMMAND = HydraCommand(
         ("run=runs/a data=csv data.path=flights/", "on other data, all runs of them"),
         ("run=runs/a 'horizons=[0.2,1,5]'", "lists in brackets, quoted"),
     ),
-    paths=("run",),
 )
 
 

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 from ..hydra_command import HydraCommand
 from ..keys import group, key
+from ..quoted import as_typed
 from ..schemas.control import FlownPlantConfig, MpcConfig
 
 if TYPE_CHECKING:
@@ -22,9 +23,11 @@ class ExportConfig:
     """`nsde export`."""
 
     run: str = key(
-        "???", "run directory of the model to plan with, or `declared`: physics with the plant's values"
+        "???",
+        "run directory of the model to plan with, or `declared`: physics with the plant's values",
+        file=True,
     )
-    out: str = key("???", "file to write, controller.ts or controller.pt2")
+    out: str = key("???", "file to write, controller.ts or controller.pt2", file=True)
     overwrite: bool = key(False, "replace a file that is there")
     format: str = key(
         "torchscript",
@@ -47,7 +50,6 @@ COMMAND = HydraCommand(
     schema=ExportConfig,
     module=__name__,
     groups={"plant": "hexacopter", "mpc": "default"},
-    paths=("out", "run"),
 )
 
 
@@ -94,5 +96,6 @@ def run(config: DictConfig, job: Job) -> None:
     )
     print(
         f"took {time.perf_counter() - started:.0f} s; wrote {path} ({path.stat().st_size / 1024:.0f} kB, "
-        f"{config.format}, sha256 {digest[:16]}...); check it with: nsde verify {path} run={config.run}"
+        f"{config.format}, sha256 {digest[:16]}...); check it with: "
+        + as_typed("nsde", "verify", paths={"controller": path, "run": config.run})
     )

@@ -42,17 +42,23 @@ class FiguresConfig:
         choices=("fast", "full"),
     )
     published: str | None = key(
-        None, "folder of the authors' files (hexacopter/, cartpole/, ...); null: data of our own plants"
+        None,
+        "folder of the authors' files (hexacopter/, cartpole/, ...); null: data of our own plants",
+        file=True,
     )
     seeds: int | None = key(None, "models of each kind; null: 1 with fast, 3 with full settings", low=1)
     jobs: int = key(2, "trainings at a time, one thread each", low=1)
     policies: str | None = key(
-        None, "folder of a study by benchmarks/bench_policy.py, for fig13 and fig14; null: not drawn"
+        None,
+        "folder of a study by benchmarks/bench_policy.py, for fig13 and fig14; null: not drawn",
+        file=True,
     )
     seed: int = key(0, "seed of the particles", low=0)
     threads: int = key(1, "CPU threads of torch", low=1)
     out_dir: str = key(
-        "???", "folder of figures, captions and trained models; finished models in it are used again"
+        "???",
+        "folder of figures, captions and trained models; finished models in it are used again",
+        file=True,
     )
 
 

@@ -36,6 +36,7 @@ class FlownSystem:
     effects: Any = key(
         [],
         "effects that run=declared is told of: names, {NAME: {parameter: 1}}, or the file effects.yaml of a diagnosis",
+        file=True,
     )
 
 
@@ -47,6 +48,7 @@ class FlyConfig:
         "???",
         "run directory of the model to plan with, a file of nsde export (controller=FILE says the same), `declared` "
         "physics with the plant's values, or pid",
+        file=True,
     )
     height: float = of(FlightOptions, "height")
     climb_past: float = of(FlightOptions, "climb_past")
@@ -69,7 +71,7 @@ class FlyConfig:
     )
     repeats: int = key(1, "flights, one after another", low=1)
     threads: int = key(1, "CPU threads of torch; more make small solves slower", low=1)
-    out_dir: str = key("???", "folder to write into")
+    out_dir: str = key("???", "folder to write into", file=True)
     system: FlownSystem = group(FlownSystem, "the machine, where run= is no model that knows it")
     reference: ReferenceConfig = group(ReferenceConfig, "where to fly, from the place of take-off")
     link: LinkConfig = group(LinkConfig, "how the vehicle is reached")
@@ -90,7 +92,6 @@ COMMAND = HydraCommand(
     },
     folder="flights/${now:%Y-%m-%d}/${now:%H-%M-%S}_${hydra:runtime.choices.reference}",
     result=("flight.json", "a flight"),
-    paths=("out_dir", "run"),
     words=from_file,
 )
 

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 from nsde_torch.errors import ConfigError, NsdeError
 
 from ..exit_status import FAILED_JOBS, OK, USER_ERROR
+from ..quoted import as_typed
 from ..registry import PlainCommand
 
 if TYPE_CHECKING:
@@ -74,8 +75,9 @@ def _inspect(path: str, given: dict[str, str]) -> int:
         print(_write(found, target, overwrite=given.get("overwrite") == "true"))
     if found.usable:
         used = Path(given["mapping"]) if "mapping" in given else target
-        key = _mapping_key(found, used, path)
-        print(f"\nnext: nsde train system={found.system} data={found.kind} data.path={path}{key}")
+        words = ("nsde", "train", f"system={found.system}", f"data={found.kind}")
+        paths = {"data.path": path, **_mapping_key(found, used, path)}
+        print(f"\nnext: {as_typed(*words, paths=paths)}")
     return OK if found.usable else FAILED_JOBS
 
 
@@ -84,10 +86,10 @@ def _beside(path: str) -> Path:
     return folder / "mapping.yaml"
 
 
-def _mapping_key(found: Inspection, target: Path | None, path: str) -> str:
+def _mapping_key(found: Inspection, target: Path | None, path: str) -> dict[str, Path]:
     if found.native or target is None or target == _beside(path):
-        return ""
-    return f" data.mapping={target}"
+        return {}
+    return {"data.mapping": target}
 
 
 def _write(found: Inspection, target: Path, *, overwrite: bool) -> str:

@@ -39,7 +39,9 @@ class PolicySystem:
 class PolicyConfig:
     """`nsde policy`."""
 
-    environment: str = key("truth", "where the policy learns: truth, or the run directory of a model")
+    environment: str = key(
+        "truth", "where the policy learns: truth, or the run directory of a model", file=True
+    )
     truth: str = key(
         "plant",
         "the true machine: plant (this package's, as data=simulated) or published (that of the authors' data)",
@@ -54,12 +56,14 @@ class PolicyConfig:
     steps: int = of(PolicyOptions, "interactions")
     seed: int = key(0, "seed of networks, actions and first states", low=0)
     scored_against: list[str] = key(
-        [], "folders of policies that learned on the same truth; the score is relative to them"
+        [], "folders of policies that learned on the same truth; the score is relative to them", file=True
     )
     threads: int = key(1, "CPU threads of torch; more seldom help and hurt on a busy machine", low=1)
-    run_dir: str = key("???", "folder of this run")
-    sweep_dir: str = key("???", "folder of a sweep (-m); its jobs lie inside")
-    resume: str | None = key(None, "folder of an interrupted run to continue, with its configuration")
+    run_dir: str = key("???", "folder of this run", file=True)
+    sweep_dir: str = key("???", "folder of a sweep (-m); its jobs lie inside", file=True)
+    resume: str | None = key(
+        None, "folder of an interrupted run to continue, with its configuration", file=True
+    )
     system: PolicySystem = group(PolicySystem, "the machine")
     ppo: PpoConfig = group(PpoConfig, "how it learns")
 
@@ -80,7 +84,6 @@ COMMAND = HydraCommand(
         ("resume=runs/policy", "continue an interrupted run"),
         ("-m seed=0,1,2", "a sweep, one job for each seed"),
     ),
-    paths=("environment",),
 )
 
 

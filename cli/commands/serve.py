@@ -27,7 +27,7 @@ class ServeConfig:
     """`nsde serve`."""
 
     port: int = key(8765, "port on 127.0.0.1; 0: any that is free", low=0, high=65535)
-    out_dir: str = key("served", "folder that keeps the logs and what was found in them")
+    out_dir: str = key("served", "folder that keeps the logs and what was found in them", file=True)
     upload: float = key(512.0, "largest upload of one diagnosis, all its logs together", unit="MiB", above=0)
     time: float = key(3600.0, "longest time of one diagnosis", unit="s", above=0)
     memory: float = key(8.0, "largest memory of one diagnosis", unit="GiB", above=0)
@@ -52,7 +52,6 @@ COMMAND = HydraCommand(
         ("out_dir=diagnoses", "keep logs and results in this folder"),
         ("--config-dir my_machines", "with machines of your own"),
     ),
-    paths=("out_dir",),
 )
 
 

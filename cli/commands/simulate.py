@@ -34,6 +34,7 @@ class PlantConfig:
         [],
         "effects that nobody declares: names, module:Class of your own, {NAME: {parameter: 1}}, or an effects.yaml of "
         "nsde diagnose; a size that is not given is a typical one (`nsde effects` lists them)",
+        file=True,
     )
     parameters: dict[str, Any] = key(
         {}, "values of these effects and of the declared physics, plant.parameters.EFFECT.NAME=1"
@@ -61,8 +62,10 @@ class ReplayConfig:
 class SimulateConfig:
     """`nsde simulate`."""
 
-    out: str = key("???", "folder of the data set: one CSV file per run, and nothing else")
-    truth: str | None = key(None, "file that says what is in it; null: OUT.truth.json, beside the folder")
+    out: str = key("???", "folder of the data set: one CSV file per run, and nothing else", file=True)
+    truth: str | None = key(
+        None, "file that says what is in it; null: OUT.truth.json, beside the folder", file=True
+    )
     overwrite: bool = key(False, "replace the CSV files of a folder that holds something, and the truth")
     seed: int = key(0, "seed of first states, inputs and noise", low=0)
     durations: list[float] | None = key(
@@ -77,7 +80,7 @@ class SimulateConfig:
         "plan: the inputs of a plan (nsde design), or of a CSV file of t and the inputs",
         choices=("manual", "replay", "plan"),
     )
-    plan: str | None = key(None, "with pilot=plan: folder of nsde design, or the CSV file")
+    plan: str | None = key(None, "with pilot=plan: folder of nsde design, or the CSV file", file=True)
     threads: int = key(1, "CPU threads of torch", low=1)
     system: PlantSystem = group(PlantSystem, "the machine")
     plant: PlantConfig = group(PlantConfig, "what it holds")
@@ -91,7 +94,6 @@ COMMAND = HydraCommand(
     schema=SimulateConfig,
     module=__name__,
     groups={"system": "hexacopter"},
-    paths=("out", "truth", "plan"),
 )
 
 

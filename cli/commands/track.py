@@ -35,8 +35,11 @@ class TrackConfig:
         "???",
         "run directory of the model to plan with, `declared`: physics with the plant's values, or a file of nsde "
         "export (controller=FILE says the same)",
+        file=True,
     )
-    beside: list[str] = key([], "further controllers on the same flights: run directories (same mpc), or pid")
+    beside: list[str] = key(
+        [], "further controllers on the same flights: run directories (same mpc), or pid", file=True
+    )
     machines: int = key(1, "flights, each with noise of its own", low=1)
     at_once: int | None = key(
         None, "machines in one batch; null: 1 up to 32 machines, else all of them (Monte Carlo)", low=1
@@ -45,7 +48,7 @@ class TrackConfig:
     seed: int = key(0, "seed of the plant's noise", low=0)
     animation: str | None = key(None, "film of the first flight: gif or mp4", choices=("gif", "mp4"))
     threads: int = key(1, "CPU threads of torch; more make small solves slower", low=1)
-    out_dir: str = key("???", "folder to write into")
+    out_dir: str = key("???", "folder to write into", file=True)
     reference: ReferenceConfig = group(ReferenceConfig, "where to fly")
     plant: FlownPlantConfig = group(FlownPlantConfig, "what is flown")
     mpc: MpcConfig = group(MpcConfig, "the controller")
@@ -59,7 +62,6 @@ COMMAND = HydraCommand(
     groups={"reference": "lemniscate", "plant": "hexacopter", "mpc": "default"},
     folder="tracks/${now:%Y-%m-%d}/${now:%H-%M-%S}_${hydra:runtime.choices.reference}",
     result=("tracking.json", "a flight"),
-    paths=("out_dir", "run"),
     words=from_file,
 )
 

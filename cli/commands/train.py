@@ -25,9 +25,11 @@ class TrainConfig:
     device: str = key("cpu", "where tensors live: cpu, cuda or cuda:N")
     dtype: str = key("float32", "precision", choices=("float32", "float64"))
     threads: int = key(1, "CPU threads of torch; more seldom help and hurt on a busy machine", low=1)
-    run_dir: str = key("???", "folder of this run")
-    sweep_dir: str = key("???", "folder of a sweep (-m); its jobs lie inside")
-    resume: str | None = key(None, "folder of an interrupted run to continue, with its configuration")
+    run_dir: str = key("???", "folder of this run", file=True)
+    sweep_dir: str = key("???", "folder of a sweep (-m); its jobs lie inside", file=True)
+    resume: str | None = key(
+        None, "folder of an interrupted run to continue, with its configuration", file=True
+    )
     system: SystemConfig = group(SystemConfig, "the machine")
     data: DataConfig = group(DataConfig, "where the runs come from")
     model: ModelConfig = group(ModelConfig, "what is learned")

@@ -27,23 +27,26 @@ if TYPE_CHECKING:
 class VerifyConfig:
     """`nsde verify`."""
 
-    controller: str = key("???", "file that nsde export wrote; `nsde verify FILE` says the same")
-    run: str = key("???", "run directory that it was made of, or `declared`")
+    controller: str = key("???", "file that nsde export wrote; `nsde verify FILE` says the same", file=True)
+    run: str = key("???", "run directory that it was made of, or `declared`", file=True)
     log: str | None = key(
         None,
         "log/flight_K.csv of nsde track: states of that flight, along reference=; null: states drawn along it",
+        file=True,
     )
     states: int = key(1000, "states that the file and the controller in Python are given", low=1)
     adversarial: int = key(10000, "states that no sensor should send", low=0)
     seed: int = key(0, "seed of what is drawn", low=0)
-    out: str | None = key(None, "JSON file for what was found; null: none")
+    out: str | None = key(None, "JSON file for what was found; null: none", file=True)
     threads: int = key(1, "CPU threads of torch", low=1)
     reference: ReferenceConfig = group(ReferenceConfig, "where the states are taken from")
 
 
 def _file_first(words: Sequence[str]) -> list[str]:
     """`nsde verify FILE` as `controller=FILE`."""
-    return [f"controller={w}" if k == 0 and w[:1] != "-" and "=" not in w else w for k, w in enumerate(words)]
+    first, *rest = words or ("",)
+    alone = Path(first).exists() or (first[:1] != "-" and "=" not in first)
+    return [f"controller={first}", *rest] if first and alone else list(words)
 
 
 COMMAND = HydraCommand(
@@ -52,7 +55,6 @@ COMMAND = HydraCommand(
     schema=VerifyConfig,
     module=__name__,
     groups={"reference": "lemniscate"},
-    paths=("controller", "run", "log", "out"),
     words=_file_first,
 )
 

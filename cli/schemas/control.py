@@ -17,10 +17,10 @@ class FlownPlantConfig:
     kind: str = key("simulated", "set by plant=", choices=("simulated", "learned"))
     system: str | None = key(None, "name of a system that has a plant; null: that of the model")
     run: str | None = key(
-        None, "run directory of the model that is flown with plant=learned; null: that of run="
+        None, "run directory of the model that is flown with plant=learned; null: that of run=", file=True
     )
     effects: Any = key(
-        [], "effects that the model is not told of, beside the machine's own: as in nsde simulate"
+        [], "effects that the model is not told of, beside the machine's own: as in nsde simulate", file=True
     )
     declared_only: bool = key(False, "leave out the undeclared effects that the machine has anyway")
     process_noise: float = key(1.0, "strength of the gusts, relative to the machine's own", low=0)
@@ -78,7 +78,9 @@ class LinkConfig:
         False, "listen on an interface that other machines reach; without a key anyone may fly"
     )
     key_file: str | None = key(
-        None, "file with the signing key (64 hexadecimal digits, or a passphrase); null: no signing"
+        None,
+        "file with the signing key (64 hexadecimal digits, or a passphrase); null: no signing",
+        file=True,
     )
     system: int | None = key(
         None,

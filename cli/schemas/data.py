@@ -20,7 +20,9 @@ class RunChoice:
         None, "runs to test on, by index or name; null: the last run (evaluate with data=: all)"
     )
     test_path: str | None = key(
-        None, "file or folder of further runs to test on, recorded by sensors of another noise perhaps"
+        None,
+        "file or folder of further runs to test on, recorded by sensors of another noise perhaps",
+        file=True,
     )
 
 
@@ -53,12 +55,14 @@ class SimulatedData(DataConfig):
     durations: list[float] | None = key(None, "length of each run; null: the system's own", unit="s", above=0)
     seed: int = key(0, "seed of the simulated flights and their noise", low=0)
     effects: Any = key(
-        [], "effects that the plant has and the model is not told of: names, or {NAME: {parameter: 1}}"
+        [],
+        "effects that the plant has and the model is not told of: names, or {NAME: {parameter: 1}}",
+        file=True,
     )
     process_noise: float = key(1.0, "strength of the gusts, relative to the plant's own", low=0)
     sensor_noise: float = key(1.0, "strength of the measurement noise, relative to the plant's own", low=0)
     cache: str | None = key(
-        None, "folder that keeps simulated runs; null: NSDE_CACHE or the user's cache folder"
+        None, "folder that keeps simulated runs; null: NSDE_CACHE or the user's cache folder", file=True
     )
     options: dict[str, Any] = key({}, "further options of the system's recording, data.options.NAME=1")
 
@@ -67,7 +71,7 @@ class SimulatedData(DataConfig):
 class Files(DataConfig):
     """Where runs are read from."""
 
-    path: str = key("???", "file or folder to read")
+    path: str = key("???", "file or folder to read", file=True)
     dt: float | None = key(None, "step to resample to; null: the step of the data", unit="s", above=0)
     state_smoothing: str = key(
         "restore",
@@ -99,6 +103,7 @@ class MappedData(FileData):
         None,
         "YAML file that says what columns mean, as `nsde inspect` writes it; null: mapping.yaml beside the logs, else "
         "a proposal",
+        file=True,
     )
 
 

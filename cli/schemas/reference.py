@@ -58,6 +58,6 @@ class CsvReference(ReferenceConfig):
     """A minimum-snap path through the rows of a file."""
 
     kind: str = key("csv", "kind of the reference, set by reference=")
-    path: str = key("???", "CSV file with p_x p_y p_z [m], and if there are yaw [rad] and t [s]")
+    path: str = key("???", "CSV file with p_x p_y p_z [m], and if there are yaw [rad] and t [s]", file=True)
     speed: float = of(WaypointOptions, "speed", help="largest speed, where the file has no times")
     tilt: float = of(WaypointOptions, "tilt", help="largest tilt, where the file has no times")

@@ -12,7 +12,6 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, Protocol
 
-from ..quoted import quoted
 from .job import ServedJob
 from .limits import ServeLimits
 from .process import CommandProcess, EndOfProcess, Say
@@ -218,7 +217,7 @@ class JobRunner:
 
         words = self._words(job)
         self.shelf.note(job, state="running", stages=stages, repeat=shell(words))
-        end = self._run(job, [*words, quoted(f"out_dir={folder / RESULT}", ("out_dir",))], self.limits, say)
+        end = self._run(job, [*words, f"out_dir={folder / RESULT}"], self.limits, say)
         if end.stopped == "cancelled":
             return {"state": "cancelled", "sentence": end.sentence}
         content = self.shelf.read(job, f"{RESULT}/diagnosis.json")

@@ -7,10 +7,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from ..quoted import quoted
-
-_PATHS = ("data.path", "data.mapping", "out_dir")
-
 
 @dataclass(frozen=True)
 class Machines:
@@ -80,7 +76,7 @@ def diagnose_words(logs: Path, *, known: Machines, system: str, mapping: Path | 
     own = known.typed if system == known.first else ()
     words = ["diagnose", *known.options, f"system={system}", *own, "data=log", f"data.path={logs}"]
     words += [f"data.mapping={mapping}"] if mapping else []
-    return [*(quoted(word, _PATHS) for word in words), "retrain=false"]
+    return [*words, "retrain=false"]
 
 
 def shell(words: Sequence[str]) -> str:

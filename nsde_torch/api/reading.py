@@ -6,8 +6,9 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, TypeAlias
 
+from nsde_torch.data.any_log import format_of
 from nsde_torch.data.raw import RawRun
-from nsde_torch.data.readers import Kind, kind_of, name_of
+from nsde_torch.data.readers import Kind, name_of
 from nsde_torch.data.run import DataSet, Run
 from nsde_torch.data.splits import Split, split
 from nsde_torch.data.system_info import SystemInfo
@@ -102,7 +103,7 @@ def _assembled(
     given: dict[str, Any],
 ) -> DataSet:
     if isinstance(data, str | Path):
-        return read_kind(kind or kind_of(data), machine, path=str(data), **given, **options)
+        return read_kind(kind or format_of(data, machine), machine, path=str(data), **given, **options)
     for name, fault in remedies().items():
         if fault.remedy_first and given.pop(name, None):
             raise ConfigError(f"`{name}` is taken out of files; subtract it from the arrays of your own.")

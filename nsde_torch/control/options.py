@@ -72,7 +72,9 @@ class SolverOptions:
     deadline: float | None = key(
         None, "time for a solve; then the best plan so far is taken; null: none", unit="s", above=0
     )
-    cache: str | None = key(None, "folder that keeps it; null: NSDE_CACHE or the user's cache folder")
+    cache: str | None = key(
+        None, "folder that keeps it; null: NSDE_CACHE or the user's cache folder", file=True
+    )
 
     def __post_init__(self) -> None:
         check(type(self), vars(self))

@@ -97,7 +97,7 @@ class Parametrised(nn.Module):
             self.raw[name] = nn.Parameter(torch.zeros(len(initial)))
             self.set_value(name, initial)
         for name, value in (values or {}).items():
-            self.set_value(name, torch.as_tensor(value, dtype=torch.float64).reshape(-1))
+            self.set_value(name, value)
 
     def __deepcopy__(self, memo: dict[int, Any]) -> Any:
         return copied(self, memo)
@@ -122,17 +122,22 @@ class Parametrised(nn.Module):
         """Size of a typical change of a parameter, in its unit."""
         return self._scales[name]
 
-    def set_value(self, name: str, value: Tensor) -> None:
+    def set_value(self, name: str, value: Tensor | float | list[float]) -> None:
         """Set a declared parameter to a value (k,) in its unit, or one number for all axes.
 
         Raises:
-            ConfigError: unknown name, wrong length, or out of bounds.
+            ConfigError: unknown name, no number, wrong length, or out of bounds.
         """
         if name not in self._specs:
             known = ", ".join(self._specs) or "none"
             raise ConfigError(f"{type(self).__name__} has no parameter {name!r}; it has: {known}.")
         spec, raw = self._specs[name], self.raw[name]
-        v = torch.as_tensor(value, dtype=torch.float64).reshape(-1)
+        try:
+            v = torch.as_tensor(value, dtype=torch.float64).reshape(-1)
+        except (TypeError, ValueError):  # text, or lists in a list
+            raise ConfigError(
+                f"parameter {name!r} [{spec.unit}] of {type(self).__name__} takes numbers; got {value!r}."
+            ) from None
         if v.numel() not in (1, raw.numel()):
             raise ConfigError(f"parameter {name!r} takes {raw.numel()} number(s); got {v.numel()}.")
         if not bool(torch.isfinite(v).all()):

@@ -2,6 +2,7 @@
 
 import json
 import os
+import shlex
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -63,7 +64,7 @@ def load(run_dir: str | Path, *, device: str | torch.device = "cpu") -> Model:
         if not (folder / name).is_file():
             raise CheckpointError(
                 f"{folder} holds no {name}; it is no run directory, or its training has not finished "
-                f"(`nsde train resume={folder}` finishes it)."
+                f"(`nsde train {shlex.quote(f'resume={folder}')}` finishes it)."
             )
     try:
         config = yaml.safe_load((folder / CONFIG).read_text())

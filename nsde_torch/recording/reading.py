@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import inspect
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 from nsde_torch.data.raw import RawRun
@@ -51,12 +52,7 @@ def read(
         options["dt"] = dt
     if not path:
         raise ConfigError(f"`path` is empty; data of kind {name!r} need the path of a file or folder.")
-    try:
-        raw: Sequence[RawRun] = make(system, path=path, **options)
-    except TypeError as error:
-        if "unexpected keyword" in str(error):
-            raise ConfigError(f"data of kind {name!r}: {error}.") from error
-        raise
+    raw = _called(make, name, system, path=path, **options)
     for fault in [fault for fault in told if remedies()[fault].remedy_first]:
         values = told.pop(fault) or {}
         named = {run.name for run in raw}
@@ -68,3 +64,19 @@ def read(
         for run in raw if values else ():
             remedies()[fault].undo_raw(run, system, values)
     return assemble(raw, system, kind=name, dt=dt, gap=gap, clock=clock, derived_rates=derived_rates, **told)
+
+
+def _called(make: Callable[..., Any], name: str, system: SystemInfo, **given: Any) -> Sequence[RawRun]:
+    """What a reader returns, once its arguments are found to be those of a reader."""
+    try:
+        inspect.signature(make).bind(system, **given)
+    except (TypeError, ValueError) as error:  # other arguments, or a function in C that does not tell its own
+        raise ConfigError(
+            f"data of kind {name!r}: {error}. A reader is a function `read(system, *, path, ...)`."
+        ) from error
+    raw: Sequence[RawRun] = make(system, **given)
+    if not isinstance(raw, Sequence) or not all(isinstance(run, RawRun) for run in raw):
+        raise ConfigError(
+            f"data of kind {name!r}: a reader returns a list of `nsde_torch.data.RawRun`; got {type(raw).__name__}."
+        )
+    return raw

@@ -24,6 +24,7 @@ class SystemOptions:
     effects: tuple[str, ...] = key(
         (),
         "physical terms to add to the declared physics: names, module:Class, or an effects.yaml of nsde diagnose",
+        file=True,
     )
     declared: tuple[str, ...] | None = key(
         None, "physical terms instead of the declared ones; null: keep those"

@@ -103,22 +103,47 @@ def test_parameters_of_effects_are_reached_with_dots() -> None:
             ["data=/logs/monday"],
             "`data=/logs/monday`: `data` is a kind of data, and a path goes into `data.path`",
         ),
-        (["data=logs/monday"], "data=log data.path=logs/monday"),
+        (["data=logs/monday"], "a path goes into `data.path`: data.path=logs/monday"),
         (["loss=my/own"], "`loss=my/own`: no such choice."),
         (["hydra/launcher=joblob"], "`hydra/launcher=joblob`: no such choice."),
-        (["data.path=x"], "`data.path` is a key of data=csv or data=ulog or data=published"),
+        (
+            ["data=simulated", "data.path=x"],
+            "`data.path` is a key of data=csv or data=ulog or data=published",
+        ),
         (["data=csv"], "`data.path` must be given: file or folder to read. Add data.path=..."),
         (
             ["data=csv", "data.durations=[1]"],
             "`data.durations` is a key of data=simulated, but data=csv is chosen.",
         ),
-        (["trainer.steps=many"], "`trainer.steps` cannot be set: Value 'many'"),
+        (["trainer.steps=many"], "`trainer.steps` must be a whole number; got 'many'."),
+        (["system.dt=0.1s"], "`system.dt` must be a number, without its unit; got '0.1s'."),
+        (["data.path=nowhere"], "`data.path`: nowhere does not exist; expected a log or a folder of logs."),
+        (["data.path="], "`data.path` is empty"),
+        (["data.path=null"], "`data.path` must be given; it cannot be null."),
+        (["seed=ü"], "`seed=ü` is not in Hydra's grammar."),
+        (["hydra.output_subdir=../../x"], "`hydra.output_subdir` must be a name in the folder of the run"),
+        (["+hydra.output_subdir=/tmp/x"], "`hydra.output_subdir` must be a name in the folder of the run"),
+        (["hydra.job.name='../x'"], "`hydra.job.name` must be a name in the folder of the run"),
+        (["hydra.run.dir=/tmp/x"], "`hydra.run.dir` is set by the command: name the folder with run_dir"),
+        (
+            ["-m", "hydra.sweep.dir=x"],
+            "`hydra.sweep.dir` is set by the command: name the folder with sweep_dir",
+        ),
+        (["-m", "hydra.sweep.subdir=../x"], "`hydra.sweep.subdir` must be a name in the folder of the run"),
+        (
+            ["data=own", "data.kind=os:system", "data.path=x"],
+            "A reader is a function `read(system, *, path, ...)`.",
+        ),
+        (["data=own", "data.kind=builtins:max", "data.path=x"], "A reader is a function"),
+        (["data=own", "data.kind=:read", "data.path=x"], "expected `module:function`"),
+        (["run_dir=/dev/null/x"], "/dev/null/x: Not a directory. Name another folder or file."),
+        ([f"run_dir={'x' * 300}"], "File name too long. Name another folder or file."),
         (["trainer.steps=-1"], "`trainer.steps` must be at least 1; got -1."),
         (["dtype=float16"], "`dtype` must be float32 | float64; got 'float16'."),
         (["data.test=1"], "A list needs brackets: 'data.test=[...]'."),
         (["seed=0,1"], "To sweep over it, add --multirun"),
         (["data=csv", "data.path=nowhere"], "`data.path`: nowhere does not exist"),
-        (["system=[a"], "no viable alternative"),
+        (["system=[a"], "`system=[a` is not in Hydra's grammar."),
         (["--config-dir", "nowhere"], "`--config-dir nowhere`: no such folder."),
         (["resume=nowhere"], "there is no run to continue"),
         (["-m", "run_dir=a"], "a sweep takes `sweep_dir=...`"),
@@ -140,6 +165,39 @@ def test_a_mistake_is_one_clean_message(
     assert err.startswith("nsde train: ")
     assert "Traceback" not in err
     assert "https://" not in err
+
+
+@pytest.mark.parametrize(
+    ("content", "expected"),
+    [
+        (b"name: !!python/object/apply:os.system ['touch hacked']\n", "mine.yaml, line 1: no plain YAML"),
+        (b"name: [unclosed\n", "mine.yaml, line 2: no plain YAML"),
+        (b"\xff\xfe", "mine.yaml is no UTF-8 text"),
+    ],
+)
+@pytest.mark.parametrize("command", ["train", "effects"])
+def test_a_file_of_ones_own_that_is_no_plain_yaml_is_named(
+    command: str, content: bytes, expected: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "system").mkdir()
+    (tmp_path / "system" / "mine.yaml").write_bytes(content)
+    assert main([command, "--config-dir", str(tmp_path), "system=mine"]) == 2
+    said = capsys.readouterr().err
+    assert expected in said
+    assert len(said.splitlines()) == 1
+    assert not (tmp_path / "hacked").exists()
+
+
+@pytest.mark.parametrize("value", ["abc", "[1, [2]]", "2024-01-01", "{a: 1}"])
+def test_text_as_a_value_in_an_effects_file_is_refused(
+    value: str, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "effects.yaml").write_text(f"effects: {{coulomb_friction: {{size: {value}}}}}\n")
+    assert main(["diagnose", "system=mass_spring_damper", "system.effects=effects.yaml"]) == 2
+    said = capsys.readouterr().err
+    assert "size" in said
+    assert "Traceback" not in said
 
 
 @pytest.mark.parametrize(
@@ -187,7 +245,9 @@ def test_own_config_folder_adds_a_choice_that_is_checked_like_the_others(
     assert "In system/wrong.yaml: `system.nme` is not a key" in capsys.readouterr().err
     (tmp_path / "system" / "typed.yaml").write_text("name: my_module:Pendulum\nhorizon: long\n")
     assert main(["train", "--config-dir", str(tmp_path), "system=typed"]) == 2
-    assert "In system/typed.yaml: `system.horizon` cannot be set: Value 'long'" in capsys.readouterr().err
+    assert (
+        "In system/typed.yaml: `system.horizon` must be a whole number; got 'long'" in capsys.readouterr().err
+    )
 
 
 def test_own_data_file_builds_on_one_of_the_packages(

@@ -31,7 +31,7 @@ class ScratchConfig:
 
     factor: float = key(2.0, "factor on the mass", unit="1", above=0)
     steps: int = of(TrainerOptions, "steps", default=7)
-    out_dir: str = key("???", "folder to write into")
+    out_dir: str = key("???", "folder to write into", file=True)
     system: SystemConfig = group(SystemConfig, "the machine")
 
 
@@ -43,7 +43,6 @@ COMMAND = HydraCommand(
     groups={"system": "cartpole"},
     folder="scratches/${now:%Y-%m-%d}",
     result=("weight.json", "a weight"),
-    paths=("out_dir",),
     examples=(("factor=3", "three times as heavy"),),
 )
 

@@ -26,7 +26,9 @@ def run(config, job):
         raise DataError("`seed` 13 has no data.")
     if config.seed == 14:
         raise RuntimeError("bug")
-    if config.seed == 99:
+    if config.seed in (98, 99):
+        if config.seed == 99:
+            (job.run_dir / "checkpoint.safetensors").touch()
         open("started", "w").close()
         time.sleep(60)
     if config.system.name == "module_of_mine:Machine":
@@ -140,9 +142,16 @@ def test_a_module_in_the_users_folder_is_found_also_when_resuming(probe: Probe, 
     assert done.returncode == 0, done.stderr
 
 
-def test_ctrl_c_says_how_to_go_on(tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("seed", "advice"),
+    [
+        (99, "Continue with: nsde train resume={}"),
+        (98, "nothing to continue yet: start the same command again."),
+    ],
+)
+def test_ctrl_c_says_how_to_go_on(seed: int, advice: str, tmp_path: Path) -> None:
     process = subprocess.Popen(
-        [sys.executable, "-c", START, "seed=99", "run_dir=r"],
+        [sys.executable, "-c", START, f"seed={seed}", "run_dir=r"],
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
@@ -156,7 +165,8 @@ def test_ctrl_c_says_how_to_go_on(tmp_path: Path) -> None:
     process.send_signal(signal.SIGINT)
     _, err = process.communicate(timeout=30)
     assert process.returncode == 130
-    assert err.splitlines()[-1].endswith(f"Continue with: nsde train resume={tmp_path / 'r'}")
+    assert err.splitlines()[-1].endswith(advice.format(tmp_path / "r"))
+    assert (tmp_path / "r" / "failed.json").exists() == (seed == 98)  # then the folder is free again
 
 
 @pytest.mark.parametrize("launcher", ["basic", "joblib", "submitit_local"])

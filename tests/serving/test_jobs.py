@@ -6,6 +6,8 @@ import json
 import shlex
 from pathlib import Path
 
+from nsde_torch.cli import groups
+from nsde_torch.cli.quoted import path_word
 from nsde_torch.cli.serving.words import diagnose_words, inspect_words, machines
 from tests.serving.conftest import INSPECTION, Page, Played, make_page
 
@@ -66,8 +68,8 @@ def test_a_folder_with_odd_letters_is_quoted_for_the_shell_and_for_hydra(
     job = page.drop(CSV)
     page.runner.close()
     word = next(w for w in shlex.split(job["repeat"]) if w.startswith("data.path="))
-    assert word.startswith("data.path='")
-    assert word.endswith("/logs'")
+    assert word == f"data.path={page.folder / job['id'] / 'logs'}"
+    assert path_word(word, groups.files("diagnose")).startswith("data.path='")
 
 
 def test_stopping_keeps_the_logs_and_starting_again_works(page: Page, played: Played) -> None:

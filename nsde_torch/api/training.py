@@ -6,7 +6,7 @@ import tempfile
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import nullcontext
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import torch
 
@@ -47,7 +47,7 @@ def train(
     device: str | torch.device = "cpu",
     dtype: str | torch.dtype = "float32",
     about: Mapping[str, Any] | None = None,
-    say: Callable[[str], None] = print,
+    say: Callable[[str], None] | Literal[False] = print,
 ) -> Model:
     """Train a model on runs and score it on runs held out, as `nsde train` does.
 
@@ -78,7 +78,7 @@ def train(
         device: Where tensors live.
         dtype: Precision, "float32" or "float64".
         about: Plain values for the run directory's `config.yaml`.
-        say: Told what is going on; `lambda text: None` for silence.
+        say: Takes what is going on, line by line; a bar counts steps in a terminal and a notebook. False: neither.
 
     Returns:
         The model, in evaluation mode; `model.metrics` holds what `metrics.json` does: parameters with intervals,
@@ -92,7 +92,7 @@ def train(
     Example:
         >>> import nsde_torch
         >>> made = nsde_torch.simulate("mass_spring_damper", durations=[6.0] * 3, seed=1)
-        >>> model = nsde_torch.train(made, system="mass_spring_damper", model="sysid", say=lambda text: None)
+        >>> model = nsde_torch.train(made, system="mass_spring_damper", model="sysid", say=False)
         >>> sorted(model.metrics["parameters"])
         ['force_gain', 'linear_spring.stiffness', 'viscous_friction.damping']
     """

@@ -52,7 +52,7 @@ def fit_ensemble(task: Task) -> Fitted:
         seed=task.seed,
         identity=task.identity,
     )
-    loop.run(title=task.name, checkpoint=task.checkpoint, log=task.log)
+    loop.run(title=task.name, checkpoint=task.checkpoint, log=task.log, quiet=task.quiet)
     return Fitted(model, loop.progress, facts=_facts(loop))
 
 

@@ -248,7 +248,9 @@ class _Fit:
             penalty=lambda networks: self._decay(networks),
         )
         inputs = self.physics.steps.u[:, : model.system.nu].numpy()
-        with tqdm(total=settings.steps, desc=task.name, unit="step", disable=no_bar(), leave=False) as bar:
+        with tqdm(
+            total=settings.steps, desc=task.name, unit="step", disable=no_bar(task.quiet), leave=False
+        ) as bar:
             learned = fit_networks(
                 model.residuals,
                 lambda networks: pushed(model, networks, left, y),

@@ -59,7 +59,7 @@ def fit_sde(task: Task) -> Fitted:
         seed=task.seed,
         identity=task.identity,
     )
-    fit.run(title=task.name, checkpoint=task.checkpoint, log=task.log)
+    fit.run(title=task.name, checkpoint=task.checkpoint, log=task.log, quiet=task.quiet)
 
     def parameters() -> Parameters:
         if not spec.physics:

@@ -8,7 +8,7 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import torch
 
@@ -52,7 +52,7 @@ class Training:
         device: Where tensors live.
         dtype: Precision.
         about: Plain values for `config.yaml`.
-        say: Where text for people goes.
+        say: Where text for people goes; False: nowhere, and no progress bar.
         other_sensors: Whether the test runs were recorded by other sensors, whose noise is then estimated.
         instruments: Logged columns from outside the loop: sticks, setpoints.
     """
@@ -72,7 +72,7 @@ class Training:
         device: str | torch.device = "cpu",
         dtype: torch.dtype = torch.float32,
         about: Mapping[str, Any] | None = None,
-        say: Callable[[str], None] = print,
+        say: Callable[[str], None] | Literal[False] = print,
         other_sensors: bool = False,
         instruments: Sequence[str] = (),
     ) -> None:
@@ -80,7 +80,8 @@ class Training:
         self.validation, self.seed, self.values = validation, seed, values
         self.device, self.dtype = torch.device(device), dtype
         self.instruments = tuple(instruments)
-        self.folder, self.about, self.say, self.other_sensors = Path(run_dir), about, say, other_sensors
+        self.folder, self.about, self.other_sensors = Path(run_dir), about, other_sensors
+        self.say, self.quiet = say or (lambda text: None), say is False
         self.compile = options.compile != "off" and model_kind(spec.kind).compiles
         self.smoothing = smoothing_width(split.train, len(data.input_names))
         self.filter_reach = spec.input_filter_reach
@@ -167,6 +168,7 @@ class Training:
             checkpoint=self.folder / "checkpoints" / name.replace(" ", "_"),
             log=self._scalars(name),
             instruments=self.instruments,
+            quiet=self.quiet,
         )
         fitted: Fitted = model_kind(self.spec.kind).fit(task)
         return fitted

@@ -36,6 +36,7 @@ class Task:
         checkpoint: File (without suffix) to write to and to resume from.
         log: Called with step and losses at each validation.
         instruments: Logged columns from outside the loop (see `identify_in_loop`).
+        quiet: No progress bar.
     """
 
     spec: ModelSpec
@@ -52,6 +53,7 @@ class Task:
     checkpoint: Path
     log: Callable[[int, dict[str, float]], None]
     instruments: Sequence[str] = ()
+    quiet: bool = False
 
     @property
     def identity(self) -> str:

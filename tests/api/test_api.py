@@ -128,6 +128,14 @@ def test_what_was_found_is_given_to_a_training_by_name_file_and_mapping(runs: Pa
         nsde_torch.diagnose(runs, system="cartpole", effects=file)
 
 
+def test_a_training_says_nothing_where_it_is_asked_to(
+    runs: Path, capsys: pytest.CaptureFixture[str], caplog: pytest.LogCaptureFixture
+) -> None:
+    nsde_torch.train(runs, system=SYSTEM, model="sysid", say=False)
+    assert capsys.readouterr() == ("", "")
+    assert not caplog.records
+
+
 @pytest.mark.slow
 def test_evaluation_compares_models_by_their_names(runs: Path, tmp_path: Path) -> None:
     plain = nsde_torch.train(runs, system=SYSTEM, model="sysid", say=silent)

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import sys
 from dataclasses import replace
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 import numpy as np
@@ -373,3 +375,13 @@ def test_a_validation_score_that_is_not_finite_stops_with_the_remedy() -> None:
     loop.validation = Pairs(loop.validation.inputs, loop.validation.changes * float("nan"))
     with pytest.raises(NonFiniteError, match=r"validation score is not finite at step 0.*trainer\.lr"):
         loop.run(title="t", quiet=True)
+
+
+def test_a_bar_is_shown_in_a_notebook_and_not_where_it_is_to_be_quiet(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setitem(sys.modules, "ipykernel", ModuleType("ipykernel"))
+    fit_ensemble(make_task(tmp_path, members=2, hidden=(4,)))
+    assert "t:" in capsys.readouterr().err
+    fit_ensemble(replace(make_task(tmp_path / "quiet", members=2, hidden=(4,)), quiet=True))
+    assert capsys.readouterr() == ("", "")

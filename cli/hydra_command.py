@@ -267,7 +267,8 @@ def _holds_no_work(folder: Path) -> bool:
 
 
 def _report(sweep_dir: Path) -> str:
-    return as_typed("nsde", "sweep-report", str(sweep_dir), paths={})
+    folder = f"./{sweep_dir}" if str(sweep_dir).startswith("-") else str(sweep_dir)
+    return as_typed("nsde", "sweep-report", folder, paths={})
 
 
 def _with_default(words: list[str], key: str, value: str) -> list[str]:

@@ -28,7 +28,9 @@ COLUMNS = ("test.errors.model.*[a-z].1", "test.coverage.0.9.*[a-z].1", "truth_re
 
 def main(arguments: Sequence[str]) -> int:
     """Print the report of a sweep and write `sweep_report.json` and `sweep_report.csv` into its folder."""
-    options = _parser().parse_args(list(arguments))
+    # a folder whose name begins with a dash is no option
+    words = [f"./{word}" if word.startswith("-") and Path(word).is_dir() else word for word in arguments]
+    options = _parser().parse_args(words)
     folder = Path(options.dir)
     if not folder.is_dir():
         return _refuse(f"`{folder}` is not a folder; give the folder of a sweep, multirun/DATE/TIME.")

@@ -194,7 +194,7 @@ def test_one_odd_path_is_diagnosed_and_its_effects_are_found_again(
 
 
 @pytest.mark.usefixtures("elsewhere")
-@pytest.mark.parametrize("path", [p for p in ODD if p != "-x"])
+@pytest.mark.parametrize("path", ODD)
 def test_inspection_takes_every_path(path: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (tmp_path / path).mkdir()
     (tmp_path / path / "run.csv").write_text(
@@ -202,6 +202,20 @@ def test_inspection_takes_every_path(path: str, tmp_path: Path, capsys: pytest.C
     )
     assert main(["inspect", path, "physics=false", "system=mass_spring_damper"]) in (0, 1)
     assert "1 run (run)" in capsys.readouterr().out
+
+
+@pytest.mark.usefixtures("elsewhere")
+@pytest.mark.parametrize("path", ODD)
+def test_the_report_of_a_sweep_takes_every_path(
+    path: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    job = tmp_path / path / "0_seed=1"
+    (job / ".hydra").mkdir(parents=True)
+    (job / ".hydra" / "overrides.yaml").write_text("- seed=1\n")
+    (job / "metrics.json").write_text('{"validation": {"score": 1.0}}')
+    assert main(["sweep-report", path]) == 0
+    assert "1 jobs: 1 done" in capsys.readouterr().out
+    assert (tmp_path / path / "sweep_report.json").is_file()
 
 
 @pytest.mark.usefixtures("elsewhere")

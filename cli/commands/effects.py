@@ -35,7 +35,7 @@ def main(arguments: Sequence[str]) -> int:
         print(usage())
         return OK
     try:
-        folder, words = _config_dir(arguments)
+        folder, words = split_config_dir(arguments)
         given = _given(words)
         rows = catalogue(given.get("system"), config_dir=folder)
     except NsdeError as error:
@@ -97,7 +97,7 @@ def catalogue(system: str | None = None, *, config_dir: Path | None = None) -> l
         beside = str((config_dir or Path.cwd()).resolve())  # a system of the user's own, in a file there
         sys.path.insert(0, beside)
         try:
-            machine = system_class(_own_name(system, config_dir))
+            machine = system_class(own_name(system, config_dir))
         finally:
             sys.path.remove(beside)
         chosen = effects_of(machine.name, machine.ports, machine.bound_coordinates())
@@ -112,8 +112,16 @@ def catalogue(system: str | None = None, *, config_dir: Path | None = None) -> l
     return sorted(rows, key=lambda row: order.index(tuple(row["systems"])))
 
 
-def _own_name(system: str, config_dir: Path | None) -> str:
-    """What the user's own file `system/NAME.yaml` names, or the name as it is."""
+def own_name(system: str, config_dir: Path | None) -> str:
+    """What the user's own file `system/NAME.yaml` names, or the name as it is.
+
+    Args:
+        system: What was typed.
+        config_dir: Folder of `--config-dir`; None: none.
+
+    Raises:
+        ConfigError: The file names no class.
+    """
     file = None if config_dir is None else config_dir / "system" / f"{system}.yaml"
     if file is None or not file.is_file():
         return system
@@ -124,8 +132,15 @@ def _own_name(system: str, config_dir: Path | None) -> str:
     return name
 
 
-def _config_dir(arguments: Sequence[str]) -> tuple[Path | None, list[str]]:
-    """The folder of `--config-dir`, and the other words."""
+def split_config_dir(arguments: Sequence[str]) -> tuple[Path | None, list[str]]:
+    """The folder of `--config-dir`, and the other words.
+
+    Args:
+        arguments: Words after the name of a command that Hydra does not configure.
+
+    Raises:
+        ConfigError: There is no such folder.
+    """
     folder = groups.config_dir(arguments)
     if folder is not None and not folder.is_dir():
         raise ConfigError(f"`--config-dir {folder}`: no such folder.")

@@ -14,6 +14,7 @@ from nsde_torch.errors import ConfigError, NsdeError
 from ..exit_status import FAILED_JOBS, OK, USER_ERROR
 from ..quoted import as_typed
 from ..registry import PlainCommand
+from .effects import own_name, split_config_dir
 
 if TYPE_CHECKING:
     from nsde_torch.api.inspecting import Inspection
@@ -28,7 +29,7 @@ KEYS = {
     "json": "file to write all that was found to, for a program",
     "columns": "all lists every column, else those that move (40 at most)",
 }
-_HELP = """Usage: nsde inspect LOG [KEY=VALUE ...]
+_HELP = """Usage: nsde inspect LOG [KEY=VALUE ...] [--config-dir DIR]
 
 List what is in a log or a folder of logs, propose what its columns mean to a system, check that by kinematics and by
 the signs of the physics, and write it as mapping.yaml, which `data=log` and the readers of the formats use.
@@ -44,26 +45,28 @@ def main(arguments: Sequence[str]) -> int:
     if not words or "-h" in words or "--help" in words:
         width = max(map(len, KEYS))
         print(_HELP + "\n".join(f"  {key:<{width}}  {text}" for key, text in KEYS.items()))
+        print("\n  --config-dir DIR  folder with system/NAME.yaml and the modules of a machine of your own")
         return OK if words else USER_ERROR
     try:
+        folder, words = split_config_dir(words)
         path, given = _given(words)
-        return _inspect(path, given)
+        return _inspect(path, given, folder)
     except NsdeError as error:
         print(f"nsde inspect: {error}", file=sys.stderr)
         return USER_ERROR
 
 
-def _inspect(path: str, given: dict[str, str]) -> int:
+def _inspect(path: str, given: dict[str, str], folder: Path | None) -> int:
     import torch
 
     from nsde_torch.api.inspecting import inspect
 
     torch.set_num_threads(1)
-    sys.path.insert(0, str(Path.cwd()))  # a system of the user's own, in a file there
+    sys.path.insert(0, str((folder or Path.cwd()).resolve()))  # a system of the user's own, in a file there
     target = None if given.get("out") == "none" else Path(given.get("out") or _beside(path))
     found = inspect(
         path,
-        system=given.get("system"),
+        system=own_name(given["system"], folder) if "system" in given else None,
         kind=given.get("kind"),
         mapping=given.get("mapping"),
         physics=given.get("physics", "true") != "false",
@@ -73,12 +76,23 @@ def _inspect(path: str, given: dict[str, str]) -> int:
         _save(Path(given["json"]), json.dumps(found.content(), indent=1, allow_nan=False) + "\n", "json")
     if found.mapping is not None and "mapping" not in given and target is not None:
         print(_write(found, target, overwrite=given.get("overwrite") == "true"))
-    if found.usable:
-        used = Path(given["mapping"]) if "mapping" in given else target
-        words = ("nsde", "train", f"system={found.system}", f"data={found.kind}")
-        paths = {"data.path": path, **_mapping_key(found, used, path)}
-        print(f"\nnext: {as_typed(*words, paths=paths)}")
+    used = Path(given["mapping"]) if "mapping" in given else target
+    words = ["nsde", "train", *(() if folder is None else ("--config-dir", str(folder)))]
+    words += [f"system={given.get('system', found.system)}", f"data={found.kind}"]
+    train = as_typed(*words, paths={"data.path": path, **_mapping_key(found, used, path)})
+    print(f"\nnext: {_next(found, train)}")
     return OK if found.usable else FAILED_JOBS
+
+
+def _next(found: Inspection, train: str) -> str:
+    """What to do now: nothing is trained before a doubt is mended."""
+    if found.doubts:
+        return f"mend this first, then `nsde inspect` again: {found.doubts[0]}"
+    if not found.usable:
+        return "complete the mapping (`missing` above), then `nsde inspect LOG mapping=FILE`"
+    if found.open:
+        return f"choose in the mapping what is open above (`look at`); then {train}"
+    return train
 
 
 def _beside(path: str) -> Path:

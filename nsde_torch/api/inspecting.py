@@ -10,13 +10,14 @@ from typing import Any
 
 import numpy as np
 
-from nsde_torch.api.physics_check import check_physics
+from nsde_torch.api.physics_check import REFUSED, check_physics
 from nsde_torch.data.any_log import format_of
 from nsde_torch.data.formats.log import StreamLog
 from nsde_torch.data.formats.ulog_topics import open_ulog
 from nsde_torch.data.mapping.apply import apply
 from nsde_torch.data.mapping.checks import LogCheck, checks
 from nsde_torch.data.mapping.files import LogFile, log_files
+from nsde_torch.data.mapping.inputs import full_of_all
 from nsde_torch.data.mapping.mapping import LogMapping, read_mapping, text
 from nsde_torch.data.mapping.proposal import Proposal, propose
 from nsde_torch.data.raw import RawRun
@@ -93,6 +94,12 @@ class Inspection:
         there = self.native or (self.mapping is not None and not self.missing)
         return there and not any(check.passed is False for check in self.checks)
 
+    @property
+    def doubts(self) -> list[str]:
+        """What to mend before anything is trained, the surest first; empty where nothing speaks against it."""
+        first = [check.remedy or check.text for check in self.checks if check.passed is False]
+        return first + [check.remedy for check in self.checks if check.passed is None and check.remedy]
+
     def content(self) -> dict[str, Any]:
         """What was found as plain containers for a JSON file; a number that is not finite is None."""
         rows = [{k: _plain(v) for k, v in asdict(row).items()} for row in self.columns]
@@ -102,6 +109,7 @@ class Inspection:
             "runs": self.runs,
             "system": self.system,
             "usable": self.usable,
+            "doubts": self.doubts,
             "native": self.native,
             "mapping": self.yaml,
             "mapped": sorted({name for e in self.mapping.columns.values() for name in e.source})
@@ -164,6 +172,8 @@ def inspect(
     log = files[0].open(given.time if given else None)
     guessed = machine or system_options(given.system if given and given.system else guess_system(log)).make()
     found = Proposal(given) if given else propose(log, guessed, kind=files[0].kind)
+    if found.mapping is not None and given is None:
+        found.mapping = full_of_all(found.mapping, files)
     out = Inspection(
         str(path), files[0].kind, [file.name for file in files], rows_of(log), guessed.name, found.mapping,
         missing=found.missing, open=found.open, notes=[*log.notes, *found.notes],
@@ -186,10 +196,10 @@ def _check(
     try:
         run = apply(log, out.mapping, machine)
     except NsdeError as error:
-        out.checks = [LogCheck("reading", False, str(error))]
+        out.checks = [LogCheck("reading", False, str(error), REFUSED)]
         return
     out.checks = checks(machine, run, out.mapping)
-    if not physics or any(check.passed is False for check in out.checks):
+    if any(check.passed is False for check in out.checks):
         return
     runs = [run]
     for file in files[1:_RUNS]:
@@ -200,7 +210,7 @@ def _check(
     entry = out.mapping.columns.get("u")
     said = entry is None or "u" in log.columns
     numbering = None if entry is None or said else entry.numbering or "px4"
-    found = check_physics(machine, runs, numbering=numbering, fixed=fixed)
+    found = check_physics(machine, runs, numbering=numbering, fixed=fixed, fits=physics)
     out.checks += found.checks
     out.notes += found.notes
     if found.numbering is not None and entry is not None:
@@ -218,11 +228,11 @@ def _native(path: Path, kind: str, machine: System | None, *, physics: bool) -> 
     try:
         runs: list[RawRun] = reader(kind)(machine, path=files[0] if kind == "ulog" else path)
     except NsdeError as error:
-        out.checks.append(LogCheck("reading", False, str(error)))
+        out.checks.append(LogCheck("reading", False, str(error), REFUSED))
         return out
     out.checks = checks(machine, runs[0])
-    if physics and not any(check.passed is False for check in out.checks):
-        found = check_physics(machine, runs[:_RUNS])
+    if not any(check.passed is False for check in out.checks):
+        found = check_physics(machine, runs[:_RUNS], fits=physics)
         out.checks += found.checks
         out.notes += found.notes
     return out

@@ -9,10 +9,11 @@ from math import exp, log
 import numpy as np
 
 from nsde_torch.api.reading import read
-from nsde_torch.data.mapping.checks import LogCheck
+from nsde_torch.data.mapping.checks import FRAMES, LogCheck
 from nsde_torch.data.mapping.numbering import NUMBERINGS, order
 from nsde_torch.data.raw import RawRun
 from nsde_torch.data.run import Run
+from nsde_torch.data.system_info import changed
 from nsde_torch.errors import NsdeError
 from nsde_torch.sysid.readings import AS_GOOD, LESS, better_readings
 from nsde_torch.sysid.rough import beginnings, rough_fit, share_left
@@ -21,6 +22,8 @@ from nsde_torch.systems.base import System
 _PART_S = 30.0  # of the runs, on which numberings are compared
 _ITERATIONS = 4
 _NAME = "signs of the physics"
+REFUSED = "mend what reading refuses (`checks` above)"
+"""The remedy of a check that is a refusal."""
 
 
 @dataclass
@@ -39,21 +42,31 @@ class PhysicsFound:
 
 
 def check_physics(
-    machine: System, runs: Sequence[RawRun], *, numbering: str | None = None, fixed: bool = False
+    machine: System,
+    runs: Sequence[RawRun],
+    *,
+    numbering: str | None = None,
+    fixed: bool = False,
+    fits: bool = True,
 ) -> PhysicsFound:
-    """Fit the declared physics to means over 0.15 s, and look for readings of the columns in which it leaves much less.
+    """Read runs with all checks, fit the declared physics to means over 0.15 s, and look for better readings.
 
     Args:
         machine: The machine.
         runs: In its units, axes and order.
         numbering: Whose numbers the motors are taken to have, where others are to be tried; None: they are said.
         fixed: Whether a user said so: another is told then, and not taken.
+        fits: Whether the physics is fitted.
     """
     out = PhysicsFound()
     try:
-        data = read(list(runs), system=machine)
+        data = read(list(runs), system=changed(machine), state_smoothing="restore" if fits else "keep")
     except NsdeError as error:
-        out.checks.append(LogCheck("checks of all data", False, str(error)))
+        out.checks.append(LogCheck("checks of all data", False, str(error), REFUSED))
+        return out
+    said = (FRAMES, "log")  # by a check, and by the notes of the log
+    out.notes += [f"reading finds: {one}" for one in data.summary.findings if one.kind not in said]
+    if not fits:
         return out
     clock, found = data.clock_scale, list(data.runs)
     if numbering is not None and machine.nu in NUMBERINGS["betaflight"]:
@@ -68,7 +81,7 @@ def check_physics(
         return out
     better = better_readings(machine, found, clock, rough)
     if better is not None:
-        out.checks.append(LogCheck(_NAME, False, f"{better.sentence}: {better.remedy}."))
+        out.checks.append(LogCheck(_NAME, False, f"{better.sentence}: {better.remedy}.", better.remedy))
     else:
         text = "no other sign, order of the inputs or axes in which the declared physics leaves much less."
         out.checks.append(LogCheck(_NAME, True, text))
@@ -109,7 +122,8 @@ def _numbered(
         now = next(scores[name] for name, own in places.items() if own == list(range(motors)))
         more = f"{exp(now - scores[first]):.1f} times less of all channels together"
         text = f"the physics leaves {more} with the motors numbered as in {first} (`numbering: {first}`)."
-        out.checks.append(LogCheck("numbering of the motors", False, text))
+        remedy = f"write `numbering: {first}` in the entry of the motors"
+        out.checks.append(LogCheck("numbering of the motors", False, text, remedy))
         return runs
     out.notes.append(f"motors are numbered as in {first}: the physics leaves {told} than with {ranked[1]}")
     if same:

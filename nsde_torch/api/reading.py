@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, TypeAlias
 
+import numpy as np
+
 from nsde_torch.data.any_log import format_of
+from nsde_torch.data.findings import Finding
 from nsde_torch.data.raw import RawRun
 from nsde_torch.data.readers import Kind, name_of
 from nsde_torch.data.run import DataSet, Run
@@ -18,10 +22,13 @@ from nsde_torch.recording.faults.registry import remedies
 from nsde_torch.recording.reading import read as read_kind
 from nsde_torch.recording.run_offsets import on_one_clock
 from nsde_torch.simulation.generate import Simulation
+from nsde_torch.sysid.readings import better_readings
 from nsde_torch.sysid.restored_states import restore_states
+from nsde_torch.sysid.rough import beginnings, rough_fit
 from nsde_torch.systems.base import System
 from nsde_torch.systems.options import SystemOptions, system_options
 
+_PHYSICS_S = 60.0  # of the runs, to which the declared physics is fitted roughly
 Data: TypeAlias = str | Path | DataSet | Simulation | Sequence[RawRun]
 """What functions of `nsde_torch` take as data (see `read`)."""
 
@@ -40,7 +47,7 @@ def read(
     derived_rates: str = "infer",
     **faults: Mapping[str, float] | None,
 ) -> DataSet:
-    """Read and check runs: units, times, gaps, kinematics.
+    """Read and check runs: units, times, gaps, kinematics; of files also the signs and order that physics tells.
 
     Args:
         data: Folder with one CSV file per run (header row; `t` [s], the states and inputs of the system in SI units,
@@ -92,7 +99,24 @@ def read(
     )
     taken_out = [name for name, value in faults.items() if value]
     found = on_one_clock(found, machine, policy=stream_offsets)
-    return restore_states(found, machine, policy=state_smoothing, taken_out=taken_out)
+    found = restore_states(found, machine, policy=state_smoothing, taken_out=taken_out)
+    if isinstance(data, str | Path) and isinstance(machine, System):
+        more = (*found.summary.findings, *_columns_otherwise(machine, found))
+        found = replace(found, summary=replace(found.summary, findings=more))
+    return found
+
+
+def _columns_otherwise(machine: System, data: DataSet) -> list[Finding]:
+    """Another sign, order or frame of the columns in which the declared physics leaves much less, if there is one."""
+    some = beginnings(data.runs, data.clock_scale, seconds=_PHYSICS_S, fewest=50)
+    try:
+        rough = rough_fit(machine, some, data.clock_scale)
+        better = None if rough is None else better_readings(machine, some, data.clock_scale, rough)
+    except (np.linalg.LinAlgError, ValueError):  # runs in which nothing moves say nothing of the columns
+        return []
+    if better is None:
+        return []
+    return [Finding("reading", "", 1, f"{better.sentence}: {better.remedy}", "reported")]
 
 
 def _assembled(

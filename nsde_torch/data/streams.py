@@ -19,6 +19,8 @@ Array = NDArray[np.float64]
 
 PAUSE_S = 0.25
 """Shortest pause [s]."""
+MAX_DISORDER = 0.05
+"""Share of rows out of order that is sorted; more is refused."""
 _SAME = 5e-7  # seconds by which two stamps of one moment may differ: clocks that count from 1970 have no finer numbers
 _STEPS = 5.0  # of a stream that are no pause yet
 _FASTER = 1.5  # times the rate of the rows from which on commands are averaged over a step
@@ -86,6 +88,24 @@ def ordered(stream: Stream) -> Stream:
     order = order[np.concatenate([[True], np.diff(stream.t[order]) > 0])]
     fields = {name: values[order] for name, values in stream.fields.items()}
     return Stream(stream.name, stream.t[order], fields, stream.units)
+
+
+def disorder(t: Array, name: str) -> tuple[int, str]:
+    """How many rows lie before an earlier one in time, and why that is too many; empty where sorting mends it.
+
+    Args:
+        t: Times [s], (n,).
+        name: Of their column, for the sentence.
+    """
+    late = int((t < np.maximum.accumulate(t)).sum())
+    if late <= max(1, MAX_DISORDER * len(t)):
+        return late, ""
+    first = int(np.flatnonzero(np.diff(t) < 0)[0])
+    return late, (
+        f"`{name}` goes back from {t[first]:.6g} s to {t[first + 1]:.6g} s and {late} of {len(t)} rows lie before an "
+        "earlier row: they are not in the order of time. The clock started again or the rows are shuffled: split the "
+        "recording into one file for each run, or sort it by time."
+    )
 
 
 def pause_mask(stream: Stream, t: Array) -> NDArray[np.bool_]:

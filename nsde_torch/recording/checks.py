@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from nsde_torch.data import inputs, interventions, kinematics
 from nsde_torch.data.findings import Finding, Report
+from nsde_torch.data.mapping.checks import FRAMES, LEAN, VECTORS, checks
 from nsde_torch.data.raw import RawRun
 from nsde_torch.data.run import DataSet, Run, fingerprint
 from nsde_torch.data.summary import summarise
@@ -97,6 +98,18 @@ def _check_rates(run: RawRun, system: SystemInfo) -> None:
             f"{run.where(row)}: a body rate of {high:.4g} rad/s is beyond {MAX_RATE:.0f}; expected rad/s, "
             "perhaps the column holds deg/s: multiply by pi / 180."
         )
+
+
+def _check_columns(run: RawRun, system: SystemInfo, report: Report) -> None:
+    """What `nsde inspect` says of the columns: what kinematics contradict is refused, what gravity does reported.
+
+    Vectors of a vehicle are judged in all runs together (`conventions`, `clock.check_units`).
+    """
+    for check in checks(system, run):
+        if check.passed is False and check.name == LEAN:
+            report(Finding(FRAMES, run.name, 1, check.text.rstrip("."), "reported"))
+        elif check.passed is False and check.name not in VECTORS:
+            raise DataError(f"run {run.name!r}: {check.text} To mend it: {check.remedy}.")
 
 
 def _unwrap_angles(run: RawRun, system: SystemInfo, report: Report) -> None:
@@ -254,6 +267,7 @@ def assemble(
         if system.quaternion is not None:
             attitude.check_norms(run, system.quaternion, tuple(system.state_names), report)
         times.order(run, report)
+        _check_columns(run, system, report)
     interventions.check(raw)
     whole, rates = system, positions.to_infer(system, raw, policy=derived_rates, report=report)
     system = positions.measured_part(system, rates)

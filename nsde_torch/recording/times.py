@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from nsde_torch.data.findings import Finding, Report
 from nsde_torch.data.quaternion import slerp
 from nsde_torch.data.raw import RawRun
+from nsde_torch.data.streams import disorder
 from nsde_torch.errors import DataError
 
 Array = NDArray[np.float64]
@@ -21,8 +22,6 @@ JITTER = 0.05
 """Share of a step by which a row may lie off the uniform grid before the segment is resampled."""
 LONGER = 1.5
 """Times the step of the log from which a step holds several rows."""
-MAX_DISORDER = 0.05
-"""Share of rows out of order that is sorted; more is refused."""
 _WHOLE_RATE = 5e-4
 _ROUNDED = 0.4
 """Share of a step by which the time between two rows may be off a whole number of steps, for the mean step."""
@@ -42,15 +41,9 @@ def order(run: RawRun, report: Report) -> None:
         run.rows(timed)
     back = np.flatnonzero(np.diff(run.t) < 0)
     if len(back):
-        first = int(back[0])
-        # displaced rows: those below the greatest time before them
-        late = int((run.t < np.maximum.accumulate(run.t)).sum())
-        if late > max(1, MAX_DISORDER * len(run.t)):
-            raise DataError(
-                f"{run.where(first + 1)}: `t` goes back from {run.t[first]:.6g} s to {run.t[first + 1]:.6g} "
-                f"s and {late} of {len(run.t)} rows lie before an earlier row. The clock started again or "
-                "the rows are shuffled: split the recording into one file for each run, or sort it by time."
-            )
+        late, refused = disorder(run.t, "t")
+        if refused:
+            raise DataError(f"{run.where(int(back[0]) + 1)}: {refused}")
         report(Finding("out_of_order", run.name, late, f"{late} rows out of order in time", "sorted"))
         run.rows(np.argsort(run.t, kind="stable"))
     keep = np.concatenate([[True], np.diff(run.t) > 0])

@@ -105,7 +105,7 @@ def test_a_quadrotor_is_recognised_and_its_mapping_checked(
     out = capsys.readouterr().out
     assert "NO  attitude and rates" in out
     assert "order: xyzw" in out
-    assert "next:" not in out
+    assert "nsde train" not in out
 
 
 @pytest.mark.slow

@@ -309,7 +309,7 @@ def test_an_angle_in_degrees_is_not_taken_for_a_wrapped_one() -> None:
     data = assemble([RawRun("a", t, wrapped, u.copy())], CARTPOLE, kind="test")
     assert "angle_wrap" in kinds(data)
     x[:, 2] = np.degrees(theta)
-    with pytest.raises(DataError, match="perhaps the column holds degrees"):
+    with pytest.raises(DataError, match="if theta is in deg"):
         assemble([RawRun("a", t, x, u)], CARTPOLE, kind="test")
 
 

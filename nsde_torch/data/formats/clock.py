@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from nsde_torch.data.streams import Stream, ordered
+from nsde_torch.data.streams import Stream, disorder, ordered
 from nsde_torch.errors import ConfigError, DataError
 
 Array = NDArray[np.float64]
@@ -49,7 +49,7 @@ def unit_of(name: str, values: Array) -> str:
     said = _UNIT.search(name.strip().lower())
     if said:
         return _SAME.get(said[1], said[1])
-    steps = np.diff(values[np.isfinite(values)])
+    steps = np.diff(np.sort(values[np.isfinite(values)]))
     step = float(np.median(steps[steps > 0])) if (steps > 0).any() else 1.0
     if step < 1.0:
         return "s"
@@ -98,5 +98,9 @@ def timed(name: str, fields: dict[str, Array], clock: ClockOf, *, source: str) -
     good = np.isfinite(values)
     if good.sum() < 2 or not (np.diff(values[good]) > 0).any():
         raise DataError(f"{source}: the column {column!r} is taken for the time and does not increase.")
+    times = values[good] * SECONDS[unit]
+    _, shuffled = disorder(times, column)
+    if shuffled:
+        raise DataError(f"{source}: {shuffled}")
     kept = {key: v[good] for key, v in fields.items() if key != column}
-    return ordered(Stream(name, values[good] * SECONDS[unit], kept))
+    return ordered(Stream(name, times, kept))

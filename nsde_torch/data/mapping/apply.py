@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nsde_torch.data.findings import Finding
+from nsde_torch.data.formats.clock import SECONDS
 from nsde_torch.data.formats.log import StreamLog
 from nsde_torch.data.frames import attitude_between, swap_body, swap_world
 from nsde_torch.data.mapping.mapping import ColumnEntry, LogMapping, targets
@@ -30,6 +31,7 @@ SLOWEST = 4.0
 """Slowest rate of a state, or of an input of a machine without motors of its own [Hz]."""
 MOTOR_RATE = 50.0
 """Slowest rate of motors [Hz], which answer within 50 ms."""
+_FASTEST = 2e4  # rate of a log [Hz]
 _FAR = 0.8  # share of the rows' rate below which a stream is told to be slow
 
 
@@ -154,12 +156,24 @@ class _Applied:
             slowest = entry.slowest or (MOTOR_RATE if motors else SLOWEST)
             stream = self._stream(entry)
             if stream.rate < 0.95 * slowest:
+                clock = self._clock_hint(stream, slowest)
                 why = ", as gains and lags come out wrong of commands that change unseen" if motors else ""
                 raise DataError(
                     f"{self.log.source}: {name!r} ({stream.name or entry.source[0]}) was logged at {stream.rate:.3g} "
                     f"Hz; at least {slowest:g} Hz are needed{why}. Log it faster, or read it all the same with "
-                    f"`slowest: {np.floor(stream.rate):g}` in its entry of the mapping."
+                    f"`slowest: {max(np.floor(stream.rate), 0.01):g}` in its entry of the mapping.{clock}"
                 )
+
+    def _clock_hint(self, stream: Stream, slowest: float) -> str:
+        """Another unit of the times in which a stream that is far too slow is as fast as logs are."""
+        clock = self.log.clock
+        if clock is None or clock.source is None or clock.unit is None:
+            return ""
+        for unit, seconds in SECONDS.items():
+            rate = stream.rate * SECONDS[clock.unit] / seconds
+            if unit != "min" and slowest < rate < _FASTEST and unit != clock.unit:
+                return f" Or its times are in {unit}, at {rate:.4g} Hz: `time: {{from: {clock.source}, unit: {unit}}}`."
+        return ""
 
     def _stream(self, entry: ColumnEntry) -> Stream:
         return self.log.find(entry.source[0])[0]

@@ -25,14 +25,27 @@ from nsde_torch.data.mapping.kinematic import (
     velocity_ways,
 )
 from nsde_torch.data.mapping.mapping import LogMapping
+from nsde_torch.data.mapping.misread import (
+    BETTER,
+    Misread,
+    exchanged,
+    pair_left,
+    percent,
+    rate_misread,
+    times_misread,
+)
 from nsde_torch.data.quaternion import conjugate
 from nsde_torch.data.raw import RawRun
-from nsde_torch.data.system_info import SystemInfo, derivative_columns, rate_columns
+from nsde_torch.data.system_info import SystemInfo, derivative_columns, rate_columns, rate_pairs
 
 Array = NDArray[np.float64]
 
-_BETTER = 10.0
+LEAN, FRAMES = "lean and acceleration", "frames"
+"""Name of the check of gravity, where the others are of kinematics alone, and the kind of its finding."""
+ATTITUDE, VELOCITY = VECTORS = ("attitude and rates", "position and velocity")
+"""Names of the checks of the vectors of a vehicle."""
 _MOST = 60_000  # rows
+_TURN = 6.3  # range of an angle that was logged within one turn [rad]
 _SIZES = (1e-3, 1e-2, 0.3048, 1.0 / 0.3048, 1e2, 1e3)
 """Factors that a forgotten unit would be."""
 _LEAN_WORDS = {
@@ -55,29 +68,43 @@ class LogCheck:
         name: What was checked.
         passed: True, False, or None where the log does not tell.
         text: The result, one sentence.
+        remedy: What to mend, in the imperative; empty where nothing speaks against the columns.
     """
 
     name: str
     passed: bool | None
     text: str
+    remedy: str = ""
+
+    @property
+    def doubts(self) -> bool:
+        """Whether it speaks against the columns as they are read."""
+        return self.passed is False or bool(self.remedy)
 
 
 @np.errstate(
     over="ignore", invalid="ignore"
 )  # of numbers that no sensor says: the checks of all data refuse them
 def checks(system: SystemInfo, run: RawRun, mapping: LogMapping | None = None) -> list[LogCheck]:
-    """What kinematics and gravity say of a run that a mapping made.
+    """What kinematics and gravity say of a run: `nsde_torch.read` and `nsde inspect` ask the same.
 
     Args:
         system: The machine.
-        run: In the system's units, axes and order.
-        mapping: What made it, so that its quaternion can be read otherwise; None: `w x y z`, FLU to ENU.
+        run: In the system's units, axes and order, its rows in the order of time.
+        mapping: What made it, so that its columns can be read otherwise; None: the package's own conventions.
     """
     out: list[LogCheck] = []
     if len(run.t) > _MOST:  # the middle says enough, in a tenth of the time
         first = (len(run.t) - _MOST) // 2
         rows = slice(first, first + _MOST)
         run = RawRun(run.name, run.t[rows], run.x[rows], run.u[rows])
+    run = RawRun(run.name, run.t, _unwrapped(system, run.x), run.u)
+    other = times_misread(system, run, mapping)
+    if other is not None:
+        return [LogCheck("time", False, f"{other.words}.", other.remedy)]
+    swapped = exchanged(system, run)
+    out += [_exchanged(system, run, ways) for ways in swapped]
+    moved = {name for ways in swapped for pair in ways for name in pair}
     q, rates = system.quaternion, rate_columns(system)
     attitude = None if q is None else run.x[:, q]
     if q is not None and attitude is not None and rates is not None:
@@ -87,6 +114,8 @@ def checks(system: SystemInfo, run: RawRun, mapping: LogMapping | None = None) -
         if not np.isfinite(run.x[:, j]).any():
             continue
         if len(i) == 3 and attitude is not None and "(world" in group:
+            if moved & {system.state_names[k] for k in (*i, *j)}:
+                continue
             out += _velocity(run.t, attitude, run.x[:, i], run.x[:, j])
             if not any(
                 check.passed is False for check in out
@@ -94,8 +123,19 @@ def checks(system: SystemInfo, run: RawRun, mapping: LogMapping | None = None) -
                 out.append(_lean(run.t, attitude, run.x[:, i]))
         else:
             for a, b in zip(i, j, strict=True):
-                out.append(_axis(system, run, a, b))
+                if not moved & {system.state_names[a], system.state_names[b]}:
+                    out.append(_axis(system, run, a, b))
     return out
+
+
+def _unwrapped(system: SystemInfo, x: Array) -> Array:
+    """States with angles that stay within a turn made continuous, as reading makes them."""
+    x = np.array(x)
+    for i, _ in rate_pairs(system):
+        good = np.isfinite(x[:, i])
+        if system.state_units[i] == "rad" and good.any() and np.ptp(x[good, i]) < _TURN:
+            x[good, i] = np.unwrap(x[good, i])
+    return x
 
 
 @dataclass(frozen=True)
@@ -136,14 +176,13 @@ def _logged(names: Sequence[str], mapping: LogMapping | None) -> _Logged:
 
 
 def _attitude(t: Array, q: Array, w: Array, logged: _Logged) -> LogCheck:
-    name = "attitude and rates"
     plain = AttitudeWay("wxyz", "body to world", "rad/s", (1.0, 1.0, 1.0))
     own = attitude_left(t, q, w, plain)
     if not np.isfinite(own):
-        return LogCheck(name, None, "too little turning to compare the attitude with the rates.")
+        return LogCheck(ATTITUDE, None, "too little turning to compare the attitude with the rates.")
     told = f"the rates leave {own:.1%} of the attitude's turning over 0.25 s"
     if own <= SOUND_ATTITUDE:
-        return LogCheck(name, True, f"{told}.")
+        return LogCheck(ATTITUDE, True, f"{told}.")
     best, words = own, ""
     for order in (logged.order,) if logged.angles else ("wxyz", "xyzw"):
         for turns in ("body to world", "world to body"):
@@ -154,11 +193,13 @@ def _attitude(t: Array, q: Array, w: Array, logged: _Logged) -> LogCheck:
                     left = attitude_left(t, other, factor * w, way)
                     if left < best:
                         best, words = left, _attitude_words(logged, order, turns, unit, sign)
-    if _BETTER * best < own:
-        return LogCheck(
-            name, False, f"the rates leave {own:.0%} of the attitude's turning, and {best:.1%} if {words}."
-        )
-    return LogCheck(name, None, f"{told}, whatever their order, direction and unit: of another body or time.")
+    if BETTER * best < own:
+        text = f"the rates leave {own:.0%} of the attitude's turning, and {best:.1%} if {words}."
+        return LogCheck(ATTITUDE, False, text, f"read or write the attitude and the rates so: {words}")
+    text = f"{told}, whatever their order, direction and unit: of another body or time."
+    return LogCheck(
+        ATTITUDE, None, text, "look at the attitude and the rates: one is of another body or time"
+    )
 
 
 def _attitude_words(logged: _Logged, order: str, turns: str, unit: str, sign: float) -> str:
@@ -182,40 +223,40 @@ def _velocity(t: Array, q: Array, p: Array, v: Array) -> list[LogCheck]:
     sizes = [velocity_left(t, q, p, factor * v, ways[0]) for factor in _SIZES]
     out = []
     if not np.isfinite(left[0]):
-        out.append(
-            LogCheck("position and velocity", None, "too little movement to compare position and velocity.")
-        )
+        out.append(LogCheck(VELOCITY, None, "too little movement to compare position and velocity."))
     else:
         k, size = int(np.nanargmin(left)), int(np.nanargmin(sizes))
         other = min(left[k], sizes[size])
-        if left[0] > SOUND_VELOCITY and _BETTER * other < left[0]:
+        if left[0] > SOUND_VELOCITY and BETTER * other < left[0]:
             by = f"{_SIZES[size]:g} times as large: a unit of one of them (`unit`)"
             words = _velocity_words(ways[k]) if left[k] <= sizes[size] else f"they are {by}"
-            text = f"velocities leave {left[0]:.0%} of the movement, and {other:.1%} if {words}."
-            out.append(LogCheck("position and velocity", False, text))
+            text = f"velocities leave {percent(left[0])} of the movement, and {other:.1%} if {words}."
+            remedy = f"read or write the velocities so: {words}"
+            out.append(LogCheck(VELOCITY, False, text, remedy))
+        elif left[0] <= 5 * SOUND_VELOCITY:
+            text = f"velocities leave {left[0]:.1%} of the movement over 0.25 s."
+            out.append(LogCheck(VELOCITY, True, text))
         else:
-            sound = True if left[0] <= 5 * SOUND_VELOCITY else None
-            text = f"velocities leave {left[0]:.1%} of the movement over 0.25 s"
-            more = (
-                "."
-                if sound
-                else ", and no other reading of these columns does much better: another unit, time or body."
+            text = (
+                f"velocities leave {percent(left[0])} of the movement over 0.25 s, and no other reading of these "
+                "columns does much better: another unit, time or body."
             )
-            out.append(LogCheck("position and velocity", sound, text + more))
+            remedy = "look at the positions and the velocities: one is of another unit, time or body"
+            out.append(LogCheck(VELOCITY, None, text, remedy))
     return out
 
 
 def _lean(t: Array, q: Array, p: Array) -> LogCheck:
     found = lean(t, q, p)
-    name = "lean and acceleration"
     if found is None or found.way is None:
         text = "the log leans too little, or too alike, to tell the axes of attitude and positions."
-        return LogCheck(name, None, text)
+        return LogCheck(LEAN, None, text)
     rest = f"{found.left['up']:.0%} of the acceleration left"
     if found.way == "up" and found.up > 0:
-        return LogCheck(name, True, f"the machine speeds up where its thrust leans ({rest}).")
+        return LogCheck(LEAN, True, f"the machine speeds up where its thrust leans ({rest}).")
     words = _LEAN_WORDS.get(found.way, "the world's third axis points down: check `frames.world`")
-    return LogCheck(name, False, f"the machine does not speed up where its thrust leans ({rest}): {words}.")
+    text = f"the machine does not speed up where its thrust leans ({rest}): {words}."
+    return LogCheck(LEAN, False, text, f"write all states in ENU and FLU: {words}")
 
 
 def _velocity_words(way: VelocityWay) -> str:
@@ -228,20 +269,37 @@ def _velocity_words(way: VelocityWay) -> str:
 
 
 def _axis(system: SystemInfo, run: RawRun, i: int, j: int) -> LogCheck:
-    names = f"{system.state_names[i]} and {system.state_names[j]}"
-    p, v = run.x[:, [i]], run.x[:, [j]]
-    left = {
-        factor: velocity_left(run.t, None, p, factor * v, VelocityWay("world", (0,), (1.0,)))  # type: ignore[arg-type]
-        for factor in (1.0, -1.0, np.pi / 180.0, 180.0 / np.pi, 1e-3, 1e3)
-    }
-    if not np.isfinite(left[1.0]):
+    position, rate = system.state_names[i], system.state_names[j]
+    names = f"{position} and {rate}"
+    own = pair_left(run.t, run.x[:, i], run.x[:, j])
+    if not np.isfinite(own):
         return LogCheck(names, None, f"too little movement to compare {names}.")
-    k = min(left, key=lambda factor: left[factor])
-    if k != 1.0 and left[1.0] > SOUND_VELOCITY and _BETTER * left[k] < left[1.0]:
-        words = "has the opposite sign" if k == -1.0 else f"is multiplied by {k:.4g}: a unit"
-        rate = system.state_names[j]
-        text = f"{rate} leaves {left[1.0]:.0%} of what {system.state_names[i]} moves, and {left[k]:.1%} if it {words}."
-        return LogCheck(names, False, text)
-    sound = True if left[1.0] <= 5 * SOUND_VELOCITY else None
-    text = f"{system.state_names[j]} leaves {left[1.0]:.1%} of what {system.state_names[i]} moves over 0.25 s"
-    return LogCheck(names, sound, text + ("." if sound else ", whatever its sign and unit."))
+    others = rate_misread(system, run, i, j)
+    if others:
+        words, remedy = _alternatives(others)
+        text = f"{rate} leaves {percent(own)} of what {position} moves, and {percent(others[0].left)} if {words}."
+        return LogCheck(names, False, text, remedy)
+    text = f"{rate} leaves {percent(own)} of what {position} moves over 0.25 s"
+    if own <= 5 * SOUND_VELOCITY:
+        return LogCheck(names, True, f"{text}.")
+    remedy = f"look at {names}: one of them is another column, or of another time or unit"
+    return LogCheck(names, None, f"{text}, whatever its sign and unit.", remedy)
+
+
+def _exchanged(system: SystemInfo, run: RawRun, ways: Sequence[tuple[str, str]]) -> LogCheck:
+    """Two columns that are exchanged, or whatever else makes them agree."""
+    a, b = ways[0]
+    pairs = [(i, j) for i, j in rate_pairs(system) if {system.state_names[i], system.state_names[j]} & {a, b}]
+    i, j = max(pairs, key=lambda pair: pair_left(run.t, run.x[:, pair[0]], run.x[:, pair[1]]))
+    position, rate = system.state_names[i], system.state_names[j]
+    own = pair_left(run.t, run.x[:, i], run.x[:, j])
+    also = rate_misread(system, run, i, j) if {a, b} == {position, rate} else []
+    swaps = [Misread(f"{c} and {d} are exchanged", f"exchange the columns {c} and {d}", 0.0) for c, d in ways]
+    words, remedy = _alternatives([*swaps, *also])
+    text = f"{rate} leaves {percent(own)} of what {position} moves, and next to nothing if {words}."
+    return LogCheck(f"{a} and {b}", False, text, remedy)
+
+
+def _alternatives(readings: Sequence[Misread]) -> tuple[str, str]:
+    """Words and remedies of readings that do as well."""
+    return " or ".join(one.words for one in readings), ", or ".join(one.remedy for one in readings)

@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 
 from nsde_torch.data.formats.log import StreamLog, full
 from nsde_torch.data.mapping import names as kinds
-from nsde_torch.data.mapping.mapping import ColumnEntry
+from nsde_torch.data.mapping.files import LogFile
+from nsde_torch.data.mapping.mapping import ColumnEntry, LogMapping
 from nsde_torch.data.mapping.names import Named
 from nsde_torch.data.streams import moving
 from nsde_torch.data.system_info import SystemInfo
@@ -20,6 +21,9 @@ Array = NDArray[np.float64]
 
 _BATTERY = re.compile(r"(^|[^a-z])(vbat|v_bat|bat_?volt\w*|battery_?voltage|voltage_v|volt)$")
 _CRAZYFLIE = re.compile(r"state_?estimate|pm_?\.?vbat|motor_m[1-4]", re.I)
+_TURNS = {"rpm": "rpm", "rad/s": "rad/s", "rad_s": "rad/s", "rads": "rad/s"}
+_SPEEDS = re.compile(r"rotor|omega|speed|vel")
+_SHORTEST_US = 800.0  # of pulses that turn a motor; of a thousand, one may be shorter
 _NEGATIVE = -0.02  # a motor's command is none
 
 
@@ -58,7 +62,8 @@ def propose_inputs(
             if int(moves.sum()) >= wanted and not (values < _NEGATIVE).any():
                 columns = [c for c, m in zip(one.columns, moves, strict=True) if m][:wanted]
                 entry = ColumnEntry(tuple(f"{one.stream}/{c}" if one.stream else c for c in columns))
-                found_here = _in_unit(entry, stream.columns(*columns))
+                unit = one.unit or stream.units.get(columns[0])
+                found_here = _in_unit(entry, stream.columns(*columns), unit)
                 (candidates if int(moves.sum()) == wanted else longer).append(found_here)
         if longer and not candidates:
             candidates = longer
@@ -95,21 +100,45 @@ def _take(out: InputsFound, log: StreamLog, entry: ColumnEntry, wanted: int) -> 
         out.missing.append(f"{wanted} motors (the log has {len(entry.source)}: choose the system)")
 
 
-def _in_unit(entry: ColumnEntry, values: Array) -> ColumnEntry:
-    """Motor commands with the ends of their range, by what they read."""
+def _in_unit(entry: ColumnEntry, values: Array, unit: str | None) -> ColumnEntry:
+    """Motor commands with the ends of their range, or speeds of rotors, by their names and by what they read."""
     flat = values[np.isfinite(values)]
     top = float(np.quantile(flat, 0.999))
     running = flat[flat > 0.02 * top]
-    low = float(np.quantile(running, 0.02)) if len(running) else 0.0
+    low = float(np.quantile(running, 0.001)) if len(running) else 0.0
+    unit = unit or next(
+        (unit for mark, unit in _TURNS.items() if mark in " ".join(entry.source).lower()), None
+    )
+    speeds = unit in _TURNS.values() or _SPEEDS.search(" ".join(entry.source).lower())
     if top <= 1.05:
         return replace(entry, unit="1")
-    if low > 800.0 and top <= 2250.0:
-        return replace(entry, unit="us", low=1000.0, high=2000.0)
     if top <= 105.0:
         return replace(entry, unit="%")
-    if 2250.0 < top <= 65535.0 and top > 30000.0:  # a duty cycle in 16 bits
+    if not speeds and low > _SHORTEST_US and top <= 2250.0:
+        return replace(entry, unit="us", low=1000.0, high=2000.0)
+    if not speeds and 30000.0 < top <= 65535.0:  # a duty cycle in 16 bits
         return replace(entry, low=0.0, high=65535.0)
-    return replace(entry, full=_rounded(top))
+    return replace(entry, unit=unit, full=_rounded(float(flat.max())))
+
+
+def full_of_all(mapping: LogMapping, files: Sequence[LogFile]) -> LogMapping:
+    """The mapping with the speed of full thrust at least as large as any in the logs: a greater one is refused.
+
+    Args:
+        mapping: Proposed by the first log.
+        files: All logs.
+    """
+    entry = mapping.columns.get("u")
+    if entry is None or entry.full is None:
+        return mapping
+    most = entry.full
+    for file in files[1:]:
+        log = file.open(mapping.time)
+        for source in entry.source:
+            if log.has(source):
+                stream, column = log.find(source)
+                most = max(most, _rounded(float(np.nanmax(stream.fields[column], initial=1e-3))))
+    return mapping.changed("u", full=most)
 
 
 def _rounded(value: float) -> float:

@@ -41,13 +41,14 @@ _WORDS: dict[str, set[str]] = {
         "m", "u", "motor", "motors", "motorspeed", "motorspeeds", "motorcmd", "motorcommand", "motorcommands", "pwm",
         "rpm", "esc", "escrpm", "rotor", "rotors", "rotorspeed", "rotorspeeds", "cmd", "control", "output", "outputs",
         "actuator", "actuators", "throttle", "thrust", "motoromega", "motorrpm", "motorpwm", "mot", "omega",
-        "angularvelocities",
+        "angularvelocities", "erpm", "escerpm", "motorerpm", "speed", "speeds", "motorvel", "rotorvel",
     },
 }  # fmt: skip
 _PLAIN = {"data", "value", "values", "velocity", "normalized"}
 """Words that say nothing: the name of the stream does."""
 _NOT_MEASURED = re.compile(
-    r"(^|[^a-z])(sp|set_?point|setp|ref|reference|des|desired|target|ctrltarget|cmd_?vel|goal|err|error|cov|std|var|bias|offset|raw_?cmd|pid\w*)([^a-z]|$)"
+    r"(^|[^a-z])(sp|set_?point|setp|ref|reference|des|desired|target|ctrltarget|cmd_?vel|goal|err|error|cov|std|var|bias|offset|raw_?cmd|pid\w*"
+    r"|cmd|command|commanded|demand)([^a-z]|$)|[a-z]_d$|[a-z](ref|des|desired|setpoint|target)$"
 )
 _FORMS = (
     re.compile(r"^(?P<stem>.*?)(?P<joint>[._/ ]?)\[(?P<axis>\d+)\]$"),
@@ -98,6 +99,15 @@ def bare(name: str) -> tuple[str, str | None]:
     return name, None
 
 
+def is_measured(name: str) -> bool:
+    """Whether a name does not look like that of a setpoint, a reference or an error.
+
+    Args:
+        name: Of a column without its unit, or of a vector with its stream.
+    """
+    return not _NOT_MEASURED.search(name.lower())
+
+
 def vectors(stream: Stream) -> list[Named]:
     """The vectors in a stream, by the names of its columns."""
     groups: dict[tuple[str, str, str], dict[str, str]] = {}
@@ -140,8 +150,8 @@ def _named(stream: str, key: tuple[str, str, str], axes: dict[str, str], unit: s
     if word in _PLAIN and _word(stream.replace("/", ".")) in _WORDS[MOTORS] and "x" not in axes:
         word = "motors"
     word = word or ("" if not stem.strip("._/ ") else stem)
-    whole = f"{stream}/{stem}{tail}".lower()
-    measured = not _NOT_MEASURED.search(whole)
+    whole = f"{stream}/{stem.rstrip('._/ ~')}{tail}".lower()
+    measured = is_measured(whole)
     if stem.endswith("~"):
         if set("xyz") <= set(axes):
             columns = tuple(axes[a] for a in "xyz")

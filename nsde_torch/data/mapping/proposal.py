@@ -169,7 +169,7 @@ class _Vehicle:
         quaternions = quaternions or self._candidates("q", kinds.EULER)
         rates = self._candidates("w", kinds.RATES)
         if not rates:
-            self.out.missing.append("body rates (a gyroscope)")
+            self._missing("body rates (a gyroscope)", kinds.RATES)
         if not quaternions:
             return {"w": rates[0][1]} if rates else {}
         tried = []
@@ -209,6 +209,10 @@ class _Vehicle:
             rate_entry = replace(rate_entry, sign=(1.0, -1.0, -1.0))
         return {"q": entry, "w": rate_entry}
 
+    def _missing(self, what: str, kind: str) -> None:
+        asked = [", ".join(one.columns) for one in self.found if one.kind == kind and not one.measured]
+        self.out.missing.append(f"{what} (taken for setpoints: {'; '.join(asked)})" if asked else what)
+
     def _several(self, what: str, found: list[tuple[Named, ColumnEntry]]) -> None:
         self._open(f"the {what}", [entry for _, entry in found])
 
@@ -223,9 +227,9 @@ class _Vehicle:
         positions = self._candidates("p", kinds.POSITION)
         velocities = self._candidates("v", kinds.VELOCITY)
         if not positions:
-            self.out.missing.append("a position")
+            self._missing("a position", kinds.POSITION)
         if not velocities:
-            self.out.missing.append("a velocity")
+            self._missing("a velocity", kinds.VELOCITY)
         if not positions or not velocities:
             return {
                 **({"p": positions[0][1]} if positions else {}),

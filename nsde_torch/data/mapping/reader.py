@@ -13,6 +13,7 @@ from nsde_torch.data.formats.log import StreamLog
 from nsde_torch.data.mapping.apply import apply
 from nsde_torch.data.mapping.checks import checks
 from nsde_torch.data.mapping.files import log_files, mapping_beside
+from nsde_torch.data.mapping.inputs import full_of_all
 from nsde_torch.data.mapping.mapping import LogMapping, read_mapping
 from nsde_torch.data.mapping.proposal import propose
 from nsde_torch.data.raw import RawRun
@@ -45,10 +46,8 @@ def read_mapped(
     for file in files:
         log = file.open(given.time if given else None)
         if given is None:
-            given, assumed = (
-                _proposed(log, system, kind, path),
-                "the mapping was proposed, and passed its checks",
-            )
+            given = full_of_all(_proposed(log, system, kind, path), files)
+            assumed = "the mapping was proposed, and passed its checks"
         run = apply(log, given, system)
         del log
         _refuse_contradicted(system, run, given, f"nsde inspect {path} system={system.name}")
@@ -78,5 +77,6 @@ def _refuse_contradicted(system: SystemInfo, run: RawRun, mapping: LogMapping, c
     for check in checks(system, run, mapping):
         if check.passed is False:
             raise DataError(
-                f"run {run.name!r}: the mapping contradicts the log: {check.text} `{command}` proposes another."
+                f"run {run.name!r}: the mapping contradicts the log: {check.text} To mend it: {check.remedy}; "
+                f"`{command}` proposes another mapping."
             )

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 
 from nsde_torch.data.formats.log import StreamLog, full
 from nsde_torch.data.mapping.mapping import ColumnEntry, targets
-from nsde_torch.data.mapping.names import bare
+from nsde_torch.data.mapping.names import bare, is_measured
 from nsde_torch.data.streams import moving
 from nsde_torch.data.system_info import SystemInfo
 
@@ -108,7 +108,13 @@ def propose_single(
             out.open.append(f"{wanted} may be {' or '.join(found)}")
             out.columns[wanted] = ColumnEntry((found[0],), unit=free.pop(found[0])[1])
         elif wanted not in rates and wanted not in system.optional_inputs:
-            out.missing.append(f"a column for {wanted}")
+            asked = [key for key, (name, _) in free.items() if not is_measured(name)]
+            more = (
+                f" (taken for setpoints: {', '.join(asked)})"
+                if asked and wanted in system.state_names
+                else ""
+            )
+            out.missing.append(f"a column for {wanted}{more}")
     return out
 
 
@@ -125,6 +131,8 @@ def _named(
     if same:
         return same
     plain = {key: name for key, name in plain.items() if key not in still}
+    if wanted in system.state_names:  # a setpoint is no state, however much it is called like one
+        plain = {key: name for key, name in plain.items() if is_measured(free[key][0])}
     positions = [n for n in system.state_names if n not in rates]
     words = set()
     if len(positions) == 1 and wanted in rates:

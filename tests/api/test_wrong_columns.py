@@ -1,0 +1,326 @@
+"""Columns that hold something else: `read` and `inspect` name the same cause, and sound logs are not suspected."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+import nsde_torch
+from nsde_torch.api.inspecting import Inspection
+from nsde_torch.cli.main import main
+from nsde_torch.data.system_info import changed
+from nsde_torch.errors import DataError
+from nsde_torch.systems import make_system
+from tests.helpers.leaning import G, leaning_flight
+from tests.helpers.log_writers import write_table
+
+Array = NDArray[np.float64]
+Columns = dict[str, Array]
+SPRING, CART, QUAD = "mass_spring_damper", "cartpole", "quadrotor"
+FLYING = [*(f"{n}_{a}" for n in "pv" for a in "xyz"), *(f"q_{a}" for a in "wxyz"), *(f"w_{a}" for a in "xyz")]
+FLYING += [f"u_{k}" for k in range(1, 5)]
+
+
+def spring(*, stiffness: float = 4.0, size: float = 1.0, dt: float = 0.01, seed: int = 0) -> Columns:
+    """A spring under a random force, by Euler steps of a tenth of the log's, with noise of its sensors."""
+    rng = np.random.default_rng(seed)
+    n = round(16.0 / dt)
+    wide = round(0.4 / dt)
+    force = size * np.convolve(rng.standard_normal(n + wide), np.ones(wide) / wide**0.5, "same")[:n]
+    q, v = np.zeros(n), np.zeros(n)
+    for k in range(n - 1):
+        x, y = float(q[k]), float(v[k])
+        for _ in range(10):
+            y += 0.1 * dt * (force[k] - stiffness * x - 0.4 * y)
+            x += 0.1 * dt * y
+        q[k + 1], v[k + 1] = x, y
+    noise = size * rng.standard_normal((2, n))
+    return {
+        "t": dt * np.arange(n),
+        "q": q + 1e-3 * noise[0],
+        "q_dot": v + 3e-3 * noise[1],
+        "force": force,
+    }
+
+
+def cart() -> Columns:
+    """A cart and its pole as two sums of sines, the pole upright."""
+    rng = np.random.default_rng(3)
+    t = 0.02 * np.arange(900)
+    out = {"t": t}
+    for name, size in (("x", 0.4), ("theta", 0.2)):
+        f, phase = rng.uniform(1.0, 6.0, 4), rng.uniform(0, 6, 4)
+        wave = np.outer(t, f) + phase
+        out[name] = size * np.sin(wave).sum(1)
+        out[f"{name}_dot"] = size * (f * np.cos(wave)).sum(1)
+    noisy = {k: v + (0.0 if k == "t" else 2e-3) * rng.standard_normal(len(t)) for k, v in out.items()}
+    return {**noisy, "force": rng.standard_normal(len(t))}
+
+
+def flight(seconds: float = 16.0) -> Columns:
+    """A quadrotor whose motors make the lean and the turning of a flight that was drawn first (PX4's numbers)."""
+    run = leaning_flight(seconds)
+    w = run.x[:, 10:13]
+    turning = np.gradient(w, run.t, axis=0)
+    rise = np.gradient(run.x[:, 3:6], run.t, axis=0) + np.array([0.0, 0.0, G])
+    signs = np.array([[-1, 1, 1, -1], [-1, 1, -1, 1], [-1, -1, 1, 1]])
+    u = 0.5 * np.linalg.norm(rise, axis=1)[:, None] / G + turning / [60.0, 60.0, 3.0] @ signs / 4
+    noise = np.random.default_rng(5).standard_normal(run.x.shape) * np.repeat(
+        [1e-3, 5e-3, 5e-4, 5e-3], [3, 3, 4, 3]
+    )
+    return {"t": run.t, **dict(zip(FLYING, np.column_stack([run.x + noise, u]).T, strict=True))}
+
+
+def asked(
+    folder: Path, columns: Columns, system: str, *, physics: bool = False, **options: str
+) -> tuple[Inspection, str]:
+    """What `inspect` finds, and what `read` refuses or finds."""
+    write_table(folder / "run_0.csv", columns)
+    found = nsde_torch.inspect(folder, system=system, physics=physics, **options)  # type: ignore[arg-type]
+    try:
+        kind = "csv" if found.native else "log"
+        data = nsde_torch.read(folder, system=system, kind=kind, state_smoothing="keep")
+    except DataError as error:
+        return found, str(error)
+    return found, "\n".join(str(finding) for finding in data.summary.findings)
+
+
+def order(columns: Columns, *names: str) -> Columns:
+    """Columns whose names are exchanged."""
+    a, b = names
+    return {**columns, a: columns[b], b: columns[a]}
+
+
+@pytest.mark.parametrize("seconds", [1e-3, 1e-6])
+@pytest.mark.parametrize("system", [SPRING, CART, QUAD])
+def test_times_in_ms_or_us_are_named_as_that_and_not_as_a_unit_of_the_rate(
+    tmp_path: Path, system: str, seconds: float
+) -> None:
+    sound = {SPRING: spring, CART: cart, QUAD: flight}[system]()
+    found, said = asked(tmp_path, {**sound, "t": sound["t"] / seconds}, system)
+    unit = {1e-3: "ms", 1e-6: "us"}[seconds]
+    (check,) = found.checks
+    assert (check.name, check.passed) == ("time", False)
+    assert f"in {unit} they agree" in check.text
+    assert f"{{from: t, unit: {unit}}}" in found.doubts[0]
+    assert check.text in said
+    # and it is read like that through the mapping that is proposed
+    proposed = nsde_torch.inspect(tmp_path, system=system, kind="table", physics=False)
+    assert proposed.mapping is not None
+    assert proposed.mapping.time.unit == unit
+
+
+def test_a_table_whose_clock_is_called_seconds_and_is_not_names_the_unit(tmp_path: Path) -> None:
+    sound = spring()
+    columns = {"time_s": 1e3 * sound["t"], "pos": sound["q"], "vel": sound["q_dot"], "force": sound["force"]}
+    found, said = asked(tmp_path, columns, SPRING)
+    for words in (found.checks[0].text, said):
+        assert "`time: {from: time_s, unit: ms}`" in words
+
+
+@pytest.mark.parametrize("clock", ["t", "time"])
+def test_shuffled_rows_and_two_runs_in_one_file_are_not_in_the_order_of_time(
+    tmp_path: Path, clock: str
+) -> None:
+    sound = spring()
+    mixed = np.random.default_rng(1).permutation(len(sound["t"]))
+    for name, rows in (("shuffled", mixed), ("twice", np.tile(np.arange(400), 2))):
+        folder = tmp_path / name
+        folder.mkdir()
+        write_table(folder / "run_0.csv", {clock if k == "t" else k: v[rows] for k, v in sound.items()})
+        for ask in (nsde_torch.inspect, nsde_torch.read):
+            given = {} if clock == "t" or ask is nsde_torch.inspect else {"kind": "log"}
+            with pytest.raises(DataError, match=rf"`{clock}` goes back .* not in the order of time"):
+                ask(folder, system=SPRING, **given)  # type: ignore[operator]
+
+
+@pytest.mark.parametrize(
+    ("system", "names"),
+    [
+        (SPRING, ("q", "q_dot")),
+        (SPRING, ("q_dot", "force")),
+        (CART, ("x", "theta")),
+        (CART, ("theta", "theta_dot")),
+        (QUAD, ("p_y", "v_y")),
+    ],
+)
+def test_columns_that_are_exchanged_are_named(tmp_path: Path, system: str, names: tuple[str, str]) -> None:
+    sound = {SPRING: spring, CART: cart, QUAD: flight}[system]()
+    found, said = asked(tmp_path, order(sound, *names), system)
+    words = f"{names[0]} and {names[1]} are exchanged"
+    (failed,) = [check for check in found.checks if check.passed is False]
+    assert words in failed.text
+    assert words in said
+    assert found.doubts[0].startswith(f"exchange the columns {names[0]} and {names[1]}")
+
+
+@pytest.mark.parametrize(
+    ("system", "column", "factor", "words"),
+    [
+        (SPRING, "q_dot", -1.0, "q_dot has the opposite sign"),
+        (SPRING, "q", 1e3, "q is in mm"),
+        (SPRING, "q_dot", 1e2, "q_dot is in cm/s"),
+        (CART, "theta_dot", 180 / np.pi, "theta_dot is in deg/s"),
+        (CART, "theta", 180 / np.pi, "theta is in deg"),
+    ],
+)
+def test_units_and_signs_of_one_column_are_named_by_both(
+    tmp_path: Path, system: str, column: str, factor: float, words: str
+) -> None:
+    sound = spring() if system == SPRING else cart()
+    found, said = asked(tmp_path, {**sound, column: factor * sound[column]}, system)
+    assert any(words in check.text for check in found.checks if check.passed is False)
+    assert words in said
+
+
+@pytest.mark.parametrize(
+    ("size", "stiffness", "dt"), [(1e-4, 4.0, 0.01), (1.0, 400.0, 0.002), (1e3, 0.5, 0.05), (1.0, 1.0, 0.2)]
+)
+def test_a_sound_spring_of_any_size_is_not_suspected(
+    tmp_path: Path, size: float, stiffness: float, dt: float
+) -> None:
+    found, said = asked(tmp_path, spring(size=size, stiffness=stiffness, dt=dt), SPRING)
+    assert found.doubts == []
+    assert not any(word in said for word in ("exchanged", "order of time", "apart as the times"))
+
+
+@pytest.mark.parametrize("system", [CART, QUAD])
+def test_a_sound_cart_and_a_sound_flight_are_not_suspected(tmp_path: Path, system: str) -> None:
+    found, said = asked(tmp_path, cart() if system == CART else flight(), system)
+    assert found.doubts == []
+    assert found.usable
+    assert "exchanged" not in said
+
+
+def test_an_angle_that_was_wrapped_is_no_doubt(tmp_path: Path) -> None:
+    t = np.arange(0.0, 20.0, 0.02)
+    theta, speed = 5.0 * np.sin(1.5 * t), 7.5 * np.cos(1.5 * t)
+    still = np.sin(t), np.cos(t)
+    wrapped = np.mod(theta + np.pi, 2 * np.pi) - np.pi
+    columns = {
+        "t": t,
+        "x": still[0],
+        "x_dot": still[1],
+        "theta": wrapped,
+        "theta_dot": speed,
+        "force": still[0],
+    }
+    found, said = asked(tmp_path, columns, CART)
+    assert found.doubts == []
+    assert "wraps of the angle" in said
+
+
+def test_frames_and_exchanged_motors_are_said_by_read_as_by_inspect(tmp_path: Path) -> None:
+    sound = flight(10.0)
+    assert asked(tmp_path, sound, QUAD, physics=True)[0].doubts == []
+    found, said = asked(tmp_path, order(sound, "u_1", "u_3"), QUAD, physics=True)
+    assert any("u_1 and u_3 exchanged" in check.text for check in found.checks)
+    assert "u_1 and u_3 exchanged" in said
+    x, y = sound["p_x"], sound["p_y"]
+    turned = {**sound, "p_x": y, "p_y": x, "p_z": -sound["p_z"]}
+    turned |= {"v_x": sound["v_y"], "v_y": sound["v_x"], "v_z": -sound["v_z"]}
+    found, said = asked(tmp_path, turned, QUAD)
+    (failed,) = [check for check in found.checks if check.passed is False]
+    assert "one of them is NED and the other ENU" in failed.text
+    assert failed.text.rstrip(".") in said
+
+
+@pytest.mark.parametrize("name", ["q_des", "q_ref", "target_q", "q_sp", "pos_d", "position_cmd"])
+def test_a_setpoint_is_never_taken_for_a_state(tmp_path: Path, name: str) -> None:
+    sound = spring()
+    measured = {"t": sound["t"], name: 1.1 * sound["q"], "position": sound["q"], "velocity": sound["q_dot"]}
+    found, _ = asked(tmp_path, {**measured, "force": sound["force"]}, SPRING)
+    assert found.mapping is not None
+    assert found.mapping.columns["q"].source == ("position",)
+    assert found.open == []
+    del measured["position"]
+    found, _ = asked(tmp_path, {**measured, "force": sound["force"]}, SPRING)
+    assert found.missing == [f"a column for q (taken for setpoints: {name})"]
+
+
+def renamed(columns: Columns, **stems: str) -> Columns:
+    """Columns of a flight with other stems."""
+    return {"_".join((stems.get(k[0], k[0]), k[2:])) if k[1:2] == "_" else k: v for k, v in columns.items()}
+
+
+@pytest.mark.parametrize("stem", ["p_d", "pos_sp", "p_des", "target_pos", "pos_ref", "position_cmd"])
+def test_setpoints_of_a_flight_are_not_its_states(tmp_path: Path, stem: str) -> None:
+    sound = flight(8.0)
+    asked_for = {f"{stem}_{a}": sound[f"p_{a}"] + 0.01 * sound["t"] for a in "xyz"}
+    found, _ = asked(tmp_path, {"t": sound["t"], **asked_for, **renamed(sound, p="pos", v="vel")}, QUAD)
+    assert found.mapping is not None
+    assert found.mapping.columns["p"].source == ("pos_x", "pos_y", "pos_z")
+    assert not any(stem in one for one in found.open)
+
+
+@pytest.mark.parametrize(
+    ("name", "low", "high", "expected"),
+    [
+        ("rotor_speed", 384.0, 1456.0, {"full": 1500.0}),
+        ("motor", 384.0, 1456.0, {"full": 1500.0}),
+        ("motor_rpm", 900.0, 2100.0, {"full": 2100.0, "unit": "rpm"}),
+        ("omega", 820.0, 1456.0, {"full": 1500.0}),
+        ("erpm", 4000.0, 41000.0, {"full": 41000.0}),
+        ("motor", 1050.0, 1900.0, {"low": 1000.0, "high": 2000.0, "unit": "us"}),
+        ("pwm", 1050.0, 1900.0, {"low": 1000.0, "high": 2000.0, "unit": "us"}),
+        ("motor", 3000.0, 60000.0, {"low": 0.0, "high": 65535.0}),
+    ],
+)
+def test_speeds_of_rotors_are_no_pulses_and_the_proposal_is_read(
+    tmp_path: Path, name: str, low: float, high: float, expected: dict[str, object]
+) -> None:
+    sound = flight(8.0)
+    rng = np.random.default_rng(2)
+    for k in range(2):  # of the second run a rotor is faster than any of the first
+        drawn = low + (high - low) * rng.uniform(0, 0.9, (len(sound["t"]), 4))
+        drawn[0], drawn[5 + k] = low, high - 1.0 * (k == 0)
+        motors = {f"{name}_{j + 1}": drawn[:, j] for j in range(4)}
+        rest = {key: v for key, v in sound.items() if not key.startswith("u_")}
+        write_table(tmp_path / f"run_{k}.csv", {**rest, **motors})
+    found = nsde_torch.inspect(tmp_path, system=QUAD, physics=False)
+    assert found.mapping is not None
+    entry = found.mapping.columns["u"]
+    assert {key: getattr(entry, key) for key in expected} == expected
+    assert found.usable
+    columns = changed(make_system(QUAD))  # without its physics, which such motors do not move
+    data = nsde_torch.read(tmp_path, system=columns, kind="log", state_smoothing="keep")
+    assert len(data.runs) == 2
+
+
+def test_the_next_line_never_recommends_training_after_a_doubt(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    sound = spring()
+    write_table(tmp_path / "run_0.csv", order(sound, "q", "q_dot"))
+    assert main(["inspect", str(tmp_path), f"system={SPRING}"]) == 1
+    out = capsys.readouterr().out
+    assert "nsde train" not in out
+    assert "next: mend this first" in out
+    assert out.rstrip().endswith("exchange the columns q and q_dot")
+    # a rate of another machine: nothing names it, and still nothing is trained
+    write_table(tmp_path / "run_0.csv", {**sound, "q_dot": spring(seed=9)["q_dot"]})
+    main(["inspect", str(tmp_path), f"system={SPRING}", "physics=false"])
+    out = capsys.readouterr().out
+    assert "nsde train" not in out
+    assert "next: mend this first" in out
+
+
+def test_the_folder_of_a_machine_of_ones_own_is_no_log_and_is_in_the_next_line(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    own, logs = tmp_path / "own", tmp_path / "logs"
+    (own / "system").mkdir(parents=True)
+    logs.mkdir()
+    (own / "system" / "bench.yaml").write_text(
+        "name: nsde_torch.systems.one_dof:MassSpringDamper\n", encoding="utf-8"
+    )
+    write_table(logs / "run_0.csv", spring())
+    for words in (["--config-dir", str(own), str(logs)], [str(logs), f"--config-dir={own}"]):
+        assert main(["inspect", *words, "system=bench"]) == 0
+        out = capsys.readouterr().out
+        assert f"next: nsde train --config-dir {own} system=bench data=csv data.path={logs}" in out
+    assert main(["inspect", str(logs), "--config-dir", str(tmp_path / "nowhere")]) == 2
+    assert "no such folder" in capsys.readouterr().err

@@ -20,6 +20,7 @@ from nsde_torch.data.mapping.files import LogFile, log_files
 from nsde_torch.data.mapping.inputs import full_of_all
 from nsde_torch.data.mapping.mapping import LogMapping, read_mapping, text
 from nsde_torch.data.mapping.proposal import Proposal, propose
+from nsde_torch.data.places import files_of, log_place
 from nsde_torch.data.raw import RawRun
 from nsde_torch.data.readers import READERS, reader
 from nsde_torch.data.streams import moving
@@ -157,8 +158,7 @@ def inspect(
         >>> found = nsde_torch.inspect("flights", system="quadrotor")  # doctest: +SKIP
         >>> print(found.yaml)  # doctest: +SKIP
     """
-    if not Path(path).exists():
-        raise DataError(f"`path`: {path} does not exist; expected a log or a folder of logs.")
+    log_place(path, "a log or a folder of logs")
     machine = None if system is None else system_options(system).make()
     kind = kind or format_of(path, machine)
     given = read_mapping(mapping) if isinstance(mapping, str | Path) else mapping
@@ -221,7 +221,7 @@ def _check(
 def _native(path: Path, kind: str, machine: System | None, *, physics: bool) -> Inspection:
     """A log whose reader needs no mapping."""
     suffixes = READERS[kind].suffixes or (".csv",)
-    files = [path] if path.is_file() else sorted(p for p in path.iterdir() if p.suffix.lower() in suffixes)
+    files = [path] if path.is_file() else files_of(path, suffixes)
     log = open_ulog(files[0]) if kind == "ulog" else LogFile(files[0].stem, files[0], "table").open()
     machine = machine or system_options(_px4_frame(log) if kind == "ulog" else guess_system(log)).make()
     out = Inspection(str(path), kind, [p.stem for p in files], rows_of(log), machine.name, native=True)

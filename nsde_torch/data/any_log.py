@@ -6,10 +6,11 @@ from pathlib import Path
 from typing import Any
 
 from nsde_torch.data.csv_folder import fits
+from nsde_torch.data.places import log_place
 from nsde_torch.data.raw import RawRun
 from nsde_torch.data.readers import kind_of, reader
 from nsde_torch.data.system_info import SystemInfo
-from nsde_torch.errors import ConfigError, DataError
+from nsde_torch.errors import ConfigError
 
 
 def format_of(path: str | Path, system: SystemInfo | None = None) -> str:
@@ -22,9 +23,7 @@ def format_of(path: str | Path, system: SystemInfo | None = None) -> str:
     Raises:
         DataError: nothing there.
     """
-    path = Path(path)
-    if not path.exists():
-        raise DataError(f"`path`: {path} does not exist; expected a log or a folder of logs.")
+    path = log_place(path, "a log or a folder of logs")
     kind = kind_of(path)
     if kind == "csv" and (path.is_file() or system is None or not fits(path, system)):
         return "table"

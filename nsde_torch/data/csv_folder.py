@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import difflib
+import shlex
 from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
+from nsde_torch.data.places import LONGEST, count_rows, entries, files_of, log_place, refuse_larger
 from nsde_torch.data.raw import RawRun
 from nsde_torch.data.run import DataSet
 from nsde_torch.data.system_info import SystemInfo
@@ -22,7 +24,7 @@ TIME = "t"
 def _header(path: Path, system: SystemInfo) -> list[str]:
     """Column names of a file; what is missing or wrong is named with the nearest names at hand."""
     with path.open(encoding="utf-8-sig", errors="replace", newline="") as file:
-        line = file.readline()
+        line = file.readline(LONGEST)
     if not line.strip():
         raise DataError(f"{path} is empty; expected a header row with `t` and the state and input names.")
     if "\x00" in line:
@@ -60,7 +62,7 @@ def _header(path: Path, system: SystemInfo) -> list[str]:
         raise DataError(
             f"{path}:1: the columns {missing} of the system {system.name!r} are missing.{hint} Expected "
             f"{list(needed)}; got {names}. Rename or add the columns, or read them through a mapping: "
-            f"`nsde inspect {path} system={system.name}` proposes one."
+            f"`nsde inspect {shlex.quote(str(path))} system={system.name}` proposes one."
         )
     return names
 
@@ -80,8 +82,8 @@ def _inferable(system: SystemInfo, names: Sequence[str]) -> list[str]:
 
 def fits(path: Path, system: SystemInfo) -> bool:
     """Whether the files of a folder have the columns of a system, by the first of them."""
-    files = sorted(p for p in path.iterdir() if p.suffix.lower() == ".csv" and not p.name.startswith("."))
     try:
+        files = files_of(path, (".csv",))
         return bool(files) and bool(_header(files[0], system))
     except DataError:
         return False
@@ -124,6 +126,7 @@ def _missing_as_nan(cell: str) -> float:
 
 def _table(path: Path, names: Sequence[str]) -> Array:
     """The numbers of a file, (n, columns); an empty cell is missing."""
+    refuse_larger(path, 8.0 * count_rows(path) * len(names))
     try:
         with path.open(encoding="utf-8-sig") as file:
             file.readline()
@@ -199,11 +202,10 @@ def read_csv(system: SystemInfo, *, path: str | Path) -> list[RawRun]:
             f"`path`: {folder} is a file; a CSV data set is a folder with one file for each run. Give the "
             f"folder, {folder.parent}."
         )
-    if not folder.is_dir():
-        raise DataError(f"`path`: {folder} does not exist; expected a folder with one CSV file for each run.")
-    files = sorted(p for p in folder.iterdir() if p.suffix.lower() == ".csv" and not p.name.startswith("."))
+    log_place(folder, "a folder with one CSV file for each run")
+    files = files_of(folder, (".csv",))
     if not files:
-        held = sorted(p.name for p in folder.iterdir())[:5]
+        held = [p.name for p in entries(folder)][:5]
         raise DataError(
             f"`path`: {folder} holds no .csv file (it holds {held or 'nothing'}); expected one for each run."
         )

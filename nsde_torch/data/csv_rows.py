@@ -21,6 +21,8 @@ def csv_rows(path: Path, needed: Sequence[str], *, what: str, remedy: str) -> li
     Raises:
         DataError: the file or a column is missing.
     """
+    if path.exists() and not path.is_file():
+        raise DataError(f"{what} {path} is no regular file. {remedy}")
     try:
         with path.open(encoding="utf-8", newline="") as opened:
             rows = list(csv.DictReader(opened))

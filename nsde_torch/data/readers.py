@@ -14,6 +14,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any, TypeAlias
 
+from nsde_torch.data.places import entries
 from nsde_torch.errors import ConfigError
 from nsde_torch.lookup import function_by_name
 
@@ -105,9 +106,9 @@ def name_of(kind: Kind) -> str:
 def kind_of(path: str | Path) -> str:
     """Kind of the data in a file or folder, by the names of the files; csv where nothing says otherwise."""
     file = Path(path)
-    held = [p for p in file.iterdir() if not p.name.startswith(".")] if file.is_dir() else []
+    held = entries(file) if file.is_dir() else []
     if held and all(p.is_dir() for p in held):  # a folder for each run
-        held = [p for folder in held for p in folder.iterdir()]
+        held = [p for folder in held for p in entries(folder)]
     inside = {p.suffix.lower() for p in held}
     for kind, known in READERS.items():
         if {file.suffix.lower()} & set(known.suffixes) or (known.folders and inside & set(known.suffixes)):

@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 from nsde_torch.data import ulog_flight, ulog_setpoints
 from nsde_torch.data.findings import Finding
 from nsde_torch.data.frames import attitude_to_enu, swap_body, swap_world
+from nsde_torch.data.places import files_of, log_place
 from nsde_torch.data.quaternion import rotate
 from nsde_torch.data.raw import RawRun
 from nsde_torch.data.streams import Stream, attitudes, held, linear
@@ -320,13 +321,11 @@ def read_ulog(
     Raises:
         DataError: nothing to read, or a log that is refused (see `read_ulog_file`).
     """
-    path = Path(path)
+    path = log_place(path, "a .ulg file or a folder of them")
     if path.is_dir():
-        files = sorted(p for p in path.iterdir() if p.suffix.lower() == ".ulg")
+        files = files_of(path, (".ulg",))
         if not files:
             raise DataError(f"`path`: {path} holds no .ulg file.")
-    elif path.is_file():
-        files = [path]
     else:
-        raise DataError(f"`path`: {path} does not exist; expected a .ulg file or a folder of them.")
+        files = [path]
     return [read_ulog_file(file, system, state=state, in_air=in_air, motor_rate=motor_rate) for file in files]

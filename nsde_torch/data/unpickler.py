@@ -19,6 +19,7 @@ from typing import Any, BinaryIO
 
 import numpy as np
 
+from nsde_torch.data.places import log_place
 from nsde_torch.errors import DataError
 
 MAX_ARRAY_BYTES = 2**31
@@ -226,10 +227,9 @@ def read_pickle(path: str | Path) -> object:
         DataError: the file is missing, not a pickle, cut short, or names anything else (the name is in the
             message).
     """
-    path = Path(path)
-    if not path.is_file():
-        reason = "is a folder" if path.is_dir() else "does not exist"
-        raise DataError(f"`path`: {path} {reason}; expected a pickle file (.pkl).")
+    path = log_place(path, "a pickle file (.pkl)")
+    if path.is_dir():
+        raise DataError(f"`path`: {path} is a folder; expected a pickle file (.pkl).")
     try:
         with path.open("rb") as file:
             _check_memo(file, str(path))

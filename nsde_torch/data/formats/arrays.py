@@ -11,10 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nsde_torch.data.formats.log import lacking, unreadable
+from nsde_torch.data.places import refuse_larger
 from nsde_torch.errors import DataError
 
-LARGEST = 4 << 30
-"""Bytes that the arrays of a file may fill."""
 _DEPTH = 8  # of groups and structures
 _MOST = 20_000  # arrays in a file
 Arrays = dict[str, NDArray[Any]]
@@ -29,8 +28,7 @@ def read_npz(path: Path) -> Arrays:
     try:
         with zipfile.ZipFile(path) as archive:
             size = sum(item.file_size for item in archive.infolist())
-        if size > LARGEST:
-            raise DataError(f"{path} holds {size / 2**30:.3g} GiB; at most {LARGEST >> 30} are read.")
+        refuse_larger(path, size)
         out: Arrays = {}
         with np.load(path, allow_pickle=False) as file:
             for name in file.files[:_MOST]:
@@ -61,8 +59,7 @@ def read_mat(path: Path) -> Arrays:
     try:
         known = whosmat(str(path))
         wanted = [n for n, _, kind in known if kind not in ("object", "opaque", "function", "cell", "char")]
-        if 8 * sum(int(np.prod(shape)) for n, shape, _ in known if n in wanted) > LARGEST:
-            raise DataError(f"{path} is larger than {LARGEST >> 30} GiB.")
+        refuse_larger(path, 8 * sum(int(np.prod(shape)) for n, shape, _ in known if n in wanted))
         raw = loadmat(str(path), variable_names=wanted) if wanted else {}
     except DataError:
         raise
@@ -115,8 +112,7 @@ def read_hdf5(path: Path) -> Arrays:
                     f"{path}: the data of {before}{key} lie in another file, which is not opened."
                 )
             size += item.size * max(item.dtype.itemsize, 8)
-            if size > LARGEST:
-                raise DataError(f"{path} holds more than {LARGEST >> 30} GiB.")
+            refuse_larger(path, size)
             value = item[()]
             if value.dtype.names:  # a table of records: a column each
                 for field in value.dtype.names:
@@ -160,8 +156,7 @@ def read_parquet(path: Path) -> Arrays:
                 or kinds.is_boolean(f.type)
                 or kinds.is_timestamp(f.type)
             ]
-            if 8 * rows * len(wanted) > LARGEST:
-                raise DataError(f"{path} holds more than {LARGEST >> 30} GiB.")
+            refuse_larger(path, 8 * rows * len(wanted))
             for name in wanted:  # one at a time: a table and its copy would be twice the memory
                 column = file.read(columns=[name]).column(0)
                 if kinds.is_timestamp(schema.field(name).type):

@@ -17,6 +17,7 @@ from nsde_torch.data.formats.arrays import Arrays, read_hdf5, read_mat, read_npz
 from nsde_torch.data.formats.clock import ClockOf, found, time_column, timed
 from nsde_torch.data.formats.log import StreamLog
 from nsde_torch.data.formats.text import read_text
+from nsde_torch.data.places import files_of
 from nsde_torch.errors import DataError
 
 Array = NDArray[np.float64]
@@ -47,7 +48,7 @@ def open_table(path: Path, *, clock: ClockOf | None = None) -> StreamLog:
     """
     clock = clock or ClockOf()
     if path.is_dir():
-        files = sorted(p for p in path.iterdir() if p.suffix.lower() in (*TEXT, *_READ))
+        files = files_of(path, (*TEXT, *_READ))
         tables = {
             f"{file.stem}/{name}".rstrip("/"): one for file in files for name, one in _columns(file).items()
         }

@@ -9,12 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nsde_torch.data.formats.log import unreadable
+from nsde_torch.data.places import LONGEST, count_rows, refuse_larger
 from nsde_torch.errors import DataError
 
 Array = NDArray[np.float64]
 
 _MARKS = (",", ";", "\t")
-_LONGEST = 1_000_000  # characters of a line
 _PROBED = 200  # rows that tell which columns hold numbers
 _NOTHING = {"", "nan", "NaN", "NAN", "null", "None", "NA", "N/A", "-"}
 
@@ -27,13 +27,13 @@ def read_text(path: Path) -> dict[str, Array]:
     """
     try:
         with path.open(encoding="utf-8-sig", errors="strict", newline="") as file:
-            head = file.readline(_LONGEST)
+            head = file.readline(LONGEST)
             while head.startswith("%"):  # comments before the header
-                head = file.readline(_LONGEST)
-            probe = [line for _, line in zip(range(_PROBED), file, strict=False) if line.strip()]
+                head = file.readline(LONGEST)
+            probe = [line for _ in range(_PROBED) if (line := file.readline(LONGEST)).strip()]
     except UnicodeDecodeError as error:
         raise unreadable(path, "table of text", "it is not UTF-8 text") from error
-    if "\x00" in head or len(head) >= _LONGEST or not head.strip():
+    if "\x00" in head or len(head) >= LONGEST or not head.strip():
         raise unreadable(path, "table of text", "no header row")
     mark = max(_MARKS, key=head.count)
     if mark not in head:
@@ -54,6 +54,7 @@ def read_text(path: Path) -> dict[str, Array]:
     ]
     if not use:
         raise DataError(f"{path}: no column holds numbers.")
+    refuse_larger(path, 8.0 * count_rows(path) * len(use))
     try:
         table = np.loadtxt(
             _lines(path, mark, len(names)),
@@ -73,7 +74,7 @@ def _lines(path: Path, mark: str, width: int) -> Iterator[str]:
     hole, filled = mark + mark, f"{mark}nan{mark}"
     with path.open(encoding="utf-8-sig", newline="") as file:
         number = 1
-        while file.readline(_LONGEST).startswith("%"):
+        while file.readline(LONGEST).startswith("%"):
             number += 1
         for line in file:
             number += 1

@@ -12,6 +12,7 @@ from nsde_torch.data.formats.betaflight import logs_of
 from nsde_torch.data.formats.clock import ClockOf
 from nsde_torch.data.formats.log import StreamLog
 from nsde_torch.data.formats.table import TEXT, same_columns
+from nsde_torch.data.places import entries, files_of, log_place
 from nsde_torch.data.readers import READERS
 from nsde_torch.errors import ConfigError, DataError
 
@@ -70,10 +71,7 @@ def log_files(kind: str, path: str | Path) -> list[LogFile]:
     if kind not in READERS or READERS[kind].streams is None:
         raise ConfigError(f"data of kind {kind!r} are read without a mapping.")
     suffixes = tuple(dict.fromkeys((*READERS[kind].suffixes, *(TEXT if kind == "table" else ()))))
-    if not path.exists():
-        raise DataError(
-            f"`path`: {path} does not exist; expected a file ({', '.join(suffixes)}) or a folder of them."
-        )
+    log_place(path, f"a file ({', '.join(suffixes)}) or a folder of them")
     files = [path] if path.is_file() or _is_bag(path) else _inside(path, suffixes, kind)
     if not files:
         raise DataError(f"`path`: {path} holds no file of the kind {kind!r} ({', '.join(suffixes)}).")
@@ -92,11 +90,12 @@ def _is_bag(path: Path) -> bool:
 
 
 def _inside(folder: Path, suffixes: Sequence[str], kind: str) -> list[Path]:
-    found = sorted(p for p in folder.iterdir() if not p.name.startswith("."))
-    files = [p for p in found if p.is_file() and p.suffix.lower() in suffixes]
+    found = entries(folder)
     folders = [p for p in found if p.is_dir()]
     if kind == "rosbag":
+        files = [p for p in found if p.is_file() and p.suffix.lower() in suffixes]
         return files + [p for p in folders if _is_bag(p)]
+    files = files_of(folder, suffixes)
     if kind != "table":
         return files
     text = [p for p in files if p.suffix.lower() in TEXT]

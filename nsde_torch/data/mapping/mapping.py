@@ -116,6 +116,8 @@ def read_mapping(path: str | Path) -> LogMapping:
         ConfigError: no such file, not YAML, an unknown key or a value out of range; the message names the key.
     """
     path = Path(path)
+    if path.exists() and not path.is_file():
+        raise ConfigError(f"`mapping`: {path} is no regular file; expected a YAML file.")
     try:
         if path.stat().st_size > _LARGEST:
             raise ConfigError(f"`mapping`: {path} is larger than 1 MiB; no mapping is.")

@@ -6,6 +6,7 @@ mapping that kinematics or gravity contradict is refused.
 
 from __future__ import annotations
 
+import shlex
 from pathlib import Path
 
 from nsde_torch.data.findings import Finding
@@ -50,16 +51,20 @@ def read_mapped(
             assumed = "the mapping was proposed, and passed its checks"
         run = apply(log, given, system)
         del log
-        _refuse_contradicted(system, run, given, f"nsde inspect {path} system={system.name}")
+        _refuse_contradicted(system, run, given, _inspection(path, system))
         if assumed:
             run.notes.append(Finding("proposed_mapping", run.name, 1, assumed, "reported"))
         runs.append(run)
     return runs
 
 
+def _inspection(path: str | Path, system: SystemInfo) -> str:
+    return f"nsde inspect {shlex.quote(str(path))} system={system.name}"
+
+
 def _proposed(log: StreamLog, system: SystemInfo, kind: str, path: str | Path) -> LogMapping:
     found = propose(log, system, kind=kind)
-    command = f"nsde inspect {path} system={system.name}"
+    command = _inspection(path, system)
     if found.mapping is None or found.missing:
         raise DataError(
             f"{log.source}: by their names, no columns are {', '.join(found.missing) or 'of the machine'}, which the "

@@ -111,7 +111,7 @@ def run(config: DictConfig, job: Job) -> None:
         flush=True,
     )
     try:
-        server.run(page)
+        server.run(page, token=token)
     finally:
         runner.close()
     print(f"\nnsde serve: ended; {len(shelf.all())} diagnoses are kept in {shelf.folder}.")

@@ -1,16 +1,57 @@
-"""The server of the application: waitress on an address of this machine."""
+"""The server of the application: waitress on an address of this machine.
+
+waitress takes the whole body of a request before it calls the application. So the parser of requests asks for the token
+as soon as it has the header: a body without it is not read.
+"""
 
 from __future__ import annotations
 
+import json
 import socket
 from collections.abc import Callable, Iterable
 from typing import Any
 
+from waitress.channel import HTTPChannel
+from waitress.parser import HTTPRequestParser
 from waitress.server import create_server
+from waitress.utilities import Error
 
 from nsde_torch.errors import ConfigError
 
+from .checks import NO_TOKEN, TOKEN, is_token
+
 WSGI = Callable[[Any, Any], Iterable[bytes]]
+
+
+class _KeylessError(Error):
+    """The answer to a body without the token."""
+
+    code, reason = 401, "Unauthorized"
+
+    def to_response(self, ident: str | None = None) -> tuple[str, list[tuple[str, str]], bytes]:
+        headers = [("Content-Type", "application/json")]
+        return f"{self.code} {self.reason}", headers, json.dumps({"error": self.body}).encode()
+
+
+def _channel(token: str) -> type[HTTPChannel]:
+    """A connection that reads no body without the token."""
+
+    class Parser(HTTPRequestParser):
+        error: Error | None = None
+
+        def received(self, data: bytes) -> int:
+            before = self.headers_finished
+            consumed: int = super().received(data)
+            if self.headers_finished and not before and self.body_rcv is not None and self.error is None:
+                given = self.headers.get(TOKEN.upper().replace("-", "_"), "")
+                if not is_token(given, token):
+                    self.error, self.completed, self.expect_continue = _KeylessError(NO_TOKEN), True, False
+            return consumed
+
+    class Channel(HTTPChannel):
+        parser_class = Parser
+
+    return Channel
 
 
 class PageServer:
@@ -26,11 +67,12 @@ class PageServer:
         self.socket, self._largest, self._threads = sock, largest, threads
         self.port: int = sock.getsockname()[1]
 
-    def run(self, application: WSGI) -> None:
+    def run(self, application: WSGI, *, token: str) -> None:
         """Answer until Ctrl-C or SIGTERM.
 
         Args:
             application: What answers.
+            token: What a request with a body must hold.
         """
         server = create_server(
             application,
@@ -40,6 +82,7 @@ class PageServer:
             clear_untrusted_proxy_headers=True,
             ident=None,
         )
+        server.channel_class = _channel(token)
         try:
             server.run()
         finally:

@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
+import socket
+import threading
 
 import pytest
 
-from tests.serving.conftest import HOST, Page, Played
+from nsde_torch.cli.serving.server import listen
+from tests.serving.conftest import HOST, TOKEN, Page, Played
 
 CSV = {"run.csv": b"t,q\n0,1\n"}
 
@@ -121,3 +125,33 @@ def test_what_is_no_json_is_refused(page: Page) -> None:
         assert json.loads(answer.text)["error"]
     large = page.ask("POST", "/api/jobs", data=b" " * (1 << 19), content_type="application/json")
     assert large.status_code == 413
+
+
+@pytest.mark.parametrize(
+    ("token", "length", "status"),
+    [(None, 1 << 29, b"401 Unauthorized"), ("another", 1 << 29, b"401 Unauthorized"), (TOKEN, 2, b"200 OK")],
+)
+def test_a_body_is_not_read_before_the_token_is_seen(token: str | None, length: int, status: bytes) -> None:
+    taken: list[bytes] = []
+
+    def page(environ, start_response):  # type: ignore[no-untyped-def]
+        taken.append(environ["wsgi.input"].read())
+        start_response("200 OK", [])
+        return [b""]
+
+    server = listen("127.0.0.1", 0, largest=1 << 30, threads=1)
+
+    def serve() -> None:
+        with contextlib.suppress(OSError):  # its socket is closed at the end, from another thread
+            server.run(page, token=TOKEN)
+
+    threading.Thread(target=serve, daemon=True).start()
+    head = f"PUT /api/jobs/x/logs/0 HTTP/1.1\r\nHost: {HOST}\r\nContent-Length: {length}\r\n"
+    head += "" if token is None else f"X-Nsde-Token: {token}\r\n"
+    with socket.create_connection(("127.0.0.1", server.port), timeout=20) as client:
+        client.sendall(f"{head}\r\n".encode() + b"ab")  # of half a GiB that is announced
+        answer = client.recv(1 << 16)
+    server.socket.close()
+    assert answer.startswith(b"HTTP/1.1 " + status)
+    assert taken == ([b"ab"] if token == TOKEN else [])
+    assert token == TOKEN or b"it holds the key to this page" in answer

@@ -65,7 +65,7 @@ def listing() -> str:
 
 def unknown_command(name: str) -> str:
     """The message for a command that is not in the table, with the nearest one that is."""
-    near = difflib.get_close_matches(name, COMMANDS, n=1, cutoff=0.5)
+    near = difflib.get_close_matches(name, COMMANDS, n=1, cutoff=0.65)
     hint = f" Did you mean `nsde {near[0]}`?" if near else ""
     return f"nsde: no command `{name}`.{hint} Commands: {', '.join(COMMANDS)}."
 

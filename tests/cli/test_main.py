@@ -35,6 +35,8 @@ def test_unknown_command_suggests_the_nearest(capsys: pytest.CaptureFixture[str]
     assert main(["trian"]) == 2
     assert "Did you mean `nsde train`?" in capsys.readouterr().err
     assert "Did you mean" not in unknown_command("zzz")
+    assert "Did you mean" not in unknown_command("nonsense")
+    assert "Did you mean `nsde evaluate`?" in unknown_command("eval")
 
 
 def test_version_is_that_of_the_package(capsys: pytest.CaptureFixture[str]) -> None:

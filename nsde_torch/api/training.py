@@ -127,6 +127,7 @@ def train(
             say=say,
             other_sensors=other is not None,
             instruments=list(instruments),
+            kept=run_dir is not None,
         )
         made = load(folder, device=device)
     if run_dir is None:

@@ -55,6 +55,7 @@ class Training:
         say: Where text for people goes; False: nowhere, and no progress bar.
         other_sensors: Whether the test runs were recorded by other sensors, whose noise is then estimated.
         instruments: Logged columns from outside the loop: sticks, setpoints.
+        kept: Whether the folder stays after the training.
     """
 
     def __init__(
@@ -75,11 +76,12 @@ class Training:
         say: Callable[[str], None] | Literal[False] = print,
         other_sensors: bool = False,
         instruments: Sequence[str] = (),
+        kept: bool = True,
     ) -> None:
         self.spec, self.data, self.split, self.loss, self.options = spec, data, split, loss, options
         self.validation, self.seed, self.values = validation, seed, values
         self.device, self.dtype = torch.device(device), dtype
-        self.instruments = tuple(instruments)
+        self.instruments, self.kept = tuple(instruments), kept
         self.folder, self.about, self.other_sensors = Path(run_dir), about, other_sensors
         self.say, self.quiet = say or (lambda text: None), say is False
         self.compile = options.compile != "off" and model_kind(spec.kind).compiles
@@ -294,7 +296,8 @@ class Training:
                 self.say("\nthe model is deterministic: it has no intervals")
         if self.note():
             self.say(f"\nnote: {self.note()}")
-        self.say(f"\ntook {metrics['seconds']['total']:.0f} s; wrote {self.folder}")
+        wrote = f"; wrote {self.folder}" if self.kept else ""
+        self.say(f"\ntook {metrics['seconds']['total']:.0f} s{wrote}")
 
     def _scalars(self, name: str) -> Callable[[int, dict[str, float]], None]:
         from torch.utils.tensorboard import SummaryWriter

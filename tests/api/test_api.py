@@ -236,3 +236,13 @@ def test_a_newcomer_gets_from_files_to_a_named_effect(
     assert "coulomb_friction" in out.split("declared parameter")[0]
     assert Path("diagnosis/report.html").is_file()
     assert "coulomb_friction" in nsde_torch.load("model").system.effect_names
+
+
+@pytest.mark.parametrize("kept", [True, False])
+def test_a_training_names_a_folder_that_it_wrote_and_no_other(kept: bool, runs: Path, tmp_path: Path) -> None:
+    said: list[str] = []
+    folder = tmp_path / "run" if kept else None
+    nsde_torch.train(runs, system=SYSTEM, model="sysid", run_dir=folder, say=said.append)
+    assert said[-1].strip().startswith("took ")
+    assert (f"wrote {folder}" in said[-1]) == kept
+    assert "wrote" not in said[-1] or kept

@@ -86,6 +86,7 @@ def run(config: DictConfig, job: Job) -> None:
     """
     # torch is imported here, not above: help and completion do without it.
     import nsde_torch
+    from nsde_torch.diagnosis.candidates import check_candidates
     from nsde_torch.diagnosis.files import EFFECTS, PLOTS, REPORT, RESULT, DiagnosisFiles, write_content
     from nsde_torch.diagnosis.rehearsal_text import rehearsal_lines
     from nsde_torch.diagnosis.report import write_report
@@ -98,6 +99,7 @@ def run(config: DictConfig, job: Job) -> None:
     effects_file.expand(config.system)
     machine = build.system_options(config.system)
     system = machine.make()
+    check_candidates(system, config.candidates or ())
     data = build.dataset(config.data, system)
     print(data.summary, flush=True)
     note = f"found by nsde diagnose; use it with: {_training(config, job)}"

@@ -6,6 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Literal
 
 from nsde_torch.api.reading import Data, read, split_runs
+from nsde_torch.diagnosis.candidates import check_candidates
 from nsde_torch.diagnosis.not_done import StoppedError
 from nsde_torch.diagnosis.options import Options
 from nsde_torch.diagnosis.pipeline import diagnose as diagnose_runs
@@ -90,6 +91,7 @@ def diagnose(
     )
     machine_options = system_options(system, effects=effects, declared=declared, parameters=parameters)
     machine = machine_options.make()
+    check_candidates(machine, options.candidates or ())
     runs = read(data, system=machine)
     looked_at = list(runs.runs)
     if test is not None or test_data is not None:

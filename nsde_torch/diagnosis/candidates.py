@@ -2,8 +2,9 @@
 
 from collections.abc import Collection, Sequence
 
-from nsde_torch.effects import Effect, Law, Port, effect_class, effects_of
+from nsde_torch.effects import EFFECTS, Effect, Law, Port, effect_class, effects_of
 from nsde_torch.effects.law import joined_name, split_name
+from nsde_torch.errors import ConfigError
 from nsde_torch.systems import System
 from nsde_torch.systems.parameters import own_name
 
@@ -31,6 +32,37 @@ def candidate_names(system: System, among: Collection[str] | None = None) -> lis
         and cls.candidate(system.name)
         and set(cls.exogenous) <= set(system.exogenous)
     )
+
+
+def check_candidates(system: System, names: Sequence[str]) -> None:
+    """Refuse candidates that a system cannot have whatever is logged: this needs no data.
+
+    Args:
+        system: Declared system.
+        names: Effects of the catalogue.
+
+    Raises:
+        ConfigError: one is not in the catalogue, is declared, or is for other machines.
+    """
+    for name in names:
+        if split_name(system.effect_key(name))[0] not in EFFECTS:
+            raise ConfigError(
+                f"`candidates` names {name!r}, which `nsde effects` does not list; one of your own goes into `also`."
+            )
+    read = {
+        c
+        for cls in effects_of(system.name, system.ports, system.bound_coordinates()).values()
+        for c in cls.exogenous
+    }
+    able = candidate_names(system.reading(*sorted(read - set(system.exogenous))))
+    for name in on_coordinates(system, names):
+        if name in system.effect_names:
+            raise ConfigError(f"`candidates` names {name!r}, which is declared already; leave it out.")
+        if name not in able:
+            raise ConfigError(
+                f"`candidates` names {name!r}, which {system.name!r} cannot have beyond its declared physics; it could "
+                f"have: {', '.join(able)}."
+            )
 
 
 def on_coordinates(system: System, names: Sequence[str]) -> list[str]:

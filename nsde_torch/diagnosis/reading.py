@@ -10,14 +10,13 @@ import torch
 from numpy.typing import NDArray
 
 from nsde_torch.data import Run
-from nsde_torch.diagnosis.candidates import candidate_names, on_coordinates
+from nsde_torch.diagnosis.candidates import candidate_names, check_candidates, on_coordinates
 from nsde_torch.diagnosis.decisions import Budgets, Decisions
 from nsde_torch.diagnosis.hidden import Feedback, shown_by_instruments
 from nsde_torch.diagnosis.not_done import OptionalStages
 from nsde_torch.diagnosis.options import Options
 from nsde_torch.diagnosis.search import Search, search_in
-from nsde_torch.effects import EFFECTS, effect_class, effects_of, register
-from nsde_torch.effects.law import split_name
+from nsde_torch.effects import effect_class, effects_of, register
 from nsde_torch.errors import ConfigError, DataError
 from nsde_torch.recording.levels import level
 from nsde_torch.recording.log import Recorded
@@ -145,13 +144,9 @@ def read_effects(system: System, runs: Sequence[Run], options: Options) -> dict[
 
     Raises:
         DataError: an instrument is no column of the log.
-        ConfigError: a candidate that is not in the catalogue.
+        ConfigError: a candidate that the system cannot have.
     """
-    for name in options.candidates or ():
-        if split_name(system.effect_key(name))[0] not in EFFECTS:
-            raise ConfigError(
-                f"`candidates` names {name!r}, which `nsde effects` does not list; one of your own goes into `also`."
-            )
+    check_candidates(system, options.candidates or ())
     if options.instruments:  # told before any work
         with_columns(system, runs, options.instruments)
     return {key: register(key) for key in options.also}

@@ -246,3 +246,12 @@ def test_a_training_names_a_folder_that_it_wrote_and_no_other(kept: bool, runs: 
     assert said[-1].strip().startswith("took ")
     assert (f"wrote {folder}" in said[-1]) == kept
     assert "wrote" not in said[-1] or kept
+
+
+@pytest.mark.parametrize(
+    ("candidate", "why"),
+    [("linear_spring", "declared already"), ("rotor_drag", "does not list"), ("linear_drag", "cannot have")],
+)
+def test_a_candidate_that_cannot_be_one_is_refused_before_anything_is_read(candidate: str, why: str) -> None:
+    with pytest.raises(ConfigError, match=why):
+        nsde_torch.diagnose("nowhere", system=SYSTEM, candidates=[candidate])

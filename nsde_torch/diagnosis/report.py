@@ -21,6 +21,7 @@ from nsde_torch.diagnosis.text import (
     in_order,
     interval,
     interval_head,
+    least_squares,
     measured,
     notices,
     placed,
@@ -236,15 +237,8 @@ def _finding(finding: Mapping[str, Any], content: Mapping[str, Any], figure: str
     text += f"<p>{escape(worth[:1].upper())}{escape(worth[1:])}.</p>{figure}" if worth else figure
     own = {k: p for k, p in content["parameters"].items() if k.startswith(f"{finding['name']}.")}
     if own:
-        rows = [
-            [
-                k.partition(".")[2],
-                f"{number(p['value'])} {_unit(p['unit'])}",
-                interval(p["interval_90"], p["bound"]),
-            ]
-            for k, p in own.items()
-        ]
-        text += _table(["parameter", "value", interval_head(content)], rows)
+        rows = [_row(content, k.partition(".")[2], k, p) for k, p in own.items()]
+        text += _table(["parameter", "value", interval_head(content), *least_squares(content)], rows)
     if finding["p"] is not None:
         text += f'<p class="small">Chance of this if it were not there: p {escape(chance(finding["p"]))}'
         text += (
@@ -352,12 +346,14 @@ def _ranking(ranking: Sequence[Mapping[str, Any]]) -> str:
 
 
 def _declared(content: Mapping[str, Any]) -> str:
-    rows = [
-        [name, f"{number(p['value'])} {_unit(p['unit'])}", interval(p["interval_90"], p["bound"])]
-        for name, p in content["declared_parameters"].items()
-    ]
-    head = ["parameter", "value", interval_head(content)]
+    rows = [_row(content, name, name, p) for name, p in content["declared_parameters"].items()]
+    head = ["parameter", "value", interval_head(content), *least_squares(content)]
     return _folded("Declared parameters, fitted again", _table(head, rows)) if rows else ""
+
+
+def _row(content: Mapping[str, Any], label: str, name: str, p: Mapping[str, Any]) -> list[str]:
+    cells = [f"{number(p['value'])} {_unit(p['unit'])}", interval(p["interval_90"], p["bound"])]
+    return [label, *cells, *least_squares(content, name)]
 
 
 def _structure(content: Mapping[str, Any]) -> str:

@@ -37,18 +37,22 @@ def lines(content: Mapping[str, Any]) -> list[str]:
     if content["told"]["rest"]:
         out += ["", f"{small_ones(content)}."]
     out += [line for a in content["aside"] for line in ("", f"{a['sentence']} This is {a['reason']}.")]
-    if content["parameters"]:
-        rows = [
-            [name, number(p["value"]), interval(p["interval_90"], p["bound"]), p["unit"]]
-            for name, p in content["parameters"].items()
-        ]
-        out += ["", table(["parameter", "value", interval_head(content), "unit"], rows)]
-    if content["declared_parameters"]:
-        rows = [
-            [name, number(p["value"]), interval(p["interval_90"], p["bound"]), p["unit"]]
-            for name, p in content["declared_parameters"].items()
-        ]
-        out += ["", table(["declared parameter", "value", interval_head(content), "unit"], rows)]
+    for key, title in (("parameters", "parameter"), ("declared_parameters", "declared parameter")):
+        if content[key]:
+            rows = [
+                [
+                    name,
+                    number(p["value"]),
+                    interval(p["interval_90"], p["bound"]),
+                    *least_squares(content, name),
+                    p["unit"],
+                ]
+                for name, p in content[key].items()
+            ]
+            out += [
+                "",
+                table([title, "value", interval_head(content), *least_squares(content), "unit"], rows),
+            ]
     residual = [
         [
             name,
@@ -94,6 +98,22 @@ def lines(content: Mapping[str, Any]) -> list[str]:
         out += ["", "these data cannot show (smallest size that would be noticed):"]
         out += [f"  {text}" for text in unseen(content["not_shown"])]
     return out
+
+
+def least_squares(content: Mapping[str, Any], name: str | None = None) -> list[str]:
+    """Heads of the columns of least squares (no name), or the cells of a parameter; none where the fit stands.
+
+    Args:
+        content: As `diagnosis.json` has it.
+        name: Of the parameter.
+    """
+    to_use = content["guard"].get("to_use")
+    if not to_use:
+        return []
+    if name is None:
+        return ["least squares: use these", "90 % interval"]
+    one = to_use.get(name)
+    return ["-", "-"] if one is None else [number(one["value"]), interval(one["interval_90"])]
 
 
 def _finding(finding: Mapping[str, Any], content: Mapping[str, Any]) -> list[str]:

@@ -24,13 +24,13 @@ another machine (`run_differences`): where the log is at fault, fits part for th
 """
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import log
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import fdtrc
+from scipy.special import fdtrc, stdtrit
 
 from nsde_torch.data import Run
 from nsde_torch.sysid.explained import per_second
@@ -141,6 +141,9 @@ class Guarded:
         channels: What each fit leaves of each channel.
         labels: Parameters.
         least_squares: Their values by least squares (k,).
+        half_90: Half-widths of the 90 % intervals of these (k,), nan where the data do not show one; empty where they
+            are not to be used.
+        units: Units of the parameters, likewise.
         chance: Chance of so large a difference between the fit and least squares.
         notes: What is worth knowing and speaks not against the fit.
     """
@@ -151,6 +154,21 @@ class Guarded:
     least_squares: tuple[float, ...] = ()
     chance: float = 1.0
     notes: tuple[str, ...] = ()
+    half_90: tuple[float, ...] = ()
+    units: tuple[str, ...] = ()
+
+    @property
+    def to_use(self) -> dict[str, dict[str, Any]]:
+        """Values, 90 % intervals and units of least squares by parameter, where these are to be used; else nothing."""
+        rows = zip(self.labels, self.least_squares, self.half_90, self.units, strict=False)
+        return {
+            name: {
+                "value": v,
+                "interval_90": [v - half, v + half] if np.isfinite(half) else None,
+                "unit": unit,
+            }
+            for name, v, half, unit in rows
+        }
 
     def as_dict(self) -> dict[str, Any]:
         """Plain containers, for JSON."""
@@ -160,6 +178,7 @@ class Guarded:
             "least_squares": dict(zip(self.labels, self.least_squares, strict=True)),
             "chance": self.chance,
             "notes": list(self.notes),
+            **({"to_use": self.to_use} if self.to_use else {}),
         }
 
 
@@ -205,9 +224,35 @@ def guarded(
     if not objections:
         objections = _disagreements(channels, chance) or _gone(rough, theta, covariance, left["fit"])
         notes += [] if objections else _believed(channels, chance)
-    return Guarded(
+    found = Guarded(
         tuple(objections), channels, tuple(vector.labels), tuple(rough.theta.tolist()), chance, tuple(notes)
     )
+    if "least_squares" not in {o.kind for o in objections}:
+        return found
+    found = replace(found, half_90=tuple(_half_widths(rough).tolist()), units=tuple(vector.units))
+    return replace(found, objections=tuple(_with_values(o, found) for o in objections))
+
+
+def _with_values(objection: Objection, guard: Guarded) -> Objection:
+    """An objection that recommends least squares, with their values."""
+    if objection.kind != "least_squares":
+        return objection
+    told = []
+    for name, one in guard.to_use.items():
+        ends, unit = one["interval_90"], "" if one["unit"] == "1" else f" {one['unit']}"
+        between = f"90 % interval {ends[0]:.3g} to {ends[1]:.3g}" if ends else "not shown by the data"
+        told.append(f"{name} {one['value']:.3g}{unit} ({between})")
+    return replace(
+        objection, remedy=f"use the values of least squares: {', '.join(told)}; {objection.remedy}"
+    )
+
+
+def _half_widths(rough: Regression) -> Array:
+    """Half-widths of the 90 % intervals of least squares (k,); nan of what the data do not show."""
+    basis, sure = rough.shown.basis, rough.spread()
+    error = np.sqrt(np.clip(np.diag(basis @ sure.covariance @ basis.T), 0.0, None))
+    half = stdtrit(sure.degrees(basis).clip(1.0), 0.95) * error
+    return np.where(rough.shown.known, half, np.nan)
 
 
 def _faults(
@@ -242,8 +287,8 @@ def _disagreements(channels: Sequence[Compared], chance: float) -> list[Objectio
         out.append(
             Objection(
                 "least_squares",
-                f"least squares on means over 0.15 s leave much less than the fit ({told}): believe them. Noise and "
-                "feedback pull least squares towards nothing, so that what they find more is there, and the noise "
+                f"least squares on means over 0.15 s leave much less than the fit ({told}). Noise "
+                "and feedback pull least squares towards nothing, so that what they find more is there, and the noise "
                 "model of the fit has learned it",
                 "the states may have been smoothed or filtered before they were logged, or something that acts is not "
                 "declared: log them raw, or train with model.method=differences; `nsde diagnose` names effects",

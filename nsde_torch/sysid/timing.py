@@ -6,11 +6,14 @@ is left,
     L(s) = sum over channels of log(left / measured),
 
 has a sharp minimum in the shift s: a delay of 30 ms makes a multirotor's rates four to ten times as large. A parabola
-through three shifts says where it is; where it is elsewhere, the search follows it.
+through three shifts says where it is; where it is elsewhere, the search follows it. A stream that is truly shifted is
+better in every channel when it is moved. Where one is worse, or where states were smoothed, a lag and a smoother
+together do the same as a shift, and none is advised.
 """
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from math import log
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,7 +22,7 @@ from nsde_torch.data import Run
 from nsde_torch.data.system_info import derivative_columns, rate_columns
 from nsde_torch.recording.channels import common_name, moved
 from nsde_torch.sysid.regression import Regression
-from nsde_torch.sysid.rough import beginnings, rough_fit, share_left
+from nsde_torch.sysid.rough import beginnings, left_at, rough_fit
 from nsde_torch.systems import System
 
 Array = NDArray[np.float64]
@@ -34,6 +37,8 @@ ACTUATOR_S = 0.08
 """How late inputs may act by what actuators do, a lag or a delay, which the declared physics may lack [s]."""
 GAIN = 0.4
 """By how much L must be smaller than without the shift; four channels that each lose a tenth."""
+_WORSE = 0.05
+"""By how much the logarithm of what is left of one channel must grow to speak against a shift."""
 _ITERATIONS = 3
 _PART_S = 30.0
 
@@ -47,12 +52,16 @@ class Shifted:
         seconds: By how much it is logged late; early, if negative [s].
         gain: By how much L falls when it is moved back.
         inputs: Whether it is the inputs: then early means that they act later than they were logged.
+        against: Channels of which the physics leaves more when the stream is moved.
+        smoothed: States that were smoothed before they were logged.
     """
 
     stream: str
     seconds: float
     gain: float
     inputs: bool
+    against: tuple[str, ...] = ()
+    smoothed: tuple[str, ...] = ()
 
     @property
     def of_actuators(self) -> bool:
@@ -79,6 +88,14 @@ class Shifted:
         """What to do."""
         if self.of_actuators:
             return "declare what delays them (system.effects=[motor_lag] or [input_delay]; `nsde diagnose` tells which)"
+        why = [f"{', '.join(self.against)} fit best as they are"] if self.against else []
+        why += [f"{', '.join(self.smoothed)} were smoothed before they were logged"] if self.smoothed else []
+        if why:
+            return (
+                f"do not shift these columns: {' and '.join(why)}, and these data cannot tell a shift from a lag and a "
+                "smoother together; log states as the sensors read them, and inputs with the time at which each was "
+                "sent, all on one clock"
+            )
         return (
             "shift these columns against the others before writing the log, or log all streams on one clock"
         )
@@ -137,18 +154,24 @@ def _best(
     inputs: bool,
 ) -> Shifted | None:
     dt = runs[0].dt * clock
-    known: dict[float, float] = {}
+    known: dict[float, dict[str, float]] = {}
 
-    def score(seconds: float) -> float:
+    def shares(seconds: float) -> dict[str, float]:
         at = round(seconds, 6)
         if at not in known:
             read = _mover(system, at / dt, states, inputs)
             start = rough.theta
             fitted = rough_fit(system, [read(r) for r in runs], clock, iterations=_ITERATIONS, start=start)
-            known[at] = float("inf")
+            known[at] = {}
             if fitted is not None and len(fitted.rows) >= len(rough.rows):
-                known[at] = share_left(fitted)
+                known[at] = {
+                    c.name: log(max(c.left, 1e-12) / max(c.measured, 1e-12))
+                    for c in left_at(fitted, fitted.theta)
+                }
         return known[at]
+
+    def score(seconds: float) -> float:
+        return sum(shares(seconds).values()) if shares(seconds) else float("inf")
 
     middle = 0.0
     while abs(middle) < MOST_S:
@@ -166,7 +189,10 @@ def _best(
     gain = score(0.0) - min(score(best), here)
     if not gain > GAIN:
         return None
-    return Shifted(stream, best, gain, inputs)
+    there = shares(best if score(best) < here else middle)
+    against = tuple(name for name, left in shares(0.0).items() if there.get(name, left) > left + _WORSE)
+    smoothed = tuple(sorted({name for run in runs for name in run.band}))
+    return Shifted(stream, best, gain, inputs, against, smoothed)
 
 
 def _mover(system: System, rows: float, states: list[int], inputs: bool) -> Callable[[Run], Run]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
@@ -87,6 +88,21 @@ def test_a_sound_log_has_no_warnings_and_its_parameters_are_told_with_intervals(
     assert "declared parameter" in said
     assert "warning" not in said
     assert all(name in said for name in declared)
+
+
+def test_values_of_least_squares_stand_beside_those_of_the_fit_where_they_are_to_be_used() -> None:
+    found, content = told("mass_spring_damper", lambda run: run, seed=4)
+    assert "least squares" not in "\n".join(lines(content))
+    content["guard"]["to_use"] = {
+        "force_gain": {"value": 14.125, "interval_90": [13.875, 14.375], "unit": "1/kg"},
+    }
+    assert re.search(r"force_gain .* 14\.1\d* +13\.9 to 14\.4", "\n".join(lines(content)))
+    figures = pictures(found, content)
+    html = page(content, figures, width=found.width)
+    for figure in figures.values():
+        plt.close(figure)
+    assert re.search(r"force_gain</td>.*<td>14\.1\d*</td><td>13\.9 to 14\.4</td>", html)
+    assert html.count("least squares: use these") == 1
 
 
 @pytest.mark.slow

@@ -14,7 +14,7 @@ from nsde_torch.data import DataSet, RawRun
 from nsde_torch.sysid.guard import Compared, Guarded, _disagreements, _gone
 from nsde_torch.sysid.in_loop import identify_in_loop
 from nsde_torch.sysid.rough import left_at, rough_fit
-from nsde_torch.sysid.timing import Shifted
+from nsde_torch.sysid.timing import Shifted, shifted_stream
 from nsde_torch.systems import make_system
 
 Change = Callable[[int, RawRun], None]
@@ -127,6 +127,31 @@ def test_inputs_that_act_as_late_as_actuators_do_are_a_note_and_others_an_object
     assert not Shifted("u", 0.05, 1.0, True).of_actuators
 
 
+def test_no_shift_is_advised_where_a_lag_and_a_smoother_together_do_the_same() -> None:
+    late = [
+        RawRun(r.name, r.t[:-40], r.x[:-40].copy(), np.roll(r.u, -7, axis=0)[:-40]) for r in LOGS["cartpole"]
+    ]
+    data = nsde_torch.read(late, system="cartpole", state_smoothing="keep")
+    system = make_system("cartpole")
+    rough = rough_fit(system, data.runs)
+    assert rough is not None
+    plain = shifted_stream(system, data.runs, 1.0, rough)
+    assert plain is not None
+    assert plain.against == ()
+    assert plain.remedy.startswith("shift these columns")
+    restored = shifted_stream(
+        system, [replace(run, band={"theta_dot": 4.0}) for run in data.runs], 1.0, rough
+    )
+    assert restored is not None
+    for found, why in (
+        (restored, "theta_dot were smoothed before"),
+        (replace(plain, against=("w_x", "w_y")), "w_x, w_y fit best as they are"),
+    ):
+        assert found.remedy.startswith("do not shift these columns")
+        assert why in found.remedy
+        assert "log states as the sensors read them" in found.remedy
+
+
 def test_a_run_of_another_machine_is_named() -> None:
     other = nsde_torch.simulate(
         "mass_spring_damper",
@@ -161,6 +186,13 @@ def test_a_fit_whose_noise_model_learned_a_smoother_is_not_believed() -> None:
     guard = guard_of("cartpole", smoothed)
     assert [o.kind for o in guard.objections] == ["least_squares"]
     assert "smoothed" in guard.objections[0].remedy
+    # the values that are recommended are said, with their intervals
+    assert guard.to_use.keys() == set(guard.labels)
+    for name, one in guard.to_use.items():
+        assert one["interval_90"][0] < one["value"] < one["interval_90"][1]
+        assert f"{name} {one['value']:.3g}" in guard.objections[0].remedy
+    assert guard.as_dict()["to_use"] == guard.to_use
+    assert "to_use" not in guard_of("cartpole").as_dict()
 
 
 @pytest.mark.parametrize(

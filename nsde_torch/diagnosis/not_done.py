@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, TypeVar, final
 
 import torch
 
-from nsde_torch.errors import ConfigError, NsdeError
+from nsde_torch.errors import ConfigError, DataError, NsdeError
 
 if TYPE_CHECKING:
     from nsde_torch.diagnosis.result import Diagnosis
@@ -24,6 +24,10 @@ STOPPED = "the diagnosis was stopped before its end"
 
 T = TypeVar("T")
 D = TypeVar("D")
+
+# numpy's LinAlgError is a ValueError, and it answers some empty arrays with an IndexError
+NUMERICAL = (ValueError, ArithmeticError, IndexError, torch.linalg.LinAlgError)
+"""What computations raise on numbers that do not suffice."""
 
 
 @dataclass(frozen=True)
@@ -99,8 +103,7 @@ class OptionalStages:
             return do()
         except ConfigError:
             raise
-        # numpy's LinAlgError is a ValueError, and it answers some empty arrays with an IndexError
-        except (ValueError, ArithmeticError, IndexError, torch.linalg.LinAlgError) as error:
+        except NUMERICAL as error:
             self.leave_out(stage, f"it could not be computed ({reason(error)})")
             return otherwise
 
@@ -109,6 +112,27 @@ class OptionalStages:
         left = NotDone(stage, why)
         if left not in self.not_done:
             self.not_done.append(left)
+
+
+def needed(stage: str, do: Callable[[], T]) -> T:
+    """What a stage gives without which there is no diagnosis.
+
+    Args:
+        stage: What it looks for, in words.
+        do: The stage.
+
+    Raises:
+        DataError: its numbers fail.
+    """
+    try:
+        return do()
+    except NsdeError:
+        raise
+    except NUMERICAL as error:
+        raise DataError(
+            f"{stage} could not be computed from these data ({reason(error)}). Look at the columns with nsde inspect; "
+            "record longer runs in which every state moves."
+        ) from error
 
 
 def reason(error: Exception) -> str:

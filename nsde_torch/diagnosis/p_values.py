@@ -67,7 +67,7 @@ def hotelling(z: Array, white: Array, block: Labels, decisions: Decisions = DECI
     scores: Array = np.zeros((int(block.max()) + 1, z.shape[1]))
     np.add.at(scores, block, z * white[:, None])
     centred = scores - scores.mean(0)
-    factor = len(scores) / (len(scores) - 1)
+    factor = len(scores) / max(len(scores) - 1, 1)  # of a single block nothing is said
     return _of_scatter(scores.sum(0), centred.T @ centred, len(scores), factor, decisions)
 
 

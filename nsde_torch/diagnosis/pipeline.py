@@ -12,7 +12,7 @@ ceiling         what a flexible model could win, alone and beside the effects   
 explain         what is left, as far as it can be                               explanation
 report          `Diagnosis`, and the content of `diagnosis.json`                result, content
 
-A stage whose numbers fail costs itself and not the run (`not_done`), but for the fit of the declared physics.
+A stage whose numbers fail costs itself and not the run (`not_done`), but for the first search.
 """
 
 from collections.abc import Callable, Sequence
@@ -51,6 +51,7 @@ from nsde_torch.diagnosis.not_done import (
     TESTS,
     OptionalStages,
     StoppedError,
+    needed,
 )
 from nsde_torch.diagnosis.options import Options
 from nsde_torch.diagnosis.outcome import Outcome, undecided
@@ -134,9 +135,13 @@ def _diagnosed(
     log = at_declared(log)
     search = log.search(log.runs)
     course.lap("recording")
-    outcome = searched(log, search)
+    outcome = needed("the search for effects", partial(searched, log, search))
     course.known(LAWS, log, outcome)
-    log, search, outcome = at_found(log, search, outcome, searched)
+    log, search, outcome = stages.attempt(
+        "rates inferred with what was found",
+        partial(at_found, log, search, outcome, searched),
+        (log, search, outcome),
+    )
     if outcome.structured:
         say("checking the recording chain", 0, 1)
         log, search, outcome = stages.attempt(

@@ -184,9 +184,12 @@ def forgetting(reflection: Array, memory: float) -> Array:
     a = _polynomial(reflection)
     a = a * np.exp(-np.arange(len(a)) / memory)
     out = np.zeros(len(reflection))
-    for m in range(len(reflection), 0, -1):
-        out[m - 1] = a[m]
-        a = (a[:m] - a[m] * a[:0:-1]) / (1.0 - a[m] ** 2)
+    with np.errstate(
+        divide="ignore", invalid="ignore"
+    ):  # nothing new is left: nan, which a regression refuses
+        for m in range(len(reflection), 0, -1):
+            out[m - 1] = a[m]
+            a = (a[:m] - a[m] * a[:0:-1]) / (1.0 - a[m] ** 2)
     return out
 
 

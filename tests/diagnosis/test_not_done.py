@@ -8,7 +8,7 @@ import torch
 
 import nsde_torch
 from nsde_torch.diagnosis import pipeline
-from nsde_torch.diagnosis.not_done import NotDone, OptionalStages
+from nsde_torch.diagnosis.not_done import NotDone, OptionalStages, needed
 from nsde_torch.diagnosis.text import lines
 from nsde_torch.errors import ConfigError, DataError
 
@@ -68,6 +68,16 @@ def test_the_words_of_the_package_are_told_as_they_are() -> None:
     stages = OptionalStages()
     stages.attempt("a stage", short, None)
     assert stages.not_done[0].why == "it could not be computed (run 'a' is too short)"
+
+
+def test_a_search_that_fails_numerically_is_an_error_with_a_remedy() -> None:
+    def fails() -> None:
+        raise np.linalg.LinAlgError("SVD did not converge")
+
+    with pytest.raises(
+        DataError, match=r"the search .* \(LinAlgError: SVD did not converge\)\. Look at .* inspect"
+    ):
+        needed("the search for effects", fails)
 
 
 @pytest.mark.parametrize("error", [ConfigError("no such effect"), TypeError("a fault of the program")])

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from nsde_torch.diagnosis.dependence import Dependence
 from nsde_torch.diagnosis.left_over import beyond_chance
+from nsde_torch.diagnosis.p_values import hotelling
 from nsde_torch.diagnosis.regressors import Regressors, own_space, projected, regressors
 from nsde_torch.diagnosis.search import Search
 from nsde_torch.diagnosis.specification import dependences
@@ -153,3 +154,9 @@ def test_a_sinusoid_is_found_at_its_frequency(spring: Drawn) -> None:
         (first, *_) = lines(spring.draw(0, 0.4 * np.sin(2 * np.pi * frequency * rows)))
         assert first.p < 1e-4
         assert first.frequency == pytest.approx(frequency, abs=0.1)
+
+
+def test_of_a_single_block_the_scatter_of_blocks_says_nothing() -> None:
+    rng = np.random.default_rng(0)
+    z, same = np.linalg.qr(rng.normal(size=(40, 2)))[0], np.zeros(40, dtype=np.int64)
+    assert hotelling(z, rng.normal(size=40), same) == 0.0  # the test of the likelihood alone decides

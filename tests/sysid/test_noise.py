@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import warnings
+
 import numpy as np
 import pytest
 from scipy.linalg import toeplitz
 from scipy.signal import lfilter
 from scipy.stats import multivariate_normal
 
-from nsde_torch.sysid.noise import Noise, again, carry_limit, estimate, extended, white_noise
+from nsde_torch.sysid.noise import Noise, again, carry_limit, estimate, extended, forgetting, white_noise
 from nsde_torch.sysid.series import Series
 
 ONE = Series(((0, 6000),))
@@ -120,3 +122,10 @@ def test_the_log_density_of_rows_is_that_of_all_of_them_together(
     truth = multivariate_normal(np.zeros(n), covariance).logpdf(r)
     # an autoregression starts as if the row before its first were known: nearly the same
     assert said == pytest.approx(truth, abs=2.5 if reflection else 1e-6)
+
+
+def test_what_the_past_gives_to_the_last_digit_has_no_law_and_warns_of_nothing() -> None:
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert not np.isfinite(forgetting(np.array([0.5, 1.0]), np.inf)).all()
+        np.testing.assert_allclose(forgetting(np.array([0.5, 0.9]), np.inf), [0.5, 0.9])

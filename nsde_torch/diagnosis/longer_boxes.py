@@ -21,7 +21,7 @@ from nsde_torch.effects import effect_class
 from nsde_torch.errors import DataError, NonFiniteError
 from nsde_torch.sysid.guard import Guarded, guarded
 from nsde_torch.sysid.in_loop import identify_in_loop
-from nsde_torch.sysid.longer_boxes import LENGTHS_S, asks_for_longer_boxes
+from nsde_torch.sysid.longer_boxes import LENGTHS_S, LONGER, asks_for_longer_boxes
 
 LEFT = 0.1
 """Share of a rate that must be left in means over 0.15 s for another search where nothing was found."""
@@ -40,6 +40,8 @@ def over_longer_boxes(
     """
     guard = _guard_of(log, outcome)
     kept = log, search, outcome, guard
+    if LENGTHS_S[0] < LONGER * outcome.final.regression.dt:  # the log's own step is as long
+        return kept
     asked = asks_for_longer_boxes(guard)
     if not asked and (guard.objections or not _much_is_left(outcome, guard)):
         return kept

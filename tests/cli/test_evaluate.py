@@ -216,7 +216,7 @@ def test_runs_of_other_systems_and_data_that_do_not_fit_are_refused(
     text = refused(capsys, f"run={here / 'nsde'}", "data=csv", f"data.path={here / 'swings'}", "data.dt=0.02")
     assert "no whole multiple of the data's 0.02 s" in text
     assert "longest stretch" in refused(capsys, f"run={here / 'nsde'}", "horizons=[30]")
-    assert "no data= is chosen" in refused(capsys, f"run={here / 'nsde'}", "data.path=x")
+    assert "x does not exist; expected a log" in refused(capsys, f"run={here / 'nsde'}", "data.path=x")
     assert "no run 9" in refused(capsys, f"run={here / 'nsde'}", "data.test=[9]")
 
 

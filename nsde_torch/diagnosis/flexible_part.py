@@ -285,22 +285,25 @@ class Part:
         grams = np.zeros((int(self._fold.max()) + 1, width, width))
         for c in self.channels:
             moved = [i for i, k in enumerate(at) if c in self.pushes[self.terms[k].row].changes]
-            places = np.concatenate((np.arange(own), [width - 1], *(own + members[i] for i in moved)))
+            places = np.concatenate((np.arange(own), *(own + members[i] for i in moved), [width - 1]))
             white = self._whitened(c, noises[c], [at[i] for i in moved], len(places))
             for f, a, b in self._stretches:
                 part = white[a:b]
-                grams[f][np.ix_(places, places)] += part.T @ part
+                if len(places) == width:
+                    grams[f] += part.T @ part
+                else:
+                    grams[f][np.ix_(places, places)] += part.T @ part
             del part, white  # before those of the next channel are made
         rows = np.bincount(self._fold) * len(self.channels)
         return [Products(gram, int(n), own) for gram, n in zip(grams, rows, strict=True)]
 
     def _whitened(self, c: int, noise: Noise, at: Sequence[int], width: int) -> Array:
-        """Slopes, the residual and columns of some terms in a channel (N, width), which holds them all but once."""
+        """Slopes, columns of some terms and the residual in a channel (N, width), which holds them all but once."""
         r = self.regression
-        first = np.column_stack((self._jacobian(c), r.residual[:, r.rows[c]]))
+        terms = (self._columns(c, some) for some in self._batches(at))
         out = np.empty((len(self._fold), width), order="F")
         done = 0
-        for part in chain((first,), (self._columns(c, some) for some in self._batches(at))):
+        for part in chain((self._jacobian(c),), terms, (r.residual[:, [r.rows[c]]],)):
             out[:, done : done + part.shape[1]] = r.whitened(noise, part)
             done += part.shape[1]
         return out

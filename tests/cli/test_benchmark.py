@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from cli.commands.benchmark import COMMAND
+from nsde_torch.cli.commands.benchmark import COMMAND
 
 
 def test_without_words_it_lists_the_sets(capsys: pytest.CaptureFixture[str]) -> None:

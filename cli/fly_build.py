@@ -16,7 +16,7 @@ from nsde_torch.control.reference import Reference
 from nsde_torch.effects import files
 from nsde_torch.errors import ConfigError
 from nsde_torch.px4.flight.path import CascadeController, PathPoints
-from nsde_torch.px4.flight.predictive import LEAD, PredictiveMaker, told
+from nsde_torch.px4.flight.predictive import LEAD, PredictiveMaker, check_uncovered, without_covered
 from nsde_torch.px4.flight.runner import Inline, Process, Runner
 from nsde_torch.systems import Multirotor
 
@@ -50,9 +50,11 @@ def known(config: DictConfig) -> Model | System:
     if track_build.is_exported(run):
         file = track_build.exported(run)
         track_build.agreed(file, config.mpc)
+        check_uncovered(file.known)
         return file.known
     see_own_modules(Path(run))
-    found = knowledge(run, config.system.name, effects=_effects(config) if config.run == DECLARED else ())
+    effects = _effects(config) if config.run == DECLARED else ()
+    found = without_covered(knowledge(run, config.system.name, effects=effects))
     if not isinstance(system_of(found), Multirotor):
         raise ConfigError(
             f"PX4 flies multirotors here (hexacopter, quadrotor); the machine of run={config.run} is a "
@@ -62,7 +64,7 @@ def known(config: DictConfig) -> Model | System:
 
 
 def _effects(config: DictConfig) -> list[Any]:
-    """Effects that the declared physics is told of, those of files in the place of their names; lateness is `delay`."""
+    """Effects that the declared physics has beside it, those of files in the place of their names."""
     given = build.options(config.system)["effects"]
     out: list[Any] = []
     for entry in [given] if isinstance(given, str) else given:
@@ -70,7 +72,7 @@ def _effects(config: DictConfig) -> list[Any]:
             out += [{name: values} for name, values in files.read_for(entry, config.system.name).items()]
         else:
             out.append(entry)
-    return told(out)
+    return out
 
 
 def check(config: DictConfig, reference: Reference, machine: Model | System) -> feasible.Envelope:

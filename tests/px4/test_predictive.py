@@ -12,16 +12,20 @@ import torch
 
 from nsde_torch.control import shapes
 from nsde_torch.control.controller import Controller, Plan, Planner, SafetyOptions
+from nsde_torch.control.knowledge import system_of
+from nsde_torch.control.predictor import Predictor
 from nsde_torch.control.problem import ProblemOptions
 from nsde_torch.control.reference import FlightPath, Reference
 from nsde_torch.control.solve import SolverOptions
+from nsde_torch.errors import ConfigError
 from nsde_torch.export.exported import ExportedController
 from nsde_torch.export.write import export
+from nsde_torch.models.registry import make_model, make_spec
 from nsde_torch.px4.flight.controller import Demand
 from nsde_torch.px4.flight.flying import FlightReport
 from nsde_torch.px4.flight.options import FlightOptions
 from nsde_torch.px4.flight.path import PathPoints
-from nsde_torch.px4.flight.predictive import PredictiveController
+from nsde_torch.px4.flight.predictive import PredictiveController, without_covered
 from nsde_torch.px4.simulator.body import Body
 from nsde_torch.px4.simulator.simulated import fly_simulated
 from nsde_torch.systems import make_plant_system
@@ -177,3 +181,33 @@ def test_a_plan_that_begins_tilted_and_comes_back_is_flown(controller: Controlle
     made = PredictiveController(controller, Reference(shapes.hover()), tilt=radians(30.0))
     row = (0.0, 0.0, 1.5, 0.0, 0.0, 0.0, cos(radians(20.0)), sin(radians(20.0)), 0.0, 0.0, -2.0, 0.0, 0.0)
     assert "tipped" not in made(row, 10.0, 1.0).status
+
+
+def test_a_model_that_learned_the_lag_of_the_motors_is_flown_without_it_and_stays_as_it_was() -> None:
+    learned = make_plant_system("quadrotor", effects=["motor_lag", "linear_drag"], declared_only=True)
+    given = {
+        "step": "rk4",
+        "system": "quadrotor",
+        "effects": ["motor_lag", "linear_drag"],
+        "dt": 0.01,
+        "horizon": 5,
+    }
+    models = [
+        make_model(make_spec({"kind": kind, **given}), generator=torch.Generator())
+        for kind in ("nsde", "sysid")
+    ]
+    for known in (learned, *models):
+        flown = without_covered(known)
+        assert system_of(flown).effect_names == ("linear_drag",)
+        assert system_of(known).effect_names == ("motor_lag", "linear_drag")
+        Predictor(flown, dt=0.05)
+
+
+def test_a_controller_that_knows_the_lag_which_the_delay_makes_up_for_is_refused() -> None:
+    """It flew a quadrotor half a metre beside its path."""
+    late = make_plant_system("quadrotor", effects=["motor_lag"], declared_only=True)
+    made = Controller(
+        late, problem=ProblemOptions(horizon=0.5, steps=10), solver=SolverOptions(compile="off", iterations=4)
+    )
+    with pytest.raises(ConfigError, match=r"motor_lag, which `delay` makes up for.*run=DIR"):
+        PredictiveController(made, Reference(shapes.hover()))

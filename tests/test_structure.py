@@ -1,4 +1,4 @@
-"""The house: short files, one class to a name, and control without a simulator."""
+"""The house: one class to a name, and control without a simulator."""
 
 from __future__ import annotations
 
@@ -10,21 +10,9 @@ from pathlib import Path
 
 import pytest
 
-LONGEST = 400
-CODE = ("nsde_torch", "cli", "tests", "benchmarks", "docs", "examples")
-
 
 def _files(root: Path, *folders: str) -> list[Path]:
     return [path for folder in folders for path in sorted((root / folder).rglob("*.py"))]
-
-
-def test_no_file_is_longer_than_400_lines(root: Path) -> None:
-    lines = {
-        path.relative_to(root).as_posix(): len(path.read_text(encoding="utf-8").splitlines())
-        for path in _files(root, *CODE)
-    }
-    assert len(lines) > 500
-    assert not {name: count for name, count in lines.items() if count > LONGEST}
 
 
 def test_no_public_class_shares_its_name(root: Path) -> None:

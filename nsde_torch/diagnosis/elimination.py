@@ -71,7 +71,8 @@ def eliminate(search: Search, chosen: Selection, *, also: Collection[str] = ()) 
                 only={name, *contained, *_rivals(search, name, rounds), *also, *search.laws},
                 called=f"looking again at {name}",
             )
-        without = now.base
+        else:
+            without = now.base.restored()
         this = next((t for t in now.trials if t.name == name), None)
         if this is None or not (accept(search, this) or _learned_by_noise(search, base, without, this)):
             # the others explain it, or it says no more than what it contains

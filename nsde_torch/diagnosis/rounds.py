@@ -27,7 +27,7 @@ class Round:
     """One look at the catalogue.
 
     Args:
-        base: The physics that candidates were put beside.
+        base: The physics that candidates were put beside, concluded.
         trials: Candidates that were iterated, best first.
         screened: Log-likelihood difference of every candidate at its first step [nats].
         errors: By candidate: standard errors of what is nothing without it, by label; infinite where no data show it.
@@ -85,6 +85,7 @@ def look(
     _fit_promising(search, base, best, sure, among, out, called)
     _finish_best(search, base, among, out, called)
     base.forget()
+    out.base = base.concluded()
     return out
 
 

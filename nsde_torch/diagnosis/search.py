@@ -61,6 +61,14 @@ class Base:
         vars(self).pop("span", None)
         self.regression.physics.forget()
 
+    def concluded(self) -> "Base":
+        """What was found, without anything as long as the data: a look at the catalogue keeps one of each round."""
+        return replace(self, regression=self.regression.concluded(past=True))
+
+    def restored(self) -> "Base":
+        """The same as it was before it was concluded."""
+        return replace(self, regression=self.regression.restored())
+
 
 @final
 class Search:

@@ -153,6 +153,7 @@ class Regression:
         return self.single.summed(self.physics.residual(theta), self.box)
 
     def _relinearise(self) -> None:
+        self._linear_at = self.theta
         self.jacobian = self.single.summed(self.physics.slopes(self.theta), self.box)
         self.jacobian[..., self.held] = 0.0
 
@@ -191,8 +192,7 @@ class Regression:
         if self._feedback and self._refined < 3:
             known = self.known_before(self.physics, self.physics.residual(self.theta))
             self._past = past(self.single.summed(known, self.box), self.series, channels=self._channels)
-        self.white = np.stack([self.whitened(n, self.residual[:, [c]])[:, 0] for n, c in pairs])
-        self.slopes = np.stack([self.whitened(n, self.jacobian[:, c]) for n, c in pairs])
+        self._in_noise_units()
         finite = [
             bool(np.isfinite(s).all() and np.isfinite(w).all())
             for s, w in zip(self.slopes, self.white, strict=True)
@@ -207,6 +207,11 @@ class Regression:
                 "or resample to a longer step (data.dt)."
             )
         self.shown: Shown = shown(self.slopes.reshape(-1, len(self.vector)), self.vector.scale)
+
+    def _in_noise_units(self) -> None:
+        pairs = list(zip(self.noises, self.rows, strict=True))
+        self.white = np.stack([self.whitened(n, self.residual[:, [c]])[:, 0] for n, c in pairs])
+        self.slopes = np.stack([self.whitened(n, self.jacobian[:, c]) for n, c in pairs])
 
     def _step(self) -> float:
         """One step of theta; returns its length in standard errors."""
@@ -316,17 +321,32 @@ class Regression:
         out._whiten()
         return out
 
-    def concluded(self) -> "Regression":
-        """What was found: theta, noise models and what the data show of theta, without anything as long as the data."""
+    def concluded(self, *, past: bool = False) -> "Regression":
+        """What was found: theta, noise models and what the data show of theta, without anything as long as the data.
+
+        Args:
+            past: Keep the columns of the past, without which it cannot be `restored`.
+        """
         out = copy.copy(self)
         out.physics = self.physics.bare()
-        out.residual = out.jacobian = out.white = out.slopes = out._past = np.zeros((0, 0))
+        out.residual = out.jacobian = out.white = out.slopes = np.zeros((0, 0))
+        out._past = self._past if past else out.residual
         return out
 
     def with_residuals(self) -> "Regression":
         """The same as it was before it was concluded, as far as noise models need it."""
         out = copy.copy(self)
         out.residual = out._residual(self.theta)
+        return out
+
+    def restored(self) -> "Regression":
+        """The same as it was before it was concluded with its past."""
+        out = self.with_residuals()
+        out.physics = self.physics.bare()
+        out.theta = self._linear_at  # the last steps may not have made slopes anew
+        out._relinearise()
+        out.theta = self.theta
+        out._in_noise_units()
         return out
 
     def fitted_columns(self, row: int) -> Array:

@@ -60,6 +60,17 @@ def test_a_flexible_model_holds_its_columns_once_and_none_when_it_is_fitted(spri
     assert peak < 4.0 * columns
 
 
+def test_a_base_that_was_looked_at_holds_a_few_columns_and_comes_back_as_it_was(spring: Found) -> None:
+    search, given, _ = spring
+    base = search.base(given.system)
+    base.concluded()  # what is made once and kept is no base's
+    concluded, after, _ = held(base.concluded)
+    assert after < 8 * len(base.regression.series)
+    before, again = base.regression, concluded.restored().regression
+    for name in ("theta", "residual", "jacobian", "white", "slopes"):
+        np.testing.assert_array_equal(getattr(again, name), getattr(before, name), err_msg=name)
+
+
 def test_a_candidate_that_was_fitted_holds_a_few_columns_of_the_data(spring: Found) -> None:
     search, base, _ = spring
     name = "coulomb_friction"

@@ -15,10 +15,8 @@ from nsde_torch.whole_files import write_whole
 if TYPE_CHECKING:
     from nsde_torch.diagnosis.result import Diagnosis
 
-_REPORTS, _REPORT_S = (
-    0.05,
-    5.0,
-)  # share of the time that reports so far may take, and what one takes about [s]
+_REPORTS = 0.05  # share of the time that reports so far may take
+_REPORT_S = 5.0  # what the first of them takes about [s]
 RESULT, EFFECTS, REPORT, PLOTS = "diagnosis.json", "effects.yaml", "report.html", "plots"
 
 

@@ -32,6 +32,7 @@ def run_with_gap() -> Run:
     n = 700
     x = np.zeros((n, 13))
     x[:, 6] = 1.0
+    x[:, 0] = 0.01 * np.arange(n)  # a log in which nothing moves is refused
     t = DT * np.arange(n)
     t[300:] += 3.0
     u = 0.4 + 0.1 * rng.normal(size=(n, 6))
@@ -100,6 +101,7 @@ def test_a_lag_follows_what_a_delay_lets_through() -> None:
     u = 0.4 + 0.1 * rng.normal(size=(500, 6))
     x = np.zeros((500, 13))
     x[:, 6] = 1.0
+    x[:, 0] = DT * np.arange(500)
     late = np.concatenate((np.repeat(u[:1], 3, axis=0), u[:-3]))
     values = {"motor_lag.time_constant": TAU}
     both = make_system(

@@ -46,6 +46,7 @@ def test_the_first_steps_of_a_segment_only_bring_up_memory() -> None:
     lagging = make_system("hexacopter", effects=["motor_lag"])
     x = np.zeros((900, 13))
     x[:, 6] = 1.0
+    x[:, 0] = 0.01 * np.arange(900)  # a log in which nothing moves is refused
     flight = Run("f", 0.01 * np.arange(900), x, np.arange(900.0)[:, None] * np.ones(6))
     steps = steps_of(lagging, [flight], clock=1.0, smooth=False)
     assert steps.run_in is not None

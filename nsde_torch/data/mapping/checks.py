@@ -103,7 +103,7 @@ def checks(system: SystemInfo, run: RawRun, mapping: LogMapping | None = None) -
     if other is not None:
         return [LogCheck("time", False, f"{other.words}.", other.remedy)]
     swapped = exchanged(system, run)
-    out += [_exchanged(system, run, ways) for ways in swapped]
+    out += [_exchanged(system, run, ways, mapping) for ways in swapped]
     moved = {name for ways in swapped for pair in ways for name in pair}
     q, rates = system.quaternion, rate_columns(system)
     attitude = None if q is None else run.x[:, q]
@@ -124,7 +124,7 @@ def checks(system: SystemInfo, run: RawRun, mapping: LogMapping | None = None) -
         else:
             for a, b in zip(i, j, strict=True):
                 if not moved & {system.state_names[a], system.state_names[b]}:
-                    out.append(_axis(system, run, a, b))
+                    out.append(_axis(system, run, a, b, mapping))
     return out
 
 
@@ -268,13 +268,13 @@ def _velocity_words(way: VelocityWay) -> str:
     return "their third axis has the opposite sign of the position's (one up, one down)"
 
 
-def _axis(system: SystemInfo, run: RawRun, i: int, j: int) -> LogCheck:
+def _axis(system: SystemInfo, run: RawRun, i: int, j: int, mapping: LogMapping | None) -> LogCheck:
     position, rate = system.state_names[i], system.state_names[j]
     names = f"{position} and {rate}"
     own = pair_left(run.t, run.x[:, i], run.x[:, j])
     if not np.isfinite(own):
         return LogCheck(names, None, f"too little movement to compare {names}.")
-    others = rate_misread(system, run, i, j)
+    others = rate_misread(system, run, i, j, mapping)
     if others:
         words, remedy = _alternatives(others)
         text = f"{rate} leaves {percent(own)} of what {position} moves, and {percent(others[0].left)} if {words}."
@@ -286,14 +286,16 @@ def _axis(system: SystemInfo, run: RawRun, i: int, j: int) -> LogCheck:
     return LogCheck(names, None, f"{text}, whatever its sign and unit.", remedy)
 
 
-def _exchanged(system: SystemInfo, run: RawRun, ways: Sequence[tuple[str, str]]) -> LogCheck:
+def _exchanged(
+    system: SystemInfo, run: RawRun, ways: Sequence[tuple[str, str]], mapping: LogMapping | None
+) -> LogCheck:
     """Two columns that are exchanged, or whatever else makes them agree."""
     a, b = ways[0]
     pairs = [(i, j) for i, j in rate_pairs(system) if {system.state_names[i], system.state_names[j]} & {a, b}]
     i, j = max(pairs, key=lambda pair: pair_left(run.t, run.x[:, pair[0]], run.x[:, pair[1]]))
     position, rate = system.state_names[i], system.state_names[j]
     own = pair_left(run.t, run.x[:, i], run.x[:, j])
-    also = rate_misread(system, run, i, j) if {a, b} == {position, rate} else []
+    also = rate_misread(system, run, i, j, mapping) if {a, b} == {position, rate} else []
     swaps = [Misread(f"{c} and {d} are exchanged", f"exchange the columns {c} and {d}", 0.0) for c, d in ways]
     words, remedy = _alternatives([*swaps, *also])
     text = f"{rate} leaves {percent(own)} of what {position} moves, and next to nothing if {words}."

@@ -148,7 +148,9 @@ def exchanged(system: SystemInfo, run: RawRun) -> list[list[tuple[str, str]]]:
     return list(out.values())
 
 
-def rate_misread(system: SystemInfo, run: RawRun, i: int, j: int) -> list[Misread]:
+def rate_misread(
+    system: SystemInfo, run: RawRun, i: int, j: int, mapping: LogMapping | None
+) -> list[Misread]:
     """Units and signs of a position or its rate in which the two agree, the best first; none in a sound log.
 
     Args:
@@ -156,6 +158,7 @@ def rate_misread(system: SystemInfo, run: RawRun, i: int, j: int) -> list[Misrea
         run: In its units, axes and order.
         i: Column of the position.
         j: Column of its rate.
+        mapping: What made it; a unit that it reads wrongly does what another unit of the other column does.
     """
     p, v = run.x[:, i], run.x[:, j]
     own = pair_left(run.t, p, v)
@@ -167,7 +170,13 @@ def rate_misread(system: SystemInfo, run: RawRun, i: int, j: int) -> list[Misrea
     for name, size in small:
         for column, its, factor in ((rate, f"{name}/s", size), (position, name, 1.0 / size)):
             remedy = f"multiply {column} by {size:.4g}, or write `unit: {its}` in its entry of a mapping"
-            tried.append(Misread(f"{column} is in {its}", remedy, pair_left(run.t, p, factor * v)))
+            left = pair_left(run.t, p, factor * v)
+            other, read = (position, name) if column == rate else (rate, f"{name}/s")
+            entry = None if mapping is None else mapping.columns.get(other)
+            if entry is not None and entry.unit == read:
+                no = f"take `unit: {read}` out of its entry of the mapping"
+                tried.append(Misread(f"{other} has another unit than the {read} of the mapping", no, left))
+            tried.append(Misread(f"{column} is in {its}", remedy, left))
     if unit == "rad":
         size = 2.0 * pi / 60.0
         remedy = f"multiply {rate} by {size:.4g}, or write `unit: rpm` in its entry of a mapping"

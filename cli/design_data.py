@@ -42,13 +42,18 @@ def diagnosed(folder: Path, moved: str | None) -> Diagnosed:
         moved: Where its runs are now; None for where they were.
 
     Raises:
-        ConfigError: the folder holds no diagnosis.
+        ConfigError: the folder holds no diagnosis, or one that was stopped.
         DataError: the runs are not those of the diagnosis.
     """
     if not (folder / RESULT).is_file() or not (folder / CONFIG).is_file():
         command = as_typed("nsde", "diagnose", paths={"out_dir": folder})
         raise ConfigError(f"`run`: {folder} holds no {RESULT} with {CONFIG}; `{command}` writes them.")
     content = json.loads((folder / RESULT).read_text(encoding="utf-8"))
+    if content.get("so_far"):
+        raise ConfigError(
+            f"`run`: the diagnosis in {folder} is not finished: what seems open in it may not have been tested yet. "
+            "Diagnose again, to the end, into another folder."
+        )
     config = OmegaConf.load(folder / CONFIG)
     assert isinstance(config, DictConfig)
     effects_file.expand(config.system)

@@ -8,7 +8,7 @@ import sys
 import nsde_torch
 
 folder, system = sys.argv[1:]
-found = nsde_torch.diagnose(folder, system=system)
+found = nsde_torch.diagnose(folder, system=system).finished()
 print(found)
 found.save("diagnosis")
 model = nsde_torch.train(folder, system=system, effects=found.effects, trainer="fast", run_dir="model")

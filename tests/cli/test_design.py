@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from pathlib import Path
 
 import pytest
@@ -25,6 +26,18 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     words = ["data=csv", f"data.path={out / 'runs'}", "candidates=[coulomb_friction,asymmetric_friction]"]
     assert main(["diagnose", spring, *words, "retrain=false", f"out_dir={out / 'diagnosis'}"]) == 0
     return out
+
+
+def test_a_diagnosis_that_was_stopped_is_no_question(
+    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    stopped = tmp_path / "stopped"
+    shutil.copytree(folder / "diagnosis", stopped)
+    content = json.loads((stopped / "diagnosis.json").read_text(encoding="utf-8"))
+    content["so_far"] = {"stopped_during": "round 2", "roughly_left_s": None}
+    (stopped / "diagnosis.json").write_text(json.dumps(content), encoding="utf-8")
+    assert main(["design", f"run={stopped}", f"out_dir={tmp_path / 'plan'}"]) == 2
+    assert "is not finished" in capsys.readouterr().err
 
 
 def test_a_tie_is_planned_flown_and_broken(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -16,6 +16,7 @@ from itertools import permutations
 import numpy as np
 from numpy.typing import NDArray
 
+from nsde_torch.data.mapping.misread import percent
 from nsde_torch.data.quaternion import conjugate, increments, rotate
 from nsde_torch.data.run import Run
 from nsde_torch.data.system_info import SystemInfo, derivative_columns, rate_columns
@@ -176,5 +177,6 @@ def _refuse(
     if best and share[""] > most and _BETTER * share[best] < share[""]:
         raise DataError(
             f"{what}: as the columns are expected (w x y z, body to world; velocities in the world), "
-            f"{share['']:.0%} of the motion over {INTERVAL_S:g} s is left unexplained, and {share[best]:.1%} if {best}."
+            f"{percent(share[''])} of the motion over {INTERVAL_S:g} s is left unexplained, and "
+            f"{share[best]:.1%} if {best}."
         )

@@ -131,7 +131,8 @@ class Observer:
         """Gains of the smallest errors of each rate, their mean squares (m,), and the rates (rows, pieces, m)."""
         tried, m = gains(self._dt, _GAINS, slowest=self._slowest), len(self.rates)
         v, e = self.follow([[g] * m for g in tried])
-        square = np.nan_to_num(np.square(e[:, self.judged]), nan=np.inf).mean(1)
+        with np.errstate(over="ignore"):  # the errors of gains that diverge are infinite, and lose
+            square = np.nan_to_num(np.square(e[:, self.judged]), nan=np.inf).mean(1)
         best = square.argmin(0)
         rates = np.stack([v[g, :, :, c] for c, g in enumerate(best)], -1)
         return [tried[g] for g in best], square[best, np.arange(m)], rates

@@ -16,7 +16,7 @@ from scipy.signal import lfilter
 
 from nsde_torch.data.run import Run
 from nsde_torch.data.system_info import SystemInfo
-from nsde_torch.errors import ConfigError
+from nsde_torch.errors import ConfigError, DataError
 
 Array = NDArray[np.float64]
 
@@ -65,7 +65,8 @@ def on_time(
         filters: By state or common name: time constant of a filter [s of the log].
 
     Raises:
-        ConfigError: an unknown channel, a time that is not a number, or a run that is too short.
+        ConfigError: an unknown channel, or a time that is not a number.
+        DataError: the run is too short.
     """
     moves = [(channel_columns(system, channel), _checked(channel, d) / run.dt) for channel, d in late.items()]
     sped = [
@@ -87,7 +88,11 @@ def on_time(
             x[a:b, system.quaternion] /= np.linalg.norm(x[a:b, system.quaternion], axis=1, keepdims=True)
         segments.append((a + first, b - last))
     if not segments:
-        raise ConfigError(f"run {run.name!r} is too short to take out delays of {dict(late)} s.")
+        said = ", ".join(f"{1e3 * by:.3g} ms of {name}" for name, by in late.items())
+        raise DataError(
+            f"run {run.name!r} has no stretch that is long enough to take delays out of it ({said}). Leave the run out, or "
+            "record without gaps."
+        )
     return replace(run, x=x, segments=tuple(segments))
 
 

@@ -90,8 +90,8 @@ def on_time(
     if not segments:
         said = ", ".join(f"{1e3 * by:.3g} ms of {name}" for name, by in late.items())
         raise DataError(
-            f"run {run.name!r} has no stretch that is long enough to take delays out of it ({said}). Leave the run out, or "
-            "record without gaps."
+            f"run {run.name!r} has no stretch that is long enough to take delays out of it ({said}). "
+            "Leave the run out, or record without gaps."
         )
     return replace(run, x=x, segments=tuple(segments))
 

@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nsde_torch.data import Run
+from nsde_torch.errors import DataError
 from nsde_torch.sysid.observer import Observer
 from nsde_torch.sysid.result import Identification
 from nsde_torch.sysid.steps import inferred_columns
@@ -31,6 +32,7 @@ TURNS = 4
 SETTLED = 0.2
 """Standard errors that parameters may still move by."""
 _PIECE_S = 2.0
+_DIVERGED = 1e3  # times all that a position moves, between two rows
 
 
 def with_rates(system: System, runs: Sequence[Run], clock: float = 1.0) -> list[Run]:
@@ -40,6 +42,9 @@ def with_rates(system: System, runs: Sequence[Run], clock: float = 1.0) -> list[
         system: The machine with its values; it is not changed.
         runs: Recordings, all on one step.
         clock: Physical seconds per logged second.
+
+    Raises:
+        DataError: the physics diverges between rows.
     """
     columns = inferred_columns(system, runs) if runs else {}
     if not columns:
@@ -47,6 +52,15 @@ def with_rates(system: System, runs: Sequence[Run], clock: float = 1.0) -> list[
     dt = runs[0].dt * clock
     observer = Observer(system, runs, columns=list(columns), dt=dt, piece_s=_PIECE_S)
     chosen, square, rates = observer.best()
+    for c, (j, at) in enumerate(zip(observer.rates, observer.positions, strict=True)):
+        most = _DIVERGED * max(float(np.ptp(run.x[:, at])) for run in runs)
+        v = rates[:, :, c][np.isfinite(rates[:, :, c])]
+        if not len(v) or np.abs(v).max() * dt > most:
+            raise DataError(
+                f"{system.state_names[j]} cannot be inferred from {system.state_names[at]}: over steps of {dt:.3g} s "
+                "the declared physics diverges. Log the rate, record at a higher rate, or give first values nearer to "
+                "those of the machine (system.parameters.NAME=...)."
+            )
     states = [np.array(run.x) for run in runs]
     for p, (n, first, end, start) in enumerate(observer.pieces):
         part = rates[first - start : end - start, p]

@@ -52,6 +52,7 @@ _ROUNDING = 1e-4  # of the measured changes: below that there is no noise to spe
 _ARITHMETIC = 1e-5  # of the measured changes: what integrators and the digits of a log leave of exact physics
 _BLOCK_S = (0.5, 2.0)  # shortest and longest block of the covariance [s]
 _BLOCKS = 100
+_UNBOUNDED = 1e100  # largest slope: the squares of larger ones overflow
 _KEPT = 1e-8  # share of what laws explain of slopes that is kept
 
 
@@ -156,6 +157,12 @@ class Regression:
         self._linear_at = self.theta
         self.jacobian = self.single.summed(self.physics.slopes(self.theta), self.box)
         self.jacobian[..., self.held] = 0.0
+        if np.abs(self.jacobian).max(initial=0.0) > _UNBOUNDED:
+            raise NonFiniteError(
+                f"what the declared physics predicts over {self.dt:.3g} s grows without bound: first values are far "
+                "off, or rates that were inferred from positions diverge. Give other first values "
+                "(system.parameters.NAME=...), log the rates, or record at a higher rate."
+            )
 
     def carry_limits(self) -> Array:
         """Largest c of each channel (see `carry_limits`)."""

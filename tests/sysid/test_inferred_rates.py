@@ -5,7 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from nsde_torch.data import Run
+from nsde_torch.errors import DataError, NonFiniteError
 from nsde_torch.recording import assemble
+from nsde_torch.sysid import regression
 from nsde_torch.sysid.in_loop import identify_in_loop
 from nsde_torch.sysid.inferred_rates import with_rates
 from nsde_torch.sysid.result import Identification
@@ -75,3 +78,19 @@ def test_a_log_with_a_sensor_is_left_alone() -> None:
     system = make_system("mass_spring_damper")
     data = assemble(encoder_runs("sensor", runs=1), system, kind="test")
     assert with_rates(system, data.runs)[0] is data.runs[0]
+
+
+def test_rates_that_diverge_between_rows_are_refused_with_what_to_record() -> None:
+    stiff = make_system("mass_spring_damper", values={"linear_spring.stiffness": 400.0})
+    t = 0.5 * np.arange(60)
+    run = Run(
+        "r", t, np.stack([np.sin(t), np.cos(t)], 1), np.zeros((60, 1)), inferred={"q_dot": 0.1}
+    )
+    with pytest.raises(DataError, match=r"q_dot cannot be inferred from q: over steps of 0\.5 s .* diverges"):
+        with_rates(stiff, [run])
+
+
+def test_slopes_that_cannot_be_squared_are_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(regression, "_UNBOUNDED", 1e-6)
+    with pytest.raises(NonFiniteError, match="grows without bound"):
+        _identified("sensor")

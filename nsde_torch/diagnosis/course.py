@@ -18,6 +18,7 @@ from nsde_torch.diagnosis.ceiling import Ceiling
 from nsde_torch.diagnosis.channels import channel_residuals
 from nsde_torch.diagnosis.cross_validation import HeldOut, none_held_out
 from nsde_torch.diagnosis.explanation import Explanation
+from nsde_torch.diagnosis.freed_memory import give_back
 from nsde_torch.diagnosis.not_done import (
     CEILING,
     ERRORS,
@@ -101,6 +102,8 @@ class DiagnosisCourse:
         """Tell that `done` of `total` pieces of a stage are done."""
         if self._done == _ORDER.index(OTHER_ROWS):
             stage = f"second search, {stage}"
+        if stage != self._during:
+            give_back()
         self._during = stage
         self._tell(stage, done, total)
 

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import platform
 import tracemalloc
 from collections.abc import Callable
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -14,6 +16,7 @@ from nsde_torch.diagnosis.decisions import BUDGETS
 from nsde_torch.diagnosis.evidence import folds, score
 from nsde_torch.diagnosis.fitted import fitted_system, nonlinear
 from nsde_torch.diagnosis.flexible import flexible
+from nsde_torch.diagnosis.freed_memory import give_back
 from nsde_torch.diagnosis.laws import library
 from nsde_torch.diagnosis.regressors import Regressors
 from nsde_torch.diagnosis.screening import joined
@@ -91,3 +94,19 @@ def test_a_library_of_laws_holds_products_and_no_columns_when_it_is_made(spring:
     columns = 8 * made.tried * len(base.regression.series)
     assert after < 0.7 * columns
     assert peak < 5.3 * columns
+
+
+@pytest.mark.skipif(
+    platform.libc_ver()[0] != "glibc", reason="other C libraries keep no such memory, or do not say"
+)
+def test_freed_memory_between_pieces_in_use_is_given_back() -> None:
+    def resident() -> int:
+        return 4096 * int(Path("/proc/self/statm").read_text(encoding="utf-8").split()[1])
+
+    pieces = [np.ones(8000) for _ in range(4000)]  # 256 MB, below the size that is mapped by itself
+    kept = pieces[::20]
+    del pieces
+    before = resident()
+    give_back()
+    assert len(kept) == 200
+    assert before - resident() > 100e6

@@ -83,9 +83,7 @@ def test_a_log_with_a_sensor_is_left_alone() -> None:
 def test_rates_that_diverge_between_rows_are_refused_with_what_to_record() -> None:
     stiff = make_system("mass_spring_damper", values={"linear_spring.stiffness": 400.0})
     t = 0.5 * np.arange(60)
-    run = Run(
-        "r", t, np.stack([np.sin(t), np.cos(t)], 1), np.zeros((60, 1)), inferred={"q_dot": 0.1}
-    )
+    run = Run("r", t, np.stack([np.sin(t), np.cos(t)], 1), np.zeros((60, 1)), inferred={"q_dot": 0.1})
     with pytest.raises(DataError, match=r"q_dot cannot be inferred from q: over steps of 0\.5 s .* diverges"):
         with_rates(stiff, [run])
 

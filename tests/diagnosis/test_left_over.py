@@ -35,7 +35,9 @@ def test_an_effect_that_the_noise_model_learned_stays_where_structure_returns(
 ) -> None:
     def base() -> Any:
         system = SimpleNamespace(effect_names=())
-        return SimpleNamespace(system=system, regression=None, score=SimpleNamespace(fitted=0.0))
+        made = SimpleNamespace(system=system, regression=None, score=SimpleNamespace(fitted=0.0))
+        made.restored = lambda: made
+        return made
 
     trial = SimpleNamespace(name="viscous_friction", p_corrected=1e-4, nats=-14.0)
     looked = SimpleNamespace(base=base(), trials=[trial], chosen=trial, added=(), screened={})

@@ -16,7 +16,9 @@ NAME = "coulomb_friction"
 
 def base(fitted: float) -> Any:
     system = SimpleNamespace(effect_names=())
-    return SimpleNamespace(system=system, regression=None, score=SimpleNamespace(fitted=fitted))
+    made = SimpleNamespace(system=system, regression=None, score=SimpleNamespace(fitted=fitted))
+    made.restored = lambda: made
+    return made
 
 
 @pytest.mark.parametrize(("fitted", "again"), [(10.0, False), (12.0, False), (60.0, True)])

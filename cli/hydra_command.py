@@ -179,9 +179,8 @@ class HydraCommand:
         if LAST.sweep_dir is not None:
             line += f" Finished jobs are in {LAST.sweep_dir}; see: {_report(LAST.sweep_dir)}"
         elif LAST.run_dir is not None and _holds_no_work(LAST.run_dir):
-            record(
-                KeyboardInterrupt("interrupted"), Job(LAST.run_dir, sweep=False)
-            )  # its folder is free again
+            # recorded as failed, so that its folder is free again
+            record(KeyboardInterrupt("interrupted"), Job(LAST.run_dir, sweep=False))
             line += " There is nothing to continue yet: start the same command again."
         elif LAST.run_dir is not None and groups.has(self.name, "resume"):
             line += f" Continue with: {as_typed('nsde', self.name, paths={'resume': LAST.run_dir})}"

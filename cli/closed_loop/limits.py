@@ -65,9 +65,8 @@ def check_inside(experiment: DictConfig, limits: Limits) -> None:
     """
     names = ("x", "y", "z")
     for axis, (low, high), (lowest, highest) in zip(names, fence_of(experiment), limits.fence, strict=True):
-        highest -= (
-            MARGIN if axis == "z" else 0.0
-        )  # a path nearer to the fence's top is refused before take-off
+        # a path nearer to the fence's top is refused before take-off
+        highest -= MARGIN if axis == "z" else 0.0
         if low < lowest or high > highest + 1e-6:
             raise ConfigError(
                 f"`experiment.fence` reaches from {low:g} to {high:g} m along {axis}, beyond `limits.fence`, where a "

@@ -20,9 +20,8 @@ from nsde_torch.progress import PROGRESS
 from ..exit_status import FAILED_JOBS, USER_ERROR
 from .limits import ServeLimits
 
-Say = Callable[
-    ..., None
-]  # takes stage, number done, number in all, and what was found so far, in a few words
+Say = Callable[..., None]
+"""Takes stage, number done, number in all, and what was found so far, in a few words."""
 _LINE = 1 << 16  # bytes of a line that are read at a time
 _LOG = 4 << 20  # bytes of a log that are kept
 _TAIL = 200  # lines that the sentence of an error is looked for in

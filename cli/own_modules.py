@@ -1,13 +1,17 @@
-"""Modules of the user's own that a run directory needs: they lay in the folder that --config-dir named."""
+"""What is the user's own in the folder that --config-dir names: modules that a run directory needs, systems."""
 
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
 import yaml
+
+from nsde_torch.errors import ConfigError
+
+from . import groups
 
 
 def see_own_modules(folder: Path) -> None:
@@ -24,3 +28,43 @@ def see_own_modules(folder: Path) -> None:
 def config_folders(sources: Iterable[Any]) -> list[str]:
     """Folders of `--config-dir` among the sources of a configuration that Hydra made."""
     return [s["path"] for s in sources if s["provider"] == "command-line" and s["schema"] == "file"]
+
+
+def own_system(system: str, config_dir: Path | None) -> str:
+    """What the user's own file `system/NAME.yaml` names, or the name as it is.
+
+    Args:
+        system: What was typed.
+        config_dir: Folder of `--config-dir`; None: none.
+
+    Raises:
+        ConfigError: The file names no class.
+    """
+    file = None if config_dir is None else config_dir / "system" / f"{system}.yaml"
+    if file is None or not file.is_file():
+        return system
+    content = groups.read_yaml(file)
+    name = content.get("name") if isinstance(content, dict) else None
+    if not isinstance(name, str):
+        raise ConfigError(f"{file} must hold `name: module:Class`.")
+    return name
+
+
+def split_config_dir(arguments: Sequence[str]) -> tuple[Path | None, list[str]]:
+    """The folder of `--config-dir`, and the other words.
+
+    Args:
+        arguments: Words after the name of a command that Hydra does not configure.
+
+    Raises:
+        ConfigError: There is no such folder.
+    """
+    folder = groups.config_dir(arguments)
+    if folder is not None and not folder.is_dir():
+        raise ConfigError(f"`--config-dir {folder}`: no such folder.")
+    words = [w for w in arguments if not w.startswith("--config-dir=")]
+    for flag in ("--config-dir", "-cd"):
+        if flag in words:
+            k = words.index(flag)
+            del words[k : k + 2]
+    return folder, words

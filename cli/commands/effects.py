@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING, Any
 
 from nsde_torch.errors import ConfigError, NsdeError
 
-from .. import groups
 from ..exit_status import OK, USER_ERROR
+from ..own_modules import own_system, split_config_dir
 from ..registry import PlainCommand
 
 if TYPE_CHECKING:
@@ -97,7 +97,7 @@ def catalogue(system: str | None = None, *, config_dir: Path | None = None) -> l
         beside = str((config_dir or Path.cwd()).resolve())  # a system of the user's own, in a file there
         sys.path.insert(0, beside)
         try:
-            machine = system_class(own_name(system, config_dir))
+            machine = system_class(own_system(system, config_dir))
         finally:
             sys.path.remove(beside)
         chosen = effects_of(machine.name, machine.ports, machine.bound_coordinates())
@@ -110,46 +110,6 @@ def catalogue(system: str | None = None, *, config_dir: Path | None = None) -> l
     rows = [_row(cls, fits.get(name, [system or ""])) for name, cls in chosen.items()]
     order = list(dict.fromkeys(tuple(row["systems"]) for row in rows))
     return sorted(rows, key=lambda row: order.index(tuple(row["systems"])))
-
-
-def own_name(system: str, config_dir: Path | None) -> str:
-    """What the user's own file `system/NAME.yaml` names, or the name as it is.
-
-    Args:
-        system: What was typed.
-        config_dir: Folder of `--config-dir`; None: none.
-
-    Raises:
-        ConfigError: The file names no class.
-    """
-    file = None if config_dir is None else config_dir / "system" / f"{system}.yaml"
-    if file is None or not file.is_file():
-        return system
-    content = groups.read_yaml(file)
-    name = content.get("name") if isinstance(content, dict) else None
-    if not isinstance(name, str):
-        raise ConfigError(f"{file} must hold `name: module:Class`.")
-    return name
-
-
-def split_config_dir(arguments: Sequence[str]) -> tuple[Path | None, list[str]]:
-    """The folder of `--config-dir`, and the other words.
-
-    Args:
-        arguments: Words after the name of a command that Hydra does not configure.
-
-    Raises:
-        ConfigError: There is no such folder.
-    """
-    folder = groups.config_dir(arguments)
-    if folder is not None and not folder.is_dir():
-        raise ConfigError(f"`--config-dir {folder}`: no such folder.")
-    words = [w for w in arguments if not w.startswith("--config-dir=")]
-    for flag in ("--config-dir", "-cd"):
-        if flag in words:
-            k = words.index(flag)
-            del words[k : k + 2]
-    return folder, words
 
 
 def _row(cls: type[Effect], systems: Sequence[str]) -> dict[str, Any]:

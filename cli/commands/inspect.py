@@ -12,9 +12,9 @@ from typing import TYPE_CHECKING
 from nsde_torch.errors import ConfigError, NsdeError
 
 from ..exit_status import FAILED_JOBS, OK, USER_ERROR
+from ..own_modules import own_system, split_config_dir
 from ..quoted import as_typed
 from ..registry import PlainCommand
-from .effects import own_name, split_config_dir
 
 if TYPE_CHECKING:
     from nsde_torch.api.inspecting import Inspection
@@ -66,7 +66,7 @@ def _inspect(path: str, given: dict[str, str], folder: Path | None) -> int:
     target = None if given.get("out") == "none" else Path(given.get("out") or _beside(path))
     found = inspect(
         path,
-        system=own_name(given["system"], folder) if "system" in given else None,
+        system=own_system(given["system"], folder) if "system" in given else None,
         kind=given.get("kind"),
         mapping=given.get("mapping"),
         physics=given.get("physics", "true") != "false",

@@ -15,8 +15,10 @@ from nsde_torch.models.identified import SysidSpec
 from nsde_torch.progress import Say, Stages, silent
 from nsde_torch.systems.base import System
 from nsde_torch.systems.options import Effects, SystemOptions, system_options
+from nsde_torch.threads import one_thread
 
 
+@one_thread()
 def diagnose(
     data: Data,
     *,

@@ -18,11 +18,13 @@ from nsde_torch.evaluation.seen import SeenRuns
 from nsde_torch.models.capabilities import learns_sensors
 from nsde_torch.models.model import Model
 from nsde_torch.models.run_directory import load
+from nsde_torch.threads import one_thread
 from nsde_torch.training.prepare import sensor_std
 
 Models = Model | str | Path | Sequence[Model | str | Path] | Mapping[str, Model | str | Path]
 
 
+@one_thread(of_torch=False)
 def evaluate(
     models: Models,
     data: Data,

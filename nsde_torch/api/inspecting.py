@@ -27,6 +27,7 @@ from nsde_torch.data.streams import moving
 from nsde_torch.errors import DataError, NsdeError
 from nsde_torch.systems.base import System
 from nsde_torch.systems.options import SystemOptions, system_options
+from nsde_torch.threads import one_thread
 
 _RUNS = 3  # that physics are looked at
 _PAUSES = 5.0  # steps that are a gap
@@ -133,6 +134,7 @@ def _plain(value: Any) -> Any:
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
+@one_thread()
 def inspect(
     path: str | Path,
     *,

@@ -18,6 +18,7 @@ from nsde_torch.errors import NsdeError
 from nsde_torch.sysid.readings import AS_GOOD, LESS, better_readings
 from nsde_torch.sysid.rough import beginnings, rough_fit, share_left
 from nsde_torch.systems.base import System
+from nsde_torch.threads import one_thread
 
 _PART_S = 30.0  # of the runs, on which numberings are compared
 _ITERATIONS = 4
@@ -41,6 +42,7 @@ class PhysicsFound:
     numbering: str | None = None
 
 
+@one_thread()
 def check_physics(
     machine: System,
     runs: Sequence[RawRun],

@@ -27,12 +27,14 @@ from nsde_torch.sysid.restored_states import restore_states
 from nsde_torch.sysid.rough import beginnings, rough_fit
 from nsde_torch.systems.base import System
 from nsde_torch.systems.options import SystemOptions, system_options
+from nsde_torch.threads import one_thread
 
 _PHYSICS_S = 60.0  # of the runs, to which the declared physics is fitted roughly
 Data: TypeAlias = str | Path | DataSet | Simulation | Sequence[RawRun]
 """What functions of `nsde_torch` take as data (see `read`)."""
 
 
+@one_thread()
 def read(
     data: Data,
     *,

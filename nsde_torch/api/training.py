@@ -20,6 +20,7 @@ from nsde_torch.sde.options import IntegratorOptions, integrator_options
 from nsde_torch.sde.step import Step
 from nsde_torch.systems.base import System
 from nsde_torch.systems.options import Effects, SystemOptions, system_options
+from nsde_torch.threads import one_thread
 from nsde_torch.training.options import LossOptions, TrainerOptions, loss_options, trainer_options
 from nsde_torch.training.session import train as train_model
 from nsde_torch.training.structure import machine_losses, model_spec
@@ -27,6 +28,7 @@ from nsde_torch.training.structure import machine_losses, model_spec
 DTYPES = {"float32": torch.float32, "float64": torch.float64}
 
 
+@one_thread(of_torch=False)
 def train(
     data: Data,
     *,

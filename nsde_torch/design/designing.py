@@ -39,6 +39,7 @@ from nsde_torch.design.rollout import Drive
 from nsde_torch.design.signals import Signals
 from nsde_torch.errors import ConfigError, DataError
 from nsde_torch.systems import Multirotor, System
+from nsde_torch.threads import one_thread
 
 Array = NDArray[np.float64]
 FINALISTS = 3
@@ -51,6 +52,7 @@ _WIDER, _WIDE_ONES = 10.0, 16
 _SLOWEST_SHARE, _FASTEST_SHARE = 1.0, 0.2
 
 
+@one_thread()
 def design(
     system: System,
     runs: Sequence[Run],

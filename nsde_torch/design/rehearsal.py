@@ -31,6 +31,7 @@ from nsde_torch.diagnosis.options import Options
 from nsde_torch.diagnosis.search import search_in
 from nsde_torch.sysid.regression import Regression
 from nsde_torch.systems import System
+from nsde_torch.threads import one_thread
 
 Array = NDArray[np.float64]
 
@@ -172,6 +173,7 @@ def _by_steps(declared: System, members: Sequence[Member], run: Run, clock: floa
     return out
 
 
+@one_thread()
 def rehearse(
     declared: System,
     members: Sequence[Member],

@@ -11,15 +11,27 @@ from pathlib import Path
 import pytest
 
 # Each part may import itself and what it names here.
-BASE = {"errors", "columns", "rotation", "lookup", "options", "lazy", "cache", "progress", "whole_files"}
+BASE = {
+    "errors",
+    "columns",
+    "rotation",
+    "lookup",
+    "options",
+    "lazy",
+    "cache",
+    "progress",
+    "threads",
+    "whole_files",
+}
 MACHINES = {*BASE, "systems", "effects"}
 LEARNED = {*MACHINES, "data", "recording", "sde", "models", "plots"}
-TRAINED = {"sysid", "innovations", "evaluation", "training"}
+TRAINED = {"inference", "sysid", "innovations", "evaluation", "training"}
 MAY_IMPORT = {
     "errors": set(),
     "lazy": set(),
     "cache": set(),
     "progress": set(),
+    "threads": set(),
     "whole_files": set(),
     "options": {"errors"},
     "columns": {"errors"},
@@ -32,10 +44,11 @@ MAY_IMPORT = {
     "recording": {*MACHINES, "data"},
     "sde": {*MACHINES, "data"},
     "models": {*MACHINES, "data", "recording", "sde"},
-    "sysid": LEARNED,
-    "innovations": {*LEARNED, "sysid"},
-    "evaluation": {*LEARNED, "sysid", "innovations"},
-    "training": {*LEARNED, "sysid", "innovations", "evaluation"},
+    "inference": {*MACHINES, "data"},
+    "sysid": {*LEARNED, "inference"},
+    "innovations": {*LEARNED, "inference", "sysid"},
+    "evaluation": {*LEARNED, "inference", "sysid", "innovations"},
+    "training": {*LEARNED, "inference", "sysid", "innovations", "evaluation"},
     "control": LEARNED,
     "simulation": {*LEARNED, "control"},
     "policy": {*LEARNED, "simulation"},
@@ -43,7 +56,7 @@ MAY_IMPORT = {
     "api": {*LEARNED, *TRAINED, "simulation", "diagnosis"},
     "diagnosis": {*LEARNED, *TRAINED, "control"},
     "public_benchmarks": {*LEARNED, *TRAINED, "api", "diagnosis"},
-    "design": {*LEARNED, "sysid", "diagnosis", "control"},
+    "design": {*LEARNED, "inference", "sysid", "diagnosis", "control"},
     "px4": {*LEARNED, "control", "export", "simulation"},
     "export": {*LEARNED, "control"},
 }

@@ -21,10 +21,10 @@ from torch import Tensor
 from nsde_torch.columns import by_column
 from nsde_torch.design.coloured import coloured, split_spectrum
 from nsde_torch.design.noises import noises_of
+from nsde_torch.inference.steps import Steps
 from nsde_torch.rotation import rotate
 from nsde_torch.sysid.physics import Physics
 from nsde_torch.sysid.regression import Regression
-from nsde_torch.sysid.steps import Steps
 from nsde_torch.systems import System
 from nsde_torch.systems.parameters import ParameterVector
 

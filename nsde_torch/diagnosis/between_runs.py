@@ -23,8 +23,8 @@ from scipy.special import chdtrc, ndtri
 
 from nsde_torch.effects.coordinates import Bound
 from nsde_torch.errors import NsdeError
+from nsde_torch.inference.spread import spread
 from nsde_torch.sysid.regression import Regression
-from nsde_torch.sysid.spread import spread
 
 Array = NDArray[np.float64]
 

@@ -35,10 +35,10 @@ from nsde_torch.evaluation.before import inputs_before
 from nsde_torch.evaluation.bootstrap import make_blocks, paired_bootstrap
 from nsde_torch.evaluation.metrics import horizons_of, start_grid, thinned
 from nsde_torch.evaluation.scores import group_squares
+from nsde_torch.inference.steps import Steps
 from nsde_torch.models.identified import IdentifiedModel, SysidSpec
 from nsde_torch.sde import make_step
 from nsde_torch.sysid.regression import Regression
-from nsde_torch.sysid.steps import Steps
 from nsde_torch.systems import System
 
 REPLAYED = "replayed"

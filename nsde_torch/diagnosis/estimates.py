@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 from scipy.special import stdtrit
 
 from nsde_torch.diagnosis.decisions import INTERVAL_LEVEL
+from nsde_torch.inference.spread import Spread
 from nsde_torch.sysid.regression import Regression
 from nsde_torch.sysid.result import Identification
-from nsde_torch.sysid.spread import Spread
 from nsde_torch.systems.parameters import ParameterVector
 
 Array = NDArray[np.float64]

@@ -20,8 +20,8 @@ from scipy.special import chdtrc, fdtrc, stdtr
 
 from nsde_torch.diagnosis.decisions import DECISIONS, Decisions
 from nsde_torch.diagnosis.fitted import at_bounds
+from nsde_torch.inference.spread import Spread
 from nsde_torch.sysid.regression import Regression
-from nsde_torch.sysid.spread import Spread
 
 Array = NDArray[np.float64]
 Labels = NDArray[np.int64]

@@ -23,12 +23,12 @@ from torch import Tensor
 
 from nsde_torch.diagnosis.decisions import DECISIONS, INTERVAL_LEVEL, Decisions
 from nsde_torch.evaluation.bootstrap import Blocks, Difference, make_blocks, mean_bootstrap, paired_bootstrap
+from nsde_torch.inference.steps import Steps
 from nsde_torch.sysid.explained import bump, per_second, smooth_rate
 from nsde_torch.sysid.feedback import faded, foretelling
 from nsde_torch.sysid.physics import Physics
 from nsde_torch.sysid.regression import Regression
 from nsde_torch.sysid.series import Series
-from nsde_torch.sysid.steps import Steps
 from nsde_torch.systems import System
 from nsde_torch.systems.parameters import ParameterVector
 

@@ -81,7 +81,7 @@ def _much_is_left(outcome: Outcome, guard: Guarded) -> bool:
 
 def _refused_over_shorter(log: Log, outcome: Outcome) -> Guarded | None:
     """What speaks against what was found over the usual boxes, where nothing does over longer ones; else None."""
-    fitted = identify_in_loop(outcome.system, log.runs, clock=log.recorded.clock)
+    fitted = identify_in_loop(outcome.system, log.runs, clock=log.recorded.clock, likelihood=False)
     return None if fitted.finer is None else fitted.finer.guard
 
 

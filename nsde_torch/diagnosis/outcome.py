@@ -19,10 +19,10 @@ from nsde_torch.diagnosis.rounds import Round
 from nsde_torch.diagnosis.search import Base, Search
 from nsde_torch.diagnosis.trials import Trial
 from nsde_torch.effects import effect_class
+from nsde_torch.inference.spread import Spread
 from nsde_torch.sysid.in_loop import hidden_bias, largest_bias
 from nsde_torch.sysid.loop_test import LoopTest
 from nsde_torch.sysid.result import Identification
-from nsde_torch.sysid.spread import Spread
 from nsde_torch.systems import System
 
 Array = NDArray[np.float64]
@@ -65,12 +65,13 @@ class Outcome:
         hidden: Effects that are not named because feedback may have made them.
         test: What the data say of the loop that they were recorded in, by `final`.
         hangs: How far parameters of `final` hang on the band up to which smoothed states were restored (k,).
-        printed: Estimates to print in place of those of `final`: by signals from outside the loop, or by prediction
-            errors where rates are inferred.
+        printed: Estimates to print in place of those of `final`: by signals from outside the loop, or of largest
+            likelihood.
         levels: Significance level of each stage (`recording.levels`).
         doubted: Whether the guard speaks against the final physics, so that nothing that was found is sure.
         decisions: What was decided by.
         beside: What a flexible model wins beside some physics of the search, as far as it was asked.
+        joint: Whether the joint likelihood selected the effects, and nothing is left.
     """
 
     verdict: Verdict
@@ -92,6 +93,7 @@ class Outcome:
     decisions: Decisions = DECISIONS
     doubted: bool = False
     beside: FlexibleGain | None = None
+    joint: bool = False
 
     @cached_property
     def system(self) -> System:

@@ -39,6 +39,7 @@ from nsde_torch.diagnosis.elimination import eliminate
 from nsde_torch.diagnosis.explanation import explained
 from nsde_torch.diagnosis.gone import select
 from nsde_torch.diagnosis.inferred import at_declared, at_found, not_sure
+from nsde_torch.diagnosis.joint_selection import JointSelection, jointly_selected, selection_of
 from nsde_torch.diagnosis.longer_boxes import over_longer_boxes
 from nsde_torch.diagnosis.not_done import (
     CEILING,
@@ -60,9 +61,12 @@ from nsde_torch.diagnosis.result import Diagnosis
 from nsde_torch.diagnosis.search import Search
 from nsde_torch.diagnosis.selection import so_far as chosen_so_far
 from nsde_torch.diagnosis.standing import selected_again, tied, without_standing
+from nsde_torch.inference import LogLikelihood
 from nsde_torch.models.identified import SysidSpec
 from nsde_torch.recording.log import Recorded
+from nsde_torch.sysid.by_likelihood import by_likelihood
 from nsde_torch.sysid.guard import Guarded
+from nsde_torch.sysid.identify import identification
 from nsde_torch.sysid.in_loop import adopted
 from nsde_torch.sysid.result import Identification
 from nsde_torch.systems import System
@@ -149,16 +153,9 @@ def _diagnosed(
             partial(_read_again, log, search, outcome),
             (log, search, outcome),
         )
-    log, search, outcome = stages.attempt(
-        "the search without rows in which friction holds",
-        partial(without_standing, log, search, outcome, searched),
-        (log, search, outcome),
-    )
-    log, search, outcome, guard = stages.attempt(
-        "the search over longer boxes",
-        partial(over_longer_boxes, log, search, outcome, searched),
-        (log, search, outcome, Guarded()),
-    )
+    guard = Guarded()
+    if not outcome.joint:
+        log, search, outcome, guard = _in_other_rows(log, search, outcome)
     course.lap("search")
     course.known(OTHER_ROWS, log, outcome, guard=guard)
     looked = outcome.final
@@ -203,6 +200,20 @@ def _diagnosed(
     )
 
 
+def _in_other_rows(log: Log, search: Search, outcome: Outcome) -> tuple[Log, Search, Outcome, Guarded]:
+    """What the regression concludes without rows in which friction holds, and over longer boxes."""
+    log, search, outcome = log.stages.attempt(
+        "the search without rows in which friction holds",
+        partial(without_standing, log, search, outcome, searched),
+        (log, search, outcome),
+    )
+    return log.stages.attempt(
+        "the search over longer boxes",
+        partial(over_longer_boxes, log, search, outcome, searched),
+        (log, search, outcome, Guarded()),
+    )
+
+
 def searched(log: Log, search: Search, before: Outcome | None = None) -> Outcome:
     """Fit the declared physics, select effects, test what is left, and decide.
 
@@ -212,9 +223,14 @@ def searched(log: Log, search: Search, before: Outcome | None = None) -> Outcome
         before: What was concluded from other rows of them, to start from; None starts from the declared physics.
     """
     search.say("fitting the declared physics", 0, 1)
-    chosen = select(search, log.system) if before is None else selected_again(search, before)
-    log.so_far(SELECTION, log, chosen_so_far(search, chosen))
-    kept = eliminate(search, chosen, also=() if before is None else tied(before))
+    joint = None if before is not None else _jointly(log, search)
+    if joint is not None:
+        chosen, kept = selection_of(search, joint, log.system)
+        log.so_far(SELECTION, log, chosen_so_far(search, chosen))
+    else:
+        chosen = select(search, log.system) if before is None else selected_again(search, before)
+        log.so_far(SELECTION, log, chosen_so_far(search, chosen))
+        kept = eliminate(search, chosen, also=() if before is None else tied(before))
     known = undecided(search, chosen.declared, kept.final, kept.found, chosen.rounds, chosen.aside)
     log.so_far(SECOND_LOOK, log, known)
     search.say("what feedback may have made", 0, 1)
@@ -222,12 +238,27 @@ def searched(log: Log, search: Search, before: Outcome | None = None) -> Outcome
     search.say("testing what is left", 0, 1)
     outcome = decide(search, chosen, kept, log.feedback)
     log.so_far(TESTS, log, outcome)
+    if joint is not None and not outcome.structured:
+        return replace(outcome, joint=True)
     if any(run.band for run in log.runs):  # what a smoother did to the states looks like laws of many names
         return outcome
     return log.stages.attempt(
         LAWS,
         lambda: with_laws(search, chosen, kept, outcome, log.feedback),
         outcome,
+    )
+
+
+def _jointly(log: Log, search: Search) -> JointSelection | None:
+    """What the joint likelihood selects; None where it is not to be relied on, and the regression decides."""
+    if log.system.quaternion is not None or log.recorded.inputs_restored or any(run.band for run in log.runs):
+        return None
+    return log.stages.attempt(
+        "the selection by the joint likelihood",
+        lambda: jointly_selected(
+            search, LogLikelihood(log.system, log.runs, log.recorded.clock, run_in=True), log.system
+        ),
+        None,
     )
 
 
@@ -242,13 +273,17 @@ def _read_again(log: Log, search: Search, outcome: Outcome) -> tuple[Log, Search
 
 
 def _identified(log: Log, outcome: Outcome) -> tuple[Outcome, Identification | None]:
-    """The outcome, with the estimates to print: by signals from outside the loop, or by errors of predictions."""
-    inferred, instruments = bool(log.runs[0].inferred), bool(log.options.instruments)
-    if not inferred and (not instruments or outcome.test.why_not):
+    """The outcome, with the estimates to print: by signals from outside the loop, or of largest likelihood."""
+    if log.options.instruments and not outcome.test.why_not:
+        log.say("estimates from signals outside the loop", 0, 1)
+        found = log.identified(outcome.system)
+        better = found.instrumented is not None and adopted(found.instrumented, outcome.test)
+        if better or found.likelihood_used:
+            outcome = replace(outcome, printed=found)
+        return outcome, found
+    if outcome.doubted or not outcome.final.regression.converged:
         return outcome, None
-    log.say("estimates from signals outside the loop" if instruments else "errors of predictions", 0, 1)
-    found = log.identified(outcome.system)
-    better = found.instrumented is not None and adopted(found.instrumented, outcome.test)
-    if better or (inferred and found.believed):
-        outcome = replace(outcome, printed=found)
-    return outcome, found if instruments else None
+    log.say("estimates of largest likelihood", 0, 1)
+    regressed = replace(identification(outcome.final.regression, "weak"), doubt=outcome.doubt)
+    likeliest = by_likelihood(regressed, outcome.system, log.runs, log.recorded.clock)
+    return (replace(outcome, printed=likeliest) if likeliest.likelihood_used else outcome), None

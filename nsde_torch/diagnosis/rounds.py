@@ -17,7 +17,7 @@ from nsde_torch.diagnosis.spectrum import lines
 from nsde_torch.diagnosis.trials import Trial, finished, fit_candidate, simplest_first
 from nsde_torch.effects import effect_class
 from nsde_torch.errors import NsdeError
-from nsde_torch.sysid.sizes import data_sizes
+from nsde_torch.inference.sizes import data_sizes
 from nsde_torch.systems import System
 from nsde_torch.systems.parameters import ParameterVector
 

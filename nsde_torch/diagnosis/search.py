@@ -15,12 +15,12 @@ from nsde_torch.diagnosis.evidence import Score, folds, score
 from nsde_torch.diagnosis.fitted import carried, dynamic_rows, fitted_system, nonlinear
 from nsde_torch.diagnosis.options import Options
 from nsde_torch.effects import register
+from nsde_torch.inference.steps import UNDERSMOOTHED, Steps, steps_of
 from nsde_torch.recording.levels import STAGES, level
 from nsde_torch.sysid.narrow_shapes import narrower
 from nsde_torch.sysid.noise import Noise
 from nsde_torch.sysid.physics import Physics
 from nsde_torch.sysid.regression import Regression
-from nsde_torch.sysid.steps import UNDERSMOOTHED, Steps, steps_of
 from nsde_torch.systems import System
 from nsde_torch.systems.parameters import ParameterVector
 

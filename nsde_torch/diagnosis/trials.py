@@ -20,8 +20,8 @@ from nsde_torch.diagnosis.multiplicity import bonferroni, has_frequency, starts_
 from nsde_torch.diagnosis.search import Base, Search
 from nsde_torch.effects import effect_class
 from nsde_torch.effects.expression_grammar import is_law
+from nsde_torch.inference.spread import Spread
 from nsde_torch.sysid.regression import Regression
-from nsde_torch.sysid.spread import Spread
 from nsde_torch.systems import System
 
 Array = NDArray[np.float64]

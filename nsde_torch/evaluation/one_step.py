@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from nsde_torch.data import Run
 from nsde_torch.errors import ConfigError, DataError
 from nsde_torch.evaluation.report import number, table
+from nsde_torch.inference.steps import steps_of
 from nsde_torch.innovations.disturbances import Disturbance, density, spectrum
 from nsde_torch.innovations.inputs import as_applied
 from nsde_torch.innovations.laws import disturbed_channels
@@ -30,7 +31,6 @@ from nsde_torch.models.model import Model
 from nsde_torch.models.neural_sde import NeuralSDE
 from nsde_torch.sysid.explained import bump, explained
 from nsde_torch.sysid.physics import Physics
-from nsde_torch.sysid.steps import steps_of
 from nsde_torch.systems.parameters import ParameterVector
 
 Array = NDArray[np.float64]

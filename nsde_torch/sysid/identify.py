@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from nsde_torch.data import Run
 from nsde_torch.errors import ConfigError, DataError, NonFiniteError
+from nsde_torch.inference.steps import steps_of
 from nsde_torch.models.identified import METHODS
 from nsde_torch.sysid.explained import bump, explained
 from nsde_torch.sysid.narrow_shapes import narrower
@@ -15,7 +16,6 @@ from nsde_torch.sysid.physics import Physics
 from nsde_torch.sysid.regression import ITERATIONS, Regression
 from nsde_torch.sysid.result import Identification
 from nsde_torch.sysid.standing import SHARE, moving, slowest
-from nsde_torch.sysid.steps import steps_of
 from nsde_torch.systems import System
 from nsde_torch.systems.parameters import ParameterVector
 

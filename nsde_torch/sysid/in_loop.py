@@ -34,6 +34,7 @@ from numpy.typing import NDArray
 
 from nsde_torch.data import Run
 from nsde_torch.errors import ConfigError, DataError, NonFiniteError
+from nsde_torch.sysid.by_likelihood import by_likelihood
 from nsde_torch.sysid.guard import guarded
 from nsde_torch.sysid.identify import identification, regression_of, settled
 from nsde_torch.sysid.inferred_rates import in_turn
@@ -41,7 +42,6 @@ from nsde_torch.sysid.instrumented import MISSING, Instrumented
 from nsde_torch.sysid.instruments import between, instrumental, with_columns
 from nsde_torch.sysid.longer_boxes import LENGTHS_S, in_longer_boxes
 from nsde_torch.sysid.loop_test import LoopTest, tested
-from nsde_torch.sysid.prediction_error import by_prediction_errors
 from nsde_torch.sysid.regression import ITERATIONS, Regression
 from nsde_torch.sysid.restored_states import narrowed
 from nsde_torch.sysid.result import Identification
@@ -62,6 +62,7 @@ def identify_in_loop(
     width: float | None = None,
     iterations: int = ITERATIONS,
     instruments: Sequence[str] = (),
+    likelihood: bool = True,
 ) -> Identification:
     """Identify declared parameters, test the loop, and use signals from outside it.
 
@@ -73,6 +74,7 @@ def identify_in_loop(
         width: See `identify`; None also takes longer boxes where the guard believes these alone (`longer_boxes`).
         iterations: Largest number of steps.
         instruments: Names of logged columns (`Run.extra`) that nothing inside the loop moves: sticks, setpoints.
+        likelihood: Whether values are those of largest likelihood, where that can be relied on.
 
     Returns:
         Estimates with `loop`, `instrumented`, `doubt` and `guard` filled in.
@@ -111,7 +113,9 @@ def identify_in_loop(
     found = in_longer_boxes(found, over) if width is None else found
     if found.instrumented is not None and found.loop is not None and adopted(found.instrumented, found.loop):
         return found
-    return by_prediction_errors(found, system, runs, clock)
+    if not likelihood:
+        return found
+    return by_likelihood(found, system, runs, clock)
 
 
 def _over_boxes(

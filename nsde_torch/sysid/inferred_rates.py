@@ -20,9 +20,9 @@ from numpy.typing import NDArray
 
 from nsde_torch.data import Run
 from nsde_torch.errors import DataError
+from nsde_torch.inference.steps import inferred_columns
 from nsde_torch.sysid.observer import Observer
 from nsde_torch.sysid.result import Identification
-from nsde_torch.sysid.steps import inferred_columns
 from nsde_torch.systems import System
 
 Array = NDArray[np.float64]

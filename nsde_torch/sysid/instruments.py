@@ -28,13 +28,13 @@ from scipy.stats import t as student
 
 from nsde_torch.data import Run
 from nsde_torch.errors import DataError
+from nsde_torch.inference.spread import Spread
 from nsde_torch.sysid import signals
 from nsde_torch.sysid.instrumented import Instrumented
 from nsde_torch.sysid.loop_statistics import ALPHA, own_innovations
 from nsde_torch.sysid.noise import extended
 from nsde_torch.sysid.regression import Regression
 from nsde_torch.sysid.series import Series
-from nsde_torch.sysid.spread import Spread
 from nsde_torch.systems import System
 
 Array = NDArray[np.float64]

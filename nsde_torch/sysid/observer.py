@@ -19,8 +19,8 @@ from nsde_torch.data import Run
 from nsde_torch.data.system_info import rate_pairs
 from nsde_torch.data.tracking import SLOWEST_S, AlphaBeta, gains
 from nsde_torch.errors import DataError
-from nsde_torch.sysid.memory import memory_along
-from nsde_torch.sysid.steps import MOST, RUN_IN_S, RUN_IN_SHARE, steps_of
+from nsde_torch.inference.memory import memory_along
+from nsde_torch.inference.steps import MOST, RUN_IN_S, RUN_IN_SHARE, steps_of
 from nsde_torch.systems import System
 
 Array = NDArray[np.float64]

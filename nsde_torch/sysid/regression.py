@@ -25,6 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nsde_torch.errors import ConfigError, DataError, NonFiniteError
+from nsde_torch.inference.spread import Spread, spread
 from nsde_torch.sysid.feedback import past
 from nsde_torch.sysid.noise import (
     Noise,
@@ -39,7 +40,6 @@ from nsde_torch.sysid.physics import Physics
 from nsde_torch.sysid.series import Series
 from nsde_torch.sysid.shown import Shown, shown
 from nsde_torch.sysid.solve import bounded_step
-from nsde_torch.sysid.spread import Spread, spread
 from nsde_torch.systems import System
 
 Array = NDArray[np.float64]

@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import stdtrit
 
+from nsde_torch.inference import MaximumLikelihood
 from nsde_torch.sysid.noise import Noise
 from nsde_torch.sysid.shown import Shown, sentences
 from nsde_torch.sysid.standing import in_words
@@ -83,6 +84,8 @@ class Identification:
         guard: How the fit stands beside simple ones; None where it was not asked for.
         finer: The fit over shorter boxes that the guard did not believe; None where these are the first ones.
         standing: Share of the rows that were left out because what has dry friction stands in them.
+        likelihood: The fit of largest likelihood, whose values these are where nothing speaks against it; None where
+            there was none.
     """
 
     vector: ParameterVector
@@ -106,6 +109,12 @@ class Identification:
     guard: "Guarded | None" = None
     finer: "Identification | None" = None
     standing: float = 0.0
+    likelihood: MaximumLikelihood | None = None
+
+    @property
+    def likelihood_used(self) -> bool:
+        """Whether values and intervals are those of largest likelihood."""
+        return self.likelihood is not None and not self.likelihood.objections
 
     @property
     def believed(self) -> bool:
@@ -226,6 +235,7 @@ class Identification:
                 if self.finer is None or self.finer.guard is None
                 else {"finer": {"box_s": self.finer.box_s, "guard": self.finer.guard.as_dict()}}
             ),
+            **({} if self.likelihood is None else {"likelihood": self.likelihood.as_dict()}),
             **({} if self.loop is None else {"feedback": self.loop.as_dict()}),
             **({} if self.instrumented is None else {"instruments": self.instrumented.as_dict()}),
             **(

@@ -17,9 +17,9 @@ from numpy.typing import NDArray
 
 from nsde_torch.data import Run
 from nsde_torch.errors import ConfigError, DataError, NonFiniteError
+from nsde_torch.inference.steps import steps_of
 from nsde_torch.sysid.physics import Physics
 from nsde_torch.sysid.regression import Regression
-from nsde_torch.sysid.steps import steps_of
 from nsde_torch.systems import System
 from nsde_torch.systems.parameters import ParameterVector
 

@@ -22,9 +22,9 @@ from scipy.special import stdtr
 
 from nsde_torch.data import Run
 from nsde_torch.errors import NsdeError
+from nsde_torch.inference.spread import spread
 from nsde_torch.sysid.explained import per_second
 from nsde_torch.sysid.regression import Regression
-from nsde_torch.sysid.spread import spread
 
 Array = NDArray[np.float64]
 

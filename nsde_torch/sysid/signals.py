@@ -18,10 +18,10 @@ import torch
 from numpy.typing import NDArray
 from scipy.stats import chi2
 
+from nsde_torch.inference.steps import Steps
 from nsde_torch.sysid.noise import extended
 from nsde_torch.sysid.regression import Regression
 from nsde_torch.sysid.series import Series
-from nsde_torch.sysid.steps import Steps
 
 Array = NDArray[np.float64]
 

@@ -30,6 +30,7 @@ from tqdm.auto import tqdm
 from nsde_torch.data import Run, Windows
 from nsde_torch.effects import Port
 from nsde_torch.errors import CheckpointError, DataError
+from nsde_torch.inference.steps import steps_of
 from nsde_torch.innovations.actuators import Identified, identified
 from nsde_torch.innovations.disturbances import Disturbance
 from nsde_torch.innovations.inputs import as_applied, fit_filter
@@ -51,7 +52,6 @@ from nsde_torch.sysid.noise import white_noise
 from nsde_torch.sysid.physics import Physics
 from nsde_torch.sysid.regression import ITERATIONS, Regression, carry_limits
 from nsde_torch.sysid.result import Identification
-from nsde_torch.sysid.steps import steps_of
 from nsde_torch.systems.parameters import ParameterVector
 from nsde_torch.training.checkpoint import read_checkpoint, write_checkpoint
 from nsde_torch.training.fit_distance import fit_distance

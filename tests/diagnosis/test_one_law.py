@@ -15,7 +15,7 @@ from nsde_torch.diagnosis.screening import joined, screen, starts
 from nsde_torch.diagnosis.search import Base, Search, search_in
 from nsde_torch.diagnosis.selection import Selection
 from nsde_torch.effects import effect_class
-from nsde_torch.sysid.sizes import data_sizes
+from nsde_torch.inference.sizes import data_sizes
 from nsde_torch.systems import System, make_system
 from tests.helpers.diagnosed import recorded
 

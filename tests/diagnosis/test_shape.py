@@ -15,8 +15,8 @@ from nsde_torch.diagnosis.search import Search
 from nsde_torch.diagnosis.shape import Shape, shape
 from nsde_torch.diagnosis.specification import dependences
 from nsde_torch.diagnosis.views import bins, rates
+from nsde_torch.inference.steps import steps_of
 from nsde_torch.sysid.regression import Regression
-from nsde_torch.sysid.steps import steps_of
 from nsde_torch.systems import make_system
 from tests.helpers.diagnosed import recorded
 

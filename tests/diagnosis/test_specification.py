@@ -19,9 +19,9 @@ from nsde_torch.diagnosis.regressors import Regressors, own_space, projected, re
 from nsde_torch.diagnosis.search import Search
 from nsde_torch.diagnosis.specification import dependences
 from nsde_torch.diagnosis.spectrum import lines
+from nsde_torch.inference.steps import steps_of
 from nsde_torch.sysid.noise import Noise
 from nsde_torch.sysid.regression import Regression
-from nsde_torch.sysid.steps import steps_of
 from nsde_torch.systems import make_system
 from tests.helpers.diagnosed import recorded
 

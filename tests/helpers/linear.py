@@ -8,9 +8,9 @@ from typing import cast
 import numpy as np
 from numpy.typing import NDArray
 
+from nsde_torch.inference.spread import spread
 from nsde_torch.sysid.regression import Regression
 from nsde_torch.sysid.shown import shown
-from nsde_torch.sysid.spread import spread
 
 Array = NDArray[np.float64]
 

@@ -8,9 +8,9 @@ import torch
 
 from nsde_torch.data import Run
 from nsde_torch.effects.lag import ActuatorLag
-from nsde_torch.sysid.memory import memory_along
+from nsde_torch.inference.memory import memory_along
+from nsde_torch.inference.steps import steps_of
 from nsde_torch.sysid.physics import Physics
-from nsde_torch.sysid.steps import steps_of
 from nsde_torch.systems import make_system
 from nsde_torch.systems.parameters import ParameterVector
 from tests.helpers.diagnosed import recorded

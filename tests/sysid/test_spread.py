@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from nsde_torch.sysid.spread import spread
+from nsde_torch.inference.spread import spread
 
 ROWS, BLOCKS = 600, 60
 

@@ -10,7 +10,7 @@ delay, a lag) is taken from them: its mean over each step, for both ends.
 import torch
 from torch import Tensor
 
-from nsde_torch.sysid.steps import Steps
+from nsde_torch.inference.steps import Steps
 from nsde_torch.systems import System
 
 _PIECE = 50

@@ -4,7 +4,7 @@ import numpy as np
 from torch import Tensor
 
 from nsde_torch.effects.law import joined_name
-from nsde_torch.sysid.steps import Steps
+from nsde_torch.inference.steps import Steps
 from nsde_torch.systems import System
 
 _COLUMNS = {"position": 0, "speed": 1, "rate": 3}

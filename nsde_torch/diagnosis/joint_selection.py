@@ -1,0 +1,545 @@
+"""Effects that the declared physics lacks, selected by the joint likelihood of physics, disturbances and sensors.
+
+    e(theta + d, effect(start + a)) = e - J_theta d - J_start - J_effect a
+
+One pass of the filter (`nsde_torch.inference`) at the physics so far leaves its innovations e and, as further columns
+of one linear recursion, what every candidate of the catalogue does to them from each of its starts. All that is
+compared is linear algebra of Gram matrices by block of time: what a candidate, or two of them together, would explain
+of blocks that they were not fitted to. The best is fitted to the end, and counts only if the likelihood then rises as
+far as it should.
+
+Selected effects are then looked at again, each without itself: another one that is likelier in its place replaces
+it, and one that cannot be told from it is a tie.
+
+It is right where its noise model is: innovations that are not white, or larger or smaller than predicted, make
+`jointly_selected` return None, and the regression (`selection`) decides.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from math import log
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from scipy.special import chdtrc
+
+from nsde_torch.diagnosis.candidates import alone, candidate_names
+from nsde_torch.diagnosis.elimination import Retained
+from nsde_torch.diagnosis.evidence import sum_error
+from nsde_torch.diagnosis.multiplicity import bonferroni, starts_of
+from nsde_torch.diagnosis.outcome import Found, without_effect
+from nsde_torch.diagnosis.rounds import Round
+from nsde_torch.diagnosis.screening import joined, starts
+from nsde_torch.diagnosis.search import Base, Search
+from nsde_torch.diagnosis.selection import Selection
+from nsde_torch.diagnosis.trials import Trial, fit_candidate
+from nsde_torch.effects import Effect, effect_class
+from nsde_torch.errors import NsdeError
+from nsde_torch.inference import LogLikelihood, MaximumLikelihood, Optimum, maximised
+from nsde_torch.inference.sensitivity import Grams, grams
+from nsde_torch.inference.sizes import data_sizes
+from nsde_torch.systems import System
+from nsde_torch.systems.parameters import own_name
+
+Array = NDArray[np.float64]
+Labels = NDArray[np.int64]
+
+_RISES = 0.3  # share of the nats of a linearised step that the likelihood has to rise by once a candidate is fitted
+_TRIED = 3  # candidates that are fitted to the end before a round ends
+_RIVALS = 3  # candidates that are fitted in the place of an effect
+_PAIRED = 6  # best candidates among which pairs are looked at
+_ROUNDING = 1e-10
+
+
+@dataclass(frozen=True)
+class Proposal:
+    """What a candidate would explain.
+
+    Args:
+        name: Of the effect.
+        system: Physics with it, at the values of one linearised step.
+        nats: Log likelihood of blocks left out, beyond that of the physics without it [nats].
+        error: Its standard error, from the scatter over blocks [nats].
+        rank: `nats` less the price of its parameters.
+        p: Chance of as much if the effect did nothing, corrected for all candidates and their starts.
+        columns: Its columns in the Gram matrices: the shift of its start (0 where there is none), then its parameters.
+    """
+
+    name: str
+    system: System
+    nats: float
+    error: float
+    rank: float
+    p: float
+    columns: tuple[int, ...]
+
+
+@dataclass(frozen=True)
+class Selected:
+    """The log likelihood without an effect that was selected, and what cannot be told from it.
+
+    Args:
+        likelihood: Of the physics without it, fitted [nats].
+        blocks: The same by block of time (B,).
+        ties: Effects that explain the data as well in its place.
+    """
+
+    likelihood: float
+    blocks: Array
+    ties: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class JointSelection:
+    """What the joint likelihood selected.
+
+    Args:
+        best: The physics with the effects, at its optimum.
+        system: The same, with its values.
+        blocks: Its log likelihood by block of time (B,).
+        selected: The effects.
+        screened: Nats of every candidate of the first look.
+    """
+
+    best: MaximumLikelihood
+    system: System
+    blocks: Array
+    selected: dict[str, Selected]
+    screened: dict[str, float]
+
+    def evidence(self, search: Search, trial: Trial) -> Trial:
+        """A trial of an effect with the evidence of the joint likelihood: nats beyond those that its parameters cost.
+
+        Args:
+            search: Settings.
+            trial: The effect, fitted by the regression.
+        """
+        without = self.selected[trial.name]
+        count = max(trial.own.stop - trial.own.start - len(trial.held), 1)
+        nats = self.best.likelihood - without.likelihood - count  # Akaike
+        difference = self.blocks - without.blocks
+        p = float(chdtrc(count, max(2.0 * (nats + count), 0.0)))
+        labels = [label for label in self.best.vector.labels if label.startswith(f"{trial.name}.")]
+        among = max(len(self.screened), 1) * starts_of(trial.name, labels, search.longest)
+        return replace(
+            trial,
+            nats=nats,
+            nats_error=sum_error(difference),
+            rank_score=nats - 0.5 * count * log(len(difference)),
+            p=p,
+            p_corrected=bonferroni(p, among),
+            nothing=False,
+        )
+
+
+@dataclass(frozen=True)
+class _Place:
+    """Physics at its optimum."""
+
+    system: System
+    best: MaximumLikelihood
+    at: Optimum
+
+
+def jointly_selected(
+    search: Search, problem: LogLikelihood, system: System, frequencies: Sequence[float] = ()
+) -> JointSelection | None:
+    """Effects selected by the likelihood; None where its innovations are not what they should be.
+
+    Args:
+        search: Candidates and settings.
+        problem: The likelihood of the log, whose rows bring up memory first.
+        system: The declared physics with first values.
+        frequencies: Those of lines in the spectrum, which sinusoids start from [Hz].
+    """
+    declared = place = _fitted(problem, system, None)
+    names: list[str] = []
+    screened: dict[str, float] = {}
+    looks: dict[frozenset[str], list[Proposal]] = {}
+    while len(names) < search.decisions.most_effects:
+        search.say(
+            f"round {len(names) + 1}: one pass over the catalogue", len(names), search.decisions.most_effects
+        )
+        proposals, table = _catalogue(search, place, frequencies)
+        looks[frozenset(names)] = proposals
+        screened = screened or {p.name: p.nats for p in proposals}
+        better = _next(search, problem, place, proposals, table)
+        if better is None:
+            break
+        name, place = better
+        names = [*(n for n in names if n not in effect_class(name).includes), name]
+    if place.best.objections:
+        return None
+    place, selected = _looked_at_again(search, problem, declared, place, names, looks, frequencies)
+    if place.best.objections:
+        return None
+    return JointSelection(place.best, place.system, place.at.blocks, selected, screened)
+
+
+def _fitted(problem: LogLikelihood, system: System, like: _Place | None) -> _Place:
+    """Physics fitted from its present values, with noise levels near those of other physics."""
+    best, at = maximised(problem.of(system), None if like is None else like.at)
+    out = system.with_effects()
+    best.vector.write(out, best.theta)
+    return _Place(out, best, at)
+
+
+def _next(
+    search: Search, problem: LogLikelihood, place: _Place, proposals: Sequence[Proposal], table: "_Table"
+) -> tuple[str, _Place] | None:
+    """The best candidate that holds what it promises once it is fitted, and the physics with it."""
+    accepted = [p for p in proposals if _accepted(search, p)]
+    for proposal in _in_order(search, table, accepted)[:_TRIED]:
+        there = _fitted(problem, proposal.system, place)
+        risen = there.best.likelihood - place.best.likelihood
+        if risen > max(search.decisions.least_nats, _RISES * proposal.nats):
+            return proposal.name, there
+    return None
+
+
+def _accepted(search: Search, proposal: Proposal) -> bool:
+    return proposal.p < search.level("effects") and proposal.nats > search.decisions.least_nats
+
+
+def _in_order(search: Search, table: "_Table", accepted: Sequence[Proposal]) -> list[Proposal]:
+    """Candidates, the best first: one of a pair that explains surely more than the best alone, then what is simpler."""
+    ranked = sorted(accepted, key=lambda p: -p.rank)
+    if not ranked:
+        return []
+    best = ranked[0]
+    pair = _best_pair(table, ranked[:_PAIRED])
+    if pair is not None and best not in pair[1] and pair[0] > best.rank + search.decisions.alike_nats:
+        first = max(pair[1], key=lambda p: p.rank)
+        return [first, *(p for p in ranked if p is not first)]
+    simpler = [
+        p
+        for p in ranked
+        if p.name in effect_class(best.name).includes and p.rank > best.rank - search.decisions.wider_nats
+    ]
+    return [*simpler, *(p for p in ranked if p not in simpler)]
+
+
+def _best_pair(
+    table: "_Table", proposals: Sequence[Proposal]
+) -> tuple[float, tuple[Proposal, Proposal]] | None:
+    """The rank of the two candidates that explain most together, and these."""
+    out: tuple[float, tuple[Proposal, Proposal]] | None = None
+    for i, one in enumerate(proposals):
+        for other in proposals[:i]:
+            contained = {one.name, other.name} & {
+                *effect_class(one.name).includes,
+                *effect_class(other.name).includes,
+            }
+            if contained:
+                continue
+            nats = float(table.gain([one.columns, other.columns])[0].sum())
+            rank = nats - table.price(len(one.columns) + len(other.columns) - 2)
+            if out is None or rank > out[0]:
+                out = rank, (one, other)
+    return out
+
+
+class _Table:
+    """Gram matrices of one pass with the columns of all candidates, and what these explain of folds left out.
+
+    Args:
+        held: The Gram matrices.
+        base: Columns of the parameters of the physics.
+        fold: Fold of each block.
+    """
+
+    def __init__(self, held: Grams, base: Labels, fold: Labels) -> None:
+        self._held, self._base = held, base
+        self._folds = [np.flatnonzero(fold == f) for f in np.unique(fold)]
+        self._before = self._left_out(self._base, self._reduced(self._base, []))[0]
+
+    def price(self, parameters: int) -> float:
+        """What parameters cost (Schwarz) [nats]."""
+        return 0.5 * parameters * log(len(self._held.blocks))
+
+    def gain(
+        self, columns: Sequence[tuple[int, ...]], dropped: Labels | None = None
+    ) -> tuple[Array, float, Array]:
+        """Held-out nats of each block (B,), nats of all rows as fitted, and the step of the candidates' parameters."""
+        base = self._base if dropped is None else np.setdiff1d(self._base, dropped)
+        own = np.array([c for each in columns for c in each[1:]], dtype=np.int64)
+        keep = np.concatenate((base, own))
+        blocks = self._reduced(keep, [each[0] for each in columns if each[0]])
+        after, fitted, step = self._left_out(keep, blocks)
+        _, before, _ = self._whole
+        return self._before - after, before - fitted, step[len(base) :]
+
+    def _reduced(self, keep: Labels, shifts: Sequence[int]) -> Array:
+        """Blocks (B, 1 + q, 1 + q) of the innovations, less the shifts of starts, and of some columns."""
+        index = np.concatenate(([0], shifts, keep)).astype(np.int64)
+        blocks = self._held.blocks[:, index[:, None], index]
+        count = len(shifts)
+        if not count:
+            return blocks
+        turn = np.zeros((len(index), 1 + len(keep)))
+        turn[0, 0], turn[1 : 1 + count, 0] = 1.0, -1.0
+        turn[1 + count :, 1:] = np.eye(len(keep))
+        return np.asarray(turn.T @ blocks @ turn)
+
+    def _left_out(self, keep: Labels, blocks: Array) -> tuple[Array, float, Array]:
+        """Half the squares that are left of each block by parameters fitted without its fold, of all, and the step."""
+        total, out = blocks.sum(0), np.empty(len(blocks))
+        for rows in self._folds:
+            step = _least_squares(total - blocks[rows].sum(0))
+            out[rows] = _half_squares(blocks[rows], step)
+        step = _least_squares(total)
+        fitted = float(_half_squares(total[None], step)[0])
+        if len(keep) == len(self._base) and (keep == self._base).all():
+            self._whole = out, fitted, step
+        return out, fitted, step
+
+
+def _least_squares(gram: Array) -> Array:
+    inner, pull = gram[1:, 1:], gram[1:, 0]
+    scale = 1.0 / np.sqrt(np.diag(inner).clip(1e-300))
+    unit = inner * scale * scale[:, None]
+    return np.asarray(np.linalg.pinv(unit, rcond=_ROUNDING, hermitian=True) @ (pull * scale) * scale)
+
+
+def _half_squares(blocks: Array, step: Array) -> Array:
+    weights = np.concatenate(([1.0], -step))
+    return np.asarray(0.5 * np.einsum("i,bij,j->b", weights, blocks, weights))
+
+
+@dataclass(frozen=True)
+class _Entry:
+    """A candidate at one of its starts: its columns, their labels, and base parameters that it takes the place of."""
+
+    name: str
+    system: System
+    columns: tuple[int, ...]
+    labels: tuple[str, ...]
+    at: Array
+    low: Array
+    high: Array
+    dropped: Labels
+
+
+@torch.no_grad()
+def _catalogue(
+    search: Search, place: _Place, frequencies: Sequence[float]
+) -> tuple[list[Proposal], "_Table"]:
+    """What every candidate would explain, each from the best of its starts, the best first; and the table of these."""
+    space = place.at.of.space
+    everything = range(len(place.best.vector))
+    about = place.at.about
+    base = space.columns(about.x, everything)
+    tables, entries = [base], []
+    at = 1 + base.shape[-1]
+    scales = data_sizes(place.system, space.steps)
+    names = candidate_names(place.system, search.candidates)
+    for name in names:
+        for start in starts(place.system, name, scales, frequencies):
+            try:
+                entry, columns = _columns(place, name, joined(place.system, name, start), at)
+            except (NsdeError, np.linalg.LinAlgError):
+                continue
+            if not bool(torch.isfinite(columns).all()):
+                continue
+            tables.append(columns)
+            entries.append(entry)
+            at += columns.shape[-1]
+    held = grams(space, place.at.levels, about, place.at.at, torch.cat(tables, -1))
+    owners, _ = space.chunks.places()
+    table = _Table(held, 1 + place.best.free, _folds(search, owners))
+    best: dict[str, Proposal] = {}
+    longest = max(b - a for a, b in space.steps.segments)
+    for entry in entries:
+        for choice in _choices(entry):
+            proposal = _proposed(search, table, entry, choice, len(names), longest)
+            if proposal is not None and (entry.name not in best or proposal.rank > best[entry.name].rank):
+                best[entry.name] = proposal
+    return sorted(best.values(), key=lambda p: -p.rank), table
+
+
+def _folds(search: Search, owners: Labels) -> Labels:
+    """Fold of each block: whole runs, or stretches of one or two."""
+    d = search.decisions
+    _, number = np.unique(owners, return_inverse=True)
+    count = int(number.max()) + 1
+    if count >= d.folds_fewest_runs:
+        return np.asarray(number * min(count, d.folds) // count)
+    out = np.zeros(len(number), dtype=np.int64)
+    for run in range(count):
+        own = np.flatnonzero(number == run)
+        out[own] = d.folds_stretches * run + np.arange(len(own)) * d.folds_stretches // len(own)
+    return out
+
+
+def _columns(place: _Place, name: str, system: System, at: int) -> tuple[_Entry, torch.Tensor]:
+    """What a candidate does to the steps: by its start, and by each of its parameters."""
+    own = place.at.of.of(system)
+    space, vector, about = own.space, own.vector, place.at.about
+    known = dict(zip(place.best.vector.labels, place.best.theta.tolist(), strict=True))
+    first = np.array([known.get(k, v) for k, v in zip(vector.labels, vector.start.tolist(), strict=True)])
+    vector.limit(data_sizes(system, space.steps))
+    theta = vector.inside(first)
+    space.use(theta)
+    mine = vector.of(name)
+    moved = space.columns(about.x, mine)
+    error = vector.system.error(space.after(about.x)[:-1], about.x[1:]) - about.missed[:-1]
+    shift = torch.cat((error, torch.zeros_like(error[:1])))[..., None]
+    gone = [j for j, label in enumerate(place.best.vector.labels) if label not in vector.labels]
+    entry = _Entry(
+        name,
+        system,
+        tuple(range(at, at + 1 + len(mine))),
+        tuple(vector.labels[j] for j in mine),
+        theta[mine],
+        vector.low[mine],
+        vector.high[mine],
+        1 + np.array(gone, dtype=np.int64),
+    )
+    return entry, torch.cat((shift, moved), -1)
+
+
+def _choices(entry: _Entry) -> list[tuple[int, ...]]:
+    """Columns of a candidate, of one whose parameters are one per input those of one at a time."""
+    out = []
+    for held in alone(entry.name, entry.labels):
+        free = [c for c, label in zip(entry.columns[1:], entry.labels, strict=True) if label not in held]
+        out.append((entry.columns[0], *free))
+    return out
+
+
+def _proposed(
+    search: Search, table: _Table, entry: _Entry, columns: tuple[int, ...], among: int, longest: int
+) -> Proposal | None:
+    """What a candidate explains, its parameters inside their bounds."""
+    place = [entry.columns.index(c) - 1 for c in columns[1:]]
+    free = columns
+    for _ in range(len(columns)):
+        blocks, fitted, step = table.gain([free], entry.dropped)
+        inside = [entry.columns.index(c) - 1 for c in free[1:]]
+        there = entry.at[inside] + step
+        out = (there < entry.low[inside]) | (there > entry.high[inside])
+        if not out.any():
+            break
+        if out.all():
+            return None
+        # shapes that run out of their bounds stay where they started
+        free = (free[0], *(c for c, o in zip(free[1:], out, strict=True) if not o))
+    if not np.isfinite(blocks).all():
+        return None
+    values = entry.at.copy()
+    values[inside] = there
+    nats, count = float(blocks.sum()), len(free) - 1
+    p = float(chdtrc(max(count, 1), max(2.0 * fitted, 0.0)))
+    starts_tried = starts_of(entry.name, entry.labels, longest)
+    system = entry.system.with_effects()
+    _set(system, entry.labels, values)
+    rank = nats - table.price(len(place))
+    return Proposal(
+        entry.name, system, nats, sum_error(blocks), rank, bonferroni(p, among * starts_tried), free
+    )
+
+
+def _set(system: System, labels: Sequence[str], values: Array) -> None:
+    """Give parameters of an effect these values."""
+    effects = {str(e.name): e for e in system.effects if isinstance(e, Effect)}
+    of: dict[tuple[str, str], list[float]] = {}
+    for label, value in zip(labels, values.tolist(), strict=True):
+        of.setdefault((label.partition(".")[0], own_name(label)), []).append(value)
+    for (effect, own), column in of.items():
+        effects[effect].set_value(own, torch.tensor(column, dtype=torch.float64))
+
+
+def _looked_at_again(
+    search: Search,
+    problem: LogLikelihood,
+    declared: _Place,
+    place: _Place,
+    names: list[str],
+    looks: dict[frozenset[str], list[Proposal]],
+    frequencies: Sequence[float],
+) -> tuple[_Place, dict[str, Selected]]:
+    """Each effect again beside the others: what is likelier in its place replaces it, what is as likely is a tie."""
+    selected: dict[str, Selected] = {}
+    exchanged, i = 0, 0
+    while i < len(names):
+        name = names[i]
+        search.say(f"looking again at {name}", i, len(names))
+        rest = [n for n in names if n != name]
+        without = declared if not rest else _fitted(problem, place.system.without_effects(name), place)
+        proposals = looks.get(frozenset(rest))
+        if proposals is None:
+            proposals = looks[frozenset(rest)] = _catalogue(search, without, frequencies)[0]
+        own = next((p for p in proposals if p.name == name), None)
+        least = 0.0 if own is None else own.rank - 3.0 * own.error - search.decisions.alike_nats
+        rivals = [
+            p
+            for p in proposals
+            # what contains the effect was a candidate beside it, and was not needed
+            if name not in {p.name, *effect_class(p.name).includes}
+            and _accepted(search, p)
+            and p.rank > least
+        ][:_RIVALS]
+        alike: list[str] = []
+        better: tuple[float, str, _Place] | None = None
+        for rival in rivals:
+            there = _fitted(problem, rival.system, place)
+            standing = _compared(search, name, rival.name, place, there)
+            if standing > 0 and (better is None or standing > better[0]):
+                better = standing, rival.name, there
+            elif not standing:
+                alike.append(rival.name)
+        if better is not None and exchanged < search.budgets.exchanges:
+            place, names, selected = better[2], [better[1] if n == name else n for n in names], {}
+            exchanged, i = exchanged + 1, 0
+            continue
+        selected[name] = Selected(without.best.likelihood, without.at.blocks, tuple(alike))
+        i += 1
+    return place, selected
+
+
+def _compared(search: Search, name: str, rival: str, place: _Place, there: _Place) -> float:
+    """By how many nats a rival in the place of an effect is surely better; 0: they cannot be told apart; else -1.
+
+    A rival that the effect contains replaces it unless it is surely worse; one that contains it is never its tie.
+    """
+    difference = there.at.blocks - place.at.blocks
+    more = len(there.best.free) - len(place.best.free)
+    gained = float(difference.sum()) - 0.5 * more * log(len(difference))
+    sure = max(search.decisions.alike_nats, search.decisions.alike_errors * sum_error(difference))
+    if name in effect_class(rival).includes:
+        chance = chdtrc(max(more, 1), max(2.0 * float(difference.sum()), 0.0))
+        return gained if gained > sure and chance < search.decisions.nested_alpha else -1.0
+    if rival in effect_class(name).includes and gained > -sure:
+        return max(gained, search.decisions.least_nats)
+    return gained if gained > sure else 0.0 if gained > -sure else -1.0
+
+
+def selection_of(search: Search, joint: JointSelection, system: System) -> tuple[Selection, Retained]:
+    """What the joint likelihood selected, as selection and elimination by the regression say it.
+
+    Args:
+        search: Data and settings.
+        joint: What was selected.
+        system: The declared physics with first values.
+    """
+    declared = search.base(system)
+    names = list(joint.selected)
+    if not names:
+        return Selection(declared, declared, [], [_round(search, declared, joint, [])], ()), Retained(
+            [], declared
+        )
+    among, found = max(len(joint.screened), 1), []
+    for name in names:
+        rest = without_effect(joint.system, declared.system, name)
+        without = declared if len(names) == 1 else search.base(rest, warm=True)
+        trial = joint.evidence(search, fit_candidate(search, without, joint.system, name, among=among))
+        found.append(Found(name, trial, joint.selected[name].ties))
+    final = search.base(joint.system, warm=True)
+    first = _round(search, declared, joint, [f.trial for f in found])
+    first.chosen = found[0].trial
+    return Selection(declared, final, names, [first], ()), Retained(found, final)
+
+
+def _round(search: Search, declared: Base, joint: JointSelection, trials: list[Trial]) -> Round:
+    return Round(declared.concluded(), trials, joint.screened)

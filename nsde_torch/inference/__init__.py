@@ -1,0 +1,29 @@
+"""One likelihood of physics, disturbances and sensors: the prediction errors of the SDE itself.
+
+    dx = (f(x, u; theta) + B (d + w)) dt,      d Ornstein-Uhlenbeck, w white, on the ports;      y = some of x + noise
+
+An extended Kalman filter predicts every row from those before it. Its innovations e_k, with the covariances S_k that it
+gives them, are the likelihood of a log (prediction error decomposition: Schweppe, IEEE Transactions on Information
+Theory 11 (1965); Ljung, System Identification, 1999, chapter 7):
+
+    log p(y | theta, noise) = - 1/2 sum_k (e_k' S_k^-1 e_k + log det 2 pi S_k)
+
+    chunks        runs as a batch of chunks that overlap: a few hundred sequential steps do for a log of any length
+    state_space   the machine as this filter sees it: a step, its linearisation, what parameters do to it
+    levels        sizes of the noise of sensors and disturbances, with the first guess
+    filtering     one pass: innovations, gains, log likelihood
+    maximum       noise levels of largest likelihood, by Fisher scoring
+    sensitivity   what parameters do to the innovations, as one Gram matrix per block of time
+    estimate      theta and noise levels of largest likelihood; the estimate, and whether its innovations are white
+"""
+
+from nsde_torch.inference.estimate import (
+    LogLikelihood,
+    MaximumLikelihood,
+    Optimum,
+    fit,
+    log_likelihood,
+    maximised,
+)
+
+__all__ = ["LogLikelihood", "MaximumLikelihood", "Optimum", "fit", "log_likelihood", "maximised"]

@@ -1,0 +1,395 @@
+"""Theta and noise levels of largest likelihood, and whether the innovations are what they should be.
+
+Steps of Gauss and Newton for theta and of Fisher scoring for the levels in turn, each taken only where the likelihood
+of the nonlinear filter rises: the objective is `log_likelihood`, and a step costs at most the nat by which the filter
+may differ from its linearisation where friction has a sign. A wrong model of noise or sensors
+would be confidently wrong, so that innovations that are not white, or larger or smaller than the filter says, speak
+against the estimate (`MaximumLikelihood.objections`).
+"""
+
+import copy
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, final
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from nsde_torch.data import Run
+from nsde_torch.effects import Port
+from nsde_torch.errors import DataError
+from nsde_torch.inference.chunks import Chunks
+from nsde_torch.inference.filtering import (
+    Linearisation,
+    Pass,
+    Start,
+    filtered,
+    linearised_about,
+    with_parameters,
+)
+from nsde_torch.inference.levels import Levels, first_levels
+from nsde_torch.inference.maximum import level_columns, likeliest
+from nsde_torch.inference.sensitivity import Grams, grams
+from nsde_torch.inference.sizes import data_sizes
+from nsde_torch.inference.spread import Spread
+from nsde_torch.inference.state_space import StateSpace
+from nsde_torch.inference.steps import Steps, inferred_columns, steps_of
+from nsde_torch.systems import System
+from nsde_torch.systems.parameters import ParameterVector
+
+Array = NDArray[np.float64]
+Labels = NDArray[np.int64]
+
+_TURNS = 12
+_GAIN = 0.5  # nats that new noise levels bring below which these have settled
+_SETTLED = 0.05  # standard errors that theta may still move by
+_STUCK = 0.5  # those below which a step that is no better is rounding
+_DAMPINGS = (0.0, 0.01, 0.1, 1.0, 10.0, 100.0)  # of steps (Marquardt), in units of the information
+_PASSES = 4  # until the states that a filter is linearised about have settled
+_LOST = 1.0  # nats by which the nonlinear filter may differ from its linearisation
+_LATE = 30  # rows after the start of a stretch in which unmeasured states are known from later ones
+_SHORTEST, _FEWEST = 32, 50  # steps of a stretch, rows in all
+_UNKNOWN = 3.0  # times what is not known of an inferred rate: where a filter starts
+_DIFFERENCES, _OVER = 4, 10
+_LAGS = 10  # of the autocorrelation of innovations
+_WHITE = 0.02  # largest share of their variance that the past of whitened innovations may predict
+_LARGE = 0.25  # by how much their mean square may differ from 1
+_AT_BOUND = 1e-5  # of a parameter's scale
+
+
+@dataclass(frozen=True)
+class MaximumLikelihood:
+    """Parameters and noise levels of largest likelihood.
+
+    Args:
+        vector: Names, units and bounds of the parameters.
+        theta: Their values (k,).
+        free: Numbers of those that stand at no bound and that the data show.
+        spread: Jackknife of these over blocks of time.
+        levels: Noise levels.
+        likelihood: Log likelihood [nats].
+        settled: Whether the last step was a twentieth of a standard error at most.
+        square: Mean square of the whitened innovations of each measured channel (m,): 1 where the model is right.
+        predictable: Share of their variance that those of the ten rows before predict (m,): 0 where the model is right.
+        channels: Names of the measured error channels.
+        disturbances: Ports that disturbances act on, and their columns.
+    """
+
+    vector: ParameterVector
+    theta: Array
+    free: Labels
+    spread: Spread
+    levels: Levels
+    likelihood: float
+    settled: bool
+    square: Array
+    predictable: Array
+    channels: tuple[str, ...]
+    disturbances: tuple[tuple[Port, int], ...]
+
+    @property
+    def standard_errors(self) -> Array:
+        """Of each parameter (k,); nan of those that are not free."""
+        out = np.full(len(self.theta), np.nan)
+        out[self.free] = np.sqrt(np.diag(self.spread.covariance))
+        return out
+
+    @property
+    def objections(self) -> list[str]:
+        """What speaks against the estimate, in words; empty where nothing does."""
+        out = [] if self.settled else ["the parameters of largest likelihood did not settle"]
+        for name, square, share in zip(self.channels, self.square, self.predictable, strict=True):
+            if not abs(square - 1.0) < _LARGE:
+                out.append(
+                    f"prediction errors of {name} are {square:.2f} times as large (squared) as predicted"
+                )
+            if not share < _WHITE:
+                out.append(f"{100 * share:.0f} % of the prediction errors of {name} could be predicted")
+        return out
+
+    def as_dict(self) -> dict[str, Any]:
+        """Plain containers, for JSON."""
+        system = self.vector.system
+        units = dict(zip(system.state_names, system.state_units, strict=True))  # of an attitude's errors: rad
+        columns = [f"{port.value}[{j}]" for port, j in self.disturbances]
+        sizes = [
+            torch.exp(part).tolist() for part in (self.levels.white, self.levels.gust, self.levels.lasts)
+        ]
+        return {
+            "log_likelihood": self.likelihood,
+            "used": not self.objections,
+            "objections": self.objections,
+            "sensors": {
+                name: {
+                    "std": std,
+                    "unit": units.get(name, "rad"),
+                    "mean_square": square,
+                    "predictable": share,
+                }
+                for name, std, square, share in zip(
+                    self.channels,
+                    torch.exp(self.levels.sensor).tolist(),
+                    self.square.tolist(),
+                    self.predictable.tolist(),
+                    strict=True,
+                )
+            },
+            "disturbances": {
+                name: {"white_density": white, "gust_std": gust, "gust_s": lasts}
+                for name, white, gust, lasts in zip(columns, *sizes, strict=True)
+            },
+        }
+
+
+@final
+class LogLikelihood:
+    """The likelihood of a log as a function of theta and the noise levels.
+
+    Args:
+        system: The machine.
+        runs: Recordings, all on one step; rates marked as inferred are taken for unmeasured.
+        clock: Physical seconds per logged second.
+        run_in: Whether the first rows of each stretch only bring up memory; None: where an effect has any. Physics that
+            are compared need the same.
+
+    Raises:
+        DataError: no run, no stretch that is long enough, or nothing moves.
+    """
+
+    def __init__(
+        self, system: System, runs: Sequence[Run], clock: float = 1.0, *, run_in: bool | None = None
+    ) -> None:
+        self._unknown = inferred_columns(system, runs)
+        steps = steps_of(system, runs, clock=clock, smooth=False, shortest=_SHORTEST, run_in=run_in)
+        chunks = Chunks(steps, late=_LATE if self._unknown else 0)
+        if int(chunks.counted.sum()) < _FEWEST:
+            raise DataError(
+                f"{int(chunks.counted.sum())} rows are too few for a likelihood of physics and noise; give {_FEWEST} "
+                "or more, in stretches without a gap."
+            )
+        self._set(system, steps, chunks)
+
+    def of(self, system: System) -> "LogLikelihood":
+        """That of the same rows under other physics of the machine."""
+        out = copy.copy(self)
+        out._set(system, self.space.steps, self.space.chunks)
+        return out
+
+    def _set(self, system: System, steps: Steps, chunks: Chunks) -> None:
+        unknown = self._unknown
+        self.vector = vector = ParameterVector(system)
+        vector.follow(steps.dt)
+        vector.limit(data_sizes(vector.system, steps))
+        further = vector.raised & (vector.start < vector.low)  # a fit that has come there goes on
+        vector.low = np.where(further, 0.5 * vector.start, vector.low)
+        inner = self.vector.system
+        hidden = [inner.state_names[j] for j in unknown]
+        self.channels = tuple(name for name in inner.error_names if name not in hidden)
+        observed = [i for i, name in enumerate(inner.error_names) if name not in hidden]
+        self.space = StateSpace(self.vector, steps, chunks, observed)
+        std = torch.ones(self.space.ne, dtype=torch.float64)
+        for j, value in unknown.items():
+            std[inner.error_names.index(inner.state_names[j])] = _UNKNOWN * value
+        self.start = Start(chunks.y[0], std)
+
+    def first(self, theta: Array) -> tuple[Levels, Linearisation]:
+        """First noise levels, and the linearisation about the measured states."""
+        space, system = self.space, self.vector.system
+        space.use(theta)
+        y = space.chunks.y
+        about = linearised_about(space, y, self.start)
+        fourth = system.error(y[1:], y[:-1])[..., space.observed]
+        for _ in range(_DIFFERENCES - 1):
+            fourth = fourth[1:] - fourth[:-1]
+        over = min(_OVER, len(y) - 2)
+        expected = space.after(y)
+        moved = system.error(y[over:], y[:-over]) - over * system.error(expected[:-over], y[:-over])
+        pushed = about.slopes[..., space.ne :].reshape(-1, space.ne, space.nd)
+        flat = fourth.reshape(-1, len(space.observed)), moved.reshape(-1, space.ne)
+        return first_levels(*flat, pushed, space.h), about
+
+    def filtered(self, levels: Levels, about: Linearisation) -> Pass:
+        """A pass over the log with the parameters in use."""
+        many = levels.like(levels.vector()[None])
+        return filtered(self.space, many, about, self.start, self.space.chunks.counted)
+
+    def settled(
+        self, levels: Levels, about: Linearisation, at: Pass, passes: int
+    ) -> tuple[Linearisation, Pass]:
+        """The linearisation about the states that a pass found, and the pass about it, some times over."""
+        for _ in range(passes):
+            x = self.space.shifted(about.x, at.delta[:, :, 0, : self.space.ne])
+            about = linearised_about(self.space, x, self.start)
+            at = self.filtered(levels, about)
+        return about, at
+
+
+@torch.no_grad()
+def log_likelihood(system: System, runs: Sequence[Run], *, levels: Levels, clock: float = 1.0) -> float:
+    """Log likelihood of some runs under a machine with its present values and noise levels [nats].
+
+    Args:
+        system: The machine.
+        runs: Recordings, all on one step.
+        levels: Noise levels of its sensors and disturbances.
+        clock: Physical seconds per logged second.
+    """
+    problem = LogLikelihood(system, runs, clock)
+    _, about = problem.first(problem.vector.start)
+    return problem.settled(levels, about, problem.filtered(levels, about), _PASSES)[1].total
+
+
+@dataclass(frozen=True)
+class Optimum:
+    """Where the likelihood is largest, for those who go on from there.
+
+    Args:
+        of: The likelihood, with theta of the optimum in use.
+        levels: Noise levels.
+        about: What the last pass is linearised about.
+        at: The last pass.
+        grams: Gram matrices of its innovations, parameters and levels.
+    """
+
+    of: LogLikelihood
+    levels: Levels
+    about: Linearisation
+    at: Pass
+    grams: Grams
+
+    @property
+    def blocks(self) -> Array:
+        """Log likelihood of each block of time (B,) [nats]."""
+        rows, chunks = self.at.rows[:, :, 0], self.of.space.chunks
+        return chunks.blocks(torch.stack([rows[a:b].sum(0) for a, b in chunks.parts]))
+
+
+def fit(system: System, runs: Sequence[Run], *, clock: float = 1.0) -> MaximumLikelihood:
+    """Fit all parameters of a machine and the noise of its sensors and disturbances.
+
+    Args:
+        system: The machine; its values are where the iteration starts. It is not changed.
+        runs: Recordings, all on one step; rates marked as inferred are taken for unmeasured.
+        clock: Physical seconds per logged second.
+
+    Raises:
+        DataError: no run, no stretch that is long enough, or nothing moves.
+    """
+    return maximised(LogLikelihood(system, runs, clock))[0]
+
+
+@torch.no_grad()
+def maximised(problem: LogLikelihood, near: Optimum | None = None) -> tuple[MaximumLikelihood, Optimum]:
+    """Theta and noise levels of largest likelihood, from the first values of the physics.
+
+    Args:
+        problem: The likelihood.
+        near: The optimum of physics close to these on the same rows, whose states and noise levels are begun with.
+    """
+    space, vector, start = problem.space, problem.vector, problem.start
+    theta, everything = vector.inside(vector.start), range(len(vector))
+    if near is None:
+        first, about = problem.first(theta)
+    else:
+        space.use(theta)
+        first, about = near.levels, linearised_about(space, near.about.x, start)
+    levels = first
+    about, at = problem.settled(levels, about, problem.filtered(levels, about), 1)
+    if near is None:
+        levels = likeliest(space, levels, first, about, start, turn=0)
+        at = problem.filtered(levels, about)
+    settled = False
+    for turn in range(_TURNS):
+        held = grams(space, levels, about, at, space.columns(about.x, everything))
+        theta, about, at, away = _step(problem, held, theta, levels, about, at)
+        # theta first: levels that were fitted beside a wrong one would take its errors for noise
+        trial = likeliest(space, levels, first, about, start, turn=turn + 1)
+        there, before = problem.filtered(trial, about), at.total
+        if there.total > before:  # it was found from some of the chunks
+            levels, at = trial, there
+        settled = away < _SETTLED
+        if settled and at.total < before + _GAIN:
+            break
+    columns = space.columns(about.x, everything)
+    final = grams(space, levels, about, at, columns, level_columns(space, levels, about, start, at))
+    free = _free(vector, theta, final)
+    square, predictable = _whiteness(at.white[:, :, 0], space.chunks.counted)
+    best = MaximumLikelihood(
+        vector,
+        theta,
+        free,
+        final.spread(free),
+        levels,
+        at.total,
+        settled,
+        square,
+        predictable,
+        problem.channels,
+        space.disturbances,
+    )
+    return best, Optimum(problem, levels, about, at, final)
+
+
+def _step(
+    problem: LogLikelihood, held: Grams, theta: Array, levels: Levels, about: Linearisation, at: Pass
+) -> tuple[Array, Linearisation, Pass, float]:
+    """Theta after the least damped step by which the likelihood rises, with the linearisation and the pass there.
+
+    The last is the length of the undamped step in standard errors; 0 where that is short and no step is better.
+    """
+    vector, space = problem.vector, problem.space
+    gram = held.total[1 : 1 + held.parameters, 1 : 1 + held.parameters]
+    away = 0.0
+    for damping in _DAMPINGS:
+        change = _change(vector, held, theta, damping)
+        if not damping:
+            count = max(int((change != 0).sum()), 1)
+            away = float(np.sqrt(max(float(change @ gram @ change), 0.0) / count))
+        space.use(theta + change)
+        moved = problem.filtered(levels, with_parameters(space, about))
+        if moved.total >= at.total:
+            near, after = problem.settled(levels, about, moved, 1)
+            if after.total >= at.total - _LOST:
+                return theta + change, near, after, away
+    space.use(theta)
+    return theta, *problem.settled(levels, about, at, 1), away if away > _STUCK else 0.0
+
+
+def _change(vector: ParameterVector, held: Grams, theta: Array, damping: float) -> Array:
+    """A damped step (k,) inside the bounds; parameters that it presses against one stay."""
+    free, change = _free(vector, theta, held), np.zeros(len(theta))
+    while len(free):
+        change[:] = 0.0
+        change[free] = held.step(free, damping)
+        there = vector.inside(theta + change)
+        stuck = (there != theta + change) & (np.abs(there - theta) <= _AT_BOUND * vector.scale)
+        if not stuck[free].any():
+            break
+        free = free[~stuck[free]]
+    return np.asarray(vector.inside(theta + change) - theta)
+
+
+def _free(vector: ParameterVector, theta: Array, held: Grams) -> Labels:
+    """Numbers of the parameters that the data show and that are not pressed against a bound."""
+    gram, pull = np.diag(held.total)[1 : 1 + held.parameters], held.total[1 : 1 + held.parameters, 0]
+    shown = gram * np.square(vector.scale) > 1e-12 * max(
+        float((gram * np.square(vector.scale)).max()), 1e-300
+    )
+    margin = _AT_BOUND * vector.scale
+    pressed = ((theta <= vector.low + margin) & (pull < 0)) | ((theta >= vector.high - margin) & (pull > 0))
+    return np.flatnonzero(shown & ~pressed)
+
+
+def _whiteness(white: Tensor, live: Tensor) -> tuple[Array, Array]:
+    """Mean square of whitened innovations (m,), and share that the rows before predict (m,), beyond chance."""
+    white, rows = torch.where(live[..., None], white, 0.0), float(live.sum())
+    square = white.square().sum((0, 1)) / rows
+    share = torch.zeros_like(square)
+    for lag in range(1, _LAGS + 1):
+        both = (live[lag:] & live[:-lag])[..., None]
+        pairs = both.sum((0, 1)).clamp_min(1)
+        moment = torch.where(both, white[lag:] * white[:-lag], 0.0).sum((0, 1)) / pairs
+        share += (moment / square).square() - 1.0 / pairs
+    return square.numpy(), share.clamp(0.0, 1.0).numpy()

@@ -1,0 +1,183 @@
+"""An extended Kalman filter over all chunks of a log at once, linearised about states already found.
+
+    delta_{k+1} = F_k delta_k + c_k + noise,    e_k = (y_k - x_k) - delta_k,      c_k = step(x_k) - x_{k+1}
+
+x are the states of a `Linearisation`: first the measured ones, then those that the pass before found from the rows
+until then. After three or four passes delta is 0, and this is the filter of the nonlinear machine, without a call of
+the machine inside the loop over rows.
+"""
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from nsde_torch.inference.levels import Levels
+from nsde_torch.inference.state_space import StateSpace
+
+_SLAB = 20  # steps whose transitions are worked out at once
+
+
+@dataclass(frozen=True)
+class Start:
+    """Where the filter of each chunk starts.
+
+    Args:
+        x: States (C, nx).
+        std: What is not known of each error channel (ne,); of a measured one its sensor's noise is taken.
+    """
+
+    x: Tensor
+    std: Tensor
+
+
+@dataclass(frozen=True)
+class Linearisation:
+    """What the filter is linearised about: rows (T, C, ...).
+
+    Args:
+        x: States (nx).
+        slopes: Of the step from each in errors and disturbances (ne, n).
+        missed: c, by how much that step misses the next row's state (ne).
+        seen: What was measured less the state, in measured channels (m).
+        first: Error of each chunk's start (C, ne).
+    """
+
+    x: Tensor
+    slopes: Tensor
+    missed: Tensor
+    seen: Tensor
+    first: Tensor
+
+    def of(self, some: Tensor) -> "Linearisation":
+        """That of some chunks."""
+        x, slopes, missed, seen = (part[:, some] for part in (self.x, self.slopes, self.missed, self.seen))
+        return Linearisation(x, slopes, missed, seen, self.first[some])
+
+
+@dataclass(frozen=True)
+class Pass:
+    """What a pass left, rows (T, C, B, ...) under B sets of noise levels.
+
+    Args:
+        errors: Innovations (m).
+        whitening: L^-1 of the covariance L L' of each (m, m); of the first row that of white noise.
+        gain: Kalman gain (n, m).
+        delta: Errors of the states of the linearisation that the rows until then tell (n).
+        rows: Log likelihood of each row (B), 0 of those that do not count.
+        likelihood: Log likelihood of each set (B,), minus infinity where the filter diverged.
+    """
+
+    errors: Tensor
+    whitening: Tensor
+    gain: Tensor
+    delta: Tensor
+    rows: Tensor
+    likelihood: Tensor
+
+    @property
+    def total(self) -> float:
+        """Log likelihood under the first set [nats]."""
+        return float(self.likelihood[0])
+
+    @property
+    def white(self) -> Tensor:
+        """Innovations in standard deviations (T, C, B, m)."""
+        return (self.whitening @ self.errors[..., None])[..., 0]
+
+
+@torch.no_grad()
+def linearised_about(space: StateSpace, x: Tensor, start: Start) -> Linearisation:
+    """The linearisation about some states (T, C, nx), with the parameters in use."""
+    system = space.vector.system
+    slopes, after = space.linearised(x)
+    return Linearisation(
+        x,
+        slopes,
+        _missed(space, x, after),
+        system.error(space.chunks.y, x)[..., space.observed],
+        system.error(start.x, x[0]),
+    )
+
+
+@torch.no_grad()
+def with_parameters(space: StateSpace, about: Linearisation) -> Linearisation:
+    """The same states and slopes with other parameters in use."""
+    missed = _missed(space, about.x, space.after(about.x))
+    return Linearisation(about.x, about.slopes, missed, about.seen, about.first)
+
+
+def _missed(space: StateSpace, x: Tensor, after: Tensor) -> Tensor:
+    gap = space.vector.system.error(after[:-1], x[1:])
+    return torch.cat((gap, torch.zeros_like(gap[:1])))
+
+
+def transitions(space: StateSpace, levels: Levels, slopes: Tensor) -> tuple[Tensor, Tensor]:
+    """Transition (..., n, n) of errors over a step with slopes (..., ne, n), and the covariance of what strikes in it.
+
+    Levels may carry batch axes that broadcast against those of the slopes.
+    """
+    ne, n, nd, h = space.ne, space.n, space.nd, space.h
+    keep = levels.keep(h)
+    push = slopes[..., ne:]
+    shape = (slopes[..., 0, 0] + levels.sensor[..., 0]).shape
+    forward = slopes.new_zeros(*shape, n, n)
+    forward[..., :ne, :] = slopes
+    at = torch.arange(ne, n)
+    forward[..., at, at] = keep.expand(*shape, nd)
+    noise = slopes.new_zeros(*shape, n, n)
+    noise[..., :ne, :ne] = (push * (torch.exp(2.0 * levels.white) / h)[..., None, :]) @ push.transpose(-1, -2)
+    noise[..., at, at] = (torch.exp(2.0 * levels.gust) * (1.0 - keep.square())).expand(*shape, nd)
+    return forward, noise
+
+
+@torch.no_grad()
+def filtered(space: StateSpace, levels: Levels, about: Linearisation, start: Start, live: Tensor) -> Pass:
+    """Filter chunks under B sets of noise levels.
+
+    Args:
+        space: The machine.
+        levels: Noise levels, each (B, ...).
+        about: What the filter is linearised about.
+        start: Where each chunk starts.
+        live: Whether a row counts (T, C).
+    """
+    observed, ne = space.observed, space.ne
+    rows, count, m = about.seen.shape
+    batch = len(levels.sensor)
+    sensor = torch.exp(2.0 * levels.sensor)
+    variance = start.std.square().expand(batch, -1).clone()
+    variance[:, observed] = sensor
+    covariance = torch.diag_embed(torch.cat((variance, torch.exp(2.0 * levels.gust)), -1))
+    covariance = covariance.expand(count, -1, -1, -1)
+    delta = about.seen.new_zeros(count, batch, space.n)
+    delta[..., :ne] = about.first[:, None]
+    eye = torch.eye(m, dtype=delta.dtype).expand(count, batch, -1, -1)
+    errors, inverses = [delta.new_zeros(count, batch, m)], [eye]
+    gains, deltas = [delta.new_zeros(count, batch, space.n, m)], [delta]
+    for k in range(1, rows):
+        if k % _SLAB == 1:
+            forwards, noises = transitions(space, levels, about.slopes[k - 1 : k - 1 + _SLAB, :, None])
+        forward, noise = forwards[(k - 1) % _SLAB], noises[(k - 1) % _SLAB]
+        delta = (forward @ delta[..., None])[..., 0]
+        delta[..., :ne] += about.missed[k - 1][:, None]
+        covariance = forward @ covariance @ forward.transpose(-1, -2) + noise
+        seen = covariance[..., observed]
+        innovation = seen[..., observed, :].clone()
+        innovation.diagonal(dim1=-2, dim2=-1).add_(sensor)
+        triangle, _ = torch.linalg.cholesky_ex(innovation)
+        inverse = torch.linalg.solve_triangular(triangle, eye, upper=False)
+        half = seen @ inverse.transpose(-1, -2)
+        gain = half @ inverse
+        covariance = covariance - half @ half.transpose(-1, -2)
+        covariance = 0.5 * (covariance + covariance.transpose(-1, -2))
+        error = about.seen[k][:, None] - delta[..., observed]
+        delta = delta + (gain @ error[..., None])[..., 0]
+        for kept, value in zip((errors, inverses, gains, deltas), (error, inverse, gain, delta), strict=True):
+            kept.append(value)
+    whitening, innovations = torch.stack(inverses), torch.stack(errors)
+    white = (whitening @ innovations[..., None])[..., 0]
+    each = torch.log(torch.diagonal(whitening, dim1=-2, dim2=-1)).sum(-1) - 0.5 * white.square().sum(-1)
+    each = torch.where(live[..., None], each, 0.0)
+    total = each.sum((0, 1)).nan_to_num(-torch.inf, -torch.inf, -torch.inf)
+    return Pass(innovations, whitening, torch.stack(gains), torch.stack(deltas), each, total)

@@ -1,0 +1,64 @@
+"""Sizes of the noise of sensors and of the disturbances on the ports, as logarithms."""
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+_GUST_S = 0.2  # first guess of the time that a disturbance lasts [s]
+_FOURTH = 70.0  # C(8, 4): variance of a fourth difference of white noise
+_OVER = 10  # steps over which the first guess looks for disturbances
+_LEAST = 1e-9
+_MOVES = 1e-3  # of what a disturbance moves most: what it moves less says nothing of its size
+
+
+@dataclass(frozen=True)
+class Levels:
+    """Logarithms of the noise levels.
+
+    Args:
+        sensor: Standard deviation of each measured error channel (..., m).
+        white: Density of the white disturbance on each column of the ports (..., d) [its unit, root second].
+        gust: Standard deviation of the Ornstein-Uhlenbeck one (..., d) [its unit].
+        lasts: Its time constant (..., d) [s].
+    """
+
+    sensor: Tensor
+    white: Tensor
+    gust: Tensor
+    lasts: Tensor
+
+    def vector(self) -> Tensor:
+        """All of them (..., m + 3 d)."""
+        return torch.cat((self.sensor, self.white, self.gust, self.lasts), -1)
+
+    def like(self, vector: Tensor) -> "Levels":
+        """Levels from a vector (..., m + 3 d)."""
+        d = self.white.shape[-1]
+        return Levels(*vector.split([self.sensor.shape[-1], d, d, d], -1))
+
+    def keep(self, h: float) -> Tensor:
+        """Share of an Ornstein-Uhlenbeck disturbance that is left after a step [s] (..., d)."""
+        return torch.exp(-h / torch.exp(self.lasts))
+
+
+def first_levels(fourth: Tensor, moved: Tensor, pushed: Tensor, h: float) -> Levels:
+    """Levels to start from.
+
+    Args:
+        fourth: Fourth differences of what the physics leaves of the measured channels (N, m).
+        moved: What the physics leaves over ten steps (N, channels).
+        pushed: What a unit of each disturbance does to these over one step (N, channels, d).
+        h: The step [s].
+    """
+    sensor = fourth.square().mean(0).div(_FOURTH).sqrt().clamp_min(_LEAST)
+    # no disturbance is larger than what is left of any channel that it moves
+    push, left = pushed.square().mean(0).sqrt(), moved.square().mean(0).sqrt()[:, None]
+    most = torch.where(push > _MOVES * push.amax(0), left / push, torch.inf).amin(0)
+    size = most.nan_to_num(0.0, 0.0, 0.0) / _OVER + _LEAST
+    return Levels(
+        torch.log(sensor),
+        torch.log(0.1 * size * h**0.5),
+        torch.log(0.5 * size),
+        torch.full_like(size, _GUST_S).log(),
+    )

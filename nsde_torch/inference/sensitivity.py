@@ -1,0 +1,119 @@
+"""What parameters do to the innovations, as one Gram matrix per block of time; all tests are linear algebra of these.
+
+With gains held, predicted states move by S and innovations by -H S (Ljung, System Identification, 1999, section 7.A),
+
+    S_{k+1} = F (I - K H) S_k + G_k,      G_k what the parameters do to the step from the state of row k
+
+so that parameters, effects of a catalogue and nuisances are columns of one linear recursion.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from nsde_torch.inference.filtering import Linearisation, Pass, transitions
+from nsde_torch.inference.levels import Levels
+from nsde_torch.inference.spread import Spread
+from nsde_torch.inference.state_space import StateSpace
+
+Array = NDArray[np.float64]
+
+_WHOLE = 0.999  # share of what is known of a direction that one block may bring, for it to be left out
+_RANK = 1e-10
+
+
+@dataclass(frozen=True)
+class Grams:
+    """Gram matrices of [e, J, nuisances] in whitened rows, by block of time.
+
+    Args:
+        blocks: (B, 1 + k + p, 1 + k + p).
+        rows: Number of whitened rows.
+        parameters: k.
+    """
+
+    blocks: Array
+    rows: int
+    parameters: int
+
+    @property
+    def total(self) -> Array:
+        """Their sum."""
+        return np.asarray(self.blocks.sum(0))
+
+    def step(self, free: NDArray[np.int64], damping: float = 0.0) -> Array:
+        """Step of Gauss and Newton (damped: Marquardt) of some parameters, numbered from 0; others stay."""
+        at = 1 + free
+        return _solved(self.total[np.ix_(at, at)], self.total[at, 0], damping)
+
+    def spread(self, free: NDArray[np.int64]) -> Spread:
+        """Jackknife over blocks (`nsde_torch.inference.spread`) of some parameters at the optimum, nuisances free."""
+        size = self.total.shape[0]
+        at = np.concatenate((1 + free, np.arange(1 + self.parameters, size)))
+        whole = self.total[np.ix_(at, at)]
+        scale = 1.0 / np.sqrt(np.diag(whole).clip(1e-300))
+        whole = whole * scale * scale[:, None]
+        kept = len(free)
+        parts, weights = [], []
+        for block in self.blocks:
+            own = block[np.ix_(at, at)] * scale * scale[:, None]
+            left_out = np.linalg.pinv(whole - _WHOLE * own, rcond=_RANK, hermitian=True)
+            parts.append((left_out @ (block[at, 0] * scale))[:kept])
+            weights.append((left_out @ own @ left_out)[:kept, :kept])
+        sizes = scale[:kept]
+        moved, weighed = np.array(parts) * sizes, np.array(weights) * sizes * sizes[:, None]
+        factor = self.rows / max(self.rows - len(at), 1)
+        return Spread(factor * moved.T @ moved, moved, weighed)
+
+
+@torch.no_grad()
+def grams(
+    space: StateSpace,
+    levels: Levels,
+    about: Linearisation,
+    at: Pass,
+    columns: Tensor,
+    nuisances: Tensor | None = None,
+) -> Grams:
+    """Gram matrices of a pass.
+
+    Args:
+        space: The machine and the log.
+        levels: Noise levels.
+        about: What the pass is linearised about.
+        at: The pass, under one set of levels.
+        columns: What k parameters do to the steps (T, C, ne, k) from the states of `about`.
+        nuisances: Further columns of the whitened rows (T, C, m, p).
+    """
+    chunks, observed = space.chunks, space.observed
+    k = columns.shape[-1]
+    total = 1 + k + (0 if nuisances is None else nuisances.shape[-1])
+    moved = columns.new_zeros(chunks.count, space.n, k)
+    sums = columns.new_zeros(len(chunks.parts), chunks.count, total, total)
+    white, whitening, gain = at.white[:, :, 0], at.whitening[:, :, 0], at.gain[:, :, 0]
+    for p, (first, end) in enumerate(chunks.parts):
+        table = columns.new_zeros(end - first, chunks.count, len(observed), total)
+        begun = max(first, 1)
+        forward = transitions(space, levels, about.slopes[begun - 1 : end - 1])[0]
+        for i in range(begun, end):
+            moved = forward[i - begun] @ moved
+            moved[:, : space.ne] += columns[i - 1]
+            table[i - first, ..., 1 : 1 + k] = whitening[i] @ moved[:, observed]
+            moved = moved - gain[i] @ moved[:, observed]
+        table[..., 0] = white[first:end]
+        if nuisances is not None:
+            table[..., 1 + k :] = nuisances[first:end]
+        table *= chunks.counted[first:end, :, None, None]
+        flat = table.transpose(0, 1).reshape(chunks.count, -1, total)
+        sums[p] = flat.transpose(1, 2) @ flat
+    return Grams(chunks.blocks(sums), int(chunks.counted.sum()) * len(observed), k)
+
+
+def _solved(gram: Array, pull: Array, damping: float) -> Array:
+    """Least squares from normal equations, in columns of equal length."""
+    scale = 1.0 / np.sqrt(np.diag(gram).clip(1e-300))
+    unit = gram * scale * scale[:, None] + damping * np.eye(len(gram))
+    return np.asarray(np.linalg.pinv(unit, rcond=_RANK, hermitian=True) @ (pull * scale) * scale)

@@ -1,0 +1,168 @@
+"""A machine as the filter sees it: a step, its linearisation in the state, and what parameters do to it.
+
+The state of the filter is the error of the machine's state (three columns of an attitude, `System.error`) with the
+disturbances d of the ports behind it. Memory of the effects (lags, delays) is known from the inputs and the measured
+states (`memory_along`), and no state of the filter.
+"""
+
+from collections.abc import Sequence
+from typing import final
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from nsde_torch.effects import Port
+from nsde_torch.inference.chunks import Chunks
+from nsde_torch.inference.memory import memory_along
+from nsde_torch.inference.steps import Steps
+from nsde_torch.rotation import turned
+from nsde_torch.systems import System
+from nsde_torch.systems.parameters import ParameterVector
+
+Array = NDArray[np.float64]
+
+_SMALL = 1e-6  # differences of states and disturbances
+_ALIKE, _SOME = 0.999, 500  # cosine of pushes from which one of two is enough, and rows that say so
+_SHARE, _REMEMBERED = (
+    1e-7,
+    1e-5,
+)  # of a parameter's scale: differences, also of memory, whose loop over time rounds
+
+
+def disturbances_of(system: System, t: Tensor, x: Tensor, u: Tensor) -> tuple[tuple[Port, int], ...]:
+    """Columns of the ports on which the machine is disturbed; of those that push alike, the first.
+
+    Args:
+        system: The machine.
+        t, x, u: Some of the log's rows (N,), (N, nz), (N, nu).
+    """
+    ports = system.disturbed_ports or tuple(p for p in system.ports if p not in (Port.INPUT, Port.RATE))
+    rate = system.drift(t, x, u)[:, : system.nx]
+    kept: list[tuple[Port, int]] = []
+    pushes: list[Tensor] = []
+    for port in ports:
+        for j in range(system.ports[port]):
+            force = x.new_zeros(len(x), system.ports[port])
+            force[:, j] = 1.0
+            push = (system.drift(t, x, u, {port: force})[:, : system.nx] - rate).flatten()
+            push = push / push.norm().clamp_min(1e-300)
+            if all(float((push @ other).abs()) < _ALIKE for other in pushes):
+                kept.append((port, j))
+                pushes.append(push)
+    return tuple(kept)
+
+
+def _rows(values: Tensor) -> Tensor:
+    """Values (T, C, ...) as rows (T C, ...)."""
+    return values.flatten(0, 1)
+
+
+@final
+class StateSpace:
+    """A machine over the chunks of a log.
+
+    Args:
+        vector: Its parameters.
+        steps: The log.
+        chunks: The same in chunks.
+        observed: Numbers of the measured error channels.
+
+    Attributes:
+        ne, nd, n: Number of errors of the state, of disturbances, and of both.
+    """
+
+    def __init__(
+        self, vector: ParameterVector, steps: Steps, chunks: Chunks, observed: Sequence[int]
+    ) -> None:
+        self.vector, self.steps, self.chunks, self.observed = vector, steps, chunks, list(observed)
+        self.h, self.logged_h = steps.dt, steps.logged_dt
+        system, some = vector.system, slice(None, None, max(1, len(steps) // _SOME))
+        rows = system.project(system.augment(steps.x0[some], steps.u[some]))
+        self.disturbances = disturbances_of(system, steps.t[some], rows, steps.u[some])
+        self.nx, self.ne = system.nx, len(system.error_names)
+        self.nd = len(self.disturbances)
+        self.n = self.ne + self.nd
+
+    def use(self, theta: Array) -> None:
+        """Take these values for what follows."""
+        self.theta = torch.as_tensor(theta)
+        self.vector.use(self.theta)
+        self.memory = self._memory()
+
+    def _memory(self) -> Tensor:
+        """Memory of the effects over the step from each row (T, C, nz - nx)."""
+        system = self.vector.system
+        if system.nz == system.nx:
+            return self.chunks.u.new_zeros(*self.chunks.row.shape, 0)
+        before, after = memory_along(system, self.steps)
+        return self.chunks.cut(0.5 * (before + after))
+
+    def step(self, t: Tensor, x: Tensor, memory: Tensor, u: Tensor, d: Tensor) -> Tensor:
+        """States (N, nx) a step later, pushed by d (N or 1, nd) all the while; Runge and Kutta's fourth order."""
+        system, h, late = self.vector.system, self.h, self.logged_h
+        forces: dict[Port, Tensor] = {}
+        for j, (port, column) in enumerate(self.disturbances):
+            unit = torch.zeros(system.ports[port], dtype=d.dtype)
+            unit[column] = 1.0
+            push = d[:, j : j + 1].expand(len(x), -1) * unit
+            forces[port] = forces[port] + push if port in forces else push
+
+        def rate(t: Tensor, x: Tensor) -> Tensor:
+            return system.drift(t, torch.cat((x, memory), 1), u, forces)[:, : self.nx]
+
+        k1 = rate(t, x)
+        k2 = rate(t + 0.5 * late, system.project(x + 0.5 * h * k1))
+        k3 = rate(t + 0.5 * late, system.project(x + 0.5 * h * k2))
+        k4 = rate(t + late, system.project(x + h * k3))
+        return system.project(x + (h / 6.0) * (k1 + 2.0 * (k2 + k3) + k4))
+
+    def moved(self, x: Tensor, error: Tensor) -> Tensor:
+        """States (N, nx) moved by errors (N, ne)."""
+        q = self.vector.system.quaternion
+        if q is None:
+            return x + error
+        a, b = q.start, q.stop
+        attitude = turned(x[:, a:b], error[:, a : a + 3])
+        return torch.cat((x[:, :a] + error[:, :a], attitude, x[:, b:] + error[:, a + 3 :]), 1)
+
+    def shifted(self, x: Tensor, error: Tensor) -> Tensor:
+        """States (T, C, nx) moved by errors (T, C, ne)."""
+        return self.vector.system.project(self.moved(_rows(x), _rows(error))).view(x.shape)
+
+    def after(self, x: Tensor) -> Tensor:
+        """States a step after some (T, C, nx), undisturbed."""
+        t, flat, memory, u = map(_rows, (self.chunks.t, x, self.memory, self.chunks.u))
+        return self.step(t, flat, memory, u, flat.new_zeros(1, self.nd)).view(x.shape)
+
+    def linearised(self, x: Tensor) -> tuple[Tensor, Tensor]:
+        """Slopes (T, C, ne, n) of a step at states (T, C, nx) in errors and disturbances, and the states after it."""
+        system = self.vector.system
+        t, flat, memory, u = map(_rows, (self.chunks.t, x, self.memory, self.chunks.u))
+        aside = torch.zeros(1, self.n, dtype=flat.dtype)
+        after = self.step(t, flat, memory, u, aside[:, self.ne :])
+        slopes = after.new_empty(len(flat), self.ne, self.n)
+        for j in range(self.n):
+            aside.zero_()[0, j] = _SMALL
+            there = self.moved(flat, aside[:, : self.ne].expand(len(flat), -1)) if j < self.ne else flat
+            slopes[..., j] = system.error(self.step(t, there, memory, u, aside[:, self.ne :]), after) / _SMALL
+        return slopes.view(*x.shape[:2], self.ne, self.n), after.view(x.shape)
+
+    def columns(self, x: Tensor, which: Sequence[int]) -> Tensor:
+        """What some parameters do to a step (T, C, ne, k) at states (T, C, nx)."""
+        system, v = self.vector.system, self.vector
+        t, flat, memory, u = map(_rows, (self.chunks.t, x, self.memory, self.chunks.u))
+        still = flat.new_zeros(1, self.nd)
+        base = self.step(t, flat, memory, u, still)
+        out = base.new_empty(len(flat), self.ne, len(which))
+        for i, j in enumerate(which):
+            remembers = v.moves_memory[j] and system.nz > system.nx
+            by = (_REMEMBERED if remembers else _SHARE) * float(v.scale[j])
+            there = self.theta.clone()
+            there[j] += by
+            v.use(there)
+            held = _rows(self._memory()) if remembers else memory
+            out[..., i] = system.error(self.step(t, flat, held, u, still), base) / by
+        v.use(self.theta)
+        return out.view(*x.shape[:2], self.ne, len(which))

@@ -1,0 +1,44 @@
+"""Parameters at a bound or that no row shows are not free, and the others keep what they have."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from nsde_torch.inference import fit
+from tests.inference.springs import TRUTH, B, G, K, linear_runs, rubbing, small_runs, spring, value
+
+SIZE, WIDTH = "coulomb_friction.size", "coulomb_friction.width"
+
+
+def test_a_parameter_at_its_bound_has_no_standard_error_and_the_others_keep_theirs() -> None:
+    runs = small_runs(rubbing(0.0), 2, 15.0)
+    found, plain = fit(spring("coulomb_friction", values={}), runs), fit(spring(values={}), runs)
+    size, error = value(found, SIZE)
+    assert size < 1e-5
+    assert np.isnan(error)
+    assert np.isnan(value(found, WIDTH)[1])  # nothing rubs, so that no width shows
+    assert {found.vector.labels[j] for j in found.free} == set(TRUTH)
+    for label in TRUTH:
+        (got, error), (alone, without) = value(found, label), value(plain, label)
+        assert got == pytest.approx(alone, abs=0.3 * without)
+        assert error == pytest.approx(without, rel=0.2)
+
+
+def test_damping_pressed_against_nothing_leaves_the_others_near_the_truth() -> None:
+    driven = {**TRUTH, B: -0.1}
+    found = fit(spring(values={}), linear_runs(2, 12.0, values=driven))
+    assert np.isnan(value(found, B)[1])
+    got, error = value(found, G)
+    assert np.isfinite(error)
+    assert abs(got - TRUTH[G]) < 0.1
+
+
+def test_what_the_log_does_not_show_is_not_free() -> None:
+    runs = [replace(run, u=0.0 * run.u) for run in linear_runs(2, 8.0, values={**TRUTH, G: 0.0})]
+    found = fit(spring(values={G: 1.1, K: 1.0, B: 0.5}), runs)
+    assert value(found, G)[0] == pytest.approx(1.1)
+    assert np.isnan(value(found, G)[1])
+    assert abs(value(found, K)[0] - TRUTH[K]) < 3.0 * value(found, K)[1]

@@ -1,0 +1,128 @@
+"""The fit climbs, finds what is true with the noise it came with, and objects where it is wrong."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from nsde_torch.data import Run
+from nsde_torch.inference import estimate, fit, log_likelihood
+from nsde_torch.inference.levels import Levels
+from tests.inference.springs import (
+    GUST,
+    SENSOR,
+    TRUTH,
+    B,
+    G,
+    K,
+    levels_of,
+    linear_runs,
+    rubbing,
+    small_runs,
+    spring,
+    value,
+)
+
+Array = NDArray[np.float64]
+
+FAR = {G: 0.3, K: 20.0, B: 3.0}
+
+
+def climbing(effects: Sequence[str], runs: list[Run], monkeypatch: pytest.MonkeyPatch) -> Array:
+    """Log likelihood by the number of turns."""
+    found = []
+    for turns in (1, 2, 3, 4, 6):
+        monkeypatch.setattr(estimate, "_TURNS", turns)
+        found.append(fit(spring(*effects, values=FAR), runs).likelihood)
+    return np.array(found)
+
+
+@pytest.mark.slow
+def test_with_linear_physics_no_turn_lowers_the_likelihood(monkeypatch: pytest.MonkeyPatch) -> None:
+    found = climbing([], linear_runs(1, 12.0, seed=1), monkeypatch)
+    assert (np.diff(found) >= 0.0).all()
+    assert found[-1] > found[0] + 10.0
+
+
+@pytest.mark.slow
+def test_with_dry_friction_a_turn_loses_no_more_than_the_linearisation_may(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    found = climbing(["coulomb_friction"], small_runs(rubbing(0.2), 1, 12.0, seed=1), monkeypatch)
+    # 0.4 nats from the fourth turn to the fifth, where the linearised filter rose
+    assert (np.diff(found) >= -1.0).all()
+    assert found[-1] > found[0] + 10.0
+
+
+def test_it_ends_above_the_truth_and_what_it_reports_is_the_likelihood_there() -> None:
+    runs = linear_runs(2, 12.0, seed=1)
+    found = fit(spring(values=FAR), runs)
+    system = spring()
+    found.vector.write(system, found.theta)
+    assert found.likelihood == pytest.approx(log_likelihood(system, runs, levels=found.levels), abs=0.01)
+    assert found.likelihood > log_likelihood(spring(), runs, levels=levels_of())
+
+
+@pytest.mark.parametrize("inferred", [False, True])
+def test_noise_levels_and_parameters_are_found(inferred: bool) -> None:
+    runs = linear_runs(3, 25.0, seed=2)
+    if inferred:
+        runs = [replace(run, inferred={"q_dot": 0.4}) for run in runs]
+    found = fit(spring(values={G: 1.0, K: 1.0, B: 0.5}), runs)
+    assert found.settled
+    assert found.objections == []
+    assert found.channels == (("q",) if inferred else ("q", "q_dot"))
+    expected = SENSOR[:1] if inferred else SENSOR
+    np.testing.assert_allclose(found.levels.sensor.exp().numpy(), expected, rtol=0.05)
+    # a minute of gusts that last 0.4 s has some hundred of them
+    assert float(found.levels.gust.exp()) == pytest.approx(GUST, rel=0.15)
+    for label, true in TRUTH.items():
+        got, error = value(found, label)
+        assert abs(got - true) < 3.0 * error
+        assert error < 0.2 * true
+
+
+def test_the_machine_that_is_given_keeps_its_values() -> None:
+    system = spring(values=FAR)
+    fit(system, linear_runs(1, 3.0))
+    kept = spring(values=FAR)
+    for own, other in zip(system.parameters(), kept.parameters(), strict=True):
+        assert own.equal(other)
+
+
+@pytest.mark.parametrize("lag", [0.05, 0.2])
+def test_the_lag_of_an_actuator_is_found(lag: float) -> None:
+    runs = linear_runs(2, 12.0, seed=2, lag=lag, gust=0.1)
+    found = fit(spring("actuator_lag", values={}), runs)
+    assert found.settled
+    assert found.objections == []
+    for label, true in {**TRUTH, "actuator_lag.time_constant": lag}.items():
+        got, error = value(found, label)
+        assert abs(got - true) < 3.0 * error
+    assert value(found, "actuator_lag.time_constant")[1] < 0.1 * lag
+
+
+def test_gaps_and_runs_of_unequal_length_are_fitted_as_one() -> None:
+    long, short = linear_runs(2, 20.0, seed=3)
+    long = replace(long, segments=((0, 40), (60, 400), (405, len(long))))
+    found = fit(spring(values={}), [long, short.slice(0, 90)])
+    assert found.objections == []
+    for label, true in TRUTH.items():
+        got, error = value(found, label)
+        assert abs(got - true) < 3.0 * error
+
+
+def test_levels_are_held_where_the_log_has_no_gusts() -> None:
+    runs = linear_runs(2, 8.0, white=0.0, gust=0.0)
+    found = fit(spring(values={G: 1.0, K: 1.0, B: 0.5}), runs)
+    assert isinstance(found.levels, Levels)
+    # over a second, what is left of disturbances moves the rate by less than its sensor sees
+    assert float(found.levels.white.exp()) < 0.5 * SENSOR[1]
+    assert float(found.levels.gust.exp()) < 0.1 * GUST
+    for label, true in TRUTH.items():
+        got, error = value(found, label)
+        assert abs(got - true) < 3.0 * error

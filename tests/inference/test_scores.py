@@ -1,0 +1,72 @@
+"""The score from Gram matrices is that of the likelihood, and at the truth it is what standard errors take it for."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy.stats import chi2
+
+from nsde_torch.data import Run
+from nsde_torch.inference import log_likelihood
+from nsde_torch.inference.estimate import LogLikelihood
+from nsde_torch.inference.levels import Levels
+from nsde_torch.inference.sensitivity import grams
+from tests.inference.springs import SENSOR, K, levels_of, linear_runs, moved, spring
+
+Array = NDArray[np.float64]
+
+
+def slopes(runs: Sequence[Run], levels: Levels, by: Mapping[str, float]) -> tuple[Array, Array]:
+    """Score in standard errors: from the Gram matrix, and by differences of the log likelihood."""
+    system = moved(by)
+    problem = LogLikelihood(system, runs)
+    _, about = problem.first(problem.vector.start)
+    about, at = problem.settled(levels, about, problem.filtered(levels, about), 4)
+    columns = problem.space.columns(about.x, range(len(problem.vector)))
+    gram = grams(problem.space, levels, about, at, columns).total
+    error = 1.0 / np.sqrt(np.diag(gram)[1:])
+    differences = []
+    for label, size in zip(problem.vector.labels, 0.02 * error, strict=True):
+        up, down = (
+            log_likelihood(moved({**by, label: by.get(label, 0.0) + s}), runs, levels=levels)
+            for s in (size, -size)
+        )
+        differences.append((up - down) / 0.04)
+    return gram[1:, 0] * error, np.array(differences)
+
+
+@pytest.mark.parametrize("inferred", [False, True])
+@pytest.mark.parametrize("by", [{}, {K: 2.0}], ids=["truth", "stiffer"])
+def test_the_gram_score_is_that_of_the_likelihood_but_for_what_parameters_do_to_the_gains(
+    by: dict[str, float], inferred: bool
+) -> None:
+    runs = linear_runs(2, 4.0)
+    if inferred:
+        runs = [replace(run, inferred={"q_dot": 0.4}) for run in runs]
+    levels = levels_of(SENSOR[:1] if inferred else SENSOR)
+    held, true = slopes(runs, levels, by)
+    # a gain of the input moves no covariance: there, holding the gains leaves nothing out
+    assert held[0] == pytest.approx(true[0], abs=2e-3)
+    # the others move them: at the truth by chance alone, a seventh of a standard error here; a little more away from it
+    np.testing.assert_allclose(held, true, atol=0.25 if not by else 0.5)
+    if by:
+        assert held @ true > 0.98 * np.linalg.norm(held) * np.linalg.norm(true)
+
+
+def test_at_the_truth_the_gram_score_has_no_mean_and_the_gram_matrix_as_its_covariance() -> None:
+    levels, system, squares, scores = levels_of(), spring(), [], []
+    for seed in range(40):
+        problem = LogLikelihood(system, linear_runs(1, 3.0, seed=seed))
+        _, about = problem.first(problem.vector.start)
+        at = problem.filtered(levels, about)
+        gram = grams(problem.space, levels, about, at, problem.space.columns(about.x, range(3))).total
+        white = np.linalg.solve(np.linalg.cholesky(gram[1:, 1:]), gram[1:, 0])
+        scores.append(white)
+        squares.append(float(white @ white))
+    low, high = chi2.ppf((0.005, 0.995), 3 * len(squares))
+    assert low < sum(squares) < high
+    assert (np.abs(np.mean(scores, 0)) < 3.0 / np.sqrt(len(scores))).all()

@@ -30,8 +30,8 @@ from nsde_torch.diagnosis.options import Options
 from nsde_torch.diagnosis.screening import starts
 from nsde_torch.diagnosis.search import Search, search_in
 from nsde_torch.errors import ConfigError, NsdeError
-from nsde_torch.sysid.regression import Regression
 from nsde_torch.inference.sizes import data_sizes
+from nsde_torch.sysid.regression import Regression
 from nsde_torch.systems import System
 from nsde_torch.systems.parameters import ParameterVector
 

@@ -15,7 +15,7 @@ It is right where its noise model is: innovations that are not white, or larger 
 `jointly_selected` return None, and the regression (`selection`) decides.
 """
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 from math import log
 
@@ -45,9 +45,11 @@ from nsde_torch.systems.parameters import own_name
 Array = NDArray[np.float64]
 Labels = NDArray[np.int64]
 
+_NEAR, _NEAR_GAIN = 0.3, 1.0  # standard errors from their optimum, and nats, at which physics are compared
 _RISES = 0.3  # share of the nats of a linearised step that the likelihood has to rise by once a candidate is fitted
 _TRIED = 3  # candidates that are fitted to the end before a round ends
 _RIVALS = 3  # candidates that are fitted in the place of an effect
+_FAR = 4.0  # standard errors of a difference beyond which a rival is not fitted: a linearised step is rough
 _PAIRED = 6  # best candidates among which pairs are looked at
 _ROUNDING = 1e-10
 
@@ -63,7 +65,8 @@ class Proposal:
         error: Its standard error, from the scatter over blocks [nats].
         rank: `nats` less the price of its parameters.
         p: Chance of as much if the effect did nothing, corrected for all candidates and their starts.
-        columns: Its columns in the Gram matrices: the shift of its start (0 where there is none), then its parameters.
+        columns: Its columns in the Gram matrices: the shift of its start, then its parameters.
+        blocks: `nats` by block of time (B,).
     """
 
     name: str
@@ -73,6 +76,7 @@ class Proposal:
     rank: float
     p: float
     columns: tuple[int, ...]
+    blocks: Array
 
 
 @dataclass(frozen=True)
@@ -81,7 +85,7 @@ class Selected:
 
     Args:
         likelihood: Of the physics without it, fitted [nats].
-        blocks: The same by block of time (B,).
+        blocks: The same by block of time, each under parameters of the other folds (B,).
         ties: Effects that explain the data as well in its place.
     """
 
@@ -97,7 +101,7 @@ class JointSelection:
     Args:
         best: The physics with the effects, at its optimum.
         system: The same, with its values.
-        blocks: Its log likelihood by block of time (B,).
+        blocks: Its log likelihood by block of time, each under parameters of the other folds (B,).
         selected: The effects.
         screened: Nats of every candidate of the first look.
     """
@@ -109,7 +113,7 @@ class JointSelection:
     screened: dict[str, float]
 
     def evidence(self, search: Search, trial: Trial) -> Trial:
-        """A trial of an effect with the evidence of the joint likelihood: nats beyond those that its parameters cost.
+        """A trial of an effect with the evidence of the joint likelihood.
 
         Args:
             search: Settings.
@@ -117,9 +121,9 @@ class JointSelection:
         """
         without = self.selected[trial.name]
         count = max(trial.own.stop - trial.own.start - len(trial.held), 1)
-        nats = self.best.likelihood - without.likelihood - count  # Akaike
         difference = self.blocks - without.blocks
-        p = float(chdtrc(count, max(2.0 * (nats + count), 0.0)))
+        nats = float(difference.sum())
+        p = float(chdtrc(count, max(2.0 * (self.best.likelihood - without.likelihood), 0.0)))
         labels = [label for label in self.best.vector.labels if label.startswith(f"{trial.name}.")]
         among = max(len(self.screened), 1) * starts_of(trial.name, labels, search.longest)
         return replace(
@@ -153,71 +157,162 @@ def jointly_selected(
         system: The declared physics with first values.
         frequencies: Those of lines in the spectrum, which sinusoids start from [Hz].
     """
-    declared = place = _fitted(problem, system, None)
-    names: list[str] = []
-    screened: dict[str, float] = {}
-    looks: dict[frozenset[str], list[Proposal]] = {}
-    while len(names) < search.decisions.most_effects:
-        search.say(
-            f"round {len(names) + 1}: one pass over the catalogue", len(names), search.decisions.most_effects
+    return _JointSearch(search, problem, system, frequencies).selected()
+
+
+class _JointSearch:
+    """Looks for effects; remembers what was fitted, and what the catalogue would explain beside it.
+
+    Args:
+        search, problem, system, frequencies: See `jointly_selected`.
+    """
+
+    def __init__(
+        self, search: Search, problem: LogLikelihood, system: System, frequencies: Sequence[float]
+    ) -> None:
+        self._search, self._problem, self._frequencies = search, problem, frequencies
+        self._declared = set(system.effect_names)
+        self._places: dict[frozenset[str], _Place] = {}
+        self._looks: dict[frozenset[str], tuple[list[Proposal], _Table]] = {}
+        self._first = self._fitted(system, None)
+
+    def selected(self) -> JointSelection | None:
+        """See `jointly_selected`."""
+        place, most = self._first, self._search.decisions.most_effects
+        for count in range(most):
+            self._search.say(f"round {count + 1}: one pass over the catalogue", count, most)
+            better = self._next(place)
+            if better is None:
+                break
+            place = better
+        if place.best.objections:
+            return None
+        place, selected = self._looked_at_again(place)
+        if place.best.objections:
+            return None
+        screened = {p.name: p.nats for p in self._look(self._first)[0]}
+        return JointSelection(place.best, place.system, self._left_out(place), selected, screened)
+
+    def _added(self, system: System) -> frozenset[str]:
+        return frozenset(system.effect_names) - self._declared
+
+    def _fitted(self, system: System, like: _Place | None) -> _Place:
+        """Physics fitted from its present values, with noise levels near those of other physics; the best so far."""
+        best, at = maximised(
+            self._problem.of(system), None if like is None else like.at, settled_at=_NEAR, gain=_NEAR_GAIN
         )
-        proposals, table = _catalogue(search, place, frequencies)
-        looks[frozenset(names)] = proposals
-        screened = screened or {p.name: p.nats for p in proposals}
-        better = _next(search, problem, place, proposals, table)
-        if better is None:
-            break
-        name, place = better
-        names = [*(n for n in names if n not in effect_class(name).includes), name]
-    if place.best.objections:
+        out = system.with_effects()
+        best.vector.write(out, best.theta)
+        made, added = _Place(out, best, at), frozenset(out.effect_names)
+        known = self._places.get(added)
+        if known is None or made.best.likelihood > known.best.likelihood:
+            self._places[added] = made
+        return self._places[added]
+
+    def _left_out(self, place: _Place) -> Array:
+        """Log likelihood of each block (B,) under parameters fitted without its fold, as far as one step tells."""
+        held, chunks = place.at.grams, place.at.of.space.chunks
+        table = _Table(held, 1 + place.best.free, _folds(self._search, chunks.places()[0]))
+        return np.asarray(place.at.blocks + 0.5 * held.blocks[:, 0, 0] - table.before)
+
+    def _look(self, place: _Place) -> tuple[list[Proposal], "_Table"]:
+        """What the catalogue would explain beside some physics."""
+        names = frozenset(place.system.effect_names)
+        if names not in self._looks:
+            self._looks[names] = _catalogue(self._search, place, self._frequencies)
+        return self._looks[names]
+
+    def _next(self, place: _Place) -> _Place | None:
+        """The physics with the best candidate that holds what it promises once it is fitted."""
+        proposals, table = self._look(place)
+        accepted = [p for p in proposals if _accepted(self._search, p)]
+        added = self._added(place.system)
+        for proposal in _in_order(self._search, table, accepted, added)[:_TRIED]:
+            there = self._fitted(proposal.system, place)
+            risen = there.best.likelihood - place.best.likelihood
+            if risen > max(self._search.decisions.least_nats, _RISES * proposal.nats):
+                return there
         return None
-    place, selected = _looked_at_again(search, problem, declared, place, names, looks, frequencies)
-    if place.best.objections:
-        return None
-    return JointSelection(place.best, place.system, place.at.blocks, selected, screened)
 
+    def _looked_at_again(self, place: _Place) -> tuple[_Place, dict[str, Selected]]:
+        """Each effect again beside the others: what is likelier replaces it, what is as likely is a tie."""
+        out: dict[str, Selected] = {}
+        exchanged = 0
+        while left := [n for n in place.system.effect_names if n not in {*self._declared, *out}]:
+            name = left[0]
+            self._search.say(f"looking again at {name}", len(out), len(out) + len(left))
+            rest = without_effect(place.system, self._first.system, name)
+            without = self._places.get(frozenset(rest.effect_names)) or self._fitted(rest, place)
+            if not self._needed(name, place, without):
+                place, out = without, {}  # what was added after it explains what it did
+                continue
+            alike, better = self._rivals(name, place, without)
+            if better is not None and exchanged < self._search.budgets.exchanges:
+                place, out, exchanged = better, {}, exchanged + 1
+                continue
+            out[name] = Selected(without.best.likelihood, self._left_out(without), tuple(alike))
+        return place, out
 
-def _fitted(problem: LogLikelihood, system: System, like: _Place | None) -> _Place:
-    """Physics fitted from its present values, with noise levels near those of other physics."""
-    best, at = maximised(problem.of(system), None if like is None else like.at)
-    out = system.with_effects()
-    best.vector.write(out, best.theta)
-    return _Place(out, best, at)
+    def _needed(self, name: str, place: _Place, without: _Place) -> bool:
+        """Whether an effect brings more likelihood than chance, of all candidates of the look that found it."""
+        labels = [label for label in place.best.vector.labels if label.startswith(f"{name}.")]
+        proposals, _ = self._look(self._first)
+        among = max(len(proposals), 1) * starts_of(name, labels, self._search.longest)
+        ratio = 2.0 * max(place.best.likelihood - without.best.likelihood, 0.0)
+        return bonferroni(float(chdtrc(len(labels), ratio)), among) < self._search.level("effects")
 
-
-def _next(
-    search: Search, problem: LogLikelihood, place: _Place, proposals: Sequence[Proposal], table: "_Table"
-) -> tuple[str, _Place] | None:
-    """The best candidate that holds what it promises once it is fitted, and the physics with it."""
-    accepted = [p for p in proposals if _accepted(search, p)]
-    for proposal in _in_order(search, table, accepted)[:_TRIED]:
-        there = _fitted(problem, proposal.system, place)
-        risen = there.best.likelihood - place.best.likelihood
-        if risen > max(search.decisions.least_nats, _RISES * proposal.nats):
-            return proposal.name, there
-    return None
+    def _rivals(self, name: str, place: _Place, without: _Place) -> tuple[list[str], _Place | None]:
+        """Effects that cannot be told from one that was selected, and the physics with a better one in its place."""
+        proposals, _ = self._look(without)
+        own = next((p for p in proposals if p.name == name), None)
+        rivals = [
+            p
+            for p in proposals
+            # what contains the effect was a candidate beside it, and was not needed
+            if name not in {p.name, *effect_class(p.name).includes}
+            and _accepted(self._search, p)
+            and (own is None or not _far_above(own, p))
+        ]
+        alike: list[str] = []
+        best: tuple[float, _Place] | None = None
+        for rival in rivals[:_RIVALS]:
+            there = self._fitted(rival.system, place)
+            gained = _compared(self._search, name, rival.name, place, there)
+            if gained > 0 and (best is None or gained > best[0]):
+                best = gained, there
+            elif not gained:
+                alike.append(rival.name)
+        return alike, None if best is None else best[1]
 
 
 def _accepted(search: Search, proposal: Proposal) -> bool:
     return proposal.p < search.level("effects") and proposal.nats > search.decisions.least_nats
 
 
-def _in_order(search: Search, table: "_Table", accepted: Sequence[Proposal]) -> list[Proposal]:
+def _in_order(
+    search: Search, table: "_Table", accepted: Sequence[Proposal], added: Collection[str]
+) -> list[Proposal]:
     """Candidates, the best first: one of a pair that explains surely more than the best alone, then what is simpler."""
     ranked = sorted(accepted, key=lambda p: -p.rank)
     if not ranked:
         return []
     best = ranked[0]
     pair = _best_pair(table, ranked[:_PAIRED])
-    if pair is not None and best not in pair[1] and pair[0] > best.rank + search.decisions.alike_nats:
+    if (
+        pair is not None
+        and all(best is not p for p in pair[1])
+        and pair[0] > best.rank + search.decisions.alike_nats
+    ):
         first = max(pair[1], key=lambda p: p.rank)
         return [first, *(p for p in ranked if p is not first)]
-    simpler = [
-        p
-        for p in ranked
-        if p.name in effect_class(best.name).includes and p.rank > best.rank - search.decisions.wider_nats
+    # what contains it has to be better than it with any other effect, too, in the next round
+    simpler = [p for p in ranked if p.name in effect_class(best.name).includes]
+    # one effect in the place of another explains with fewer than two beside each other
+    price = search.decisions.wider_nats
+    simpler += [
+        p for p in ranked if set(effect_class(p.name).includes) & set(added) and best.rank < p.rank + price
     ]
-    return [*simpler, *(p for p in ranked if p not in simpler)]
+    return [*simpler, *(p for p in ranked if all(p is not s for s in simpler))]
 
 
 def _best_pair(
@@ -247,12 +342,15 @@ class _Table:
         held: The Gram matrices.
         base: Columns of the parameters of the physics.
         fold: Fold of each block.
+
+    Attributes:
+        before: Half the squares that are left of each block by those parameters alone, fitted without its fold (B,).
     """
 
     def __init__(self, held: Grams, base: Labels, fold: Labels) -> None:
         self._held, self._base = held, base
         self._folds = [np.flatnonzero(fold == f) for f in np.unique(fold)]
-        self._before = self._left_out(self._base, self._reduced(self._base, []))[0]
+        self.before = self._left_out(self._base, self._reduced(self._base, []))[0]
 
     def price(self, parameters: int) -> float:
         """What parameters cost (Schwarz) [nats]."""
@@ -268,7 +366,7 @@ class _Table:
         blocks = self._reduced(keep, [each[0] for each in columns if each[0]])
         after, fitted, step = self._left_out(keep, blocks)
         _, before, _ = self._whole
-        return self._before - after, before - fitted, step[len(base) :]
+        return self.before - after, before - fitted, step[len(base) :]
 
     def _reduced(self, keep: Labels, shifts: Sequence[int]) -> Array:
         """Blocks (B, 1 + q, 1 + q) of the innovations, less the shifts of starts, and of some columns."""
@@ -434,9 +532,9 @@ def _proposed(
     starts_tried = starts_of(entry.name, entry.labels, longest)
     system = entry.system.with_effects()
     _set(system, entry.labels, values)
-    rank = nats - table.price(len(place))
+    rank = nats - table.price(len(place) - len(entry.dropped))
     return Proposal(
-        entry.name, system, nats, sum_error(blocks), rank, bonferroni(p, among * starts_tried), free
+        entry.name, system, nats, sum_error(blocks), rank, bonferroni(p, among * starts_tried), free, blocks
     )
 
 
@@ -450,52 +548,10 @@ def _set(system: System, labels: Sequence[str], values: Array) -> None:
         effects[effect].set_value(own, torch.tensor(column, dtype=torch.float64))
 
 
-def _looked_at_again(
-    search: Search,
-    problem: LogLikelihood,
-    declared: _Place,
-    place: _Place,
-    names: list[str],
-    looks: dict[frozenset[str], list[Proposal]],
-    frequencies: Sequence[float],
-) -> tuple[_Place, dict[str, Selected]]:
-    """Each effect again beside the others: what is likelier in its place replaces it, what is as likely is a tie."""
-    selected: dict[str, Selected] = {}
-    exchanged, i = 0, 0
-    while i < len(names):
-        name = names[i]
-        search.say(f"looking again at {name}", i, len(names))
-        rest = [n for n in names if n != name]
-        without = declared if not rest else _fitted(problem, place.system.without_effects(name), place)
-        proposals = looks.get(frozenset(rest))
-        if proposals is None:
-            proposals = looks[frozenset(rest)] = _catalogue(search, without, frequencies)[0]
-        own = next((p for p in proposals if p.name == name), None)
-        least = 0.0 if own is None else own.rank - 3.0 * own.error - search.decisions.alike_nats
-        rivals = [
-            p
-            for p in proposals
-            # what contains the effect was a candidate beside it, and was not needed
-            if name not in {p.name, *effect_class(p.name).includes}
-            and _accepted(search, p)
-            and p.rank > least
-        ][:_RIVALS]
-        alike: list[str] = []
-        better: tuple[float, str, _Place] | None = None
-        for rival in rivals:
-            there = _fitted(problem, rival.system, place)
-            standing = _compared(search, name, rival.name, place, there)
-            if standing > 0 and (better is None or standing > better[0]):
-                better = standing, rival.name, there
-            elif not standing:
-                alike.append(rival.name)
-        if better is not None and exchanged < search.budgets.exchanges:
-            place, names, selected = better[2], [better[1] if n == name else n for n in names], {}
-            exchanged, i = exchanged + 1, 0
-            continue
-        selected[name] = Selected(without.best.likelihood, without.at.blocks, tuple(alike))
-        i += 1
-    return place, selected
+def _far_above(better: Proposal, worse: Proposal) -> bool:
+    """Whether one linearised step says far more than another, so that fitting both would change nothing."""
+    difference = better.blocks - worse.blocks
+    return float(difference.sum()) > _FAR * sum_error(difference)
 
 
 def _compared(search: Search, name: str, rival: str, place: _Place, there: _Place) -> float:

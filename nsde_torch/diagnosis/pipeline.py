@@ -37,6 +37,7 @@ from nsde_torch.diagnosis.decision import (
 from nsde_torch.diagnosis.decisions import BUDGETS, DECISIONS, Budgets, Decisions
 from nsde_torch.diagnosis.elimination import eliminate
 from nsde_torch.diagnosis.explanation import explained
+from nsde_torch.diagnosis.fitted import fitted_system
 from nsde_torch.diagnosis.gone import select
 from nsde_torch.diagnosis.inferred import at_declared, at_found, not_sure
 from nsde_torch.diagnosis.joint_selection import JointSelection, jointly_selected, selection_of
@@ -60,6 +61,7 @@ from nsde_torch.diagnosis.reading import Log, read_effects, read_log
 from nsde_torch.diagnosis.result import Diagnosis
 from nsde_torch.diagnosis.search import Search
 from nsde_torch.diagnosis.selection import so_far as chosen_so_far
+from nsde_torch.diagnosis.spectrum import lines
 from nsde_torch.diagnosis.standing import selected_again, tied, without_standing
 from nsde_torch.inference import LogLikelihood
 from nsde_torch.models.identified import SysidSpec
@@ -253,13 +255,16 @@ def _jointly(log: Log, search: Search) -> JointSelection | None:
     """What the joint likelihood selects; None where it is not to be relied on, and the regression decides."""
     if log.system.quaternion is not None or log.recorded.inputs_restored or any(run.band for run in log.runs):
         return None
-    return log.stages.attempt(
-        "the selection by the joint likelihood",
-        lambda: jointly_selected(
-            search, LogLikelihood(log.system, log.runs, log.recorded.clock, run_in=True), log.system
-        ),
-        None,
-    )
+
+    def selected() -> JointSelection | None:
+        declared = search.base(log.system)
+        frequencies = [line.frequency for line in lines(declared.regression, decisions=search.decisions)]
+        # of first values that are far off, what is left would pass for noise
+        system = fitted_system(declared.regression)
+        problem = LogLikelihood(system, log.runs, log.recorded.clock, run_in=True)
+        return jointly_selected(search, problem, system, frequencies)
+
+    return log.stages.attempt("the selection by the joint likelihood", selected, None)
 
 
 def _read_again(log: Log, search: Search, outcome: Outcome) -> tuple[Log, Search, Outcome]:

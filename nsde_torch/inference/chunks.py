@@ -17,7 +17,7 @@ _BURN_S, _LENGTH_S = (
     0.5,
     2.0,
 )  # what is not counted of a chunk, and what is, where that is as many rows as below
-_BURN, _LENGTH = (40, 400), (100, 1000)  # fewest and most rows
+_BURN, _LENGTH = (30, 300), (60, 600)  # fewest and most rows
 _BLOCK_S = 0.5  # of a cluster of the robust covariance, at least
 _FEWEST_BLOCKS = 20
 
@@ -42,8 +42,9 @@ class Chunks:
 
     def __init__(self, steps: Steps, *, late: int = 0) -> None:
         h = steps.dt
+        slower = 2.0 if late else 1.0  # with states that no sensor measures, a filter remembers for longer
         burn, length = (
-            int(np.clip(round(seconds / h), *rows))
+            int(slower * np.clip(round(seconds / h), *rows))
             for seconds, rows in ((_BURN_S, _BURN), (_LENGTH_S, _LENGTH))
         )
         longest = max(b - a + 1 for a, b in steps.segments)

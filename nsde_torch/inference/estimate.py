@@ -27,6 +27,7 @@ from nsde_torch.inference.filtering import (
     Start,
     filtered,
     linearised_about,
+    with_gains,
     with_parameters,
 )
 from nsde_torch.inference.levels import Levels, first_levels
@@ -43,8 +44,8 @@ Array = NDArray[np.float64]
 Labels = NDArray[np.int64]
 
 _TURNS = 12
-_GAIN = 0.5  # nats that new noise levels bring below which these have settled
-_SETTLED = 0.05  # standard errors that theta may still move by
+SETTLED, GAIN = 0.05, 0.5
+"""Standard errors that theta may still move by, and nats that new noise levels may still bring."""
 _STUCK = 0.5  # those below which a step that is no better is rounding
 _DAMPINGS = (0.0, 0.01, 0.1, 1.0, 10.0, 100.0)  # of steps (Marquardt), in units of the information
 _PASSES = 4  # until the states that a filter is linearised about have settled
@@ -215,6 +216,11 @@ class LogLikelihood:
         many = levels.like(levels.vector()[None])
         return filtered(self.space, many, about, self.start, self.space.chunks.counted)
 
+    def tried(self, levels: Levels, about: Linearisation, held: Pass) -> Pass:
+        """The pass with the parameters in use, its covariances those of another about the same slopes."""
+        many, there = levels.like(levels.vector()[None]), with_parameters(self.space, about)
+        return with_gains(self.space, many, there, held.whitening, held.gain, self.space.chunks.counted)
+
     def settled(
         self, levels: Levels, about: Linearisation, at: Pass, passes: int
     ) -> tuple[Linearisation, Pass]:
@@ -281,12 +287,15 @@ def fit(system: System, runs: Sequence[Run], *, clock: float = 1.0) -> MaximumLi
 
 
 @torch.no_grad()
-def maximised(problem: LogLikelihood, near: Optimum | None = None) -> tuple[MaximumLikelihood, Optimum]:
+def maximised(
+    problem: LogLikelihood, near: Optimum | None = None, *, settled_at: float = SETTLED, gain: float = GAIN
+) -> tuple[MaximumLikelihood, Optimum]:
     """Theta and noise levels of largest likelihood, from the first values of the physics.
 
     Args:
         problem: The likelihood.
         near: The optimum of physics close to these on the same rows, whose states and noise levels are begun with.
+        settled_at, gain: Where the iteration ends: standard errors of a step of theta, nats that new levels bring.
     """
     space, vector, start = problem.space, problem.vector, problem.start
     theta, everything = vector.inside(vector.start), range(len(vector))
@@ -298,7 +307,7 @@ def maximised(problem: LogLikelihood, near: Optimum | None = None) -> tuple[Maxi
     levels = first
     about, at = problem.settled(levels, about, problem.filtered(levels, about), 1)
     if near is None:
-        levels = likeliest(space, levels, first, about, start, turn=0)
+        levels = likeliest(space, first, first, about, start, turn=0)
         at = problem.filtered(levels, about)
     settled = False
     for turn in range(_TURNS):
@@ -309,8 +318,8 @@ def maximised(problem: LogLikelihood, near: Optimum | None = None) -> tuple[Maxi
         there, before = problem.filtered(trial, about), at.total
         if there.total > before:  # it was found from some of the chunks
             levels, at = trial, there
-        settled = away < _SETTLED
-        if settled and at.total < before + _GAIN:
+        settled = away < settled_at
+        if settled and at.total < before + gain:
             break
     columns = space.columns(about.x, everything)
     final = grams(space, levels, about, at, columns, level_columns(space, levels, about, start, at))
@@ -348,7 +357,7 @@ def _step(
             count = max(int((change != 0).sum()), 1)
             away = float(np.sqrt(max(float(change @ gram @ change), 0.0) / count))
         space.use(theta + change)
-        moved = problem.filtered(levels, with_parameters(space, about))
+        moved = problem.tried(levels, about, at)
         if moved.total >= at.total:
             near, after = problem.settled(levels, about, moved, 1)
             if after.total >= at.total - _LOST:

@@ -142,7 +142,7 @@ def filtered(space: StateSpace, levels: Levels, about: Linearisation, start: Sta
         start: Where each chunk starts.
         live: Whether a row counts (T, C).
     """
-    observed, ne = space.observed, space.ne
+    observed = space.observed
     rows, count, m = about.seen.shape
     batch = len(levels.sensor)
     sensor = torch.exp(2.0 * levels.sensor)
@@ -150,34 +150,68 @@ def filtered(space: StateSpace, levels: Levels, about: Linearisation, start: Sta
     variance[:, observed] = sensor
     covariance = torch.diag_embed(torch.cat((variance, torch.exp(2.0 * levels.gust)), -1))
     covariance = covariance.expand(count, -1, -1, -1)
-    delta = about.seen.new_zeros(count, batch, space.n)
-    delta[..., :ne] = about.first[:, None]
-    eye = torch.eye(m, dtype=delta.dtype).expand(count, batch, -1, -1)
-    errors, inverses = [delta.new_zeros(count, batch, m)], [eye]
-    gains, deltas = [delta.new_zeros(count, batch, space.n, m)], [delta]
+    eye = torch.eye(m, dtype=covariance.dtype).expand(count, batch, -1, -1)
+    inverses, gains = [eye], [covariance.new_zeros(count, batch, space.n, m)]
     for k in range(1, rows):
         if k % _SLAB == 1:
             forwards, noises = transitions(space, levels, about.slopes[k - 1 : k - 1 + _SLAB, :, None])
-        forward, noise = forwards[(k - 1) % _SLAB], noises[(k - 1) % _SLAB]
-        delta = (forward @ delta[..., None])[..., 0]
-        delta[..., :ne] += about.missed[k - 1][:, None]
-        covariance = forward @ covariance @ forward.transpose(-1, -2) + noise
+            backwards = forwards.transpose(-1, -2)
+        at = (k - 1) % _SLAB
+        covariance = forwards[at] @ covariance @ backwards[at] + noises[at]
         seen = covariance[..., observed]
         innovation = seen[..., observed, :].clone()
         innovation.diagonal(dim1=-2, dim2=-1).add_(sensor)
         triangle, _ = torch.linalg.cholesky_ex(innovation)
         inverse = torch.linalg.solve_triangular(triangle, eye, upper=False)
         half = seen @ inverse.transpose(-1, -2)
-        gain = half @ inverse
         covariance = covariance - half @ half.transpose(-1, -2)
-        covariance = 0.5 * (covariance + covariance.transpose(-1, -2))
-        error = about.seen[k][:, None] - delta[..., observed]
-        delta = delta + (gain @ error[..., None])[..., 0]
-        for kept, value in zip((errors, inverses, gains, deltas), (error, inverse, gain, delta), strict=True):
-            kept.append(value)
-    whitening, innovations = torch.stack(inverses), torch.stack(errors)
-    white = (whitening @ innovations[..., None])[..., 0]
+        inverses.append(inverse)
+        gains.append(half @ inverse)
+    return with_gains(space, levels, about, torch.stack(inverses), torch.stack(gains), live)
+
+
+@torch.no_grad()
+def with_gains(
+    space: StateSpace, levels: Levels, about: Linearisation, whitening: Tensor, gain: Tensor, live: Tensor
+) -> Pass:
+    """The means of a pass, p_{k+1} = F (I - K H) p_k + F K (y - x)_k + c_k, whose covariances are known.
+
+    They depend on the slopes and the noise alone, and not on what steps miss: not on a parameter that is tried.
+
+    Args:
+        space, levels, about, live: See `filtered`.
+        whitening, gain: Of the pass (T, C, B, m, m) and (T, C, B, n, m).
+    """
+    observed, ne = space.observed, space.ne
+    mean = gain.new_zeros(*gain.shape[1:-1])
+    mean[..., :ne] = about.first[:, None]
+    means = [mean]
+    for k in range(1, len(gain)):
+        if k % _SLAB == 1:
+            inner, pushed = _closed(
+                space, levels, about, gain, slice(k - 1, min(k - 1 + _SLAB, len(gain) - 1))
+            )
+        at = (k - 1) % _SLAB
+        mean = (inner[at] @ mean[..., None])[..., 0] + pushed[at]
+        means.append(mean)
+    predicted = torch.stack(means)
+    errors = about.seen[:, :, None] - predicted[..., observed]
+    white = (whitening @ errors[..., None])[..., 0]
     each = torch.log(torch.diagonal(whitening, dim1=-2, dim2=-1)).sum(-1) - 0.5 * white.square().sum(-1)
     each = torch.where(live[..., None], each, 0.0)
     total = each.sum((0, 1)).nan_to_num(-torch.inf, -torch.inf, -torch.inf)
-    return Pass(innovations, whitening, torch.stack(gains), torch.stack(deltas), each, total)
+    delta = predicted + (gain @ errors[..., None])[..., 0]
+    return Pass(errors, whitening, gain, delta, each, total)
+
+
+def _closed(
+    space: StateSpace, levels: Levels, about: Linearisation, gain: Tensor, rows: slice
+) -> tuple[Tensor, Tensor]:
+    """F (I - K H) (..., n, n) and F K (y - x) + c (..., n) of some rows."""
+    forward = transitions(space, levels, about.slopes[rows, :, None])[0]
+    back = forward @ gain[rows]
+    inner = forward.expand(*back.shape[:-2], space.n, space.n).clone()
+    inner[..., space.observed] -= back
+    pushed = (back @ about.seen[rows, :, None, :, None])[..., 0]
+    pushed[..., : space.ne] += about.missed[rows, :, None]
+    return inner, pushed

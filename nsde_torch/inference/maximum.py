@@ -16,7 +16,7 @@ from nsde_torch.inference.state_space import StateSpace
 _SMALL = 1e-3  # of a logarithm
 _PRIOR = 0.02  # weight of the first guess: that of a hundredth of a nat for a factor of e
 _DOWN, _UP = 8.0, 6.0  # how far logarithms may go from there
-_LONGEST_STEP = 1.5
+_LONGEST_STEP = 3.0
 _TURNS, _LATER_TURNS = 4, 2
 _GAIN = 0.5  # nats for which another turn is taken
 _FIRST_DAMPING, _MOST_DAMPING = 1e-3, 1e4
@@ -59,6 +59,8 @@ def likeliest(
         while damping <= _MOST_DAMPING:
             damped = information + damping * torch.diag(torch.diagonal(information))
             step = torch.linalg.solve(damped, gradient).clamp(-_LONGEST_STEP, _LONGEST_STEP)
+            if float(gradient @ step) < _GAIN:  # a whole step brings half of that
+                break
             trial = torch.minimum(torch.maximum(phi + step, prior - _DOWN), prior + _UP)
             got = tried(trial[None]).likelihood[0] - penalty(trial)
             if got > best:

@@ -98,11 +98,15 @@ def grams(
         table = columns.new_zeros(end - first, chunks.count, len(observed), total)
         begun = max(first, 1)
         forward = transitions(space, levels, about.slopes[begun - 1 : end - 1])[0]
+        before = gain[begun - 1 : end - 1]
+        inner = forward.clone()
+        inner[..., observed] -= forward @ before
+        there = []
         for i in range(begun, end):
-            moved = forward[i - begun] @ moved
+            moved = inner[i - begun] @ moved
             moved[:, : space.ne] += columns[i - 1]
-            table[i - first, ..., 1 : 1 + k] = whitening[i] @ moved[:, observed]
-            moved = moved - gain[i] @ moved[:, observed]
+            there.append(moved[:, observed])
+        table[begun - first :, ..., 1 : 1 + k] = whitening[begun:end] @ torch.stack(there)
         table[..., 0] = white[first:end]
         if nuisances is not None:
             table[..., 1 + k :] = nuisances[first:end]

@@ -39,9 +39,9 @@ from torch import Tensor
 from nsde_torch.columns import join_columns, split_columns, take_rows
 from nsde_torch.data.system_info import rate_pairs
 from nsde_torch.inference.memory import memory_along
+from nsde_torch.inference.sizes import data_sizes
 from nsde_torch.inference.steps import Steps
 from nsde_torch.rotation import rotate_back, rotation_between
-from nsde_torch.inference.sizes import data_sizes
 from nsde_torch.systems import System
 from nsde_torch.systems.parameters import ParameterVector
 

@@ -7,8 +7,8 @@ import pytest
 from nsde_torch.diagnosis.screening import joined, likeliest, screen, starts
 from nsde_torch.diagnosis.search import Base, Search
 from nsde_torch.effects import Effect
-from nsde_torch.inference.steps import steps_of
 from nsde_torch.inference.sizes import data_sizes
+from nsde_torch.inference.steps import steps_of
 from nsde_torch.systems import System, make_system
 from tests.helpers.diagnosed import recorded
 

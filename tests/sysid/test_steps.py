@@ -7,8 +7,8 @@ import pytest
 
 from nsde_torch.data import Run
 from nsde_torch.errors import DataError
-from nsde_torch.inference.steps import steps_of
 from nsde_torch.inference import steps as module
+from nsde_torch.inference.steps import steps_of
 from nsde_torch.systems import make_system
 
 SPRING = make_system("mass_spring_damper")

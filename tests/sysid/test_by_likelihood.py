@@ -1,4 +1,4 @@
-"""Values from positions alone by errors of predictions: the truth is in their intervals."""
+"""Values of largest likelihood, from all sensors and from positions alone: the truth is in their intervals."""
 
 from __future__ import annotations
 
@@ -8,12 +8,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.signal import butter, filtfilt
 
 from nsde_torch.data.raw import RawRun
 from nsde_torch.recording import assemble
+from nsde_torch.sysid.by_likelihood import by_likelihood
+from nsde_torch.sysid.guard import Guarded, Objection
 from nsde_torch.sysid.in_loop import identify_in_loop
 from nsde_torch.sysid.observer import Observer
-from nsde_torch.sysid.prediction_error import by_prediction_errors
 from nsde_torch.systems import make_system
 from tests.helpers.encoders import DT, SPRING, encoder_runs
 
@@ -78,14 +80,38 @@ def test_of_two_joints_the_truth_is_held_where_physics_at_inferred_rates_misses_
     assert abs(found.values[j] - damping) < half
 
 
-def test_where_every_rate_was_measured_or_a_fit_is_not_believed_nothing_changes() -> None:
+def test_a_fit_that_simple_ones_speak_against_or_whose_states_were_smoothed_stays_as_it_is() -> None:
+    system = make_system("mass_spring_damper")
+    data = assemble(encoder_runs("sensor", runs=1), system, kind="test")
+    found = identify_in_loop(system, data.runs, likelihood=False)
+    assert found.likelihood is None
+    objection = Objection("worse", "it leaves more", "look at the columns")
+    doubted = replace(found, guard=replace(Guarded(), objections=(objection,)))
+    assert by_likelihood(doubted, system, data.runs) is doubted
+    smoothed = [replace(run, band={"q_dot": 5.0}) for run in data.runs]
+    assert by_likelihood(found, system, smoothed) is found
+
+
+def test_innovations_that_are_not_white_leave_the_values_of_the_regression_and_say_why() -> None:
+    system = make_system("mass_spring_damper")
+    data = assemble(encoder_runs("sensor", runs=2), system, kind="test")
+    b, a = butter(2, 3.0, fs=1.0 / DT)
+    slow = [replace(run, x=np.column_stack([run.x[:, 0], filtfilt(b, a, run.x[:, 1])])) for run in data.runs]
+    found = identify_in_loop(system, slow, likelihood=False)
+    kept = by_likelihood(replace(found, guard=None), system, slow)
+    assert not kept.likelihood_used
+    assert kept.values is found.values
+    said = kept.as_dict()["likelihood"]
+    assert not said["used"]
+    assert any("q_dot" in sentence for sentence in said["objections"])
+
+
+def test_without_an_interval_a_parameter_says_why() -> None:
     system = make_system("mass_spring_damper")
     data = assemble(encoder_runs("sensor", runs=1), system, kind="test")
     found = identify_in_loop(system, data.runs)
-    assert by_prediction_errors(found, system, data.runs) is found
-    inferred = assemble(encoder_runs("none", runs=1), system, kind="test")
+    assert found.likelihood_used
     lost = replace(found, converged=False)
-    assert by_prediction_errors(lost, system, inferred.runs) is lost
     assert {p["note"] for p in lost.parameters().values()} == {"no interval: the fit had not settled"}
     assert all("note" not in p for p in found.parameters().values())
 
@@ -118,16 +144,3 @@ def test_a_lag_that_lasts_longer_than_a_piece_is_remembered() -> None:
     half = found.half_widths(0.99)[j]
     assert half < 0.05
     assert abs(found.values[j] - 1.0) < half
-
-
-def test_stretches_that_are_mostly_start_leave_the_first_fit_as_it_is() -> None:
-    runs = encoder_runs("none", friction=0.0, runs=2)
-    for run in runs:
-        run.rows(np.flatnonzero(np.arange(len(run.t)) % 40 < 33))
-    system = make_system("mass_spring_damper")
-    data = assemble(runs, system, kind="test")
-    assert len(data.runs[0].segments) > 10
-    observer = Observer(system, data.runs, columns=[1], dt=DT, piece_s=0.5)
-    assert observer.share < 0.2
-    found = identify_in_loop(system, data.runs)
-    assert by_prediction_errors(found, system, data.runs) is found

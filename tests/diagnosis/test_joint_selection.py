@@ -1,0 +1,99 @@
+"""Effects selected by the joint likelihood, on machines from a simulator that shares no code with the package."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.signal import butter, filtfilt
+
+import nsde_torch
+from nsde_torch.data import Run
+from nsde_torch.diagnosis.joint_selection import JointSelection, jointly_selected
+from nsde_torch.diagnosis.options import Options
+from nsde_torch.diagnosis.search import search_in
+from nsde_torch.inference import LogLikelihood
+from nsde_torch.systems import make_system
+from tests.inference.springs import rubbing, small_runs
+
+STRIBECK = {"k": 5.06, "b": 0.5, "g": 1.0}
+"""Beside these values a Stribeck friction without a dry part explains dry and quadratic friction nearly as well."""
+
+
+def selected(runs: list[Run]) -> JointSelection | None:
+    """What is selected on a spring."""
+    system = make_system("mass_spring_damper")
+    return jointly_selected(
+        search_in(system, runs, 1.0, Options()), LogLikelihood(system, runs, run_in=True), system
+    )
+
+
+def two_frictions(seed: int, seconds: float = 8.0) -> list[Run]:
+    """A spring with dry and quadratic friction."""
+    effects = {"coulomb": {"size": 0.231}, "quadratic": {"size": 0.224}}
+    machine = replace(rubbing(0.0), values=STRIBECK, effects=effects, noise=(0.001, 0.003), gust=0.02)
+    return small_runs(machine, 4, seconds, seed=seed)
+
+
+def test_nothing_is_selected_where_nothing_is_missing() -> None:
+    found = selected(small_runs(rubbing(0.0), 3, 8.0, seed=4))
+    assert found is not None
+    assert not found.selected
+    assert max(found.screened.values()) < 3.0
+
+
+def test_two_frictions_of_one_speed_are_both_selected_with_their_sizes() -> None:
+    found = selected(two_frictions(seed=1))
+    assert found is not None
+    assert set(found.selected) == {"coulomb_friction", "quadratic_damping"}
+    known = dict(
+        zip(found.best.vector.labels, zip(found.best.theta, found.best.standard_errors, strict=True), strict=True)
+    )
+    truth = {
+        "coulomb_friction.size": 0.231,
+        "quadratic_damping.damping": 0.224,
+        "viscous_friction.damping": 0.5,
+    }
+    for name, true in truth.items():
+        value, error = known[name]
+        assert value == pytest.approx(true, abs=3.0 * error)
+        assert error < 0.2 * true
+
+
+def test_states_that_were_smoothed_are_left_to_the_regression() -> None:
+    b, a = butter(2, 3.0, fs=100.0)
+    runs = [
+        replace(run, x=np.column_stack([run.x[:, 0], filtfilt(b, a, run.x[:, 1])]))
+        for run in small_runs(rubbing(0.0), 2, 8.0, seed=2)
+    ]
+    assert selected(runs) is None
+
+
+def test_a_diagnosis_reports_the_nats_of_the_likelihood_on_folds_left_out() -> None:
+    data = nsde_torch.simulate(
+        "mass_spring_damper", effects=[{"coulomb_friction": {"size": 0.3}}], durations=[8.0] * 3, seed=5
+    )
+    found = nsde_torch.diagnose(data, system="mass_spring_damper", say=False)
+    assert found.added == ["coulomb_friction"]
+    assert found.outcome.joint
+    (effect,) = found.outcome.found
+    assert effect.trial.nats > 50.0
+    assert effect.trial.p_corrected < 1e-6
+    low, high = found.parameters["coulomb_friction.size"]["interval_90"]
+    assert high - low < 0.1
+    assert low - 0.01 < 0.3 < high + 0.01
+
+
+@pytest.mark.slow
+def test_thirty_machines_without_an_effect_stay_silent() -> None:
+    wrong = []
+    for seed in range(30):
+        rng = np.random.default_rng([7, seed])
+        values = {"k": rng.uniform(1.0, 8.0), "b": rng.uniform(0.2, 0.8), "g": 1.0}
+        noise = tuple(rng.choice([0.3, 1.0, 4.0]) * np.array([0.001, 0.003]))
+        machine = replace(rubbing(0.0), values=values, noise=noise, gust=float(rng.choice([0.0, 0.02, 0.08])))
+        found = selected(small_runs(machine, 3, 8.0, seed=100 + seed))
+        if found is None or found.selected:
+            wrong.append(seed)
+    assert len(wrong) <= 1  # of alpha 0.01 each, more is seen once in thirty times

@@ -10,10 +10,11 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from nsde_torch.diagnosis.fitted import effect_of, fitted_system
+from nsde_torch.diagnosis.fitted import effect_of, fitted_system, without_effect
 from nsde_torch.diagnosis.hidden import Hidden
+from nsde_torch.diagnosis.joint_selection import JointSelection
 from nsde_torch.diagnosis.left_over import structure_returns
-from nsde_torch.diagnosis.outcome import Found, without_effect
+from nsde_torch.diagnosis.outcome import Found
 from nsde_torch.diagnosis.rounds import Round, look
 from nsde_torch.diagnosis.screening import joined
 from nsde_torch.diagnosis.search import Base, Search
@@ -222,3 +223,33 @@ def _shared(search: Search, without: Base, own: Trial, name: str, *, among: int)
     joint.vector.write(rest, theta)
     held = tuple(joint.vector.labels[j] for j in gone)
     return fit_candidate(search, without, rest, name, among=among, held=held)
+
+
+def as_selected(search: Search, joint: JointSelection, system: System) -> tuple[Selection, Retained]:
+    """What the joint likelihood selected, as selection and elimination by the regression say it.
+
+    Args:
+        search: Data and settings.
+        joint: What was selected.
+        system: The declared physics with first values.
+    """
+    declared = search.base(system)
+    names = list(joint.selected)
+    if not names:
+        return Selection(declared, declared, [], [_round(search, declared, joint, [])], ()), Retained(
+            [], declared
+        )
+    among, found = max(len(joint.screened), 1), []
+    for name in names:
+        rest = without_effect(joint.system, declared.system, name)
+        without = declared if len(names) == 1 else search.base(rest, warm=True, like=declared.regression)
+        trial = joint.evidence(search, fit_candidate(search, without, joint.system, name, among=among))
+        found.append(Found(name, trial, joint.selected[name].ties))
+    final = search.narrower(search.base(joint.system, warm=True, like=found[-1].trial.regression))
+    first = _round(search, declared, joint, [f.trial for f in found])
+    first.chosen = found[0].trial
+    return Selection(declared, final, names, [first], ()), Retained(found, final)
+
+
+def _round(search: Search, declared: Base, joint: JointSelection, trials: list[Trial]) -> Round:
+    return Round(declared.concluded(), trials, dict(joint.screened), dict(joint.errors))

@@ -55,11 +55,11 @@ def values_of(effect: Effect) -> dict[str, float | list[float]]:
     }
 
 
-def nonlinear(regression: Regression, *, smooth: bool = True) -> NDArray[np.bool_]:
+def nonlinear(vector: ParameterVector, *, smooth: bool = True) -> NDArray[np.bool_]:
     """Parameters that say where or how fast an effect sets in, not how strong it is (k,); or not the smooth of them."""
-    out = np.zeros(len(regression.vector), dtype=bool)
-    effects = {e.name: type(e) for e in regression.vector.system.effects if isinstance(e, Effect)}
-    for j, label in enumerate(regression.vector.labels):
+    out = np.zeros(len(vector), dtype=bool)
+    effects = {e.name: type(e) for e in vector.system.effects if isinstance(e, Effect)}
+    for j, label in enumerate(vector.labels):
         effect, dot, _ = label.partition(".")
         if dot and effects[effect].amplitudes:
             others = effects[effect].amplitudes + (() if smooth else effects[effect].smooth)
@@ -145,3 +145,11 @@ def carried(vector: ParameterVector, before: Regression) -> Array:
     return np.array(
         [known.get(label, v) for label, v in zip(vector.labels, vector.start.tolist(), strict=True)]
     )
+
+
+def without_effect(system: System, declared: System, name: str) -> System:
+    """The system without an effect that was added; a declared one that it stood in for is back."""
+    left = system.without_effects(name)
+    contained = effect_class(name).includes
+    back = [e for e in declared.effects if e.name in contained and e.name not in left.effect_names]
+    return left.with_effects(*back) if back else left  # type: ignore[arg-type]

@@ -117,7 +117,7 @@ class Part:
         self._of_row = _rows_of(base.regression, base.fold)
         self._stretches = stretches(base.fold)
         self._limits = base.regression.carry_limits()
-        still = nonlinear(base.regression, smooth=False)  # shapes, in which steps are far from linear
+        still = nonlinear(base.regression.vector, smooth=False)  # shapes, in which steps are far from linear
         self._basis = free_basis(base.regression, still)
         self.terms = [RowTerm(p.row, g) for p in pushes for g in groups]
         self._few = len(self.terms) <= budgets.flexible_fine

@@ -25,15 +25,12 @@ from numpy.typing import NDArray
 from scipy.special import chdtrc
 
 from nsde_torch.diagnosis.candidates import alone, candidate_names
-from nsde_torch.diagnosis.elimination import Retained
 from nsde_torch.diagnosis.evidence import sum_error
+from nsde_torch.diagnosis.fitted import without_effect
 from nsde_torch.diagnosis.multiplicity import bonferroni, starts_of
-from nsde_torch.diagnosis.outcome import Found, without_effect
-from nsde_torch.diagnosis.rounds import Round
 from nsde_torch.diagnosis.screening import joined, starts
-from nsde_torch.diagnosis.search import Base, Search
-from nsde_torch.diagnosis.selection import Selection
-from nsde_torch.diagnosis.trials import Trial, fit_candidate
+from nsde_torch.diagnosis.search import Search
+from nsde_torch.diagnosis.trials import Trial
 from nsde_torch.effects import Effect, effect_class
 from nsde_torch.errors import NsdeError
 from nsde_torch.inference import LogLikelihood, MaximumLikelihood, Optimum, maximised
@@ -51,11 +48,12 @@ _TRIED = 3  # candidates that are fitted to the end before a round ends
 _RIVALS = 3  # candidates that are fitted in the place of an effect
 _FAR = 4.0  # standard errors of a difference beyond which a rival is not fitted: a linearised step is rough
 _PAIRED = 6  # best candidates among which pairs are looked at
-_ROUNDING = 1e-10
+_SEEN = 1e-9  # share of a column that must be left beside the others for it to be seen
+_ROUNDING = 1e-10  # of the largest eigenvalue: directions that columns hardly have
 
 
 @dataclass(frozen=True)
-class Proposal:
+class Explained:
     """What a candidate would explain.
 
     Args:
@@ -67,6 +65,7 @@ class Proposal:
         p: Chance of as much if the effect did nothing, corrected for all candidates and their starts.
         columns: Its columns in the Gram matrices: the shift of its start, then its parameters.
         blocks: `nats` by block of time (B,).
+        errors: Standard errors of what is nothing without it, by label; infinite where no row shows it.
     """
 
     name: str
@@ -77,6 +76,7 @@ class Proposal:
     p: float
     columns: tuple[int, ...]
     blocks: Array
+    errors: dict[str, float]
 
 
 @dataclass(frozen=True)
@@ -85,7 +85,7 @@ class Selected:
 
     Args:
         likelihood: Of the physics without it, fitted [nats].
-        blocks: The same by block of time, each under parameters of the other folds (B,).
+        blocks: The same by block of time (B,).
         ties: Effects that explain the data as well in its place.
     """
 
@@ -101,9 +101,10 @@ class JointSelection:
     Args:
         best: The physics with the effects, at its optimum.
         system: The same, with its values.
-        blocks: Its log likelihood by block of time, each under parameters of the other folds (B,).
+        blocks: Its log likelihood by block of time (B,).
         selected: The effects.
         screened: Nats of every candidate of the first look.
+        errors: Standard errors of its sizes, by candidate and label.
     """
 
     best: MaximumLikelihood
@@ -111,6 +112,7 @@ class JointSelection:
     blocks: Array
     selected: dict[str, Selected]
     screened: dict[str, float]
+    errors: dict[str, dict[str, float]]
 
     def evidence(self, search: Search, trial: Trial) -> Trial:
         """A trial of an effect with the evidence of the joint likelihood.
@@ -122,8 +124,9 @@ class JointSelection:
         without = self.selected[trial.name]
         count = max(trial.own.stop - trial.own.start - len(trial.held), 1)
         difference = self.blocks - without.blocks
-        nats = float(difference.sum())
-        p = float(chdtrc(count, max(2.0 * (self.best.likelihood - without.likelihood), 0.0)))
+        risen = self.best.likelihood - without.likelihood
+        nats = risen - count  # what is expected of rows left out (Akaike)
+        p = float(chdtrc(count, max(2.0 * risen, 0.0)))
         labels = [label for label in self.best.vector.labels if label.startswith(f"{trial.name}.")]
         among = max(len(self.screened), 1) * starts_of(trial.name, labels, search.longest)
         return replace(
@@ -173,14 +176,16 @@ class _JointSearch:
         self._search, self._problem, self._frequencies = search, problem, frequencies
         self._declared = set(system.effect_names)
         self._places: dict[frozenset[str], _Place] = {}
-        self._looks: dict[frozenset[str], tuple[list[Proposal], _Table]] = {}
+        self._looks: dict[frozenset[str], tuple[list[Explained], _Table]] = {}
         self._first = self._fitted(system, None)
 
     def selected(self) -> JointSelection | None:
         """See `jointly_selected`."""
         place, most = self._first, self._search.decisions.most_effects
         for count in range(most):
-            self._search.say(f"round {count + 1}: one pass over the catalogue", count, most)
+            names = candidate_names(place.system, self._search.candidates)
+            told = f"{len(names)} effect{'s' if len(names) > 1 else ''}"
+            self._search.say(f"round {count + 1}: trying {told}", count, most)
             better = self._next(place)
             if better is None:
                 break
@@ -190,8 +195,9 @@ class _JointSearch:
         place, selected = self._looked_at_again(place)
         if place.best.objections:
             return None
-        screened = {p.name: p.nats for p in self._look(self._first)[0]}
-        return JointSelection(place.best, place.system, self._left_out(place), selected, screened)
+        first = self._look(self._first)[0]
+        screened, errors = {p.name: p.nats for p in first}, {p.name: p.errors for p in first}
+        return JointSelection(place.best, place.system, place.at.blocks, selected, screened, errors)
 
     def _added(self, system: System) -> frozenset[str]:
         return frozenset(system.effect_names) - self._declared
@@ -209,13 +215,7 @@ class _JointSearch:
             self._places[added] = made
         return self._places[added]
 
-    def _left_out(self, place: _Place) -> Array:
-        """Log likelihood of each block (B,) under parameters fitted without its fold, as far as one step tells."""
-        held, chunks = place.at.grams, place.at.of.space.chunks
-        table = _Table(held, 1 + place.best.free, _folds(self._search, chunks.places()[0]))
-        return np.asarray(place.at.blocks + 0.5 * held.blocks[:, 0, 0] - table.before)
-
-    def _look(self, place: _Place) -> tuple[list[Proposal], "_Table"]:
+    def _look(self, place: _Place) -> tuple[list[Explained], "_Table"]:
         """What the catalogue would explain beside some physics."""
         names = frozenset(place.system.effect_names)
         if names not in self._looks:
@@ -250,7 +250,7 @@ class _JointSearch:
             if better is not None and exchanged < self._search.budgets.exchanges:
                 place, out, exchanged = better, {}, exchanged + 1
                 continue
-            out[name] = Selected(without.best.likelihood, self._left_out(without), tuple(alike))
+            out[name] = Selected(without.best.likelihood, without.at.blocks, tuple(alike))
         return place, out
 
     def _needed(self, name: str, place: _Place, without: _Place) -> bool:
@@ -285,13 +285,13 @@ class _JointSearch:
         return alike, None if best is None else best[1]
 
 
-def _accepted(search: Search, proposal: Proposal) -> bool:
+def _accepted(search: Search, proposal: Explained) -> bool:
     return proposal.p < search.level("effects") and proposal.nats > search.decisions.least_nats
 
 
 def _in_order(
-    search: Search, table: "_Table", accepted: Sequence[Proposal], added: Collection[str]
-) -> list[Proposal]:
+    search: Search, table: "_Table", accepted: Sequence[Explained], added: Collection[str]
+) -> list[Explained]:
     """Candidates, the best first: one of a pair that explains surely more than the best alone, then what is simpler."""
     ranked = sorted(accepted, key=lambda p: -p.rank)
     if not ranked:
@@ -316,10 +316,10 @@ def _in_order(
 
 
 def _best_pair(
-    table: "_Table", proposals: Sequence[Proposal]
-) -> tuple[float, tuple[Proposal, Proposal]] | None:
+    table: "_Table", proposals: Sequence[Explained]
+) -> tuple[float, tuple[Explained, Explained]] | None:
     """The rank of the two candidates that explain most together, and these."""
-    out: tuple[float, tuple[Proposal, Proposal]] | None = None
+    out: tuple[float, tuple[Explained, Explained]] | None = None
     for i, one in enumerate(proposals):
         for other in proposals[:i]:
             contained = {one.name, other.name} & {
@@ -342,15 +342,12 @@ class _Table:
         held: The Gram matrices.
         base: Columns of the parameters of the physics.
         fold: Fold of each block.
-
-    Attributes:
-        before: Half the squares that are left of each block by those parameters alone, fitted without its fold (B,).
     """
 
     def __init__(self, held: Grams, base: Labels, fold: Labels) -> None:
         self._held, self._base = held, base
         self._folds = [np.flatnonzero(fold == f) for f in np.unique(fold)]
-        self.before = self._left_out(self._base, self._reduced(self._base, []))[0]
+        self._before = self._left_out(self._base, self._reduced(self._base, []))[0]
 
     def price(self, parameters: int) -> float:
         """What parameters cost (Schwarz) [nats]."""
@@ -366,7 +363,18 @@ class _Table:
         blocks = self._reduced(keep, [each[0] for each in columns if each[0]])
         after, fitted, step = self._left_out(keep, blocks)
         _, before, _ = self._whole
-        return self.before - after, before - fitted, step[len(base) :]
+        return self._before - after, before - fitted, step[len(base) :]
+
+    def errors(self, own: Labels) -> Array:
+        """Standard errors of the parameters of a candidate (q,), all others free; infinite of what moves nothing."""
+        total = self._held.total
+        inner = total[np.ix_(own, own)]
+        across = total[np.ix_(self._base, own)]
+        others = np.linalg.pinv(total[np.ix_(self._base, self._base)], rcond=_ROUNDING, hermitian=True)
+        left = inner - across.T @ others @ across
+        moves = np.diag(left) > _SEEN * np.diag(inner).clip(1e-300)
+        inverse = np.linalg.pinv(left, rcond=_ROUNDING, hermitian=True)
+        return np.where(moves, np.sqrt(np.diag(inverse).clip(1e-300)), np.inf)
 
     def _reduced(self, keep: Labels, shifts: Sequence[int]) -> Array:
         """Blocks (B, 1 + q, 1 + q) of the innovations, less the shifts of starts, and of some columns."""
@@ -422,7 +430,7 @@ class _Entry:
 @torch.no_grad()
 def _catalogue(
     search: Search, place: _Place, frequencies: Sequence[float]
-) -> tuple[list[Proposal], "_Table"]:
+) -> tuple[list[Explained], "_Table"]:
     """What every candidate would explain, each from the best of its starts, the best first; and the table of these."""
     space = place.at.of.space
     everything = range(len(place.best.vector))
@@ -446,7 +454,7 @@ def _catalogue(
     held = grams(space, place.at.levels, about, place.at.at, torch.cat(tables, -1))
     owners, _ = space.chunks.places()
     table = _Table(held, 1 + place.best.free, _folds(search, owners))
-    best: dict[str, Proposal] = {}
+    best: dict[str, Explained] = {}
     longest = max(b - a for a, b in space.steps.segments)
     for entry in entries:
         for choice in _choices(entry):
@@ -508,7 +516,7 @@ def _choices(entry: _Entry) -> list[tuple[int, ...]]:
 
 def _proposed(
     search: Search, table: _Table, entry: _Entry, columns: tuple[int, ...], among: int, longest: int
-) -> Proposal | None:
+) -> Explained | None:
     """What a candidate explains, its parameters inside their bounds."""
     place = [entry.columns.index(c) - 1 for c in columns[1:]]
     free = columns
@@ -532,9 +540,21 @@ def _proposed(
     starts_tried = starts_of(entry.name, entry.labels, longest)
     system = entry.system.with_effects()
     _set(system, entry.labels, values)
+    sizes = effect_class(entry.name).amplitudes or tuple(effect_class(entry.name).null)
+    shown = [c for c, label in zip(entry.columns[1:], entry.labels, strict=True) if own_name(label) in sizes]
+    labels = [label for label in entry.labels if own_name(label) in sizes]
+    errors = dict(zip(labels, table.errors(np.array(shown, dtype=np.int64)).tolist(), strict=True))
     rank = nats - table.price(len(place) - len(entry.dropped))
-    return Proposal(
-        entry.name, system, nats, sum_error(blocks), rank, bonferroni(p, among * starts_tried), free, blocks
+    return Explained(
+        entry.name,
+        system,
+        nats,
+        sum_error(blocks),
+        rank,
+        bonferroni(p, among * starts_tried),
+        free,
+        blocks,
+        errors,
     )
 
 
@@ -548,7 +568,7 @@ def _set(system: System, labels: Sequence[str], values: Array) -> None:
         effects[effect].set_value(own, torch.tensor(column, dtype=torch.float64))
 
 
-def _far_above(better: Proposal, worse: Proposal) -> bool:
+def _far_above(better: Explained, worse: Explained) -> bool:
     """Whether one linearised step says far more than another, so that fitting both would change nothing."""
     difference = better.blocks - worse.blocks
     return float(difference.sum()) > _FAR * sum_error(difference)
@@ -569,33 +589,3 @@ def _compared(search: Search, name: str, rival: str, place: _Place, there: _Plac
     if rival in effect_class(name).includes and gained > -sure:
         return max(gained, search.decisions.least_nats)
     return gained if gained > sure else 0.0 if gained > -sure else -1.0
-
-
-def selection_of(search: Search, joint: JointSelection, system: System) -> tuple[Selection, Retained]:
-    """What the joint likelihood selected, as selection and elimination by the regression say it.
-
-    Args:
-        search: Data and settings.
-        joint: What was selected.
-        system: The declared physics with first values.
-    """
-    declared = search.base(system)
-    names = list(joint.selected)
-    if not names:
-        return Selection(declared, declared, [], [_round(search, declared, joint, [])], ()), Retained(
-            [], declared
-        )
-    among, found = max(len(joint.screened), 1), []
-    for name in names:
-        rest = without_effect(joint.system, declared.system, name)
-        without = declared if len(names) == 1 else search.base(rest, warm=True)
-        trial = joint.evidence(search, fit_candidate(search, without, joint.system, name, among=among))
-        found.append(Found(name, trial, joint.selected[name].ties))
-    final = search.base(joint.system, warm=True)
-    first = _round(search, declared, joint, [f.trial for f in found])
-    first.chosen = found[0].trial
-    return Selection(declared, final, names, [first], ()), Retained(found, final)
-
-
-def _round(search: Search, declared: Base, joint: JointSelection, trials: list[Trial]) -> Round:
-    return Round(declared.concluded(), trials, joint.screened)

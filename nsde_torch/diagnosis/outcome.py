@@ -11,14 +11,14 @@ from numpy.typing import NDArray
 from nsde_torch.diagnosis.decisions import DECISIONS, Decisions
 from nsde_torch.diagnosis.dependence import Dependence
 from nsde_torch.diagnosis.estimates import Estimate, estimated, of_identification
-from nsde_torch.diagnosis.fitted import fitted_system
+from nsde_torch.diagnosis.fitted import fitted_system, without_effect
 from nsde_torch.diagnosis.flexible_gain import FlexibleGain
 from nsde_torch.diagnosis.hidden import Hidden, lengths_of_parameters
+from nsde_torch.diagnosis.joint_selection import JointSelection
 from nsde_torch.diagnosis.regressors import Regressors
 from nsde_torch.diagnosis.rounds import Round
 from nsde_torch.diagnosis.search import Base, Search
 from nsde_torch.diagnosis.trials import Trial
-from nsde_torch.effects import effect_class
 from nsde_torch.inference.spread import Spread
 from nsde_torch.sysid.in_loop import hidden_bias, largest_bias
 from nsde_torch.sysid.loop_test import LoopTest
@@ -71,7 +71,7 @@ class Outcome:
         doubted: Whether the guard speaks against the final physics, so that nothing that was found is sure.
         decisions: What was decided by.
         beside: What a flexible model wins beside some physics of the search, as far as it was asked.
-        joint: Whether the joint likelihood selected the effects, and nothing is left.
+        joint: What the joint likelihood selected; None where the regression did.
     """
 
     verdict: Verdict
@@ -93,7 +93,7 @@ class Outcome:
     decisions: Decisions = DECISIONS
     doubted: bool = False
     beside: FlexibleGain | None = None
-    joint: bool = False
+    joint: JointSelection | None = None
 
     @cached_property
     def system(self) -> System:
@@ -135,7 +135,10 @@ class Outcome:
         """
         if self.printed is None:
             return estimated(self.final.regression, self.spread, columns, self.doubt)
-        return of_identification(self.printed, [self.final.regression.vector.labels[j] for j in columns])
+        printed = self.printed
+        if printed.instrumented is None:  # what feedback may hide is asked for when it is printed
+            printed = replace(printed, doubt=self.doubt)
+        return of_identification(printed, [self.final.regression.vector.labels[j] for j in columns])
 
     @property
     def unsettled(self) -> bool:
@@ -196,14 +199,6 @@ def undecided(
         levels=search.levels(),
         decisions=search.decisions,
     )
-
-
-def without_effect(system: System, declared: System, name: str) -> System:
-    """The system without an effect that was added; a declared one that it stood in for is back."""
-    left = system.without_effects(name)
-    contained = effect_class(name).includes
-    back = [e for e in declared.effects if e.name in contained and e.name not in left.effect_names]
-    return left.with_effects(*back) if back else left  # type: ignore[arg-type]
 
 
 def base_without(search: Search, base: Base, declared: Base, name: str) -> Base:

@@ -35,12 +35,12 @@ from nsde_torch.diagnosis.decision import (
     sized,
 )
 from nsde_torch.diagnosis.decisions import BUDGETS, DECISIONS, Budgets, Decisions
-from nsde_torch.diagnosis.elimination import eliminate
+from nsde_torch.diagnosis.elimination import as_selected, eliminate
 from nsde_torch.diagnosis.explanation import explained
 from nsde_torch.diagnosis.fitted import fitted_system
 from nsde_torch.diagnosis.gone import select
 from nsde_torch.diagnosis.inferred import at_declared, at_found, not_sure
-from nsde_torch.diagnosis.joint_selection import JointSelection, jointly_selected, selection_of
+from nsde_torch.diagnosis.joint_selection import JointSelection, jointly_selected
 from nsde_torch.diagnosis.longer_boxes import over_longer_boxes
 from nsde_torch.diagnosis.not_done import (
     CEILING,
@@ -155,9 +155,18 @@ def _diagnosed(
             partial(_read_again, log, search, outcome),
             (log, search, outcome),
         )
+    log, search, outcome = stages.attempt(
+        "the search without rows in which friction holds",
+        partial(without_standing, log, search, outcome, searched),
+        (log, search, outcome),
+    )
     guard = Guarded()
-    if not outcome.joint:
-        log, search, outcome, guard = _in_other_rows(log, search, outcome)
+    if outcome.joint is None:
+        log, search, outcome, guard = stages.attempt(
+            "the search over longer boxes",
+            partial(over_longer_boxes, log, search, outcome, searched),
+            (log, search, outcome, guard),
+        )
     course.lap("search")
     course.known(OTHER_ROWS, log, outcome, guard=guard)
     looked = outcome.final
@@ -202,20 +211,6 @@ def _diagnosed(
     )
 
 
-def _in_other_rows(log: Log, search: Search, outcome: Outcome) -> tuple[Log, Search, Outcome, Guarded]:
-    """What the regression concludes without rows in which friction holds, and over longer boxes."""
-    log, search, outcome = log.stages.attempt(
-        "the search without rows in which friction holds",
-        partial(without_standing, log, search, outcome, searched),
-        (log, search, outcome),
-    )
-    return log.stages.attempt(
-        "the search over longer boxes",
-        partial(over_longer_boxes, log, search, outcome, searched),
-        (log, search, outcome, Guarded()),
-    )
-
-
 def searched(log: Log, search: Search, before: Outcome | None = None) -> Outcome:
     """Fit the declared physics, select effects, test what is left, and decide.
 
@@ -225,9 +220,9 @@ def searched(log: Log, search: Search, before: Outcome | None = None) -> Outcome
         before: What was concluded from other rows of them, to start from; None starts from the declared physics.
     """
     search.say("fitting the declared physics", 0, 1)
-    joint = None if before is not None else _jointly(log, search)
+    joint = _jointly(log, search) if before is None else before.joint
     if joint is not None:
-        chosen, kept = selection_of(search, joint, log.system)
+        chosen, kept = as_selected(search, joint, log.system)
         log.so_far(SELECTION, log, chosen_so_far(search, chosen))
     else:
         chosen = select(search, log.system) if before is None else selected_again(search, before)
@@ -241,7 +236,7 @@ def searched(log: Log, search: Search, before: Outcome | None = None) -> Outcome
     outcome = decide(search, chosen, kept, log.feedback)
     log.so_far(TESTS, log, outcome)
     if joint is not None and not outcome.structured:
-        return replace(outcome, joint=True)
+        return replace(outcome, joint=joint)
     if any(run.band for run in log.runs):  # what a smoother did to the states looks like laws of many names
         return outcome
     return log.stages.attempt(
@@ -258,6 +253,7 @@ def _jointly(log: Log, search: Search) -> JointSelection | None:
 
     def selected() -> JointSelection | None:
         declared = search.base(log.system)
+        search.so_far(undecided(search, declared, declared))
         frequencies = [line.frequency for line in lines(declared.regression, decisions=search.decisions)]
         # of first values that are far off, what is left would pass for noise
         system = fitted_system(declared.regression)

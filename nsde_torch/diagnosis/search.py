@@ -180,7 +180,7 @@ class Search:
         """A base with another fit of the same physics to the same rows."""
         if regression is base.regression:
             return base
-        own = score(regression, base.fold, base.block, still=nonlinear(regression, smooth=False))
+        own = score(regression, base.fold, base.block, still=nonlinear(regression.vector, smooth=False))
         return Base(base.system, regression, own, base.fold, base.block)
 
     def quick(self, system: System, *, warm: bool = False) -> Regression:
@@ -231,7 +231,7 @@ class Search:
             held: Labels of parameters that stay at their first values.
             best: Its score; None works it out.
         """
-        still = nonlinear(regression, smooth=False)
+        still = nonlinear(regression.vector, smooth=False)
         best = best or score(regression, fold, block, still=still)
         for orders in (None, 0):
             models = regression.own_noises(orders)

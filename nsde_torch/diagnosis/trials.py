@@ -101,7 +101,7 @@ def fit_candidate(
     if has_frequency(name):
         regression, this = search.best_noise(regression, system, base.fold, base.block, held)
     else:
-        this = score(regression, base.fold, base.block, still=nonlinear(regression, smooth=False))
+        this = score(regression, base.fold, base.block, still=nonlinear(regression.vector, smooth=False))
     return _judged(search, base, regression, this, name, among, held)
 
 
@@ -135,7 +135,7 @@ def _judged(
     among: int,
     held: tuple[str, ...],
 ) -> Trial:
-    still = nonlinear(regression)
+    still = nonlinear(regression.vector)
     sure = regression.spread()
     labels = regression.vector.labels
     mine = regression.vector.of(name)

@@ -101,6 +101,8 @@ def grams(
         before = gain[begun - 1 : end - 1]
         inner = forward.clone()
         inner[..., observed] -= forward @ before
+        if end <= begun:
+            continue
         there = []
         for i in range(begun, end):
             moved = inner[i - begun] @ moved

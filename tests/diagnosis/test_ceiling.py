@@ -32,7 +32,9 @@ def fitted(push: Push, times: str = "") -> tuple[Flexible, Base]:
     """A flexible model of a spring with a push, which the physics knows nothing of."""
     r, variables = pushed(push, times)
     fold, block = folds(r), r.whitened_rows(r.blocks)
-    base = Base(fitted_system(r), r, score(r, fold, block, still=nonlinear(r, smooth=False)), fold, block)
+    base = Base(
+        fitted_system(r), r, score(r, fold, block, still=nonlinear(r.vector, smooth=False)), fold, block
+    )
     return flexible(base, variables, BUDGETS), base
 
 

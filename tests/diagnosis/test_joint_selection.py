@@ -48,7 +48,11 @@ def test_two_frictions_of_one_speed_are_both_selected_with_their_sizes() -> None
     assert found is not None
     assert set(found.selected) == {"coulomb_friction", "quadratic_damping"}
     known = dict(
-        zip(found.best.vector.labels, zip(found.best.theta, found.best.standard_errors, strict=True), strict=True)
+        zip(
+            found.best.vector.labels,
+            zip(found.best.theta, found.best.standard_errors, strict=True),
+            strict=True,
+        )
     )
     truth = {
         "coulomb_friction.size": 0.231,
@@ -70,13 +74,13 @@ def test_states_that_were_smoothed_are_left_to_the_regression() -> None:
     assert selected(runs) is None
 
 
-def test_a_diagnosis_reports_the_nats_of_the_likelihood_on_folds_left_out() -> None:
+def test_a_diagnosis_reports_the_nats_of_the_likelihood() -> None:
     data = nsde_torch.simulate(
         "mass_spring_damper", effects=[{"coulomb_friction": {"size": 0.3}}], durations=[8.0] * 3, seed=5
     )
     found = nsde_torch.diagnose(data, system="mass_spring_damper", say=False)
     assert found.added == ["coulomb_friction"]
-    assert found.outcome.joint
+    assert found.outcome.joint is not None
     (effect,) = found.outcome.found
     assert effect.trial.nats > 50.0
     assert effect.trial.p_corrected < 1e-6

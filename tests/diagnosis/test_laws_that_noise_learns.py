@@ -41,7 +41,9 @@ def ridge() -> Base:
     r.white = r.noises[0].whiten(r.residual[:, r.rows], r.series).T
     r.slopes = r.noises[0].whiten(r.jacobian[:, r.rows[0]], r.series)[None]
     fold, block = folds(r), r.whitened_rows(r.blocks)
-    return Base(fitted_system(r), r, score(r, fold, block, still=nonlinear(r, smooth=False)), fold, block)
+    return Base(
+        fitted_system(r), r, score(r, fold, block, still=nonlinear(r.vector, smooth=False)), fold, block
+    )
 
 
 @pytest.mark.slow
@@ -57,7 +59,9 @@ def test_a_ridge_across_a_plane_is_won_by_fine_functions_of_it() -> None:
 def test_a_variable_tells_what_is_lost_without_any_function_of_it() -> None:
     r, variables = pushed(lambda q, t, run: 0.8 * np.exp(-(((q - 0.1) / 0.15) ** 2)))
     fold, block = folds(r), r.whitened_rows(r.blocks)
-    base = Base(fitted_system(r), r, score(r, fold, block, still=nonlinear(r, smooth=False)), fold, block)
+    base = Base(
+        fitted_system(r), r, score(r, fold, block, still=nonlinear(r.vector, smooth=False)), fold, block
+    )
     found = flexible_gain(base, variables, LoopTest(), variables.decisions, BUDGETS)
     assert found.more
     assert [t.variable for t in found.telling] == ["q"]

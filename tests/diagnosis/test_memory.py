@@ -33,7 +33,9 @@ def spring() -> Found:
     """A spring with a force in one place, which the physics knows nothing of."""
     r, variables = pushed(lambda q, t, run: 0.8 * np.exp(-(((q - 0.1) / 0.15) ** 2)))
     fold, block = folds(r), r.whitened_rows(r.blocks)
-    base = Base(fitted_system(r), r, score(r, fold, block, still=nonlinear(r, smooth=False)), fold, block)
+    base = Base(
+        fitted_system(r), r, score(r, fold, block, still=nonlinear(r.vector, smooth=False)), fold, block
+    )
     return Search(r.physics.steps, box=1, alpha=0.01), base, variables
 
 

@@ -12,7 +12,15 @@ from nsde_torch.diagnosis.not_done import NotDone, OptionalStages, needed
 from nsde_torch.diagnosis.text import lines
 from nsde_torch.errors import ConfigError, DataError
 
-OPTIONAL = ("undone", "without_standing", "over_longer_boxes", "with_laws", "cross_validated", "ceiling")
+OPTIONAL = (
+    "undone",
+    "jointly_selected",
+    "without_standing",
+    "over_longer_boxes",
+    "with_laws",
+    "cross_validated",
+    "ceiling",
+)
 
 
 def test_stages_that_fail_are_told_and_cost_themselves(

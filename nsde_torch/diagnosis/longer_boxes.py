@@ -38,7 +38,7 @@ def over_longer_boxes(
         outcome: What was concluded.
         searched: What is concluded from a log by a search in it.
     """
-    guard = _guard_of(log, outcome)
+    guard = guard_of(log, outcome)
     kept = log, search, outcome, guard
     if LENGTHS_S[0] < LONGER * outcome.final.regression.dt:  # the log's own step is as long
         return kept
@@ -52,7 +52,7 @@ def over_longer_boxes(
     try:
         again = longer.search(longer.runs)
         other = searched(longer, again)
-        there = _guard_of(longer, other)
+        there = guard_of(longer, other)
     except (DataError, NonFiniteError):  # runs that are too short for them
         return kept
     if there.objections or not (other.found and other.final.regression.converged):
@@ -85,7 +85,7 @@ def _refused_over_shorter(log: Log, outcome: Outcome) -> Guarded | None:
     return None if fitted.finer is None else fitted.finer.guard
 
 
-def _guard_of(log: Log, outcome: Outcome) -> Guarded:
+def guard_of(log: Log, outcome: Outcome) -> Guarded:
     """The final physics held against simple fits."""
     regression = outcome.final.regression
     basis = regression.shown.basis

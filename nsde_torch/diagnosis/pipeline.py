@@ -41,7 +41,7 @@ from nsde_torch.diagnosis.fitted import fitted_system
 from nsde_torch.diagnosis.gone import select
 from nsde_torch.diagnosis.inferred import at_declared, at_found, not_sure
 from nsde_torch.diagnosis.joint_selection import JointSelection, jointly_selected
-from nsde_torch.diagnosis.longer_boxes import over_longer_boxes
+from nsde_torch.diagnosis.longer_boxes import guard_of, over_longer_boxes
 from nsde_torch.diagnosis.not_done import (
     CEILING,
     ERRORS,
@@ -160,13 +160,14 @@ def _diagnosed(
         partial(without_standing, log, search, outcome, searched),
         (log, search, outcome),
     )
-    guard = Guarded()
     if outcome.joint is None:
         log, search, outcome, guard = stages.attempt(
             "the search over longer boxes",
             partial(over_longer_boxes, log, search, outcome, searched),
-            (log, search, outcome, guard),
+            (log, search, outcome, Guarded()),
         )
+    else:
+        guard = stages.attempt("the comparison with simple fits", partial(guard_of, log, outcome), Guarded())
     course.lap("search")
     course.known(OTHER_ROWS, log, outcome, guard=guard)
     looked = outcome.final

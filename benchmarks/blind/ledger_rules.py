@@ -57,11 +57,6 @@ def anything(result: Any, *args: Any, **kwargs: Any) -> bool:
     return bool(result)
 
 
-def nothing(result: Any, *args: Any, **kwargs: Any) -> bool:
-    """Whether there is none."""
-    return not result
-
-
 def other_outcome(number: int) -> Function:
     """Whether a log, a search and an outcome hold another outcome than the arguments do."""
     return lambda result, *args, **kwargs: result[2] is not args[number]
@@ -164,14 +159,6 @@ def _noise_as_it_is(
     module = import_module("nsde_torch.diagnosis.search")
     still = module.nonlinear(regression, smooth=False)
     return regression, best or module.score(regression, fold, block, still=still)
-
-
-_REPLAYED = "predictions of the"
-
-
-def _without_replay(original: Function, errors: Any, effect: str) -> str:
-    said = str(original(errors, effect))
-    return "" if said.startswith(_REPLAYED) else said
 
 
 def _kinds_kept(original: Function, search: Any, system: Any, like: Any) -> Any:
@@ -304,13 +291,6 @@ RULES = (
         marked(0),
     ),
     Rule(
-        "replayed errors",
-        "predictions under exogenous inputs that got worse speak against all effects",
-        ("cross_validation.HeldOut.against",),
-        _without_replay,
-        lambda result, *args: result.startswith(_REPLAYED),
-    ),
-    Rule(
         "not_sure",
         "nothing is sure where rates of several coordinates were inferred",
         ("pipeline.not_sure",),
@@ -404,13 +384,6 @@ RULES = (
         anything,
     ),
     Rule(
-        "_better_start",
-        "an effect is fitted again from the shape that a wider one has found",
-        ("selection._better_start",),
-        constant(None),
-        anything,
-    ),
-    Rule(
         "below_a_step",
         "a time shorter than a step joins what is declared",
         ("selection.below_a_step",),
@@ -423,13 +396,6 @@ RULES = (
         ("trials._shorter_than_a_step",),
         constant(False),
         anything,
-    ),
-    Rule(
-        "_comes_back",
-        "a sinusoid slower than a run is none",
-        ("trials._comes_back",),
-        constant(True),
-        nothing,
     ),
     Rule(
         "adds_nothing",
@@ -542,13 +508,6 @@ RULES = (
         ("beyond_catalogue._of_a_flexible_model",),
         constant(None),
         anything,
-    ),
-    Rule(
-        "flexible gain without its best fold",
-        "a flexible model that wins in one fold alone wins nothing",
-        ("flexible_gain._without_the_best",),
-        constant(inf),
-        lambda result, *args: result <= 0.0,
     ),
     Rule(
         "laws run by run",

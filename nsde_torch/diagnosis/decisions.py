@@ -75,9 +75,6 @@ class Decisions:
     wider_nats: float = key(
         2.0, "nats by which two effects must be better than one that contains one of them", unit="nat"
     )
-    restart_nats: float = key(
-        2.0, "nats by which an effect fitted again from another's shape must be better to stay so", unit="nat"
-    )
     part_share: float = key(
         0.01,
         "share of the push of an effect below which what it has beside a simpler one is nothing",

@@ -125,9 +125,6 @@ class Decisions:
     replay_finite_share: float = key(
         0.9, "share of open-loop predictions that must stay finite for a horizon to be told", high=1
     )
-    replay_worse_share: float = key(
-        0.5, "share of horizons surely worse above which a quantity is (exogenous inputs alone)", high=1
-    )
 
     # ---- specification tests ----------------------------------------------------------------------------
     odd_run_fewest: int = key(3, "fewest runs of which one can be the odd one", low=2)

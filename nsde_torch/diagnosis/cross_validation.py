@@ -9,8 +9,7 @@ resampling blocks of time (evaluation.bootstrap):
   out in turn too, so that it is judged by what it brings itself, on the channels that it moves;
 - errors of open-loop predictions from every quarter of a second, inputs replayed from the log. In a closed loop these
   inputs answer the disturbances of the very time that is predicted: physics that is right about causes may err more
-  than physics that has learned the controller. They are told, and judge nothing unless inputs are known to be
-  exogenous (`judges_replay`).
+  than physics that has learned the controller. They are reported, and judge nothing.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -47,15 +46,6 @@ REPLAYED = "replayed"
 _NO_PREDICTIONS: dict[str, Any] = {"horizons_s": [], "before": {}, "after": {}, "ratio": {}}
 
 
-def judges_replay(closed_loop: bool | None) -> bool:
-    """Whether errors of predictions under replayed inputs may judge an effect: only where inputs are exogenous.
-
-    Args:
-        closed_loop: Whether inputs answer the state; None: not known, which counts as closed.
-    """
-    return closed_loop is False
-
-
 @dataclass(frozen=True)
 class HeldOut:
     """How two physics do on runs left out.
@@ -66,41 +56,22 @@ class HeldOut:
         whole_runs: Whether whole runs were left out; else the last part of the only one.
         runs: Names of the runs that errors were measured on.
         own: By effect: what it brings itself.
-        closed_loop: Whether inputs answer the state; None: not known.
         inputs: Whether the inputs are what acted, and not restored from an average. Those know the future, and the
             density of a step given them says nothing of causes: the residual alone judges.
-        decisions: At how many horizons a quantity has to be worse.
     """
 
     content: dict[str, Any]
     whole_runs: bool
     runs: tuple[str, ...]
     own: Mapping[str, Own] = field(default_factory=dict)
-    closed_loop: bool | None = None
     inputs: bool = True
-    decisions: Decisions = DECISIONS
-
-    @property
-    def worse(self) -> list[str]:
-        """Quantities that are surely predicted worse with the effects, at most horizons (`decisions`)."""
-        low = self.content.get("difference", {}).get("low_90", {})
-        return [
-            name
-            for name, of_horizon in low.items()
-            if sum(v is not None and v > 0 for v in of_horizon.values())
-            > self.decisions.replay_worse_share * len(of_horizon)
-        ]
 
     def against(self, effect: str) -> str:
         """What runs left out say against an effect that was found, in words; empty if nothing."""
         mine = self.own.get(effect)
-        if mine is not None:
-            against = mine.against if self.inputs else mine.against_by_residual
-            if against:
-                return against
-        if judges_replay(self.closed_loop) and self.worse:
-            return f"predictions of the {' and '.join(self.worse)} on runs left out are worse with what was found"
-        return ""
+        if mine is None:
+            return ""
+        return mine.against if self.inputs else mine.against_by_residual
 
 
 def split(runs: Sequence[Run], decisions: Decisions = DECISIONS) -> list[tuple[list[Run], list[Run]]]:
@@ -199,7 +170,7 @@ def held_out(
             )
             if mine is not None:
                 brought[effect] = mine
-    return HeldOut(content, len(runs) > 1, tuple(names), brought, closed_loop, inputs, decisions)
+    return HeldOut(content, len(runs) > 1, tuple(names), brought, inputs)
 
 
 def cross_validated(
@@ -233,7 +204,7 @@ def none_held_out(log: Log, closed_loop: bool | None) -> HeldOut:
     """What is known where nothing was measured on runs left out."""
     content = _NO_PREDICTIONS | _of_steps(closed_loop)
     inputs = not log.recorded.inputs_restored
-    return HeldOut(content, len(log.runs) > 1, (), {}, closed_loop, inputs, log.decisions)
+    return HeldOut(content, len(log.runs) > 1, (), {}, inputs)
 
 
 def _of_steps(closed_loop: bool | None) -> dict[str, Any]:

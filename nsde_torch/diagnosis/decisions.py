@@ -75,9 +75,6 @@ class Decisions:
     wider_nats: float = key(
         2.0, "nats by which two effects must be better than one that contains one of them", unit="nat"
     )
-    restart_nats: float = key(
-        2.0, "nats by which an effect fitted again from another's shape must be better to stay so", unit="nat"
-    )
     part_share: float = key(
         0.01,
         "share of the push of an effect below which what it has beside a simpler one is nothing",
@@ -127,9 +124,6 @@ class Decisions:
     replay_block: float = key(4.0, "blocks of time for errors of open-loop predictions", unit="s", above=0)
     replay_finite_share: float = key(
         0.9, "share of open-loop predictions that must stay finite for a horizon to be told", high=1
-    )
-    replay_worse_share: float = key(
-        0.5, "share of horizons surely worse above which a quantity is (exogenous inputs alone)", high=1
     )
 
     # ---- specification tests ----------------------------------------------------------------------------

@@ -90,7 +90,7 @@ def flexible_gain(
     }
     left = gains[:, [name in by_channel for name in model.names]].sum(1)
     p = _chance(left, base)
-    more = p < decisions.flexible_alpha and _without_the_best(left, base) > 0
+    more = p < decisions.flexible_alpha
     telling = _telling(model, decisions) if more else ()
     return FlexibleGain(base, model, gains, left, p, more, by_channel, telling)
 
@@ -107,12 +107,6 @@ def _chance(gain: Array, base: Base) -> float:
     second = len(folds) * float(np.exp(-max(folds[-2], 0.0))) if len(folds) > 1 else 1.0
     of_block = np.bincount(base.block, weights=gain).astype(np.float64)
     return min(1.0, 2.0 * min(by_blocks(of_block), second))
-
-
-def _without_the_best(gain: Array, base: Base) -> float:
-    """The gain without the fold that says most."""
-    folds = np.bincount(base.fold, weights=gain)
-    return float(folds.sum() - folds.max())
 
 
 def _telling(found: Flexible, decisions: Decisions) -> tuple[Telling, ...]:

@@ -95,8 +95,8 @@ def diagnose(
         data: The data set.
         runs: Its runs to look at.
         options: Settings.
-        closed_loop: Whether inputs answer the state; None asks the test of feedback. Where it is not False, errors
-            under replayed inputs judge no effect.
+        closed_loop: Whether inputs answer the state, which is reported beside errors under replayed inputs; None asks
+            the test of feedback.
         decisions: What is decided by, but for alpha and the most effects, which the options give.
         budgets: How much is tried.
         say: Told stage, number done and number in all.

@@ -10,10 +10,9 @@ it makes other effects look likely. Where it explains more than any of them, it 
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from nsde_torch.diagnosis.fitted import effect_of, fitted_system, moved_channels, values_of
+from nsde_torch.diagnosis.fitted import effect_of, moved_channels
 from nsde_torch.diagnosis.outcome import Found, Outcome, undecided
 from nsde_torch.diagnosis.rounds import Round, look
-from nsde_torch.diagnosis.screening import joined
 from nsde_torch.diagnosis.search import Base, Search
 from nsde_torch.diagnosis.trials import Trial, accept, below_a_step, something_is_missing
 from nsde_torch.effects import effect_class
@@ -56,7 +55,6 @@ def forward_selection(
     if after is not None:
         base, rounds, aside = final or after.final, [*after.rounds], [*after.aside]
         names = [n for n in base.system.effect_names if n not in declared.system.effect_names]
-    lent: set[str] = set()
     while len(names) < search.decisions.most_effects:
         now = look(search, base, called=f"round {len(rounds) + 1}")
         exact = base.regression.arithmetic
@@ -67,15 +65,8 @@ def forward_selection(
             with_it = declared.system.with_effects(effect_of(base.system, short.name))
             declared = search.base(with_it, warm=True, like=declared.regression) if names else base
             continue
-        chosen = None if exact else choice(search, now.trials, names)
-        if chosen is not None and chosen.name not in lent:
-            lent.add(chosen.name)
-            better = _better_start(search, base, chosen, names)
-            if better is not None:
-                base = better
-                continue
         rounds.append(now)
-        now.chosen = chosen
+        now.chosen = None if exact else choice(search, now.trials, names)
         if now.chosen is None:
             break
         replaced = effect_class(now.chosen.name).includes
@@ -125,27 +116,3 @@ def choice(search: Search, trials: Sequence[Trial], added: Sequence[str]) -> Tri
         t for t in accepted if set(effect_class(t.name).includes) & set(added) and best.nats < t.nats + price
     ]
     return wider[0] if wider else best
-
-
-def _better_start(search: Search, base: Base, chosen: Trial, names: Sequence[str]) -> Base | None:
-    """The physics whose effects, which `chosen` contains, are fitted from its shapes; None if that is no better.
-
-    What contains an effect may seem better only because the effect was stuck beside its own optimum.
-    """
-    best = base
-    for name in effect_class(chosen.name).includes:
-        if name in names:
-            other = _reshaped(search, base, name, chosen)
-            if other.score.fitted > best.score.fitted + search.decisions.restart_nats:
-                best = other
-    return None if best is base else best
-
-
-def _reshaped(search: Search, base: Base, name: str, like: Trial) -> Base:
-    """The physics with one of its effects fitted again from the shapes that another one of its kind has found."""
-    system = base.system
-    own, other = (effect_of(s, n) for s, n in ((system, name), (fitted_system(like.regression), like.name)))
-    lent = {k: v for k, v in values_of(other).items() if k in type(own).shapes}
-    start = {**values_of(own), **lent}
-    again = joined(system.without_effects(name), name, start)
-    return search.base(again, warm=True, like=base.regression)

@@ -179,20 +179,13 @@ def accept(search: Search, trial: Trial) -> bool:
     That anything is missing is decided at the level of the stage (`something_is_missing`). Of candidates that explain
     alike one may be there and another not by a hair: they are asked for alpha alone.
     """
-    return (
-        _beyond_chance(search, trial)
-        and not _shorter_than_a_step(search, trial)
-        and _comes_back(search, trial)
-        and not trial.nothing
-    )
+    return _beyond_chance(search, trial) and not _shorter_than_a_step(search, trial) and not trial.nothing
 
 
 def below_a_step(search: Search, trials: Sequence[Trial]) -> Trial | None:
     """The candidate that explains most, if it is a time shorter than a step: there, but nothing to name."""
     level = search.level("effects")
-    sure = [
-        t for t in trials if t.p_corrected < level and _beyond_chance(search, t) and _comes_back(search, t)
-    ]
+    sure = [t for t in trials if t.p_corrected < level and _beyond_chance(search, t)]
     best = max(sure, key=lambda t: t.nats, default=None)
     return best if best is not None and _shorter_than_a_step(search, best) else None
 
@@ -207,11 +200,3 @@ def _shorter_than_a_step(search: Search, trial: Trial) -> bool:
     own = range(len(vector))[trial.own]
     times = [j for j in own if vector.moves_memory[j] and vector.units[j] == "s"]
     return any(theta[j] < search.decisions.resolution * search.steps.dt for j in times)
-
-
-def _comes_back(search: Search, trial: Trial) -> bool:
-    """Whether a sinusoid comes back within a run; what is slower than a run is long is none."""
-    vector, theta = trial.regression.vector, trial.regression.theta
-    longest = search.longest * search.steps.dt
-    frequencies = [j for j in range(len(vector))[trial.own] if vector.units[j] == "Hz"]
-    return all(theta[j] * longest >= search.decisions.least_periods for j in frequencies)

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from nsde_torch.data import Run
-from nsde_torch.diagnosis.cross_validation import HeldOut, held_out, judges_replay
+from nsde_torch.diagnosis.cross_validation import HeldOut, held_out
 from nsde_torch.diagnosis.decision import provisional_reason
 from nsde_torch.diagnosis.dependence import Dependence
 from nsde_torch.diagnosis.fitted import moved_channels
@@ -154,23 +154,19 @@ def test_runs_too_short_for_a_mean_rate_have_no_residual() -> None:
     assert not mine.larger
 
 
-def replay(closed_loop: bool | None, *, gain: float = 5.0, inputs: bool = True) -> HeldOut:
+def replay(*, gain: float = 5.0, inputs: bool = True) -> HeldOut:
     """Predictions of positions are surely worse; the yaw, which the effect moves, gains."""
     worse = {"difference": {"low_90": {"position": {"0.5": 0.1, "1": 0.2}, "rate": {"0.5": -0.1, "1": -0.1}}}}
     cell: dict[str, float | None] = {"nats": gain, "low_90": gain - 1.0, "high_90": gain + 1.0}
     mine = Own(gain, gain - 1.0, gain + 1.0, {"w_z": cell}, {"w_z": 0.6}, larger=False)
-    return HeldOut(worse, True, ("a", "b"), {"angular_damping": mine}, closed_loop, inputs)
+    return HeldOut(worse, True, ("a", "b"), {"angular_damping": mine}, inputs)
 
 
-def test_predictions_under_replayed_inputs_judge_only_where_inputs_are_exogenous() -> None:
-    assert [judges_replay(c) for c in (None, True, False)] == [False, False, True]
-    for closed_loop in (None, True):
-        assert replay(closed_loop).worse == ["position"]
-        assert replay(closed_loop).against("angular_damping") == ""
-    assert "position" in replay(False).against("angular_damping")
-    assert "w_z" in replay(True, gain=-2.0).against("angular_damping")
+def test_single_steps_judge_an_effect_and_predictions_under_replayed_inputs_do_not() -> None:
+    assert replay().against("angular_damping") == ""
+    assert "w_z" in replay(gain=-2.0).against("angular_damping")
     # inputs that were restored from an average know the future: the residual judges, and it is smaller
-    assert replay(None, gain=-2.0, inputs=False).against("angular_damping") == ""
+    assert replay(gain=-2.0, inputs=False).against("angular_damping") == ""
 
 
 def test_structure_that_is_left_where_an_effect_does_not_act_does_not_make_it_a_lead() -> None:

@@ -1,0 +1,594 @@
+"""Rules of a diagnosis that rewrite an outcome, and how each is switched off (`ledger`).
+
+A rule is switched off by what replaces names of modules at run time, so that the package has no switches of its own. A
+replacement takes the function that was there and its arguments. A rule fires where its result is not what would be
+there without it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from importlib import import_module
+from math import inf
+from types import SimpleNamespace
+from typing import Any
+
+Function = Callable[..., Any]
+
+
+@dataclass(frozen=True)
+class Rule:
+    """A rule that rewrites an outcome.
+
+    Args:
+        name: What it is called.
+        purpose: What it is for.
+        where: Names that it has in modules of `nsde_torch.diagnosis`, `module.name` or `module.Class.name`.
+        off: What is there without it, by the function itself and its arguments.
+        fires: Whether a result, with the arguments, is not what would be there without the rule.
+    """
+
+    name: str
+    purpose: str
+    where: tuple[str, ...]
+    off: Function
+    fires: Function
+
+
+def constant(value: Any) -> Function:
+    """A function of this value, whatever its arguments."""
+    return lambda original, *args, **kwargs: value
+
+
+def argument(number: int) -> Function:
+    """A function that returns one of its arguments."""
+    return lambda original, *args, **kwargs: args[number]
+
+
+def arguments(*numbers: int) -> Function:
+    """A function that returns some of its arguments."""
+    return lambda original, *args, **kwargs: tuple(args[n] for n in numbers)
+
+
+def anything(result: Any, *args: Any, **kwargs: Any) -> bool:
+    """Whether there is a result: not None, empty or False."""
+    return bool(result)
+
+
+def other_outcome(number: int) -> Function:
+    """Whether a log, a search and an outcome hold another outcome than the arguments do."""
+    return lambda result, *args, **kwargs: result[2] is not args[number]
+
+
+def other_than(number: int) -> Function:
+    """Whether the result is another object than one of the arguments."""
+    return lambda result, *args, **kwargs: result is not args[number]
+
+
+def marked(number: int) -> Function:
+    """Whether a finding became a lead for this reason, or the verdict another."""
+
+    def fires(result: Any, *args: Any, **kwargs: Any) -> bool:
+        before = args[number]
+        pairs = zip(result.found, before.found, strict=True)
+        return result.verdict != before.verdict or any(a.provisional != b.provisional for a, b in pairs)
+
+    return fires
+
+
+def _names(found: Sequence[Any]) -> list[str]:
+    return [f.name for f in found]
+
+
+# ---- rules whose neutral form takes more than a constant ------------------------------------------------
+
+
+def _usual_boxes(original: Function, log: Any, search: Any, outcome: Any, searched: Function) -> Any:
+    return log, search, outcome, import_module("nsde_torch.diagnosis.longer_boxes")._guard_of(log, outcome)
+
+
+def _nothing_set_aside(original: Function, search: Any, chosen: Any, kept: Any, feedback: Any) -> Any:
+    return replace(kept, feedback=feedback.test(kept.final.regression))
+
+
+def _no_second_look(original: Function, search: Any, chosen: Any, **also: Any) -> Any:
+    kept = original(search, chosen, **also)
+    if _names(kept.found) == chosen.names:
+        return kept
+    trials = {one.chosen.name: one.chosen for one in chosen.rounds if one.chosen is not None}
+    found_class = import_module("nsde_torch.diagnosis.outcome").Found
+    found = [found_class(name, trials[name], ()) for name in chosen.names if name in trials]
+    return replace(kept, found=found, final=chosen.final)
+
+
+def _as_it_was(original: Function, search: Any, chosen: Any, **also: Any) -> Any:
+    return SimpleNamespace(found=[SimpleNamespace(name=name) for name in chosen.names])
+
+
+def _all_that_counts(original: Function, search: Any, *rest: Any) -> Any:
+    there = search.decisions
+    search.decisions = replace(there, negligible_share=0.0)
+    try:
+        return original(search, *rest)
+    finally:
+        search.decisions = there
+
+
+def _chosen(search: Any, trials: Sequence[Any], added: Sequence[str], *, simpler: bool, wider: bool) -> Any:
+    """`selection.choice` with one of its two preferences."""
+    module = import_module("nsde_torch.diagnosis.selection")
+    if not module.something_is_missing(search, trials):
+        return None
+    accepted = [t for t in trials if module.accept(search, t)]
+    best = accepted[0]
+    parts = [t for t in accepted if simpler and t.name in module.effect_class(best.name).includes]
+    if parts:
+        return parts[0]
+    price = search.decisions.wider_nats
+    whole = [
+        t
+        for t in accepted
+        if wider and set(module.effect_class(t.name).includes) & set(added) and best.nats < t.nats + price
+    ]
+    return whole[0] if whole else best
+
+
+def _choice_without(**kept: bool) -> tuple[Function, Function]:
+    def off(original: Function, *args: Any) -> Any:
+        return _chosen(*args, **kept)
+
+    def fires(result: Any, *args: Any) -> bool:
+        other = _chosen(*args, **kept)
+        return (None if result is None else result.name) != (None if other is None else other.name)
+
+    return off, fires
+
+
+def _noise_as_it_is(
+    original: Function,
+    search: Any,
+    regression: Any,
+    system: Any,
+    fold: Any,
+    block: Any,
+    held: Any,
+    best: Any = None,
+) -> Any:
+    module = import_module("nsde_torch.diagnosis.search")
+    still = module.nonlinear(regression, smooth=False)
+    return regression, best or module.score(regression, fold, block, still=still)
+
+
+def _kinds_kept(original: Function, search: Any, system: Any, like: Any) -> Any:
+    there = search.decisions
+    search.decisions = replace(there, noise_kind_nats=inf)
+    try:
+        return original(search, system, like)
+    finally:
+        search.decisions = there
+
+
+def _other_kinds(result: Any, search: Any, system: Any, like: Any) -> bool:
+    def kinds(regression: Any) -> list[tuple[int, bool]]:
+        return [(len(noise.reflection), noise.carry > 0) for noise in regression.noises]
+
+    return kinds(result) != kinds(like)
+
+
+def _other_order(result: Any, trials: Sequence[Any], *rest: Any) -> bool:
+    return _names(result) != _names(trials)
+
+
+def _dropped(result: Any, search: Any, chosen: Any, **also: Any) -> bool:
+    return _names(result.found) != chosen.names
+
+
+def _fewer(number: int) -> Function:
+    return lambda result, *args, **kwargs: _names(result.found) != _names(args[number].found)
+
+
+def _declared_again(result: Any, search: Any, chosen: Any, kept: Any, feedback: Any) -> bool:
+    return bool(kept.found) and not result.found
+
+
+def _other_trial(result: Any, found: Any, before: Any) -> bool:
+    return bool(result.ties != found.ties or result.trial is not found.trial)
+
+
+def _other_chances(result: Any, tests: Sequence[Any]) -> bool:
+    return any(a.p != b.p for a, b in zip(result, tests, strict=True))
+
+
+_WIDER, _SIMPLER = _choice_without(simpler=True, wider=False), _choice_without(simpler=False, wider=True)
+
+RULES = (
+    # ---- of the whole log
+    Rule(
+        "at_found",
+        "rates that no sensor measured are inferred anew with what was found",
+        ("pipeline.at_found",),
+        arguments(0, 1, 2),
+        other_outcome(2),
+    ),
+    Rule(
+        "late sensor",
+        "a sensor that is late as a whole explains what effects were named for",
+        ("pipeline._read_again",),
+        arguments(0, 1, 2),
+        other_outcome(2),
+    ),
+    Rule(
+        "without_standing",
+        "rows in which friction holds the machine are left out",
+        ("pipeline.without_standing",),
+        arguments(0, 1, 2),
+        other_outcome(2),
+    ),
+    Rule(
+        "standing: mostly stands",
+        "of a machine that mostly stands, what is not found where it moves is a lead",
+        ("standing._held",),
+        argument(0),
+        marked(0),
+    ),
+    Rule(
+        "standing: ties of all rows",
+        "what explained all rows as well stays tied, and dry friction keeps its trial",
+        ("standing._as_before",),
+        argument(0),
+        _other_trial,
+    ),
+    Rule(
+        "over_longer_boxes",
+        "the search over longer boxes, where the guard believes only these",
+        ("pipeline.over_longer_boxes",),
+        _usual_boxes,
+        other_outcome(2),
+    ),
+    Rule(
+        "longer boxes: nothing lost",
+        "a search over longer boxes that lost an effect is not taken",
+        ("longer_boxes._lost",),
+        constant(False),
+        anything,
+    ),
+    Rule(
+        "valued",
+        "values are fitted at states that are smoothed less",
+        ("search.Search.valued",),
+        argument(1),
+        other_than(1),
+    ),
+    # ---- findings that become leads, and the verdict
+    Rule(
+        "beside_gains_at_nothing",
+        "what acts on inputs beside a gain that a closed loop hides is a lead",
+        ("pipeline.beside_gains_at_nothing",),
+        argument(0),
+        marked(0),
+    ),
+    Rule(
+        "doubted",
+        "nothing is sure where simple fits speak against the final physics",
+        ("pipeline.doubted",),
+        argument(0),
+        marked(0),
+    ),
+    Rule(
+        "sized",
+        "an effect whose interval holds nothing is a lead",
+        ("pipeline.sized",),
+        argument(0),
+        marked(0),
+    ),
+    Rule(
+        "judged_on_runs_left_out",
+        "an effect that runs left out speak against is a lead",
+        ("pipeline.judged_on_runs_left_out",),
+        argument(0),
+        marked(0),
+    ),
+    Rule(
+        "not_sure",
+        "nothing is sure where rates of several coordinates were inferred",
+        ("pipeline.not_sure",),
+        argument(1),
+        marked(1),
+    ),
+    Rule(
+        "judged_by_the_ceiling",
+        "what a flexible model wins is structure: leads, and the verdict",
+        ("pipeline.judged_by_the_ceiling",),
+        argument(0),
+        marked(0),
+    ),
+    Rule(
+        "structure where it acts",
+        "an effect is a lead where much is left in its channels",
+        ("decision._too_much",),
+        constant(False),
+        anything,
+    ),
+    Rule(
+        "two laws of one variable",
+        "two laws of one quantity are leads",
+        ("decision.of_one_variable",),
+        constant(False),
+        anything,
+    ),
+    Rule(
+        "bent shape",
+        "an effect whose shape ends at a bound is a lead",
+        ("decision._bent",),
+        constant(""),
+        anything,
+    ),
+    Rule(
+        "a law of many",
+        "a law is a lead beside other laws, or where inputs know more than the log",
+        ("decision._of_many",),
+        constant(""),
+        anything,
+    ),
+    Rule(
+        "negligible beside what is left",
+        "effects that bring next to nothing of what is left are none",
+        ("pipeline.decide", "beyond_catalogue.decide"),
+        _all_that_counts,
+        _declared_again,
+    ),
+    Rule(
+        "tests beyond feedback",
+        "what feedback may hide is no structure",
+        ("decision.allowances_of_tests",),
+        constant({}),
+        anything,
+    ),
+    # ---- feedback
+    Rule(
+        "set_aside",
+        "effects that explain no more than feedback may hide are not named",
+        ("pipeline.set_aside", "beyond_catalogue.set_aside"),
+        _nothing_set_aside,
+        _fewer(2),
+    ),
+    Rule(
+        "set_aside: looked at again",
+        "what was set aside is looked at again in the place of what stayed",
+        ("decision.eliminate",),
+        _as_it_was,
+        _dropped,
+    ),
+    Rule(
+        "select (gone)",
+        "selection from first values of gains that went to nothing",
+        ("gone._from_first_values",),
+        constant(None),
+        anything,
+    ),
+    # ---- selection
+    Rule(
+        "eliminate",
+        "each effect is looked at again beside the others: dropped or exchanged",
+        ("pipeline.eliminate", "beyond_catalogue.eliminate"),
+        _no_second_look,
+        _dropped,
+    ),
+    Rule(
+        "_learned_by_noise",
+        "an effect stays that the noise model without it has learned",
+        ("elimination._learned_by_noise",),
+        constant(False),
+        anything,
+    ),
+    Rule(
+        "below_a_step",
+        "a time shorter than a step joins what is declared",
+        ("selection.below_a_step",),
+        constant(None),
+        anything,
+    ),
+    Rule(
+        "shorter than a step",
+        "a time shorter than half a step is not named",
+        ("trials._shorter_than_a_step",),
+        constant(False),
+        anything,
+    ),
+    Rule(
+        "adds_nothing",
+        "an effect that is nearly a simpler one is not named",
+        ("trials.adds_nothing",),
+        constant(False),
+        anything,
+    ),
+    Rule(
+        "simplest_first",
+        "what contains a simpler effect stands behind it unless surely better",
+        ("rounds.simplest_first",),
+        lambda original, trials, *rest: list(trials),
+        _other_order,
+    ),
+    Rule(
+        "choice: the simpler",
+        "of a candidate and one that it contains, the simpler is chosen",
+        ("selection.choice", "gone.choice"),
+        *_SIMPLER,
+    ),
+    Rule(
+        "choice: price for wider",
+        "one effect in the place of another goes before a second effect",
+        ("selection.choice", "gone.choice"),
+        *_WIDER,
+    ),
+    Rule(
+        "_in_part",
+        "effects that explain as much beside a part of what was found are ties",
+        ("elimination._in_part",),
+        constant([]),
+        anything,
+    ),
+    Rule(
+        "_by_two",
+        "pairs that explain as much as a wider effect are ties",
+        ("elimination._by_two",),
+        constant([]),
+        anything,
+    ),
+    Rule(
+        "narrower",
+        "shapes narrower than the search has them",
+        ("search.narrower",),
+        argument(0),
+        other_than(0),
+    ),
+    # ---- noise models
+    Rule(
+        "best_noise",
+        "noise models of the kind that suits the residuals",
+        ("search.Search.best_noise",),
+        _noise_as_it_is,
+        lambda result, search, regression, *rest: result[0] is not regression,
+    ),
+    Rule(
+        "finished",
+        "the best candidates get noise models of their own",
+        ("rounds.finished",),
+        argument(2),
+        other_than(2),
+    ),
+    Rule(
+        "beside",
+        "on runs left out a channel gets another kind of noise where it needs one",
+        ("search.Search.beside",),
+        _kinds_kept,
+        _other_kinds,
+    ),
+    Rule(
+        "NoiseModels.without",
+        "tests look under a noise model that has not learned the dependence",
+        ("noise_models.NoiseModels.without",),
+        constant(None),
+        lambda result, *args, **kwargs: result is not None,
+    ),
+    Rule(
+        "own_of_runs",
+        "one run's own dependence counts only where nothing in all runs explains more",
+        ("specification.own_of_runs",),
+        lambda original, tests: list(tests),
+        _other_chances,
+    ),
+    # ---- laws beyond the catalogue
+    Rule(
+        "imitation",
+        "laws are tried in the place of an effect that a term outdoes",
+        ("beyond_catalogue.a_law_is_nearer",),
+        constant(False),
+        anything,
+    ),
+    Rule(
+        "laws for bent shapes",
+        "laws are tried in the place of an effect whose shape ends at a bound",
+        ("beyond_catalogue.bent_shape",),
+        constant(""),
+        anything,
+    ),
+    Rule(
+        "laws for two of one variable",
+        "laws are tried in the place of two laws of one quantity",
+        ("beyond_catalogue.of_one_variable",),
+        constant(False),
+        anything,
+    ),
+    Rule(
+        "laws led by a flexible model",
+        "laws are made of what a flexible model needs, where tests bring none",
+        ("beyond_catalogue._of_a_flexible_model",),
+        constant(None),
+        anything,
+    ),
+    Rule(
+        "laws run by run",
+        "a law has to be there run by run",
+        ("trials.by_runs",),
+        constant(inf),
+        lambda result, *args, **kwargs: result < 0.01,
+    ),
+    Rule(
+        "_stable",
+        "a law that is not chosen again in halves of the runs is taken out",
+        ("beyond_catalogue._stable",),
+        argument(2),
+        other_than(2),
+    ),
+    Rule(
+        "named_by_the_catalogue",
+        "a law that is an effect of the catalogue takes its name",
+        ("beyond_catalogue.named_by_the_catalogue",),
+        argument(2),
+        other_than(2),
+    ),
+    # ---- estimates
+    Rule(
+        "errors of predictions",
+        "where rates are inferred, estimates by prediction errors are printed",
+        ("pipeline._identified",),
+        lambda original, log, outcome: (outcome, None),
+        lambda result, log, outcome: result[0] is not outcome,
+    ),
+)
+
+
+def _holder(where: str) -> tuple[Any, str]:
+    """The module or class that has a name of a rule, and the name within it."""
+    module, *path = where.split(".")
+    out = import_module(f"nsde_torch.diagnosis.{module}")
+    for part in path[:-1]:
+        out = getattr(out, part)
+    return out, path[-1]
+
+
+@contextmanager
+def counted(fired: dict[str, int]) -> Iterator[None]:
+    """Counts how often each rule fires."""
+
+    def wrapped(rule: Rule, original: Function) -> Function:
+        def run(*args: Any, **kwargs: Any) -> Any:
+            result = original(*args, **kwargs)
+            if rule.fires(result, *args, **kwargs):
+                fired[rule.name] = fired.get(rule.name, 0) + 1
+            return result
+
+        return run
+
+    with _replaced(RULES, wrapped):
+        yield
+
+
+@contextmanager
+def without(rule: Rule) -> Iterator[None]:
+    """A rule switched off."""
+
+    def wrapped(rule: Rule, original: Function) -> Function:
+        return lambda *args, **kwargs: rule.off(original, *args, **kwargs)
+
+    with _replaced((rule,), wrapped):
+        yield
+
+
+@contextmanager
+def _replaced(rules: Sequence[Rule], wrapped: Callable[[Rule, Function], Function]) -> Iterator[None]:
+    before: list[tuple[Any, str, Function]] = []
+    try:
+        for rule in rules:
+            for where in rule.where:
+                holder, name = _holder(where)
+                original = getattr(holder, name)
+                before.append((holder, name, original))
+                setattr(holder, name, wrapped(rule, original))
+        yield
+    finally:
+        for holder, name, original in reversed(before):
+            setattr(holder, name, original)

@@ -160,7 +160,7 @@ def test_steps_as_long_as_longer_boxes_are_not_searched_again(
         longer.append(box_s)
         return SimpleNamespace(runs=(), search=refuse)
 
-    monkeypatch.setattr(longer_boxes, "_guard_of", lambda log, outcome: Guarded())
+    monkeypatch.setattr(longer_boxes, "guard_of", lambda log, outcome: Guarded())
     monkeypatch.setattr(longer_boxes, "replace", with_length)
     left = SimpleNamespace(
         structured=["a test"], found=[], final=SimpleNamespace(regression=SimpleNamespace(dt=dt))

@@ -9,7 +9,7 @@ of blocks that they were not fitted to. The best is fitted to the end, and count
 far as it should.
 
 Selected effects are then looked at again, each without itself: another one that is likelier in its place replaces
-it, and one that cannot be told from it is a tie.
+it, and one that cannot be distinguished from it is a tie.
 
 It is right where its noise model is: innovations that are not white, or larger or smaller than predicted, make
 `jointly_selected` return None, and the regression (`selection`) decides.
@@ -81,7 +81,7 @@ class Explained:
 
 @dataclass(frozen=True)
 class Selected:
-    """The log likelihood without an effect that was selected, and what cannot be told from it.
+    """The log likelihood without an effect that was selected, and what cannot be distinguished from it.
 
     Args:
         likelihood: Of the physics without it, fitted [nats].
@@ -184,8 +184,8 @@ class _JointSearch:
         place, most = self._first, self._search.decisions.most_effects
         for count in range(most):
             names = candidate_names(place.system, self._search.candidates)
-            told = f"{len(names)} effect{'s' if len(names) > 1 else ''}"
-            self._search.say(f"round {count + 1}: trying {told}", count, most)
+            count_of = f"{len(names)} effect{'s' if len(names) > 1 else ''}"
+            self._search.say(f"round {count + 1}: trying {count_of}", count, most)
             better = self._next(place)
             if better is None:
                 break
@@ -262,7 +262,7 @@ class _JointSearch:
         return bonferroni(float(chdtrc(len(labels), ratio)), among) < self._search.level("effects")
 
     def _rivals(self, name: str, place: _Place, without: _Place) -> tuple[list[str], _Place | None]:
-        """Effects that cannot be told from one that was selected, and the physics with a better one in its place."""
+        """Effects as likely as one that was selected, and the physics with a better one in its place."""
         proposals, _ = self._look(without)
         own = next((p for p in proposals if p.name == name), None)
         rivals = [
@@ -491,7 +491,7 @@ def _columns(place: _Place, name: str, system: System, at: int) -> tuple[_Entry,
     moved = space.columns(about.x, mine)
     error = vector.system.error(space.after(about.x)[:-1], about.x[1:]) - about.missed[:-1]
     shift = torch.cat((error, torch.zeros_like(error[:1])))[..., None]
-    gone = [j for j, label in enumerate(place.best.vector.labels) if label not in vector.labels]
+    missing = [j for j, label in enumerate(place.best.vector.labels) if label not in vector.labels]
     entry = _Entry(
         name,
         system,
@@ -500,7 +500,7 @@ def _columns(place: _Place, name: str, system: System, at: int) -> tuple[_Entry,
         theta[mine],
         vector.low[mine],
         vector.high[mine],
-        1 + np.array(gone, dtype=np.int64),
+        1 + np.array(missing, dtype=np.int64),
     )
     return entry, torch.cat((shift, moved), -1)
 
@@ -575,7 +575,7 @@ def _far_above(better: Explained, worse: Explained) -> bool:
 
 
 def _compared(search: Search, name: str, rival: str, place: _Place, there: _Place) -> float:
-    """By how many nats a rival in the place of an effect is surely better; 0: they cannot be told apart; else -1.
+    """By how many nats a rival in the place of an effect is surely better; 0: indistinguishable; else -1.
 
     A rival that the effect contains replaces it unless it is surely worse; one that contains it is never its tie.
     """

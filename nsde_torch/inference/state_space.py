@@ -140,13 +140,15 @@ class StateSpace:
         """Slopes (T, C, ne, n) of a step at states (T, C, nx) in errors and disturbances, and the states after it."""
         system = self.vector.system
         t, flat, memory, u = map(_rows, (self.chunks.t, x, self.memory, self.chunks.u))
-        aside = torch.zeros(1, self.n, dtype=flat.dtype)
-        after = self.step(t, flat, memory, u, aside[:, self.ne :])
+        offset = torch.zeros(1, self.n, dtype=flat.dtype)
+        after = self.step(t, flat, memory, u, offset[:, self.ne :])
         slopes = after.new_empty(len(flat), self.ne, self.n)
         for j in range(self.n):
-            aside.zero_()[0, j] = _SMALL
-            there = self.moved(flat, aside[:, : self.ne].expand(len(flat), -1)) if j < self.ne else flat
-            slopes[..., j] = system.error(self.step(t, there, memory, u, aside[:, self.ne :]), after) / _SMALL
+            offset.zero_()[0, j] = _SMALL
+            there = self.moved(flat, offset[:, : self.ne].expand(len(flat), -1)) if j < self.ne else flat
+            slopes[..., j] = (
+                system.error(self.step(t, there, memory, u, offset[:, self.ne :]), after) / _SMALL
+            )
         return slopes.view(*x.shape[:2], self.ne, self.n), after.view(x.shape)
 
     def columns(self, x: Tensor, which: Sequence[int]) -> Tensor:

@@ -205,7 +205,11 @@ class _JointSearch:
     def _fitted(self, system: System, like: _Place | None) -> _Place:
         """Physics fitted from its present values, with noise levels near those of other physics; the best so far."""
         best, at = maximised(
-            self._problem.of(system), None if like is None else like.at, settled_at=_NEAR, gain=_NEAR_GAIN
+            self._problem.of(system),
+            None if like is None else like.at,
+            settled_at=_NEAR,
+            gain=_NEAR_GAIN,
+            nuisances=False,
         )
         out = system.with_effects()
         best.vector.write(out, best.theta)

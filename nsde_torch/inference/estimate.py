@@ -44,6 +44,7 @@ Array = NDArray[np.float64]
 Labels = NDArray[np.int64]
 
 _TURNS = 12
+_FIRST_ROWS = 1000  # enough for noise levels beside a first theta
 SETTLED, GAIN = 0.05, 0.5
 """Standard errors that theta may still move by, and nats that new noise levels may still bring."""
 _STUCK = 0.5  # those below which a step that is no better is rounding
@@ -256,14 +257,12 @@ class Optimum:
         levels: Noise levels.
         about: What the last pass is linearised about.
         at: The last pass.
-        grams: Gram matrices of its innovations, parameters and levels.
     """
 
     of: LogLikelihood
     levels: Levels
     about: Linearisation
     at: Pass
-    grams: Grams
 
     @property
     def blocks(self) -> Array:
@@ -288,7 +287,12 @@ def fit(system: System, runs: Sequence[Run], *, clock: float = 1.0) -> MaximumLi
 
 @torch.no_grad()
 def maximised(
-    problem: LogLikelihood, near: Optimum | None = None, *, settled_at: float = SETTLED, gain: float = GAIN
+    problem: LogLikelihood,
+    near: Optimum | None = None,
+    *,
+    settled_at: float = SETTLED,
+    gain: float = GAIN,
+    nuisances: bool = True,
 ) -> tuple[MaximumLikelihood, Optimum]:
     """Theta and noise levels of largest likelihood, from the first values of the physics.
 
@@ -296,6 +300,7 @@ def maximised(
         problem: The likelihood.
         near: The optimum of physics close to these on the same rows, whose states and noise levels are begun with.
         settled_at, gain: Where the iteration ends: standard errors of a step of theta, nats that new levels bring.
+        nuisances: Whether intervals allow for noise levels that are not known.
     """
     space, vector, start = problem.space, problem.vector, problem.start
     theta, everything = vector.inside(vector.start), range(len(vector))
@@ -307,14 +312,14 @@ def maximised(
     levels = first
     about, at = problem.settled(levels, about, problem.filtered(levels, about), 1)
     if near is None:
-        levels = likeliest(space, first, first, about, start, turn=0)
+        levels = likeliest(space, first, first, about, start, rows=_FIRST_ROWS)
         at = problem.filtered(levels, about)
     settled = False
-    for turn in range(_TURNS):
+    for _ in range(_TURNS):
         held = grams(space, levels, about, at, space.columns(about.x, everything))
         theta, about, at, away = _step(problem, held, theta, levels, about, at)
         # theta first: levels that were fitted beside a wrong one would take its errors for noise
-        trial = likeliest(space, levels, first, about, start, turn=turn + 1)
+        trial = likeliest(space, levels, first, about, start)
         there, before = problem.filtered(trial, about), at.total
         if there.total > before:  # it was found from some of the chunks
             levels, at = trial, there
@@ -322,7 +327,8 @@ def maximised(
         if settled and at.total < before + gain:
             break
     columns = space.columns(about.x, everything)
-    final = grams(space, levels, about, at, columns, level_columns(space, levels, about, start, at))
+    beside = level_columns(space, levels, about, start) if nuisances else None
+    final = grams(space, levels, about, at, columns, beside)
     free = _free(vector, theta, final)
     square, predictable = _whiteness(at.white[:, :, 0], space.chunks.counted)
     best = MaximumLikelihood(
@@ -338,7 +344,7 @@ def maximised(
         problem.channels,
         space.disturbances,
     )
-    return best, Optimum(problem, levels, about, at, final)
+    return best, Optimum(problem, levels, about, at)
 
 
 def _step(
@@ -360,7 +366,7 @@ def _step(
         moved = problem.tried(levels, about, at)
         if moved.total >= at.total:
             near, after = problem.settled(levels, about, moved, 1)
-            if after.total >= at.total - _LOST:
+            if after.total >= at.total - (_LOST if away > _STUCK else 0.0):
                 return theta + change, near, after, away
     space.use(theta)
     return theta, *problem.settled(levels, about, at, 1), away if away > _STUCK else 0.0

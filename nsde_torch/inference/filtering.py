@@ -7,7 +7,7 @@ until then. After three or four passes delta is 0, and this is the filter of the
 the machine inside the loop over rows.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from torch import Tensor
@@ -66,6 +66,7 @@ class Pass:
         delta: Errors of the states of the linearisation that the rows until then tell (n).
         rows: Log likelihood of each row (B), 0 of those that do not count.
         likelihood: Log likelihood of each set (B,), minus infinity where the filter diverged.
+        covariance: Of delta (n, n), where it was asked for.
     """
 
     errors: Tensor
@@ -74,6 +75,14 @@ class Pass:
     delta: Tensor
     rows: Tensor
     likelihood: Tensor
+    covariance: Tensor | None = None
+
+    def of(self, some: Tensor) -> "Pass":
+        """That of some chunks."""
+        parts = (self.errors, self.whitening, self.gain, self.delta, self.rows)
+        errors, whitening, gain, delta, rows = (part[:, some] for part in parts)
+        covariance = None if self.covariance is None else self.covariance[:, some]
+        return Pass(errors, whitening, gain, delta, rows, rows.sum((0, 1)), covariance)
 
     @property
     def total(self) -> float:
@@ -132,7 +141,15 @@ def transitions(space: StateSpace, levels: Levels, slopes: Tensor) -> tuple[Tens
 
 
 @torch.no_grad()
-def filtered(space: StateSpace, levels: Levels, about: Linearisation, start: Start, live: Tensor) -> Pass:
+def filtered(
+    space: StateSpace,
+    levels: Levels,
+    about: Linearisation,
+    start: Start,
+    live: Tensor,
+    *,
+    covariances: bool = False,
+) -> Pass:
     """Filter chunks under B sets of noise levels.
 
     Args:
@@ -141,6 +158,7 @@ def filtered(space: StateSpace, levels: Levels, about: Linearisation, start: Sta
         about: What the filter is linearised about.
         start: Where each chunk starts.
         live: Whether a row counts (T, C).
+        covariances: Whether to keep those of the states, for `nsde_torch.inference.level_slopes`.
     """
     observed = space.observed
     rows, count, m = about.seen.shape
@@ -151,7 +169,7 @@ def filtered(space: StateSpace, levels: Levels, about: Linearisation, start: Sta
     covariance = torch.diag_embed(torch.cat((variance, torch.exp(2.0 * levels.gust)), -1))
     covariance = covariance.expand(count, -1, -1, -1)
     eye = torch.eye(m, dtype=covariance.dtype).expand(count, batch, -1, -1)
-    inverses, gains = [eye], [covariance.new_zeros(count, batch, space.n, m)]
+    inverses, gains, kept = [eye], [covariance.new_zeros(count, batch, space.n, m)], [covariance]
     for k in range(1, rows):
         if k % _SLAB == 1:
             forwards, noises = transitions(space, levels, about.slopes[k - 1 : k - 1 + _SLAB, :, None])
@@ -167,7 +185,10 @@ def filtered(space: StateSpace, levels: Levels, about: Linearisation, start: Sta
         covariance = covariance - half @ half.transpose(-1, -2)
         inverses.append(inverse)
         gains.append(half @ inverse)
-    return with_gains(space, levels, about, torch.stack(inverses), torch.stack(gains), live)
+        if covariances:
+            kept.append(covariance)
+    out = with_gains(space, levels, about, torch.stack(inverses), torch.stack(gains), live)
+    return replace(out, covariance=torch.stack(kept)) if covariances else out
 
 
 @torch.no_grad()

@@ -24,6 +24,7 @@ from nsde_torch.diagnosis.fitted import bent_shape, effect_of, fitted_system, va
 from nsde_torch.diagnosis.flexible_gain import flexible_gain
 from nsde_torch.diagnosis.hidden import Feedback
 from nsde_torch.diagnosis.imitation import a_law_is_nearer
+from nsde_torch.diagnosis.joint_selection import JointSelection
 from nsde_torch.diagnosis.law_names import named_by_the_catalogue
 from nsde_torch.diagnosis.laws import (
     chosen_again,
@@ -43,7 +44,12 @@ from nsde_torch.sysid.noise import Noise
 
 
 def with_laws(
-    search: Search, chosen: Selection, kept: Retained, outcome: Outcome, feedback: Feedback
+    search: Search,
+    chosen: Selection,
+    kept: Retained,
+    outcome: Outcome,
+    feedback: Feedback,
+    joint: JointSelection | None = None,
 ) -> Outcome:
     """The outcome with laws that no catalogue has, where structure is left and such laws explain it.
 
@@ -53,6 +59,7 @@ def with_laws(
         kept: What elimination kept.
         outcome: What was concluded of it.
         feedback: What is asked of the loop.
+        joint: What the joint likelihood selected, where it did: it has held effects against laws.
     """
     # the user says what may be tried; and in logs of many rows a box noise models learn what laws would then explain
     if search.candidates is not None or search.box > 1 or not search.budgets.law_rounds:
@@ -62,7 +69,8 @@ def with_laws(
     near = []
     for i, name in enumerate(names):
         search.say("holding effects against laws", i, len(names))
-        if (name,) not in bent and a_law_is_nearer(search, chosen, kept, name):
+        nearer = a_law_is_nearer(search, chosen, kept, name) if joint is None else joint.selected[name].law
+        if (name,) not in bent and nearer:
             near.append((name,))
     alike = [pair for pair in combinations(names, 2) if of_one_variable(*pair)]
     likelier, as_good = decisions.alike_nats, -decisions.wider_nats

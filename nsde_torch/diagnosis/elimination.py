@@ -244,7 +244,8 @@ def as_selected(search: Search, joint: JointSelection, system: System) -> tuple[
         rest = without_effect(joint.system, declared.system, name)
         without = declared if len(names) == 1 else search.base(rest, warm=True, like=declared.regression)
         trial = joint.evidence(search, fit_candidate(search, without, joint.system, name, among=among))
-        found.append(Found(name, trial, joint.selected[name].ties))
+        own = joint.selected[name]
+        found.append(Found(name, trial, (*own.ties, *([own.law] if own.law else []))))
     final = search.narrower(search.base(joint.system, warm=True, like=found[-1].trial.regression))
     first = _round(search, declared, joint, [f.trial for f in found])
     first.chosen = found[0].trial

@@ -26,12 +26,13 @@ from scipy.special import chdtrc
 
 from nsde_torch.diagnosis.candidates import alone, candidate_names
 from nsde_torch.diagnosis.evidence import sum_error
-from nsde_torch.diagnosis.fitted import without_effect
+from nsde_torch.diagnosis.fitted import effect_of, without_effect
+from nsde_torch.diagnosis.law_columns import Term, tables, terms_on
 from nsde_torch.diagnosis.multiplicity import bonferroni, starts_of
 from nsde_torch.diagnosis.screening import joined, starts
 from nsde_torch.diagnosis.search import Search
 from nsde_torch.diagnosis.trials import Trial
-from nsde_torch.effects import Effect, effect_class
+from nsde_torch.effects import Effect, Law, effect_class
 from nsde_torch.errors import NsdeError
 from nsde_torch.inference import LogLikelihood, MaximumLikelihood, Optimum, maximised
 from nsde_torch.inference.sensitivity import Grams, grams
@@ -46,8 +47,10 @@ _NEAR, _NEAR_GAIN = 0.3, 1.0  # standard errors from their optimum, and nats, at
 _RISES = 0.3  # share of the nats of a linearised step that the likelihood has to rise by once a candidate is fitted
 _TRIED = 3  # candidates that are fitted to the end before a round ends
 _RIVALS = 3  # candidates that are fitted in the place of an effect
+_LAWS = 2  # laws that are fitted in the place of an effect
 _FAR = 4.0  # standard errors of a difference beyond which a rival is not fitted: a linearised step is rough
 _PAIRED = 6  # best candidates among which pairs are looked at
+_NEW = 0.03  # share of the length of a law's column that must be left beside the physics
 _SEEN = 1e-9  # share of a column that must be left beside the others for it to be seen
 _ROUNDING = 1e-10  # of the largest eigenvalue: directions that columns hardly have
 
@@ -87,11 +90,13 @@ class Selected:
         likelihood: Of the physics without it, fitted [nats].
         blocks: The same by block of time (B,).
         ties: Effects that explain the data as well in its place.
+        law: A law of one term that is likelier in its place; empty where none is.
     """
 
     likelihood: float
     blocks: Array
     ties: tuple[str, ...]
+    law: str = ""
 
 
 @dataclass(frozen=True)
@@ -101,7 +106,7 @@ class JointSelection:
     Args:
         best: The physics with the effects, at its optimum.
         system: The same, with its values.
-        blocks: Its log likelihood by block of time (B,).
+        at: Where that is.
         selected: The effects.
         screened: Nats of every candidate of the first look.
         errors: Standard errors of its sizes, by candidate and label.
@@ -109,7 +114,7 @@ class JointSelection:
 
     best: MaximumLikelihood
     system: System
-    blocks: Array
+    at: Optimum
     selected: dict[str, Selected]
     screened: dict[str, float]
     errors: dict[str, dict[str, float]]
@@ -123,7 +128,7 @@ class JointSelection:
         """
         without = self.selected[trial.name]
         count = max(trial.own.stop - trial.own.start - len(trial.held), 1)
-        difference = self.blocks - without.blocks
+        difference = self.at.blocks - without.blocks
         risen = self.best.likelihood - without.likelihood
         nats = risen - count  # what is expected of rows left out (Akaike)
         p = float(chdtrc(count, max(2.0 * risen, 0.0)))
@@ -197,7 +202,7 @@ class _JointSearch:
             return None
         first = self._look(self._first)[0]
         screened, errors = {p.name: p.nats for p in first}, {p.name: p.errors for p in first}
-        return JointSelection(place.best, place.system, place.at.blocks, selected, screened, errors)
+        return JointSelection(place.best, place.system, place.at, selected, screened, errors)
 
     def _added(self, system: System) -> frozenset[str]:
         return frozenset(system.effect_names) - self._declared
@@ -254,7 +259,8 @@ class _JointSearch:
             if better is not None and exchanged < self._search.budgets.exchanges:
                 place, out, exchanged = better, {}, exchanged + 1
                 continue
-            out[name] = Selected(without.best.likelihood, without.at.blocks, tuple(alike))
+            law = self._nearer_law(name, place, without)
+            out[name] = Selected(without.best.likelihood, without.at.blocks, tuple(alike), law)
         return place, out
 
     def _needed(self, name: str, place: _Place, without: _Place) -> bool:
@@ -287,6 +293,40 @@ class _JointSearch:
             elif not gained:
                 alike.append(rival.name)
         return alike, None if best is None else best[1]
+
+    def _nearer_law(self, name: str, place: _Place, without: _Place) -> str:
+        """A law of one term that is likelier than an effect of a coordinate in its place; empty if there is none.
+
+        A force `x^2 x_dot` on a cart is well explained by a dry friction where nothing else is offered. A law with as
+        many parameters has to explain surely more, as it is the best of a library; one with fewer, as much.
+        """
+        effect, space = effect_of(place.system, name), without.at.of.space
+        if not isinstance(effect, Law) or (effect.at.port, effect.at.row) not in space.disturbances:
+            return ""
+        at = effect.at
+        names = [place.system.state_names[k] for k in (at.position, at.velocity) if k is not None]
+        port = space.disturbances.index((at.port, at.row))
+        terms = terms_on(without.system, without.at, port, names)
+        space.use(without.best.theta)
+        base = space.columns(without.at.about.x, range(len(without.best.vector)))
+        folds = _folds(self._search, *space.chunks.places())
+        # linearised steps with linearised steps: noise without either has learned some of both
+        own = next((p.nats for p in self._look(without)[0] if p.name == name), 0.0)
+        rivals: list[tuple[float, Term]] = []
+        for some, held in tables(without.system, without.at, base, terms):
+            table = _Table(held, 1 + without.best.free, folds)
+            for j, term in enumerate(some):
+                column = 1 + base.shape[-1] + j
+                nats = float(table.gain([(0, column)])[0].sum()) if table.left(column) > _NEW else -np.inf
+                rivals += [(nats, term)] if nats > own else []
+        for _, term in sorted(rivals, key=lambda r: -r[0])[:_LAWS]:
+            there = self._fitted(joined(without.system, term.law, term.start), without)
+            difference = there.at.blocks - place.at.blocks
+            fewer = len(place.best.vector) - len(there.best.vector)
+            gained = float(difference.sum()) + 0.5 * fewer * log(len(difference))
+            if gained > (0.0 if fewer > 0 else log(len(terms)) + _sure(self._search, difference)):
+                return term.law
+        return ""
 
 
 def _accepted(search: Search, proposal: Explained) -> bool:
@@ -369,6 +409,14 @@ class _Table:
         _, before, _ = self._whole
         return self._before - after, before - fitted, step[len(base) :]
 
+    def left(self, column: int) -> float:
+        """Share of the length of a column that the parameters of the physics cannot do already."""
+        total = self._held.total
+        across = total[self._base, column]
+        others = np.linalg.pinv(total[np.ix_(self._base, self._base)], rcond=_ROUNDING, hermitian=True)
+        whole = max(float(total[column, column]), 1e-300)
+        return float(np.sqrt(max(1.0 - across @ others @ across / whole, 0.0)))
+
     def errors(self, own: Labels) -> Array:
         """Standard errors of the parameters of a candidate (q,), all others free; infinite of what moves nothing."""
         total = self._held.total
@@ -440,7 +488,7 @@ def _catalogue(
     everything = range(len(place.best.vector))
     about = place.at.about
     base = space.columns(about.x, everything)
-    tables, entries = [base], []
+    tables, entries = [base.float()], []
     at = 1 + base.shape[-1]
     scales = data_sizes(place.system, space.steps)
     names = candidate_names(place.system, search.candidates)
@@ -452,12 +500,11 @@ def _catalogue(
                 continue
             if not bool(torch.isfinite(columns).all()):
                 continue
-            tables.append(columns)
+            tables.append(columns.float())  # the largest of all: half the memory
             entries.append(entry)
             at += columns.shape[-1]
-    held = grams(space, place.at.levels, about, place.at.at, torch.cat(tables, -1))
-    owners, _ = space.chunks.places()
-    table = _Table(held, 1 + place.best.free, _folds(search, owners))
+    held = grams(space, place.at.levels, about, place.at.at, _side_by_side(tables))
+    table = _Table(held, 1 + place.best.free, _folds(search, *space.chunks.places()))
     best: dict[str, Explained] = {}
     longest = max(b - a for a, b in space.steps.segments)
     for entry in entries:
@@ -468,8 +515,24 @@ def _catalogue(
     return sorted(best.values(), key=lambda p: -p.rank), table
 
 
-def _folds(search: Search, owners: Labels) -> Labels:
-    """Fold of each block: whole runs, or stretches of one or two."""
+def _side_by_side(tables: list[torch.Tensor]) -> torch.Tensor:
+    """Tables (..., k) in one (..., sum of k); the list is emptied on the way, as both at once may not fit."""
+    ends = np.cumsum([t.shape[-1] for t in tables]).tolist()
+    out = tables[0].new_empty(*tables[0].shape[:-1], ends[-1])
+    for end in reversed(ends):
+        last = tables.pop()
+        out[..., end - last.shape[-1] : end] = last
+    return out
+
+
+def _folds(search: Search, owners: Labels, firsts: Labels) -> Labels:
+    """Fold of each block: whole runs, or stretches of one or two.
+
+    Args:
+        search: Settings.
+        owners: Number of the run of each block.
+        firsts: Number of its first step.
+    """
     d = search.decisions
     _, number = np.unique(owners, return_inverse=True)
     count = int(number.max()) + 1
@@ -478,6 +541,7 @@ def _folds(search: Search, owners: Labels) -> Labels:
     out = np.zeros(len(number), dtype=np.int64)
     for run in range(count):
         own = np.flatnonzero(number == run)
+        own = own[np.argsort(firsts[own], kind="stable")]
         out[own] = d.folds_stretches * run + np.arange(len(own)) * d.folds_stretches // len(own)
     return out
 
@@ -586,10 +650,15 @@ def _compared(search: Search, name: str, rival: str, place: _Place, there: _Plac
     difference = there.at.blocks - place.at.blocks
     more = len(there.best.free) - len(place.best.free)
     gained = float(difference.sum()) - 0.5 * more * log(len(difference))
-    sure = max(search.decisions.alike_nats, search.decisions.alike_errors * sum_error(difference))
+    sure = _sure(search, difference)
     if name in effect_class(rival).includes:
         chance = chdtrc(max(more, 1), max(2.0 * float(difference.sum()), 0.0))
         return gained if gained > sure and chance < search.decisions.nested_alpha else -1.0
     if rival in effect_class(name).includes and gained > -sure:
         return max(gained, search.decisions.least_nats)
     return gained if gained > sure else 0.0 if gained > -sure else -1.0
+
+
+def _sure(search: Search, difference: Array) -> float:
+    """Nats by which physics are surely better, from their differences by block of time (B,)."""
+    return max(search.decisions.alike_nats, search.decisions.alike_errors * sum_error(difference))

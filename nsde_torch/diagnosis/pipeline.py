@@ -236,20 +236,21 @@ def searched(log: Log, search: Search, before: Outcome | None = None) -> Outcome
     search.say("testing what is left", 0, 1)
     outcome = decide(search, chosen, kept, log.feedback)
     log.so_far(TESTS, log, outcome)
-    if joint is not None and not outcome.structured:
+    if joint is not None and not outcome.structured and not any(s.law for s in joint.selected.values()):
         return replace(outcome, joint=joint)
     if any(run.band for run in log.runs):  # what a smoother did to the states looks like laws of many names
         return outcome
-    return log.stages.attempt(
-        LAWS,
-        lambda: with_laws(search, chosen, kept, outcome, log.feedback),
-        outcome,
+    after = log.stages.attempt(
+        LAWS, lambda: with_laws(search, chosen, kept, outcome, log.feedback, joint), outcome
     )
+    if not outcome.structured and [f.name for f in after.found] == [f.name for f in outcome.found]:
+        after = replace(after, joint=joint)
+    return after
 
 
 def _jointly(log: Log, search: Search) -> JointSelection | None:
     """What the joint likelihood selects; None where it is not to be relied on, and the regression decides."""
-    if log.system.quaternion is not None or log.recorded.inputs_restored or any(run.band for run in log.runs):
+    if log.recorded.inputs_restored or any(run.band for run in log.runs):
         return None
 
     def selected() -> JointSelection | None:
@@ -287,5 +288,8 @@ def _identified(log: Log, outcome: Outcome) -> tuple[Outcome, Identification | N
         return outcome, None
     log.say("estimates of largest likelihood", 0, 1)
     regressed = replace(identification(outcome.final.regression, "weak"), doubt=outcome.doubt)
-    likeliest = by_likelihood(regressed, outcome.system, log.runs, log.recorded.clock)
+    joint, near = outcome.joint, None
+    if joint is not None and joint.system.effect_names == outcome.system.effect_names:
+        near = joint.system, joint.at
+    likeliest = by_likelihood(regressed, outcome.system, log.runs, log.recorded.clock, near)
     return (replace(outcome, printed=likeliest) if likeliest.likelihood_used else outcome), None

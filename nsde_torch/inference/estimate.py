@@ -311,15 +311,16 @@ def maximised(
         first, about = near.levels, linearised_about(space, near.about.x, start)
     levels = first
     about, at = problem.settled(levels, about, problem.filtered(levels, about), 1)
+    known: Tensor | None = None
     if near is None:
-        levels = likeliest(space, first, first, about, start, rows=_FIRST_ROWS)
+        levels, known = likeliest(space, first, first, about, start, rows=_FIRST_ROWS)
         at = problem.filtered(levels, about)
     settled = False
     for _ in range(_TURNS):
         held = grams(space, levels, about, at, space.columns(about.x, everything))
         theta, about, at, away = _step(problem, held, theta, levels, about, at)
         # theta first: levels that were fitted beside a wrong one would take its errors for noise
-        trial = likeliest(space, levels, first, about, start)
+        trial, known = likeliest(space, levels, first, about, start, known)
         there, before = problem.filtered(trial, about), at.total
         if there.total > before:  # it was found from some of the chunks
             levels, at = trial, there

@@ -20,7 +20,7 @@ _LONGEST_STEP = 3.0
 _TURNS = 12
 _GAIN = 0.5  # nats for which another turn is taken
 _FIRST_DAMPING, _LEAST_DAMPING, _MOST_DAMPING = 1e-3, 1e-4, 1e4
-_INFORMING = 600  # rows that the information is made from
+_INFORMING = 500  # rows that the information is made from
 _ENTRIES = (
     4_000_000  # of the innovations' covariances that are kept at once; chunks beyond are left out, evenly
 )
@@ -33,10 +33,11 @@ def likeliest(
     first: Levels,
     about: Linearisation,
     start: Start,
+    known: Tensor | None = None,
     *,
     rows: int | None = None,
-) -> Levels:
-    """Levels of larger likelihood than the given ones, or these.
+) -> tuple[Levels, Tensor]:
+    """Levels of larger likelihood than the given ones, or these; and their information.
 
     Args:
         space: The machine at the values in use, and the log.
@@ -44,6 +45,7 @@ def likeliest(
         first: The first guess, which the prior holds to.
         about: What the filter is linearised about.
         start: Where each chunk starts.
+        known: The information of levels close by, which tells whether to begin at all.
         rows: How many rows are enough; None for as many as memory allows.
     """
     phi, prior = levels.vector(), first.vector()
@@ -72,7 +74,10 @@ def likeliest(
     here, best = tried(phi)
     damping = _FIRST_DAMPING
     for _ in range(_TURNS):
-        gradient, known = slope(phi, here), information(phi, here)
+        gradient = slope(phi, here)
+        if known is not None and float(gradient @ torch.linalg.solve(known, gradient)) < _GAIN:
+            break
+        known = information(phi, here)
         gained = 0.0
         while damping <= _MOST_DAMPING:
             damped = known + damping * torch.diag(torch.diagonal(known))
@@ -88,7 +93,8 @@ def likeliest(
         damping = max(damping / 10.0, _LEAST_DAMPING)
         if not gained > _GAIN:
             break
-    return levels.like(phi)
+    assert known is not None
+    return levels.like(phi), known
 
 
 @torch.no_grad()
@@ -111,7 +117,7 @@ def _evenly(count: int, most: int) -> Tensor:
 
 def _chunks_of(space: StateSpace, rows: int) -> int:
     """About how many chunks count so many rows."""
-    return 1 + round(rows * space.chunks.count / float(space.chunks.counted.sum()))
+    return max(1, round(rows * space.chunks.count / float(space.chunks.counted.sum())))
 
 
 def _information(space: StateSpace, levels: Levels, about: Linearisation, at: Pass, live: Tensor) -> Tensor:

@@ -7,6 +7,7 @@ With gains held, predicted states move by S and innovations by -H S (Ljung, Syst
 so that parameters, effects of a catalogue and nuisances are columns of one linear recursion.
 """
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -23,6 +24,7 @@ Array = NDArray[np.float64]
 
 _WHOLE = 0.999  # share of what is known of a direction that one block may bring, for it to be left out
 _RANK = 1e-10
+_NUMBERS = 4_000_000  # of whitened rows that are held at once
 
 
 @dataclass(frozen=True)
@@ -85,37 +87,54 @@ def grams(
         levels: Noise levels.
         about: What the pass is linearised about.
         at: The pass, under one set of levels.
-        columns: What k parameters do to the steps (T, C, ne, k) from the states of `about`.
+        columns: What k parameters do to the steps (T, C, ne, k) from the states of `about`; single precision does.
         nuisances: Further columns of the whitened rows (T, C, m, p).
     """
-    chunks, observed = space.chunks, space.observed
-    k = columns.shape[-1]
+    chunks = space.chunks
+    k, beside = columns.shape[-1], 0 if nuisances is None else nuisances.shape[-1]
+    size = 1 + k + beside
+    sums = at.gain.new_zeros(len(chunks.parts), chunks.count, size, size)
+    most = max(1, _NUMBERS // (max(b - a for a, b in chunks.parts) * len(space.observed) * size))
+    for some in torch.arange(chunks.count).split(most):
+        extra = None if nuisances is None else nuisances[:, some]
+        for p, table in enumerate(
+            _tables(space, levels, about.of(some), at.of(some), columns[:, some], extra, some)
+        ):
+            flat = table.transpose(0, 1).reshape(len(some), -1, size)
+            sums[p, some] = flat.transpose(1, 2) @ flat
+    return Grams(chunks.blocks(sums), int(chunks.counted.sum()) * len(space.observed), k)
+
+
+def _tables(
+    space: StateSpace,
+    levels: Levels,
+    about: Linearisation,
+    at: Pass,
+    columns: Tensor,
+    nuisances: Tensor | None,
+    some: Tensor,
+) -> Iterator[Tensor]:
+    """Whitened rows [e, J, nuisances] of each block of some chunks (rows, chunks, m, ...)."""
+    chunks, observed, k = space.chunks, space.observed, columns.shape[-1]
     total = 1 + k + (0 if nuisances is None else nuisances.shape[-1])
-    moved = columns.new_zeros(chunks.count, space.n, k)
-    sums = columns.new_zeros(len(chunks.parts), chunks.count, total, total)
     white, whitening, gain = at.white[:, :, 0], at.whitening[:, :, 0], at.gain[:, :, 0]
-    for p, (first, end) in enumerate(chunks.parts):
-        table = columns.new_zeros(end - first, chunks.count, len(observed), total)
+    moved = gain.new_zeros(len(some), space.n, k)
+    for first, end in chunks.parts:
+        table = moved.new_zeros(end - first, len(some), len(observed), total)
         begun = max(first, 1)
-        forward = transitions(space, levels, about.slopes[begun - 1 : end - 1])[0]
-        before = gain[begun - 1 : end - 1]
-        inner = forward.clone()
-        inner[..., observed] -= forward @ before
-        if end <= begun:
-            continue
-        there = []
-        for i in range(begun, end):
-            moved = inner[i - begun] @ moved
-            moved[:, : space.ne] += columns[i - 1]
-            there.append(moved[:, observed])
-        table[begun - first :, ..., 1 : 1 + k] = whitening[begun:end] @ torch.stack(there)
+        if end > begun:
+            forward = transitions(space, levels, about.slopes[begun - 1 : end - 1])[0]
+            inner = forward.clone()
+            inner[..., observed] -= forward @ gain[begun - 1 : end - 1]
+            for i in range(begun, end):
+                moved = inner[i - begun] @ moved
+                moved[:, : space.ne] += columns[i - 1]
+                table[i - first, ..., 1 : 1 + k] = whitening[i] @ moved[:, observed]
         table[..., 0] = white[first:end]
         if nuisances is not None:
             table[..., 1 + k :] = nuisances[first:end]
-        table *= chunks.counted[first:end, :, None, None]
-        flat = table.transpose(0, 1).reshape(chunks.count, -1, total)
-        sums[p] = flat.transpose(1, 2) @ flat
-    return Grams(chunks.blocks(sums), int(chunks.counted.sum()) * len(observed), k)
+        table *= chunks.counted[first:end, some, None, None]
+        yield table
 
 
 def _solved(gram: Array, pull: Array, damping: float) -> Array:

@@ -12,7 +12,7 @@ import numpy as np
 
 from nsde_torch.data import Run
 from nsde_torch.errors import DataError, NonFiniteError
-from nsde_torch.inference import MaximumLikelihood, fit
+from nsde_torch.inference import MaximumLikelihood, Optimum, fit, maximised
 from nsde_torch.sysid.result import Identification
 from nsde_torch.systems import System
 
@@ -21,7 +21,11 @@ MOST = 20_000_000
 
 
 def by_likelihood(
-    found: Identification, system: System, runs: Sequence[Run], clock: float = 1.0
+    found: Identification,
+    system: System,
+    runs: Sequence[Run],
+    clock: float = 1.0,
+    near: tuple[System, Optimum] | None = None,
 ) -> Identification:
     """An identification, its values and intervals by the likelihood.
 
@@ -30,6 +34,7 @@ def by_likelihood(
         system: The machine; it is not changed.
         runs: Recordings, all on one step.
         clock: Physical seconds per logged second.
+        near: The same machine where a fit of it has ended, and the optimum there.
 
     Returns:
         `found` with `likelihood`, and its values and intervals of all that the data show and that stands at no bound,
@@ -41,7 +46,10 @@ def by_likelihood(
     machine = copy.deepcopy(system)
     found.vector.write(machine, found.values)
     try:
-        best = fit(machine, runs, clock=clock)
+        if near is None:
+            best = fit(machine, runs, clock=clock)
+        else:
+            best = maximised(near[1].of.of(near[0]), near[1])[0]
     except (DataError, NonFiniteError, np.linalg.LinAlgError):
         return found
     found = replace(found, likelihood=best)

@@ -101,3 +101,32 @@ def test_thirty_machines_without_an_effect_stay_silent() -> None:
         if found is None or found.selected:
             wrong.append(seed)
     assert len(wrong) <= 1  # of alpha 0.01 each, more is seen once in thirty times
+
+
+def test_an_effect_that_only_resembles_a_simpler_law_says_so() -> None:
+    # a quadratic damping below 0 is in no catalogue, and much like a dry friction that no speed of the log develops
+    machine = replace(rubbing(0.0), effects={"quadratic": {"size": -0.04}})
+    found = selected(small_runs(machine, 4, 12.0, seed=3))
+    assert found is not None
+    assert found.selected
+    assert all(one.law for one in found.selected.values())
+
+
+def test_a_dry_friction_is_no_law_of_one_term() -> None:
+    found = selected(small_runs(rubbing(0.2), 3, 8.0, seed=6))
+    assert found is not None
+    assert found.selected["coulomb_friction"].law == ""
+
+
+def test_a_flight_with_drag_is_selected_by_the_likelihood() -> None:
+    effect = {"linear_drag": {"drag": [0.35, 0.3, 0.15]}}
+    made = nsde_torch.simulate("hexacopter", effects=[effect], durations=[15.0], seed=8)
+    system = make_system("hexacopter")
+    runs = nsde_torch.read(made, system=system).runs
+    options = Options(candidates=("linear_drag", "quadratic_drag", "constant_wind", "thrust_misalignment"))
+    search = search_in(system, runs, 1.0, options)
+    found = jointly_selected(search, LogLikelihood(system, runs, run_in=True), system)
+    assert found is not None
+    assert set(found.selected) == {"linear_drag"}
+    values = dict(zip(found.best.vector.labels, found.best.theta, strict=True))
+    assert values["linear_drag.drag[0]"] == pytest.approx(0.35, abs=0.06)

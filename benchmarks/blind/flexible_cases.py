@@ -1,6 +1,6 @@
 """How much of what is missing a flexible model wins on runs left out, beside effects, an oracle and PySINDy.
 
-    pip install -e '.[diagnosis]'
+    pip install 'pysindy>=2.0,<3'
     python benchmarks/blind/flexible_cases.py --machine odd_spring --seed 1 --count 12 --out runs/flexible
 
 Cases are those of `laws.py`: springs, carts and two joints with one law that no catalogue has, and nulls; of

@@ -215,7 +215,6 @@ def case(machine: str, seed: int, i: int, weaker: float = 1.0) -> Json:
         "leads": [f["name"] for f in content["findings"] if f["lead"]],
         "ties": content["ties"],
         "parameters": {k: [v["value"], v["interval_90"]] for k, v in content["parameters"].items()},
-        "lead": None if content["formula"] is None else content["formula"]["text"],
     }
     out["laws"] = [name for name in content["added"] if "=" in name]
     out["sure"] = sure(content)

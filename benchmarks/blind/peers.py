@@ -1,6 +1,6 @@
 """Question: what do a sparse regression and a residual network make of the same cases, told just as little?
 
-    pip install -e '.[diagnosis]'
+    pip install 'pysindy>=2.0,<3'
     python benchmarks/blind/peers.py --cases blind/ --limit 20
 
 Of each case with a single effect that moves errors, the last fifth of the runs is held out from everybody. On the

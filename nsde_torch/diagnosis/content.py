@@ -13,7 +13,7 @@ from nsde_torch.diagnosis.dependence import Dependence
 from nsde_torch.diagnosis.detectability import not_shown
 from nsde_torch.diagnosis.estimates import Estimate, estimates
 from nsde_torch.diagnosis.fitted import effect_of
-from nsde_torch.diagnosis.law_content import law, lead
+from nsde_torch.diagnosis.law_content import law
 from nsde_torch.diagnosis.multiplicity import bonferroni
 from nsde_torch.diagnosis.outcome import Outcome
 from nsde_torch.diagnosis.shape import Shape, called, symmetry
@@ -100,7 +100,6 @@ def content(found: Diagnosis) -> dict[str, Any]:
         "unexplained": [_shape(found, s) for s in left.shapes],
         "between_runs": _between_runs(found),
         "in_run": _in_run(found),
-        "formula": lead(found.explanation.formula),
         "flexible": flexible,
         "errors": {
             **found.errors.content,

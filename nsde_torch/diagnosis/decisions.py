@@ -209,12 +209,11 @@ class Budgets:
     noise_turns: int = key(4, "most turns between parameters and noise model in a test", low=1)
     closer_chance: float = key(0.05, "chance above which one run alone gets no closer look", above=0, high=1)
     shapes: int = key(6, "dependences that are described in words", low=0)
-    formula_terms: int = key(4, "most terms of a formula", low=1)
-    formula_variables: int = key(3, "most variables of a formula", low=1)
+    formula_terms: int = key(4, "most terms of a law that are proposed at once", low=1)
     law_variables: int = key(
         4, "most variables that laws are tried of because tests name them, at once", low=1
     )
-    laws_fitted: int = key(4, "most laws that are proposed for each term of a formula", low=1)
+    laws_fitted: int = key(4, "most laws that are proposed for each of these terms", low=1)
     law_rounds: int = key(1, "most times that laws are proposed for what is left", low=0)
     flexible_terms: int = key(
         10, "most groups of functions of a flexible model, on ports that belong together", low=1

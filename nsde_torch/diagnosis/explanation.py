@@ -1,4 +1,4 @@
-"""What is left, explained as far as it can be: in words, in one run, by a formula, by a fault of the columns."""
+"""What is left, explained as far as it can be: in words, in one run, by a fault of the columns."""
 
 from dataclasses import dataclass, field, replace
 
@@ -6,7 +6,6 @@ from nsde_torch.diagnosis.between_runs import RunZeros, between_runs
 from nsde_torch.diagnosis.ceiling import Ceiling
 from nsde_torch.diagnosis.channels import ChannelResidual, channel_residuals
 from nsde_torch.diagnosis.declared import Warned, warnings
-from nsde_torch.diagnosis.formula import Formula, formula
 from nsde_torch.diagnosis.in_run import InRun, in_run, odd_run
 from nsde_torch.diagnosis.outcome import Outcome
 from nsde_torch.diagnosis.reading import Log
@@ -26,7 +25,6 @@ class Explanation:
         shapes: What the residual still depends on, in words.
         between_runs: The sensor's zero that differs between runs, where structure is left.
         in_run: The effect that would explain it in the one run that it is in: provisional, unverified.
-        formula: A sparse formula for it: provisional, unverified.
         warned: Declared parameters that tell of a fault of the columns.
         guard: How the final physics stands beside simple fits, and what speaks against it.
         refused: What spoke against it over shorter boxes; None where these are the usual ones.
@@ -38,7 +36,6 @@ class Explanation:
     shapes: tuple[Shape, ...] = ()
     between_runs: RunZeros | None = None
     in_run: InRun | None = None
-    formula: Formula | None = None
     warned: tuple[Warned, ...] = ()
     guard: Guarded = field(default_factory=Guarded)
     refused: Guarded | None = None
@@ -84,9 +81,6 @@ def explained(
         shapes=shapes,
         between_runs=attempt("a sensor's zero that differs between runs", zeros, None),
         in_run=attempt("what is special about one run", alone, None),
-        formula=attempt(
-            "a formula for what is left", lambda: formula(regression, left, outcome.variables, runs), None
-        ),
         warned=attempt("odd declared values", lambda: tuple(warnings(outcome, log.system)), ()),
         guard=guard,
         refused=log.refused,

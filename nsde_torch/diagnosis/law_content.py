@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import Any
 
 from nsde_torch.diagnosis.fitted import effect_of
-from nsde_torch.diagnosis.formula import Formula
 from nsde_torch.diagnosis.outcome import Found, Outcome
 from nsde_torch.effects.expression import Expression
 from nsde_torch.effects.expression_forms import latex, sympy_text, valued
@@ -26,23 +25,6 @@ def law(outcome: Outcome, f: Found) -> dict[str, Any]:
         "latex": latex(effect.law, values),
         "sympy": sympy_text(effect.law, values),
         "looks_like": looks_like(effect.law, values, outcome.declared_system),
-    }
-
-
-def lead(f: Formula | None) -> dict[str, Any] | None:
-    """A formula for what is left that did not hold as a law: a lead, unverified."""
-    if f is None:
-        return None
-    return {
-        "channel": f.channel,
-        "unit": f.unit,
-        "terms": [
-            {"function": t.function, "coefficient": t.coefficient, "standard_error": t.error} for t in f.terms
-        ],
-        "text": f.text,
-        "share": f.share,
-        "by": f.by,
-        "verified": False,
     }
 
 

@@ -273,17 +273,6 @@ def _unexplained(content: Mapping[str, Any], figure: str) -> str:
     if content["in_run"] is not None:
         sentence = escape(content["in_run"]["sentence"])
         text += f'<p><span class="lead">a lead, unverified</span> {sentence}</p>'
-    formula = content["formula"]
-    if formula is not None:
-        terms = ", ".join(
-            f"{number(t['coefficient'])} +- {number(t['standard_error'])}" for t in formula["terms"]
-        )
-        text += (
-            f'<p><span class="lead">a lead, unverified</span> <code>{escape(formula["text"])}</code><br>'
-            f'<span class="small">Coefficients with standard errors: {terms}; {formula["share"]:.0%} of the '
-            f"whitened residual; chosen by {escape(formula['by'])}. Functions of what the residual depends on, not "
-            "physics: look for a cause with this shape.</span></p>"
-        )
     return text
 
 

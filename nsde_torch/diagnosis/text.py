@@ -89,8 +89,6 @@ def lines(content: Mapping[str, Any]) -> list[str]:
         out += ["", f"{between['sentence']} To take it out: {between['remedy']}"]
     if content["in_run"] is not None:
         out += ["", f"a lead, unverified: {content['in_run']['sentence']}"]
-    if content["formula"] is not None:
-        out += ["", f"a lead, unverified: {content['formula']['text']}"]
     out += ceiling_lines(content)
     head, rows = ceiling_rows(content)
     out += ["", table(head, rows)] if rows else []

@@ -7,7 +7,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from nsde_torch.diagnosis.formula import formula
 from nsde_torch.diagnosis.noise_models import NoiseModels
 from nsde_torch.diagnosis.shape import shape
 from nsde_torch.diagnosis.specification import dependences
@@ -56,16 +55,6 @@ def test_another_law_of_one_channel_leaves_theta_and_the_regression_as_they_are(
     np.testing.assert_array_equal(there.theta, r.theta)
     np.testing.assert_allclose(there.white[0], r.whitened(law, r.residual[:, r.rows])[:, 0])
     assert there.noises[0] is law
-
-
-def test_a_stop_has_a_hinge_for_a_formula() -> None:
-    r, variables = pushed(STRONG[0][1])
-    left = sorted(dependences(r, variables), key=lambda d: -d.excess)[:1]
-    found = formula(r, left, variables, RUNS)
-    assert found is not None
-    first = found.terms[0]
-    assert first.function.startswith("max(q - 0.")
-    assert first.coefficient == pytest.approx(-20.0, rel=0.3)
 
 
 def test_a_swing_whose_phase_differs_from_run_to_run_is_told_with_its_frequency() -> None:

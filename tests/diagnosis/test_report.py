@@ -127,16 +127,7 @@ def test_the_content_holds_what_the_schema_promises(found: tuple[Diagnosis, dict
     _, content = found
     promised = {
         *("schema", "verdict", "added", "summary", "findings", "ranking", "ties", "not_shown", "parameters"),
-        *(
-            "declared_parameters",
-            "residual",
-            "structure",
-            "unexplained",
-            "formula",
-            "errors",
-            "data",
-            "alpha",
-        ),
+        *("declared_parameters", "residual", "structure", "unexplained", "errors", "data", "alpha"),
         *("seed", "seconds"),
     }
     assert promised <= set(content)

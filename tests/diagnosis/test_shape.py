@@ -9,7 +9,6 @@ import pytest
 from numpy.typing import NDArray
 
 from nsde_torch.diagnosis.dependence import Dependence
-from nsde_torch.diagnosis.formula import formula
 from nsde_torch.diagnosis.regressors import Regressors, regressors
 from nsde_torch.diagnosis.search import Search
 from nsde_torch.diagnosis.shape import Shape, shape
@@ -98,24 +97,6 @@ def test_a_push_at_one_time_is_local_in_time_and_has_no_symmetry() -> None:
     assert words.symmetry == ""
 
 
-def test_a_formula_has_the_terms_and_coefficients_that_were_put_in() -> None:
-    r, variables = pushed(lambda q, t, run: -2.0 * np.abs(q) * q)
-    left = [d for d in dependences(r, variables) if d.variable == "q"]
-    found = formula(r, left, variables, RUNS)
-    assert found is not None
-    assert [t.function for t in found.terms] == ["|q| q"]
-    (term,) = found.terms
-    assert abs(term.coefficient + 2.0) < 4 * term.error + 0.05
-    assert found.text.startswith("d q_dot / dt lacks - ")
-    assert 0 < found.share < 1
-
-
-def test_noise_has_no_formula() -> None:
-    r, variables = pushed(lambda q, t, run: 0.0 * q)
-    assert formula(r, dependences(r, variables)[:2], variables, RUNS) is None
-    assert formula(r, [], variables, RUNS) is None
-
-
 def test_bins_give_means_and_errors_that_hold_noise_which_lasts() -> None:
     rng = np.random.default_rng(0)
     off = []
@@ -144,7 +125,6 @@ def test_a_single_moment_is_described_without_functions_of_anything() -> None:
     words = shape(r, single, variables, rates(r, variables), RUNS)
     assert (words.only_run, words.extent, words.symmetry) == (None, "local", "")
     assert "3.5 s" in words.sentence
-    assert formula(r, [single], variables, RUNS) is None
 
 
 def test_a_well_in_one_place_is_local_and_not_periodic() -> None:

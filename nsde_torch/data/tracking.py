@@ -23,8 +23,7 @@ from scipy.signal import lfilter
 
 Array = NDArray[np.float64]
 
-SLOWEST_S = 0.15
-"""Longest time constant of a filter [s]: what it forgets in, whatever the physics says."""
+_SLOWEST_S = 0.15  # longest time constant of a filter: what it forgets in
 _LARGEST = 30.0  # tracking index: the position as it is
 _FIRST = 30  # rows at the start of a stretch that do not judge a filter
 
@@ -46,16 +45,10 @@ class AlphaBeta:
         share = max(self.beta * (2.0 * self.alpha - self.beta) / (2.0 * kept), 0.0)
         return sqrt(share * kept * square) / dt
 
-    def noises(self, square: float, dt: float) -> tuple[float, float]:
-        """Standard deviations of the noise of the position and of the rate's changes over steps, from the same."""
-        kept = max(1.0 - self.alpha, 1e-9)
-        sensor = sqrt(kept * square)
-        return sensor, self.beta / sqrt(kept) * sensor / dt  # the tracking index is beta / sqrt(1 - alpha)
 
-
-def gains(dt: float, count: int, *, slowest: float = SLOWEST_S) -> list[AlphaBeta]:
-    """Filters from one of this time constant [s] to one that takes positions as they are, for a step [s]."""
-    low = min((dt / slowest) ** 2, 0.1)
+def gains(dt: float, count: int) -> list[AlphaBeta]:
+    """Filters from the slowest one to one that takes positions as they are, for a step [s]."""
+    low = min((dt / _SLOWEST_S) ** 2, 0.1)
     out = []
     for index in np.logspace(log10(low), log10(_LARGEST), count).tolist():
         r = (4.0 + index - sqrt(8.0 * index + index * index)) / 4.0

@@ -23,14 +23,15 @@ from nsde_torch.diagnosis.pipeline import diagnose
 from nsde_torch.diagnosis.result import Diagnosis
 from nsde_torch.effects.law import AND
 from nsde_torch.errors import ConfigError, NsdeError
+from nsde_torch.inference.estimate import LogLikelihood
+from nsde_torch.inference.maximum import likeliest
+from nsde_torch.inference.states import filtered_at
 from nsde_torch.recording import assemble
-from nsde_torch.sysid.observer import Observer
 from nsde_torch.systems import System
 
 Array = NDArray[np.float64]
 Say = Callable[[str, int, int], None]
 
-_PIECE_S = 2.0
 _BEYOND = 2.0  # ranges of the log beyond which a simulated machine has left it
 _NEAR = 1e-9
 
@@ -218,20 +219,25 @@ def _raw(
 
 
 def _noise(found: Diagnosis, count: int, steps: int, rng: np.random.Generator) -> Disturbances:
-    """Noise as the diagnosis found it; where rates are inferred, that of a mass that white accelerations push."""
+    """Noise as the diagnosis found it; where rates are inferred, that of largest likelihood."""
     fit, runs = found.outcome.final.regression, found.recorded.runs
-    columns = [j for j, _ in fit.physics.steps.inferred]
-    if not columns:
+    if not fit.physics.steps.inferred:
         return disturbances(fit, count, steps, rng)
-    system, dt = found.outcome.system, fit.physics.steps.dt
-    observer = Observer(system, runs, columns=columns, dt=dt, piece_s=_PIECE_S)
-    chosen, square, _ = observer.best()
-    pushes, errors = np.zeros((count, steps, system.nx)), np.zeros((count, steps + 1, system.nx))
-    for gain, own, i, j in zip(chosen, square, observer.positions, observer.rates, strict=True):
-        sensor, push = gain.noises(float(own), dt)
-        errors[..., i] = sensor * rng.standard_normal(errors.shape[:2])
-        pushes[..., j] = push * rng.standard_normal(pushes.shape[:2])
-    return Disturbances(pushes, errors)
+    of = LogLikelihood(found.outcome.system, runs, found.recorded.clock, states=True)
+    at, space = filtered_at(of), of.space
+    levels, _ = likeliest(space, at.levels, at.levels, at.about, of.start)
+    white, gust, keep = (v.numpy() for v in (levels.white.exp(), levels.gust.exp(), levels.keep(space.h)))
+    gusts = gust * rng.standard_normal((count, steps, space.nd))
+    for k in range(1, steps):
+        gusts[:, k] = keep * gusts[:, k - 1] + np.sqrt(1.0 - keep**2) * gusts[:, k]
+    forces = gusts + white / space.h**0.5 * rng.standard_normal(gusts.shape)
+    moved = (
+        at.about.slopes[..., space.ne :].square().mean((0, 1)).sqrt().numpy()
+    )  # over a step, by each of them
+    errors = np.zeros((count, steps + 1, space.nx))
+    noise = rng.standard_normal((count, steps + 1, len(space.observed)))
+    errors[..., space.observed] = levels.sensor.exp().numpy() * noise
+    return Disturbances(forces @ moved.T, errors)
 
 
 def _diagnosed(found: Diagnosis, log: list[RawRun]) -> dict[str, Any]:

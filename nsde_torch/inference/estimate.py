@@ -53,6 +53,7 @@ _PASSES = 4  # until the states that a filter is linearised about have settled
 _LOST = 1.0  # nats by which the nonlinear filter may differ from its linearisation
 _LATE = 30  # rows after the start of a stretch in which unmeasured states are known from later ones
 _SHORTEST, _FEWEST = 32, 50  # steps of a stretch, rows in all
+_SHORTEST_OF_STATES = 10
 _UNKNOWN = 3.0  # times what is not known of an inferred rate: where a filter starts
 _DIFFERENCES, _OVER = 4, 10
 _LAGS = 10  # of the autocorrelation of innovations
@@ -155,20 +156,36 @@ class LogLikelihood:
         clock: Physical seconds per logged second.
         run_in: Whether the first rows of each stretch only bring up memory; None: where an effect has any. Physics that
             are compared need the same.
+        states: Whether states alone are asked for (`states`): short logs do, and rates start as they were inferred.
 
     Raises:
         DataError: no run, no stretch that is long enough, or nothing moves.
     """
 
     def __init__(
-        self, system: System, runs: Sequence[Run], clock: float = 1.0, *, run_in: bool | None = None
+        self,
+        system: System,
+        runs: Sequence[Run],
+        clock: float = 1.0,
+        *,
+        run_in: bool | None = None,
+        states: bool = False,
     ) -> None:
         self._unknown = inferred_columns(system, runs)
-        steps = steps_of(system, runs, clock=clock, smooth=False, shortest=_SHORTEST, run_in=run_in)
+        shortest, fewest = (_SHORTEST_OF_STATES, 1) if states else (_SHORTEST, _FEWEST)
+        steps = steps_of(
+            system,
+            runs,
+            clock=clock,
+            smooth=False,
+            shortest=shortest,
+            run_in=run_in,
+            differences=int(not states),
+        )
         chunks = Chunks(steps, late=_LATE if self._unknown else 0)
-        if int(chunks.counted.sum()) < _FEWEST:
+        if int(chunks.counted.sum()) < fewest:
             raise DataError(
-                f"{int(chunks.counted.sum())} rows are too few for a likelihood of physics and noise; give {_FEWEST} "
+                f"{int(chunks.counted.sum())} rows are too few for a likelihood of physics and noise; give {fewest} "
                 "or more, in stretches without a gap."
             )
         self._set(system, steps, chunks)

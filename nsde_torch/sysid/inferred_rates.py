@@ -1,12 +1,10 @@
 """Rates that no sensor measured, inferred from positions with the physics in the loop.
 
-A state observer follows the positions (`observer`). Its estimate of a row knows that row and those before it, and none
-after: what it lacks of the true rate is then independent of the noise that comes, and physics fitted at it, averaged
-over what it lacks (`Physics`), is not bent by noise in its regressors. A smoother, which knows rows on both sides,
-would be nearer to the truth and bend friction.
-
-Gains are those of the smallest e, one pair for each position, never slower than `SLOWEST_S`: in that time rates forget
-what the physics says of them, so that wrong physics hardly counts. Pieces of the runs are followed side by side.
+A Kalman filter follows the positions (`nsde_torch.inference`). Its estimate of a row knows that row and those before
+it, and none after: what it lacks of the true rate is then independent of the noise that comes, and physics fitted at
+it, averaged over what it lacks (`Physics`), is not biased by noise in its regressors. A smoother, which knows rows on
+both sides, would be nearer to the truth and bias friction. What the physics leaves counts as a gust that lasts, so that
+wrong physics hardly biases rates.
 
 The rates hang a little on the parameters: they are inferred again until these have settled (`in_turn`).
 """
@@ -16,27 +14,27 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from nsde_torch.data import Run
+from nsde_torch.data.system_info import rate_pairs
 from nsde_torch.errors import DataError
+from nsde_torch.inference.estimate import LogLikelihood
+from nsde_torch.inference.states import filtered_at
 from nsde_torch.inference.steps import inferred_columns
-from nsde_torch.sysid.observer import Observer
 from nsde_torch.sysid.result import Identification
 from nsde_torch.systems import System
-
-Array = NDArray[np.float64]
 
 TURNS = 4
 """Times that rates are inferred, at most."""
 SETTLED = 0.2
 """Standard errors that parameters may still move by."""
-_PIECE_S = 2.0
 _DIVERGED = 1e3  # times all that a position moves, between two rows
 
 
 def with_rates(system: System, runs: Sequence[Run], clock: float = 1.0) -> list[Run]:
-    """Runs with inferred rates as the physics of a system foretells them; the runs themselves where none are inferred.
+    """Runs with inferred rates as the physics of a system predicts them; the runs themselves where none are inferred.
+
+    Rows too few for a filter keep their rates.
 
     Args:
         system: The machine with its values; it is not changed.
@@ -49,29 +47,30 @@ def with_rates(system: System, runs: Sequence[Run], clock: float = 1.0) -> list[
     columns = inferred_columns(system, runs) if runs else {}
     if not columns:
         return list(runs)
-    dt = runs[0].dt * clock
-    observer = Observer(system, runs, columns=list(columns), dt=dt, piece_s=_PIECE_S)
-    chosen, square, rates = observer.best()
-    for c, (j, at) in enumerate(zip(observer.rates, observer.positions, strict=True)):
-        most = _DIVERGED * max(float(np.ptp(run.x[:, at])) for run in runs)
-        v = rates[:, :, c][np.isfinite(rates[:, :, c])]
-        if not len(v) or np.abs(v).max() * dt > most:
+    try:
+        likelihood = LogLikelihood(system, runs, clock, states=True)
+    except DataError:
+        return list(runs)
+    found = filtered_at(likelihood)
+    states, unknown, square = found.states(runs), found.unknown(), found.square()
+    names, channels, told = system.state_names, list(likelihood.vector.system.error_names), dict[str, float]()
+    for i, j in ((i, j) for i, j in rate_pairs(system) if j in columns):
+        most = _DIVERGED * max(float(np.ptp(run.x[:, i])) for run in runs)
+        if not all(np.abs(x[:, j]).max() * runs[0].dt * clock <= most for x in states):
             raise DataError(
-                f"{system.state_names[j]} cannot be inferred from {system.state_names[at]}: over steps of {dt:.3g} s "
-                "the declared physics diverges. Log the rate, record at a higher rate, or give first values nearer to "
-                "those of the machine (system.parameters.NAME=...)."
+                f"{names[j]} cannot be inferred from {names[i]}: over steps of {runs[0].dt * clock:.3g} s the declared "
+                "physics diverges. Log the rate, record at a higher rate, or give first values nearer to those of the "
+                "machine (system.parameters.NAME=...)."
             )
-    states = [np.array(run.x) for run in runs]
-    for p, (n, first, end, start) in enumerate(observer.pieces):
-        part = rates[first - start : end - start, p]
-        for c, j in enumerate(observer.rates):
-            good = np.isfinite(part[:, c])
-            states[n][first:end][good, j] = part[good, c]
-    told = {
-        system.state_names[j]: gain.unknown(float(own), dt)
-        for j, gain, own in zip(observer.rates, chosen, square, strict=True)
-    }
-    return [replace(run, x=x, inferred=told) for run, x in zip(runs, states, strict=True)]
+        # innovations that are larger than their covariance says have states that are known less
+        larger = float(square[likelihood.channels.index(names[i])]) ** 0.5
+        told[names[j]] = larger * float(unknown[channels.index(names[j])])
+    out = []
+    for run, x in zip(runs, states, strict=True):
+        own = np.array(run.x)
+        own[:, list(columns)] = x[:, list(columns)]
+        out.append(replace(run, x=own, inferred=told))
+    return out
 
 
 def in_turn(
@@ -80,7 +79,7 @@ def in_turn(
     clock: float,
     identified: Callable[[System, Sequence[Run]], Identification],
 ) -> Identification:
-    """What an identification finds at rates that its own physics foretells.
+    """What an identification finds at rates that its own physics predicts.
 
     Args:
         system: The machine; its values are where the iteration starts. It is not changed.

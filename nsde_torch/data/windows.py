@@ -12,7 +12,7 @@ the data.
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 import torch
@@ -237,10 +237,6 @@ class Windows:
     def sample(self, size: int, generator: torch.Generator) -> Tensor:
         """Window numbers drawn with replacement, (size,); the same generator state gives the same numbers."""
         return torch.randint(len(self), (size,), generator=generator)
-
-    def epoch(self, size: int, generator: torch.Generator) -> Iterator[Tensor]:
-        """Every window once in random order, in batches of `size` (the last may be smaller)."""
-        yield from torch.randperm(len(self), generator=generator).split(size)
 
     def starts(self, every_s: float) -> Tensor:
         """Windows to evaluate: on the regular grid 0, every_s, 2 every_s, ... of their run, or at interventions.

@@ -10,7 +10,6 @@ from dataclasses import dataclass
 from math import log
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import chdtrc
 
 from nsde_torch.diagnosis.decisions import DECISIONS, Decisions
@@ -23,8 +22,6 @@ from nsde_torch.effects.expression_grammar import is_law
 from nsde_torch.inference.spread import Spread
 from nsde_torch.sysid.regression import Regression
 from nsde_torch.systems import System
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

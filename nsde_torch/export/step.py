@@ -31,7 +31,6 @@ from nsde_torch.export.layout import (
     JUMPED,
     KNOWN,
     N_HEAD,
-    STATUS,
     TROUBLES,
     Sizes,
     step_inputs,
@@ -390,8 +389,3 @@ def packed(plan: Plan, jumped: float) -> Tensor:
     """
     head = torch.stack((torch.ones(()), plan.age[0], torch.tensor(jumped), plan.cost[0], plan.gap[0]))
     return torch.cat([part.double().flatten() for part in (head, plan.u, plan.z)])
-
-
-def status_word(number: float) -> str:
-    """The word of a status."""
-    return STATUS[round(number)]

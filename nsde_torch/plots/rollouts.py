@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from nsde_torch.errors import ShapeError
 from nsde_torch.plots.euler import with_angles
@@ -15,7 +15,6 @@ from nsde_torch.plots.style import BLACK, BLUE, few_ticks, key, label, panels, s
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-Array = NDArray[np.float64]
 BANDS = ((0.95, "#d6e6f2"), (0.90, "#a9cde6"), (0.50, "#66a9d4"))
 """Central intervals and their colours, widest first."""
 

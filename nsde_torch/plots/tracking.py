@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -165,8 +165,3 @@ def film(
             figure.suptitle(f"{t[k]:.1f} s, {np.linalg.norm(x[k, 3:6]):.1f} m/s, {off:.0f} cm off")
             writer.grab_frame()
     return file
-
-
-def columns_of(flights: Sequence[Array]) -> Array:
-    """States (T, N, 13) of flights (T, n, 13) side by side."""
-    return np.concatenate(list(flights), axis=1)

@@ -43,9 +43,6 @@ _QUATERNIONS: dict[str, Callable[[Array], Array]] = {
     "the quaternion has its scalar last and turns the world into the body: write w before x y z, and change the "
     "signs of these three": lambda q: conjugate(q[:, [3, 0, 1, 2]]),
 }
-_BODY_VELOCITY = (
-    "the velocity is along the body's axes: turn it into the world with the attitude, v_world = R(q) v"
-)
 
 
 def check(system: SystemInfo, runs: Sequence[Run]) -> None:

@@ -3,13 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from nsde_torch.data.findings import Finding, Report
 from nsde_torch.data.raw import RawRun, holes
 from nsde_torch.errors import DataError
-
-Array = NDArray[np.float64]
 
 
 def fill(run: RawRun, *, gap: float, report: Report) -> None:

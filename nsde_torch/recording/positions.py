@@ -10,7 +10,6 @@ from collections.abc import Collection, Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from nsde_torch.data.findings import Finding, Report
 from nsde_torch.data.raw import RawRun
@@ -19,8 +18,6 @@ from nsde_torch.data.system_info import SystemInfo, changed, rate_pairs
 from nsde_torch.data.tracking import rates
 from nsde_torch.errors import ConfigError, DataError
 from nsde_torch.recording.derived import derived_rates
-
-Array = NDArray[np.float64]
 
 POLICIES = ("infer", "keep")
 

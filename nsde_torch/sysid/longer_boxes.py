@@ -13,13 +13,10 @@ from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from nsde_torch.errors import DataError, NonFiniteError
 from nsde_torch.sysid.guard import Guarded
 from nsde_torch.sysid.result import Identification
-
-Array = NDArray[np.float64]
 
 LENGTHS_S = (0.05, 0.2)
 """Length of the boxes, and of those that they are held against [s]: a bias as the root of the length doubles."""

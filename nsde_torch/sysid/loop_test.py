@@ -28,7 +28,6 @@ from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from nsde_torch.data import Run
 from nsde_torch.errors import ConfigError, DataError, NonFiniteError
@@ -47,8 +46,6 @@ from nsde_torch.sysid.loop_words import FACTOR, NO_INPUT, sentences
 from nsde_torch.sysid.noise import extended
 from nsde_torch.sysid.regression import ITERATIONS, Regression
 from nsde_torch.systems import System
-
-Array = NDArray[np.float64]
 
 _PLAYED = 0.75  # share of an input that is no function of the logged state, above which no controller made it
 _OWN_ANSWER = 0.02  # share of what is new in an input, below which it hardly answers a channel

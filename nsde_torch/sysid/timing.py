@@ -16,7 +16,6 @@ from dataclasses import dataclass, replace
 from math import log
 
 import numpy as np
-from numpy.typing import NDArray
 
 from nsde_torch.data import Run
 from nsde_torch.data.system_info import derivative_columns, rate_columns
@@ -24,8 +23,6 @@ from nsde_torch.recording.channels import common_name, moved
 from nsde_torch.sysid.regression import Regression
 from nsde_torch.sysid.rough import beginnings, left_at, rough_fit
 from nsde_torch.systems import System
-
-Array = NDArray[np.float64]
 
 STEP_S = 0.03
 """Distance of the shifts that are compared [s]."""

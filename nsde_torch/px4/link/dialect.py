@@ -15,11 +15,9 @@ mavlink: ModuleType = common
 
 SET_MODE, ARM, SET_INTERVAL, REQUEST_MESSAGE = 176, 400, 511, 512
 """Numbers of commands: MAV_CMD_DO_SET_MODE, _COMPONENT_ARM_DISARM, _SET_MESSAGE_INTERVAL, _REQUEST_MESSAGE."""
-GET_INTERVAL = 510
 FORCE = 21196.0
 """Second parameter of the arming command that makes PX4 obey in the air."""
 ACCEPTED, TEMPORARILY_REJECTED, DENIED, UNSUPPORTED, FAILED = 0, 1, 2, 3, 4
-RESULTS = ("accepted", "temporarily rejected", "denied", "unsupported", "failed", "in progress", "cancelled")
 ARMED_FLAG = 128
 GCS, ONBOARD = 6, 18
 """Types of a heartbeat. PX4 sends STATUSTEXT only to a link on which a ground station is heard."""

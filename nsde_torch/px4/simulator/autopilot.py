@@ -390,8 +390,3 @@ class SimulatedAutopilot:
         if self.blind and name in ("ODOMETRY", "LOCAL_POSITION_NED"):
             return None
         return MESSAGES[name](self, now + self.clock_error)
-
-
-def weight_throttle(body: Body) -> float:
-    """Throttle that hovers, for MPC_THR_HOVER of a vehicle that is set up well."""
-    return (GRAVITY - body._offset) / (body._gain * body.nu)

@@ -13,10 +13,9 @@ from nsde_torch.errors import ConfigError
 from nsde_torch.models import MODELS, ModelOptions
 from nsde_torch.models.kind import model_options as options_of_model
 from nsde_torch.recording import read
-from nsde_torch.recording.run_offsets import on_one_clock
 from nsde_torch.sde import IntegratorOptions, TorchDiffEqOptions
 from nsde_torch.simulation import simulated
-from nsde_torch.sysid.restored_states import restore_states
+from nsde_torch.sysid.at_own_rate import undone_at_own_rate
 from nsde_torch.systems import System, SystemOptions
 from nsde_torch.training import LossOptions, TrainerOptions
 
@@ -101,7 +100,9 @@ def dataset(config: DictConfig, machine: SystemInfo) -> DataSet:
     given = options(config, *_NOT_FOR_DATA)
     if config.kind == "simulated":
         return simulated(machine, **given, **options(config.options))
-    return _restored(config, read(config.kind, machine, **given, **_reader_options(config)), machine)
+    return _restored(
+        config, read(config.kind, machine, own_rate=True, **given, **_reader_options(config)), machine
+    )
 
 
 def other_dataset(config: DictConfig, machine: SystemInfo) -> DataSet:
@@ -111,14 +112,21 @@ def other_dataset(config: DictConfig, machine: SystemInfo) -> DataSet:
         DataError: The data cannot be used.
     """
     given = {**options(config, *_NOT_FOR_DATA), "path": config.test_path}
-    return _restored(config, read(config.kind, machine, **given, **_reader_options(config)), machine)
+    return _restored(
+        config, read(config.kind, machine, own_rate=True, **given, **_reader_options(config)), machine
+    )
 
 
 def _restored(config: DictConfig, data: DataSet, machine: SystemInfo) -> DataSet:
-    """Data with streams on one clock and states as they were before a smoother, unless the user wants to keep them."""
-    data = on_one_clock(data, machine, policy=config.stream_offsets)
-    taken_out = [str(name) for name, value in config.items() if value]
-    return restore_states(data, machine, policy=config.state_smoothing, taken_out=taken_out)
+    """Data on the step that was asked for, without what the recording did, unless the user wants to keep it."""
+    return undone_at_own_rate(
+        data,
+        machine,
+        dt=config.dt,
+        stream_offsets=config.stream_offsets,
+        state_smoothing=config.state_smoothing,
+        taken_out=[str(name) for name, value in config.items() if value],
+    )
 
 
 def _reader_options(config: DictConfig) -> dict[str, Any]:

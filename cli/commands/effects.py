@@ -19,6 +19,7 @@ from ..registry import PlainCommand
 
 if TYPE_CHECKING:
     from nsde_torch.effects import Effect
+    from nsde_torch.systems import System
 
 KEYS = {"system": "only those that this system can have", "format": "text or json"}
 FORMATS = ("text", "json")
@@ -89,15 +90,16 @@ def catalogue(system: str | None = None, *, config_dir: Path | None = None) -> l
     """
     from nsde_torch.effects import EFFECTS, effects_of
     from nsde_torch.effects.law import split_name
-    from nsde_torch.systems import SYSTEMS, system_class
+    from nsde_torch.systems import SYSTEMS, make_system
 
+    machine = None
     if system is None:
         chosen = dict(EFFECTS)
     else:
         beside = str((config_dir or Path.cwd()).resolve())  # a system of the user's own, in a file there
         sys.path.insert(0, beside)
         try:
-            machine = system_class(own_system(system, config_dir))
+            machine = make_system(own_system(system, config_dir))
         finally:
             sys.path.remove(beside)
         chosen = effects_of(machine.name, machine.ports, machine.bound_coordinates())
@@ -107,9 +109,19 @@ def catalogue(system: str | None = None, *, config_dir: Path | None = None) -> l
         name: [s for s, effects in of_machines.items() if name in effects]
         for name in (chosen if system is None else ())
     }
-    rows = [_row(cls, fits.get(name, [system or ""])) for name, cls in chosen.items()]
+    rows = [
+        {**_row(cls, fits.get(name, [system or ""])), "no_candidate": _no_candidate(machine, name)}
+        for name, cls in chosen.items()
+    ]
     order = list(dict.fromkeys(tuple(row["systems"]) for row in rows))
     return sorted(rows, key=lambda row: order.index(tuple(row["systems"])))
+
+
+def _no_candidate(machine: System | None, name: str) -> str | None:
+    """Why a diagnosis of a machine does not try an effect; empty where it does, None without a machine."""
+    from nsde_torch.diagnosis.candidates import why_not
+
+    return None if machine is None else why_not(machine, name)
 
 
 def _row(cls: type[Effect], systems: Sequence[str]) -> dict[str, Any]:
@@ -167,9 +179,13 @@ def table(rows: Sequence[dict[str, Any]], width: int, *, systems: bool) -> str:
             lines += ["", f"for {who}:"]
         lines += _wrapped(cell, widths)
         indent = " " * (fixed[0] + len(_GAP))
-        lines += textwrap.wrap(
-            f"source: {row['source']}", width, initial_indent=indent, subsequent_indent=indent
-        )
+        said = [f"source: {row['source']}"]
+        if row["no_candidate"]:
+            said.insert(0, f"no candidate of a diagnosis of this machine: {row['no_candidate']}")
+        elif row["exogenous"]:
+            said.insert(0, f"a candidate of a diagnosis where the log has {', '.join(row['exogenous'])}")
+        for one in said:
+            lines += textwrap.wrap(one, width, initial_indent=indent, subsequent_indent=indent)
     return "\n".join(lines)
 
 

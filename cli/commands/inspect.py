@@ -77,19 +77,21 @@ def _inspect(path: str, given: dict[str, str], folder: Path | None) -> int:
     if found.mapping is not None and "mapping" not in given and target is not None:
         print(_write(found, target, overwrite=given.get("overwrite") == "true"))
     used = Path(given["mapping"]) if "mapping" in given else target
-    words = ["nsde", "train", *(() if folder is None else ("--config-dir", str(folder)))]
-    words += [f"system={given.get('system', found.system)}", f"data={found.kind}"]
-    train = as_typed(*words, paths={"data.path": path, **_mapping_key(found, used, path)})
-    print(f"\nnext: {_next(found, train)}")
+    own = () if folder is None else ("--config-dir", str(folder))
+    system = f"system={given.get('system', found.system)}"
+    paths = {"data.path": path, **_mapping_key(found, used, path)}
+    train = as_typed("nsde", "train", *own, system, f"data={found.kind}", paths=paths)
+    again = as_typed("nsde", "inspect", path, *own, system, "mapping=FILE", paths={})
+    print(f"\nnext: {_next(found, train, again)}")
     return OK if found.usable else FAILED_JOBS
 
 
-def _next(found: Inspection, train: str) -> str:
+def _next(found: Inspection, train: str, again: str) -> str:
     """What to do now: nothing is trained before a doubt is mended."""
     if found.doubts:
         return f"mend this first, then `nsde inspect` again: {found.doubts[0]}"
     if not found.usable:
-        return "complete the mapping (`missing` above), then `nsde inspect LOG mapping=FILE`"
+        return f"complete the mapping (`missing` above), then {again}"
     if found.open:
         return f"choose in the mapping what is open above (`look at`); then {train}"
     return train

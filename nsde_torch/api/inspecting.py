@@ -169,7 +169,30 @@ def inspect(
             f"`path`: {path} holds the published files, which `data=published` reads as they are."
         )
     if READERS[kind].streams is None and given is None:
-        return _native(Path(path), kind, machine, physics=physics)
+        native = _native(Path(path), kind, machine, physics=physics)
+        refused = [check.text for check in native.checks if check.remedy == REFUSED]
+        if kind != "csv" or not refused:
+            return native
+        mapped = _mapped(path, kind, machine, None, physics=physics)
+        mapped.notes.insert(
+            0, f"read through a mapping, as the package's own reader refuses it: {refused[0]}"
+        )
+        own = machine or system_options(mapped.system).make()
+        return mapped if mapped.usable and _all_read(path, own, mapped) else native
+    return _mapped(path, kind, machine, given, physics=physics)
+
+
+def _all_read(path: str | Path, machine: System, found: Inspection) -> bool:
+    try:
+        return bool(reader(found.kind)(machine, path=path, mapping=found.mapping))
+    except NsdeError:
+        return False
+
+
+def _mapped(
+    path: str | Path, kind: str, machine: System | None, given: LogMapping | None, *, physics: bool
+) -> Inspection:
+    """A log whose columns mean what a mapping says."""
     files = log_files("table" if kind == "csv" else kind, path)
     log = files[0].open(given.time if given else None)
     guessed = machine or system_options(given.system if given and given.system else guess_system(log)).make()

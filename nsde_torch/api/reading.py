@@ -20,10 +20,9 @@ from nsde_torch.errors import ConfigError, DataError
 from nsde_torch.recording.checks import assemble
 from nsde_torch.recording.faults.registry import remedies
 from nsde_torch.recording.reading import read as read_kind
-from nsde_torch.recording.run_offsets import on_one_clock
 from nsde_torch.simulation.generate import Simulation
+from nsde_torch.sysid.at_own_rate import undone_at_own_rate
 from nsde_torch.sysid.readings import better_readings
-from nsde_torch.sysid.restored_states import restore_states
 from nsde_torch.sysid.rough import beginnings, rough_fit
 from nsde_torch.systems.base import System
 from nsde_torch.systems.options import SystemOptions, system_options
@@ -59,7 +58,7 @@ def read(
         kind: Reader: a key of `nsde_torch.data.READERS`, `module:function` of your own, or the function; None tells by
             the names of the files.
         options: Further arguments of the reader.
-        dt: Step to resample to [s]; None: the step of the data.
+        dt: Step to resample to [s]; None: the step of the data. A longer one is taken after all checks.
         gap: A longer pause between rows splits a run [s]; None: 2.5 steps of the data.
         clock: What to do when the kinematics disagree with the clock: "rescale", "trust" or "refuse".
         state_smoothing: What to do with states that were smoothed before they were logged: "restore" or "keep".
@@ -97,11 +96,17 @@ def read(
         machine,
         kind,
         options or {},
-        {"dt": dt, "gap": gap, "clock": clock, "derived_rates": derived_rates, **faults},
+        {"dt": dt, "own_rate": True, "gap": gap, "clock": clock, "derived_rates": derived_rates, **faults},
     )
     taken_out = [name for name, value in faults.items() if value]
-    found = on_one_clock(found, machine, policy=stream_offsets)
-    found = restore_states(found, machine, policy=state_smoothing, taken_out=taken_out)
+    found = undone_at_own_rate(
+        found,
+        machine,
+        dt=dt,
+        stream_offsets=stream_offsets,
+        state_smoothing=state_smoothing,
+        taken_out=taken_out,
+    )
     if isinstance(data, str | Path) and isinstance(machine, System):
         more = (*found.summary.findings, *_columns_otherwise(machine, found))
         found = replace(found, summary=replace(found.summary, findings=more))

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from nsde_torch.data.csv_folder import fits
+from nsde_torch.data.mapping.files import mapping_beside
 from nsde_torch.data.places import log_place
 from nsde_torch.data.raw import RawRun
 from nsde_torch.data.readers import kind_of, reader
@@ -14,7 +15,7 @@ from nsde_torch.errors import ConfigError
 
 
 def format_of(path: str | Path, system: SystemInfo | None = None) -> str:
-    """Kind of the logs in a file or folder; CSV whose columns are not those of the system is a table.
+    """Kind of the logs in a file or folder; CSV with a mapping or without the system's columns is a table.
 
     Args:
         path: File or folder.
@@ -25,7 +26,7 @@ def format_of(path: str | Path, system: SystemInfo | None = None) -> str:
     """
     path = log_place(path, "a log or a folder of logs")
     kind = kind_of(path)
-    if kind == "csv" and (path.is_file() or system is None or not fits(path, system)):
+    if kind == "csv" and (path.is_file() or system is None or mapping_beside(path) or not fits(path, system)):
         return "table"
     return kind
 

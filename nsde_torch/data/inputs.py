@@ -122,8 +122,10 @@ def check_range(inputs: Array, names: Sequence[str], where: str) -> None:
         low, high = float(np.nanmin(inputs[:, k])), float(np.nanmax(inputs[:, k]))
         if low < -0.05 or high > 1.05:
             guess = "write a share of full throttle"
-            if 800 <= high <= 2300:
+            if low >= 800 and high <= 2300:
                 guess = "this looks like pulse widths in microseconds: write (pwm - 1000) / 1000"
+            elif high > 110:
+                guess = "speeds of rotors and other units are read through a mapping, which `nsde inspect` proposes"
             elif 1.05 < high <= 110:
                 guess = "this looks like percent: divide by 100"
             raise DataError(

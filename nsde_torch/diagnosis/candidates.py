@@ -20,17 +20,31 @@ def candidate_names(system: System, among: Collection[str] | None = None) -> lis
         system: The machine.
         among: Names to choose from; None for all.
     """
-    there = {name for effect in system.effects if isinstance(effect, Effect) for name in effect.includes}
     return sorted(
         name
         for name, cls in effects_of(
             system.name, {*system.ports, Port.INPUT}, system.bound_coordinates()
         ).items()
         if (among is None or name in among)
-        and name not in there
-        and name not in system.effect_names
-        and cls.candidate(system.name)
+        and not why_not(system, name)
         and set(cls.exogenous) <= set(system.exogenous)
+    )
+
+
+def why_not(system: System, name: str) -> str:
+    """Why a diagnosis does not try an effect that acts on what the machine has; empty where it does.
+
+    Args:
+        system: The machine.
+        name: Effect of the catalogue, as the machine calls it.
+    """
+    if name in system.effect_names:
+        return "it is declared already"
+    around = [e.name for e in system.effects if isinstance(e, Effect) and name in e.includes]
+    return (
+        f"it is part of {around[0]}, which is declared"
+        if around
+        else effect_class(name).no_candidate(system.name)
     )
 
 
@@ -56,8 +70,9 @@ def check_candidates(system: System, names: Sequence[str]) -> None:
     }
     able = candidate_names(system.reading(*sorted(read - set(system.exogenous))))
     for name in on_coordinates(system, names):
-        if name in system.effect_names:
-            raise ConfigError(f"`candidates` names {name!r}, which is declared already; leave it out.")
+        reason = why_not(system, name)
+        if reason:
+            raise ConfigError(f"`candidates` names {name!r}, which is none: {reason}; leave it out.")
         if name not in able:
             raise ConfigError(
                 f"`candidates` names {name!r}, which {system.name!r} cannot have beyond its declared physics; it could "

@@ -129,14 +129,14 @@ def _diagnosed(
     """The stages, in order."""
     stages, say = OptionalStages(), course.say
     data, names, options, spec = course.data, course.runs, course.options, course.spec
-    own_effects = read_effects(system, runs, options)
+    read_effects(system, runs, options)
     say("checking the recording chain", 0, 1)
     recorded = stages.attempt(
         "faults of the recording chain",
         lambda: undone(data, runs, system, options, decisions, budgets),
         Recorded(tuple(runs), 1.0, ()),
     )
-    log = read_log(system, recorded, options, own_effects, decisions=decisions, budgets=budgets, say=say)
+    log = read_log(system, recorded, options, decisions=decisions, budgets=budgets, say=say)
     log = replace(log, stages=stages, so_far=course.known)
     log = at_declared(log)
     search = log.search(log.runs)

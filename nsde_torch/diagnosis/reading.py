@@ -149,33 +149,46 @@ def read_effects(system: System, runs: Sequence[Run], options: Options) -> dict[
     check_candidates(system, options.candidates or ())
     if options.instruments:  # told before any work
         with_columns(system, runs, options.instruments)
-    return {key: register(key) for key in options.also}
+    own = {key: register(key) for key in options.also}
+    reading = system.reading(*logged_channels(system, runs))
+    able = candidate_names(reading)
+    for name in on_coordinates(reading, options.candidates or ()):
+        if name not in able:
+            raise ConfigError(
+                f"`candidates` names {name!r}, which {system.name!r} cannot have beyond its declared physics and the "
+                f"logged channels; it could have: {', '.join(able)}."
+            )
+    for key, name in own.items():
+        if not set(on_coordinates(reading, [name])) & set(able):
+            raise ConfigError(
+                f"`also` names {key!r}, which {system.name!r} cannot have: it acts on the port "
+                f"{effect_class(name).port.value!r} and reads "
+                f"{', '.join(effect_class(name).exogenous) or 'no channel'}."
+            )
+    return own
 
 
 def read_log(
     system: System,
     recorded: Recorded,
     options: Options,
-    own: Mapping[str, str],
     *,
     decisions: Decisions,
     budgets: Budgets,
     say: Callable[[str, int, int], None],
 ) -> Log:
-    """The log with its channels, for a machine that can have the candidates.
+    """The log with its channels.
 
     Args:
         system: Declared system.
         recorded: Its runs, the recording chain undone.
         options: Settings.
-        own: Names of effects of one's own by their keys.
         decisions: What is decided by.
         budgets: How much is tried.
         say: Told stage, number done and number in all.
 
     Raises:
         DataError: there is no run.
-        ConfigError: a candidate that the system cannot have.
     """
     runs = tuple(with_channels(system, recorded.runs))
     if not runs:
@@ -187,20 +200,6 @@ def read_log(
         torch.from_numpy(runs[0].u[some].copy()),
     )
     system = system.reading(*logged_channels(system, runs))
-    able = candidate_names(system)
-    for name in on_coordinates(system, options.candidates or ()):
-        if name not in able:
-            raise ConfigError(
-                f"`candidates` names {name!r}, which {system.name!r} cannot have beyond its declared physics and the "
-                f"logged channels; it could have: {', '.join(able)}."
-            )
-    for key, name in own.items():
-        if not set(on_coordinates(system, [name])) & set(able):
-            raise ConfigError(
-                f"`also` names {key!r}, which {system.name!r} cannot have: it acts on the port "
-                f"{effect_class(name).port.value!r} and reads "
-                f"{', '.join(effect_class(name).exogenous) or 'no channel'}."
-            )
     return Log(system, recorded, runs, options, decisions, budgets, say)
 
 

@@ -35,9 +35,14 @@ class ActuatorDeadband(Effect):
     separate = "give slow small inputs through zero, and large ones"
 
     @classmethod
-    def candidate(cls, system: str) -> bool:
-        """Not on multirotors: motors in flight are far above it, and what they lose is an offset of the thrust."""
-        return system not in ("hexacopter", "quadrotor")
+    def no_candidate(cls, system: str) -> str:
+        """See `Effect.no_candidate`."""
+        flies = system in ("hexacopter", "quadrotor")
+        return (
+            "motors in flight are far above it, and what they lose is an offset of the thrust"
+            if flies
+            else ""
+        )
 
     def forward(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
         """See `Effect.forward`."""
@@ -84,9 +89,9 @@ class ActuatorGainDrift(Effect):
     separate = "repeat the same inputs early and late in a long run"
 
     @classmethod
-    def candidate(cls, system: str) -> bool:
-        """Not on multirotors, where `thrust_sag` is the same term."""
-        return system not in ("hexacopter", "quadrotor")
+    def no_candidate(cls, system: str) -> str:
+        """See `Effect.no_candidate`."""
+        return "thrust_sag is the same term" if system in ("hexacopter", "quadrotor") else ""
 
     def forward(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
         """See `Effect.forward`."""

@@ -262,9 +262,9 @@ class Effect(Parametrised, ABC):
         return named and {cls.port, *cls.needs} <= has and not set(cls.excludes) & set(ports)
 
     @classmethod
-    def candidate(cls, system: str) -> bool:
-        """Whether a diagnosis of this system should try it: not where another effect is the same term."""
-        return True
+    def no_candidate(cls, system: str) -> str:
+        """Why a diagnosis of this system does not try it (another effect is the same term, say); empty: it does."""
+        return ""
 
     @classmethod
     def shared(cls, simpler: "type[Effect]") -> dict[str, str]:

@@ -19,7 +19,7 @@ from torch import Tensor
 
 from nsde_torch.data import Run
 from nsde_torch.effects import Port
-from nsde_torch.errors import DataError
+from nsde_torch.errors import DataError, NonFiniteError
 from nsde_torch.inference.chunks import Chunks
 from nsde_torch.inference.filtering import (
     Linearisation,
@@ -298,8 +298,16 @@ def fit(system: System, runs: Sequence[Run], *, clock: float = 1.0) -> MaximumLi
 
     Raises:
         DataError: no run, no stretch that is long enough, or nothing moves.
+        NonFiniteError: the physics leaves the finite numbers within steps of the log.
     """
-    return maximised(LogLikelihood(system, runs, clock))[0]
+    problem = LogLikelihood(system, runs, clock)
+    try:
+        return maximised(problem)[0]
+    except np.linalg.LinAlgError as error:
+        raise NonFiniteError(
+            f"the likelihood of {system.name!r} leaves the finite numbers on steps of {runs[0].dt:.3g} s, within which "
+            "its physics may diverge. Record faster, or begin with other values."
+        ) from error
 
 
 @torch.no_grad()

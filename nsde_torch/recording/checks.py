@@ -5,6 +5,8 @@ that are off -> sensors that repeat themselves -> time on the ground -> gaps in 
 (jumps against the kinematics) -> columns that stand still -> other conventions of quaternion and velocity, columns of
 another run -> clock against the kinematics -> sensors that are late against others -> range and rank of the inputs ->
 summary
+
+All of this is done at the rate of the log. A longer step is taken at last.
 """
 
 from __future__ import annotations
@@ -37,11 +39,10 @@ from nsde_torch.recording import (
 from nsde_torch.recording import clock as _clock
 from nsde_torch.recording.faults.fault import Fault
 from nsde_torch.recording.faults.registry import in_order, remedies
-from nsde_torch.recording.lateness import by_kind, lateness, surely_late
+from nsde_torch.recording.longer_step import findings_of, is_longer, late_in, on_longer_step
 
 Array = NDArray[np.float64]
 
-_LATE = 1e-4  # chance of calling a sensor late that is on time
 _WRAPS, _ODD_WRAPS = 5, 0.3  # fewest wraps, and share of them that the rate contradicts
 _LARGEST = 1e15  # of a state or an input, in any unit: a simulation that diverged, a word read as a float
 SHORT_S = 2.0 * kinematics.MIN_INTERVALS * kinematics.INTERVAL_S
@@ -195,17 +196,6 @@ def _split_at_jumps(
     return kept
 
 
-def _report_late(system: SystemInfo, runs: Sequence[Run], clock: float, report: Report) -> None:
-    late = surely_late(lateness(system, runs, clock=clock), runs[0].dt, chance=_LATE)
-    for key, some in by_kind(late).items():
-        how = "late" if key == "sensor_delay" else "late behind a filter"
-        told = ", ".join(f"{d.channel} is {1e3 * d.seconds:.3g} ms {how} against {d.other}" for d in some)
-        remedy = ", ".join(f"{d.channel}: {d.seconds:.3g}" for d in some)
-        message = f"{told}, by the kinematics; `data.{key}={{{remedy}}}` takes it out"
-        values = {f"{d.channel}_s": d.seconds for d in some}
-        report(Finding("late_sensor", "", len(some), message, "reported", values))
-
-
 def _asked(faults: Mapping[str, Mapping[str, float] | None]) -> list[tuple[Fault, Mapping[str, float]]]:
     """Faults that a reader was told of, in the order in which they are undone."""
     known = {name: fault for name, fault in remedies().items() if not fault.remedy_first}
@@ -226,6 +216,7 @@ def assemble(
     gap: float | None = None,
     clock: str = "rescale",
     derived_rates: str = "infer",
+    own_rate: bool = False,
     **faults: Mapping[str, float] | None,
 ) -> DataSet:
     """Checks raw runs and joins them to a data set. The raw runs are used up.
@@ -238,6 +229,7 @@ def assemble(
         gap: Time between rows from which on it is a gap [s]; default: 2.5 steps.
         clock: What to do about a clock that disagrees with the kinematics: `rescale`, `trust` or `refuse`.
         derived_rates: What to do with rates that were made of positions: `infer` or `keep`.
+        own_rate: Whether the step stays that of the log where `dt` is longer, for `on_longer_step` to come later.
         faults: What the recording did, to take out: `sensor_delay={"p": 0.01}` (see `RemedyOptions`).
 
     Returns:
@@ -272,10 +264,12 @@ def assemble(
     whole, rates = system, positions.to_infer(system, raw, policy=derived_rates, report=report)
     system = positions.measured_part(system, rates)
     own_step = _own_step(raw)
-    step = own_step if dt is None else float(dt)
-    limit = times.GAP_STEPS * max(step, own_step) if gap is None else float(gap)
-    if limit <= step:
-        raise ConfigError(f"`gap` must be longer than the step of {step:.4g} s; got {limit:.4g} s.")
+    wanted = own_step if dt is None else float(dt)
+    limit = times.GAP_STEPS * max(wanted, own_step) if gap is None else float(gap)
+    if limit <= wanted:
+        raise ConfigError(f"`gap` must be longer than the step of {wanted:.4g} s; got {limit:.4g} s.")
+    later = is_longer(wanted, own_step)
+    step = own_step if later else wanted
     straight.check(system, raw, own_step, report)
     commands = ground.commands_in_motion(raw, system)
     runs: list[Run] = []
@@ -317,13 +311,13 @@ def assemble(
     runs = positions.inferred(whole, runs, rates, scale)
     for fault, values in _asked(faults):
         runs = [fault.undo(run, system, values) for run in runs]
-    _report_late(system, runs, scale, report)
+    findings += findings_of(late_in(system, runs, scale))
     nu = len(system.input_names)
     rank = inputs.check_inputs([run.u[:, :nu] for run in runs], system.input_names, report)
     summary = summarise(
         runs, system, kind=kind, dt=step, clock_scale=scale, slopes=slopes, rank=rank, findings=findings
     )
-    return DataSet(
+    data = DataSet(
         system_name=system.name,
         runs=runs,
         dt=step,
@@ -334,3 +328,4 @@ def assemble(
         input_names=(*system.input_names, *system.exogenous),
         kind=kind,
     )
+    return on_longer_step(data, whole, wanted) if later and not own_rate else data

@@ -72,7 +72,8 @@ def late_sensor(
         other: The misfit of physics with effects, all channels together.
     """
     pairs, step = sensors(system), found.runs[0].dt
-    if len(pairs) < 2:
+    longest = min(_LATEST_S / step, 0.1 * min(b - a for run in found.runs for a, b in run.segments))
+    if len(pairs) < 2 or longest < 1.0:  # no sensor is late by as much as a step
         return None
     unmoved = misfits(found.runs)
     other = min(other, float(unmoved.sum()))
@@ -86,7 +87,6 @@ def late_sensor(
         def of(steps: float, pair: tuple[str, str] = pair) -> float:
             return misfit([on_time(run, system, dict.fromkeys(pair, steps * step)) for run in found.runs])
 
-        longest = min(_LATEST_S / step, 0.1 * min(b - a for run in found.runs for a, b in run.segments))
         at, here = 1.0, of(1.0)
         while 2.0 * at <= longest and (there := of(2.0 * at)) < here:
             at, here = 2.0 * at, there

@@ -24,6 +24,7 @@ def read(
     gap: float | None = None,
     clock: str = "rescale",
     derived_rates: str = "infer",
+    own_rate: bool = False,
     **options: Any,
 ) -> DataSet:
     """Reads and checks a data set.
@@ -36,6 +37,7 @@ def read(
         gap: Time between rows that counts as a gap [s]; default: 2.5 steps.
         clock: `rescale`, `trust` or `refuse` a clock that disagrees with the kinematics.
         derived_rates: `infer` or `keep` rates that were made of positions.
+        own_rate: Whether the step stays that of the log where `dt` is longer (see `assemble`).
         options: What the recording did, to take out (`sensor_bias={"q": 0.1}`, see `RemedyOptions`), and further
             options of the kind.
 
@@ -63,7 +65,17 @@ def read(
             )
         for run in raw if values else ():
             remedies()[fault].undo_raw(run, system, values)
-    return assemble(raw, system, kind=name, dt=dt, gap=gap, clock=clock, derived_rates=derived_rates, **told)
+    return assemble(
+        raw,
+        system,
+        kind=name,
+        dt=dt,
+        gap=gap,
+        clock=clock,
+        derived_rates=derived_rates,
+        own_rate=own_rate,
+        **told,
+    )
 
 
 def _called(make: Callable[..., Any], name: str, system: SystemInfo, **given: Any) -> Sequence[RawRun]:

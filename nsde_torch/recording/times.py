@@ -145,7 +145,8 @@ def _mean_held(t: Array, u: Array, grid: Array, dt: float) -> Array:
     return np.stack(columns, 1) / dt if columns else np.zeros((len(grid), 0))
 
 
-def _joined(pieces: list[RawRun]) -> RawRun:
+def joined(pieces: list[RawRun]) -> RawRun:
+    """Stretches of a run in one."""
     first = pieces[0]
     if len(pieces) == 1:
         return first
@@ -223,4 +224,4 @@ def uniform(
                 },
             )
         )
-    return _joined(pieces), tuple(segments)
+    return joined(pieces), tuple(segments)

@@ -181,6 +181,8 @@ def _law(
 
 def forgetting(reflection: Array, memory: float) -> Array:
     """Reflection coefficients (p,) of the autoregression whose coefficients are multiplied by exp(-j / memory)."""
+    if memory == inf and (np.abs(reflection) < 1.0).all():  # those near 1 would come back beyond it
+        return np.asarray(reflection)
     a = _polynomial(reflection)
     a = a * np.exp(-np.arange(len(a)) / memory)
     out = np.zeros(len(reflection))
@@ -190,6 +192,7 @@ def forgetting(reflection: Array, memory: float) -> Array:
         for m in range(len(reflection), 0, -1):
             out[m - 1] = a[m]
             a = (a[:m] - a[m] * a[:0:-1]) / (1.0 - a[m] ** 2)
+    out[np.abs(out) >= 1.0] = np.nan
     return out
 
 

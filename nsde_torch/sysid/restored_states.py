@@ -59,16 +59,27 @@ def restore_states(
         The data set, with a finding `state_smoothing` in its summary for each smoother. One that has such a finding is
         returned as it is.
     """
+    return restored(data, smoothers(data, system, policy=policy, taken_out=taken_out), seed=seed)
+
+
+def smoothers(
+    data: DataSet, system: SystemInfo, *, policy: str = "restore", taken_out: Iterable[str] = ()
+) -> list[Smoothed]:
+    """What smoothed the states of a data set, for `restored`; arguments as of `restore_states`."""
     known = remedies()
     smooths = any(known[name].remedy_smooths for name in taken_out if name in known)
     done = any(finding.kind == "state_smoothing" for finding in data.summary.findings)
     if policy == "keep" or smooths or done or not isinstance(system, System):
-        return data
+        return []
     clock = data.clock_scale
-    found = on_time(smoothed_states(data.runs, system, clock), data.runs, system, clock)
+    return on_time(smoothed_states(data.runs, system, clock), data.runs, system, clock)
+
+
+def restored(data: DataSet, found: Sequence[Smoothed], *, seed: int = 0) -> DataSet:
+    """A data set as it was before smoothers that were found in it, on its step or a shorter one."""
     if not found:
         return data
-    runs = _restored(data.runs, found, seed)
+    runs = _restored(data.runs, found, data.dt * data.clock_scale, seed)
     return data.changed(runs, [*data.summary.findings, *(one.finding() for one in found)])
 
 
@@ -102,30 +113,30 @@ def narrowed(runs: Sequence[Run], system: System, clock: float = 1.0, *, seed: i
     return [replace(run, x=x) for run, x in zip(runs, states, strict=True)]
 
 
-def _restored(runs: Sequence[Run], found: Sequence[Smoothed], seed: int) -> list[Run]:
+def _restored(runs: Sequence[Run], found: Sequence[Smoothed], dt: float, seed: int) -> list[Run]:
     rng = np.random.default_rng(seed)
-    dt = found[0].smoother.dt
     ends = [_ENDS / one.smoother.falls_to(0.7) for one in found if any(one.restored)]
     out_of_use = int(np.ceil(max(ends, default=0.0) / dt))
     pairs = [pair for one in found for pair in zip(one.sensors, one.reach, strict=True)]
-    band = {name: reach for sensor, reach in pairs for name in sensor.names}
+    band = {name: reach for sensor, reach in pairs if reach < 0.5 / dt for name in sensor.names}
     out = []
     for run in runs:
         x = np.array(run.x)
         for a, b in run.segments:
             for one in found:
-                _restore_stretch(x[a:b], one, rng)
+                _restore_stretch(x[a:b], one, dt, rng)
         inner = [(a + out_of_use, b - out_of_use) for a, b in run.segments]
         kept = tuple((a, b) for a, b in inner if b - a >= _FEWEST)
         out.append(replace(run, x=x, segments=kept or run.segments, band=band))
     return out
 
 
-def _restore_stretch(x: Array, one: Smoothed, rng: np.random.Generator) -> None:
-    dt = one.smoother.dt
+def _restore_stretch(x: Array, one: Smoothed, dt: float, rng: np.random.Generator) -> None:
     for sensor, reach, restored, how, seen in zip(
         one.sensors, one.reach, one.restored, one.fits, one.seen, strict=True
     ):
+        if not restored and reach >= 0.5 / dt:  # these rows hold nothing of where it falls
+            continue
         at = int(np.argmin(np.abs(seen.f - reach)))
         values = sensor.values(x, dt)
         # what moves above is gone: it must not weigh beside the noise that stands in for it

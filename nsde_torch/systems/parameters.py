@@ -129,7 +129,9 @@ class ParameterVector:
 
     def inside(self, theta: Array) -> Array:
         """The nearest values (k,) strictly inside the bounds, as a system takes them."""
-        margin = 1e-6 * self.scale
+        margin = np.minimum(
+            1e-6 * self.scale, 1e-3 * (self.high - self.low)
+        )  # bounds of tiny motions lie close
         return np.clip(theta, self.low + margin, self.high - margin)
 
     def follow(self, dt: float) -> None:

@@ -255,3 +255,18 @@ def test_a_training_names_a_folder_that_it_wrote_and_no_other(kept: bool, runs: 
 def test_a_candidate_that_cannot_be_one_is_refused_before_anything_is_read(candidate: str, why: str) -> None:
     with pytest.raises(ConfigError, match=why):
         nsde_torch.diagnose("nowhere", system=SYSTEM, candidates=[candidate])
+
+
+def test_a_candidate_whose_channel_is_not_logged_is_refused_before_any_work(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    flight = nsde_torch.simulate("quadrotor", durations=[3.0], seed=1)
+    worked: list[str] = []
+    with pytest.raises(ConfigError, match="'battery_voltage', which 'quadrotor' cannot have"):
+        nsde_torch.diagnose(
+            [RawRun("run", flight.runs[0].t, flight.runs[0].x, flight.runs[0].u)],
+            system="quadrotor",
+            candidates=["battery_voltage"],
+            say=lambda stage, done, total: worked.append(stage),
+        )
+    assert not worked

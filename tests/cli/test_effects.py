@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 import json
+import re
 
 import pytest
 
 from nsde_torch.cli.commands import effects
 from nsde_torch.cli.main import main
+from nsde_torch.diagnosis.candidates import check_candidates
 from nsde_torch.effects import EFFECTS
+from nsde_torch.errors import ConfigError
+from nsde_torch.systems import SYSTEMS, make_system
 
 
 def test_every_effect_is_listed_with_what_a_user_needs(capsys: pytest.CaptureFixture[str]) -> None:
@@ -48,6 +52,22 @@ def test_a_system_lists_what_it_can_have(capsys: pytest.CaptureFixture[str]) -> 
         "axes": 2,
         "help": "velocity of the air, east and north",
     }
+
+
+def test_what_a_diagnosis_does_not_try_is_said_with_its_reason(capsys: pytest.CaptureFixture[str]) -> None:
+    for name in SYSTEMS:
+        machine, able = make_system(name), []
+        for row in effects.catalogue(name):
+            if row["no_candidate"]:
+                with pytest.raises(ConfigError, match=re.escape(row["no_candidate"])):
+                    check_candidates(machine, [row["name"]])
+            else:
+                able.append(row["name"])
+        check_candidates(machine, able)
+    assert main(["effects", "system=quadrotor"]) == 0
+    out = " ".join(capsys.readouterr().out.split())
+    assert "no candidate of a diagnosis of this machine: thrust_sag is the same term" in out
+    assert "a candidate of a diagnosis where the log has battery_voltage" in out
 
 
 def test_a_typo_is_named_with_what_was_meant(capsys: pytest.CaptureFixture[str]) -> None:

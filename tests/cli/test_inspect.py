@@ -13,6 +13,7 @@ import nsde_torch
 from nsde_torch.cli.commands import inspect as command
 from nsde_torch.cli.main import main
 from nsde_torch.data.frames import attitude_to_enu, swap_body, swap_world
+from nsde_torch.systems import make_system
 from tests.helpers import log_writers
 from tests.helpers.leaning import leaning_flight
 from tests.helpers.ulog_bytes import write_ulog
@@ -167,6 +168,60 @@ def test_faults_of_the_user_are_one_sentence(tmp_path: Path, capsys: pytest.Capt
         said = capsys.readouterr()
         assert message in said.err + said.out
         assert "Traceback" not in said.err
+
+
+def test_a_folder_of_ones_own_machines_stays_in_the_command_that_comes_next(
+    springs: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "system").mkdir()
+    own = "name: nsde_torch.systems.one_dof:MassSpringDamper\n"
+    (tmp_path / "system" / "mine.yaml").write_text(own, encoding="utf-8")
+    words = [f"--config-dir={tmp_path}", "system=mine", "physics=false", "out=none"]
+    assert main(["inspect", *words, str(springs)]) == 0
+    assert f"next: nsde train --config-dir {tmp_path} system=mine" in capsys.readouterr().out
+    (tmp_path / "logs").mkdir()
+    log_writers.write_table(
+        tmp_path / "logs" / "a.csv", {"t": np.arange(50) / 10, "x_des": np.sin(np.arange(50))}
+    )
+    assert main(["inspect", *words, str(tmp_path / "logs")]) == 1
+    out = capsys.readouterr().out
+    assert "missing: a column for q (taken for setpoints: x_des)" in out
+    assert f"then nsde inspect {tmp_path / 'logs'} --config-dir {tmp_path} system=mine mapping=FILE" in out
+
+
+def test_commands_are_inputs_and_what_was_measured_is_the_state(springs: Path, tmp_path: Path) -> None:
+    made = nsde_torch.read(springs, system="mass_spring_damper", kind="table").runs[0]
+    q, f = made.x[:, 0], made.u[:, 0]
+    columns = {"t": made.t, "q_cmd": 1.1 * q, "q_meas": q, "force_cmd": f, "other": f}
+    log_writers.write_table(tmp_path / "a.csv", columns)
+    found = nsde_torch.inspect(tmp_path, system="mass_spring_damper", physics=False)
+    assert found.mapping is not None
+    assert {name: entry.source for name, entry in found.mapping.columns.items()} == {
+        "q": ("q_meas",),
+        "force": ("force_cmd",),
+    }
+    del columns["force_cmd"]
+    log_writers.write_table(tmp_path / "a.csv", columns)
+    found = nsde_torch.inspect(tmp_path, system="mass_spring_damper", physics=False)
+    assert "force is taken to be 0 throughout: none of q_cmd, other has such a name" in found.notes
+
+
+def test_speeds_of_rotors_under_the_names_of_motor_commands(tmp_path: Path) -> None:
+    flight = leaning_flight(12.0)
+    system = make_system("quadrotor")
+    names = ("t", *system.state_names, *system.input_names)
+    speeds = 384.0 + 1072.0 * flight.u
+    values = np.column_stack([flight.t, flight.x, speeds])
+    log_writers.write_table(tmp_path / "a.csv", dict(zip(names, values.T, strict=True)))
+    found = nsde_torch.inspect(tmp_path, system="quadrotor", physics=False)
+    assert found.usable, found.doubts
+    assert found.mapping is not None
+    entry = found.mapping.columns["u"]
+    assert (entry.low, entry.unit) == (None, None)
+    assert entry.full is not None
+    assert speeds.max() <= entry.full < 1.2 * speeds.max()
+    (tmp_path / "mapping.yaml").write_text(found.yaml, encoding="utf-8")
+    assert nsde_torch.read(tmp_path, system="quadrotor").runs
 
 
 def test_completion_offers_keys_and_choices() -> None:

@@ -92,5 +92,5 @@ def test_each_system_tries_no_term_twice() -> None:
         ("actuator_gain_drift", "thrust_sag", "hexacopter"),
     ]
     for general, special, system in twins:
-        assert not EFFECTS[general].candidate(system)
-        assert EFFECTS[special].candidate(system)
+        assert EFFECTS[general].no_candidate(system)
+        assert not EFFECTS[special].no_candidate(system)

@@ -7,7 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+import nsde_torch
+from nsde_torch.data import Run
+from nsde_torch.errors import NonFiniteError
 from nsde_torch.inference import fit
+from nsde_torch.systems import make_system
 from tests.inference.springs import TRUTH, B, G, K, linear_runs, rubbing, small_runs, spring, value
 
 SIZE, WIDTH = "coulomb_friction.size", "coulomb_friction.width"
@@ -42,3 +46,12 @@ def test_what_the_log_does_not_show_is_not_free() -> None:
     assert value(found, G)[0] == pytest.approx(1.1)
     assert np.isnan(value(found, G)[1])
     assert abs(value(found, K)[0] - TRUTH[K]) < 3.0 * value(found, K)[1]
+
+
+def test_steps_within_which_the_physics_diverges_are_named() -> None:
+    slow = []
+    for run in nsde_torch.simulate("cartpole", durations=[1.0, 1.0], seed=1).runs:
+        x = run.x[:50] * (1.0, 0.02, 1.0, 0.02)
+        slow.append(Run(run.name, 0.5 * np.arange(50), x, run.u[:50]))
+    with pytest.raises(NonFiniteError, match=r"steps of 0\.5 s, within which its physics may diverge"):
+        fit(make_system("cartpole"), slow)

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 import pytest
 
 from nsde_torch.data import Run
 from nsde_torch.data.raw import RawRun
 from nsde_torch.errors import ConfigError, DataError
-from nsde_torch.recording import Recording
+from nsde_torch.recording import Recorded, Recording
 from nsde_torch.recording.channels import channel_columns, moved, on_time
+from nsde_torch.recording.late_sensor import late_sensor
 from nsde_torch.recording.lateness import lateness
 from nsde_torch.systems import make_system
 
@@ -125,3 +128,16 @@ def test_names_of_channels_are_states_or_what_several_share() -> None:
         channel_columns(SPRING, "v")
     with pytest.raises(ConfigError, match="finite time"):
         on_time(run(0), SPRING, {"q": float("nan")})
+
+
+def test_no_sensor_is_late_by_a_step_of_half_a_second() -> None:
+    t, cart = 0.5 * np.arange(60), make_system("cartpole")
+    run = Run("slow", t, np.sin(t[:, None] * np.arange(1, 5)), np.zeros((60, 1)))
+
+    asked: list[Sequence[Run]] = []
+
+    def misfits(runs: Sequence[Run]) -> np.ndarray:
+        asked.append(runs)
+        return np.array([-float(len(asked)), 0.0])
+
+    assert late_sensor(Recorded((run,), 1.0, ()), cart, misfits, rows=60, other=100.0) is None

@@ -111,6 +111,16 @@ def test_a_width_stays_where_it_matters_at_the_speeds_of_the_data() -> None:
         assert (vector.low[at[name]], vector.high[at[name]]) == (before[0][at[name]], before[1][at[name]])
 
 
+def test_values_lie_inside_bounds_that_are_closer_than_the_usual_margin() -> None:
+    system = make_system("mass_spring_damper", effects=["stribeck_friction"])
+    vector = ParameterVector(system)
+    vector.limit({"speed": 2e-9})
+    width = vector.labels.index("stribeck_friction.width")
+    assert vector.high[width] < 1e-6 * vector.scale[width]
+    theta = vector.inside(np.full(len(vector), 1.0))
+    assert vector.low[width] < theta[width] < vector.high[width]
+
+
 def test_a_height_stays_near_those_that_the_effect_is_for() -> None:
     vector = ParameterVector(
         make_system("hexacopter", effects=["ground_effect", "constant_wind", "motor_lag"])

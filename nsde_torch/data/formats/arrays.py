@@ -16,6 +16,7 @@ from nsde_torch.errors import DataError
 
 _DEPTH = 8  # of groups and structures
 _MOST = 20_000  # arrays in a file
+_ELEMENTS = 256  # of a cell or an array of structures
 Arrays = dict[str, NDArray[Any]]
 
 
@@ -45,10 +46,10 @@ def read_npz(path: Path) -> Arrays:
 
 
 def read_mat(path: Path) -> Arrays:
-    """Arrays of a .mat file, structures flattened with dots; cells, objects and functions are left out.
+    """Arrays of a .mat file, structures and cells flattened with dots; Simulink's signals by their labels.
 
     Raises:
-        DataError: not such a file, or too large.
+        DataError: not such a file, too large, or of objects alone.
     """
     from scipy.io import loadmat, whosmat
 
@@ -58,24 +59,74 @@ def read_mat(path: Path) -> Arrays:
         return {name: value.T for name, value in read_hdf5(path).items() if not name.startswith("#")}
     try:
         known = whosmat(str(path))
-        wanted = [n for n, _, kind in known if kind not in ("object", "opaque", "function", "cell", "char")]
+        wanted = [n for n, _, kind in known if kind not in ("object", "opaque", "function", "char")]
         refuse_larger(path, 8 * sum(int(np.prod(shape)) for n, shape, _ in known if n in wanted))
         raw = loadmat(str(path), variable_names=wanted) if wanted else {}
     except DataError:
         raise
     except Exception as error:  # as above
         raise unreadable(path, ".mat file", error) from error
-    return dict(_flat({k: v for k, v in raw.items() if not k.startswith("__")}))
+    objects = [n for n, _, kind in known if kind in ("object", "opaque")]
+    if objects and not wanted:
+        raise DataError(
+            f"{path} holds objects alone ({', '.join(objects)}: timeseries or Datasets, say), which only MATLAB "
+            "reads: log as `Structure With Time`, or save `struct('time', x.Time, 'q', x.Data)`."
+        )
+    return {
+        name: a for key, value in raw.items() if key[:2] != "__" for name, a in _flat(key, np.asarray(value))
+    }
 
 
-def _flat(values: Mapping[str, Any], before: str = "", depth: int = 0) -> Iterator[tuple[str, NDArray[Any]]]:
-    for key, value in values.items():
-        name, array = before + key, np.asarray(value)
-        if array.dtype.names and array.size == 1 and depth < _DEPTH:
-            one = array.reshape(-1)[0]
-            yield from _flat({n: one[n] for n in array.dtype.names}, f"{name}.", depth + 1)
-        elif array.dtype.kind in "fiub":
-            yield name, array
+def _flat(name: str, value: NDArray[Any], depth: int = 0) -> Iterator[tuple[str, NDArray[Any]]]:
+    """Arrays in a variable; an element of several has its number in its name."""
+    if value.dtype.kind in "fiub":
+        yield name, value
+    elif (value.dtype.names or value.dtype.kind == "O") and depth < _DEPTH and value.size <= _ELEMENTS:
+        for k, part in enumerate(value.reshape(-1)):
+            own = f"{name}_{k + 1}" if value.size > 1 else name
+            if not value.dtype.names:  # a cell
+                yield from _flat(own, np.asarray(part), depth + 1)
+                continue
+            fields = {key: np.asarray(part[key]) for key in value.dtype.names}
+            signals = _simulink(own, fields)
+            if signals:
+                yield from signals
+                continue
+            label = _label(fields)
+            for key, inside in fields.items():  # an element of a Dataset is called by its name
+                called = label if label and key.lower() == "values" else key
+                yield from _flat(f"{own}.{called}", inside, depth + 1)
+
+
+def _simulink(name: str, fields: Mapping[str, NDArray[Any]]) -> list[tuple[str, NDArray[Any]]]:
+    """Signals with their clock: of a structure with time, or of a timeseries as a structure; of anything else none."""
+    own = {key.lower(): value for key, value in fields.items()}
+    times = own.get("time", np.zeros(0))
+    signals = own.get("signals", np.zeros(0)).reshape(-1)
+    keys = signals.dtype.names or ()
+    if "values" in keys:
+        found = [({key: np.asarray(one[key]) for key in keys}, one["values"]) for one in signals]
+    elif "data" in own and times.size > 1:
+        found = [(dict(fields), own["data"])]
+    else:
+        return []
+    out = [(f"{name}.time", times)] if times.size > 1 else []
+    for k, (said, values) in enumerate(found):
+        values = np.asarray(values)
+        if values.ndim == 3:  # (k, 1, n): one sample after another
+            values = values.reshape(-1, values.shape[2]).T
+        label = _label(said) or name.rpartition(".")[2] + (f"_{k + 1}" if len(found) > 1 else "")
+        if values.dtype.kind in "fiub":
+            out.append((f"{name}.{label}", values))
+    return out
+
+
+def _label(fields: Mapping[str, NDArray[Any]]) -> str:
+    """What Simulink calls a signal; empty where it has no name."""
+    for key in ("label", "Name", "name"):
+        if key in fields and fields[key].dtype.kind == "U" and fields[key].size:
+            return str(fields[key].reshape(-1)[0]).strip("<> ").replace(".", "_")
+    return ""
 
 
 def read_hdf5(path: Path) -> Arrays:

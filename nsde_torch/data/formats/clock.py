@@ -15,7 +15,9 @@ from nsde_torch.errors import ConfigError, DataError
 Array = NDArray[np.float64]
 
 SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0}
-_NAMES = re.compile(r"(t|time|times|timestamp|stamp|time_?stamp|secs?|seconds|elapsed|clock|tick)")
+UNNAMED = "column_"
+"""What the name of a column begins with that has its number alone, from 1."""
+_NAMES = re.compile(r"(t|tout|time|times|timestamp|stamp|time_?stamp|secs?|seconds|elapsed|clock|tick)")
 _UNIT = re.compile(r"[\[\(_ ]\s*(s|sec|seconds|ms|msec|us|usec|µs|ns|nsec)\s*[\]\)]?$")
 _SAME = {"sec": "s", "seconds": "s", "msec": "ms", "usec": "us", "µs": "us", "nsec": "ns"}
 
@@ -69,6 +71,9 @@ def found(fields: Mapping[str, Array], clock: ClockOf) -> ClockOf | None:
     column = (
         given if given in fields else clock.source if clock.source in fields else time_column(list(fields))
     )
+    first = f"{UNNAMED}1"
+    if column is None and first in fields and (np.diff(fields[first]) > 0).all():
+        column = first  # of a table without names, times are what is usually in front and increases
     return None if column is None else ClockOf(column, clock.unit or unit_of(column, fields[column]))
 
 

@@ -1,12 +1,12 @@
 """Tables: CSV and other text, .npz, .mat, HDF5 and Parquet, each file one run, or a folder of streams one run.
 
 Arrays of one length belong to one clock: that of a time column of the same length (in the same group, where there are
-groups). An array (n, k) has the columns `name[0]` to `name[k-1]`.
+groups). An array (n, k) has the columns `name[0]` to `name[k-1]`; one alone in its file has numbers,
+`column_1` and so on.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -14,9 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nsde_torch.data.formats.arrays import Arrays, read_hdf5, read_mat, read_npz, read_parquet
-from nsde_torch.data.formats.clock import ClockOf, found, time_column, timed
+from nsde_torch.data.formats.clock import UNNAMED, ClockOf, found, time_column, timed
 from nsde_torch.data.formats.log import StreamLog
-from nsde_torch.data.formats.text import read_text
+from nsde_torch.data.formats.text import header, read_text
 from nsde_torch.data.places import files_of
 from nsde_torch.errors import DataError
 
@@ -47,25 +47,35 @@ def open_table(path: Path, *, clock: ClockOf | None = None) -> StreamLog:
         ConfigError: a package is not installed, or the clock is not there.
     """
     clock = clock or ClockOf()
+    notes: list[str] = []
     if path.is_dir():
         files = files_of(path, (*TEXT, *_READ))
         tables = {
-            f"{file.stem}/{name}".rstrip("/"): one for file in files for name, one in _columns(file).items()
+            f"{file.stem}/{name}".rstrip("/"): one
+            for file in files
+            for name, one in _columns(file, notes).items()
         }
     else:
-        tables = _columns(path)
+        tables = _columns(path, notes)
     streams = [timed(name, fields, clock, source=str(path)) for name, fields in tables.items()]
     if not streams:
         raise DataError(f"{path} holds no table of numbers with two rows or more.")
     clocks = [found(fields, clock) for fields in tables.values()]
-    return StreamLog(path.stem, str(path), streams, clock=clocks[0] if len(set(clocks)) == 1 else None)
+    one = clocks[0] if len(set(clocks)) == 1 else None
+    return StreamLog(path.stem, str(path), streams, notes=notes, clock=one)
 
 
-def _columns(path: Path) -> dict[str, dict[str, Array]]:
+def _columns(path: Path, notes: list[str]) -> dict[str, dict[str, Array]]:
     """The tables of a file by name."""
     if path.suffix.lower() not in _READ:
-        return {"": read_text(path)}
-    tables = _tables(_READ[path.suffix.lower()](path))
+        return {"": read_text(path, notes)}
+    arrays = _READ[path.suffix.lower()](path)
+    tables = _tables(arrays)
+    if len(arrays) == 1 and len(tables) == 1:
+        (fields,) = tables.values()
+        if len(fields) > 1:  # one array without names, as a block To File or a single `save` writes it
+            notes.append(f"one array, {next(iter(arrays))}: its columns are called by their numbers")
+            return {"": {f"{UNNAMED}{k + 1}": values for k, values in enumerate(fields.values())}}
     groups = [group for group, _ in tables]
     out: dict[str, dict[str, Array]] = {}
     for (group, rows), fields in tables.items():
@@ -126,9 +136,4 @@ def _upright(value: NDArray[Any], lengths: list[int]) -> NDArray[Any] | None:
 
 def same_columns(files: list[Path]) -> bool:
     """Whether files of text have one header, so that each of them is a run."""
-    heads: Mapping[Path, str] = {}
-    try:
-        heads = {p: p.open(encoding="utf-8-sig", errors="replace").readline(1_000_000).strip() for p in files}
-    except OSError as error:
-        raise DataError(f"{error.filename}: {error.strerror}.") from error
-    return len(set(heads.values())) == 1
+    return len({tuple(header(file)) for file in files}) == 1

@@ -24,6 +24,7 @@ _CRAZYFLIE = re.compile(r"state_?estimate|pm_?\.?vbat|motor_m[1-4]", re.I)
 _TURNS = {"rpm": "rpm", "rad/s": "rad/s", "rad_s": "rad/s", "rads": "rad/s"}
 _SPEEDS = re.compile(r"rotor|omega|speed|vel")
 _SHORTEST_US = 800.0  # of pulses that turn a motor; of a thousand, one may be shorter
+_TURNS_US = 980.0
 _NEGATIVE = -0.02  # a motor's command is none
 
 
@@ -114,7 +115,9 @@ def _in_unit(entry: ColumnEntry, values: Array, unit: str | None) -> ColumnEntry
         return replace(entry, unit="1")
     if top <= 105.0:
         return replace(entry, unit="%")
-    if not speeds and low > _SHORTEST_US and top <= 2250.0:
+    # pulses below 1000 us are those of motors that stand, of one length or two
+    stands = len(np.unique(running[running < _TURNS_US])) <= 2
+    if not speeds and low > _SHORTEST_US and top <= 2250.0 and stands:
         return replace(entry, unit="us", low=1000.0, high=2000.0)
     if not speeds and 30000.0 < top <= 65535.0:  # a duty cycle in 16 bits
         return replace(entry, low=0.0, high=65535.0)

@@ -12,7 +12,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from nsde_torch.data.formats.clock import ClockOf
+from nsde_torch.data.formats.clock import UNNAMED, ClockOf
 from nsde_torch.data.formats.log import StreamLog
 from nsde_torch.data.mapping import names as kinds
 from nsde_torch.data.mapping.inputs import propose_inputs
@@ -65,6 +65,9 @@ def propose(log: StreamLog, system: SystemInfo, *, kind: str = "") -> Proposal:
         system: The machine.
         kind: The reader, which the mapping names.
     """
+    unnamed = _in_order(log, system, kind)
+    if unnamed is not None:
+        return unnamed
     if system.quaternion is None:
         said = mapping_of({"columns": dict(log.columns)}).columns if log.columns else {}
         found = propose_single(log, system, said)
@@ -73,8 +76,29 @@ def propose(log: StreamLog, system: SystemInfo, *, kind: str = "") -> Proposal:
             world, body = log.frames.get("world", "ENU"), log.frames.get("body", "FLU")
             clock = log.clock or ClockOf()
             mapping = LogMapping(found.columns, system.name, kind, clock, world=world, body=body)
-        return Proposal(mapping, found.missing, found.open)
+        return Proposal(mapping, found.missing, found.open, found.notes)
     return _Vehicle(log, system, kind).proposal()
+
+
+def _in_order(log: StreamLog, system: SystemInfo, kind: str) -> Proposal | None:
+    """A table without names as if its columns were those of the system in their order, for checks to judge."""
+    columns = [column for stream in log.streams for column in stream.fields]
+    names = (*system.state_names, *system.input_names)
+    if len(log.streams) != 1 or len(columns) < len(names) or not columns[0].startswith(UNNAMED):
+        return None
+    stream = log.streams[0]
+    called = dict(zip(columns, names, strict=False))
+    fields = {called.get(column, column): values for column, values in stream.fields.items()}
+    found = propose(replace(log, streams=[replace(stream, fields=fields)]), system, kind=kind)
+    if found.mapping is not None:
+        own = dict(zip(names, columns, strict=False))
+        entries = found.mapping.columns.items()
+        taken = {n: replace(e, source=tuple(own.get(s, s) for s in e.source)) for n, e in entries}
+        found.mapping = replace(found.mapping, columns=taken)
+        found.open.append(
+            f"the table has no names: its columns are taken for {', '.join(names)}, in this order"
+        )
+    return found
 
 
 class _Vehicle:

@@ -58,6 +58,8 @@ _INPUTS = {
     "vir",
     "motor",
 }
+_MEASURED = re.compile(r"_(meas|measured|act|actual|filt|filtered|enc|encoder)$")
+_COMMANDED = re.compile(r"_(cmd|command|commanded)$")
 
 
 @dataclass
@@ -67,6 +69,7 @@ class ColumnsFound:
     columns: dict[str, ColumnEntry] = field(default_factory=dict)
     missing: list[str] = field(default_factory=list)
     open: list[str] = field(default_factory=list)
+    notes: list[str] = field(default_factory=list)
 
 
 def propose_single(
@@ -115,6 +118,10 @@ def propose_single(
                 else ""
             )
             out.missing.append(f"a column for {wanted}{more}")
+        elif wanted in system.optional_inputs and (left := [key for key in free if key not in still]):
+            out.notes.append(
+                f"{wanted} is taken to be 0 throughout: none of {', '.join(left)} has such a name"
+            )
     return out
 
 
@@ -130,6 +137,8 @@ def _named(
     same = [key for key, name in plain.items() if name == _squeezed(wanted)]
     if same:
         return same
+    said = _COMMANDED if wanted in system.input_names else _MEASURED
+    plain = {key: _squeezed(said.sub("", name.lower())) for key, (name, _) in free.items()}
     plain = {key: name for key, name in plain.items() if key not in still}
     if wanted in system.state_names:  # a setpoint is no state, however much it is called like one
         plain = {key: name for key, name in plain.items() if is_measured(free[key][0])}
@@ -141,7 +150,7 @@ def _named(
         words = _POSITIONS
     elif len(system.input_names) == 1 and wanted in system.input_names:
         words = _INPUTS
-    alike = [key for key, name in plain.items() if name in words]
+    alike = [key for key, name in plain.items() if name in words or name == _squeezed(wanted)]
     if alike:
         return alike
     near = difflib.get_close_matches(_squeezed(wanted), list(plain.values()), n=1, cutoff=0.8)

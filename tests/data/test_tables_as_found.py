@@ -1,0 +1,140 @@
+"""Tables as people and programs write them: comments, no header, words, lists in cells, Simulink's structures."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.io import savemat
+
+import nsde_torch
+from nsde_torch.data.formats.table import open_table
+from nsde_torch.errors import DataError
+
+T = np.arange(40) / 20.0
+Q, V, F = np.sin(T), np.cos(T), np.sin(3.0 * T)
+ROWS = [
+    f"{t!r},{q!r},{v!r},{f!r}"
+    for t, q, v, f in zip(T.tolist(), Q.tolist(), V.tolist(), F.tolist(), strict=True)
+]
+NAMES = "t,q,q_dot,force"
+
+
+def _columns(path: Path) -> dict[str, np.ndarray]:
+    (stream,) = open_table(path).streams
+    return {"t": stream.t, **stream.fields}
+
+
+@pytest.mark.parametrize(
+    ("name", "lines"),
+    [
+        ("before the header", ["# a pendulum, by hand", "#", NAMES, *ROWS]),
+        ("the header itself", ["# by hand", f"# {NAMES}", *ROWS]),
+        ("NumPy's header", ["# " + NAMES.replace(",", " "), *(row.replace(",", " ") for row in ROWS)]),
+        ("between rows", [NAMES, "# s, rad, rad/s", *ROWS[:20], "# a pause, here", *ROWS[20:]]),
+        ("decimal commas", [NAMES.replace(",", ";"), *(r.replace(",", ";").replace(".", ",") for r in ROWS)]),
+    ],
+)
+def test_comments_and_decimal_commas(tmp_path: Path, name: str, lines: list[str]) -> None:
+    (tmp_path / "run.csv").write_text("\n".join(lines) + "\n", encoding="utf-8")
+    read = _columns(tmp_path / "run.csv")
+    assert list(read) == ["t", "q", "q_dot", "force"], name
+    assert np.array_equal(np.column_stack(list(read.values())), np.column_stack([T, Q, V, F]))
+
+
+def test_a_table_without_a_header_has_numbers_of_columns(tmp_path: Path) -> None:
+    for k in range(2):  # whose first rows differ, and which are two runs nevertheless
+        (tmp_path / f"run{k}.csv").write_text("# by hand\n" + "\n".join(ROWS[k:]) + "\n", encoding="utf-8")
+    assert list(_columns(tmp_path / "run0.csv")) == ["t", "column_2", "column_3", "column_4"]
+    found = nsde_torch.inspect(tmp_path, system="mass_spring_damper", physics=False)
+    assert found.runs == ["run0", "run1"]
+    assert found.usable
+    assert "time: {from: column_1, unit: s}" in found.yaml
+    assert "q_dot: {from: column_3}" in found.yaml
+    assert "in this order" in found.open[0]
+    (tmp_path / "mapping.yaml").write_text(found.yaml, encoding="utf-8")
+    run = nsde_torch.read(tmp_path, system="mass_spring_damper").runs[0]
+    assert np.allclose(run.x, np.column_stack([Q, V]))
+
+
+def test_words_in_a_column_of_numbers_are_missing(tmp_path: Path) -> None:
+    cells = [[*row.split(","), "land" if k % 3 else "hover"] for k, row in enumerate(ROWS)]
+    cells[3][1], cells[4][1], cells[30][2] = "NA", "n/a", "ERR"
+    text = "\n".join([NAMES + ",mode", *map(",".join, cells)])
+    (tmp_path / "run.csv").write_text(text + "\n", encoding="utf-8")
+    log = open_table(tmp_path / "run.csv")
+    fields = log.streams[0].fields
+    assert list(fields) == ["q", "q_dot", "force"]
+    assert np.flatnonzero(np.isnan(fields["q"])).tolist() == [3, 4]
+    assert np.flatnonzero(np.isnan(fields["q_dot"])).tolist() == [30]
+    assert log.notes == ["cells of 'q_dot' that are no number are missing: 1, the first 'ERR' in line 32"]
+    found = nsde_torch.inspect(tmp_path, system="mass_spring_damper", physics=False)
+    assert (found.kind, found.usable) == ("table", True)
+    assert any("'mode' holds 'hover'" in note for note in found.notes)
+    (tmp_path / "mapping.yaml").write_text(found.yaml, encoding="utf-8")
+    assert nsde_torch.read(tmp_path, system="mass_spring_damper").runs
+
+
+@pytest.mark.parametrize(
+    "cell", ['"[{0}, {1}]"', "[{0} {1}]", "[{0}, {1}]", '"array([{0}, {1}], dtype=float32)"', '"({0}; {1})"']
+)
+def test_lists_in_cells_are_columns(tmp_path: Path, cell: str) -> None:
+    rows = [row.split(",") for row in ROWS]
+    lines = ["t,state,force", *(f"{t},{cell.format(q, v)},{f}" for t, q, v, f in rows)]
+    (tmp_path / "run.csv").write_text("\n".join(lines) + "\n", encoding="utf-8")
+    read = _columns(tmp_path / "run.csv")
+    assert list(read) == ["t", "state[0]", "state[1]", "force"]
+    assert np.array_equal(np.column_stack(list(read.values())), np.column_stack([T, Q, V, F]))
+
+
+def test_a_row_that_is_cut_short_is_still_refused(tmp_path: Path) -> None:
+    (tmp_path / "run.csv").write_text("\n".join(["# by hand", NAMES, *ROWS, "2.0,0.1"]), encoding="utf-8")
+    with pytest.raises(DataError, match="line 43 has 2 cells, the header 4"):
+        open_table(tmp_path / "run.csv")
+
+
+def _elements(*elements: dict[str, object]) -> np.ndarray:
+    out = np.zeros((1, len(elements)), dtype=[(key, object) for key in elements[0]])
+    for k, element in enumerate(elements):
+        for key, value in element.items():
+            out[0, k][key] = value
+    return out
+
+
+def _signal(label: str, values: np.ndarray) -> dict[str, object]:
+    return {"values": values[:, None], "dimensions": 1.0, "label": label}
+
+
+@pytest.mark.parametrize(
+    "form", ["with time", "one each", "timeseries", "samples last", "logsout", "to file"]
+)
+def test_what_simulink_logs(tmp_path: Path, form: str) -> None:
+    clock, named = T[:, None], {"q": Q, "q_dot": V, "force": F}
+    series = {name: {"Time": clock, "Data": v[:, None], "Name": name} for name, v in named.items()}
+    content: dict[str, object] = {
+        "with time": {
+            "out": {"time": clock, "signals": _elements(*(_signal(f"<{n}>", v) for n, v in named.items()))}
+        },
+        "one each": {name: {"time": clock, "signals": _signal("", v)} for name, v in named.items()},
+        "timeseries": {"out": {"tout": clock, "logsout": series}},
+        "samples last": {name: {"Time": clock, "Data": v[None, None, :]} for name, v in named.items()},
+        "logsout": {"logsout": _elements(*({"Name": n, "Values": s} for n, s in series.items()))},
+        "to file": {"ans": np.vstack([T, Q, V, F])},
+    }[form]
+    savemat(tmp_path / "out.mat", content)
+    found = nsde_torch.inspect(tmp_path, system="mass_spring_damper", physics=False)
+    assert found.usable, found.missing
+    (tmp_path / "mapping.yaml").write_text(found.yaml, encoding="utf-8")
+    run = nsde_torch.read(tmp_path, system="mass_spring_damper").runs[0]
+    assert np.allclose(run.x, np.column_stack([Q, V]))
+    assert np.allclose(run.u[:, 0], F)
+
+
+def test_objects_of_matlab_are_refused_with_what_to_save(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    savemat(tmp_path / "out.mat", {"q": Q})
+    monkeypatch.setattr("scipy.io.whosmat", lambda path: [("logsout", (1, 1), "opaque")])
+    with pytest.raises(DataError, match=r"logsout.*Structure With Time"):
+        open_table(tmp_path / "out.mat")

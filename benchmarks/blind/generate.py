@@ -106,7 +106,7 @@ def holdable(system: str) -> list[str]:
     cls = system_class(system)
     found = effects_of(system, cls.ports, cls.bound_coordinates())
     beside = {*declared, *_OF_THE_LOG}
-    return [name for name, cls in found.items() if cls.candidate(system) and name not in beside]
+    return [name for name, cls in found.items() if not cls.no_candidate(system) and name not in beside]
 
 
 def _tied(a: str, b: str) -> bool:

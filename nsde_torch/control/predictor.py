@@ -102,7 +102,7 @@ class Predictor(nn.Module):
             return learned.black_box(z, u)
         forces: dict[Port, Tensor] = {}
         if self._residual is not None:
-            out = self._residual(s.residual_features(split_columns(z, s.nx, s.nz - s.nx)[0]))
+            out = self._residual(s.network_features(split_columns(z, s.nx, s.nz - s.nx)[0]))
             forces = dict(zip(self._residual.ports, split_columns(out, *self._residual.widths), strict=True))
         if self.nd:
             for port, part in zip(self.ports, split_columns(d, *self.ports.values()), strict=True):

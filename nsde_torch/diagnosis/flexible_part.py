@@ -26,7 +26,8 @@ from nsde_torch.diagnosis.fitted import nonlinear
 from nsde_torch.diagnosis.group_selection import Candidates, Products, Weights, weighted
 from nsde_torch.diagnosis.regressors import Regressors
 from nsde_torch.diagnosis.search import Base
-from nsde_torch.diagnosis.smooth_functions import FunctionGroup, Scale, processes_of_two
+from nsde_torch.diagnosis.smooth_functions import FunctionGroup, processes_of_two
+from nsde_torch.inference.smooth import Scale
 from nsde_torch.sysid.noise import Noise
 from nsde_torch.sysid.regression import Regression
 

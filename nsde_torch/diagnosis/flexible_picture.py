@@ -11,9 +11,9 @@ from nsde_torch.diagnosis.ceiling import Ceiling
 from nsde_torch.diagnosis.flexible_part import Foretold, Part
 from nsde_torch.diagnosis.group_selection import weighted
 from nsde_torch.diagnosis.outcome import Outcome
-from nsde_torch.diagnosis.smooth_functions import functions
 from nsde_torch.diagnosis.trust import FAR, distance_from_data
 from nsde_torch.diagnosis.views import variable_units
+from nsde_torch.inference.smooth import functions
 from nsde_torch.plots.flexible import Surface, flexible_surface
 
 if TYPE_CHECKING:

@@ -85,7 +85,7 @@ def _column(system: System, at: Optimum, term: Term) -> Tensor:
     space, x = at.of.space, at.about.x
     effect = system.make_effect(term.law, {"c1": 1.0, **term.start}).double()
     flat, u, t = (part.flatten(0, 1) for part in (x, space.chunks.u, space.chunks.t[..., None]))
-    seen = seen_by(system, effect, t[:, 0], flat, u)
+    seen = seen_by(system, effect, t[:, 0], torch.cat((flat, space.memory.flatten(0, 1)), 1), u)
     value = effect(t[:, 0], flat, seen, flat[:, :0]).sum(1).view(x.shape[:2])
     middle = value.clone()  # over a step; the last row of a chunk has none
     middle[:-1] = 0.5 * (value[:-1] + value[1:])

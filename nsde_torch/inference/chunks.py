@@ -4,6 +4,7 @@ Each chunk begins `burn` rows before those that it counts, where its filter star
 side by side, so that a pass over a log of any length takes as many steps as one chunk is long.
 """
 
+import copy
 from typing import final
 
 import numpy as np
@@ -75,6 +76,15 @@ class Chunks:
         self.size, self.count = size, len(first)
         self._owners = torch.tensor(owners)
         self._first = torch.from_numpy(begun)
+
+    def some(self, which: Tensor) -> "Chunks":
+        """Some of the chunks, by number."""
+        out = copy.copy(self)
+        out.row, out.y, out.u, out.t, out.counted = (
+            part[:, which] for part in (self.row, self.y, self.u, self.t, self.counted)
+        )
+        out._owners, out._first, out.count = self._owners[which], self._first[which], len(which)
+        return out
 
     def cut(self, values: Tensor) -> Tensor:
         """Values of steps (N, k) at the rows of the chunks (T, C, k)."""

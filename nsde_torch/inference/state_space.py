@@ -5,6 +5,7 @@ disturbances d of the ports behind it. Memory of the effects (lags, delays) is k
 states (`memory_along`), and no state of the filter.
 """
 
+import copy
 from collections.abc import Sequence
 from typing import final
 
@@ -84,6 +85,12 @@ class StateSpace:
         self.nx, self.ne = system.nx, len(system.error_names)
         self.nd = len(self.disturbances)
         self.n = self.ne + self.nd
+
+    def some(self, which: Tensor) -> "StateSpace":
+        """The same machine, with the values in use, over some of the chunks."""
+        out = copy.copy(self)
+        out.chunks, out.memory = self.chunks.some(which), self.memory[:, which]
+        return out
 
     def use(self, theta: Array) -> None:
         """Take these values for what follows."""

@@ -113,7 +113,7 @@ def pushed(model: NeuralSDE, networks: nn.Module, found: Residuals, y: Tensor | 
     """
     assert isinstance(networks, nn.ModuleDict)
     if y is None:
-        y = model.residual_inputs(model.system.residual_features(found.states.float()))
+        y = model.residual_inputs(model.system.network_features(found.states.float()))
     parts = [model.residual_scale(port) * networks[port.value](y) for port, _ in found.ports]
     return torch.einsum("ncw,nw->cn", found.response.float(), torch.cat(parts, 1))
 

@@ -7,6 +7,7 @@ import torch
 from torch import Tensor, nn
 
 _WIDE = 32
+_BLIND = 1e30  # a scale beyond which a column says nothing
 
 
 def tanh(x: Tensor) -> Tensor:
@@ -81,6 +82,10 @@ class Standardise(nn.Module):
         self.scale: Tensor
         self.register_buffer("mean", torch.zeros(width))
         self.register_buffer("scale", torch.ones(width))
+
+    def blind(self, columns: slice) -> None:
+        """Let some columns be 0 whatever they are."""
+        self.scale[columns] = _BLIND
 
     def fit(self, rows: Tensor, *, centre: bool = True) -> None:
         """Set mean and standard deviation from rows (N, width); a constant channel keeps scale 1."""

@@ -106,7 +106,7 @@ class NeuralSDE(Model):
         probe = torch.zeros(1, s.nx)
         if s.quaternion is not None:
             probe[:, s.quaternion.start] = 1.0
-        n_features, n_residual = s.features(probe).shape[1], s.residual_features(probe).shape[1]
+        n_features, n_residual = s.features(probe).shape[1], s.network_features(probe).shape[1]
         self.residual_inputs = Standardise(n_residual)
         self.black_box = None if spec.physics else BlackBoxDrift(s, spec.drift_hidden, generator=generator)
         s.requires_grad_(spec.physics)
@@ -167,7 +167,7 @@ class NeuralSDE(Model):
 
     def residual(self, x: Tensor) -> dict[Port, Tensor]:
         """Learned contribution on each port, from the state (N, nx)."""
-        y = self.residual_inputs(self.system.residual_features(x))
+        y = self.residual_inputs(self.system.network_features(x))
         return {Port(k): self._residual_scale[k] * network(y) for k, network in self.residuals.items()}
 
     def residual_scale(self, port: Port) -> float:

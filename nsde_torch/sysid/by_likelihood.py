@@ -12,7 +12,7 @@ import numpy as np
 
 from nsde_torch.data import Run
 from nsde_torch.errors import DataError, NonFiniteError
-from nsde_torch.inference import MaximumLikelihood, Optimum, fit, maximised
+from nsde_torch.inference import LogLikelihood, MaximumLikelihood, Optimum, maximised
 from nsde_torch.sysid.result import Identification
 from nsde_torch.systems import System
 
@@ -47,12 +47,12 @@ def by_likelihood(
     found.vector.write(machine, found.values)
     try:
         if near is None:
-            best = fit(machine, runs, clock=clock)
+            best, at = maximised(LogLikelihood(machine, runs, clock))
         else:
-            best = maximised(near[1].of.of(near[0]), near[1])[0]
+            best, at = maximised(near[1].of.of(near[0]), near[1])
     except (DataError, NonFiniteError, np.linalg.LinAlgError):
         return found
-    found = replace(found, likelihood=best)
+    found = replace(found, likelihood=best, optimum=at)
     return found if best.objections else _with(found, best)
 
 

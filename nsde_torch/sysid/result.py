@@ -1,13 +1,13 @@
 """What an identification found."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import stdtrit
 
-from nsde_torch.inference import MaximumLikelihood
+from nsde_torch.inference import MaximumLikelihood, Optimum
 from nsde_torch.sysid.noise import Noise
 from nsde_torch.sysid.shown import Shown, sentences
 from nsde_torch.sysid.standing import in_words
@@ -86,6 +86,7 @@ class Identification:
         standing: Share of the rows that were left out because what has dry friction stands in them.
         likelihood: The fit of largest likelihood, whose values these are where nothing speaks against it; None where
             there was none.
+        optimum: Where that is, for networks to begin at.
     """
 
     vector: ParameterVector
@@ -110,6 +111,7 @@ class Identification:
     finer: "Identification | None" = None
     standing: float = 0.0
     likelihood: MaximumLikelihood | None = None
+    optimum: Optimum | None = field(default=None, repr=False, compare=False)
 
     @property
     def likelihood_used(self) -> bool:

@@ -16,8 +16,8 @@ Where a port has no declared physics the network is all that is known of it. Wha
 wrong; features are then those of smoothed states, and the noise is that of the sensors until the network is known.
 """
 
-from collections.abc import Sequence
-from dataclasses import asdict
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, replace
 from math import isfinite
 from typing import Any
 
@@ -55,7 +55,9 @@ from nsde_torch.sysid.result import Identification
 from nsde_torch.systems.parameters import ParameterVector
 from nsde_torch.training.checkpoint import read_checkpoint, write_checkpoint
 from nsde_torch.training.fit_distance import fit_distance
+from nsde_torch.training.fit_functions import fit_functions
 from nsde_torch.training.innovations_summary import summary
+from nsde_torch.training.prepare import blind_to_places
 from nsde_torch.training.progress import Progress
 from nsde_torch.training.task import Fitted, Parameters, Task
 
@@ -149,6 +151,7 @@ class _Fit:
     def __init__(self, model: NeuralSDE, task: Task, runs: Sequence[Run], found: Identified | None) -> None:
         self.model, self.task, self.runs, self.found = model, task, runs, found
         self.identification: Identification | None = None
+        self.variables: Mapping[Port, tuple[str, ...]] = {}  # what networks were found to depend on
         self.size = 0.0  # mean log standard deviation of the innovations
         model.clock_scale.fill_(task.clock)
         if found is not None:
@@ -165,7 +168,12 @@ class _Fit:
         model, options = self.model, self.task.options
         left = residuals(self.physics, self.theta, model.residual_ports)
         self._standardise(left)
-        learned = self._networks(left, first=self.found is None)
+        learned: Learned | None
+        chosen = self._functions(left)
+        if chosen is not None:
+            learned, left = chosen
+        else:
+            learned = self._networks(left, first=self.found is None)
         if self.found is None:
             left = self._again(left)
             learned = self._networks(left)
@@ -199,8 +207,30 @@ class _Fit:
 
     def _standardise(self, left: Residuals) -> None:
         system, states = self.model.system, left.states.float()
-        self.model.residual_inputs.fit(system.residual_features(states))
+        self.model.residual_inputs.fit(system.network_features(states))
+        blind_to_places(self.model)
         self.model.eta.standardise.fit(system.features(states))
+
+    def _functions(self, left: Residuals) -> tuple[Learned, Residuals] | None:
+        """Networks from functions that the likelihood chose, and what the physics beside them leaves.
+
+        None where there is no likelihood to rely on.
+        """
+        known = self.identification
+        if known is None or known.optimum is None or not left.ports:
+            return None
+        made = fit_functions(self.model, known.optimum, left)
+        if not made.functions.groups and not known.likelihood_used:
+            self._standardise(left)
+            return None
+        self.variables = made.variables
+        self.theta = made.functions.theta
+        self.identification = replace(known, values=self.theta)
+        left = residuals(self.physics, self.theta, self.model.residual_ports)
+        change = self._left(left)
+        noises = noise_models(left, change, carry_limits(self.physics, self.theta, 1))
+        self.size = float(np.mean(np.log([noise.std for noise in noises])))
+        return made.learned, left
 
     def _again(self, left: Residuals) -> Residuals:
         """Declared parameters beside networks that are all that acts on a port, and what is left without them."""
@@ -237,7 +267,7 @@ class _Fit:
         else:
             noises = noise_models(left, change, limits, first=first)
         self.size = float(np.mean(np.log([noise.std for noise in noises])))
-        y = model.residual_inputs(model.system.residual_features(left.states.float()))
+        y = model.residual_inputs(model.system.network_features(left.states.float()))
         settings = NetworkSettings(
             steps=task.options.steps,
             rate=_RATE * task.options.lr * (_BARE_RATE if bare else 1.0),
@@ -323,6 +353,7 @@ class _Fit:
                 "nats": learned.gain[k],
                 "standard_error": learned.error[k] if isfinite(learned.error[k]) else None,
                 "kept": learned.kept[k],
+                **({"variables": list(self.variables[port])} if port in self.variables else {}),
             }
             for k, (port, _) in enumerate(left.ports)
             if learned is not None

@@ -34,10 +34,15 @@ def summary(
             if error is None
             else f"{n['nats']:+.1f} +- {error:.1f} nats on blocks left out"
         )
-        lines.append(
-            f"network on {port}: {size}: "
-            + (f"{learned.steps if learned else 0} steps" if n["kept"] else "none")
-        )
+        lines.append(f"network on {port}: {size}: " + _what(n, learned))
     lines += [f"warning: {sentence}" for sentence in (known.warnings if known else ())]
     lines += [f"feedback: {sentence}" for sentence in (known.of_the_loop if known else ())]
     return "\n".join(lines)
+
+
+def _what(network: dict[str, Any], learned: Learned | None) -> str:
+    """What a network depends on; of one that was trained by gradients, its steps."""
+    if not network["kept"]:
+        return "none"
+    seen = network.get("variables")
+    return "of " + ", ".join(seen) if seen else f"{learned.steps if learned else 0} steps"

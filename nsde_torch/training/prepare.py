@@ -14,6 +14,13 @@ _ROWS = 20_000
 _HOLD_SHARE = 0.35  # a useful model's error, as a share of that of holding the state
 
 
+def blind_to_places(model: NeuralSDE) -> None:
+    """Let residual networks see no place: a fit without evidence for it would learn where the data were."""
+    count = len(model.system.place_names)
+    if count:
+        model.residual_inputs.blind(slice(-count, None))
+
+
 def prepare(
     model: NeuralSDE,
     runs: Sequence[Run],
@@ -36,7 +43,8 @@ def prepare(
     x, u, _ = windows.batch(_spread(len(windows), _ROWS // (windows.horizon + 1) + 1))
     rows = x.reshape(-1, x.shape[-1])
     with torch.no_grad():
-        model.residual_inputs.fit(model.system.residual_features(rows))
+        model.residual_inputs.fit(model.system.network_features(rows))
+        blind_to_places(model)
         model.eta.standardise.fit(model.system.features(rows))
         model.clock_scale.fill_(clock_scale)
         if model.black_box is not None:

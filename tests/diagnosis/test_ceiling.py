@@ -21,9 +21,10 @@ from nsde_torch.diagnosis.outcome import Outcome
 from nsde_torch.diagnosis.pictures import pictures
 from nsde_torch.diagnosis.result import Diagnosis
 from nsde_torch.diagnosis.search import Base
-from nsde_torch.diagnosis.smooth_functions import first_groups, functions, scales
+from nsde_torch.diagnosis.smooth_functions import first_groups, scales
 from nsde_torch.diagnosis.summary import summary
 from nsde_torch.diagnosis.text import lines
+from nsde_torch.inference.smooth import functions
 from tests.diagnosis.test_shape import Push, pushed
 from tests.helpers.diagnosed import diagnosed
 

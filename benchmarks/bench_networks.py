@@ -1,0 +1,114 @@
+"""How much of what an undeclared law explains the networks of a neural SDE learn beside declared physics.
+
+    python benchmarks/bench_networks.py --seeds 3 --out networks/
+
+Plants are of a simulator of its own (`blind/small_machines.py`). Each is trained as `nsde train` does, beside it the
+declared physics alone and the physics that is told the law (`model=sysid`). The share is that of the logarithm of what
+they leave of the rates of a run held out, means over 0.25 s:
+
+    log(declared / networks) / log(declared / told)
+
+Plants without a law are nulls: the logarithm itself is what is lost there.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import sys
+import tempfile
+from math import log
+from pathlib import Path
+from typing import Any
+
+os.environ.setdefault("OMP_NUM_THREADS", "1")
+sys.path.insert(0, str(Path(__file__).resolve().parent / "blind"))
+
+import numpy as np
+import torch
+from small_machines import STATES, Small, run
+
+import nsde_torch
+
+SPRING, CART = {"k": 4.0, "b": 0.5, "g": 1.0}, {"g": 1.0, "s": 0.3, "l": 0.5}
+PLANTS: dict[str, tuple[str, dict[str, Any], list[str]]] = {
+    "spring: nothing": ("mass_spring_damper", {}, []),
+    "spring: dry friction": ("mass_spring_damper", {"coulomb": {"size": 0.15}}, ["coulomb_friction"]),
+    "spring: quadratic damping": ("mass_spring_damper", {"quadratic": {"size": 0.3}}, ["quadratic_damping"]),
+    "spring: hardening": ("mass_spring_damper", {"hardening": {"size": 0.8}}, ["cubic_stiffness"]),
+    "cart: nothing": ("cartpole", {}, []),
+    "cart: dry friction": ("cartpole", {"coulomb": {"size": 0.4}}, ["coulomb_friction[cart]"]),
+    "cart: quadratic damping": ("cartpole", {"quadratic": {"size": 0.5}}, ["quadratic_damping[cart]"]),
+}
+"""Machine, what it holds, and the law of the catalogue that this is."""
+SECONDS, RUNS, DT = 12.0, 5, 0.01
+
+
+def write(folder: Path, system: str, effects: dict[str, Any], seed: int) -> None:
+    """Runs of a plant as files."""
+    values = SPRING if system == "mass_spring_damper" else CART
+    noise = (0.001, 0.003) if system == "mass_spring_damper" else (0.0005, 0.005, 0.001, 0.01)
+    machine = Small(system, values, effects, noise, gust=0.02)
+    for i in range(RUNS):
+        t, y, u = run(machine, SECONDS, DT, seed=7919 * seed + i)
+        np.savetxt(
+            folder / f"run_{i}.csv",
+            np.column_stack([t + 100 * i, y, u]),
+            "%.7f",
+            ",",
+            header=",".join(["t", *STATES[system], "force"]),
+            comments="",
+        )
+
+
+def left(
+    data: Any, system: str, run_dir: Path, model: str, effects: list[str]
+) -> tuple[float, dict[str, Any]]:
+    """Sum of the logarithms of what is left of the rates of the held-out run, and what `metrics.json` holds."""
+    nsde_torch.train(data, system=system, model=model, effects=effects, run_dir=run_dir, say=False)
+    metrics = json.loads((run_dir / "metrics.json").read_text(encoding="utf-8"))
+    return sum(log(channel["residual"]) for channel in metrics["test"]["one_step"].values()), metrics
+
+
+def main() -> None:
+    """Train, print a line for each plant and seed, and a table."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--seeds", type=int, default=3)
+    parser.add_argument("--plants", nargs="*", default=list(PLANTS), choices=list(PLANTS))
+    parser.add_argument("--out", type=Path, default=None)
+    a = parser.parse_args()
+    torch.set_num_threads(1)
+    rows: dict[str, list[tuple[float, float]]] = {}
+    for name in a.plants:
+        system, effects, law = PLANTS[name]
+        for seed in range(1, a.seeds + 1):
+            with tempfile.TemporaryDirectory() as at:
+                folder = Path(at)
+                write(folder, system, effects, seed)
+                data = nsde_torch.read(folder, system=system)
+                out = a.out or folder / "models"
+                place = out / f"{name.replace(': ', '_').replace(' ', '_')}_{seed}"
+                declared, _ = left(data, system, place / "declared", "sysid", [])
+                networks, metrics = left(data, system, place / "networks", "nsde", [])
+                told = left(data, system, place / "told", "sysid", law)[0] if law else declared
+                learned = {
+                    k: n.get("variables") for k, n in metrics["innovations"]["networks"].items() if n["kept"]
+                }
+                rows.setdefault(name, []).append((declared - networks, declared - told))
+                print(
+                    f"{name}, seed {seed}: {declared - networks:.3f} of {declared - told:.3f}, {learned}",
+                    flush=True,
+                )
+    print("\n| plant | networks | the law told | share |\n|---|---|---|---|")
+    for name, won in rows.items():
+        got, most = np.array(won).T
+        each = got / most if PLANTS[name][2] else got * np.nan
+        share = f"{each.mean():.2f} ({each.min():.2f} to {each.max():.2f})" if PLANTS[name][2] else ""
+        print(f"| {name} | {got.mean():.3f} | {most.mean():.3f} | {share} |")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,430 @@
+"""What no declared term explains, as smooth functions of the state on the ports, chosen by held-out likelihood.
+
+    f(x, u; theta) + sum_j B_j g_j(x),      g_j(x) = sum_g Phi_g(x) w_g,      w_g ~ N(0, tau_g^2)
+
+Each function is a column of the likelihood's Gram matrices (`nsde_torch.inference.sensitivity`): what a force on a port
+does to a step, which the filter's linearisation holds, times the function's value. A group of functions (of one
+variable or of two, coarse or fine) is one candidate with one variance, that of largest marginal likelihood. The group
+that explains most of blocks of time that it was not fitted to is added, beside the declared parameters, until none
+explains surely anything. Noise levels that were found without the functions have learned a part of them: they are
+found anew with them, and the choice goes on.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from itertools import combinations, pairwise
+from math import log
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from scipy.linalg import block_diag
+
+from nsde_torch.inference.estimate import Optimum
+from nsde_torch.inference.filtering import Pass, filtered, with_parameters
+from nsde_torch.inference.levels import Levels
+from nsde_torch.inference.maximum import likeliest
+from nsde_torch.inference.sensitivity import grams
+from nsde_torch.inference.smooth import Kind, Scale, functions
+
+Array = NDArray[np.float64]
+
+_FOLDS = 5
+_SURE = 2.0  # standard errors by which a group has to explain blocks left out
+_CHANCE = 3.0  # nats beyond the logarithm of the number of groups
+_MOST = 4  # groups of one row of a port
+_ROUNDS = 2  # choices, the second under noise levels found beside the first
+_VARIANCES = np.geomspace(
+    1.0, 1e4, 13
+)  # tau, in units of what moves the rows by one standard deviation in all
+_ROUNDING = 1e-10
+_NEW = 0.03  # share of the length of a direction that the declared parameters must leave
+_AT_ONCE = 96  # columns of one recursion
+_SCREENED = 8000  # rows on which groups are ranked
+_JUDGED = 10  # of the best of these, how many are held against all rows
+_PAIRED = 3  # variables of groups chosen before, and those that explain most alone, whose pairs are tried
+
+
+@dataclass(frozen=True)
+class BasisGroup:
+    """Functions that are chosen together.
+
+    Args:
+        port: Number of the disturbance of the likelihood on which they act.
+        variables: What they are functions of: one or two.
+        kind: See `nsde_torch.inference.smooth.functions`.
+    """
+
+    port: int
+    variables: tuple[str, ...]
+    kind: Kind
+
+
+@dataclass(frozen=True)
+class Functions:
+    """Functions that were chosen.
+
+    Args:
+        groups: The groups.
+        weights: Of the functions of each.
+        covariance: Of all weights, one after the other.
+        scaled: Scales of the variables.
+        theta: Declared parameters beside them.
+        nats: Held-out log likelihood that the groups of each port's row bring, by number of the disturbance.
+        error: Its standard error over blocks of time.
+    """
+
+    groups: tuple[BasisGroup, ...]
+    weights: tuple[Array, ...]
+    covariance: Array
+    scaled: Mapping[str, Scale]
+    theta: Array
+    nats: Mapping[int, float] = field(default_factory=dict)
+    error: Mapping[int, float] = field(default_factory=dict)
+
+    def force(
+        self, values: Mapping[str, Array], port: int, within: Mapping[str, Array] | None = None
+    ) -> tuple[Array, Array]:
+        """The force (N,) of the functions on one row of a port, and its variance (N,).
+
+        Args:
+            values: Values of the variables, each (N,).
+            port: Number of the disturbance.
+            within: The nearest values inside the range of the data: waves stay there, as they say nothing of what is
+                beyond; polynomials go on.
+        """
+        count = len(next(iter(values.values())))
+        columns = [np.zeros((count, len(w))) for w in self.weights]
+        for k, group in enumerate(self.groups):
+            if group.port == port:
+                at = values if within is None or group.kind == "polynomial" else within
+                columns[k] = functions(group.variables, group.kind, at, self.scaled)
+        if not columns:
+            return np.zeros(count), np.zeros(count)
+        phi = np.concatenate(columns, 1)
+        spread = np.einsum("ni,ij,nj->n", phi, self.covariance, phi).clip(0.0)
+        return phi @ np.concatenate(self.weights), spread
+
+
+@torch.no_grad()
+def learned(
+    at: Optimum,
+    features: Callable[[torch.Tensor], torch.Tensor],
+    names: Sequence[str],
+    ports: Sequence[int],
+    *,
+    say: Callable[[str], None] = lambda text: None,
+) -> Functions:
+    """Functions that explain what the physics of an optimum does not.
+
+    Args:
+        at: The optimum; theta of it is in use.
+        features: Variables (N, nr) of states (N, nx).
+        names: Of the variables.
+        ports: Numbers of the disturbances on which functions may act.
+        say: Told what is chosen.
+    """
+    return _Choice(at, features, names, ports, say).made()
+
+
+class _View:
+    """Some chunks of the log, with the values of the variables there.
+
+    Args:
+        at: The optimum.
+        features: Variables of states.
+        names: Of the variables.
+        most: How many rows are enough; None takes all.
+    """
+
+    def __init__(
+        self,
+        at: Optimum,
+        features: Callable[[torch.Tensor], torch.Tensor],
+        names: Sequence[str],
+        most: int | None = None,
+    ) -> None:
+        chunks = at.of.space.chunks
+        count = chunks.count
+        if most is not None:
+            count = min(count, max(_FOLDS, round(most * chunks.count / float(chunks.counted.sum()))))
+        some = torch.linspace(0, chunks.count - 1, count).round().long()
+        self.whole = count == chunks.count
+        self.space = at.of.space.some(some)
+        self.about, self.start = at.about.of(some), at.of.start
+        x = self.about.x
+        flat = features(x.flatten(0, 1)).numpy()
+        self.values = {name: np.ascontiguousarray(flat[:, k]) for k, name in enumerate(names)}
+        self.base = self.space.columns(x, range(len(self.space.vector)))
+        owners, firsts = self.space.chunks.places()
+        order = np.lexsort((firsts, owners))
+        self.fold = np.empty(len(order), dtype=np.int64)
+        self.fold[order] = np.arange(len(order)) * _FOLDS // len(order)
+        self._passes: list[tuple[Levels, Pass]] = []
+
+    def at(self, levels: Levels) -> Pass:
+        """The pass under some noise levels."""
+        known = next((at for of, at in self._passes if of is levels), None)
+        if known is None:
+            many = levels.like(levels.vector()[None])
+            known = filtered(self.space, many, self.about, self.start, self.space.chunks.counted)
+            self._passes.append((levels, known))
+        return known
+
+    def columns(self, group: BasisGroup, scaled: Mapping[str, Scale]) -> torch.Tensor:
+        """What functions do to the steps (T, C, ne, q)."""
+        values = functions(group.variables, group.kind, self.values, scaled)
+        value = torch.from_numpy(values).view(*self.about.x.shape[:2], -1)
+        middle = value.clone()  # over a step; the last row of a chunk has none
+        middle[:-1] = 0.5 * (value[:-1] + value[1:])
+        push = self.about.slopes[..., self.space.ne + group.port]
+        return push[..., None] * middle[..., None, :]
+
+    def blocks(
+        self, groups: Sequence[BasisGroup], levels: Levels, scaled: Mapping[str, Scale]
+    ) -> tuple[Array, list[slice], list[Array]]:
+        """Gram matrices by block of [e, theta, groups], columns of each group, and what these are of its functions.
+
+        Directions of a group that the declared parameters can do already are left out: what is left of them is
+        rounding, and weights of it could be anything.
+        """
+        tables = [self.base, *(self.columns(g, scaled) for g in groups)]
+        ends = np.cumsum([1, *(t.shape[-1] for t in tables)])
+        held = grams(self.space, levels, self.about, self.at(levels), torch.cat(tables, -1))
+        total, theta = held.total, int(ends[1])
+        own = [slice(a, b) for a, b in pairwise(ends[1:])]
+        known = np.asarray(np.linalg.pinv(total[1:theta, 1:theta], rcond=_ROUNDING, hermitian=True))
+        turns = [_new(total, known, theta, s) for s in own]
+        turn = block_diag(np.eye(theta), *turns)
+        ends = np.cumsum([theta, *(t.shape[1] for t in turns)])
+        slices = [slice(a, b) for a, b in pairwise(ends)]
+        return np.asarray(turn.T @ held.blocks @ turn), slices, turns
+
+
+class _Choice:
+    """See `learned`."""
+
+    def __init__(
+        self,
+        at: Optimum,
+        features: Callable[[torch.Tensor], torch.Tensor],
+        names: Sequence[str],
+        ports: Sequence[int],
+        say: Callable[[str], None],
+    ) -> None:
+        self._optimum, self._ports, self._say = at, list(ports), say
+        self._all, self._few = _View(at, features, names), _View(at, features, names, _SCREENED)
+        counted = at.of.space.chunks.counted.flatten().numpy()
+        self._scaled = {
+            name: _scale(v[counted]) for name, v in self._all.values.items() if np.ptp(v[counted]) > 1e-9
+        }
+        self._levels = at.levels
+
+    def made(self) -> Functions:
+        """See `learned`."""
+        chosen: list[BasisGroup] = []
+        out = self._solved(chosen)
+        for turn in range(_ROUNDS):
+            before = len(chosen)
+            # noise levels changed where something was found
+            for port in self._ports if turn == 0 else sorted({g.port for g in chosen}):
+                chosen = self._chosen(port, chosen)
+            if not chosen or len(chosen) == before:
+                break
+            out = self._solved(chosen)
+            self._levels = self._relevelled(out)
+        return self._solved(chosen, judged=True) if chosen else out
+
+    # ---- what is tried ----------------------------------------------------------------------------------
+
+    def _chosen(self, port: int, chosen: list[BasisGroup]) -> list[BasisGroup]:
+        """Groups chosen so far and those of one port's row."""
+        kinds: tuple[Kind, ...] = ("polynomial", "smooth", "fine")
+        singles = [BasisGroup(port, (name,), kind) for name in self._scaled for kind in kinds]
+        while sum(g.port == port for g in chosen) < _MOST:
+            tried = [g for g in singles if g not in chosen]
+            gains = self._gains(self._few, tried, chosen)
+            ranked = sorted(gains, key=lambda g: -gains[g][0])
+            near = [v for g in chosen if g.port == port for v in g.variables]
+            near = list(dict.fromkeys([*near, *(g.variables[0] for g in ranked)]))[:_PAIRED]
+            pairs = self._pairs(port, near, chosen)
+            gains |= self._gains(self._few, pairs, chosen)
+            among = len(gains)
+            if not self._few.whole:
+                best = sorted(gains, key=lambda g: -gains[g][0])[:_JUDGED]
+                gains = self._gains(self._all, best, chosen)
+            best_of = max(gains, key=lambda g: gains[g][0])
+            nats, error = gains[best_of]
+            if not (nats > _CHANCE + log(among) and nats > _SURE * error):
+                break
+            self._say(f"{best_of}: {nats:.1f} +- {error:.1f}")
+            chosen = [*chosen, best_of]
+        return chosen
+
+    def _pairs(self, port: int, near: Sequence[str], chosen: Sequence[BasisGroup]) -> list[BasisGroup]:
+        """Products of all variables, and smooth functions of two of some of them."""
+        out = [BasisGroup(port, pair, "polynomial") for pair in combinations(self._scaled, 2)]
+        for a, b in combinations(near, 2):
+            out += [BasisGroup(port, (a, b), "varying"), BasisGroup(port, (b, a), "varying")]
+        return [g for g in out if g not in chosen]
+
+    def _gains(
+        self, view: _View, groups: Sequence[BasisGroup], chosen: Sequence[BasisGroup]
+    ) -> dict[BasisGroup, tuple[float, float]]:
+        """Held-out nats of each group beside those chosen, and their standard errors."""
+        out: dict[BasisGroup, tuple[float, float]] = {}
+        widths = [_width(g, view.values, self._scaled) for g in groups]
+        first = 0
+        while first < len(groups):
+            last, total = first, 0
+            while last < len(groups) and (total == 0 or total + widths[last] <= _AT_ONCE):
+                total, last = total + widths[last], last + 1
+            some = groups[first:last]
+            blocks, slices, _ = view.blocks([*chosen, *some], self._levels, self._scaled)
+            kept = slices[: len(chosen)]
+            before, ridge = self._held_out(view, blocks, kept)
+            for group, own in zip(some, slices[len(chosen) :], strict=True):
+                won = before - self._held_out(view, blocks, [*kept, own], ridge)[0]
+                out[group] = float(won.sum()), float(won.std() * len(won) ** 0.5)
+            first = last
+        return out
+
+    # ---- linear algebra ---------------------------------------------------------------------------------
+
+    def _held_out(
+        self, view: _View, blocks: Array, groups: Sequence[slice], known: Sequence[float] = ()
+    ) -> tuple[Array, list[float]]:
+        """Half the squares left of each block by what was fitted without its fold (B,); 1 / tau^2 of the groups."""
+        theta = 1 + self._optimum.of.space.vector.scale.size
+        index = np.concatenate([np.arange(theta), *(np.arange(s.start, s.stop) for s in groups)])
+        own = blocks[:, index[:, None], index]
+        ends = np.cumsum([theta, *(s.stop - s.start for s in groups)])
+        local = [slice(a, b) for a, b in pairwise(ends)]
+        total = own.sum(0)
+        ridge = [*known, *(self._ridge(total, theta, s) for s in local[len(known) :])]
+        weights = np.zeros(len(index) - 1)
+        for s, value in zip(local, ridge, strict=True):
+            weights[s.start - 1 : s.stop - 1] = value
+        out = np.empty(len(own))
+        for f in range(_FOLDS):
+            rows = view.fold == f
+            step = _ridged(total - own[rows].sum(0), weights)
+            full = np.concatenate(([1.0], -step))
+            out[rows] = 0.5 * np.einsum("i,bij,j->b", full, own[rows], full)
+        return out, ridge
+
+    def _ridge(self, total: Array, theta: int, own: slice) -> float:
+        """1 / tau^2 of largest marginal likelihood of a group beside the columns before it."""
+        known = slice(1, own.start)
+        inverse = np.linalg.pinv(total[known, known], rcond=_ROUNDING, hermitian=True)
+        across = total[known, own]
+        left = total[own, own] - across.T @ inverse @ across
+        pull = total[own, 0] - across.T @ inverse @ total[known, 0]
+        value, turned = np.linalg.eigh(left)
+        value, along = value.clip(0.0), np.square(turned.T @ pull)
+        best = (-np.inf, 1.0)
+        if not len(value):
+            return 1.0
+        for tau in _VARIANCES / max(float(value.max()), 1e-300) ** 0.5:
+            gain = 1.0 + tau**2 * value
+            evidence = 0.5 * float((tau**2 * along / gain).sum() - np.log(gain).sum())
+            best = max(best, (evidence, tau**-2.0))
+        return best[1]
+
+    def _solved(self, chosen: Sequence[BasisGroup], *, judged: bool = False) -> Functions:
+        """The functions at their most probable weights, beside the declared parameters."""
+        space = self._optimum.of.space
+        start = np.asarray(space.theta.numpy(), dtype=np.float64)
+        if not chosen:
+            return Functions((), (), np.zeros((0, 0)), self._scaled, start)
+        blocks, slices, turns = self._all.blocks(chosen, self._levels, self._scaled)
+        left, ridge = self._held_out(self._all, blocks, slices)
+        weights = np.zeros(blocks.shape[1] - 1)
+        for s, value in zip(slices, ridge, strict=True):
+            weights[s.start - 1 : s.stop - 1] = value
+        total = blocks.sum(0)
+        step = _ridged(total, weights)
+        first = slices[0].start - 1
+        inner = total[1:, 1:] + np.diag(weights)
+        whole = block_diag(*turns)
+        covariance = whole @ np.linalg.pinv(inner, rcond=_ROUNDING, hermitian=True)[first:, first:] @ whole.T
+        out = Functions(
+            tuple(chosen),
+            tuple(turn @ step[s.start - 1 : s.stop - 1] for s, turn in zip(slices, turns, strict=True)),
+            covariance,
+            self._scaled,
+            space.vector.inside(start + step[:first]),
+        )
+        if not judged:
+            return out
+        # the share of each port in what is won under the noise found with all of them
+        ports, share = sorted({g.port for g in chosen}), []
+        for port in ports:
+            rest = [k for k, g in enumerate(chosen) if g.port != port]
+            without = self._held_out(self._all, blocks, [slices[k] for k in rest], [ridge[k] for k in rest])[
+                0
+            ]
+            share.append(max(float((without - left).sum()), 0.0))
+        won = self._sizes() - left
+        self._levels = self._optimum.levels
+        without = self._held_out(self._all, self._all.blocks([], self._levels, self._scaled)[0], [])[0]
+        won -= self._sizes() - without
+        nats, error = float(won.sum()), float(won.std() * len(won) ** 0.5)
+        parts = dict(zip(ports, (np.array(share) / max(sum(share), 1e-300)).tolist(), strict=True))
+        return replace(
+            out,
+            nats={k: nats * part for k, part in parts.items()},
+            error={k: error * part**0.5 for k, part in parts.items()},
+        )
+
+    def _sizes(self) -> Array:
+        """Log determinants of what whitens the innovations of each block (B,)."""
+        space, at = self._all.space, self._all.at(self._levels)
+        rows = at.rows[:, :, 0] + 0.5 * torch.where(
+            space.chunks.counted[..., None], at.white[:, :, 0], 0.0
+        ).square().sum(-1)
+        return space.chunks.blocks(torch.stack([rows[a:b].sum(0) for a, b in space.chunks.parts]))
+
+    def _relevelled(self, found: Functions) -> Levels:
+        """Noise levels beside the functions."""
+        space, about = self._optimum.of.space, self._optimum.about
+        at = space.theta.numpy().copy()
+        space.use(found.theta)
+        about = with_parameters(space, about)
+        push = torch.zeros_like(about.missed)
+        for group, weights in zip(found.groups, found.weights, strict=True):
+            push += (self._all.columns(group, self._scaled) @ torch.from_numpy(weights)[:, None])[..., 0]
+        push[-1] = 0.0
+        about = replace(about, missed=about.missed + push)
+        levels, _ = likeliest(space, self._levels, self._levels, about, self._optimum.of.start)
+        space.use(at)
+        return levels
+
+
+def _width(group: BasisGroup, values: Mapping[str, Array], scaled: Mapping[str, Scale]) -> int:
+    """Number of functions of a group."""
+    some = {name: values[name][:1] for name in group.variables}
+    return functions(group.variables, group.kind, some, scaled).shape[1]
+
+
+def _scale(v: Array) -> Scale:
+    low, high = float(v.min()), float(v.max())
+    return Scale(0.5 * (low + high), 0.5 * (high - low), float(np.sqrt(np.square(v).mean())))
+
+
+def _new(total: Array, known: Array, theta: int, own: slice) -> Array:
+    """Directions (q, q') of a group's weights that the declared parameters cannot do already."""
+    inner, across = total[own, own], total[1:theta, own]
+    value, along = np.linalg.eigh(inner)
+    live = value > _ROUNDING * max(float(value.max()), 1e-300)
+    unit = along[:, live] / np.sqrt(value[live])
+    share, turned = np.linalg.eigh(unit.T @ (inner - across.T @ known @ across) @ unit)
+    return np.asarray(np.linalg.qr(unit @ turned[:, share > _NEW**2])[0])
+
+
+def _ridged(gram: Array, weights: Array) -> Array:
+    """Least squares with weights on the squares of some columns."""
+    inner, pull = gram[1:, 1:] + np.diag(weights), gram[1:, 0]
+    scale = 1.0 / np.sqrt(np.diag(inner).clip(1e-300))
+    unit = inner * scale * scale[:, None]
+    return np.asarray(np.linalg.pinv(unit, rcond=_ROUNDING, hermitian=True) @ (pull * scale) * scale)

@@ -1,0 +1,236 @@
+"""Residual networks from functions that the likelihood chose (`nsde_torch.inference.functions`).
+
+A network is what flies, is exported and is planned with; a linear basis is what can be chosen by evidence. So the
+functions are found first, and each port's network is fitted to their sum: over the data as they are, beyond
+them as far as they are known there, and fading from one and a half of their range on: the model returns to its physics.
+A network sees only what was chosen for its port.
+"""
+
+import copy
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor, nn
+
+from nsde_torch.effects import Port
+from nsde_torch.inference import Optimum
+from nsde_torch.inference.functions import Functions, learned
+from nsde_torch.innovations.networks import Learned
+from nsde_torch.innovations.residuals import Residuals
+from nsde_torch.models.networks import MLP
+from nsde_torch.models.neural_sde import NeuralSDE
+
+Array = NDArray[np.float64]
+
+_ROWS, _BEYOND = 1000, 300  # points of the data that a network is fitted at, and points beyond their range
+_REACH, _FADE = 4.0, 1.0  # half ranges that those go to, and over which the force fades
+_STEPS, _SETTLED, _PATIENCE, _MOST_DAMPING = 120, 1e-3, 10, 1e8  # of the fit of a network
+_STARTS, _TRIED = 3, 30  # beginnings, and the steps after which the best of them goes on
+_MARGIN = 1.5  # half ranges from which the force fades
+_DECAY = 1e-9  # of the squares of the network's weights
+_NEAR, _LESS = 0.1, 0.02  # weights of points beyond the data, inside the margin and outside
+
+
+@dataclass(frozen=True)
+class Distilled:
+    """Networks that were fitted to functions.
+
+    Args:
+        functions: The functions.
+        learned: What the networks bring, as other fits of networks say it.
+        variables: By port: the variables that its network sees.
+    """
+
+    functions: Functions
+    learned: Learned
+    variables: Mapping[Port, tuple[str, ...]]
+
+
+def fit_functions(model: NeuralSDE, at: Optimum, left: Residuals) -> Distilled:
+    """Fit residual networks to what the likelihood finds beside physics.
+
+    Args:
+        model: Its networks, their inputs' scales and its declared parameters are changed in place.
+        at: The optimum of the physics.
+        left: What the physics leaves, for the size of the doubt.
+    """
+    system = at.of.vector.system
+    ports = [k for k, (port, _) in enumerate(at.of.space.disturbances) if port in model.residual_ports]
+    found = learned(at, system.network_features, system.network_names, ports)
+    at.of.vector.write(model.system, found.theta)
+    names, states = system.network_names, left.states.double()
+    seen = system.network_features(states)
+    model.residual_inputs.fit(seen.float())
+    variables: dict[Port, tuple[str, ...]] = {}
+    spread = np.zeros(len(left.rows))
+    gain, error, kept, column = [], [], [], 0
+    values = {name: seen[:, k].numpy() for k, name in enumerate(names)}
+    for port, width in left.ports:
+        rows = {j: k for k, (of, j) in enumerate(at.of.space.disturbances) if of is port and k in found.nats}
+        own = dict.fromkeys(v for g in found.groups if g.port in rows.values() for v in g.variables)
+        variables[port] = tuple(name for name in names if name in own)
+        gain.append(sum(found.nats[k] for k in rows.values()))
+        error.append(sum(found.error[k] ** 2 for k in rows.values()) ** 0.5)
+        kept.append(bool(rows))
+        network = model.residuals[port.value]
+        assert isinstance(network, MLP)
+        _distil(model, port, network, found, rows, seen.numpy(), names, variables[port])
+        for j, k in rows.items():
+            doubt = np.sqrt(found.force(values, k)[1])
+            spread += np.square(left.response[:, :, column + j].numpy() * doubt[:, None]).mean(0)
+        column += width
+    everything = Learned(
+        steps=_STEPS if any(kept) else 0,
+        tried=0,
+        kept=tuple(kept),
+        before=1.0,
+        after=1.0,
+        gain=tuple(gain),
+        error=tuple(error),
+        spread=tuple(np.sqrt(spread).tolist()),
+        history=(),
+    )
+    return Distilled(found, everything, variables)
+
+
+def _distil(
+    model: NeuralSDE,
+    port: Port,
+    network: MLP,
+    found: Functions,
+    rows: Mapping[int, int],
+    seen: Array,
+    names: Sequence[str],
+    variables: Sequence[str],
+) -> None:
+    """Fit one network to the functions on the rows of its port; nothing but their variables reaches it."""
+    first, last = network.layers[0], network.layers[-1]
+    assert isinstance(first, nn.Linear)
+    assert isinstance(last, nn.Linear)
+    unseen = [k for k, name in enumerate(names) if name not in variables]
+    with torch.no_grad():
+        first.weight[:, unseen] = 0.0
+        if not rows:
+            for parameter in last.parameters():
+                parameter.zero_()
+            return
+    points = _points(seen, names, variables, found)
+    within, _ = _inside(points, names, variables, found, 1.0)
+    near, far = _inside(points, names, variables, found, _MARGIN)
+    edge, values = ({name: at[:, k] for k, name in enumerate(names)} for at in (within, near))
+    target = torch.zeros(len(points), last.out_features)
+    for j, k in rows.items():
+        force, spread = found.force(values, k, edge)
+        # beyond the data as far as it is known there
+        doubt = (spread - found.force(edge, k)[1]).clip(0.0)
+        force = force * np.square(force) / (np.square(force) + doubt).clip(1e-300)
+        target[:, j] = torch.from_numpy(force * far / model.residual_scale(port)).float()
+    with torch.no_grad():
+        y = model.residual_inputs(torch.from_numpy(points).float())
+        y[:, unseen] = 0.0
+        size = target.square().mean().sqrt().clamp_min(1e-12)
+    weight = torch.ones(len(points))
+    weight[-_BEYOND:] = torch.where(torch.from_numpy(far[-_BEYOND:]) == 1.0, _NEAR, _LESS).float()
+    _fit(network, y, target / size, weight)
+    with torch.no_grad():
+        for parameter in last.parameters():
+            parameter.mul_(size)
+
+
+def _fit(network: MLP, y: Tensor, target: Tensor, weight: Tensor) -> None:
+    """Least squares from the best of some beginnings, of which many end where neurons say the same."""
+    generator = torch.Generator().manual_seed(0)
+    begun = [copy.deepcopy(network) for _ in range(_STARTS)]
+    for other in begun:
+        _redrawn(other, generator)
+    left = [_least_squares(other, y, target, weight, _TRIED) for other in begun]
+    best = begun[left.index(min(left))]
+    _least_squares(best, y, target, weight, _STEPS)
+    network.load_state_dict(best.state_dict())
+
+
+@torch.no_grad()
+def _redrawn(network: MLP, generator: torch.Generator) -> None:
+    """Other first weights of the same size; inputs that a network does not see stay unseen."""
+    for layer in network.layers:
+        assert isinstance(layer, nn.Linear)
+        bound = layer.in_features**-0.5
+        drawn = torch.empty_like(layer.weight).uniform_(-bound, bound, generator=generator)
+        layer.weight.copy_(
+            torch.where(layer.weight != 0, drawn, 0.0) if layer is network.layers[0] else drawn
+        )
+
+
+def _least_squares(network: MLP, y: Tensor, target: Tensor, weight: Tensor, steps: int) -> float:
+    """Least squares by Levenberg and Marquardt, in double precision: a law may be known to a thousandth."""
+    network.double()
+    y, target, root = y.double(), target.double(), weight.double().sqrt()[:, None]
+    shapes = {name: p.shape for name, p in network.named_parameters()}
+    phi = torch.nn.utils.parameters_to_vector(network.parameters()).detach()
+    scale, pull_back = root / len(y) ** 0.5, torch.eye(len(phi), dtype=phi.dtype) * _DECAY
+
+    def named(phi: Tensor) -> dict[str, Tensor]:
+        parts = phi.split([s.numel() for s in shapes.values()])
+        return {name: part.view(s) for (name, s), part in zip(shapes.items(), parts, strict=True)}
+
+    def said(parameters: dict[str, Tensor], point: Tensor) -> Tensor:
+        return torch.func.functional_call(network, parameters, (point[None],))[0]
+
+    def left(phi: Tensor) -> Tensor:
+        return scale * (torch.func.functional_call(network, named(phi), (y,)) - target)
+
+    def size_of(phi: Tensor, value: Tensor) -> float:
+        return float(value.square().sum() + _DECAY * phi.square().sum())
+
+    slopes_of = torch.func.vmap(torch.func.jacrev(said), (None, 0))
+    value = left(phi)
+    damping, least, slow = 1e-2, size_of(phi, value), 0
+    for _ in range(steps):
+        parts = slopes_of(named(phi), y)
+        slopes = torch.cat([part.reshape(*target.shape, -1) for part in parts.values()], 2) * scale[..., None]
+        slopes = slopes.flatten(0, 1)
+        gram = slopes.T @ slopes + pull_back
+        pull = slopes.T @ value.flatten() + _DECAY * phi
+        moved = False
+        while damping < _MOST_DAMPING:
+            step = torch.linalg.solve(gram + damping * torch.diag(gram.diagonal()), pull)
+            there = left(phi - step)
+            size = size_of(phi - step, there)
+            if size < least:
+                slow, moved = 0 if size < (1.0 - _SETTLED) * least else slow + 1, True
+                phi, value, least, damping = phi - step, there, size, max(0.2 * damping, 1e-10)
+                break
+            damping *= 4.0
+        if not moved or slow == _PATIENCE:
+            break
+    with torch.no_grad():
+        torch.nn.utils.vector_to_parameters(phi, network.parameters())
+    network.float()
+    return least
+
+
+def _points(seen: Array, names: Sequence[str], variables: Sequence[str], found: Functions) -> Array:
+    """Points of the data, and such with the variables of the functions spread beyond their range."""
+    rng = np.random.default_rng(0)
+    data = seen[rng.choice(len(seen), min(_ROWS, len(seen)), replace=False)]
+    beyond = seen[rng.choice(len(seen), _BEYOND)].copy()
+    for name in variables:
+        scale = found.scaled[name]
+        beyond[:, names.index(name)] = scale.centre + scale.half * rng.uniform(-_REACH, _REACH, _BEYOND)
+    return np.concatenate((data, beyond))
+
+
+def _inside(
+    points: Array, names: Sequence[str], variables: Sequence[str], found: Functions, margin: float
+) -> tuple[Array, Array]:
+    """The nearest points inside some half ranges of the data, and the share of the force left at the points (N,)."""
+    inside, away = points.copy(), np.zeros(len(points))
+    for name in variables:
+        k, scale = names.index(name), found.scaled[name]
+        s = (points[:, k] - scale.centre) / scale.half
+        inside[:, k] = scale.centre + scale.half * np.clip(s, -margin, margin)
+        away += np.square((np.abs(s) - margin).clip(0.0) / _FADE)
+    return inside, np.exp(-0.5 * away)

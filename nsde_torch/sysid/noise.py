@@ -181,8 +181,6 @@ def _law(
 
 def forgetting(reflection: Array, memory: float) -> Array:
     """Reflection coefficients (p,) of the autoregression whose coefficients are multiplied by exp(-j / memory)."""
-    if memory == inf and (np.abs(reflection) < 1.0).all():  # those near 1 would come back beyond it
-        return np.asarray(reflection)
     a = _polynomial(reflection)
     a = a * np.exp(-np.arange(len(a)) / memory)
     out = np.zeros(len(reflection))

@@ -35,7 +35,7 @@ from nsde_torch.diagnosis.trials import Trial
 from nsde_torch.effects import Effect, Law, effect_class
 from nsde_torch.errors import NsdeError
 from nsde_torch.inference import LogLikelihood, MaximumLikelihood, Optimum, maximised
-from nsde_torch.inference.sensitivity import Grams, grams
+from nsde_torch.inference.sensitivity import Grams, grams, half_squares, solved
 from nsde_torch.inference.sizes import data_sizes
 from nsde_torch.systems import System
 from nsde_torch.systems.parameters import own_name
@@ -307,7 +307,6 @@ class _JointSearch:
         names = [place.system.state_names[k] for k in (at.position, at.velocity) if k is not None]
         port = space.disturbances.index((at.port, at.row))
         terms = terms_on(without.system, without.at, port, names)
-        space.use(without.best.theta)
         base = space.columns(without.at.about.x, range(len(without.best.vector)))
         folds = _folds(self._search, *space.chunks.places())
         # linearised steps with linearised steps: noise without either has learned some of both
@@ -392,6 +391,8 @@ class _Table:
         self._held, self._base = held, base
         self._folds = [np.flatnonzero(fold == f) for f in np.unique(fold)]
         self._before = self._left_out(self._base, self._reduced(self._base, []))[0]
+        inner = held.total[np.ix_(base, base)]
+        self._others = np.linalg.pinv(inner, rcond=_ROUNDING, hermitian=True)
 
     def price(self, parameters: int) -> float:
         """What parameters cost (Schwarz) [nats]."""
@@ -413,17 +414,15 @@ class _Table:
         """Share of the length of a column that the parameters of the physics cannot do already."""
         total = self._held.total
         across = total[self._base, column]
-        others = np.linalg.pinv(total[np.ix_(self._base, self._base)], rcond=_ROUNDING, hermitian=True)
         whole = max(float(total[column, column]), 1e-300)
-        return float(np.sqrt(max(1.0 - across @ others @ across / whole, 0.0)))
+        return float(np.sqrt(max(1.0 - across @ self._others @ across / whole, 0.0)))
 
     def errors(self, own: Labels) -> Array:
         """Standard errors of the parameters of a candidate (q,), all others free; infinite of what moves nothing."""
         total = self._held.total
         inner = total[np.ix_(own, own)]
         across = total[np.ix_(self._base, own)]
-        others = np.linalg.pinv(total[np.ix_(self._base, self._base)], rcond=_ROUNDING, hermitian=True)
-        left = inner - across.T @ others @ across
+        left = inner - across.T @ self._others @ across
         moves = np.diag(left) > _SEEN * np.diag(inner).clip(1e-300)
         inverse = np.linalg.pinv(left, rcond=_ROUNDING, hermitian=True)
         return np.where(moves, np.sqrt(np.diag(inverse).clip(1e-300)), np.inf)
@@ -444,25 +443,13 @@ class _Table:
         """Half the squares that are left of each block by parameters fitted without its fold, of all, and the step."""
         total, out = blocks.sum(0), np.empty(len(blocks))
         for rows in self._folds:
-            step = _least_squares(total - blocks[rows].sum(0))
-            out[rows] = _half_squares(blocks[rows], step)
-        step = _least_squares(total)
-        fitted = float(_half_squares(total[None], step)[0])
+            step = solved(total - blocks[rows].sum(0))
+            out[rows] = half_squares(blocks[rows], step)
+        step = solved(total)
+        fitted = float(half_squares(total[None], step)[0])
         if len(keep) == len(self._base) and (keep == self._base).all():
             self._whole = out, fitted, step
         return out, fitted, step
-
-
-def _least_squares(gram: Array) -> Array:
-    inner, pull = gram[1:, 1:], gram[1:, 0]
-    scale = 1.0 / np.sqrt(np.diag(inner).clip(1e-300))
-    unit = inner * scale * scale[:, None]
-    return np.asarray(np.linalg.pinv(unit, rcond=_ROUNDING, hermitian=True) @ (pull * scale) * scale)
-
-
-def _half_squares(blocks: Array, step: Array) -> Array:
-    weights = np.concatenate(([1.0], -step))
-    return np.asarray(0.5 * np.einsum("i,bij,j->b", weights, blocks, weights))
 
 
 @dataclass(frozen=True)

@@ -15,6 +15,7 @@ from torch import Tensor
 from nsde_torch.diagnosis.candidates import Start
 from nsde_torch.diagnosis.law_terms import terms_of
 from nsde_torch.inference import Optimum
+from nsde_torch.inference.filtering import forced
 from nsde_torch.inference.sensitivity import Grams, grams
 from nsde_torch.systems import System
 from nsde_torch.systems.vocabulary import seen_by, vocabulary
@@ -86,7 +87,5 @@ def _column(system: System, at: Optimum, term: Term) -> Tensor:
     effect = system.make_effect(term.law, {"c1": 1.0, **term.start}).double()
     flat, u, t = (part.flatten(0, 1) for part in (x, space.chunks.u, space.chunks.t[..., None]))
     seen = seen_by(system, effect, t[:, 0], torch.cat((flat, space.memory.flatten(0, 1)), 1), u)
-    value = effect(t[:, 0], flat, seen, flat[:, :0]).sum(1).view(x.shape[:2])
-    middle = value.clone()  # over a step; the last row of a chunk has none
-    middle[:-1] = 0.5 * (value[:-1] + value[1:])
-    return at.about.slopes[..., space.ne + term.port] * middle[..., None]
+    force = effect(t[:, 0], flat, seen, flat[:, :0]).sum(1).view(x.shape[:2])
+    return forced(space, at.about, term.port, force)

@@ -116,6 +116,21 @@ def with_parameters(space: StateSpace, about: Linearisation) -> Linearisation:
     return Linearisation(about.x, about.slopes, missed, about.seen, about.first)
 
 
+def forced(space: StateSpace, about: Linearisation, disturbance: int, force: Tensor) -> Tensor:
+    """What forces at the states of some rows do to the steps (T, C, ne, ...).
+
+    Args:
+        space: The machine.
+        about: Its linearisation.
+        disturbance: Number of the disturbance that acts where the force does.
+        force: The force at each row (T, C, ...); over a step it is the mean of those at both ends.
+    """
+    middle = force.clone()  # the last row of a chunk has no step
+    middle[:-1] = 0.5 * (force[:-1] + force[1:])
+    slopes = about.slopes[..., space.ne + disturbance]
+    return slopes.view(*slopes.shape, *(1,) * (force.dim() - 2)) * middle[:, :, None]
+
+
 def _missed(space: StateSpace, x: Tensor, after: Tensor) -> Tensor:
     gap = space.vector.system.error(after[:-1], x[1:])
     return torch.cat((gap, torch.zeros_like(gap[:1])))

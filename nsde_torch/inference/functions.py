@@ -21,10 +21,10 @@ from numpy.typing import NDArray
 from scipy.linalg import block_diag
 
 from nsde_torch.inference.estimate import Optimum
-from nsde_torch.inference.filtering import Pass, filtered, with_parameters
+from nsde_torch.inference.filtering import Pass, filtered, forced, with_parameters
 from nsde_torch.inference.levels import Levels
 from nsde_torch.inference.maximum import likeliest
-from nsde_torch.inference.sensitivity import grams
+from nsde_torch.inference.sensitivity import grams, half_squares, solved
 from nsde_torch.inference.smooth import Kind, Scale, functions
 
 Array = NDArray[np.float64]
@@ -174,11 +174,8 @@ class _View:
     def columns(self, group: BasisGroup, scaled: Mapping[str, Scale]) -> torch.Tensor:
         """What functions do to the steps (T, C, ne, q)."""
         values = functions(group.variables, group.kind, self.values, scaled)
-        value = torch.from_numpy(values).view(*self.about.x.shape[:2], -1)
-        middle = value.clone()  # over a step; the last row of a chunk has none
-        middle[:-1] = 0.5 * (value[:-1] + value[1:])
-        push = self.about.slopes[..., self.space.ne + group.port]
-        return push[..., None] * middle[..., None, :]
+        force = torch.from_numpy(values).view(*self.about.x.shape[:2], -1)
+        return forced(self.space, self.about, group.port, force)
 
     def blocks(
         self, groups: Sequence[BasisGroup], levels: Levels, scaled: Mapping[str, Scale]
@@ -308,9 +305,7 @@ class _Choice:
         out = np.empty(len(own))
         for f in range(_FOLDS):
             rows = view.fold == f
-            step = _ridged(total - own[rows].sum(0), weights)
-            full = np.concatenate(([1.0], -step))
-            out[rows] = 0.5 * np.einsum("i,bij,j->b", full, own[rows], full)
+            out[rows] = half_squares(own[rows], solved(total - own[rows].sum(0), weights))
         return out, ridge
 
     def _ridge(self, total: Array, theta: int, own: slice) -> float:
@@ -343,7 +338,7 @@ class _Choice:
         for s, value in zip(slices, ridge, strict=True):
             weights[s.start - 1 : s.stop - 1] = value
         total = blocks.sum(0)
-        step = _ridged(total, weights)
+        step = solved(total, weights)
         first = slices[0].start - 1
         inner = total[1:, 1:] + np.diag(weights)
         whole = block_diag(*turns)
@@ -420,11 +415,3 @@ def _new(total: Array, known: Array, theta: int, own: slice) -> Array:
     unit = along[:, live] / np.sqrt(value[live])
     share, turned = np.linalg.eigh(unit.T @ (inner - across.T @ known @ across) @ unit)
     return np.asarray(np.linalg.qr(unit @ turned[:, share > _NEW**2])[0])
-
-
-def _ridged(gram: Array, weights: Array) -> Array:
-    """Least squares with weights on the squares of some columns."""
-    inner, pull = gram[1:, 1:] + np.diag(weights), gram[1:, 0]
-    scale = 1.0 / np.sqrt(np.diag(inner).clip(1e-300))
-    unit = inner * scale * scale[:, None]
-    return np.asarray(np.linalg.pinv(unit, rcond=_ROUNDING, hermitian=True) @ (pull * scale) * scale)

@@ -49,7 +49,7 @@ def likeliest(
         rows: How many rows are enough; None for as many as memory allows.
     """
     phi, prior = levels.vector(), first.vector()
-    most = _ENTRIES // (space.chunks.size * space.n * (len(space.observed) + space.n))
+    most = _most(space)
     if rows is not None:
         most = min(most, _chunks_of(space, rows))
     some = _evenly(space.chunks.count, most)
@@ -102,12 +102,16 @@ def level_columns(space: StateSpace, levels: Levels, about: Linearisation, start
     """What the levels do to the whitened innovations (T, C, m, p): nuisances beside theta, above all under feedback."""
     many = levels.like(levels.vector()[None])
     out = []
-    most = max(1, _ENTRIES // (space.chunks.size * space.n * (len(space.observed) + space.n)))
-    for some in torch.arange(space.chunks.count).split(most):
+    for some in torch.arange(space.chunks.count).split(_most(space)):
         near = about.of(some)
         here = filtered(space, many, near, start, space.chunks.counted[:, some], covariances=True)
         out.append(-level_slopes(space, many, near, here)[0])
     return torch.cat(out, 1)
+
+
+def _most(space: StateSpace) -> int:
+    """How many chunks are worked on at once."""
+    return max(1, _ENTRIES // (space.chunks.size * space.n * (len(space.observed) + space.n)))
 
 
 def _evenly(count: int, most: int) -> Tensor:

@@ -9,6 +9,7 @@ so that parameters, effects of a catalogue and nuisances are columns of one line
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import torch
@@ -41,15 +42,15 @@ class Grams:
     rows: int
     parameters: int
 
-    @property
+    @cached_property
     def total(self) -> Array:
         """Their sum."""
         return np.asarray(self.blocks.sum(0))
 
     def step(self, free: NDArray[np.int64], damping: float = 0.0) -> Array:
         """Step of Gauss and Newton (damped: Marquardt) of some parameters, numbered from 0; others stay."""
-        at = 1 + free
-        return _solved(self.total[np.ix_(at, at)], self.total[at, 0], damping)
+        at = np.concatenate(([0], 1 + free))
+        return solved(self.total[np.ix_(at, at)], damping=damping)
 
     def spread(self, free: NDArray[np.int64]) -> Spread:
         """Jackknife over blocks (`nsde_torch.inference.spread`) of some parameters at the optimum, nuisances free."""
@@ -137,8 +138,21 @@ def _tables(
         yield table
 
 
-def _solved(gram: Array, pull: Array, damping: float) -> Array:
-    """Least squares from normal equations, in columns of equal length."""
-    scale = 1.0 / np.sqrt(np.diag(gram).clip(1e-300))
-    unit = gram * scale * scale[:, None] + damping * np.eye(len(gram))
-    return np.asarray(np.linalg.pinv(unit, rcond=_RANK, hermitian=True) @ (pull * scale) * scale)
+def solved(gram: Array, weights: Array | None = None, *, damping: float = 0.0) -> Array:
+    """Least squares (k,) from the Gram matrix of [e, J] (1 + k, 1 + k), in columns of equal length.
+
+    Args:
+        gram: The matrix.
+        weights: Of the squares of the unknowns (k,); None for none.
+        damping: Marquardt's.
+    """
+    inner = gram[1:, 1:] if weights is None else gram[1:, 1:] + np.diag(weights)
+    scale = 1.0 / np.sqrt(np.diag(inner).clip(1e-300))
+    unit = inner * scale * scale[:, None] + damping * np.eye(len(inner))
+    return np.asarray(np.linalg.pinv(unit, rcond=_RANK, hermitian=True) @ (gram[1:, 0] * scale) * scale)
+
+
+def half_squares(blocks: Array, step: Array) -> Array:
+    """Half the squares (B,) that a step of the unknowns (k,) leaves of e in each block (B, 1 + k, 1 + k) [nats]."""
+    weights = np.concatenate(([1.0], -step))
+    return np.asarray(0.5 * np.einsum("i,bij,j->b", weights, blocks, weights))

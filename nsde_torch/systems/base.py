@@ -44,7 +44,8 @@ class System(Parametrised, ABC):
         error_groups: How they are reported; one group for each unit unless it says otherwise.
         feature_names, feature_units: Columns of `features`; those of the state unless it says otherwise.
         residual_names: Columns of `residual_features`; those of `features` unless it says otherwise.
-        place_names: States beside these that a residual network sees where the data show that a force depends on them.
+        places: Columns of states beside these that a residual network sees where the data show that a force depends on
+            them.
         quantities: What effects on force ports may read beside state and input, name -> columns.
         disturbed_ports: Ports on which a lasting disturbance is carried (gusts).
         sensor_noise: Whether the state is measured with noise that a model should learn.
@@ -75,7 +76,7 @@ class System(Parametrised, ABC):
     older_names: ClassVar[Mapping[str, str]] = {}
     declared: ClassVar[tuple[str, ...]] = ()
     residual_names: ClassVar[tuple[str, ...]] = ()
-    place_names: ClassVar[tuple[str, ...]] = ()
+    places: ClassVar[tuple[int, ...]] = ()
     quantities: ClassVar[Mapping[str, int]] = {}
     disturbed_ports: ClassVar[tuple[Port, ...]] = ()
     sensor_noise: ClassVar[bool] = False
@@ -253,14 +254,13 @@ class System(Parametrised, ABC):
 
     def network_features(self, x: Tensor) -> Tensor:
         """`residual_features` and the places (N, nr + np) that networks may see."""
-        places = [self.state_names.index(name) for name in self.place_names]
         own = self.residual_features(x)
-        return join_columns((own, *(x[:, k : k + 1] for k in places))) if places else own
+        return join_columns((own, *(x[:, k : k + 1] for k in self.places))) if self.places else own
 
     @property
     def network_names(self) -> tuple[str, ...]:
         """Names of the columns of `network_features`."""
-        return (*(self.residual_names or self.feature_names), *self.place_names)
+        return (*(self.residual_names or self.feature_names), *(self.state_names[k] for k in self.places))
 
     def error(self, predicted: Tensor, measured: Tensor) -> Tensor:
         """Predicted minus measured state in error channels, (..., n_error); the difference by default."""

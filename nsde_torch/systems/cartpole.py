@@ -57,8 +57,8 @@ class Cartpole(System):
         ErrorGroup("rate", (3,), "rad/s"),
     )
     feature_names = ("x_dot", "sin_theta", "cos_theta", "theta_dot")
-    place_names = ("x",)
     feature_units = ("m/s", "1", "1", "rad/s")
+    places = (0,)
     sensor_noise = True
     position_derivatives = (("x", "x_dot", "world"), ("theta", "theta_dot", "world"))
     coordinates = (

@@ -84,9 +84,9 @@ class Multirotor(System):
         ErrorGroup("rate", (9, 10, 11), "rad/s"),
     )
     feature_names = ("v_body_x", "v_body_y", "v_body_z", "w_x", "w_y", "w_z")
-    residual_names = (*feature_names, "up_x", "up_y")
-    place_names = ("p_z",)
     feature_units = (*("m/s",) * 3, *("rad/s",) * 3)
+    residual_names = (*feature_names, "up_x", "up_y")
+    places = (2,)  # the height
     quaternion = slice(6, 10)
     disturbed_ports = (Port.BODY_FORCE, Port.BODY_MOMENT)
     position_derivatives = (("p_x", "v_x", "world"), ("p_y", "v_y", "world"), ("p_z", "v_z", "world"))

@@ -16,7 +16,7 @@ _HOLD_SHARE = 0.35  # a useful model's error, as a share of that of holding the 
 
 def blind_to_places(model: NeuralSDE) -> None:
     """Let residual networks see no place: a fit without evidence for it would learn where the data were."""
-    count = len(model.system.place_names)
+    count = len(model.system.places)
     if count:
         model.residual_inputs.blind(slice(-count, None))
 

@@ -299,7 +299,7 @@ RULES = (
     ),
     Rule(
         "judged_by_the_ceiling",
-        "what a flexible model wins is structure: leads, and the verdict",
+        "what functions explain is structure: leads, and the verdict",
         ("pipeline.judged_by_the_ceiling",),
         argument(0),
         marked(0),
@@ -503,9 +503,9 @@ RULES = (
         anything,
     ),
     Rule(
-        "laws led by a flexible model",
-        "laws are made of what a flexible model needs, where tests bring none",
-        ("beyond_catalogue._of_a_flexible_model",),
+        "laws led by functions",
+        "laws are made of what functions are of, where tests bring none",
+        ("beyond_catalogue._of_functions",),
         constant(None),
         anything,
     ),

@@ -3,8 +3,8 @@
     select and eliminate (catalogue)  ->  something left  ->  propose laws  ->  select and eliminate again, with them
 
 until nothing is left, no law is new or none holds. Laws are made of what tests of structure name. Where that brings
-none, they are made of what a flexible model needs (`flexible_gain`) under the noise that it leaves: the noise model of
-the physics may have learned the law, and a test of one variable may not show it.
+none, they are made of what functions are of that explain more (`learned_functions`), under the noise that these leave:
+the noise model of the physics may have learned the law, and a test of one variable may not show it.
 
 Laws are tried first in the place of effects that may only imitate one: where the shape of an effect ends at the largest
 that the data tell from another law (`bent_shape`), where one term explains surely more (`imitation`), and where two
@@ -21,18 +21,17 @@ from itertools import combinations
 from nsde_torch.diagnosis.decision import decide, of_one_variable, set_aside
 from nsde_torch.diagnosis.elimination import Retained, eliminate
 from nsde_torch.diagnosis.fitted import bent_shape, effect_of, fitted_system, values_of
-from nsde_torch.diagnosis.flexible_gain import flexible_gain
 from nsde_torch.diagnosis.hidden import Feedback
 from nsde_torch.diagnosis.imitation import a_law_is_nearer
 from nsde_torch.diagnosis.joint_selection import JointSelection
 from nsde_torch.diagnosis.law_names import named_by_the_catalogue
 from nsde_torch.diagnosis.laws import (
     chosen_again,
-    plain_name,
     propose,
     wanted_variables,
     with_coordinates,
 )
+from nsde_torch.diagnosis.learned_functions import function_gain
 from nsde_torch.diagnosis.left_over import variables_of
 from nsde_torch.diagnosis.outcome import Outcome, base_without
 from nsde_torch.diagnosis.search import Base, Search
@@ -40,6 +39,7 @@ from nsde_torch.diagnosis.selection import Selection, forward_selection
 from nsde_torch.effects.expression_grammar import is_law
 from nsde_torch.effects.law import AND
 from nsde_torch.evaluation.bootstrap import FEWEST_BLOCKS
+from nsde_torch.inference import Optimum
 from nsde_torch.sysid.noise import Noise
 
 
@@ -50,6 +50,7 @@ def with_laws(
     outcome: Outcome,
     feedback: Feedback,
     joint: JointSelection | None = None,
+    at: Optimum | None = None,
 ) -> Outcome:
     """The outcome with laws that no catalogue has, where structure is left and such laws explain it.
 
@@ -60,6 +61,7 @@ def with_laws(
         outcome: What was concluded of it.
         feedback: What is asked of the loop.
         joint: What the joint likelihood selected, where it did: it has held effects against laws.
+        at: An optimum of the likelihood of the log, under the declared physics or more; None where there is none.
     """
     # the user says what may be tried; and in logs of many rows a box noise models learn what laws would then explain
     if search.candidates is not None or search.box > 1 or not search.budgets.law_rounds:
@@ -79,15 +81,20 @@ def with_laws(
         *((pair, as_good) for pair in alike),
     ):
         search.say(f"trying laws in the place of {AND.join(replaced)}", 0, 1)
-        other = _in_place_of(search, chosen, kept, feedback, replaced)
+        other = _in_place_of(search, chosen, kept, feedback, replaced, at)
         fewer = len(other.found) <= len(names) - len(replaced) + 1 and other.found
         if fewer and other.final.score.fitted > outcome.final.score.fitted + least:
             return other
-    return _with_laws(search, chosen, kept, outcome, feedback)
+    return _with_laws(search, chosen, kept, outcome, feedback, at)
 
 
 def _in_place_of(
-    search: Search, chosen: Selection, kept: Retained, feedback: Feedback, names: Sequence[str]
+    search: Search,
+    chosen: Selection,
+    kept: Retained,
+    feedback: Feedback,
+    names: Sequence[str],
+    near: Optimum | None,
 ) -> Outcome:
     """The outcome with laws tried where effects were that may stand for one."""
     base = kept.final
@@ -96,7 +103,7 @@ def _in_place_of(
     others = [f for f in kept.found if f.name not in names]
     without = replace(kept, found=others, final=base)
     some = replace(chosen, names=[f.name for f in others], final=base)
-    return _with_laws(search, some, without, decide(search, some, without, feedback), feedback)
+    return _with_laws(search, some, without, decide(search, some, without, feedback), feedback, near)
 
 
 @dataclass(frozen=True)
@@ -109,16 +116,21 @@ class _Lead:
 
 
 def _with_laws(
-    search: Search, chosen: Selection, kept: Retained, outcome: Outcome, feedback: Feedback
+    search: Search,
+    chosen: Selection,
+    kept: Retained,
+    outcome: Outcome,
+    feedback: Feedback,
+    near: Optimum | None,
 ) -> Outcome:
-    """The outcome with laws, round by round: of what tests name, else of what a flexible model needs."""
+    """The outcome with laws, round by round: of what tests name, else of what functions are of that explain more."""
     for _ in range(search.budgets.law_rounds):
         found = None
         if outcome.structured:
             found = _one_round(search, chosen, kept, outcome, feedback, _of_tests(kept.final, outcome))
         if found is None:
-            outcome = _beside_a_flexible_model(search, kept.final, outcome)
-            lead = _of_a_flexible_model(outcome)
+            outcome = with_functions(search, kept.final, outcome, near)
+            lead = _of_functions(outcome)
             found = None if lead is None else _one_round(search, chosen, kept, outcome, feedback, lead)
         if found is None:
             break
@@ -154,16 +166,18 @@ def _of_tests(base: Base, outcome: Outcome) -> _Lead:
     return _Lead(base, [d.channel for d in left], wanted)
 
 
-def _of_a_flexible_model(outcome: Outcome) -> _Lead | None:
-    """What a flexible model needs, and rows weighed by the noise that it leaves."""
+def _of_functions(outcome: Outcome) -> _Lead | None:
+    """What functions are of that explain more, and rows weighed by the noise that these leave."""
     found = outcome.beside
-    if found is None or not found.more:
+    if found is None or not found.rows:
         return None
-    names = dict.fromkeys(plain_name(t.variable) for t in found.telling)
-    variables = outcome.variables
+    variables, base = outcome.variables, found.base
+    names = dict.fromkeys(name for row in found.rows for name in row.variables)
     known = [v for v in names if v in variables.columns][: variables.budgets.law_variables]
-    wanted = with_coordinates(found.base.regression.vector.system, known, variables)
-    return _Lead(_weighed(found.base, found.noises), list(found.by_channel), wanted)
+    wanted = with_coordinates(base.regression.vector.system, known, variables)
+    measured = [base.regression.physics.names[c] for c in base.regression.rows]
+    moved = {channel for row in found.rows for channel in row.channels}
+    return _Lead(_weighed(base, found.noises(variables)), [c for c in measured if c in moved], wanted)
 
 
 def _news(names: Sequence[str], kept: Retained) -> bool:
@@ -171,14 +185,22 @@ def _news(names: Sequence[str], kept: Retained) -> bool:
     return not {*names} <= {*(f.name for f in kept.found), *(h.name for h in kept.hidden)}
 
 
-def _beside_a_flexible_model(search: Search, base: Base, outcome: Outcome) -> Outcome:
-    """The outcome, with what a flexible model wins beside its physics; as it is where such a model would not tell."""
-    blocks = int(base.block.max()) + 1
-    tells = search.budgets.flexible_turns and search.inputs and not base.regression.arithmetic
-    if not tells or blocks < FEWEST_BLOCKS:
+def with_functions(search: Search, base: Base, outcome: Outcome, near: Optimum | None) -> Outcome:
+    """The outcome, with functions beside its physics; as it is where these would say nothing.
+
+    Args:
+        search: Data and settings.
+        base: The physics.
+        outcome: What was concluded.
+        near: An optimum of the likelihood of the log.
+    """
+    if outcome.beside is not None and outcome.beside.base is base:
         return outcome
-    won = flexible_gain(base, outcome.variables, outcome.test, search.decisions, search.budgets)
-    return replace(outcome, beside=won)
+    blocks, most = int(base.block.max()) + 1, search.budgets.function_groups
+    if near is None or not most or not search.inputs or base.regression.arithmetic or blocks < FEWEST_BLOCKS:
+        return outcome
+    search.say("functions of what was measured", 0, 1)
+    return replace(outcome, beside=function_gain(base, near, outcome.test, inputs=True, most=most))
 
 
 def _weighed(base: Base, noises: Mapping[int, Noise]) -> Base:

@@ -1,145 +1,235 @@
-"""How much a flexible model could win, and how much of that the effects win: the ceiling, on runs left out.
+"""How much of what can be explained the effects explain: the ceiling, on blocks of time left out.
 
-    explained = G_effects / max(G_flexible, G_effects + G_left)
+    explained = G_effects / (G_effects + G_left)
 
-with gains in held-out log-likelihood over the declared physics: of the effects, of a flexible model in their place, and
-of a flexible model of what they leave (counted where it is more than chance). It is told with a 90 % interval from
-blocks of time. Where no flexible model wins more than the effects, these explain at least all that one can.
-
-The ceiling is that of this flexible model (`flexible`): functions of one variable and of two, of inputs up to eight
-boxes before, each run foretold from the others. What hangs on three variables at once, on a longer past, or on
-what was not logged is not in it: as such it is a lower bound.
+with gains in held-out log likelihood: of the effects over the declared physics, and of functions of all that was
+measured (`learned_functions`) beside the effects. Its 90 % interval is from the scatter of both over blocks of time.
+What hangs on three variables at once or on what was not logged is in no function: the ceiling is a lower bound.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field
-from math import nan
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from html import escape
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from nsde_torch.diagnosis.decisions import INTERVAL_LEVEL, Decisions
-from nsde_torch.diagnosis.flexible import Flexible, flexible
-from nsde_torch.diagnosis.flexible_gain import Telling, flexible_gain
-from nsde_torch.diagnosis.innovations import blocks_of_steps
+from nsde_torch.diagnosis.learned_functions import FunctionGain, RowGain, function_gain, optimum_of
 from nsde_torch.diagnosis.outcome import Outcome
 from nsde_torch.diagnosis.reading import Log
-from nsde_torch.evaluation.bootstrap import (
-    FEWEST_BLOCKS,
-    Blocks,
-    function_bootstrap,
-    mean_bootstrap,
-)
-from nsde_torch.sysid.explained import per_second
+from nsde_torch.diagnosis.trust import FAR, distance_from_data
+from nsde_torch.diagnosis.views import variable_units
+from nsde_torch.evaluation.bootstrap import FEWEST_BLOCKS
+from nsde_torch.evaluation.report import number
+from nsde_torch.inference import Optimum
+from nsde_torch.inference.functions import held_out_density
+from nsde_torch.plots.flexible import Surface, flexible_surface
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 Array = NDArray[np.float64]
 
+CAPTION = (
+    "Fitted to all runs, beside everything that was found, as far as it depends on these variables alone. Grey: no "
+    "logged sample is near (eta above 0.5), so that nothing is known there."
+)
+"""Of the picture of the functions."""
 
-@dataclass(frozen=True)
-class ChannelGain:
-    """What a flexible model wins in one channel.
-
-    Args:
-        unit: Of its rate.
-        physics, effects, flexible: Held-out residual of mean rates (rms): of the declared physics, with the effects,
-            with a flexible model of what they leave beside them.
-        nats: Log-likelihood that the flexible model brings beside the effects.
-    """
-
-    unit: str
-    physics: float
-    effects: float
-    flexible: float
-    nats: float
+_NAMED = 3  # variables that a sentence names
+_HALF = 1.645  # standard errors of a 90 % interval
+_GRID = {1: 200, 2: 60}  # points along each axis of the picture
 
 
 @dataclass(frozen=True)
 class Ceiling:
-    """What a flexible model could win.
+    """What functions of all that was measured explain beside the effects.
 
     Args:
         why_not: Why nothing was measured; empty where it was.
-        effects, alone, left: Gains in held-out log-likelihood [nats]: of the effects, of a flexible model in their
-            place, of one beside them.
-        interval: 90 % interval of `left`; None where there are too few blocks.
-        p: Chance of `left` if there were nothing.
-        left_by: What of `left` is in each channel; of channels that count.
-        more: Whether it is more than chance and feedback may make.
-        explained: Share of what a flexible model can that the effects explain; None where nothing can be explained.
+        effects: Held-out log likelihood of the effects [nats].
+        left: What the functions bring beside them [nats].
+        interval: 90 % interval of it.
+        explained: Share of what can be explained that the effects explain; None without effects.
         explained_interval: Its 90 % interval; None where there are too few blocks.
-        channels: By channel.
-        telling: What the flexible model beside the effects needs, the most important first.
-        pairs: Whether functions of two variables were tried.
-        model: The flexible model beside the effects; None where nothing was measured.
+        rows: What is left, by row of a port, the most first; empty where it is no more than chance.
+        gain: The functions; None where nothing was measured.
     """
 
     why_not: str = ""
     effects: float = 0.0
-    alone: float = 0.0
     left: float = 0.0
     interval: tuple[float, float] | None = None
-    p: float = 1.0
-    left_by: Mapping[str, float] = field(default_factory=dict)
-    more: bool = False
     explained: float | None = None
     explained_interval: tuple[float, float] | None = None
-    channels: Mapping[str, ChannelGain] = field(default_factory=dict)
-    telling: tuple[Telling, ...] = ()
-    pairs: bool = True
-    model: Flexible | None = None
+    rows: tuple[RowGain, ...] = ()
+    gain: FunctionGain | None = None
 
 
 def ceiling(log: Log, outcome: Outcome) -> Ceiling:
-    """Measure what a flexible model wins, over the declared physics and beside the effects.
+    """Measure what functions of all that was measured explain beside the effects.
 
     Args:
         log: The log.
         outcome: What was concluded.
     """
-    blocks = _blocks(outcome, log.decisions)
-    why_not = _why_not(log, outcome, blocks)
-    if why_not:
-        return Ceiling(why_not)
-    log.say("what a flexible model could win", 0, 1)
-    won = outcome.beside
-    if won is None or won.base is not outcome.final:
-        won = flexible_gain(outcome.final, outcome.variables, outcome.test, log.decisions, log.budgets)
-    beside, gains, left = won.model, won.gains, won.left
-    declared, variables = outcome.declared, outcome.declared_variables
-    first = flexible(declared, variables, log.budgets) if outcome.found else beside
-    found = _gain(first, beside) if outcome.found else np.zeros(len(left))
-    alone = (first.flexible - first.plain).sum(1)
-    sums = np.stack((found, alone, left if won.more else np.zeros(len(left))), 1)
-    explained = bounds = None
-    if outcome.found:
-        explained, bounds = _share(sums, blocks, log.options.seed)
-    interval = _ends(left[:, None], blocks, log.options.seed)
-    return Ceiling(
-        effects=float(found.sum()),
-        alone=float(alone.sum()),
-        left=float(left.sum()),
-        interval=interval,
-        p=won.p,
-        left_by=won.by_channel,
-        more=won.more,
-        explained=explained,
-        explained_interval=bounds,
-        channels=_channels(outcome, first, beside, gains),
-        telling=won.telling,
-        pairs=beside.pairs,
-        model=beside,
+    at = outcome.optimum
+    why_not = _why_not(log, outcome)
+    if at is None or why_not:
+        return Ceiling(why_not or "the likelihood of the log could not be computed")
+    log.say("what functions could still explain", 0, 1)
+    gain = outcome.beside
+    if gain is None or gain.base is not outcome.final:
+        most = log.budgets.function_groups
+        gain = function_gain(outcome.final, at, outcome.test, inputs=True, most=most)
+    before, after = gain.functions.blocks
+    left = (after - before) * (gain.nats / max(float((after - before).sum()), 1e-300) if gain.rows else 0.0)
+    out = Ceiling(left=float(left.sum()), rows=gain.rows, gain=gain)
+    if gain.rows:
+        out = replace(out, interval=_ends(out.left, _error(left)))
+    if not outcome.found:
+        return out
+    won = before - _declared(outcome, gain.at)
+    effects = float(won.sum())
+    share = float(np.clip(effects / max(effects + out.left, 1e-300), 0.0, 1.0)) if effects > 0 else 0.0
+    ends = None
+    if len(won) >= FEWEST_BLOCKS and effects > 0:
+        error = _error(won * (1.0 - share) - share * left) / (effects + out.left)
+        low, high = _ends(share, error)
+        ends = max(low, 0.0), min(high, 1.0)
+    return replace(out, effects=effects, explained=share, explained_interval=ends)
+
+
+def ceiling_content(found: Ceiling, outcome: Outcome) -> dict[str, Any]:
+    """The key `flexible` of `diagnosis.json`.
+
+    Args:
+        found: What functions explain.
+        outcome: What was concluded.
+    """
+    out: dict[str, Any] = {
+        "why_not": found.why_not or None,
+        "measured_on": "blocks of time left out",
+        "explained": found.explained,
+        "explained_90": _pair(found.explained_interval),
+        "effects_nats": found.effects,
+        "left_nats": found.left,
+        "left_90": _pair(found.interval),
+        "left": bool(found.rows),
+        "rows": [
+            {
+                "row": r.row,
+                "unit": r.unit,
+                "rms": r.size,
+                "nats": r.nats,
+                "standard_error": r.error,
+                "variables": list(r.variables),
+            }
+            for r in found.rows
+        ],
+    }
+    out["sentence"] = " ".join(filter(None, (_explained(out, bool(outcome.found)), _left(out))))
+    out["remedy"] = _remedy(out)
+    return out
+
+
+def wanted(rows: Sequence[Mapping[str, Any]]) -> str:
+    """What the functions are of, in words: `q and q_dot on force`."""
+    if not rows:
+        return "all that was measured"
+    names = rows[0]["variables"][:_NAMED]
+    every = names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"
+    return f"{every} on {rows[0]['row']}"
+
+
+def ceiling_lines(content: Mapping[str, Any]) -> list[str]:
+    """Lines for the terminal."""
+    own = content["flexible"]
+    out = ["", f"ceiling: {own['sentence']}"]
+    if own["left"]:
+        out.append(f"  a lead, unverified: {own['remedy']}")
+    return out
+
+
+def ceiling_html(
+    content: Mapping[str, Any], figure: str, table: Callable[[Sequence[str], Sequence[Sequence[str]]], str]
+) -> str:
+    """The section of the page.
+
+    Args:
+        content: As `diagnosis.json` has it.
+        figure: The picture; empty without one.
+        table: Makes a table from its head and rows.
+    """
+    own = content["flexible"]
+    text = f"<h2>What functions could still explain</h2><p>{escape(own['sentence'])}</p>"
+    if own["left"]:
+        text += f'<p><span class="lead">a lead, unverified</span> {escape(own["remedy"])}</p>'
+    head, rows = ceiling_rows(content)
+    return f"{text}{table(head, rows) if rows else ''}{figure}"
+
+
+def ceiling_rows(content: Mapping[str, Any]) -> tuple[list[str], list[list[str]]]:
+    """Head and rows of the table of what is left; no rows where nothing is."""
+    head = ["functions on", "of", "rms", "unit", "log-likelihood [nat]", "+-"]
+    return head, [
+        [
+            r["row"],
+            ", ".join(r["variables"]),
+            number(r["rms"]),
+            r["unit"],
+            f"{r['nats']:+.1f}",
+            f"{r['standard_error']:.1f}",
+        ]
+        for r in content["flexible"]["rows"]
+    ]
+
+
+def ceiling_picture(outcome: Outcome, found: Ceiling) -> Figure | None:
+    """What functions add to the row that they explain most of; None where nothing is left.
+
+    Args:
+        outcome: What was concluded.
+        found: What functions explain.
+    """
+    if found.gain is None or not found.rows:
+        return None
+    row, at = found.rows[0], outcome.variables.columns
+    names = tuple(name for name in row.variables if name in at)[:2]
+    if not names:
+        return None
+    columns = {name: at[name] for name in names}
+    axes = [np.linspace(float(v.min()), float(v.max()), _GRID[len(names)]) for v in columns.values()]
+    mesh = np.meshgrid(*axes)
+    places = {name: m.reshape(-1) for name, m in zip(names, mesh, strict=True)}
+    mean, spread = found.gain.functions.force(places, row.port)
+    data = np.stack(list(columns.values()), 1)
+    eta = distance_from_data(data, np.stack(list(places.values()), 1))
+    of, shape = variable_units(outcome.final.regression.vector.system), mesh[0].shape
+    surface = Surface(
+        row.row,
+        row.unit,
+        tuple((name, of.get(name, "")) for name in names),
+        tuple(axes),
+        mean.reshape(shape),
+        np.sqrt(spread).reshape(shape),
+        (eta > FAR).reshape(shape),
+        data,
     )
+    beside = "effects" if outcome.found else "the declared physics"
+    return flexible_surface(surface, title=f"What functions add to {row.row} beside {beside}")
 
 
 # ---- pieces -------------------------------------------------------------------------------------------
 
 
-def _why_not(log: Log, outcome: Outcome, blocks: Blocks) -> str:
-    """Why a flexible model would not tell, in words; empty where it does."""
-    if not log.budgets.flexible_turns:
+def _why_not(log: Log, outcome: Outcome) -> str:
+    """Why functions would say nothing, in words; empty where they do."""
+    if not log.budgets.function_groups:
         return "not asked for"
     if outcome.doubted:
         return "the fit is not believed"
@@ -151,79 +241,72 @@ def _why_not(log: Log, outcome: Outcome, blocks: Blocks) -> str:
         )
     if outcome.final.regression.arithmetic:
         return "what is left is what arithmetic leaves"
-    if blocks.count < FEWEST_BLOCKS:
+    if outcome.optimum is not None and len(outcome.optimum.blocks) < FEWEST_BLOCKS:
         return "the log is too short"
     return ""
 
 
-def _blocks(outcome: Outcome, decisions: Decisions) -> Blocks:
-    """Blocks of time of the whitened rows, whole runs where there are ten."""
-    r = outcome.final.regression
-    place = r.whitened_rows(np.arange(len(r.series), dtype=np.int64))
-    return blocks_of_steps(r.owners[place], outcome.variables.t[place], decisions)
+def _declared(outcome: Outcome, at: Optimum) -> Array:
+    """Held-out log density of each block of time (B,) by the declared physics."""
+    near = outcome.declared_optimum
+    # rows that bring up memory first are not counted, which shifts blocks
+    if near is None or not torch.equal(near.of.space.chunks.counted, at.of.space.chunks.counted):
+        near = at
+    with torch.no_grad():
+        return held_out_density(optimum_of(outcome.declared_system, near))
 
 
-def _gain(before: Flexible, after: Flexible) -> Array:
-    """Gain of each whitened row (N,) by effects, over the channels that both physics have."""
-    both = [n for n in before.names if n in after.names]
-    first, second = ([f.names.index(n) for n in both] for f in (before, after))
-    return np.asarray(after.plain[:, second].sum(1) - before.plain[:, first].sum(1))
+def _error(blocks: Array) -> float:
+    """Standard error of a sum over blocks of time (B,)."""
+    return float(blocks.std() * len(blocks) ** 0.5)
 
 
-def _share(sums: Array, blocks: Blocks, seed: int) -> tuple[float | None, tuple[float, float] | None]:
-    """Share of the ceiling that effects explain, and its interval.
+def _ends(value: float, error: float) -> tuple[float, float]:
+    return value - _HALF * error, value + _HALF * error
 
-    Args:
-        sums: Gains of rows (N, 3): of the effects, of a flexible model alone, of one beside the effects.
-        blocks: What is resampled.
-        seed: Seed of the resamples.
-    """
 
-    def share(means: torch.Tensor) -> torch.Tensor:
-        effects, alone, left = means.unbind(-1)
-        most = torch.maximum(alone, effects + left)
-        return torch.where(most > 0, effects / most.clamp_min(1e-300), nan).clamp(0.0, 1.0)[..., None]
+def _explained(own: Mapping[str, Any], found: bool) -> str:
+    """How much of what can be explained the effects explain."""
+    where = own["measured_on"]
+    if own["why_not"]:
+        return f"What functions could still explain was not measured: {own['why_not']}."
+    if not found:
+        return "" if own["left"] else f"Functions of what was measured explain nothing of {where}."
+    if own["effects_nats"] <= 0:
+        return (
+            f"The effects bring no log-likelihood to {where} ({own['effects_nats']:+.1f} nats): evidence for them is "
+            "in the data that they were fitted to alone."
+        )
+    if not own["left"]:
+        return f"The effects explain all that functions of what was measured can, of {where}."
+    ends = own["explained_90"]
+    between = "" if ends is None else f" ({ends[0]:.0%} to {ends[1]:.0%})"
+    share = f"{own['explained']:.0%}{between}"
+    return f"The effects explain {share} of what can be explained of {where}, in log-likelihood."
 
-    found = function_bootstrap(
-        torch.from_numpy(sums),
-        share,
-        blocks,
-        generator=torch.Generator().manual_seed(seed),
-        level=INTERVAL_LEVEL,
+
+def _left(own: Mapping[str, Any]) -> str:
+    """What functions still explain."""
+    if not own["left"]:
+        return ""
+    low, high = own["left_90"]
+    row = own["rows"][0]
+    unit = "" if row["unit"] == "1" else f" {row['unit']}"
+    return (
+        f"Functions of {wanted(own['rows'])} still explain {row['nats']:.1f} nats of {own['left_nats']:.1f} "
+        f"({low:+.1f} to {high:+.1f}) there: {number(row['rms'])}{unit} rms; no formula that holds says why."
     )
-    value = float(found.value[0])
-    ends = float(found.low[0]), float(found.high[0])
-    return (None if np.isnan(value) else value), (None if np.isnan(ends).any() else ends)
 
 
-def _ends(gain: Array, blocks: Blocks, seed: int) -> tuple[float, float] | None:
-    """90 % interval of a sum over rows (N, 1)."""
-    generator = torch.Generator().manual_seed(seed)
-    found = mean_bootstrap(torch.from_numpy(gain), blocks, generator=generator, level=INTERVAL_LEVEL)
-    ends = len(gain) * float(found.low[0]), len(gain) * float(found.high[0])
-    return None if np.isnan(ends).any() else ends
+def _remedy(own: Mapping[str, Any]) -> str | None:
+    if not own["left"]:
+        return None
+    return (
+        f"look for what depends on {wanted(own['rows'])}, and fly or drive these variables apart from each other; "
+        "until it has a name, the networks of `nsde train model=nsde system.effects=effects.yaml` learn it, and their "
+        "eta says where to trust them."
+    )
 
 
-def _channels(outcome: Outcome, first: Flexible, beside: Flexible, gains: Array) -> dict[str, ChannelGain]:
-    """Held-out residuals by channel; none where no stretch is long enough."""
-    if not len(beside.plain_squares):
-        return {}
-    r = outcome.final.regression
-    rms = {
-        key: dict(zip(f.names, np.sqrt(squares.mean(0)).tolist(), strict=True))
-        for key, f, squares in (
-            ("physics", first, first.plain_squares),
-            ("effects", beside, beside.plain_squares),
-            ("flexible", beside, beside.flexible_squares),
-        )
-    }
-    return {
-        name: ChannelGain(
-            per_second(r.physics.units[c]),
-            rms["physics"].get(name, rms["effects"][name]),
-            rms["effects"][name],
-            rms["flexible"][name],
-            float(gains[:, i].sum()),
-        )
-        for i, (name, c) in enumerate(zip(beside.names, r.rows, strict=True))
-    }
+def _pair(ends: tuple[float, float] | None) -> list[float] | None:
+    return None if ends is None else list(ends)

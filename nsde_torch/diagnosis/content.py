@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 from nsde_torch.diagnosis.buys import BY_RESIDUAL, BY_STEPS
-from nsde_torch.diagnosis.ceiling_text import ceiling_content, wanted
+from nsde_torch.diagnosis.ceiling import ceiling_content, wanted
 from nsde_torch.diagnosis.decisions import Wording
 from nsde_torch.diagnosis.declared import declared
 from nsde_torch.diagnosis.dependence import Dependence
@@ -38,7 +38,7 @@ TWINS = {"constant_force": ("sensor_bias",)}
 def content(found: Diagnosis) -> dict[str, Any]:
     """What `diagnosis.json` holds; its keys are in docs/content/reference/diagnosis-json.md."""
     o, left = found.outcome, found.explanation
-    wording, flexible = o.decisions.wording, ceiling_content(left.ceiling, o, len(found.runs))
+    wording, flexible = o.decisions.wording, ceiling_content(left.ceiling, o)
     return {
         "schema": "nsde_torch.diagnosis/1",
         **({} if found.so_far is None else {"so_far": found.so_far.as_dict()}),
@@ -50,7 +50,7 @@ def content(found: Diagnosis) -> dict[str, Any]:
             found.told,
             o,
             left.shapes,
-            wanted(flexible["variables"]),
+            wanted(flexible["rows"]),
         ),
         "warnings": _warnings(found),
         "not_done": [one.as_dict() for one in found.not_done],

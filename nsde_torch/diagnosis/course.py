@@ -126,7 +126,7 @@ class DiagnosisCourse:
             outcome: What was concluded.
             guard: The final physics held against simple fits.
             errors: Errors on runs left out.
-            most: What a flexible model could win.
+            most: What functions could still explain.
             instrumented: Estimates with signals from outside the loop.
         """
         done = 0 if stage is None else _ORDER.index(stage) + 1

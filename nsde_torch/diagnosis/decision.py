@@ -189,23 +189,23 @@ def provisional_reason(
 
 
 def judged_by_the_ceiling(outcome: Outcome, found: Ceiling) -> Outcome:
-    """The outcome, in the light of what a flexible model wins more than chance: structure, as tests find it.
+    """The outcome, in the light of what functions explain beside the effects: structure, as tests find it.
 
-    Where nothing was named, something is missing. Effects that act where it wins as much as makes one provisional are
-    leads, as a law that was not written down may be behind both. Where it wins more than all effects, the verdict is
-    `unexplained`.
+    Where nothing was named, something is missing. Effects that act where functions explain as much as makes one
+    provisional are leads, as a law that was not written down may be behind both. Where functions explain more than all
+    effects, the verdict is `unexplained`.
     """
-    if not found.more:
+    if not found.rows:
         return outcome
-    rest, decisions = sum(found.left_by.values()), outcome.decisions
+    rest, decisions = found.left, outcome.decisions
     verdict: Verdict = "unexplained" if not outcome.found or rest > found.effects else outcome.verdict
     brought = nats_by_channel(outcome.declared.regression, outcome.final.regression)
 
     def why(f: Found) -> str:
-        own = sum(nats for channel, nats in found.left_by.items() if channel in f.moves)
+        own = sum(row.nats for row in found.rows if row.channels & {*f.moves})
         if not (verdict == "unexplained" or _too_much(own, f, brought, decisions)):
             return ""
-        return f"a flexible model finds {rest:.0f} nats more: it may stand in for another law"
+        return f"functions explain {rest:.0f} nats more: it may imitate another law"
 
     return replace(outcome.provisional(why), verdict=verdict)
 

@@ -141,18 +141,13 @@ class Decisions:
         0.8, "share of them in which it has to be about as good as the best term of the library", high=1
     )
 
-    # ---- the flexible model ---------------------------------------------------------------------------------
-    flexible_alpha: float = key(
-        1e-3, "chance of saying that a flexible model wins something where nothing is left", above=0, high=1
-    )
-
     # ---- verdict ----------------------------------------------------------------------------------------
     negligible_share: float = key(
         0.03, "share of what is left most, in nats, below which all effects together are none", low=0
     )
     provisional_share: float = key(
         0.1,
-        "share of what effects bring to its channels above which structure, or what a flexible model wins, makes one "
+        "share of what effects bring to its channels above which structure, or what functions explain, makes one "
         "provisional",
     )
     late_sensor_share: float = key(
@@ -215,17 +210,8 @@ class Budgets:
     )
     laws_fitted: int = key(4, "most laws that are proposed for each of these terms", low=1)
     law_rounds: int = key(1, "most times that laws are proposed for what is left", low=0)
-    flexible_terms: int = key(
-        10, "most groups of functions of a flexible model, on ports that belong together", low=1
-    )
-    flexible_turns: int = key(
-        4, "most turns between a flexible model and its noise models; 0: none is fitted", low=0
-    )
-    flexible_columns: int = key(
-        1000, "most functions of a flexible model before it looks at each channel by itself", low=1
-    )
-    flexible_fine: int = key(
-        100, "most groups of functions of one in which fine functions of two variables join", low=0
+    function_groups: int = key(
+        4, "most groups of functions on one row of a port, of what effects leave; 0: none are tried", low=0
     )
 
     def __post_init__(self) -> None:

@@ -1,6 +1,6 @@
 """What is left, explained as far as it can be: in words, in one run, by a fault of the columns."""
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 from nsde_torch.diagnosis.between_runs import RunZeros, between_runs
 from nsde_torch.diagnosis.ceiling import Ceiling
@@ -29,7 +29,7 @@ class Explanation:
         guard: How the final physics stands beside simple fits, and what speaks against it.
         refused: What spoke against it over shorter boxes; None where these are the usual ones.
         standing: Share of the rows that were left out because what has dry friction stands in them.
-        ceiling: What a flexible model could win.
+        ceiling: What functions could still explain.
     """
 
     channels: list[ChannelResidual]
@@ -59,7 +59,7 @@ def explained(
         outcome: What was concluded.
         guard: The final physics held against simple fits.
         runs: Names of the runs.
-        most: What a flexible model could win.
+        most: What functions could still explain.
     """
     regression, left = outcome.final.regression, outcome.structured
     attempt = log.stages.attempt
@@ -77,7 +77,7 @@ def explained(
 
     shapes = attempt("the shape of what is left", shaped, ())
     return Explanation(
-        [_no_noise(c, most) for c in channel_residuals(outcome.declared.regression, regression)],
+        channel_residuals(outcome.declared.regression, regression),
         shapes=shapes,
         between_runs=attempt("a sensor's zero that differs between runs", zeros, None),
         in_run=attempt("what is special about one run", alone, None),
@@ -87,9 +87,3 @@ def explained(
         standing=moving(log.runs, log.slowest)[1] if log.slowest else 0.0,
         ceiling=most,
     )
-
-
-def _no_noise(channel: ChannelResidual, most: Ceiling) -> ChannelResidual:
-    """The residual of a channel with a floor that holds nothing which a flexible model surely foretells."""
-    won = most.channels.get(channel.name) if most.more else None
-    return channel if won is None else replace(channel, floor=min(channel.floor, won.flexible))

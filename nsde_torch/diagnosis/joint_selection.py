@@ -12,7 +12,7 @@ Selected effects are then looked at again, each without itself: another one that
 it, and one that cannot be distinguished from it is a tie.
 
 It is right where its noise model is: innovations that are not white, or larger or smaller than predicted, make
-`jointly_selected` return None, and the regression (`selection`) decides.
+`jointly_selected` return no selection, and the regression (`selection`) decides.
 """
 
 from collections.abc import Collection, Sequence
@@ -157,8 +157,10 @@ class _Place:
 
 def jointly_selected(
     search: Search, problem: LogLikelihood, system: System, frequencies: Sequence[float] = ()
-) -> JointSelection | None:
-    """Effects selected by the likelihood; None where its innovations are not what they should be.
+) -> tuple[Optimum, JointSelection | None]:
+    """The declared physics at its optimum, and effects selected by the likelihood.
+
+    The latter are None where its innovations are not what they should be.
 
     Args:
         search: Candidates and settings.
@@ -166,7 +168,8 @@ def jointly_selected(
         system: The declared physics with first values.
         frequencies: Those of lines in the spectrum, which sinusoids start from [Hz].
     """
-    return _JointSearch(search, problem, system, frequencies).selected()
+    made = _JointSearch(search, problem, system, frequencies)
+    return made.declared, made.selected()
 
 
 class _JointSearch:
@@ -184,6 +187,11 @@ class _JointSearch:
         self._places: dict[frozenset[str], _Place] = {}
         self._looks: dict[frozenset[str], tuple[list[Explained], _Table]] = {}
         self._first = self._fitted(system, None)
+
+    @property
+    def declared(self) -> Optimum:
+        """The declared physics at its optimum."""
+        return self._first.at
 
     def selected(self) -> JointSelection | None:
         """See `jointly_selected`."""

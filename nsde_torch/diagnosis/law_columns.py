@@ -83,7 +83,7 @@ def tables(
 @torch.no_grad()
 def _column(system: System, at: Optimum, term: Term) -> Tensor:
     """What a term of size 1 does to the steps (T, C, ne)."""
-    space, x = at.of.space, at.about.x
+    space, x = at.of.space, at.of.space.midway(at.about.x)
     effect = system.make_effect(term.law, {"c1": 1.0, **term.start}).double()
     flat, u, t = (part.flatten(0, 1) for part in (x, space.chunks.u, space.chunks.t[..., None]))
     seen = seen_by(system, effect, t[:, 0], torch.cat((flat, space.memory.flatten(0, 1)), 1), u)

@@ -18,7 +18,7 @@ SELECTION, SECOND_LOOK = "the selection of effects", "a second look at each effe
 TESTS, LAWS = "tests of feedback and of what is left", "laws beyond the catalogue"
 OTHER_ROWS = "the search in other rows and over longer boxes"
 ESTIMATES, ERRORS = "estimates in the loop", "errors on runs left out"
-CEILING, EXPLANATION = "what a flexible model could win", "an explanation of what is left"
+CEILING, EXPLANATION = "what functions could still explain", "an explanation of what is left"
 NOT_YET = "not done yet"
 STOPPED = "the diagnosis was stopped before its end"
 

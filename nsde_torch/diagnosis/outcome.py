@@ -12,13 +12,14 @@ from nsde_torch.diagnosis.decisions import DECISIONS, Decisions
 from nsde_torch.diagnosis.dependence import Dependence
 from nsde_torch.diagnosis.estimates import Estimate, estimated, of_identification
 from nsde_torch.diagnosis.fitted import fitted_system, without_effect
-from nsde_torch.diagnosis.flexible_gain import FlexibleGain
 from nsde_torch.diagnosis.hidden import Hidden, lengths_of_parameters
 from nsde_torch.diagnosis.joint_selection import JointSelection
+from nsde_torch.diagnosis.learned_functions import FunctionGain
 from nsde_torch.diagnosis.regressors import Regressors
 from nsde_torch.diagnosis.rounds import Round
 from nsde_torch.diagnosis.search import Base, Search
 from nsde_torch.diagnosis.trials import Trial
+from nsde_torch.inference import Optimum
 from nsde_torch.inference.spread import Spread
 from nsde_torch.sysid.in_loop import hidden_bias, largest_bias
 from nsde_torch.sysid.loop_test import LoopTest
@@ -70,8 +71,10 @@ class Outcome:
         levels: Significance level of each stage (`recording.levels`).
         doubted: Whether the guard speaks against the final physics, so that nothing that was found is sure.
         decisions: What was decided by.
-        beside: What a flexible model wins beside some physics of the search, as far as it was asked.
+        beside: Functions beside some physics of the search, as far as they were asked for.
         joint: What the joint likelihood selected; None where the regression did.
+        declared_optimum, optimum: Where the likelihood of the declared and of the final physics is largest; None where
+            it was not computed.
     """
 
     verdict: Verdict
@@ -92,8 +95,10 @@ class Outcome:
     levels: Mapping[str, float] = field(default_factory=dict)
     decisions: Decisions = DECISIONS
     doubted: bool = False
-    beside: FlexibleGain | None = None
+    beside: FunctionGain | None = None
     joint: JointSelection | None = None
+    declared_optimum: Optimum | None = None
+    optimum: Optimum | None = None
 
     @cached_property
     def system(self) -> System:

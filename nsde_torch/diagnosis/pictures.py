@@ -14,12 +14,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from nsde_torch.diagnosis.ceiling_text import row_units
+from nsde_torch.diagnosis.ceiling import ceiling_picture
 from nsde_torch.diagnosis.channels import ChannelResidual, spectrum, white_parts
 from nsde_torch.diagnosis.dependence import Dependence
 from nsde_torch.diagnosis.effect_pictures import effect_panels
 from nsde_torch.diagnosis.files import picture_file
-from nsde_torch.diagnosis.flexible_picture import flexible_picture
 from nsde_torch.diagnosis.outcome import Outcome
 from nsde_torch.diagnosis.regressors import Regressors
 from nsde_torch.diagnosis.shape import called, product_of
@@ -89,7 +88,7 @@ def pictures(found: Diagnosis, content: Mapping[str, Any]) -> dict[str, Figure]:
         if views:
             title = "What the physics leaves over, against what it depends on most: no more than chance"
             out["residual"] = residual_views(views, title=title)
-    flexible = flexible_picture(outcome, found.explanation.ceiling, row_units(outcome))
+    flexible = ceiling_picture(outcome, found.explanation.ceiling)
     if flexible is not None:
         out["flexible"] = flexible
     errors = content["errors"]

@@ -8,7 +8,7 @@ set aside       what feedback may have made                                     
 test, decide    what is left against all that was measured; the verdict         specification, decision
 beyond          laws that no catalogue has, where structure is left             beyond_catalogue, laws
 cross-validate  the physics without and with effects on runs left out           cross_validation
-ceiling         what a flexible model could win, alone and beside the effects   ceiling, flexible
+ceiling         what functions of all that was measured could still explain     ceiling, learned_functions
 explain         what is left, as far as it can be                               explanation
 report          `Diagnosis`, and the content of `diagnosis.json`                result, content
 
@@ -21,7 +21,7 @@ from functools import partial
 
 from nsde_torch.data import DataSet, Run
 from nsde_torch.diagnosis.at_nothing import beside_gains_at_nothing
-from nsde_torch.diagnosis.beyond_catalogue import with_laws
+from nsde_torch.diagnosis.beyond_catalogue import with_functions, with_laws
 from nsde_torch.diagnosis.ceiling import Ceiling, ceiling
 from nsde_torch.diagnosis.chain import explains_more, undone, with_a_late_sensor
 from nsde_torch.diagnosis.course import DiagnosisCourse
@@ -63,7 +63,7 @@ from nsde_torch.diagnosis.search import Search
 from nsde_torch.diagnosis.selection import so_far as chosen_so_far
 from nsde_torch.diagnosis.spectrum import lines
 from nsde_torch.diagnosis.standing import selected_again, tied, without_standing
-from nsde_torch.inference import LogLikelihood
+from nsde_torch.inference import LogLikelihood, Optimum
 from nsde_torch.models.identified import SysidSpec
 from nsde_torch.recording.log import Recorded
 from nsde_torch.sysid.by_likelihood import by_likelihood
@@ -221,7 +221,7 @@ def searched(log: Log, search: Search, before: Outcome | None = None) -> Outcome
         before: What was concluded from other rows of them, to start from; None starts from the declared physics.
     """
     search.say("fitting the declared physics", 0, 1)
-    joint = _jointly(log, search) if before is None else before.joint
+    at, joint = _jointly(log, search) if before is None else (before.declared_optimum, before.joint)
     if joint is not None:
         chosen, kept = as_selected(search, joint, log.system)
         log.so_far(SELECTION, log, chosen_so_far(search, chosen))
@@ -234,26 +234,33 @@ def searched(log: Log, search: Search, before: Outcome | None = None) -> Outcome
     search.say("what feedback may have made", 0, 1)
     kept = set_aside(search, chosen, kept, log.feedback)
     search.say("testing what is left", 0, 1)
-    outcome = decide(search, chosen, kept, log.feedback)
+    outcome = replace(decide(search, chosen, kept, log.feedback), declared_optimum=at)
     log.so_far(TESTS, log, outcome)
     if joint is not None and not outcome.structured and not any(s.law for s in joint.selected.values()):
-        return replace(outcome, joint=joint)
+        # functions may explain what no test of one variable shows (q^2 q_dot, test_laws_that_noise_learns.py)
+        outcome = log.stages.attempt(LAWS, partial(with_functions, search, kept.final, outcome, at), outcome)
+        if outcome.beside is None or not outcome.beside.rows:
+            return replace(outcome, joint=joint)
     if any(run.band for run in log.runs):  # what a smoother did to the states looks like laws of many names
         return outcome
     after = log.stages.attempt(
-        LAWS, lambda: with_laws(search, chosen, kept, outcome, log.feedback, joint), outcome
+        LAWS, lambda: with_laws(search, chosen, kept, outcome, log.feedback, joint, at), outcome
     )
+    after = replace(after, declared_optimum=at)
     if not outcome.structured and [f.name for f in after.found] == [f.name for f in outcome.found]:
         after = replace(after, joint=joint)
     return after
 
 
-def _jointly(log: Log, search: Search) -> JointSelection | None:
-    """What the joint likelihood selects; None where it is not to be relied on, and the regression decides."""
-    if log.recorded.inputs_restored or any(run.band for run in log.runs):
-        return None
+def _jointly(log: Log, search: Search) -> tuple[Optimum | None, JointSelection | None]:
+    """The declared physics at its optimum of the joint likelihood, and what that selects.
 
-    def selected() -> JointSelection | None:
+    The latter is None where the likelihood is not to be relied on, and the regression decides.
+    """
+    if log.recorded.inputs_restored or any(run.band for run in log.runs):
+        return None, None
+
+    def selected() -> tuple[Optimum | None, JointSelection | None]:
         declared = search.base(log.system)
         search.so_far(undecided(search, declared, declared))
         frequencies = [line.frequency for line in lines(declared.regression, decisions=search.decisions)]
@@ -262,7 +269,7 @@ def _jointly(log: Log, search: Search) -> JointSelection | None:
         problem = LogLikelihood(system, log.runs, log.recorded.clock, run_in=True)
         return jointly_selected(search, problem, system, frequencies)
 
-    return log.stages.attempt("the selection by the joint likelihood", selected, None)
+    return log.stages.attempt("the selection by the joint likelihood", selected, (None, None))
 
 
 def _read_again(log: Log, search: Search, outcome: Outcome) -> tuple[Log, Search, Outcome]:
@@ -280,6 +287,7 @@ def _identified(log: Log, outcome: Outcome) -> tuple[Outcome, Identification | N
     if log.options.instruments and not outcome.test.why_not:
         log.say("estimates from signals outside the loop", 0, 1)
         found = log.identified(outcome.system)
+        outcome = replace(outcome, optimum=found.optimum)
         better = found.instrumented is not None and adopted(found.instrumented, outcome.test)
         if better or found.likelihood_used:
             outcome = replace(outcome, printed=found)
@@ -292,4 +300,5 @@ def _identified(log: Log, outcome: Outcome) -> tuple[Outcome, Identification | N
     if joint is not None and joint.system.effect_names == outcome.system.effect_names:
         near = joint.system, joint.at
     likeliest = by_likelihood(regressed, outcome.system, log.runs, log.recorded.clock, near)
+    outcome = replace(outcome, optimum=likeliest.optimum)
     return (replace(outcome, printed=likeliest) if likeliest.likelihood_used else outcome), None

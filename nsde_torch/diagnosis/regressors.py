@@ -10,12 +10,15 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from torch import Tensor
 
 from nsde_torch.diagnosis.decisions import BUDGETS, DECISIONS, Budgets, Decisions
 from nsde_torch.diagnosis.p_values import orthonormal
 from nsde_torch.sysid.regression import Regression
 from nsde_torch.sysid.series import Series
+from nsde_torch.systems import System
 from nsde_torch.systems.names import MIXED
+from nsde_torch.systems.vocabulary import named_inputs
 
 Array = NDArray[np.float64]
 
@@ -49,30 +52,36 @@ def _columns(regression: Regression, *, inputs: bool) -> tuple[dict[str, Array],
     asked for, and logged channels.
     """
     physics, system = regression.physics, regression.vector.system
-    z = physics.middle(regression.theta)
-    x = z[:, : system.nx]
-    columns: dict[str, Array] = {}
-    q = system.quaternion
-    features = system.residual_features(x).numpy()
-    names = [*system.feature_names]
-    names += [f"up_{'xyz'[i]}" for i in range(features.shape[1] - len(names))]
-    for i, name in enumerate(names):
-        columns[name] = features[:, i]
-    for i, name in enumerate(system.state_names):
-        inside = q is not None and q.start <= i < q.stop
-        seen = name in columns or (q is not None and name.startswith("v_"))
-        if not (inside or seen):
-            columns[name] = x[:, i].numpy()
-    u, mix = physics.steps.u.numpy(), getattr(system, "mix", None)
-    if inputs and mix is not None:
-        columns |= dict(zip(MIXED, (u[:, : system.nu] @ mix.numpy()).T, strict=True))
-    elif inputs:
-        columns |= dict(zip(system.input_names, u[:, : system.nu].T, strict=True))
-    columns |= dict(zip(system.exogenous, u[:, system.nu :].T, strict=True))
+    x = physics.middle(regression.theta)[:, : system.nx]
+    values = machine_variables(system, x, physics.steps.u, inputs=inputs)
+    table = {name: np.asarray(v.numpy()) for name, v in values.items()}
     single, box = regression.single, regression.box
-    columns = {k: single.summed(v[:, None], box)[:, 0] / box for k, v in columns.items() if v.std() > 1e-9}
+    columns = {k: single.summed(v[:, None], box)[:, 0] / box for k, v in table.items() if v.std() > 1e-9}
     starts = physics.steps.t.numpy()
     return columns, single.summed(starts[:, None], box)[:, 0] / box
+
+
+def machine_variables(system: System, x: Tensor, u: Tensor, *, inputs: bool) -> dict[str, Tensor]:
+    """All that a machine measures (N,), by name: features of an attitude in its place, and places.
+
+    Args:
+        system: The machine.
+        x: States (N, nx).
+        u: Inputs and logged channels (N, nu + n).
+        inputs: Whether inputs are among them.
+    """
+    q, features = system.quaternion, system.residual_features(x)
+    names = [*system.feature_names]
+    names += [f"up_{'xyz'[i]}" for i in range(features.shape[1] - len(names))]
+    out = dict(zip(names, features.T, strict=True))
+    for i, name in enumerate(system.state_names):
+        inside = q is not None and q.start <= i < q.stop
+        seen = name in out or (q is not None and name.startswith("v_"))
+        if not (inside or seen):
+            out[name] = x[:, i]
+    if inputs:
+        out |= named_inputs(system, u)
+    return out | dict(zip(system.exogenous, u[:, system.nu :].T, strict=True))
 
 
 def functions_of(v: Array) -> tuple[Array, NDArray[np.bool_]]:

@@ -9,7 +9,7 @@ from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from nsde_torch.diagnosis.ceiling_text import FLEXIBLE, ceiling_html
+from nsde_torch.diagnosis.ceiling import CAPTION, ceiling_html
 from nsde_torch.diagnosis.feedback_text import feedback_html
 from nsde_torch.diagnosis.pictures import EFFECT, pictures, save_pictures
 from nsde_torch.diagnosis.rehearsal_text import rehearsal_html
@@ -74,7 +74,7 @@ _CAPTIONS = {
     "errors": "Predictions from measured states, {how}, on {where}. Where a controller answers disturbances, so do "
     "these inputs: the errors tell how well this log is foretold, and not how right the effects are. Bars: 90 % "
     "interval of the difference.",
-    "flexible": FLEXIBLE,
+    "flexible": CAPTION,
     "spectrum": "Above the dashed floor more is left than white noise: gusts that last, or physics.",
 }
 

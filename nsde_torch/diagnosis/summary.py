@@ -24,7 +24,7 @@ def summary(
         told: The effects that matter, and the others.
         outcome: What was concluded.
         shapes: What the residual still depends on, in words.
-        flexible: What a flexible model needs, where no test of structure says what is missing.
+        flexible: What functions that explain more are of, where no test of structure says what is missing.
     """
     if outcome.doubted:
         have = [*faults, *(f.name for f in outcome.found)]
@@ -67,12 +67,12 @@ def summary(
         return f"Missing: {names}.{more}{'.' if more else ''}"
     if not added and not rest:
         return (
-            "Something is missing that no test of structure names: a flexible model foretells unseen steps "
-            f"better than the declared physics ({flexible})."
+            "Something is missing that no test of structure names: functions predict unseen steps better than the "
+            f"declared physics ({flexible})."
         )
     if not added:
         return f"Something is missing that no effect of the catalogue names: the residual depends ({rest})."
-    more = f"the residual depends on more ({rest})" if rest else f"a flexible model finds more ({flexible})"
+    more = f"the residual depends on more ({rest})" if rest else f"functions explain more ({flexible})"
     what = f"Something is missing that no effect names: {more} than {names} can explain"
     if len(leads) == len(added):
         return f"{what}, which {'are leads' if len(added) > 1 else 'is a lead'}."

@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from nsde_torch.diagnosis.buys import BY_STEPS
-from nsde_torch.diagnosis.ceiling_text import ceiling_lines, ceiling_rows
+from nsde_torch.diagnosis.ceiling import ceiling_lines, ceiling_rows
 from nsde_torch.diagnosis.feedback_text import feedback_lines
 from nsde_torch.diagnosis.not_done import ERRORS, NOT_YET, STOPPED
 from nsde_torch.diagnosis.summary import small

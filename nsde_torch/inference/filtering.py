@@ -117,18 +117,17 @@ def with_parameters(space: StateSpace, about: Linearisation) -> Linearisation:
 
 
 def forced(space: StateSpace, about: Linearisation, disturbance: int, force: Tensor) -> Tensor:
-    """What forces at the states of some rows do to the steps (T, C, ne, ...).
+    """What forces do to the steps (T, C, ne, ...).
 
     Args:
         space: The machine.
         about: Its linearisation.
         disturbance: Number of the disturbance that acts where the force does.
-        force: The force at each row (T, C, ...); over a step it is the mean of those at both ends.
+        force: The force in the middle of the step from each row (T, C, ...), of what is known at its start
+            (`StateSpace.midway`): a force of the state or the input after it would explain what was just measured.
     """
-    middle = force.clone()  # the last row of a chunk has no step
-    middle[:-1] = 0.5 * (force[:-1] + force[1:])
     slopes = about.slopes[..., space.ne + disturbance]
-    return slopes.view(*slopes.shape, *(1,) * (force.dim() - 2)) * middle[:, :, None]
+    return slopes.view(*slopes.shape, *(1,) * (force.dim() - 2)) * force[:, :, None]
 
 
 def _missed(space: StateSpace, x: Tensor, after: Tensor) -> Tensor:

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
-Kind = Literal["constant", "polynomial", "smooth", "fine", "varying", "past"]
+Kind = Literal["polynomial", "product", "smooth", "fine", "varying", "past"]
 
 _REACH = 1.5  # L, of the half range of the data
 _ONE, _TWO = 12, 5  # waves of one variable, and of each of two
@@ -41,15 +41,15 @@ def functions(
     """Values (n, q) of the functions of a group.
 
     Args:
-        of: Its variables: none, one or two.
-        kind: `constant`, `polynomial`, `smooth`, `fine`, or `varying`: waves of the first one times the second.
+        of: Its variables: one or two.
+        kind: `polynomial`, `product` of both, `smooth`, `fine`, or `varying`: waves of the first one times the second.
         values: Values of the variables (n,).
         scaled: Their scales.
     """
-    if kind == "constant":
-        return np.ones((len(next(iter(values.values()))), 1))
-    if kind == "polynomial":
+    if kind in ("polynomial", "product"):
         plain = [values[name] / scaled[name].size for name in of]
+        if kind == "product":
+            return np.prod(plain, 0)[:, None]
         if len(plain) == 1:
             return np.stack([plain[0] ** k for k in (1, 2, 3)], 1)
         a, b = plain

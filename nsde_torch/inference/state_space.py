@@ -143,6 +143,11 @@ class StateSpace:
         t, flat, memory, u = map(_rows, (self.chunks.t, x, self.memory, self.chunks.u))
         return self.step(t, flat, memory, u, flat.new_zeros(1, self.nd)).view(x.shape)
 
+    def midway(self, x: Tensor) -> Tensor:
+        """States in the middle of the undisturbed step from some (T, C, nx)."""
+        moved = self.vector.system.error(_rows(self.after(x)), _rows(x))
+        return self.shifted(x, 0.5 * moved.view(*x.shape[:2], self.ne))
+
     def linearised(self, x: Tensor) -> tuple[Tensor, Tensor]:
         """Slopes (T, C, ne, n) of a step at states (T, C, nx) in errors and disturbances, and the states after it."""
         system = self.vector.system

@@ -83,6 +83,14 @@ def given(
     return join_columns((command, *(u[:, c : c + 1] for c in columns), *read))
 
 
+def named_inputs(system: System, u: Tensor) -> dict[str, Tensor]:
+    """Inputs (N,) of rows (N, nu + n_exogenous) by name, mixed as motors are where the machine has some."""
+    mix, own = getattr(system, "mix", None), u[:, : system.nu]
+    if mix is not None:
+        return dict(zip(MIXED, (own @ mix.to(own)).T, strict=True))
+    return dict(zip(system.input_names, own.T, strict=True))
+
+
 def _ports(cls: type[System]) -> dict[str, Rows]:
     known = {port: residual.unit for port, residual in cls.residual_ports.items()}
     of_rows = {(at.port, at.row): dict(at.units)["force"] for at in cls.bound_coordinates()}

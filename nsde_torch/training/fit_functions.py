@@ -17,7 +17,7 @@ from torch import Tensor, nn
 
 from nsde_torch.effects import Port
 from nsde_torch.inference import Optimum
-from nsde_torch.inference.functions import Functions, learned
+from nsde_torch.inference.functions import Functions, learned, seen_by_networks
 from nsde_torch.innovations.networks import Learned
 from nsde_torch.innovations.residuals import Residuals
 from nsde_torch.models.networks import MLP
@@ -61,7 +61,7 @@ def fit_functions(model: NeuralSDE, at: Optimum, left: Residuals) -> Distilled:
     """
     system = at.of.vector.system
     ports = [k for k, (port, _) in enumerate(at.of.space.disturbances) if port in model.residual_ports]
-    found = learned(at, system.network_features, system.network_names, ports)
+    found = learned(at, seen_by_networks(system), ports)
     at.of.vector.write(model.system, found.theta)
     names, states = system.network_names, left.states.double()
     seen = system.network_features(states)
@@ -72,7 +72,9 @@ def fit_functions(model: NeuralSDE, at: Optimum, left: Residuals) -> Distilled:
     values = {name: seen[:, k].numpy() for k, name in enumerate(names)}
     for port, width in left.ports:
         rows = {j: k for k, (of, j) in enumerate(at.of.space.disturbances) if of is port and k in found.nats}
-        own = dict.fromkeys(v for g in found.groups if g.port in rows.values() for v in g.variables)
+        own = dict.fromkeys(
+            v for g in found.groups if g.port in rows.values() and g.kind != "past" for v in g.variables
+        )
         variables[port] = tuple(name for name in names if name in own)
         gain.append(sum(found.nats[k] for k in rows.values()))
         error.append(sum(found.error[k] ** 2 for k in rows.values()) ** 0.5)

@@ -26,7 +26,7 @@ def selected(runs: list[Run]) -> JointSelection | None:
     system = make_system("mass_spring_damper")
     return jointly_selected(
         search_in(system, runs, 1.0, Options()), LogLikelihood(system, runs, run_in=True), system
-    )
+    )[1]
 
 
 def two_frictions(seed: int, seconds: float = 8.0) -> list[Run]:
@@ -125,7 +125,7 @@ def test_a_flight_with_drag_is_selected_by_the_likelihood() -> None:
     runs = nsde_torch.read(made, system=system).runs
     options = Options(candidates=("linear_drag", "quadratic_drag", "constant_wind", "thrust_misalignment"))
     search = search_in(system, runs, 1.0, options)
-    found = jointly_selected(search, LogLikelihood(system, runs, run_in=True), system)
+    _, found = jointly_selected(search, LogLikelihood(system, runs, run_in=True), system)
     assert found is not None
     assert set(found.selected) == {"linear_drag"}
     values = dict(zip(found.best.vector.labels, found.best.theta, strict=True))

@@ -5,23 +5,19 @@ from __future__ import annotations
 import platform
 import tracemalloc
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
-from nsde_torch.diagnosis.decisions import BUDGETS
 from nsde_torch.diagnosis.evidence import folds, score
 from nsde_torch.diagnosis.fitted import fitted_system, nonlinear
-from nsde_torch.diagnosis.flexible import flexible
 from nsde_torch.diagnosis.freed_memory import give_back
 from nsde_torch.diagnosis.laws import library
 from nsde_torch.diagnosis.regressors import Regressors
 from nsde_torch.diagnosis.screening import joined
 from nsde_torch.diagnosis.search import Base, Search
-from nsde_torch.diagnosis.smooth_functions import first_groups, scales
 from nsde_torch.diagnosis.trials import Trial, fit_candidate
 from tests.diagnosis.test_shape import pushed
 
@@ -47,22 +43,6 @@ def held(make: Callable[[], Any]) -> tuple[Any, int, int]:
         return made, *tracemalloc.get_traced_memory()
     finally:
         tracemalloc.stop()
-
-
-def test_a_flexible_model_holds_its_columns_once_and_none_when_it_is_fitted(spring: Found) -> None:
-    _, base, variables = spring
-    widths: list[int] = []
-
-    def fitted() -> Any:
-        groups = first_groups(variables, scales(variables), pairs=False)
-        widths.extend(group.width for group in groups)
-        return flexible(base, variables, replace(BUDGETS, flexible_turns=1), groups=groups)
-
-    model, after, peak = held(fitted)
-    columns = 8 * sum(widths) * len(base.regression.series)
-    assert model.parts[0][1].used
-    assert after < 0.3 * columns
-    assert peak < 4.0 * columns
 
 
 def test_a_base_that_was_looked_at_holds_a_few_columns_and_comes_back_as_it_was(spring: Found) -> None:

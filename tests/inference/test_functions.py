@@ -2,20 +2,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
-import torch
+import pytest
 
 from nsde_torch.data import Run
 from nsde_torch.inference import LogLikelihood, maximised
-from nsde_torch.inference.functions import Functions, learned
-from tests.inference.springs import TRUTH, B, rubbing, small_runs, spring
+from nsde_torch.inference.functions import Functions, learned, seen_by_networks
+from tests.inference.springs import SENSOR, TRUTH, B, G, K, rubbing, small_runs, spring
 
 
 def found(runs: list[Run]) -> Functions:
     _, at = maximised(LogLikelihood(spring(), runs), nuisances=False)
-    return learned(at, torch.Tensor.double, ("q", "q_dot"), [0])
+    return learned(at, seen_by_networks(spring()), [0])
 
 
 def test_a_drag_is_found_as_a_function_of_the_speed_with_what_the_damping_is_beside_it() -> None:
@@ -44,3 +45,52 @@ def spring_labels() -> list[str]:
 def test_nothing_is_found_where_nothing_is_missing() -> None:
     for seed in range(6):
         assert found(small_runs(rubbing(0.0), 3, 8.0, seed=seed)).groups == ()
+
+
+def looped(
+    count: int, seconds: float, *, force: Callable[[float, float], float], lag: float, seed: int
+) -> list[Run]:
+    """Springs that a controller holds by what it measures, sensor noise included."""
+    rng, dt, fine = np.random.default_rng(seed), 0.02, 10
+    out = []
+    for number in range(count):
+        n = round(seconds / dt) + 1
+        q, v, acting, rows, inputs = 0.3, 0.0, 0.0, np.empty((n, 2)), np.empty((n, 1))
+        aim, push = 0.0, 0.0
+        for k in range(n):
+            rows[k] = (q, v) + np.array(SENSOR) * rng.standard_normal(2)
+            if k % 40 == 0:
+                aim = rng.uniform(-0.5, 0.5)
+            inputs[k] = 6.0 * (aim - rows[k, 0]) - 2.0 * rows[k, 1]
+            push = np.exp(-dt / 0.4) * push + 0.05 * rng.standard_normal()
+            for _ in range(fine):
+                acting += (inputs[k, 0] - acting) * (min(dt / fine / lag, 1.0) if lag else 1.0)
+                pull = TRUTH[G] * acting - TRUTH[K] * q - TRUTH[B] * v + push + force(q, v)
+                v += dt / fine * pull
+                q += dt / fine * v
+        out.append(Run(f"run_{number}", 100.0 * number + dt * np.arange(n, dtype=np.float64), rows, inputs))
+    return out
+
+
+def test_what_a_controller_measured_is_no_function_of_the_state() -> None:
+    """Forces at the end of a step would explain the sensor noise that the inputs of its end answer."""
+    for seed in range(3):
+        assert found(looped(3, 10.0, force=lambda q, v: 0.0, lag=0.0, seed=seed)).groups == ()
+
+
+def test_a_lag_in_a_loop_is_the_past_of_the_inputs_and_no_force() -> None:
+    out = found(looped(3, 10.0, force=lambda q, v: 0.0, lag=0.08, seed=1))
+    assert {g.kind for g in out.groups} == {"past"}
+    assert not out.nats
+    assert out.lost[0] > 20.0
+
+
+def test_a_product_of_two_variables_is_found_and_its_force_is_that_of_the_machine() -> None:
+    out = found(looped(4, 12.0, force=lambda q, v: -2.0 * q * v, lag=0.0, seed=2))
+    assert {g.variables for g in out.groups} == {("q", "q_dot")}
+    before, after = out.blocks
+    assert float((after - before).sum()) == pytest.approx(out.nats[0])
+    rng = np.random.default_rng(0)
+    q, v = rng.uniform(-0.4, 0.4, 200), rng.uniform(-0.8, 0.8, 200)
+    made, _ = out.force({"q": q, "q_dot": v}, 0)
+    np.testing.assert_allclose(made, -2.0 * q * v, atol=0.05)

@@ -30,8 +30,7 @@ from nsde_torch.data.findings import Finding
 from nsde_torch.data.run import DataSet, Run
 from nsde_torch.data.system_info import SystemInfo
 from nsde_torch.errors import ConfigError
-from nsde_torch.recording.channels import on_time
-from nsde_torch.recording.lateness import lags
+from nsde_torch.recording.latency import latencies, on_time
 
 Array = NDArray[np.float64]
 
@@ -146,7 +145,7 @@ def kinematic_offsets(system: SystemInfo, runs: Sequence[Run], *, clock: float =
     """
     seen: dict[tuple[str, str], list[Offset]] = {}
     for run in runs:
-        for lag in lags(system, [run], clock=clock):
+        for lag in latencies(system, [run], clock=clock):
             offset = Offset(run.name, -lag.seconds, lag.error, lag.degrees)
             seen.setdefault((lag.other, lag.channel), []).append(offset)
     found = [

@@ -33,6 +33,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import percentile_filter
+from scipy.special import stdtr, stdtrit
 
 from nsde_torch.data.quaternion import increments
 from nsde_torch.data.system_info import RATE_NAMES, SystemInfo, derivative_columns, rate_columns
@@ -50,6 +51,8 @@ MIN_INTERVALS = 20
 """Fewest intervals from which a slope is estimated."""
 FOLDS = 10
 """Parts of the jackknife."""
+LEVEL = 0.9
+"""Level of intervals."""
 
 
 @dataclass(frozen=True)
@@ -77,6 +80,35 @@ class Slope:
     def as_dict(self) -> dict[str, Any]:
         """Plain containers, for JSON."""
         return asdict(self)
+
+
+@dataclass(frozen=True)
+class Uncertain:
+    """A value with its standard error, and the degrees of freedom of that (Student's t)."""
+
+    value: float
+    error: float
+    degrees: int
+
+    @property
+    def p(self) -> float:
+        """Chance of so much where there is nothing."""
+        return 2.0 * float(stdtr(self.degrees, -abs(self.value) / self.error))
+
+    @property
+    def half(self) -> float:
+        """Half of the 90 % interval."""
+        return float(stdtrit(self.degrees, 0.5 * (1 + LEVEL))) * self.error
+
+    @property
+    def low(self) -> float:
+        """Lower end of the 90 % interval."""
+        return self.value - self.half
+
+    @property
+    def high(self) -> float:
+        """Upper end of the 90 % interval."""
+        return self.value + self.half
 
 
 @dataclass(frozen=True)

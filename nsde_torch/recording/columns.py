@@ -30,9 +30,7 @@ def check_shapes(run: RawRun, system: SystemInfo) -> None:
     if len(run.u) == len(run.x) - 1:  # no input follows the last row; nothing reads the copy
         run.u = np.concatenate([run.u, run.u[-1:]])
     if len(run.t) < 2:
-        raise DataError(
-            f"{run.source or 'run'} {run.name!r} has {len(run.t)} row(s); a run needs at least two."
-        )
+        raise DataError(f"{run.label} has {len(run.t)} row(s); a run needs at least two.")
     if run.t.shape != (len(run.x),) or len(run.u) != len(run.x):
         raise ShapeError(
             f"run {run.name!r}: `t`, `x` and `u` must have one row a sample; got {run.t.shape}, "
@@ -74,7 +72,7 @@ def check_rates(run: RawRun, system: SystemInfo) -> None:
 def check_columns(run: RawRun, system: SystemInfo, report: Report) -> None:
     """What `nsde inspect` says of the columns: what kinematics contradict is refused, what gravity does reported.
 
-    Vectors of a vehicle are judged in all runs together (`conventions`, `clock.check_units`).
+    Vectors of a vehicle are judged in all runs together (`conventions`, `clock_and_biases.check_units`).
     """
     for check in checks(system, run):
         if check.passed is False and check.name == LEAN:

@@ -34,8 +34,6 @@ Misfits: TypeAlias = "Callable[[Sequence[Run]], NDArray[np.float64]]"
 
 STAGES = ("clock", "lateness", "biases", "effects", "structure")
 """In order. The first three are faults of the recording chain, `structure` the tests of what is left."""
-LEVEL = 0.9
-"""Level of the intervals of findings."""
 NATS = 3.0
 """By how much a log has to be likelier with a fault undone."""
 
@@ -172,7 +170,7 @@ class Fault(ABC):
         annotation: Type of the size.
         remedy: The option of a reader that takes it out, declared by `key`, by name of a state; None: a reader cannot.
         remedy_first: Whether a reader takes it out before it looks at anything.
-        remedy_smooths: Whether taking it out smooths states, after which no smoother of the log can be told.
+        remedy_smooths: Whether taking it out smooths states, after which no smoother of the log can be identified.
         mixes_times: Whether a row of the log depends on other rows than its own.
     """
 

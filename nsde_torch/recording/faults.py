@@ -411,8 +411,7 @@ class RotorSpeed(Fault):
             if not (number and isfinite(most) and most > 0):
                 raise ConfigError(f"`rotor_speed.{channel}` must be a speed above 0; got {most!r}.")
             for k in columns:
-                where = f"{run.source or 'run'} {run.name!r}"
-                u[:, k], rows = shares(run.u[:, k], float(most), name=names[k], where=where)
+                u[:, k], rows = shares(run.u[:, k], float(most), name=names[k], where=run.label)
                 if rows:
                     text = f"{len(rows)} rows of rotor speed {names[k]!r} that no rotor can have had"
                     found = {"column": names[k], "rows": rows}
@@ -446,7 +445,7 @@ def in_order() -> list[Fault]:
 
 
 def remedies() -> dict[str, Fault]:
-    """The faults that a reader can be told to take out, by the name of its option."""
+    """The faults that a reader can take out on request, by the name of its option."""
     return {name: fault for name, fault in FAULTS.items() if fault.remedy is not None}
 
 

@@ -33,14 +33,13 @@ from scipy.interpolate import CubicSpline
 from scipy.ndimage import uniform_filter1d
 from scipy.optimize import minimize_scalar
 from scipy.signal import lfilter
-from scipy.special import stdtr, stdtrit
 
 from nsde_torch.data.findings import Finding
-from nsde_torch.data.kinematics import Slope, axis_groups, jackknife, pairs_of, pool, rates_of
+from nsde_torch.data.kinematics import Slope, Uncertain, axis_groups, jackknife, pairs_of, pool, rates_of
 from nsde_torch.data.run import Run
 from nsde_torch.data.system_info import SystemInfo, channel_columns, common_name
 from nsde_torch.errors import ConfigError, DataError
-from nsde_torch.recording.fault import LEVEL, NATS, Detected, Fault, LoggedRuns, Misfits, Suspect
+from nsde_torch.recording.fault import NATS, Detected, Fault, LoggedRuns, Misfits, Suspect
 
 Array = NDArray[np.float64]
 _Piece: TypeAlias = tuple[Array, Array, Array]
@@ -63,43 +62,23 @@ _SENSOR_S, _SENSOR_NATS, _Z90 = 0.2, 20.0, 1.645
 
 
 @dataclass(frozen=True)
-class Latency:
-    """How late one channel is against another.
+class Latency(Uncertain):
+    """How late one channel is against another [s of the log]; negative where it is early.
 
     Args:
         channel: A state, or the common name of several (`p` of `p_x p_y p_z`).
         other: What it is late against.
-        seconds: By how much [s of the log]; negative where it is early.
-        error: Standard error [s of the log].
-        degrees: Degrees of freedom of the error.
-        filtered: Whether a filter of first order does better than a delay; then `seconds` is its time constant.
+        filtered: Whether a filter of first order does better than a delay; then it is its time constant.
     """
 
     channel: str
     other: str
-    seconds: float
-    error: float
-    degrees: int
-    filtered: bool = False
+    filtered: bool
 
     @property
-    def p(self) -> float:
-        """Chance of so much in a log where both are on time."""
-        return 2.0 * float(stdtr(self.degrees, -abs(self.seconds) / self.error))
-
-    @property
-    def low(self) -> float:
-        """Lower end of the 90 % interval."""
-        return self.seconds - self._half
-
-    @property
-    def high(self) -> float:
-        """Upper end of the 90 % interval."""
-        return self.seconds + self._half
-
-    @property
-    def _half(self) -> float:
-        return float(stdtrit(self.degrees, 0.5 * (1 + LEVEL))) * self.error
+    def seconds(self) -> float:
+        """By how much [s of the log]."""
+        return self.value
 
 
 # found
@@ -127,17 +106,15 @@ def latencies(system: SystemInfo, runs: Sequence[Run], *, clock: float = 1.0) ->
         rough = _time_of(group, parts[group], dt, filtered=False) if group in parts else None
         if rough is not None:
             fit, filtered = _delay_or_filter(group, parts[group], dt, rough)
-            names = common_name(positions), common_name(rates)
-            out.append(Latency(*names, fit.value / clock, fit.error / clock, fit.degrees, filtered))
+            value = fit.value / clock, fit.error / clock, fit.degrees
+            out.append(Latency(*value, common_name(positions), common_name(rates), filtered))
     return out
 
 
 def late_channels(system: SystemInfo, runs: Sequence[Run], *, clock: float = 1.0) -> list[Latency]:
     """The same with the channel first that is logged later than the other; see `latencies`."""
     return [
-        one
-        if one.seconds > 0
-        else replace(one, channel=one.other, other=one.channel, seconds=abs(one.seconds))
+        one if one.value > 0 else replace(one, channel=one.other, other=one.channel, value=abs(one.value))
         for one in latencies(system, runs, clock=clock)
     ]
 
@@ -148,12 +125,9 @@ def surely_late(late: Sequence[Latency], dt: float, *, chance: float = LATE) -> 
 
 
 @dataclass(frozen=True)
-class _Fit:
-    """How late positions are [s], its standard error and degrees of freedom; and what is left over [nats]."""
+class _Fit(Uncertain):
+    """How late positions are [s], and what is left over [nats]."""
 
-    value: float
-    error: float
-    degrees: int
     left: float
 
 

@@ -72,10 +72,7 @@ _MOVES = 0.2
 
 
 def off_curve(x: Array) -> Array:
-    """What a cubic through the two neighbours on each side leaves of each sample; nothing at the ends.
-
-    Args:
-        x: Samples at equal distances, (n,).
+    """What a cubic through the two neighbours on each side leaves of samples (n,) at equal distances; 0 at the ends.
 
     Returns:
         Differences, (n,).
@@ -97,13 +94,10 @@ def quantum(x: Array) -> float:
 
 
 def grains(x: Array) -> Array:
-    """The step that each value of a column comes in [its unit]: the smallest distance of two, beyond floats' rounding.
+    """The step that each value (n,) of a column comes in [its unit]: the smallest distance of two, beyond rounding.
 
     Where values were written with some significant digits the smallest of them come in smaller steps than the others;
     it is then the last digit of each.
-
-    Args:
-        x: Values (n,), without missing ones.
 
     Returns:
         Steps (n,).
@@ -125,13 +119,7 @@ def grains(x: Array) -> Array:
 
 
 def mend_glitches(run: RawRun, system: SystemInfo, report: Report) -> None:
-    """Puts single samples that are off by far on the curve through their neighbours.
-
-    Args:
-        run: Without missing values and wraps; its states are replaced.
-        system: Names, and which columns are derivatives of which.
-        report: Takes one finding for each column.
-    """
+    """Puts single samples that are off by far on the curve through their neighbours; runs have no holes and wraps."""
     n = len(run.t)
     if n < 2 * NEIGHBOURHOOD:
         return
@@ -214,13 +202,7 @@ def _moves(position: Array, off: float, rate: Array, t: Array, k: int) -> bool:
 
 
 def shares(speed: Array, most: float, *, name: str, where: str) -> tuple[Array, list[int]]:
-    """Shares of the largest thrust (n,) from speeds, and rows that were glitches.
-
-    Args:
-        speed: Speeds of one rotor (n,), in the unit of `most`.
-        most: Speed that counts as full thrust.
-        name: Name of the column, for messages.
-        where: Name of the run, for messages.
+    """Shares of the largest thrust (n,) from speeds, in the unit of `most` of full thrust; and rows that were glitches.
 
     Raises:
         DataError: speeds that are not of this range, or more glitches than a column has.
@@ -249,12 +231,7 @@ def shares(speed: Array, most: float, *, name: str, where: str) -> tuple[Array, 
 
 
 def rotor_glitches(speed: Array, most: float) -> Mask:
-    """Rows (n,) of a column of speeds that no rotor can have had.
-
-    Args:
-        speed: Speeds (n,); nan where there is none.
-        most: Largest speed of the rotor.
-    """
+    """Rows (n,) of a column of speeds, nan where there is none, that a rotor of at most `most` cannot have had."""
     n = len(speed)
     bad: Mask = np.isfinite(speed) & ((np.abs(speed) > _BEYOND * most) | (speed < -_LEAVES * most))
     changes = np.abs(np.diff(speed[np.isfinite(speed) & ~bad]))
@@ -280,14 +257,7 @@ def rotor_glitches(speed: Array, most: float) -> Mask:
 
 
 def check_interpolated(system: SystemInfo, raw: Sequence[RawRun], dt: float, report: Report) -> None:
-    """Report states that are straight between every few rows.
-
-    Args:
-        system: Names of the states.
-        raw: Runs as they were read, rows in order.
-        dt: Their step [s].
-        report: Takes the findings.
-    """
+    """Report states that are straight between every few rows, of runs as they were read, about `dt` [s] apart."""
     if any(note.kind == "slow_topic" for run in raw for note in run.notes):
         return  # the reader brought topics onto one clock, and says so
     found = {}

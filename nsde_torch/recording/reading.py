@@ -24,7 +24,7 @@ from nsde_torch.data.raw import RawRun
 from nsde_torch.data.readers import READERS, Kind, name_of, reader
 from nsde_torch.data.run import DataSet, Run, fingerprint
 from nsde_torch.data.summary import summarise
-from nsde_torch.data.system_info import RATE_NAMES, SystemInfo, derivative_columns
+from nsde_torch.data.system_info import SystemInfo
 from nsde_torch.errors import ConfigError, DataError
 from nsde_torch.recording import (
     clock_and_biases,
@@ -147,10 +147,9 @@ def _split_at_jumps(
     if not jumps:
         return segments
     kept = tuple((a, b) for a, b in out if b - a >= 2)
-    axes = {g: [system.state_names[k] for k in i] for g, (i, _) in derivative_columns(system).items()}
+    axes = {group: positions for group, (positions, _) in kinematics.pairs_of(system).items()}
     shown = ", ".join(
-        f"{j.size:.3g} in {kinematics.called(j.group, axes.get(j.group, RATE_NAMES))} after row {j.row}, about "
-        f"{j.missing_s:.2g} s lost"
+        f"{j.size:.3g} in {kinematics.called(j.group, axes[j.group])} after row {j.row}, about {j.missing_s:.2g} s lost"
         for j in jumps[:3]
     )
     text = f"{len(jumps)} jumps without a gap in the clock ({shown}{', ...' if len(jumps) > 3 else ''})"
@@ -165,7 +164,7 @@ def _split_at_jumps(
 
 
 def _asked(faults: Mapping[str, Mapping[str, float] | None]) -> list[tuple[Fault, Mapping[str, float]]]:
-    """Faults that a reader was told of, in the order in which they are undone."""
+    """Faults that a reader was asked to take out, in the order in which they are undone."""
     known = {name: fault for name, fault in remedies().items() if not fault.remedy_first}
     unknown = sorted(set(faults) - set(known))
     if unknown:
@@ -217,14 +216,12 @@ def assemble(
         raise ConfigError(f"`clock` must be one of {', '.join(clock_and_biases.POLICIES)}; got {clock!r}.")
     findings: list[Finding] = []
     report = findings.append
-    motors = system.quaternion is not None
     for run in raw:
         findings += run.notes
         columns.check_shapes(run, system)
-        if motors:
-            inputs.check_range(run.u, system.input_names, f"{run.source or 'run'} {run.name!r}")
-        columns.check_rates(run, system)
         if system.quaternion is not None:
+            inputs.check_range(run.u, system.input_names, run.label)
+            columns.check_rates(run, system)
             columns.check_norms(run, system.quaternion, tuple(system.state_names), report)
         times.order(run, report)
         columns.check_columns(run, system, report)
@@ -279,20 +276,18 @@ def assemble(
     runs = unmeasured_rates.inferred(whole, runs, rates, scale)
     for fault, values in _asked(faults):
         runs = [fault.undo(run, system, values) for run in runs]
-    late = surely_late(late_channels(system, runs, clock=scale), runs[0].dt)
-    findings += latency_findings(late)
+    findings += latency_findings(surely_late(late_channels(system, runs, clock=scale), runs[0].dt))
     nu = len(system.input_names)
     rank = inputs.check_inputs([run.u[:, :nu] for run in runs], system.input_names, report)
-    summary = summarise(
-        runs, system, kind=kind, dt=step, clock_scale=scale, slopes=slopes, rank=rank, findings=findings
-    )
+    own = {"dt": step, "clock_scale": scale}
+    summary = summarise(runs, system, kind=kind, slopes=slopes, rank=rank, findings=findings, **own)
     data = DataSet(
         system_name=system.name,
         runs=runs,
         dt=step,
         clock_scale=scale,
         summary=summary,
-        fingerprint=fingerprint(runs, system_name=system.name, dt=step, clock_scale=scale),
+        fingerprint=fingerprint(runs, system_name=system.name, **own),
         state_names=tuple(system.state_names),
         input_names=(*system.input_names, *system.exogenous),
         kind=kind,

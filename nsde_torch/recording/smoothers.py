@@ -294,12 +294,7 @@ def fit(seen: Spectra, smoother: Smoother | None, *, steps: int = _LAST) -> Spec
 
 
 class Stretch:
-    """Values (n,) of one stretch, to go through filters.
-
-    Args:
-        values: The values.
-        dt: Step [s].
-    """
+    """Values (n,) of one stretch at a step `dt` [s], to go through filters."""
 
     def __init__(self, values: Array, dt: float) -> None:
         self._count, self._around = len(values), min(len(values) - 1, 200)
@@ -319,13 +314,7 @@ class Stretch:
 
 @dataclass(frozen=True)
 class Likely:
-    """Smoothers behind which spectra are likeliest.
-
-    Args:
-        smoother: The likeliest.
-        deviance: Its deviance.
-        others: The best of other families and orders that fit nearly as well.
-    """
+    """Smoothers behind which spectra are likeliest: the best, and those of other kinds that fit nearly as well."""
 
     smoother: Smoother
     deviance: float
@@ -341,14 +330,10 @@ class Likely:
 
 
 def likeliest(seen: Spectra, *, rates: bool = False) -> Likely:
-    """The smoothers of all families behind which spectra are likeliest.
+    """The smoothers of all families behind which spectra, or `rates`, which may be made of positions, are likeliest.
 
     Spectra hold no phase: where one without delay fits as well as the likeliest, it is taken. A delay that was
     there then stays in the log; one that was not would make it know the future.
-
-    Args:
-        seen: The spectra.
-        rates: Whether they are of rates, which may be derivatives of positions.
     """
     tried = []
     for family in (family for family in FAMILIES if rates or not family.differentiates):

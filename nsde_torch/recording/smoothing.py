@@ -39,10 +39,6 @@ _HELD = 0.8  # share of rows without a change from which on a command is held: i
 def smoothing_width(runs: Sequence[Run], n_inputs: int) -> float:
     """Width of a moving average found in the inputs [s], 0 if there is none.
 
-    Args:
-        runs: Recordings, all on one step.
-        n_inputs: Number of input columns to look at.
-
     Returns:
         Width [s], the longest that explains the nulls; 0.0 without a clear finding.
     """

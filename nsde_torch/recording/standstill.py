@@ -70,13 +70,7 @@ _BOUNCE_S = 3.0  # longest time of touching down
 
 
 def cut_repeats(run: RawRun, system: SystemInfo, report: Report) -> None:
-    """Drops rows of frozen logs and of sensors that repeat a value or stand at their end while the machine moves.
-
-    Args:
-        run: Without missing values and wraps; rows are dropped from it.
-        system: Names, and which columns are derivatives of which.
-        report: Takes the findings.
-    """
+    """Drops rows of frozen logs and of sensors that repeat a value or stand at their end; no holes are left."""
     frozen = _frozen(run, system)
     if frozen.any():
         text = "all states repeat themselves, though the log is noisy there"
@@ -206,11 +200,6 @@ def _false(same: Mask, changes: Array, rate: Array, steps: Array, fine: float, *
 def check_constant(system: SystemInfo, runs: Sequence[Run], report: Report) -> None:
     """Refuses a column that stands still while its partner moves; reports one that stands still in every run.
 
-    Args:
-        system: Names, and which columns are derivatives of which.
-        runs: The runs.
-        report: Takes the findings.
-
     Raises:
         DataError: a column that contradicts its partner.
     """
@@ -268,12 +257,7 @@ def _moves(column: Array) -> bool:
 
 
 def commands_in_motion(runs: Sequence[RawRun], system: SystemInfo) -> float | None:
-    """Median of the mean command while a multirotor moves; None of another machine, or where it hardly moves.
-
-    Args:
-        runs: The runs as read.
-        system: Names of the columns.
-    """
+    """Median of the mean command while a multirotor moves; None of another machine, or where it hardly moves."""
     v = _velocity(system)
     if v is None:
         return None
@@ -284,13 +268,7 @@ def commands_in_motion(runs: Sequence[RawRun], system: SystemInfo) -> float | No
 
 
 def cut_ground(run: RawRun, system: SystemInfo, commands: float, report: Report) -> None:
-    """Drops rows in which a multirotor stands on the ground.
-
-    Args:
-        run: Without missing values; rows are dropped from it.
-        system: Names of the columns.
-        commands: Mean command in motion.
-        report: Takes the finding.
+    """Drops rows in which a multirotor stands, or touches, the ground; `commands` is the mean command in motion.
 
     Raises:
         DataError: it stands there throughout.
@@ -298,7 +276,7 @@ def cut_ground(run: RawRun, system: SystemInfo, commands: float, report: Report)
     rows = _touching(run, system, _grounded(run, system, commands))
     if not rows.any():
         return
-    where = f"{run.source or 'run'} {run.name!r}"
+    where = run.label
     if len(run.t) - rows.sum() < 2:
         raise DataError(f"{where}: the machine stands on the ground throughout. Leave the run out.")
     share = float(run.u[rows].mean()) / commands

@@ -2,7 +2,7 @@
 
 A longer step than that of the log is taken after the log was looked at at its own rate: states are those of the log at
 the new times, inputs the mean of what acted during a step. What is late by less than a step cannot be seen in the new
-rows, nor told from physics: it is taken out before.
+rows, nor distinguished from physics: it is taken out before.
 """
 
 from __future__ import annotations
@@ -66,8 +66,7 @@ def order(run: RawRun, report: Report) -> None:
         run.rows(keep)
     if len(run.t) < 2:
         raise DataError(
-            f"{run.source or 'run'} {run.name!r} has {len(run.t)} row(s) with a time of their own; a run "
-            "needs at least two."
+            f"{run.label} has {len(run.t)} row(s) with a time of their own; a run needs at least two."
         )
 
 
@@ -85,7 +84,7 @@ def fill_missing(run: RawRun, *, gap: float, report: Report) -> None:
         empty = np.flatnonzero(bad.all(axis=0)) if len(data) else np.array([], dtype=int)
         if len(empty):
             raise DataError(
-                f"{run.source or 'run'} {run.name!r}: {name} column {int(empty[0])} has no value in any row; "
+                f"{run.label}: {name} column {int(empty[0])} has no value in any row; "
                 "record the channel, or leave the run out."
             )
     for name, channel in list(run.extra.items()):
@@ -132,7 +131,7 @@ def fill_missing(run: RawRun, *, gap: float, report: Report) -> None:
         run.rows(~drop)
     if len(run.t) < 2:
         raise DataError(
-            f"{run.source or 'run'} {run.name!r}: fewer than two rows have all states and inputs. Resample "
+            f"{run.label}: fewer than two rows have all states and inputs. Resample "
             "the channels onto one clock before writing them, one row a sample."
         )
 
@@ -238,7 +237,7 @@ def uniform(
         report(Finding("short_segment", run.name, short, text, "dropped"))
     if not whole:
         raise DataError(
-            f"{run.source or 'run'} {run.name!r}: no two neighbouring rows are left within the gap limit; "
+            f"{run.label}: no two neighbouring rows are left within the gap limit; "
             "the recording is too sparse for the step. Raise `gap`, or set `dt` to its own step."
         )
     regular = [is_uniform(run.t[a:b], dt) for a, b in whole]
@@ -278,13 +277,7 @@ def is_longer(dt: float | None, own: float) -> bool:
 
 
 def on_longer_step(data: DataSet, system: SystemInfo, dt: float, *, late: Sequence[Latency] = ()) -> DataSet:
-    """The data set on another step.
-
-    Args:
-        data: On the step of the log.
-        system: The machine.
-        dt: The longer step [s].
-        late: Channels to move to where they belong first; left where they are if a run is too short for it.
+    """The data set on a longer step `dt` [s]; `late` channels are moved first, if runs are long enough for it.
 
     Raises:
         DataError: no stretch of a run is as long as a step.
@@ -317,7 +310,7 @@ def _resampled(run: Run, system: SystemInfo, dt: float) -> Run:
     long = [(a, b) for a, b in run.segments if run.t[b - 1] - run.t[a] >= dt * (1 - JITTER)]
     if not long:
         raise DataError(
-            f"{run.source or 'run'} {run.name!r}: no stretch without a gap is as long as the step of {dt:.4g} s. Set "
+            f"{raw.label}: no stretch without a gap is as long as the step of {dt:.4g} s. Set "
             "`dt` to a shorter one."
         )
     parts = [resample(raw, a, b, dt=dt, quaternion=system.quaternion) for a, b in long]

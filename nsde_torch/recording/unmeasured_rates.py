@@ -11,7 +11,7 @@ rate of a sensor of its own does not: from it, the best filter of q stays away b
 so that a share far below one is proof. The noise is what q does and the rate does not, at frequencies at which no
 machine moves: s^2 = mean (D^4 d)^2 / 252, d_k = q_{k+1} - q_k - h (v_k + v_{k+1}) / 2. Where there is none (a noiseless
 simulation, positions that were smoothed) nothing is said: what a smoother took is another fault (`smoothers`). Plain
-differences are told by their numbers: q and v agree on them far better than on a formula that is nearer to the
+differences are recognised by their numbers: q and v agree on them far better than on a formula that is nearer to the
 derivative.
 """
 
@@ -50,14 +50,7 @@ _EVEN = 1e-3  # of the step, within which times are even
 
 @dataclass(frozen=True)
 class Derived:
-    """A rate that was made of a position.
-
-    Args:
-        rate: Name of the rate.
-        position: Name of the position.
-        how: By what: words that follow "is".
-        share: How much of what a sensor of its own would bring is there; 0 is nothing.
-    """
+    """A rate that was made of a position: how, in words that follow "is", with what share of a sensor's own noise."""
 
     rate: str
     position: str
@@ -66,12 +59,7 @@ class Derived:
 
 
 def derived_rates(system: SystemInfo, runs: Sequence[RawRun]) -> list[Derived]:
-    """Rates of a system that are made of its positions; of machines that turn freely none are looked for.
-
-    Args:
-        system: Names and derivative pairs.
-        runs: Recordings in the order of time; `nan` is missing.
-    """
+    """Rates of a system that are made of its positions; of machines that turn freely none are looked for."""
     if system.quaternion is not None:
         return []
     names, out = list(system.state_names), []
@@ -176,13 +164,7 @@ def _filtered(parts: Sequence[tuple[Array, Array, Array]]) -> tuple[str, float] 
 
 
 def to_infer(system: SystemInfo, raw: Sequence[RawRun], *, policy: str, report: Report) -> tuple[str, ...]:
-    """Rates to infer; their columns hold something to go on with until `inferred` fills them.
-
-    Args:
-        system: Names and derivative pairs.
-        raw: Recordings in the order of time.
-        policy: "infer", or "keep" for derived columns as they are.
-        report: Takes what was found.
+    """Rates to infer, derived ones unless `keep`; their columns hold something until `inferred` fills them.
 
     Raises:
         ConfigError: an unknown policy.
@@ -221,7 +203,7 @@ def to_infer(system: SystemInfo, raw: Sequence[RawRun], *, policy: str, report: 
         for i, j in _pairs(system, names):
             q, good = run.x[:, i], np.isfinite(run.x[:, i])
             if good.sum() < 2:
-                continue  # `missing` says what is wrong
+                continue  # `times.fill_missing` says what is wrong
             filled = np.interp(run.t, run.t[good], q[good])
             filled = np.unwrap(filled) if system.state_units[i] == "rad" else filled
             run.x[:, j] = np.where(good, rates([filled], float(np.median(np.diff(run.t))))[0][0], np.nan)
@@ -237,14 +219,7 @@ def measured_part(system: SystemInfo, names: Collection[str]) -> SystemInfo:
 
 
 def inferred(system: SystemInfo, runs: Sequence[Run], names: Collection[str], clock: float) -> list[Run]:
-    """Runs with rates inferred from positions without any physics.
-
-    Args:
-        system: Names and derivative pairs.
-        runs: Recordings on one step.
-        names: Rates to infer.
-        clock: Physical seconds per logged second.
-    """
+    """Runs with rates inferred from positions without any physics; `clock` is in physical seconds per logged second."""
     if not names:
         return list(runs)
     states, unknown = [np.array(run.x) for run in runs], {}

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 import nsde_torch
 from nsde_torch.public_benchmarks.emps import PositioningDrive, filtered_log
-from nsde_torch.recording.checks import assemble
+from nsde_torch.recording import assemble
 
 Array = NDArray[np.float64]
 

@@ -17,7 +17,7 @@ from nsde_torch.diagnosis.report import write_report
 from nsde_torch.diagnosis.text import lines
 from nsde_torch.effects import files as effects_files
 from nsde_torch.errors import DataError
-from nsde_torch.recording.faults.registry import remedies
+from nsde_torch.recording.faults import remedies
 from nsde_torch.systems.options import system_options
 
 from ..known_machine import KnownMachine, faults_of_sensors, known_machine

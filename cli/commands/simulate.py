@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from nsde_torch.recording.options import RecordingOptions
+from nsde_torch.recording.faults import RecordingOptions
 from nsde_torch.simulation.options import ReplayOptions
 
 from ..hydra_command import HydraCommand
@@ -107,7 +107,7 @@ def run(config: DictConfig, job: Job) -> None:
     import torch
 
     from nsde_torch.errors import ConfigError
-    from nsde_torch.recording.simulated import Recording
+    from nsde_torch.recording.chain import Recording
     from nsde_torch.simulation.files import check_free, truth_path, write
     from nsde_torch.simulation.generate import simulate
     from nsde_torch.simulation.replay import Replay

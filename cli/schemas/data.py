@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from nsde_torch.data.readers import READERS, Reader
-from nsde_torch.recording.options import RemedyOptions
+from nsde_torch.recording.faults import RemedyOptions
 
 from ..keys import key, mirrors
 

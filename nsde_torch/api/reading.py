@@ -17,8 +17,8 @@ from nsde_torch.data.run import DataSet, Run
 from nsde_torch.data.splits import Split, split
 from nsde_torch.data.system_info import SystemInfo
 from nsde_torch.errors import ConfigError, DataError
-from nsde_torch.recording.checks import assemble
-from nsde_torch.recording.faults.registry import remedies
+from nsde_torch.recording.faults import remedies
+from nsde_torch.recording.reading import assemble
 from nsde_torch.recording.reading import read as read_kind
 from nsde_torch.simulation.generate import Simulation
 from nsde_torch.sysid.at_own_rate import undone_at_own_rate

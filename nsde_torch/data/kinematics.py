@@ -26,13 +26,14 @@ Assumed and not checked: velocities are means of nothing (point samples), and wh
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import percentile_filter
+from scipy.special import stdtr, stdtrit
 
 from nsde_torch.data.quaternion import increments
 from nsde_torch.data.system_info import RATE_NAMES, SystemInfo, derivative_columns, rate_columns
@@ -48,6 +49,10 @@ INTERVAL_S = 0.5
 """Length of the intervals of the clock regression [s]: long against noise, short against drift of a bias."""
 MIN_INTERVALS = 20
 """Fewest intervals from which a slope is estimated."""
+FOLDS = 10
+"""Parts of the jackknife."""
+LEVEL = 0.9
+"""Level of intervals."""
 
 
 @dataclass(frozen=True)
@@ -75,6 +80,35 @@ class Slope:
     def as_dict(self) -> dict[str, Any]:
         """Plain containers, for JSON."""
         return asdict(self)
+
+
+@dataclass(frozen=True)
+class Uncertain:
+    """A value with its standard error, and the degrees of freedom of that (Student's t)."""
+
+    value: float
+    error: float
+    degrees: int
+
+    @property
+    def p(self) -> float:
+        """Chance of so much where there is nothing."""
+        return 2.0 * float(stdtr(self.degrees, -abs(self.value) / self.error))
+
+    @property
+    def half(self) -> float:
+        """Half of the 90 % interval."""
+        return float(stdtrit(self.degrees, 0.5 * (1 + LEVEL))) * self.error
+
+    @property
+    def low(self) -> float:
+        """Lower end of the 90 % interval."""
+        return self.value - self.half
+
+    @property
+    def high(self) -> float:
+        """Upper end of the 90 % interval."""
+        return self.value + self.half
 
 
 @dataclass(frozen=True)
@@ -214,12 +248,10 @@ def clock_slopes(system: SystemInfo, name: str, segments: Sequence[Array], *, dt
             continue
         for k, axis in enumerate(axes):
             b, even, odd = data[:, :, k]
-            value = _slope(b, even, odd)
-            folds = np.array_split(np.arange(n), 10)
-            left_out = np.array([_slope(*np.delete(data[:, :, k], fold, axis=1)) for fold in folds])
-            if not (np.isfinite(value) and np.isfinite(left_out).all()):
+            estimate = jackknife(lambda one: _slope(*one), data[:, :, k], FOLDS)
+            if estimate is None:
                 continue
-            error = float(np.sqrt(0.9 * ((left_out - left_out.mean()) ** 2).sum()))
+            value, error = estimate
             error = float(np.hypot(error, value * _quadrature(b, even, odd)))
             a = 0.5 * (even + odd)
             rest = (b - b.mean()) - value * (a - a.mean())
@@ -228,9 +260,33 @@ def clock_slopes(system: SystemInfo, name: str, segments: Sequence[Array], *, dt
     return out
 
 
+def jackknife(estimate: Callable[[Array], float], data: Array, folds: int) -> tuple[float, float] | None:
+    """An estimate from data (k, n), and its standard error from leaving out one of so many parts of n at a time.
+
+    Returns:
+        Both; None where one of them is not finite.
+    """
+    value, parts = estimate(data), np.array_split(np.arange(data.shape[1]), folds)
+    left_out = np.array([estimate(np.delete(data, part, axis=1)) for part in parts])
+    if not (np.isfinite(value) and np.isfinite(left_out).all()):
+        return None
+    return value, float(np.sqrt((1 - 1 / folds) * np.square(left_out - left_out.mean()).sum()))
+
+
 def _sums(a: Array, edges: NDArray[np.int64]) -> Array:
     total: Array = np.add.reduceat(a, edges, axis=0)[:-1]
     return total
+
+
+def pairs_of(system: SystemInfo) -> dict[str, tuple[list[str], list[str]]]:
+    """Names of positions and of their rates, of an attitude and body rates, by group as in `axis_groups`."""
+    names = list(system.state_names)
+    out = {
+        g: ([names[k] for k in i], [names[k] for k in j]) for g, (i, j) in derivative_columns(system).items()
+    }
+    if system.quaternion is not None and rate_columns(system) is not None:
+        out[ATTITUDE] = (names[system.quaternion], list(RATE_NAMES))
+    return out
 
 
 def rates_of(system: SystemInfo, group: str, x: Array) -> Array:

@@ -37,11 +37,16 @@ class RawRun:
     first_line: int | None = None
     notes: list[Finding] = field(default_factory=list)
 
+    @property
+    def label(self) -> str:
+        """Source and name, for messages."""
+        return f"{self.source or 'run'} {self.name!r}"
+
     def where(self, row: int) -> str:
         """Place of a row, for messages: file:line for a text file, otherwise run and row."""
         if self.first_line is not None:
             return f"{self.source}:{self.first_line + row}"
-        return f"{self.source or 'run'} {self.name!r} row {row}"
+        return f"{self.label} row {row}"
 
     def rows(self, index: NDArray[np.int64] | NDArray[np.bool_] | slice) -> None:
         """Keep these rows of every column, in this order (messages about lines are off from here on)."""

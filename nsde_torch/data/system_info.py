@@ -6,6 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from typing import Any, Protocol
 
+from nsde_torch.errors import ConfigError
+
 RATE_NAMES = ("w_x", "w_y", "w_z")
 """State names of the body rates [rad/s] that go with a quaternion `w x y z` (body to world)."""
 
@@ -111,3 +113,33 @@ def derivative_columns(system: SystemInfo) -> dict[str, tuple[list[int], list[in
         group[0].append(i)
         group[1].append(j)
     return groups
+
+
+def common_name(names: Sequence[str]) -> str:
+    """What several states are called together: `p` for `p_x`, `p_y` and `p_z`."""
+    return names[0] if len(names) == 1 else names[0].rsplit("_", 1)[0]
+
+
+def channel_columns(system: SystemInfo, channel: str) -> list[int]:
+    """Columns of a state, or of all whose common name this is.
+
+    Raises:
+        ConfigError: there is none, or it is a part of an attitude, which moves as one.
+    """
+    names = list(system.state_names)
+    of_attitude = [] if system.quaternion is None else names[system.quaternion]
+    if channel in of_attitude:
+        raise ConfigError(
+            f"{channel!r} is a part of an attitude; name it whole: {common_name(of_attitude)!r}."
+        )
+    if channel in names:
+        return [names.index(channel)]
+    out = [k for k, name in enumerate(names) if name.startswith(channel + "_")] if channel else []
+    if not out:
+        vectors = sorted({n.rsplit("_", 1)[0] for n in names if n not in of_attitude} - set(names))
+        whole = [*([common_name(of_attitude)] if of_attitude else []), *(v for v in vectors if v)]
+        raise ConfigError(
+            f"{channel!r} is no state of system {system.name!r}; states: {', '.join(names)}"
+            + (f"; several at once: {', '.join(whole)}." if whole else ".")
+        )
+    return out

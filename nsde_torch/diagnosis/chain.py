@@ -14,9 +14,8 @@ from nsde_torch.diagnosis.options import Options
 from nsde_torch.diagnosis.outcome import Outcome
 from nsde_torch.diagnosis.reading import Log
 from nsde_torch.diagnosis.search import search_in
-from nsde_torch.recording.log import Recorded
-from nsde_torch.recording.positions import measured_part
-from nsde_torch.recording.undo import instead_of_effects, undo
+from nsde_torch.recording.chain import Recorded, instead_of_effects, undo
+from nsde_torch.recording.unmeasured_rates import measured_part
 from nsde_torch.systems import System
 
 Array = NDArray[np.float64]

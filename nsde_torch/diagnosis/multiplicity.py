@@ -1,6 +1,6 @@
 """How many comparisons a finding is the best of: Bonferroni's correction, stage by stage.
 
-    p_corrected = min(1, p M),      found where p_corrected < level of the stage (`recording.levels`)
+    p_corrected = min(1, p M),      found where p_corrected < level of the stage (`recording.fault`)
 
 M counts candidates of the catalogue times the starts of each, tests of structure, or frequencies of a spectrum.
 docs/content/theory/evidence.md lists the stages.

@@ -68,7 +68,7 @@ class Outcome:
         hangs: How far parameters of `final` hang on the band up to which smoothed states were restored (k,).
         printed: Estimates to print in place of those of `final`: by signals from outside the loop, or of largest
             likelihood.
-        levels: Significance level of each stage (`recording.levels`).
+        levels: Significance level of each stage (`recording.fault`).
         doubted: Whether the guard speaks against the final physics, so that nothing that was found is sure.
         decisions: What was decided by.
         beside: Functions beside some physics of the search, as far as they were asked for.

@@ -65,7 +65,7 @@ from nsde_torch.diagnosis.spectrum import lines
 from nsde_torch.diagnosis.standing import selected_again, tied, without_standing
 from nsde_torch.inference import LogLikelihood, Optimum
 from nsde_torch.models.identified import SysidSpec
-from nsde_torch.recording.log import Recorded
+from nsde_torch.recording.chain import Recorded
 from nsde_torch.sysid.by_likelihood import by_likelihood
 from nsde_torch.sysid.guard import Guarded
 from nsde_torch.sysid.identify import identification

@@ -18,8 +18,8 @@ from nsde_torch.diagnosis.options import Options
 from nsde_torch.diagnosis.search import Search, search_in
 from nsde_torch.effects import effect_class, effects_of, register
 from nsde_torch.errors import ConfigError, DataError
-from nsde_torch.recording.levels import level
-from nsde_torch.recording.log import Recorded
+from nsde_torch.recording.chain import Recorded
+from nsde_torch.recording.fault import level
 from nsde_torch.sysid.guard import Guarded
 from nsde_torch.sysid.in_loop import hangs_on_band, hangs_on_boxes, identify_in_loop
 from nsde_torch.sysid.instruments import with_columns

@@ -19,8 +19,9 @@ from nsde_torch.diagnosis.text import lines
 from nsde_torch.diagnosis.views import rates_width
 from nsde_torch.effects import effect_class, key_of
 from nsde_torch.models.identified import SysidSpec
-from nsde_torch.recording.faults.registry import remedies
-from nsde_torch.recording.log import Detected, Recorded
+from nsde_torch.recording.chain import Recorded
+from nsde_torch.recording.fault import Detected
+from nsde_torch.recording.faults import remedies
 from nsde_torch.sysid.loop_test import LoopTest
 from nsde_torch.sysid.result import Identification
 from nsde_torch.systems import System

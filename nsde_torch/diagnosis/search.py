@@ -16,7 +16,7 @@ from nsde_torch.diagnosis.fitted import carried, dynamic_rows, fitted_system, no
 from nsde_torch.diagnosis.options import Options
 from nsde_torch.effects import register
 from nsde_torch.inference.steps import UNDERSMOOTHED, Steps, steps_of
-from nsde_torch.recording.levels import STAGES, level
+from nsde_torch.recording.fault import STAGES, level
 from nsde_torch.sysid.narrow_shapes import narrower
 from nsde_torch.sysid.noise import Noise
 from nsde_torch.sysid.physics import Physics
@@ -82,7 +82,7 @@ class Search:
         feedback: Take out what kinematic residuals foretell, where inputs react to sensors (`identify.feedback`).
         channels: With `feedback`: what the residuals of all channels foretell.
         inputs: Whether the inputs are what acted, and not restored from an average.
-        stages: Stages of the recording chain that found something (`recording.levels`).
+        stages: Stages of the recording chain that found something (`recording.fault`).
         moved: Whether channels that were late have been moved.
         decisions: What it decides by, but for alpha.
         budgets: How much it tries.
@@ -128,7 +128,7 @@ class Search:
         self._stages = frozenset(stages)
 
     def level(self, stage: str, *found: str) -> float:
-        """Significance level of a stage, after the recording chain and the stages named (`recording.levels.level`)."""
+        """Significance level of a stage, after the recording chain and the stages named (`recording.fault.level`)."""
         return level(stage, self.alpha, self._stages | set(found))
 
     def levels(self, *found: str) -> dict[str, float]:

@@ -1,7 +1,7 @@
 """Forward selection: look at the catalogue, add the likeliest effect, look again, until none helps.
 
 One is added while the smallest p value of a round, corrected for the number of its comparisons (`multiplicity`), is
-below the level of the stage (`recording.levels`): the one of most held-out log-likelihood, among those below alpha.
+below the level of the stage (`recording.fault`): the one of most held-out log-likelihood, among those below alpha.
 
 A time shorter than a step of the log (inputs that act a millisecond late) is nothing that data can name, but left out
 it makes other effects look likely. Where it explains more than any of them, it joins what is declared.

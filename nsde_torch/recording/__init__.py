@@ -8,13 +8,10 @@ from typing import TYPE_CHECKING
 from nsde_torch.lazy import resolver
 
 if TYPE_CHECKING:
-    from nsde_torch.recording.checks import assemble
-    from nsde_torch.recording.faults.fault import Fault
-    from nsde_torch.recording.faults.registry import FAULTS
-    from nsde_torch.recording.log import Detected, LoggedRuns, Recorded, Suspect
-    from nsde_torch.recording.options import RecordingOptions, RemedyOptions
-    from nsde_torch.recording.reading import read
-    from nsde_torch.recording.simulated import Recording
+    from nsde_torch.recording.chain import Recorded, Recording
+    from nsde_torch.recording.fault import Detected, Fault, LoggedRuns, Suspect
+    from nsde_torch.recording.faults import FAULTS, RecordingOptions, RemedyOptions
+    from nsde_torch.recording.reading import assemble, read
 
 __all__ = [
     "FAULTS",
@@ -33,16 +30,16 @@ __all__ = [
 __getattr__ = resolver(
     __name__,
     {
-        "FAULTS": "faults.registry",
-        "Detected": "log",
-        "Fault": "faults.fault",
-        "LoggedRuns": "log",
-        "Recorded": "log",
-        "Recording": "simulated",
-        "RecordingOptions": "options",
-        "RemedyOptions": "options",
-        "Suspect": "log",
-        "assemble": "checks",
+        "FAULTS": "faults",
+        "Detected": "fault",
+        "Fault": "fault",
+        "LoggedRuns": "fault",
+        "Recorded": "chain",
+        "Recording": "chain",
+        "RecordingOptions": "faults",
+        "RemedyOptions": "faults",
+        "Suspect": "fault",
+        "assemble": "reading",
         "read": "reading",
     },
 )

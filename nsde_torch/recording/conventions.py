@@ -21,7 +21,7 @@ from nsde_torch.data.quaternion import conjugate, increments, rotate
 from nsde_torch.data.run import Run
 from nsde_torch.data.system_info import SystemInfo, derivative_columns, rate_columns
 from nsde_torch.errors import DataError
-from nsde_torch.recording.scatter import white
+from nsde_torch.recording.noise import white
 
 Array = NDArray[np.float64]
 _OWN_S = 1.0

@@ -1,4 +1,13 @@
-"""Reading by kind: `read("csv", system, path=...)`."""
+"""From files to a data set: every fault of a recording is found and handled, reported or refused, in a fixed order.
+
+time order and duplicates -> interpolated columns -> quaternion norm and sign -> missing values -> single samples
+that are off -> sensors that repeat themselves -> time on the ground -> gaps in time -> one uniform step -> hidden gaps
+(jumps against the kinematics) -> columns that stand still -> other conventions of quaternion and velocity, columns of
+another run -> clock against the kinematics -> sensors that are late against others -> range and rank of the inputs ->
+summary
+
+All of this is done at the rate of the log. A longer step is taken at last.
+"""
 
 from __future__ import annotations
 
@@ -6,13 +15,34 @@ import inspect
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
+from nsde_torch.data import inputs, interventions, kinematics
+from nsde_torch.data.findings import Finding, Report
 from nsde_torch.data.raw import RawRun
 from nsde_torch.data.readers import READERS, Kind, name_of, reader
-from nsde_torch.data.run import DataSet
+from nsde_torch.data.run import DataSet, Run, fingerprint
+from nsde_torch.data.summary import summarise
 from nsde_torch.data.system_info import SystemInfo
-from nsde_torch.errors import ConfigError
-from nsde_torch.recording.checks import assemble
-from nsde_torch.recording.faults.registry import remedies
+from nsde_torch.errors import ConfigError, DataError
+from nsde_torch.recording import (
+    clock_and_biases,
+    columns,
+    conventions,
+    noise,
+    standstill,
+    times,
+    unmeasured_rates,
+)
+from nsde_torch.recording.fault import Fault
+from nsde_torch.recording.faults import in_order, remedies
+from nsde_torch.recording.latency import late_channels, latency_findings, surely_late
+
+Array = NDArray[np.float64]
+
+SHORT_S = 2.0 * kinematics.MIN_INTERVALS * kinematics.INTERVAL_S
+"""Runs shorter than this are measured together against the clock [s]; each alone has too few intervals."""
 
 
 def read(
@@ -49,14 +79,14 @@ def read(
         DataError: data that cannot be used; the message says where and what to do.
     """
     make, name = reader(kind), name_of(kind)
-    told = {fault: options.pop(fault) for fault in remedies() if fault in options}
+    asked = {fault: options.pop(fault) for fault in remedies() if fault in options}
     if dt is not None and name in READERS and READERS[name].takes_step:
         options["dt"] = dt
     if not path:
         raise ConfigError(f"`path` is empty; data of kind {name!r} need the path of a file or folder.")
     raw = _called(make, name, system, path=path, **options)
-    for fault in [fault for fault in told if remedies()[fault].remedy_first]:
-        values = told.pop(fault) or {}
+    for fault in [fault for fault in asked if remedies()[fault].remedy_first]:
+        values = asked.pop(fault) or {}
         named = {run.name for run in raw}
         strange = sorted(k for k, v in (values or {}).items() if isinstance(v, Mapping) and k not in named)
         if strange:
@@ -74,7 +104,7 @@ def read(
         clock=clock,
         derived_rates=derived_rates,
         own_rate=own_rate,
-        **told,
+        **asked,
     )
 
 
@@ -92,3 +122,174 @@ def _called(make: Callable[..., Any], name: str, system: SystemInfo, **given: An
             f"data of kind {name!r}: a reader returns a list of `nsde_torch.data.RawRun`; got {type(raw).__name__}."
         )
     return raw
+
+
+def _own_step(runs: Sequence[RawRun]) -> float:
+    """The step of a data set [s]: the median, or where times were rounded to it, what their sum says."""
+    # times are decimal: 0.01 comes back from differences as 0.00999...
+    median = round(float(np.median([np.median(np.diff(run.t)) for run in runs])), 12)
+    return median if all(times.follows(run.t, median) for run in runs) else times.mean_step(runs, median)
+
+
+def _split_at_jumps(
+    system: SystemInfo, run: RawRun, segments: tuple[tuple[int, int], ...], dt: float, report: Report
+) -> tuple[tuple[int, int], ...]:
+    out: list[tuple[int, int]] = []
+    jumps: list[kinematics.Jump] = []
+    for start, stop in segments:
+        at = start
+        for jump in kinematics.find_jumps(system, run.x[start:stop], dt=dt):
+            row = start + jump.row
+            jumps.append(kinematics.Jump(row, jump.group, jump.size, jump.missing_s))
+            out.append((at, row + 1))
+            at = row + 1
+        out.append((at, stop))
+    if not jumps:
+        return segments
+    kept = tuple((a, b) for a, b in out if b - a >= 2)
+    axes = {group: positions for group, (positions, _) in kinematics.pairs_of(system).items()}
+    shown = ", ".join(
+        f"{j.size:.3g} in {kinematics.called(j.group, axes[j.group])} after row {j.row}, about {j.missing_s:.2g} s lost"
+        for j in jumps[:3]
+    )
+    text = f"{len(jumps)} jumps without a gap in the clock ({shown}{', ...' if len(jumps) > 3 else ''})"
+    values = {
+        "rows": [j.row for j in jumps],
+        "sizes": [j.size for j in jumps],
+        "groups": [j.group for j in jumps],
+        "missing_s": [j.missing_s for j in jumps],
+    }
+    report(Finding("hidden_gap", run.name, len(jumps), text, "split", values))
+    return kept
+
+
+def _asked(faults: Mapping[str, Mapping[str, float] | None]) -> list[tuple[Fault, Mapping[str, float]]]:
+    """Faults that a reader was asked to take out, in the order in which they are undone."""
+    known = {name: fault for name, fault in remedies().items() if not fault.remedy_first}
+    unknown = sorted(set(faults) - set(known))
+    if unknown:
+        raise ConfigError(
+            f"{unknown[0]!r} is nothing that can be taken out of runs; what is: {', '.join(known)}."
+        )
+    return [(known[f.name], values) for f in in_order() if (values := faults.get(f.name))]
+
+
+def assemble(
+    raw: Sequence[RawRun],
+    system: SystemInfo,
+    *,
+    kind: str,
+    dt: float | None = None,
+    gap: float | None = None,
+    clock: str = "rescale",
+    derived_rates: str = "infer",
+    own_rate: bool = False,
+    **faults: Mapping[str, float] | None,
+) -> DataSet:
+    """Checks raw runs and joins them to a data set. The raw runs are used up.
+
+    Args:
+        raw: What a reader returned.
+        system: The system that the columns belong to.
+        kind: Name of the reader, for the summary.
+        dt: Step of the data set [s]; default: the median step over the runs.
+        gap: Time between rows from which on it is a gap [s]; default: 2.5 steps.
+        clock: What to do about a clock that disagrees with the kinematics: `rescale`, `trust` or `refuse`.
+        derived_rates: What to do with rates that were made of positions: `infer` or `keep`.
+        own_rate: Whether the step stays that of the log where `dt` is longer, for `on_longer_step` to come later.
+        faults: What the recording did, to take out: `sensor_delay={"p": 0.01}` (see `RemedyOptions`).
+
+    Returns:
+        The data set, with what was found and done in its summary.
+
+    Raises:
+        DataError: a fault that cannot be handled; the message names run, row or column and the remedy.
+        ConfigError: an option out of range.
+        ShapeError: a run of the wrong width.
+    """
+    if not raw:
+        raise DataError("the data set holds no runs.")
+    for name, value in (("dt", dt), ("gap", gap)):
+        if value is not None and not value > 0:
+            raise ConfigError(f"`{name}` must be a positive time in seconds; got {value!r}.")
+    if clock not in clock_and_biases.POLICIES:
+        raise ConfigError(f"`clock` must be one of {', '.join(clock_and_biases.POLICIES)}; got {clock!r}.")
+    findings: list[Finding] = []
+    report = findings.append
+    for run in raw:
+        findings += run.notes
+        columns.check_shapes(run, system)
+        if system.quaternion is not None:
+            inputs.check_range(run.u, system.input_names, run.label)
+            columns.check_rates(run, system)
+            columns.check_norms(run, system.quaternion, tuple(system.state_names), report)
+        times.order(run, report)
+        columns.check_columns(run, system, report)
+    interventions.check(raw)
+    whole, rates = system, unmeasured_rates.to_infer(system, raw, policy=derived_rates, report=report)
+    system = unmeasured_rates.measured_part(system, rates)
+    own_step = _own_step(raw)
+    wanted = own_step if dt is None else float(dt)
+    limit = times.GAP_STEPS * max(wanted, own_step) if gap is None else float(gap)
+    if limit <= wanted:
+        raise ConfigError(f"`gap` must be longer than the step of {wanted:.4g} s; got {limit:.4g} s.")
+    later = times.is_longer(wanted, own_step)
+    step = own_step if later else wanted
+    noise.check_interpolated(system, raw, own_step, report)
+    commands = standstill.commands_in_motion(raw, system)
+    runs: list[Run] = []
+    slopes: list[kinematics.Slope] = []
+    short: list[Array] = []
+    for run in raw:
+        if system.quaternion is not None:
+            columns.check_signs(run, system.quaternion, report)  # before holes are filled between its signs
+        times.fill_missing(run, gap=limit, report=report)
+        if system.quaternion is not None:
+            columns.back_to_sphere(run, system.quaternion)
+        columns.unwrap_angles(run, whole, report)
+        noise.mend_glitches(run, system, report)
+        standstill.cut_repeats(run, system, report)
+        if commands is not None:
+            standstill.cut_ground(run, system, commands, report)
+        cuts = times.cuts_at_gaps(run, gap=limit, report=report)
+        even, segments = times.uniform(run, cuts, dt=step, quaternion=system.quaternion, report=report)
+        segments = _split_at_jumps(system, even, segments, step, report)
+        parts = [even.x[a:b] for a, b in segments]
+        if sum(len(part) for part in parts) * step < SHORT_S:
+            short += parts
+        else:
+            slopes += kinematics.clock_slopes(system, run.name, parts, dt=step)
+        u = even.u
+        if system.exogenous:
+            u = np.column_stack([u, *(even.extra[n] for n in system.exogenous)])
+        runs.append(Run(run.name, even.t, even.x, u, segments=segments, source=run.source, extra=even.extra))
+        run.x = run.u = run.t = np.empty(0)  # used up: a long recording must not be held twice
+        run.extra = {}
+    if short:
+        slopes += kinematics.clock_slopes(system, "short runs together", short, dt=step)
+    interventions.report_of(runs, report)
+    standstill.check_constant(system, runs, report)
+    conventions.check(system, runs)
+    conventions.check_runs(system, runs)
+    clock_and_biases.check_units(slopes, tuple(system.state_names))
+    scale = clock_and_biases.decide(slopes, policy=clock, report=report)
+    runs = unmeasured_rates.inferred(whole, runs, rates, scale)
+    for fault, values in _asked(faults):
+        runs = [fault.undo(run, system, values) for run in runs]
+    findings += latency_findings(surely_late(late_channels(system, runs, clock=scale), runs[0].dt))
+    nu = len(system.input_names)
+    rank = inputs.check_inputs([run.u[:, :nu] for run in runs], system.input_names, report)
+    own = {"dt": step, "clock_scale": scale}
+    summary = summarise(runs, system, kind=kind, slopes=slopes, rank=rank, findings=findings, **own)
+    data = DataSet(
+        system_name=system.name,
+        runs=runs,
+        dt=step,
+        clock_scale=scale,
+        summary=summary,
+        fingerprint=fingerprint(runs, system_name=system.name, **own),
+        state_names=tuple(system.state_names),
+        input_names=(*system.input_names, *system.exogenous),
+        kind=kind,
+    )
+    return times.on_longer_step(data, whole, wanted) if later and not own_rate else data

@@ -7,14 +7,14 @@ Where the noise is most of what is left, the spectrum of the log is that of S it
 
 with a motion whose spectrum falls by powers of the frequency, a sensor that is white (s), and the rounding behind the
 smoother (q). A rate that is the derivative of a polynomial through positions (Savitzky and Golay, 1964) is a smoothed
-rate too, S = D(f) / (2 pi i f), whose sensor is that of the position: s + s' f^2 stands for s.
+rate too, S = D(f) / (2 pi i f), whose sensor is that of the position: s + s' f^2 instead of s.
 
 For a given S the weights a_m, s, q >= 0 are those of the largest Whittle likelihood of the periodograms
 I(f), the mean of K windows,
 
     -K sum_f (log P(f) + I(f) / P(f)),
 
-by multiplicative steps (Fevotte, Bertin and Durrieu, Neural Computation 21 (2009)). What the fit lacks is told as its
+by multiplicative steps (Fevotte, Bertin and Durrieu, Neural Computation 21 (2009)). What the fit lacks is given as its
 deviance per bin, K (I / P - 1 - log(I / P)) on average, about 0.5 for a spectrum of this form.
 
 Windows are Kaiser's with sidelobes of -150 dB: behind a steep smoother a spectrum spans ten decades and more. The main
@@ -36,6 +36,8 @@ from numpy.polynomial import polynomial
 from numpy.typing import NDArray
 from scipy.signal import get_window, savgol_coeffs
 
+from nsde_torch.recording.smoothing import mean_weights
+
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
@@ -45,16 +47,11 @@ _BETA = 20.0  # of Kaiser's window
 _FIRST = 6  # bins of the lowest frequencies, which a trend and the window's main lobe fill
 _KEPT = slice(_FIRST, -2)
 _FINER = 4  # frequencies for each bin of a window, which sees twelve bins at once
-_FLAT = (
-    3  # bins below which a motion is taken for flat, half of the first: a trend is taken out of each window
-)
+_FLAT = 3  # bins below which a motion is flat, half of the first: a trend is taken out of each window
 _EFFECTIVE = 0.6  # independent windows for each half-overlapping one
-_DAMPED = 0.7  # exponent of a multiplicative step, which keeps it from swinging
-_ROUGH, _FINE, _LAST = (
-    40,
-    100,
-    400,
-)  # steps of a fit in the search, near its best, and of the one that is judged
+_DAMPED = 0.7  # exponent of a multiplicative step, which keeps it from oscillating
+_ROUGH, _FINE, _LAST = 40, 100, 400
+"""Steps of a fit in the search, near its best, and of the one that is judged."""
 _ZOOMS = (1.1, 1.04, 1.012, 1.004, 1.0015)
 _NEAR, _NEAR_SHARE = 0.1, 0.5
 """Deviance by which another smoother may be worse and still be likely: at least, and of what the best lacks."""
@@ -181,10 +178,10 @@ def _spline(f: Array, size: float, order: int, dt: float) -> Complex:
 
 
 def _cubic_spline(f: Array, size: float, order: int, dt: float) -> Complex:
-    def bend(g: Array) -> Array:  # of a natural cubic spline on a unit grid (Reinsch, 1967)
+    def roughness(g: Array) -> Array:  # of a natural cubic spline on a unit grid (Reinsch, 1967)
         return np.asarray(np.sin(pi * g * dt) ** 4 / (2.0 + np.cos(2 * pi * g * dt)))
 
-    return np.asarray(1.0 / (1.0 + bend(f) / bend(np.array([size]))), dtype=np.complex128)
+    return np.asarray(1.0 / (1.0 + roughness(f) / roughness(np.array([size]))), dtype=np.complex128)
 
 
 def _weighted(f: Array, weights: Array, dt: float) -> Complex:
@@ -203,11 +200,7 @@ def _gaussian(f: Array, size: float, order: int, dt: float) -> Complex:
 
 
 def _mean(f: Array, size: float, order: int, dt: float) -> Complex:
-    rows = round(size)
-    weights = np.full(rows + 1 - rows % 2, 1.0 / rows)
-    if not rows % 2:
-        weights[[0, -1]] *= 0.5
-    return _weighted(f, weights, dt)
+    return _weighted(f, mean_weights(round(size)), dt)
 
 
 def _savitzky_golay(f: Array, size: float, order: int, dt: float) -> Complex:
@@ -301,12 +294,7 @@ def fit(seen: Spectra, smoother: Smoother | None, *, steps: int = _LAST) -> Spec
 
 
 class Stretch:
-    """Values (n,) of one stretch, to go through filters.
-
-    Args:
-        values: The values.
-        dt: Step [s].
-    """
+    """Values (n,) of one stretch at a step `dt` [s], to go through filters."""
 
     def __init__(self, values: Array, dt: float) -> None:
         self._count, self._around = len(values), min(len(values) - 1, 200)
@@ -326,13 +314,7 @@ class Stretch:
 
 @dataclass(frozen=True)
 class Likely:
-    """Smoothers behind which spectra are likeliest.
-
-    Args:
-        smoother: The likeliest.
-        deviance: Its deviance.
-        others: The best of other families and orders that fit nearly as well.
-    """
+    """Smoothers behind which spectra are likeliest: the best, and those of other kinds that fit nearly as well."""
 
     smoother: Smoother
     deviance: float
@@ -348,14 +330,10 @@ class Likely:
 
 
 def likeliest(seen: Spectra, *, rates: bool = False) -> Likely:
-    """The smoothers of all families behind which spectra are likeliest.
+    """The smoothers of all families behind which spectra, or `rates`, which may be made of positions, are likeliest.
 
     Spectra hold no phase: where one without delay fits as well as the likeliest, it is taken. A delay that was
     there then stays in the log; one that was not would make it know the future.
-
-    Args:
-        seen: The spectra.
-        rates: Whether they are of rates, which may be derivatives of positions.
     """
     tried = []
     for family in (family for family in FAMILIES if rates or not family.differentiates):

@@ -26,7 +26,7 @@ from nsde_torch.data.run import Run
 
 Array = NDArray[np.float64]
 
-_BEND = 3e-3  # c: what the log of a command rounds off
+_CURVED = 3e-3  # c: what the log of a command rounds off
 _NULLS = 4
 _DEPTH = 3.0  # a fall of e^3 = 20 in power at each of the nulls, where noise gives less than e^1
 _SHORTEST = 6  # samples: below that too few nulls lie under half the sampling rate
@@ -38,10 +38,6 @@ _HELD = 0.8  # share of rows without a change from which on a command is held: i
 
 def smoothing_width(runs: Sequence[Run], n_inputs: int) -> float:
     """Width of a moving average found in the inputs [s], 0 if there is none.
-
-    Args:
-        runs: Recordings, all on one step.
-        n_inputs: Number of input columns to look at.
 
     Returns:
         Width [s], the longest that explains the nulls; 0.0 without a clear finding.
@@ -59,10 +55,8 @@ def smoothing_width(runs: Sequence[Run], n_inputs: int) -> float:
         if len(nulls) < 2 or nulls[0] < 4 * (frequency[1] - frequency[0]):
             continue
         half = 0.5 / (n * dt)
-        depth = np.interp(nulls + half, frequency, log_power) - _lowest(
-            frequency, log_power, nulls, 0.1 * half
-        )
-        scores[n] = score = float(np.min(depth))
+        lowest = _lowest(frequency, log_power, nulls, 0.1 * half)
+        scores[n] = score = float(np.min(np.interp(nulls + half, frequency, log_power) - lowest))
         if score > _DEPTH and score > 1.15 * best:
             best, width = score, n * dt
         elif score > 0.8 * best and score > _DEPTH and n * dt > 1.8 * width:
@@ -76,17 +70,13 @@ def smoothing_width(runs: Sequence[Run], n_inputs: int) -> float:
     return found * dt
 
 
-def _lowest(
-    frequency: NDArray[np.float64], values: NDArray[np.float64], at: NDArray[np.float64], tolerance: float
-) -> NDArray[np.float64]:
+def _lowest(frequency: Array, values: Array, at: Array, tolerance: float) -> Array:
     """Smallest value within a tolerance of each place."""
     step = frequency[1] - frequency[0]
     return np.array([values[np.abs(frequency - f) <= max(tolerance, step)].min() for f in at])
 
 
-def _power(
-    runs: Sequence[Run], n_inputs: int, dt: float
-) -> tuple[NDArray[np.float64], NDArray[np.float64]] | None:
+def _power(runs: Sequence[Run], n_inputs: int, dt: float) -> tuple[Array, Array] | None:
     """Mean log power of the changes of all inputs; of short runs that of as many parts as there are."""
     parts = [np.diff(run.u[a:b, :n_inputs], axis=0) for run in runs for a, b in run.segments]
     longest = max((len(part) for part in parts), default=0)
@@ -107,15 +97,17 @@ def _power(
     return np.linspace(0, 0.5 / dt, rows // 2 + 1), sum((w / total) * s for w, s in spectra)
 
 
+def mean_weights(rows: int) -> Array:
+    """Weights of a centred mean over a width of so many rows: an odd number; of an even width the ends have half."""
+    weights = np.full(rows + 1 - rows % 2, 1.0 / rows)
+    if not rows % 2:  # an odd width ends between rows
+        weights[[0, -1]] *= 0.5
+    return weights
+
+
 def averaged(u: Array, steps: int) -> Array:
-    """Mean over a window of `steps` rows about each row, the rows at its ends with half their weight."""
-    if steps < 1:
-        return u
-    weights = np.full(steps + 1, 1.0 / steps)
-    if steps % 2:  # an odd number of steps: the ends lie between rows
-        return np.asarray(convolve1d(u, np.full(steps, 1.0 / steps), axis=0, mode="nearest"))
-    weights[[0, -1]] *= 0.5
-    return np.asarray(convolve1d(u, weights, axis=0, mode="nearest"))
+    """Mean over a window of `steps` rows about each row."""
+    return u if steps < 1 else np.asarray(convolve1d(u, mean_weights(steps), axis=0, mode="nearest"))
 
 
 def restored(run: Run, n_inputs: int, width: float) -> Run:
@@ -130,14 +122,12 @@ def _unaveraged(u: Array, steps: int) -> Array:
     n = len(u)
     if steps < 2 or n < 3 * steps:
         return u
-    weights = np.full(steps + 1 - steps % 2, 1.0 / steps)
-    if not steps % 2:
-        weights[[0, -1]] *= 0.5
+    weights = mean_weights(steps)
     half = len(weights) // 2
     average = sparse.diags(list(weights), list(range(-half, half + 1)), shape=(n, n), format="csc")
     average = sparse.diags(1.0 / np.asarray(average.sum(1)).ravel()) @ average
-    bend = sparse.diags([1.0, -2.0, 1.0], [0, 1, 2], shape=(n - 2, n), format="csc")
+    curvature = sparse.diags([1.0, -2.0, 1.0], [0, 1, 2], shape=(n - 2, n), format="csc")
     inner = slice(half, n - half)  # how the ends were averaged is not known
     kept = average[inner]
-    normal = (kept.T @ kept + _BEND**2 * bend.T @ bend).tocsc()
+    normal = (kept.T @ kept + _CURVED**2 * curvature.T @ curvature).tocsc()
     return np.asarray(splu(normal).solve(np.asarray(kept.T @ u[inner])))

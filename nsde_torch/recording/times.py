@@ -1,18 +1,28 @@
-"""One clock for a run: order, duplicates, gaps, dropped samples, and one uniform step in every segment."""
+"""One clock for a run: order, duplicates, missing values, gaps, dropped samples, and one uniform step in every segment.
+
+A longer step than that of the log is taken after the log was looked at at its own rate: states are those of the log at
+the new times, inputs the mean of what acted during a step. What is late by less than a step cannot be seen in the new
+rows, nor distinguished from physics: it is taken out before.
+"""
 
 from __future__ import annotations
 
 import itertools
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from nsde_torch.data.findings import Finding, Report
 from nsde_torch.data.quaternion import slerp
-from nsde_torch.data.raw import RawRun
+from nsde_torch.data.raw import RawRun, holes
+from nsde_torch.data.run import DataSet, Run, fingerprint
 from nsde_torch.data.streams import disorder
+from nsde_torch.data.summary import summarise
+from nsde_torch.data.system_info import SystemInfo
 from nsde_torch.errors import DataError
+from nsde_torch.recording.latency import Latency, by_fault, latency_findings, on_time
 
 Array = NDArray[np.float64]
 
@@ -51,21 +61,78 @@ def order(run: RawRun, report: Report) -> None:
         count = int((~keep).sum())
         again = np.flatnonzero(~keep)
         differ = int((run.x[again] != run.x[again - 1]).any(axis=1).sum())
-        report(
-            Finding(
-                "duplicate_time",
-                run.name,
-                count,
-                f"{count} rows repeat a time ({differ} with other values); the first is kept",
-                "dropped",
-                {"differing": differ},
-            )
-        )
+        text = f"{count} rows repeat a time ({differ} with other values); the first is kept"
+        report(Finding("duplicate_time", run.name, count, text, "dropped", {"differing": differ}))
         run.rows(keep)
     if len(run.t) < 2:
         raise DataError(
-            f"{run.source or 'run'} {run.name!r} has {len(run.t)} row(s) with a time of their own; a run "
-            "needs at least two."
+            f"{run.label} has {len(run.t)} row(s) with a time of their own; a run needs at least two."
+        )
+
+
+def fill_missing(run: RawRun, *, gap: float, report: Report) -> None:
+    """Fills holes between rows at most `gap` seconds apart (states linear, inputs held); drops other rows.
+
+    Dropped rows leave a step in time longer than `gap`, at which the run is then cut. Slow further channels,
+    such as a battery voltage logged at 1 Hz, are interpolated over any hole.
+
+    Raises:
+        DataError: a column has no value at all, or no two rows are complete.
+    """
+    bad_x, bad_u = np.isnan(run.x), np.isnan(run.u)
+    for name, bad, data in (("state", bad_x, run.x), ("input", bad_u, run.u)):
+        empty = np.flatnonzero(bad.all(axis=0)) if len(data) else np.array([], dtype=int)
+        if len(empty):
+            raise DataError(
+                f"{run.label}: {name} column {int(empty[0])} has no value in any row; "
+                "record the channel, or leave the run out."
+            )
+    for name, channel in list(run.extra.items()):
+        bad = np.isnan(channel)
+        if bad.all():
+            run.extra = {k: v for k, v in run.extra.items() if k != name}
+            text = f"channel {name!r} has no value"
+            report(Finding("empty_channel", run.name, len(channel), text, "dropped"))
+        elif bad.any():
+            channel = channel.copy()
+            channel[bad] = np.interp(run.t[bad], run.t[~bad], channel[~bad])
+            run.extra = {**run.extra, name: channel}
+            text = f"channel {name!r} is missing in {float(bad.mean()):.1%} of the rows"
+            report(Finding("missing_channel", run.name, int(bad.sum()), text, "interpolated"))
+    row_bad = bad_x.any(axis=1) | bad_u.any(axis=1)
+    if not row_bad.any():
+        return
+    n = len(run.t)
+    drop = np.zeros(n, dtype=bool)
+    filled = 0
+    for a, b in holes(np.asarray(row_bad)):
+        if a == 0 or b == n or run.t[b] - run.t[a - 1] > gap:
+            drop[a:b] = True
+        else:
+            filled += b - a
+    if filled:
+        good = ~row_bad
+        some = row_bad & ~drop
+        run.x, run.u = run.x.copy(), run.u.copy()
+        for k in range(run.x.shape[1]):
+            mend = some & bad_x[:, k]
+            if mend.any():
+                run.x[mend, k] = np.interp(run.t[mend], run.t[good], run.x[good, k])
+        last_good = np.maximum.accumulate(np.where(good, np.arange(n), 0))
+        for k in range(run.u.shape[1]):
+            mend = some & bad_u[:, k]
+            run.u[mend, k] = run.u[last_good[mend], k]
+        text = f"{filled} rows with missing values in holes up to {gap:.3g} s"
+        report(Finding("missing_values", run.name, filled, text, "interpolated"))
+    if drop.any():
+        count = int(drop.sum())
+        text = f"{count} rows with missing values at the ends or in holes longer than {gap:.3g} s"
+        report(Finding("missing_rows", run.name, count, text, "dropped"))
+        run.rows(~drop)
+    if len(run.t) < 2:
+        raise DataError(
+            f"{run.label}: fewer than two rows have all states and inputs. Resample "
+            "the channels onto one clock before writing them, one row a sample."
         )
 
 
@@ -75,17 +142,9 @@ def cuts_at_gaps(run: RawRun, *, gap: float, report: Report) -> NDArray[np.int64
     cuts = np.flatnonzero(step > gap)
     if len(cuts):
         shown = ", ".join(f"{step[c]:.3g} s at t = {run.t[c]:.6g} s" for c in cuts[:3])
-        report(
-            Finding(
-                "time_gap",
-                run.name,
-                len(cuts),
-                f"{len(cuts)} gaps in time longer than {gap:.3g} s "
-                f"({shown}{', ...' if len(cuts) > 3 else ''})",
-                "split",
-                {"missing_s": float(step[cuts].sum()), "rows": [int(c) for c in cuts[:100]]},
-            )
-        )
+        text = f"{len(cuts)} gaps in time longer than {gap:.3g} s ({shown}{', ...' if len(cuts) > 3 else ''})"
+        values = {"missing_s": float(step[cuts].sum()), "rows": [int(c) for c in cuts[:100]]}
+        report(Finding("time_gap", run.name, len(cuts), text, "split", values))
     return cuts
 
 
@@ -130,9 +189,7 @@ def resample(run: RawRun, start: int, stop: int, *, dt: float, quaternion: slice
     if dt > LONGER * float(np.median(np.diff(t))):
         acted = _mean_held(t, u, grid, dt)
     else:
-        acted = u[
-            np.where(share > 0.5 + 1e-6, left + 1, left)
-        ]  # what acts over most of the step that follows
+        acted = u[np.where(share > 0.5 + 1e-6, left + 1, left)]  # over most of the step that follows
     extra = {k: np.interp(grid, t, v[start:stop]) for k, v in run.extra.items()}
     return RawRun(run.name, grid, x, acted, extra=extra, source=run.source)
 
@@ -176,14 +233,11 @@ def uniform(
     whole = [(a, b) for a, b in bounds if b - a >= 2 and run.t[b - 1] - run.t[a] >= dt * (1 - JITTER)]
     short = sum(b - a for a, b in bounds) - sum(b - a for a, b in whole)
     if short:
-        report(
-            Finding(
-                "short_segment", run.name, short, f"{short} rows in segments shorter than one step", "dropped"
-            )
-        )
+        text = f"{short} rows in segments shorter than one step"
+        report(Finding("short_segment", run.name, short, text, "dropped"))
     if not whole:
         raise DataError(
-            f"{run.source or 'run'} {run.name!r}: no two neighbouring rows are left within the gap limit; "
+            f"{run.label}: no two neighbouring rows are left within the gap limit; "
             "the recording is too sparse for the step. Raise `gap`, or set `dt` to its own step."
         )
     regular = [is_uniform(run.t[a:b], dt) for a, b in whole]
@@ -205,23 +259,65 @@ def uniform(
         segments.append((at, at + len(piece.t)))
         at += len(piece.t)
     if changed:
-        inside = np.concatenate(
-            [np.diff(run.t[a:b]) for (a, b), same in zip(whole, regular, strict=True) if not same]
+        steps = [np.diff(run.t[a:b]) for (a, b), same in zip(whole, regular, strict=True) if not same]
+        inside = np.concatenate(steps)
+        missing, low, high = int(np.maximum(np.rint(inside / dt) - 1, 0).sum()), inside.min(), inside.max()
+        text = (
+            f"{changed} of {len(whole)} segments off the step of {dt * 1e3:.4g} ms (steps {low * 1e3:.4g} to "
+            f"{high * 1e3:.4g} ms, {missing} samples dropped)"
         )
-        missing = int(np.maximum(np.rint(inside / dt) - 1, 0).sum())
-        report(
-            Finding(
-                "non_uniform_step",
-                run.name,
-                changed,
-                f"{changed} of {len(whole)} segments off the step of {dt * 1e3:.4g} ms (steps "
-                f"{inside.min() * 1e3:.4g} to {inside.max() * 1e3:.4g} ms, {missing} samples dropped)",
-                "resampled",
-                {
-                    "step_min_s": float(inside.min()),
-                    "step_max_s": float(inside.max()),
-                    "dropped_samples": missing,
-                },
-            )
-        )
+        values = {"step_min_s": float(low), "step_max_s": float(high), "dropped_samples": missing}
+        report(Finding("non_uniform_step", run.name, changed, text, "resampled", values))
     return joined(pieces), tuple(segments)
+
+
+def is_longer(dt: float | None, own: float) -> bool:
+    """Whether a step that was asked for holds several rows of the log."""
+    return dt is not None and dt > LONGER * own
+
+
+def on_longer_step(data: DataSet, system: SystemInfo, dt: float, *, late: Sequence[Latency] = ()) -> DataSet:
+    """The data set on a longer step `dt` [s]; `late` channels are moved first, if runs are long enough for it.
+
+    Raises:
+        DataError: no stretch of a run is as long as a step.
+    """
+    findings, runs = list(data.summary.findings), list(data.runs)
+    lags, delays = (
+        {d.channel: d.seconds for d in by_fault(late).get(name, ())}
+        for name in ("sensor_lag", "sensor_delay")
+    )
+    try:
+        runs = [on_time(run, system, {}, lags) for run in runs] if lags else runs
+        runs = [on_time(run, system, delays) for run in runs] if delays else runs
+    except DataError:
+        runs = list(data.runs)
+    else:
+        if late:
+            findings = [f for f in findings if f.kind != "late_sensor"]
+            findings += latency_findings(late, action="taken out")
+    runs = [_resampled(run, system, dt) for run in runs]
+    rank, slopes = data.summary.input_rank, data.summary.slopes
+    own = {"dt": dt, "clock_scale": data.clock_scale}
+    summary = summarise(runs, system, kind=data.kind, slopes=slopes, rank=rank, findings=findings, **own)
+    mark = fingerprint(runs, system_name=data.system_name, **own)
+    return replace(data, runs=runs, dt=dt, summary=summary, fingerprint=mark)
+
+
+def _resampled(run: Run, system: SystemInfo, dt: float) -> Run:
+    nu = len(system.input_names)
+    raw = RawRun(run.name, run.t, run.x, run.u[:, :nu], extra=dict(run.extra), source=run.source)
+    long = [(a, b) for a, b in run.segments if run.t[b - 1] - run.t[a] >= dt * (1 - JITTER)]
+    if not long:
+        raise DataError(
+            f"{raw.label}: no stretch without a gap is as long as the step of {dt:.4g} s. Set "
+            "`dt` to a shorter one."
+        )
+    parts = [resample(raw, a, b, dt=dt, quaternion=system.quaternion) for a, b in long]
+    whole = joined(parts)
+    ends = np.cumsum([len(part.t) for part in parts]).tolist()
+    u = whole.u
+    if system.exogenous:
+        u = np.column_stack([u, *(whole.extra[name] for name in system.exogenous)])
+    segments = tuple(zip([0, *ends[:-1]], ends, strict=True))
+    return replace(run, t=whole.t, x=whole.x, u=u, extra=whole.extra, segments=segments, unbroken=())

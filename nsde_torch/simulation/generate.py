@@ -17,7 +17,7 @@ import numpy as np
 from nsde_torch.data.raw import RawRun
 from nsde_torch.effects import Effect, Parameter, effect_class
 from nsde_torch.errors import ConfigError, NonFiniteError
-from nsde_torch.recording.simulated import Recording
+from nsde_torch.recording.chain import Recording
 from nsde_torch.simulation.make import Making
 from nsde_torch.simulation.registry import RECORDINGS, RunRecorder, planned, recorder
 from nsde_torch.simulation.replay import Replay, joined

@@ -10,9 +10,10 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 from nsde_torch.data import DataSet, SystemInfo
-from nsde_torch.recording.longer_step import is_longer, late_in, on_longer_step
-from nsde_torch.recording.positions import measured_part
-from nsde_torch.recording.run_offsets import on_one_clock
+from nsde_torch.recording.latency import late_channels, surely_late
+from nsde_torch.recording.stream_offsets import on_one_clock
+from nsde_torch.recording.times import is_longer, on_longer_step
+from nsde_torch.recording.unmeasured_rates import measured_part
 from nsde_torch.sysid.restored_states import restored, smoothers
 
 
@@ -41,5 +42,6 @@ def undone_at_own_rate(
         return restored(data, found)
     seen = measured_part(system, {name for run in data.runs for name in run.inferred})
     rows = restored(data, found).runs
-    late = [] if stream_offsets == "keep" else late_in(seen, rows, data.clock_scale)
+    late = [] if stream_offsets == "keep" else late_channels(seen, rows, clock=data.clock_scale)
+    late = surely_late(late, rows[0].dt) if late else []
     return restored(on_longer_step(data, system, dt, late=late), found)

@@ -19,8 +19,8 @@ from math import pi
 import numpy as np
 
 from nsde_torch.data import Run
-from nsde_torch.recording.channels import channel_columns
-from nsde_torch.recording.lateness import Lag, lags
+from nsde_torch.data.system_info import channel_columns
+from nsde_torch.recording.latency import Latency, latencies
 from nsde_torch.recording.smoothers import Smoother
 from nsde_torch.sysid.smoothed_states import Smoothed
 from nsde_torch.systems import System
@@ -49,7 +49,7 @@ def on_time(found: Sequence[Smoothed], runs: Sequence[Run], system: System, cloc
         return list(found)
     out = list(found)
     dt = runs[0].dt * clock
-    for lag in lags(system, runs, clock=clock):
+    for lag in latencies(system, runs, clock=clock):
         wrong = _contradicted(lag, out, system, dt, clock)
         if wrong:
             out = [left for one in out if (left := _without(one, wrong)) is not None]
@@ -57,7 +57,7 @@ def on_time(found: Sequence[Smoothed], runs: Sequence[Run], system: System, cloc
 
 
 def _contradicted(
-    lag: Lag, found: Sequence[Smoothed], system: System, dt: float, clock: float
+    lag: Latency, found: Sequence[Smoothed], system: System, dt: float, clock: float
 ) -> tuple[int, ...]:
     """Columns of the sensor whose smoother does not fit the lateness; none where all do, or nothing tells which."""
     pair = [tuple(channel_columns(system, name)) for name in (lag.channel, lag.other)]

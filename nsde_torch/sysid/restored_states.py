@@ -22,7 +22,7 @@ from numpy.fft import irfft, rfft, rfftfreq
 from numpy.typing import NDArray
 
 from nsde_torch.data import DataSet, Run, SystemInfo
-from nsde_torch.recording.faults.registry import remedies
+from nsde_torch.recording.faults import remedies
 from nsde_torch.recording.smoothers import Smoother
 from nsde_torch.sysid.late_smoothers import on_time
 from nsde_torch.sysid.smoothed_states import Smoothed, group_spectra, sensors_of, smoothed_states

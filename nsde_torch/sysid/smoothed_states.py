@@ -30,7 +30,7 @@ from nsde_torch.data.kinematics import ATTITUDE, axis_groups
 from nsde_torch.data.quaternion import conjugate, multiply, rotation_vector
 from nsde_torch.data.system_info import derivative_columns, rate_columns
 from nsde_torch.recording import smoothers
-from nsde_torch.recording.scatter import grains
+from nsde_torch.recording.noise import grains
 from nsde_torch.recording.smoothers import Likely, Smoother, Spectra, SpectrumFit
 from nsde_torch.rotation import turned
 from nsde_torch.sysid import signals

@@ -18,8 +18,8 @@ from math import log
 import numpy as np
 
 from nsde_torch.data import Run
-from nsde_torch.data.system_info import derivative_columns, rate_columns
-from nsde_torch.recording.channels import common_name, moved
+from nsde_torch.data.system_info import common_name, derivative_columns, rate_columns
+from nsde_torch.recording.latency import moved
 from nsde_torch.sysid.regression import Regression
 from nsde_torch.sysid.rough import beginnings, left_at, rough_fit
 from nsde_torch.systems import System

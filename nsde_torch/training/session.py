@@ -23,7 +23,7 @@ from nsde_torch.models.capabilities import is_stochastic, learns_sensors
 from nsde_torch.models.kind import model_kind
 from nsde_torch.models.model import Model, ModelSpec
 from nsde_torch.models.run_directory import METRICS, save
-from nsde_torch.recording.clock import of_runs
+from nsde_torch.recording.clock_and_biases import of_runs
 from nsde_torch.recording.smoothing import smoothing_width
 from nsde_torch.sysid.in_loop import identify_in_loop
 from nsde_torch.sysid.loop_test import feedback_summary

@@ -16,7 +16,7 @@ from nsde_torch.diagnosis.between_runs import RunZeros, between_runs
 from nsde_torch.diagnosis.options import Options
 from nsde_torch.diagnosis.search import search_in
 from nsde_torch.errors import ConfigError
-from nsde_torch.recording.faults.sensor_bias import of_run
+from nsde_torch.recording.clock_and_biases import of_run
 from nsde_torch.simulation.generate import simulate
 from nsde_torch.systems import System, make_system
 

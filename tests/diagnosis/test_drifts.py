@@ -12,7 +12,7 @@ from nsde_torch.data.raw import RawRun
 from nsde_torch.diagnosis.options import Options
 from nsde_torch.diagnosis.pipeline import diagnose
 from nsde_torch.models.identified import SysidSpec
-from nsde_torch.recording.checks import assemble
+from nsde_torch.recording import assemble
 from nsde_torch.systems import make_system
 
 Array = NDArray[np.float64]

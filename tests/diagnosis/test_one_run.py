@@ -16,7 +16,7 @@ from nsde_torch.diagnosis.search import search_in
 from nsde_torch.diagnosis.specification import dependences, own_of_runs
 from nsde_torch.diagnosis.text import lines
 from nsde_torch.models.identified import SysidSpec
-from nsde_torch.recording.checks import assemble
+from nsde_torch.recording import assemble
 from nsde_torch.simulation import simulate
 from nsde_torch.systems import make_system
 from tests.helpers.diagnosed import recorded

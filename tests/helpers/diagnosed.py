@@ -11,8 +11,7 @@ from nsde_torch.diagnosis.options import Options
 from nsde_torch.diagnosis.pipeline import diagnose
 from nsde_torch.diagnosis.result import Diagnosis
 from nsde_torch.models.identified import SysidSpec
-from nsde_torch.recording import Recording
-from nsde_torch.recording.checks import assemble
+from nsde_torch.recording import Recording, assemble
 from nsde_torch.simulation import simulate
 from nsde_torch.systems import make_system
 

@@ -12,7 +12,7 @@ from nsde_torch.data.csv_folder import read_csv
 from nsde_torch.data.raw import RawRun
 from nsde_torch.errors import ConfigError, DataError
 from nsde_torch.recording import Recording, assemble
-from nsde_torch.recording.derived import derived_rates
+from nsde_torch.recording.unmeasured_rates import derived_rates
 from nsde_torch.systems import make_system
 from tests.helpers.encoders import encoder_runs
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from nsde_torch.data import DataSet, Finding, RawRun
 from nsde_torch.errors import DataError
 from nsde_torch.recording import assemble
-from nsde_torch.recording.ground import CLEAR
+from nsde_torch.recording.standstill import CLEAR
 from tests.helpers.data_systems import HEXACOPTER
 from tests.helpers.flights import flight
 

@@ -5,8 +5,8 @@ from itertools import product
 import numpy as np
 import pytest
 
-from nsde_torch.recording.faults.registry import FAULTS
-from nsde_torch.recording.levels import STAGES, level
+from nsde_torch.recording.fault import STAGES, level
+from nsde_torch.recording.faults import FAULTS
 
 
 def _found(p: dict[str, float], alpha: float) -> set[str]:

@@ -8,8 +8,8 @@ from numpy.typing import NDArray
 
 from nsde_torch.data import RawRun
 from nsde_torch.errors import ConfigError, DataError
-from nsde_torch.recording.faults.registry import FAULTS
-from nsde_torch.recording.rotor_speeds import glitches, shares
+from nsde_torch.recording.faults import FAULTS
+from nsde_torch.recording.noise import rotor_glitches, shares
 from tests.helpers.data_systems import HEXACOPTER
 from tests.helpers.flights import flight
 
@@ -30,12 +30,12 @@ def speeds(seed: int) -> NDArray[np.float64]:
 @pytest.mark.parametrize("seed", range(4))
 def test_glitches_are_found_and_nothing_else_is(seed: int) -> None:
     clean = speeds(seed)
-    assert not glitches(clean, MOST).any()
+    assert not rotor_glitches(clean, MOST).any()
     rng = np.random.default_rng(seed + 100)
     rows = rng.choice(np.arange(10, 5990, 8), 40, replace=False)
     bad = clean.copy()
     bad[rows[:20]], bad[rows[20:]] = MOST * rng.uniform(3, 12, 20), 0.0
-    assert set(np.flatnonzero(glitches(bad, MOST))) == set(rows.tolist())
+    assert set(np.flatnonzero(rotor_glitches(bad, MOST))) == set(rows.tolist())
     share, found = shares(bad, MOST, name="u_1", where="run 'a'")
     assert sorted(found) == sorted(rows.tolist())
     np.testing.assert_allclose(share, np.square(clean / MOST), atol=0.08)
@@ -46,13 +46,13 @@ def test_glitches_that_are_held_for_two_rows_are_found() -> None:
     clean = speeds(7)
     bad = clean.copy()
     bad[1000:1002], bad[2000:2002], bad[2002:2004] = 9 * MOST, 0.0, 4 * MOST
-    assert np.flatnonzero(glitches(bad, MOST)).tolist() == [1000, 1001, *range(2000, 2004)]
+    assert np.flatnonzero(rotor_glitches(bad, MOST)).tolist() == [1000, 1001, *range(2000, 2004)]
 
 
 def test_a_rotor_that_stops_is_no_glitch() -> None:
     clean = speeds(8)
     clean[3000:] = 0.0
-    assert not glitches(clean, MOST).any()
+    assert not rotor_glitches(clean, MOST).any()
 
 
 def test_another_unit_is_refused() -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from nsde_torch.recording.scatter import grains, quantum
+from nsde_torch.recording.noise import grains, quantum
 
 VALUES = np.random.default_rng(0).normal(size=5000)
 

@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from nsde_torch.data.raw import RawRun
 from nsde_torch.errors import ConfigError
-from nsde_torch.recording.simulated import Recording
+from nsde_torch.recording.chain import Recording
 from nsde_torch.systems import make_system
 
 DT = 0.01

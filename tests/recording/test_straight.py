@@ -8,7 +8,7 @@ import pytest
 import nsde_torch
 from nsde_torch.data import RawRun
 from nsde_torch.data.findings import Finding
-from nsde_torch.recording import straight
+from nsde_torch.recording.noise import check_interpolated
 from nsde_torch.systems import make_system
 
 SYSTEM = make_system("mass_spring_damper")
@@ -20,7 +20,7 @@ def log() -> list[RawRun]:
 
 def found(runs: list[RawRun]) -> list[Finding]:
     out: list[Finding] = []
-    straight.check(SYSTEM, runs, 0.01, out.append)
+    check_interpolated(SYSTEM, runs, 0.01, out.append)
     return out
 
 
@@ -62,10 +62,10 @@ def swinging(noise: float, seed: int = 1) -> RawRun:
 def test_wraps_of_an_angle_are_no_knots(noise: float) -> None:
     run, out = swinging(noise), list[Finding]()
     assert (np.abs(np.diff(run.x[:, 2])) > np.pi).sum() > 10
-    straight.check(make_system("cartpole"), [run], 0.02, out.append)
+    check_interpolated(make_system("cartpole"), [run], 0.02, out.append)
     assert not out
     run.x[5::50, 2] = np.nan
-    straight.check(make_system("cartpole"), [run], 0.02, out.append)
+    check_interpolated(make_system("cartpole"), [run], 0.02, out.append)
     assert not out
 
 
@@ -74,7 +74,7 @@ def test_a_wrapped_angle_that_was_interpolated_is_told() -> None:
     k, angle = np.arange(len(run.t)), np.unwrap(run.x[:, 2])
     angle = np.interp(k, k[::4], angle[::4])
     run.x[:, 2] = np.remainder(angle + np.pi, 2.0 * np.pi) - np.pi
-    straight.check(make_system("cartpole"), [run], 0.02, out.append)
+    check_interpolated(make_system("cartpole"), [run], 0.02, out.append)
     assert out[0].values["states"] == ["theta"]
 
 

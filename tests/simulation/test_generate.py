@@ -13,7 +13,7 @@ import torch
 from nsde_torch.effects import effects_of
 from nsde_torch.errors import ConfigError
 from nsde_torch.recording import read
-from nsde_torch.recording.simulated import Recording
+from nsde_torch.recording.chain import Recording
 from nsde_torch.simulation import make_plant
 from nsde_torch.simulation.battery import FULL, LOAD
 from nsde_torch.simulation.files import write

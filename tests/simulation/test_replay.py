@@ -11,7 +11,7 @@ import torch
 from nsde_torch.data import Windows
 from nsde_torch.errors import ConfigError, ShapeError
 from nsde_torch.recording import read
-from nsde_torch.recording.simulated import Recording
+from nsde_torch.recording.chain import Recording
 from nsde_torch.simulation import Replay, make_plant, replay, simulate, write
 from nsde_torch.simulation.flights import chosen_flights
 from nsde_torch.systems import make_system

@@ -13,7 +13,7 @@ import nsde_torch
 from nsde_torch.data import DataSet, RawRun
 from nsde_torch.errors import DataError
 from nsde_torch.public_benchmarks.emps import PositioningDrive
-from nsde_torch.recording.checks import assemble
+from nsde_torch.recording import assemble
 from nsde_torch.sysid import Identification, identify_in_loop
 from nsde_torch.sysid.guard import Guarded, Objection
 from nsde_torch.sysid.longer_boxes import asks_for_longer_boxes, in_longer_boxes

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from nsde_torch.data.raw import RawRun
 from nsde_torch.errors import CheckpointError
 from nsde_torch.models.neural_sde import NeuralSDE, SDESpec
-from nsde_torch.recording.checks import assemble
+from nsde_torch.recording import assemble
 from nsde_torch.systems import make_system
 from nsde_torch.training import LossOptions, TrainerOptions
 from nsde_torch.training.fit_innovations import fit_innovations

@@ -1,4 +1,7 @@
-"""Rate columns that no sensor measured: somebody differentiated the position column.
+"""Rates that no sensor measured: their columns are missing, or somebody differentiated the position column.
+
+Rates are inferred from the positions (`nsde_torch.data.tracking`), and marked (`Run.inferred`): identification and
+diagnosis infer them again, with the physics (`nsde_torch.sysid.inferred_rates`), and take equations of the positions.
 
 A rate v that was made of the position q by a linear filter, v = W q, holds the noise of q as W lets it through. The
 rate of a sensor of its own does not: from it, the best filter of q stays away by that noise at least,
@@ -8,24 +11,29 @@ rate of a sensor of its own does not: from it, the best filter of q stays away b
 so that a share far below one is proof. The noise is what q does and the rate does not, at frequencies at which no
 machine moves: s^2 = mean (D^4 d)^2 / 252, d_k = q_{k+1} - q_k - h (v_k + v_{k+1}) / 2. Where there is none (a noiseless
 simulation, positions that were smoothed) nothing is said: what a smoother took is another fault (`smoothers`). Plain
-differences are told by their numbers: q and v agree on them far better than on a formula that is nearer to the
+differences are recognised by their numbers: q and v agree on them far better than on a formula that is nearer to the
 derivative.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
+from nsde_torch.data.findings import Finding, Report
 from nsde_torch.data.raw import RawRun
-from nsde_torch.data.system_info import SystemInfo
+from nsde_torch.data.run import Run
+from nsde_torch.data.system_info import SystemInfo, changed, rate_pairs
+from nsde_torch.data.tracking import rates
+from nsde_torch.errors import ConfigError, DataError
 
 Array = NDArray[np.float64]
 
+POLICIES = ("infer", "keep")
 SHARE = 0.1
 """Share of the noise that a filter of the position would bring, below which it is what made the rate; sensors of their
 own have 0.8 and more."""
@@ -42,14 +50,7 @@ _EVEN = 1e-3  # of the step, within which times are even
 
 @dataclass(frozen=True)
 class Derived:
-    """A rate that was made of a position.
-
-    Args:
-        rate: Name of the rate.
-        position: Name of the position.
-        how: By what: words that follow "is".
-        share: How much of what a sensor of its own would bring is there; 0 is nothing.
-    """
+    """A rate that was made of a position: how, in words that follow "is", with what share of a sensor's own noise."""
 
     rate: str
     position: str
@@ -58,12 +59,7 @@ class Derived:
 
 
 def derived_rates(system: SystemInfo, runs: Sequence[RawRun]) -> list[Derived]:
-    """Rates of a system that are made of its positions; of machines that turn freely none are looked for.
-
-    Args:
-        system: Names and derivative pairs.
-        runs: Recordings in the order of time; `nan` is missing.
-    """
+    """Rates of a system that are made of its positions; of machines that turn freely none are looked for."""
     if system.quaternion is not None:
         return []
     names, out = list(system.state_names), []
@@ -165,3 +161,83 @@ def _filtered(parts: Sequence[tuple[Array, Array, Array]]) -> tuple[str, float] 
             ahead = float(np.abs(b[reach:]).max()) < 0.02 * float(np.abs(b).max())
             return f"a {'causal ' if ahead else ''}filter of the differences of", share
     return None
+
+
+def to_infer(system: SystemInfo, raw: Sequence[RawRun], *, policy: str, report: Report) -> tuple[str, ...]:
+    """Rates to infer, derived ones unless `keep`; their columns hold something until `inferred` fills them.
+
+    Raises:
+        ConfigError: an unknown policy.
+        DataError: a rate is missing in some runs only.
+    """
+    if policy not in POLICIES:
+        raise ConfigError(f"`derived_rates` must be {' or '.join(POLICIES)}; got {policy!r}.")
+    without = {run.name: _without(system, run) for run in raw}
+    absent = {name for names in without.values() for name in names}
+    for name in sorted(absent):
+        lacking = [run for run, names in without.items() if name in names]
+        if len(lacking) < len(raw):
+            raise DataError(
+                f"run {lacking[0]!r} has no value of {name!r} and others have; leave it out of all of them, and it is "
+                "inferred from the position, or read the runs apart."
+            )
+    if absent:
+        text = (
+            f"no column {', '.join(sorted(absent))}: inferred from the positions, of which alone a fit and a "
+            "diagnosis make their equations"
+        )
+        report(Finding("no_rate", "", len(absent), text, "inferred", {"states": sorted(absent)}))
+    found = [one for one in derived_rates(system, raw) if one.rate not in absent]
+    for one in found:
+        what = f"{one.rate} is {one.how} {one.position}, and no sensor's: it knows nothing that {one.position} does not"
+        done = {
+            "infer": f"taken out, and inferred from {one.position} alone; `data.derived_rates=keep` takes it as it is",
+            "keep": "kept as it is: errors of fits are too small, and friction is found wrong",
+        }[policy]
+        values = {"state": one.rate, "position": one.position, "how": one.how.removesuffix(" of")}
+        action = "inferred" if policy == "infer" else "reported"
+        report(Finding("derived_rate", "", 1, f"{what}; {done}", action, values))
+    names = absent | ({one.rate for one in found} if policy == "infer" else set())
+    for run in raw if names else ():
+        run.x = run.x.copy()
+        for i, j in _pairs(system, names):
+            q, good = run.x[:, i], np.isfinite(run.x[:, i])
+            if good.sum() < 2:
+                continue  # `times.fill_missing` says what is wrong
+            filled = np.interp(run.t, run.t[good], q[good])
+            filled = np.unwrap(filled) if system.state_units[i] == "rad" else filled
+            run.x[:, j] = np.where(good, rates([filled], float(np.median(np.diff(run.t))))[0][0], np.nan)
+    return tuple(name for name in system.state_names if name in names)
+
+
+def measured_part(system: SystemInfo, names: Collection[str]) -> SystemInfo:
+    """The system as checks of kinematics see it: a rate that was inferred says nothing of its position."""
+    if not names:
+        return system
+    pairs = tuple(pair for pair in system.position_derivatives if pair[1] not in names)
+    return changed(system, position_derivatives=pairs)
+
+
+def inferred(system: SystemInfo, runs: Sequence[Run], names: Collection[str], clock: float) -> list[Run]:
+    """Runs with rates inferred from positions without any physics; `clock` is in physical seconds per logged second."""
+    if not names:
+        return list(runs)
+    states, unknown = [np.array(run.x) for run in runs], {}
+    for i, j in _pairs(system, names):
+        places = [(x, a, b) for run, x in zip(runs, states, strict=True) for a, b in run.segments]
+        found, unknown[system.state_names[j]] = rates([x[a:b, i] for x, a, b in places], runs[0].dt * clock)
+        for (x, a, b), values in zip(places, found, strict=True):
+            x[a:b, j] = values
+    return [replace(run, x=x, inferred=unknown) for run, x in zip(runs, states, strict=True)]
+
+
+def _without(system: SystemInfo, run: RawRun) -> set[str]:
+    """Rates of positions without any value in a run."""
+    if system.quaternion is not None:
+        return set()
+    empty = np.asarray(np.isnan(run.x).all(axis=0))
+    return {system.state_names[j] for i, j in rate_pairs(system) if empty[j] and not empty[i]}
+
+
+def _pairs(system: SystemInfo, names: Collection[str]) -> list[tuple[int, int]]:
+    return [(i, j) for i, j in rate_pairs(system) if system.state_names[j] in names]

@@ -13,9 +13,8 @@ from scipy.interpolate import CubicSpline
 from nsde_torch.data import DataSet, RawRun
 from nsde_torch.errors import ConfigError
 from nsde_torch.recording import assemble
-from nsde_torch.recording.channels import filtered
-from nsde_torch.recording.lateness import lags
-from nsde_torch.recording.run_offsets import Offset, differing, on_one_clock
+from nsde_torch.recording.latency import filtered, latencies
+from nsde_torch.recording.stream_offsets import Offset, differing, on_one_clock
 from tests.helpers.data_systems import HEXACOPTER
 from tests.helpers.flights import flight
 
@@ -50,7 +49,7 @@ def test_offsets_of_each_run_are_found_and_taken_out(columns: slice, channel: st
     np.testing.assert_allclose(found, late, atol=0.001)
     assert data.fingerprint != before.fingerprint
     for run in data.runs:
-        own = next(lag for lag in lags(HEXACOPTER, [run]) if lag.other == channel)
+        own = next(lag for lag in latencies(HEXACOPTER, [run]) if lag.other == channel)
         assert abs(own.seconds) < 0.001
     assert on_one_clock(data, HEXACOPTER) is data
 

@@ -27,11 +27,10 @@ from scipy.optimize import brentq
 from scipy.special import chdtrc, ndtri, stdtr
 
 from nsde_torch.data.findings import Finding
-from nsde_torch.data.run import DataSet, Run
+from nsde_torch.data.run import DataSet
 from nsde_torch.data.system_info import SystemInfo
 from nsde_torch.errors import ConfigError
-from nsde_torch.recording.channels import on_time
-from nsde_torch.recording.lateness import lags
+from nsde_torch.recording.latency import latencies, on_time
 
 Array = NDArray[np.float64]
 
@@ -85,26 +84,16 @@ class Offsets:
         errors = {o.run: o.error for o in self.offsets}
         each = [f"{run} {1e3 * d:+.3g} +- {1e3 * errors[run]:.2g} ms" for run, d in self.taken.items()]
         shown = ", ".join(each[:8]) + (f", ... ({len(each)} runs)" if len(each) > 8 else "")
-        return Finding(
-            "stream_offset",
-            "",
-            len(self.taken),
+        text = (
             f"{self.channel} is late against {self.other} by another time in each run, by the kinematics ({shown}; "
-            "plus is late, minus early). `data.stream_offsets=keep` leaves them as they are",
-            "taken out",
-            {f"{run}_s": d for run, d in self.taken.items()},
+            "plus is late, minus early). `data.stream_offsets=keep` leaves them as they are"
         )
+        values = {f"{run}_s": d for run, d in self.taken.items()}
+        return Finding("stream_offset", "", len(self.taken), text, "taken out", values)
 
 
 def differing(channel: str, other: str, offsets: Sequence[Offset], *, step: float) -> Offsets | None:
-    """Offsets that differ between runs by more than chance; None where one offset would do.
-
-    Args:
-        channel: See `Offsets`.
-        other: See `Offsets`.
-        offsets: Of the runs.
-        step: Step of the log [s].
-    """
+    """Offsets that differ between runs by more than chance, at a `step` [s]; None where one offset would do."""
     offsets = [o for o in offsets if np.isfinite(o.seconds) and 0 < o.error < _LARGEST_S]
     if len(offsets) < FEWEST:
         return None
@@ -113,8 +102,7 @@ def differing(channel: str, other: str, offsets: Sequence[Offset], *, step: floa
     mean = float((weight * d).sum() / weight.sum())
     # errors of few degrees of freedom: the normal deviate that is as rare
     z = [-ndtri(stdtr(o.degrees, -abs(o.seconds - mean) / o.error)) for o in offsets]
-    q = float(np.square(z).sum())
-    p = float(chdtrc(len(offsets) - 1, q))
+    p = float(chdtrc(len(offsets) - 1, float(np.square(z).sum())))
     between = _between(d, s)
     if p > CHANCE or between**0.5 < LEAST_STEPS * step:
         return None
@@ -136,37 +124,6 @@ def _between(d: Array, s: Array) -> float:
     return float(brentq(excess, 0.0, most)) if excess(0.0) > 0 else 0.0
 
 
-def kinematic_offsets(system: SystemInfo, runs: Sequence[Run], *, clock: float = 1.0) -> list[Offsets]:
-    """Rates that are late against their positions by another time in each run, by the kinematics.
-
-    Args:
-        system: Names of the states.
-        runs: The runs.
-        clock: Physical seconds per logged second.
-    """
-    seen: dict[tuple[str, str], list[Offset]] = {}
-    for run in runs:
-        for lag in lags(system, [run], clock=clock):
-            offset = Offset(run.name, -lag.seconds, lag.error, lag.degrees)
-            seen.setdefault((lag.other, lag.channel), []).append(offset)
-    found = [
-        differing(rate, position, offsets, step=runs[0].dt) for (rate, position), offsets in seen.items()
-    ]
-    return [one for one in found if one is not None]
-
-
-def taken_out(runs: Sequence[Run], system: SystemInfo, found: Offsets) -> list[Run]:
-    """Runs with a stream moved to where it belongs; of runs that cannot show their offset, by the mean of the others.
-
-    Args:
-        runs: The runs.
-        system: Names of the states.
-        found: Offsets of a stream.
-    """
-    mean = float(np.mean(list(found.taken.values())))
-    return [on_time(run, system, {found.channel: found.taken.get(run.name, mean)}) for run in runs]
-
-
 def on_one_clock(data: DataSet, system: SystemInfo, *, policy: str = "undo") -> DataSet:
     """A data set whose streams are on one clock in every run; the data set itself where they are.
 
@@ -186,17 +143,18 @@ def on_one_clock(data: DataSet, system: SystemInfo, *, policy: str = "undo") -> 
     done = any(finding.kind == "stream_offset" for finding in data.summary.findings)
     if policy == "keep" or done or len(data.runs) < FEWEST:
         return data
-    runs = list(data.runs)
-    found = kinematic_offsets(system, runs, clock=data.clock_scale)
+    runs, step = list(data.runs), data.runs[0].dt
+    seen: dict[tuple[str, str], list[Offset]] = {}
+    for run in runs:
+        for one in latencies(system, [run], clock=data.clock_scale):
+            offset = Offset(run.name, -one.seconds, one.error, one.degrees)
+            seen.setdefault((one.other, one.channel), []).append(offset)
+    found = [o for pair, offsets in seen.items() if (o := differing(*pair, offsets, step=step)) is not None]
     if not found:
         return data
-    for one in found:
-        runs = taken_out(runs, system, one)
-    moved = {channel for one in found for channel in (one.channel, one.other)}
-    before = [f for f in data.summary.findings if not (f.kind == "late_sensor" and _of(f) <= moved)]
-    return data.changed(runs, [*before, *(one.finding() for one in found)])
-
-
-def _of(finding: Finding) -> set[str]:
-    """Channels that a finding is about."""
-    return {name.removesuffix("_s") for name in finding.values}
+    for these in found:
+        mean = float(np.mean(list(these.taken.values())))  # of runs that cannot show their offset
+        runs = [on_time(run, system, {these.channel: these.taken.get(run.name, mean)}) for run in runs]
+    moved = {f"{channel}_s" for these in found for channel in (these.channel, these.other)}
+    findings = [f for f in data.summary.findings if not (f.kind == "late_sensor" and set(f.values) <= moved)]
+    return data.changed(runs, [*findings, *(these.finding() for these in found)])

@@ -9,11 +9,11 @@ import pytest
 
 from nsde_torch.data import Run
 from nsde_torch.data.raw import RawRun
+from nsde_torch.data.system_info import channel_columns
 from nsde_torch.errors import ConfigError, DataError
 from nsde_torch.recording import Recorded, Recording
-from nsde_torch.recording.channels import channel_columns, moved, on_time
-from nsde_torch.recording.late_sensor import late_sensor
-from nsde_torch.recording.lateness import lateness
+from nsde_torch.recording.chain import instead_of_effects
+from nsde_torch.recording.latency import late_channels, moved, on_time
 from nsde_torch.systems import make_system
 
 SPRING = make_system("mass_spring_damper")
@@ -42,7 +42,7 @@ def run(seed: int, *, position: float = 0.0, velocity: float = 0.0, noise: float
 @pytest.mark.parametrize("channel", ["q", "q_dot"])
 def test_the_late_channel_is_named_with_its_delay(channel: str, seconds: float) -> None:
     delays = {"position" if channel == "q" else "velocity": seconds}
-    (late,) = lateness(SPRING, [run(k, **delays, noise=0.1) for k in range(4)])
+    (late,) = late_channels(SPRING, [run(k, **delays, noise=0.1) for k in range(4)])
     assert (late.channel, late.other) == ((channel, "q_dot") if channel == "q" else (channel, "q"))
     assert late.seconds == pytest.approx(seconds, rel=0.1)
     assert late.low < seconds < late.high
@@ -61,25 +61,25 @@ def test_a_filter_is_told_from_a_delay(seconds: float, column: int, filtered: bo
         made = chain.apply(RawRun("run", clean.t, clean.x, clean.u), SPRING, dt=DT, rng=rng)
         noise = 0.03 * np.array([0.1, 1.0]) * rng.normal(size=made.x.shape)
         runs.append(Run(f"run_{k}", made.t, made.x + noise, made.u))
-    (late,) = lateness(SPRING, runs)
+    (late,) = late_channels(SPRING, runs)
     assert late.channel == ("q", "q_dot")[column]
     assert late.seconds == pytest.approx(seconds, rel=0.05)
     assert late.filtered == filtered
     back = on_time(
         runs[0], SPRING, *([{}, {late.channel: seconds}] if filtered else [{late.channel: seconds}])
     )
-    assert lateness(SPRING, [back])[0].seconds < 0.2 * seconds
+    assert late_channels(SPRING, [back])[0].seconds < 0.2 * seconds
 
 
 def test_sensors_that_are_on_time_are_hardly_ever_called_late() -> None:
-    found = [lateness(SPRING, [run(k, noise=0.1)])[0] for k in range(60)]
+    found = [late_channels(SPRING, [run(k, noise=0.1)])[0] for k in range(60)]
     assert sum(late.p < 0.05 for late in found) <= 8
     assert all(late.low < 0.5 * DT for late in found)
 
 
 def test_a_channel_that_does_not_move_as_its_rate_says_shows_nothing() -> None:
     stuck = run(0)
-    assert lateness(SPRING, [Run("stuck", stuck.t, stuck.x * [0.0, 1.0] + 0.3, stuck.u)]) == []
+    assert late_channels(SPRING, [Run("stuck", stuck.t, stuck.x * [0.0, 1.0] + 0.3, stuck.u)]) == []
 
 
 def test_an_attitude_is_compared_with_body_rates() -> None:
@@ -91,7 +91,7 @@ def test_an_attitude_is_compared_with_body_rates() -> None:
     x[:, 11] = 0.2 * waves(t - 0.02, 3)[1]
     x += 1e-4 * np.random.default_rng(0).normal(size=x.shape)
     x[:, 6:10] /= np.linalg.norm(x[:, 6:10], axis=1, keepdims=True)
-    late = {d.channel: d for d in lateness(hexacopter, [Run("run", t, x, np.zeros((len(t), 6)))])}
+    late = {d.channel: d for d in late_channels(hexacopter, [Run("run", t, x, np.zeros((len(t), 6)))])}
     assert late["w"].seconds == pytest.approx(0.02, rel=0.1)
     assert late["w"].other == "q"
 
@@ -140,4 +140,4 @@ def test_no_sensor_is_late_by_a_step_of_half_a_second() -> None:
         asked.append(runs)
         return np.array([-float(len(asked)), 0.0])
 
-    assert late_sensor(Recorded((run,), 1.0, ()), cart, misfits, rows=60, other=100.0) is None
+    assert instead_of_effects(Recorded((run,), 1.0, ()), cart, misfits, rows=60, other=100.0) is None

@@ -1,0 +1,194 @@
+"""A recording chain: what it does to the runs of a plant, and a log with that undone.
+
+Faults are asked for in the order in which they act; they need no dynamics to show. Some can look like something else,
+and are undone only where the declared physics fits better for it: what is half a step late may be how a simulator
+steps.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, final
+
+import numpy as np
+
+from nsde_torch.data.raw import RawRun
+from nsde_torch.data.run import DataSet, Run
+from nsde_torch.data.system_info import SystemInfo
+from nsde_torch.errors import ConfigError
+from nsde_torch.options import check
+from nsde_torch.recording.fault import NATS, Detected, Fault, LoggedRuns, Misfits
+from nsde_torch.recording.faults import FAULTS, in_order, recording_options
+
+
+@final
+class Recording:
+    """A recording chain with faults; without any it logs what there is.
+
+    Args:
+        faults: Sizes by name of the fault (`RecordingOptions` lists them).
+
+    Raises:
+        ConfigError: no fault of that name.
+
+    Example:
+        >>> Recording(sensor_bias={"q_dot": 0.1}, dropout=0.02).as_dict(0.01)
+        {'sensor_bias': {'q_dot': 0.1}, 'dropout': 0.02}
+    """
+
+    def __init__(self, **faults: Any) -> None:
+        unknown = sorted(set(faults) - set(FAULTS))
+        if unknown:
+            raise ConfigError(f"a recording has no fault {unknown[0]!r}; faults: {', '.join(FAULTS)}.")
+        self._faults = {name: value for name, value in faults.items() if FAULTS[name].present(value)}
+
+    def __repr__(self) -> str:
+        return f"Recording({', '.join(f'{name}={value!r}' for name, value in self._faults.items())})"
+
+    @property
+    def clock(self) -> float:
+        """Physical seconds for each logged second."""
+        return float(np.prod([fault.clock(value) for fault, value in self._acting()]))
+
+    @property
+    def mixing_times(self) -> list[str]:
+        """The faults that make a row of the log depend on other rows than its own."""
+        return [name for name, fault in FAULTS.items() if fault.mixes_times and name in self._faults]
+
+    def check(self, system: SystemInfo) -> None:
+        """Refuse what this system cannot have.
+
+        Raises:
+            ConfigError: names the key, what it takes and what it was given.
+        """
+        check(recording_options(), self._faults, "recording.")
+        for name, value in self._faults.items():
+            FAULTS[name].check(value, system)
+
+    def rows_late(self, dt: float) -> int:
+        """Rows by which some state is late, at a step `dt` [s] of the log."""
+        return sum(fault.rows_before(value, dt) for fault, value in self._acting())
+
+    def apply(self, run: RawRun, system: SystemInfo, *, dt: float, rng: np.random.Generator) -> RawRun:
+        """A run as the chain logs it.
+
+        Args:
+            run: As the plant made it, `rows_late` rows longer than what is wanted.
+            system: The machine.
+            dt: Step of the log [s].
+            rng: Source of the missing rows.
+        """
+        made = RawRun(run.name, run.t, run.x, run.u, extra=run.extra, source=run.source)
+        for fault, value in self._acting():
+            if fault.mixes_times:
+                fault.simulate(made, value, system, dt=dt, rng=rng)
+        made.rows(slice(self.rows_late(dt), None))
+        made.t = dt * np.arange(len(made.t), dtype=np.float64)
+        for fault, value in self._acting():
+            if not fault.mixes_times:
+                fault.simulate(made, value, system, dt=dt, rng=rng)
+        return made
+
+    def as_dict(self, dt: float) -> dict[str, Any]:
+        """The faults as they were applied, with units in the keys; only those that there are."""
+        out: dict[str, Any] = {}
+        for name, fault in FAULTS.items():
+            if name in self._faults:
+                out |= fault.describe(self._faults[name], dt=dt)
+        return out
+
+    def _acting(self) -> list[tuple[Fault, Any]]:
+        return [(fault, self._faults[fault.name]) for fault in in_order() if fault.name in self._faults]
+
+
+@dataclass(frozen=True)
+class Recorded:
+    """Runs with the recording chain undone.
+
+    Args:
+        runs: The runs.
+        clock: Physical seconds per logged second.
+        faults: What was found.
+    """
+
+    runs: tuple[Run, ...]
+    clock: float
+    faults: tuple[Detected, ...]
+
+    @property
+    def stages(self) -> frozenset[str]:
+        """Stages that found something (of `fault.STAGES`)."""
+        return frozenset(FAULTS[f.name].stage for f in self.faults)
+
+    @property
+    def inputs_restored(self) -> bool:
+        """Whether the inputs were averaged in the log, and are restored."""
+        return bool(self.values("input_smoothing"))
+
+    @property
+    def delays(self) -> dict[str, float]:
+        """By how much channels were late, by name of the state or of several [s of the log]."""
+        return self.values("sensor_delay")
+
+    @property
+    def lags(self) -> dict[str, float]:
+        """Time constants of filters that were undone, by name of the state or of several [s of the log]."""
+        return self.values("sensor_lag")
+
+    def values(self, name: str) -> dict[str, float]:
+        """What was found of a fault, by the names that `Fault.undo` takes."""
+        return {k: v for f in self.faults if f.name == name for k, v in f.plain.items()}
+
+    def like(self, run: Run, system: SystemInfo) -> Run:
+        """A further run of the same log with the same faults undone."""
+        for fault in in_order():
+            values = self.values(fault.name)
+            run = fault.undo(run, system, values) if values else run
+        return run
+
+
+def undo(
+    data: DataSet,
+    runs: Sequence[Run],
+    system: SystemInfo,
+    *,
+    alpha: float,
+    misfit: Callable[[Sequence[Run], float], float],
+) -> Recorded:
+    """Find the faults of a recording chain and undo them; arguments are those of `LoggedRuns`."""
+    log = LoggedRuns(data, runs, system, alpha=alpha, misfit=misfit)
+    found = []
+    for fault in in_order():
+        seen = fault.detect(log)
+        if seen is not None:
+            log.take_out(fault, seen)
+            found.append(seen)
+    for suspect in sorted((s for fault in in_order() for s in fault.suspects(log)), key=lambda s: s.order):
+        there = log.misfit_with(suspect.fault, suspect.found.plain)
+        back = log.misfit_with(suspect.fault, suspect.against)
+        if there < back - NATS / sum(len(run) for run in log.runs):
+            log.take_out(suspect.fault, suspect.found)
+            found.append(suspect.found)
+    return Recorded(tuple(log.runs), log.clock, tuple(found))
+
+
+def instead_of_effects(
+    found: Recorded, system: SystemInfo, misfits: Misfits, *, rows: int, other: float
+) -> Recorded | None:
+    """The log with a further fault undone that explains what effects do not; None where there is none.
+
+    Args:
+        found: The recording chain, undone as far as it is known.
+        system: The machine.
+        misfits: Negative log likelihood per row [nats] of the declared physics in runs, by channel.
+        rows: Number of rows.
+        other: The misfit of physics with effects, all channels together.
+    """
+    for fault in in_order():
+        undone = found.values(fault.name)
+        better = fault.instead_of_effects(found.runs, system, misfits, rows=rows, other=other, undone=undone)
+        if better is not None:
+            seen, runs = better
+            return replace(found, runs=runs, faults=(*found.faults, seen))
+    return None

@@ -1,0 +1,268 @@
+"""A wrong clock, and biased rates: slope and intercept of positions over the integral of their rates.
+
+    p(t + T) - p(t) = s * integral of v dt - b T
+
+p and q move as far as v and omega say only if a logged second is one second (`nsde_torch.data.kinematics` measures s);
+for a rate that reads b too much, the rest is -b T on average.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from math import isfinite
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nsde_torch.data.findings import Finding, Report
+from nsde_torch.data.kinematics import (
+    ATTITUDE,
+    FOLDS,
+    INTERVAL_S,
+    Slope,
+    Uncertain,
+    axis_groups,
+    called,
+    pairs_of,
+    pool,
+    rates_of,
+)
+from nsde_torch.data.run import Run
+from nsde_torch.data.system_info import SystemInfo
+from nsde_torch.errors import ConfigError, DataError
+from nsde_torch.recording.fault import Detected, Fault, LoggedRuns
+
+Array = NDArray[np.float64]
+
+POLICIES = ("rescale", "trust", "refuse")
+MIN_DEPARTURE = 0.01
+"""Departure of the clock from 1 below which it is right for all purposes."""
+SIGNIFICANT = 3.0
+"""Standard errors by which every group of axes must depart from 1, to the same side."""
+SURE = 0.02
+"""Largest standard error of a scale that rows are rescaled by without being asked."""
+IMPLAUSIBLE = (0.5, 2.0)
+"""Slopes outside cannot be a clock: the columns hold other units, signs or frames."""
+
+_CAUSES = (
+    (57.29578, "degrees where radians are expected (the angle)", 0.15),
+    (1 / 57.29578, "degrees where radians are expected (the rate)", 0.15),
+    (-1.0, "the opposite sign or another frame (NED where ENU is expected)", 0.2),
+    (1000.0, "mm or ms where m or s are expected", 0.15),
+    (0.001, "mm or ms where m or s are expected", 0.15),
+    (1e-6, "microseconds where seconds are expected", 0.15),
+    (3.28084, "feet and metres mixed", 0.05),
+    (0.3048, "feet and metres mixed", 0.05),
+)
+
+
+def _cause(value: float) -> str:
+    for factor, text, tolerance in _CAUSES:
+        if abs(value / factor - 1.0) < tolerance:
+            return text
+    return "other units, signs or frames, or the velocity belongs to another position"
+
+
+def check_units(slopes: Sequence[Slope], names: tuple[str, ...]) -> None:
+    """Refuses pairs of columns that cannot be a position and its rate.
+
+    Raises:
+        DataError: the slope of a well-excited axis is far from 1.
+    """
+    for slope in slopes:
+        low, high = IMPLAUSIBLE
+        sure = slope.error < 0.1 * abs(slope.value) and slope.r2 > 0.5
+        if sure and not low <= slope.value <= high:
+            raise DataError(
+                f"run {slope.run!r}: {slope.axis!r} ({slope.group}) changes {slope.value:.4g} times as fast "
+                f"as its rate says (standard error {slope.error:.2g}, {slope.intervals} intervals). Likely "
+                f"cause: {_cause(slope.value)}. All columns are SI, ENU world, FLU body, radians: "
+                f"{', '.join(names)}."
+            )
+
+
+def decide(slopes: Sequence[Slope], *, policy: str, report: Report) -> float:
+    """The clock scale of a data set: physical seconds for each logged second.
+
+    A wrong clock shows in every group of axes (positions and attitude) on the same side. Where only one group
+    disagrees, its velocity is at fault, not the clock; that is reported and nothing is scaled.
+
+    Args:
+        slopes: Slopes of all axes of all runs.
+        policy: `rescale` returns the measured scale where it differs from 1; `trust` returns 1 and reports;
+            `refuse` raises.
+        report: Takes the findings.
+
+    Raises:
+        DataError: the clock is wrong and the policy is `refuse`.
+    """
+    if not slopes:
+        return 1.0
+    groups = {g: pool([s for s in slopes if s.group == g]) for g in sorted({s.group for s in slopes})}
+    total = pool(slopes)
+    axes = {g: list(dict.fromkeys(s.axis for s in slopes if s.group == g)) for g in groups}
+    text = ", ".join(f"{called(g, axes[g])}: {p.value:.4f} +- {p.error:.4f}" for g, p in groups.items())
+    values = {
+        "scale": total.value,
+        "standard_error": total.error,
+        "spread": total.spread,
+        "groups": {g: p.value for g, p in groups.items()},
+    }
+    off = {g: p for g, p in groups.items() if abs(p.value - 1) > max(MIN_DEPARTURE, SIGNIFICANT * p.error)}
+    if not off:
+        return 1.0
+    sides = {p.value > 1 for p in off.values()}
+    # a log that stands still has a slope of nothing
+    clock_like = IMPLAUSIBLE[0] <= total.value <= IMPLAUSIBLE[1]
+    if len(off) < len(groups) or len(sides) > 1 or total.error > SURE or not clock_like:
+        disagree = (
+            f"position and velocity disagree in {', '.join(called(g, axes[g]) for g in off)} but not in every "
+            f"group, or not surely enough to blame the clock ({text})"
+        )
+        report(Finding("kinematic_mismatch", "", len(off), disagree, "reported", values))
+        return 1.0
+    message = (
+        f"the logged clock runs wrong: one logged second holds {total.value:.4f} +- {total.error:.4f} "
+        f"physical seconds by the kinematics ({text})"
+    )
+    if sum(map(len, axes.values())) == 1:
+        (axis,) = next(iter(axes.values()))
+        scaled = f"or the rate of {axis} is {1 / total.value:.4g} times too large"
+        message += f"; {scaled}: a single position and its rate cannot tell"
+    if policy == "refuse":
+        raise DataError(
+            f"{message}. Set `clock` to `rescale` (use the measured scale) or `trust` (keep the logged "
+            "time), or correct the time column."
+        )
+    if policy == "trust":
+        report(Finding("clock", "", 1, message, "reported", values))
+        return 1.0
+    report(Finding("clock", "", 1, message, "rescaled", values))
+    return total.value
+
+
+def of_runs(slopes: Sequence[Slope], runs: Sequence[str], *, measured: float) -> float:
+    """Clock scale as some runs alone show it: what a model may know that is to be tested on the others.
+
+    Args:
+        slopes: Slopes of all axes of all runs of a data set.
+        runs: Names of the runs that may be looked at.
+        measured: Scale of the whole data set; 1 says that nothing is to be scaled.
+
+    Returns:
+        Physical seconds for each logged second; `measured` where slopes were taken over several short runs
+        together and none is of these runs alone.
+    """
+    own = [s for s in slopes if s.run in set(runs)]
+    if measured == 1.0 or not own:
+        return measured
+    return decide(own, policy="rescale", report=lambda finding: None)
+
+
+def wrong_clock(fault: Fault, log: LoggedRuns) -> Detected | None:
+    """Whether the scale that the reader decided on is surely a fault.
+
+    The reader decides at three standard errors, however few intervals they are from.
+    """
+    clock, system = log.data.clock_scale, log.system
+    if clock == 1.0:
+        return None
+    pooled = pool(log.data.summary.slopes)
+    degrees = max(pooled.slopes - 1, FOLDS - 1)  # errors of slopes are from so many folds each
+    off = Uncertain(pooled.value - 1.0, max(pooled.error, 1e-12), degrees)
+    if off.p >= log.level(fault.stage):
+        return None
+    pairs = [
+        pair
+        for group, both in pairs_of(system).items()
+        if group != ATTITUDE
+        for pair in zip(*both, strict=True)
+    ]
+    turns = ATTITUDE in pairs_of(system)
+    single = len(pairs) == 1 and not turns
+    what = "positions and attitude" if turns else " and ".join(position for position, _ in pairs)
+    moves, says = ("moves", "its rate says") if single else ("move", "their rates say")
+    rate, how = pairs[0][1], "further" if clock > 1.0 else "less far"
+    experiment = (
+        "hold the time column against another clock over a few minutes; if it is right, "
+        f"{rate} is logged {1 / clock:.4g} times too large: multiply it by {clock:.4g}"
+    )
+    return Detected(
+        fault.name,
+        {"scale": (clock, clock - off.half, clock + off.half, "1")},
+        off.p,
+        f"A second of the log lasts {clock:.4g} s: {what} {moves} {how} than {says}.",
+        clock=clock,
+        ties=("sensor_scale",) if single else (),
+        experiment=experiment if single else "",
+    )
+
+
+_FEWEST = 12  # intervals
+_LEAST_SHARE = 0.02  # of the rate's own rms: a bias below that is of no consequence
+
+
+def _rate_biases(system: SystemInfo, runs: Sequence[Run], clock: float) -> dict[str, tuple[Uncertain, float]]:
+    """Biases of the rates whose integral is logged too, by name of the state, and what would matter."""
+    parts: dict[str, list[tuple[Array, Array]]] = {}
+    for run in runs:
+        step = run.dt * clock
+        length = max(2, round(INTERVAL_S / step))
+        for x in (run.x[a:b] for a, b in run.segments):
+            count = (len(x) - 1) // length
+            for group, _, change, integral in axis_groups(system, x, step) if count else ():
+                sums = (change - integral)[: count * length].T.reshape(-1, count, length).sum(2)
+                rates = rates_of(system, group, x).T
+                for name, total, rate in zip(pairs_of(system)[group][1], sums, rates, strict=True):
+                    parts.setdefault(name, []).append((total / (length * step), rate))
+    out = {}
+    for name, pieces in parts.items():
+        means = np.concatenate([m for m, _ in pieces])
+        if len(means) < _FEWEST:
+            continue
+        size = float(np.sqrt(np.mean(np.concatenate([np.square(r) for _, r in pieces]))))
+        # the error of a mean of telescoping sums is below that of independent ones: this one is safe
+        error = max(float(means.std(ddof=1)) / len(means) ** 0.5, 1e-12)
+        out[name] = Uncertain(-float(means.mean()), error, len(means) - 1), _LEAST_SHARE * size
+    return out
+
+
+def found_biases(fault: Fault, log: LoggedRuns) -> Detected | None:
+    """Biases of rates that are sure, and large enough to matter."""
+    biases, level = _rate_biases(log.system, log.runs, log.clock), log.level(fault.stage)
+    sure = {k: b for k, (b, least) in biases.items() if b.p * len(biases) < level and abs(b.value) > least}
+    if not sure:
+        return None
+    unit = dict(zip(log.system.state_names, log.system.state_units, strict=True))
+    values = {name: (bias.value, bias.low, bias.high, unit[name]) for name, bias in sure.items()}
+    words = ", ".join(f"{name} by {bias.value:+.3g} {unit[name]}" for name, bias in sure.items())
+    text = f"Sensors read too much: {words}; the integral of these rates says so."
+    return Detected(fault.name, values, min(bias.p for bias in sure.values()), text)
+
+
+def of_run(values: Mapping[str, Any], run: str) -> dict[str, Any]:
+    """What sensors read too much in a run: what holds in all, and what `{RUN: {STATE: value}}` says of this one."""
+    out = {k: v for k, v in values.items() if not isinstance(v, Mapping)}
+    here = values.get(run)
+    for state, value in here.items() if isinstance(here, Mapping) else ():
+        out[state] = out.get(state, 0.0) + value
+    return out
+
+
+def without_biases(x: Array, system: SystemInfo, values: Mapping[str, Any]) -> Array:
+    """States (n, nx) less what their sensors read too much.
+
+    Raises:
+        ConfigError: no such state, or no such size.
+    """
+    x = x.copy()
+    for name, value in values.items():
+        if name not in system.state_names:
+            raise ConfigError(
+                f"`sensor_bias` names {name!r}, which is no state; states: {', '.join(system.state_names)}."
+            )
+        if isinstance(value, bool) or not isinstance(value, int | float) or not isfinite(value):
+            raise ConfigError(f"`sensor_bias.{name}` must be a finite number; got {value!r}.")
+        x[:, list(system.state_names).index(name)] -= value
+    return x

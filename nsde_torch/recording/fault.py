@@ -1,0 +1,283 @@
+"""What a fault of a recording chain is: how it is put into simulated runs, found in a log, and taken out of one.
+
+A log is asked for one fault after another, each at a significance level of the fallback procedure,
+
+    level_k = alpha / K + (level_{k-1} where stage k - 1 found something, else 0)
+
+for the K stages of a diagnosis. Whatever is missing, the chance that any stage finds what is not there is at most
+alpha: a stage that finds nothing has spent its share, one that finds something hands its level on (Wiens,
+Pharmaceutical Statistics 2 (2003)). It finds all that Bonferroni's correction over the stages finds, and may find more.
+
+The command line reads the options of all faults for its keys, and `--help` has no need of arrays: this file and
+`faults` import numpy, and all that needs it, inside their functions.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, ClassVar, TypeAlias, TypeVar
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.random import Generator
+    from numpy.typing import NDArray
+
+    from nsde_torch.data.raw import RawRun
+    from nsde_torch.data.run import DataSet, Run
+    from nsde_torch.data.system_info import SystemInfo
+
+T = TypeVar("T")
+Misfits: TypeAlias = "Callable[[Sequence[Run]], NDArray[np.float64]]"
+"""Negative log likelihood per row [nats] of the declared physics in runs, by channel."""
+
+STAGES = ("clock", "lateness", "biases", "effects", "structure")
+"""In order. The first three are faults of the recording chain, `structure` the tests of what is left."""
+NATS = 3.0
+"""By how much a log has to be likelier with a fault undone."""
+
+
+def level(stage: str, alpha: float, found: Collection[str] = ()) -> float:
+    """Significance level of a stage, which p values corrected within the stage are compared with.
+
+    Args:
+        stage: One of `STAGES`.
+        alpha: Chance that any stage finds something where nothing is there.
+        found: Earlier stages that found something.
+    """
+    place = STAGES.index(stage)
+    shares = 1
+    while shares <= place and STAGES[place - shares] in found:
+        shares += 1
+    return alpha * shares / len(STAGES)
+
+
+@dataclass(frozen=True)
+class Detected:
+    """Something that the recording chain did.
+
+    Args:
+        name: Name of the fault (a key of `FAULTS`).
+        values: By parameter: value, low, high (90 %; None where there is no interval), unit.
+        p: Chance of it in a sound log; None where it is not a test of chance.
+        sentence: What it means.
+        short: Whether it is shorter than a step, or was undone by the reader, and so not called a finding.
+        ties: Other faults that no data of the log tell from it.
+        experiment: What would tell.
+        clock: Physical seconds for each logged second, which is undone by counting with it.
+        reason: Why it is not called a finding, where `short` has another one than its length.
+    """
+
+    name: str
+    values: Mapping[str, tuple[float, float | None, float | None, str]]
+    p: float | None
+    sentence: str
+    short: bool = False
+    ties: tuple[str, ...] = ()
+    experiment: str = ""
+    clock: float = 1.0
+    reason: str = ""
+
+    @property
+    def plain(self) -> dict[str, float]:
+        """The values alone, as `Fault.undo` takes them."""
+        return {name: value for name, (value, *_) in self.values.items()}
+
+
+@dataclass(frozen=True)
+class Suspect:
+    """A fault that a log may hold, if the declared physics is better for it.
+
+    Args:
+        fault: What it is of.
+        order: Suspects are asked for by this number.
+        found: What is found if physics says so.
+        against: Values that would do as well if it were nothing, those of the other direction.
+    """
+
+    fault: Fault
+    order: int
+    found: Detected
+    against: Mapping[str, float]
+
+
+class LoggedRuns:
+    """Runs of a log, from which fault after fault is taken out.
+
+    Args:
+        data: Where the runs are from; it knows what the reader made of the clock.
+        runs: Those to look at.
+        system: Names of the states.
+        alpha: Chance that any stage of a diagnosis finds something in a sound log (`level`).
+        misfit: Negative log likelihood per row [nats] of the declared physics in runs, at a clock.
+
+    Attributes:
+        runs: The runs without what was taken out.
+        clock: Physical seconds for each logged second, as far as it is known.
+    """
+
+    def __init__(
+        self,
+        data: DataSet,
+        runs: Sequence[Run],
+        system: SystemInfo,
+        *,
+        alpha: float,
+        misfit: Callable[[Sequence[Run], float], float],
+    ) -> None:
+        self.data, self.system = data, system
+        self.runs, self.clock = list(runs), 1.0
+        self._alpha, self._misfit = alpha, misfit
+        self._found, self._once = set[str](), dict[Any, Any]()
+
+    def once(self, what: Callable[[LoggedRuns], T]) -> T:
+        """What a function says of the log as it was when this was first asked."""
+        if what not in self._once:
+            self._once[what] = what(self)
+        answer: T = self._once[what]
+        return answer
+
+    def level(self, stage: str) -> float:
+        """Significance level of a stage, after what was taken out so far."""
+        return level(stage, self._alpha, self._found)
+
+    def misfit_with(self, fault: Fault, values: Mapping[str, float]) -> float:
+        """What the declared physics says of the runs with a fault undone [nats per row]."""
+        return self._misfit(self._without(fault, values), self.clock)
+
+    def take_out(self, fault: Fault, found: Detected) -> None:
+        """Undo a fault that was found."""
+        self.runs = self._without(fault, found.plain)
+        self.clock *= found.clock
+        self._found |= {fault.stage}
+
+    def _without(self, fault: Fault, values: Mapping[str, float]) -> list[Run]:
+        return [fault.undo(run, self.system, values) for run in self.runs] if values else self.runs
+
+
+class Fault(ABC):
+    """One kind of fault.
+
+    What it does to a run (`simulate`) it must say; what cannot be found, or not undone, is left as it is here.
+
+    Attributes:
+        name: Its name in options (`recording.NAME`), findings and truths.
+        rank: Its place in the chain: faults act, and are looked for and undone, in this order.
+        stage: The stage whose significance level it is tested at (one of `STAGES`); empty where no p
+            value decides.
+        option: Its size in a simulation, declared by `nsde_torch.options.key`; the default is that there is none of it.
+        annotation: Type of the size.
+        remedy: The option of a reader that takes it out, declared by `key`, by name of a state; None: a reader cannot.
+        remedy_first: Whether a reader takes it out before it looks at anything.
+        remedy_smooths: Whether taking it out smooths states, after which no smoother of the log can be identified.
+        mixes_times: Whether a row of the log depends on other rows than its own.
+    """
+
+    name: ClassVar[str]
+    rank: ClassVar[int]
+    stage: ClassVar[str] = ""
+    option: ClassVar[Any]
+    annotation: ClassVar[Any] = float
+    remedy: ClassVar[Any] = None
+    remedy_first: ClassVar[bool] = False
+    remedy_smooths: ClassVar[bool] = False
+    mixes_times: ClassVar[bool] = False
+
+    # simulated
+
+    def present(self, value: Any) -> bool:
+        """Whether a size is more than none."""
+        if isinstance(value, Mapping):
+            return any(value.values())
+        return any(value) if isinstance(value, Sequence) else value != self.option.default
+
+    def check(self, value: Any, system: SystemInfo) -> None:
+        """Refuse a size that this system cannot have; the range of `option` has been checked.
+
+        Raises:
+            ConfigError: names the option, what it takes and what it was given.
+        """
+        return
+
+    def rows_before(self, value: Any, dt: float) -> int:
+        """Rows of the past that the first row of the log needs, at a step `dt` [s] of the log."""
+        return 0
+
+    def clock(self, value: Any) -> float:
+        """Physical seconds for each logged second."""
+        return 1.0
+
+    @abstractmethod
+    def simulate(self, run: RawRun, value: Any, system: SystemInfo, *, dt: float, rng: Generator) -> None:
+        """Do to a run what the fault does.
+
+        Args:
+            run: As the chain before this fault left it; its arrays are replaced, not written into.
+            value: The size.
+            system: Names of the states.
+            dt: Step of the log [s].
+            rng: Source of randomness.
+        """
+
+    def describe(self, value: Any, *, dt: float) -> dict[str, Any]:
+        """The fault as it was applied, for the truth of a simulation, with units in the keys.
+
+        Args:
+            value: The size, more than none.
+            dt: Step of the log [s].
+        """
+        return {self.name: value}
+
+    # in a log
+
+    def detect(self, log: LoggedRuns) -> Detected | None:
+        """What the log shows of the fault without any dynamics, faults of lower rank undone; None: nothing."""
+        return None
+
+    def suspects(self, log: LoggedRuns) -> list[Suspect]:
+        """What the log may hold, and the declared physics has to say; asked once all faults were looked for."""
+        return []
+
+    def instead_of_effects(
+        self,
+        runs: Sequence[Run],
+        system: SystemInfo,
+        misfits: Misfits,
+        *,
+        rows: int,
+        other: float,
+        undone: Mapping[str, float],
+    ) -> tuple[Detected, tuple[Run, ...]] | None:
+        """The fault where it explains what effects do not, and the runs without it; None where it does not.
+
+        Args:
+            runs: The log, with the recording chain undone as far as it is known.
+            system: Names of the states.
+            misfits: Negative log likelihood per row [nats] of the declared physics in runs, by channel.
+            rows: Number of rows.
+            other: The misfit of physics with effects, all channels together.
+            undone: What of this fault is undone in the runs, by the names that `undo` takes.
+        """
+        return None
+
+    def undo(self, run: Run, system: SystemInfo, values: Mapping[str, float]) -> Run:
+        """A run without the fault; the run itself where nothing can be done.
+
+        Args:
+            run: The run as it was logged.
+            system: Names of the states.
+            values: Sizes by name, as `detect` finds them or a user gives them.
+
+        Raises:
+            ConfigError: no such name, or no such size.
+        """
+        return run
+
+    def undo_raw(self, run: RawRun, system: SystemInfo, values: Mapping[str, float]) -> None:
+        """Take the fault out of a run that nothing has looked at yet (`remedy_first`); its arrays are replaced.
+
+        Raises:
+            ConfigError: no such name, or no such size.
+        """
+        raise NotImplementedError

@@ -1,0 +1,480 @@
+"""Sensor latency: channels that are logged later than others, found by the kinematics, and moved back.
+
+A position that is logged a time d later than its velocity, p_log(t) = p(t - d), changes over T by
+
+    p_log(t + T) - p_log(t) = s * integral of v dt - d (v(t + T) - v(t)) + b T
+
+to first order in d, with a clock s and a bias b of the velocity beside it. T is where the change of the velocity has
+grown as large as the velocity itself. Noise of the velocity would pull d towards nothing; the central difference of the
+position, whose noise is neither in v(t) nor in p(t), is its instrument (instrumental variables; Durbin, 1954).
+Standard errors are from leaving out a twentieth of the intervals at a time (jackknife); axes of one sensor are joined
+as in `kinematics.pool`. Which of two channels is the late one kinematics cannot say outright, but sensors and filters
+delay: a positive d is the position's, a negative one the velocity's.
+
+A filter of first order, d x_log' + x_log = x, is late by d too, at low frequencies. Which of the two it is shows in
+what each leaves of the equation above once it is undone, x(t) = x_log(t + d) or x = x_log + d x_log'. The second makes
+noise larger; therefore both channels are averaged first, which leaves them as late as they are.
+
+A sensor whose position and rate are late alike shows in the declared physics alone (`whole_sensor_late`).
+
+Times are seconds of the log's own clock.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from math import isfinite, log
+from typing import TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import CubicSpline
+from scipy.ndimage import uniform_filter1d
+from scipy.optimize import minimize_scalar
+from scipy.signal import lfilter
+
+from nsde_torch.data.findings import Finding
+from nsde_torch.data.kinematics import Slope, Uncertain, axis_groups, jackknife, pairs_of, pool, rates_of
+from nsde_torch.data.run import Run
+from nsde_torch.data.system_info import SystemInfo, channel_columns, common_name
+from nsde_torch.errors import ConfigError, DataError
+from nsde_torch.recording.fault import NATS, Detected, Fault, LoggedRuns, Misfits, Suspect
+
+Array = NDArray[np.float64]
+_Piece: TypeAlias = tuple[Array, Array, Array]
+"""Changes of positions over steps, integrals of their rates (n - 1, axes), and the rates (n, axes) of a stretch."""
+
+LATE = 1e-4
+"""Chance of calling a sensor late that is on time, when data are read."""
+_LONGEST_S, _ITERATIONS = 0.5, 3
+_FOLDS, _FEWEST = 20, 40
+"""Folds of the jackknife, and fewest intervals that a time is estimated from; each begins in the middle of the last."""
+_MOST_ROWS = 60_000
+"""Rows that are looked at; of longer recordings the first part of each segment."""
+_UNEXPLAINED = 0.5  # largest share of a channel's changes that its rate does not explain
+_AVERAGED, _FILTER_NATS = 4, 4.0
+"""Times a delay, over which channels are averaged to tell it from a filter; and by how much that must be better."""
+_SURE_STEPS, _LEAST_STEPS = 0.6, 0.2
+"""Steps by which a channel is late for sure, whatever a simulator does, and by which it matters at all."""
+_SENSOR_S, _SENSOR_NATS, _Z90 = 0.2, 20.0, 1.645
+"""Longest delay of a sensor as a whole, and how much likelier the log must be, as nothing else shows it."""
+
+
+@dataclass(frozen=True)
+class Latency(Uncertain):
+    """How late one channel is against another [s of the log]; negative where it is early.
+
+    Args:
+        channel: A state, or the common name of several (`p` of `p_x p_y p_z`).
+        other: What it is late against.
+        filtered: Whether a filter of first order does better than a delay; then it is its time constant.
+    """
+
+    channel: str
+    other: str
+    filtered: bool
+
+    @property
+    def seconds(self) -> float:
+        """By how much [s of the log]."""
+        return self.value
+
+
+# found
+
+
+def latencies(system: SystemInfo, runs: Sequence[Run], *, clock: float = 1.0) -> list[Latency]:
+    """How late positions are logged against their rates, of each sensor that can show it; early ones are negative.
+
+    Args:
+        system: Names of the states.
+        runs: The runs.
+        clock: Physical seconds per logged second.
+    """
+    dt, out = runs[0].dt * clock, []
+    parts: dict[str, list[_Piece]] = {}
+    share = min(1.0, _MOST_ROWS / sum(len(run) for run in runs))
+    for run in runs:
+        for a, b in ((a, a + int(share * (b - a))) for a, b in run.segments):
+            if b - a < 4:
+                continue
+            for group, _, change, integral in axis_groups(system, run.x[a:b], dt):
+                rate = rates_of(system, group, run.x[a:b])
+                parts.setdefault(group, []).append((change, integral, rate))
+    for group, (positions, rates) in pairs_of(system).items():
+        rough = _time_of(group, parts[group], dt, filtered=False) if group in parts else None
+        if rough is not None:
+            fit, filtered = _delay_or_filter(group, parts[group], dt, rough)
+            value = fit.value / clock, fit.error / clock, fit.degrees
+            out.append(Latency(*value, common_name(positions), common_name(rates), filtered))
+    return out
+
+
+def late_channels(system: SystemInfo, runs: Sequence[Run], *, clock: float = 1.0) -> list[Latency]:
+    """The same with the channel first that is logged later than the other; see `latencies`."""
+    return [
+        one if one.value > 0 else replace(one, channel=one.other, other=one.channel, value=abs(one.value))
+        for one in latencies(system, runs, clock=clock)
+    ]
+
+
+def surely_late(late: Sequence[Latency], dt: float, *, chance: float = LATE) -> list[Latency]:
+    """Those that are late by more than half a step `dt` [s of the log]: less may be how a simulator steps."""
+    return [one for one in late if one.p * len(late) < chance and one.low > _SURE_STEPS * dt]
+
+
+@dataclass(frozen=True)
+class _Fit(Uncertain):
+    """How late positions are [s], and what is left over [nats]."""
+
+    left: float
+
+
+def _delay_or_filter(group: str, pieces: Sequence[_Piece], dt: float, delay: _Fit) -> tuple[_Fit, bool]:
+    """A delay that was roughly found, from averaged channels; or the filter that does the same, and True."""
+    steps = round(_AVERAGED * abs(delay.value) / dt)
+    if abs(delay.value) <= dt or any(len(rate) < 8 * steps for _, _, rate in pieces):
+        return delay, False  # below a step, they are alike
+    smooth = [_averaged(piece, steps) for piece in pieces]
+    one, other = (_time_of(group, smooth, dt, filtered=f) for f in (False, True))
+    if one is None:
+        return delay, False
+    return (other, True) if other is not None and other.left < one.left - _FILTER_NATS else (one, False)
+
+
+def _averaged(piece: _Piece, steps: int) -> _Piece:
+    """Means of means over so many steps, without the ends."""
+
+    def mean(a: Array) -> Array:
+        return np.asarray(uniform_filter1d(uniform_filter1d(a, steps, axis=0), steps, axis=0)[steps:-steps])
+
+    change, integral, rate = piece
+    return mean(change), mean(integral), mean(rate)
+
+
+def _time_of(group: str, pieces: Sequence[_Piece], dt: float, *, filtered: bool) -> _Fit | None:
+    """The delay or the filter: what is found to first order is undone, until nothing is found."""
+    total = 0.0
+    error, degrees, left = float("inf"), 1, 0.0
+    for _ in range(_ITERATIONS):
+        data = _intervals([_undone(p, total / dt, dt, filtered=filtered) for p in pieces], dt)
+        times = [] if data is None else _times(group, data, dt)
+        if data is None or not times:
+            return None
+        pooled = pool(times)
+        total += pooled.value
+        if abs(total) > _LONGEST_S:
+            return None  # another quantity
+        error, degrees = pooled.error, max(pooled.slopes - 1, _FOLDS - 1)
+        left = sum(log(_rest(data[:, :, int(t.axis)])) for t in times)
+        left *= 0.25 * data.shape[1]  # intervals overlap by half
+    return _Fit(total, error, degrees, left)
+
+
+def _rest(one: Array) -> float:
+    """Square of what is left of a channel's changes."""
+    gap, change, _, integral = one
+    by = np.stack([change, integral, np.ones_like(gap)], 1)
+    size = np.sqrt(np.square(by).mean(0)) + 1e-300
+    left = gap - (by / size) @ np.linalg.lstsq(by / size, gap, rcond=1e-10)[0]
+    return float(left @ left) + 1e-300
+
+
+def _undone(piece: _Piece, rows: float, dt: float, *, filtered: bool) -> _Piece:
+    """Changes, integrals and rates with one of the two as it was: the changes, or the rates if `rows` is negative."""
+    change, integral, rate = piece
+    lost = 0 if filtered else int(np.ceil(abs(rows)))
+    if rows == 0 or len(rate) < lost + 4:
+        return piece
+    if rows > 0:
+        whole = np.concatenate([np.zeros((1, change.shape[1])), np.cumsum(change, 0)])
+        change = np.diff(unfiltered(whole, rows) if filtered else moved(whole, rows), axis=0)
+    else:
+        rate = unfiltered(rate, -rows) if filtered else moved(rate, -rows)
+        integral = 0.5 * dt * (rate[1:] + rate[:-1])
+    keep = len(rate) - lost
+    return change[: keep - 1], integral[: keep - 1], rate[:keep]
+
+
+def _intervals(pieces: Sequence[_Piece], dt: float) -> Array | None:
+    """Gap, change of the rate (negative), its instrument and integral (4, intervals, axes); None of too few."""
+    n = _span([rate for _, _, rate in pieces], dt)
+    rows = []
+    for change, integral, rate in pieces:
+        starts = np.arange(1, len(rate) - n - 1, max(1, n // 2))
+        if not len(starts):
+            continue
+        zero = np.zeros((1, rate.shape[1]))
+        over, expected = (np.concatenate([zero, np.cumsum(a, 0)]) for a in (change - integral, integral))
+        slope = (change[1:] + change[:-1]) / (2.0 * dt)  # at rows 1, 2, ...
+        ends = starts + n
+        gap, backwards = over[ends] - over[starts], rate[starts] - rate[ends]
+        instrument = slope[starts - 1] - slope[ends - 1]
+        rows.append(np.stack([gap, backwards, instrument, expected[ends] - expected[starts]]))
+    data = np.concatenate(rows, axis=1) if rows else None
+    return data if data is not None and data.shape[1] >= _FEWEST else None
+
+
+def _times(group: str, data: Array, dt: float) -> list[Slope]:
+    """How late the position is by axis [s], of the axes that move."""
+    out = []
+    for axis in range(data.shape[2]):
+        one = data[:, :, axis]
+        if np.square(one[0]).sum() > _UNEXPLAINED * np.square(one[0] + one[3]).sum():
+            continue  # it does not move as its rate says
+        found = jackknife(_time, one, _FOLDS)
+        if found is not None:
+            out.append(Slope("", str(axis), group, found[0], max(found[1], 1e-9 * dt), data.shape[1], 0.0))
+    return out
+
+
+def _time(one: Array) -> float:
+    gap, change, instrument, integral = one
+    ones = np.ones_like(gap)
+    z, r = np.stack([instrument, integral, ones]), np.stack([change, integral, ones], 1)
+    scale = np.sqrt(np.square(r).mean(0)) + 1e-300
+    return float(np.linalg.lstsq(z @ (r / scale), z @ gap, rcond=1e-10)[0][0] / scale[0])
+
+
+def _span(rates: Sequence[Array], dt: float) -> int:
+    """Steps over which rates change as much as they vary."""
+
+    def rms(parts: Sequence[Array]) -> float:
+        return float(np.sqrt(np.square(np.concatenate(parts)).mean())) if parts else 0.0
+
+    size = rms([w - w.mean(0) for w in rates])
+    n = 1
+    while n * dt < _LONGEST_S and rms([w[n:] - w[:-n] for w in rates if len(w) > n]) < size:
+        n = max(n + 1, int(1.3 * n))
+    return n
+
+
+# undone
+
+
+def on_time(
+    run: Run, system: SystemInfo, late: Mapping[str, float], filters: Mapping[str, float] | None = None
+) -> Run:
+    """A run whose late channels are moved to where they belong, x(t) = x_log(t + d); the ends of its segments go.
+
+    What a filter of first order made late is undone first, x = x_log + T x_log'.
+
+    Args:
+        run: The run.
+        system: Names of the states.
+        late: By state, or by the common name of several: by how much it is late [s of the log]; early, if negative.
+        filters: By state or common name: time constant of a filter [s of the log].
+
+    Raises:
+        ConfigError: an unknown channel, or a time that is not a number.
+        DataError: the run is too short.
+    """
+    moves, filtered_by = (
+        [(channel_columns(system, channel), _checked(channel, d) / run.dt) for channel, d in times.items()]
+        for times in (late, filters or {})
+    )
+    x = run.x.copy()
+    for a, b in run.segments:
+        for columns, rows in filtered_by:
+            x[a:b, columns] = unfiltered(x[a:b, columns], rows)
+    segments = []
+    first = max((0, *(int(np.ceil(-rows - 1e-9)) for _, rows in moves)))
+    last = max((0, *(int(np.ceil(rows - 1e-9)) for _, rows in moves)))
+    for a, b in run.segments:
+        if b - a - first - last < 2:
+            continue
+        for columns, rows in moves:
+            x[a:b, columns] = moved(x[a:b, columns], rows)
+        if system.quaternion is not None:
+            x[a:b, system.quaternion] /= np.linalg.norm(x[a:b, system.quaternion], axis=1, keepdims=True)
+        segments.append((a + first, b - last))
+    if not segments:
+        said = ", ".join(f"{1e3 * by:.3g} ms of {name}" for name, by in late.items())
+        raise DataError(
+            f"run {run.name!r} has no stretch that is long enough to take delays out of it ({said}). "
+            "Leave the run out, or record without gaps."
+        )
+    return replace(run, x=x, segments=tuple(segments))
+
+
+def moved(x: Array, rows: float) -> Array:
+    """Rows as they are `rows` later (earlier, if negative), by a cubic spline; at the end the last one is repeated."""
+    k = np.arange(len(x), dtype=np.float64)
+    at = np.clip(k + rows, 0.0, len(x) - 1.0)
+    if len(x) < 4:
+        return np.stack([np.interp(at, k, column) for column in x.T], 1)
+    return np.asarray(CubicSpline(k, x)(at))
+
+
+def unfiltered(x: Array, rows: float) -> Array:
+    """What a filter of first order with a time constant of `rows` was given, x + rows dx/drow by a cubic spline."""
+    if len(x) < 4:
+        return x
+    return x + rows * np.asarray(CubicSpline(np.arange(len(x), dtype=np.float64), x)(np.arange(len(x)), 1))
+
+
+def _checked(channel: str, d: object) -> float:
+    if isinstance(d, bool) or not isinstance(d, int | float) or not isfinite(d):
+        raise ConfigError(f"the time of {channel!r} must be a finite time [s]; got {d!r}.")
+    return float(d)
+
+
+# simulated
+
+
+def filtered(x: Array, rows: float) -> Array:
+    """A filter of first order with a time constant of `rows`, at rest at the first row, straight between rows."""
+    if rows <= 0:
+        return x
+    keep = float(np.exp(-1.0 / rows))
+    new, old = 1.0 - rows * (1.0 - keep), rows * (1.0 - keep) - keep
+    return np.asarray(lfilter([new, old], [1.0, -keep], x, axis=0, zi=x[:1] * (keep + old))[0])
+
+
+def changed(
+    x: Array, system: SystemInfo, values: Mapping[str, float], change: Callable[[Array, float], Array]
+) -> Array:
+    """States (n, nx) whose channels are each changed by a number, an attitude back on the sphere."""
+    x = x.copy()
+    for name, value in values.items():
+        columns = channel_columns(system, name)
+        x[:, columns] = change(x[:, columns], value)
+    if system.quaternion is not None:
+        x[:, system.quaternion] /= np.linalg.norm(x[:, system.quaternion], axis=1, keepdims=True)
+    return x
+
+
+def check_times(name: str, values: Mapping[str, float], system: SystemInfo) -> None:
+    """Refuse times of an option that are of no state, or below 0 s.
+
+    Raises:
+        ConfigError: names the option, and what it was given.
+    """
+    for channel, value in values.items():
+        channel_columns(system, channel)
+        if not (isfinite(value) and value >= 0):
+            raise ConfigError(f"`{name}.{channel}` must be a time of 0 s or more; got {value!r}.")
+
+
+# described
+
+
+def by_fault(late: Sequence[Latency]) -> dict[str, list[Latency]]:
+    """Delays and filters, by the name of the fault and of the option that takes it out; only kinds that there are."""
+    kinds = {
+        "sensor_delay": [d for d in late if not d.filtered],
+        "sensor_lag": [d for d in late if d.filtered],
+    }
+    return {name: some for name, some in kinds.items() if some}
+
+
+def latency_findings(late: Sequence[Latency], *, action: str = "reported") -> list[Finding]:
+    """What the data summary says of late sensors, by the option that takes them out."""
+    out = []
+    for key, some in by_fault(late).items():
+        how = "late" if key == "sensor_delay" else "late behind a filter"
+        message = ", ".join(f"{d.channel} is {1e3 * d.seconds:.3g} ms {how} against {d.other}" for d in some)
+        remedy = ", ".join(f"{d.channel}: {d.seconds:.3g}" for d in some)
+        message += ", by the kinematics"
+        message += (
+            f"; `data.{key}={{{remedy}}}` takes it out" if action == "reported" else " at the log's own rate"
+        )
+        values = {f"{d.channel}_s": d.seconds for d in some}
+        out.append(Finding("late_sensor", "", len(some), message, action, values))
+    return out
+
+
+def found_latency(fault: Fault, log: LoggedRuns, *, filtered: bool) -> Detected | None:
+    """Channels of a log that are surely delayed, or filtered, as one finding; None for none."""
+    late = [d for d in log.once(_surely_late_in) if d.filtered == filtered]
+    return _detected(fault, late) if late else None
+
+
+def suspected_latency(fault: Fault, log: LoggedRuns, *, filtered: bool) -> list[Suspect]:
+    """Channels that are late by less than what is sure: half a step may be how a simulator steps."""
+    late, out = log.once(_late_in), []
+    for order, d in enumerate(late):
+        matters = d.p * len(late) < log.level(fault.stage) and d.low > _LEAST_STEPS * log.runs[0].dt
+        if matters and d.filtered == filtered and d not in log.once(_surely_late_in):
+            out.append(Suspect(fault, order, _detected(fault, [d], short=True), {d.channel: -d.seconds}))
+    return out
+
+
+def _late_in(log: LoggedRuns) -> list[Latency]:
+    return late_channels(log.system, log.runs, clock=log.clock)
+
+
+def _surely_late_in(log: LoggedRuns) -> list[Latency]:
+    return surely_late(log.once(_late_in), log.runs[0].dt, chance=log.level("lateness"))
+
+
+def _detected(fault: Fault, late: Sequence[Latency], *, short: bool = False) -> Detected:
+    how = "late behind a filter, against" if late[0].filtered else "later than"
+    words = ", ".join(f"{d.channel} is logged {1e3 * d.seconds:.3g} ms {how} {d.other}" for d in late)
+    values = {d.channel: (d.seconds, d.low, d.high, "s") for d in late}
+    text = f"Channels do not belong to the same time: {words}, as the one is the integral of the other."
+    return Detected(fault.name, values, min(d.p for d in late), text, short)
+
+
+# found by physics
+
+
+def whole_sensor_late(
+    runs: Sequence[Run],
+    system: SystemInfo,
+    misfits: Misfits,
+    *,
+    rows: int,
+    other: float,
+    undone: Mapping[str, float],
+) -> tuple[Detected, tuple[Run, ...]] | None:
+    """One sensor, position and rate alike, that is late against all else, and the runs without it; None of none.
+
+    Kinematics do not show it, and effects that do the same pay for one channel with another. So it is asked for where
+    effects leave structure, has to do better than they, and no channel may pay for it: attitude and rates moved by the
+    time that motors lag behind would otherwise take their place. Arguments are those of `Fault.instead_of_effects`.
+    """
+    pairs = [(common_name(positions), common_name(rates)) for positions, rates in pairs_of(system).values()]
+    step = runs[0].dt
+    longest = min(_SENSOR_S / step, 0.1 * min(b - a for run in runs for a, b in run.segments))
+    if len(pairs) < 2 or longest < 1.0:  # no sensor is late by as much as a step
+        return None
+    unmoved = misfits(runs)
+    other = min(other, float(unmoved.sum()))
+
+    def moved_by(steps: float, pair: tuple[str, str]) -> list[Run]:
+        return [on_time(run, system, dict.fromkeys(pair, steps * step)) for run in runs]
+
+    best: tuple[float, float, tuple[str, str]] | None = None
+    for pair in pairs:
+
+        def misfit(steps: float, pair: tuple[str, str] = pair) -> float:
+            return float(misfits(moved_by(steps, pair)).sum())
+
+        at, here = 1.0, misfit(1.0)
+        while 2.0 * at <= longest and (there := misfit(2.0 * at)) < here:
+            at, here = 2.0 * at, there
+        if here < other - NATS / rows and (best is None or here < best[0]):
+            bounds = (0.5 * at, min(2.0 * at, longest))
+            nearer = minimize_scalar(misfit, bounds=bounds, method="bounded", options={"maxiter": 8})
+            best = min((here, at, pair), (float(nearer.fun), float(nearer.x), pair))
+    if best is None or best[0] > other - _SENSOR_NATS / rows:
+        return None
+    here, at, pair = best
+    without = tuple(moved_by(at, pair))
+    if (misfits(without) > unmoved + NATS / rows).any():
+        return None
+    curvature = float(misfits(moved_by(1.5 * at, pair)).sum()) - here
+    half = _Z90 * 0.5 * at * step / max(2.0 * rows * curvature, 1e-12) ** 0.5
+    if half >= at * step:  # another time would do as well: what it does is no delay's
+        return None
+    values = {}
+    for channel in pair:
+        whole = at * step + undone.get(channel, 0.0)
+        values[channel] = (whole, whole - half, whole + half, "s")
+    words = (
+        f"{' and '.join(pair)} are logged {1e3 * at * step:.3g} ms later than all else: the declared physics fits "
+        "better so than with any effects."
+    )
+    return Detected("sensor_delay", values, None, words), without

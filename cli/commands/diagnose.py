@@ -39,6 +39,7 @@ class DiagnoseConfig:
         "show? Takes as long as so many diagnoses",
     )
     rehearsals: int = key(3, "logs of the machine that was found, with rehearse=true", low=1)
+    max_minutes: float | None = of(Options, "max_minutes")
     seed: int = of(Options, "seed", help="seed of resamples and of the training")
     device: str = key("cpu", "where the training's tensors live: cpu, cuda or cuda:N")
     dtype: str = key("float32", "precision of the training", choices=("float32", "float64"))
@@ -73,6 +74,7 @@ COMMAND = HydraCommand(
         ("'candidates=[linear_drag,quadratic_drag]'", "try these alone"),
         ("retrain=false", "do not train with what was found"),
         ("retrain=false rehearse=true", "would it be found again?"),
+        ("max_minutes=10", "end after 10 minutes with what is known"),
     ),
 )
 
@@ -115,13 +117,16 @@ def run(config: DictConfig, job: Job) -> None:
         test_data=build.test_data(config.data, system),
         instruments=list(config.data.instruments),
         seed=config.seed,
+        max_minutes=config.max_minutes,
         so_far=files.write_so_far,
     )
     content = files.write(found)
     print()
     print("\n".join(lines(content)), flush=True)
     if found.so_far is not None:
-        raise KeyboardInterrupt
+        if found.so_far.after_min is None:
+            raise KeyboardInterrupt
+        return  # neither trained nor rehearsed with: that is no end of the search
     if config.retrain and (found.effects or set(found.sensor_faults) & set(found.added)):
         print(f"\ntraining the model with {', '.join(found.added)}", flush=True)
         content["model"] = _train(config, job, found)

@@ -34,6 +34,7 @@ def diagnose(
     test_data: Data | None = None,
     instruments: Sequence[str] = (),
     seed: int = 0,
+    max_minutes: float | None = None,
     say: Say | Literal[False] | None = None,
     so_far: Callable[[Diagnosis], None] = lambda found: None,
 ) -> Diagnosis:
@@ -57,6 +58,8 @@ def diagnose(
         test_data: Further runs that are kept back; a run of theirs among `data` is refused.
         instruments: Logged columns that nothing inside the control loop moves: sticks, setpoints.
         seed: Seed of the resamples.
+        max_minutes: Time after which it ends with what is known [min]; None: none. `not_done` says what is missing. The
+            declared physics is fitted however long that takes.
         say: None: progress is printed on standard error, with what was found so far and roughly how long is left;
             False: nothing is printed; or a function that takes stage, number done and number in all.
         so_far: Takes the diagnosis so far after each round of the search and each later stage.
@@ -90,6 +93,7 @@ def diagnose(
         also=tuple(also),
         seed=seed,
         instruments=tuple(instruments),
+        max_minutes=max_minutes,
     )
     machine_options = system_options(system, effects=effects, declared=declared, parameters=parameters)
     machine = machine_options.make()

@@ -30,6 +30,7 @@ from nsde_torch.diagnosis.smooth_functions import FunctionGroup, processes_of_tw
 from nsde_torch.inference.smooth import Scale
 from nsde_torch.sysid.noise import Noise
 from nsde_torch.sysid.regression import Regression
+from nsde_torch.time_limit import check_time
 
 Array = NDArray[np.float64]
 Labels = NDArray[np.int64]
@@ -305,6 +306,7 @@ class Part:
         out = np.empty((len(self._fold), width), order="F")
         done = 0
         for part in chain((self._jacobian(c),), terms, (r.residual[:, [r.rows[c]]],)):
+            check_time()
             out[:, done : done + part.shape[1]] = r.whitened(noise, part)
             done += part.shape[1]
         return out

@@ -24,6 +24,8 @@ from typing import final
 import numpy as np
 from numpy.typing import NDArray
 
+from nsde_torch.time_limit import check_time
+
 Array = NDArray[np.float64]
 Labels = NDArray[np.int64]
 
@@ -130,6 +132,7 @@ class Candidates:
         there = np.arange(own, dtype=np.int64)
         square = float(gram[-1, -1])
         while square > 0 and len(chosen) < most:
+            check_time()
             pull, along = gram[there, -1], gram[own:-1, there]
             inverse = _pseudo_inverse(gram[np.ix_(there, there)])
             noise = max(square - float(pull @ inverse @ pull), _ROUNDING * square) / max(others.rows, 1)

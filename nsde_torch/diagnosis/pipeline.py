@@ -12,10 +12,11 @@ ceiling         what a flexible model could win, alone and beside the effects   
 explain         what is left, as far as it can be                               explanation
 report          `Diagnosis`, and the content of `diagnosis.json`                result, content
 
-A stage whose numbers fail costs itself and not the run (`not_done`), but for the first search.
+A stage whose numbers fail, or that would not end in the time that is left, costs itself and not the run (`not_done`),
+but for the first search.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 
@@ -47,11 +48,13 @@ from nsde_torch.diagnosis.not_done import (
     ERRORS,
     ESTIMATES,
     LAWS,
+    NO_TIME,
     OTHER_ROWS,
     SECOND_LOOK,
     SELECTION,
     TESTS,
     OptionalStages,
+    SoFar,
     StoppedError,
     needed,
 )
@@ -60,6 +63,7 @@ from nsde_torch.diagnosis.outcome import Outcome, undecided
 from nsde_torch.diagnosis.reading import Log, read_effects, read_log
 from nsde_torch.diagnosis.result import Diagnosis
 from nsde_torch.diagnosis.search import Search
+from nsde_torch.diagnosis.selection import added_so_far
 from nsde_torch.diagnosis.selection import so_far as chosen_so_far
 from nsde_torch.diagnosis.spectrum import lines
 from nsde_torch.diagnosis.standing import selected_again, tied, without_standing
@@ -72,6 +76,7 @@ from nsde_torch.sysid.identify import identification
 from nsde_torch.sysid.in_loop import adopted
 from nsde_torch.sysid.result import Identification
 from nsde_torch.systems import System
+from nsde_torch.time_limit import TimeUpError
 
 
 def diagnose(
@@ -110,7 +115,10 @@ def diagnose(
     course = DiagnosisCourse(data, tuple(run.name for run in runs), options, spec, say=say, so_far=so_far)
     decisions = replace(decisions, alpha=options.alpha, most_effects=options.max_effects)
     try:
-        return _diagnosed(course, system, runs, closed_loop, decisions, budgets)
+        with course.limit:
+            return _diagnosed(course, system, runs, closed_loop, decisions, budgets)
+    except TimeUpError:
+        return course.timed_out()
     except KeyboardInterrupt as stop:
         found = course.stopped()
         if found is None:
@@ -127,7 +135,7 @@ def _diagnosed(
     budgets: Budgets,
 ) -> Diagnosis:
     """The stages, in order."""
-    stages, say = OptionalStages(), course.say
+    stages, say = OptionalStages(too_long=course.too_long), course.say
     data, names, options, spec = course.data, course.runs, course.options, course.spec
     read_effects(system, runs, options)
     say("checking the recording chain", 0, 1)
@@ -209,6 +217,9 @@ def _diagnosed(
         feedback=feedback,
         instrumented=instrumented,
         not_done=tuple(stages.not_done),
+        so_far=SoFar(after_min=options.max_minutes)
+        if any(s.why == NO_TIME for s in stages.not_done)
+        else None,
     )
 
 
@@ -260,7 +271,11 @@ def _jointly(log: Log, search: Search) -> JointSelection | None:
         # of first values that are far off, what is left would pass for noise
         system = fitted_system(declared.regression)
         problem = LogLikelihood(system, log.runs, log.recorded.clock, run_in=True)
-        return jointly_selected(search, problem, system, frequencies)
+
+        def known(physics: System, brought: Mapping[str, float]) -> None:
+            search.so_far(added_so_far(search, declared, physics, brought))
+
+        return jointly_selected(search, problem, system, frequencies, so_far=known)
 
     return log.stages.attempt("the selection by the joint likelihood", selected, None)
 

@@ -7,15 +7,22 @@ A time shorter than a step of the log (inputs that act a millisecond late) is no
 it makes other effects look likely. Where it explains more than any of them, it joins what is declared.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from nsde_torch.diagnosis.fitted import effect_of, moved_channels
+from scipy.special import chdtrc
+
+from nsde_torch.diagnosis.candidates import candidate_names
+from nsde_torch.diagnosis.evidence import score
+from nsde_torch.diagnosis.fitted import effect_of, moved_channels, nonlinear
+from nsde_torch.diagnosis.multiplicity import bonferroni
 from nsde_torch.diagnosis.outcome import Found, Outcome, undecided
 from nsde_torch.diagnosis.rounds import Round, look
 from nsde_torch.diagnosis.search import Base, Search
 from nsde_torch.diagnosis.trials import Trial, accept, below_a_step, something_is_missing
 from nsde_torch.effects import effect_class
+from nsde_torch.systems import System
+from nsde_torch.systems.parameters import ParameterVector
 
 
 @dataclass(frozen=True)
@@ -91,6 +98,44 @@ def so_far(search: Search, chosen: Selection) -> Outcome:
         if name in trials
     ]
     return undecided(search, chosen.declared, chosen.final, found, chosen.rounds, chosen.aside)
+
+
+def added_so_far(search: Search, declared: Base, system: System, brought: Mapping[str, float]) -> Outcome:
+    """What is known of effects that were selected by other means, before each is fitted beside the others.
+
+    Args:
+        search: Data and settings.
+        declared: The declared physics, fitted.
+        system: The physics with the effects, its values near their optimum.
+        brought: Log likelihood that each brought when it was added [nats]; of effects that it no longer has, too.
+    """
+    regression = search.regression(system, declared.regression, ParameterVector(system).start)
+    regression.run(search.budgets.refinements)
+    own = score(regression, declared.fold, declared.block, still=nonlinear(regression.vector, smooth=False))
+    final = Base(system, regression, own, declared.fold, declared.block)
+    concluded, spread = regression.concluded(), regression.spread()
+    among = max(len(candidate_names(declared.system, search.candidates)), 1)
+    found = []
+    for name, nats in brought.items():
+        mine = regression.vector.of(name) if name in system.effect_names else []
+        if not mine:
+            continue
+        p = float(chdtrc(len(mine), max(2.0 * nats, 0.0)))
+        trial = Trial(
+            name,
+            concluded,
+            slice(mine[0], mine[-1] + 1),
+            own,
+            nats=nats,
+            nats_error=0.0,
+            rank_score=nats,
+            p=p,
+            p_corrected=bonferroni(p, among),
+            spread=spread,
+            nothing=False,
+        )
+        found.append(Found(name, trial, (), moved_channels(regression, name)))
+    return undecided(search, declared, final, found)
 
 
 def choice(search: Search, trials: Sequence[Trial], added: Sequence[str]) -> Trial | None:

@@ -6,13 +6,14 @@ from typing import Any
 from nsde_torch.diagnosis.buys import BY_STEPS
 from nsde_torch.diagnosis.ceiling_text import ceiling_lines, ceiling_rows
 from nsde_torch.diagnosis.feedback_text import feedback_lines
-from nsde_torch.diagnosis.not_done import ERRORS, NOT_YET, STOPPED
+from nsde_torch.diagnosis.not_done import ERRORS, NO_TIME, NOT_YET, STOPPED
 from nsde_torch.diagnosis.summary import small
 from nsde_torch.evaluation.report import number, table
 from nsde_torch.sysid.guard import doubts_the_fit
 from nsde_torch.sysid.standing import in_words
 
 _RANKED, _SENTENCES = 6, 4  # candidates and sentences that are listed
+_UNFINISHED = (NO_TIME, NOT_YET, STOPPED)
 _VERDICTS = {
     "no_effect": "Nothing is missing",
     "effect_found": "Found what is missing",
@@ -180,8 +181,10 @@ def unfinished(content: Mapping[str, Any]) -> list[str]:
     so_far = content.get("so_far")
     if so_far is None:
         return []
-    during = so_far["stopped_during"]
-    left = ", ".join(n["stage"] for n in content["not_done"] if n["why"] in (NOT_YET, STOPPED))
+    during, after = so_far["stopped_during"], so_far["stopped_after_min"]
+    left = ", ".join(n["stage"] for n in content["not_done"] if n["why"] in _UNFINISHED)
+    if after is not None:
+        return [f"stopped after {after:g} min as asked: not done: {left}; go on with resume=DIR"]
     how = f"so far: stopped during {during}; not done" if during else "so far; not done yet"
     return [f"{how}: {left}"]
 
@@ -189,7 +192,7 @@ def unfinished(content: Mapping[str, Any]) -> list[str]:
 def notices(content: Mapping[str, Any]) -> list[tuple[str, str]]:
     """Title and text of what is to be read before the findings: warnings, and stages without a result."""
     odd = [("Warning", warning(w)) for w in content["warnings"]]
-    failed = [n for n in content.get("not_done", ()) if n["why"] not in (NOT_YET, STOPPED)]
+    failed = [n for n in content.get("not_done", ()) if n["why"] not in _UNFINISHED]
     return [*odd, *(("Not done", f"{n['stage']}: {n['why']}.") for n in failed)]
 
 

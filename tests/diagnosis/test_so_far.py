@@ -14,9 +14,10 @@ from typing import Any
 import pytest
 
 import nsde_torch
-from nsde_torch.diagnosis import files
+from nsde_torch import time_limit
+from nsde_torch.diagnosis import course, files
 from nsde_torch.diagnosis.files import EFFECTS, REPORT, RESULT, DiagnosisFiles
-from nsde_torch.diagnosis.not_done import ERRORS, NOT_YET, SELECTION, STOPPED, TESTS
+from nsde_torch.diagnosis.not_done import CEILING, ERRORS, NO_TIME, NOT_YET, SELECTION, STOPPED, TESTS
 from nsde_torch.diagnosis.result import Diagnosis
 from nsde_torch.diagnosis.text import lines
 from nsde_torch.effects import files as effects_files
@@ -54,7 +55,7 @@ def test_what_is_known_is_kept_where_it_is_stopped(
     found = _stopped(made, at)
     found.save(tmp_path)
     content = json.loads((tmp_path / RESULT).read_text())
-    assert content["so_far"] == {"stopped_during": at, "roughly_left_s": None}
+    assert content["so_far"] == {"stopped_during": at, "stopped_after_min": None, "roughly_left_s": None}
     assert (content["verdict"], content["added"]) == (verdict, added)
     assert content["not_done"][0] == {"stage": first, "why": STOPPED}
     assert lines(content)[0].startswith(f"so far: stopped during {at}; not done: {first}, ")
@@ -73,6 +74,49 @@ def test_what_is_known_is_kept_where_it_is_stopped(
 def test_before_anything_is_known_it_is_an_interrupt_as_ever(made: Simulation) -> None:
     with pytest.raises(KeyboardInterrupt):
         _stopped(made, "fitting the declared physics")
+
+
+def test_it_ends_in_the_time_that_was_asked_for_with_what_is_known(
+    made: Simulation, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    now, told = [0.0], []
+    monkeypatch.setattr(time_limit, "perf_counter", lambda: now[0])
+
+    def say(stage: str, done: int, total: int) -> None:
+        told.append(stage)
+        if stage == ERRORS:
+            now[0] = 61.0
+
+    found = nsde_torch.diagnose(made, system=SPRING, candidates=[FRICTION], say=say, max_minutes=1.0)
+    assert told[-1] == ERRORS  # noticed within the stage: no later one begins
+    assert found.added == [FRICTION]
+    content = found.content()
+    assert content["so_far"]["stopped_after_min"] == 1.0
+    assert content["not_done"][0] == {"stage": ERRORS, "why": NO_TIME}
+    assert lines(content)[0].startswith(f"stopped after 1 min as asked: not done: {ERRORS}, ")
+    with pytest.raises(KeyboardInterrupt):
+        found.finished()
+
+
+def test_before_anything_is_known_the_limit_waits(made: Simulation, monkeypatch: pytest.MonkeyPatch) -> None:
+    ticks = iter(range(0, 10**9, 100))
+    monkeypatch.setattr(time_limit, "perf_counter", lambda: float(next(ticks)))
+    found = nsde_torch.diagnose(made, system=SPRING, candidates=[FRICTION], say=False, max_minutes=1.0)
+    assert (found.verdict, found.added) == ("undecided", [])
+    assert found.parameters == {}
+    assert found.declared_values["force_gain"] > 0
+
+
+def test_a_stage_that_would_not_end_in_time_is_left_out(
+    made: Simulation, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(course, "_ROUNDS", {**course._ROUNDS, CEILING: 1e6})
+    found = nsde_torch.diagnose(made, system=SPRING, candidates=[FRICTION], say=False, max_minutes=60.0)
+    content = found.content()
+    assert [(n["stage"], n["why"]) for n in content["not_done"]] == [(CEILING, NO_TIME)]
+    assert (found.verdict, found.added) == ("effect_found", [FRICTION])
+    assert "the diagnosis is not finished" not in [f["lead_reason"] for f in content["findings"]]
+    assert lines(content)[0].startswith(f"stopped after 60 min as asked: not done: {CEILING};")
 
 
 def test_python_shows_what_was_found_and_each_stage_leaves_less_to_do(

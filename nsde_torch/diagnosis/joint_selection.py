@@ -162,6 +162,8 @@ def jointly_selected(
     system: System,
     frequencies: Sequence[float] = (),
     *,
+    begun: System | None = None,
+    brought: Mapping[str, float] | None = None,
     so_far: Callable[[System, Mapping[str, float]], None] = lambda system, nats: None,
 ) -> JointSelection | None:
     """Effects selected by the likelihood; None where its innovations are not what they should be.
@@ -171,9 +173,11 @@ def jointly_selected(
         problem: The likelihood of the log, whose rows bring up memory first.
         system: The declared physics with first values.
         frequencies: Those of lines in the spectrum, which sinusoids start from [Hz].
+        begun: The physics with effects that were selected before, which are added to; None: the declared physics.
+        brought: What each of these brought [nats].
         so_far: Takes the physics after each effect that is added, and what each of these brought [nats].
     """
-    return _JointSearch(search, problem, system, frequencies).selected(so_far)
+    return _JointSearch(search, problem, system, frequencies).selected(begun, dict(brought or {}), so_far)
 
 
 class _JointSearch:
@@ -192,11 +196,16 @@ class _JointSearch:
         self._looks: dict[frozenset[str], tuple[list[Explained], _Table]] = {}
         self._first = self._fitted(system, None)
 
-    def selected(self, so_far: Callable[[System, Mapping[str, float]], None]) -> JointSelection | None:
+    def selected(
+        self,
+        begun: System | None,
+        brought: dict[str, float],
+        so_far: Callable[[System, Mapping[str, float]], None],
+    ) -> JointSelection | None:
         """See `jointly_selected`."""
-        place, most = self._first, self._search.decisions.most_effects
-        brought: dict[str, float] = {}
-        for count in range(most):
+        most = self._search.decisions.most_effects
+        place = self._first if begun is None else self._fitted(begun, self._first)
+        for count in range(len(self._added(place.system)), most):
             names = candidate_names(place.system, self._search.candidates)
             count_of = f"{len(names)} effect{'s' if len(names) > 1 else ''}"
             self._search.say(f"round {count + 1}: trying {count_of}", count, most)

@@ -12,9 +12,10 @@ from dataclasses import dataclass
 
 from scipy.special import chdtrc
 
+from nsde_torch.diagnosis.begun import Begun
 from nsde_torch.diagnosis.candidates import candidate_names
 from nsde_torch.diagnosis.evidence import score
-from nsde_torch.diagnosis.fitted import effect_of, moved_channels, nonlinear
+from nsde_torch.diagnosis.fitted import effect_of, fitted_system, moved_channels, nonlinear
 from nsde_torch.diagnosis.multiplicity import bonferroni
 from nsde_torch.diagnosis.outcome import Found, Outcome, undecided
 from nsde_torch.diagnosis.rounds import Round, look
@@ -35,6 +36,7 @@ class Selection:
         names: Effects that were chosen, in order.
         rounds: Every look at the catalogue.
         aside: Effects that joined what is declared because they are shorter than a step.
+        before: What an earlier diagnosis found, of which no round tells.
     """
 
     declared: Base
@@ -42,6 +44,7 @@ class Selection:
     names: list[str]
     rounds: list[Round]
     aside: tuple[str, ...]
+    before: tuple[Found, ...] = ()
 
 
 def forward_selection(
@@ -59,6 +62,7 @@ def forward_selection(
     rounds: list[Round] = []
     names: list[str] = []
     aside: list[str] = []
+    before = () if after is None else after.before
     if after is not None:
         base, rounds, aside = final or after.final, [*after.rounds], [*after.aside]
         names = [n for n in base.system.effect_names if n not in declared.system.effect_names]
@@ -80,8 +84,8 @@ def forward_selection(
         names = [*(n for n in names if n not in replaced), now.chosen.name]
         search.held |= set(now.chosen.held)
         base = search.grown(now.chosen.regression)
-        search.so_far(so_far(search, Selection(declared, base, names, rounds, tuple(aside))))
-    return Selection(declared, base, names, rounds, tuple(aside))
+        search.so_far(so_far(search, Selection(declared, base, names, rounds, tuple(aside), before)))
+    return Selection(declared, base, names, rounds, tuple(aside), before)
 
 
 def so_far(search: Search, chosen: Selection) -> Outcome:
@@ -92,12 +96,31 @@ def so_far(search: Search, chosen: Selection) -> Outcome:
         chosen: What was chosen.
     """
     trials = {one.chosen.name: one.chosen for one in chosen.rounds if one.chosen is not None}
-    found = [
+    found = [f for f in chosen.before if f.name in chosen.names and f.name not in trials]
+    found += [
         Found(name, trials[name], (), moved_channels(chosen.final.regression, name))
         for name in chosen.names
         if name in trials
     ]
     return undecided(search, chosen.declared, chosen.final, found, chosen.rounds, chosen.aside)
+
+
+def begun_selection(search: Search, system: System, begun: Begun) -> Selection:
+    """What an earlier diagnosis had selected, and what is selected beside it.
+
+    Args:
+        search: Data and settings.
+        system: Declared physics with its first values.
+        begun: What it had selected.
+    """
+    declared = search.base(system)
+    physics = begun.beside(fitted_system(declared.regression))
+    known = added_so_far(search, declared, physics, begun.nats)
+    search.so_far(known)
+    names = [f.name for f in known.found]
+    final = search.base(physics, warm=True)
+    after = Selection(declared, final, names, [], (), tuple(known.found))
+    return forward_selection(search, declared, after=after)
 
 
 def added_so_far(search: Search, declared: Base, system: System, brought: Mapping[str, float]) -> Outcome:

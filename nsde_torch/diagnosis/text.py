@@ -29,9 +29,14 @@ def heading(content: Mapping[str, Any]) -> str:
     return _VERDICTS["doubted" if doubted else content["verdict"]]
 
 
-def lines(content: Mapping[str, Any]) -> list[str]:
-    """Lines of text from the content of `diagnosis.json`."""
-    out = [*unfinished(content), f"verdict: {content['verdict']}", content["summary"]]
+def lines(content: Mapping[str, Any], go_on: str = "resume=DIR") -> list[str]:
+    """Lines of text from the content of `diagnosis.json`.
+
+    Args:
+        content: The content.
+        go_on: The key that goes on from a diagnosis that is not finished.
+    """
+    out = [*unfinished(content, go_on), f"verdict: {content['verdict']}", content["summary"]]
     out += [line for title, said in notices(content) for line in ("", f"{title.lower()}: {said}")]
     for finding in in_order(content):
         out += _finding(finding, content)
@@ -176,15 +181,20 @@ def interval_head(content: Mapping[str, Any]) -> str:
     return "90 % interval, provisional" if "so_far" in content else "90 % interval"
 
 
-def unfinished(content: Mapping[str, Any]) -> list[str]:
-    """That a diagnosis is not finished, and what is not done, in a line; none of one that is."""
+def unfinished(content: Mapping[str, Any], go_on: str = "resume=DIR") -> list[str]:
+    """That a diagnosis is not finished, and what is not done, in a line; none of one that is.
+
+    Args:
+        content: Of `diagnosis.json`.
+        go_on: See `lines`.
+    """
     so_far = content.get("so_far")
     if so_far is None:
         return []
     during, after = so_far["stopped_during"], so_far["stopped_after_min"]
     left = ", ".join(n["stage"] for n in content["not_done"] if n["why"] in _UNFINISHED)
     if after is not None:
-        return [f"stopped after {after:g} min as asked: not done: {left}; go on with resume=DIR"]
+        return [f"stopped after {after:g} min as asked: not done: {left}; go on with {go_on}"]
     how = f"so far: stopped during {during}; not done" if during else "so far; not done yet"
     return [f"{how}: {left}"]
 

@@ -14,7 +14,7 @@ import pytest
 
 from nsde_torch import time_limit
 from nsde_torch.api import diagnosing
-from nsde_torch.cli.exit_status import INTERRUPTED, OK
+from nsde_torch.cli.exit_status import INTERRUPTED, OK, USER_ERROR
 from nsde_torch.cli.main import main
 from nsde_torch.diagnosis.files import EFFECTS, REPORT, RESULT
 from nsde_torch.diagnosis.not_done import SELECTION
@@ -50,7 +50,8 @@ def test_ctrl_c_writes_and_prints_what_is_known(
     assert main([*words, f"candidates=[{FRICTION}]", f"out_dir={out}"]) == INTERRUPTED
     said = capsys.readouterr()
     assert "\nso far: stopped during testing what is left; not done: tests of feedback" in said.out
-    assert said.err.splitlines()[-1] == f"nsde diagnose: interrupted. What is known is kept in {out}."
+    go_on = f"nsde diagnose resume={out}"
+    assert said.err.splitlines()[-1] == f"nsde diagnose: interrupted. Continue with: {go_on}"
     content = json.loads((out / RESULT).read_text())
     assert content["added"] == [FRICTION]
     assert content["so_far"]["stopped_during"] == "testing what is left"
@@ -69,10 +70,19 @@ def test_it_ends_in_time_with_what_is_known_and_is_no_failure(
     given = [word for word in words if word != "retrain=false"]
     assert main([*given, f"candidates=[{FRICTION}]", "max_minutes=0.01", f"out_dir={out}"]) == OK
     said = capsys.readouterr()
-    assert f"\nstopped after 0.01 min as asked: not done: {SELECTION}, " in said.out
+    (line,) = [one for one in said.out.splitlines() if one.startswith("stopped after")]
+    assert line.startswith(f"stopped after 0.01 min as asked: not done: {SELECTION}, ")
+    assert line.endswith(f"; go on with resume={out}")
     assert json.loads((out / RESULT).read_text())["so_far"]["stopped_after_min"] == 0.01
     assert (out / EFFECTS).is_file()
     assert not (out / "model").exists()
+    monkeypatch.undo()
+    assert main(["diagnose", f"resume={out}", "retrain=false", "max_minutes=null"]) == OK
+    assert json.loads((out / RESULT).read_text())["added"] == [FRICTION]
+    assert main(["diagnose", f"resume={out}"]) == USER_ERROR
+    assert "came to its end" in capsys.readouterr().err
+    assert main(["diagnose", f"resume={tmp_path}"]) == USER_ERROR
+    assert "there is no run to continue" in capsys.readouterr().err
 
 
 @pytest.mark.slow

@@ -6,6 +6,7 @@ import io
 import json
 import os
 import sys
+from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 from types import ModuleType
@@ -15,12 +16,13 @@ import pytest
 
 import nsde_torch
 from nsde_torch import time_limit
-from nsde_torch.diagnosis import course, files
+from nsde_torch.diagnosis import course, files, pipeline
 from nsde_torch.diagnosis.files import EFFECTS, REPORT, RESULT, DiagnosisFiles
 from nsde_torch.diagnosis.not_done import CEILING, ERRORS, NO_TIME, NOT_YET, SELECTION, STOPPED, TESTS
 from nsde_torch.diagnosis.result import Diagnosis
 from nsde_torch.diagnosis.text import lines
 from nsde_torch.effects import files as effects_files
+from nsde_torch.errors import CheckpointError, ConfigError, DataError
 from nsde_torch.progress import Stages, no_bar
 from nsde_torch.simulation.generate import Simulation
 from nsde_torch.whole_files import write_whole
@@ -55,7 +57,12 @@ def test_what_is_known_is_kept_where_it_is_stopped(
     found = _stopped(made, at)
     found.save(tmp_path)
     content = json.loads((tmp_path / RESULT).read_text())
-    assert content["so_far"] == {"stopped_during": at, "stopped_after_min": None, "roughly_left_s": None}
+    assert {**content["so_far"], "declared": None} == {
+        "stopped_during": at,
+        "stopped_after_min": None,
+        "roughly_left_s": None,
+        "declared": None,
+    }
     assert (content["verdict"], content["added"]) == (verdict, added)
     assert content["not_done"][0] == {"stage": first, "why": STOPPED}
     assert lines(content)[0].startswith(f"so far: stopped during {at}; not done: {first}, ")
@@ -117,6 +124,51 @@ def test_a_stage_that_would_not_end_in_time_is_left_out(
     assert (found.verdict, found.added) == ("effect_found", [FRICTION])
     assert "the diagnosis is not finished" not in [f["lead_reason"] for f in content["findings"]]
     assert lines(content)[0].startswith(f"stopped after 60 min as asked: not done: {CEILING};")
+
+
+@pytest.mark.parametrize("joint", [True, False])
+def test_a_resumed_diagnosis_goes_on_from_what_was_selected(
+    made: Simulation, tmp_path: Path, joint: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    if not joint:
+        monkeypatch.setattr(pipeline, "_jointly", lambda log, search: None)
+    _stopped(made, "testing what is left").save(tmp_path)
+    told: list[tuple[str, list[str]]] = []
+    rounds: list[str] = []
+
+    def say(stage: str, done: int, total: int) -> None:
+        rounds.extend([stage] if stage.startswith("round 1: trying") else [])
+
+    found = nsde_torch.diagnose(
+        made,
+        system=SPRING,
+        candidates=[FRICTION],
+        say=say,
+        resume=tmp_path,
+        so_far=lambda known: told.append((known.verdict, known.added)),
+    )
+    assert told[0] == ("undecided", [FRICTION])  # before any round: an interrupt loses nothing
+    assert all(added == [FRICTION] for _, added in told)
+    assert not [stage for stage in rounds if "1 effect" in stage]
+    assert (found.verdict, found.added) == ("effect_found", [FRICTION])
+    assert found.parameters[f"{FRICTION}.size"]["value"] == pytest.approx(0.3, abs=0.02)
+
+
+def test_only_the_same_data_and_model_are_gone_on_with(made: Simulation, tmp_path: Path) -> None:
+    stopped = _stopped(made, "round 1: trying 1 effect")
+    stopped.save(tmp_path)
+    other = nsde_torch.simulate(SPRING, durations=[3.0] * 3, seed=2)
+    with pytest.raises(DataError, match="looked at other data: fingerprint was "):
+        nsde_torch.diagnose(other, system=SPRING, resume=tmp_path)
+    with pytest.raises(DataError, match=r"runs was \['run_0', .* and is \['run_0', 'run_1'\] now"):
+        nsde_torch.diagnose(made, system=SPRING, resume=tmp_path, test=[2])
+    with pytest.raises(ConfigError, match=r"its effects was \[\], and is \['quadratic_damping'\] now"):
+        nsde_torch.diagnose(made, system=SPRING, effects="quadratic_damping", resume=tmp_path)
+    with pytest.raises(CheckpointError, match="no diagnosis to go on with"):
+        nsde_torch.diagnose(made, system=SPRING, resume=tmp_path / "elsewhere")
+    replace(stopped, so_far=None).save(tmp_path)
+    with pytest.raises(CheckpointError, match="came to its end"):
+        nsde_torch.diagnose(made, system=SPRING, resume=tmp_path)
 
 
 def test_python_shows_what_was_found_and_each_stage_leaves_less_to_do(

@@ -73,6 +73,11 @@ class HydraCommand:
     words: Callable[[Sequence[str]], list[str]] = list
     examples: tuple[tuple[str, str], ...] = ()
 
+    @property
+    def folder_key(self) -> str:
+        """The key that names the folder of a run."""
+        return "run_dir" if "run_dir" in self.schema.__dataclass_fields__ else "out_dir"  # type: ignore[attr-defined]
+
     def main(self, arguments: Sequence[str]) -> int:
         """Run the command; returns the exit status."""
         words = _reader_chosen(self.words(arguments), self.name)
@@ -124,7 +129,7 @@ class HydraCommand:
         resumed, files = _resumed(words), groups.files(self.name)
         words = [path_word(word, files, sweep=_is_sweep(words)) for word in words]
         if resumed is not None:
-            words = _resume(words, resumed)
+            words = _resume(words, resumed, self.folder_key)
         return _options_first([_opened(coordinates_named(word), self.name) for word in words])
 
     def _run(self, words: list[str]) -> int:
@@ -187,10 +192,6 @@ class HydraCommand:
         elif LAST.run_dir is not None and self.goes_on:
             line += " What is finished is kept: start the same command again with "
             line += f"{as_typed(paths={'out_dir': LAST.run_dir})} to go on."
-        elif (
-            LAST.run_dir is not None and self.result is not None and (LAST.run_dir / self.result[0]).is_file()
-        ):
-            line += f" What is known is kept in {LAST.run_dir}."
         print(f"\n{line}", file=sys.stderr)
         return INTERRUPTED
 
@@ -301,8 +302,8 @@ def _options_first(words: Sequence[str]) -> list[str]:
     return [*options, *overrides]
 
 
-def _resume(words: list[str], folder: Path) -> list[str]:
-    """The command line of the run in `folder`, followed by what was typed now, writing to the same folder.
+def _resume(words: list[str], folder: Path, key: str) -> list[str]:
+    """The command line of the run in `folder`, which `key` names, followed by what was typed now.
 
     Raises:
         CheckpointError: The folder does not hold a run of this command.
@@ -315,11 +316,11 @@ def _resume(words: list[str], folder: Path) -> list[str]:
     before = [
         str(word)
         for word in yaml.safe_load(stored.read_text(encoding="utf-8")) or []
-        if not str(word).startswith(("resume=", "run_dir="))
+        if not str(word).startswith(("resume=", f"{key}="))
     ]
     # Hydra's record of the first start stays as it is, so that the run can be continued again.
     name = quoted(str(folder))
-    fixed = [f"run_dir={name}", f"hydra.run.dir={name}", "hydra.output_subdir=null"]
+    fixed = [f"{key}={name}", f"hydra.run.dir={name}", "hydra.output_subdir=null"]
     sources = yaml.safe_load((folder / ".hydra" / "hydra.yaml").read_text(encoding="utf-8"))
     for source in sources["hydra"]["runtime"]["config_sources"]:
         if source["provider"] == "command-line" and groups.config_dir(words) is None:

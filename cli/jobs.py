@@ -22,6 +22,7 @@ from hydra.types import RunMode
 from omegaconf import DictConfig, OmegaConf
 
 from nsde_torch.errors import ConfigError
+from nsde_torch.progress import LOG as PROGRESS_LOG
 
 from . import messages
 from .keys import check
@@ -97,6 +98,7 @@ class HydraJob:
             LAST.run_dir = job.run_dir
             (job.run_dir / FAILED).unlink(missing_ok=True)
         see_user_modules(hydra)
+        _progress_to_files_alone()
         try:
             check_config(config, self.command, list(hydra.overrides.task))
             objective: float | None = importlib.import_module(self.module).run(config, job)
@@ -108,6 +110,13 @@ class HydraJob:
             if job.sweep:
                 log.error("job failed: %s", error)  # a single run's error is printed by the command
             return None
+
+
+def _progress_to_files_alone() -> None:
+    """Leave progress, which the terminal shows by itself, out of what Hydra's logging writes there."""
+    for handler in logging.getLogger().handlers:
+        if not isinstance(handler, logging.FileHandler):
+            handler.addFilter(lambda record: record.name != PROGRESS_LOG.name)
 
 
 def check_config(config: DictConfig, command: str, words: list[str]) -> None:

@@ -49,11 +49,9 @@ def primary(command: HydraCommand) -> dict[str, Any]:
         defaults.append({"override hydra/job_logging": "stdout"})
         hydra |= {"output_subdir": None, "run": {"dir": "."}}
         return content
-    keys = command.schema.__dataclass_fields__  # type: ignore[attr-defined]
-    key = "run_dir" if "run_dir" in keys else "out_dir"
-    content[key] = command.folder
-    hydra["run"] = {"dir": f"${{{key}}}"}
-    if "sweep_dir" in keys:
+    content[command.folder_key] = command.folder
+    hydra["run"] = {"dir": f"${{{command.folder_key}}}"}
+    if "sweep_dir" in command.schema.__dataclass_fields__:  # type: ignore[attr-defined]
         content["sweep_dir"] = "multirun/${now:%Y-%m-%d}/${now:%H-%M-%S}"
         hydra["job"]["config"] = {"override_dirname": {"exclude_keys": list(command.unnamed)}}
         # The overrides name the job; slashes, brackets and quotes would not make a good folder.

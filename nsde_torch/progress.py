@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import logging
 import os
 import shutil
 import sys
@@ -12,6 +13,9 @@ from typing import TextIO
 
 PROGRESS = "NSDE_PROGRESS"
 """Variable of the environment: `json` makes each step a line of JSON, for a program that shows them."""
+
+LOG = logging.getLogger(__name__)
+"""Takes each stage when it begins, for the file of a job; a handler that writes to a terminal shows it twice."""
 
 Say = Callable[[str, int, int], None]
 """Takes stage, number done and number in all."""
@@ -39,8 +43,8 @@ class Stages:
 
     def __init__(self, stream: TextIO | None = None) -> None:
         self._stream = sys.stderr if stream is None else stream
-        self._live = self._stream.isatty()
         self._json = os.environ.get(PROGRESS) == "json"
+        self._live = self._stream.isatty() and not self._json
         self._stage = self._found = ""
         self._started = self._first = time.monotonic()
         self._ends: float | None = None
@@ -48,16 +52,17 @@ class Stages:
     def __call__(self, stage: str, done: int, total: int) -> None:
         """Say that `done` of `total` pieces of a stage are done."""
         now = time.monotonic()
+        if stage != self._stage:
+            self._end()
+            self._stage, self._first = stage, now
+            begun = self._line(now, left=self._left(now))
+            LOG.info(begun)
+            if not (self._live or self._json):
+                print(begun, file=self._stream, flush=True)
         if self._json:
             step = {"stage": stage, "done": done, "total": total, "seconds": round(now - self._started, 3)}
             step |= {"found": self._found} if self._found else {}
             print(json.dumps(step), file=self._stream, flush=True)
-            return
-        if stage != self._stage:
-            self._end()
-            self._stage, self._first = stage, now
-            if not self._live:
-                print(self._line(now, left=self._left(now)), file=self._stream, flush=True)
         if self._live:
             count = f", {done + 1} of {total}" if total > 1 else ""
             own = (now - self._first) / done * (total - done) if done else 0.0

@@ -21,6 +21,7 @@ BASE = {
     "cache",
     "progress",
     "threads",
+    "time_limit",
     "whole_files",
 }
 MACHINES = {*BASE, "systems", "effects"}
@@ -32,6 +33,7 @@ MAY_IMPORT = {
     "cache": set(),
     "progress": set(),
     "threads": set(),
+    "time_limit": set(),
     "whole_files": set(),
     "options": {"errors"},
     "columns": {"errors"},

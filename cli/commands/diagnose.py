@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from nsde_torch.diagnosis.options import Options
 
+from ..exit_status import INTERRUPTED, EndedError
 from ..hydra_command import HydraCommand
 from ..keys import group, key, of
 from ..schemas.data import DataConfig
@@ -39,6 +40,13 @@ class DiagnoseConfig:
         "show? Takes as long as so many diagnoses",
     )
     rehearsals: int = key(3, "logs of the machine that was found, with rehearse=true", low=1)
+    max_minutes: float | None = of(Options, "max_minutes")
+    resume: str | None = key(
+        None,
+        "folder of a diagnosis that did not come to its end, to go on with what it had selected, with its "
+        "configuration",
+        file=True,
+    )
     seed: int = of(Options, "seed", help="seed of resamples and of the training")
     device: str = key("cpu", "where the training's tensors live: cpu, cuda or cuda:N")
     dtype: str = key("float32", "precision of the training", choices=("float32", "float64"))
@@ -73,6 +81,8 @@ COMMAND = HydraCommand(
         ("'candidates=[linear_drag,quadratic_drag]'", "try these alone"),
         ("retrain=false", "do not train with what was found"),
         ("retrain=false rehearse=true", "would it be found again?"),
+        ("max_minutes=10", "end after 10 minutes with what is known"),
+        ("resume=diagnoses/first", "go on with one that did not come to its end"),
     ),
 )
 
@@ -87,12 +97,11 @@ def run(config: DictConfig, job: Job) -> None:
     # torch is imported here, not above: help and completion do without it.
     import nsde_torch
     from nsde_torch.diagnosis.candidates import check_candidates
-    from nsde_torch.diagnosis.files import EFFECTS, PLOTS, REPORT, RESULT, DiagnosisFiles, write_content
-    from nsde_torch.diagnosis.rehearsal_text import rehearsal_lines
-    from nsde_torch.diagnosis.report import write_report
+    from nsde_torch.diagnosis.files import EFFECTS, PLOTS, REPORT, RESULT, DiagnosisFiles
     from nsde_torch.diagnosis.text import lines
 
     from .. import build, effects_file
+    from ..quoted import as_typed
 
     started = time.perf_counter()
     build.settings(config, sweep=job.sweep)
@@ -115,13 +124,32 @@ def run(config: DictConfig, job: Job) -> None:
         test_data=build.test_data(config.data, system),
         instruments=list(config.data.instruments),
         seed=config.seed,
+        max_minutes=config.max_minutes,
+        resume=config.resume,
         so_far=files.write_so_far,
     )
     content = files.write(found)
     print()
-    print("\n".join(lines(content)), flush=True)
+    print("\n".join(lines(content, as_typed(paths={"resume": job.run_dir}))), flush=True)
     if found.so_far is not None:
-        raise KeyboardInterrupt
+        if found.so_far.after_min is None:
+            raise KeyboardInterrupt
+        return  # neither trained nor rehearsed with: that is no end of the search
+    try:
+        _follow(config, job, found, content)
+    except KeyboardInterrupt:  # the diagnosis is whole: there is nothing to resume
+        message = f"interrupted. The diagnosis in {job.run_dir} is finished; {note.partition('; ')[2]}"
+        raise EndedError(message, INTERRUPTED) from None
+    wrote = [RESULT, REPORT, f"{PLOTS}/", EFFECTS, *([f"{MODEL}/"] if "model" in content else [])]
+    print(f"\ntook {time.perf_counter() - started:.0f} s; wrote {job.run_dir}: {', '.join(wrote)}")
+
+
+def _follow(config: DictConfig, job: Job, found: Diagnosis, content: dict[str, Any]) -> None:
+    """Train and rehearse with what was found."""
+    from nsde_torch.diagnosis.files import REPORT, write_content
+    from nsde_torch.diagnosis.rehearsal_text import rehearsal_lines
+    from nsde_torch.diagnosis.report import write_report
+
     if config.retrain and (found.effects or set(found.sensor_faults) & set(found.added)):
         print(f"\ntraining the model with {', '.join(found.added)}", flush=True)
         content["model"] = _train(config, job, found)
@@ -131,8 +159,6 @@ def run(config: DictConfig, job: Job) -> None:
         write_content(content, job.run_dir)
         write_report(job.run_dir / REPORT, found, content)
         print("\n".join(rehearsal_lines(content)))
-    wrote = [RESULT, REPORT, f"{PLOTS}/", EFFECTS, *([f"{MODEL}/"] if "model" in content else [])]
-    print(f"\ntook {time.perf_counter() - started:.0f} s; wrote {job.run_dir}: {', '.join(wrote)}")
 
 
 def _training(config: DictConfig, job: Job) -> str:

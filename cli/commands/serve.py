@@ -29,7 +29,10 @@ class ServeConfig:
     port: int = key(8765, "port on 127.0.0.1; 0: any that is free", low=0, high=65535)
     out_dir: str = key("served", "folder that keeps the logs and what was found in them", file=True)
     upload: float = key(512.0, "largest upload of one diagnosis, all its logs together", unit="MiB", above=0)
-    time: float = key(3600.0, "longest time of one diagnosis", unit="s", above=0)
+    max_minutes: float = key(
+        10.0, "time after which a diagnosis ends with what is known", unit="min", above=0
+    )
+    time: float = key(3600.0, "time after which a diagnosis is killed, without a result", unit="s", above=0)
     memory: float = key(8.0, "largest memory of one diagnosis", unit="GiB", above=0)
     jobs: int = key(1, "diagnoses at a time; further ones wait", low=1)
     keep: int = key(50, "most diagnoses that are kept: then one has to be deleted", low=1)
@@ -94,6 +97,7 @@ def run(config: DictConfig, job: Job) -> None:
     )
     limits = ServeLimits(
         upload=int(config.upload * 2**20),
+        max_minutes=config.max_minutes,
         seconds=config.time,
         memory=int(config.memory * 2**30),
         jobs=config.jobs,

@@ -11,7 +11,8 @@ class ServeLimits:
 
     Args:
         upload: Largest upload of one job, all its logs together [bytes].
-        seconds: Longest time of one job [s].
+        max_minutes: Time after which a diagnosis ends with what is known [min].
+        seconds: Time after which a command is killed [s].
         memory: Largest memory of one job [bytes].
         jobs: Diagnoses at a time; further ones wait.
         keep: Most jobs that are kept.
@@ -19,6 +20,7 @@ class ServeLimits:
     """
 
     upload: int = 512 << 20
+    max_minutes: float = 10.0
     seconds: float = 3600.0
     memory: int = 8 << 30
     jobs: int = 1

@@ -199,7 +199,13 @@ class JobRunner:
     def _words(self, job: ServedJob) -> list[str]:
         folder = self.shelf.of(job)
         mapping = folder / MAPPING if (folder / MAPPING).is_file() else None
-        return diagnose_words(folder / "logs", known=self.machines, system=job.machine, mapping=mapping)
+        return diagnose_words(
+            folder / "logs",
+            known=self.machines,
+            system=job.machine,
+            mapping=mapping,
+            max_minutes=self.limits.max_minutes,
+        )
 
     def _diagnose(self, job: ServedJob) -> dict[str, Any]:
         folder = self.shelf.of(job)

@@ -23,7 +23,7 @@ def page_summary(content: Mapping[str, Any], plots: Collection[str]) -> dict[str
         "verdict": content["verdict"],
         "heading": text.heading(content),
         "summary": content["summary"],
-        "warnings": [said for _, said in text.notices(content)],
+        "warnings": [*text.unfinished(content), *(said for _, said in text.notices(content))],
         "findings": [_finding(f, content, plots) for f in findings],
         "aside": [f"{a['sentence']} This is {a['reason']}." for a in content["aside"]],
         "unexplained": [u["sentence"] for u in content["unexplained"]],

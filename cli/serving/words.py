@@ -64,7 +64,9 @@ def inspect_words(
     return [*words, f"mapping={mapping}"] if mapping else words
 
 
-def diagnose_words(logs: Path, *, known: Machines, system: str, mapping: Path | None) -> list[str]:
+def diagnose_words(
+    logs: Path, *, known: Machines, system: str, mapping: Path | None, max_minutes: float
+) -> list[str]:
     """The words that diagnose logs, wherever they are typed.
 
     Args:
@@ -72,11 +74,12 @@ def diagnose_words(logs: Path, *, known: Machines, system: str, mapping: Path | 
         known: Machines that the page offers.
         system: One of them.
         mapping: What columns mean; None: the reader needs none.
+        max_minutes: Time after which it ends with what is known [min].
     """
     own = known.typed if system == known.first else ()
     words = ["diagnose", *known.options, f"system={system}", *own, "data=log", f"data.path={logs}"]
     words += [f"data.mapping={mapping}"] if mapping else []
-    return [*words, "retrain=false"]
+    return [*words, "retrain=false", f"max_minutes={max_minutes:g}"]
 
 
 def shell(words: Sequence[str]) -> str:

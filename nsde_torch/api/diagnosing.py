@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
 from typing import Any, Literal
 
 from nsde_torch.api.reading import Data, read, split_runs
+from nsde_torch.diagnosis.begun import read_begun
 from nsde_torch.diagnosis.candidates import check_candidates
 from nsde_torch.diagnosis.not_done import StoppedError
 from nsde_torch.diagnosis.options import Options
@@ -34,6 +36,8 @@ def diagnose(
     test_data: Data | None = None,
     instruments: Sequence[str] = (),
     seed: int = 0,
+    max_minutes: float | None = None,
+    resume: str | Path | None = None,
     say: Say | Literal[False] | None = None,
     so_far: Callable[[Diagnosis], None] = lambda found: None,
 ) -> Diagnosis:
@@ -57,6 +61,10 @@ def diagnose(
         test_data: Further runs that are kept back; a run of theirs among `data` is refused.
         instruments: Logged columns that nothing inside the control loop moves: sticks, setpoints.
         seed: Seed of the resamples.
+        max_minutes: Time after which it ends with what is known [min]; None: none. `not_done` says what is missing. The
+            declared physics is fitted however long that takes.
+        resume: Folder of a diagnosis of the same data and declared model that did not come to its end: what it had
+            selected is not searched for again.
         say: None: progress is printed on standard error, with what was found so far and roughly how long is left;
             False: nothing is printed; or a function that takes stage, number done and number in all.
         so_far: Takes the diagnosis so far after each round of the search and each later stage.
@@ -68,8 +76,9 @@ def diagnose(
         (what `diagnosis.json` holds) and `save(folder)`.
 
     Raises:
-        DataError: too few rows, or nothing moves.
-        ConfigError: an option is out of range, or a candidate that the system cannot have.
+        DataError: too few rows, nothing moves, or `resume` of other data.
+        ConfigError: an option is out of range, a candidate that the system cannot have, or `resume` of another model.
+        CheckpointError: `resume` holds nothing to go on with.
 
     Example:
         >>> import nsde_torch
@@ -90,6 +99,7 @@ def diagnose(
         also=tuple(also),
         seed=seed,
         instruments=tuple(instruments),
+        max_minutes=max_minutes,
     )
     machine_options = system_options(system, effects=effects, declared=declared, parameters=parameters)
     machine = machine_options.make()
@@ -107,6 +117,8 @@ def diagnose(
         declared=None if machine_options.declared is None else tuple(machine_options.declared),
         system_options=dict(machine_options.options),
     )
+    names = [run.name for run in looked_at]
+    begun = None if resume is None else read_begun(resume, runs, names, spec)
     printed = Stages() if say is None else None
 
     def known(found: Diagnosis) -> None:
@@ -116,7 +128,7 @@ def diagnose(
 
     try:
         return diagnose_runs(
-            machine, spec, runs, looked_at, options, say=printed or say or silent, so_far=known
+            machine, spec, runs, looked_at, options, begun=begun, say=printed or say or silent, so_far=known
         )
     except StoppedError as stop:
         if printed is not None:

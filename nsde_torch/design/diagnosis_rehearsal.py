@@ -8,7 +8,7 @@ physics alone, whether anything is named of nothing. It shows nothing of a law t
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -243,7 +243,9 @@ def _noise(found: Diagnosis, count: int, steps: int, rng: np.random.Generator) -
 def _diagnosed(found: Diagnosis, log: list[RawRun]) -> dict[str, Any]:
     """What a diagnosis like the one that was made says of a simulated log."""
     data = assemble(log, found.system, kind="rehearsed", clock="trust")
-    return diagnose(found.system, found.spec, data, data.runs, found.options).content()
+    return diagnose(
+        found.system, found.spec, data, data.runs, replace(found.options, max_minutes=None)
+    ).content()
 
 
 def _left_out(found: Diagnosis) -> tuple[str, ...]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
+from nsde_torch.diagnosis.begun import declared_model
 from nsde_torch.diagnosis.buys import BY_RESIDUAL, BY_STEPS
 from nsde_torch.diagnosis.ceiling import ceiling_content, wanted
 from nsde_torch.diagnosis.decisions import Wording
@@ -41,7 +42,11 @@ def content(found: Diagnosis) -> dict[str, Any]:
     wording, flexible = o.decisions.wording, ceiling_content(left.ceiling, o)
     return {
         "schema": "nsde_torch.diagnosis/1",
-        **({} if found.so_far is None else {"so_far": found.so_far.as_dict()}),
+        **(
+            {}
+            if found.so_far is None
+            else {"so_far": found.so_far.as_dict() | {"declared": declared_model(found.spec)}}
+        ),
         "verdict": found.verdict,
         "added": found.added,
         "summary": summary(

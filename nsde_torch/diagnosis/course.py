@@ -25,6 +25,7 @@ from nsde_torch.diagnosis.not_done import (
     ESTIMATES,
     EXPLANATION,
     LAWS,
+    NO_TIME,
     NOT_YET,
     OTHER_ROWS,
     SECOND_LOOK,
@@ -42,6 +43,7 @@ from nsde_torch.models.identified import SysidSpec
 from nsde_torch.progress import Say
 from nsde_torch.sysid.guard import Guarded
 from nsde_torch.sysid.result import Identification
+from nsde_torch.time_limit import TimeLimit, check_time
 
 _ROUNDS: Mapping[str, float] = {  # in order, and how long each takes, in rounds of the selection
     SELECTION: 1.0,
@@ -72,6 +74,7 @@ class DiagnosisCourse:
 
     Attributes:
         seconds: Time that stages took.
+        limit: Of time. It ends nothing before something is known.
     """
 
     def __init__(
@@ -92,6 +95,8 @@ class DiagnosisCourse:
         self._done = self._rounds = 0
         self._began = self._lapped = perf_counter()
         self._round_s = 0.0
+        self.limit = TimeLimit(None if options.max_minutes is None else 60.0 * options.max_minutes)
+        self.limit.holds = False
 
     def lap(self, name: str) -> None:
         """Note the time since the last call."""
@@ -105,6 +110,7 @@ class DiagnosisCourse:
         if stage != self._during:
             give_back()
         self._during = stage
+        check_time()
         self._tell(stage, done, total)
 
     def known(
@@ -161,16 +167,26 @@ class DiagnosisCourse:
         found = log.stages.attempt("what was known before the end", known, None)
         if found is not None:
             self._found = found
+            self.limit.holds = True
             self._so_far(found)
 
     def stopped(self) -> Diagnosis | None:
-        """What is known where it is stopped; None while that is nothing."""
-        if self._found is None:
-            return None
-        other = [one for one in self._found.not_done if one.why != NOT_YET]
-        return replace(
-            self._found, not_done=(*other, *self._left(STOPPED)), so_far=SoFar(stopped_during=self._during)
-        )
+        """What is known where Ctrl-C stops it; None while that is nothing."""
+        return None if self._found is None else self._ended(self._found, STOPPED, None)
+
+    def timed_out(self) -> Diagnosis:
+        """What is known when the time is up."""
+        assert self._found is not None  # the limit does not hold before
+        return self._ended(self._found, NO_TIME, self.options.max_minutes)
+
+    def _ended(self, found: Diagnosis, why: str, after_min: float | None) -> Diagnosis:
+        other = [one for one in found.not_done if one.why != NOT_YET]
+        so_far = SoFar(stopped_during=self._during, after_min=after_min)
+        return replace(found, not_done=(*other, *self._left(why)), so_far=so_far)
+
+    def too_long(self, stage: str) -> bool:
+        """Whether a stage would not end in the time that is left, as far as the rounds so far tell."""
+        return self._round_s * _ROUNDS.get(stage, 0.0) > max(self.limit.left_s, 0.0)
 
     def _left(self, why: str) -> list[NotDone]:
         return [NotDone(stage, why) for stage in _ORDER[self._done :]]

@@ -15,7 +15,7 @@ It is right where its noise model is: innovations that are not white, or larger 
 `jointly_selected` return no selection, and the regression (`selection`) decides.
 """
 
-from collections.abc import Collection, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from math import log
 
@@ -39,6 +39,7 @@ from nsde_torch.inference.sensitivity import Grams, grams, half_squares, solved
 from nsde_torch.inference.sizes import data_sizes
 from nsde_torch.systems import System
 from nsde_torch.systems.parameters import own_name
+from nsde_torch.time_limit import check_time
 
 Array = NDArray[np.float64]
 Labels = NDArray[np.int64]
@@ -156,7 +157,14 @@ class _Place:
 
 
 def jointly_selected(
-    search: Search, problem: LogLikelihood, system: System, frequencies: Sequence[float] = ()
+    search: Search,
+    problem: LogLikelihood,
+    system: System,
+    frequencies: Sequence[float] = (),
+    *,
+    begun: System | None = None,
+    brought: Mapping[str, float] | None = None,
+    so_far: Callable[[System, Mapping[str, float]], None] = lambda system, nats: None,
 ) -> tuple[Optimum, JointSelection | None]:
     """The declared physics at its optimum, and effects selected by the likelihood.
 
@@ -167,9 +175,12 @@ def jointly_selected(
         problem: The likelihood of the log, whose rows bring up memory first.
         system: The declared physics with first values.
         frequencies: Those of lines in the spectrum, which sinusoids start from [Hz].
+        begun: The physics with effects that were selected before, which are added to; None: the declared physics.
+        brought: What each of these brought [nats].
+        so_far: Takes the physics after each effect that is added, and what each of these brought [nats].
     """
     made = _JointSearch(search, problem, system, frequencies)
-    return made.declared, made.selected()
+    return made.declared, made.selected(begun, dict(brought or {}), so_far)
 
 
 class _JointSearch:
@@ -193,17 +204,26 @@ class _JointSearch:
         """The declared physics at its optimum."""
         return self._first.at
 
-    def selected(self) -> JointSelection | None:
+    def selected(
+        self,
+        begun: System | None,
+        brought: dict[str, float],
+        so_far: Callable[[System, Mapping[str, float]], None],
+    ) -> JointSelection | None:
         """See `jointly_selected`."""
-        place, most = self._first, self._search.decisions.most_effects
-        for count in range(most):
+        most = self._search.decisions.most_effects
+        place = self._first if begun is None else self._fitted(begun, self._first)
+        for count in range(len(self._added(place.system)), most):
             names = candidate_names(place.system, self._search.candidates)
             count_of = f"{len(names)} effect{'s' if len(names) > 1 else ''}"
             self._search.say(f"round {count + 1}: trying {count_of}", count, most)
             better = self._next(place)
             if better is None:
                 break
+            (name,) = self._added(better.system) - self._added(place.system)
+            brought[name] = better.best.likelihood - place.best.likelihood
             place = better
+            so_far(place.system, brought)
         if place.best.objections:
             return None
         place, selected = self._looked_at_again(place)
@@ -490,6 +510,7 @@ def _catalogue(
     scales = data_sizes(place.system, space.steps)
     names = candidate_names(place.system, search.candidates)
     for name in names:
+        check_time()
         for start in starts(place.system, name, scales, frequencies):
             try:
                 entry, columns = _columns(place, name, joined(place.system, name, start), at)

@@ -21,6 +21,7 @@ ESTIMATES, ERRORS = "estimates in the loop", "errors on runs left out"
 CEILING, EXPLANATION = "what functions could still explain", "an explanation of what is left"
 NOT_YET = "not done yet"
 STOPPED = "the diagnosis was stopped before its end"
+NO_TIME = "there was no time left for it"
 
 T = TypeVar("T")
 D = TypeVar("D")
@@ -54,15 +55,21 @@ class SoFar:
     Args:
         stopped_during: What was being done when it was stopped; None while it goes on.
         left_s: Roughly how long it will yet take [s]; None: not known, or stopped.
+        after_min: The limit of time that ended it [min]; None: it goes on, or was interrupted.
     """
 
     stopped_during: str | None = None
     left_s: float | None = None
+    after_min: float | None = None
 
     def as_dict(self) -> dict[str, str | float | None]:
         """Plain containers, for JSON."""
         left = None if self.left_s is None else round(self.left_s)
-        return {"stopped_during": self.stopped_during, "roughly_left_s": left}
+        return {
+            "stopped_during": self.stopped_during,
+            "stopped_after_min": self.after_min,
+            "roughly_left_s": left,
+        }
 
 
 @final
@@ -84,12 +91,14 @@ class OptionalStages:
 
     Args:
         not_done: Those without a result.
+        too_long: Whether a stage would not end in the time that is left.
     """
 
     not_done: list[NotDone] = field(default_factory=list)
+    too_long: Callable[[str], bool] = lambda stage: False
 
     def attempt(self, stage: str, do: Callable[[], T], otherwise: D) -> T | D:
-        """What a stage gives, or something else where its numbers fail.
+        """What a stage gives, or something else where its numbers fail or the time does not suffice.
 
         Args:
             stage: What it looks for, in words.
@@ -99,6 +108,9 @@ class OptionalStages:
         Raises:
             ConfigError: an option is wrong, which no other stage mends.
         """
+        if self.too_long(stage):
+            self.leave_out(stage, NO_TIME)
+            return otherwise
         try:
             return do()
         except ConfigError:

@@ -21,6 +21,12 @@ class Options:
     )
     also: tuple[str, ...] = key((), "effects of your own to try beside them, `module:Class`")
     seed: int = key(0, "seed of the resamples", low=0)
+    max_minutes: float | None = key(
+        None,
+        "time after which the diagnosis ends with what is known; null: none. Training does not count",
+        unit="min",
+        above=0,
+    )
     instruments: tuple[str, ...] = key(
         (), "logged columns that nothing inside the control loop moves: sticks, setpoints"
     )

@@ -12,15 +12,17 @@ ceiling         what functions of all that was measured could still explain     
 explain         what is left, as far as it can be                               explanation
 report          `Diagnosis`, and the content of `diagnosis.json`                result, content
 
-A stage whose numbers fail costs itself and not the run (`not_done`), but for the first search.
+A stage whose numbers fail, or that would not end in the time that is left, costs itself and not the run (`not_done`),
+but for the first search.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 
 from nsde_torch.data import DataSet, Run
 from nsde_torch.diagnosis.at_nothing import beside_gains_at_nothing
+from nsde_torch.diagnosis.begun import Begun
 from nsde_torch.diagnosis.beyond_catalogue import with_functions, with_laws
 from nsde_torch.diagnosis.ceiling import Ceiling, ceiling
 from nsde_torch.diagnosis.chain import explains_more, undone, with_a_late_sensor
@@ -47,11 +49,13 @@ from nsde_torch.diagnosis.not_done import (
     ERRORS,
     ESTIMATES,
     LAWS,
+    NO_TIME,
     OTHER_ROWS,
     SECOND_LOOK,
     SELECTION,
     TESTS,
     OptionalStages,
+    SoFar,
     StoppedError,
     needed,
 )
@@ -60,6 +64,7 @@ from nsde_torch.diagnosis.outcome import Outcome, undecided
 from nsde_torch.diagnosis.reading import Log, read_effects, read_log
 from nsde_torch.diagnosis.result import Diagnosis
 from nsde_torch.diagnosis.search import Search
+from nsde_torch.diagnosis.selection import added_so_far, begun_selection
 from nsde_torch.diagnosis.selection import so_far as chosen_so_far
 from nsde_torch.diagnosis.spectrum import lines
 from nsde_torch.diagnosis.standing import selected_again, tied, without_standing
@@ -72,6 +77,7 @@ from nsde_torch.sysid.identify import identification
 from nsde_torch.sysid.in_loop import adopted
 from nsde_torch.sysid.result import Identification
 from nsde_torch.systems import System
+from nsde_torch.time_limit import TimeUpError
 
 
 def diagnose(
@@ -84,6 +90,7 @@ def diagnose(
     closed_loop: bool | None = None,
     decisions: Decisions = DECISIONS,
     budgets: Budgets = BUDGETS,
+    begun: Begun | None = None,
     say: Callable[[str, int, int], None] = lambda stage, done, total: None,
     so_far: Callable[[Diagnosis], None] = lambda found: None,
 ) -> Diagnosis:
@@ -99,6 +106,7 @@ def diagnose(
             the test of feedback.
         decisions: What is decided by, but for alpha and the most effects, which the options give.
         budgets: How much is tried.
+        begun: What an earlier diagnosis of the same had selected, which is gone on from.
         say: Told stage, number done and number in all.
         so_far: Takes what is known after each round of the selection and each later stage (`Diagnosis.so_far`).
 
@@ -110,7 +118,10 @@ def diagnose(
     course = DiagnosisCourse(data, tuple(run.name for run in runs), options, spec, say=say, so_far=so_far)
     decisions = replace(decisions, alpha=options.alpha, most_effects=options.max_effects)
     try:
-        return _diagnosed(course, system, runs, closed_loop, decisions, budgets)
+        with course.limit:
+            return _diagnosed(course, system, runs, closed_loop, decisions, budgets, begun)
+    except TimeUpError:
+        return course.timed_out()
     except KeyboardInterrupt as stop:
         found = course.stopped()
         if found is None:
@@ -125,9 +136,10 @@ def _diagnosed(
     closed_loop: bool | None,
     decisions: Decisions,
     budgets: Budgets,
+    begun: Begun | None,
 ) -> Diagnosis:
     """The stages, in order."""
-    stages, say = OptionalStages(), course.say
+    stages, say = OptionalStages(too_long=course.too_long), course.say
     data, names, options, spec = course.data, course.runs, course.options, course.spec
     read_effects(system, runs, options)
     say("checking the recording chain", 0, 1)
@@ -141,7 +153,7 @@ def _diagnosed(
     log = at_declared(log)
     search = log.search(log.runs)
     course.lap("recording")
-    outcome = needed("the search for effects", partial(searched, log, search))
+    outcome = needed("the search for effects", partial(searched, replace(log, begun=begun), search))
     course.known(LAWS, log, outcome)
     log, search, outcome = stages.attempt(
         "rates inferred with what was found",
@@ -209,6 +221,9 @@ def _diagnosed(
         feedback=feedback,
         instrumented=instrumented,
         not_done=tuple(stages.not_done),
+        so_far=SoFar(after_min=options.max_minutes)
+        if any(s.why == NO_TIME for s in stages.not_done)
+        else None,
     )
 
 
@@ -226,7 +241,12 @@ def searched(log: Log, search: Search, before: Outcome | None = None) -> Outcome
         chosen, kept = as_selected(search, joint, log.system)
         log.so_far(SELECTION, log, chosen_so_far(search, chosen))
     else:
-        chosen = select(search, log.system) if before is None else selected_again(search, before)
+        if before is not None:
+            chosen = selected_again(search, before)
+        elif log.begun is not None:
+            chosen = begun_selection(search, log.system, log.begun)
+        else:
+            chosen = select(search, log.system)
         log.so_far(SELECTION, log, chosen_so_far(search, chosen))
         kept = eliminate(search, chosen, also=() if before is None else tied(before))
     known = undecided(search, chosen.declared, kept.final, kept.found, chosen.rounds, chosen.aside)
@@ -261,13 +281,23 @@ def _jointly(log: Log, search: Search) -> tuple[Optimum | None, JointSelection |
         return None, None
 
     def selected() -> tuple[Optimum | None, JointSelection | None]:
-        declared = search.base(log.system)
-        search.so_far(undecided(search, declared, declared))
+        declared, begun = search.base(log.system), log.begun
         frequencies = [line.frequency for line in lines(declared.regression, decisions=search.decisions)]
         # of first values that are far off, what is left would pass for noise
         system = fitted_system(declared.regression)
         problem = LogLikelihood(system, log.runs, log.recorded.clock, run_in=True)
-        return jointly_selected(search, problem, system, frequencies)
+
+        def known(physics: System, brought: Mapping[str, float]) -> None:
+            search.so_far(added_so_far(search, declared, physics, brought))
+
+        if begun is None:
+            search.so_far(undecided(search, declared, declared))
+            return jointly_selected(search, problem, system, frequencies, so_far=known)
+        physics = begun.beside(system)
+        known(physics, begun.nats)
+        return jointly_selected(
+            search, problem, system, frequencies, begun=physics, brought=begun.nats, so_far=known
+        )
 
     return log.stages.attempt("the selection by the joint likelihood", selected, (None, None))
 

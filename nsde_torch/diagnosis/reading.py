@@ -10,6 +10,7 @@ import torch
 from numpy.typing import NDArray
 
 from nsde_torch.data import Run
+from nsde_torch.diagnosis.begun import Begun
 from nsde_torch.diagnosis.candidates import candidate_names, check_candidates, on_coordinates
 from nsde_torch.diagnosis.decisions import Budgets, Decisions
 from nsde_torch.diagnosis.hidden import Feedback, shown_by_instruments
@@ -53,6 +54,7 @@ class Log:
         slowest: Speeds below which coordinates with dry friction stand, by column; rows in which one does are left out.
         stages: Stages that may fail, and those that did.
         so_far: Takes what is known after a stage (`not_done.SELECTION` and those after it; None: within the selection).
+        begun: What an earlier diagnosis had selected, which the selection starts from; None: the declared physics.
     """
 
     system: System
@@ -67,6 +69,7 @@ class Log:
     slowest: Mapping[int, float] = field(default_factory=dict)
     stages: OptionalStages = field(default_factory=OptionalStages)
     so_far: "Callable[[str | None, Log, Outcome], None]" = lambda stage, log, outcome: None
+    begun: Begun | None = None
 
     def search(self, runs: Sequence[Run]) -> Search:
         """A search in runs of the log."""

@@ -34,6 +34,7 @@ from nsde_torch.diagnosis.spectrum import WHOLE, Line, lines, waves_of
 from nsde_torch.sysid.noise import Noise
 from nsde_torch.sysid.regression import Regression
 from nsde_torch.systems import System
+from nsde_torch.time_limit import check_time
 
 Array = NDArray[np.float64]
 Labels = NDArray[np.int64]
@@ -61,6 +62,7 @@ def dependences(regression: Regression, variables: Regressors, *, overview: bool
     for i, channel in enumerate(regression.rows):
         white, models, own = regression.white[i], of_channel[i], of_channel[i].own
         for name in variables.functions:
+            check_time()
             if overview and not _is_overview(name, variables):
                 continue
             out += _of_variable(regression, i, name, variables, models, (fold, of_white))

@@ -6,13 +6,14 @@ from typing import Any
 from nsde_torch.diagnosis.buys import BY_STEPS
 from nsde_torch.diagnosis.ceiling import ceiling_lines, ceiling_rows
 from nsde_torch.diagnosis.feedback_text import feedback_lines
-from nsde_torch.diagnosis.not_done import ERRORS, NOT_YET, STOPPED
+from nsde_torch.diagnosis.not_done import ERRORS, NO_TIME, NOT_YET, STOPPED
 from nsde_torch.diagnosis.summary import small
 from nsde_torch.evaluation.report import number, table
 from nsde_torch.sysid.guard import doubts_the_fit
 from nsde_torch.sysid.standing import in_words
 
 _RANKED, _SENTENCES = 6, 4  # candidates and sentences that are listed
+_UNFINISHED = (NO_TIME, NOT_YET, STOPPED)
 _VERDICTS = {
     "no_effect": "Nothing is missing",
     "effect_found": "Found what is missing",
@@ -28,9 +29,14 @@ def heading(content: Mapping[str, Any]) -> str:
     return _VERDICTS["doubted" if doubted else content["verdict"]]
 
 
-def lines(content: Mapping[str, Any]) -> list[str]:
-    """Lines of text from the content of `diagnosis.json`."""
-    out = [*unfinished(content), f"verdict: {content['verdict']}", content["summary"]]
+def lines(content: Mapping[str, Any], go_on: str = "resume=DIR") -> list[str]:
+    """Lines of text from the content of `diagnosis.json`.
+
+    Args:
+        content: The content.
+        go_on: The key that goes on from a diagnosis that is not finished.
+    """
+    out = [*unfinished(content, go_on), f"verdict: {content['verdict']}", content["summary"]]
     out += [line for title, said in notices(content) for line in ("", f"{title.lower()}: {said}")]
     for finding in in_order(content):
         out += _finding(finding, content)
@@ -175,13 +181,20 @@ def interval_head(content: Mapping[str, Any]) -> str:
     return "90 % interval, provisional" if "so_far" in content else "90 % interval"
 
 
-def unfinished(content: Mapping[str, Any]) -> list[str]:
-    """That a diagnosis is not finished, and what is not done, in a line; none of one that is."""
+def unfinished(content: Mapping[str, Any], go_on: str = "resume=DIR") -> list[str]:
+    """That a diagnosis is not finished, and what is not done, in a line; none of one that is.
+
+    Args:
+        content: Of `diagnosis.json`.
+        go_on: See `lines`.
+    """
     so_far = content.get("so_far")
     if so_far is None:
         return []
-    during = so_far["stopped_during"]
-    left = ", ".join(n["stage"] for n in content["not_done"] if n["why"] in (NOT_YET, STOPPED))
+    during, after = so_far["stopped_during"], so_far["stopped_after_min"]
+    left = ", ".join(n["stage"] for n in content["not_done"] if n["why"] in _UNFINISHED)
+    if after is not None:
+        return [f"stopped after {after:g} min as asked: not done: {left}; go on with {go_on}"]
     how = f"so far: stopped during {during}; not done" if during else "so far; not done yet"
     return [f"{how}: {left}"]
 
@@ -189,7 +202,7 @@ def unfinished(content: Mapping[str, Any]) -> list[str]:
 def notices(content: Mapping[str, Any]) -> list[tuple[str, str]]:
     """Title and text of what is to be read before the findings: warnings, and stages without a result."""
     odd = [("Warning", warning(w)) for w in content["warnings"]]
-    failed = [n for n in content.get("not_done", ()) if n["why"] not in (NOT_YET, STOPPED)]
+    failed = [n for n in content.get("not_done", ()) if n["why"] not in _UNFINISHED]
     return [*odd, *(("Not done", f"{n['stage']}: {n['why']}.") for n in failed)]
 
 

@@ -39,6 +39,7 @@ from nsde_torch.inference.state_space import StateSpace
 from nsde_torch.inference.steps import Steps, inferred_columns, steps_of
 from nsde_torch.systems import System
 from nsde_torch.systems.parameters import ParameterVector
+from nsde_torch.time_limit import check_time
 
 Array = NDArray[np.float64]
 Labels = NDArray[np.int64]
@@ -342,6 +343,7 @@ def maximised(
         at = problem.filtered(levels, about)
     settled = False
     for _ in range(_TURNS):
+        check_time()
         held = grams(space, levels, about, at, space.columns(about.x, everything))
         theta, about, at, away = _step(problem, held, theta, levels, about, at)
         # theta first: levels that were fitted beside a wrong one would take its errors for noise
@@ -384,6 +386,7 @@ def _step(
     gram = held.total[1 : 1 + held.parameters, 1 : 1 + held.parameters]
     away = 0.0
     for damping in _DAMPINGS:
+        check_time()
         change = _change(vector, held, theta, damping)
         if not damping:
             count = max(int((change != 0).sum()), 1)

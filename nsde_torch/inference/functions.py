@@ -32,6 +32,7 @@ from nsde_torch.inference.smooth import Kind, Scale, functions
 from nsde_torch.inference.state_space import StateSpace
 from nsde_torch.systems import System
 from nsde_torch.systems.vocabulary import named_inputs
+from nsde_torch.time_limit import check_time
 
 Array = NDArray[np.float64]
 
@@ -331,6 +332,7 @@ class _Choice:
         widths = [_width(g, view, self._scaled) for g in groups]
         first = 0
         while first < len(groups):
+            check_time()
             last, total = first, 0
             while last < len(groups) and (total == 0 or total + widths[last] <= _AT_ONCE):
                 total, last = total + widths[last], last + 1

@@ -13,6 +13,7 @@ from nsde_torch.inference.filtering import Linearisation, Pass, Start, filtered
 from nsde_torch.inference.level_slopes import level_slopes, score
 from nsde_torch.inference.levels import Levels
 from nsde_torch.inference.state_space import StateSpace
+from nsde_torch.time_limit import check_time
 
 _PRIOR = 0.02  # weight of the first guess: that of a hundredth of a nat for a factor of e
 _DOWN, _UP = 8.0, 6.0  # how far logarithms may go from there
@@ -74,6 +75,7 @@ def likeliest(
     here, best = tried(phi)
     damping = _FIRST_DAMPING
     for _ in range(_TURNS):
+        check_time()
         gradient = slope(phi, here)
         if known is not None and float(gradient @ torch.linalg.solve(known, gradient)) < _GAIN:
             break
@@ -103,6 +105,7 @@ def level_columns(space: StateSpace, levels: Levels, about: Linearisation, start
     many = levels.like(levels.vector()[None])
     out = []
     for some in torch.arange(space.chunks.count).split(_most(space)):
+        check_time()
         near = about.of(some)
         here = filtered(space, many, near, start, space.chunks.counted[:, some], covariances=True)
         out.append(-level_slopes(space, many, near, here)[0])

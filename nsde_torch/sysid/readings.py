@@ -7,7 +7,8 @@ fitted to it by plain least squares on means over 0.15 s (`rough`), gains inside
     score = sum over channels of log(left / measured)
 
 says how much is left, whatever the units. Readings are looked at only where the log as it is leaves much, and one is
-told only where it leaves `LESS` times less: in a sound log nothing is better than what the columns say.
+told only where it leaves `LESS` times less: in a sound log nothing is better than what the columns say. Propellers that
+turn the other way are looked at where the motors seem to make no yaw moment.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -25,6 +26,7 @@ from nsde_torch.data.system_info import derivative_columns, rate_columns
 from nsde_torch.sysid.regression import Regression
 from nsde_torch.sysid.rough import beginnings, left_at, rough_fit, share_left
 from nsde_torch.systems import System
+from nsde_torch.systems.multirotor import Multirotor
 
 Array = NDArray[np.float64]
 
@@ -35,6 +37,10 @@ LESS = exp(1.0)
 """Times less of all channels together that another reading must leave; of 30 ms of delay it is six times."""
 AS_GOOD = 0.15
 """Difference of scores within which two readings do as well."""
+_NO_GAIN = 1e-3  # typical sizes of a yaw gain, below which none is found
+_LESS_YAW = (
+    0.9  # times what is left of the yaw rate; a sound log left 0.99 of it with propellers the other way round
+)
 _ITERATIONS = 4
 _PART_S = 20.0  # of the runs, on which readings are compared before the best is looked at in all
 _ROUNDS = 3  # exchanges of two inputs, one after another
@@ -97,6 +103,11 @@ def better_readings(system: System, runs: Sequence[Run], clock: float, rough: Re
         clock: Physical seconds per logged second.
         rough: The declared physics in the runs as they are (`rough_fit`).
     """
+    return _much_better(system, runs, clock, rough) or _propellers(system, runs, clock, rough)
+
+
+def _much_better(system: System, runs: Sequence[Run], clock: float, rough: Regression) -> Better | None:
+    """Another sign, order, unit or frame that leaves `LESS` times less of all channels together."""
     now = left_at(rough, rough.theta)
     if not float(np.mean([c.left / max(c.measured, 1e-300) for c in now])) > MUCH:
         return None
@@ -122,6 +133,39 @@ def better_readings(system: System, runs: Sequence[Run], clock: float, rough: Re
         tuple(alike[:3]),
         tuple((a.name, a.unit, a.left, b.left) for a, b in zip(now, left, strict=False)),
     )
+
+
+def _propellers(system: System, runs: Sequence[Run], clock: float, rough: Regression) -> Better | None:
+    """Propellers that turn the other way, where the motors seem to make no yaw moment as they are declared.
+
+    Yaw is weak and one channel of six: read the other way, it never leaves `LESS` times less of all channels together;
+    and no numbering of the motors turns yaw alone.
+    """
+    vector = rough.vector
+    gain = vector.labels.index("yaw_gain") if isinstance(system, Multirotor) else None
+    if gain is None or rough.theta[gain] > _NO_GAIN * vector.scale[gain]:
+        return None
+    assert isinstance(system, Multirotor)
+    yaw = np.array(system.mixing[-1])
+
+    def mirrored(u: Array) -> Array:
+        u[:, : len(yaw)] -= np.outer(u[:, : len(yaw)] @ yaw, 2.0 * yaw / (yaw @ yaw))
+        return u
+
+    reading = Reading(
+        "propellers that turn the other way",
+        f"write system.options.yaw_direction={-system.yaw_direction}",
+        _inputs(mirrored),
+        "propellers",
+    )
+    other = rough_fit(system, [reading.read(run) for run in runs], clock)
+    if other is None:
+        return None
+    pairs = zip(left_at(rough, rough.theta), left_at(other, other.theta), strict=False)
+    (now, then) = next((a, b) for a, b in pairs if a.name == "w_z")
+    if not then.left < _LESS_YAW * now.left:
+        return None
+    return Better((reading,), ((now.name, now.unit, now.left, then.left),))
 
 
 # ---- readings ------------------------------------------------------------------------------------------

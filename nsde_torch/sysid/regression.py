@@ -41,6 +41,7 @@ from nsde_torch.sysid.series import Series
 from nsde_torch.sysid.shown import Shown, shown
 from nsde_torch.sysid.solve import bounded_step
 from nsde_torch.systems import System
+from nsde_torch.time_limit import check_time
 
 Array = NDArray[np.float64]
 
@@ -141,6 +142,7 @@ class Regression:
         if iterations < 1:
             raise ConfigError(f"`max_iterations` must be at least 1; got {iterations}.")
         for _ in range(iterations):
+            check_time()
             moved = self._step()
             self.iterations += 1
             settled = moved < (1.0 if self._rough else _SETTLED)

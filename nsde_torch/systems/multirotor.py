@@ -9,7 +9,8 @@ World ENU, body FLU, q body to world. With the thrust shape s(u) = sum_k c_k u^k
 
 Mass, inertia and mixer gains enter motion only as ratios, so ratios are the parameters: thrust over mass,
 moment over inertia per unit of signed command, Jx / Jz and Jy / Jz. The signs of the mixing are the
-geometry's. The supplement leaves J^-1 off the last term; here it is in place (Euler's equation).
+geometry's, those of yaw the propellers'. The supplement leaves J^-1 off the last term; here it is in place
+(Euler's equation).
 """
 
 from collections.abc import Mapping, Sequence
@@ -53,6 +54,7 @@ class Multirotor(System):
         declared: Declared effects; None takes the system's own.
         values: Initial values of parameters.
         thrust_degree: Degree of the thrust map in the command, 1 to 3.
+        yaw_direction: 1: propellers turn as those of PX4's frame; -1: each the other way.
     """
 
     mixing: ClassVar[tuple[tuple[float, ...], ...]]
@@ -109,14 +111,20 @@ class Multirotor(System):
         declared: Sequence[str] | None = None,
         values: Mapping[str, float | list[float]] | None = None,
         thrust_degree: int = 1,
+        yaw_direction: int = 1,
     ) -> None:
+        if yaw_direction not in (1, -1):
+            raise ConfigError(f"`yaw_direction` must be 1 or -1; got {yaw_direction!r}.")
+        if yaw_direction < 0:
+            *others, yaw = self.mixing
+            self.mixing = (*others, tuple(-sign for sign in yaw))  # type: ignore[misc]
         if thrust_degree not in (1, 2, 3):
             raise ConfigError(f"`thrust_degree` must be 1, 2 or 3; got {thrust_degree!r}.")
         if thrust_degree > 1:
             curve = Parameter((0.0,) * (thrust_degree - 1), "1", scale=0.5, help="c_2, c_3 of the thrust map")
             self.PARAMETERS = {**self.PARAMETERS, "thrust_curve": curve}  # type: ignore[misc]
         super().__init__(effects, declared=declared, values=values)
-        self.thrust_degree = thrust_degree
+        self.thrust_degree, self.yaw_direction = thrust_degree, yaw_direction
         self.mix: Tensor
         self.gravity: Tensor
         self.register_buffer("mix", torch.tensor(self.mixing).T.contiguous(), persistent=False)

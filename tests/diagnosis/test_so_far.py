@@ -6,6 +6,7 @@ import io
 import json
 import os
 import sys
+from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 from types import ModuleType
@@ -14,12 +15,14 @@ from typing import Any
 import pytest
 
 import nsde_torch
-from nsde_torch.diagnosis import files
+from nsde_torch import time_limit
+from nsde_torch.diagnosis import course, files, pipeline
 from nsde_torch.diagnosis.files import EFFECTS, REPORT, RESULT, DiagnosisFiles
-from nsde_torch.diagnosis.not_done import ERRORS, NOT_YET, SELECTION, STOPPED, TESTS
+from nsde_torch.diagnosis.not_done import CEILING, ERRORS, NO_TIME, NOT_YET, SELECTION, STOPPED, TESTS
 from nsde_torch.diagnosis.result import Diagnosis
 from nsde_torch.diagnosis.text import lines
 from nsde_torch.effects import files as effects_files
+from nsde_torch.errors import CheckpointError, ConfigError, DataError
 from nsde_torch.progress import Stages, no_bar
 from nsde_torch.simulation.generate import Simulation
 from nsde_torch.whole_files import write_whole
@@ -54,7 +57,12 @@ def test_what_is_known_is_kept_where_it_is_stopped(
     found = _stopped(made, at)
     found.save(tmp_path)
     content = json.loads((tmp_path / RESULT).read_text())
-    assert content["so_far"] == {"stopped_during": at, "roughly_left_s": None}
+    assert {**content["so_far"], "declared": None} == {
+        "stopped_during": at,
+        "stopped_after_min": None,
+        "roughly_left_s": None,
+        "declared": None,
+    }
     assert (content["verdict"], content["added"]) == (verdict, added)
     assert content["not_done"][0] == {"stage": first, "why": STOPPED}
     assert lines(content)[0].startswith(f"so far: stopped during {at}; not done: {first}, ")
@@ -73,6 +81,94 @@ def test_what_is_known_is_kept_where_it_is_stopped(
 def test_before_anything_is_known_it_is_an_interrupt_as_ever(made: Simulation) -> None:
     with pytest.raises(KeyboardInterrupt):
         _stopped(made, "fitting the declared physics")
+
+
+def test_it_ends_in_the_time_that_was_asked_for_with_what_is_known(
+    made: Simulation, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    now, told = [0.0], []
+    monkeypatch.setattr(time_limit, "perf_counter", lambda: now[0])
+
+    def say(stage: str, done: int, total: int) -> None:
+        told.append(stage)
+        if stage == ERRORS:
+            now[0] = 61.0
+
+    found = nsde_torch.diagnose(made, system=SPRING, candidates=[FRICTION], say=say, max_minutes=1.0)
+    assert told[-1] == ERRORS  # noticed within the stage: no later one begins
+    assert found.added == [FRICTION]
+    content = found.content()
+    assert content["so_far"]["stopped_after_min"] == 1.0
+    assert content["not_done"][0] == {"stage": ERRORS, "why": NO_TIME}
+    assert lines(content)[0].startswith(f"stopped after 1 min as asked: not done: {ERRORS}, ")
+    with pytest.raises(KeyboardInterrupt):
+        found.finished()
+
+
+def test_before_anything_is_known_the_limit_waits(made: Simulation, monkeypatch: pytest.MonkeyPatch) -> None:
+    ticks = iter(range(0, 10**9, 100))
+    monkeypatch.setattr(time_limit, "perf_counter", lambda: float(next(ticks)))
+    found = nsde_torch.diagnose(made, system=SPRING, candidates=[FRICTION], say=False, max_minutes=1.0)
+    assert (found.verdict, found.added) == ("undecided", [])
+    assert found.parameters == {}
+    assert found.declared_values["force_gain"] > 0
+
+
+def test_a_stage_that_would_not_end_in_time_is_left_out(
+    made: Simulation, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(course, "_ROUNDS", {**course._ROUNDS, CEILING: 1e6})
+    found = nsde_torch.diagnose(made, system=SPRING, candidates=[FRICTION], say=False, max_minutes=60.0)
+    content = found.content()
+    assert [(n["stage"], n["why"]) for n in content["not_done"]] == [(CEILING, NO_TIME)]
+    assert (found.verdict, found.added) == ("effect_found", [FRICTION])
+    assert "the diagnosis is not finished" not in [f["lead_reason"] for f in content["findings"]]
+    assert lines(content)[0].startswith(f"stopped after 60 min as asked: not done: {CEILING};")
+
+
+@pytest.mark.parametrize("joint", [True, False])
+def test_a_resumed_diagnosis_goes_on_from_what_was_selected(
+    made: Simulation, tmp_path: Path, joint: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    if not joint:
+        monkeypatch.setattr(pipeline, "_jointly", lambda log, search: None)
+    _stopped(made, "testing what is left").save(tmp_path)
+    told: list[tuple[str, list[str]]] = []
+    rounds: list[str] = []
+
+    def say(stage: str, done: int, total: int) -> None:
+        rounds.extend([stage] if stage.startswith("round 1: trying") else [])
+
+    found = nsde_torch.diagnose(
+        made,
+        system=SPRING,
+        candidates=[FRICTION],
+        say=say,
+        resume=tmp_path,
+        so_far=lambda known: told.append((known.verdict, known.added)),
+    )
+    assert told[0] == ("undecided", [FRICTION])  # before any round: an interrupt loses nothing
+    assert all(added == [FRICTION] for _, added in told)
+    assert not [stage for stage in rounds if "1 effect" in stage]
+    assert (found.verdict, found.added) == ("effect_found", [FRICTION])
+    assert found.parameters[f"{FRICTION}.size"]["value"] == pytest.approx(0.3, abs=0.02)
+
+
+def test_only_the_same_data_and_model_are_gone_on_with(made: Simulation, tmp_path: Path) -> None:
+    stopped = _stopped(made, "round 1: trying 1 effect")
+    stopped.save(tmp_path)
+    other = nsde_torch.simulate(SPRING, durations=[3.0] * 3, seed=2)
+    with pytest.raises(DataError, match="looked at other data: fingerprint was "):
+        nsde_torch.diagnose(other, system=SPRING, resume=tmp_path)
+    with pytest.raises(DataError, match=r"runs was \['run_0', .* and is \['run_0', 'run_1'\] now"):
+        nsde_torch.diagnose(made, system=SPRING, resume=tmp_path, test=[2])
+    with pytest.raises(ConfigError, match=r"its effects was \[\], and is \['quadratic_damping'\] now"):
+        nsde_torch.diagnose(made, system=SPRING, effects="quadratic_damping", resume=tmp_path)
+    with pytest.raises(CheckpointError, match="no diagnosis to go on with"):
+        nsde_torch.diagnose(made, system=SPRING, resume=tmp_path / "elsewhere")
+    replace(stopped, so_far=None).save(tmp_path)
+    with pytest.raises(CheckpointError, match="came to its end"):
+        nsde_torch.diagnose(made, system=SPRING, resume=tmp_path)
 
 
 def test_python_shows_what_was_found_and_each_stage_leaves_less_to_do(

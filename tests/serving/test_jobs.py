@@ -158,9 +158,11 @@ def test_machines_of_ones_own_are_offered(tmp_path: Path) -> None:
     assert known.options == ["--config-dir", str(tmp_path)]
     words = machines(tmp_path, first="mine", typed=["system.effects=[linear_drag]"])
     logs = tmp_path / "logs"
-    made = diagnose_words(logs, known=words, system="mine", mapping=None)
+    made = diagnose_words(logs, known=words, system="mine", mapping=None, max_minutes=10.0)
     assert made[1:5] == ["--config-dir", str(tmp_path), "system=mine", "system.effects=[linear_drag]"]
-    assert "linear_drag" not in str(diagnose_words(logs, known=words, system="cartpole", mapping=None))
+    assert made[-2:] == ["retrain=false", "max_minutes=10"]
+    other = diagnose_words(logs, known=words, system="cartpole", mapping=None, max_minutes=10.0)
+    assert "linear_drag" not in str(other)
     assert (
         inspect_words(logs, known=words, system="mine", mapping=None, out=logs)[-1]
         == "system=my_machine:Mine"

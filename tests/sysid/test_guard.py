@@ -13,6 +13,7 @@ import nsde_torch
 from nsde_torch.data import DataSet, RawRun
 from nsde_torch.sysid.guard import Compared, Guarded, _disagreements, _gone
 from nsde_torch.sysid.in_loop import identify_in_loop
+from nsde_torch.sysid.readings import better_readings
 from nsde_torch.sysid.rough import left_at, rough_fit
 from nsde_torch.sysid.timing import Shifted, shifted_stream
 from nsde_torch.systems import make_system
@@ -88,6 +89,32 @@ def test_columns_that_are_to_be_read_otherwise_are_told_by_name(
     assert objection.kind == "reading"
     assert words in objection.sentence
     assert objection.remedy
+
+
+@pytest.mark.parametrize("system", ["quadrotor", "hexacopter"])
+def test_propellers_that_turn_the_other_way_are_told_and_can_be_declared(system: str) -> None:
+    # with the drag, the motor lag and the gusts of the machine
+    runs = list(nsde_torch.simulate(system, durations=[10.0] * 2, seed=2).runs)
+    yaw = np.array(make_system(system).mixing[-1])  # type: ignore[attr-defined]
+    flipped = [
+        replace(run, u=(run.u - np.outer(run.u @ yaw, 2.0 * yaw / (yaw @ yaw))).clip(0.0, 1.0))
+        for run in runs
+    ]
+
+    def better(log: list[RawRun], direction: int) -> str:
+        machine = make_system(system, yaw_direction=direction)
+        data = nsde_torch.read(log, system=system, state_smoothing="keep")
+        rough = rough_fit(machine, data.runs, data.clock_scale)
+        assert rough is not None
+        found = better_readings(machine, data.runs, data.clock_scale, rough)
+        return "" if found is None else found.remedy
+
+    assert better(flipped, 1) == "write system.options.yaw_direction=-1"
+    assert better(runs, -1) == "write system.options.yaw_direction=1"
+    assert better(runs, 1) == better(flipped, -1) == ""
+    (objection,) = guard_of(system, runs=flipped).objections  # as `nsde diagnose` says it
+    assert objection.kind == "reading"
+    assert "propellers that turn the other way" in objection.sentence
 
 
 @pytest.mark.parametrize("milliseconds", [-60, 60])

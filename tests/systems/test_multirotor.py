@@ -108,6 +108,15 @@ class MultirotorContract(SystemContract):
         others = [k for k in range(3) if k != axis]
         torch.testing.assert_close(angular[others], torch.zeros(2).double(), atol=1e-6, rtol=0)
 
+    def test_propellers_that_turn_the_other_way_yaw_the_other_way(self) -> None:
+        x, u = self.states(8), self.inputs(8)
+        x[:, 10:13] = 0.0
+        one, other = (self.make(yaw_direction=way).double().drift(0.0, x, u) for way in (1, -1))
+        torch.testing.assert_close(other[:, 12], -one[:, 12])
+        torch.testing.assert_close(other[:, :12], one[:, :12])
+        with pytest.raises(ConfigError, match="`yaw_direction` must be 1 or -1"):
+            self.make(yaw_direction=0)
+
     def test_hover_is_an_equilibrium(self) -> None:
         s = self.make(values=VALUES).double()
         u = torch.full((1, s.nu), (9.81 + 0.4) / 5.1 / s.nu, dtype=torch.float64)

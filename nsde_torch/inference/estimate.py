@@ -232,20 +232,19 @@ class LogLikelihood:
 
     def filtered(self, levels: Levels, about: Linearisation) -> Pass:
         """A pass over the log with the parameters in use."""
-        many = levels.like(levels.vector()[None])
-        return filtered(self.space, many, about, self.start, self.space.chunks.counted)
+        return filtered(self.space, levels, about, self.start, self.space.chunks.counted)
 
     def tried(self, levels: Levels, about: Linearisation, held: Pass) -> Pass:
         """The pass with the parameters in use, its covariances those of another about the same slopes."""
-        many, there = levels.like(levels.vector()[None]), with_parameters(self.space, about)
-        return with_gains(self.space, many, there, held.whitening, held.gain, self.space.chunks.counted)
+        there = with_parameters(self.space, about)
+        return with_gains(self.space, levels, there, held.whitening, held.gain, self.space.chunks.counted)
 
     def settled(
         self, levels: Levels, about: Linearisation, at: Pass, passes: int
     ) -> tuple[Linearisation, Pass]:
         """The linearisation about the states that a pass found, and the pass about it, some times over."""
         for _ in range(passes):
-            x = self.space.shifted(about.x, at.delta[:, :, 0, : self.space.ne])
+            x = self.space.shifted(about.x, at.delta[..., : self.space.ne])
             about = linearised_about(self.space, x, self.start)
             at = self.filtered(levels, about)
         return about, at
@@ -285,7 +284,7 @@ class Optimum:
     @property
     def blocks(self) -> Array:
         """Log likelihood of each block of time (B,) [nats]."""
-        rows, chunks = self.at.rows[:, :, 0], self.of.space.chunks
+        rows, chunks = self.at.rows, self.of.space.chunks
         return chunks.blocks(torch.stack([rows[a:b].sum(0) for a, b in chunks.parts]))
 
 
@@ -358,7 +357,7 @@ def maximised(
     beside = level_columns(space, levels, about, start) if nuisances else None
     final = grams(space, levels, about, at, columns, beside)
     free = _free(vector, theta, final)
-    square, predictable = _whiteness(at.white[:, :, 0], space.chunks.counted)
+    square, predictable = _whiteness(at.white, space.chunks.counted)
     best = MaximumLikelihood(
         vector,
         theta,

@@ -57,15 +57,14 @@ class Linearisation:
 
 @dataclass(frozen=True)
 class Pass:
-    """What a pass left, rows (T, C, B, ...) under B sets of noise levels.
+    """What a pass left, rows (T, C, ...).
 
     Args:
         errors: Innovations (m).
         whitening: L^-1 of the covariance L L' of each (m, m); of the first row that of white noise.
         gain: Kalman gain (n, m).
         delta: Errors of the states of the linearisation that the rows until then tell (n).
-        rows: Log likelihood of each row (B), 0 of those that do not count.
-        likelihood: Log likelihood of each set (B,), minus infinity where the filter diverged.
+        rows: Log likelihood of each row, 0 of those that do not count.
         covariance: Of delta (n, n), where it was asked for.
     """
 
@@ -74,7 +73,6 @@ class Pass:
     gain: Tensor
     delta: Tensor
     rows: Tensor
-    likelihood: Tensor
     covariance: Tensor | None = None
 
     def of(self, some: Tensor) -> "Pass":
@@ -82,16 +80,16 @@ class Pass:
         parts = (self.errors, self.whitening, self.gain, self.delta, self.rows)
         errors, whitening, gain, delta, rows = (part[:, some] for part in parts)
         covariance = None if self.covariance is None else self.covariance[:, some]
-        return Pass(errors, whitening, gain, delta, rows, rows.sum((0, 1)), covariance)
+        return Pass(errors, whitening, gain, delta, rows, covariance)
 
     @property
     def total(self) -> float:
-        """Log likelihood under the first set [nats]."""
-        return float(self.likelihood[0])
+        """Log likelihood [nats]; minus infinity where the filter diverged."""
+        return float(self.rows.sum().nan_to_num(-torch.inf, -torch.inf, -torch.inf))
 
     @property
     def white(self) -> Tensor:
-        """Innovations in standard deviations (T, C, B, m)."""
+        """Innovations in standard deviations (T, C, m)."""
         return (self.whitening @ self.errors[..., None])[..., 0]
 
 
@@ -136,21 +134,18 @@ def _missed(space: StateSpace, x: Tensor, after: Tensor) -> Tensor:
 
 
 def transitions(space: StateSpace, levels: Levels, slopes: Tensor) -> tuple[Tensor, Tensor]:
-    """Transition (..., n, n) of errors over a step with slopes (..., ne, n), and the covariance of what strikes in it.
-
-    Levels may carry batch axes that broadcast against those of the slopes.
-    """
-    ne, n, nd, h = space.ne, space.n, space.nd, space.h
+    """Transition (..., n, n) of errors over steps with slopes (..., ne, n), and the covariance of what strikes."""
+    ne, n, h = space.ne, space.n, space.h
     keep = levels.keep(h)
     push = slopes[..., ne:]
-    shape = (slopes[..., 0, 0] + levels.sensor[..., 0]).shape
+    shape = slopes.shape[:-2]
     forward = slopes.new_zeros(*shape, n, n)
     forward[..., :ne, :] = slopes
     at = torch.arange(ne, n)
-    forward[..., at, at] = keep.expand(*shape, nd)
+    forward[..., at, at] = keep
     noise = slopes.new_zeros(*shape, n, n)
-    noise[..., :ne, :ne] = (push * (torch.exp(2.0 * levels.white) / h)[..., None, :]) @ push.transpose(-1, -2)
-    noise[..., at, at] = (torch.exp(2.0 * levels.gust) * (1.0 - keep.square())).expand(*shape, nd)
+    noise[..., :ne, :ne] = (push * (torch.exp(2.0 * levels.white) / h)) @ push.transpose(-1, -2)
+    noise[..., at, at] = torch.exp(2.0 * levels.gust) * (1.0 - keep.square())
     return forward, noise
 
 
@@ -164,11 +159,11 @@ def filtered(
     *,
     covariances: bool = False,
 ) -> Pass:
-    """Filter chunks under B sets of noise levels.
+    """Filter chunks.
 
     Args:
         space: The machine.
-        levels: Noise levels, each (B, ...).
+        levels: Noise levels.
         about: What the filter is linearised about.
         start: Where each chunk starts.
         live: Whether a row counts (T, C).
@@ -176,17 +171,15 @@ def filtered(
     """
     observed = space.observed
     rows, count, m = about.seen.shape
-    batch = len(levels.sensor)
     sensor = torch.exp(2.0 * levels.sensor)
-    variance = start.std.square().expand(batch, -1).clone()
-    variance[:, observed] = sensor
-    covariance = torch.diag_embed(torch.cat((variance, torch.exp(2.0 * levels.gust)), -1))
-    covariance = covariance.expand(count, -1, -1, -1)
-    eye = torch.eye(m, dtype=covariance.dtype).expand(count, batch, -1, -1)
-    inverses, gains, kept = [eye], [covariance.new_zeros(count, batch, space.n, m)], [covariance]
+    variance = start.std.square().clone()
+    variance[observed] = sensor
+    covariance = torch.diag(torch.cat((variance, torch.exp(2.0 * levels.gust)))).expand(count, -1, -1)
+    eye = torch.eye(m, dtype=covariance.dtype).expand(count, -1, -1)
+    inverses, gains, kept = [eye], [covariance.new_zeros(count, space.n, m)], [covariance]
     for k in range(1, rows):
         if k % _SLAB == 1:
-            forwards, noises = transitions(space, levels, about.slopes[k - 1 : k - 1 + _SLAB, :, None])
+            forwards, noises = transitions(space, levels, about.slopes[k - 1 : k - 1 + _SLAB])
             backwards = forwards.transpose(-1, -2)
         at = (k - 1) % _SLAB
         covariance = forwards[at] @ covariance @ backwards[at] + noises[at]
@@ -215,11 +208,11 @@ def with_gains(
 
     Args:
         space, levels, about, live: See `filtered`.
-        whitening, gain: Of the pass (T, C, B, m, m) and (T, C, B, n, m).
+        whitening, gain: Of the pass (T, C, m, m) and (T, C, n, m).
     """
     observed, ne = space.observed, space.ne
     mean = gain.new_zeros(*gain.shape[1:-1])
-    mean[..., :ne] = about.first[:, None]
+    mean[..., :ne] = about.first
     means = [mean]
     for k in range(1, len(gain)):
         if k % _SLAB == 1:
@@ -230,23 +223,21 @@ def with_gains(
         mean = (inner[at] @ mean[..., None])[..., 0] + pushed[at]
         means.append(mean)
     predicted = torch.stack(means)
-    errors = about.seen[:, :, None] - predicted[..., observed]
+    errors = about.seen - predicted[..., observed]
     white = (whitening @ errors[..., None])[..., 0]
     each = torch.log(torch.diagonal(whitening, dim1=-2, dim2=-1)).sum(-1) - 0.5 * white.square().sum(-1)
-    each = torch.where(live[..., None], each, 0.0)
-    total = each.sum((0, 1)).nan_to_num(-torch.inf, -torch.inf, -torch.inf)
     delta = predicted + (gain @ errors[..., None])[..., 0]
-    return Pass(errors, whitening, gain, delta, each, total)
+    return Pass(errors, whitening, gain, delta, torch.where(live, each, 0.0))
 
 
 def _closed(
     space: StateSpace, levels: Levels, about: Linearisation, gain: Tensor, rows: slice
 ) -> tuple[Tensor, Tensor]:
     """F (I - K H) (..., n, n) and F K (y - x) + c (..., n) of some rows."""
-    forward = transitions(space, levels, about.slopes[rows, :, None])[0]
+    forward = transitions(space, levels, about.slopes[rows])[0]
     back = forward @ gain[rows]
-    inner = forward.expand(*back.shape[:-2], space.n, space.n).clone()
+    inner = forward.clone()
     inner[..., space.observed] -= back
-    pushed = (back @ about.seen[rows, :, None, :, None])[..., 0]
-    pushed[..., : space.ne] += about.missed[rows, :, None]
+    pushed = (back @ about.seen[rows, ..., None])[..., 0]
+    pushed[..., : space.ne] += about.missed[rows]
     return inner, pushed

@@ -213,8 +213,7 @@ class _View:
         """The pass under some noise levels."""
         known = next((at for of, at in self._passes if of is levels), None)
         if known is None:
-            many = levels.like(levels.vector()[None])
-            known = filtered(self.space, many, self.about, self.start, self.space.chunks.counted)
+            known = filtered(self.space, levels, self.about, self.start, self.space.chunks.counted)
             self._passes.append((levels, known))
         return known
 
@@ -444,9 +443,8 @@ class _Choice:
     def _sizes(self) -> Array:
         """Log determinants of what whitens the innovations of each block (B,)."""
         space, at = self._all.space, self._all.at(self._levels)
-        rows = at.rows[:, :, 0] + 0.5 * torch.where(
-            space.chunks.counted[..., None], at.white[:, :, 0], 0.0
-        ).square().sum(-1)
+        live = space.chunks.counted[..., None]
+        rows = at.rows + 0.5 * torch.where(live, at.white, 0.0).square().sum(-1)
         return space.chunks.blocks(torch.stack([rows[a:b].sum(0) for a, b in space.chunks.parts]))
 
     def _relevelled(self, found: Functions) -> Levels:

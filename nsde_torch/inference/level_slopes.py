@@ -25,6 +25,8 @@ from nsde_torch.inference.filtering import Linearisation, Pass, transitions
 from nsde_torch.inference.levels import Levels
 from nsde_torch.inference.state_space import StateSpace
 
+_NUMBERS = 3_000_000  # of the slopes that are worked out at once
+
 
 @torch.no_grad()
 def score(space: StateSpace, levels: Levels, about: Linearisation, at: Pass, live: Tensor) -> Tensor:
@@ -34,13 +36,13 @@ def score(space: StateSpace, levels: Levels, about: Linearisation, at: Pass, liv
         space: The machine.
         levels: Noise levels of the pass.
         about: What the pass is linearised about.
-        at: The pass, under one set of levels, with its covariances.
+        at: The pass, with its covariances.
         live: Whether a row counts (T, C).
     """
     assert at.covariance is not None
     observed, ne, n, h = space.observed, space.ne, space.n, space.h
-    whitening, gain, errors = at.whitening[:, :, 0], at.gain[:, :, 0], at.errors[:, :, 0]
-    after, left = at.covariance[:, :, 0], at.delta[:, :, 0]
+    whitening, gain, errors = at.whitening, at.gain, at.errors
+    after, left = at.covariance, at.delta
     rows, count, _ = errors.shape
     weight = live.to(errors.dtype)
     inverse = whitening.transpose(-1, -2) @ whitening
@@ -81,20 +83,17 @@ def score(space: StateSpace, levels: Levels, about: Linearisation, at: Pass, liv
     carried = (forward[:-1] @ after[:-1])[..., ne:]  # F P, columns of the disturbances
     moved = (means[1:, :, ne:] * left[:-1, :, ne:]).sum(0)
     moved = moved + 2.0 * torch.einsum("tcdj,tcjd->cd", spreads[1:, :, ne:], carried)
-    keep, gust, white = levels.keep(h)[0], torch.exp(2.0 * levels.gust[0]), torch.exp(2.0 * levels.white[0])
-    slope = keep * h / torch.exp(levels.lasts[0])  # of keep in the logarithm of the time constant
+    keep, gust, white = levels.keep(h), torch.exp(2.0 * levels.gust), torch.exp(2.0 * levels.white)
+    slope = keep * h / torch.exp(levels.lasts)  # of keep in the logarithm of the time constant
     return torch.cat(
         (
-            2.0 * torch.exp(2.0 * levels.sensor[0]) * sensors,
+            2.0 * torch.exp(2.0 * levels.sensor) * sensors,
             2.0 * white / h * struck,
             2.0 * gust * (gusts * (1.0 - keep.square()) + begun),
             slope * (moved - 2.0 * keep * gust * gusts),
         ),
         -1,
     )
-
-
-_NUMBERS = 3_000_000  # of the slopes that are worked out at once
 
 
 @torch.no_grad()
@@ -107,7 +106,7 @@ def level_slopes(
         space: The machine.
         levels: Noise levels of the pass.
         about: What the pass is linearised about.
-        at: The pass, under one set of levels, with its covariances.
+        at: The pass, with its covariances.
         spreads: Whether to return those of the covariances, too.
     """
     assert at.covariance is not None
@@ -115,11 +114,11 @@ def level_slopes(
     m = len(observed)
     p = m + 3 * nd
     count = at.errors.shape[1]
-    keep, gust, white = levels.keep(h)[0], torch.exp(2.0 * levels.gust[0]), torch.exp(2.0 * levels.white[0])
-    slope = keep * h / torch.exp(levels.lasts[0])
-    noise, disturbed = 2.0 * torch.exp(2.0 * levels.sensor[0]), torch.arange(nd)
+    keep, gust, white = levels.keep(h), torch.exp(2.0 * levels.gust), torch.exp(2.0 * levels.white)
+    slope = keep * h / torch.exp(levels.lasts)
+    noise, disturbed = 2.0 * torch.exp(2.0 * levels.sensor), torch.arange(nd)
     ports = ne + disturbed
-    whitening = at.whitening[:, :, 0]
+    whitening = at.whitening
     covariance, mean = noise.new_zeros(count, n, p, n), noise.new_zeros(count, n, p)
     covariance[:, observed, range(m), observed] = noise
     covariance[:, ports, m + nd + disturbed, ports] = 2.0 * gust
@@ -129,10 +128,10 @@ def level_slopes(
     for first in range(0, len(whitening) - 1, slab):
         rows = slice(first, min(first + slab, len(whitening) - 1))
         forward = transitions(space, levels, about.slopes[rows])[0]
-        back = forward @ at.gain[rows, :, 0]
+        back = forward @ at.gain[rows]
         closed = forward.clone()
         closed[..., observed] -= back
-        v = whitening[rows].transpose(-1, -2) @ at.white[rows, :, 0, :, None]
+        v = whitening[rows].transpose(-1, -2) @ at.white[rows, ..., None]
         if first == 0:
             v[0] = 0.0  # where a chunk starts; no innovation
         struck = noise.new_zeros(*forward.shape[:2], n, p, n)
@@ -141,13 +140,13 @@ def level_slopes(
         pushed = (2.0 * white / h * push)[..., None] * push.transpose(-1, -2)[..., None, :, :]
         struck[..., :ne, m : m + nd, :ne] = pushed
         struck[..., ports, m + nd + disturbed, ports] = 2.0 * gust * (1.0 - keep.square())
-        carried = slope * (forward @ at.covariance[rows, :, 0])[..., ports]  # (..., n, d)
+        carried = slope * (forward @ at.covariance[rows])[..., ports]  # (..., n, d)
         struck[..., :, m + 2 * nd + disturbed, ports] += carried
         struck[..., ports, m + 2 * nd + disturbed, :] += carried.transpose(-1, -2)
         struck[..., ports, m + 2 * nd + disturbed, ports] -= 2.0 * keep * slope * gust
         moved = noise.new_zeros(*forward.shape[:2], n, p)
         moved[..., :m] = -noise * back * v[..., 0][..., None, :]
-        moved[..., ports, m + 2 * nd + disturbed] = slope * at.delta[rows, :, 0][..., ports]
+        moved[..., ports, m + 2 * nd + disturbed] = slope * at.delta[rows][..., ports]
         closed_t = closed.transpose(-1, -2).contiguous()
         seen, spread = [], []
         for k in range(len(closed)):

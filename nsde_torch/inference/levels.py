@@ -17,10 +17,10 @@ class Levels:
     """Logarithms of the noise levels.
 
     Args:
-        sensor: Standard deviation of each measured error channel (..., m).
-        white: Density of the white disturbance on each column of the ports (..., d) [its unit, root second].
-        gust: Standard deviation of the Ornstein-Uhlenbeck one (..., d) [its unit].
-        lasts: Its time constant (..., d) [s].
+        sensor: Standard deviation of each measured error channel (m,).
+        white: Density of the white disturbance on each column of the ports (d,) [its unit, root second].
+        gust: Standard deviation of the Ornstein-Uhlenbeck one (d,) [its unit].
+        lasts: Its time constant (d,) [s].
     """
 
     sensor: Tensor
@@ -29,16 +29,16 @@ class Levels:
     lasts: Tensor
 
     def vector(self) -> Tensor:
-        """All of them (..., m + 3 d)."""
+        """All of them (m + 3 d,)."""
         return torch.cat((self.sensor, self.white, self.gust, self.lasts), -1)
 
     def like(self, vector: Tensor) -> "Levels":
-        """Levels from a vector (..., m + 3 d)."""
+        """Levels from a vector (m + 3 d,)."""
         d = self.white.shape[-1]
         return Levels(*vector.split([self.sensor.shape[-1], d, d, d], -1))
 
     def keep(self, h: float) -> Tensor:
-        """Share of an Ornstein-Uhlenbeck disturbance that is left after a step [s] (..., d)."""
+        """Share of an Ornstein-Uhlenbeck disturbance that is left after a step [s] (d,)."""
         return torch.exp(-h / torch.exp(self.lasts))
 
 

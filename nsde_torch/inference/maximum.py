@@ -60,16 +60,15 @@ def likeliest(
     enough = float(live.sum() / live[:, few].sum().clamp_min(1)) * share
 
     def tried(values: Tensor) -> tuple[Pass, float]:
-        here = filtered(space, levels.like(values[None]), near, start, live, covariances=True)
+        here = filtered(space, levels.like(values), near, start, live, covariances=True)
         return here, share * here.total - 0.5 * _PRIOR * float((values - prior).square().sum())
 
     def slope(values: Tensor, here: Pass) -> Tensor:
-        pulled = score(space, levels.like(values[None]), near, here, live).sum(0)
+        pulled = score(space, levels.like(values), near, here, live).sum(0)
         return share * pulled - _PRIOR * (values - prior)
 
     def information(values: Tensor, here: Pass) -> Tensor:
-        many = levels.like(values[None])
-        found = _information(space, many, near.of(few), here.of(few), live[:, few])
+        found = _information(space, levels.like(values), near.of(few), here.of(few), live[:, few])
         return enough * found + _PRIOR * torch.eye(len(values), dtype=values.dtype)
 
     here, best = tried(phi)
@@ -102,13 +101,12 @@ def likeliest(
 @torch.no_grad()
 def level_columns(space: StateSpace, levels: Levels, about: Linearisation, start: Start) -> Tensor:
     """What the levels do to the whitened innovations (T, C, m, p): nuisances beside theta, above all under feedback."""
-    many = levels.like(levels.vector()[None])
     out = []
     for some in torch.arange(space.chunks.count).split(_most(space)):
         check_time()
         near = about.of(some)
-        here = filtered(space, many, near, start, space.chunks.counted[:, some], covariances=True)
-        out.append(-level_slopes(space, many, near, here)[0])
+        here = filtered(space, levels, near, start, space.chunks.counted[:, some], covariances=True)
+        out.append(-level_slopes(space, levels, near, here)[0])
     return torch.cat(out, 1)
 
 

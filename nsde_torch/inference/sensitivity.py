@@ -87,7 +87,7 @@ def grams(
         space: The machine and the log.
         levels: Noise levels.
         about: What the pass is linearised about.
-        at: The pass, under one set of levels.
+        at: The pass.
         columns: What k parameters do to the steps (T, C, ne, k) from the states of `about`; single precision does.
         nuisances: Further columns of the whitened rows (T, C, m, p).
     """
@@ -118,7 +118,7 @@ def _tables(
     """Whitened rows [e, J, nuisances] of each block of some chunks (rows, chunks, m, ...)."""
     chunks, observed, k = space.chunks, space.observed, columns.shape[-1]
     total = 1 + k + (0 if nuisances is None else nuisances.shape[-1])
-    white, whitening, gain = at.white[:, :, 0], at.whitening[:, :, 0], at.gain[:, :, 0]
+    white, whitening, gain = at.white, at.whitening, at.gain
     moved = gain.new_zeros(len(some), space.n, k)
     for first, end in chunks.parts:
         table = moved.new_zeros(end - first, len(some), len(observed), total)

@@ -43,7 +43,7 @@ class Filtered:
             runs: The runs of the log.
         """
         space, steps, chunks = self.of.space, self.of.space.steps, self.of.space.chunks
-        x = space.shifted(self.about.x, self.at.delta[:, :, 0, : space.ne]).numpy()
+        x = space.shifted(self.about.x, self.at.delta[..., : space.ne]).numpy()
         out = [np.array(run.x) for run in runs]
         begun = np.array([a for a, _ in steps.segments])
         for c in reversed(range(chunks.count)):  # where two overlap, that which has forgotten its start
@@ -57,12 +57,12 @@ class Filtered:
 
     def square(self) -> Tensor:
         """Mean square of the whitened innovations of each measured channel (m,)."""
-        return self.at.white[:, :, 0][self.of.space.chunks.counted].square().mean(0)
+        return self.at.white[self.of.space.chunks.counted].square().mean(0)
 
     def unknown(self) -> Tensor:
         """What is not known of each error channel (ne,), as a standard deviation over the log."""
         assert self.at.covariance is not None
-        variances = self.at.covariance[:, :, 0].diagonal(dim1=-2, dim2=-1)[..., : self.of.space.ne]
+        variances = self.at.covariance.diagonal(dim1=-2, dim2=-1)[..., : self.of.space.ne]
         return variances[self.of.space.chunks.counted].mean(0).sqrt()
 
 
@@ -78,6 +78,5 @@ def filtered_at(of: LogLikelihood) -> Filtered:
     wide.limit(data_sizes(wide.system, of.space.steps))
     levels, about = of.first(of.vector.inside(wide.inside(wide.start)))
     about, _ = of.settled(levels, about, of.filtered(levels, about), _PASSES)
-    many = levels.like(levels.vector()[None])
-    at = filtered(of.space, many, about, of.start, of.space.chunks.counted, covariances=True)
+    at = filtered(of.space, levels, about, of.start, of.space.chunks.counted, covariances=True)
     return Filtered(of, levels, about, at)

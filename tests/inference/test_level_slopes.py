@@ -33,20 +33,18 @@ def test_the_score_and_the_slopes_of_the_levels_are_the_filter_s(of: str) -> Non
     problem = LogLikelihood(spring(), linear_runs(2, 4.0)) if of == "spring" else flight()
     first, about = problem.first(problem.vector.start)
     phi, live = first.vector(), problem.space.chunks.counted
-    eye = SMALL * torch.eye(len(phi), dtype=phi.dtype)
-    one = first.like(phi[None])
-    at = passed(problem, one, about)
-    up, down = (passed(problem, first.like(phi + way * eye), about) for way in (1.0, -1.0))
-
-    exact = score(problem.space, one, about, at, live).sum(0)
-    differences = (up.likelihood - down.likelihood) / (2 * SMALL)
-    np.testing.assert_allclose(exact, differences, rtol=1e-4, atol=1e-6 * float(exact.abs().max()))
-
-    slopes, spreads = level_slopes(problem.space, one, about, at, spreads=True)
+    at = passed(problem, first, about)
+    exact = score(problem.space, first, about, at, live).sum(0)
+    slopes, spreads = level_slopes(problem.space, first, about, at, spreads=True)
     assert spreads is not None
-    moved = at.whitening @ (up.errors - down.errors)[..., None] / (2 * SMALL)
-    np.testing.assert_allclose(slopes.transpose(2, 3), moved[..., 0], atol=1e-5 * float(slopes.abs().max()))
-    seen = [torch.linalg.inv(p.whitening) for p in (up, down)]
-    turned = (seen[0] @ seen[0].mT - seen[1] @ seen[1].mT) / (2 * SMALL)
-    turned = at.whitening @ turned @ at.whitening.mT
-    np.testing.assert_allclose(spreads[1:], turned[1:], atol=1e-5)
+    for j, step in enumerate(SMALL * torch.eye(len(phi), dtype=phi.dtype)):
+        up, down = (passed(problem, first.like(phi + way * step), about) for way in (1.0, -1.0))
+        difference = (up.total - down.total) / (2 * SMALL)
+        assert exact[j] == pytest.approx(difference, rel=1e-4, abs=1e-6 * float(exact.abs().max()))
+        moved = at.whitening @ (up.errors - down.errors)[..., None] / (2 * SMALL)
+        near = 1e-5 * float(slopes.abs().max())
+        np.testing.assert_allclose(slopes[..., j], moved[..., 0], atol=near)
+        seen = [torch.linalg.inv(p.whitening) for p in (up, down)]
+        turned = (seen[0] @ seen[0].mT - seen[1] @ seen[1].mT) / (2 * SMALL)
+        turned = at.whitening @ turned @ at.whitening.mT
+        np.testing.assert_allclose(spreads[1:, :, j], turned[1:], atol=1e-5)

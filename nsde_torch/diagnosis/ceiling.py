@@ -34,12 +34,10 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
-CAPTION = (
+CAPTION = (  # of the picture of the functions
     "Fitted to all runs, beside everything that was found, as far as it depends on these variables alone. Grey: no "
     "logged sample is near (eta above 0.5), so that nothing is known there."
 )
-"""Of the picture of the functions."""
-
 _NAMED = 3  # variables that a sentence names
 _HALF = 1.645  # standard errors of a 90 % interval
 _GRID = {1: 200, 2: 60}  # points along each axis of the picture

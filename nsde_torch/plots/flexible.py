@@ -1,4 +1,4 @@
-"""Figures of a flexible model: what it adds over one variable or two, how surely, and where the data are."""
+"""Figures of functions: what they add over one variable or two, how surely, and where the data are."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _VEIL = "#d9d9d9"
 
 @dataclass(frozen=True)
 class Surface:
-    """What a flexible model adds over one variable or two.
+    """What functions add over one variable or two.
 
     Args:
         row, unit: What it is added to, and its unit.
@@ -46,7 +46,7 @@ class Surface:
 
 @styled
 def flexible_surface(surface: Surface, *, title: str) -> Figure:
-    """What a flexible model adds, and its 90 % interval; grey where no data are near.
+    """What functions add, and the 90 % interval; grey where no data are near.
 
     Args:
         surface: What is drawn.

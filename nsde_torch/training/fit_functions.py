@@ -68,7 +68,7 @@ def fit_functions(model: NeuralSDE, at: Optimum, left: Residuals) -> Distilled:
     model.residual_inputs.fit(seen.float())
     variables: dict[Port, tuple[str, ...]] = {}
     spread = np.zeros(len(left.rows))
-    gain, error, kept, column = [], [], [], 0
+    gain, error, kept, column, steps = [], [], [], 0, 0
     values = {name: seen[:, k].numpy() for k, name in enumerate(names)}
     for port, width in left.ports:
         rows = {j: k for k, (of, j) in enumerate(at.of.space.disturbances) if of is port and k in found.nats}
@@ -81,13 +81,13 @@ def fit_functions(model: NeuralSDE, at: Optimum, left: Residuals) -> Distilled:
         kept.append(bool(rows))
         network = model.residuals[port.value]
         assert isinstance(network, MLP)
-        _distil(model, port, network, found, rows, seen.numpy(), names, variables[port])
+        steps += _distil(model, port, network, found, rows, seen.numpy(), names, variables[port])
         for j, k in rows.items():
             doubt = np.sqrt(found.force(values, k)[1])
             spread += np.square(left.response[:, :, column + j].numpy() * doubt[:, None]).mean(0)
         column += width
     everything = Learned(
-        steps=_STEPS if any(kept) else 0,
+        steps=steps,
         tried=0,
         kept=tuple(kept),
         before=1.0,
@@ -109,8 +109,12 @@ def _distil(
     seen: Array,
     names: Sequence[str],
     variables: Sequence[str],
-) -> None:
-    """Fit one network to the functions on the rows of its port; nothing but their variables reaches it."""
+) -> int:
+    """Fit one network to the functions on the rows of its port; nothing but their variables reaches it.
+
+    Returns:
+        Steps of the fit that was kept.
+    """
     first, last = network.layers[0], network.layers[-1]
     assert isinstance(first, nn.Linear)
     assert isinstance(last, nn.Linear)
@@ -120,7 +124,7 @@ def _distil(
         if not rows:
             for parameter in last.parameters():
                 parameter.zero_()
-            return
+            return 0
     points = _points(seen, names, variables, found)
     within, _ = _inside(points, names, variables, found, 1.0)
     near, far = _inside(points, names, variables, found, _MARGIN)
@@ -138,22 +142,27 @@ def _distil(
         size = target.square().mean().sqrt().clamp_min(1e-12)
     weight = torch.ones(len(points))
     weight[-_BEYOND:] = torch.where(torch.from_numpy(far[-_BEYOND:]) == 1.0, _NEAR, _LESS).float()
-    _fit(network, y, target / size, weight)
+    steps = _fit(network, y, target / size, weight, sorted(rows))
+    silent = [j for j in range(last.out_features) if j not in rows]
     with torch.no_grad():
         for parameter in last.parameters():
             parameter.mul_(size)
+            parameter[silent] = 0.0
+    return steps
 
 
-def _fit(network: MLP, y: Tensor, target: Tensor, weight: Tensor) -> None:
+def _fit(network: MLP, y: Tensor, target: Tensor, weight: Tensor, rows: Sequence[int]) -> int:
     """Least squares from the best of some beginnings, of which many end where neurons say the same."""
     generator = torch.Generator().manual_seed(0)
     begun = [copy.deepcopy(network) for _ in range(_STARTS)]
     for other in begun:
         _redrawn(other, generator)
-    left = [_least_squares(other, y, target, weight, _TRIED) for other in begun]
-    best = begun[left.index(min(left))]
-    _least_squares(best, y, target, weight, _STEPS)
+    tried = [_least_squares(other, y, target, weight, rows, _TRIED) for other in begun]
+    left, before = min(tried)
+    best = begun[tried.index((left, before))]
+    _, steps = _least_squares(best, y, target, weight, rows, _STEPS)
     network.load_state_dict(best.state_dict())
+    return before + steps
 
 
 @torch.no_grad()
@@ -168,10 +177,15 @@ def _redrawn(network: MLP, generator: torch.Generator) -> None:
         )
 
 
-def _least_squares(network: MLP, y: Tensor, target: Tensor, weight: Tensor, steps: int) -> float:
-    """Least squares by Levenberg and Marquardt, in double precision: a law may be known to a thousandth."""
+def _least_squares(
+    network: MLP, y: Tensor, target: Tensor, weight: Tensor, rows: Sequence[int], steps: int
+) -> tuple[float, int]:
+    """Least squares of some outputs by Levenberg and Marquardt, in double precision; what is left, and steps taken.
+
+    A law may be known to a thousandth.
+    """
     network.double()
-    y, target, root = y.double(), target.double(), weight.double().sqrt()[:, None]
+    y, target, root = y.double(), target.double()[:, rows], weight.double().sqrt()[:, None]
     shapes = {name: p.shape for name, p in network.named_parameters()}
     phi = torch.nn.utils.parameters_to_vector(network.parameters()).detach()
     scale, pull_back = root / len(y) ** 0.5, torch.eye(len(phi), dtype=phi.dtype) * _DECAY
@@ -181,18 +195,19 @@ def _least_squares(network: MLP, y: Tensor, target: Tensor, weight: Tensor, step
         return {name: part.view(s) for (name, s), part in zip(shapes.items(), parts, strict=True)}
 
     def said(parameters: dict[str, Tensor], point: Tensor) -> Tensor:
-        return torch.func.functional_call(network, parameters, (point[None],))[0]
+        return torch.func.functional_call(network, parameters, (point[None],))[0, rows]
 
     def left(phi: Tensor) -> Tensor:
-        return scale * (torch.func.functional_call(network, named(phi), (y,)) - target)
+        return scale * (torch.func.functional_call(network, named(phi), (y,))[:, rows] - target)
 
     def size_of(phi: Tensor, value: Tensor) -> float:
         return float(value.square().sum() + _DECAY * phi.square().sum())
 
     slopes_of = torch.func.vmap(torch.func.jacrev(said), (None, 0))
     value = left(phi)
-    damping, least, slow = 1e-2, size_of(phi, value), 0
-    for _ in range(steps):
+    damping, least, slow, taken = 1e-2, size_of(phi, value), 0, 0
+    while taken < steps:
+        taken += 1
         parts = slopes_of(named(phi), y)
         slopes = torch.cat([part.reshape(*target.shape, -1) for part in parts.values()], 2) * scale[..., None]
         slopes = slopes.flatten(0, 1)
@@ -213,7 +228,7 @@ def _least_squares(network: MLP, y: Tensor, target: Tensor, weight: Tensor, step
     with torch.no_grad():
         torch.nn.utils.vector_to_parameters(phi, network.parameters())
     network.float()
-    return least
+    return least, taken
 
 
 def _points(seen: Array, names: Sequence[str], variables: Sequence[str], found: Functions) -> Array:

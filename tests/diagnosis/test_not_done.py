@@ -40,7 +40,7 @@ def test_stages_that_fail_are_told_and_cost_themselves(
     assert len(content["not_done"]) == len(OPTIONAL)
     ceiling = content["not_done"][-1]
     assert ceiling == {
-        "stage": "what a flexible model could win",
+        "stage": "what functions could still explain",
         "why": "it could not be computed (LinAlgError: Singular matrix)",
     }
     said = f"{ceiling['stage']}: {ceiling['why']}."

@@ -131,7 +131,7 @@ def test_a_resumed_diagnosis_goes_on_from_what_was_selected(
     made: Simulation, tmp_path: Path, joint: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     if not joint:
-        monkeypatch.setattr(pipeline, "_jointly", lambda log, search: None)
+        monkeypatch.setattr(pipeline, "_jointly", lambda log, search: (None, None))
     _stopped(made, "testing what is left").save(tmp_path)
     told: list[tuple[str, list[str]]] = []
     rounds: list[str] = []

@@ -112,7 +112,7 @@ const CAPTIONS = {
   "held_out.png": (s) => `Fitted to the other runs and measured on ${s.measured_on}: the residual after over before, and the gain in log-likelihood.`,
   "residual.png": () => "Measured rate less that of the physics, before and after. A good model lies on zero.",
   "unexplained.png": () => "What is left after everything that was found.",
-  "flexible.png": () => "What a flexible model still adds; grey where no data are near.",
+  "flexible.png": () => "What functions of what was measured still add; grey where no data are near.",
 };
 
 /** Verdict, effects, before and after, pictures, files, and the command that repeats it. */

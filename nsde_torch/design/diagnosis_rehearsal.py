@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from nsde_torch.data import Run
 from nsde_torch.data.raw import RawRun
 from nsde_torch.design.following import following, replayed
-from nsde_torch.design.rollout import Disturbances, Rollouts, disturbances
+from nsde_torch.design.rollout import Disturbances, ModelNoise, Rollouts, disturbances
 from nsde_torch.diagnosis.fitted import effect_of, values_of
 from nsde_torch.diagnosis.pipeline import diagnose
 from nsde_torch.diagnosis.result import Diagnosis
@@ -219,25 +219,14 @@ def _raw(
 
 
 def _noise(found: Diagnosis, count: int, steps: int, rng: np.random.Generator) -> Disturbances:
-    """Noise as the diagnosis found it; where rates are inferred, that of largest likelihood."""
-    fit, runs = found.outcome.final.regression, found.recorded.runs
-    if not fit.physics.steps.inferred:
+    """Noise of largest likelihood; where gusts outweigh the sensors, as the regression found it."""
+    fit = found.outcome.final.regression
+    if not (fit.physics.steps.inferred or found.system.sensor_noise):
         return disturbances(fit, count, steps, rng)
-    of = LogLikelihood(found.outcome.system, runs, found.recorded.clock, states=True)
+    of = LogLikelihood(found.outcome.system, found.recorded.runs, found.recorded.clock, states=True)
     at, space = filtered_at(of), of.space
     levels, _ = likeliest(space, at.levels, at.levels, at.about, of.start)
-    white, gust, keep = (v.numpy() for v in (levels.white.exp(), levels.gust.exp(), levels.keep(space.h)))
-    gusts = gust * rng.standard_normal((count, steps, space.nd))
-    for k in range(1, steps):
-        gusts[:, k] = keep * gusts[:, k - 1] + np.sqrt(1.0 - keep**2) * gusts[:, k]
-    forces = gusts + white / space.h**0.5 * rng.standard_normal(gusts.shape)
-    moved = (
-        at.about.slopes[..., space.ne :].square().mean((0, 1)).sqrt().numpy()
-    )  # over a step, by each of them
-    errors = np.zeros((count, steps + 1, space.nx))
-    noise = rng.standard_normal((count, steps + 1, len(space.observed)))
-    errors[..., space.observed] = levels.sensor.exp().numpy() * noise
-    return Disturbances(forces @ moved.T, errors)
+    return ModelNoise.of(space, levels).drawn(space.nx, count, steps, rng)
 
 
 def _diagnosed(found: Diagnosis, log: list[RawRun]) -> dict[str, Any]:

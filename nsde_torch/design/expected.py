@@ -19,11 +19,11 @@ from typing import final
 import numpy as np
 from numpy.typing import NDArray
 
-from nsde_torch.design.filtering import FilterProblem
 from nsde_torch.design.members import Member, prior_information
 from nsde_torch.design.noise_units import NoiseUnits
-from nsde_torch.design.rollout import physics_of, steps_from
+from nsde_torch.design.rollout import as_run, physics_of, steps_from
 from nsde_torch.design.widths import Branch, width_columns
+from nsde_torch.inference.posterior import LogWithPrior
 
 Array = NDArray[np.float64]
 
@@ -40,7 +40,7 @@ class Separation:
     def __init__(self, truth: Member, other: Member) -> None:
         self.truth, self.other = truth, other
         self._follow = _follow(truth, other)
-        self._units = NoiseUnits(truth.regression) if other.filter is None else None
+        self._units = NoiseUnits(truth.regression) if other.posteriors is None else None
 
     def nats(self, states: Array, inputs: Array, thetas: Array) -> Array:
         """Expected evidence (S, C) of experiments in which the truth has some parameters.
@@ -51,16 +51,17 @@ class Separation:
             thetas: Parameters of the truth (S, k).
         """
         b = self.other
-        if b.filter is None:
+        if b.posteriors is None:
             return np.stack([self._by_steps(*each) for each in zip(states, inputs, thetas, strict=True)])
+        dt = b.regression.physics.steps.logged_dt
         near = [nearest(self.truth, theta) for theta in thetas]
         problems = [
-            FilterProblem((x,), (u,), self._there(branch, theta, own.theta), branch.known)
+            LogWithPrior((as_run(x, u, dt),), self._there(branch, theta, own.theta), branch.known)
             for branch in b.branches
             for theta, own, xs, us in zip(thetas, near, states, inputs, strict=True)
             for x, u in zip(xs, us, strict=True)
         ]
-        left = np.array([nats for nats, _ in b.filter.foreseen(problems)])
+        left = np.array([b.posteriors.left_by_refit(here) for here in b.posteriors.at_centres(problems)])
         left = left.reshape(len(b.branches), *states.shape[:2])
         # a width that explains the runs worse has that to make good
         worse = np.array([branch.nats - b.nats for branch in b.branches])[:, None, None]
@@ -70,7 +71,14 @@ class Separation:
 
     def _there(self, branch: Branch, theta: Array, near: Array) -> Array:
         """Where the other member's fit of the runs there are goes when the truth has some parameters (k,)."""
-        return self.other.vector.inside(branch.theta + self._follow @ (theta - near))
+        a, b = self.truth, self.other
+        there = branch.theta + self._follow @ (theta - near)
+        if len(a.branches) > 1 and len(b.branches) > 1:
+            # runs that leave the widths of both open let a fit have that of the truth, which no branch may have
+            width, columns = _width(a, theta), width_columns(b.vector)
+            if branch is min(b.branches, key=lambda own: abs(np.log(_width(b, own.theta) / width))):
+                there[columns] *= width / _width(b, there)
+        return b.vector.inside(there)
 
     def _by_steps(self, states: Array, inputs: Array, theta: Array) -> Array:
         """Expected evidence (C,) by residuals of steps, at one set of parameters of the truth (k,)."""
@@ -103,16 +111,17 @@ class Precision:
 
     def __init__(self, member: Member, columns: list[int], sizes: Array) -> None:
         self.member, self.columns, self.sizes = member, columns, sizes
-        self._units = NoiseUnits(member.regression) if member.filter is None else None
+        self._units = NoiseUnits(member.regression) if member.posteriors is None else None
 
     def errors(self, states: Array, inputs: Array, theta: Array) -> Array:
         """Standard errors of all parameters (C, k) after experiments with the runs there are; see `Separation.nats`."""
         m = self.member
-        if m.filter is not None:
+        if m.posteriors is not None:
+            dt = m.regression.physics.steps.logged_dt
             problems = [
-                FilterProblem((x,), (u,), theta, m.known) for x, u in zip(states, inputs, strict=True)
+                LogWithPrior((as_run(x, u, dt),), theta, m.known) for x, u in zip(states, inputs, strict=True)
             ]
-            infos = [info for _, info in m.filter.foreseen(problems)]
+            infos = [here.information for here in m.posteriors.at_centres(problems)]
         else:
             steps = steps_from(m.system, states, inputs, dt=m.regression.physics.steps.dt)
             physics = physics_of(m.system, steps)
@@ -137,6 +146,11 @@ def _follow(truth: Member, other: Member) -> Array:
     if len(other.branches) > 1:
         out[width_columns(other.vector)] = 0.0
     return out
+
+
+def _width(member: Member, theta: Array) -> float:
+    """Geometric mean of the widths of a member."""
+    return float(np.exp(np.log(theta[width_columns(member.vector)]).mean()))
 
 
 def nearest(member: Member, theta: Array) -> Branch:

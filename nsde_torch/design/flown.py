@@ -240,7 +240,7 @@ def evidence(
     """Logarithm of the density that the experiments had under each member (M,) [nats].
 
     What gentle flights say of parameters is no quadratic: a wind is known as its product with a drag. So members
-    without a filter are fitted to all runs together, once before and once with the experiments.
+    that regressions judge are fitted to all runs together, once before and once with the experiments.
 
     Args:
         system: Declared system.
@@ -252,7 +252,7 @@ def evidence(
         values: First values of effects.
         clock: Physical seconds per logged second.
     """
-    if members[0].filter is not None or len(members) == 1:
+    if members[0].posteriors is not None or len(members) == 1:
         return np.sum([f.brought for f in each], axis=0)
     named = [replace(run, name=f"experiment_{i}") for i, run in enumerate(flown)]
     after = members_of(system, [*runs, *named], question, values, clock=clock)

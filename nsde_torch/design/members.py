@@ -19,17 +19,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nsde_torch.data import Run
-from nsde_torch.design.filtering import Filter, FilterProblem, stretches
 from nsde_torch.design.likeliest import likeliest, log_likelihood, with_values
-from nsde_torch.design.noises import Noises, noises_of
-from nsde_torch.design.rollout import Rollouts
-from nsde_torch.design.widths import Branch, branches, followed_delays, lower_bounds, width_columns
+from nsde_torch.design.rollout import ModelNoise, Rollouts
+from nsde_torch.design.widths import Branch, LogOfRuns, branches, followed_delays, lower_bounds, width_columns
 from nsde_torch.diagnosis.candidates import alone, make_candidate
 from nsde_torch.diagnosis.fitted import fitted_system
 from nsde_torch.diagnosis.options import Options
 from nsde_torch.diagnosis.screening import starts
 from nsde_torch.diagnosis.search import Search, search_in
 from nsde_torch.errors import ConfigError, NsdeError
+from nsde_torch.inference import LogLikelihood, maximised
+from nsde_torch.inference.posterior import LogWithPrior, Posteriors
 from nsde_torch.inference.sizes import data_sizes
 from nsde_torch.sysid.regression import Regression
 from nsde_torch.systems import System
@@ -55,7 +55,8 @@ class Member:
         theta: Fitted parameters (k,).
         information: Of the runs about them (k, k).
         nats: Log-likelihood of the runs [nats].
-        filter: Filters further runs; None where regressions judge them.
+        posteriors: By the likelihood of further runs; None where regressions judge them.
+        noise: Noise of largest likelihood; None where it is that of the regression.
         branches: The member at the widths that the runs leave open, the likeliest first; itself where they leave none.
     """
 
@@ -66,13 +67,14 @@ class Member:
     theta: Array
     information: Array
     nats: float
-    filter: Filter | None
+    posteriors: Posteriors | None
+    noise: ModelNoise | None
     branches: tuple[Branch, ...]
 
     @property
     def vector(self) -> ParameterVector:
         """Its parameters, within the bounds that hold for experiments."""
-        return self.regression.vector if self.filter is None else self.filter.vector
+        return self.regression.vector if self.posteriors is None else self.posteriors.vector
 
     @property
     def known(self) -> Array:
@@ -142,9 +144,12 @@ def fitted_members(
         known = declared if first is None else first.vector.system
         own = [n for n in system.effect_names if n not in known.effect_names]
         fits.append(_nearest(search, system, first, name, own))
-    first = fits[0]
-    noise = noises_of(first)
-    return search, [_member(declared, name, fit, runs, noise) for name, fit in zip(names, fits, strict=True)]
+    if not declared.sensor_noise:
+        return search, [_by_regression(declared, *each) for each in zip(names, fits, strict=True)]
+    systems = [fitted_system(fit) for fit in fits]
+    whole = LogOfRuns(tuple(runs), clock, any(s.nz > s.nx for s in systems))
+    noise = _noise(systems, whole)
+    return search, [_by_likelihood(declared, *each, whole, noise) for each in zip(names, fits, strict=True)]
 
 
 def physics_with(
@@ -262,27 +267,45 @@ def _score(fit: Regression) -> float:
     return log_likelihood(fit) + float(fit.held.sum())
 
 
-def _member(declared: System, name: str, fit: Regression, runs: Sequence[Run], noise: Noises) -> Member:
-    effects = tuple(n for n in fit.vector.system.effect_names if n not in declared.effect_names)
-    if not declared.sensor_noise:
-        fine = Rollouts(fitted_system(fit), dt=fit.physics.steps.dt).fine_dt
-        fit.vector.low = np.maximum(fit.vector.low, followed_delays(fit.vector, fine))
-        fit = fit.at(fit.vector.inside(fit.theta))
-        nats, known = log_likelihood(fit), fit.information() + _of_held(fit)
-        only = Branch(fit.theta, known + prior_information(fit.vector), nats)
-        return Member(name, effects, fitted_system(fit), fit, fit.theta, known, nats, None, (only,))
-    own = Filter(fitted_system(fit), dt=fit.physics.steps.dt, noise=noise)
+def _added(declared: System, fit: Regression) -> tuple[str, ...]:
+    return tuple(n for n in fit.vector.system.effect_names if n not in declared.effect_names)
+
+
+def _by_regression(declared: System, name: str, fit: Regression) -> Member:
+    fine = Rollouts(fitted_system(fit), dt=fit.physics.steps.dt).fine_dt
+    fit.vector.low = np.maximum(fit.vector.low, followed_delays(fit.vector, fine))
+    fit = fit.at(fit.vector.inside(fit.theta))
+    nats, known = log_likelihood(fit), fit.information() + _of_held(fit)
+    only = Branch(fit.theta, known + prior_information(fit.vector), nats)
+    return Member(
+        name, _added(declared, fit), fitted_system(fit), fit, fit.theta, known, nats, None, None, (only,)
+    )
+
+
+def _noise(systems: Sequence[System], log: LogOfRuns) -> ModelNoise:
+    """Noise of the likeliest of several systems: levels beside a worse one would take for noise what it lacks."""
+    of = LogLikelihood(systems[0], log.runs, log.clock, run_in=log.run_in, states=True)
+    best = maximised(of, nuisances=False)[1]
+    for system in systems[1:]:
+        found = maximised(of.of(system), best, nuisances=False)[1]
+        best = max(best, found, key=lambda f: f.at.total)
+    return ModelNoise.of(best.of.space, best.levels)
+
+
+def _by_likelihood(declared: System, name: str, fit: Regression, log: LogOfRuns, noise: ModelNoise) -> Member:
+    system, dt = fitted_system(fit), fit.physics.steps.dt
+    own = Posteriors(system, noise.levels, clock=log.clock)
     prior = prior_information(own.vector)
     given = prior + _of_held(fit)
-    dt = fit.physics.steps.dt
-    own.vector.low = lower_bounds(fit.vector, fit.theta, dt=dt, fine_dt=own.rollouts.fine_dt)
+    fine_dt = Rollouts(system, dt=dt).fine_dt
+    own.vector.low = lower_bounds(fit.vector, fit.theta, dt=dt, fine_dt=fine_dt)
     own.vector.high = fit.vector.high
-    found = own.solve([FilterProblem(*stretches(runs), fit.theta, given)], rounds=_ROUNDS)[0]
-    each = branches(own, runs, Branch(found.theta, found.information, found.nats), given)
-    system = fitted_system(fit)
+    (found,) = own.modes([LogWithPrior(log.runs, fit.theta, given)], rounds=_ROUNDS, run_in=log.run_in)
+    each = branches(own, log, Branch(found.theta, found.information, found.nats), given)
     theta = each[0].theta
     own.vector.write(system, theta)
-    return Member(name, effects, system, fit, theta, each[0].known - prior, each[0].nats, own, each)
+    added = _added(declared, fit)
+    return Member(name, added, system, fit, theta, each[0].known - prior, each[0].nats, own, noise, each)
 
 
 def _of_held(fit: Regression) -> Array:

@@ -20,15 +20,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nsde_torch.data import Run
-from nsde_torch.design.filtering import FilterProblem, stretches
 from nsde_torch.design.flyable import Draw
 from nsde_torch.design.likeliest import likeliest, with_values
 from nsde_torch.design.limits import ExperimentLimits
 from nsde_torch.design.members import Member
 from nsde_torch.design.noise_units import NoiseUnits
-from nsde_torch.design.rollout import Disturbances, Drive, Rollouts, disturbances
+from nsde_torch.design.rollout import Disturbances, Drive, Rollouts, as_run, disturbances
 from nsde_torch.diagnosis.options import Options
 from nsde_torch.diagnosis.search import search_in
+from nsde_torch.inference.posterior import LogWithPrior
 from nsde_torch.sysid.regression import Regression
 from nsde_torch.systems import System
 from nsde_torch.threads import one_thread
@@ -89,8 +89,8 @@ def fit_all(declared: System, members: Sequence[Member], each: Sequence[Run], *,
     """
     found = (
         [_by_steps(declared, members, run, clock) for run in each]
-        if members[0].filter is None
-        else list(zip(*(_by_filter(m, each) for m in members), strict=True))
+        if members[0].posteriors is None
+        else list(zip(*(_by_likelihood(m, each) for m in members), strict=True))
     )
     out = []
     for fits in found:
@@ -121,17 +121,17 @@ def density(nats: float, before: Array, after: Array) -> float:
     return nats + 0.5 * float(np.linalg.slogdet(before)[1] - np.linalg.slogdet(after)[1])
 
 
-def _by_filter(member: Member, each: Sequence[Run]) -> list[_Fit]:
-    """Density of each experiment, and parameters, covariance and mean square of what is left, by the member's filter.
+def _by_likelihood(member: Member, each: Sequence[Run]) -> list[_Fit]:
+    """Density of each experiment, and parameters, covariance and mean square of what is left, by its likelihood.
 
     The density is that of all its branches, with the weights that they are drawn with.
     """
-    own, branches = member.filter, member.branches
+    own, branches = member.posteriors, member.branches
     assert own is not None
-    problems = [FilterProblem(*stretches([run]), b.theta, b.known) for run in each for b in branches]
+    problems = [LogWithPrior((run,), b.theta, b.known) for run in each for b in branches]
     weights = np.array([b.nats for b in branches])
     weights -= np.logaddexp.reduce(weights)
-    found, out = own.solve(problems), list[_Fit]()
+    found, out = own.modes(problems), list[_Fit]()
     for first in range(0, len(found), len(branches)):
         fits = found[first : first + len(branches)]
         told = weights + [
@@ -240,14 +240,8 @@ def _noise_at(
         steps: Number of steps.
         rng: Source of everything random.
     """
-    if member.filter is not None:
-        return disturbances(member.regression, plans * len(thetas), steps, rng)
+    if member.noise is not None:
+        return member.noise.drawn(member.system.nx, plans * len(thetas), steps, rng)
     each = [disturbances(member.regression.at(theta), plans, steps, rng) for theta in thetas]
     pushes, errors = (np.stack([getattr(d, key) for d in each], 1) for key in ("pushes", "errors"))
     return Disturbances(pushes.reshape(-1, *pushes.shape[2:]), errors.reshape(-1, *errors.shape[2:]))
-
-
-def as_run(states: Array, inputs: Array, dt: float, name: str = "experiment") -> Run:
-    """An experiment as a run: the last input is held."""
-    u = np.concatenate((inputs, inputs[-1:]))
-    return Run(name, dt * np.arange(len(u), dtype=np.float64), states, u)

@@ -19,8 +19,11 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from nsde_torch.columns import by_column
+from nsde_torch.data import Run
 from nsde_torch.design.coloured import coloured, split_spectrum
-from nsde_torch.design.noises import noises_of
+from nsde_torch.effects import Port
+from nsde_torch.inference.levels import Levels
+from nsde_torch.inference.state_space import StateSpace, forces_on
 from nsde_torch.inference.steps import Steps
 from nsde_torch.rotation import rotate
 from nsde_torch.sysid.physics import Physics
@@ -41,21 +44,20 @@ class Disturbances:
     Args:
         pushes: Changes of states over each step (B, N, nx), those of a turned velocity in body axes.
         errors: Errors of the sensors (B, N + 1, nx).
+        forces: Disturbances held over each step (B, N, nd).
+        ports: Columns of the ports that these act on.
     """
 
     pushes: Array
     errors: Array
+    forces: Array | None = None
+    ports: tuple[tuple[Port, int], ...] = ()
 
 
 def disturbances(fit: Regression, count: int, steps: int, rng: np.random.Generator) -> Disturbances:
     """Noise as a fit found it, for `count` experiments."""
     nx = fit.vector.system.nx
     pushes, errors = np.zeros((count, steps, nx)), rng.standard_normal((count, steps + 1, nx))
-    if fit.vector.system.sensor_noise:
-        found = noises_of(fit)
-        return Disturbances(
-            np.sqrt(found.pushes) * rng.standard_normal((count, steps, nx)), np.sqrt(found.sensors) * errors
-        )
     errors *= fit.physics.sensor_std
     edges, left = fit.single.edges, fit.physics.residual(fit.theta)
     length = 2 * max(steps, *(b - a for a, b in edges))  # the end of a stretch says nothing of its beginning
@@ -64,6 +66,41 @@ def disturbances(fit: Regression, count: int, steps: int, rng: np.random.Generat
         pushes[..., channel] = coloured(spectrum, count, steps, length, rng)
         errors[..., channel] = sensor**0.5 * rng.standard_normal((count, steps + 1))
     return Disturbances(pushes, errors)
+
+
+@dataclass(frozen=True)
+class ModelNoise:
+    """Noise of largest likelihood, of machines without an attitude.
+
+    Args:
+        levels: Its levels.
+        disturbances: Ports that act, and their columns.
+        observed: Numbers of the measured states.
+        h: Step [s].
+    """
+
+    levels: Levels
+    disturbances: tuple[tuple[Port, int], ...]
+    observed: tuple[int, ...]
+    h: float
+
+    @classmethod
+    def of(cls, space: StateSpace, levels: Levels) -> ModelNoise:
+        """That of a machine as the filter sees it."""
+        return cls(levels, space.disturbances, tuple(space.observed), space.h)
+
+    def drawn(self, nx: int, count: int, steps: int, rng: np.random.Generator) -> Disturbances:
+        """What acts on `count` experiments of a machine of so many states."""
+        levels, nd = self.levels, len(self.disturbances)
+        white, gust, keep = (v.numpy() for v in (levels.white.exp(), levels.gust.exp(), levels.keep(self.h)))
+        gusts = gust * rng.standard_normal((count, steps, nd))
+        for k in range(1, steps):
+            gusts[:, k] = keep * gusts[:, k - 1] + np.sqrt(1.0 - keep**2) * gusts[:, k]
+        forces = gusts + white / self.h**0.5 * rng.standard_normal(gusts.shape)
+        errors = np.zeros((count, steps + 1, nx))
+        noise = rng.standard_normal((count, steps + 1, len(self.observed)))
+        errors[..., self.observed] = levels.sensor.exp().numpy() * noise
+        return Disturbances(np.zeros((count, steps, nx)), errors, forces, self.disturbances)
 
 
 @final
@@ -82,6 +119,7 @@ class Rollouts:
         self._h = dt / self._fine
         self.fine_dt = self._h
         """Step of the integration [s]."""
+        self._ports: tuple[tuple[Port, int], ...] = ()
         self._rk4 = torch.func.vmap(self._one)
         self._augmented = torch.func.vmap(self._first)
 
@@ -112,6 +150,8 @@ class Rollouts:
         nx = self.system.nx
         errors = None if noise is None else torch.as_tensor(noise.errors)
         pushes = None if noise is None else torch.as_tensor(noise.pushes)
+        forces = None if noise is None or noise.forces is None else torch.as_tensor(noise.forces)
+        self._ports = () if noise is None else noise.ports
         seen = x if errors is None else x + errors[:, 0]
         u = drive(0, seen)
         z = self.begin(theta, x, u)
@@ -121,7 +161,8 @@ class Rollouts:
             if k:
                 u = drive(k, seen)
             inputs.append(u)
-            z = self.later(theta, k, z, u, begun)
+            d = None if forces is None else forces[:, k]
+            z = self.later(theta, k, z, u, begun, d)
             if pushes is not None:
                 z = self.system.project(torch.cat((z[:, :nx] + self._pushed(z, pushes[:, k]), z[:, nx:]), 1))
             x = z[:, :nx]
@@ -130,11 +171,29 @@ class Rollouts:
             measured.append(seen)
         return torch.stack(true, 1).numpy(), torch.stack(measured, 1).numpy(), torch.stack(inputs, 1).numpy()
 
-    def later(self, theta: Tensor, k: int, z: Tensor, u: Tensor, begun: Tensor | None = None) -> Tensor:
-        """States and memory (B, nz) after step k, of parameters (B, k), inputs (B, nu) and times of the start (B,)."""
+    def later(
+        self,
+        theta: Tensor,
+        k: int,
+        z: Tensor,
+        u: Tensor,
+        begun: Tensor | None = None,
+        forces: Tensor | None = None,
+    ) -> Tensor:
+        """States and memory (B, nz) after step k.
+
+        Args:
+            theta: Parameters (B, k).
+            k: Number of the step.
+            z: States and memory before it (B, nz).
+            u: Inputs (B, nu).
+            begun: Times of the start (B,); None: 0.
+            forces: Of the disturbances of the run (B, nd); None: none.
+        """
         start = torch.zeros(len(z), dtype=torch.float64) if begun is None else begun
+        d = torch.zeros(len(z), 0, dtype=torch.float64) if forces is None else forces
         for i in range(self._fine):
-            z = self.system.project(z + self._rk4(theta, start + (k * self.dt + i * self._h), z, u))
+            z = self.system.project(z + self._rk4(theta, start + (k * self.dt + i * self._h), z, u, d))
         return z
 
     def begin(self, theta: Tensor, x: Tensor, u: Tensor) -> Tensor:
@@ -147,13 +206,13 @@ class Rollouts:
         self.vector.use(theta)
         return self.system.augment(x[None], u[None])[0]
 
-    def _one(self, theta: Tensor, t: Tensor, z: Tensor, u: Tensor) -> Tensor:
+    def _one(self, theta: Tensor, t: Tensor, z: Tensor, u: Tensor, d: Tensor) -> Tensor:
         """Change of one state over a fine step."""
         self.vector.use(theta)
-        h = self._h
+        h, forces = self._h, forces_on(self.system, self._ports[: len(d)], d[None])
 
         def f(share: float, at: Tensor) -> Tensor:
-            return self.system.drift((t + share * h)[None], at[None], u[None])[0]
+            return self.system.drift((t + share * h)[None], at[None], u[None], forces)[0]
 
         k1 = f(0.0, z)
         k2 = f(0.5, z + 0.5 * h * k1)
@@ -181,6 +240,12 @@ class Rollouts:
             return _SUBSTEPS
         fastest = float(torch.linalg.eigvals(slopes).abs().max())
         return min(max(1, ceil(0.7 * fastest * self.dt)), _SUBSTEPS)
+
+
+def as_run(states: Array, inputs: Array, dt: float, name: str = "experiment") -> Run:
+    """An experiment as a run: the last input is held."""
+    u = np.concatenate((inputs, inputs[-1:]))
+    return Run(name, dt * np.arange(len(u), dtype=np.float64), states, u)
 
 
 def steps_from(system: System, states: Array, inputs: Array, *, dt: float) -> Steps:

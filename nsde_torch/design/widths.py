@@ -9,16 +9,15 @@ comes from all of them, and an experiment is fitted from each. The bound that a 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from nsde_torch.data import Run
-from nsde_torch.design.filtering import Filter, FilterProblem, stretches
 from nsde_torch.effects import Effect
 from nsde_torch.effects.law import Law
+from nsde_torch.inference.posterior import LogWithPrior, Posteriors
 from nsde_torch.systems.parameters import ParameterVector, own_name
 
 Array = NDArray[np.float64]
@@ -46,6 +45,21 @@ class Branch:
     theta: Array
     known: Array
     nats: float
+
+
+@dataclass(frozen=True)
+class LogOfRuns:
+    """The runs there are.
+
+    Args:
+        runs: The runs.
+        clock: Physical seconds per logged second.
+        run_in: Whether any member remembers, so that the first rows of all only bring up memory.
+    """
+
+    runs: tuple[Run, ...]
+    clock: float
+    run_in: bool
 
 
 def width_columns(vector: ParameterVector) -> list[int]:
@@ -89,12 +103,12 @@ def followed_delays(vector: ParameterVector, fine_dt: float) -> Array:
     return low
 
 
-def branches(own: Filter, runs: Sequence[Run], best: Branch, prior: Array) -> tuple[Branch, ...]:
+def branches(own: Posteriors, log: LogOfRuns, best: Branch, prior: Array) -> tuple[Branch, ...]:
     """A member at the widths that its runs leave open, the likeliest first.
 
     Args:
-        own: Filter of the member.
-        runs: The runs there are.
+        own: Posterior densities of the member.
+        log: The runs there are.
         best: Where its fit ended.
         prior: What is known without data (k, k).
     """
@@ -113,8 +127,8 @@ def branches(own: Filter, runs: Sequence[Run], best: Branch, prior: Array) -> tu
     for row in rows:
         hold = np.zeros(len(theta))
         hold[columns] = 1.0 / np.square(_HELD * row[columns])
-        problems.append(FilterProblem(*stretches(runs), row, prior + np.diag(hold)))
-    told = own.solve(problems, rounds=_ROUNDS)
+        problems.append(LogWithPrior(log.runs, row, prior + np.diag(hold)))
+    told = own.modes(problems, rounds=_ROUNDS, run_in=log.run_in)
     out = [best]
     for row, fit in zip(rows, told, strict=True):
         freed = np.zeros(len(theta))

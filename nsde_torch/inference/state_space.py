@@ -55,6 +55,17 @@ def disturbances_of(system: System, t: Tensor, x: Tensor, u: Tensor) -> tuple[tu
     return tuple(kept)
 
 
+def forces_on(system: System, disturbances: Sequence[tuple[Port, int]], values: Tensor) -> dict[Port, Tensor]:
+    """Forces on the ports of a machine, from values (N, nd) of disturbances on some of their columns."""
+    out: dict[Port, Tensor] = {}
+    for j, (port, column) in enumerate(disturbances):
+        unit = torch.zeros(system.ports[port], dtype=values.dtype)
+        unit[column] = 1.0
+        push = values[:, j : j + 1] * unit
+        out[port] = out[port] + push if port in out else push
+    return out
+
+
 def _rows(values: Tensor) -> Tensor:
     """Values (T, C, ...) as rows (T C, ...)."""
     return values.flatten(0, 1)
@@ -93,28 +104,49 @@ class StateSpace:
         return out
 
     def use(self, theta: Array) -> None:
-        """Take these values for what follows."""
+        """Take these values (k,) for what follows, or those of each stretch of the log (S, k)."""
         self.theta = torch.as_tensor(theta)
-        self.vector.use(self.theta)
+        self._take(self.theta)
         self.memory = self._memory()
+
+    def _take(self, theta: Tensor) -> None:
+        """Take values for all but memory."""
+        self._now, self._many = theta, theta.dim() > 1
+        self.vector.use(theta)
 
     def _memory(self) -> Tensor:
         """Memory of the effects over the step from each row (T, C, nz - nx)."""
         system = self.vector.system
         if system.nz == system.nx:
             return self.chunks.u.new_zeros(*self.chunks.row.shape, 0)
-        before, after = memory_along(system, self.steps)
-        return self.chunks.cut(0.5 * (before + after))
+        if not self._many:
+            before, after = memory_along(system, self.steps)
+            return self.chunks.cut(0.5 * (before + after))
+        each, owner = torch.unique(self._now, dim=0, return_inverse=True)
+        out = self.chunks.u.new_empty(len(self.steps), system.nz - system.nx)
+        for i, theta in enumerate(each):
+            self.vector.use(theta)
+            part, rows = self.steps.of(torch.nonzero(owner == i)[:, 0].tolist())
+            before, after = memory_along(system, part)
+            out[rows] = 0.5 * (before + after)
+        return self.chunks.cut(out)
 
     def step(self, t: Tensor, x: Tensor, memory: Tensor, u: Tensor, d: Tensor) -> Tensor:
         """States (N, nx) a step later, pushed by d (N or 1, nd) all the while; Runge and Kutta's fourth order."""
+        if not self._many:
+            return self._step(t, x, memory, u, d)
+        theta = self._now[self.chunks.stretch].repeat(len(x) // self.chunks.count, 1)
+
+        def one(theta: Tensor, *rows: Tensor) -> Tensor:
+            self.vector.use(theta)
+            return self._step(*(row[None] for row in rows))[0]
+
+        after: Tensor = torch.func.vmap(one)(theta, t, x, memory, u, d.expand(len(x), -1))
+        return after
+
+    def _step(self, t: Tensor, x: Tensor, memory: Tensor, u: Tensor, d: Tensor) -> Tensor:
         system, h, late = self.vector.system, self.h, self.logged_h
-        forces: dict[Port, Tensor] = {}
-        for j, (port, column) in enumerate(self.disturbances):
-            unit = torch.zeros(system.ports[port], dtype=d.dtype)
-            unit[column] = 1.0
-            push = d[:, j : j + 1].expand(len(x), -1) * unit
-            forces[port] = forces[port] + push if port in forces else push
+        forces = forces_on(system, self.disturbances, d.expand(len(x), -1))
 
         def rate(t: Tensor, x: Tensor) -> Tensor:
             return system.drift(t, torch.cat((x, memory), 1), u, forces)[:, : self.nx]
@@ -169,9 +201,9 @@ class StateSpace:
             remembers = v.moves_memory[j] and system.nz > system.nx
             by = (_REMEMBERED if remembers else _SHARE) * float(v.scale[j])
             there = self.theta.clone()
-            there[j] += by
-            v.use(there)
+            there[..., j] += by
+            self._take(there)
             held = _rows(self._memory()) if remembers else memory
             out[..., i] = system.error(self.step(t, flat, held, u, still), base) / by
-        v.use(self.theta)
+        self._take(self.theta)
         return out.view(*x.shape[:2], self.ne, len(which))

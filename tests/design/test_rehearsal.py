@@ -9,9 +9,10 @@ import pytest
 
 from nsde_torch.data import Run
 from nsde_torch.design.drives import OpenLoop
-from nsde_torch.design.rehearsal import as_run, fit_all
-from nsde_torch.design.rollout import Rollouts
+from nsde_torch.design.rehearsal import fit_all
+from nsde_torch.design.rollout import Rollouts, as_run
 from nsde_torch.design.widths import Branch
+from nsde_torch.inference.posterior import LogWithPrior
 from tests.helpers.ties import DT, Tie
 
 HOLD = np.repeat([[0.1], [-0.1], [0.0]], 25, 0)
@@ -29,7 +30,7 @@ def _flown(tie: Tie, seed: int) -> Run:
 def test_the_density_is_the_likelihood_averaged_over_what_is_known(tie: Tie) -> None:
     """By quadrature over one parameter, the others known."""
     member, run = tie.members[0], _flown(tie, 1)
-    own, theta = member.filter, member.branches[0].theta
+    own, theta = member.posteriors, member.branches[0].theta
     assert own is not None
     j = member.labels.index("constant_force.acceleration")
     std = 0.05
@@ -39,8 +40,9 @@ def test_the_density_is_the_likelihood_averaged_over_what_is_known(tie: Tie) -> 
     grid = np.linspace(-5.0, 5.0, 401)
     values = np.tile(begun.branches[0].theta, (len(grid), 1))
     values[:, j] += std * grid
-    white, dets = own.innovations(values, [run.x] * len(grid), [run.u[:-1]] * len(grid))
-    log = -0.5 * np.square(white).sum((1, 2)) - dets - 0.5 * grid**2 - 0.5 * np.log(2 * np.pi)
+    known = np.zeros((len(theta), len(theta)))
+    log = [here.nats for here in own.at_centres([LogWithPrior((run,), each, known) for each in values])]
+    log = np.array(log) - 0.5 * grid**2 - 0.5 * np.log(2 * np.pi)
     whole = log.max() + np.log(np.sum(np.exp(log - log.max())) * (grid[1] - grid[0]))
     assert fit.brought[0] == pytest.approx(whole, abs=0.05)
 

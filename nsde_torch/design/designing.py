@@ -18,14 +18,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nsde_torch.data import Run
-from nsde_torch.design.drives import OpenLoop
 from nsde_torch.design.expected import Precision
-from nsde_torch.design.experiment import SURE, Experiment, PlannedRun
-from nsde_torch.design.flyable import Draw, Flyable
+from nsde_torch.design.experiment import Experiment, PlannedRun
 from nsde_torch.design.limits import limits_of
 from nsde_torch.design.members import Member, fitted_members, physics_with
 from nsde_torch.design.options import DesignOptions
-from nsde_torch.design.paths import FlownPaths, Paths
+from nsde_torch.design.paths import Draw, FlownPaths, Flyable, Paths
 from nsde_torch.design.proposals import (
     Judge,
     JudgedExperiment,
@@ -33,9 +31,9 @@ from nsde_torch.design.proposals import (
     search,
     worth_of,
 )
-from nsde_torch.design.questions import Question
+from nsde_torch.design.questions import SURE, Question
 from nsde_torch.design.rehearsal import Rehearsed, rehearse
-from nsde_torch.design.rollout import Drive
+from nsde_torch.design.rollout import Drive, open_loop
 from nsde_torch.design.signals import Signals
 from nsde_torch.errors import ConfigError, DataError
 from nsde_torch.systems import Multirotor, System
@@ -99,7 +97,7 @@ def design(
         family, drive = Paths(limits, dt, steps, start), FlownPaths(pilot, dt=dt)
     else:
         family = Signals(limits, dt, steps, (float(hertz[0]), float(hertz[1])))
-        drive = OpenLoop()
+        drive = open_loop
     draw: Draw = Flyable(start, drive, dt) if flies else Member.draws
     draws = [draw(m, options.samples, rng) for m in members]
     precision = _precision(members[0], question) if question.parameters else None

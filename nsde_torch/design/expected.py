@@ -19,10 +19,9 @@ from typing import final
 import numpy as np
 from numpy.typing import NDArray
 
-from nsde_torch.design.members import Member, prior_information
+from nsde_torch.design.members import Branch, Member, prior_information, width_columns
 from nsde_torch.design.noise_units import NoiseUnits
 from nsde_torch.design.rollout import as_run, physics_of, steps_from
-from nsde_torch.design.widths import Branch, width_columns
 from nsde_torch.inference.posterior import LogWithPrior
 
 Array = NDArray[np.float64]

@@ -14,13 +14,11 @@ from nsde_torch.design.limits import MARGIN, ExperimentLimits
 from nsde_torch.design.members import Member
 from nsde_torch.design.options import DesignOptions
 from nsde_torch.design.paths import SIDE, UP, point_times
-from nsde_torch.design.questions import Question
+from nsde_torch.design.questions import SURE, Question
 from nsde_torch.design.rehearsal import Rehearsed
 from nsde_torch.systems import System
 
 Array = NDArray[np.float64]
-SURE = 3.0
-"""Evidence from which a tie counts as broken: odds of 20 to 1 [nats]."""
 LEVELS = (90, 99)
 """Levels of the intervals of expected evidence [%]; outside of the last one, evidence is not what was expected."""
 
@@ -131,7 +129,7 @@ class Experiment:
     @property
     def report(self) -> str:
         """The plan in words, as `nsde design` prints it."""
-        from nsde_torch.design.text import lines
+        from nsde_torch.design.files import lines
 
         return "\n".join(lines(self.content()))
 

@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 
 from nsde_torch.data import Run
 from nsde_torch.design.designing import check_runs, members_of
-from nsde_torch.design.experiment import LEVELS, SURE
+from nsde_torch.design.experiment import LEVELS
 from nsde_torch.design.members import Member
-from nsde_torch.design.questions import Question
+from nsde_torch.design.questions import SURE, Question
 from nsde_torch.design.rehearsal import Fits, against, density, fit_all
 from nsde_torch.errors import DataError
 from nsde_torch.systems import System

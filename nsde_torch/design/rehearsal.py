@@ -20,11 +20,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nsde_torch.data import Run
-from nsde_torch.design.flyable import Draw
 from nsde_torch.design.likeliest import likeliest, with_values
 from nsde_torch.design.limits import ExperimentLimits
 from nsde_torch.design.members import Member
 from nsde_torch.design.noise_units import NoiseUnits
+from nsde_torch.design.paths import Draw
 from nsde_torch.design.rollout import Disturbances, Drive, Rollouts, as_run, disturbances
 from nsde_torch.diagnosis.options import Options
 from nsde_torch.diagnosis.search import search_in

@@ -8,10 +8,9 @@ import numpy as np
 import pytest
 
 from nsde_torch.data import Run
-from nsde_torch.design.drives import OpenLoop
+from nsde_torch.design.members import Branch
 from nsde_torch.design.rehearsal import fit_all
-from nsde_torch.design.rollout import Rollouts, as_run
-from nsde_torch.design.widths import Branch
+from nsde_torch.design.rollout import Rollouts, as_run, open_loop
 from nsde_torch.inference.posterior import LogWithPrior
 from tests.helpers.ties import DT, Tie
 
@@ -22,7 +21,7 @@ def _flown(tie: Tie, seed: int) -> Run:
     """An experiment of the first member in the noise of its sensors."""
     member, rng = tie.members[0], np.random.default_rng(seed)
     x, _, u = Rollouts(member.system, dt=DT).run(
-        member.theta[None], np.zeros((1, 2)), OpenLoop()(HOLD[None]), len(HOLD)
+        member.theta[None], np.zeros((1, 2)), open_loop(HOLD[None]), len(HOLD)
     )
     return as_run(x[0] + [0.005, 0.01] * rng.standard_normal(x[0].shape), u[0], DT)
 

@@ -156,7 +156,7 @@ def one(kind: str, seed: int) -> Json:
     plans: Json = {}
     for i, (name, table) in enumerate(tables.items()):
         run = flown(truth, replace(e, plan=replace(e.plan, table=table)).rows(), 1000 * seed + i)
-        fit = fit_all(system, e.members, [run], clock=1.0)[0]
+        fit = fit_all(e.members, [run])[0]
         told = evidence(system, e.members, [fit], runs, [run], question, {}, clock=1.0)
         plans[name] = {
             "obtained": against(told, right),

@@ -37,7 +37,7 @@ class Oracle:
     def __init__(self, e: Experiment, right: int, theta: Array, drive: Callable[[Array], Drive]) -> None:
         member = e.members[right]
         self._theta, self._limits, self._start, self._drive = theta, e.limits, e.start, drive
-        self._rollouts = Rollouts(member.system, dt=member.regression.physics.steps.dt)
+        self._rollouts = Rollouts(member.system, dt=member.log.dt)
         self._pair = Separation(member, e.members[1 - right])
 
     @property

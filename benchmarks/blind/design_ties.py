@@ -235,7 +235,7 @@ def one(machine: str, kind: str, seed: int, wider: float) -> Json:
         name: flown(machine, truth, declared, table, e, noise, 1000 * seed + i)
         for i, (name, table) in enumerate(tables.items())
     }
-    fits = fit_all(system, e.members, list(measured.values()), clock=1.0)
+    fits = fit_all(e.members, list(measured.values()))
     plans: Json = {}
     for i, (name, fit) in enumerate(zip(tables, fits, strict=True)):
         seen = flown(machine, truth, declared, tables[name], e, 0.0, 1000 * seed + i)

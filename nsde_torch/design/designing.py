@@ -33,7 +33,7 @@ from nsde_torch.design.proposals import (
 )
 from nsde_torch.design.questions import SURE, Question
 from nsde_torch.design.rehearsal import Rehearsed, rehearse
-from nsde_torch.design.rollout import Drive, open_loop
+from nsde_torch.design.rollout import Drive, ModelNoise, open_loop
 from nsde_torch.design.signals import Signals
 from nsde_torch.errors import ConfigError, DataError
 from nsde_torch.systems import Multirotor, System
@@ -84,10 +84,10 @@ def design(
     say("fitting what may be true", 0, 1)
     members = members_of(system, runs, question, values or {}, clock=clock)
     rng = np.random.default_rng([options.seed, 11])
-    dt = members[0].regression.physics.steps.dt
+    dt = members[0].log.dt
     flies = isinstance(system, Multirotor)
     duration = max(run.duration for run in runs) * clock if options.duration is None else options.duration
-    steps = max(round(duration / dt), 8)
+    steps = max(round(duration / dt), 10)
     hertz = options.hertz or (_SLOWEST_SHARE / (steps * dt), _FASTEST_SHARE / dt)
     family: Signals | Paths
     drive: Callable[[Array], Drive]
@@ -130,7 +130,6 @@ def design(
             say("rehearsing", stage + i, stages)
             out.append(
                 rehearse(
-                    system,
                     members,
                     np.stack(tables),
                     truth=i,
@@ -172,11 +171,17 @@ def design(
 
 
 def members_of(
-    system: System, runs: Sequence[Run], question: Question, values: Mapping[str, Any], *, clock: float
+    system: System,
+    runs: Sequence[Run],
+    question: Question,
+    values: Mapping[str, Any],
+    *,
+    clock: float,
+    noise: ModelNoise | None = None,
 ) -> list[Member]:
     """The members of a question, fitted to the runs there are."""
     named = [physics_with(system, effects, dict(values)) for effects in question.members]
-    return fitted_members(system, runs, named, question.names, clock=clock)[1]
+    return fitted_members(system, runs, named, question.names, clock=clock, noise=noise)
 
 
 def check_runs(system: System, runs: Sequence[Run]) -> None:
@@ -226,7 +231,7 @@ def first_state(system: System, runs: Sequence[Run], given: Mapping[str, float])
 
 
 def _precision(member: Member, question: Question) -> Precision:
-    v = member.regression.vector
+    v = member.vector
     columns = []
     for label in question.parameters:
         at = [i for i, own in enumerate(v.labels) if own == label or own.startswith(f"{label}[")]

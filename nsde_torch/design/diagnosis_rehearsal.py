@@ -27,7 +27,7 @@ from torch import Tensor
 
 from nsde_torch.data import Run
 from nsde_torch.data.raw import RawRun
-from nsde_torch.design.rollout import Disturbances, Drive, ModelNoise, Rollouts, disturbances, open_loop
+from nsde_torch.design.rollout import Disturbances, Drive, ModelNoise, Rollouts, open_loop
 from nsde_torch.diagnosis.fitted import effect_of, values_of
 from nsde_torch.diagnosis.pipeline import diagnose
 from nsde_torch.diagnosis.result import Diagnosis
@@ -301,14 +301,11 @@ def _raw(
 
 
 def _noise(found: Diagnosis, count: int, steps: int, rng: np.random.Generator) -> Disturbances:
-    """Noise of largest likelihood; where gusts outweigh the sensors, as the regression found it."""
-    fit = found.outcome.final.regression
-    if not (fit.physics.steps.inferred or found.system.sensor_noise):
-        return disturbances(fit, count, steps, rng)
+    """Noise of largest likelihood."""
     of = LogLikelihood(found.outcome.system, found.recorded.runs, found.recorded.clock, states=True)
     at, space = filtered_at(of), of.space
     levels, _ = likeliest(space, at.levels, at.levels, at.about, of.start)
-    return ModelNoise.of(space, levels).drawn(space.nx, count, steps, rng)
+    return ModelNoise.of(space, levels).drawn(count, steps, rng)
 
 
 def _diagnosed(found: Diagnosis, log: list[RawRun]) -> dict[str, Any]:

@@ -196,7 +196,7 @@ class Experiment:
 
     def _expected(self, plan: PlannedRun, truth: int) -> dict[str, Any]:
         member, rehearsed = self.members[truth], plan.rehearsed[truth]
-        v = member.regression.vector
+        v = member.vector
         now = np.sqrt(np.diag(member.covariance))
         with np.errstate(invalid="ignore"):
             fine = rehearsed.errors[np.isfinite(rehearsed.errors).all(1)]

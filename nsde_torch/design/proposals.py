@@ -114,7 +114,7 @@ class Judge:
     ) -> None:
         self.members, self.precision, self._limits = members, precision, limits
         self._start, self._draws, self._drive = start, draws, drive
-        dt = members[0].regression.physics.steps.dt
+        dt = members[0].log.dt
         self._rollouts = [Rollouts(m.system, dt=dt) for m in members]
         self._pairs = {
             (i, j): Separation(a, b)

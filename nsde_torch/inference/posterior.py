@@ -88,33 +88,65 @@ class Posteriors:
         self.system, self.levels, self.clock = system, levels, clock
         self.vector = ParameterVector(system)
 
-    def at_centres(self, problems: Sequence[LogWithPrior]) -> list[Posterior]:
-        """The densities about the centres of the priors."""
-        out: list[Posterior] = []
-        for part in _batches(problems):
-            out += _Batch(self, problems[part], False).at(np.stack([q.centre for q in problems[part]]))
-        return out
-
-    def modes(
-        self, problems: Sequence[LogWithPrior], *, rounds: int = _ROUNDS, run_in: bool = False
-    ) -> list[Posterior]:
-        """Where the densities are largest, by damped steps of Gauss and Newton from the centres.
+    def at_centres(self, problems: Sequence[LogWithPrior], *, passes: int = _PASSES) -> list[Posterior]:
+        """The densities about the centres of the priors.
 
         Args:
             problems: The logs.
+            passes: Of the filter, about the states that it found; 0 where these are known to be the measured ones.
+        """
+        out: list[Posterior] = []
+        for part in _batches(problems):
+            batch = _Batch(self, problems[part], False)
+            batch.passes = passes
+            out += batch.at(np.stack([q.centre for q in problems[part]]))
+        return out
+
+    def cross_information(self, log: LogWithPrior, other: System, run_in: bool) -> Array:
+        """What a log tells of parameters here and of those of another machine together (k, k_other).
+
+        Args:
+            log: The log; its centre is where the parameters here are.
+            other: The other machine, with its values.
+            run_in: See `modes`.
+        """
+        of = LogLikelihood(self.system, log.runs, self.clock, run_in=run_in, states=True)
+        beside = of.of(other).space
+        of.space.use(log.centre)
+        beside.use(beside.vector.start)
+        about = linearised_about(of.space, of.space.chunks.y, of.start)
+        about, at = of.settled(self.levels, about, of.filtered(self.levels, about), _PASSES)
+        k, theirs = len(self.vector), len(beside.vector)
+        columns = (of.space.columns(about.x, range(k)), beside.columns(about.x, range(theirs)))
+        gram = grams(of.space, self.levels, about, at, torch.cat(columns, -1)).total
+        return np.asarray(gram[1 : 1 + k, 1 + k :])
+
+    def modes(
+        self,
+        problems: Sequence[LogWithPrior],
+        *,
+        starts: Sequence[Array] | None = None,
+        rounds: int = _ROUNDS,
+        run_in: bool = False,
+    ) -> list[Posterior]:
+        """Where the densities are largest, by damped steps of Gauss and Newton.
+
+        Args:
+            problems: The logs.
+            starts: Parameters of each to begin with (k,); None: the centres.
             rounds: Largest number of steps.
             run_in: Whether the first rows of each stretch only bring up memory (`LogLikelihood`).
         """
         out: list[Posterior] = []
         for part in _batches(problems):
-            out += self._modes(problems[part], rounds, run_in)
+            begun = [q.centre for q in problems[part]] if starts is None else starts[part]
+            theta = np.stack([self.vector.inside(start) for start in begun])
+            out += self._modes(_Batch(self, problems[part], run_in), theta, rounds)
         return out
 
-    def _modes(self, problems: Sequence[LogWithPrior], rounds: int, run_in: bool) -> list[Posterior]:
-        batch = _Batch(self, problems, run_in)
-        theta = np.stack([self.vector.inside(q.centre) for q in problems])
+    def _modes(self, batch: "_Batch", theta: Array, rounds: int) -> list[Posterior]:
         best = batch.at(theta)
-        share, done = np.ones(len(problems)), np.zeros(len(problems), dtype=bool)
+        share, done = np.ones(len(theta)), np.zeros(len(theta), dtype=bool)
         for _ in range(rounds):
             for i, here in enumerate(best):
                 step = self.step(here)
@@ -176,7 +208,7 @@ class _Batch:
         self._stretch = owner[torch.tensor(self._of.space.steps.runs)]
         self._chunk = self._stretch[self._of.space.chunks.stretch]
         self._block = owner.numpy()[self._of.space.chunks.places()[0]]
-        self._x, self._passes = self._of.space.chunks.y, _PASSES
+        self._x, self.passes = self._of.space.chunks.y, _PASSES
 
     @torch.no_grad()
     def at(self, theta: Array) -> list[Posterior]:
@@ -185,8 +217,8 @@ class _Batch:
         space.use(theta[self._stretch.numpy()])
         about = linearised_about(space, self._x, self._of.start)
         at = self._of.filtered(self._levels, about)
-        about, at = self._of.settled(self._levels, about, at, self._passes)
-        self._x, self._passes = torch.where(torch.isfinite(about.x), about.x, self._x), _AGAIN
+        about, at = self._of.settled(self._levels, about, at, self.passes)
+        self._x, self.passes = torch.where(torch.isfinite(about.x), about.x, self._x), _AGAIN
         blocks = grams(space, self._levels, about, at, space.columns(about.x, range(self._k))).blocks
         count = len(self._problems)
         whole = np.zeros((count, *blocks.shape[1:]))

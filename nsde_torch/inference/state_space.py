@@ -66,6 +66,16 @@ def forces_on(system: System, disturbances: Sequence[tuple[Port, int]], values: 
     return out
 
 
+def moved(system: System, x: Tensor, error: Tensor) -> Tensor:
+    """States (N, nx) moved by errors (N, ne)."""
+    q = system.quaternion
+    if q is None:
+        return x + error
+    a, b = q.start, q.stop
+    attitude = turned(x[:, a:b], error[:, a : a + 3])
+    return torch.cat((x[:, :a] + error[:, :a], attitude, x[:, b:] + error[:, a + 3 :]), 1)
+
+
 def _rows(values: Tensor) -> Tensor:
     """Values (T, C, ...) as rows (T C, ...)."""
     return values.flatten(0, 1)
@@ -157,18 +167,9 @@ class StateSpace:
         k4 = rate(t + late, system.project(x + h * k3))
         return system.project(x + (h / 6.0) * (k1 + 2.0 * (k2 + k3) + k4))
 
-    def moved(self, x: Tensor, error: Tensor) -> Tensor:
-        """States (N, nx) moved by errors (N, ne)."""
-        q = self.vector.system.quaternion
-        if q is None:
-            return x + error
-        a, b = q.start, q.stop
-        attitude = turned(x[:, a:b], error[:, a : a + 3])
-        return torch.cat((x[:, :a] + error[:, :a], attitude, x[:, b:] + error[:, a + 3 :]), 1)
-
     def shifted(self, x: Tensor, error: Tensor) -> Tensor:
         """States (T, C, nx) moved by errors (T, C, ne)."""
-        return self.vector.system.project(self.moved(_rows(x), _rows(error))).view(x.shape)
+        return self.vector.system.project(moved(self.vector.system, _rows(x), _rows(error))).view(x.shape)
 
     def after(self, x: Tensor) -> Tensor:
         """States a step after some (T, C, nx), undisturbed."""
@@ -184,7 +185,7 @@ class StateSpace:
         slopes = after.new_empty(len(flat), self.ne, self.n)
         for j in range(self.n):
             offset.zero_()[0, j] = _SMALL
-            there = self.moved(flat, offset[:, : self.ne].expand(len(flat), -1)) if j < self.ne else flat
+            there = moved(system, flat, offset[:, : self.ne].expand(len(flat), -1)) if j < self.ne else flat
             slopes[..., j] = (
                 system.error(self.step(t, there, memory, u, offset[:, self.ne :]), after) / _SMALL
             )

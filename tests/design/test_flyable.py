@@ -30,7 +30,7 @@ def test_no_parameters_are_drawn_with_which_the_machine_is_lost() -> None:
     open_ = replace(
         member, branches=(replace(only, known=1e-4 * only.known),)
     )  # runs that leave the gains open
-    dt = member.regression.physics.steps.dt
+    dt = member.log.dt
     start = first_state(system, data.runs, {})
     drive = FlownPaths(system, dt=dt)
 

@@ -35,7 +35,7 @@ def test_the_density_is_the_likelihood_averaged_over_what_is_known(tie: Tie) -> 
     std = 0.05
     known = np.diag(1.0 / np.square(np.where(np.arange(len(theta)) == j, std, 1e-7 * member.vector.scale)))
     begun = replace(member, branches=(Branch(theta + 0.3 * std * (np.arange(len(theta)) == j), known, 0.0),))
-    (fit,) = fit_all(tie.system, [begun], [run], clock=1.0)
+    (fit,) = fit_all([begun], [run])
     grid = np.linspace(-5.0, 5.0, 401)
     values = np.tile(begun.branches[0].theta, (len(grid), 1))
     values[:, j] += std * grid
@@ -55,10 +55,7 @@ def test_a_member_is_not_worth_more_for_knowing_less(tie: Tie) -> None:
     j = member.labels.index("constant_force.acceleration")
     lost[j, j] = 0.99 / np.linalg.inv(only.known)[j, j]
     vague = replace(member, branches=(Branch(only.theta, only.known - lost, only.nats),))
-    told = [
-        f.against(0)
-        for f in fit_all(tie.system, [sure, vague], [_flown(tie, s) for s in range(4)], clock=1.0)
-    ]
+    told = [f.against(0) for f in fit_all([sure, vague], [_flown(tie, s) for s in range(4)])]
     assert np.mean(told) > 0.3
 
 

@@ -31,7 +31,6 @@ class Tie:
     def rehearsed(self, truth: int, table: np.ndarray, *, count: int, seed: int) -> Rehearsed:
         """A plan (N, 1) from rest, rehearsed with a member true."""
         (told,) = rehearse(
-            self.system,
             self.members,
             table[None],
             truth=truth,

@@ -25,8 +25,8 @@ from nsde_torch.design.members import Member, fitted_members, physics_with
 from nsde_torch.design.options import DesignOptions
 from nsde_torch.design.paths import Draw, FlownPaths, Flyable, Paths
 from nsde_torch.design.proposals import (
+    Family,
     Judge,
-    JudgedExperiment,
     best_of_each,
     search,
     worth_of,
@@ -89,7 +89,7 @@ def design(
     duration = max(run.duration for run in runs) * clock if options.duration is None else options.duration
     steps = max(round(duration / dt), 10)
     hertz = options.hertz or (_SLOWEST_SHARE / (steps * dt), _FASTEST_SHARE / dt)
-    family: Signals | Paths
+    family: Family
     drive: Callable[[Array], Drive]
     if isinstance(system, Multirotor):
         pilot = members[0].system
@@ -112,7 +112,7 @@ def design(
         say=say,
     )
     finalists = searched.finalists
-    usual: list[JudgedExperiment] = []
+    usual: list[PlannedRun] = []
     if baselines:
         longest = max(runs, key=len)
         before = longest.x[:, :3] if flies else longest.u
@@ -144,10 +144,7 @@ def design(
         return list(zip(*out, strict=True))
 
     first = rehearsed([p.table for p in plans], options.rehearsals, 0)
-    judged = [
-        PlannedRun(p.name, p.table, p.words, p.worth, p.each, own)
-        for p, own in zip(plans, first, strict=True)
-    ]
+    judged = [replace(p, rehearsed=own) for p, own in zip(plans, first, strict=True)]
     # a usual one is taken where none is better
     best = judged[int(np.argmax([_worth(plan, precision) for plan in judged]))]
     # the best of several noisy rehearsals was lucky in them: what is expected of it is told by others
@@ -242,7 +239,7 @@ def _precision(member: Member, question: Question) -> Precision:
     return Precision(member, columns, sizes)
 
 
-def _check_apart(question: Question, judge: Judge, family: Signals | Paths, rng: np.random.Generator) -> None:
+def _check_apart(question: Question, judge: Judge, family: Family, rng: np.random.Generator) -> None:
     """Refuse members that say the same of everything that was tried.
 
     Raises:

@@ -237,12 +237,6 @@ def _simulated(
     """Logs of a machine in the place of the measured one, and whether inputs followed the log.
 
     They follow where the data were recorded in a loop, or where the machine leaves the range of the log else.
-
-    Args:
-        found: The diagnosis.
-        system: The machine.
-        logs: Number of logs.
-        rng: Source of the noise.
     """
     runs, steps = found.recorded.runs, found.outcome.final.regression.physics.steps
     places = [(n, a, b) for n, run in enumerate(runs) for a, b in run.segments]

@@ -98,8 +98,8 @@ class Precision:
         problems = [
             LogWithPrior((as_run(x, u, dt),), theta, m.known) for x, u in zip(states, inputs, strict=True)
         ]
-        infos = [here.information for here in m.posteriors.at_centres(problems, passes=_PASSES)]
-        return np.array([np.sqrt(np.diag(np.linalg.inv(info))) for info in infos])
+        found = m.posteriors.at_centres(problems, passes=_PASSES)
+        return np.array([here.standard_errors for here in found])
 
 
 def _follow(truth: Member, other: Member) -> Array:

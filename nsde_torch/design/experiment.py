@@ -25,23 +25,21 @@ LEVELS = (90, 99)
 
 @dataclass(frozen=True)
 class PlannedRun:
-    """An experiment with its rehearsals.
+    """An experiment that was judged, with its rehearsals.
 
     Args:
         name: What it is called.
         table: Its rows (N, m).
         words: What a person reads of it.
         worth: What it is worth without noise (see `proposals`).
-        each: The same by ordered pair of members and draw (pairs, S).
-        rehearsed: With each member true.
+        rehearsed: With each member true; none yet where it was only judged.
     """
 
     name: str
     table: Array
     words: tuple[str, ...]
     worth: float
-    each: Array
-    rehearsed: tuple[Rehearsed, ...]
+    rehearsed: tuple[Rehearsed, ...] = ()
 
     @property
     def count(self) -> int:

@@ -211,13 +211,6 @@ def _nearest(
 
     Of a parameter that every input has one of, one alone is tried too, as a diagnosis does: all of them together and a
     gain may be one number, which no data show and which bounds keep from where the others want it.
-
-    Args:
-        search: Data and settings.
-        system: Physics.
-        like: A fit whose values it starts from, and whose kind its noise models are of; None: of its own.
-        name: What it is called.
-        own: Names of the effects.
     """
     best: Regression | None = None
     why = ""

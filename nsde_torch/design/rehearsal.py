@@ -24,7 +24,7 @@ from nsde_torch.design.limits import ExperimentLimits
 from nsde_torch.design.members import Member
 from nsde_torch.design.paths import Draw
 from nsde_torch.design.rollout import Drive, Rollouts, as_run
-from nsde_torch.inference.posterior import LogWithPrior
+from nsde_torch.inference.posterior import LogWithPrior, Posterior
 from nsde_torch.threads import one_thread
 
 Array = NDArray[np.float64]
@@ -79,23 +79,13 @@ def fit_all(members: Sequence[Member], each: Sequence[Run]) -> list[Fits]:
         members: Members, fitted to the runs there are.
         each: The experiments.
     """
-    found = zip(*(_fits(m, each) for m in members), strict=True)
     out = []
-    for fits in found:
-        best = max(fits, key=lambda f: f[0])
-        out.append(
-            Fits(
-                np.array([nats for nats, *_ in fits]),
-                tuple(f[1] for f in fits),
-                tuple(np.sqrt(np.diag(cov).clip(0.0)) for _, _, cov, *_ in fits),
-                best[3],
-                best[4],
-            )
-        )
+    for fits in zip(*(_fits(m, each) for m in members), strict=True):
+        best = max(fits, key=lambda f: f[0])[1]
+        brought = np.array([nats for nats, _ in fits])
+        thetas, errors = zip(*((p.theta, p.standard_errors) for _, p in fits), strict=True)
+        out.append(Fits(brought, thetas, errors, best.excess, best.moved))
     return out
-
-
-_Fit = tuple[float, Array, Array, float, float]
 
 
 def against(brought: Array, number: int) -> float:
@@ -109,24 +99,19 @@ def density(nats: float, before: Array, after: Array) -> float:
     return nats + 0.5 * float(np.linalg.slogdet(before)[1] - np.linalg.slogdet(after)[1])
 
 
-def _fits(member: Member, each: Sequence[Run]) -> list[_Fit]:
-    """Density of each experiment, and parameters, covariance and mean square of what is left, by its likelihood.
-
-    The density is that of all its branches, with the weights that they are drawn with.
-    """
-    own, branches = member.posteriors, member.branches
+def _fits(member: Member, each: Sequence[Run]) -> list[tuple[float, Posterior]]:
+    """Density of each experiment, that of all branches with the weights that they are drawn with; and the likeliest."""
+    branches = member.branches
     problems = [LogWithPrior((run,), b.theta, b.known) for run in each for b in branches]
     weights = np.array([b.nats for b in branches])
     weights -= np.logaddexp.reduce(weights)
-    found, out = own.modes(problems), list[_Fit]()
+    found, out = member.posteriors.modes(problems), []
     for first in range(0, len(found), len(branches)):
         fits = found[first : first + len(branches)]
-        told = weights + [
+        nats = weights + [
             density(f.nats, b.known, f.information) for f, b in zip(fits, branches, strict=True)
         ]
-        f = fits[int(told.argmax())]
-        covariance = np.asarray(np.linalg.inv(f.information), dtype=np.float64)
-        out.append((float(np.logaddexp.reduce(told)), f.theta, covariance, f.excess, f.moved))
+        out.append((float(np.logaddexp.reduce(nats)), fits[int(nats.argmax())]))
     return out
 
 

@@ -70,6 +70,11 @@ class Posterior:
     excess: float
     moved: float
 
+    @property
+    def standard_errors(self) -> Array:
+        """Of the parameters (k,)."""
+        return np.asarray(np.sqrt(np.diag(np.linalg.inv(self.information)).clip(0.0)))
+
 
 @final
 class Posteriors:

@@ -34,10 +34,10 @@ import nsde_torch
 from nsde_torch.data import Run
 from nsde_torch.design import DesignOptions, Question, design
 from nsde_torch.design.designing import members_of
-from nsde_torch.design.experiment import SURE
 from nsde_torch.design.files import write_plan
 from nsde_torch.design.flown import evidence
 from nsde_torch.design.paths import FlownPaths, Paths, point_times
+from nsde_torch.design.questions import SURE
 from nsde_torch.design.rehearsal import against, fit_all
 from nsde_torch.systems import Multirotor
 from nsde_torch.systems.options import system_options
@@ -156,7 +156,7 @@ def one(kind: str, seed: int) -> Json:
     plans: Json = {}
     for i, (name, table) in enumerate(tables.items()):
         run = flown(truth, replace(e, plan=replace(e.plan, table=table)).rows(), 1000 * seed + i)
-        fit = fit_all(system, e.members, [run], clock=1.0)[0]
+        fit = fit_all(e.members, [run])[0]
         told = evidence(system, e.members, [fit], runs, [run], question, {}, clock=1.0)
         plans[name] = {
             "obtained": against(told, right),

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from nsde_torch.design import Experiment
 from nsde_torch.design.expected import Separation
 from nsde_torch.design.limits import ExperimentLimits
-from nsde_torch.design.proposals import Judged, ProposalFamily, best_of_each, search
+from nsde_torch.design.proposals import Family, Judged, best_of_each, search
 from nsde_torch.design.rollout import Drive, Rollouts
 from nsde_torch.errors import ConfigError
 
@@ -37,7 +37,7 @@ class Oracle:
     def __init__(self, e: Experiment, right: int, theta: Array, drive: Callable[[Array], Drive]) -> None:
         member = e.members[right]
         self._theta, self._limits, self._start, self._drive = theta, e.limits, e.start, drive
-        self._rollouts = Rollouts(member.system, dt=member.regression.physics.steps.dt)
+        self._rollouts = Rollouts(member.system, dt=member.log.dt)
         self._pair = Separation(member, e.members[1 - right])
 
     @property
@@ -56,14 +56,14 @@ class Oracle:
         nats = np.full(c, -np.inf)
         if fine.any():
             nats[fine] = self._pair.nats(x[None, fine], u[None, fine], self._theta[None])[0]
-        return Judged(nats, nats, nats[None, None], use)
+        return Judged(nats, nats, use)
 
 
 def oracle(
     e: Experiment,
     right: int,
     truth: Mapping[str, Mapping[str, Any]],
-    family: ProposalFamily,
+    family: Family,
     drive: Callable[[Array], Drive],
     *,
     budget: tuple[int, int],

@@ -35,11 +35,11 @@ import nsde_torch
 from nsde_torch.data import Run
 from nsde_torch.design import DesignOptions, Experiment, Question, design
 from nsde_torch.design.designing import members_of
-from nsde_torch.design.drives import OpenLoop
-from nsde_torch.design.experiment import SURE
 from nsde_torch.design.files import write_plan
 from nsde_torch.design.limits import limits_of
+from nsde_torch.design.questions import SURE
 from nsde_torch.design.rehearsal import fit_all
+from nsde_torch.design.rollout import open_loop
 from nsde_torch.design.signals import Signals
 from nsde_torch.systems import System
 from nsde_torch.systems.options import system_options
@@ -222,7 +222,7 @@ def one(machine: str, kind: str, seed: int, wider: float) -> Json:
     assert e.hertz is not None
     family = Signals(e.limits, DT, round(duration / DT), e.hertz)
     told, plan = oracle(
-        e, right, truth, family, OpenLoop(), budget=ORACLE, before=max(runs, key=len).u, seed=seed
+        e, right, truth, family, open_loop, budget=ORACLE, before=max(runs, key=len).u, seed=seed
     )
     out["designed_s"] = e.seconds
     out |= {"words": list(e.plan.words), "kind_of_plan": e.plan.name, "wider": wider}
@@ -235,7 +235,7 @@ def one(machine: str, kind: str, seed: int, wider: float) -> Json:
         name: flown(machine, truth, declared, table, e, noise, 1000 * seed + i)
         for i, (name, table) in enumerate(tables.items())
     }
-    fits = fit_all(system, e.members, list(measured.values()), clock=1.0)
+    fits = fit_all(e.members, list(measured.values()))
     plans: Json = {}
     for i, (name, fit) in enumerate(zip(tables, fits, strict=True)):
         seen = flown(machine, truth, declared, tables[name], e, 0.0, 1000 * seed + i)

@@ -1,11 +1,10 @@
 """Plan the experiment that tells most: between the members of a tie, or of parameters that no run shows.
 
 question    what a diagnosis leaves open, or what the user asks                    questions
-members     what may be true, fitted to the runs there are                         members, filtering, flyable
-search      inputs within limits, by what they tell whichever member is true       signals, proposals, expected
+members     what may be true, fitted to the runs there are                         members
+search      inputs within limits, by what they tell whichever member is true       signals, paths, proposals, expected
 rehearse    with noise, fitted as the measured run will be                         rehearsal
-report      `Experiment`: what to do, what it would tell, what one would see       experiment, text, pictures, files
-stand       what a diagnosis leaves open, and the next question                    standing
+report      `Experiment`: what to do, what it would tell, what one would see       experiment, files
 obtain      what a flown experiment told, beside what was expected                 flown
 """
 
@@ -18,8 +17,7 @@ if TYPE_CHECKING:
     from nsde_torch.design.experiment import Experiment
     from nsde_torch.design.flown import Obtained, obtained
     from nsde_torch.design.options import DesignOptions
-    from nsde_torch.design.questions import Question, question_of
-    from nsde_torch.design.standing import Standing, open_questions, standing_of
+    from nsde_torch.design.questions import Question, Standing, open_questions, question_of, standing_of
 
 __all__ = [
     "DesignOptions",
@@ -41,11 +39,11 @@ __getattr__ = resolver(
         "Experiment": "experiment",
         "Obtained": "flown",
         "Question": "questions",
-        "Standing": "standing",
+        "Standing": "questions",
         "design": "designing",
         "obtained": "flown",
-        "open_questions": "standing",
+        "open_questions": "questions",
         "question_of": "questions",
-        "standing_of": "standing",
+        "standing_of": "questions",
     },
 )

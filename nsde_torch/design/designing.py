@@ -18,24 +18,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nsde_torch.data import Run
-from nsde_torch.design.drives import OpenLoop
 from nsde_torch.design.expected import Precision
-from nsde_torch.design.experiment import SURE, Experiment, PlannedRun
-from nsde_torch.design.flyable import Draw, Flyable
+from nsde_torch.design.experiment import Experiment, PlannedRun
 from nsde_torch.design.limits import limits_of
 from nsde_torch.design.members import Member, fitted_members, physics_with
 from nsde_torch.design.options import DesignOptions
-from nsde_torch.design.paths import FlownPaths, Paths
+from nsde_torch.design.paths import Draw, FlownPaths, Flyable, Paths
 from nsde_torch.design.proposals import (
+    Family,
     Judge,
-    JudgedExperiment,
     best_of_each,
     search,
     worth_of,
 )
-from nsde_torch.design.questions import Question
+from nsde_torch.design.questions import SURE, Question
 from nsde_torch.design.rehearsal import Rehearsed, rehearse
-from nsde_torch.design.rollout import Drive
+from nsde_torch.design.rollout import Drive, ModelNoise, open_loop
 from nsde_torch.design.signals import Signals
 from nsde_torch.errors import ConfigError, DataError
 from nsde_torch.systems import Multirotor, System
@@ -86,12 +84,12 @@ def design(
     say("fitting what may be true", 0, 1)
     members = members_of(system, runs, question, values or {}, clock=clock)
     rng = np.random.default_rng([options.seed, 11])
-    dt = members[0].regression.physics.steps.dt
+    dt = members[0].log.dt
     flies = isinstance(system, Multirotor)
     duration = max(run.duration for run in runs) * clock if options.duration is None else options.duration
-    steps = max(round(duration / dt), 8)
+    steps = max(round(duration / dt), 10)
     hertz = options.hertz or (_SLOWEST_SHARE / (steps * dt), _FASTEST_SHARE / dt)
-    family: Signals | Paths
+    family: Family
     drive: Callable[[Array], Drive]
     if isinstance(system, Multirotor):
         pilot = members[0].system
@@ -99,7 +97,7 @@ def design(
         family, drive = Paths(limits, dt, steps, start), FlownPaths(pilot, dt=dt)
     else:
         family = Signals(limits, dt, steps, (float(hertz[0]), float(hertz[1])))
-        drive = OpenLoop()
+        drive = open_loop
     draw: Draw = Flyable(start, drive, dt) if flies else Member.draws
     draws = [draw(m, options.samples, rng) for m in members]
     precision = _precision(members[0], question) if question.parameters else None
@@ -114,7 +112,7 @@ def design(
         say=say,
     )
     finalists = searched.finalists
-    usual: list[JudgedExperiment] = []
+    usual: list[PlannedRun] = []
     if baselines:
         longest = max(runs, key=len)
         before = longest.x[:, :3] if flies else longest.u
@@ -132,7 +130,6 @@ def design(
             say("rehearsing", stage + i, stages)
             out.append(
                 rehearse(
-                    system,
                     members,
                     np.stack(tables),
                     truth=i,
@@ -147,10 +144,7 @@ def design(
         return list(zip(*out, strict=True))
 
     first = rehearsed([p.table for p in plans], options.rehearsals, 0)
-    judged = [
-        PlannedRun(p.name, p.table, p.words, p.worth, p.each, own)
-        for p, own in zip(plans, first, strict=True)
-    ]
+    judged = [replace(p, rehearsed=own) for p, own in zip(plans, first, strict=True)]
     # a usual one is taken where none is better
     best = judged[int(np.argmax([_worth(plan, precision) for plan in judged]))]
     # the best of several noisy rehearsals was lucky in them: what is expected of it is told by others
@@ -174,11 +168,17 @@ def design(
 
 
 def members_of(
-    system: System, runs: Sequence[Run], question: Question, values: Mapping[str, Any], *, clock: float
+    system: System,
+    runs: Sequence[Run],
+    question: Question,
+    values: Mapping[str, Any],
+    *,
+    clock: float,
+    noise: ModelNoise | None = None,
 ) -> list[Member]:
     """The members of a question, fitted to the runs there are."""
     named = [physics_with(system, effects, dict(values)) for effects in question.members]
-    return fitted_members(system, runs, named, question.names, clock=clock)[1]
+    return fitted_members(system, runs, named, question.names, clock=clock, noise=noise)
 
 
 def check_runs(system: System, runs: Sequence[Run]) -> None:
@@ -228,7 +228,7 @@ def first_state(system: System, runs: Sequence[Run], given: Mapping[str, float])
 
 
 def _precision(member: Member, question: Question) -> Precision:
-    v = member.regression.vector
+    v = member.vector
     columns = []
     for label in question.parameters:
         at = [i for i, own in enumerate(v.labels) if own == label or own.startswith(f"{label}[")]
@@ -239,7 +239,7 @@ def _precision(member: Member, question: Question) -> Precision:
     return Precision(member, columns, sizes)
 
 
-def _check_apart(question: Question, judge: Judge, family: Signals | Paths, rng: np.random.Generator) -> None:
+def _check_apart(question: Question, judge: Judge, family: Family, rng: np.random.Generator) -> None:
     """Refuse members that say the same of everything that was tried.
 
     Raises:

@@ -3,21 +3,31 @@
 What is true of a simulated log is known. So it shows of these very data, with their length, noise and motion, whether
 what was found would be found again, how far values scatter and whether their intervals hold them; and, of the declared
 physics alone, whether anything is named of nothing. It shows nothing of a law that neither holds.
+
+Inputs are those of the log, or keep the machine near it by feedback, optimal for small deviations,
+
+    u_k = u_k(log) + K_k (x_k(log) - x_k(measured)),      K by Riccati's recursion backwards along the path
+
+with deviations of states and of inputs weighed by how much they vary in the log (linear quadratic regulation: Anderson
+and Moore, Optimal Control, 1990, chapter 2). A machine that does not stay by itself is simulated this way; so it is in
+a loop, as the measured one was, if not in the same one.
 """
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+import torch
 from numpy.typing import NDArray
+from torch import Tensor
 
 from nsde_torch.data import Run
 from nsde_torch.data.raw import RawRun
-from nsde_torch.design.following import following, replayed
-from nsde_torch.design.rollout import Disturbances, Rollouts, disturbances
+from nsde_torch.design.rollout import Disturbances, Drive, ModelNoise, Rollouts, open_loop
 from nsde_torch.diagnosis.fitted import effect_of, values_of
 from nsde_torch.diagnosis.pipeline import diagnose
 from nsde_torch.diagnosis.result import Diagnosis
@@ -30,6 +40,78 @@ from nsde_torch.recording import assemble
 from nsde_torch.systems import System
 
 Array = NDArray[np.float64]
+
+_LEAST = 1e-6  # spread of a column that does not vary
+
+
+def replayed(inputs: Sequence[Array], copies: int) -> Drive:
+    """Inputs as they were logged, whatever the machine does.
+
+    Args:
+        inputs: Of each stretch (n, nu).
+        copies: Machines of each stretch, one after another.
+    """
+    return open_loop(_stacked(inputs, copies))
+
+
+def following(
+    system: System, states: Sequence[Array], inputs: Sequence[Array], *, dt: float, copies: int
+) -> Drive:
+    """Inputs that follow recorded stretches, between the smallest and largest that were logged.
+
+    Args:
+        system: The machine.
+        states, inputs: Of each stretch (n, nx), (n, nu and what is logged beside).
+        dt: Step [s].
+        copies: Machines of each stretch, one after another.
+    """
+    system, every, nu = copy.deepcopy(system).double(), np.concatenate(inputs), system.nu
+    x_scale = np.concatenate(states).std(0).clip(_LEAST)
+    u_scale = every[:, :nu].std(0).clip(_LEAST)
+    gains = [
+        _gains(system, x, u, np.diag(x_scale**-2), np.diag(u_scale**-2), dt)
+        for x, u in zip(states, inputs, strict=True)
+    ]
+    low, high = (torch.from_numpy(end) for end in (every.min(0), every.max(0)))
+    x, u = (torch.from_numpy(_stacked(parts, copies)) for parts in (states, inputs))
+    gain = torch.from_numpy(_stacked([k.reshape(len(k), -1) for k in gains], copies))
+
+    def drive(k: int, measured: Tensor) -> Tensor:
+        away = (x[:, k] - measured)[:, :, None]
+        change = (gain[:, k].view(-1, nu, x.shape[2]) @ away)[:, :, 0]
+        whole = torch.cat((u[:, k, :nu] + change, u[:, k, nu:]), 1)
+        return torch.minimum(torch.maximum(whole, low), high)
+
+    return drive
+
+
+def _gains(system: System, x: Array, u: Array, q: Array, r: Array, dt: float) -> Array:
+    """Gains of each row (n, nu, nx)."""
+    nx, nu = system.nx, system.nu
+
+    def step(now: Tensor, push: Tensor) -> Tensor:
+        z = system.augment(now[None], push[None])
+        middle = z + 0.5 * dt * system.drift(0.0, z, push[None])
+        return now + dt * system.drift(0.0, middle, push[None])[0, :nx]
+
+    slopes = torch.func.vmap(torch.func.jacfwd(step, (0, 1)))
+    a, b = (part.detach().numpy() for part in slopes(torch.tensor(x), torch.tensor(u)))
+    b, out, p = b[:, :, :nu], np.zeros((len(x), nu, nx)), q
+    for k in range(len(x) - 1, -1, -1):
+        pb = p @ b[k]
+        out[k] = np.linalg.solve(r + b[k].T @ pb, pb.T @ a[k])
+        p = q + a[k].T @ p @ (a[k] - b[k] @ out[k])
+        p = 0.5 * (p + p.T)
+    return out
+
+
+def _stacked(parts: Sequence[Array], copies: int) -> Array:
+    """Stretches side by side, the last row of shorter ones again, each so many times (B, N, columns)."""
+    rows = max(len(p) for p in parts)
+    whole = [np.concatenate((p, np.repeat(p[-1:], rows - len(p), 0))) for p in parts]
+    return np.repeat(np.stack(whole), copies, 0)
+
+
 Say = Callable[[str, int, int], None]
 
 _BEYOND = 2.0  # ranges of the log beyond which a simulated machine has left it
@@ -155,12 +237,6 @@ def _simulated(
     """Logs of a machine in the place of the measured one, and whether inputs followed the log.
 
     They follow where the data were recorded in a loop, or where the machine leaves the range of the log else.
-
-    Args:
-        found: The diagnosis.
-        system: The machine.
-        logs: Number of logs.
-        rng: Source of the noise.
     """
     runs, steps = found.recorded.runs, found.outcome.final.regression.physics.steps
     places = [(n, a, b) for n, run in enumerate(runs) for a, b in run.segments]
@@ -219,25 +295,11 @@ def _raw(
 
 
 def _noise(found: Diagnosis, count: int, steps: int, rng: np.random.Generator) -> Disturbances:
-    """Noise as the diagnosis found it; where rates are inferred, that of largest likelihood."""
-    fit, runs = found.outcome.final.regression, found.recorded.runs
-    if not fit.physics.steps.inferred:
-        return disturbances(fit, count, steps, rng)
-    of = LogLikelihood(found.outcome.system, runs, found.recorded.clock, states=True)
+    """Noise of largest likelihood."""
+    of = LogLikelihood(found.outcome.system, found.recorded.runs, found.recorded.clock, states=True)
     at, space = filtered_at(of), of.space
     levels, _ = likeliest(space, at.levels, at.levels, at.about, of.start)
-    white, gust, keep = (v.numpy() for v in (levels.white.exp(), levels.gust.exp(), levels.keep(space.h)))
-    gusts = gust * rng.standard_normal((count, steps, space.nd))
-    for k in range(1, steps):
-        gusts[:, k] = keep * gusts[:, k - 1] + np.sqrt(1.0 - keep**2) * gusts[:, k]
-    forces = gusts + white / space.h**0.5 * rng.standard_normal(gusts.shape)
-    moved = (
-        at.about.slopes[..., space.ne :].square().mean((0, 1)).sqrt().numpy()
-    )  # over a step, by each of them
-    errors = np.zeros((count, steps + 1, space.nx))
-    noise = rng.standard_normal((count, steps + 1, len(space.observed)))
-    errors[..., space.observed] = levels.sensor.exp().numpy() * noise
-    return Disturbances(forces @ moved.T, errors)
+    return ModelNoise.of(space, levels).drawn(count, steps, rng)
 
 
 def _diagnosed(found: Diagnosis, log: list[RawRun]) -> dict[str, Any]:

@@ -14,36 +14,32 @@ from nsde_torch.design.limits import MARGIN, ExperimentLimits
 from nsde_torch.design.members import Member
 from nsde_torch.design.options import DesignOptions
 from nsde_torch.design.paths import SIDE, UP, point_times
-from nsde_torch.design.questions import Question
+from nsde_torch.design.questions import SURE, Question
 from nsde_torch.design.rehearsal import Rehearsed
 from nsde_torch.systems import System
 
 Array = NDArray[np.float64]
-SURE = 3.0
-"""Evidence from which a tie counts as broken: odds of 20 to 1 [nats]."""
 LEVELS = (90, 99)
 """Levels of the intervals of expected evidence [%]; outside of the last one, evidence is not what was expected."""
 
 
 @dataclass(frozen=True)
 class PlannedRun:
-    """An experiment with its rehearsals.
+    """An experiment that was judged, with its rehearsals.
 
     Args:
         name: What it is called.
         table: Its rows (N, m).
         words: What a person reads of it.
         worth: What it is worth without noise (see `proposals`).
-        each: The same by ordered pair of members and draw (pairs, S).
-        rehearsed: With each member true.
+        rehearsed: With each member true; none yet where it was only judged.
     """
 
     name: str
     table: Array
     words: tuple[str, ...]
     worth: float
-    each: Array
-    rehearsed: tuple[Rehearsed, ...]
+    rehearsed: tuple[Rehearsed, ...] = ()
 
     @property
     def count(self) -> int:
@@ -131,7 +127,7 @@ class Experiment:
     @property
     def report(self) -> str:
         """The plan in words, as `nsde design` prints it."""
-        from nsde_torch.design.text import lines
+        from nsde_torch.design.files import lines
 
         return "\n".join(lines(self.content()))
 
@@ -198,7 +194,7 @@ class Experiment:
 
     def _expected(self, plan: PlannedRun, truth: int) -> dict[str, Any]:
         member, rehearsed = self.members[truth], plan.rehearsed[truth]
-        v = member.regression.vector
+        v = member.vector
         now = np.sqrt(np.diag(member.covariance))
         with np.errstate(invalid="ignore"):
             fine = rehearsed.errors[np.isfinite(rehearsed.errors).all(1)]

@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 
 from nsde_torch.data import Run
 from nsde_torch.design.designing import check_runs, members_of
-from nsde_torch.design.experiment import LEVELS, SURE
+from nsde_torch.design.experiment import LEVELS
 from nsde_torch.design.members import Member
-from nsde_torch.design.questions import Question
+from nsde_torch.design.questions import SURE, Question
 from nsde_torch.design.rehearsal import Fits, against, density, fit_all
 from nsde_torch.errors import DataError
 from nsde_torch.systems import System
@@ -204,7 +204,7 @@ def obtained(
     """
     check_runs(system, [*runs, *flown])
     members = members_of(system, runs, question, values or {}, clock=clock)
-    each = fit_all(system, members, flown, clock=clock)
+    each = fit_all(members, flown)
     doubts = [
         f"no member explains {log.source or log.name}: where one explains it best, parameters are {fit.moved:.1f} "
         f"standard errors from the runs before, and {fit.excess**0.5:.1f} times the noise is left"
@@ -240,7 +240,7 @@ def evidence(
     """Logarithm of the density that the experiments had under each member (M,) [nats].
 
     What gentle flights say of parameters is no quadratic: a wind is known as its product with a drag. So members
-    without a filter are fitted to all runs together, once before and once with the experiments.
+    that fly are fitted to all runs together, once before and once with the experiments.
 
     Args:
         system: Declared system.
@@ -252,10 +252,10 @@ def evidence(
         values: First values of effects.
         clock: Physical seconds per logged second.
     """
-    if members[0].filter is not None or len(members) == 1:
+    if system.quaternion is None or len(members) == 1:
         return np.sum([f.brought for f in each], axis=0)
     named = [replace(run, name=f"experiment_{i}") for i, run in enumerate(flown)]
-    after = members_of(system, [*runs, *named], question, values, clock=clock)
+    after = members_of(system, [*runs, *named], question, values, clock=clock, noise=members[0].noise)
     return np.array([density(b.nats - a.nats, a.known, b.known) for a, b in zip(members, after, strict=True)])
 
 
@@ -263,7 +263,7 @@ def _parameters(
     member: Member, question: Question, each: Sequence[Fits], expected: Sequence[Mapping[str, Any]]
 ) -> dict[str, KnownBetter]:
     """What was asked for, before and after; of several experiments by the sum of what each adds to 1 / error^2."""
-    v, before = member.regression.vector, np.sqrt(np.diag(member.covariance))
+    v, before = member.vector, np.sqrt(np.diag(member.covariance))
     planned = expected[0]["parameters"] if expected else {}
     weight = np.sum([1.0 / np.square(f.errors[0]) for f in each], axis=0) - (len(each) - 1) / np.square(
         before

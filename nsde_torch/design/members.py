@@ -1,11 +1,12 @@
 """What may be true: physics fitted to the runs there are, with what these leave open.
 
-All members are fitted with noise models of one kind, so that they are compared by their physics alone.
+All members are fitted at the noise levels of the likeliest, so that they are compared by their physics alone.
 
-Where inputs react to measurements, as those of every flight do, what the past of all channels foretells is taken out of
-residuals and slopes (`sysid.feedback`), and what is left of the slopes beside the noise models is what a member
-knows of its parameters. Gentle flights in gusts answer the gusts: with a law for each channel alone, gains of such
-flights come out a quarter too small, and surely so.
+A friction develops within a width of speed. Runs that mostly move fast say nothing of it below some bound, as far down
+as it goes, and no quadratic about one optimum says so; an experiment near rest hangs on it. So a member is followed at
+a few widths, each with the other parameters fitted again and weighed by how well it explains the runs (`branches`):
+what is drawn comes from all of them, and an experiment is fitted from each. The bound that a search keeps widths above
+(`ParameterVector.limit`), which is one of the speeds of the runs, is moved down for the slower experiment.
 """
 
 from __future__ import annotations
@@ -19,21 +20,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nsde_torch.data import Run
-from nsde_torch.design.filtering import Filter, FilterProblem, stretches
-from nsde_torch.design.likeliest import likeliest, log_likelihood, with_values
-from nsde_torch.design.noises import Noises, noises_of
-from nsde_torch.design.rollout import Rollouts
-from nsde_torch.design.widths import Branch, branches, followed_delays, lower_bounds, width_columns
+from nsde_torch.design.rollout import ModelNoise, Rollouts
 from nsde_torch.diagnosis.candidates import alone, make_candidate
 from nsde_torch.diagnosis.fitted import fitted_system
 from nsde_torch.diagnosis.options import Options
 from nsde_torch.diagnosis.screening import starts
 from nsde_torch.diagnosis.search import Search, search_in
+from nsde_torch.effects import Effect
+from nsde_torch.effects.law import Law
 from nsde_torch.errors import ConfigError, NsdeError
+from nsde_torch.inference import LogLikelihood, maximised
+from nsde_torch.inference.posterior import LogWithPrior, Posteriors
 from nsde_torch.inference.sizes import data_sizes
 from nsde_torch.sysid.regression import Regression
 from nsde_torch.systems import System
-from nsde_torch.systems.parameters import ParameterVector
+from nsde_torch.systems.parameters import ParameterVector, own_name
 
 Array = NDArray[np.float64]
 _ROUNDS = 12
@@ -41,6 +42,15 @@ _STARTS = 8
 """First values that the fit of a member is tried from."""
 _BETTER = 0.02  # nats by which another optimum is one
 _SURE_OF_HELD = 1e-3  # of its typical size
+DEEPER = 16.0
+"""Times that widths may be narrower than the least that a search looks for in the runs."""
+_RATIO = 3.0  # from one width to the next
+_WORST = 4.0  # nats: widths that explain the runs worse by more are left out
+_KNOWN = 0.25  # standard error over width below which it is known
+_HELD = 0.05  # of a width, while the other parameters are fitted
+_BRANCH_ROUNDS = 6
+_STABLE = 0.9  # delay over step: Runge and Kutta's rule follows the poles of the approximation, 2.45 / delay
+_FOLLOWED = 0.7  # width over what a friction changes of a speed in a step: narrower ones turn round within it
 
 
 @dataclass(frozen=True)
@@ -51,33 +61,35 @@ class Member:
         name: Its effects, as messages call them.
         effects: Names of its effects beyond the declared physics.
         system: Physics with the fitted values.
-        regression: The regression of the runs there are, for the noise models.
         theta: Fitted parameters (k,).
         information: Of the runs about them (k, k).
         nats: Log-likelihood of the runs [nats].
-        filter: Filters further runs; None where regressions judge them.
+        posteriors: By the likelihood of further runs.
+        noise: Noise of largest likelihood.
+        log: The runs there are.
         branches: The member at the widths that the runs leave open, the likeliest first; itself where they leave none.
     """
 
     name: str
     effects: tuple[str, ...]
     system: System
-    regression: Regression
     theta: Array
     information: Array
     nats: float
-    filter: Filter | None
+    posteriors: Posteriors
+    noise: ModelNoise
+    log: LogOfRuns
     branches: tuple[Branch, ...]
 
     @property
     def vector(self) -> ParameterVector:
         """Its parameters, within the bounds that hold for experiments."""
-        return self.regression.vector if self.filter is None else self.filter.vector
+        return self.posteriors.vector
 
     @property
     def known(self) -> Array:
         """Information about the parameters with what is known of them without data (k, k)."""
-        return self.information + prior_information(self.regression.vector)
+        return self.information + prior_information(self.vector)
 
     @property
     def covariance(self) -> Array:
@@ -87,7 +99,7 @@ class Member:
     @property
     def labels(self) -> list[str]:
         """Names of the parameters."""
-        return self.regression.vector.labels
+        return self.vector.labels
 
     def draws(self, count: int, rng: np.random.Generator) -> Array:
         """Parameters as the runs leave them open (count, k), the fitted ones first.
@@ -121,8 +133,14 @@ class Member:
 
 
 def fitted_members(
-    declared: System, runs: Sequence[Run], named: Sequence[System], names: Sequence[str], *, clock: float
-) -> tuple[Search, list[Member]]:
+    declared: System,
+    runs: Sequence[Run],
+    named: Sequence[System],
+    names: Sequence[str],
+    *,
+    clock: float,
+    noise: ModelNoise | None = None,
+) -> list[Member]:
     """Fit what may be true to the runs there are.
 
     Args:
@@ -131,6 +149,7 @@ def fitted_members(
         named: Physics of each member with first values.
         names: What they are called.
         clock: Physical seconds per logged second.
+        noise: Noise of them all; None: that of the likeliest.
 
     Raises:
         ConfigError: a member cannot be fitted to the runs.
@@ -142,9 +161,10 @@ def fitted_members(
         known = declared if first is None else first.vector.system
         own = [n for n in system.effect_names if n not in known.effect_names]
         fits.append(_nearest(search, system, first, name, own))
-    first = fits[0]
-    noise = noises_of(first)
-    return search, [_member(declared, name, fit, runs, noise) for name, fit in zip(names, fits, strict=True)]
+    systems = [fitted_system(fit) for fit in fits]
+    log = LogOfRuns(tuple(runs), clock, any(s.nz > s.nx for s in systems))
+    noise = noise or _noise(systems, log)
+    return [_member(declared, *each, log, noise) for each in zip(names, fits, strict=True)]
 
 
 def physics_with(
@@ -191,13 +211,6 @@ def _nearest(
 
     Of a parameter that every input has one of, one alone is tried too, as a diagnosis does: all of them together and a
     gain may be one number, which no data show and which bounds keep from where the others want it.
-
-    Args:
-        search: Data and settings.
-        system: Physics.
-        like: A fit whose values it starts from, and whose kind its noise models are of; None: of its own.
-        name: What it is called.
-        own: Names of the effects.
     """
     best: Regression | None = None
     why = ""
@@ -205,8 +218,6 @@ def _nearest(
         for held in [(), *_one_input_each(ParameterVector(begun), own)]:
             try:
                 fit = _fit(search, begun, like, held)
-                if not system.sensor_noise:  # else a filter goes on
-                    fit = _climbed(search, fit, like)
             except (NsdeError, np.linalg.LinAlgError) as error:
                 why = str(error)
                 continue
@@ -231,26 +242,6 @@ def _fit(search: Search, system: System, like: Regression | None, held: Sequence
     return out
 
 
-def _climbed(search: Search, fit: Regression, like: Regression | None) -> Regression:
-    """The likeliest of the fits that begin where a regression ended, at its first values, and at those of another fit.
-
-    Args:
-        search: Data and settings.
-        fit: The regression.
-        like: The other fit; its noise models give the kind of all. None: those of the first.
-    """
-    v, known, none = fit.vector, prior_information(fit.vector) + _of_held(fit), np.zeros(len(fit.theta))
-    alike = fit if like is None else like
-    begun = (fit.theta, v.start, with_values(fit, alike))
-    starts = [np.where(fit.held, fit.theta, start) for start in begun]
-    best = max((likeliest(fit, start, known, none) for start in starts), key=lambda f: f[0])
-    system = v.system.with_effects()
-    v.write(system, best[1].theta)
-    held = [label for label, fixed in zip(v.labels, fit.held, strict=True) if fixed]
-    # what is foretold by the past of residuals is that of those at the optimum, of every member
-    return likeliest(search.regression(system, alike, held=held), best[1].theta, known, none)[1]
-
-
 def _one_input_each(vector: ParameterVector, effects: Sequence[str]) -> list[tuple[str, ...]]:
     """Labels to hold at nothing, a choice at a time: what effects have one of for every input, but of one input."""
     each = [alone(name, [vector.labels[j] for j in vector.of(name)]) for name in effects]
@@ -258,31 +249,41 @@ def _one_input_each(vector: ParameterVector, effects: Sequence[str]) -> list[tup
 
 
 def _score(fit: Regression) -> float:
-    """Log-likelihood less one for each parameter that was free (Akaike)."""
-    return log_likelihood(fit) + float(fit.held.sum())
+    """Log-likelihood of residuals of steps, less one for each parameter that was free (Akaike)."""
+    laws = sum(law.likelihood(fit.white.shape[1]) for law in fit.noises)
+    return float(laws - 0.5 * np.square(fit.white).sum() + fit.held.sum())
 
 
-def _member(declared: System, name: str, fit: Regression, runs: Sequence[Run], noise: Noises) -> Member:
-    effects = tuple(n for n in fit.vector.system.effect_names if n not in declared.effect_names)
-    if not declared.sensor_noise:
-        fine = Rollouts(fitted_system(fit), dt=fit.physics.steps.dt).fine_dt
-        fit.vector.low = np.maximum(fit.vector.low, followed_delays(fit.vector, fine))
-        fit = fit.at(fit.vector.inside(fit.theta))
-        nats, known = log_likelihood(fit), fit.information() + _of_held(fit)
-        only = Branch(fit.theta, known + prior_information(fit.vector), nats)
-        return Member(name, effects, fitted_system(fit), fit, fit.theta, known, nats, None, (only,))
-    own = Filter(fitted_system(fit), dt=fit.physics.steps.dt, noise=noise)
+def _added(declared: System, fit: Regression) -> tuple[str, ...]:
+    return tuple(n for n in fit.vector.system.effect_names if n not in declared.effect_names)
+
+
+def _noise(systems: Sequence[System], log: LogOfRuns) -> ModelNoise:
+    """Noise of the likeliest of several systems: levels beside a worse one would take for noise what it lacks."""
+    of = LogLikelihood(systems[0], log.runs, log.clock, run_in=log.run_in, states=True)
+    best = maximised(of, nuisances=False)[1]
+    for system in systems[1:]:
+        found = maximised(of.of(system), best, nuisances=False)[1]
+        best = max(best, found, key=lambda f: f.at.total)
+    return ModelNoise.of(best.of.space, best.levels)
+
+
+def _member(declared: System, name: str, fit: Regression, log: LogOfRuns, noise: ModelNoise) -> Member:
+    system, dt = fitted_system(fit), fit.physics.steps.dt
+    own = Posteriors(system, noise.levels, clock=log.clock)
     prior = prior_information(own.vector)
     given = prior + _of_held(fit)
-    dt = fit.physics.steps.dt
-    own.vector.low = lower_bounds(fit.vector, fit.theta, dt=dt, fine_dt=own.rollouts.fine_dt)
+    fine_dt = Rollouts(system, dt=dt).fine_dt
+    own.vector.low = lower_bounds(fit.vector, fit.theta, dt=dt, fine_dt=fine_dt)
     own.vector.high = fit.vector.high
-    found = own.solve([FilterProblem(*stretches(runs), fit.theta, given)], rounds=_ROUNDS)[0]
-    each = branches(own, runs, Branch(found.theta, found.information, found.nats), given)
-    system = fitted_system(fit)
+    begun = [fit.theta, np.where(fit.held, fit.theta, fit.vector.start)]
+    tried = [LogWithPrior(log.runs, fit.theta, given)] * len(begun)
+    found = max(own.modes(tried, starts=begun, rounds=_ROUNDS, run_in=log.run_in), key=lambda f: f.nats)
+    each = branches(own, log, Branch(found.theta, found.information, found.nats), given)
     theta = each[0].theta
     own.vector.write(system, theta)
-    return Member(name, effects, system, fit, theta, each[0].known - prior, each[0].nats, own, each)
+    added = _added(declared, fit)
+    return Member(name, added, system, theta, each[0].known - prior, each[0].nats, own, noise, log, each)
 
 
 def _of_held(fit: Regression) -> Array:
@@ -293,3 +294,119 @@ def _of_held(fit: Regression) -> Array:
 def prior_information(vector: ParameterVector) -> Array:
     """What is known of every parameter without data (k, k): it is of the size that such a parameter has, within ten."""
     return np.diag(1.0 / np.square(10.0 * vector.scale))
+
+
+@dataclass(frozen=True)
+class Branch:
+    """A member near one width.
+
+    Args:
+        theta: Parameters (k,).
+        known: Information about them there, that without data included (k, k).
+        nats: Log-likelihood of the runs [nats].
+    """
+
+    theta: Array
+    known: Array
+    nats: float
+
+
+@dataclass(frozen=True)
+class LogOfRuns:
+    """The runs there are.
+
+    Args:
+        runs: The runs.
+        clock: Physical seconds per logged second.
+        run_in: Whether any member remembers, so that the first rows of all only bring up memory.
+    """
+
+    runs: tuple[Run, ...]
+    clock: float
+    run_in: bool
+
+    @property
+    def logged_dt(self) -> float:
+        """Step on the clock of the log [s]."""
+        return self.runs[0].dt
+
+    @property
+    def dt(self) -> float:
+        """Step in physical seconds [s]."""
+        return self.runs[0].dt * self.clock
+
+
+def width_columns(vector: ParameterVector) -> list[int]:
+    """Numbers of the parameters that are widths of dry friction."""
+    dry = {str(e.name): e.relative for e in vector.system.effects if isinstance(e, Law) and e.dry}
+    return [i for i, k in enumerate(vector.labels) if own_name(k) in dry.get(k.partition(".")[0], {})]
+
+
+def lower_bounds(fit: ParameterVector, theta: Array, *, dt: float, fine_dt: float) -> Array:
+    """Lower bounds (k,) of a filter: widths below what the search looked for, and delays that its steps follow.
+
+    Args:
+        fit: Parameters with the bounds of the search.
+        theta: Their values (k,).
+        dt: Step of the log [s].
+        fine_dt: Step of the filter's integration [s].
+    """
+    sizes = {str(e.name): e.amplitudes for e in fit.system.effects if isinstance(e, Law)}
+    low = fit.low.copy()
+    for i in width_columns(fit):
+        if fit.raised[i]:
+            effect = fit.labels[i].partition(".")[0]
+            dry = [j for j in fit.of(effect) if own_name(fit.labels[j]) in sizes[effect]]
+            least = _FOLLOWED * dt * float(np.max(theta[dry], initial=0.0))
+            low[i] = min(low[i], max(low[i] / DEEPER, least))
+    return np.maximum(low, followed_delays(fit, fine_dt))
+
+
+def followed_delays(vector: ParameterVector, fine_dt: float) -> Array:
+    """The shortest delays (k,) that steps of the integration follow, -inf of other parameters.
+
+    Args:
+        vector: Parameters.
+        fine_dt: Step of the integration [s].
+    """
+    low = np.full(len(vector), -np.inf)
+    late = {str(e.name): e.relative for e in vector.system.effects if isinstance(e, Effect) and e.n_memory}
+    for i, label in enumerate(vector.labels):
+        if late.get(label.partition(".")[0], {}).get(own_name(label)) == "step":
+            low[i] = _STABLE * fine_dt
+    return low
+
+
+def branches(own: Posteriors, log: LogOfRuns, best: Branch, prior: Array) -> tuple[Branch, ...]:
+    """A member at the widths that its runs leave open, the likeliest first.
+
+    Args:
+        own: Posterior densities of the member.
+        log: The runs there are.
+        best: Where its fit ended.
+        prior: What is known without data (k, k).
+    """
+    v, theta = own.vector, best.theta
+    error = np.sqrt(np.diag(np.linalg.inv(best.known)))
+    columns = [i for i in width_columns(v) if error[i] > _KNOWN * theta[i]]
+    if not columns:
+        return (best,)
+    factors = [_RATIO**p for p in (-3, -2, -1, 1)]
+    rows = np.tile(theta, (len(factors), 1))
+    rows[:, columns] *= np.array(factors)[:, None]
+    rows = np.unique(np.stack([v.inside(row) for row in rows]), axis=0)
+    moved = np.abs(np.log(rows[:, columns] / theta[columns])).max(1) > 0.5 * np.log(_RATIO)
+    rows = rows[moved]
+    problems = []
+    for row in rows:
+        hold = np.zeros(len(theta))
+        hold[columns] = 1.0 / np.square(_HELD * row[columns])
+        problems.append(LogWithPrior(log.runs, row, prior + np.diag(hold)))
+    told = own.modes(problems, rounds=_BRANCH_ROUNDS, run_in=log.run_in)
+    out = [best]
+    for row, fit in zip(rows, told, strict=True):
+        freed = np.zeros(len(theta))
+        freed[columns] = 1.0 / np.square(row[columns]) - 1.0 / np.square(_HELD * row[columns])
+        out.append(Branch(fit.theta, fit.information + np.diag(freed), fit.nats))
+    top = max(b.nats for b in out)
+    return tuple(sorted((b for b in out if b.nats > top - _WORST), key=lambda b: -b.nats))

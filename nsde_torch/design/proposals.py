@@ -15,9 +15,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nsde_torch.design.expected import Precision, Separation
+from nsde_torch.design.experiment import PlannedRun
 from nsde_torch.design.limits import MARGIN, ExperimentLimits
 from nsde_torch.design.members import Member
+from nsde_torch.design.paths import Paths
 from nsde_torch.design.rollout import Drive, Rollouts
+from nsde_torch.design.signals import Signals
 from nsde_torch.errors import ConfigError
 
 Array = NDArray[np.float64]
@@ -35,31 +38,8 @@ def worth_of(told: Array, axis: int) -> Array:
     return np.asarray(np.quantile(told, CAUTIOUS, axis=axis) + _MEAN * told.mean(axis))
 
 
-class ProposalFamily(Protocol):
-    """What makes experiments of genes in [0, 1], one array each."""
-
-    def random(self, count: int, rng: np.random.Generator) -> Array:
-        """Genes of anything."""
-
-    def gentle(self, count: int, rng: np.random.Generator) -> Array:
-        """Genes of experiments that hardly do anything."""
-
-    def mutated(self, genes: Array, rng: np.random.Generator) -> Array:
-        """Genes near others."""
-
-    def shrunk(self, genes: Array, shares: Array) -> Array:
-        """Genes of the same experiments, each smaller by a share."""
-
-    def inputs(self, genes: Array) -> Array:
-        """Rows of the experiments (count, N, m)."""
-
-    def words(self, genes: Array) -> list[str]:
-        """What a person reads of one of them."""
-
-    def baselines(
-        self, rng: np.random.Generator, before: Array | None = None
-    ) -> dict[str, tuple[Array, tuple[str, ...]]]:
-        """Usual experiments at several sizes (sizes, N, m), with words."""
+Family = Signals | Paths
+"""What makes experiments of genes in [0, 1], one array each."""
 
 
 @dataclass(frozen=True)
@@ -69,13 +49,11 @@ class Judged:
     Args:
         worth: Of each (C,); -inf beyond the limits.
         told: The same, whatever the limits; far below 0 where it was not judged.
-        each: Per ordered pair of members, or per member, and draw (pairs, S, C): nats, or standard errors' worth.
         use: Largest share of each state's range (C, nx), nan where a state is not finite.
     """
 
     worth: Array
     told: Array
-    each: Array
     use: Array
 
 
@@ -114,7 +92,7 @@ class Judge:
     ) -> None:
         self.members, self.precision, self._limits = members, precision, limits
         self._start, self._draws, self._drive = start, draws, drive
-        dt = members[0].regression.physics.steps.dt
+        dt = members[0].log.dt
         self._rollouts = [Rollouts(m.system, dt=dt) for m in members]
         self._pairs = {
             (i, j): Separation(a, b)
@@ -155,7 +133,7 @@ class Judge:
         use, table = np.stack(uses).max(0), np.stack(each)
         worth = worth_of(np.maximum(table, _NOTHING), 1).min(0)
         inside = np.nan_to_num(use, nan=np.inf).max(1) <= 1.0 - MARGIN
-        return Judged(np.where(inside, worth, -np.inf), worth, table, use)
+        return Judged(np.where(inside, worth, -np.inf), worth, use)
 
     def _told(self, i: int, states: Array, inputs: Array, fine: NDArray[np.bool_]) -> list[Array]:
         """What experiments tell where a member is true, one table (S, C) for each other member."""
@@ -177,31 +155,6 @@ class Judge:
             out.append(nats)
         return out
 
-    def pair(self, i: int, j: int) -> Separation:
-        """Expected evidence for member i against member j."""
-        return self._pairs[i, j]
-
-
-@dataclass(frozen=True)
-class JudgedExperiment:
-    """An experiment that was judged.
-
-    Args:
-        name: What it is called.
-        table: Its rows (N, m).
-        worth: What it is worth.
-        each: See `Judged` (pairs, S).
-        use: Largest share of each state's range (nx,).
-        words: What a person reads of it.
-    """
-
-    name: str
-    table: Array
-    worth: float
-    each: Array
-    use: Array
-    words: tuple[str, ...] = ()
-
 
 @dataclass(frozen=True)
 class Searched:
@@ -213,12 +166,12 @@ class Searched:
         use: Largest share of each state's range that this one takes (nx,).
     """
 
-    finalists: list[JudgedExperiment]
+    finalists: list[PlannedRun]
     most: float
     use: Array
 
 
-def best_of_each(judge: Judging, made: Mapping[str, tuple[Array, tuple[str, ...]]]) -> list[JudgedExperiment]:
+def best_of_each(judge: Judging, made: Mapping[str, tuple[Array, tuple[str, ...]]]) -> list[PlannedRun]:
     """The best of each family of experiments (sizes, N, m), with words; without those that all leave the limits.
 
     All are judged in one batch: a rollout of many costs little more than one of few.
@@ -228,19 +181,14 @@ def best_of_each(judge: Judging, made: Mapping[str, tuple[Array, tuple[str, ...]
     for name, (tables, words) in made.items():
         k = at + int(judged.worth[at : at + len(tables)].argmax())
         if np.isfinite(judged.worth[k]):
-            table = tables[k - at]
-            out.append(
-                JudgedExperiment(
-                    name, table, float(judged.worth[k]), judged.each[:, :, k], judged.use[k], tuple(words)
-                )
-            )
+            out.append(PlannedRun(name, tables[k - at], tuple(words), float(judged.worth[k])))
         at += len(tables)
     return out
 
 
 def search(
     judge: Judging,
-    family: ProposalFamily,
+    family: Family,
     *,
     proposals: int,
     generations: int,
@@ -263,7 +211,7 @@ def search(
         ConfigError: none stays within the limits; says which limit is in the way.
     """
     genes = np.concatenate((family.random(proposals, rng), family.gentle(proposals // 4, rng)))
-    found: list[tuple[float, Array, JudgedExperiment]] = []
+    found: list[tuple[float, Array, PlannedRun]] = []
     nearest: tuple[float, int] = (np.inf, 0)
     most, widest = -np.inf, np.zeros(0)
     for generation in range(generations + 1):
@@ -272,9 +220,7 @@ def search(
         judged = judge.judge(tables)
         for k in np.argsort(-judged.worth):
             if np.isfinite(judged.worth[k]):
-                made = JudgedExperiment(
-                    "designed", tables[k], float(judged.worth[k]), judged.each[:, :, k], judged.use[k]
-                )
+                made = PlannedRun("designed", tables[k], (), float(judged.worth[k]))
                 found.append((made.worth, genes[k], made))
         top = int(judged.told.argmax())
         if judged.told[top] > most:
@@ -289,7 +235,7 @@ def search(
     say("proposing experiments", generations + 1, generations + 1)
     if not found:
         raise ConfigError(_in_the_way(judge.limits, *nearest))
-    kept: list[JudgedExperiment] = []
+    kept: list[PlannedRun] = []
     for _, g, p in found:
         if len(kept) < keep and all(_differ(p.table, other.table) for other in kept):
             kept.append(replace(p, words=tuple(family.words(g))))
@@ -297,10 +243,10 @@ def search(
 
 
 def _within(
-    family: ProposalFamily,
+    family: Family,
     genes: Array,
     judged: Judged,
-    found: Sequence[tuple[float, Array, JudgedExperiment]],
+    found: Sequence[tuple[float, Array, PlannedRun]],
     most: int,
 ) -> Array:
     """Genes of what tells much and leaves the limits, as small as would stay inside if motion were in proportion."""

@@ -20,17 +20,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nsde_torch.data import Run
-from nsde_torch.design.filtering import FilterProblem, stretches
-from nsde_torch.design.flyable import Draw
-from nsde_torch.design.likeliest import likeliest, with_values
 from nsde_torch.design.limits import ExperimentLimits
 from nsde_torch.design.members import Member
-from nsde_torch.design.noise_units import NoiseUnits
-from nsde_torch.design.rollout import Disturbances, Drive, Rollouts, disturbances
-from nsde_torch.diagnosis.options import Options
-from nsde_torch.diagnosis.search import search_in
-from nsde_torch.sysid.regression import Regression
-from nsde_torch.systems import System
+from nsde_torch.design.paths import Draw
+from nsde_torch.design.rollout import Drive, Rollouts, as_run
+from nsde_torch.inference.posterior import LogWithPrior, Posterior
 from nsde_torch.threads import one_thread
 
 Array = NDArray[np.float64]
@@ -78,36 +72,20 @@ class Rehearsed:
     inputs: Array
 
 
-def fit_all(declared: System, members: Sequence[Member], each: Sequence[Run], *, clock: float) -> list[Fits]:
+def fit_all(members: Sequence[Member], each: Sequence[Run]) -> list[Fits]:
     """Fit all members to the runs there are and to one of several experiments beside them.
 
     Args:
-        declared: Declared physics.
         members: Members, fitted to the runs there are.
         each: The experiments.
-        clock: Physical seconds per logged second.
     """
-    found = (
-        [_by_steps(declared, members, run, clock) for run in each]
-        if members[0].filter is None
-        else list(zip(*(_by_filter(m, each) for m in members), strict=True))
-    )
     out = []
-    for fits in found:
-        best = max(fits, key=lambda f: f[0])
-        out.append(
-            Fits(
-                np.array([nats for nats, *_ in fits]),
-                tuple(f[1] for f in fits),
-                tuple(np.sqrt(np.diag(cov).clip(0.0)) for _, _, cov, *_ in fits),
-                best[3],
-                best[4],
-            )
-        )
+    for fits in zip(*(_fits(m, each) for m in members), strict=True):
+        best = max(fits, key=lambda f: f[0])[1]
+        brought = np.array([nats for nats, _ in fits])
+        thetas, errors = zip(*((p.theta, p.standard_errors) for _, p in fits), strict=True)
+        out.append(Fits(brought, thetas, errors, best.excess, best.moved))
     return out
-
-
-_Fit = tuple[float, Array, Array, float, float]
 
 
 def against(brought: Array, number: int) -> float:
@@ -121,61 +99,24 @@ def density(nats: float, before: Array, after: Array) -> float:
     return nats + 0.5 * float(np.linalg.slogdet(before)[1] - np.linalg.slogdet(after)[1])
 
 
-def _by_filter(member: Member, each: Sequence[Run]) -> list[_Fit]:
-    """Density of each experiment, and parameters, covariance and mean square of what is left, by the member's filter.
-
-    The density is that of all its branches, with the weights that they are drawn with.
-    """
-    own, branches = member.filter, member.branches
-    assert own is not None
-    problems = [FilterProblem(*stretches([run]), b.theta, b.known) for run in each for b in branches]
+def _fits(member: Member, each: Sequence[Run]) -> list[tuple[float, Posterior]]:
+    """Density of each experiment, that of all branches with the weights that they are drawn with; and the likeliest."""
+    branches = member.branches
+    problems = [LogWithPrior((run,), b.theta, b.known) for run in each for b in branches]
     weights = np.array([b.nats for b in branches])
     weights -= np.logaddexp.reduce(weights)
-    found, out = own.solve(problems), list[_Fit]()
+    found, out = member.posteriors.modes(problems), []
     for first in range(0, len(found), len(branches)):
         fits = found[first : first + len(branches)]
-        told = weights + [
+        nats = weights + [
             density(f.nats, b.known, f.information) for f, b in zip(fits, branches, strict=True)
         ]
-        f = fits[int(told.argmax())]
-        covariance = np.asarray(np.linalg.inv(f.information), dtype=np.float64)
-        out.append((float(np.logaddexp.reduce(told)), f.theta, covariance, f.excess, f.moved))
-    return out
-
-
-def _by_steps(declared: System, members: Sequence[Member], run: Run, clock: float) -> list[_Fit]:
-    """The same of all members by regressions of the residuals of steps, with what the runs say as a quadratic.
-
-    Where runs leave much open there are several optima. Each member begins where the runs have it, and again where
-    another one ended, with its own value of what that one has not.
-    """
-    search = search_in(declared, [run], clock, Options(), channels=True)
-    first: list[tuple[float, Regression]] = []
-    for m in members:
-        own = search.regression(m.system, m.regression)
-        first.append(likeliest(own, m.theta, m.known, m.theta))
-    out: list[_Fit] = []
-    for i, m in enumerate(members):
-        best, known = first[i], m.known
-        for j, (_, other) in enumerate(first):
-            if i != j:
-                start = with_values(best[1], other)
-                best = max(best, likeliest(best[1], start, known, m.theta), key=lambda f: f[0])
-        nats, fit = best
-        after = fit.information() + known
-        # by the noise of the runs before: the experiment's own has learned what no parameter explains
-        left = NoiseUnits(m.regression).residual(fit.physics, fit.physics.residual(fit.theta))
-        away = fit.theta - m.theta
-        moved = float(np.sqrt(away @ known @ away))
-        excess = float(np.mean(np.square(left)))
-        covariance = np.asarray(np.linalg.inv(after), dtype=np.float64)
-        out.append((density(nats, known, after), fit.theta, covariance, excess, moved))
+        out.append((float(np.logaddexp.reduce(nats)), fits[int(nats.argmax())]))
     return out
 
 
 @one_thread()
 def rehearse(
-    declared: System,
     members: Sequence[Member],
     tables: Array,
     *,
@@ -190,7 +131,6 @@ def rehearse(
     """Rehearse plans with one member true.
 
     Args:
-        declared: Declared physics.
         members: What may be true.
         tables: Plans (P, N, m).
         truth: Number of the member that is true.
@@ -202,20 +142,18 @@ def rehearse(
         rng: Source of everything random.
     """
     member, plans = members[truth], len(tables)
-    steps = member.regression.physics.steps
     whole, thetas = np.repeat(tables, count, 0), draw(member, count + 1, rng)[1:]
-    true, seen, inputs = Rollouts(member.system, dt=steps.dt).run(
+    true, seen, inputs = Rollouts(member.system, dt=member.log.dt).run(
         np.tile(thetas, (plans, 1)),
         np.tile(start, (len(whole), 1)),
         drive(whole),
         tables.shape[1],
-        _noise_at(member, thetas, plans, tables.shape[1], rng),
+        member.noise.drawn(len(whole), tables.shape[1], rng),
     )
     fine = np.isfinite(seen).all((1, 2)) & np.isfinite(inputs).all((1, 2))
     evidence, errors = np.zeros(len(whole)), np.full((len(whole), len(member.theta)), np.nan)
-    dt, logged = steps.dt, steps.logged_dt
     kept = np.flatnonzero(fine)  # a run that is not finite tells nothing
-    fits = fit_all(declared, members, [as_run(seen[i], inputs[i], logged) for i in kept], clock=dt / logged)
+    fits = fit_all(members, [as_run(seen[i], inputs[i], member.log.logged_dt) for i in kept])
     for i, fit in zip(kept, fits, strict=True):
         evidence[i], errors[i] = fit.against(truth), fit.errors[truth]
     use = limits.use(true)
@@ -223,31 +161,3 @@ def rehearse(
         Rehearsed(*(part[p * count : (p + 1) * count] for part in (evidence, errors, use, true, inputs)))
         for p in range(plans)
     ]
-
-
-def _noise_at(
-    member: Member, thetas: Array, plans: int, steps: int, rng: np.random.Generator
-) -> Disturbances:
-    """Noise of rehearsals, those of one plan beside each other: what the runs leave at each of the parameters.
-
-    What a fit leaves is less than the noise, by what its parameters have learned of it. At parameters drawn from what
-    is known of them it is as large as it was.
-
-    Args:
-        member: The member that is true.
-        thetas: Parameters of the rehearsals of one plan (count, k).
-        plans: Number of plans.
-        steps: Number of steps.
-        rng: Source of everything random.
-    """
-    if member.filter is not None:
-        return disturbances(member.regression, plans * len(thetas), steps, rng)
-    each = [disturbances(member.regression.at(theta), plans, steps, rng) for theta in thetas]
-    pushes, errors = (np.stack([getattr(d, key) for d in each], 1) for key in ("pushes", "errors"))
-    return Disturbances(pushes.reshape(-1, *pushes.shape[2:]), errors.reshape(-1, *errors.shape[2:]))
-
-
-def as_run(states: Array, inputs: Array, dt: float, name: str = "experiment") -> Run:
-    """An experiment as a run: the last input is held."""
-    u = np.concatenate((inputs, inputs[-1:]))
-    return Run(name, dt * np.arange(len(u), dtype=np.float64), states, u)

@@ -1,9 +1,8 @@
 """Experiments of a member, many at once, each with parameters of its own.
 
-    x' = f(x, u; theta),  Runge and Kutta's fourth order;  x_{k+1} += w_k,   measured_k = x_k + s_k
+    dx = (f(x, u; theta) + B d) dt,  Runge and Kutta's fourth order;     measured_k = x_k + s_k
 
-with w and s as the law of the residuals of steps says (`noises`); of machines whose gusts outweigh their sensors w
-keeps the colour of these residuals (`coloured`).
+with d and s drawn from the noise levels of the likelihood (`ModelNoise`).
 """
 
 from __future__ import annotations
@@ -18,13 +17,10 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from nsde_torch.columns import by_column
-from nsde_torch.design.coloured import coloured, split_spectrum
-from nsde_torch.design.noises import noises_of
-from nsde_torch.inference.steps import Steps
-from nsde_torch.rotation import rotate
-from nsde_torch.sysid.physics import Physics
-from nsde_torch.sysid.regression import Regression
+from nsde_torch.data import Run
+from nsde_torch.effects import Port
+from nsde_torch.inference.levels import Levels
+from nsde_torch.inference.state_space import StateSpace, forces_on, moved
 from nsde_torch.systems import System
 from nsde_torch.systems.parameters import ParameterVector
 
@@ -39,31 +35,51 @@ class Disturbances:
     """What acts on experiments beside the inputs.
 
     Args:
-        pushes: Changes of states over each step (B, N, nx), those of a turned velocity in body axes.
-        errors: Errors of the sensors (B, N + 1, nx).
+        forces: Disturbances held over each step (B, N, nd).
+        ports: Columns of the ports that these act on.
+        errors: Errors of the sensors (B, N + 1, ne).
     """
 
-    pushes: Array
+    forces: Array
+    ports: tuple[tuple[Port, int], ...]
     errors: Array
 
 
-def disturbances(fit: Regression, count: int, steps: int, rng: np.random.Generator) -> Disturbances:
-    """Noise as a fit found it, for `count` experiments."""
-    nx = fit.vector.system.nx
-    pushes, errors = np.zeros((count, steps, nx)), rng.standard_normal((count, steps + 1, nx))
-    if fit.vector.system.sensor_noise:
-        found = noises_of(fit)
-        return Disturbances(
-            np.sqrt(found.pushes) * rng.standard_normal((count, steps, nx)), np.sqrt(found.sensors) * errors
-        )
-    errors *= fit.physics.sensor_std
-    edges, left = fit.single.edges, fit.physics.residual(fit.theta)
-    length = 2 * max(steps, *(b - a for a, b in edges))  # the end of a stretch says nothing of its beginning
-    for channel in fit.rows:
-        spectrum, sensor = split_spectrum(left[:, channel], edges, length)
-        pushes[..., channel] = coloured(spectrum, count, steps, length, rng)
-        errors[..., channel] = sensor**0.5 * rng.standard_normal((count, steps + 1))
-    return Disturbances(pushes, errors)
+@dataclass(frozen=True)
+class ModelNoise:
+    """Noise of largest likelihood.
+
+    Args:
+        levels: Its levels.
+        disturbances: Ports that act, and their columns.
+        observed: Numbers of the measured error channels.
+        ne: Number of the error channels.
+        h: Step [s].
+    """
+
+    levels: Levels
+    disturbances: tuple[tuple[Port, int], ...]
+    observed: tuple[int, ...]
+    ne: int
+    h: float
+
+    @classmethod
+    def of(cls, space: StateSpace, levels: Levels) -> ModelNoise:
+        """That of a machine as the filter sees it."""
+        return cls(levels, space.disturbances, tuple(space.observed), space.ne, space.h)
+
+    def drawn(self, count: int, steps: int, rng: np.random.Generator) -> Disturbances:
+        """What acts on `count` experiments."""
+        levels, nd = self.levels, len(self.disturbances)
+        white, gust, keep = (v.numpy() for v in (levels.white.exp(), levels.gust.exp(), levels.keep(self.h)))
+        gusts = gust * rng.standard_normal((count, steps, nd))
+        for k in range(1, steps):
+            gusts[:, k] = keep * gusts[:, k - 1] + np.sqrt(1.0 - keep**2) * gusts[:, k]
+        forces = gusts + white / self.h**0.5 * rng.standard_normal(gusts.shape)
+        errors = np.zeros((count, steps + 1, self.ne))
+        noise = rng.standard_normal((count, steps + 1, len(self.observed)))
+        errors[..., self.observed] = levels.sensor.exp().numpy() * noise
+        return Disturbances(forces, self.disturbances, errors)
 
 
 @final
@@ -82,6 +98,7 @@ class Rollouts:
         self._h = dt / self._fine
         self.fine_dt = self._h
         """Step of the integration [s]."""
+        self._ports: tuple[tuple[Port, int], ...] = ()
         self._rk4 = torch.func.vmap(self._one)
         self._augmented = torch.func.vmap(self._first)
 
@@ -111,8 +128,9 @@ class Rollouts:
         theta, x = torch.as_tensor(thetas), torch.as_tensor(start)
         nx = self.system.nx
         errors = None if noise is None else torch.as_tensor(noise.errors)
-        pushes = None if noise is None else torch.as_tensor(noise.pushes)
-        seen = x if errors is None else x + errors[:, 0]
+        forces = None if noise is None else torch.as_tensor(noise.forces)
+        self._ports = () if noise is None else noise.ports
+        seen = x if errors is None else self.system.project(moved(self.system, x, errors[:, 0]))
         u = drive(0, seen)
         z = self.begin(theta, x, u)
         begun = torch.zeros(len(x), dtype=torch.float64) if times is None else torch.as_tensor(times)
@@ -121,20 +139,37 @@ class Rollouts:
             if k:
                 u = drive(k, seen)
             inputs.append(u)
-            z = self.later(theta, k, z, u, begun)
-            if pushes is not None:
-                z = self.system.project(torch.cat((z[:, :nx] + self._pushed(z, pushes[:, k]), z[:, nx:]), 1))
+            d = None if forces is None else forces[:, k]
+            z = self.later(theta, k, z, u, begun, d)
             x = z[:, :nx]
-            seen = x if errors is None else self.system.project(x + errors[:, k + 1])
+            seen = x if errors is None else self.system.project(moved(self.system, x, errors[:, k + 1]))
             true.append(x)
             measured.append(seen)
         return torch.stack(true, 1).numpy(), torch.stack(measured, 1).numpy(), torch.stack(inputs, 1).numpy()
 
-    def later(self, theta: Tensor, k: int, z: Tensor, u: Tensor, begun: Tensor | None = None) -> Tensor:
-        """States and memory (B, nz) after step k, of parameters (B, k), inputs (B, nu) and times of the start (B,)."""
+    def later(
+        self,
+        theta: Tensor,
+        k: int,
+        z: Tensor,
+        u: Tensor,
+        begun: Tensor | None = None,
+        forces: Tensor | None = None,
+    ) -> Tensor:
+        """States and memory (B, nz) after step k.
+
+        Args:
+            theta: Parameters (B, k).
+            k: Number of the step.
+            z: States and memory before it (B, nz).
+            u: Inputs (B, nu).
+            begun: Times of the start (B,); None: 0.
+            forces: Of the disturbances of the run (B, nd); None: none.
+        """
         start = torch.zeros(len(z), dtype=torch.float64) if begun is None else begun
+        d = torch.zeros(len(z), 0, dtype=torch.float64) if forces is None else forces
         for i in range(self._fine):
-            z = self.system.project(z + self._rk4(theta, start + (k * self.dt + i * self._h), z, u))
+            z = self.system.project(z + self._rk4(theta, start + (k * self.dt + i * self._h), z, u, d))
         return z
 
     def begin(self, theta: Tensor, x: Tensor, u: Tensor) -> Tensor:
@@ -147,27 +182,19 @@ class Rollouts:
         self.vector.use(theta)
         return self.system.augment(x[None], u[None])[0]
 
-    def _one(self, theta: Tensor, t: Tensor, z: Tensor, u: Tensor) -> Tensor:
+    def _one(self, theta: Tensor, t: Tensor, z: Tensor, u: Tensor, d: Tensor) -> Tensor:
         """Change of one state over a fine step."""
         self.vector.use(theta)
-        h = self._h
+        h, forces = self._h, forces_on(self.system, self._ports[: len(d)], d[None])
 
         def f(share: float, at: Tensor) -> Tensor:
-            return self.system.drift((t + share * h)[None], at[None], u[None])[0]
+            return self.system.drift((t + share * h)[None], at[None], u[None], forces)[0]
 
         k1 = f(0.0, z)
         k2 = f(0.5, z + 0.5 * h * k1)
         k3 = f(0.5, z + 0.5 * h * k2)
         k4 = f(1.0, z + h * k3)
         return (h / 6.0) * (k1 + 2.0 * (k2 + k3) + k4)
-
-    def _pushed(self, z: Tensor, push: Tensor) -> Tensor:
-        q = self.system.quaternion
-        if q is None:
-            return push
-        names = list(self.system.state_names)
-        at = names.index(next(v for _, v, frame in self.system.position_derivatives if frame == "world"))
-        return torch.cat((push[:, :at], rotate(z[:, q], push[:, at : at + 3]), push[:, at + 3 :]), 1)
 
     @torch.no_grad()
     def _substeps(self) -> int:
@@ -183,35 +210,13 @@ class Rollouts:
         return min(max(1, ceil(0.7 * fastest * self.dt)), _SUBSTEPS)
 
 
-def steps_from(system: System, states: Array, inputs: Array, *, dt: float) -> Steps:
-    """Experiments as the steps that a regression looks at, one stretch for each.
-
-    Args:
-        system: The machine.
-        states: States (B, N + 1, nx).
-        inputs: Inputs (B, N, nu).
-        dt: Step [s].
-    """
-    b, n, nx = states.shape[0], inputs.shape[1], states.shape[2]
-
-    def flat(values: Array, width: int) -> Tensor:
-        return by_column(torch.from_numpy(np.ascontiguousarray(values).reshape(-1, width)))
-
-    x0, x1 = flat(states[:, :-1], nx), flat(states[:, 1:], nx)
-    return Steps(
-        t=torch.from_numpy(np.tile(dt * np.arange(n), b)),
-        x0=x0,
-        x1=x1,
-        seen0=x0,
-        seen1=x1,
-        u=flat(inputs, inputs.shape[2]),
-        logged_dt=dt,
-        dt=dt,
-        segments=tuple((i * n, (i + 1) * n) for i in range(b)),
-        runs=tuple(range(b)),
-    )
+def open_loop(tables: Array) -> Drive:
+    """Inputs of plans (B, N, nu), whatever the machine does."""
+    u = torch.as_tensor(tables)
+    return lambda k, measured: u[:, k]
 
 
-def physics_of(system: System, steps: Steps) -> Physics:
-    """Residuals and slopes of noise-free experiments."""
-    return Physics(ParameterVector(system), steps, foresee=False)
+def as_run(states: Array, inputs: Array, dt: float, name: str = "experiment") -> Run:
+    """An experiment as a run: the last input is held."""
+    u = np.concatenate((inputs, inputs[-1:]))
+    return Run(name, dt * np.arange(len(u), dtype=np.float64), states, u)

@@ -15,6 +15,7 @@ Theory 11 (1965); Ljung, System Identification, 1999, chapter 7):
     maximum       noise levels of largest likelihood, by Fisher scoring
     sensitivity   what parameters do to the innovations, as one Gram matrix per block of time
     states        the states that it finds at given physics, and what is not known of them
+    posterior     theta at given noise levels with a prior: hundreds of short logs side by side
     estimate      theta and noise levels of largest likelihood; the estimate, and whether its innovations are white
 """
 

@@ -37,6 +37,7 @@ class Chunks:
         u: Inputs held from each row on (T, C, nu).
         t: Logged time of each row (T, C) [s].
         counted: Whether the innovation of a row is part of the likelihood (T, C).
+        stretch: Number of the stretch of each chunk (C,).
         row: Number of the step that starts at each row (T, C); of a last row, that of the one before.
         parts: Ranges of rows of a chunk that are one block of time each.
     """
@@ -50,8 +51,8 @@ class Chunks:
         )
         longest = max(b - a + 1 for a, b in steps.segments)
         size = min(burn + length, longest)
-        first, counted, last, owners = [], [], [], []
-        for (a, b), owner in zip(steps.segments, steps.runs, strict=True):
+        first, counted, last, owners, stretch = [], [], [], [], []
+        for number, ((a, b), owner) in enumerate(zip(steps.segments, steps.runs, strict=True)):
             done, end = a + 1, b + 1  # rows of a stretch: one more than its steps
             while done < end:
                 start = max(a, min(done - burn, end - size))
@@ -60,6 +61,7 @@ class Chunks:
                 first.append(start)
                 last.append(b)
                 owners.append(owner)
+                stretch.append(number)
                 done = start + size
         begun, end_of = np.array(first), np.array(last)
         rows = begun[None, :] + np.arange(size)[:, None]
@@ -74,7 +76,7 @@ class Chunks:
         pieces = max(1, round(size / block))
         self.parts = [(size * p // pieces, size * (p + 1) // pieces) for p in range(pieces)]
         self.size, self.count = size, len(first)
-        self._owners = torch.tensor(owners)
+        self._owners, self.stretch = torch.tensor(owners), torch.tensor(stretch)
         self._first = torch.from_numpy(begun)
 
     def some(self, which: Tensor) -> "Chunks":
@@ -83,7 +85,10 @@ class Chunks:
         out.row, out.y, out.u, out.t, out.counted = (
             part[:, which] for part in (self.row, self.y, self.u, self.t, self.counted)
         )
-        out._owners, out._first, out.count = self._owners[which], self._first[which], len(which)
+        out._owners, out._first, out.stretch = (
+            part[which] for part in (self._owners, self._first, self.stretch)
+        )
+        out.count = len(which)
         return out
 
     def cut(self, values: Tensor) -> Tensor:

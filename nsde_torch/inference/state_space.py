@@ -55,6 +55,27 @@ def disturbances_of(system: System, t: Tensor, x: Tensor, u: Tensor) -> tuple[tu
     return tuple(kept)
 
 
+def forces_on(system: System, disturbances: Sequence[tuple[Port, int]], values: Tensor) -> dict[Port, Tensor]:
+    """Forces on the ports of a machine, from values (N, nd) of disturbances on some of their columns."""
+    out: dict[Port, Tensor] = {}
+    for j, (port, column) in enumerate(disturbances):
+        unit = torch.zeros(system.ports[port], dtype=values.dtype)
+        unit[column] = 1.0
+        push = values[:, j : j + 1] * unit
+        out[port] = out[port] + push if port in out else push
+    return out
+
+
+def moved(system: System, x: Tensor, error: Tensor) -> Tensor:
+    """States (N, nx) moved by errors (N, ne)."""
+    q = system.quaternion
+    if q is None:
+        return x + error
+    a, b = q.start, q.stop
+    attitude = turned(x[:, a:b], error[:, a : a + 3])
+    return torch.cat((x[:, :a] + error[:, :a], attitude, x[:, b:] + error[:, a + 3 :]), 1)
+
+
 def _rows(values: Tensor) -> Tensor:
     """Values (T, C, ...) as rows (T C, ...)."""
     return values.flatten(0, 1)
@@ -93,28 +114,49 @@ class StateSpace:
         return out
 
     def use(self, theta: Array) -> None:
-        """Take these values for what follows."""
+        """Take these values (k,) for what follows, or those of each stretch of the log (S, k)."""
         self.theta = torch.as_tensor(theta)
-        self.vector.use(self.theta)
+        self._take(self.theta)
         self.memory = self._memory()
+
+    def _take(self, theta: Tensor) -> None:
+        """Take values for all but memory."""
+        self._now, self._many = theta, theta.dim() > 1
+        self.vector.use(theta)
 
     def _memory(self) -> Tensor:
         """Memory of the effects over the step from each row (T, C, nz - nx)."""
         system = self.vector.system
         if system.nz == system.nx:
             return self.chunks.u.new_zeros(*self.chunks.row.shape, 0)
-        before, after = memory_along(system, self.steps)
-        return self.chunks.cut(0.5 * (before + after))
+        if not self._many:
+            before, after = memory_along(system, self.steps)
+            return self.chunks.cut(0.5 * (before + after))
+        each, owner = torch.unique(self._now, dim=0, return_inverse=True)
+        out = self.chunks.u.new_empty(len(self.steps), system.nz - system.nx)
+        for i, theta in enumerate(each):
+            self.vector.use(theta)
+            part, rows = self.steps.of(torch.nonzero(owner == i)[:, 0].tolist())
+            before, after = memory_along(system, part)
+            out[rows] = 0.5 * (before + after)
+        return self.chunks.cut(out)
 
     def step(self, t: Tensor, x: Tensor, memory: Tensor, u: Tensor, d: Tensor) -> Tensor:
         """States (N, nx) a step later, pushed by d (N or 1, nd) all the while; Runge and Kutta's fourth order."""
+        if not self._many:
+            return self._step(t, x, memory, u, d)
+        theta = self._now[self.chunks.stretch].repeat(len(x) // self.chunks.count, 1)
+
+        def one(theta: Tensor, *rows: Tensor) -> Tensor:
+            self.vector.use(theta)
+            return self._step(*(row[None] for row in rows))[0]
+
+        after: Tensor = torch.func.vmap(one)(theta, t, x, memory, u, d.expand(len(x), -1))
+        return after
+
+    def _step(self, t: Tensor, x: Tensor, memory: Tensor, u: Tensor, d: Tensor) -> Tensor:
         system, h, late = self.vector.system, self.h, self.logged_h
-        forces: dict[Port, Tensor] = {}
-        for j, (port, column) in enumerate(self.disturbances):
-            unit = torch.zeros(system.ports[port], dtype=d.dtype)
-            unit[column] = 1.0
-            push = d[:, j : j + 1].expand(len(x), -1) * unit
-            forces[port] = forces[port] + push if port in forces else push
+        forces = forces_on(system, self.disturbances, d.expand(len(x), -1))
 
         def rate(t: Tensor, x: Tensor) -> Tensor:
             return system.drift(t, torch.cat((x, memory), 1), u, forces)[:, : self.nx]
@@ -125,18 +167,9 @@ class StateSpace:
         k4 = rate(t + late, system.project(x + h * k3))
         return system.project(x + (h / 6.0) * (k1 + 2.0 * (k2 + k3) + k4))
 
-    def moved(self, x: Tensor, error: Tensor) -> Tensor:
-        """States (N, nx) moved by errors (N, ne)."""
-        q = self.vector.system.quaternion
-        if q is None:
-            return x + error
-        a, b = q.start, q.stop
-        attitude = turned(x[:, a:b], error[:, a : a + 3])
-        return torch.cat((x[:, :a] + error[:, :a], attitude, x[:, b:] + error[:, a + 3 :]), 1)
-
     def shifted(self, x: Tensor, error: Tensor) -> Tensor:
         """States (T, C, nx) moved by errors (T, C, ne)."""
-        return self.vector.system.project(self.moved(_rows(x), _rows(error))).view(x.shape)
+        return self.vector.system.project(moved(self.vector.system, _rows(x), _rows(error))).view(x.shape)
 
     def after(self, x: Tensor) -> Tensor:
         """States a step after some (T, C, nx), undisturbed."""
@@ -157,7 +190,7 @@ class StateSpace:
         slopes = after.new_empty(len(flat), self.ne, self.n)
         for j in range(self.n):
             offset.zero_()[0, j] = _SMALL
-            there = self.moved(flat, offset[:, : self.ne].expand(len(flat), -1)) if j < self.ne else flat
+            there = moved(system, flat, offset[:, : self.ne].expand(len(flat), -1)) if j < self.ne else flat
             slopes[..., j] = (
                 system.error(self.step(t, there, memory, u, offset[:, self.ne :]), after) / _SMALL
             )
@@ -174,9 +207,9 @@ class StateSpace:
             remembers = v.moves_memory[j] and system.nz > system.nx
             by = (_REMEMBERED if remembers else _SHARE) * float(v.scale[j])
             there = self.theta.clone()
-            there[j] += by
-            v.use(there)
+            there[..., j] += by
+            self._take(there)
             held = _rows(self._memory()) if remembers else memory
             out[..., i] = system.error(self.step(t, flat, held, u, still), base) / by
-        v.use(self.theta)
+        self._take(self.theta)
         return out.view(*x.shape[:2], self.ne, len(which))

@@ -6,6 +6,7 @@ or those before it where rows were left out, then only bring it up: they are `ru
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 import torch
@@ -77,6 +78,20 @@ class Steps:
         for a, b in self.segments:
             out[a:b] = a
         return out
+
+    def of(self, stretches: Sequence[int]) -> "tuple[Steps, Tensor]":
+        """Those of some segments, by number, and the numbers of these steps."""
+        rows = torch.cat([torch.arange(*self.segments[i]) for i in stretches])
+        ends = np.cumsum([0, *(b - a for a, b in (self.segments[i] for i in stretches))]).tolist()
+        parts = {key: getattr(self, key)[rows] for key in ("t", "x0", "x1", "seen0", "seen1", "u")}
+        some = replace(
+            self,
+            **parts,
+            segments=tuple(pairwise(ends)),
+            runs=tuple(self.runs[i] for i in stretches),
+            run_in=None if self.run_in is None else self.run_in.of(stretches)[0],
+        )
+        return some, rows
 
 
 def steps_of(

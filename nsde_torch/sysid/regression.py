@@ -301,12 +301,6 @@ class Regression:
         purged, used = self._beside_laws(self.shown.basis)
         return spread(purged, self.white, self.whitened_rows(self.blocks), used)
 
-    def information(self) -> Array:
-        """What the rows say of theta (k, k), where the noise models were fitted to the same rows."""
-        k = len(self.vector)
-        flat = self._beside_laws(np.eye(k))[0].reshape(-1, k)
-        return np.asarray(flat.T @ flat)
-
     def _beside_laws(self, basis: Array) -> tuple[Array, int]:
         """Slopes (channels, N, r) along directions (k, r) without what those of the laws explain, and how many do."""
         purged, used = [], 0

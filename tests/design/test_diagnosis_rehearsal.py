@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 
 from nsde_torch.data import Run
-from nsde_torch.design.diagnosis_rehearsal import Rehearsal, _raw, rehearse
-from nsde_torch.design.following import following, replayed
+from nsde_torch.design.diagnosis_rehearsal import Rehearsal, _raw, following, rehearse, replayed
 from nsde_torch.design.rollout import Rollouts
 from nsde_torch.diagnosis.options import Options
 from nsde_torch.diagnosis.pipeline import diagnose

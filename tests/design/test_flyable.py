@@ -10,8 +10,7 @@ import pytest
 import nsde_torch
 from nsde_torch.design import DesignOptions, question_of
 from nsde_torch.design.designing import first_state, members_of
-from nsde_torch.design.flyable import STEP, Flyable
-from nsde_torch.design.paths import FlownPaths
+from nsde_torch.design.paths import STEP, FlownPaths, Flyable
 from nsde_torch.design.rollout import Rollouts
 from nsde_torch.systems import Multirotor
 from nsde_torch.systems.options import system_options
@@ -31,7 +30,7 @@ def test_no_parameters_are_drawn_with_which_the_machine_is_lost() -> None:
     open_ = replace(
         member, branches=(replace(only, known=1e-4 * only.known),)
     )  # runs that leave the gains open
-    dt = member.regression.physics.steps.dt
+    dt = member.log.dt
     start = first_state(system, data.runs, {})
     drive = FlownPaths(system, dt=dt)
 

@@ -9,8 +9,7 @@ import nsde_torch
 from nsde_torch.design import Question
 from nsde_torch.design.designing import members_of
 from nsde_torch.design.expected import nearest
-from nsde_torch.design.members import Member
-from nsde_torch.design.widths import width_columns
+from nsde_torch.design.members import Member, width_columns
 from nsde_torch.systems.options import system_options
 from tests.helpers.ties import BIASED, DT, SIDED
 

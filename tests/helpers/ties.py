@@ -8,10 +8,10 @@ import numpy as np
 
 from nsde_torch.data import Run
 from nsde_torch.design import Question
-from nsde_torch.design.drives import OpenLoop
 from nsde_torch.design.limits import limits_of
 from nsde_torch.design.members import Member
 from nsde_torch.design.rehearsal import Rehearsed, rehearse
+from nsde_torch.design.rollout import open_loop
 from nsde_torch.systems import System
 
 BIASED, SIDED = ("coulomb_friction", "constant_force"), ("asymmetric_friction",)
@@ -31,14 +31,13 @@ class Tie:
     def rehearsed(self, truth: int, table: np.ndarray, *, count: int, seed: int) -> Rehearsed:
         """A plan (N, 1) from rest, rehearsed with a member true."""
         (told,) = rehearse(
-            self.system,
             self.members,
             table[None],
             truth=truth,
             count=count,
             start=np.zeros(2),
             limits=limits_of(self.system, self.runs, {}),
-            drive=OpenLoop(),
+            drive=open_loop,
             rng=np.random.default_rng(seed),
         )
         return told

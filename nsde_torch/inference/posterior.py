@@ -1,0 +1,252 @@
+"""Parameters of largest posterior density at given noise levels: of many logs side by side, each with its own prior.
+
+    - log p(theta | y) = - log p(y | theta) + (theta - centre)' K (theta - centre) / 2 + constant
+
+Experiments that are planned and rehearsed are short and hundreds at a time. One pass of the filter takes them all, each
+stretch with parameters of its own, so that a step of Gauss and Newton costs what it costs for one long log.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import final
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from nsde_torch.data import Run
+from nsde_torch.inference.estimate import LogLikelihood
+from nsde_torch.inference.filtering import linearised_about
+from nsde_torch.inference.levels import Levels
+from nsde_torch.inference.sensitivity import grams
+from nsde_torch.systems import System
+from nsde_torch.systems.parameters import ParameterVector
+
+Array = NDArray[np.float64]
+
+_ROUNDS = 8
+_SETTLED = 0.002  # nats that a step promises: `design` calls two fits one equation below 0.05
+_SHORTEST = 0.01  # of a step that made the density less
+_PASSES = 3  # until the states that a filter is linearised about have settled
+_AGAIN = 2  # the same from the states of values close by
+_ROWS = 60_000  # that are worked on at once: further ones only take memory
+_ROOM = 1e-10  # of the information: a parameter without any stays where it is
+
+
+@dataclass(frozen=True)
+class LogWithPrior:
+    """A log whose parameters are looked for.
+
+    Args:
+        runs: Recordings, all on one step.
+        centre: Where the prior says that the parameters are (k,).
+        information: How surely (k, k).
+    """
+
+    runs: tuple[Run, ...]
+    centre: Array
+    information: Array
+
+
+@dataclass(frozen=True)
+class Posterior:
+    """A posterior density about some parameters.
+
+    Args:
+        theta: The parameters (k,).
+        nats: Log likelihood with the quadratic of the prior [nats].
+        slope: Of that in the parameters (k,).
+        information: Of the log and of the prior (k, k).
+        half_square: Half the sum of squares of whitened innovations [nats].
+        excess: Mean square of these: 1 where noise is what it was taken for.
+        moved: How far the parameters are from the prior's [standard errors of these].
+    """
+
+    theta: Array
+    nats: float
+    slope: Array
+    information: Array
+    half_square: float
+    excess: float
+    moved: float
+
+    @property
+    def standard_errors(self) -> Array:
+        """Of the parameters (k,)."""
+        return np.asarray(np.sqrt(np.diag(np.linalg.inv(self.information)).clip(0.0)))
+
+
+@final
+class Posteriors:
+    """Posterior densities of one machine at given noise levels.
+
+    Args:
+        system: The machine.
+        levels: Noise levels.
+        clock: Physical seconds per logged second.
+
+    Attributes:
+        vector: Its parameters, whose bounds hold.
+    """
+
+    def __init__(self, system: System, levels: Levels, *, clock: float = 1.0) -> None:
+        self.system, self.levels, self.clock = system, levels, clock
+        self.vector = ParameterVector(system)
+
+    def at_centres(self, problems: Sequence[LogWithPrior], *, passes: int = _PASSES) -> list[Posterior]:
+        """The densities about the centres of the priors.
+
+        Args:
+            problems: The logs.
+            passes: Of the filter, about the states that it found; 0 where these are known to be the measured ones.
+        """
+        out: list[Posterior] = []
+        for part in _batches(problems):
+            batch = _Batch(self, problems[part], False)
+            batch.passes = passes
+            out += batch.at(np.stack([q.centre for q in problems[part]]))
+        return out
+
+    def cross_information(self, log: LogWithPrior, other: System, run_in: bool) -> Array:
+        """What a log tells of parameters here and of those of another machine together (k, k_other).
+
+        Args:
+            log: The log; its centre is where the parameters here are.
+            other: The other machine, with its values.
+            run_in: See `modes`.
+        """
+        of = LogLikelihood(self.system, log.runs, self.clock, run_in=run_in, states=True)
+        beside = of.of(other).space
+        of.space.use(log.centre)
+        beside.use(beside.vector.start)
+        about = linearised_about(of.space, of.space.chunks.y, of.start)
+        about, at = of.settled(self.levels, about, of.filtered(self.levels, about), _PASSES)
+        k, theirs = len(self.vector), len(beside.vector)
+        columns = (of.space.columns(about.x, range(k)), beside.columns(about.x, range(theirs)))
+        gram = grams(of.space, self.levels, about, at, torch.cat(columns, -1)).total
+        return np.asarray(gram[1 : 1 + k, 1 + k :])
+
+    def modes(
+        self,
+        problems: Sequence[LogWithPrior],
+        *,
+        starts: Sequence[Array] | None = None,
+        rounds: int = _ROUNDS,
+        run_in: bool = False,
+    ) -> list[Posterior]:
+        """Where the densities are largest, by damped steps of Gauss and Newton.
+
+        Args:
+            problems: The logs.
+            starts: Parameters of each to begin with (k,); None: the centres.
+            rounds: Largest number of steps.
+            run_in: Whether the first rows of each stretch only bring up memory (`LogLikelihood`).
+        """
+        out: list[Posterior] = []
+        for part in _batches(problems):
+            begun = [q.centre for q in problems[part]] if starts is None else starts[part]
+            theta = np.stack([self.vector.inside(start) for start in begun])
+            out += self._modes(_Batch(self, problems[part], run_in), theta, rounds)
+        return out
+
+    def _modes(self, batch: "_Batch", theta: Array, rounds: int) -> list[Posterior]:
+        best = batch.at(theta)
+        share, done = np.ones(len(theta)), np.zeros(len(theta), dtype=bool)
+        for _ in range(rounds):
+            for i, here in enumerate(best):
+                step = self.step(here)
+                done[i] |= 0.5 * float(step @ here.information @ step) < _SETTLED or share[i] < _SHORTEST
+                theta[i] = here.theta if done[i] else self.vector.inside(here.theta + share[i] * step)
+            if done.all():
+                break
+            for i, there in enumerate(batch.at(theta)):
+                if done[i]:
+                    continue
+                if there.nats >= best[i].nats - 1e-9:
+                    best[i], share[i] = there, 1.0
+                else:  # too far
+                    share[i] *= 0.3
+        return best
+
+    def left_by_refit(self, here: Posterior) -> float:
+        """Half the square of the innovations after a step, with the price that the prior asks for it [nats]."""
+        step = self.step(here)
+        return here.half_square - float(here.slope @ step - 0.5 * step @ here.information @ step)
+
+    def step(self, here: Posterior) -> Array:
+        """Step of Gauss and Newton (k,), without what would leave the bounds."""
+        free = np.ones(len(here.theta), dtype=bool)
+        room = here.information + np.diag(_ROOM * np.maximum(np.diag(here.information), 1e-12))
+        for _ in range(len(free)):
+            step = np.zeros(len(free))
+            step[free] = np.linalg.solve(room[np.ix_(free, free)], here.slope[free])
+            kept = self.vector.inside(here.theta + step) - here.theta
+            stuck = free & (np.abs(kept) < 1e-3 * np.abs(step)) & (step != 0)
+            if not stuck.any():
+                break
+            free &= ~stuck
+        return step
+
+
+def _batches(problems: Sequence[LogWithPrior]) -> list[slice]:
+    """Problems that are worked on at once."""
+    ends, rows = [0], 0
+    for i, problem in enumerate(problems):
+        own = sum(len(run) for run in problem.runs)
+        if rows and rows + own > _ROWS:
+            ends.append(i)
+            rows = 0
+        rows += own
+    return [slice(a, b) for a, b in zip(ends, [*ends[1:], len(problems)], strict=True)]
+
+
+@final
+class _Batch:
+    """Some problems, whose stretches the filter takes side by side."""
+
+    def __init__(self, of: Posteriors, problems: Sequence[LogWithPrior], run_in: bool) -> None:
+        self._problems, self._k = problems, len(of.vector)
+        runs = [run for q in problems for run in q.runs]
+        self._of = LogLikelihood(of.system, runs, of.clock, run_in=run_in, states=True)
+        self._levels = of.levels
+        owner = torch.tensor([i for i, q in enumerate(problems) for _ in q.runs])
+        self._stretch = owner[torch.tensor(self._of.space.steps.runs)]
+        self._chunk = self._stretch[self._of.space.chunks.stretch]
+        self._block = owner.numpy()[self._of.space.chunks.places()[0]]
+        self._x, self.passes = self._of.space.chunks.y, _PASSES
+
+    @torch.no_grad()
+    def at(self, theta: Array) -> list[Posterior]:
+        """The densities about parameters (P, k)."""
+        space, chunks = self._of.space, self._of.space.chunks
+        space.use(theta[self._stretch.numpy()])
+        about = linearised_about(space, self._x, self._of.start)
+        at = self._of.filtered(self._levels, about)
+        about, at = self._of.settled(self._levels, about, at, self.passes)
+        self._x, self.passes = torch.where(torch.isfinite(about.x), about.x, self._x), _AGAIN
+        blocks = grams(space, self._levels, about, at, space.columns(about.x, range(self._k))).blocks
+        count = len(self._problems)
+        whole = np.zeros((count, *blocks.shape[1:]))
+        np.add.at(whole, self._block, blocks)
+        rows, nats = np.zeros(count), np.zeros(count)
+        np.add.at(rows, self._chunk.numpy(), chunks.counted.sum(0).numpy() * len(space.observed))
+        np.add.at(nats, self._chunk.numpy(), at.rows.sum(0).numpy())
+        out = []
+        for q, here, own, n, gram in zip(self._problems, theta, nats, rows, whole, strict=True):
+            away = here - q.centre
+            pull = q.information @ away
+            cost = 0.5 * float(away @ pull)
+            fine = bool(np.isfinite(own) and np.isfinite(gram).all())
+            gram = gram if fine else np.zeros_like(gram)
+            out.append(
+                Posterior(
+                    here.copy(),
+                    float(own) - cost if fine else -np.inf,
+                    gram[1:, 0] - pull,
+                    gram[1:, 1:] + q.information,
+                    0.5 * float(gram[0, 0]),
+                    float(gram[0, 0]) / max(float(n), 1.0),
+                    float(np.sqrt(2.0 * cost)),
+                )
+            )
+        return out

@@ -2,7 +2,8 @@
 
     python benchmarks/bench_networks.py --seeds 3 --out networks/
 
-Plants are of a simulator of its own (`blind/small_machines.py`). Each is trained as `nsde train` does, beside it the
+Plants are of simulators of their own (`blind/small_machines.py`, `blind/loop_machine.py`: flights in a closed loop).
+Each is trained as `nsde train` does, beside it the
 declared physics alone and the physics with the law declared (`model=sysid`). The share is that of the logarithm of what
 they leave of the rates of a run held out, means over 0.25 s:
 
@@ -20,6 +21,7 @@ import sys
 import tempfile
 from math import log
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")
@@ -27,6 +29,8 @@ sys.path.insert(0, str(Path(__file__).resolve().parent / "blind"))
 
 import numpy as np
 import torch
+from law_machines import flights
+from loop_machine import Machine
 from small_machines import STATES, Small, run
 
 import nsde_torch
@@ -40,13 +44,48 @@ PLANTS: dict[str, tuple[str, dict[str, Any], list[str]]] = {
     "cart: nothing": ("cartpole", {}, []),
     "cart: dry friction": ("cartpole", {"coulomb": {"size": 0.4}}, ["coulomb_friction[cart]"]),
     "cart: quadratic damping": ("cartpole", {"quadratic": {"size": 0.5}}, ["quadratic_damping[cart]"]),
+    "hexacopter: nothing": ("hexacopter", {}, []),
+    "hexacopter: ground effect": (
+        "hexacopter",
+        {"ground_effect": {"area": 0.03, "height": 0.2}},
+        ["ground_effect"],
+    ),
+    "hexacopter: linear drag": ("hexacopter", {"linear_drag": {"drag": [0.15, 0.15, 0.1]}}, ["linear_drag"]),
+    "hexacopter: lag": ("hexacopter", {"motor_lag": {"time_constant": 0.05}}, ["motor_lag"]),
+    "hexacopter: coupling": ("hexacopter", {"law": {"of": "coupling"}}, ["body_force[y] = c1 v_body_x w_z"]),
 }
 """Machine, what it holds, and the law of the catalogue that this is."""
 SECONDS, RUNS, DT = 12.0, 5, 0.01
+FLIGHT_S, PATHS = 30.0, ("waypoints", "circle", "sines", "waypoints", "sines")
+
+
+class Coupling:
+    """A lateral force that goes with forward speed and yaw rate, in no catalogue."""
+
+    kind = SimpleNamespace(row=1)
+
+    def __call__(self, seen: np.ndarray, _: np.ndarray) -> np.ndarray:
+        """Of body velocity, rates and place (B, 9) [m/s2]."""
+        return 0.8 * seen[:, 0] * seen[:, 5]
+
+
+def write_flights(folder: Path, effects: dict[str, Any], seed: int) -> None:
+    """Flights of a hexacopter as files."""
+    held = {"law": {"of": Coupling()}} if "law" in effects else effects
+    gust = (0.05, 0.05, 0.05, 0.5, 0.5, 0.1)
+    machine = Machine("hexacopter", 4.9, -0.8, (95.0, 90.0, 4.0), (0.55, 0.58), held, gust)
+    columns = ["p_x", "p_y", "p_z", "v_x", "v_y", "v_z", "q_w", "q_x", "q_y", "q_z", "w_x", "w_y", "w_z"]
+    header = ",".join(["t", *columns, *(f"u_{i}" for i in range(1, 7))])
+    for i, run_of in enumerate(flights(machine, seed, FLIGHT_S, PATHS, 0.5)):
+        table = np.column_stack([run_of.t + 100.0 * i, run_of.x, run_of.u])
+        np.savetxt(folder / f"run_{i}.csv", table, "%.9g", ",", header=header, comments="")
 
 
 def write(folder: Path, system: str, effects: dict[str, Any], seed: int) -> None:
     """Runs of a plant as files."""
+    if system == "hexacopter":
+        write_flights(folder, effects, seed)
+        return
     values = SPRING if system == "mass_spring_damper" else CART
     noise = (0.001, 0.003) if system == "mass_spring_damper" else (0.0005, 0.005, 0.001, 0.01)
     machine = Small(system, values, effects, noise, gust=0.02)

@@ -28,9 +28,6 @@ from nsde_torch.systems.vocabulary import named_inputs, vocabulary
 
 Array = NDArray[np.float64]
 
-BEFORE = " before"
-"""End of the name of an input as it was before."""
-
 _MOVES = 0.3  # of the largest change of a channel: rows of ports that move it
 _NEAR, _NEAR_GAIN = 0.3, 1.0  # standard errors from the optimum, and nats, at which functions are looked for
 

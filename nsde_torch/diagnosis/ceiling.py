@@ -290,9 +290,12 @@ def _left(own: Mapping[str, Any]) -> str:
     low, high = own["left_90"]
     row = own["rows"][0]
     unit = "" if row["unit"] == "1" else f" {row['unit']}"
+    others = len(own["rows"]) - 1
+    whole = f"{own['left_nats']:.1f} nats ({low:+.1f} to {high:+.1f})"
+    most = f" with {others} other row{'s' if others > 1 else ''} of the ports" if others else ""
     return (
-        f"Functions of {wanted(own['rows'])} still explain {row['nats']:.1f} nats of {own['left_nats']:.1f} "
-        f"({low:+.1f} to {high:+.1f}) there: {number(row['rms'])}{unit} rms; no formula that holds says why."
+        f"Functions of {wanted(own['rows'])}{most} still explain {whole} there: {number(row['rms'])}{unit} rms; no "
+        "formula that holds says why."
     )
 
 

@@ -111,7 +111,7 @@ class JointSelection:
         at: Where that is.
         selected: The effects.
         screened: Nats of every candidate of the first look.
-        errors: Standard errors of its sizes, by candidate and label.
+        errors: Smallest standard errors of its sizes over all looks, by candidate and label.
     """
 
     best: MaximumLikelihood
@@ -230,7 +230,12 @@ class _JointSearch:
         if place.best.objections:
             return None
         first = self._look(self._first)[0]
-        screened, errors = {p.name: p.nats for p in first}, {p.name: p.errors for p in first}
+        screened = {p.name: p.nats for p in first}
+        # what is missing passes for noise in the first look
+        errors: dict[str, dict[str, float]] = {}
+        for p in (p for look, _ in self._looks.values() for p in look):
+            own = errors.setdefault(p.name, {})
+            own |= {label: min(error, own.get(label, error)) for label, error in p.errors.items()}
         return JointSelection(place.best, place.system, place.at, selected, screened, errors)
 
     def _added(self, system: System) -> frozenset[str]:

@@ -200,7 +200,7 @@ def with_functions(search: Search, base: Base, outcome: Outcome, near: Optimum |
     if near is None or not most or not search.inputs or base.regression.arithmetic or blocks < FEWEST_BLOCKS:
         return outcome
     search.say("functions of what was measured", 0, 1)
-    return replace(outcome, beside=function_gain(base, near, outcome.test, inputs=True, most=most))
+    return replace(outcome, beside=function_gain(base, near, outcome.test, most=most))
 
 
 def _weighed(base: Base, noises: Mapping[int, Noise]) -> Base:

@@ -18,6 +18,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from nsde_torch.diagnosis.evidence import sum_error
 from nsde_torch.diagnosis.learned_functions import FunctionGain, RowGain, function_gain, optimum_of
 from nsde_torch.diagnosis.outcome import Outcome
 from nsde_torch.diagnosis.reading import Log
@@ -83,12 +84,12 @@ def ceiling(log: Log, outcome: Outcome) -> Ceiling:
     gain = outcome.beside
     if gain is None or gain.base is not outcome.final:
         most = log.budgets.function_groups
-        gain = function_gain(outcome.final, at, outcome.test, inputs=True, most=most)
+        gain = function_gain(outcome.final, at, outcome.test, most=most)
     before, after = gain.functions.blocks
     left = (after - before) * (gain.nats / max(float((after - before).sum()), 1e-300) if gain.rows else 0.0)
     out = Ceiling(left=float(left.sum()), rows=gain.rows, gain=gain)
     if gain.rows:
-        out = replace(out, interval=_ends(out.left, _error(left)))
+        out = replace(out, interval=_ends(out.left, sum_error(left)))
     if not outcome.found:
         return out
     won = before - _declared(outcome, gain.at)
@@ -96,7 +97,7 @@ def ceiling(log: Log, outcome: Outcome) -> Ceiling:
     share = float(np.clip(effects / max(effects + out.left, 1e-300), 0.0, 1.0)) if effects > 0 else 0.0
     ends = None
     if len(won) >= FEWEST_BLOCKS and effects > 0:
-        error = _error(won * (1.0 - share) - share * left) / (effects + out.left)
+        error = sum_error(won * (1.0 - share) - share * left) / (effects + out.left)
         low, high = _ends(share, error)
         ends = max(low, 0.0), min(high, 1.0)
     return replace(out, effects=effects, explained=share, explained_interval=ends)
@@ -252,11 +253,6 @@ def _declared(outcome: Outcome, at: Optimum) -> Array:
         near = at
     with torch.no_grad():
         return held_out_density(optimum_of(outcome.declared_system, near))
-
-
-def _error(blocks: Array) -> float:
-    """Standard error of a sum over blocks of time (B,)."""
-    return float(blocks.std() * len(blocks) ** 0.5)
 
 
 def _ends(value: float, error: float) -> tuple[float, float]:

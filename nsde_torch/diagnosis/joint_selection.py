@@ -34,7 +34,7 @@ from nsde_torch.diagnosis.search import Search
 from nsde_torch.diagnosis.trials import Trial
 from nsde_torch.effects import Effect, Law, effect_class
 from nsde_torch.errors import NsdeError
-from nsde_torch.inference import LogLikelihood, MaximumLikelihood, Optimum, maximised
+from nsde_torch.inference import LogLikelihood, MaximumLikelihood, Optimum, nearly_maximised
 from nsde_torch.inference.sensitivity import Grams, grams, half_squares, solved
 from nsde_torch.inference.sizes import data_sizes
 from nsde_torch.systems import System
@@ -44,7 +44,6 @@ from nsde_torch.time_limit import check_time
 Array = NDArray[np.float64]
 Labels = NDArray[np.int64]
 
-_NEAR, _NEAR_GAIN = 0.3, 1.0  # standard errors from their optimum, and nats, at which physics are compared
 _RISES = 0.3  # share of the nats of a linearised step that the likelihood has to rise by once a candidate is fitted
 _TRIED = 3  # candidates that are fitted to the end before a round ends
 _RIVALS = 3  # candidates that are fitted in the place of an effect
@@ -243,13 +242,7 @@ class _JointSearch:
 
     def _fitted(self, system: System, like: _Place | None) -> _Place:
         """Physics fitted from its present values, with noise levels near those of other physics; the best so far."""
-        best, at = maximised(
-            self._problem.of(system),
-            None if like is None else like.at,
-            settled_at=_NEAR,
-            gain=_NEAR_GAIN,
-            nuisances=False,
-        )
+        best, at = nearly_maximised(self._problem.of(system), None if like is None else like.at)
         out = system.with_effects()
         best.vector.write(out, best.theta)
         made, added = _Place(out, best, at), frozenset(out.effect_names)

@@ -52,13 +52,12 @@ def terms_on(system: System, at: Optimum, port: int, names: Sequence[str]) -> li
     """
     space = at.of.space
     where, column = space.disturbances[port]
-    row = dict(vocabulary(type(system)).ports)[where.value].names[column]
+    on = dict(vocabulary(type(system)).ports)[where.value].written(where.value)[column]
     counted = at.about.x[space.chunks.counted]
     rows = np.asarray(counted[:: max(1, len(counted) // _MOST_VALUES)].numpy())
     values = {name: rows[:, system.state_names.index(name)] for name in names}
     units = dict(zip(system.state_names, system.state_units, strict=True))
     terms = terms_of(list(names), values, [name for name in names if units[name] == "rad"])
-    on = f"{where.value}[{row}]" if row else where.value
     return [Term(system.effect_key(f"{on} = c1 {t.text}"), dict(t.start), port) for t in terms]
 
 

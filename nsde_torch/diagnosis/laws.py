@@ -241,13 +241,13 @@ def pushes_of(base: Base, channels: Sequence[str]) -> list[tuple[str, Array]]:
     with torch.no_grad():
         still = system.drift(t, middle, s.u)[:, : system.nx]
         for port in system.residual_ports:
-            for k, name in enumerate(rows[port.value].names):
+            for k, name in enumerate(rows[port.value].written(port.value)):
                 push = middle.new_zeros(len(middle), system.ports[port])
                 push[:, k] = 1.0
                 moved = system.drift(t, middle, s.u, {port: push})[:, : system.nx] - still
                 change = physics.in_channels(s.dt * moved, middle).numpy()
                 if np.abs(change[:, at]).max() > _MOVES * np.abs(change).max():
-                    out.append((f"{port.value}[{name}]" if name else port.value, change))
+                    out.append((name, change))
     return out
 
 

@@ -19,7 +19,7 @@ from nsde_torch.diagnosis.laws import pushes_of
 from nsde_torch.diagnosis.regressors import Regressors, machine_variables
 from nsde_torch.diagnosis.search import Base
 from nsde_torch.effects import Port
-from nsde_torch.inference import Optimum, maximised
+from nsde_torch.inference import Optimum, nearly_maximised
 from nsde_torch.inference.functions import Functions, Variables, learned
 from nsde_torch.sysid.loop_test import LoopTest
 from nsde_torch.sysid.noise import Noise
@@ -29,7 +29,6 @@ from nsde_torch.systems.vocabulary import named_inputs, vocabulary
 Array = NDArray[np.float64]
 
 _MOVES = 0.3  # of the largest change of a channel: rows of ports that move it
-_NEAR, _NEAR_GAIN = 0.3, 1.0  # standard errors from the optimum, and nats, at which functions are looked for
 
 
 @dataclass(frozen=True)
@@ -99,7 +98,6 @@ def function_gain(
     near: Optimum,
     tested: LoopTest,
     *,
-    inputs: bool,
     most: int,
 ) -> FunctionGain:
     """Look for functions beside physics.
@@ -108,12 +106,11 @@ def function_gain(
         base: The physics at its optimum.
         near: An optimum of the likelihood of the same log: of this physics, or of physics close to it.
         tested: What the data say of the loop.
-        inputs: Whether the inputs are what acted.
         most: Most groups of functions of one row.
     """
     at = optimum_of(fitted_system(base.regression), near)
     space, system = at.of.space, at.of.vector.system
-    variables = _variables(at, inputs=inputs)
+    variables = _variables(at)
     ports = [k for k, (port, _) in enumerate(space.disturbances) if port in system.residual_ports]
     found = learned(at, variables, ports, most=most)
     counted = space.chunks.counted
@@ -137,21 +134,19 @@ def optimum_of(system: System, near: Optimum) -> Optimum:
     """The optimum of a machine on the rows of another one; that itself where it is of the same physics."""
     if near.of.vector.system.effect_names == system.effect_names:
         return near
-    return maximised(near.of.of(system), near, settled_at=_NEAR, gain=_NEAR_GAIN, nuisances=False)[1]
+    return nearly_maximised(near.of.of(system), near)[1]
 
 
-def _variables(at: Optimum, *, inputs: bool) -> Variables:
+def _variables(at: Optimum) -> Variables:
     """All that the machine measures; an angle whose sine and cosine are there is not one of them."""
     system, chunks = at.of.vector.system, at.of.space.chunks
-    some = machine_variables(system, at.about.x[0], chunks.u[0], inputs=inputs)
+    some = machine_variables(system, at.about.x[0], chunks.u[0], inputs=True)
     names = [n for n in some if not {f"sin_{n}", f"cos_{n}"} <= some.keys()]
 
     def values(x: torch.Tensor, u: torch.Tensor) -> torch.Tensor:
-        known = machine_variables(system, x, u, inputs=inputs)
+        known = machine_variables(system, x, u, inputs=True)
         return torch.stack([known[name] for name in names], 1)
 
-    if not inputs:
-        return Variables(tuple(names), values)
     return Variables(tuple(names), values, lambda u: named_inputs(system, u))
 
 
@@ -166,8 +161,7 @@ def _moved(at: Optimum) -> list[frozenset[str]]:
 def _row(system: System, port: Port, column: int) -> tuple[str, str]:
     """Name and unit of the row of a port."""
     rows = dict(vocabulary(type(system)).ports)[port.value]
-    name = rows.names[column]
-    return (f"{port.value}[{name}]" if name else port.value), rows.units[column]
+    return rows.written(port.value)[column], rows.units[column]
 
 
 def _importance(found: Functions, port: int) -> dict[str, float]:

@@ -254,22 +254,22 @@ def searched(log: Log, search: Search, before: Outcome | None = None) -> Outcome
     search.say("what feedback may have made", 0, 1)
     kept = set_aside(search, chosen, kept, log.feedback)
     search.say("testing what is left", 0, 1)
-    outcome = replace(decide(search, chosen, kept, log.feedback), declared_optimum=at)
+    outcome = decide(search, chosen, kept, log.feedback)
     log.so_far(TESTS, log, outcome)
+    near, missing = at if joint is None else joint.at, True
     if joint is not None and not outcome.structured and not any(s.law for s in joint.selected.values()):
         # functions may explain what no test of one variable shows (q^2 q_dot, test_laws_that_noise_learns.py)
-        outcome = log.stages.attempt(LAWS, partial(with_functions, search, kept.final, outcome, at), outcome)
-        if outcome.beside is None or not outcome.beside.rows:
-            return replace(outcome, joint=joint)
-    if any(run.band for run in log.runs):  # what a smoother did to the states looks like laws of many names
-        return outcome
-    after = log.stages.attempt(
-        LAWS, lambda: with_laws(search, chosen, kept, outcome, log.feedback, joint, at), outcome
-    )
-    after = replace(after, declared_optimum=at)
-    if not outcome.structured and [f.name for f in after.found] == [f.name for f in outcome.found]:
-        after = replace(after, joint=joint)
-    return after
+        outcome = log.stages.attempt(
+            LAWS, partial(with_functions, search, kept.final, outcome, near), outcome
+        )
+        missing = outcome.beside is not None and bool(outcome.beside.rows)
+    after = outcome
+    if missing and not any(run.band for run in log.runs):  # what a smoother did looks like laws of many names
+        after = log.stages.attempt(
+            LAWS, lambda: with_laws(search, chosen, kept, outcome, log.feedback, joint, near), outcome
+        )
+    same = not outcome.structured and [f.name for f in after.found] == [f.name for f in outcome.found]
+    return replace(after, declared_optimum=at, joint=joint if same else None)
 
 
 def _jointly(log: Log, search: Search) -> tuple[Optimum | None, JointSelection | None]:

@@ -69,6 +69,10 @@ class Rows:
     names: tuple[str, ...]
     units: tuple[str, ...]
 
+    def written(self, port: str) -> list[str]:
+        """The rows as laws and reports write them: `body_force[z]`; the port alone where it has but one."""
+        return [f"{port}[{name}]" if name else port for name in self.names]
+
 
 @dataclass(frozen=True)
 class Vocabulary:
@@ -242,7 +246,7 @@ def _row(law: Written, words: Vocabulary) -> tuple[int, Rows]:
         )
     rows = ports[law.port]
     if law.row not in rows.names:
-        choices = ", ".join(f"{law.port}[{name}]" if name else law.port for name in rows.names)
+        choices = ", ".join(rows.written(law.port))
         raise ConfigError(f"law {law.text!r}: a law of that port is written {choices} = ...")
     return rows.names.index(law.row), rows
 

@@ -26,6 +26,15 @@ from nsde_torch.inference.estimate import (
     fit,
     log_likelihood,
     maximised,
+    nearly_maximised,
 )
 
-__all__ = ["LogLikelihood", "MaximumLikelihood", "Optimum", "fit", "log_likelihood", "maximised"]
+__all__ = [
+    "LogLikelihood",
+    "MaximumLikelihood",
+    "Optimum",
+    "fit",
+    "log_likelihood",
+    "maximised",
+    "nearly_maximised",
+]

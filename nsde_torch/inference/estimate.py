@@ -46,8 +46,11 @@ Labels = NDArray[np.int64]
 
 _TURNS = 12
 _FIRST_ROWS = 1000  # enough for noise levels beside a first theta
-SETTLED, GAIN = 0.05, 0.5
-"""Standard errors that theta may still move by, and nats that new noise levels may still bring."""
+_SETTLED, _GAIN = (
+    0.05,
+    0.5,
+)  # standard errors that theta may still move by, nats that new noise levels may bring
+_NEAR, _NEAR_GAIN = 0.3, 1.0  # the same, where physics are compared
 _STUCK = 0.5  # those below which a step that is no better is rounding
 _DAMPINGS = (0.0, 0.01, 0.1, 1.0, 10.0, 100.0)  # of steps (Marquardt), in units of the information
 _PASSES = 4  # until the states that a filter is linearised about have settled
@@ -310,13 +313,20 @@ def fit(system: System, runs: Sequence[Run], *, clock: float = 1.0) -> MaximumLi
         ) from error
 
 
+def nearly_maximised(
+    problem: LogLikelihood, near: Optimum | None = None
+) -> tuple[MaximumLikelihood, Optimum]:
+    """As `maximised`, as near to the optimum as comparing physics needs, and intervals at the noise levels found."""
+    return maximised(problem, near, settled_at=_NEAR, gain=_NEAR_GAIN, nuisances=False)
+
+
 @torch.no_grad()
 def maximised(
     problem: LogLikelihood,
     near: Optimum | None = None,
     *,
-    settled_at: float = SETTLED,
-    gain: float = GAIN,
+    settled_at: float = _SETTLED,
+    gain: float = _GAIN,
     nuisances: bool = True,
 ) -> tuple[MaximumLikelihood, Optimum]:
     """Theta and noise levels of largest likelihood, from the first values of the physics.

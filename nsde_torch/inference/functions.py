@@ -198,7 +198,6 @@ class _View:
         if most is not None:
             count = min(count, max(_FOLDS, round(most * chunks.count / float(chunks.counted.sum()))))
         some = torch.linspace(0, chunks.count - 1, count).round().long()
-        self.whole = count == chunks.count
         self.space = at.of.space.some(some)
         self.about, self.start = at.about.of(some), at.of.start
         x, u = self.about.x, self.space.chunks.u
@@ -251,6 +250,25 @@ class _View:
         return np.asarray(turn.T @ held.blocks @ turn), slices, turns
 
 
+@dataclass(frozen=True)
+class _Fit:
+    """Some groups fitted together.
+
+    Args:
+        groups: The groups.
+        blocks, slices, turns: See `_View.blocks`.
+        left: Half the squares left of each block by what was fitted without its fold (B,).
+        ridge: 1 / tau^2 of each group.
+    """
+
+    groups: tuple[BasisGroup, ...]
+    blocks: Array
+    slices: list[slice]
+    turns: list[Array]
+    left: Array
+    ridge: list[float]
+
+
 class _Choice:
     """See `learned`."""
 
@@ -275,7 +293,6 @@ class _Choice:
     def made(self) -> Functions:
         """See `learned`."""
         chosen: list[BasisGroup] = []
-        out = self._solved(chosen)
         for turn in range(_ROUNDS):
             before = len(chosen)
             # noise levels changed where something was found
@@ -283,14 +300,14 @@ class _Choice:
                 chosen = self._chosen(port, chosen)
             if not chosen or len(chosen) == before:
                 break
-            out = self._solved(chosen)
-            self._levels = self._relevelled(out)
-        return self._judged(chosen)
+            self._levels = self._relevelled(self._solved(self._fitted(chosen)))
+        return self._judged(self._fitted(chosen))
 
     def density(self) -> Array:
         """See `held_out_density`."""
-        blocks, _, _ = self._all.blocks([], self._levels, self._scaled)
-        return self._sizes() - self._held_out(self._all, blocks, [])[0]
+        levels = self._optimum.levels
+        blocks, _, _ = self._all.blocks([], levels, self._scaled)
+        return self._sizes(levels) - self._held_out(self._all, blocks, [])[0]
 
     # ---- what is tried ----------------------------------------------------------------------------------
 
@@ -307,7 +324,7 @@ class _Choice:
             near = list(dict.fromkeys([*near, *(g.variables[0] for g in ranked)]))[:_PAIRED]
             gains |= self._gains(self._few, self._finer(port, near, chosen), chosen)
             among = len(gains)
-            if not self._few.whole:
+            if self._few is not self._all:
                 best = sorted(gains, key=lambda g: -gains[g][0])[:_JUDGED]
                 gains = self._gains(self._all, best, chosen)
             best_of = max(gains, key=lambda g: gains[g][0])
@@ -393,44 +410,45 @@ class _Choice:
             best = max(best, (evidence, tau**-2.0))
         return best[1]
 
-    def _solved(self, chosen: Sequence[BasisGroup]) -> Functions:
-        """The functions at their most probable weights, beside the declared parameters."""
-        space = self._optimum.of.space
-        start = np.asarray(space.theta.numpy(), dtype=np.float64)
-        if not chosen:
-            return Functions((), (), np.zeros((0, 0)), self._scaled, start)
+    def _fitted(self, chosen: Sequence[BasisGroup]) -> _Fit:
+        """Some groups together, under the noise levels found so far."""
         blocks, slices, turns = self._all.blocks(chosen, self._levels, self._scaled)
-        _, ridge = self._held_out(self._all, blocks, slices)
-        weights = np.zeros(blocks.shape[1] - 1)
-        for s, value in zip(slices, ridge, strict=True):
+        return _Fit(tuple(chosen), blocks, slices, turns, *self._held_out(self._all, blocks, slices))
+
+    def _solved(self, fit: _Fit) -> Functions:
+        """The functions at their most probable weights, beside the declared parameters."""
+        space, slices, turns = self._optimum.of.space, fit.slices, fit.turns
+        start = np.asarray(space.theta.numpy(), dtype=np.float64)
+        if not slices:
+            return Functions((), (), np.zeros((0, 0)), self._scaled, start)
+        weights = np.zeros(fit.blocks.shape[1] - 1)
+        for s, value in zip(slices, fit.ridge, strict=True):
             weights[s.start - 1 : s.stop - 1] = value
-        total = blocks.sum(0)
+        total = fit.blocks.sum(0)
         step = solved(total, weights)
         first = slices[0].start - 1
         inner = total[1:, 1:] + np.diag(weights)
         whole = block_diag(*turns)
         covariance = whole @ np.linalg.pinv(inner, rcond=_ROUNDING, hermitian=True)[first:, first:] @ whole.T
         return Functions(
-            tuple(chosen),
+            fit.groups,
             tuple(turn @ step[s.start - 1 : s.stop - 1] for s, turn in zip(slices, turns, strict=True)),
             covariance,
             self._scaled,
             space.vector.inside(start + step[:first]),
         )
 
-    def _judged(self, chosen: Sequence[BasisGroup]) -> Functions:
+    def _judged(self, fit: _Fit) -> Functions:
         """The functions, and what they bring under the noise found beside them."""
-        out = self._solved(chosen)
-        blocks, slices, _ = self._all.blocks(chosen, self._levels, self._scaled)
-        left, ridge = self._held_out(self._all, blocks, slices)
+        out, chosen, after = self._solved(fit), fit.groups, self._sizes(self._levels) - fit.left
+        if not chosen:
+            return replace(out, blocks=(after, after))
 
         def lost(barred: Sequence[BasisGroup]) -> float:
             rest = [k for k, g in enumerate(chosen) if g not in barred]
-            some = [slices[k] for k in rest], [ridge[k] for k in rest]
-            return max(float((self._held_out(self._all, blocks, *some)[0] - left).sum()), 0.0)
+            some = [fit.slices[k] for k in rest], [fit.ridge[k] for k in rest]
+            return max(float((self._held_out(self._all, fit.blocks, *some)[0] - fit.left).sum()), 0.0)
 
-        after = self._sizes() - left
-        self._levels = self._optimum.levels
         before = self.density()
         nats, error = float((after - before).sum()), float((after - before).std() * len(after) ** 0.5)
         # what is won in all is divided by what is lost without each
@@ -448,9 +466,9 @@ class _Choice:
             blocks=(before, after),
         )
 
-    def _sizes(self) -> Array:
+    def _sizes(self, levels: Levels) -> Array:
         """Log determinants of what whitens the innovations of each block (B,)."""
-        space, at = self._all.space, self._all.at(self._levels)
+        space, at = self._all.space, self._all.at(levels)
         live = space.chunks.counted[..., None]
         rows = at.rows + 0.5 * torch.where(live, at.white, 0.0).square().sum(-1)
         return space.chunks.blocks(torch.stack([rows[a:b].sum(0) for a, b in space.chunks.parts]))

@@ -63,6 +63,7 @@ class Explained:
     Args:
         name: Of the effect.
         system: Physics with it, at the values of one linearised step.
+        begun: The same, at the values that the step begins at.
         nats: Log likelihood of blocks left out, beyond that of the physics without it [nats].
         error: Its standard error, from the scatter over blocks [nats].
         rank: `nats` less the price of its parameters.
@@ -74,6 +75,7 @@ class Explained:
 
     name: str
     system: System
+    begun: System
     nats: float
     error: float
     rank: float
@@ -264,11 +266,24 @@ class _JointSearch:
         accepted = [p for p in proposals if _accepted(self._search, p)]
         added = self._added(place.system)
         for proposal in _in_order(self._search, table, accepted, added)[:_TRIED]:
-            there = self._fitted(proposal.system, place)
-            risen = there.best.likelihood - place.best.likelihood
-            if risen > max(self._search.decisions.least_nats, _RISES * proposal.nats):
+            there = self._fitted_as_promised(proposal, place, place)
+            if self._holds(proposal, there, place):
                 return there
         return None
+
+    def _holds(self, proposal: Explained, there: _Place, without: _Place) -> bool:
+        """Whether the likelihood rose as a linearised step promised."""
+        risen = there.best.likelihood - without.best.likelihood
+        return risen > max(self._search.decisions.least_nats, _RISES * proposal.nats)
+
+    def _fitted_as_promised(self, proposal: Explained, like: _Place, without: _Place) -> _Place:
+        """A candidate fitted from where its linearised step ends, or else from where that begins."""
+        there = self._fitted(proposal.system, like)
+        if self._holds(proposal, there, without):
+            return there
+        # an undeclared delay makes a gain of 0, beside which a step of the delay goes anywhere
+        # (test_a_delay_is_selected_whose_lack_hides_the_gain_of_the_input)
+        return self._fitted(proposal.begun, like)
 
     def _looked_at_again(self, place: _Place) -> tuple[_Place, dict[str, Selected]]:
         """Each effect again beside the others: what is likelier replaces it, what is as likely is a tie."""
@@ -313,7 +328,7 @@ class _JointSearch:
         alike: list[str] = []
         best: tuple[float, _Place] | None = None
         for rival in rivals[:_RIVALS]:
-            there = self._fitted(rival.system, place)
+            there = self._fitted_as_promised(rival, place, without)
             gained = _compared(self._search, name, rival.name, place, there)
             if gained > 0 and (best is None or gained > best[0]):
                 best = gained, there
@@ -632,6 +647,7 @@ def _proposed(
     return Explained(
         entry.name,
         system,
+        entry.system,
         nats,
         sum_error(blocks),
         rank,

@@ -112,7 +112,7 @@ def _told_by(regression: Regression, tests: Sequence[Dependence], variables: Reg
     names = [regression.physics.names[c] for c in regression.rows]
     out: list[str] = []
     for d in sorted(tests, key=lambda d: -d.excess):
-        if not d.everywhere or d.moment is not None or d.variable in ("time", "run"):
+        if not d.of_a_variable:
             continue
         plain = plain_name(d.variable)
         pair = product_of(regression, names.index(d.channel), plain, variables)

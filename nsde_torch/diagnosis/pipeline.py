@@ -257,7 +257,9 @@ def searched(log: Log, search: Search, before: Outcome | None = None) -> Outcome
     outcome = decide(search, chosen, kept, log.feedback)
     log.so_far(TESTS, log, outcome)
     near, missing = at if joint is None else joint.at, True
-    if joint is not None and not outcome.structured and not any(s.law for s in joint.selected.values()):
+    # no law explains what one moment or one run has: a play that begins at another place in each run
+    lawful = any(d.of_a_variable for d in outcome.structured)
+    if joint is not None and not lawful and not any(s.law for s in joint.selected.values()):
         # functions may explain what no test of one variable shows (q^2 q_dot, test_laws_that_noise_learns.py)
         outcome = log.stages.attempt(
             LAWS, partial(with_functions, search, kept.final, outcome, near), outcome
@@ -268,7 +270,7 @@ def searched(log: Log, search: Search, before: Outcome | None = None) -> Outcome
         after = log.stages.attempt(
             LAWS, lambda: with_laws(search, chosen, kept, outcome, log.feedback, joint, near), outcome
         )
-    same = not outcome.structured and [f.name for f in after.found] == [f.name for f in outcome.found]
+    same = [f.name for f in after.found] == [f.name for f in outcome.found]
     return replace(after, declared_optimum=at, joint=joint if same else None)
 
 

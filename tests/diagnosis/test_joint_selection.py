@@ -15,7 +15,7 @@ from nsde_torch.diagnosis.options import Options
 from nsde_torch.diagnosis.search import search_in
 from nsde_torch.inference import LogLikelihood
 from nsde_torch.systems import make_system
-from tests.inference.springs import rubbing, small_runs
+from tests.inference.springs import linear_runs, rubbing, small_runs
 
 STRIBECK = {"k": 5.06, "b": 0.5, "g": 1.0}
 """Beside these values a Stribeck friction without a dry part explains dry and quadratic friction nearly as well."""
@@ -63,6 +63,17 @@ def test_two_frictions_of_one_speed_are_both_selected_with_their_sizes() -> None
         value, error = known[name]
         assert value == pytest.approx(true, abs=3.0 * error)
         assert error < 0.2 * true
+
+
+def test_a_delay_is_selected_whose_lack_hides_the_gain_of_the_input() -> None:
+    late = 13  # rows; forces of ten rows each are white from there
+    runs = [Run(r.name, r.t[:-late], r.x[:-late], r.u[late:]) for r in linear_runs(4, 8.0, seed=1)]
+    found = selected(runs)
+    assert found is not None
+    assert set(found.selected) == {"input_delay"}
+    known = dict(zip(found.best.vector.labels, found.best.theta, strict=True))
+    assert known["input_delay.delay"] == pytest.approx(late * 0.02, abs=0.002)
+    assert known["force_gain"] == pytest.approx(1.3, rel=0.03)
 
 
 def test_states_that_were_smoothed_are_left_to_the_regression() -> None:

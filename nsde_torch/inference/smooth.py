@@ -1,4 +1,4 @@
-"""Smooth functions of one variable and of two: polynomials, and Gaussian processes in their reduced rank.
+"""Functions of one variable and of two: polynomials, also of the size, and Gaussian processes in their reduced rank.
 
     f(s) = sum_j w_j sqrt(S(omega_j)) sin(omega_j (s + L)),    omega_j = j pi / 2 L,    S a Matern spectrum
 
@@ -18,12 +18,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
-Kind = Literal["polynomial", "product", "smooth", "fine", "varying", "past"]
+Kind = Literal["polynomial", "signed", "product", "smooth", "fine", "varying", "past"]
 
 _REACH = 1.5  # L, of the half range of the data
 _ONE, _TWO = 12, 5  # waves of one variable, and of each of two
 _FINE, _FINE_LENGTH = 16, 0.2  # waves of each of two where they are fine, and length of their process
 _LENGTH = 1.0  # of the Matern process with nu = 3/2, of the half range
+EXTENDED: tuple[Kind, ...] = ("polynomial", "signed", "product")
+"""Functions that go on beyond the data; waves say nothing of what is there."""
 
 
 @dataclass(frozen=True)
@@ -42,14 +44,18 @@ def functions(
 
     Args:
         of: Its variables: one or two.
-        kind: `polynomial`, `product` of both, `smooth`, `fine`, or `varying`: waves of the first one times the second.
+        kind: `polynomial`, `signed` (the size of one, and its square with its sign), `product` of both, `smooth`,
+            `fine`, or `varying`: waves of the first one times the second.
         values: Values of the variables (n,).
         scaled: Their scales.
     """
-    if kind in ("polynomial", "product"):
+    if kind in EXTENDED:
         plain = [values[name] / scaled[name].size for name in of]
         if kind == "product":
             return np.prod(plain, 0)[:, None]
+        if kind == "signed":
+            size = np.abs(plain[0])
+            return np.stack((size, plain[0] * size), 1)
         if len(plain) == 1:
             return np.stack([plain[0] ** k for k in (1, 2, 3)], 1)
         a, b = plain

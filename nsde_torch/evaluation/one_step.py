@@ -25,7 +25,7 @@ from nsde_torch.inference.steps import steps_of
 from nsde_torch.innovations.disturbances import Disturbance, density, spectrum
 from nsde_torch.innovations.inputs import as_applied
 from nsde_torch.innovations.laws import disturbed_channels
-from nsde_torch.innovations.residuals import Residuals, pushed, residuals
+from nsde_torch.innovations.residuals import Residuals, residuals, with_networks
 from nsde_torch.models.capabilities import is_equation
 from nsde_torch.models.model import Model
 from nsde_torch.models.neural_sde import NeuralSDE
@@ -59,12 +59,12 @@ def one_step(model: Model, runs: Sequence[Run]) -> dict[str, dict[str, Any]] | N
     except (ConfigError, DataError):
         return None
     physics = Physics(vector, steps)
-    left = residuals(physics, vector.inside(vector.start), tuple(system.residual_ports))
-    change = left.change.copy()
     # networks are evaluated in single precision, whatever the model is in
     own = copy.deepcopy(model).cpu().float() if is_equation(model) else None
     if own is not None and own.residual_ports:
-        change[:, left.rows] -= pushed(own, own.residuals, left).T.double().numpy()
+        physics = with_networks(physics, own)
+    left = residuals(physics, vector.inside(vector.start), tuple(system.residual_ports))
+    change = left.change
     window = bump(left.dt)
     physics.estimate_sensors(change)
     laws = _laws(own, left) if own is not None and own.capabilities.is_stochastic else {}

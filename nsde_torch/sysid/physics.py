@@ -26,7 +26,7 @@ channel and forces sideways are others.
 """
 
 import copy
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import cached_property
 from typing import final
 
@@ -38,6 +38,7 @@ from torch import Tensor
 
 from nsde_torch.columns import join_columns, split_columns, take_rows
 from nsde_torch.data.system_info import rate_pairs
+from nsde_torch.effects import Port
 from nsde_torch.inference.memory import memory_along
 from nsde_torch.inference.sizes import data_sizes
 from nsde_torch.inference.steps import Steps
@@ -46,6 +47,7 @@ from nsde_torch.systems import System
 from nsde_torch.systems.parameters import ParameterVector
 
 Array = NDArray[np.float64]
+Forces = Callable[[Tensor], Mapping[Port, Tensor]]
 
 _LEAD = 5  # steps from which a state is foreseen: sensor noise of one step biases, that of older ones hardly
 _SMALL = 1e-7  # of a parameter's scale: slopes by forward differences err by as much
@@ -86,6 +88,23 @@ class Physics:
         self.sensor_std: Array = np.zeros(system.nx)
         self._remembered: tuple[Tensor, tuple[Tensor, ...]] | None = None
         self._foreseen: tuple[Tensor, Tensor] | None = None
+        self._forces: Forces | None = None
+
+    def beside(self, forces: Forces) -> "Physics":
+        """The same with forces that no parameter has: of a state (N, nx), by port (N, width)."""
+        out = copy.copy(self)
+        out._forces, out._foreseen = forces, None
+        return out
+
+    def _drift(self, t: Tensor, z: Tensor, u: Tensor) -> Tensor:
+        """f, with what acts beside it."""
+        system = self.vector.system
+        forces = (
+            None
+            if self._forces is None
+            else self._forces(split_columns(z, system.nx, z.shape[1] - system.nx)[0])
+        )
+        return system.drift(t, z, u, forces)
 
     @cached_property
     def attitude(self) -> Tensor:
@@ -260,7 +279,7 @@ class Physics:
     def _rate(self, t: Tensor, z: Tensor, share: float) -> Tensor:
         """f at measured states, without what noise of `share` of the sensors' variance adds to its mean."""
         u = self.steps.u
-        plain = self.vector.system.drift(t, z, u)
+        plain = self._drift(t, z, u)
         f = self._averaged(plain, t, z, u)
         if not self.curved:
             return f
@@ -281,7 +300,7 @@ class Physics:
 
     def _bend(self, f: Tensor, t: Tensor, z: Tensor, u: Tensor, j: int, by: float) -> Tensor:
         """Second difference of f in one state."""
-        drift, shift = self.vector.system.drift, torch.zeros_like(z)
+        drift, shift = self._drift, torch.zeros_like(z)
         shift[:, j] = by
         return drift(t, z + shift, u) + drift(t, z - shift, u) - 2.0 * f
 
@@ -303,7 +322,7 @@ class Physics:
         self.vector.use(theta)
         system, s = self.vector.system, self.steps
         t = s.t + 0.5 * s.logged_dt
-        return s.dt * self._averaged(system.drift(t, middle, s.u), t, middle, s.u)[:, : system.nx]
+        return s.dt * self._averaged(self._drift(t, middle, s.u), t, middle, s.u)[:, : system.nx]
 
     def _memory_slope(self, theta: Tensor, j: int) -> Tensor:
         """Derivative of the memory in the middle of each step (N, nz - nx) in parameter j."""
@@ -342,8 +361,8 @@ class Physics:
         system, s = self.vector.system, self.steps
         t, u, h = s.t[at], take_rows(s.u, at), share * s.dt
         z = join_columns((x, *(take_rows(part, at) for part in memory[:1])))
-        middle = system.project(z + (0.5 * h) * system.drift(t, z, u))
-        rate = system.drift(t + 0.5 * share * s.logged_dt, middle, u)
+        middle = system.project(z + (0.5 * h) * self._drift(t, z, u))
+        rate = self._drift(t + 0.5 * share * s.logged_dt, middle, u)
         return system.project(x + h * rate[:, : system.nx])
 
     def _middle_attitude(self) -> Tensor:

@@ -42,13 +42,14 @@ from nsde_torch.innovations.residuals import (
     noise_models,
     pushed,
     residuals,
+    with_networks,
 )
 from nsde_torch.models.networks import MLP
 from nsde_torch.models.neural_sde import NeuralSDE, SDESpec
 from nsde_torch.progress import no_bar
 from nsde_torch.sysid.identify import identification
 from nsde_torch.sysid.in_loop import identify_in_loop
-from nsde_torch.sysid.noise import white_noise
+from nsde_torch.sysid.noise import Noise, white_noise
 from nsde_torch.sysid.physics import Physics
 from nsde_torch.sysid.regression import ITERATIONS, Regression, carry_limits
 from nsde_torch.sysid.result import Identification
@@ -168,20 +169,21 @@ class _Fit:
         model, options = self.model, self.task.options
         left = residuals(self.physics, self.theta, model.residual_ports)
         self._standardise(left)
-        learned: Learned | None
-        chosen = self._functions(left)
-        if chosen is not None:
-            learned, left = chosen
-        else:
+        learned = self._functions(left)
+        if learned is None:
             learned = self._networks(left, first=self.found is None)
         if self.found is None:
             left = self._again(left)
             learned = self._networks(left)
-        change = self._left(left)
+            change = self._left(left)
+        else:
+            left = residuals(with_networks(self.physics, model), self.theta, model.residual_ports)
+            change = left.change
         features = model.system.features(left.states.float())
         features = features[torch.linspace(0, len(features) - 1, min(_ROWS, len(features))).round().long()]
         steps = min(_DISTANCE_STEPS, options.steps)
         fit_distance(model, features, loss=self.task.loss, steps=steps, rate=options.lr, seed=self.task.seed)
+        self.size = float(np.mean(np.log([noise.std for noise in self._noises(left, change)])))
         laws = channel_laws(self.physics, left, change, model)
         window = model.spec.horizon * model.spec.dt * self.task.clock
         for column, rate in zip(left.rows.tolist(), self._doubt(left, learned), strict=True):
@@ -211,11 +213,8 @@ class _Fit:
         blind_to_places(self.model)
         self.model.eta.standardise.fit(system.features(states))
 
-    def _functions(self, left: Residuals) -> tuple[Learned, Residuals] | None:
-        """Networks from functions that the likelihood chose, and what the physics beside them leaves.
-
-        None where there is no likelihood to rely on.
-        """
+    def _functions(self, left: Residuals) -> Learned | None:
+        """Networks from functions that the likelihood chose; None where there is no likelihood to rely on."""
         known = self.identification
         if known is None or known.optimum is None or not left.ports:
             return None
@@ -226,11 +225,7 @@ class _Fit:
         self.variables = made.variables
         self.theta = made.functions.theta
         self.identification = replace(known, values=self.theta)
-        left = residuals(self.physics, self.theta, self.model.residual_ports)
-        change = self._left(left)
-        noises = noise_models(left, change, carry_limits(self.physics, self.theta, 1))
-        self.size = float(np.mean(np.log([noise.std for noise in noises])))
-        return made.learned, left
+        return made.learned
 
     def _again(self, left: Residuals) -> Residuals:
         """Declared parameters beside networks that are all that acts on a port, and what is left without them."""
@@ -258,15 +253,8 @@ class _Fit:
         if first or not bare:
             for network in model.residuals.values():
                 _silence(network)
-        limits = carry_limits(self.physics, self.theta, 1)
         change = left.change if first or not bare else self._left(left)
-        if (
-            self.found is not None and self.found.method != "weak"
-        ):  # smoothed states: no more than a size is known
-            noises = [white_noise(change[:, c], left.series) for c in left.rows]
-        else:
-            noises = noise_models(left, change, limits, first=first)
-        self.size = float(np.mean(np.log([noise.std for noise in noises])))
+        noises = self._noises(left, change, first=first)
         y = model.residual_inputs(model.system.network_features(left.states.float()))
         settings = NetworkSettings(
             steps=task.options.steps,
@@ -298,6 +286,12 @@ class _Fit:
             if not learned.kept[group]:
                 _silence(model.residuals[port.value])
         return learned
+
+    def _noises(self, left: Residuals, change: Array, *, first: bool = False) -> list[Noise]:
+        """Noise models of what is left (N, nx); of smoothed states no more than its size is known."""
+        if self.found is not None and self.found.method != "weak":
+            return [white_noise(change[:, c], left.series) for c in left.rows]
+        return noise_models(left, change, carry_limits(self.physics, self.theta, 1), first=first)
 
     def _decay(self, networks: nn.Module) -> Tensor:
         """A network beside declared physics is kept small; one that is all there is on its port is not."""

@@ -269,7 +269,7 @@ class _JointSearch:
         for proposal in _in_order(self._search, table, accepted, added)[:_TRIED]:
             if best is not None and proposal.nats < risen:
                 continue
-            there = self._fitted_as_promised(proposal, place, place)
+            there = self._fitted_as_promised(proposal, place)
             if not self._holds(proposal, there, place):
                 continue
             if best is None or there.best.likelihood > best.best.likelihood:
@@ -279,19 +279,19 @@ class _JointSearch:
             # it is not what its step promised: a lag in the place of a delay (carts of seed 9002, case 11)
         return best
 
-    def _holds(self, proposal: Explained, there: _Place, without: _Place) -> bool:
+    def _holds(self, proposal: Explained, there: _Place, place: _Place) -> bool:
         """Whether the likelihood rose as a linearised step promised."""
-        risen = there.best.likelihood - without.best.likelihood
+        risen = there.best.likelihood - place.best.likelihood
         return risen > max(self._search.decisions.least_nats, _RISES * proposal.nats)
 
-    def _fitted_as_promised(self, proposal: Explained, like: _Place, without: _Place) -> _Place:
+    def _fitted_as_promised(self, proposal: Explained, place: _Place) -> _Place:
         """A candidate fitted from where its linearised step ends, or else from where that begins."""
-        there = self._fitted(proposal.system, like)
-        if self._holds(proposal, there, without):
+        there = self._fitted(proposal.system, place)
+        if self._holds(proposal, there, place):
             return there
         # an undeclared delay makes a gain of 0, beside which a step of the delay goes anywhere
         # (test_a_delay_is_selected_whose_lack_hides_the_gain_of_the_input)
-        return self._fitted(proposal.begun, like)
+        return self._fitted(proposal.begun, place)
 
     def _looked_at_again(self, place: _Place) -> tuple[_Place, dict[str, Selected]]:
         """Each effect again beside the others: what is likelier replaces it, what is as likely is a tie."""
@@ -336,7 +336,7 @@ class _JointSearch:
         alike: list[str] = []
         best: tuple[float, _Place] | None = None
         for rival in rivals[:_RIVALS]:
-            there = self._fitted_as_promised(rival, place, without)
+            there = self._fitted(rival.system, place)
             gained = _compared(self._search, name, rival.name, place, there)
             if gained > 0 and (best is None or gained > best[0]):
                 best = gained, there
@@ -441,7 +441,7 @@ class _Table:
     def __init__(self, held: Grams, base: Labels, fold: Labels) -> None:
         self._held, self._base = held, base
         self._folds = [np.flatnonzero(fold == f) for f in np.unique(fold)]
-        self._before = self._left_out(self._base, self._reduced(self._base, []))[0]
+        self._before, self._fitted, _ = self._left_out(self._reduced(self._base, []))
         inner = held.total[np.ix_(base, base)]
         self._others = np.linalg.pinv(inner, rcond=_ROUNDING, hermitian=True)
 
@@ -457,9 +457,8 @@ class _Table:
         own = np.array([c for each in columns for c in each[1:]], dtype=np.int64)
         keep = np.concatenate((base, own))
         blocks = self._reduced(keep, [each[0] for each in columns if each[0]])
-        after, fitted, step = self._left_out(keep, blocks)
-        _, before, _ = self._whole
-        return self._before - after, before - fitted, step[len(base) :]
+        after, fitted, step = self._left_out(blocks)
+        return self._before - after, self._fitted - fitted, step[len(base) :]
 
     def left(self, column: int) -> float:
         """Share of the length of a column that the parameters of the physics cannot do already."""
@@ -490,17 +489,14 @@ class _Table:
         turn[1 + count :, 1:] = np.eye(len(keep))
         return np.asarray(turn.T @ blocks @ turn)
 
-    def _left_out(self, keep: Labels, blocks: Array) -> tuple[Array, float, Array]:
+    def _left_out(self, blocks: Array) -> tuple[Array, float, Array]:
         """Half the squares that are left of each block by parameters fitted without its fold, of all, and the step."""
         total, out = blocks.sum(0), np.empty(len(blocks))
         for rows in self._folds:
             step = solved(total - blocks[rows].sum(0))
             out[rows] = half_squares(blocks[rows], step)
         step = solved(total)
-        fitted = float(half_squares(total[None], step)[0])
-        if len(keep) == len(self._base) and (keep == self._base).all():
-            self._whole = out, fitted, step
-        return out, fitted, step
+        return out, float(half_squares(total[None], step)[0]), step
 
 
 @dataclass(frozen=True)

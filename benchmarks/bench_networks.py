@@ -41,9 +41,16 @@ PLANTS: dict[str, tuple[str, dict[str, Any], list[str]]] = {
     "spring: dry friction": ("mass_spring_damper", {"coulomb": {"size": 0.15}}, ["coulomb_friction"]),
     "spring: quadratic damping": ("mass_spring_damper", {"quadratic": {"size": 0.3}}, ["quadratic_damping"]),
     "spring: hardening": ("mass_spring_damper", {"hardening": {"size": 0.8}}, ["cubic_stiffness"]),
+    "spring: damping by place": (
+        "mass_spring_damper",
+        {"damping_by_place": {"size": 0.5}},
+        ["force = c1 q^2 q_dot"],
+    ),
+    "spring: slope": ("mass_spring_damper", {"slope": {"size": 0.4}}, ["force = c1 sin(k1 q)"]),
     "cart: nothing": ("cartpole", {}, []),
     "cart: dry friction": ("cartpole", {"coulomb": {"size": 0.4}}, ["coulomb_friction[cart]"]),
     "cart: quadratic damping": ("cartpole", {"quadratic": {"size": 0.5}}, ["quadratic_damping[cart]"]),
+    "cart: slope": ("cartpole", {"slope": {"size": 0.4}}, ["force = c1 sin(k1 x)"]),
     "hexacopter: nothing": ("hexacopter", {}, []),
     "hexacopter: ground effect": (
         "hexacopter",

@@ -100,6 +100,10 @@ def _rate(machine: Small, y: Array, u: float, white: Array) -> Array:
             own -= e["size"] * np.tanh(v / 0.01)
         elif name == "quadratic":
             own -= e["size"] * abs(v) * v
+        elif name == "damping_by_place":
+            own -= e["size"] * y[0] ** 2 * v
+        elif name == "slope":
+            own -= e["size"] * np.sin(2.0 * y[0])
         else:
             own -= e["size"] * y[0] ** 3
     if machine.system == "mass_spring_damper":

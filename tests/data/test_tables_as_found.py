@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -10,8 +11,11 @@ from scipy.io import savemat
 
 import nsde_torch
 from nsde_torch.data.formats.table import open_table
+from nsde_torch.data.mapping.apply import apply
 from nsde_torch.data.mapping.files import log_files
+from nsde_torch.data.mapping.proposal import propose
 from nsde_torch.errors import DataError
+from tests.helpers.data_systems import MSD, QUADROTOR
 from tests.helpers.leaning import leaning_flight
 
 T = np.arange(40) / 20.0
@@ -168,6 +172,29 @@ def test_a_voltage_is_no_velocity(tmp_path: Path) -> None:
         savemat(tmp_path / f"{name}.mat", {"t": t, "x": q, "v": v})
         found = nsde_torch.inspect(tmp_path / f"{name}.mat", system="mass_spring_damper", physics=False)
         assert ("q_dot: {from: v}" in found.yaml) == (name == "speed")
+
+
+def test_numbered_joints_have_the_columns_of_their_numbers(tmp_path: Path) -> None:
+    arm = replace(MSD, name="arm", state_names=("q1", "q2"), input_names=("tau1", "tau2"), optional_inputs=())
+    arm = replace(arm, position_derivatives=())
+    savemat(
+        tmp_path / "run.mat", {"t": T, "pos_meas2": V, "pos_meas1": Q, "tau_meas2": Q * V, "tau_meas1": F}
+    )
+    found = propose(open_table(tmp_path / "run.mat"), arm)
+    assert found.mapping is not None
+    assert {name: entry.source for name, entry in found.mapping.columns.items()} == {
+        "q1": ("pos_meas1",), "q2": ("pos_meas2",), "tau1": ("tau_meas1",), "tau2": ("tau_meas2",)
+    }  # fmt: skip
+
+
+def test_a_rotor_above_full_is_named_with_full_and_not_called_percent(tmp_path: Path) -> None:
+    run = leaning_flight(12.0)
+    table = {"t": run.t, "p": run.x[:, :3], "v": run.x[:, 3:6], "q": run.x[:, 6:10], "w": run.x[:, 10:]}
+    savemat(tmp_path / "run.mat", {**table, "rotor": 1000.0 * np.sqrt(run.u)})
+    found = nsde_torch.inspect(tmp_path, system="quadrotor", physics=False)
+    assert found.mapping is not None
+    with pytest.raises(DataError, match="`full: 500`"):
+        apply(open_table(tmp_path / "run.mat"), found.mapping.changed("u", full=500.0), QUADROTOR)
 
 
 def test_a_flight_in_a_table_without_names_is_found_by_what_holds_between_columns(tmp_path: Path) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -12,13 +12,14 @@ import numpy as np
 
 from nsde_torch.api.physics_check import REFUSED, check_physics
 from nsde_torch.data.any_log import format_of
+from nsde_torch.data.formats.clock import ClockOf
 from nsde_torch.data.formats.log import StreamLog
 from nsde_torch.data.formats.ulog_topics import open_ulog
 from nsde_torch.data.mapping.apply import apply
 from nsde_torch.data.mapping.checks import LogCheck, checks
 from nsde_torch.data.mapping.files import LogFile, log_files
 from nsde_torch.data.mapping.inputs import full_of_all
-from nsde_torch.data.mapping.mapping import LogMapping, read_mapping, text
+from nsde_torch.data.mapping.mapping import ColumnEntry, LogMapping, read_mapping, targets, text
 from nsde_torch.data.mapping.proposal import Proposal, propose
 from nsde_torch.data.places import files_of, log_place
 from nsde_torch.data.raw import RawRun
@@ -70,7 +71,7 @@ class Inspection:
         runs: Names of the runs.
         columns: What is in the first.
         system: Name of the system.
-        mapping: What the columns mean; None where too little was recognised, or where the format needs none.
+        mapping: What the columns mean, with an empty entry for what is missing; None where the format needs none.
         native: Whether the reader needs no mapping.
         missing: What was not found.
         open: What else the columns could be.
@@ -197,8 +198,8 @@ def _mapped(
     log = files[0].open(given.time if given else None)
     guessed = machine or system_options(given.system if given and given.system else guess_system(log)).make()
     found = Proposal(given) if given else propose(log, guessed, kind=files[0].kind)
-    if found.mapping is not None and given is None:
-        found.mapping = full_of_all(found.mapping, files)
+    if given is None:
+        found.mapping = full_of_all(_with_blanks(found.mapping, guessed, files[0].kind, log), files)
     out = Inspection(
         str(path), files[0].kind, [file.name for file in files], rows_of(log), guessed.name, found.mapping,
         missing=found.missing, open=found.open, notes=[*log.notes, *found.notes],
@@ -207,10 +208,22 @@ def _mapped(
         out.notes.insert(
             0, f"the system is taken for {guessed.name!r}, by what is logged (`system=` says another)"
         )
-    if found.mapping is None or found.missing:
+    if found.missing:
         return out
     _check(out, files, log, guessed, physics=physics, fixed=given is not None)
     return out
+
+
+def _with_blanks(mapping: LogMapping | None, machine: System, kind: str, log: StreamLog) -> LogMapping:
+    """A proposal with an empty entry for what was not found: what is left to fill in, in its place."""
+    mapping = mapping or LogMapping({}, machine.name, kind, log.clock or ClockOf())
+    rates = {rate for _, rate, _ in machine.position_derivatives} if machine.quaternion is None else set()
+    there = {name for key in mapping.columns for name in targets(machine, key)}
+    own = (*machine.state_names, *machine.input_names, *machine.exogenous)
+    left = [n for n in own if n not in {*there, *rates, *machine.optional_inputs}]
+    if machine.quaternion is not None:  # groups, as `p` for `p_x p_y p_z`
+        left = list(dict.fromkeys(name.partition("_")[0] for name in left))
+    return replace(mapping, columns={**mapping.columns, **{name: ColumnEntry(()) for name in left}})
 
 
 def _check(

@@ -126,7 +126,7 @@ def check_range(inputs: Array, names: Sequence[str], where: str) -> None:
                 guess = "this looks like pulse widths in microseconds: write (pwm - 1000) / 1000"
             elif high > 110:
                 guess = "speeds of rotors and other units are read through a mapping, which `nsde inspect` proposes"
-            elif 1.05 < high <= 110:
+            elif 10 < high <= 110:
                 guess = "this looks like percent: divide by 100"
             raise DataError(
                 f"{where}: motor command {name!r} runs from {low:.4g} to {high:.4g}; expected 0 to 1; "

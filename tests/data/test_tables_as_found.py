@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +11,12 @@ from scipy.io import savemat
 
 import nsde_torch
 from nsde_torch.data.formats.table import open_table
+from nsde_torch.data.mapping.apply import apply
+from nsde_torch.data.mapping.files import log_files
+from nsde_torch.data.mapping.proposal import propose
 from nsde_torch.errors import DataError
+from tests.helpers.data_systems import MSD, QUADROTOR
+from tests.helpers.leaning import leaning_flight
 
 T = np.arange(40) / 20.0
 Q, V, F = np.sin(T), np.cos(T), np.sin(3.0 * T)
@@ -52,7 +58,7 @@ def test_a_table_without_a_header_has_numbers_of_columns(tmp_path: Path) -> None
     assert found.usable
     assert "time: {from: column_1, unit: s}" in found.yaml
     assert "q_dot: {from: column_3}" in found.yaml
-    assert "in this order" in found.open[0]
+    assert "the table has no names" in found.open[0]
     (tmp_path / "mapping.yaml").write_text(found.yaml, encoding="utf-8")
     run = nsde_torch.read(tmp_path, system="mass_spring_damper").runs[0]
     assert np.allclose(run.x, np.column_stack([Q, V]))
@@ -138,3 +144,77 @@ def test_objects_of_matlab_are_refused_with_what_to_save(
     monkeypatch.setattr("scipy.io.whosmat", lambda path: [("logsout", (1, 1), "opaque")])
     with pytest.raises(DataError, match=r"logsout.*Structure With Time"):
         open_table(tmp_path / "out.mat")
+
+
+def test_runs_of_which_some_logged_more_are_no_streams_of_one_run(tmp_path: Path) -> None:
+    (tmp_path / "run_1.csv").write_text("\n".join([NAMES, *ROWS]), encoding="utf-8")
+    more = [f"{NAMES},q_des", *(f"{row},0.0" for row in ROWS)]
+    (tmp_path / "run_2.csv").write_text("\n".join(more), encoding="utf-8")
+    assert [file.name for file in log_files("table", tmp_path)] == ["run_1", "run_2"]
+    (tmp_path / "run_2.csv").rename(tmp_path / "setpoints.csv")
+    assert [file.path for file in log_files("table", tmp_path)] == [tmp_path]
+
+
+def test_an_array_among_others_has_its_clock_in_front_and_what_is_missing_is_left_blank(
+    tmp_path: Path,
+) -> None:
+    savemat(tmp_path / "run.mat", {"gain": 2.0, "other": F, "data": np.column_stack([T, Q, V])})
+    found = nsde_torch.inspect(tmp_path, system="mass_spring_damper", physics=False)
+    assert "time: {from: 'data[0]', unit: s}" in found.yaml
+    assert "q: {from: []}" in found.yaml
+    assert not found.usable
+
+
+def test_a_voltage_is_no_velocity(tmp_path: Path) -> None:
+    t = np.arange(400) / 50.0
+    q, speed, voltage = np.sin(t), np.cos(t), np.sign(np.sin(5.0 * t))
+    for name, v in {"voltage": voltage, "speed": speed}.items():
+        savemat(tmp_path / f"{name}.mat", {"t": t, "x": q, "v": v})
+        found = nsde_torch.inspect(tmp_path / f"{name}.mat", system="mass_spring_damper", physics=False)
+        assert ("q_dot: {from: v}" in found.yaml) == (name == "speed")
+
+
+def test_numbered_joints_have_the_columns_of_their_numbers(tmp_path: Path) -> None:
+    arm = replace(MSD, name="arm", state_names=("q1", "q2"), input_names=("tau1", "tau2"), optional_inputs=())
+    arm = replace(arm, position_derivatives=())
+    savemat(
+        tmp_path / "run.mat", {"t": T, "pos_meas2": V, "pos_meas1": Q, "tau_meas2": Q * V, "tau_meas1": F}
+    )
+    found = propose(open_table(tmp_path / "run.mat"), arm)
+    assert found.mapping is not None
+    assert {name: entry.source for name, entry in found.mapping.columns.items()} == {
+        "q1": ("pos_meas1",), "q2": ("pos_meas2",), "tau1": ("tau_meas1",), "tau2": ("tau_meas2",)
+    }  # fmt: skip
+
+
+def test_a_rotor_above_full_is_named_with_full_and_not_called_percent(tmp_path: Path) -> None:
+    run = leaning_flight(12.0)
+    table = {"t": run.t, "p": run.x[:, :3], "v": run.x[:, 3:6], "q": run.x[:, 6:10], "w": run.x[:, 10:]}
+    savemat(tmp_path / "run.mat", {**table, "rotor": 1000.0 * np.sqrt(run.u)})
+    found = nsde_torch.inspect(tmp_path, system="quadrotor", physics=False)
+    assert found.mapping is not None
+    with pytest.raises(DataError, match="`full: 500`"):
+        apply(open_table(tmp_path / "run.mat"), found.mapping.changed("u", full=500.0), QUADROTOR)
+
+
+def test_a_flight_in_a_table_without_names_is_found_by_what_holds_between_columns(tmp_path: Path) -> None:
+    run = leaning_flight(12.0)
+    x, u = run.x, run.u
+    noise = np.random.default_rng(0).normal(size=(len(x), 3))
+    columns = [
+        run.t[:, None],
+        noise,
+        x[:, 10:13],
+        x[:, [7, 8, 9, 6]],
+        x[:, 3:6],
+        x[:, :3],
+        30.0 * np.sqrt(u),
+    ]
+    savemat(tmp_path / "flight.mat", {"flight": np.hstack(columns)})
+    found = nsde_torch.inspect(tmp_path, system="quadrotor", physics=False)
+    assert not found.missing
+    assert "p: {from: [column_15, column_16, column_17]}" in found.yaml
+    assert "v: {from: [column_12, column_13, column_14], axes: world}" in found.yaml
+    assert "q: {from: [column_8, column_9, column_10, column_11], order: xyzw}" in found.yaml
+    assert "w: {from: [column_5, column_6, column_7], unit: rad/s}" in found.yaml
+    assert "u: {from: [column_18, column_19, column_20, column_21]" in found.yaml

@@ -71,10 +71,17 @@ def found(fields: Mapping[str, Array], clock: ClockOf) -> ClockOf | None:
     column = (
         given if given in fields else clock.source if clock.source in fields else time_column(list(fields))
     )
-    first = f"{UNNAMED}1"
-    if column is None and first in fields and (np.diff(fields[first]) > 0).all():
-        column = first  # of a table without names, times are what is usually in front and increases
+    if column is None:  # of a table without names, times are what is usually in front and increases
+        first = [name for name in fields if name == f"{UNNAMED}1" or name.endswith("[0]")]
+        column = next((name for name in first if _ticks(name, fields[name])), None)
     return None if column is None else ClockOf(column, clock.unit or unit_of(column, fields[column]))
+
+
+def _ticks(name: str, values: Array) -> bool:
+    """Whether a column without a name is a clock: it increases, and in even steps where it is one of an array."""
+    steps = np.diff(values)
+    even = name.startswith(UNNAMED) or bool(np.ptp(steps) < 0.1 * np.median(steps))
+    return bool((steps > 0).all()) and even
 
 
 def timed(name: str, fields: dict[str, Array], clock: ClockOf, *, source: str) -> Stream:

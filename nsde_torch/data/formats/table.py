@@ -7,6 +7,7 @@ groups). An array (n, k) has the columns `name[0]` to `name[k-1]`; one alone in 
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from typing import Any
 
@@ -134,6 +135,13 @@ def _upright(value: NDArray[Any], lengths: list[int]) -> NDArray[Any] | None:
     return value if value.shape[1] <= _WIDEST else None
 
 
-def same_columns(files: list[Path]) -> bool:
-    """Whether files of text have one header, so that each of them is a run."""
-    return len({tuple(header(file)) for file in files}) == 1
+def are_runs(files: list[Path]) -> bool:
+    """Whether files of text are a run each, and not streams of one run.
+
+    Runs have one header; where a recorder logged more in some of them, most columns are shared and the names of the
+    files differ by their numbers alone. Streams measure different things under names of their own.
+    """
+    headers = [set(header(file)) for file in files]
+    alike = len({re.sub(r"\d+", "", file.stem) for file in files}) == 1
+    shared = len(set.intersection(*headers)) / max(map(len, headers))
+    return all(one == headers[0] for one in headers) or (alike and shared > 0.5)

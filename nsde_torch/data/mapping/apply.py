@@ -271,6 +271,12 @@ class _Applied:
             values = (values - entry.low) / (entry.high - entry.low)
             values = np.clip(values, 0.0, 1.0)
         elif entry.full is not None:
+            most = float(np.nanmax(values, initial=0.0))
+            if most > 1.02 * entry.full:  # a square of 1.05, which is refused
+                raise DataError(
+                    f"{self.log.source}: a rotor turns at {most:.6g}, above the `full: {entry.full:g}` of the mapping; "
+                    "write a `full` above the greatest speed of all runs."
+                )
             values = np.square(values / entry.full)
         elif entry.unit is not None:
             for place, column in enumerate(self.names[name]):

@@ -11,7 +11,7 @@ from typing import Any, cast
 from nsde_torch.data.formats.betaflight import logs_of
 from nsde_torch.data.formats.clock import ClockOf
 from nsde_torch.data.formats.log import StreamLog
-from nsde_torch.data.formats.table import TEXT, same_columns
+from nsde_torch.data.formats.table import TEXT, are_runs
 from nsde_torch.data.places import entries, files_of, log_place
 from nsde_torch.data.readers import READERS
 from nsde_torch.errors import ConfigError, DataError
@@ -99,7 +99,7 @@ def _inside(folder: Path, suffixes: Sequence[str], kind: str) -> list[Path]:
     if kind != "table":
         return files
     text = [p for p in files if p.suffix.lower() in TEXT]
-    if len(text) > 1 and len(text) == len(files) and not same_columns(text):
+    if len(text) > 1 and len(text) == len(files) and not are_runs(text):
         return [folder]  # streams of one run
     if not files:
         return [p for p in folders if any(q.suffix.lower() in suffixes for q in p.iterdir())]

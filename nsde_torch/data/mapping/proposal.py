@@ -12,8 +12,9 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from nsde_torch.data.formats.clock import UNNAMED, ClockOf
+from nsde_torch.data.formats.clock import ClockOf
 from nsde_torch.data.formats.log import StreamLog
+from nsde_torch.data.mapping import nameless
 from nsde_torch.data.mapping import names as kinds
 from nsde_torch.data.mapping.inputs import propose_inputs
 from nsde_torch.data.mapping.kinematic import (
@@ -65,7 +66,7 @@ def propose(log: StreamLog, system: SystemInfo, *, kind: str = "") -> Proposal:
         system: The machine.
         kind: The reader, which the mapping names.
     """
-    unnamed = _in_order(log, system, kind)
+    unnamed = _nameless(log, system, kind)
     if unnamed is not None:
         return unnamed
     if system.quaternion is None:
@@ -80,23 +81,21 @@ def propose(log: StreamLog, system: SystemInfo, *, kind: str = "") -> Proposal:
     return _Vehicle(log, system, kind).proposal()
 
 
-def _in_order(log: StreamLog, system: SystemInfo, kind: str) -> Proposal | None:
-    """A table without names as if its columns were those of the system in their order, for checks to judge."""
-    columns = [column for stream in log.streams for column in stream.fields]
-    names = (*system.state_names, *system.input_names)
-    if len(log.streams) != 1 or len(columns) < len(names) or not columns[0].startswith(UNNAMED):
+def _nameless(log: StreamLog, system: SystemInfo, kind: str) -> Proposal | None:
+    """A table without names as if its columns had those of the system, for checks to judge."""
+    called = nameless.called(log, system)
+    if called is None:
         return None
     stream = log.streams[0]
-    called = dict(zip(columns, names, strict=False))
-    fields = {called.get(column, column): values for column, values in stream.fields.items()}
+    fields = {name: stream.fields[column] for column, name in called.items()}
     found = propose(replace(log, streams=[replace(stream, fields=fields)]), system, kind=kind)
     if found.mapping is not None:
-        own = dict(zip(names, columns, strict=False))
+        own = {name: column for column, name in called.items()}
         entries = found.mapping.columns.items()
         taken = {n: replace(e, source=tuple(own.get(s, s) for s in e.source)) for n, e in entries}
         found.mapping = replace(found.mapping, columns=taken)
         found.open.append(
-            f"the table has no names: its columns are taken for {', '.join(names)}, in this order"
+            "the table has no names: what its columns are is a guess by what holds between them"
         )
     return found
 

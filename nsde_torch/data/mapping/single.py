@@ -7,7 +7,10 @@ import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
+import numpy as np
+
 from nsde_torch.data.formats.log import StreamLog, full
+from nsde_torch.data.mapping.kinematic import INTERVAL_S
 from nsde_torch.data.mapping.mapping import ColumnEntry, targets
 from nsde_torch.data.mapping.names import bare, is_measured
 from nsde_torch.data.streams import moving
@@ -58,8 +61,9 @@ _INPUTS = {
     "vir",
     "motor",
 }
-_MEASURED = re.compile(r"_(meas|measured|act|actual|filt|filtered|enc|encoder)$")
-_COMMANDED = re.compile(r"_(cmd|command|commanded)$")
+_FEWEST = 10  # movements that tell a rate
+_MEASURED = re.compile(r"_(meas|measured|act|actual|filt|filtered|enc|encoder)(?=\d*$)")
+_COMMANDED = re.compile(r"_(cmd|command|commanded)(?=\d*$)")
 
 
 @dataclass
@@ -98,11 +102,18 @@ def propose_single(
             free[full(stream, column)] = (name, stream.units.get(column) or unit)
             if not moving(values[:, None])[0]:
                 still.add(full(stream, column))
+    names_of = list(free)
     rates = {rate: position for position, rate, _ in system.position_derivatives}
     for wanted in (*system.state_names, *system.input_names, *system.exogenous):
         if wanted in given:
             continue
         found = _named(wanted, free, still, system, rates)
+        if wanted in rates:  # `v` may be a voltage: a rate of another name is one by its position
+            place = out.columns.get(rates[wanted])
+            same = [key for key in found if _squeezed(free[key][0]) == _squeezed(wanted)]
+            found = same or [
+                key for key in found if place is not None and _follows(log, place.source[0], key)
+            ]
         if len(found) == 1:
             name = found[0]
             unit = free.pop(name)[1]
@@ -112,11 +123,11 @@ def propose_single(
             out.columns[wanted] = ColumnEntry((found[0],), unit=free.pop(found[0])[1])
         elif wanted not in rates and wanted not in system.optional_inputs:
             asked = [key for key, (name, _) in free.items() if not is_measured(name)]
-            more = (
-                f" (taken for setpoints: {', '.join(asked)})"
-                if asked and wanted in system.state_names
-                else ""
-            )
+            more = ""
+            if asked and wanted in system.state_names:
+                more = f" (taken for setpoints: {', '.join(asked)})"
+            elif wanted in system.input_names and names_of:
+                more = f" (where nothing drove it, any column times 0: `{wanted}: {{from: {names_of[0]}, scale: 0}}`)"
             out.missing.append(f"a column for {wanted}{more}")
         elif wanted in system.optional_inputs and (left := [key for key in free if key not in still]):
             out.notes.append(
@@ -137,24 +148,48 @@ def _named(
     same = [key for key, name in plain.items() if name == _squeezed(wanted)]
     if same:
         return same
-    said = _COMMANDED if wanted in system.input_names else _MEASURED
-    plain = {key: _squeezed(said.sub("", name.lower())) for key, (name, _) in free.items()}
+    plain = {key: _MEASURED.sub("", name.lower()) for key, (name, _) in free.items()}
+    if wanted in system.input_names:
+        plain = {key: _COMMANDED.sub("", name) for key, name in plain.items()}
+    plain = {key: _squeezed(name) for key, name in plain.items()}
     plain = {key: name for key, name in plain.items() if key not in still}
     if wanted in system.state_names:  # a setpoint is no state, however much it is called like one
         plain = {key: name for key, name in plain.items() if is_measured(free[key][0])}
     positions = [n for n in system.state_names if n not in rates]
-    words = set()
-    if len(positions) == 1 and wanted in rates:
-        words = _RATES
-    elif len(positions) == 1 and wanted in positions:
-        words = _POSITIONS
-    elif len(system.input_names) == 1 and wanted in system.input_names:
-        words = _INPUTS
-    alike = [key for key, name in plain.items() if name in words or name == _squeezed(wanted)]
+    words = _RATES if wanted in rates else _POSITIONS if wanted in positions else _INPUTS
+    several = len(system.input_names if words is _INPUTS else positions) > 1
+    number = re.sub(r"\D", "", wanted)
+    if several and not number:  # of joints without numbers nothing says which is which
+        words = set()
+    alike = [key for key, name in plain.items() if name in words and not several]
+    alike = alike or [
+        key for key, name in plain.items() if _of_joint(name, words, number if several else None)
+    ]
     if alike:
         return alike
     near = difflib.get_close_matches(_squeezed(wanted), list(plain.values()), n=1, cutoff=0.8)
     return [key for key, name in plain.items() if near and name == near[0]]
+
+
+def _of_joint(name: str, words: set[str], number: str | None) -> bool:
+    """Whether a name is one of some words and a number; None: any number."""
+    stem = name.rstrip("0123456789")
+    return stem in words and (number is None or name[len(stem) :] == number)
+
+
+def _follows(log: StreamLog, position: str, rate: str) -> bool:
+    """Whether a column is the rate of another, in whatever units, by the movement over 0.25 s; True where none says."""
+    (one, p), (other, v) = log.find(position), log.find(rate)
+    if one is not other or not one.timed:
+        return True
+    every = max(1, round(INTERVAL_S * one.rate))
+    good = np.isfinite(one.fields[p] + one.fields[v])
+    place, speed = one.fields[p][good], one.fields[v][good]
+    moved = np.diff(place[::every])
+    told = np.diff(np.cumsum(speed)[::every])
+    if len(moved) < _FEWEST or not np.ptp(moved) or not np.ptp(told):
+        return True
+    return bool(np.corrcoef(moved, told)[0, 1] ** 2 > 0.9)
 
 
 def _squeezed(name: str) -> str:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import textwrap
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +14,7 @@ from .schemas.choices import CHOICES
 
 WIDTH = 100
 _COLUMN = 38
+_SCREEN = 50  # lines of help that are shown at once
 
 
 def describe(command: str, words: Sequence[str]) -> str:
@@ -21,8 +22,19 @@ def describe(command: str, words: Sequence[str]) -> str:
 
     Args:
         command: Name of the command.
-        words: The rest of the command line; `data=csv` among them shows the keys of that choice.
+        words: The rest of the command line; `data=csv` among them shows the keys of that choice, and `all` those of
+            groups where they do not fit a screen.
     """
+    lines = _described(command, words, left_out=())
+    if "all" not in words and len(lines) > _SCREEN:
+        extra, chosen = groups.config_dir(words), groups.selected(command, words)
+        inside = {e.path.split(".")[0]: None for e in groups.keys(command, chosen, extra) if "." in e.path}
+        named = {word.partition("=")[0] for word in words}
+        lines = _described(command, words, left_out=[name for name in inside if name not in named])
+    return "\n".join(lines)
+
+
+def _described(command: str, words: Sequence[str], *, left_out: Collection[str]) -> list[str]:
     extra, summary = groups.config_dir(words), hydra_command(command).help
     chosen = groups.selected(command, words)
     lines = [
@@ -37,13 +49,16 @@ def describe(command: str, words: Sequence[str]) -> str:
     section = None
     for entry in groups.keys(command, chosen, extra):
         name = entry.path.split(".")[0] if "." in entry.path else ""
+        if name in left_out:
+            continue
         if name != section:
             of = f"{name}={chosen[name]}" if chosen.get(name, groups.NOTHING) != groups.NOTHING else name
             lines += [*_others(section, chosen), "", f"Keys of {of}" if name else "Keys"]
             section = name
         lines += _key_lines(entry)
-    lines += [*_others(section, chosen), "", *_usage(command)]
-    return "\n".join(lines)
+    lines += _others(section, chosen)
+    lines += ["", f"`--help all` has the keys of {', '.join(left_out)} too"] if left_out else []
+    return [*lines, "", *_usage(command)]
 
 
 def value_text(value: Any) -> str:

@@ -26,18 +26,13 @@ _TRACEBACK = "NSDE_TRACEBACK"
 # Hydra's own folders with the keys of ours that set them, and its names of what lies inside.
 _HYDRA_FOLDERS = {"hydra.run.dir": "run_dir or out_dir", "hydra.sweep.dir": "sweep_dir"}
 _HYDRA_NAMES = ("hydra.output_subdir", "hydra.sweep.subdir", "hydra.job.name")
-# Hydra's options that are followed by a value.
+# Hydra's options that are followed by a value, and their long names.
 _WITH_VALUE = {
-    "--config-dir",
-    "-cd",
-    "--config-name",
-    "-cn",
-    "--cfg",
-    "-c",
-    "--package",
-    "-p",
-    "--info",
-    "-i",
+    "-cd": "--config-dir",
+    "-cn": "--config-name",
+    "-c": "--cfg",
+    "-p": "--package",
+    "-i": "--info",
 }
 
 
@@ -288,17 +283,18 @@ def _opened(word: str, command: str) -> str:
 
 
 def _options_first(words: Sequence[str]) -> list[str]:
-    """Options before overrides: Hydra's parser does not take `seed=1 --config-dir DIR system=mine`."""
+    """Options before overrides, with their values: Hydra's parser does not take `seed=1 -cd DIR` or `-cd -DIR`."""
     options: list[str] = []
     overrides: list[str] = []
     rest = iter(words)
     for word in rest:
+        name = _WITH_VALUE.get(word, word)
         if not word.startswith("-"):
             overrides.append(word)
-            continue
-        options.append(word)
-        if word in _WITH_VALUE:
-            options += [value for value in [next(rest, None)] if value is not None]
+        elif name in _WITH_VALUE.values() and (value := next(rest, None)) is not None:
+            options.append(f"{name}={value}")
+        else:
+            options.append(word)
     return [*options, *overrides]
 
 

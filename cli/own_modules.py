@@ -40,13 +40,12 @@ def own_system(system: str, config_dir: Path | None) -> str:
     Raises:
         ConfigError: The file names no class.
     """
-    file = None if config_dir is None else config_dir / "system" / f"{system}.yaml"
-    if file is None or not file.is_file():
+    if config_dir is None or not (file := config_dir / "system" / f"{system}.yaml").is_file():
         return system
-    content = groups.read_yaml(file)
-    name = content.get("name") if isinstance(content, dict) else None
+    groups.check_own_files(config_dir, {"system": system})
+    name = groups.choice_values("system", system, config_dir).get("name")
     if not isinstance(name, str):
-        raise ConfigError(f"{file} must hold `name: module:Class`.")
+        raise ConfigError(f"{file} must hold `name: module:Class`, or `defaults: [SYSTEM, _self_]`.")
     return name
 
 

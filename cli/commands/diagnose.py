@@ -41,6 +41,7 @@ class DiagnoseConfig:
     )
     rehearsals: int = key(3, "logs of the machine that was found, with rehearse=true", low=1)
     max_minutes: float | None = of(Options, "max_minutes")
+    verbose: bool = key(False, "print all that the report says, tables and the summary of the data too")
     resume: str | None = key(
         None,
         "folder of a diagnosis that did not come to its end, to go on with what it had selected, with its "
@@ -98,7 +99,7 @@ def run(config: DictConfig, job: Job) -> None:
     import nsde_torch
     from nsde_torch.diagnosis.candidates import check_candidates
     from nsde_torch.diagnosis.files import EFFECTS, PLOTS, REPORT, RESULT, DiagnosisFiles
-    from nsde_torch.diagnosis.text import lines
+    from nsde_torch.diagnosis.text import lines, short_lines
 
     from .. import build, effects_file
     from ..quoted import as_typed
@@ -110,7 +111,7 @@ def run(config: DictConfig, job: Job) -> None:
     system = machine.make()
     check_candidates(system, config.candidates or ())
     data = build.dataset(config.data, system)
-    print(data.summary, flush=True)
+    print(data.summary if config.verbose else data.summary.short, flush=True)
     note = f"found by nsde diagnose; use it with: {_training(config, job)}"
     files = DiagnosisFiles(job.run_dir, system=config.system.name, note=note)
     found = nsde_torch.diagnose(
@@ -130,7 +131,8 @@ def run(config: DictConfig, job: Job) -> None:
     )
     content = files.write(found)
     print()
-    print("\n".join(lines(content, as_typed(paths={"resume": job.run_dir}))), flush=True)
+    told = lines if config.verbose else short_lines
+    print("\n".join(told(content, as_typed(paths={"resume": job.run_dir}))), flush=True)
     if found.so_far is not None:
         if found.so_far.after_min is None:
             raise KeyboardInterrupt
@@ -142,6 +144,8 @@ def run(config: DictConfig, job: Job) -> None:
         raise EndedError(message, INTERRUPTED) from None
     wrote = [RESULT, REPORT, f"{PLOTS}/", EFFECTS, *([f"{MODEL}/"] if "model" in content else [])]
     print(f"\ntook {time.perf_counter() - started:.0f} s; wrote {job.run_dir}: {', '.join(wrote)}")
+    if not config.verbose:
+        print(f"{job.run_dir / REPORT} has all of it, and so does verbose=true")
 
 
 def _follow(config: DictConfig, job: Job, found: Diagnosis, content: dict[str, Any]) -> None:

@@ -44,8 +44,7 @@ def _finding(
     finding: Mapping[str, Any], content: Mapping[str, Any], plots: Collection[str]
 ) -> dict[str, Any]:
     from nsde_torch.diagnosis.files import picture_file
-    from nsde_torch.diagnosis.text import chance, interval, without_it
-    from nsde_torch.evaluation.report import number
+    from nsde_torch.diagnosis.text import chance, interval, valued, without_it
 
     name, worth = finding["name"], without_it(finding, content)
     picture = picture_file(f"effect_{name}")
@@ -61,7 +60,7 @@ def _finding(
         "parameters": [
             {
                 "name": key.partition(".")[2],
-                "value": number(p["value"]),
+                "value": valued(p),
                 "interval": interval(p["interval_90"], p["bound"]),
                 "unit": "" if p["unit"] == "1" else p["unit"],
             }

@@ -23,6 +23,8 @@ from nsde_torch.threads import one_thread
 _PART_S = 30.0  # of the runs, on which numberings are compared
 _ITERATIONS = 4
 _NAME = "signs of the physics"
+_DOUBTS = ("constant_state", "same_runs")
+"""Findings of reading that are mended before anything is trained."""
 REFUSED = "mend what reading refuses (`checks` above)"
 """The remedy of a check that is a refusal."""
 
@@ -67,7 +69,11 @@ def check_physics(
         out.checks.append(LogCheck("checks of all data", False, str(error), REFUSED))
         return out
     said = (FRAMES, "log")  # by a check, and by the notes of the log
-    out.notes += [f"reading finds: {one}" for one in data.summary.findings if one.kind not in said]
+    for one in data.summary.findings:
+        if one.kind in _DOUBTS:
+            out.checks.append(LogCheck("what moves, and when", None, f"{one.message}.", one.message))
+        elif one.kind not in said:
+            out.notes.append(f"reading finds: {one}")
     if not fits:
         return out
     clock, found = data.clock_scale, list(data.runs)
@@ -77,9 +83,8 @@ def check_physics(
             return out
     rough = rough_fit(machine, found, clock)
     if rough is None:
-        out.checks.append(
-            LogCheck(_NAME, None, "the log is too short, or says too little, to fit the physics roughly.")
-        )
+        text = "the log is too short, or says too little, to fit the physics roughly."
+        out.checks.append(LogCheck(_NAME, None, text, "record longer runs in which the machine moves"))
         return out
     better = better_readings(machine, found, clock, rough)
     if better is not None:

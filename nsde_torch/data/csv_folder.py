@@ -10,7 +10,15 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from nsde_torch.data.places import LONGEST, count_rows, entries, files_of, log_place, refuse_larger
+from nsde_torch.data.places import (
+    LONGEST,
+    check_names,
+    count_rows,
+    entries,
+    files_of,
+    log_place,
+    refuse_larger,
+)
 from nsde_torch.data.raw import RawRun
 from nsde_torch.data.run import DataSet
 from nsde_torch.data.system_info import SystemInfo
@@ -42,11 +50,11 @@ def _header(path: Path, system: SystemInfo) -> list[str]:
             f"{path}:1: the first row holds numbers; expected a header row such as "
             f"`{','.join((TIME, *system.state_names, *system.input_names))}`."
         )
+    if len(line) >= LONGEST:
+        raise DataError(f"{path}:1: the line is longer than {LONGEST} bytes: no header of a table.")
     if "" in names:
         raise DataError(f"{path}:1: column {names.index('') + 1} of the header has no name.")
-    twice = sorted({n for n in names if names.count(n) > 1})
-    if twice:
-        raise DataError(f"{path}:1: the columns {twice} occur more than once; keep one of each.")
+    check_names(names, f"{path}:1")
     optional = (*system.optional_inputs, *_inferable(system, names))
     needed = (TIME, *system.state_names, *system.input_names, *system.exogenous)
     missing = [n for n in needed if n not in names and n not in optional]

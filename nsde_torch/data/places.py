@@ -7,7 +7,8 @@ take its whole length for a line or for messages.
 from __future__ import annotations
 
 import stat
-from collections.abc import Collection
+from collections import Counter
+from collections.abc import Collection, Sequence
 from pathlib import Path
 
 from nsde_torch.errors import DataError
@@ -16,6 +17,8 @@ LARGEST = 1 << 30
 """Most bytes that the numbers of one file may fill."""
 LONGEST = 1 << 20
 """Most characters of a line of text."""
+WIDEST = 10_000
+"""Most columns of a table."""
 _HOLE = 1 << 24  # bytes of zeros at the end of a file; those of a preallocated log are fewer
 
 
@@ -100,6 +103,25 @@ def count_rows(path: Path) -> int:
                 raise DataError(f"{path}:{rows + 1}: the line is longer than {LONGEST} bytes: no table.")
             rows += ends
     return rows
+
+
+def check_names(names: Sequence[str], place: str) -> None:
+    """Refuse a header with too many columns, or with one name for two of them.
+
+    Args:
+        names: Of the columns.
+        place: File and line, for the message.
+
+    Raises:
+        DataError: too many, or some of them twice.
+    """
+    if len(names) > WIDEST:
+        raise DataError(
+            f"{place}: the table has {len(names)} columns; at most {WIDEST} are read. Keep those of the machine."
+        )
+    twice = sorted(name for name, count in Counter(names).items() if count > 1)
+    if twice:
+        raise DataError(f"{place}: the columns {twice} occur more than once; keep one of each.")
 
 
 def refuse_larger(path: Path, size: float) -> None:

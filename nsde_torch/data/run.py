@@ -6,6 +6,7 @@ import hashlib
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from html import escape
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -108,6 +109,9 @@ class Run:
                 f"run {self.name!r}: `t` must increase; it goes from {self.t[row]:.6g} s to "
                 f"{self.t[row + 1]:.6g} s after row {row}."
             )
+
+    def __repr__(self) -> str:
+        return f"<Run {self.name!r}: {len(self)} rows, {self.duration:.4g} s>"
 
     def __len__(self) -> int:
         return len(self.t)
@@ -217,6 +221,15 @@ class DataSet:
                     f"{len(self.state_names)} {self.state_names} and {len(self.input_names)} "
                     f"{self.input_names}."
                 )
+
+    def __repr__(self) -> str:
+        seconds = sum(run.duration for run in self.runs)
+        return (
+            f"<DataSet of {self.system_name}: {len(self.runs)} runs, {seconds:.1f} s at {1 / self.dt:.4g} Hz>"
+        )
+
+    def _repr_html_(self) -> str:
+        return f"<pre>{escape(str(self.summary))}</pre>"
 
     def __len__(self) -> int:
         return len(self.runs)

@@ -124,11 +124,20 @@ class DataSummary:
         """The summary as a JSON text."""
         return json.dumps(self.as_dict(), indent=1)
 
-    def __str__(self) -> str:
-        lines = [
+    @property
+    def short(self) -> str:
+        """What is in the data set in a line, and what was found in it."""
+        return "\n".join([self._head, *(f"  {text}" for text in _grouped(self.findings))])
+
+    @property
+    def _head(self) -> str:
+        return (
             f"data: {self.kind}, {self.system}, {len(self.runs)} runs, {self.duration:.1f} s at "
             f"{1 / self.dt:.4g} Hz, clock scale {self.clock_scale:.4f}"
-        ]
+        )
+
+    def __str__(self) -> str:
+        lines = [self._head]
         table: list[tuple[str, ...]] = [("run", "rows", "seconds", "segments")]
         shown = self.runs if len(self.runs) <= 12 else self.runs[:10]
         for run in shown:

@@ -29,6 +29,7 @@ from nsde_torch.diagnosis.text import (
     small_ones,
     unfinished,
     unseen,
+    valued,
     without_it,
 )
 from nsde_torch.evaluation.report import number
@@ -341,7 +342,7 @@ def _declared(content: Mapping[str, Any]) -> str:
 
 
 def _row(content: Mapping[str, Any], label: str, name: str, p: Mapping[str, Any]) -> list[str]:
-    cells = [f"{number(p['value'])} {_unit(p['unit'])}", interval(p["interval_90"], p["bound"])]
+    cells = [f"{valued(p)} {_unit(p['unit'])}", interval(p["interval_90"], p["bound"])]
     return [label, *cells, *least_squares(content, name)]
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from html import escape
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +16,7 @@ from nsde_torch.diagnosis.fitted import effect_of, values_of
 from nsde_torch.diagnosis.not_done import NotDone, SoFar, StoppedError
 from nsde_torch.diagnosis.options import Options
 from nsde_torch.diagnosis.outcome import Outcome
-from nsde_torch.diagnosis.text import lines
+from nsde_torch.diagnosis.text import lines, short_lines
 from nsde_torch.diagnosis.views import rates_width
 from nsde_torch.effects import effect_class, key_of
 from nsde_torch.models.identified import SysidSpec
@@ -149,11 +150,19 @@ class Diagnosis:
 
     @property
     def report(self) -> str:
-        """What was found, in words and tables, as `nsde diagnose` prints it."""
+        """All that was found, in words and tables, as `nsde diagnose verbose=true` prints it."""
         return "\n".join(lines(self.content()))
 
     def __str__(self) -> str:
-        return self.report
+        return "\n".join(short_lines(self.content()))
+
+    def __repr__(self) -> str:
+        return (
+            f"<Diagnosis of {self.system_name}: {self.verdict}; {', '.join(self.added) or 'nothing added'}>"
+        )
+
+    def _repr_html_(self) -> str:
+        return f"<pre>{escape(str(self))}</pre>"
 
     def content(self) -> dict[str, Any]:
         """What `diagnosis.json` holds; its keys are in docs/content/reference/diagnosis-json.md."""

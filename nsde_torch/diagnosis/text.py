@@ -8,11 +8,12 @@ from nsde_torch.diagnosis.ceiling import ceiling_lines, ceiling_rows
 from nsde_torch.diagnosis.feedback_text import feedback_lines
 from nsde_torch.diagnosis.not_done import ERRORS, NO_TIME, NOT_YET, STOPPED
 from nsde_torch.diagnosis.summary import small
-from nsde_torch.evaluation.report import number, table
+from nsde_torch.evaluation.report import between_ends, number, table
 from nsde_torch.sysid.guard import doubts_the_fit
 from nsde_torch.sysid.standing import in_words
 
 _RANKED, _SENTENCES = 6, 4  # candidates and sentences that are listed
+_FEW = 4  # findings, and effects that the data cannot show, that are listed in short
 _UNFINISHED = (NO_TIME, NOT_YET, STOPPED)
 _VERDICTS = {
     "no_effect": "Nothing is missing",
@@ -48,7 +49,7 @@ def lines(content: Mapping[str, Any], go_on: str = "resume=DIR") -> list[str]:
             rows = [
                 [
                     name,
-                    number(p["value"]),
+                    valued(p),
                     interval(p["interval_90"], p["bound"]),
                     *least_squares(content, name),
                     p["unit"],
@@ -104,6 +105,54 @@ def lines(content: Mapping[str, Any], go_on: str = "resume=DIR") -> list[str]:
     return out
 
 
+def short_lines(content: Mapping[str, Any], go_on: str = "resume=DIR") -> list[str]:
+    """What matters most of `lines`, in about fifteen: the verdict, findings with intervals, what the data cannot show.
+
+    Args:
+        content: The content of `diagnosis.json`.
+        go_on: See `lines`.
+    """
+    out = [*unfinished(content, go_on), f"verdict: {content['verdict']}", content["summary"]]
+    out += [f"{title.lower()}: {said}" for title, said in notices(content)]
+    found = in_order(content)
+    for finding in found[:_FEW]:
+        worth = without_it(finding, content)
+        out += ["", f"{finding['name']}{_mark(finding)}: {_sizes(finding, content)}", *_law(finding)]
+        out += [f"  {worth}"] if worth else []
+        out += _ties(finding, content)
+    rest = [f["name"] for f in found[_FEW:]] + [r["effect"] for r in content["told"]["rest"]]
+    out += ["", f"and {', '.join(rest)}"] if rest else []
+    to_use = content["guard"].get("to_use") or {}
+    values = [
+        f"{name} {least_squares(content, name)[0]} ({interval(p['interval_90'])})"
+        for name, p in to_use.items()
+    ]
+    out += ["", f"values of least squares, to be used: {', '.join(values)}"] if values else []
+    left = content["errors"]["residual"] if measured(content) else {}
+    residual = [f"{name} {changed(one)} {one['unit']}" for name, one in left.items()]
+    if found and residual:
+        out += ["", f"residual on {content['errors']['measured_on']}: {', '.join(residual[:_RANKED])}"]
+    out += ceiling_lines(content)[:2]
+    unseen_of = list(dict.fromkeys(n["effect"] for n in content["not_shown"]))
+    if unseen_of:
+        more = f" and {len(unseen_of) - _FEW} more" if len(unseen_of) > _FEW else ""
+        out += ["", f"these data cannot show: {', '.join(unseen_of[:_FEW])}{more}"]
+    return out
+
+
+def _sizes(finding: Mapping[str, Any], content: Mapping[str, Any]) -> str:
+    """The parameters of a finding with 90 % intervals, the axes of one together."""
+    own: dict[str, list[Mapping[str, Any]]] = {}
+    for name, p in content["parameters"].items():
+        if name.startswith(f"{finding['name']}."):
+            own.setdefault(name.removeprefix(f"{finding['name']}.").partition("[")[0], []).append(p)
+    parts = []
+    for name, axes in own.items():
+        values = ", ".join(f"{valued(p)} ({interval(p['interval_90'], p['bound'])})" for p in axes)
+        parts.append(f"{name} {values}" + ("" if axes[0]["unit"] == "1" else f" {axes[0]['unit']}"))
+    return "; ".join(parts)
+
+
 def least_squares(content: Mapping[str, Any], name: str | None = None) -> list[str]:
     """Heads of the columns of least squares (no name), or the cells of a parameter; none where the fit stands.
 
@@ -117,27 +166,36 @@ def least_squares(content: Mapping[str, Any], name: str | None = None) -> list[s
     if name is None:
         return ["least squares: use these", "90 % interval"]
     one = to_use.get(name)
-    return ["-", "-"] if one is None else [number(one["value"]), interval(one["interval_90"])]
+    return ["-", "-"] if one is None else [valued(one), interval(one["interval_90"])]
 
 
 def _finding(finding: Mapping[str, Any], content: Mapping[str, Any]) -> list[str]:
     """What was found, what it buys, and what it cannot be told from."""
-    mark = f" (a lead: {finding['lead_reason']})" if finding["lead"] else ""
-    out = ["", f"{finding['name']}{mark}: {finding['sentence']}"]
+    out = ["", f"{finding['name']}{_mark(finding)}: {finding['sentence']}"]
     if finding["p"] is not None:
         out[-1] += f" (p {chance(finding['p'])})"
-    if finding["kind"] == "formula":
-        looks = f"; it looks like {finding['looks_like']}" if finding["looks_like"] else ""
-        out.append(f"  {finding['law']}  [{finding['unit']}, SI]{looks}")
     worth = without_it(finding, content)
-    out += [f"  {worth}"] if worth else []
-    for tie in content["ties"]:
-        if tie["effects"][0] == finding["name"]:
-            out.append(
-                f"  cannot be told from {', '.join(tie['effects'][1:])}. To tell: {tie['experiment']}; "
-                "`nsde design` plans such a run."
-            )
-    return out
+    return [*out, *_law(finding), *([f"  {worth}"] if worth else []), *_ties(finding, content)]
+
+
+def _mark(finding: Mapping[str, Any]) -> str:
+    return f" (a lead: {finding['lead_reason']})" if finding["lead"] else ""
+
+
+def _law(finding: Mapping[str, Any]) -> list[str]:
+    if finding["kind"] != "formula":
+        return []
+    looks = f"; it looks like {finding['looks_like']}" if finding["looks_like"] else ""
+    return [f"  {finding['law']}  [{finding['unit']}, SI]{looks}"]
+
+
+def _ties(finding: Mapping[str, Any], content: Mapping[str, Any]) -> list[str]:
+    return [
+        f"  cannot be told from {', '.join(tie['effects'][1:])}. To tell: {tie['experiment']}; `nsde design` plans "
+        "such a run."
+        for tie in content["ties"]
+        if tie["effects"][0] == finding["name"]
+    ]
 
 
 def in_order(content: Mapping[str, Any]) -> list[Mapping[str, Any]]:
@@ -162,7 +220,7 @@ def without_it(finding: Mapping[str, Any], content: Mapping[str, Any]) -> str:
     if content["told"]["by"] == BY_STEPS:
         way = "falls" if buys["nats"] >= 0 else "rises"
         parts.append(f"the log-likelihood {way} by {number(round(abs(buys['nats']), 1))} nats")
-    share = f" ({buys['share']:.0%} of what all effects buy)" if 0 < buys["share"] < 1 else ""
+    share = f" ({buys['share']:.0%} of what all effects improve)" if 0 < buys["share"] < 1 else ""
     return f"without it, on {where}: {', '.join(parts)}{share}"
 
 
@@ -171,7 +229,7 @@ def small_ones(content: Mapping[str, Any]) -> str:
     told = content["told"]
     each = ", ".join(f"{r['effect']} ({r['size']})" for r in told["rest"])
     return (
-        f"and {small(len(told['rest']))}, together {told['rest_share']:.1%} of what all effects buy on "
+        f"and {small(len(told['rest']))}, together {told['rest_share']:.1%} of what all effects improve on "
         f"{content['errors']['measured_on']}: {each}"
     )
 
@@ -307,4 +365,11 @@ def interval(ends: Sequence[float] | None, bound: str | None = None) -> str:
         return bound or "not shown by the data"
     if bound is not None:
         return f"{bound} {number(ends[1] if bound == 'below' else ends[0])}"
-    return f"{number(ends[0])} to {number(ends[1])}"
+    return between_ends(ends)
+
+
+def valued(parameter: Mapping[str, Any]) -> str:
+    """The value of a parameter, with the digits that its interval has."""
+    ends = parameter["interval_90"]
+    bounded = ends is None or parameter.get("bound") is not None
+    return number(parameter["value"], 0.0 if bounded else ends[1] - ends[0])

@@ -1,6 +1,7 @@
 """What a person reads at the end of a training: tables as text."""
 
 from collections.abc import Mapping, Sequence
+from math import floor, inf, log10
 from typing import Any
 
 REPLAYED = "rms error, inputs replayed"
@@ -19,11 +20,29 @@ def table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
     return "\n".join([line(head), "  ".join("-" * w for w in widths), *(line(row) for row in rows)])
 
 
-def number(value: float) -> str:
-    """Three significant digits, without an exponent where that is readable."""
+def number(value: float, width: float = 0.0) -> str:
+    """Three significant digits, without an exponent where that is readable.
+
+    Args:
+        value: What is printed.
+        width: Length of its interval, if it has one: the digits are those that two digits of half of it have, so that a
+            value and the ends of its interval end at one place.
+    """
+    digits = 3
+    if 0 < width < inf:
+        place = floor(log10(width / 2)) - 1
+        value = round(value, -place)
+        digits = min(max(floor(log10(abs(value))) - place + 1, 1), 7) if value else 1
+        if value and 1e-4 <= abs(value) < 1e5:
+            return f"{value:.{min(max(-place, 0), 9)}f}"
     if value == 0:
         return "0"
-    return f"{value:.3g}" if 1e-4 <= abs(value) < 1e5 else f"{value:.2e}"
+    return f"{value:.{digits}g}" if 1e-4 <= abs(value) < 1e5 else f"{value:.{digits - 1}e}"
+
+
+def between_ends(ends: Sequence[float]) -> str:
+    """An interval, both ends to one place."""
+    return " to ".join(number(end, ends[1] - ends[0]) for end in ends)
 
 
 def parameter_table(parameters: Mapping[str, Mapping[str, Any]]) -> str:
@@ -32,7 +51,9 @@ def parameter_table(parameters: Mapping[str, Mapping[str, Any]]) -> str:
     for name, p in parameters.items():
         pairs = zip(p["value"], p["half_width_90"], strict=True)
         none = " (no interval)" if "note" in p else " (not shown by the data)"
-        cells = [number(v) + (none if h is None else f" +- {number(h)}") for v, h in pairs]
+        cells = [
+            number(v, 2 * (h or 0)) + (none if h is None else f" +- {number(h, 2 * h)}") for v, h in pairs
+        ]
         rows.append([name, "  ".join(cells), p["unit"]])
     notes = dict.fromkeys(str(p["note"]) for p in parameters.values() if "note" in p)
     return "\n".join([table(["declared parameter", "value +- 90 %", "unit"], rows), *notes])

@@ -163,6 +163,18 @@ def _split_at_jumps(
     return kept
 
 
+def _check_twins(runs: Sequence[Run], report: Report) -> None:
+    """Report runs that are copies of others: evidence counts them twice, and a test on them says nothing."""
+    first: dict[str, str] = {}
+    twins = [
+        (run.name, twin) for run in runs if (twin := first.setdefault(run.content_hash, run.name)) != run.name
+    ]
+    if twins:
+        shown = ", ".join(f"{name!r} is {twin!r}" for name, twin in twins[:5]) + ", ..." * (len(twins) > 5)
+        text = f"runs that hold the same rows as others ({shown}): keep one of each"
+        report(Finding("same_runs", "", len(twins), text, "reported", {"runs": [name for name, _ in twins]}))
+
+
 def _asked(faults: Mapping[str, Mapping[str, float] | None]) -> list[tuple[Fault, Mapping[str, float]]]:
     """Faults that a reader was asked to take out, in the order in which they are undone."""
     known = {name: fault for name, fault in remedies().items() if not fault.remedy_first}
@@ -243,7 +255,7 @@ def assemble(
     for run in raw:
         if system.quaternion is not None:
             columns.check_signs(run, system.quaternion, report)  # before holes are filled between its signs
-        times.fill_missing(run, gap=limit, report=report)
+        times.fill_missing(run, system, gap=limit, report=report)
         if system.quaternion is not None:
             columns.back_to_sphere(run, system.quaternion)
         columns.unwrap_angles(run, whole, report)
@@ -267,6 +279,7 @@ def assemble(
         run.extra = {}
     if short:
         slopes += kinematics.clock_slopes(system, "short runs together", short, dt=step)
+    _check_twins(runs, report)
     interventions.report_of(runs, report)
     standstill.check_constant(system, runs, report)
     conventions.check(system, runs)

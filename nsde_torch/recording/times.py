@@ -45,9 +45,9 @@ def order(run: RawRun, report: Report) -> None:
             left.
     """
     timed = np.isfinite(run.t)
-    if not timed.all():
-        count = int((~timed).sum())
-        report(Finding("missing_time", run.name, count, f"{count} rows without a time", "dropped"))
+    dropped = int((~timed).sum())
+    if dropped:
+        report(Finding("missing_time", run.name, dropped, f"{dropped} rows without a time", "dropped"))
         run.rows(timed)
     back = np.flatnonzero(np.diff(run.t) < 0)
     if len(back):
@@ -66,11 +66,12 @@ def order(run: RawRun, report: Report) -> None:
         run.rows(keep)
     if len(run.t) < 2:
         raise DataError(
-            f"{run.label} has {len(run.t)} row(s) with a time of their own; a run needs at least two."
+            f"{run.label} has {len(run.t)} row(s) with a time `t` of their own ({dropped} without a time); a run needs "
+            "at least two."
         )
 
 
-def fill_missing(run: RawRun, *, gap: float, report: Report) -> None:
+def fill_missing(run: RawRun, system: SystemInfo, *, gap: float, report: Report) -> None:
     """Fills holes between rows at most `gap` seconds apart (states linear, inputs held); drops other rows.
 
     Dropped rows leave a step in time longer than `gap`, at which the run is then cut. Slow further channels,
@@ -80,12 +81,12 @@ def fill_missing(run: RawRun, *, gap: float, report: Report) -> None:
         DataError: a column has no value at all, or no two rows are complete.
     """
     bad_x, bad_u = np.isnan(run.x), np.isnan(run.u)
-    for name, bad, data in (("state", bad_x, run.x), ("input", bad_u, run.u)):
+    for names, bad, data in ((system.state_names, bad_x, run.x), (system.input_names, bad_u, run.u)):
         empty = np.flatnonzero(bad.all(axis=0)) if len(data) else np.array([], dtype=int)
         if len(empty):
             raise DataError(
-                f"{run.label}: {name} column {int(empty[0])} has no value in any row; "
-                "record the channel, or leave the run out."
+                f"{run.label}: {names[int(empty[0])]!r} has no value in any row; record the channel, or leave the run "
+                "out."
             )
     for name, channel in list(run.extra.items()):
         bad = np.isnan(channel)

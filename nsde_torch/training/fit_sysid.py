@@ -2,7 +2,7 @@
 
 import torch
 
-from nsde_torch.evaluation.report import number, table
+from nsde_torch.evaluation.report import between_ends, number, table
 from nsde_torch.innovations.inputs import as_applied, fit_filter
 from nsde_torch.models.identified import IdentifiedModel, SysidSpec
 from nsde_torch.sysid.in_loop import identify_in_loop
@@ -82,9 +82,9 @@ def summary(found: Identification) -> str:
         cells = (
             ["", "not believed" if found.converged and not found.believed else _UNKNOWN[found.converged]]
             if half != half
-            else [number(error), f"{number(value - half)} to {number(value + half)}"]
+            else [number(error), between_ends((value - half, value + half))]
         )
-        rows.append([v.labels[i], number(value), *cells, v.units[i]])
+        rows.append([v.labels[i], number(value, 0.0 if half != half else 2 * half), *cells, v.units[i]])
     head = ["declared parameter", "value", "standard error", f"{_LEVEL:.0%} interval", "unit"]
     channels = [
         [c.name, number(c.measured), number(c.residual), number(c.sensor), f"{c.r2:.1%}", c.unit]

@@ -324,3 +324,54 @@ def test_the_folder_of_a_machine_of_ones_own_is_no_log_and_is_in_the_next_line(
         assert f"next: nsde train --config-dir {own} system=bench data=csv data.path={logs}" in out
     assert main(["inspect", str(logs), "--config-dir", str(tmp_path / "nowhere")]) == 2
     assert "no such folder" in capsys.readouterr().err
+
+
+def noisy(folder: Path, change: dict[str, float] | None = None) -> Path:
+    """A folder with a run of a spring whose position is noisier than what it moves from row to row."""
+    made = spring(size=0.1)
+    made["q"] += 0.006 * np.random.default_rng(5).standard_normal(len(made["t"]))
+    write_table(folder / "run.csv", {k: v * (change or {}).get(k, 1.0) for k, v in made.items()})
+    return folder
+
+
+@pytest.mark.parametrize(("size", "unit"), [(1e3, "ms"), (1e6, "us"), (1e9, "ns")])
+def test_the_unit_of_times_is_named_beside_a_noisy_sensor_too(tmp_path: Path, size: float, unit: str) -> None:
+    with pytest.raises(DataError, match=f"in {unit} they agree"):
+        nsde_torch.read(noisy(tmp_path, {"t": size}), system=SPRING)
+    found = nsde_torch.inspect(tmp_path, system=SPRING)
+    assert not found.usable
+    assert f"in {unit} they agree" in found.checks[0].text
+    assert nsde_torch.read(noisy(tmp_path), system=SPRING).dt == 0.01
+
+
+def test_rows_that_repeat_a_time_are_inspected(tmp_path: Path) -> None:
+    write_table(tmp_path / "run.csv", {k: np.repeat(v, 2) for k, v in spring().items()})
+    found = nsde_torch.inspect(tmp_path, system=SPRING)
+    assert found.usable
+    assert any("repeat a time" in note for note in found.notes)
+
+
+def test_nothing_is_trained_on_runs_that_stand_still_or_are_copies(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    still = {k: v if k == "t" else 0.0 * v for k, v in spring().items()}
+    for folder in ("still", "copies"):
+        (tmp_path / folder).mkdir()
+    write_table(tmp_path / "still" / "run.csv", still)
+    for name in ("a", "b"):
+        write_table(tmp_path / "copies" / f"{name}.csv", spring())
+    for folder, cause in (("still", "never change"), ("copies", "'b' is 'a'")):
+        data = nsde_torch.read(tmp_path / folder, system=SPRING)
+        assert cause in str(data.summary)
+        main(["inspect", str(tmp_path / folder), f"system={SPRING}", "out=none"])
+        last = capsys.readouterr().out.splitlines()[-1]
+        assert cause in last
+        assert "mend this first" in last
+
+
+def test_a_table_of_too_many_columns_is_refused_at_once(tmp_path: Path) -> None:
+    names = ",".join(["t", "q", "q_dot", "force", *(f"c{k}" for k in range(10_000))])
+    (tmp_path / "run.csv").write_text(f"{names}\n{'0,' * 10_003}0\n" * 2)
+    for act in (nsde_torch.read, nsde_torch.inspect):
+        with pytest.raises(DataError, match="10004 columns"):
+            act(tmp_path, system=SPRING)

@@ -8,6 +8,8 @@ import pytest
 
 from nsde_torch.cli import groups
 from nsde_torch.cli.help import WIDTH, describe, value_text
+from nsde_torch.cli.main import main
+from nsde_torch.cli.registry import hydra_commands
 
 
 def _help(*words: str) -> str:
@@ -22,7 +24,7 @@ def test_help_shows_every_group_with_every_choice() -> None:
 
 
 def test_help_shows_every_key_with_default_unit_and_meaning() -> None:
-    text = " ".join(_help().split())
+    text = " ".join(_help("all").split())
     for entry in groups.keys("train", groups.defaults("train")):
         assert f" {entry.path}=" in text
         assert " ".join(entry.help.split()) in text
@@ -59,3 +61,23 @@ def test_defaults_are_printed_as_a_user_would_type_them() -> None:
         "0.001",
         "a",
     ]
+
+
+@pytest.mark.parametrize("command", [name for name in hydra_commands() if name != "benchmark"])
+def test_help_fits_a_screen_and_all_of_it_is_a_word_away(
+    command: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main([command, "--help"]) == 0
+    short = capsys.readouterr().out.splitlines()
+    assert main([command, "--help", "all"]) == 0
+    whole = capsys.readouterr().out.splitlines()
+    assert len(short) <= 50
+    assert set(whole) >= {line for line in short if "--help all" not in line}
+
+
+def test_help_has_the_keys_of_the_groups_that_are_named(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["train", "--help", "data=csv"]) == 0
+    text = capsys.readouterr().out
+    assert "data.path=" in text
+    assert "\n  trainer.lr=" not in text
+    assert "`--help all` has the keys of system, model, loss, trainer, solver too" in text

@@ -237,3 +237,19 @@ def test_a_command_that_names_no_file_is_left_alone() -> None:
     assert isinstance(command, HydraCommand)
     for word in ("seed=1", "data.test=[0,1]", "--config-dir", "-m", "system.effects=[law[q2]]", "loss=a,b"):
         assert path_word(word, groups.files("train")) == word
+
+
+@pytest.mark.usefixtures("elsewhere")
+@pytest.mark.parametrize("path", ODD)
+@pytest.mark.parametrize("flag", ["--config-dir", "-cd"])
+def test_the_folder_of_machines_of_ones_own_takes_every_path(
+    path: str, flag: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / path / "system").mkdir(parents=True)
+    (tmp_path / path / "system" / "mine.yaml").write_text(
+        "defaults: [mass_spring_damper, _self_]\ndt: 0.02\n"
+    )
+    assert main(["train", "seed=3", flag, path, "system=mine", "--cfg", "job"]) == 0
+    assert yaml.safe_load(capsys.readouterr().out)["system"]["dt"] == 0.02
+    assert main(["effects", flag, path, "system=mine"]) == 0
+    assert "coulomb_friction" in capsys.readouterr().out

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import nsde_torch
 from nsde_torch.data import RawRun, write_csv
 from nsde_torch.errors import ConfigError, DataError
 from nsde_torch.recording import assemble, read
@@ -120,3 +121,11 @@ def test_unknown_kinds_and_options_list_the_choices(tmp_path: Path) -> None:
         read("csv", MSD, path=folder(tmp_path, lines()), clock="maybe")
     with pytest.raises(ConfigError, match="`gap` must be longer than the step"):
         read("csv", MSD, path=str(tmp_path), gap=0.001)
+
+
+def test_a_data_set_and_its_runs_are_shown_in_a_line_and_in_a_notebook_by_the_summary() -> None:
+    made = nsde_torch.simulate("mass_spring_damper", durations=[4.0, 4.0], seed=1)
+    data = nsde_torch.read(made, system="mass_spring_damper")
+    assert repr(data) == "<DataSet of mass_spring_damper: 2 runs, 8.0 s at 100 Hz>"
+    assert repr(data.runs[1]) == "<Run 'run_1': 401 rows, 4 s>"
+    assert "found: nothing amiss" in data._repr_html_()

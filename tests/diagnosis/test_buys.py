@@ -136,7 +136,7 @@ def test_small_effects_are_gathered_in_one_line(found: tuple[Diagnosis, dict[str
     sizes = [{"effect": name, "size": "0.05 m/s2"} for name in rest]
     gathered = {**content, "told": {**content["told"], "few": few, "rest": sizes, "rest_share": 0.04}}
     assert [f["name"] for f in in_order(gathered)] == few
-    line = f"and {small(len(rest))}, together 4.0% of what all effects buy on runs left out: {rest[0]} (0.05 m/s2)"
+    line = f"and {small(len(rest))}, together 4.0% of what all effects improve on runs left out: {rest[0]} (0.05 m/s2)"
     assert any(told_line.startswith(line) for told_line in lines(gathered))
     text = page(gathered, {}, width=0.25)
     assert f"<summary>And {line[4:]}" in text

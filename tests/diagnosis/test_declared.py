@@ -96,12 +96,12 @@ def test_values_of_least_squares_stand_beside_those_of_the_fit_where_they_are_to
     content["guard"]["to_use"] = {
         "force_gain": {"value": 14.125, "interval_90": [13.875, 14.375], "unit": "1/kg"},
     }
-    assert re.search(r"force_gain .* 14\.1\d* +13\.9 to 14\.4", "\n".join(lines(content)))
+    assert re.search(r"force_gain .* 14\.1\d* +13\.8\d to 14\.3\d", "\n".join(lines(content)))
     figures = pictures(found, content)
     html = page(content, figures, width=found.width)
     for figure in figures.values():
         plt.close(figure)
-    assert re.search(r"force_gain</td>.*<td>14\.1\d*</td><td>13\.9 to 14\.4</td>", html)
+    assert re.search(r"force_gain</td>.*<td>14\.1\d*</td><td>13\.8\d to 14\.3\d</td>", html)
     assert html.count("least squares: use these") == 1
 
 

@@ -157,7 +157,7 @@ def test_the_content_holds_what_the_schema_promises(found: tuple[Diagnosis, dict
     [
         (None, None, "not shown by the data"),
         (None, "not believed", "not believed"),
-        ((0.1, 0.2), None, "0.1 to 0.2"),
+        ((0.1, 0.2), None, "0.100 to 0.200"),
         ((0.1, 0.2), "below", "below 0.2"),
         ((0.1, 0.2), "above", "above 0.1"),
     ],

@@ -72,7 +72,7 @@ def test_the_help_of_a_command_reads_as_it_did(
 ) -> None:
     monkeypatch.setenv("COLUMNS", "100")
     with contextlib.suppress(SystemExit):
-        assert main([command, "--help"]) == 0
+        assert main([command, "--help", "all"]) == 0
     same_text(HERE / "help" / f"{command}.txt", capsys.readouterr().out, regenerate=regenerate)
 
 

@@ -138,7 +138,7 @@ def test_short_holes_are_filled_and_long_ones_split() -> None:
 def test_a_column_without_any_value_is_refused() -> None:
     t, x, u = flight(2.0)
     x[:, 4] = np.nan
-    with pytest.raises(DataError, match="state column 4 has no value"):
+    with pytest.raises(DataError, match="'v_y' has no value"):
         one(t, x, u)
 
 

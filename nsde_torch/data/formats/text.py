@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from nsde_torch.data.formats.clock import UNNAMED
 from nsde_torch.data.formats.log import unreadable
-from nsde_torch.data.places import LONGEST, count_rows, refuse_larger
+from nsde_torch.data.places import LONGEST, check_names, count_rows, refuse_larger
 from nsde_torch.errors import DataError
 
 Array = NDArray[np.float64]
@@ -66,11 +66,7 @@ def read_text(path: Path, notes: list[str] | None = None) -> dict[str, Array]:
     notes = [] if notes is None else notes
     layout = _layout(path)
     names, mark = layout.names, layout.mark
-    if len(set(names)) < len(names):
-        twice = sorted({n for n in names if names.count(n) > 1})
-        raise DataError(
-            f"{path}:{layout.before}: the columns {twice} occur more than once; keep one of each."
-        )
+    check_names(names, f"{path}:{layout.before}")
     lines = count_rows(path)  # before any of them is read: none is too long to be one
     rows = [_cells(line, mark) for _, line in islice(_rows(path, layout.before), _PROBED)]
     if not rows:

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from nsde_torch.data.frames import attitude_between
 from nsde_torch.data.mapping.kinematic import (
+    NOISY_VELOCITY,
     SOUND_ATTITUDE,
     SOUND_VELOCITY,
     AttitudeWay,
@@ -90,7 +91,8 @@ def checks(system: SystemInfo, run: RawRun, mapping: LogMapping | None = None) -
 
     Args:
         system: The machine.
-        run: In the system's units, axes and order, its rows in the order of time.
+        run: In the system's units, axes and order, its rows in the order of time; of those with one time the first is
+            looked at.
         mapping: What made it, so that its columns can be read otherwise; None: the package's own conventions.
     """
     out: list[LogCheck] = []
@@ -98,7 +100,8 @@ def checks(system: SystemInfo, run: RawRun, mapping: LogMapping | None = None) -
         first = (len(run.t) - _MOST) // 2
         rows = slice(first, first + _MOST)
         run = RawRun(run.name, run.t[rows], run.x[rows], run.u[rows])
-    run = RawRun(run.name, run.t, _unwrapped(system, run.x), run.u)
+    own = np.diff(run.t, prepend=-np.inf) > 0
+    run = RawRun(run.name, run.t[own], _unwrapped(system, run.x[own]), run.u[own])
     other = times_misread(system, run, mapping)
     if other is not None:
         return [LogCheck("time", False, f"{other.words}.", other.remedy)]
@@ -233,7 +236,7 @@ def _velocity(t: Array, q: Array, p: Array, v: Array) -> list[LogCheck]:
             text = f"velocities leave {percent(left[0])} of the movement, and {other:.1%} if {words}."
             remedy = f"read or write the velocities so: {words}"
             out.append(LogCheck(VELOCITY, False, text, remedy))
-        elif left[0] <= 5 * SOUND_VELOCITY:
+        elif left[0] <= NOISY_VELOCITY:
             text = f"velocities leave {left[0]:.1%} of the movement over 0.25 s."
             out.append(LogCheck(VELOCITY, True, text))
         else:
@@ -280,7 +283,7 @@ def _axis(system: SystemInfo, run: RawRun, i: int, j: int, mapping: LogMapping |
         text = f"{rate} leaves {percent(own)} of what {position} moves, and {percent(others[0].left)} if {words}."
         return LogCheck(names, False, text, remedy)
     text = f"{rate} leaves {percent(own)} of what {position} moves over 0.25 s"
-    if own <= 5 * SOUND_VELOCITY:
+    if own <= NOISY_VELOCITY:
         return LogCheck(names, True, f"{text}.")
     remedy = f"look at {names}: one of them is another column, or of another time or unit"
     return LogCheck(names, None, f"{text}, whatever its sign and unit.", remedy)

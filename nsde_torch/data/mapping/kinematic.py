@@ -23,6 +23,8 @@ Array = NDArray[np.float64]
 INTERVAL_S = 0.25
 SOUND_ATTITUDE, SOUND_VELOCITY = 0.25, 0.05
 """Shares of the motion that a sound log leaves at most."""
+NOISY_VELOCITY = 5 * SOUND_VELOCITY
+"""The share up to which noise explains what velocities leave; a reading that leaves more is no remedy."""
 _FEWEST = 20  # intervals
 _TILT_S = 0.3
 _LEAST_TILT = 0.01  # root mean square of the tilt [rad] from which on it says something

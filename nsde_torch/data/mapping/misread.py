@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from nsde_torch.data.formats.clock import SECONDS
 from nsde_torch.data.mapping.kinematic import (
+    NOISY_VELOCITY,
     SOUND_ATTITUDE,
     SOUND_VELOCITY,
     AttitudeWay,
@@ -104,7 +105,7 @@ def times_misread(system: SystemInfo, run: RawRun, mapping: LogMapping | None) -
 def _all_sound(system: SystemInfo, run: RawRun, size: float) -> bool:
     """Whether all that moves follows its rate, with times multiplied by `size`."""
     t = size * run.t
-    left = [(pair_left(t, run.x[:, i], run.x[:, j]), SOUND_VELOCITY) for i, j in rate_pairs(system)]
+    left = [(pair_left(t, run.x[:, i], run.x[:, j]), NOISY_VELOCITY) for i, j in rate_pairs(system)]
     rates = rate_columns(system)
     if system.quaternion is not None and rates is not None:
         way = AttitudeWay("wxyz", "body to world", "rad/s", (1.0, 1.0, 1.0))
@@ -142,7 +143,7 @@ def exchanged(system: SystemInfo, run: RawRun) -> list[list[tuple[str, str]]]:
         worst = max((own[pair] for pair in touched), default=0.0)
         if not worst > SOUND_VELOCITY:
             continue
-        most = min(SOUND_VELOCITY, worst / BETTER)
+        most = min(NOISY_VELOCITY, worst / BETTER)
         if all(left(pair, {a: b, b: a}) <= most for pair in touched):
             out.setdefault(tuple(touched), []).append((a, b))
     return list(out.values())
@@ -181,5 +182,6 @@ def rate_misread(
         size = 2.0 * pi / 60.0
         remedy = f"multiply {rate} by {size:.4g}, or write `unit: rpm` in its entry of a mapping"
         tried.append(Misread(f"{rate} is in rpm", remedy, pair_left(run.t, p, size * v)))
-    good = sorted((one for one in tried if BETTER * one.left < own), key=lambda one: one.left)
+    most = min(NOISY_VELOCITY, own / BETTER)
+    good = sorted((one for one in tried if one.left <= most), key=lambda one: one.left)
     return [one for one in good if one.left <= _ALIKE * good[0].left]

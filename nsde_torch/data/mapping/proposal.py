@@ -18,8 +18,8 @@ from nsde_torch.data.mapping import nameless
 from nsde_torch.data.mapping import names as kinds
 from nsde_torch.data.mapping.inputs import propose_inputs
 from nsde_torch.data.mapping.kinematic import (
+    NOISY_VELOCITY,
     SOUND_ATTITUDE,
-    SOUND_VELOCITY,
     attitude_left,
     attitude_ways,
     best,
@@ -279,7 +279,7 @@ class _Vehicle:
                 "p": positions[0][1],
                 "v": replace(velocities[0][1], axes=velocities[0][1].axes or "world"),
             }
-        sound = [row for row in tried if row[0] < 5 * SOUND_VELOCITY] or [min(tried, key=lambda row: row[0])]
+        sound = [row for row in tried if row[0] < NOISY_VELOCITY] or [min(tried, key=lambda row: row[0])]
         self._open("the position", [row[2] for row in sound])
         self._open("the velocity", [row[4] for row in sound])
         _, one, entry, velocity, velocity_entry, way = min(sound, key=lambda row: row[0])

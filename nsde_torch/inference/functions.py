@@ -313,7 +313,8 @@ class _Choice:
 
     def _chosen(self, port: int, chosen: list[BasisGroup]) -> list[BasisGroup]:
         """Groups chosen so far and those of one port's row."""
-        # quadratic damping, of which waves do not go on beyond the data (bench_networks.py: 0.42 to 0.64 without it)
+        # of quadratic damping and dry friction waves are right within the data, where linear damping makes up for the
+        # rest, and wrong beyond (bench_networks.py, springs of seed 2: 0.50 and 0.42 without `signed`)
         kinds: tuple[Kind, ...] = ("polynomial", "signed", "smooth")
         singles = [BasisGroup(port, (name,), kind) for name in self._scaled for kind in kinds]
         singles += [BasisGroup(port, (name,), "past") for name in self._all.past]

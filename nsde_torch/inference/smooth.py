@@ -1,4 +1,4 @@
-"""Functions of one variable and of two: polynomials, also of the size, and Gaussian processes in their reduced rank.
+"""Functions of one and two variables: polynomials, also of sign and size, and Gaussian processes in reduced rank.
 
     f(s) = sum_j w_j sqrt(S(omega_j)) sin(omega_j (s + L)),    omega_j = j pi / 2 L,    S a Matern spectrum
 
@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 Kind = Literal["polynomial", "signed", "product", "smooth", "fine", "varying", "past"]
 
+_SIGN = 0.05  # of the root mean square: what a sign is rounded over
 _REACH = 1.5  # L, of the half range of the data
 _ONE, _TWO = 12, 5  # waves of one variable, and of each of two
 _FINE, _FINE_LENGTH = 16, 0.2  # waves of each of two where they are fine, and length of their process
@@ -44,7 +45,7 @@ def functions(
 
     Args:
         of: Its variables: one or two.
-        kind: `polynomial`, `signed` (the size of one, and its square with its sign), `product` of both, `smooth`,
+        kind: `polynomial`, `signed` (sign of one, size, and square with its sign), `product` of both, `smooth`,
             `fine`, or `varying`: waves of the first one times the second.
         values: Values of the variables (n,).
         scaled: Their scales.
@@ -55,7 +56,7 @@ def functions(
             return np.prod(plain, 0)[:, None]
         if kind == "signed":
             size = np.abs(plain[0])
-            return np.stack((size, plain[0] * size), 1)
+            return np.stack((np.tanh(plain[0] / _SIGN), size, plain[0] * size), 1)
         if len(plain) == 1:
             return np.stack([plain[0] ** k for k in (1, 2, 3)], 1)
         a, b = plain

@@ -36,7 +36,7 @@ from small_machines import STATES, Small, run
 import nsde_torch
 
 SPRING, CART = {"k": 4.0, "b": 0.5, "g": 1.0}, {"g": 1.0, "s": 0.3, "l": 0.5}
-PLANTS: dict[str, tuple[str, dict[str, Any], list[str]]] = {
+PLANTS: dict[str, tuple[str, dict[str, Any], list[Any]]] = {
     "spring: nothing": ("mass_spring_damper", {}, []),
     "spring: dry friction": ("mass_spring_damper", {"coulomb": {"size": 0.15}}, ["coulomb_friction"]),
     "spring: quadratic damping": ("mass_spring_damper", {"quadratic": {"size": 0.3}}, ["quadratic_damping"]),
@@ -46,11 +46,15 @@ PLANTS: dict[str, tuple[str, dict[str, Any], list[str]]] = {
         {"damping_by_place": {"size": 0.5}},
         ["force = c1 q^2 q_dot"],
     ),
-    "spring: slope": ("mass_spring_damper", {"slope": {"size": 0.4}}, ["force = c1 sin(k1 q)"]),
+    "spring: slope": (
+        "mass_spring_damper",
+        {"slope": {"size": 0.4}},
+        [{"force = c1 sin(k1 q)": {"k1": 2.0}}],
+    ),
     "cart: nothing": ("cartpole", {}, []),
     "cart: dry friction": ("cartpole", {"coulomb": {"size": 0.4}}, ["coulomb_friction[cart]"]),
     "cart: quadratic damping": ("cartpole", {"quadratic": {"size": 0.5}}, ["quadratic_damping[cart]"]),
-    "cart: slope": ("cartpole", {"slope": {"size": 0.4}}, ["force = c1 sin(k1 x)"]),
+    "cart: slope": ("cartpole", {"slope": {"size": 0.4}}, [{"force = c1 sin(k1 x)": {"k1": 2.0}}]),
     "hexacopter: nothing": ("hexacopter", {}, []),
     "hexacopter: ground effect": (
         "hexacopter",
@@ -109,7 +113,7 @@ def write(folder: Path, system: str, effects: dict[str, Any], seed: int) -> None
 
 
 def left(
-    data: Any, system: str, run_dir: Path, model: str, effects: list[str]
+    data: Any, system: str, run_dir: Path, model: str, effects: list[Any]
 ) -> tuple[float, dict[str, Any]]:
     """Sum of the logarithms of what is left of the rates of the held-out run, and what `metrics.json` holds."""
     nsde_torch.train(data, system=system, model=model, effects=effects, run_dir=run_dir, say=False)

@@ -164,7 +164,8 @@ def main() -> None:
         for case, answer in found["cases"].items():
             said = changes(other["cases"][case], answer)
             differ += bool(said)
-            print("\n".join(f"{name} {case}: {line}" for line in said))
+            for line in said:
+                print(f"{name} {case}: {line}")
     print(f"{differ} of {sum(len(s['cases']) for s in sets.values())} answers differ")
 
 

@@ -277,7 +277,20 @@ class _JointSearch:
             if risen >= proposal.nats:
                 break
             # it is not what its step promised: a lag in the place of a delay (carts of seed 9002, case 11)
-        return best
+        return best or self._learned_by_noise(
+            place, [p for p in proposals if p.nats > 0 and not _accepted(self._search, p)]
+        )
+
+    def _learned_by_noise(self, place: _Place, proposals: Sequence[Explained]) -> _Place | None:
+        """The physics with a candidate that explains much more once noise levels are found beside it.
+
+        Gusts that last have learned a steady push: what a step gains at their level is no measure of what a fit gains
+        (2.7 and 27 nats, tests/diagnosis/test_buys.py).
+        """
+        there = [self._fitted(p.system, place) for p in proposals[:_TRIED]]
+        best = max(there, key=lambda p: p.best.likelihood, default=place)
+        added = self._added(best.system) - self._added(place.system)
+        return best if added and self._needed(*added, best, place) else None
 
     def _holds(self, proposal: Explained, there: _Place, place: _Place) -> bool:
         """Whether the likelihood rose as a linearised step promised."""

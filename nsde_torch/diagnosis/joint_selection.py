@@ -290,7 +290,7 @@ class _JointSearch:
         there = [self._fitted(p.system, place) for p in proposals[:_TRIED]]
         best = max(there, key=lambda p: p.best.likelihood, default=place)
         added = self._added(best.system) - self._added(place.system)
-        return best if added and self._needed(*added, best, place) else None
+        return best if any(self._needed(name, best, place) for name in added) else None
 
     def _holds(self, proposal: Explained, there: _Place, place: _Place) -> bool:
         """Whether the likelihood rose as a linearised step promised."""

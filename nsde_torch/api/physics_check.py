@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from math import exp, log
 
 import numpy as np
 
@@ -15,13 +14,13 @@ from nsde_torch.data.raw import RawRun
 from nsde_torch.data.run import Run
 from nsde_torch.data.system_info import changed
 from nsde_torch.errors import NsdeError
-from nsde_torch.sysid.readings import AS_GOOD, LESS, better_readings
-from nsde_torch.sysid.rough import beginnings, rough_fit, share_left
+from nsde_torch.sysid.motors import motor_orders
+from nsde_torch.sysid.readings import better_readings
+from nsde_torch.sysid.rough import rough_fit
 from nsde_torch.systems.base import System
+from nsde_torch.systems.multirotor import Multirotor
 from nsde_torch.threads import one_thread
 
-_PART_S = 30.0  # of the runs, on which numberings are compared
-_ITERATIONS = 4
 _NAME = "signs of the physics"
 _DOUBTS = ("constant_state", "same_runs")
 """Findings of reading that are mended before anything is trained."""
@@ -77,7 +76,7 @@ def check_physics(
     if not fits:
         return out
     clock, found = data.clock_scale, list(data.runs)
-    if numbering is not None and machine.nu in NUMBERINGS["betaflight"]:
+    if numbering is not None and isinstance(machine, Multirotor):
         found = _numbered(machine, found, clock, numbering, fixed, out)
         if out.checks:
             return out
@@ -96,47 +95,38 @@ def check_physics(
 
 
 def _numbered(
-    machine: System, runs: list[Run], clock: float, assumed: str, fixed: bool, out: PhysicsFound
+    machine: Multirotor, runs: list[Run], clock: float, assumed: str, fixed: bool, out: PhysicsFound
 ) -> list[Run]:
-    """The runs with the motors numbered as the physics likes best, if it likes one much more."""
+    """The runs with the motors numbered as their moments say, where they say it surely."""
     motors = machine.nu
-    some = beginnings(runs, clock, seconds=_PART_S, fewest=50)
     back = np.argsort(order(assumed, motors))
-    places: dict[str, list[int]] = {}
+    places: dict[tuple[int, ...], str] = {}
     for name, frames in NUMBERINGS.items():
         if motors in frames:
-            own = back[list(order(name, motors))].tolist()
-            if own not in places.values():
-                places[name] = own
-    scores: dict[str, float] = {}
-    for name, own in places.items():
-        fitted = rough_fit(machine, [_reordered(run, own) for run in some], clock, iterations=_ITERATIONS)
-        scores[name] = float("inf") if fitted is None else share_left(fitted)
-    ranked = sorted(scores, key=lambda name: scores[name])
-    if len(ranked) < 2 or not np.isfinite(scores[ranked[0]]):
+            places.setdefault(tuple(back[list(order(name, motors))].tolist()), name)
+    ranked = motor_orders(machine, runs, clock, list(places))
+    if not ranked:
         return runs
-    first = ranked[0]
-    clear = scores[first] < scores[ranked[1]] - log(LESS) / 2
-    same = places[first] == list(range(motors))
-    told = f"{exp(scores[ranked[1]] - scores[first]):.1f} times less of all channels together"
-    if not clear:
-        level = "as well" if scores[ranked[1]] - scores[first] < AS_GOOD else "nearly as well"
+    best = ranked[0]
+    first, rival = places[best.places], next(o for o in ranked if o.places != best.places)
+    same = best.places == tuple(range(motors))
+    told = f"{best.nats - rival.nats:.0f} nats likelier than with {places[rival.places]}"
+    if not best.surely_better(rival):
         out.notes.append(
-            f"motors numbered as in {first} and {ranked[1]} do {level} (the physics leaves {told}): check it"
+            f"moments of motors numbered as in {first} are no more than {told}: check the numbers"
         )
         return runs
     if fixed and not same:
-        now = next(scores[name] for name, own in places.items() if own == list(range(motors)))
-        more = f"{exp(now - scores[first]):.1f} times less of all channels together"
-        text = f"the physics leaves {more} with the motors numbered as in {first} (`numbering: {first}`)."
+        now = next(o for o in ranked if o.places == tuple(range(motors)))
+        text = f"moments of motors numbered as in {first} are {best.nats - now.nats:.0f} nats likelier."
         remedy = f"write `numbering: {first}` in the entry of the motors"
         out.checks.append(LogCheck("numbering of the motors", False, text, remedy))
         return runs
-    out.notes.append(f"motors are numbered as in {first}: the physics leaves {told} than with {ranked[1]}")
+    out.notes.append(f"motors are numbered as in {first}: their moments are {told}")
     if same:
         return runs
     out.numbering = first
-    return [_reordered(run, places[first]) for run in runs]
+    return [_reordered(run, list(best.places)) for run in runs]
 
 
 def _reordered(run: Run, places: list[int]) -> Run:

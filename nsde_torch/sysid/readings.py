@@ -8,7 +8,7 @@ fitted to it by plain least squares on means over 0.15 s (`rough`), gains inside
 
 says how much is left, whatever the units. Readings are looked at only where the log as it is leaves much, and one is
 told only where it leaves `LESS` times less: in a sound log nothing is better than what the columns say. Propellers that
-turn the other way are looked at where the motors seem to make no yaw moment.
+turn the other way are found by the moments of the motors (`motors`).
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 from nsde_torch.data import Run
 from nsde_torch.data.quaternion import multiply
 from nsde_torch.data.system_info import derivative_columns, rate_columns
+from nsde_torch.sysid.motors import motor_orders
 from nsde_torch.sysid.regression import Regression
 from nsde_torch.sysid.rough import beginnings, left_at, rough_fit, share_left
 from nsde_torch.systems import System
@@ -37,10 +38,6 @@ LESS = exp(1.0)
 """Times less of all channels together that another reading must leave; of 30 ms of delay it is six times."""
 AS_GOOD = 0.15
 """Difference of scores within which two readings do as well."""
-_NO_GAIN = 1e-3  # typical sizes of a yaw gain, below which none is found
-_LESS_YAW = (
-    0.9  # times what is left of the yaw rate; a sound log left 0.99 of it with propellers the other way round
-)
 _ITERATIONS = 4
 _PART_S = 20.0  # of the runs, on which readings are compared before the best is looked at in all
 _ROUNDS = 3  # exchanges of two inputs, one after another
@@ -103,7 +100,7 @@ def better_readings(system: System, runs: Sequence[Run], clock: float, rough: Re
         clock: Physical seconds per logged second.
         rough: The declared physics in the runs as they are (`rough_fit`).
     """
-    return _much_better(system, runs, clock, rough) or _propellers(system, runs, clock, rough)
+    return _much_better(system, runs, clock, rough) or _propellers(system, runs, clock)
 
 
 def _much_better(system: System, runs: Sequence[Run], clock: float, rough: Regression) -> Better | None:
@@ -135,17 +132,17 @@ def _much_better(system: System, runs: Sequence[Run], clock: float, rough: Regre
     )
 
 
-def _propellers(system: System, runs: Sequence[Run], clock: float, rough: Regression) -> Better | None:
-    """Propellers that turn the other way, where the motors seem to make no yaw moment as they are declared.
+def _propellers(system: System, runs: Sequence[Run], clock: float) -> Better | None:
+    """Propellers that turn the other way, as the moments of the motors say.
 
     Yaw is weak and one channel of six: read the other way, it never leaves `LESS` times less of all channels together;
     and no numbering of the motors turns yaw alone.
     """
-    vector = rough.vector
-    gain = vector.labels.index("yaw_gain") if isinstance(system, Multirotor) else None
-    if gain is None or rough.theta[gain] > _NO_GAIN * vector.scale[gain]:
+    if not isinstance(system, Multirotor):
         return None
-    assert isinstance(system, Multirotor)
+    found = motor_orders(system, runs, clock, [tuple(range(system.nu))])
+    if not found or found[0].yaw > 0 or not found[0].surely_better(found[1]):
+        return None
     yaw = np.array(system.mixing[-1])
 
     def mirrored(u: Array) -> Array:
@@ -158,14 +155,7 @@ def _propellers(system: System, runs: Sequence[Run], clock: float, rough: Regres
         _inputs(mirrored),
         "propellers",
     )
-    other = rough_fit(system, [reading.read(run) for run in runs], clock)
-    if other is None:
-        return None
-    pairs = zip(left_at(rough, rough.theta), left_at(other, other.theta), strict=False)
-    (now, then) = next((a, b) for a, b in pairs if a.name == "w_z")
-    if not then.left < _LESS_YAW * now.left:
-        return None
-    return Better((reading,), ((now.name, now.unit, now.left, then.left),))
+    return Better((reading,), (("w_z", "rad/s2", float(found[1].left[2]), float(found[0].left[2])),))
 
 
 # ---- readings ------------------------------------------------------------------------------------------

@@ -81,18 +81,27 @@ class Left:
     foretold: float
 
 
-def left_at(rough: Regression, theta: Array) -> list[Left]:
+def left_at(rough: Regression, theta: Array, *, damped: bool = False) -> list[Left]:
     """What the physics leaves at some parameters, channel by channel.
 
     Args:
         rough: What `rough_fit` returned.
         theta: Parameters (k,).
+        damped: Whether what goes with a channel's own state is taken out, as a damping would that nobody declared.
     """
-    residual, measured = (
+    physics = rough.physics
+    residual, measured, own = (
         _without_levels(rough, rough.single.summed(values, rough.box) / rough.dt)
-        for values in (rough.physics.residual(theta), rough.physics.measured)
+        for values in (
+            physics.residual(theta),
+            physics.measured,
+            physics.turn(physics.steps.seen0, physics.attitude).numpy(),
+        )
     )
-    names, units = rough.physics.names, rough.physics.units
+    if damped:
+        share = (residual * own).sum(0) / np.square(own).sum(0).clip(1e-300)
+        residual = residual - share * own
+    names, units = physics.names, physics.units
     return [
         Left(
             names[c],

@@ -5,7 +5,9 @@ is left,
 
     L(s) = sum over channels of log(left / measured),
 
-has a sharp minimum in the shift s: a delay of 30 ms makes a multirotor's rates four to ten times as large. A parabola
+has a sharp minimum in the shift s: a delay of 30 ms makes a multirotor's rates four to ten times as large. What goes
+with a channel's own state does not count: an undeclared drag of a machine that swings resembles a late attitude, whose
+error goes with the rate of the swing. A parabola
 through three shifts says where it is; where it is elsewhere, the search follows it. A stream that is truly shifted is
 better in every channel when it is moved. Where one is worse, or where states were smoothed, a lag and a smoother
 together do the same as a shift, and none is advised.
@@ -163,7 +165,7 @@ def _best(
             if fitted is not None and len(fitted.rows) >= len(rough.rows):
                 known[at] = {
                     c.name: log(max(c.left, 1e-12) / max(c.measured, 1e-12))
-                    for c in left_at(fitted, fitted.theta)
+                    for c in left_at(fitted, fitted.theta, damped=True)
                 }
         return known[at]
 

@@ -482,13 +482,6 @@ RULES = (
     ),
     # ---- laws beyond the catalogue
     Rule(
-        "imitation",
-        "laws are tried in the place of an effect that a term outdoes",
-        ("beyond_catalogue.a_law_is_nearer",),
-        constant(False),
-        anything,
-    ),
-    Rule(
         "laws for bent shapes",
         "laws are tried in the place of an effect whose shape ends at a bound",
         ("beyond_catalogue.bent_shape",),
@@ -503,32 +496,18 @@ RULES = (
         anything,
     ),
     Rule(
-        "laws led by functions",
-        "laws are made of what functions are of, where tests bring none",
-        ("beyond_catalogue._of_functions",),
-        constant(None),
-        anything,
-    ),
-    Rule(
-        "laws run by run",
-        "a law has to be there run by run",
-        ("trials.by_runs",),
-        constant(inf),
-        lambda result, *args, **kwargs: result < 0.01,
-    ),
-    Rule(
-        "_stable",
+        "laws chosen again",
         "a law that is not chosen again in halves of the runs is taken out",
-        ("beyond_catalogue._stable",),
-        argument(2),
-        other_than(2),
+        ("beyond_catalogue._LawSearch._not_chosen_again",),
+        constant(""),
+        lambda result, *args, **kwargs: bool(result),
     ),
     Rule(
-        "named_by_the_catalogue",
+        "laws named by the catalogue",
         "a law that is an effect of the catalogue takes its name",
-        ("beyond_catalogue.named_by_the_catalogue",),
-        argument(2),
-        other_than(2),
+        ("beyond_catalogue.same_effect",),
+        constant(None),
+        lambda result, *args, **kwargs: result is not None,
     ),
     # ---- estimates
     Rule(

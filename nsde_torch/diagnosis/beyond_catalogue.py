@@ -1,227 +1,290 @@
-"""The search beyond the catalogue: where structure is left, laws of the machine's own variables are tried as effects.
+"""Laws that no catalogue has, by the joint likelihood: terms of what functions are of that explain more.
 
-    select and eliminate (catalogue)  ->  something left  ->  propose laws  ->  select and eliminate again, with them
+    functions beside the physics  ->  their variables  ->  terms of these as columns  ->  the best are fitted  ->  again
 
-until nothing is left, no law is new or none holds. Laws are made of what tests of structure name. Where that brings
-none, they are made of what functions are of that explain more (`learned_functions`), under the noise that these leave:
-the noise model of the physics may have learned the law, and a test of one variable may not show it.
+Functions of one and of two variables (`nsde_torch.inference.functions`) say on which row of a port something is left,
+and of which variables. Every term of the library (`law_terms`) of these is one more column of the likelihood's Gram
+matrices, under the noise levels that the functions leave: levels found without them have learned the law. The few that
+explain most of folds left out are fitted to the end; the best joins the physics if it is needed after correction for
+the size of the library. In the end each effect and each law is looked at again, as in the selection.
 
 Laws are tried first in the place of effects that may only imitate one: where the shape of an effect ends at the largest
-that the data tell from another law (`bent_shape`), where one term explains surely more (`imitation`), and where two
-effects are laws of one variable (a friction and a quadratic damping for a cubic one). A law that is not chosen again in
-halves of the runs is taken out.
+that the data tell from another law (`bent_shape`), where one term is likelier (`Selected.law`), and where two effects
+are laws of one variable (a friction and a quadratic damping for a cubic one).
+
+A law has to be chosen again: of halves of the runs (of stretches, where there are too few runs), drawn at random, it
+explains a large share about as well as the best term of the library does there (stability selection, Meinshausen and
+Buehlmann, Journal of the Royal Statistical Society B 72, 2010, with likelihoods in place of a path).
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
 
-from nsde_torch.diagnosis.decision import decide, of_one_variable, set_aside
-from nsde_torch.diagnosis.elimination import Retained, eliminate
-from nsde_torch.diagnosis.fitted import bent_shape, effect_of, fitted_system, values_of
-from nsde_torch.diagnosis.hidden import Feedback
-from nsde_torch.diagnosis.imitation import a_law_is_nearer
-from nsde_torch.diagnosis.joint_selection import JointSelection
-from nsde_torch.diagnosis.law_names import named_by_the_catalogue
-from nsde_torch.diagnosis.laws import (
-    chosen_again,
-    propose,
-    wanted_variables,
-    with_coordinates,
-)
-from nsde_torch.diagnosis.learned_functions import function_gain
-from nsde_torch.diagnosis.left_over import variables_of
-from nsde_torch.diagnosis.outcome import Outcome, base_without
-from nsde_torch.diagnosis.search import Base, Search
-from nsde_torch.diagnosis.selection import Selection, forward_selection
+import numpy as np
+from numpy.typing import NDArray
+
+from nsde_torch.diagnosis.decision import of_one_variable
+from nsde_torch.diagnosis.fitted import bent_shape, effect_of, values_of
+from nsde_torch.diagnosis.gram_table import GramTable, folds_of
+from nsde_torch.diagnosis.joint_selection import JointSearch, JointSelection, Place, coordinate_of
+from nsde_torch.diagnosis.law_columns import Term, tables, terms_on, with_places
+from nsde_torch.diagnosis.law_names import same_effect
+from nsde_torch.diagnosis.learned_functions import functions_beside
+from nsde_torch.diagnosis.outcome import Outcome
+from nsde_torch.diagnosis.screening import joined
+from nsde_torch.effects import Law
 from nsde_torch.effects.expression_grammar import is_law
 from nsde_torch.effects.law import AND
-from nsde_torch.evaluation.bootstrap import FEWEST_BLOCKS
-from nsde_torch.inference import Optimum
-from nsde_torch.sysid.noise import Noise
+from nsde_torch.inference.functions import Functions
+from nsde_torch.inference.levels import Levels
+
+Array = NDArray[np.float64]
+
+_NEW = 0.03  # of the length of a term: less of it is nothing that the parameters cannot do already
+_CLOSE = 0.3  # share of the nats of the best term below which no further one is fitted
 
 
 def with_laws(
-    search: Search,
-    chosen: Selection,
-    kept: Retained,
+    search: JointSearch,
+    joint: JointSelection,
     outcome: Outcome,
-    feedback: Feedback,
-    joint: JointSelection | None = None,
-    at: Optimum | None = None,
+    conclude: Callable[[JointSelection], Outcome],
 ) -> Outcome:
-    """The outcome with laws that no catalogue has, where structure is left and such laws explain it.
+    """The outcome with laws that no catalogue has, where functions explain more and such laws do too.
 
     Args:
-        search: Data and settings.
-        chosen: What forward selection added of the catalogue.
-        kept: What elimination kept.
-        outcome: What was concluded of it.
-        feedback: What is asked of the loop.
-        joint: What the joint likelihood selected, where it did: it has held effects against laws.
-        at: An optimum of the likelihood of the log, under the declared physics or more; None where there is none.
+        search: The search by the joint likelihood.
+        joint: What it selected of the catalogue.
+        outcome: What was concluded of that.
+        conclude: What is concluded of another selection.
     """
-    # the user says what may be tried; and in logs of many rows a box noise models learn what laws would then explain
-    if search.candidates is not None or search.box > 1 or not search.budgets.law_rounds:
+    settings = search.search
+    if settings.candidates is not None or not settings.budgets.laws:  # the user says what may be tried
         return outcome
-    decisions, names = search.decisions, [f.name for f in outcome.found]
-    bent = [(name,) for name in names if bent_shape(kept.final.regression, name)]
-    near = []
-    for i, name in enumerate(names):
-        search.say("holding effects against laws", i, len(names))
-        nearer = a_law_is_nearer(search, chosen, kept, name) if joint is None else joint.selected[name].law
-        if (name,) not in bent and nearer:
-            near.append((name,))
+    laws, names = _LawSearch(search), list(joint.selected)
+    near = [(name,) for name in names if joint.selected[name].law]
+    settings.say("functions of what was measured", 0, 1)
+    joint = replace(joint, functions=laws.functions(search.of(joint)))
+    looked = replace(outcome, joint=joint if outcome.joint is not None else None)
+    if joint.functions is None or not (joint.functions.nats or near):
+        return looked
+    bent = [
+        (f.name,)
+        for f in outcome.found
+        if bent_shape(outcome.final.regression, f.name) and (f.name,) not in near
+    ]
     alike = [pair for pair in combinations(names, 2) if of_one_variable(*pair)]
-    likelier, as_good = decisions.alike_nats, -decisions.wider_nats
+    likelier, as_good = settings.decisions.alike_nats, -settings.decisions.wider_nats
     for replaced, least in (
         *((one, likelier) for one in (*bent, *near)),
         *((pair, as_good) for pair in alike),
     ):
-        search.say(f"trying laws in the place of {AND.join(replaced)}", 0, 1)
-        other = _in_place_of(search, chosen, kept, feedback, replaced, at)
-        fewer = len(other.found) <= len(names) - len(replaced) + 1 and other.found
-        if fewer and other.final.score.fitted > outcome.final.score.fitted + least:
-            return other
-    return _with_laws(search, chosen, kept, outcome, feedback, at)
+        settings.say(f"trying laws in the place of {AND.join(replaced)}", 0, 1)
+        other = laws.selected(joint, replaced)
+        if other is None or len(other.selected) > len(names) - len(replaced) + 1:
+            continue
+        if other.best.likelihood > joint.best.likelihood + least:
+            return conclude(other)
+    settings.say("laws of what is left", 0, 1)
+    more = laws.selected(joint, ())
+    return looked if more is None else conclude(more)
 
 
-def _in_place_of(
-    search: Search,
-    chosen: Selection,
-    kept: Retained,
-    feedback: Feedback,
-    names: Sequence[str],
-    near: Optimum | None,
-) -> Outcome:
-    """The outcome with laws tried where effects were that may stand for one."""
-    base = kept.final
-    for name in names:
-        base = base_without(search, base, chosen.declared, name)
-    others = [f for f in kept.found if f.name not in names]
-    without = replace(kept, found=others, final=base)
-    some = replace(chosen, names=[f.name for f in others], final=base)
-    return _with_laws(search, some, without, decide(search, some, without, feedback), feedback, near)
+def sound(search: JointSearch, joint: JointSelection) -> JointSelection | None:
+    """A selection whose innovations are what they should be: the given one, or one with laws; else None.
+
+    What a law does that the physics lacks is no noise, and may show as a misfit of the noise model.
+
+    Args:
+        search: The search by the joint likelihood.
+        joint: What it selected of the catalogue.
+    """
+    if not joint.best.misfit:
+        return joint
+    if search.search.candidates is not None or not search.search.budgets.laws:
+        return None
+    found = _LawSearch(search).selected(joint, ())
+    return None if found is None or found.best.misfit else found
 
 
 @dataclass(frozen=True)
-class _Lead:
-    """What laws are looked for: channels in which something is left, variables, and the physics that weighs rows."""
-
-    base: Base
-    channels: Sequence[str]
-    wanted: Sequence[str]
-
-
-def _with_laws(
-    search: Search,
-    chosen: Selection,
-    kept: Retained,
-    outcome: Outcome,
-    feedback: Feedback,
-    near: Optimum | None,
-) -> Outcome:
-    """The outcome with laws, round by round: of what tests name, else of what functions are of that explain more."""
-    for _ in range(search.budgets.law_rounds):
-        found = None
-        if outcome.structured:
-            found = _one_round(search, chosen, kept, outcome, feedback, _of_tests(kept.final, outcome))
-        if found is None:
-            outcome = with_functions(search, kept.final, outcome, near)
-            lead = _of_functions(outcome)
-            found = None if lead is None else _one_round(search, chosen, kept, outcome, feedback, lead)
-        if found is None:
-            break
-        more, kept = found
-        chosen = replace(more, names=[f.name for f in kept.found])
-        outcome = decide(search, more, kept, feedback)
-        if not any(is_law(f.name) for f in kept.found):  # what feedback may hide is told, and not named
-            break
-    return outcome
-
-
-def _one_round(
-    search: Search, chosen: Selection, kept: Retained, outcome: Outcome, feedback: Feedback, lead: _Lead
-) -> tuple[Selection, Retained] | None:
-    """Propose laws, select and eliminate again; None where that brings nothing that was not there."""
-    search.say("proposing laws for what is left", 0, 1)
-    new = propose(search, lead.base, list(dict.fromkeys(lead.channels)), lead.wanted, outcome.variables)
-    if not new and lead.base is kept.final:
-        return None
-    more = forward_selection(search, chosen.declared, after=chosen, final=lead.base)
-    if not _news(more.names, kept):
-        return None
-    now = _stable(search, more, set_aside(search, more, eliminate(search, more), feedback))
-    if not _news([*(f.name for f in now.found), *(h.name for h in now.hidden)], kept):
-        return None
-    return more, named_by_the_catalogue(search, more, now)
-
-
-def _of_tests(base: Base, outcome: Outcome) -> _Lead:
-    """What tests of structure name: a law may show as one moment where it is largest, or as a drift."""
-    left = outcome.structured
-    wanted = wanted_variables(base.regression, left, outcome.after, outcome.variables)
-    return _Lead(base, [d.channel for d in left], wanted)
-
-
-def _of_functions(outcome: Outcome) -> _Lead | None:
-    """What functions are of that explain more, and rows weighed by the noise that these leave."""
-    found = outcome.beside
-    if found is None or not found.rows:
-        return None
-    variables, base = outcome.variables, found.base
-    names = dict.fromkeys(name for row in found.rows for name in row.variables)
-    known = [v for v in names if v in variables.columns][: variables.budgets.law_variables]
-    wanted = with_coordinates(base.regression.vector.system, known, variables)
-    measured = [base.regression.physics.names[c] for c in base.regression.rows]
-    moved = {channel for row in found.rows for channel in row.channels}
-    return _Lead(_weighed(base, found.noises(variables)), [c for c in measured if c in moved], wanted)
-
-
-def _news(names: Sequence[str], kept: Retained) -> bool:
-    """Whether there is an effect or a law among some names that was not kept, nor set aside, before."""
-    return not {*names} <= {*(f.name for f in kept.found), *(h.name for h in kept.hidden)}
-
-
-def with_functions(search: Search, base: Base, outcome: Outcome, near: Optimum | None) -> Outcome:
-    """The outcome, with functions beside its physics; as it is where these would say nothing.
+class _Chosen:
+    """A law that was fitted, and the library that it was chosen from.
 
     Args:
-        search: Data and settings.
-        base: The physics.
-        outcome: What was concluded.
-        near: An optimum of the likelihood of the log.
+        term: The law.
+        library: All terms that were looked at with it.
     """
-    if outcome.beside is not None and outcome.beside.base is base:
-        return outcome
-    blocks, most = int(base.block.max()) + 1, search.budgets.function_groups
-    if near is None or not most or not search.inputs or base.regression.arithmetic or blocks < FEWEST_BLOCKS:
-        return outcome
-    search.say("functions of what was measured", 0, 1)
-    return replace(outcome, beside=function_gain(base, near, outcome.test, most=most))
+
+    term: Term
+    library: tuple[Term, ...]
 
 
-def _weighed(base: Base, noises: Mapping[int, Noise]) -> Base:
-    """Physics whose rows are weighed by other noise models, by number of the channel among its rows."""
-    regression = base.regression
-    for channel, law in noises.items():
-        regression = regression.under(channel, law)
-    return replace(base, regression=regression)
+class _LawSearch:
+    """Adds laws to physics; remembers functions beside physics, and which terms laws were chosen from.
 
+    Args:
+        search: The search by the joint likelihood.
+    """
 
-def _stable(search: Search, chosen: Selection, kept: Retained) -> Retained:
-    """What elimination kept, without laws that are not chosen again in halves of the runs."""
-    for f in list(kept.found):
-        if not is_law(f.name):
-            continue
-        without = base_without(search, kept.final, chosen.declared, f.name)
-        variables = variables_of(search, without)
+    def __init__(self, search: JointSearch) -> None:
+        self._search = search
+        self._functions: dict[frozenset[str], Functions | None] = {}
+        self._chosen: dict[str, _Chosen] = {}
+        self._tried = 0
+
+    def functions(self, place: Place) -> Functions | None:
+        """Functions beside some physics; None where they would say nothing."""
+        names = frozenset(place.system.effect_names)
+        if names not in self._functions:
+            self._functions[names] = functions_beside(place.at, self._search.search.budgets.function_groups)
+        return self._functions[names]
+
+    def selected(self, joint: JointSelection, replaced: Sequence[str]) -> JointSelection | None:
+        """A selection with laws, also in the place of some effects; None where no law is kept.
+
+        Args:
+            joint: What was selected.
+            replaced: Effects that laws are tried in the place of.
+        """
+        search = self._search
+        place = search.of(joint)
+        of_effects = {n: e for n in replaced if isinstance(e := effect_of(place.system, n), Law)}
+        for name in replaced:
+            place = search.without(place, name)
+        for _ in range(search.search.budgets.laws):
+            better = self._with_a_law(place, list(of_effects.values()))
+            if better is None:
+                break
+            place = better
+        if not any(map(is_law, place.system.effect_names)):
+            return None
+        found = search.concluded(place, self._tried)
+        while unstable := self._not_chosen_again(found):
+            found = search.concluded(search.without(search.of(found), unstable), self._tried)
+        if not any(map(is_law, found.selected)):
+            return None
+        found = self._named_by_the_catalogue(found)
+        return replace(found, functions=self.functions(search.of(found)))
+
+    def _with_a_law(self, place: Place, effects: Sequence[Law]) -> Place | None:
+        """Physics with the law that explains most beside it; None where none is needed."""
+        search, functions = self._search, self.functions(place)
+        wanted: dict[int, list[str]] = {}
+        nats = {} if functions is None else functions.nats
+        for port in sorted(nats, key=lambda p: -nats[p]):
+            assert functions is not None
+            most = [*functions.importance(port)][: search.search.budgets.law_variables]
+            wanted[port] = with_places(place.system, most)
+        for effect in effects:
+            at = effect.at.port, effect.at.row
+            if at in place.at.of.space.disturbances:
+                port = place.at.of.space.disturbances.index(at)
+                wanted[port] = list(
+                    dict.fromkeys((*wanted.get(port, ()), *coordinate_of(place.system, effect)))
+                )
+        levels = None if functions is None else functions.levels
+        library = tuple(
+            t for port, names in wanted.items() for t in terms_on(place.system, place.at, port, names)
+        )
+        library = tuple(t for t in library if t.law not in place.system.effect_names)
+        self._tried = max(self._tried, len(library))
+        best: Place | None = None
+        fitted: list[Term] = []
+        chosen: Term | None = None
+        for term, size in self._promising(place, library, levels):
+            system = joined(place.system, term.law, {**term.start, "c1": size})
+            there = search.fitted(system, place)
+            if not search.needed(term.law, there, place, self._tried):
+                continue
+            fitted.append(term)
+            if best is None or _value(there) > _value(best):
+                best, chosen = there, term
+        if best is None or chosen is None:
+            return None
+        for term in fitted:
+            self._chosen[term.law] = _Chosen(term, library)
+        search.rivals_of(chosen.law, fitted)
+        return best
+
+    def _promising(
+        self, place: Place, library: Sequence[Term], levels: Levels | None
+    ) -> list[tuple[Term, float]]:
+        """Terms that explain most of folds left out, each law once, with their sizes after one linearised step."""
+        search, space = self._search.search, place.at.of.space
+        folds = folds_of(search.decisions, *space.chunks.places())
+        found: list[tuple[float, Term, float]] = []
+        for some, held in tables(place.system, place.at, library, levels):
+            first = 1 + len(place.best.vector)
+            table = GramTable(held, 1 + place.best.free, folds)
+            for column, term in enumerate(some, start=first):
+                if table.left(column) > _NEW:
+                    blocks, _, step = table.gain([(0, column)])
+                    found.append(
+                        (float(blocks.sum()) - table.price(1 + len(term.start)), term, float(step[0]))
+                    )
+        best: dict[str, tuple[Term, float]] = {}
+        ranked = sorted(found, key=lambda one: -one[0])
+        for nats, term, size in ranked:
+            if len(best) >= search.budgets.laws_fitted or nats < max(_CLOSE * ranked[0][0], 0.0):
+                break
+            best.setdefault(term.law, (term, size))
+        return list(best.values())
+
+    def _not_chosen_again(self, found: JointSelection) -> str:
+        """A law that is not chosen again in halves of the runs; empty where all are."""
+        decisions = self._search.search.decisions
+        for name in filter(is_law, found.selected):
+            known = self._chosen.get(name)
+            if known is not None and self._share(found, name, known) < decisions.law_share:
+                return name
+        return ""
+
+    def _share(self, found: JointSelection, name: str, known: _Chosen) -> float:
+        """Share of random halves of the runs in which a law is about as good as the best of its library."""
+        search, decisions = self._search, self._search.search.decisions
+        without = search.without(search.of(found), name)
+        values = values_of(effect_of(found.system, name))
+        shapes = {k: v for k, v in values.items() if k != "c1"}
+        library = (Term(name, shapes, known.term.port), *known.library)
+        space = without.at.of.space
+        owners, firsts = space.chunks.places()
+        fold = folds_of(decisions, owners, firsts)
+        labels, rng = np.unique(fold), np.random.default_rng(decisions.law_halves)
+        halves = [
+            np.isin(fold, rng.choice(labels, max(len(labels) // 2, 1), replace=False))
+            for _ in range(decisions.law_halves)
+        ]
+        power = np.full((len(halves), len(library)), -np.inf)
+        at = 0
         # the noise of the physics without the law may have learned it
-        without = _weighed(without, dict(enumerate(kept.final.regression.noises)))
-        values = values_of(effect_of(fitted_system(kept.final.regression), f.name))
-        shapes = {k: float(v) for k, v in values.items() if k != "c1" and isinstance(v, float)}
-        if chosen_again(search, without, f.name, shapes, variables) < search.decisions.law_share:
-            kept = replace(kept, found=[g for g in kept.found if g is not f], final=without)
-    return kept
+        for some, held in tables(without.system, without.at, library, found.at.levels):
+            table = GramTable(held, 1 + without.best.free, fold)
+            first = 1 + len(without.best.vector)
+            power[:, at : at + len(some)] = table.gains_on(halves, range(first, first + len(some)), _NEW)
+            at += len(some)
+        mine = [j for j, term in enumerate(library) if term.law == name]
+        again = power[:, mine].max(1) > power.max(1) - decisions.alike_nats
+        return float(again.mean())
+
+    def _named_by_the_catalogue(self, found: JointSelection) -> JointSelection:
+        """The same, laws that the catalogue has under its names."""
+        search = self._search
+        for name in filter(is_law, list(found.selected)):
+            place = search.of(found)
+            effect = same_effect(place.at.of.space.steps, place.system, name)
+            if effect is None:
+                continue
+            there = search.fitted(joined(search.without(place, name).system, effect, {}), place)
+            again = search.concluded(there, self._tried)
+            if effect in again.selected:
+                found = again
+        return found
+
+
+def _value(place: Place) -> float:
+    """Log likelihood of fitted physics less the price of its parameters (Schwarz) [nats]."""
+    return place.best.likelihood - 0.5 * len(place.best.free) * float(np.log(len(place.at.blocks)))

@@ -19,7 +19,13 @@ import torch
 from numpy.typing import NDArray
 
 from nsde_torch.diagnosis.evidence import sum_error
-from nsde_torch.diagnosis.learned_functions import FunctionGain, RowGain, function_gain, optimum_of
+from nsde_torch.diagnosis.learned_functions import (
+    FunctionGain,
+    RowGain,
+    function_gain,
+    functions_beside,
+    optimum_of,
+)
 from nsde_torch.diagnosis.outcome import Outcome
 from nsde_torch.diagnosis.reading import Log
 from nsde_torch.diagnosis.trust import FAR, distance_from_data
@@ -81,10 +87,13 @@ def ceiling(log: Log, outcome: Outcome) -> Ceiling:
     if at is None or why_not:
         return Ceiling(why_not or "the likelihood of the log could not be computed")
     log.say("what functions could still explain", 0, 1)
-    gain = outcome.beside
-    if gain is None or gain.base is not outcome.final:
-        most = log.budgets.function_groups
-        gain = function_gain(outcome.final, at, outcome.test, most=most)
+    found = None if outcome.joint is None else outcome.joint.functions
+    if found is None:
+        at = optimum_of(outcome.system, at)
+        found = functions_beside(at, log.budgets.function_groups)
+    if found is None:
+        return Ceiling("the log is too short")
+    gain = function_gain(at, found, outcome.test)
     before, after = gain.functions.blocks
     left = (after - before) * (gain.nats / max(float((after - before).sum()), 1e-300) if gain.rows else 0.0)
     out = Ceiling(left=float(left.sum()), rows=gain.rows, gain=gain)
@@ -240,8 +249,6 @@ def _why_not(log: Log, outcome: Outcome) -> str:
         )
     if outcome.final.regression.arithmetic:
         return "what is left is what arithmetic leaves"
-    if outcome.optimum is not None and len(outcome.optimum.blocks) < FEWEST_BLOCKS:
-        return "the log is too short"
     return ""
 
 

@@ -204,12 +204,11 @@ class Budgets:
     noise_turns: int = key(4, "most turns between parameters and noise model in a test", low=1)
     closer_chance: float = key(0.05, "chance above which one run alone gets no closer look", above=0, high=1)
     shapes: int = key(6, "dependences that are described in words", low=0)
-    formula_terms: int = key(4, "most terms of a law that are proposed at once", low=1)
     law_variables: int = key(
-        4, "most variables that laws are tried of because tests name them, at once", low=1
+        4, "most variables of a row of a port that laws are tried of, of those that functions are of", low=1
     )
-    laws_fitted: int = key(4, "most laws that are proposed for each of these terms", low=1)
-    law_rounds: int = key(1, "most times that laws are proposed for what is left", low=0)
+    laws_fitted: int = key(4, "terms that are fitted to the end, of which the best is a law", low=1)
+    laws: int = key(4, "most laws beyond the catalogue; 0: none are tried", low=0)
     function_groups: int = key(
         4, "most groups of functions on one row of a port, of what effects leave; 0: none are tried", low=0
     )

@@ -69,7 +69,7 @@ def eliminate(search: Search, chosen: Selection, *, also: Collection[str] = ()) 
             now = look(
                 search,
                 without,
-                only={name, *contained, *_rivals(search, name, rounds), *also, *search.laws},
+                only={name, *contained, *_rivals(search, name, rounds), *also},
                 called=f"looking again at {name}",
             )
         else:

@@ -16,7 +16,7 @@ from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import chdtrc, fdtrc, stdtr
+from scipy.special import fdtrc, stdtr
 
 from nsde_torch.diagnosis.decisions import DECISIONS, Decisions
 from nsde_torch.diagnosis.fitted import at_bounds
@@ -159,25 +159,6 @@ def by_blocks(difference: Array) -> float:
         return 1.0
     counting = float(np.abs(difference).sum()) ** 2 / squares
     return float(stdtr(max(counting - 1.0, 1.0), -float(difference.sum()) / sum_error(difference)))
-
-
-def by_runs(difference: Array, run: Labels, count: int, *, fewest: int) -> float:
-    """Chance of what is left of a sum over blocks without the run that says most, in white noise.
-
-    What grows with a high power is seen in a few blocks of every run, too few for their scatter to tell anything; that
-    runs left out agree on it does, and one run alone can say nothing.
-
-    Args:
-        difference: Held-out log-likelihood differences of blocks (B,) [nats].
-        run: Number of the run of each block (B,).
-        count: Number of parameters that were added.
-        fewest: Runs below which they say nothing.
-    """
-    _, number = np.unique(run, return_inverse=True)
-    of_runs = np.bincount(number, weights=difference)
-    if len(of_runs) < fewest:
-        return 1.0
-    return float(chdtrc(count, 2.0 * max(float(of_runs.sum() - of_runs.max()), 0.0)))
 
 
 def sum_error(difference: Array) -> float:

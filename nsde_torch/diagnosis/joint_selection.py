@@ -11,13 +11,14 @@ far as it should.
 Selected effects are then looked at again, each without itself: another one that is likelier in its place replaces
 it, and one that cannot be distinguished from it is a tie.
 
-It is right where its noise model is: innovations that are not white, or larger or smaller than predicted, make
-`jointly_selected` return no selection, and the regression (`selection`) decides.
+It is right where its noise model is: where innovations are not white, or larger or smaller than predicted
+(`MaximumLikelihood.misfit`), the regression (`selection`) decides.
 """
 
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from math import log
+from typing import final
 
 import numpy as np
 import torch
@@ -27,15 +28,18 @@ from scipy.special import chdtrc
 from nsde_torch.diagnosis.candidates import alone, candidate_names
 from nsde_torch.diagnosis.evidence import sum_error
 from nsde_torch.diagnosis.fitted import effect_of, without_effect
+from nsde_torch.diagnosis.gram_table import GramTable, folds_of
 from nsde_torch.diagnosis.law_columns import Term, tables, terms_on
 from nsde_torch.diagnosis.multiplicity import bonferroni, starts_of
 from nsde_torch.diagnosis.screening import joined, starts
 from nsde_torch.diagnosis.search import Search
 from nsde_torch.diagnosis.trials import Trial
 from nsde_torch.effects import Effect, Law, effect_class
+from nsde_torch.effects.expression_grammar import is_law
 from nsde_torch.errors import NsdeError
 from nsde_torch.inference import LogLikelihood, MaximumLikelihood, Optimum, nearly_maximised
-from nsde_torch.inference.sensitivity import Grams, grams, half_squares, solved
+from nsde_torch.inference.functions import Functions
+from nsde_torch.inference.sensitivity import grams
 from nsde_torch.inference.sizes import data_sizes
 from nsde_torch.systems import System
 from nsde_torch.systems.parameters import own_name
@@ -52,8 +56,6 @@ _FAR = 4.0  # standard errors of a difference beyond which a rival is not fitted
 _PAIRED = 6  # best candidates among which pairs are looked at
 # without it a law linear in the speed was fitted beside a viscous damping, whose rounding it explained
 _NEW = 0.03  # share of the length of a law's column that must be left beside the physics
-_SEEN = 1e-9  # share of a column that must be left beside the others for it to be seen
-_ROUNDING = 1e-10  # of the largest eigenvalue: directions that columns hardly have
 
 
 @dataclass(frozen=True)
@@ -113,6 +115,8 @@ class JointSelection:
         selected: The effects.
         screened: Nats of every candidate of the first look.
         errors: Smallest standard errors of its sizes over all looks, by candidate and label.
+        tried: Number of terms of laws that were looked at.
+        functions: Functions that explain more beside the physics, as far as they were looked for.
     """
 
     best: MaximumLikelihood
@@ -121,6 +125,8 @@ class JointSelection:
     selected: dict[str, Selected]
     screened: dict[str, float]
     errors: dict[str, dict[str, float]]
+    tried: int = 0
+    functions: Functions | None = None
 
     def evidence(self, search: Search, trial: Trial) -> Trial:
         """A trial of an effect with the evidence of the joint likelihood.
@@ -137,6 +143,7 @@ class JointSelection:
         p = float(chdtrc(count, max(2.0 * risen, 0.0)))
         labels = [label for label in self.best.vector.labels if label.startswith(f"{trial.name}.")]
         among = max(len(self.screened), 1) * starts_of(trial.name, labels, search.longest)
+        among += self.tried if is_law(trial.name) else 0
         return replace(
             trial,
             nats=nats,
@@ -149,56 +156,43 @@ class JointSelection:
 
 
 @dataclass(frozen=True)
-class _Place:
-    """Physics at its optimum."""
+class Place:
+    """Physics at its optimum.
+
+    Args:
+        system: With its values.
+        best: Parameters and noise levels.
+        at: The likelihood there.
+    """
 
     system: System
     best: MaximumLikelihood
     at: Optimum
 
 
-def jointly_selected(
-    search: Search,
-    problem: LogLikelihood,
-    system: System,
-    frequencies: Sequence[float] = (),
-    *,
-    begun: System | None = None,
-    brought: Mapping[str, float] | None = None,
-    so_far: Callable[[System, Mapping[str, float]], None] = lambda system, nats: None,
-) -> tuple[Optimum, JointSelection | None]:
-    """The declared physics at its optimum, and effects selected by the likelihood.
-
-    The latter are None where its innovations are not what they should be.
+@final
+class JointSearch:
+    """Looks for effects; remembers what was fitted, and what the catalogue would explain beside it.
 
     Args:
         search: Candidates and settings.
         problem: The likelihood of the log, whose rows bring up memory first.
         system: The declared physics with first values.
         frequencies: Those of lines in the spectrum, which sinusoids start from [Hz].
-        begun: The physics with effects that were selected before, which are added to; None: the declared physics.
-        brought: What each of these brought [nats].
-        so_far: Takes the physics after each effect that is added, and what each of these brought [nats].
-    """
-    made = _JointSearch(search, problem, system, frequencies)
-    return made.declared, made.selected(begun, dict(brought or {}), so_far)
 
-
-class _JointSearch:
-    """Looks for effects; remembers what was fitted, and what the catalogue would explain beside it.
-
-    Args:
-        search, problem, system, frequencies: See `jointly_selected`.
+    Attributes:
+        search: Candidates and settings.
     """
 
     def __init__(
-        self, search: Search, problem: LogLikelihood, system: System, frequencies: Sequence[float]
+        self, search: Search, problem: LogLikelihood, system: System, frequencies: Sequence[float] = ()
     ) -> None:
-        self._search, self._problem, self._frequencies = search, problem, frequencies
+        self.search, self._problem, self._frequencies = search, problem, frequencies
         self._declared = set(system.effect_names)
-        self._places: dict[frozenset[str], _Place] = {}
-        self._looks: dict[frozenset[str], tuple[list[Explained], _Table]] = {}
-        self._first = self._fitted(system, None)
+        self._places: dict[frozenset[str], Place] = {}
+        self._looks: dict[frozenset[str], tuple[list[Explained], GramTable]] = {}
+        self._instead: dict[str, tuple[Term, ...]] = {}
+        self._first = self.fitted(system, None)
 
     @property
     def declared(self) -> Optimum:
@@ -207,66 +201,91 @@ class _JointSearch:
 
     def selected(
         self,
-        begun: System | None,
-        brought: dict[str, float],
-        so_far: Callable[[System, Mapping[str, float]], None],
-    ) -> JointSelection | None:
-        """See `jointly_selected`."""
-        most = self._search.decisions.most_effects
-        place = self._first if begun is None else self._fitted(begun, self._first)
-        for count in range(len(self._added(place.system)), most):
-            names = candidate_names(place.system, self._search.candidates)
+        begun: System | None = None,
+        brought: Mapping[str, float] | None = None,
+        so_far: Callable[[System, Mapping[str, float]], None] = lambda system, nats: None,
+    ) -> JointSelection:
+        """Effects selected by the likelihood.
+
+        Args:
+            begun: The physics with effects that were selected before, which are added to; None: the declared physics.
+            brought: What each of these brought [nats].
+            so_far: Takes the physics after each effect that is added, and what each of these brought [nats].
+        """
+        brought = dict(brought or {})
+        most = self.search.decisions.most_effects
+        place = self._first if begun is None else self.fitted(begun, self._first)
+        for count in range(len(self.added(place.system)), most):
+            names = candidate_names(place.system, self.search.candidates)
             count_of = f"{len(names)} effect{'s' if len(names) > 1 else ''}"
-            self._search.say(f"round {count + 1}: trying {count_of}", count, most)
+            self.search.say(f"round {count + 1}: trying {count_of}", count, most)
             better = self._next(place)
             if better is None:
                 break
-            (name,) = self._added(better.system) - self._added(place.system)
+            (name,) = self.added(better.system) - self.added(place.system)
             brought[name] = better.best.likelihood - place.best.likelihood
             place = better
             so_far(place.system, brought)
-        if place.best.objections:
-            return None
-        place, selected = self._looked_at_again(place)
-        if place.best.objections:
-            return None
-        first = self._look(self._first)[0]
+        return self.concluded(place)
+
+    def concluded(self, place: Place, tried: int = 0) -> JointSelection:
+        """The effects of some physics, each looked at again beside the others.
+
+        Args:
+            place: The physics at its optimum.
+            tried: Number of terms of laws that were looked at.
+        """
+        place, selected = self.looked_at_again(place, tried)
+        first = self.look(self._first)[0]
         screened = {p.name: p.nats for p in first}
         # what is missing passes for noise in the first look
         errors: dict[str, dict[str, float]] = {}
         for p in (p for look, _ in self._looks.values() for p in look):
             own = errors.setdefault(p.name, {})
             own |= {label: min(error, own.get(label, error)) for label, error in p.errors.items()}
-        return JointSelection(place.best, place.system, place.at, selected, screened, errors)
+        return JointSelection(place.best, place.system, place.at, selected, screened, errors, tried)
 
-    def _added(self, system: System) -> frozenset[str]:
+    def of(self, selection: JointSelection) -> Place:
+        """The physics of a selection at its optimum."""
+        return Place(selection.system, selection.best, selection.at)
+
+    def rivals_of(self, law: str, terms: Sequence[Term]) -> None:
+        """Terms that were fitted beside a law are held against it when it is looked at again."""
+        self._instead[law] = tuple(terms)
+
+    def without(self, place: Place, name: str) -> Place:
+        """The physics without an effect, fitted; a declared one that it stood in for is back."""
+        rest = without_effect(place.system, self._first.system, name)
+        return self._places.get(frozenset(rest.effect_names)) or self.fitted(rest, place)
+
+    def added(self, system: System) -> frozenset[str]:
         return frozenset(system.effect_names) - self._declared
 
-    def _fitted(self, system: System, like: _Place | None) -> _Place:
+    def fitted(self, system: System, like: Place | None) -> Place:
         """Physics fitted from its present values, with noise levels near those of other physics; the best so far."""
         best, at = nearly_maximised(self._problem.of(system), None if like is None else like.at)
         out = system.with_effects()
         best.vector.write(out, best.theta)
-        made, added = _Place(out, best, at), frozenset(out.effect_names)
+        made, added = Place(out, best, at), frozenset(out.effect_names)
         known = self._places.get(added)
         if known is None or made.best.likelihood > known.best.likelihood:
             self._places[added] = made
         return self._places[added]
 
-    def _look(self, place: _Place) -> tuple[list[Explained], "_Table"]:
+    def look(self, place: Place) -> tuple[list[Explained], GramTable]:
         """What the catalogue would explain beside some physics."""
         names = frozenset(place.system.effect_names)
         if names not in self._looks:
-            self._looks[names] = _catalogue(self._search, place, self._frequencies)
+            self._looks[names] = _catalogue(self.search, place, self._frequencies)
         return self._looks[names]
 
-    def _next(self, place: _Place) -> _Place | None:
+    def _next(self, place: Place) -> Place | None:
         """The physics with the best candidate that holds what it promises once it is fitted."""
-        proposals, table = self._look(place)
-        accepted = [p for p in proposals if _accepted(self._search, p)]
-        added = self._added(place.system)
+        proposals, table = self.look(place)
+        accepted = [p for p in proposals if _accepted(self.search, p)]
+        added = self.added(place.system)
         best, risen = None, 0.0
-        for proposal in _in_order(self._search, table, accepted, added)[:_TRIED]:
+        for proposal in _in_order(self.search, table, accepted, added)[:_TRIED]:
             if best is not None and proposal.nats < risen:
                 continue
             there = self._fitted_as_promised(proposal, place)
@@ -278,86 +297,96 @@ class _JointSearch:
                 break
             # it is not what its step promised: a lag in the place of a delay (carts of seed 9002, case 11)
         return best or self._learned_by_noise(
-            place, [p for p in proposals if p.nats > 0 and not _accepted(self._search, p)]
+            place, [p for p in proposals if p.nats > 0 and not _accepted(self.search, p)]
         )
 
-    def _learned_by_noise(self, place: _Place, proposals: Sequence[Explained]) -> _Place | None:
+    def _learned_by_noise(self, place: Place, proposals: Sequence[Explained]) -> Place | None:
         """The physics with a candidate that explains much more once noise levels are found beside it.
 
         Gusts that last have learned a steady push: what a step gains at their level is no measure of what a fit gains
         (2.7 and 27 nats, tests/diagnosis/test_buys.py).
         """
-        there = [self._fitted(p.system, place) for p in proposals[:_TRIED]]
+        there = [self.fitted(p.system, place) for p in proposals[:_TRIED]]
         best = max(there, key=lambda p: p.best.likelihood, default=place)
-        added = self._added(best.system) - self._added(place.system)
-        return best if any(self._needed(name, best, place) for name in added) else None
+        added = self.added(best.system) - self.added(place.system)
+        return best if any(self.needed(name, best, place) for name in added) else None
 
-    def _holds(self, proposal: Explained, there: _Place, place: _Place) -> bool:
+    def _holds(self, proposal: Explained, there: Place, place: Place) -> bool:
         """Whether the likelihood rose as a linearised step promised."""
         risen = there.best.likelihood - place.best.likelihood
-        return risen > max(self._search.decisions.least_nats, _RISES * proposal.nats)
+        return risen > max(self.search.decisions.least_nats, _RISES * proposal.nats)
 
-    def _fitted_as_promised(self, proposal: Explained, place: _Place) -> _Place:
+    def _fitted_as_promised(self, proposal: Explained, place: Place) -> Place:
         """A candidate fitted from where its linearised step ends, or else from where that begins."""
-        there = self._fitted(proposal.system, place)
+        there = self.fitted(proposal.system, place)
         if self._holds(proposal, there, place):
             return there
         # an undeclared delay makes a gain of 0, beside which a step of the delay goes anywhere
         # (test_a_delay_is_selected_whose_lack_hides_the_gain_of_the_input)
-        return self._fitted(proposal.begun, place)
+        return self.fitted(proposal.begun, place)
 
-    def _looked_at_again(self, place: _Place) -> tuple[_Place, dict[str, Selected]]:
+    def looked_at_again(self, place: Place, tried: int = 0) -> tuple[Place, dict[str, Selected]]:
         """Each effect again beside the others: what is likelier replaces it, what is as likely is a tie."""
         out: dict[str, Selected] = {}
         exchanged = 0
         while left := [n for n in place.system.effect_names if n not in {*self._declared, *out}]:
             name = left[0]
-            self._search.say(f"looking again at {name}", len(out), len(out) + len(left))
-            rest = without_effect(place.system, self._first.system, name)
-            without = self._places.get(frozenset(rest.effect_names)) or self._fitted(rest, place)
-            if not self._needed(name, place, without):
+            self.search.say(f"looking again at {name}", len(out), len(out) + len(left))
+            without = self.without(place, name)
+            if not self.needed(name, place, without, tried):
                 place, out = without, {}  # what was added after it explains what it did
                 continue
             alike, better = self._rivals(name, place, without)
-            if better is not None and exchanged < self._search.budgets.exchanges:
+            if better is not None and exchanged < self.search.budgets.exchanges:
                 place, out, exchanged = better, {}, exchanged + 1
                 continue
             law = self._nearer_law(name, place, without)
             out[name] = Selected(without.best.likelihood, without.at.blocks, tuple(alike), law)
         return place, out
 
-    def _needed(self, name: str, place: _Place, without: _Place) -> bool:
-        """Whether an effect brings more likelihood than chance, of all candidates of the look that found it."""
-        labels = [label for label in place.best.vector.labels if label.startswith(f"{name}.")]
-        proposals, _ = self._look(self._first)
-        among = max(len(proposals), 1) * starts_of(name, labels, self._search.longest)
-        ratio = 2.0 * max(place.best.likelihood - without.best.likelihood, 0.0)
-        return bonferroni(float(chdtrc(len(labels), ratio)), among) < self._search.level("effects")
+    def needed(self, name: str, place: Place, without: Place, tried: int = 0) -> bool:
+        """Whether an effect brings more likelihood than chance, of all candidates of the look that found it.
 
-    def _rivals(self, name: str, place: _Place, without: _Place) -> tuple[list[str], _Place | None]:
+        Args:
+            name: Of the effect.
+            place, without: The physics with and without it.
+            tried: Number of terms of laws, of which a law is the best.
+        """
+        labels = [label for label in place.best.vector.labels if label.startswith(f"{name}.")]
+        proposals, _ = self.look(self._first)
+        among = max(len(proposals), 1) * starts_of(name, labels, self.search.longest)
+        among += tried if is_law(name) else 0
+        ratio = 2.0 * max(place.best.likelihood - without.best.likelihood, 0.0)
+        return bonferroni(float(chdtrc(len(labels), ratio)), among) < self.search.level("effects")
+
+    def _rivals(self, name: str, place: Place, without: Place) -> tuple[list[str], Place | None]:
         """Effects as likely as one that was selected, and the physics with a better one in its place."""
-        proposals, _ = self._look(without)
+        proposals, _ = self.look(without)
         own = next((p for p in proposals if p.name == name), None)
         rivals = [
             p
             for p in proposals
             # what contains the effect was a candidate beside it, and was not needed
             if name not in {p.name, *effect_class(p.name).includes}
-            and _accepted(self._search, p)
+            and _accepted(self.search, p)
             and (own is None or not _far_above(own, p))
         ]
         alike: list[str] = []
-        best: tuple[float, _Place] | None = None
-        for rival in rivals[:_RIVALS]:
-            there = self._fitted(rival.system, place)
-            gained = _compared(self._search, name, rival.name, place, there)
+        best: tuple[float, Place] | None = None
+        laws = [t for t in self._instead.get(name, ()) if t.law != name]
+        for rival, system in (
+            *((r.name, r.system) for r in rivals[:_RIVALS]),
+            *((t.law, joined(without.system, t.law, t.start)) for t in laws),
+        ):
+            there = self.fitted(system, place)
+            gained = _compared(self.search, name, rival, place, there)
             if gained > 0 and (best is None or gained > best[0]):
                 best = gained, there
             elif not gained:
-                alike.append(rival.name)
+                alike.append(rival)
         return alike, None if best is None else best[1]
 
-    def _nearer_law(self, name: str, place: _Place, without: _Place) -> str:
+    def _nearer_law(self, name: str, place: Place, without: Place) -> str:
         """A law of one term that is likelier than an effect of a coordinate in its place; empty if there is none.
 
         A force `x^2 x_dot` on a cart is well explained by a dry friction where nothing else is offered. A law with as
@@ -368,28 +397,32 @@ class _JointSearch:
         if not isinstance(effect, Law) or (effect.at.port, effect.at.row) not in space.disturbances:
             return ""
         at = effect.at
-        names = [place.system.state_names[k] for k in (at.position, at.velocity) if k is not None]
+        names = coordinate_of(place.system, effect)
         port = space.disturbances.index((at.port, at.row))
         terms = terms_on(without.system, without.at, port, names)
-        base = space.columns(without.at.about.x, range(len(without.best.vector)))
-        folds = _folds(self._search, *space.chunks.places())
+        folds = folds_of(self.search.decisions, *space.chunks.places())
         # linearised steps with linearised steps: noise without either has learned some of both
-        own = next((p.nats for p in self._look(without)[0] if p.name == name), 0.0)
+        own = next((p.nats for p in self.look(without)[0] if p.name == name), 0.0)
         rivals: list[tuple[float, Term]] = []
-        for some, held in tables(without.system, without.at, base, terms):
-            table = _Table(held, 1 + without.best.free, folds)
+        for some, held in tables(without.system, without.at, terms):
+            table = GramTable(held, 1 + without.best.free, folds)
             for j, term in enumerate(some):
-                column = 1 + base.shape[-1] + j
+                column = 1 + len(without.best.vector) + j
                 nats = float(table.gain([(0, column)])[0].sum()) if table.left(column) > _NEW else -np.inf
                 rivals += [(nats, term)] if nats > own else []
         for _, term in sorted(rivals, key=lambda r: -r[0])[:_LAWS]:
-            there = self._fitted(joined(without.system, term.law, term.start), without)
+            there = self.fitted(joined(without.system, term.law, term.start), without)
             difference = there.at.blocks - place.at.blocks
             fewer = len(place.best.vector) - len(there.best.vector)
             gained = float(difference.sum()) + 0.5 * fewer * log(len(difference))
-            if gained > (0.0 if fewer > 0 else log(len(terms)) + _sure(self._search, difference)):
+            if gained > (0.0 if fewer > 0 else log(len(terms)) + _sure(self.search, difference)):
                 return term.law
         return ""
+
+
+def coordinate_of(system: System, effect: Law) -> list[str]:
+    """Names of the position and the speed that a law of one coordinate is of."""
+    return [system.state_names[k] for k in (effect.at.position, effect.at.velocity) if k is not None]
 
 
 def _accepted(search: Search, proposal: Explained) -> bool:
@@ -397,7 +430,7 @@ def _accepted(search: Search, proposal: Explained) -> bool:
 
 
 def _in_order(
-    search: Search, table: "_Table", accepted: Sequence[Explained], added: Collection[str]
+    search: Search, table: GramTable, accepted: Sequence[Explained], added: Collection[str]
 ) -> list[Explained]:
     """Candidates, the best first: one of a pair that explains surely more than the best alone, then what is simpler."""
     ranked = sorted(accepted, key=lambda p: -p.rank)
@@ -423,7 +456,7 @@ def _in_order(
 
 
 def _best_pair(
-    table: "_Table", proposals: Sequence[Explained]
+    table: GramTable, proposals: Sequence[Explained]
 ) -> tuple[float, tuple[Explained, Explained]] | None:
     """The rank of the two candidates that explain most together, and these."""
     out: tuple[float, tuple[Explained, Explained]] | None = None
@@ -442,76 +475,6 @@ def _best_pair(
     return out
 
 
-class _Table:
-    """Gram matrices of one pass with the columns of all candidates, and what these explain of folds left out.
-
-    Args:
-        held: The Gram matrices.
-        base: Columns of the parameters of the physics.
-        fold: Fold of each block.
-    """
-
-    def __init__(self, held: Grams, base: Labels, fold: Labels) -> None:
-        self._held, self._base = held, base
-        self._folds = [np.flatnonzero(fold == f) for f in np.unique(fold)]
-        self._before, self._fitted, _ = self._left_out(self._reduced(self._base, []))
-        inner = held.total[np.ix_(base, base)]
-        self._others = np.linalg.pinv(inner, rcond=_ROUNDING, hermitian=True)
-
-    def price(self, parameters: int) -> float:
-        """What parameters cost (Schwarz) [nats]."""
-        return 0.5 * parameters * log(len(self._held.blocks))
-
-    def gain(
-        self, columns: Sequence[tuple[int, ...]], dropped: Labels | None = None
-    ) -> tuple[Array, float, Array]:
-        """Held-out nats of each block (B,), nats of all rows as fitted, and the step of the candidates' parameters."""
-        base = self._base if dropped is None else np.setdiff1d(self._base, dropped)
-        own = np.array([c for each in columns for c in each[1:]], dtype=np.int64)
-        keep = np.concatenate((base, own))
-        blocks = self._reduced(keep, [each[0] for each in columns if each[0]])
-        after, fitted, step = self._left_out(blocks)
-        return self._before - after, self._fitted - fitted, step[len(base) :]
-
-    def left(self, column: int) -> float:
-        """Share of the length of a column that the parameters of the physics cannot do already."""
-        total = self._held.total
-        across = total[self._base, column]
-        whole = max(float(total[column, column]), 1e-300)
-        return float(np.sqrt(max(1.0 - across @ self._others @ across / whole, 0.0)))
-
-    def errors(self, own: Labels) -> Array:
-        """Standard errors of the parameters of a candidate (q,), all others free; infinite of what moves nothing."""
-        total = self._held.total
-        inner = total[np.ix_(own, own)]
-        across = total[np.ix_(self._base, own)]
-        left = inner - across.T @ self._others @ across
-        moves = np.diag(left) > _SEEN * np.diag(inner).clip(1e-300)
-        inverse = np.linalg.pinv(left, rcond=_ROUNDING, hermitian=True)
-        return np.where(moves, np.sqrt(np.diag(inverse).clip(1e-300)), np.inf)
-
-    def _reduced(self, keep: Labels, shifts: Sequence[int]) -> Array:
-        """Blocks (B, 1 + q, 1 + q) of the innovations, less the shifts of starts, and of some columns."""
-        index = np.concatenate(([0], shifts, keep)).astype(np.int64)
-        blocks = self._held.blocks[:, index[:, None], index]
-        count = len(shifts)
-        if not count:
-            return blocks
-        turn = np.zeros((len(index), 1 + len(keep)))
-        turn[0, 0], turn[1 : 1 + count, 0] = 1.0, -1.0
-        turn[1 + count :, 1:] = np.eye(len(keep))
-        return np.asarray(turn.T @ blocks @ turn)
-
-    def _left_out(self, blocks: Array) -> tuple[Array, float, Array]:
-        """Half the squares that are left of each block by parameters fitted without its fold, of all, and the step."""
-        total, out = blocks.sum(0), np.empty(len(blocks))
-        for rows in self._folds:
-            step = solved(total - blocks[rows].sum(0))
-            out[rows] = half_squares(blocks[rows], step)
-        step = solved(total)
-        return out, float(half_squares(total[None], step)[0]), step
-
-
 @dataclass(frozen=True)
 class _Entry:
     """A candidate at one of its starts: its columns, their labels, and base parameters that it takes the place of."""
@@ -528,8 +491,8 @@ class _Entry:
 
 @torch.no_grad()
 def _catalogue(
-    search: Search, place: _Place, frequencies: Sequence[float]
-) -> tuple[list[Explained], "_Table"]:
+    search: Search, place: Place, frequencies: Sequence[float]
+) -> tuple[list[Explained], GramTable]:
     """What every candidate would explain, each from the best of its starts, the best first; and the table of these."""
     space = place.at.of.space
     everything = range(len(place.best.vector))
@@ -552,7 +515,7 @@ def _catalogue(
             entries.append(entry)
             at += columns.shape[-1]
     held = grams(space, place.at.levels, about, place.at.at, _side_by_side(tables))
-    table = _Table(held, 1 + place.best.free, _folds(search, *space.chunks.places()))
+    table = GramTable(held, 1 + place.best.free, folds_of(search.decisions, *space.chunks.places()))
     best: dict[str, Explained] = {}
     longest = max(b - a for a, b in space.steps.segments)
     for entry in entries:
@@ -573,28 +536,7 @@ def _side_by_side(tables: list[torch.Tensor]) -> torch.Tensor:
     return out
 
 
-def _folds(search: Search, owners: Labels, firsts: Labels) -> Labels:
-    """Fold of each block: whole runs, or stretches of one or two.
-
-    Args:
-        search: Settings.
-        owners: Number of the run of each block.
-        firsts: Number of its first step.
-    """
-    d = search.decisions
-    _, number = np.unique(owners, return_inverse=True)
-    count = int(number.max()) + 1
-    if count >= d.folds_fewest_runs:
-        return np.asarray(number * min(count, d.folds) // count)
-    out = np.zeros(len(number), dtype=np.int64)
-    for run in range(count):
-        own = np.flatnonzero(number == run)
-        own = own[np.argsort(firsts[own], kind="stable")]
-        out[own] = d.folds_stretches * run + np.arange(len(own)) * d.folds_stretches // len(own)
-    return out
-
-
-def _columns(place: _Place, name: str, system: System, at: int) -> tuple[_Entry, torch.Tensor]:
+def _columns(place: Place, name: str, system: System, at: int) -> tuple[_Entry, torch.Tensor]:
     """What a candidate does to the steps: by its start, and by each of its parameters."""
     own = place.at.of.of(system)
     space, vector, about = own.space, own.vector, place.at.about
@@ -631,7 +573,7 @@ def _choices(entry: _Entry) -> list[tuple[int, ...]]:
 
 
 def _proposed(
-    search: Search, table: _Table, entry: _Entry, columns: tuple[int, ...], among: int, longest: int
+    search: Search, table: GramTable, entry: _Entry, columns: tuple[int, ...], among: int, longest: int
 ) -> Explained | None:
     """What a candidate explains, its parameters inside their bounds."""
     place = [entry.columns.index(c) - 1 for c in columns[1:]]
@@ -689,7 +631,7 @@ def _far_above(better: Explained, worse: Explained) -> bool:
     return float(difference.sum()) > _FAR * sum_error(difference)
 
 
-def _compared(search: Search, name: str, rival: str, place: _Place, there: _Place) -> float:
+def _compared(search: Search, name: str, rival: str, place: Place, there: Place) -> float:
     """By how many nats a rival in the place of an effect is surely better; 0: indistinguishable; else -1.
 
     A rival that the effect contains replaces it unless it is surely worse; one that contains it is never its tie.

@@ -1,4 +1,4 @@
-"""Terms of laws as columns of the joint likelihood: what each would explain in the place of an effect.
+"""Terms of laws as columns of the joint likelihood: what each would explain beside physics.
 
 A term moves a step as its value times the slope of the step in a force on its row of a port, which the filter's
 linearisation holds already. A whole library costs one recursion, and no call of the machine.
@@ -14,8 +14,10 @@ from torch import Tensor
 
 from nsde_torch.diagnosis.candidates import Start
 from nsde_torch.diagnosis.law_terms import terms_of
+from nsde_torch.diagnosis.regressors import machine_variables
 from nsde_torch.inference import Optimum
-from nsde_torch.inference.filtering import forced
+from nsde_torch.inference.filtering import filtered, forced
+from nsde_torch.inference.levels import Levels
 from nsde_torch.inference.sensitivity import Grams, grams
 from nsde_torch.systems import System
 from nsde_torch.systems.vocabulary import seen_by, vocabulary
@@ -41,42 +43,77 @@ class Term:
     port: int
 
 
+def with_places(system: System, names: Sequence[str]) -> list[str]:
+    """Some variables, then angles of their sines and cosines, places of the speeds and speeds of the places among them.
+
+    A friction that grows with the square of the place is odd in the speed, and shows nothing of the place.
+
+    Args:
+        system: The machine.
+        names: The variables.
+    """
+    states, beside = system.state_names, dict[str, str]()
+    for at in system.bound_coordinates():
+        if at.position is not None:
+            place, speed = states[at.position], states[at.velocity]
+            beside |= {place: speed, speed: place}
+    angles = [n.removeprefix(f) for n in names for f in ("sin_", "cos_") if n.startswith(f)]
+    known = [*names, *(a for a in angles if a in states)]
+    return list(dict.fromkeys((*known, *(beside[n] for n in known if n in beside))))
+
+
 def terms_on(system: System, at: Optimum, port: int, names: Sequence[str]) -> list[Term]:
-    """The library of terms of some states on one row of a port.
+    """The library of terms of some variables on one row of a port.
 
     Args:
         system: The machine.
         at: Its optimum.
         port: Number of the row among the disturbances of the likelihood.
-        names: The states.
+        names: The variables; what a law cannot speak of is left out.
     """
-    space = at.of.space
+    space, words = at.of.space, vocabulary(type(system))
     where, column = space.disturbances[port]
-    on = dict(vocabulary(type(system)).ports)[where.value].written(where.value)[column]
-    counted = at.about.x[space.chunks.counted]
-    rows = np.asarray(counted[:: max(1, len(counted) // _MOST_VALUES)].numpy())
-    values = {name: rows[:, system.state_names.index(name)] for name in names}
-    units = dict(zip(system.state_names, system.state_units, strict=True))
-    terms = terms_of(list(names), values, [name for name in names if units[name] == "rad"])
+    on = dict(words.ports)[where.value].written(where.value)[column]
+    counted = space.chunks.counted
+    some = slice(None, None, max(1, int(counted.sum()) // _MOST_VALUES))
+    x, u = at.about.x[counted][some], space.chunks.u[counted][some]
+    table = machine_variables(system, x, u, inputs=True)
+    table |= dict(zip(system.state_names, x[:, : system.nx].T, strict=True))
+    known = [*(name for name, _, _ in words.variables), *system.exogenous]  # a product has one spelling
+    there = [name for name in known if name in names and name in table]
+    text = {name: f"logged({name})" if name in system.exogenous else name for name in there}
+    units = {name: unit for name, unit, _ in words.variables}
+    terms = terms_of(
+        list(text.values()),
+        {text[name]: table[name].numpy() for name in there},
+        [text[name] for name in there if units.get(name) == "rad"],
+    )
     return [Term(system.effect_key(f"{on} = c1 {t.text}"), dict(t.start), port) for t in terms]
 
 
+@torch.no_grad()
 def tables(
-    system: System, at: Optimum, base: Tensor, terms: Sequence[Term]
+    system: System, at: Optimum, terms: Sequence[Term], levels: Levels | None = None
 ) -> Iterator[tuple[Sequence[Term], Grams]]:
-    """Gram matrices of physics at its optimum and some terms, the base first; some terms at a time.
+    """Gram matrices of physics at its optimum and some terms, its parameters first; some terms at a time.
 
     Args:
         system: The machine.
         at: Its optimum.
-        base: Columns of its parameters (T, C, ne, k).
         terms: The terms.
+        levels: Noise levels; None takes those of the optimum.
     """
-    space = at.of.space
+    space, about = at.of.space, at.about
+    base = space.columns(about.x, range(len(space.vector)))
+    here = at.at
+    if levels is None:
+        levels = at.levels
+    else:
+        here = filtered(space, levels, about, at.of.start, space.chunks.counted)
     for first in range(0, len(terms), _AT_ONCE):
         some = terms[first : first + _AT_ONCE]
         columns = torch.stack([_column(system, at, term) for term in some], -1)
-        yield some, grams(space, at.levels, at.about, at.at, torch.cat((base, columns), -1))
+        yield some, grams(space, levels, about, here, torch.cat((base, columns), -1))
 
 
 @torch.no_grad()

@@ -13,16 +13,13 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from nsde_torch.diagnosis.fitted import fitted_system
 from nsde_torch.diagnosis.hidden import allowances_of_tests
-from nsde_torch.diagnosis.laws import pushes_of
-from nsde_torch.diagnosis.regressors import Regressors, machine_variables
-from nsde_torch.diagnosis.search import Base
+from nsde_torch.diagnosis.regressors import machine_variables
 from nsde_torch.effects import Port
+from nsde_torch.evaluation.bootstrap import FEWEST_BLOCKS
 from nsde_torch.inference import Optimum, nearly_maximised
 from nsde_torch.inference.functions import Functions, Variables, learned
 from nsde_torch.sysid.loop_test import LoopTest
-from nsde_torch.sysid.noise import Noise
 from nsde_torch.systems import System
 from nsde_torch.systems.vocabulary import named_inputs, vocabulary
 
@@ -61,13 +58,11 @@ class FunctionGain:
     """Functions beside physics.
 
     Args:
-        base: The physics.
-        at: The optimum of its likelihood.
+        at: The optimum of the physics.
         functions: The functions.
         rows: What they explain beyond what feedback may hide, by row of a port, the most first.
     """
 
-    base: Base
     at: Optimum
     functions: Functions
     rows: tuple[RowGain, ...]
@@ -77,42 +72,32 @@ class FunctionGain:
         """What the rows explain [nats]."""
         return sum(row.nats for row in self.rows)
 
-    def noises(self, variables: Regressors) -> dict[int, Noise]:
-        """Noise models of what the functions leave, by number of the channel among the rows of the regression."""
-        r = self.base.regression
-        limits, rest = r.carry_limits(), r.residual[:, r.rows].copy()
-        pushes = dict(pushes_of(self.base, [r.physics.names[c] for c in r.rows]))
-        moved = set()
-        for row in self.rows:
-            if row.row not in pushes:
-                continue
-            change = r.single.summed(pushes[row.row], r.box)[:, r.rows]
-            rest -= change * self.functions.force(variables.columns, row.port)[0][:, None]
-            moved |= {c for c, k in enumerate(r.rows) if r.physics.names[k] in row.channels}
-        return {c: r.law(r.rows[c], rest[:, c], float(limits[r.rows[c]]), r.orders) for c in sorted(moved)}
+
+@torch.no_grad()
+def functions_beside(at: Optimum, most: int) -> Functions | None:
+    """Functions beside the physics of an optimum; None where they would say nothing.
+
+    Args:
+        at: The optimum.
+        most: Most groups of functions of one row.
+    """
+    space, system = at.of.space, at.of.vector.system
+    if not most or len(at.blocks) < FEWEST_BLOCKS:
+        return None
+    ports = [k for k, (port, _) in enumerate(space.disturbances) if port in system.residual_ports]
+    return learned(at, _variables(at), ports, most=most)
 
 
 @torch.no_grad()
-def function_gain(
-    base: Base,
-    near: Optimum,
-    tested: LoopTest,
-    *,
-    most: int,
-) -> FunctionGain:
-    """Look for functions beside physics.
+def function_gain(at: Optimum, found: Functions, tested: LoopTest) -> FunctionGain:
+    """What functions explain beyond what feedback may hide, row by row.
 
     Args:
-        base: The physics at its optimum.
-        near: An optimum of the likelihood of the same log: of this physics, or of physics close to it.
+        at: The optimum of the physics that they stand beside.
+        found: The functions.
         tested: What the data say of the loop.
-        most: Most groups of functions of one row.
     """
-    at = optimum_of(fitted_system(base.regression), near)
-    space, system = at.of.space, at.of.vector.system
-    variables = _variables(at)
-    ports = [k for k, (port, _) in enumerate(space.disturbances) if port in system.residual_ports]
-    found = learned(at, variables, ports, most=most)
+    space, system, variables = at.of.space, at.of.vector.system, _variables(at)
     counted = space.chunks.counted
     table = variables.values(at.about.x[counted], space.chunks.u[counted]).numpy()
     values = {name: table[:, k] for k, name in enumerate(variables.names)}
@@ -123,11 +108,9 @@ def function_gain(
             name, unit = _row(system, *space.disturbances[port])
             size = float(np.sqrt(np.square(found.force(values, port)[0]).mean()))
             rows.append(
-                RowGain(
-                    name, unit, port, size, nats, found.error[port], _importance(found, port), moved[port]
-                )
+                RowGain(name, unit, port, size, nats, found.error[port], found.importance(port), moved[port])
             )
-    return FunctionGain(base, at, found, tuple(sorted(rows, key=lambda r: -r.nats)))
+    return FunctionGain(at, found, tuple(sorted(rows, key=lambda r: -r.nats)))
 
 
 def optimum_of(system: System, near: Optimum) -> Optimum:
@@ -162,13 +145,3 @@ def _row(system: System, port: Port, column: int) -> tuple[str, str]:
     """Name and unit of the row of a port."""
     rows = dict(vocabulary(type(system)).ports)[port.value]
     return rows.written(port.value)[column], rows.units[column]
-
-
-def _importance(found: Functions, port: int) -> dict[str, float]:
-    """Log likelihood that is lost without the functions of each variable on a row [nats], the most first."""
-    out: dict[str, float] = {}
-    for group, lost in zip(found.groups, found.lost, strict=True):
-        if group.port == port and group.kind != "past":
-            for name in group.variables:
-                out[name] = out.get(name, 0.0) + lost
-    return dict(sorted(out.items(), key=lambda item: -item[1]))

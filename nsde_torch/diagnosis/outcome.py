@@ -14,7 +14,6 @@ from nsde_torch.diagnosis.estimates import Estimate, estimated, of_identificatio
 from nsde_torch.diagnosis.fitted import fitted_system, without_effect
 from nsde_torch.diagnosis.hidden import Hidden, lengths_of_parameters
 from nsde_torch.diagnosis.joint_selection import JointSelection
-from nsde_torch.diagnosis.learned_functions import FunctionGain
 from nsde_torch.diagnosis.regressors import Regressors
 from nsde_torch.diagnosis.rounds import Round
 from nsde_torch.diagnosis.search import Base, Search
@@ -71,7 +70,6 @@ class Outcome:
         levels: Significance level of each stage (`recording.fault`).
         doubted: Whether the guard speaks against the final physics, so that nothing that was found is sure.
         decisions: What was decided by.
-        beside: Functions beside some physics of the search, as far as they were asked for.
         joint: What the joint likelihood selected; None where the regression did.
         declared_optimum, optimum: Where the likelihood of the declared and of the final physics is largest; None where
             it was not computed.
@@ -95,7 +93,6 @@ class Outcome:
     levels: Mapping[str, float] = field(default_factory=dict)
     decisions: Decisions = DECISIONS
     doubted: bool = False
-    beside: FunctionGain | None = None
     joint: JointSelection | None = None
     declared_optimum: Optimum | None = None
     optimum: Optimum | None = None

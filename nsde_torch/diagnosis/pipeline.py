@@ -23,7 +23,7 @@ from functools import partial
 from nsde_torch.data import DataSet, Run
 from nsde_torch.diagnosis.at_nothing import beside_gains_at_nothing
 from nsde_torch.diagnosis.begun import Begun
-from nsde_torch.diagnosis.beyond_catalogue import with_functions, with_laws
+from nsde_torch.diagnosis.beyond_catalogue import sound, with_laws
 from nsde_torch.diagnosis.ceiling import Ceiling, ceiling
 from nsde_torch.diagnosis.chain import explains_more, undone, with_a_late_sensor
 from nsde_torch.diagnosis.course import DiagnosisCourse
@@ -37,12 +37,12 @@ from nsde_torch.diagnosis.decision import (
     sized,
 )
 from nsde_torch.diagnosis.decisions import BUDGETS, DECISIONS, Budgets, Decisions
-from nsde_torch.diagnosis.elimination import as_selected, eliminate
+from nsde_torch.diagnosis.elimination import Retained, as_selected, eliminate
 from nsde_torch.diagnosis.explanation import explained
 from nsde_torch.diagnosis.fitted import fitted_system
 from nsde_torch.diagnosis.gone import select
 from nsde_torch.diagnosis.inferred import at_declared, at_found, not_sure
-from nsde_torch.diagnosis.joint_selection import JointSelection, jointly_selected
+from nsde_torch.diagnosis.joint_selection import JointSearch, JointSelection
 from nsde_torch.diagnosis.longer_boxes import guard_of, over_longer_boxes
 from nsde_torch.diagnosis.not_done import (
     CEILING,
@@ -64,11 +64,11 @@ from nsde_torch.diagnosis.outcome import Outcome, undecided
 from nsde_torch.diagnosis.reading import Log, read_effects, read_log
 from nsde_torch.diagnosis.result import Diagnosis
 from nsde_torch.diagnosis.search import Search
-from nsde_torch.diagnosis.selection import added_so_far, begun_selection
+from nsde_torch.diagnosis.selection import Selection, added_so_far, begun_selection
 from nsde_torch.diagnosis.selection import so_far as chosen_so_far
 from nsde_torch.diagnosis.spectrum import lines
 from nsde_torch.diagnosis.standing import selected_again, tied, without_standing
-from nsde_torch.inference import LogLikelihood, Optimum
+from nsde_torch.inference import LogLikelihood
 from nsde_torch.models.identified import SysidSpec
 from nsde_torch.recording.chain import Recorded
 from nsde_torch.sysid.by_likelihood import by_likelihood
@@ -236,10 +236,14 @@ def searched(log: Log, search: Search, before: Outcome | None = None) -> Outcome
         before: What was concluded from other rows of them, to start from; None starts from the declared physics.
     """
     search.say("fitting the declared physics", 0, 1)
-    at, joint = _jointly(log, search) if before is None else (before.declared_optimum, before.joint)
+    made, joint = _jointly(log, search) if before is None else (None, before.joint)
+    at = before.declared_optimum if before is not None else None if made is None else made.declared
     if joint is not None:
-        chosen, kept = as_selected(search, joint, log.system)
-        log.so_far(SELECTION, log, chosen_so_far(search, chosen))
+        outcome = _concluded(log, search, joint)
+        if made is not None and before is None:
+            outcome = log.stages.attempt(
+                LAWS, lambda: with_laws(made, joint, outcome, partial(_concluded, log, search)), outcome
+            )
     else:
         if before is not None:
             chosen = selected_again(search, before)
@@ -249,57 +253,63 @@ def searched(log: Log, search: Search, before: Outcome | None = None) -> Outcome
             chosen = select(search, log.system)
         log.so_far(SELECTION, log, chosen_so_far(search, chosen))
         kept = eliminate(search, chosen, also=() if before is None else tied(before))
-    known = undecided(search, chosen.declared, kept.final, kept.found, chosen.rounds, chosen.aside)
-    log.so_far(SECOND_LOOK, log, known)
+        outcome = _tested(log, search, chosen, kept)
+    return replace(outcome, declared_optimum=at)
+
+
+def _concluded(log: Log, search: Search, joint: JointSelection) -> Outcome:
+    """What is concluded of a selection by the joint likelihood."""
+    chosen, kept = as_selected(search, joint, log.system)
+    log.so_far(SELECTION, log, chosen_so_far(search, chosen))
+    outcome = _tested(log, search, chosen, kept)
+    same = {f.name for f in outcome.found} == joint.selected.keys()
+    return replace(outcome, joint=joint if same else None)
+
+
+def _tested(log: Log, search: Search, chosen: Selection, kept: Retained) -> Outcome:
+    """What feedback may have made is set aside, what is left is tested, and the verdict."""
+    log.so_far(
+        SECOND_LOOK,
+        log,
+        undecided(search, chosen.declared, kept.final, kept.found, chosen.rounds, chosen.aside),
+    )
     search.say("what feedback may have made", 0, 1)
     kept = set_aside(search, chosen, kept, log.feedback)
     search.say("testing what is left", 0, 1)
     outcome = decide(search, chosen, kept, log.feedback)
     log.so_far(TESTS, log, outcome)
-    near, missing = at if joint is None else joint.at, True
-    # no law explains what one moment or one run has: a play that begins at another place in each run
-    lawful = any(d.of_a_variable for d in outcome.structured)
-    if joint is not None and not lawful and not any(s.law for s in joint.selected.values()):
-        # functions may explain what no test of one variable shows (q^2 q_dot, test_laws_that_noise_learns.py)
-        outcome = log.stages.attempt(
-            LAWS, partial(with_functions, search, kept.final, outcome, near), outcome
-        )
-        missing = outcome.beside is not None and bool(outcome.beside.rows)
-    after = outcome
-    if missing and not any(run.band for run in log.runs):  # what a smoother did looks like laws of many names
-        after = log.stages.attempt(
-            LAWS, lambda: with_laws(search, chosen, kept, outcome, log.feedback, joint, near), outcome
-        )
-    same = [f.name for f in after.found] == [f.name for f in outcome.found]
-    return replace(after, declared_optimum=at, joint=joint if same else None)
+    return outcome
 
 
-def _jointly(log: Log, search: Search) -> tuple[Optimum | None, JointSelection | None]:
-    """The declared physics at its optimum of the joint likelihood, and what that selects.
+def _jointly(log: Log, search: Search) -> tuple[JointSearch | None, JointSelection | None]:
+    """The search by the joint likelihood, and what it selects.
 
-    The latter is None where the likelihood is not to be relied on, and the regression decides.
+    Both are None where states were smoothed or inputs averaged, the latter where innovations are not what they should
+    be under its effects and under laws beside them: then the regression decides.
     """
     if log.recorded.inputs_restored or any(run.band for run in log.runs):
         return None, None
 
-    def selected() -> tuple[Optimum | None, JointSelection | None]:
+    def selected() -> tuple[JointSearch, JointSelection | None]:
         declared, begun = search.base(log.system), log.begun
         frequencies = [line.frequency for line in lines(declared.regression, decisions=search.decisions)]
         # of first values that are far off, what is left would pass for noise
         system = fitted_system(declared.regression)
-        problem = LogLikelihood(system, log.runs, log.recorded.clock, run_in=True)
+        made = JointSearch(
+            search, LogLikelihood(system, log.runs, log.recorded.clock, run_in=True), system, frequencies
+        )
 
         def known(physics: System, brought: Mapping[str, float]) -> None:
             search.so_far(added_so_far(search, declared, physics, brought))
 
         if begun is None:
             search.so_far(undecided(search, declared, declared))
-            return jointly_selected(search, problem, system, frequencies, so_far=known)
-        physics = begun.beside(system)
-        known(physics, begun.nats)
-        return jointly_selected(
-            search, problem, system, frequencies, begun=physics, brought=begun.nats, so_far=known
-        )
+            found = made.selected(so_far=known)
+        else:
+            physics = begun.beside(system)
+            known(physics, begun.nats)
+            found = made.selected(physics, begun.nats, known)
+        return made, sound(made, found)
 
     return log.stages.attempt("the selection by the joint likelihood", selected, (None, None))
 

@@ -71,7 +71,6 @@ def look(
     """
     names = candidate_names(base.system, search.candidates)
     among = max(len(names), 1)
-    names += [law for law in search.laws if law not in base.system.effect_names]
     if only is not None:
         names = [n for n in names if n in only]
     out = Round(base=base, trials=[], screened={})
@@ -97,9 +96,9 @@ def _screened(
     best: dict[str, _Start] = {}
     for i, name in enumerate(names):
         search.say(f"{called}: trying {len(names)} effect{'s' if len(names) > 1 else ''}", i, len(names))
-        law = [search.laws[name]] if name in search.laws else None
-        begun = law or starts(base.system, name, scales, frequencies)
-        systems = [joined(base.system, name, start) for start in begun]
+        systems = [
+            joined(base.system, name, start) for start in starts(base.system, name, scales, frequencies)
+        ]
         for system in likeliest(search, base, systems, search.budgets.screened_starts):
             vector = ParameterVector(system)
             labels = [vector.labels[j] for j in vector.of(name)]
@@ -111,8 +110,7 @@ def _screened(
                     continue
                 if name not in out.screened or nats > out.screened[name]:
                     out.screened[name] = nats
-                    if not law:  # what no catalogue has is not listed as what the data cannot show
-                        out.errors[name] = errors
+                    out.errors[name] = errors
                     best[name] = _Start(system, held)
     return best
 

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nsde_torch.data import Run
-from nsde_torch.diagnosis.candidates import Start, on_coordinates
+from nsde_torch.diagnosis.candidates import on_coordinates
 from nsde_torch.diagnosis.decisions import BUDGETS, DECISIONS, Budgets, Decisions
 from nsde_torch.diagnosis.evidence import Score, folds, score
 from nsde_torch.diagnosis.fitted import carried, dynamic_rows, fitted_system, nonlinear
@@ -92,9 +92,6 @@ class Search:
 
     Attributes:
         held: Labels of parameters that stay at their first values.
-        laws: Laws beyond the catalogue that are candidates too, with first values of their shapes (`laws`).
-        tried: Number of laws of which these are the best.
-        law_variables, law_channels: What these are laws of.
     """
 
     def __init__(
@@ -120,10 +117,6 @@ class Search:
         self.decisions, self.budgets = replace(decisions, alpha=alpha), budgets
         self.candidates, self.say, self.so_far = candidates, say, so_far
         self.held: set[str] = set()
-        self.laws: dict[str, Start] = {}
-        self.tried = 0
-        self.law_variables: tuple[str, ...] = ()
-        self.law_channels: tuple[str, ...] = ()
         self.feedback, self.channels, self.inputs, self.moved = feedback, channels, inputs, moved
         self._stages = frozenset(stages)
 

@@ -1,24 +1,21 @@
 """A candidate fitted beside the physics of a round: its evidence, its p value, and whether it is there.
 
 Candidates are ranked by the evidence on runs left out (`evidence`), less half the logarithm of the number of blocks of
-time for each parameter (Schwarz), so that of two that explain alike the simpler one leads; a law beyond the catalogue
-(`laws`) pays the logarithm of the size of the library that it is the best of, too.
+time for each parameter (Schwarz), so that of two that explain alike the simpler one leads.
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass
 from math import log
 
-import numpy as np
 from scipy.special import chdtrc
 
 from nsde_torch.diagnosis.decisions import DECISIONS, Decisions
-from nsde_torch.diagnosis.evidence import Score, by_runs, p_value, score, sum_error
+from nsde_torch.diagnosis.evidence import Score, p_value, score, sum_error
 from nsde_torch.diagnosis.fitted import adds_nothing, nonlinear
 from nsde_torch.diagnosis.multiplicity import bonferroni, has_frequency, starts_of
 from nsde_torch.diagnosis.search import Base, Search
 from nsde_torch.effects import effect_class
-from nsde_torch.effects.expression_grammar import is_law
 from nsde_torch.inference.spread import Spread
 from nsde_torch.sysid.regression import Regression
 from nsde_torch.systems import System
@@ -141,12 +138,6 @@ def _judged(
     p = p_value(regression, tested, sure, base=base.score, this=this)
     difference = this.blocks - base.score.blocks
     price = 0.5 * (len(mine) - len(held)) * log(len(difference))
-    if is_law(name):  # the best of so many terms
-        price, among = price + log(max(search.tried, 1)), among + search.tried
-        owner = np.zeros(len(difference), dtype=np.int64)
-        owner[base.block] = base.regression.whitened_rows(base.regression.owners)
-        agreed = by_runs(difference, owner, len(mine), fewest=search.decisions.folds_fewest_runs)
-        p = min(1.0, 3.0 * min(0.5 * p, agreed))  # `p` is twice the smaller of two
     starts = starts_of(name, labels[mine[0] : mine[-1] + 1], search.longest)
     return Trial(
         name=name,

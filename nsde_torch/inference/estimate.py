@@ -106,7 +106,15 @@ class MaximumLikelihood:
     @property
     def objections(self) -> list[str]:
         """What speaks against the estimate, in words; empty where nothing does."""
-        out = [] if self.settled else ["the parameters of largest likelihood did not settle"]
+        return [
+            *([] if self.settled else ["the parameters of largest likelihood did not settle"]),
+            *self.misfit,
+        ]
+
+    @property
+    def misfit(self) -> list[str]:
+        """How the innovations are not what they should be, in words: not white, or of another size than predicted."""
+        out = []
         for name, square, share in zip(self.channels, self.square, self.predictable, strict=True):
             if not abs(square - 1.0) < _LARGE:
                 out.append(

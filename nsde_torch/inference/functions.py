@@ -116,6 +116,7 @@ class Functions:
         error: Its standard error over blocks of time.
         lost: Held-out log likelihood that is lost without each group, as the others are.
         blocks: Log density of each block of time (B,) without and with the functions, each fitted to other blocks.
+        levels: Noise levels found beside the functions; None where there are none.
     """
 
     groups: tuple[BasisGroup, ...]
@@ -127,6 +128,16 @@ class Functions:
     error: Mapping[int, float] = field(default_factory=dict)
     lost: tuple[float, ...] = ()
     blocks: tuple[Array, Array] = (np.zeros(0), np.zeros(0))
+    levels: Levels | None = None
+
+    def importance(self, port: int) -> dict[str, float]:
+        """Log likelihood that is lost without the functions of each variable on a row [nats], the most first."""
+        out: dict[str, float] = {}
+        for group, lost in zip(self.groups, self.lost, strict=True):
+            if group.port == port and group.kind != "past":
+                for name in group.variables:
+                    out[name] = out.get(name, 0.0) + lost
+        return dict(sorted(out.items(), key=lambda item: -item[1]))
 
     def force(
         self, values: Mapping[str, Array], port: int, within: Mapping[str, Array] | None = None
@@ -466,6 +477,7 @@ class _Choice:
             error={k: error * (share[k] / whole) ** 0.5 for k in ports},
             lost=tuple(lost([g]) for g in chosen),
             blocks=(before, after),
+            levels=self._levels,
         )
 
     def _sizes(self, levels: Levels) -> Array:

@@ -10,7 +10,7 @@ from scipy.signal import butter, filtfilt
 
 import nsde_torch
 from nsde_torch.data import Run
-from nsde_torch.diagnosis.joint_selection import JointSelection, jointly_selected
+from nsde_torch.diagnosis.joint_selection import JointSearch, JointSelection
 from nsde_torch.diagnosis.options import Options
 from nsde_torch.diagnosis.search import search_in
 from nsde_torch.inference import LogLikelihood
@@ -21,12 +21,11 @@ STRIBECK = {"k": 5.06, "b": 0.5, "g": 1.0}
 """Beside these values a Stribeck friction without a dry part explains dry and quadratic friction nearly as well."""
 
 
-def selected(runs: list[Run]) -> JointSelection | None:
+def selected(runs: list[Run]) -> JointSelection:
     """What is selected on a spring."""
     system = make_system("mass_spring_damper")
-    return jointly_selected(
-        search_in(system, runs, 1.0, Options()), LogLikelihood(system, runs, run_in=True), system
-    )[1]
+    search = search_in(system, runs, 1.0, Options())
+    return JointSearch(search, LogLikelihood(system, runs, run_in=True), system).selected()
 
 
 def two_frictions(seed: int, seconds: float = 8.0) -> list[Run]:
@@ -38,14 +37,12 @@ def two_frictions(seed: int, seconds: float = 8.0) -> list[Run]:
 
 def test_nothing_is_selected_where_nothing_is_missing() -> None:
     found = selected(small_runs(rubbing(0.0), 3, 8.0, seed=4))
-    assert found is not None
     assert not found.selected
     assert max(found.screened.values()) < 3.0
 
 
 def test_two_frictions_of_one_speed_are_both_selected_with_their_sizes() -> None:
     found = selected(two_frictions(seed=1))
-    assert found is not None
     assert set(found.selected) == {"coulomb_friction", "quadratic_damping"}
     known = dict(
         zip(
@@ -69,7 +66,6 @@ def test_a_delay_is_selected_whose_lack_hides_the_gain_of_the_input() -> None:
     late = 13  # rows; forces of ten rows each are white from there
     runs = [Run(r.name, r.t[:-late], r.x[:-late], r.u[late:]) for r in linear_runs(4, 8.0, seed=1)]
     found = selected(runs)
-    assert found is not None
     assert set(found.selected) == {"input_delay"}
     known = dict(zip(found.best.vector.labels, found.best.theta, strict=True))
     assert known["input_delay.delay"] == pytest.approx(late * 0.02, abs=0.002)
@@ -118,14 +114,12 @@ def test_an_effect_that_only_resembles_a_simpler_law_says_so() -> None:
     # a quadratic damping below 0 is in no catalogue, and much like a dry friction that no speed of the log develops
     machine = replace(rubbing(0.0), effects={"quadratic": {"size": -0.04}})
     found = selected(small_runs(machine, 4, 12.0, seed=3))
-    assert found is not None
     assert found.selected
     assert all(one.law for one in found.selected.values())
 
 
 def test_a_dry_friction_is_no_law_of_one_term() -> None:
     found = selected(small_runs(rubbing(0.2), 3, 8.0, seed=6))
-    assert found is not None
     assert found.selected["coulomb_friction"].law == ""
 
 
@@ -136,8 +130,7 @@ def test_a_flight_with_drag_is_selected_by_the_likelihood() -> None:
     runs = nsde_torch.read(made, system=system).runs
     options = Options(candidates=("linear_drag", "quadratic_drag", "constant_wind", "thrust_misalignment"))
     search = search_in(system, runs, 1.0, options)
-    _, found = jointly_selected(search, LogLikelihood(system, runs, run_in=True), system)
-    assert found is not None
+    found = JointSearch(search, LogLikelihood(system, runs, run_in=True), system).selected()
     assert set(found.selected) == {"linear_drag"}
     values = dict(zip(found.best.vector.labels, found.best.theta, strict=True))
     assert values["linear_drag.drag[0]"] == pytest.approx(0.35, abs=0.06)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -10,15 +9,13 @@ import numpy as np
 import pytest
 
 from nsde_torch.diagnosis.decisions import Budgets
-from nsde_torch.diagnosis.dependence import Dependence
+from nsde_torch.diagnosis.law_columns import with_places
 from nsde_torch.diagnosis.law_content import looks_like
 from nsde_torch.diagnosis.law_terms import terms_of
-from nsde_torch.diagnosis.laws import wanted_variables
 from nsde_torch.diagnosis.options import Options
 from nsde_torch.effects.expression_grammar import parse
 from nsde_torch.systems import make_system
 from nsde_torch.systems.options import system_options
-from tests.diagnosis.test_shape import pushed
 from tests.helpers.diagnosed import diagnosed
 
 OUTSIDE = Path(__file__).parents[2] / "benchmarks" / "blind"
@@ -115,7 +112,7 @@ def test_laws_are_tried_neither_beside_named_candidates_nor_where_the_budget_has
     few = Options(candidates=("coulomb_friction",))
     _, content = diagnosed("mass_spring_damper", truth, options=few, **SHORT)
     assert (content["verdict"], content["added"]) == ("unexplained", [])
-    _, content = diagnosed("mass_spring_damper", truth, budgets=Budgets(law_rounds=0), **SHORT)
+    _, content = diagnosed("mass_spring_damper", truth, budgets=Budgets(laws=0), **SHORT)
     assert (content["verdict"], content["added"]) == ("unexplained", [])
 
 
@@ -129,16 +126,13 @@ def test_a_coupling_of_cart_and_pole_is_found_in_its_port() -> None:
 
 
 def test_a_law_may_hang_on_the_place_where_only_the_speed_shows() -> None:
-    r, variables = pushed(
-        lambda q, t, run: 0.0 * q
-    )  # of q^2 q_dot the residual is odd in q_dot, and nothing in q
-    seen = Dependence("q_dot", "q_dot", p=1e-9, share=0.2, odd=1.0, gain=40.0, functions=4)
-    other = Dependence("q_dot", "force", p=0.2, share=0.01, odd=1.0, gain=4.0, functions=4)
-    few = replace(variables, budgets=Budgets(law_variables=1))
-    assert wanted_variables(r, [seen], [seen, other], few) == ["q_dot", "q"]
-    assert wanted_variables(r, [other], [seen, other], few) == ["force"]  # an input has neither
-    more = replace(variables, budgets=Budgets(law_variables=2))
-    assert wanted_variables(r, [seen], [seen, other], more) == ["q_dot", "force", "q"]
+    spring, cart = make_system("mass_spring_damper"), make_system("cartpole")
+    assert with_places(spring, ["q_dot"]) == [
+        "q_dot",
+        "q",
+    ]  # of q^2 q_dot what is left is odd in q_dot, and nothing in q
+    assert with_places(spring, ["force"]) == ["force"]  # an input has neither
+    assert with_places(cart, ["cos_theta", "x_dot"]) == ["cos_theta", "x_dot", "theta", "theta_dot", "x"]
 
 
 @pytest.mark.skipif(not OUTSIDE.is_dir(), reason="the benchmarks are not part of a wheel")

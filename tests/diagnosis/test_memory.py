@@ -14,7 +14,6 @@ import pytest
 from nsde_torch.diagnosis.evidence import folds, score
 from nsde_torch.diagnosis.fitted import fitted_system, nonlinear
 from nsde_torch.diagnosis.freed_memory import give_back
-from nsde_torch.diagnosis.laws import library
 from nsde_torch.diagnosis.regressors import Regressors
 from nsde_torch.diagnosis.screening import joined
 from nsde_torch.diagnosis.search import Base, Search
@@ -68,14 +67,6 @@ def test_a_candidate_that_was_fitted_holds_a_few_columns_of_the_data(spring: Fou
     trial, after, _ = held(fitted)
     assert trial.name == name
     assert after < 4.0 * 8 * len(base.regression.series)
-
-
-def test_a_library_of_laws_holds_products_and_no_columns_when_it_is_made(spring: Found) -> None:
-    search, base, variables = spring
-    made, after, peak = held(lambda: library(search, base, ["q_dot"], ["q", "q_dot", "force"], variables))
-    columns = 8 * made.tried * len(base.regression.series)
-    assert after < 0.7 * columns
-    assert peak < 5.3 * columns
 
 
 @pytest.mark.skipif(

@@ -50,7 +50,7 @@ def test_a_spring_that_hardens_faster_than_the_catalogue_knows_is_a_law_with_its
     law = "force = c1 q^5"
     assert (content["verdict"], content["added"]) == ("effect_found", [law])
     assert content["parameters"][f"{law}.c1"]["value"] == pytest.approx(-8.0, rel=0.15)
-    _, content = diagnosed(*case, durations=(10.0,) * 6, budgets=Budgets(law_rounds=0))
+    _, content = diagnosed(*case, durations=(10.0,) * 6, budgets=Budgets(laws=0))
     assert content["verdict"] == "unexplained" or all(f["lead"] for f in content["findings"])
     assert content["added"] in ([], ["cubic_stiffness"])
     first = content["unexplained"][0]

@@ -1,0 +1,137 @@
+"""What columns explain of blocks of time that they were not fitted to, from one Gram matrix per block.
+
+    gain = 1/2 |e - J d_b|^2 - 1/2 |e - J d_b' - Z a_b|^2        d, a fitted without the fold of block b
+
+All of the selection by the joint likelihood is linear algebra of these matrices: candidates, pairs, terms of laws.
+"""
+
+from collections.abc import Sequence
+from math import log
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nsde_torch.diagnosis.decisions import Decisions
+from nsde_torch.inference.sensitivity import Grams, half_squares, solved
+
+Array = NDArray[np.float64]
+Labels = NDArray[np.int64]
+
+_SEEN = 1e-9  # share of a column that must be left beside the others for it to be seen
+_SHOWN = 1e-9  # of the square of a column: less of it in some blocks is rounding
+_ROUNDING = 1e-10  # of the largest eigenvalue: directions that columns hardly have
+
+
+class GramTable:
+    """Gram matrices of one pass with the columns of all candidates, and what these explain of folds left out.
+
+    Args:
+        held: The Gram matrices.
+        base: Columns of the parameters of the physics.
+        fold: Fold of each block.
+    """
+
+    def __init__(self, held: Grams, base: Labels, fold: Labels) -> None:
+        self._held, self._base = held, base
+        self._folds = [np.flatnonzero(fold == f) for f in np.unique(fold)]
+        self._before, self._fitted, _ = self._left_out(self._reduced(self._base, []))
+        inner = held.total[np.ix_(base, base)]
+        self._others = np.linalg.pinv(inner, rcond=_ROUNDING, hermitian=True)
+
+    def price(self, parameters: int) -> float:
+        """What parameters cost (Schwarz) [nats]."""
+        return 0.5 * parameters * log(len(self._held.blocks))
+
+    def gain(
+        self, columns: Sequence[tuple[int, ...]], dropped: Labels | None = None
+    ) -> tuple[Array, float, Array]:
+        """Held-out nats of each block (B,), nats of all rows as fitted, and the step of the candidates' parameters."""
+        base = self._base if dropped is None else np.setdiff1d(self._base, dropped)
+        own = np.array([c for each in columns for c in each[1:]], dtype=np.int64)
+        keep = np.concatenate((base, own))
+        blocks = self._reduced(keep, [each[0] for each in columns if each[0]])
+        after, fitted, step = self._left_out(blocks)
+        return self._before - after, self._fitted - fitted, step[len(base) :]
+
+    def gains_on(self, parts: Sequence[NDArray[np.bool_]], columns: Sequence[int], new: float) -> Array:
+        """Nats (parts, columns) that each column alone brings to some blocks, fitted to these; 0 of what is not new.
+
+        Args:
+            parts: Flags of blocks (B,).
+            columns: Numbers of the columns.
+            new: Share of a column that must be left beside the physics.
+        """
+        at, known = np.array(columns), np.array([self.left(c) > new for c in columns])
+        out = np.zeros((len(parts), len(at)))
+        for row, part in zip(out, parts, strict=True):
+            total = self._held.blocks[part].sum(0)
+            across = total[np.ix_(self._base, at)]
+            along = (
+                np.linalg.pinv(total[np.ix_(self._base, self._base)], rcond=_ROUNDING, hermitian=True)
+                @ across
+            )
+            square = total[at, at]
+            left = square - (across * along).sum(0)
+            live = known & (left > _SHOWN * square)
+            pull = total[at, 0] - along.T @ total[self._base, 0]
+            row[live] = 0.5 * np.square(pull[live]) / left[live]
+        return out
+
+    def left(self, column: int) -> float:
+        """Share of the length of a column that the parameters of the physics cannot do already."""
+        total = self._held.total
+        across = total[self._base, column]
+        whole = max(float(total[column, column]), 1e-300)
+        return float(np.sqrt(max(1.0 - across @ self._others @ across / whole, 0.0)))
+
+    def errors(self, own: Labels) -> Array:
+        """Standard errors of the parameters of a candidate (q,), all others free; infinite of what moves nothing."""
+        total = self._held.total
+        inner = total[np.ix_(own, own)]
+        across = total[np.ix_(self._base, own)]
+        left = inner - across.T @ self._others @ across
+        moves = np.diag(left) > _SEEN * np.diag(inner).clip(1e-300)
+        inverse = np.linalg.pinv(left, rcond=_ROUNDING, hermitian=True)
+        return np.where(moves, np.sqrt(np.diag(inverse).clip(1e-300)), np.inf)
+
+    def _reduced(self, keep: Labels, shifts: Sequence[int]) -> Array:
+        """Blocks (B, 1 + q, 1 + q) of the innovations, less the shifts of starts, and of some columns."""
+        index = np.concatenate(([0], shifts, keep)).astype(np.int64)
+        blocks = self._held.blocks[:, index[:, None], index]
+        count = len(shifts)
+        if not count:
+            return blocks
+        turn = np.zeros((len(index), 1 + len(keep)))
+        turn[0, 0], turn[1 : 1 + count, 0] = 1.0, -1.0
+        turn[1 + count :, 1:] = np.eye(len(keep))
+        return np.asarray(turn.T @ blocks @ turn)
+
+    def _left_out(self, blocks: Array) -> tuple[Array, float, Array]:
+        """Half the squares that are left of each block by parameters fitted without its fold, of all, and the step."""
+        total, out = blocks.sum(0), np.empty(len(blocks))
+        for rows in self._folds:
+            step = solved(total - blocks[rows].sum(0))
+            out[rows] = half_squares(blocks[rows], step)
+        step = solved(total)
+        return out, float(half_squares(total[None], step)[0]), step
+
+
+def folds_of(decisions: Decisions, owners: Labels, firsts: Labels) -> Labels:
+    """Fold of each block: whole runs, or stretches of one or two.
+
+    Args:
+        decisions: Numbers of folds.
+        owners: Number of the run of each block.
+        firsts: Number of its first step.
+    """
+    d = decisions
+    _, number = np.unique(owners, return_inverse=True)
+    count = int(number.max()) + 1
+    if count >= d.folds_fewest_runs:
+        return np.asarray(number * min(count, d.folds) // count)
+    out = np.zeros(len(number), dtype=np.int64)
+    for run in range(count):
+        own = np.flatnonzero(number == run)
+        own = own[np.argsort(firsts[own], kind="stable")]
+        out[own] = d.folds_stretches * run + np.arange(len(own)) * d.folds_stretches // len(own)
+    return out

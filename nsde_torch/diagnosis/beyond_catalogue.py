@@ -20,7 +20,7 @@ Buehlmann, Journal of the Royal Statistical Society B 72, 2010, with likelihoods
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import combinations
 
 import numpy as np
@@ -74,7 +74,7 @@ def with_laws(
     bent = [
         (f.name,)
         for f in outcome.found
-        if bent_shape(outcome.final.regression, f.name) and (f.name,) not in near
+        if (f.name,) not in near and not is_law(f.name) and bent_shape(outcome.final.regression, f.name)
     ]
     alike = [pair for pair in combinations(names, 2) if of_one_variable(*pair)]
     likelier, as_good = settings.decisions.alike_nats, -settings.decisions.wider_nats
@@ -102,29 +102,18 @@ def sound(search: JointSearch, joint: JointSelection) -> JointSelection | None:
         search: The search by the joint likelihood.
         joint: What it selected of the catalogue.
     """
+    laws = _LawSearch(search)
+    joint = laws.checked(joint)  # laws that took the place of effects
     if not joint.best.misfit:
         return joint
     if search.search.candidates is not None or not search.search.budgets.laws:
         return None
-    found = _LawSearch(search).selected(joint, ())
+    found = laws.selected(joint, ())
     return None if found is None or found.best.misfit else found
 
 
-@dataclass(frozen=True)
-class _Chosen:
-    """A law that was fitted, and the library that it was chosen from.
-
-    Args:
-        term: The law.
-        library: All terms that were looked at with it.
-    """
-
-    term: Term
-    library: tuple[Term, ...]
-
-
 class _LawSearch:
-    """Adds laws to physics; remembers functions beside physics, and which terms laws were chosen from.
+    """Adds laws to physics; remembers functions beside physics.
 
     Args:
         search: The search by the joint likelihood.
@@ -133,8 +122,6 @@ class _LawSearch:
     def __init__(self, search: JointSearch) -> None:
         self._search = search
         self._functions: dict[frozenset[str], Functions | None] = {}
-        self._chosen: dict[str, _Chosen] = {}
-        self._tried = 0
 
     def functions(self, place: Place) -> Functions | None:
         """Functions beside some physics; None where they would say nothing."""
@@ -155,20 +142,24 @@ class _LawSearch:
         of_effects = {n: e for n in replaced if isinstance(e := effect_of(place.system, n), Law)}
         for name in replaced:
             place = search.without(place, name)
-        for _ in range(search.search.budgets.laws):
-            better = self._with_a_law(place, list(of_effects.values()))
-            if better is None:
-                break
-            place = better
-        if not any(map(is_law, place.system.effect_names)):
+        added = 0
+        while added < search.search.budgets.laws and (
+            better := self._with_a_law(place, list(of_effects.values()))
+        ):
+            place, added = better, added + 1
+        if not added:
             return None
-        found = search.concluded(place, self._tried)
-        while unstable := self._not_chosen_again(found):
-            found = search.concluded(search.without(search.of(found), unstable), self._tried)
+        found = self.checked(search.concluded(place))
         if not any(map(is_law, found.selected)):
             return None
-        found = self._named_by_the_catalogue(found)
         return replace(found, functions=self.functions(search.of(found)))
+
+    def checked(self, found: JointSelection) -> JointSelection:
+        """The same without laws that are not chosen again, laws that the catalogue has under its names."""
+        search = self._search
+        while unstable := self._not_chosen_again(found):
+            found = search.concluded(search.without(search.of(found), unstable))
+        return self._named_by_the_catalogue(found)
 
     def _with_a_law(self, place: Place, effects: Sequence[Law]) -> Place | None:
         """Physics with the law that explains most beside it; None where none is needed."""
@@ -191,23 +182,18 @@ class _LawSearch:
             t for port, names in wanted.items() for t in terms_on(place.system, place.at, port, names)
         )
         library = tuple(t for t in library if t.law not in place.system.effect_names)
-        self._tried = max(self._tried, len(library))
         best: Place | None = None
         fitted: list[Term] = []
         chosen: Term | None = None
         for term, size in self._promising(place, library, levels):
-            system = joined(place.system, term.law, {**term.start, "c1": size})
-            there = search.fitted(system, place)
-            if not search.needed(term.law, there, place, self._tried):
-                continue
+            there = search.fitted(joined(place.system, term.law, {**term.start, "c1": size}), place)
             fitted.append(term)
-            if best is None or _value(there) > _value(best):
+            search.chosen(term.law, fitted, library)
+            if search.needed(term.law, there, place) and (best is None or _value(there) > _value(best)):
                 best, chosen = there, term
         if best is None or chosen is None:
             return None
-        for term in fitted:
-            self._chosen[term.law] = _Chosen(term, library)
-        search.rivals_of(chosen.law, fitted)
+        search.chosen(chosen.law, fitted, library)
         return best
 
     def _promising(
@@ -238,18 +224,18 @@ class _LawSearch:
         """A law that is not chosen again in halves of the runs; empty where all are."""
         decisions = self._search.search.decisions
         for name in filter(is_law, found.selected):
-            known = self._chosen.get(name)
-            if known is not None and self._share(found, name, known) < decisions.law_share:
+            if self._share(found, name) < decisions.law_share:
                 return name
         return ""
 
-    def _share(self, found: JointSelection, name: str, known: _Chosen) -> float:
+    def _share(self, found: JointSelection, name: str) -> float:
         """Share of random halves of the runs in which a law is about as good as the best of its library."""
         search, decisions = self._search, self._search.search.decisions
         without = search.without(search.of(found), name)
         values = values_of(effect_of(found.system, name))
         shapes = {k: v for k, v in values.items() if k != "c1"}
-        library = (Term(name, shapes, known.term.port), *known.library)
+        terms = search.libraries[name]
+        library = (Term(name, shapes, next(t.port for t in terms if t.law == name)), *terms)
         space = without.at.of.space
         owners, firsts = space.chunks.places()
         fold = folds_of(decisions, owners, firsts)
@@ -279,7 +265,7 @@ class _LawSearch:
             if effect is None:
                 continue
             there = search.fitted(joined(search.without(place, name).system, effect, {}), place)
-            again = search.concluded(there, self._tried)
+            again = search.concluded(there)
             if effect in again.selected:
                 found = again
         return found

@@ -35,7 +35,6 @@ from nsde_torch.diagnosis.screening import joined, starts
 from nsde_torch.diagnosis.search import Search
 from nsde_torch.diagnosis.trials import Trial
 from nsde_torch.effects import Effect, Law, effect_class
-from nsde_torch.effects.expression_grammar import is_law
 from nsde_torch.errors import NsdeError
 from nsde_torch.inference import LogLikelihood, MaximumLikelihood, Optimum, nearly_maximised
 from nsde_torch.inference.functions import Functions
@@ -88,6 +87,21 @@ class Explained:
 
 
 @dataclass(frozen=True)
+class Look:
+    """What the catalogue would explain beside some physics.
+
+    Args:
+        proposals: Every candidate at the best of its starts, the best first.
+        accepted: Those of them that are beyond chance.
+        pair: Rank of the two of the best that explain most together, and these; None where there are no two.
+    """
+
+    proposals: tuple[Explained, ...]
+    accepted: tuple[Explained, ...]
+    pair: tuple[float, tuple[Explained, Explained]] | None
+
+
+@dataclass(frozen=True)
 class Selected:
     """The log likelihood without an effect that was selected, and what cannot be distinguished from it.
 
@@ -96,12 +110,14 @@ class Selected:
         blocks: The same by block of time (B,).
         ties: Effects that explain the data as well in its place.
         law: A law of one term that is likelier in its place; empty where none is.
+        tried: Number of the terms that a law was chosen from.
     """
 
     likelihood: float
     blocks: Array
     ties: tuple[str, ...]
     law: str = ""
+    tried: int = 0
 
 
 @dataclass(frozen=True)
@@ -115,7 +131,6 @@ class JointSelection:
         selected: The effects.
         screened: Nats of every candidate of the first look.
         errors: Smallest standard errors of its sizes over all looks, by candidate and label.
-        tried: Number of terms of laws that were looked at.
         functions: Functions that explain more beside the physics, as far as they were looked for.
     """
 
@@ -125,7 +140,6 @@ class JointSelection:
     selected: dict[str, Selected]
     screened: dict[str, float]
     errors: dict[str, dict[str, float]]
-    tried: int = 0
     functions: Functions | None = None
 
     def evidence(self, search: Search, trial: Trial) -> Trial:
@@ -143,7 +157,7 @@ class JointSelection:
         p = float(chdtrc(count, max(2.0 * risen, 0.0)))
         labels = [label for label in self.best.vector.labels if label.startswith(f"{trial.name}.")]
         among = max(len(self.screened), 1) * starts_of(trial.name, labels, search.longest)
-        among += self.tried if is_law(trial.name) else 0
+        among += without.tried
         return replace(
             trial,
             nats=nats,
@@ -182,6 +196,7 @@ class JointSearch:
 
     Attributes:
         search: Candidates and settings.
+        libraries: By law: all terms that it was chosen from.
     """
 
     def __init__(
@@ -190,7 +205,8 @@ class JointSearch:
         self.search, self._problem, self._frequencies = search, problem, frequencies
         self._declared = set(system.effect_names)
         self._places: dict[frozenset[str], Place] = {}
-        self._looks: dict[frozenset[str], tuple[list[Explained], GramTable]] = {}
+        self._looks: dict[frozenset[str], Look] = {}
+        self.libraries: dict[str, tuple[Term, ...]] = {}
         self._instead: dict[str, tuple[Term, ...]] = {}
         self._first = self.fitted(system, None)
 
@@ -228,30 +244,32 @@ class JointSearch:
             so_far(place.system, brought)
         return self.concluded(place)
 
-    def concluded(self, place: Place, tried: int = 0) -> JointSelection:
-        """The effects of some physics, each looked at again beside the others.
-
-        Args:
-            place: The physics at its optimum.
-            tried: Number of terms of laws that were looked at.
-        """
-        place, selected = self.looked_at_again(place, tried)
-        first = self.look(self._first)[0]
+    def concluded(self, place: Place) -> JointSelection:
+        """The effects of some physics, each looked at again beside the others."""
+        place, selected = self.looked_at_again(place)
+        first = self.look(self._first).proposals
         screened = {p.name: p.nats for p in first}
         # what is missing passes for noise in the first look
         errors: dict[str, dict[str, float]] = {}
-        for p in (p for look, _ in self._looks.values() for p in look):
+        for p in (p for look in self._looks.values() for p in look.proposals):
             own = errors.setdefault(p.name, {})
             own |= {label: min(error, own.get(label, error)) for label, error in p.errors.items()}
-        return JointSelection(place.best, place.system, place.at, selected, screened, errors, tried)
+        return JointSelection(place.best, place.system, place.at, selected, screened, errors)
 
     def of(self, selection: JointSelection) -> Place:
         """The physics of a selection at its optimum."""
         return Place(selection.system, selection.best, selection.at)
 
-    def rivals_of(self, law: str, terms: Sequence[Term]) -> None:
-        """Terms that were fitted beside a law are held against it when it is looked at again."""
-        self._instead[law] = tuple(terms)
+    def chosen(self, law: str, fitted: Sequence[Term], library: Sequence[Term]) -> None:
+        """A law was chosen: it is held against the other terms that were fitted when it is looked at again.
+
+        Args:
+            law: The law.
+            fitted: Terms that were fitted to the end.
+            library: All terms that were looked at.
+        """
+        self._instead[law] = tuple(fitted)
+        self.libraries |= dict.fromkeys((t.law for t in fitted), tuple(library))
 
     def without(self, place: Place, name: str) -> Place:
         """The physics without an effect, fitted; a declared one that it stood in for is back."""
@@ -272,20 +290,21 @@ class JointSearch:
             self._places[added] = made
         return self._places[added]
 
-    def look(self, place: Place) -> tuple[list[Explained], GramTable]:
+    def look(self, place: Place) -> Look:
         """What the catalogue would explain beside some physics."""
         names = frozenset(place.system.effect_names)
         if names not in self._looks:
-            self._looks[names] = _catalogue(self.search, place, self._frequencies)
+            proposals, table = _catalogue(self.search, place, self._frequencies)
+            accepted = tuple(p for p in proposals if _accepted(self.search, p))
+            # the table is as large as the catalogue squared: none is kept
+            self._looks[names] = Look(tuple(proposals), accepted, _best_pair(table, accepted[:_PAIRED]))
         return self._looks[names]
 
     def _next(self, place: Place) -> Place | None:
         """The physics with the best candidate that holds what it promises once it is fitted."""
-        proposals, table = self.look(place)
-        accepted = [p for p in proposals if _accepted(self.search, p)]
-        added = self.added(place.system)
+        look = self.look(place)
         best, risen = None, 0.0
-        for proposal in _in_order(self.search, table, accepted, added)[:_TRIED]:
+        for proposal in _in_order(self.search, look, self.added(place.system))[:_TRIED]:
             if best is not None and proposal.nats < risen:
                 continue
             there = self._fitted_as_promised(proposal, place)
@@ -297,7 +316,7 @@ class JointSearch:
                 break
             # it is not what its step promised: a lag in the place of a delay (carts of seed 9002, case 11)
         return best or self._learned_by_noise(
-            place, [p for p in proposals if p.nats > 0 and not _accepted(self.search, p)]
+            place, [p for p in look.proposals if p.nats > 0 and not _accepted(self.search, p)]
         )
 
     def _learned_by_noise(self, place: Place, proposals: Sequence[Explained]) -> Place | None:
@@ -325,7 +344,7 @@ class JointSearch:
         # (test_a_delay_is_selected_whose_lack_hides_the_gain_of_the_input)
         return self.fitted(proposal.begun, place)
 
-    def looked_at_again(self, place: Place, tried: int = 0) -> tuple[Place, dict[str, Selected]]:
+    def looked_at_again(self, place: Place) -> tuple[Place, dict[str, Selected]]:
         """Each effect again beside the others: what is likelier replaces it, what is as likely is a tie."""
         out: dict[str, Selected] = {}
         exchanged = 0
@@ -333,42 +352,39 @@ class JointSearch:
             name = left[0]
             self.search.say(f"looking again at {name}", len(out), len(out) + len(left))
             without = self.without(place, name)
-            if not self.needed(name, place, without, tried):
+            if not self.needed(name, place, without):
                 place, out = without, {}  # what was added after it explains what it did
                 continue
             alike, better = self._rivals(name, place, without)
             if better is not None and exchanged < self.search.budgets.exchanges:
                 place, out, exchanged = better, {}, exchanged + 1
                 continue
-            law = self._nearer_law(name, place, without)
-            out[name] = Selected(without.best.likelihood, without.at.blocks, tuple(alike), law)
+            law, there = self._nearer_law(name, place, without)
+            if there is not None and exchanged < self.search.budgets.exchanges:
+                place, out, exchanged = there, {}, exchanged + 1
+                continue
+            tried = len(self.libraries.get(name, ()))
+            out[name] = Selected(without.best.likelihood, without.at.blocks, tuple(alike), law, tried)
         return place, out
 
-    def needed(self, name: str, place: Place, without: Place, tried: int = 0) -> bool:
-        """Whether an effect brings more likelihood than chance, of all candidates of the look that found it.
-
-        Args:
-            name: Of the effect.
-            place, without: The physics with and without it.
-            tried: Number of terms of laws, of which a law is the best.
-        """
+    def needed(self, name: str, place: Place, without: Place) -> bool:
+        """Whether an effect brings more likelihood than chance, of all candidates of the look that found it."""
         labels = [label for label in place.best.vector.labels if label.startswith(f"{name}.")]
-        proposals, _ = self.look(self._first)
+        proposals = self.look(self._first).proposals
         among = max(len(proposals), 1) * starts_of(name, labels, self.search.longest)
-        among += tried if is_law(name) else 0
+        among += len(self.libraries.get(name, ()))
         ratio = 2.0 * max(place.best.likelihood - without.best.likelihood, 0.0)
         return bonferroni(float(chdtrc(len(labels), ratio)), among) < self.search.level("effects")
 
     def _rivals(self, name: str, place: Place, without: Place) -> tuple[list[str], Place | None]:
         """Effects as likely as one that was selected, and the physics with a better one in its place."""
-        proposals, _ = self.look(without)
-        own = next((p for p in proposals if p.name == name), None)
+        look = self.look(without)
+        own = next((p for p in look.proposals if p.name == name), None)
         rivals = [
             p
-            for p in proposals
+            for p in look.accepted
             # what contains the effect was a candidate beside it, and was not needed
             if name not in {p.name, *effect_class(p.name).includes}
-            and _accepted(self.search, p)
             and (own is None or not _far_above(own, p))
         ]
         alike: list[str] = []
@@ -386,8 +402,10 @@ class JointSearch:
                 alike.append(rival)
         return alike, None if best is None else best[1]
 
-    def _nearer_law(self, name: str, place: Place, without: Place) -> str:
-        """A law of one term that is likelier than an effect of a coordinate in its place; empty if there is none.
+    def _nearer_law(self, name: str, place: Place, without: Place) -> tuple[str, Place | None]:
+        """A law of one term that is likelier than an effect of a coordinate in its place, empty if there is none.
+
+        And the physics with it where it is surely likelier, and laws may be tried.
 
         A force `x^2 x_dot` on a cart is well explained by a dry friction where nothing else is offered. A law with as
         many parameters has to explain surely more, as it is the best of a library; one with fewer, as much (case_010 of
@@ -395,14 +413,14 @@ class JointSearch:
         """
         effect, space = effect_of(place.system, name), without.at.of.space
         if not isinstance(effect, Law) or (effect.at.port, effect.at.row) not in space.disturbances:
-            return ""
+            return "", None
         at = effect.at
         names = coordinate_of(place.system, effect)
         port = space.disturbances.index((at.port, at.row))
         terms = terms_on(without.system, without.at, port, names)
         folds = folds_of(self.search.decisions, *space.chunks.places())
         # linearised steps with linearised steps: noise without either has learned some of both
-        own = next((p.nats for p in self.look(without)[0] if p.name == name), 0.0)
+        own = next((p.nats for p in self.look(without).proposals if p.name == name), 0.0)
         rivals: list[tuple[float, Term]] = []
         for some, held in tables(without.system, without.at, terms):
             table = GramTable(held, 1 + without.best.free, folds)
@@ -415,9 +433,14 @@ class JointSearch:
             difference = there.at.blocks - place.at.blocks
             fewer = len(place.best.vector) - len(there.best.vector)
             gained = float(difference.sum()) + 0.5 * fewer * log(len(difference))
-            if gained > (0.0 if fewer > 0 else log(len(terms)) + _sure(self.search, difference)):
-                return term.law
-        return ""
+            sure = log(len(terms)) + _sure(self.search, difference)
+            if gained > (0.0 if fewer > 0 else sure):
+                may = self.search.candidates is None and self.search.budgets.laws > 0
+                if may and float(difference.sum()) > sure:
+                    self.chosen(term.law, [term], terms)
+                    return term.law, there
+                return term.law, None
+        return "", None
 
 
 def coordinate_of(system: System, effect: Law) -> list[str]:
@@ -429,15 +452,12 @@ def _accepted(search: Search, proposal: Explained) -> bool:
     return proposal.p < search.level("effects") and proposal.nats > search.decisions.least_nats
 
 
-def _in_order(
-    search: Search, table: GramTable, accepted: Sequence[Explained], added: Collection[str]
-) -> list[Explained]:
+def _in_order(search: Search, look: Look, added: Collection[str]) -> list[Explained]:
     """Candidates, the best first: one of a pair that explains surely more than the best alone, then what is simpler."""
-    ranked = sorted(accepted, key=lambda p: -p.rank)
+    ranked, pair = look.accepted, look.pair
     if not ranked:
         return []
     best = ranked[0]
-    pair = _best_pair(table, ranked[:_PAIRED])
     if (
         pair is not None
         and all(best is not p for p in pair[1])

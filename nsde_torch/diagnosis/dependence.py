@@ -44,8 +44,3 @@ class Dependence:
     def everywhere(self) -> bool:
         """Whether it is one of functions that are the same in all runs."""
         return self.run is None and self.sinusoid is None
-
-    @property
-    def of_a_variable(self) -> bool:
-        """Whether it is one of what was measured, in all runs: what a law could be of."""
-        return self.everywhere and self.moment is None and self.variable not in ("time", "run")

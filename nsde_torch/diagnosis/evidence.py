@@ -12,7 +12,6 @@ Econometrica 57, 1989).
 """
 
 from dataclasses import dataclass
-from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -64,12 +63,6 @@ def folds(regression: Regression, decisions: Decisions = DECISIONS) -> Labels:
         own = np.flatnonzero(number == run)
         rows[own] = stretches * run + np.arange(len(own)) * stretches // len(own)
     return regression.whitened_rows(rows)
-
-
-def stretches(fold: Labels) -> list[tuple[int, int, int]]:
-    """Ranges of rows of one fold: its number, the first row and the last one + 1."""
-    ends = [0, *(np.flatnonzero(np.diff(fold)) + 1).tolist(), len(fold)]
-    return [(int(fold[a]), a, b) for a, b in pairwise(ends)]
 
 
 def score(regression: Regression, fold: Labels, block: Labels, *, still: Flags) -> Score:

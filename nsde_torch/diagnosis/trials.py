@@ -105,11 +105,6 @@ def finished(search: Search, base: Base, trial: Trial, among: int) -> Trial:
     A model that had to stand for the effect has more orders than the noise alone. And one that remembers long is
     likelier in all rows, while a run of other speeds may be far from what the others foretell under it.
     """
-    return max(trial, with_own_noise(search, base, trial, among), key=lambda t: t.rank_score)
-
-
-def with_own_noise(search: Search, base: Base, trial: Trial, among: int) -> Trial:
-    """The candidate with the noise models that are likeliest in all rows."""
     system = trial.regression.origin
     assert isinstance(system, System)
     regression, this = search.best_noise(
@@ -117,7 +112,8 @@ def with_own_noise(search: Search, base: Base, trial: Trial, among: int) -> Tria
     )
     if this is trial.score:
         return trial
-    return _judged(search, base, regression, this, trial.name, among, trial.held)
+    other = _judged(search, base, regression, this, trial.name, among, trial.held)
+    return max(trial, other, key=lambda t: t.rank_score)
 
 
 def _judged(

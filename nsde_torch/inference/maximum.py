@@ -82,7 +82,10 @@ def likeliest(
         gained = 0.0
         while damping <= _MOST_DAMPING:
             damped = known + damping * torch.diag(torch.diagonal(known))
-            step = torch.linalg.solve(damped, gradient).clamp(-_LONGEST_STEP, _LONGEST_STEP)
+            step = torch.linalg.solve(damped, gradient)
+            # shortened as a whole: a step that is clamped level by level may lead down, and levels that had learned a
+            # law stayed where they were beside it, 53 nats below (test_levels_that_learned_a_law_let_go_of_it)
+            step = step * (_LONGEST_STEP / step.abs().max().clamp_min(_LONGEST_STEP))
             if float(gradient @ step) < _GAIN:  # a whole step brings half of that
                 break
             trial = torch.minimum(torch.maximum(phi + step, prior - _DOWN), prior + _UP)

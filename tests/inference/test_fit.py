@@ -7,11 +7,16 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import torch
 from numpy.typing import NDArray
 
 from nsde_torch.data import Run
-from nsde_torch.inference import estimate, fit, log_likelihood
+from nsde_torch.inference import LogLikelihood, estimate, fit, log_likelihood
+from nsde_torch.inference.estimate import maximised
 from nsde_torch.inference.levels import Levels
+from nsde_torch.inference.maximum import likeliest
+from nsde_torch.systems import make_system
+from tests.helpers.diagnosed import recorded
 from tests.inference.springs import (
     GUST,
     SENSOR,
@@ -126,3 +131,17 @@ def test_levels_are_held_where_the_log_has_no_gusts() -> None:
     for label, true in TRUTH.items():
         got, error = value(found, label)
         assert abs(got - true) < 3.0 * error
+
+
+def test_levels_that_learned_a_law_let_go_of_it() -> None:
+    """Gusts at which the physics without a force is likeliest are no levels that it stays at with the force."""
+    law = "force = c1 q_dot^3"
+    data = recorded("mass_spring_damper", {law: {"c1": -0.2}}, durations=(8.0,) * 4, dt=0.02)
+    system = make_system("mass_spring_damper")
+    problem = LogLikelihood(system, data.runs, run_in=True)
+    learned = [[0.004947153901, 0.010222282298], [0.003344666159], [0.029051988557], [0.068296968634]]
+    levels = Levels(*(torch.tensor(values, dtype=torch.float64).log() for values in learned))
+    there = system.with_effects(system.make_effect(law, {"c1": -0.2}))
+    best, at = maximised(problem.of(there))
+    found, _ = likeliest(at.of.space, levels, levels, at.about, at.of.start)
+    assert at.of.filtered(found, at.about).total > best.likelihood - 1.5

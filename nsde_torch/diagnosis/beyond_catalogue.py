@@ -66,11 +66,6 @@ def with_laws(
         return outcome
     laws, names = _LawSearch(search), list(joint.selected)
     near = [(name,) for name in names if joint.selected[name].law]
-    settings.say("functions of what was measured", 0, 1)
-    joint = replace(joint, functions=laws.functions(search.of(joint)))
-    looked = replace(outcome, joint=joint if outcome.joint is not None else None)
-    if joint.functions is None or not (joint.functions.nats or near):
-        return looked
     bent = [
         (f.name,)
         for f in outcome.found
@@ -88,9 +83,12 @@ def with_laws(
             continue
         if other.best.likelihood > joint.best.likelihood + least:
             return conclude(other)
-    settings.say("laws of what is left", 0, 1)
-    more = laws.selected(joint, ())
-    return looked if more is None else conclude(more)
+    settings.say("functions of what was measured", 0, 1)
+    joint = replace(joint, functions=laws.functions(search.of(joint)))
+    more = laws.selected(joint, ()) if joint.functions is not None and joint.functions.nats else None
+    if more is not None:
+        return conclude(more)
+    return replace(outcome, joint=joint if outcome.joint is not None else None)
 
 
 def sound(search: JointSearch, joint: JointSelection) -> JointSelection | None:

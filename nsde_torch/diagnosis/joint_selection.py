@@ -389,7 +389,8 @@ class JointSearch:
         ]
         alike: list[str] = []
         best: tuple[float, Place] | None = None
-        laws = [t for t in self._instead.get(name, ()) if t.law != name]
+        there_too = {name, *without.system.effect_names}
+        laws = [t for t in self._instead.get(name, ()) if t.law not in there_too]
         for rival, system in (
             *((r.name, r.system) for r in rivals[:_RIVALS]),
             *((t.law, joined(without.system, t.law, t.start)) for t in laws),

@@ -113,7 +113,7 @@ def test_laws_are_tried_neither_beside_named_candidates_nor_where_the_budget_has
     _, content = diagnosed("mass_spring_damper", truth, options=few, **SHORT)
     assert (content["verdict"], content["added"]) == ("unexplained", [])
     _, content = diagnosed("mass_spring_damper", truth, budgets=Budgets(laws=0), **SHORT)
-    assert (content["verdict"], content["added"]) == ("unexplained", [])
+    assert all(f["lead"] and f["kind"] != "formula" for f in content["findings"])
 
 
 @pytest.mark.slow

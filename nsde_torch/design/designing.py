@@ -65,10 +65,6 @@ def design(
     """Plan the experiment that tells most.
 
     Args:
-        system: Declared system.
-        runs: The runs there are.
-        question: What is asked.
-        options: Settings.
         clock: Physical seconds per logged second.
         values: First values of effects, `{effect: {parameter: value}}`.
         baselines: Whether usual inputs are measured beside it.

@@ -55,31 +55,19 @@ _FOLLOWED = 0.7  # width over what a friction changes of a speed in a step: narr
 
 @dataclass(frozen=True)
 class Member:
-    """Physics that may be true.
+    """Physics that may be true."""
 
-    Args:
-        name: Its effects, as messages call them.
-        effects: Names of its effects beyond the declared physics.
-        system: Physics with the fitted values.
-        theta: Fitted parameters (k,).
-        information: Of the runs about them (k, k).
-        nats: Log-likelihood of the runs [nats].
-        posteriors: By the likelihood of further runs.
-        noise: Noise of largest likelihood.
-        log: The runs there are.
-        branches: The member at the widths that the runs leave open, the likeliest first; itself where they leave none.
-    """
-
-    name: str
-    effects: tuple[str, ...]
-    system: System
-    theta: Array
-    information: Array
-    nats: float
-    posteriors: Posteriors
-    noise: ModelNoise
+    name: str  # its effects, as messages call them
+    effects: tuple[str, ...]  # names of its effects beyond the declared physics
+    system: System  # physics with the fitted values
+    theta: Array  # fitted parameters (k,)
+    information: Array  # of the runs about them (k, k)
+    nats: float  # log-likelihood of the runs [nats]
+    posteriors: Posteriors  # by the likelihood of further runs
+    noise: ModelNoise  # noise of largest likelihood
     log: LogOfRuns
     branches: tuple[Branch, ...]
+    """The member at the widths that the runs leave open, the likeliest first; itself where they leave none."""
 
     @property
     def vector(self) -> ParameterVector:
@@ -144,11 +132,7 @@ def fitted_members(
     """Fit what may be true to the runs there are.
 
     Args:
-        declared: Declared physics.
-        runs: The runs.
         named: Physics of each member with first values.
-        names: What they are called.
-        clock: Physical seconds per logged second.
         noise: Noise of them all; None: that of the likeliest.
 
     Raises:
@@ -298,32 +282,20 @@ def prior_information(vector: ParameterVector) -> Array:
 
 @dataclass(frozen=True)
 class Branch:
-    """A member near one width.
+    """A member near one width."""
 
-    Args:
-        theta: Parameters (k,).
-        known: Information about them there, that without data included (k, k).
-        nats: Log-likelihood of the runs [nats].
-    """
-
-    theta: Array
-    known: Array
-    nats: float
+    theta: Array  # parameters (k,)
+    known: Array  # information about them there, that without data included (k, k)
+    nats: float  # log-likelihood of the runs [nats]
 
 
 @dataclass(frozen=True)
 class LogOfRuns:
-    """The runs there are.
-
-    Args:
-        runs: The runs.
-        clock: Physical seconds per logged second.
-        run_in: Whether any member remembers, so that the first rows of all only bring up memory.
-    """
+    """The runs there are."""
 
     runs: tuple[Run, ...]
-    clock: float
-    run_in: bool
+    clock: float  # physical seconds per logged second
+    run_in: bool  # whether any member remembers, so that the first rows of all only bring up memory
 
     @property
     def logged_dt(self) -> float:
@@ -345,11 +317,7 @@ def width_columns(vector: ParameterVector) -> list[int]:
 def lower_bounds(fit: ParameterVector, theta: Array, *, dt: float, fine_dt: float) -> Array:
     """Lower bounds (k,) of a filter: widths below what the search looked for, and delays that its steps follow.
 
-    Args:
-        fit: Parameters with the bounds of the search.
-        theta: Their values (k,).
-        dt: Step of the log [s].
-        fine_dt: Step of the filter's integration [s].
+    `dt` is the step of the log, `fine_dt` that of the filter's integration [s].
     """
     sizes = {str(e.name): e.amplitudes for e in fit.system.effects if isinstance(e, Law)}
     low = fit.low.copy()
@@ -363,12 +331,7 @@ def lower_bounds(fit: ParameterVector, theta: Array, *, dt: float, fine_dt: floa
 
 
 def followed_delays(vector: ParameterVector, fine_dt: float) -> Array:
-    """The shortest delays (k,) that steps of the integration follow, -inf of other parameters.
-
-    Args:
-        vector: Parameters.
-        fine_dt: Step of the integration [s].
-    """
+    """The shortest delays (k,) that steps of the integration follow, -inf of other parameters."""
     low = np.full(len(vector), -np.inf)
     late = {str(e.name): e.relative for e in vector.system.effects if isinstance(e, Effect) and e.n_memory}
     for i, label in enumerate(vector.labels):
@@ -378,14 +341,7 @@ def followed_delays(vector: ParameterVector, fine_dt: float) -> Array:
 
 
 def branches(own: Posteriors, log: LogOfRuns, best: Branch, prior: Array) -> tuple[Branch, ...]:
-    """A member at the widths that its runs leave open, the likeliest first.
-
-    Args:
-        own: Posterior densities of the member.
-        log: The runs there are.
-        best: Where its fit ended.
-        prior: What is known without data (k, k).
-    """
+    """A member at the widths that its runs leave open, the likeliest first; `prior` is known without data (k, k)."""
     v, theta = own.vector, best.theta
     error = np.sqrt(np.diag(np.linalg.inv(best.known)))
     columns = [i for i in width_columns(v) if error[i] > _KNOWN * theta[i]]

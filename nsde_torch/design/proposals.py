@@ -44,17 +44,11 @@ Family = Signals | Paths
 
 @dataclass(frozen=True)
 class Judged:
-    """What a batch of experiments is worth.
+    """What a batch of experiments is worth."""
 
-    Args:
-        worth: Of each (C,); -inf beyond the limits.
-        told: The same, whatever the limits; far below 0 where it was not judged.
-        use: Largest share of each state's range (C, nx), nan where a state is not finite.
-    """
-
-    worth: Array
-    told: Array
-    use: Array
+    worth: Array  # of each (C,); -inf beyond the limits
+    told: Array  # the same, whatever the limits; far below 0 where it was not judged
+    use: Array  # largest share of each state's range (C, nx), nan where a state is not finite
 
 
 class Judging(Protocol):
@@ -158,17 +152,11 @@ class Judge:
 
 @dataclass(frozen=True)
 class Searched:
-    """What a search found.
+    """What a search found."""
 
-    Args:
-        finalists: The best experiments, the best first.
-        most: The most that any experiment told that was tried, within the limits or beyond.
-        use: Largest share of each state's range that this one takes (nx,).
-    """
-
-    finalists: list[PlannedRun]
-    most: float
-    use: Array
+    finalists: list[PlannedRun]  # the best experiments, the best first
+    most: float  # the most that any experiment told that was tried, within the limits or beyond
+    use: Array  # largest share of each state's range that this one takes (nx,)
 
 
 def best_of_each(judge: Judging, made: Mapping[str, tuple[Array, tuple[str, ...]]]) -> list[PlannedRun]:
@@ -199,12 +187,9 @@ def search(
     """The best experiments.
 
     Args:
-        judge: Judges them.
-        family: Makes them of genes (`Signals`, `Paths`).
         proposals: Number judged together.
         generations: Rounds of changes.
         keep: Number returned.
-        rng: Source of everything random.
         say: Told stage, number done and number in all.
 
     Raises:

@@ -32,34 +32,20 @@ _SUBSTEPS = 8
 
 @dataclass(frozen=True)
 class Disturbances:
-    """What acts on experiments beside the inputs.
+    """What acts on experiments beside the inputs."""
 
-    Args:
-        forces: Disturbances held over each step (B, N, nd).
-        ports: Columns of the ports that these act on.
-        errors: Errors of the sensors (B, N + 1, ne).
-    """
-
-    forces: Array
-    ports: tuple[tuple[Port, int], ...]
-    errors: Array
+    forces: Array  # disturbances held over each step (B, N, nd)
+    ports: tuple[tuple[Port, int], ...]  # columns of the ports that these act on
+    errors: Array  # errors of the sensors (B, N + 1, ne)
 
 
 @dataclass(frozen=True)
 class ModelNoise:
-    """Noise of largest likelihood.
-
-    Args:
-        levels: Its levels.
-        disturbances: Ports that act, and their columns.
-        observed: Numbers of the measured error channels.
-        ne: Number of the error channels.
-        h: Step [s].
-    """
+    """Noise of largest likelihood."""
 
     levels: Levels
-    disturbances: tuple[tuple[Port, int], ...]
-    observed: tuple[int, ...]
+    disturbances: tuple[tuple[Port, int], ...]  # ports that act, and their columns
+    observed: tuple[int, ...]  # numbers of the measured error channels
     ne: int
     h: float
 
@@ -112,15 +98,7 @@ class Rollouts:
         noise: Disturbances | None = None,
         times: Array | None = None,
     ) -> tuple[Array, Array, Array]:
-        """Fly experiments.
-
-        Args:
-            thetas: Parameters of each (B, k).
-            start: First states (B, nx).
-            drive: Inputs.
-            steps: Number of steps.
-            noise: What else acts; None: nothing.
-            times: When each begins (B,) [s]; None: at 0.
+        """Fly experiments from states (B, nx) with parameters (B, k), beginning at `times` (B,) [s] or 0.
 
         Returns:
             True states (B, N + 1, nx), measured states (B, N + 1, nx) and inputs (B, N, nu).
@@ -156,15 +134,10 @@ class Rollouts:
         begun: Tensor | None = None,
         forces: Tensor | None = None,
     ) -> Tensor:
-        """States and memory (B, nz) after step k.
+        """States and memory (B, nz) after step k, from those before it.
 
-        Args:
-            theta: Parameters (B, k).
-            k: Number of the step.
-            z: States and memory before it (B, nz).
-            u: Inputs (B, nu).
-            begun: Times of the start (B,); None: 0.
-            forces: Of the disturbances of the run (B, nd); None: none.
+        With parameters (B, k), inputs (B, nu), times of the start (B,) or 0, and forces of the disturbances of the run
+        (B, nd).
         """
         start = torch.zeros(len(z), dtype=torch.float64) if begun is None else begun
         d = torch.zeros(len(z), 0, dtype=torch.float64) if forces is None else forces

@@ -89,10 +89,8 @@ def decide(slopes: Sequence[Slope], *, policy: str, report: Report) -> float:
     disagrees, its velocity is at fault, not the clock; that is reported and nothing is scaled.
 
     Args:
-        slopes: Slopes of all axes of all runs.
         policy: `rescale` returns the measured scale where it differs from 1; `trust` returns 1 and reports;
             `refuse` raises.
-        report: Takes the findings.
 
     Raises:
         DataError: the clock is wrong and the policy is `refuse`.
@@ -144,11 +142,6 @@ def decide(slopes: Sequence[Slope], *, policy: str, report: Report) -> float:
 
 def of_runs(slopes: Sequence[Slope], runs: Sequence[str], *, measured: float) -> float:
     """Clock scale as some runs alone show it: what a model may know that is to be tested on the others.
-
-    Args:
-        slopes: Slopes of all axes of all runs of a data set.
-        runs: Names of the runs that may be looked at.
-        measured: Scale of the whole data set; 1 says that nothing is to be scaled.
 
     Returns:
         Physical seconds for each logged second; `measured` where slopes were taken over several short runs

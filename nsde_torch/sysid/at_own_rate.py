@@ -29,8 +29,6 @@ def undone_at_own_rate(
     """A data set on the step that was asked for, without what the recording did to its states.
 
     Args:
-        data: On the step of the log, or on a shorter one.
-        system: The machine.
         dt: The step that was asked for [s]; None: that of the data.
         stream_offsets: "undo", or "keep" streams, and sensors that a longer step would hide, where they are.
         state_smoothing: "restore", or "keep" states as they are.

@@ -23,12 +23,7 @@ _NEIGHBOURS = (-2, -1, 0, 1, 2)  # rows of the log whose inputs may have acted
 
 
 def lengths(regression: Regression, ways: Sequence[Direction]) -> dict[str, float]:
-    """What inputs do in whitened rows, times half of what they move from row to row over what they move at all.
-
-    Args:
-        regression: Where its iteration has settled.
-        ways: Combinations of inputs that drive its channels.
-    """
+    """What inputs do in whitened rows, times half of what they move from row to row over what they move at all."""
     physics, known = regression.physics, [*regression.rows]
     u = np.asarray(physics.steps.u[:, : physics.vector.system.nu])
     later = np.ones(len(u), dtype=bool)
@@ -53,9 +48,6 @@ def leaning(regression: Regression) -> Array:
 
     The share, as a length, of what weighs the rows of a channel in the estimate that lies along what inputs do that are
     linear functions of the states and of the inputs of neighbouring rows.
-
-    Args:
-        regression: At its optimum.
     """
     acts = _neighbours(regression)
     out = np.zeros((len(regression.rows), len(regression.vector)))

@@ -30,10 +30,6 @@ def by_likelihood(
     """An identification, its values and intervals by the likelihood.
 
     Args:
-        found: By the weak form.
-        system: The machine; it is not changed.
-        runs: Recordings, all on one step.
-        clock: Physical seconds per logged second.
         near: The same machine where a fit of it has ended, and the optimum there.
 
     Returns:

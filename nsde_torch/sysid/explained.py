@@ -36,14 +36,7 @@ def smooth_rate(change: Array, segments: Sequence[tuple[int, int]], window: Arra
 
 
 def explained(physics: Physics, residual: Array, rows: NDArray[np.int64], window: Array) -> list[Channel]:
-    """Figures of channels.
-
-    Args:
-        physics: The data.
-        residual: Residual changes of these channels over steps (N, len(rows)).
-        rows: Numbers of the channels.
-        window: The test function.
-    """
+    """Figures of the channels `rows`, of their residual changes over steps (N, len(rows)), in means over a window."""
     s = physics.steps
     measured = smooth_rate(physics.measured[:, rows], s.segments, window, s.dt)
     left = smooth_rate(residual, s.segments, window, s.dt)

@@ -70,16 +70,11 @@ POOR = 0.8
 
 @dataclass(frozen=True)
 class Objection:
-    """What speaks against a fit.
-
-    Args:
-        kind: `reading`, `shifted_stream`, `odd_run`, `unexplained_run`, `least_squares`, `first_values`, `gone`,
-            `worse` or `poor`.
-        sentence: What was found.
-        remedy: What to do.
-    """
+    """What speaks against a fit."""
 
     kind: str
+    """`reading`, `shifted_stream`, `odd_run`, `unexplained_run`, `least_squares`, `first_values`, `gone`, `worse` or
+    `poor`."""
     sentence: str
     remedy: str
 
@@ -101,25 +96,16 @@ def doubts_the_fit(kinds: Iterable[str]) -> bool:
 
 @dataclass(frozen=True)
 class Compared:
-    """One channel, and what each fit leaves of it in means over 0.15 s.
-
-    Args:
-        name: Of the channel.
-        unit: Of its rate.
-        measured: Root mean square of the measured rate about the mean of each run.
-        fit: What the fit leaves.
-        least_squares: What least squares leave.
-        first_values: What the first values leave.
-        less: Whether what least squares foretell of it is surely smaller (`LESS`) than what the fit foretells.
-    """
+    """One channel, and what each fit leaves of it in means over 0.15 s."""
 
     name: str
     unit: str
-    measured: float
-    fit: float
-    least_squares: float
-    first_values: float
+    measured: float  # root mean square of the measured rate about the mean of each run
+    fit: float  # what the fit leaves
+    least_squares: float  # what least squares leave
+    first_values: float  # what the first values leave
     less: bool = False
+    """Whether what least squares foretell of it is surely smaller (`LESS`) than what the fit foretells."""
 
     def as_dict(self) -> dict[str, Any]:
         """Plain containers, for JSON."""
@@ -134,28 +120,18 @@ class Compared:
 
 @dataclass(frozen=True)
 class Guarded:
-    """What speaks against a fit, and how it stands beside simple ones.
+    """What speaks against a fit, and how it stands beside simple ones."""
 
-    Args:
-        objections: What speaks against it; nothing where it is believed.
-        channels: What each fit leaves of each channel.
-        labels: Parameters.
-        least_squares: Their values by least squares (k,).
-        half_90: Half-widths of the 90 % intervals of these (k,), nan where the data do not show one; empty where they
-            are not to be used.
-        units: Units of the parameters, likewise.
-        chance: Chance of so large a difference between the fit and least squares.
-        notes: What is worth knowing and speaks not against the fit.
-    """
-
-    objections: tuple[Objection, ...] = ()
-    channels: tuple[Compared, ...] = ()
+    objections: tuple[Objection, ...] = ()  # what speaks against it; nothing where it is believed
+    channels: tuple[Compared, ...] = ()  # what each fit leaves of each channel
     labels: tuple[str, ...] = ()
-    least_squares: tuple[float, ...] = ()
-    chance: float = 1.0
-    notes: tuple[str, ...] = ()
+    least_squares: tuple[float, ...] = ()  # their values by least squares (k,)
+    chance: float = 1.0  # chance of so large a difference between the fit and least squares
+    notes: tuple[str, ...] = ()  # what is worth knowing and speaks not against the fit
     half_90: tuple[float, ...] = ()
-    units: tuple[str, ...] = ()
+    """Half-widths of the 90 % intervals of these (k,), nan where the data do not show one; empty where they are not to
+    be used."""
+    units: tuple[str, ...] = ()  # units of the parameters, likewise
 
     @property
     def to_use(self) -> dict[str, dict[str, Any]]:
@@ -193,9 +169,6 @@ def guarded(
     """Hold a fit against simple ones, and look for faults of the log that explain where they part.
 
     Args:
-        regression: The fit at its optimum.
-        runs: What it was fitted to.
-        clock: Physical seconds per logged second.
         theta: Other values that are printed (k,); None takes those of the regression.
         covariance: Of these values (k, k); None for none.
     """

@@ -223,13 +223,6 @@ def hangs_on_band(
 
     It is twice what they change by with half of the band: a bias that halves when the band doubles is as large as that
     change. nan where nothing settles in half of the band.
-
-    Args:
-        regression: At its optimum.
-        runs: The runs that it is of.
-        clock: Physical seconds per logged second.
-        width: See `identify`.
-        iterations: Largest number of steps.
     """
     system = regression.physics.vector.system
     half = narrowed(runs, system, clock)
@@ -241,14 +234,7 @@ def hangs_on_band(
 def hangs_on_boxes(
     regression: Regression, runs: Sequence[Run], *, clock: float = 1.0, iterations: int = ITERATIONS
 ) -> Array:
-    """What parameters (k,) change by with the longest boxes (`longer_boxes`); nan where nothing settles there.
-
-    Args:
-        regression: Over longer boxes than the usual ones, at its optimum.
-        runs: The runs that it is of.
-        clock: Physical seconds per logged second.
-        iterations: Largest number of steps.
-    """
+    """What parameters (k,) change by with the longest boxes (`longer_boxes`); nan where nothing settles there."""
     return _changed(regression, runs, clock, LENGTHS_S[1], iterations)
 
 
@@ -266,12 +252,7 @@ def _changed(
 
 
 def largest_bias(regression: Regression, hidden: Mapping[str, float | Array]) -> Array:
-    """The largest bias (k,) of each parameter that a hidden part of such lengths may cause.
-
-    Args:
-        regression: At its optimum.
-        hidden: Length of the part by channel (`LoopTest.hidden`), one number or one per parameter (k,).
-    """
+    """The largest bias (k,) of each parameter that `LoopTest.hidden` parts of such lengths, by channel, may cause."""
     out = np.zeros(len(regression.vector))
     if not hidden:
         return out

@@ -16,39 +16,25 @@ _SURE = 0.05  # chance below which two estimates differ
 
 @dataclass(frozen=True)
 class Instrumented:
-    """What instruments say of the parameters.
-
-    Args:
-        names: Instruments that were used.
-        refused: Those that were not, name -> why.
-        labels: Of the parameters.
-        values: Estimates (k,): by instruments where they are strong, else ordinary ones.
-        covariance: Of `values` (k, k).
-        degrees: Degrees of freedom (k,).
-        strength: F of each parameter's first stage (k,); nan where the data do not show it.
-        moved: Whether the instruments show a parameter (k,).
-        ordinary: Ordinary estimates (k,).
-        difference: Chance of so large a difference from the ordinary estimate (k,), adjusted (Holm); 1 where not moved.
-        unexplained: Chance that declared physics explains all that the instruments do (Sargan).
-        misfit: Its statistic.
-        between_rows: Whether inputs were taken to move between rows of the log, and not to be held.
-        leans: Change of each estimate by instruments per error of each ordinary one beside it (k, k).
-    """
+    """What instruments say of the parameters."""
 
     names: tuple[str, ...]
-    refused: dict[str, str]
+    refused: dict[str, str]  # those that were not, name -> why
     labels: tuple[str, ...]
-    values: Array
-    covariance: Array
-    degrees: Array
-    strength: Array
-    moved: NDArray[np.bool_]
-    ordinary: Array
+    values: Array  # estimates (k,): by instruments where they are strong, else ordinary ones
+    covariance: Array  # of `values` (k, k)
+    degrees: Array  # degrees of freedom (k,)
+    strength: Array  # F of each parameter's first stage (k,); nan where the data do not show it
+    moved: NDArray[np.bool_]  # whether the instruments show a parameter (k,)
+    ordinary: Array  # ordinary estimates (k,)
     difference: Array
-    unexplained: float
+    """Chance of so large a difference from the ordinary estimate (k,), adjusted (Holm); 1 where not moved."""
+    unexplained: float  # chance that declared physics explains all that the instruments do (Sargan)
     misfit: float = 0.0
     between_rows: bool = False
+    """Whether inputs were taken to move between rows of the log, and not to be held."""
     leans: Array = field(default_factory=lambda: np.zeros((0, 0)))
+    """Change of each estimate by instruments per error of each ordinary one beside it (k, k)."""
 
     @property
     def differs(self) -> bool:

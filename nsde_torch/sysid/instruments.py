@@ -80,12 +80,7 @@ def with_columns(system: System, runs: Sequence[Run], names: Sequence[str]) -> t
 
 
 def exogenous(regression: Regression, names: Sequence[str]) -> dict[str, str]:
-    """Instruments that answer what the physics does not explain, name -> in words how.
-
-    Args:
-        regression: Fitted, of a system that reads the columns.
-        names: Instruments.
-    """
+    """Instruments that answer what the physics does not explain, name -> in words how."""
     series = extended(regression.series)
     z = _columns(regression, names)
     new = own_innovations(z, z, series)
@@ -125,8 +120,6 @@ def instrumental(
     """Estimate by instruments.
 
     Args:
-        regression: A regression that has settled, of a system that reads the columns (`with_columns`).
-        names: Instruments.
         ordinary: The regression whose estimates are the ordinary ones; None takes the same.
     """
     usual = regression if ordinary is None else ordinary

@@ -37,14 +37,7 @@ def delay(smoother: Smoother) -> float:
 
 
 def on_time(found: Sequence[Smoothed], runs: Sequence[Run], system: System, clock: float) -> list[Smoothed]:
-    """Smoothers without those that kinematics contradicts.
-
-    Args:
-        found: What was found by the spectra.
-        runs: The runs as they were logged.
-        system: The machine.
-        clock: Physical seconds per logged second.
-    """
+    """Smoothers without those that kinematics contradicts."""
     if not any(delay(one.smoother) for one in found):
         return list(found)
     out = list(found)

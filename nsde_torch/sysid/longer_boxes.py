@@ -31,12 +31,7 @@ def asks_for_longer_boxes(guard: Guarded | None) -> bool:
 
 
 def in_longer_boxes(found: Identification, again: Callable[[float], Identification]) -> Identification:
-    """An identification in longer boxes where its guard asks for it and believes that one; else as it is.
-
-    Args:
-        found: Over the usual boxes.
-        again: The same over boxes of some length [s].
-    """
+    """An identification in longer boxes where its guard asks for it and believes that one; else as it is."""
     first, second = LENGTHS_S
     if not asks_for_longer_boxes(found.guard) or first < LONGER * found.box_s:
         return found
@@ -52,12 +47,7 @@ def in_longer_boxes(found: Identification, again: Callable[[float], Identificati
 
 
 def in_words(box_s: float, guard: Guarded) -> dict[str, str]:
-    """What was done, and the remedy, for a person.
-
-    Args:
-        box_s: Length of the boxes [s].
-        guard: What spoke against the fit over shorter ones.
-    """
+    """What was done, and the remedy, for a person."""
     why = "; ".join(o.sentence for o in guard.objections)
     return {
         "sentence": f"means over {box_s:.3g} s are fitted: nothing speaks against these; over shorter ones, {why}",

@@ -29,23 +29,14 @@ _MOST_OF_IT = 0.8  # share of an answer by whose time it is told
 
 @dataclass(frozen=True)
 class Answer:
-    """How inputs of one direction answer, or foretell, one channel.
+    """How inputs of one direction answer, or foretell, one channel."""
 
-    Args:
-        input: Name of the direction.
-        channel: Name of the channel.
-        share: Of the variance of what is new in the input (an answer) or in the channel (knowledge).
-        chance: p value, adjusted for the number of tests (Holm).
-        within_s: Time by which most of it has come [s]; 0 where that means nothing.
-        upper: Upper 95 % limit of `share`.
-    """
-
-    input: str
+    input: str  # name of the direction
     channel: str
-    share: float
-    chance: float
-    within_s: float = 0.0
-    upper: float = 0.0
+    share: float  # of the variance of what is new in the input (an answer) or in the channel (knowledge)
+    chance: float  # p value, adjusted for the number of tests (Holm)
+    within_s: float = 0.0  # time by which most of it has come [s]; 0 where that means nothing
+    upper: float = 0.0  # upper 95 % limit of `share`
 
 
 def own_innovations(values: Array, among: Array, series: Series) -> Array:

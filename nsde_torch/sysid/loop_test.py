@@ -55,33 +55,22 @@ _FEWEST = 400  # rows
 
 @dataclass(frozen=True)
 class LoopTest:
-    """What data say of the loop that they were recorded in.
+    """What data say of the loop that they were recorded in."""
 
-    Args:
-        answers: Inputs on what the physics left unexplained before.
-        knowledge: Innovations on the inputs at and before their step.
-        new: Share of the inputs that is no function of the logged state, by direction.
-        driven: Channels that each direction drives.
-        together: Chance of all answers of inputs to the channels that they drive, if there is none.
-        rows: Number of innovations of each channel.
-        between: By channel: standard errors by which inputs that move between rows may bend an estimate.
-        still: Names of inputs that never move.
-        why_not: Why nothing was tested; empty where it was.
-        smoothed: Channels whose states were smoothed before they were logged, and restored.
-        made: Directions that past states foretell beyond the past of the inputs.
-    """
-
-    answers: tuple[Answer, ...] = ()
-    knowledge: tuple[Answer, ...] = ()
+    answers: tuple[Answer, ...] = ()  # inputs on what the physics left unexplained before
+    knowledge: tuple[Answer, ...] = ()  # innovations on the inputs at and before their step
     new: dict[str, float] = field(default_factory=dict)
-    driven: dict[str, tuple[str, ...]] = field(default_factory=dict)
-    together: float = 1.0
-    rows: int = 0
+    """Share of the inputs that is no function of the logged state, by direction."""
+    driven: dict[str, tuple[str, ...]] = field(default_factory=dict)  # channels that each direction drives
+    together: float = 1.0  # chance of all answers of inputs to the channels that they drive, if there is none
+    rows: int = 0  # number of innovations of each channel
     between: dict[str, float] = field(default_factory=dict)
-    still: tuple[str, ...] = ()
-    why_not: str = ""
+    """By channel: standard errors by which inputs that move between rows may bend an estimate."""
+    still: tuple[str, ...] = ()  # names of inputs that never move
+    why_not: str = ""  # why nothing was tested; empty where it was
     smoothed: tuple[str, ...] = ()
-    made: tuple[str, ...] = ()
+    """Channels whose states were smoothed before they were logged, and restored."""
+    made: tuple[str, ...] = ()  # directions that past states foretell beyond the past of the inputs
 
     @property
     def closed(self) -> bool:
@@ -193,11 +182,6 @@ class LoopTest:
 def feedback_summary(system: System, runs: Sequence[Run], clock: float = 1.0) -> LoopTest:
     """Test recordings for feedback, against the declared physics fitted to them.
 
-    Args:
-        system: The machine; it is not changed.
-        runs: Recordings, all on one step.
-        clock: Physical seconds per logged second.
-
     Returns:
         What was found; `why_not` says where nothing could be tested.
     """
@@ -240,12 +224,7 @@ def _smoothed(runs: Sequence[Run], nu: int) -> str:
 
 
 def loop_test(regression: Regression, *, still: Sequence[str] = ()) -> LoopTest:
-    """Test the loop by a fitted regression in weak form.
-
-    Args:
-        regression: Where its iteration has settled.
-        still: Names of inputs that never move.
-    """
+    """Test the loop by a fitted regression in weak form."""
     if len(still) == regression.physics.vector.system.nu:
         return LoopTest(still=tuple(still), why_not=NO_INPUT)
     ways = signals.directions(regression)

@@ -151,13 +151,9 @@ def widened(
     errors: "NDArray[np.float64]",
     moved: "NDArray[np.bool_] | None",
 ) -> list[str]:
-    """Which intervals are widened by what the data cannot tell, and why.
+    """Which intervals of which parameters `doubt` widens, and why.
 
-    Args:
-        labels: Names of the parameters.
-        doubt: By how much their half-widths are widened.
-        errors: Standard errors.
-        moved: Parameters that are printed by instruments; None for none.
+    `moved` are those that are printed by instruments.
     """
     if doubt is None:
         return []

@@ -136,12 +136,7 @@ class Physics:
 
     @torch.no_grad()
     def slopes(self, theta: Array, which: Sequence[int] | None = None) -> Array:
-        """Derivative of the predicted change in each parameter (N, nx, k), from what was known before the step.
-
-        Args:
-            theta: Where (k,).
-            which: Numbers of the parameters to take; None takes all.
-        """
+        """Slopes of the predicted change in each parameter, or in `which` (N, nx, k), from what was known before it."""
         at = torch.as_tensor(theta)
         middle = self._middle(at)
         before = self._forecast(at, middle)

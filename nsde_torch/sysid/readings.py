@@ -51,32 +51,21 @@ _METRES = {
 
 @dataclass(frozen=True)
 class Reading:
-    """A way to read the columns.
+    """A way to read the columns."""
 
-    Args:
-        words: What would be so.
-        remedy: How to write the columns.
-        read: The runs, read like that.
-        kind: Readings of one kind are looked at together.
-    """
-
-    words: str
-    remedy: str
-    read: Callable[[Run], Run]
-    kind: str
+    words: str  # what would be so
+    remedy: str  # how to write the columns
+    read: Callable[[Run], Run]  # the runs, read like that
+    kind: str  # readings of one kind are looked at together
 
 
 @dataclass(frozen=True)
 class Better:
-    """Readings in which the declared physics leaves much less.
+    """Readings in which the declared physics leaves much less."""
 
-    Args:
-        readings: The best, and those that do as well.
-        channels: What is left of each channel as the columns are, and by the best reading: name, unit, before, after.
-    """
-
-    readings: tuple[Reading, ...]
+    readings: tuple[Reading, ...]  # the best, and those that do as well
     channels: tuple[tuple[str, str, float, float], ...]
+    """What is left of each channel as the columns are, and by the best reading: name, unit, before, after."""
 
     @property
     def sentence(self) -> str:
@@ -92,14 +81,7 @@ class Better:
 
 
 def better_readings(system: System, runs: Sequence[Run], clock: float, rough: Regression) -> Better | None:
-    """The reading of the columns in which the declared physics leaves least, if much less than in theirs.
-
-    Args:
-        system: The declared physics.
-        runs: The runs.
-        clock: Physical seconds per logged second.
-        rough: The declared physics in the runs as they are (`rough_fit`).
-    """
+    """The reading of the columns in which the declared physics leaves least, if much less than in theirs."""
     return _much_better(system, runs, clock, rough) or _propellers(system, runs, clock)
 
 

@@ -327,8 +327,7 @@ class Regression:
     def concluded(self, *, past: bool = False) -> "Regression":
         """What was found: theta, noise models and what the data show of theta, without anything as long as the data.
 
-        Args:
-            past: Keep the columns of the past, without which it cannot be `restored`.
+        With `past` it keeps the columns of the past, without which it cannot be `restored`.
         """
         out = copy.copy(self)
         out.physics = self.physics.bare()
@@ -370,12 +369,7 @@ class Regression:
         return estimate(left, self.series, limit=limit, orders=orders, memory=memory, times=times)
 
     def under(self, row: int, law: Noise) -> "Regression":
-        """The same with another noise model of one channel; theta stays.
-
-        Args:
-            row: Number of the channel among `rows`.
-            law: Its law.
-        """
+        """The same with another noise model of channel number `row` of `rows`; theta stays."""
         out = copy.copy(self)
         out.noises, out.white, out.slopes = list(self.noises), self.white.copy(), self.slopes.copy()
         out.noises[row], channel = law, self.rows[row]
@@ -394,9 +388,7 @@ class Regression:
     def shift(self, parts: Array, blocks: NDArray[np.int64]) -> Array:
         """Change of the residuals over steps (N, channels) when each block is predicted from the others alone.
 
-        Args:
-            parts: Contribution of each block to theta (C, k).
-            blocks: Block of each row of `series`.
+        `parts` is what each block contributes to theta (C, k), `blocks` the block of each row of `series`.
         """
         of_step = np.empty(len(self.single), dtype=np.int64)
         for (a, b), (c, d) in zip(self.single.edges, self.series.edges, strict=True):

@@ -49,11 +49,8 @@ def restore_states(
     """A data set with the smoothing of its states undone; the data set itself where there is none.
 
     Args:
-        data: The data set.
-        system: The machine, with the declared physics; it is not changed. Columns without physics restore nothing.
         policy: "restore", or "keep" for the data set itself.
         taken_out: Names of the faults that the reader took out; behind one that smooths no smoother can be told.
-        seed: Seed of the noise that stands in for what is gone.
 
     Returns:
         The data set, with a finding `state_smoothing` in its summary for each smoother. One that has such a finding is
@@ -87,12 +84,6 @@ def narrowed(runs: Sequence[Run], system: System, clock: float = 1.0, *, seed: i
     """Runs that hold half of the band up to which states were restored; None where none were.
 
     Estimates that hang on how far was restored rest on the smoother being right, or on what inputs know of the rest.
-
-    Args:
-        runs: Restored recordings, all on one step.
-        system: The machine.
-        clock: Physical seconds per logged second.
-        seed: Seed of the noise above.
     """
     band = {name: hz for run in runs for name, hz in run.band.items()}
     if not band:

@@ -23,25 +23,15 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Channel:
-    """How well one channel is explained, in means over test functions (bumps) of `width_s`.
-
-    Args:
-        name: Of the channel.
-        unit: Of its rate.
-        measured: Standard deviation of the measured rate.
-        residual: Root mean square of what the physics leaves of it.
-        sensor: What white sensor noise alone leaves.
-        r2: Share of the variance that is explained.
-        noise: Law of the noise over single steps; None where the method has none.
-    """
+    """How well one channel is explained, in means over test functions (bumps) of `width_s`."""
 
     name: str
     unit: str
-    measured: float
-    residual: float
-    sensor: float
-    r2: float
-    noise: Noise | None
+    measured: float  # standard deviation of the measured rate
+    residual: float  # root mean square of what the physics leaves of it
+    sensor: float  # what white sensor noise alone leaves
+    r2: float  # share of the variance that is explained
+    noise: Noise | None  # law of the noise over single steps; None where the method has none
 
     def as_dict(self) -> dict[str, Any]:
         """Plain containers, for JSON."""

@@ -39,23 +39,14 @@ WHOLE, TIMES = 0.6, 2.5
 
 @dataclass(frozen=True)
 class RunDifference:
-    """A parameter that one run shows otherwise than the others.
-
-    Args:
-        run: Name of the run.
-        parameter: Label of the parameter.
-        unit: Its unit.
-        own: Its value in the run alone.
-        others: Its value in the other runs.
-        chance: Chance of so large a difference.
-    """
+    """A parameter that one run shows otherwise than the others."""
 
     run: str
-    parameter: str
+    parameter: str  # label of the parameter
     unit: str
-    own: float
-    others: float
-    chance: float
+    own: float  # its value in the run alone
+    others: float  # its value in the other runs
+    chance: float  # chance of so large a difference
 
     @property
     def sentence(self) -> str:
@@ -76,13 +67,7 @@ class RunDifference:
 
 
 def odd_run(regression: Regression, rough: Regression, runs: Sequence[Run]) -> RunDifference | None:
-    """The surest difference of one run from the others; None where there is none, or a single run.
-
-    Args:
-        regression: The declared physics at its optimum, with the laws of its noise.
-        rough: The same by plain least squares (`rough_fit`).
-        runs: The runs of both.
-    """
+    """The surest difference of one run from the others; None where there is none, or a single run."""
     answered = _answered(rough)
     sure, beside = _differences(regression, answered), _differences(rough, answered)
     found = [
@@ -121,12 +106,7 @@ def _answered(rough: Regression) -> dict[int, Array]:
 def _differences(
     regression: Regression, answered: Mapping[int, Array]
 ) -> dict[tuple[int, int], tuple[float, float, float]]:
-    """By run and parameter: chance of its difference beyond what runs differ by, its value in it and in the others.
-
-    Args:
-        regression: At its optimum.
-        answered: Relative bias of each parameter that feedback may make, by run.
-    """
+    """By run and parameter: chance of its difference beyond what runs differ by, its value in it and in the others."""
     owner, blocks = regression.whitened_rows(regression.owners), regression.whitened_rows(regression.blocks)
     numbers = [int(r) for r in np.unique(owner)]
     alone = {r: _alone(regression, owner == r, blocks[owner == r]) for r in numbers}
@@ -168,21 +148,13 @@ _DEGREES = 15
 
 @dataclass(frozen=True)
 class UnexplainedRun:
-    """A run that the declared physics does not explain, whatever its parameters, where it explains the others.
-
-    Args:
-        run: Name of the run.
-        channels: Names of the channels.
-        unit: Of the rate of the first of them.
-        own: What is left of it in the run, with parameters of its own.
-        others: What is left of it in the other runs, with parameters of their own.
-    """
+    """A run that the declared physics does not explain, whatever its parameters, where it explains the others."""
 
     run: str
     channels: tuple[str, ...]
-    unit: str
-    own: float
-    others: float
+    unit: str  # of the rate of the first of them
+    own: float  # what is left of it in the run, with parameters of its own
+    others: float  # what is left of it in the other runs, with parameters of their own
 
     @property
     def sentence(self) -> str:
@@ -200,12 +172,7 @@ class UnexplainedRun:
 
 
 def unexplained_runs(rough: Regression, runs: Sequence[Run]) -> list[UnexplainedRun]:
-    """Runs of which the declared physics leaves most, at parameters of their own, and much more than of the others.
-
-    Args:
-        rough: The declared physics by plain least squares (`rough_fit`).
-        runs: Its runs.
-    """
+    """Runs of which the declared physics leaves most, at parameters of their own, and much more than of the others."""
     owner = rough.whitened_rows(rough.owners)
     numbers = [int(r) for r in np.unique(owner)]
     if len(numbers) < 2:

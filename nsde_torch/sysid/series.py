@@ -10,13 +10,9 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Series:
-    """Stretches of rows.
+    """Stretches of rows."""
 
-    Args:
-        edges: Ranges (first, last + 1), adjacent and in order.
-    """
-
-    edges: tuple[tuple[int, int], ...]
+    edges: tuple[tuple[int, int], ...]  # ranges (first, last + 1), adjacent and in order
 
     def __len__(self) -> int:
         return self.edges[-1][1]

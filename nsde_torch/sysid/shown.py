@@ -20,19 +20,12 @@ _PART = 0.05  # of the largest part of a direction: below that a parameter is le
 
 @dataclass(frozen=True)
 class Shown:
-    """What the data show of theta.
+    """What the data show of theta."""
 
-    Args:
-        basis: Directions that are shown (k, r), in the units of theta.
-        lost: Directions that are not (k, k - r), each with a largest part of one typical size.
-        known: Whether each parameter alone is shown (k,).
-        condition: Largest over smallest singular value of the scaled slopes among the directions shown.
-    """
-
-    basis: Array
-    lost: Array
-    known: NDArray[np.bool_]
-    condition: float
+    basis: Array  # directions that are shown (k, r), in the units of theta
+    lost: Array  # directions that are not (k, k - r), each with a largest part of one typical size
+    known: NDArray[np.bool_]  # whether each parameter alone is shown (k,)
+    condition: float  # largest over smallest singular value of the scaled slopes among the directions shown
 
     @property
     def rank(self) -> int:
@@ -41,12 +34,7 @@ class Shown:
 
 
 def shown(slopes: Array, scale: Array) -> Shown:
-    """Directions that whitened slopes show.
-
-    Args:
-        slopes: Whitened slopes (N, k).
-        scale: Typical size of each parameter (k,).
-    """
+    """Directions that whitened slopes (N, k) show of parameters of typical sizes `scale` (k,)."""
     k = slopes.shape[1]
     length = np.linalg.norm(slopes, axis=0)
     dead = length * scale * _UNSEEN < 1.0

@@ -33,19 +33,12 @@ _RANK = 1e-9  # of the largest variance
 
 @dataclass(frozen=True)
 class Direction:
-    """A combination of the inputs that drives something.
+    """A combination of the inputs that drives something."""
 
-    Args:
-        name: What it is called in sentences.
-        weights: Its weights (nu,), of length one.
-        channels: Numbers of the channels that it drives.
-        slopes: Rate of each of these per unit of the combination.
-    """
-
-    name: str
-    weights: Array
-    channels: tuple[int, ...]
-    slopes: tuple[float, ...]
+    name: str  # what it is called in sentences
+    weights: Array  # its weights (nu,), of length one
+    channels: tuple[int, ...]  # numbers of the channels that it drives
+    slopes: tuple[float, ...]  # rate of each of these per unit of the combination
 
 
 def box_means(regression: Regression, values: Array) -> Array:
@@ -108,10 +101,7 @@ def without(values: Array, basis: Array) -> Array:
 def score_test(innovation: Array, columns: Array, fitted: Array) -> tuple[float, float]:
     """Chance (p value) of a score as large as this if nothing foretells the innovation, and the share foretold.
 
-    Args:
-        innovation: e (N,).
-        columns: What may foretell it (N, n).
-        fitted: Orthonormal columns that e was fitted with (N, p), or that may foretell it.
+    Of an innovation (N,), of columns (N, n) that may foretell it, and orthonormal ones (N, p) that it was fitted with.
     """
     e = without(innovation[:, None], fitted)[:, 0]
     rest = without(columns, fitted)
@@ -150,13 +140,9 @@ def principal(values: Array) -> Array:
 
 @torch.no_grad()
 def input_slopes(regression: Regression, way: Array, size: float, some: torch.Tensor) -> Array:
-    """What a unit along a combination of inputs changes of the rates of channels, at some steps (n, channels).
+    """What a unit along a combination of inputs (nu,) changes of the rates of channels, at some steps (n, channels).
 
-    Args:
-        regression: Physics where it stands.
-        way: The combination (nu,).
-        size: Length of the central difference.
-        some: Numbers of the steps (n,).
+    By central differences of length `size`; `some` are the numbers of the steps (n,).
     """
     physics = regression.physics
     system, steps = physics.vector.system, physics.steps

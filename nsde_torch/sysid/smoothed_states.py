@@ -66,21 +66,14 @@ _REFERENCE_S = 0.5  # standard deviation of the smooth attitude that rotations a
 
 @dataclass(frozen=True)
 class SensorGroup:
-    """States of one sensor: columns, or the attitude, whose small rotations about a smooth one are looked at.
-
-    Args:
-        columns: Their columns.
-        names: Their names.
-        group: Name in `data.kinematics.axis_groups` of the position and rate that they belong to; empty where none.
-        turns: Whether they are a quaternion.
-        rates: Whether they are rates of other states.
-    """
+    """States of one sensor: columns, or the attitude, whose small rotations about a smooth one are looked at."""
 
     columns: tuple[int, ...]
     names: tuple[str, ...]
     group: str = ""
-    turns: bool = False
-    rates: bool = False
+    """Name in `data.kinematics.axis_groups` of the position and rate that they belong to; empty where none."""
+    turns: bool = False  # whether they are a quaternion
+    rates: bool = False  # whether they are rates of other states
 
     def values(self, x: Array, dt: float) -> Array:
         """What is filtered, of one stretch (n, C)."""
@@ -98,22 +91,14 @@ class SensorGroup:
 
 @dataclass(frozen=True)
 class Smoothed:
-    """Sensors behind one smoother.
-
-    Args:
-        sensors: The sensors.
-        smoother: What they went through.
-        reach: By sensor: frequency up to which it is restored, or from which on noise is added [Hz].
-        restored: By sensor: whether it is restored.
-        fits: By sensor: the spectrum behind the smoother.
-        seen: By sensor: its spectrum.
-    """
+    """Sensors behind one smoother."""
 
     sensors: tuple[SensorGroup, ...]
     smoother: Smoother
     reach: tuple[float, ...]
-    restored: tuple[bool, ...]
-    fits: tuple[SpectrumFit, ...]
+    """By sensor: frequency up to which it is restored, or from which on noise is added [Hz]."""
+    restored: tuple[bool, ...]  # by sensor: whether it is restored
+    fits: tuple[SpectrumFit, ...]  # by sensor: the spectrum behind the smoother
     seen: tuple[Spectra, ...]
 
     def finding(self) -> Finding:
@@ -142,13 +127,7 @@ class Smoothed:
 
 
 def smoothed_states(runs: Sequence[Run], system: System, clock: float = 1.0) -> list[Smoothed]:
-    """Sensors whose states were smoothed before they were logged, by smoother.
-
-    Args:
-        runs: Recordings, all on one step.
-        system: The machine; it is not changed.
-        clock: Physical seconds per logged second.
-    """
+    """Sensors whose states were smoothed before they were logged, by smoother."""
     dt = runs[0].dt * clock
     guessed = {name for run in runs for name in run.inferred}
     measured = [sensor for sensor in sensors_of(system) if not guessed & set(sensor.names)]
@@ -287,10 +266,7 @@ def _rounding(seen: Spectra, smoother: Smoother, sensor: SensorGroup, runs: Sequ
 def _rounded(sensor: SensorGroup, runs: Sequence[Run], *, least: bool = False) -> Array:
     """Mean squares (C,) of what the grain of a sensor's columns rounds off; a rotation is twice a quaternion's part.
 
-    Args:
-        sensor: The sensor.
-        runs: Recordings.
-        least: Of the values that come in the least steps, where they were written with significant digits.
+    `least` takes the values that come in the least steps, where they were written with significant digits.
     """
     x = np.concatenate([np.asarray(run.x[:, list(sensor.columns)]) for run in runs])
     steps = [grains(column) for column in x.T]

@@ -12,14 +12,9 @@ Array = NDArray[np.float64]
 def bounded_step(
     slopes: Array, residual: Array, found: Shown, low: Array, high: Array, scale: Array
 ) -> Array:
-    """The step d (k,) that minimises |residual - slopes d| with low <= d <= high.
+    """The step d (k,) that minimises |residual - slopes d| with low <= d <= high, none of it along what is lost.
 
-    Args:
-        slopes: Whitened slopes (N, k).
-        residual: Whitened residuals (N,).
-        found: What the slopes show; the step has no part along what they do not.
-        low, high: Bounds of the step (k,); they hold 0.
-        scale: Typical size of each parameter (k,).
+    Of whitened slopes (N, k) and residuals (N,), bounds (k,) that hold 0, and typical sizes `scale` (k,).
     """
     free = found.basis @ np.linalg.lstsq(slopes @ found.basis, residual, rcond=None)[0]
     if ((free >= low) & (free <= high)).all():

@@ -44,23 +44,14 @@ _PART_S = 30.0
 
 @dataclass(frozen=True)
 class Shifted:
-    """A stream that belongs to another time.
+    """A stream that belongs to another time."""
 
-    Args:
-        stream: What is shifted, by the names of its columns.
-        seconds: By how much it is logged late; early, if negative [s].
-        gain: By how much L falls when it is moved back.
-        inputs: Whether it is the inputs: then early means that they act later than they were logged.
-        against: Channels of which the physics leaves more when the stream is moved.
-        smoothed: States that were smoothed before they were logged.
-    """
-
-    stream: str
-    seconds: float
-    gain: float
-    inputs: bool
-    against: tuple[str, ...] = ()
-    smoothed: tuple[str, ...] = ()
+    stream: str  # what is shifted, by the names of its columns
+    seconds: float  # by how much it is logged late; early, if negative [s]
+    gain: float  # by how much L falls when it is moved back
+    inputs: bool  # whether it is the inputs: then early means that they act later than they were logged
+    against: tuple[str, ...] = ()  # channels of which the physics leaves more when the stream is moved
+    smoothed: tuple[str, ...] = ()  # states that were smoothed before they were logged
 
     @property
     def of_actuators(self) -> bool:
@@ -101,14 +92,7 @@ class Shifted:
 
 
 def shifted_stream(system: System, runs: Sequence[Run], clock: float, rough: Regression) -> Shifted | None:
-    """The stream that is most surely shifted against the others; None where none is.
-
-    Args:
-        system: The declared physics.
-        runs: The runs.
-        clock: Physical seconds per logged second.
-        rough: The declared physics in the runs as they are (`rough_fit`).
-    """
+    """The stream that is most surely shifted against the others; None where none is."""
     some = beginnings(runs, clock, seconds=_PART_S, fewest=100)
     found = [
         shift

@@ -57,6 +57,7 @@ _NEAR, _NEAR_SHARE = 0.1, 0.5
 """Deviance by which another smoother may be worse and still be likely: at least, and of what the best lacks."""
 _TYPICAL = 0.3  # deviance where the form is right
 _AGREE = 0.1  # of the gain
+_SLOW = 1e-3  # of the rate of the log, at which a delay is read off the phase
 _SAME = 0.03  # deviance by which smoothers are alike
 _WIDEST = 75  # rows of the widest moving average or Savitzky-Golay filter
 
@@ -86,6 +87,12 @@ class Smoother:
     def response(self, f: NDArray[Any]) -> Complex:
         """S (F,) at frequencies [Hz]."""
         return self.family.response(np.asarray(f, dtype=np.float64), self.size, self.order, self.dt)
+
+    @property
+    def delay(self) -> float:
+        """How late it makes slow motions [s]; 0 for one that is not causal."""
+        f = _SLOW / self.dt
+        return float(-np.angle(self.response(np.array([f])))[0] / (2.0 * pi * f))
 
     def falls_to(self, level: float) -> float:
         """The lowest frequency at which |S| is below a level [Hz]; half the rate where it never is."""

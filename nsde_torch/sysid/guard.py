@@ -24,7 +24,7 @@ another machine (`run_differences`): where the log is at fault, fits part for th
 """
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from math import log
 from typing import Any
 
@@ -36,7 +36,7 @@ from nsde_torch.data import Run
 from nsde_torch.sysid.explained import per_second
 from nsde_torch.sysid.readings import better_readings
 from nsde_torch.sysid.regression import Regression
-from nsde_torch.sysid.rough import Left, left_at, rough_fit
+from nsde_torch.sysid.rough import Left, Objection, left_at, rough_fit
 from nsde_torch.sysid.run_differences import odd_run, unexplained_runs
 from nsde_torch.sysid.timing import shifted_stream
 from nsde_torch.systems import System
@@ -68,24 +68,6 @@ POOR = 0.8
 """Share of what was measured that least squares leave of half of the channels, where physics explains nothing."""
 
 
-@dataclass(frozen=True)
-class Objection:
-    """What speaks against a fit."""
-
-    kind: str
-    """`reading`, `shifted_stream`, `odd_run`, `unexplained_run`, `least_squares`, `first_values`, `gone`, `worse` or
-    `poor`."""
-    sentence: str
-    remedy: str
-
-    def __str__(self) -> str:
-        return f"{self.sentence}; {self.remedy}"
-
-    def as_dict(self) -> dict[str, str]:
-        """Plain containers, for JSON."""
-        return {"kind": self.kind, "sentence": self.sentence, "remedy": self.remedy}
-
-
 def doubts_the_fit(kinds: Iterable[str]) -> bool:
     """Whether objections of these kinds speak against the fit.
 
@@ -109,13 +91,7 @@ class Compared:
 
     def as_dict(self) -> dict[str, Any]:
         """Plain containers, for JSON."""
-        return {
-            "unit": self.unit,
-            "measured": self.measured,
-            "fit": self.fit,
-            "least_squares": self.least_squares,
-            "first_values": self.first_values,
-        }
+        return {k: v for k, v in asdict(self).items() if k not in ("name", "less")}
 
 
 @dataclass(frozen=True)
@@ -234,16 +210,14 @@ def _faults(
     """Faults of the log, the first kind that is found: the columns, times, a run, another machine."""
     better = better_readings(system, runs, clock, rough)
     if better is not None:
-        return [Objection("reading", better.sentence, better.remedy)], []
+        return [better], []
     moved = shifted_stream(system, runs, clock, rough)
     if moved is not None and not moved.of_actuators:
         return [Objection("shifted_stream", moved.sentence, moved.remedy)], []
     notes = [] if moved is None else [f"{moved.sentence}; {moved.remedy}"]
-    apart = [Objection("unexplained_run", o.sentence, o.remedy) for o in unexplained_runs(rough, runs)]
+    apart = unexplained_runs(rough, runs)
     odd = None if apart else odd_run(regression, rough, runs)
-    if odd is not None:
-        apart = [Objection("odd_run", odd.sentence, odd.remedy)]
-    return apart, notes
+    return apart or [o for o in (odd,) if o], notes
 
 
 def _disagreements(channels: Sequence[Compared], chance: float) -> list[Objection]:

@@ -89,7 +89,7 @@ class Noise:
         """Slopes of the whitened residual (N,) in a and c, (N + stretches, p + 1), up to factors."""
         longer = extended(series)
         summed = _carry(self.carry, residual[:, None], series, self.times)
-        columns = [longer.lagged(summed[:, 0], len(self.reflection))]
+        columns = [longer.lagged(summed, range(1, len(self.reflection) + 1))]
         if self.carry > 0:
             white = _filtered(self.reflection, summed, longer)[:, 0]
             of_carry = np.zeros(len(longer))
@@ -135,20 +135,14 @@ def estimate(
         among: Values of c to choose from; None tries all.
         times: How many times 1 - c B is there.
     """
-    if among is not None:
-        scores = {c: _score(residual, series, c, orders, times) for c in among}
-        carry = min(scores, key=lambda c: scores[c][0])
-        return _law(residual, series, carry, scores[carry][1], memory, times)
-    grid = np.append(_GRID[limit > _GRID], limit)
-    score, carry = min((_score(residual, series, c, orders, times)[0], c) for c in grid)
-    at = int(np.abs(grid - carry).argmin())
-    between = np.linspace(grid[max(at - 1, 0)], grid[min(at + 1, len(grid) - 1)], 7)[1:-1]
-    score, carry = min(
-        [(score, carry), *((_score(residual, series, c, orders, times)[0], c) for c in between)]
-    )
-    return _law(
-        residual, series, float(carry), _score(residual, series, carry, orders, times)[1], memory, times
-    )
+    grid = np.append(_GRID[limit > _GRID], limit) if among is None else np.array(among)
+    scores = {c: _score(residual, series, c, orders, times) for c in grid.tolist()}
+    if among is None:
+        at = int(np.abs(grid - min(scores, key=lambda c: scores[c][0])).argmin())
+        for c in np.linspace(grid[max(at - 1, 0)], grid[min(at + 1, len(grid) - 1)], 7)[1:-1].tolist():
+            scores[c] = _score(residual, series, c, orders, times)
+    carry = min(scores, key=lambda c: (scores[c][0], c))
+    return _law(residual, series, carry, scores[carry][1], memory, times)
 
 
 def again(noise: Noise, residual: Array, series: Series, *, memory: float = inf) -> Noise:

@@ -24,8 +24,11 @@ from typing import final
 import numpy as np
 from numpy.typing import NDArray
 
+from nsde_torch.data import Run
 from nsde_torch.errors import ConfigError, DataError, NonFiniteError
 from nsde_torch.inference.spread import Spread, spread
+from nsde_torch.inference.steps import steps_of
+from nsde_torch.models.identified import METHODS
 from nsde_torch.sysid.feedback import past
 from nsde_torch.sysid.noise import (
     Noise,
@@ -38,14 +41,15 @@ from nsde_torch.sysid.noise import (
 )
 from nsde_torch.sysid.physics import Physics
 from nsde_torch.sysid.series import Series
-from nsde_torch.sysid.shown import Shown, shown
-from nsde_torch.sysid.solve import bounded_step
+from nsde_torch.sysid.shown import Shown, bounded_step, shown
 from nsde_torch.systems import System
+from nsde_torch.systems.parameters import ParameterVector
 from nsde_torch.time_limit import check_time
 
 Array = NDArray[np.float64]
 
 ITERATIONS = 20
+_BOX_S = 0.01  # data on a shorter step are summed to about this
 _ORDERS_S, _ORDERS = 0.4, 40  # longest autoregression [s], [steps]
 _SETTLED = 0.02  # standard errors
 _ROUGH = 8  # steps with the law of sensor noise alone, at most
@@ -409,3 +413,33 @@ def carry_limits(physics: Physics, theta: Array, box: int) -> Array:
     known = physics.steps.dt * np.sqrt(box * others)
     dt = physics.steps.dt * box
     return np.array([carry_limit(o, k, s, dt) for o, k, s in zip(own, known, std, strict=True)])
+
+
+def regression_of(
+    system: System,
+    runs: Sequence[Run],
+    *,
+    clock: float = 1.0,
+    method: str = "weak",
+    width: float | None = None,
+    start: Array | None = None,
+) -> Regression:
+    """The regression of some runs, before its first step; `start` is its first theta, else as for `identify`."""
+    if method not in METHODS:
+        raise ConfigError(f"`method` must be {' or '.join(METHODS)}; got {method!r}.")
+    weak = method == "weak"
+    vector = ParameterVector(system)
+    box = _box(width, runs[0].dt * clock) if runs else 1
+    steps = steps_of(system, runs, clock=clock, smooth=not weak, shortest=box, differences=box if weak else 0)
+    physics = Physics(vector, steps, curved=weak and system.sensor_noise, foresee=weak)
+    return Regression(physics, box=box, start=start, plain=not weak, feedback=weak)
+
+
+def _box(width: float | None, dt: float) -> int:
+    if width is None:
+        return max(1, int(_BOX_S / dt + 1e-6))
+    if round(width / dt) < 1:
+        raise ConfigError(
+            f"`model.width` must be a step of the data ({dt:.4g} s) or longer; got {width:g} s."
+        )
+    return round(width / dt)

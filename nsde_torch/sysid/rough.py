@@ -9,7 +9,7 @@ feedback that answers what the physics lacks, pull it towards gains that are too
 
 import copy
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from math import log
 
 import numpy as np
@@ -56,6 +56,24 @@ def rough_fit(
     except (ConfigError, DataError, NonFiniteError):
         return None
     return regression
+
+
+@dataclass(frozen=True)
+class Objection:
+    """What speaks against a fit, or for a fault of the log that it is of."""
+
+    kind: str
+    """`reading`, `shifted_stream`, `odd_run`, `unexplained_run`, `least_squares`, `first_values`, `gone`, `worse` or
+    `poor`."""
+    sentence: str
+    remedy: str
+
+    def __str__(self) -> str:
+        return f"{self.sentence}; {self.remedy}"
+
+    def as_dict(self) -> dict[str, str]:
+        """Plain containers, for JSON."""
+        return asdict(self)
 
 
 @dataclass(frozen=True)

@@ -18,7 +18,6 @@ import torch
 from numpy.typing import NDArray
 from scipy.stats import chi2
 
-from nsde_torch.inference.steps import Steps
 from nsde_torch.sysid.noise import extended
 from nsde_torch.sysid.regression import Regression
 from nsde_torch.sysid.series import Series
@@ -53,17 +52,6 @@ def spread_out(regression: Regression, values: Array) -> Array:
     for (a, b), (c, d) in zip(regression.series.edges, longer.edges, strict=True):
         out[c + 1 : d] = values[a:b]
     return out
-
-
-def lagged(values: Array, series: Series, lags: Sequence[int]) -> Array:
-    """Columns (N, n) of so many rows before, side by side (N, n len(lags)); zero where a stretch had not begun."""
-    place = series.place[:, None]
-    parts = []
-    for lag in lags:
-        moved = np.zeros_like(values)
-        moved[lag:] = values[: len(values) - lag] if lag else values
-        parts.append(np.where(place >= lag, moved, 0.0))
-    return np.concatenate(parts, 1)
 
 
 def binned(columns: Array, edges: Sequence[int]) -> Array:
@@ -194,10 +182,3 @@ def directions(regression: Regression) -> list[Direction]:
         name = system.input_names[0] if system.nu == 1 else f"the input of {physics.names[channel]}"
         out.append(Direction(name, weights, (int(channel),), (length,)))
     return out
-
-
-def inputs_of(regression: Regression) -> Array:
-    """Inputs on the rows of whitened residuals (N, nu), the mean of each box."""
-    steps: Steps = regression.physics.steps
-    u = np.asarray(steps.u[:, : regression.physics.vector.system.nu])
-    return spread_out(regression, box_means(regression, u))

@@ -61,16 +61,11 @@ class Shifted:
     @property
     def sentence(self) -> str:
         """What was found."""
-        if self.seconds > 0:
-            told = (
-                f"{self.stream} are logged about {1e3 * self.seconds:.0f} ms late against the other columns"
-            )
-        elif self.inputs:
-            told = f"{self.stream} act about {-1e3 * self.seconds:.0f} ms later than they are logged"
+        by = f"about {1e3 * abs(self.seconds):.0f} ms"
+        if self.inputs and self.seconds < 0:
+            told = f"{self.stream} act {by} later than they are logged"
         else:
-            told = (
-                f"{self.stream} are logged about {-1e3 * self.seconds:.0f} ms early against the other columns"
-            )
+            told = f"{self.stream} are logged {by} {'late' if self.seconds > 0 else 'early'} against the other columns"
         return f"{told}: moved, the declared physics leaves {np.exp(self.gain):.2g} times less of all rates together"
 
     @property
@@ -182,24 +177,17 @@ def _mover(system: System, rows: float, states: list[int], inputs: bool) -> Call
     """Take out that a stream is so many rows late."""
 
     def read(run: Run) -> Run:
-        x, u = np.array(run.x), np.array(run.u)
+        x, u, q = np.array(run.x), np.array(run.u), system.quaternion
         lost = int(np.ceil(abs(rows)))
-        segments = []
-        for a, b in run.segments:
-            if b - a < 2 * lost + 4:
-                continue
-            if inputs:
-                at = np.clip(np.arange(b - a) + rows, 0, b - a - 1)
-                low = np.floor(at).astype(int)
-                share = (at - low)[:, None]
-                n = system.nu
-                own = run.u[a:b, :n]
-                u[a:b, :n] = (1 - share) * own[low] + share * own[np.minimum(low + 1, b - a - 1)]
+        long = [(a, b) for a, b in run.segments if b - a >= 2 * lost + 4]
+        for a, b in long:
+            k = np.arange(b - a)
+            for column in range(system.nu) if inputs else ():
+                u[a:b, column] = np.interp(k + rows, k, run.u[a:b, column])
             if states:
                 x[a:b, states] = moved(np.asarray(run.x[a:b, states]), rows)
-            segments.append((a + lost, b - lost))
-        if system.quaternion is not None and states:
-            x[:, system.quaternion] /= np.linalg.norm(x[:, system.quaternion], axis=1, keepdims=True)
-        return replace(run, x=x, u=u, segments=tuple(segments) or run.segments)
+        if q is not None and states:
+            x[:, q] /= np.linalg.norm(x[:, q], axis=1, keepdims=True)
+        return replace(run, x=x, u=u, segments=tuple((a + lost, b - lost) for a, b in long) or run.segments)
 
     return read

@@ -28,6 +28,7 @@ from nsde_torch.data.kinematics import (
     pool,
     rates_of,
 )
+from nsde_torch.data.raw import RawRun
 from nsde_torch.data.run import Run
 from nsde_torch.data.system_info import SystemInfo
 from nsde_torch.errors import ConfigError, DataError
@@ -243,14 +244,14 @@ def of_run(values: Mapping[str, Any], run: str) -> dict[str, Any]:
     return out
 
 
-def without_biases(x: Array, system: SystemInfo, values: Mapping[str, Any]) -> Array:
-    """States (n, nx) less what their sensors read too much.
+def without_biases(run: Run | RawRun, system: SystemInfo, values: Mapping[str, Any]) -> Array:
+    """States (n, nx) of a run less what their sensors read too much.
 
     Raises:
         ConfigError: no such state, or no such size.
     """
-    x = x.copy()
-    for name, value in values.items():
+    x = run.x.copy()
+    for name, value in of_run(values, run.name).items():
         if name not in system.state_names:
             raise ConfigError(
                 f"`sensor_bias` names {name!r}, which is no state; states: {', '.join(system.state_names)}."

@@ -84,11 +84,6 @@ class Member:
         """Of the fitted parameters (k, k)."""
         return np.asarray(np.linalg.inv(self.known), dtype=np.float64)
 
-    @property
-    def labels(self) -> list[str]:
-        """Names of the parameters."""
-        return self.vector.labels
-
     def draws(self, count: int, rng: np.random.Generator) -> Array:
         """Parameters as the runs leave them open (count, k), the fitted ones first.
 
@@ -238,10 +233,6 @@ def _score(fit: Regression) -> float:
     return float(laws - 0.5 * np.square(fit.white).sum() + fit.held.sum())
 
 
-def _added(declared: System, fit: Regression) -> tuple[str, ...]:
-    return tuple(n for n in fit.vector.system.effect_names if n not in declared.effect_names)
-
-
 def _noise(systems: Sequence[System], log: LogOfRuns) -> ModelNoise:
     """Noise of the likeliest of several systems: levels beside a worse one would take for noise what it lacks."""
     of = LogLikelihood(systems[0], log.runs, log.clock, run_in=log.run_in, states=True)
@@ -256,7 +247,7 @@ def _member(declared: System, name: str, fit: Regression, log: LogOfRuns, noise:
     system, dt = fitted_system(fit), fit.physics.steps.dt
     own = Posteriors(system, noise.levels, clock=log.clock)
     prior = prior_information(own.vector)
-    given = prior + _of_held(fit)
+    given = prior + np.diag(fit.held / np.square(_SURE_OF_HELD * fit.vector.scale))
     fine_dt = Rollouts(system, dt=dt).fine_dt
     own.vector.low = lower_bounds(fit.vector, fit.theta, dt=dt, fine_dt=fine_dt)
     own.vector.high = fit.vector.high
@@ -266,13 +257,8 @@ def _member(declared: System, name: str, fit: Regression, log: LogOfRuns, noise:
     each = branches(own, log, Branch(found.theta, found.information, found.nats), given)
     theta = each[0].theta
     own.vector.write(system, theta)
-    added = _added(declared, fit)
+    added = tuple(n for n in fit.vector.system.effect_names if n not in declared.effect_names)
     return Member(name, added, system, theta, each[0].known - prior, each[0].nats, own, noise, log, each)
-
-
-def _of_held(fit: Regression) -> Array:
-    """What is known of parameters that a fit held at nothing (k, k)."""
-    return np.diag(fit.held / np.square(_SURE_OF_HELD * fit.vector.scale))
 
 
 def prior_information(vector: ParameterVector) -> Array:

@@ -54,9 +54,7 @@ class Judged:
 class Judging(Protocol):
     """What judges experiments within limits."""
 
-    @property
-    def limits(self) -> ExperimentLimits:
-        """Limits."""
+    limits: ExperimentLimits
 
     def judge(self, tables: Array) -> Judged:
         """Judge experiments (C, N, m)."""
@@ -84,7 +82,7 @@ class Judge:
         draws: Sequence[Array],
         drive: Callable[[Array], Drive],
     ) -> None:
-        self.members, self.precision, self._limits = members, precision, limits
+        self.members, self.precision, self.limits = members, precision, limits
         self._start, self._draws, self._drive = start, draws, drive
         dt = members[0].log.dt
         self._rollouts = [Rollouts(m.system, dt=dt) for m in members]
@@ -94,11 +92,6 @@ class Judge:
             for j, b in enumerate(members)
             if i != j and precision is None
         }
-
-    @property
-    def limits(self) -> ExperimentLimits:
-        """See `Judging.limits`."""
-        return self._limits
 
     def within(self, limits: ExperimentLimits) -> Judge:
         """The same judge within other limits."""
@@ -121,7 +114,7 @@ class Judge:
         uses, each = [], []
         for i in range(len(self.members)):
             states, inputs = self.flown(i, tables)
-            uses.append(self._limits.use(states).max(0))
+            uses.append(self.limits.use(states).max(0))
             fine = np.isfinite(states).all((0, 2, 3)) & (uses[-1] < 3.0).all(1)
             each += self._told(i, states[:, fine], inputs[:, fine], fine)
         use, table = np.stack(uses).max(0), np.stack(each)
@@ -222,7 +215,10 @@ def search(
         raise ConfigError(_in_the_way(judge.limits, *nearest))
     kept: list[PlannedRun] = []
     for _, g, p in found:
-        if len(kept) < keep and all(_differ(p.table, other.table) for other in kept):
+        # rehearsing nearly the same twice says nothing new
+        before = [other.table for other in kept]
+        new = all(np.linalg.norm(p.table - t) > _ALIKE * np.linalg.norm(t) for t in before)
+        if len(kept) < keep and new:
             kept.append(replace(p, words=tuple(family.words(g))))
     return Searched(kept, most, widest)
 
@@ -240,11 +236,6 @@ def _within(
     left = np.flatnonzero((use > 1.0 - MARGIN) & (use < 3.0) & (judged.told > worth))
     chosen = left[np.argsort(-judged.told[left])][:most]
     return family.shrunk(genes[chosen], (1.0 - 2.0 * MARGIN) / use[chosen])
-
-
-def _differ(one: Array, other: Array) -> bool:
-    """Whether two experiments are more than nearly the same: rehearsing one twice says nothing new."""
-    return float(np.linalg.norm(one - other)) > _ALIKE * float(np.linalg.norm(other))
 
 
 def _in_the_way(limits: ExperimentLimits, share: float, state: int) -> str:

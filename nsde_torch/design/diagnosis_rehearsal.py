@@ -170,7 +170,9 @@ def rehearse(
     """Rehearse a diagnosis.
 
     Args:
+        found: The diagnosis.
         logs: Logs of the machine that was found.
+        seed: Seed of their noise.
         say: Told stage, number done and number in all.
 
     Raises:

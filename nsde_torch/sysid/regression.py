@@ -187,33 +187,24 @@ class Regression:
             r = self.residual[:, channel]
             if self._plain:
                 noises.append(white_noise(r, self.series))
-                continue
-            if self._kept:
+            elif self._kept or self._refined > 3:
+                # the same kind of law from here on, so that theta can settle
                 noises.append(again(self.noises[i], r, self.series, memory=self.memory))
-                continue
-            limit = float(self.limits[channel])
-            if self._rough:
+            elif self._rough:
+                limit = float(self.limits[channel])
                 noises.append(first_guess(r, self.series, limit, times=self.times(channel)))
-                continue
-            if self._refined > 3:  # the same kind of law from here on, so that theta can settle
-                noises.append(again(self.noises[i], r, self.series, memory=self.memory))
-                continue
-            orders = self.orders if self._refined > 1 else 1  # theta first: an order would learn its errors
-            noises.append(self.law(channel, r, limit, orders))
+            else:
+                # theta first: an order would learn its errors
+                orders = self.orders if self._refined > 1 else 1
+                noises.append(self.law(channel, r, float(self.limits[channel]), orders))
         self.noises = noises
-        pairs = list(zip(noises, self.rows, strict=True))
         if self._feedback and self._refined < 3:
             known = self.known_before(self.physics, self.physics.residual(self.theta))
             self._past = past(self.single.summed(known, self.box), self.series, channels=self._channels)
         self._in_noise_units()
-        finite = [
-            bool(np.isfinite(s).all() and np.isfinite(w).all())
-            for s, w in zip(self.slopes, self.white, strict=True)
-        ]
-        if not all(finite):
-            names = ", ".join(
-                self.physics.names[c] for (_, c), good in zip(pairs, finite, strict=True) if not good
-            )
+        finite = np.isfinite(self.slopes).all((1, 2)) & np.isfinite(self.white).all(1)
+        if not finite.all():
+            names = ", ".join(self.physics.names[c] for c in self.rows[~finite])
             raise NonFiniteError(
                 f"what the declared physics leaves of {names} can be foretold to the last digit: the log is smoother "
                 "than a sensor and the physics allow. Let smoothed states be restored (data.state_smoothing=restore), "

@@ -1,7 +1,8 @@
 """Docstrings as griffe expects them.
 
 Its Google style knows the section "Examples", and ours say "Example". Options say their help, unit and range in
-`key(...)` (`nsde_torch.options`), which is here the docstring of the attribute.
+`key(...)` (`nsde_torch.options`), and fields of small classes in the comment behind them, which are here the docstrings
+of the attributes.
 """
 
 from __future__ import annotations
@@ -41,3 +42,19 @@ class Options(griffe.Extension):
         text = text.replace("null", "None")
         attr.docstring = griffe.Docstring(f"{text[0].upper()}{text[1:]}{f' [{unit}]' if unit else ''}.")
         attr.value = default if isinstance(default, str) else str(default)
+
+
+class Comments(griffe.Extension):
+    """Gives a field of a class the comment behind it for a docstring."""
+
+    def on_attribute_instance(self, *, attr: griffe.Attribute, **kwargs: Any) -> None:
+        """See `griffe.Extension`."""
+        comment = re.search(r"  # (.+)$", attr.lines[-1]) if attr.lines else None
+        if (
+            attr.docstring is None
+            and comment is not None
+            and attr.parent is not None
+            and attr.parent.is_class
+        ):
+            text = comment[1]
+            attr.docstring = griffe.Docstring(f"{text[0].upper()}{text[1:]}.")

@@ -35,3 +35,17 @@ def resolver(package: str, home: Mapping[str, str]) -> Callable[[str], Any]:
         return value
 
     return resolve
+
+
+class LazyModule:
+    """A module that is imported where its first name is asked for.
+
+    Args:
+        name: Its full name.
+    """
+
+    def __init__(self, name: str) -> None:
+        self._name = name
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(import_module(self._name), name)

@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 
 from nsde_torch.design import Experiment
 from nsde_torch.design.expected import Separation
-from nsde_torch.design.limits import ExperimentLimits
 from nsde_torch.design.proposals import Family, Judged, best_of_each, search
 from nsde_torch.design.rollout import Drive, Rollouts
 from nsde_torch.errors import ConfigError
@@ -36,14 +35,9 @@ class Oracle:
 
     def __init__(self, e: Experiment, right: int, theta: Array, drive: Callable[[Array], Drive]) -> None:
         member = e.members[right]
-        self._theta, self._limits, self._start, self._drive = theta, e.limits, e.start, drive
+        self._theta, self.limits, self._start, self._drive = theta, e.limits, e.start, drive
         self._rollouts = Rollouts(member.system, dt=member.log.dt)
         self._pair = Separation(member, e.members[1 - right])
-
-    @property
-    def limits(self) -> ExperimentLimits:
-        """Limits."""
-        return self._limits
 
     def judge(self, tables: Array) -> Judged:
         """Judge experiments (C, N, m)."""
@@ -51,7 +45,7 @@ class Oracle:
         x, _, u = self._rollouts.run(
             np.tile(self._theta, (c, 1)), np.tile(self._start, (c, 1)), self._drive(tables), tables.shape[1]
         )
-        use = self._limits.use(x)
+        use = self.limits.use(x)
         fine = np.nan_to_num(use, nan=np.inf).max(1) <= 1.0
         nats = np.full(c, -np.inf)
         if fine.any():
@@ -85,7 +79,7 @@ def oracle(
     sizes = {f"{effect}.{name}": value for effect, own in truth.items() for name, value in own.items()}
     member = e.members[right]
     theta = member.theta.copy()
-    for i, label in enumerate(member.labels):
+    for i, label in enumerate(member.vector.labels):
         name, _, axis = (
             label.partition("[") if label.endswith("]") and label not in sizes else (label, "", "")
         )

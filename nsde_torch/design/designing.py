@@ -65,10 +65,6 @@ def design(
     """Plan the experiment that tells most.
 
     Args:
-        system: Declared system.
-        runs: The runs there are.
-        question: What is asked.
-        options: Settings.
         clock: Physical seconds per logged second.
         values: First values of effects, `{effect: {parameter: value}}`.
         baselines: Whether usual inputs are measured beside it.
@@ -271,14 +267,7 @@ def _worth(plan: PlannedRun, precision: Precision | None) -> float:
     left = sum(float((np.nan_to_num(r.use, nan=9.0).max(1) > 1.0).mean()) for r in plan.rehearsed)
     if precision is not None:
         return plan.worth - 10.0 * left
-    return _together(plan.worth, min(float(worth_of(r.evidence, 0)) for r in plan.rehearsed)) - 1e3 * left
-
-
-def _together(judged: float, rehearsed: float) -> float:
-    """What is worth that much without noise and that much in rehearsal: the harmonic mean of the two.
-
-    The first is linearised and may be far too large, the second is of few noisy draws; the mean is at most twice the
-    smaller one.
-    """
-    least = min(judged, rehearsed)
-    return least if least <= 0.0 else 2.0 * judged * rehearsed / (judged + rehearsed)
+    # without noise it is linearised and may be far too large, in rehearsal of few noisy draws: the harmonic mean
+    judged, seen = plan.worth, min(float(worth_of(r.evidence, 0)) for r in plan.rehearsed)
+    least = min(judged, seen)
+    return (least if least <= 0.0 else 2.0 * judged * seen / (judged + seen)) - 1e3 * left

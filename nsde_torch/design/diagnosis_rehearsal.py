@@ -45,12 +45,7 @@ _LEAST = 1e-6  # spread of a column that does not vary
 
 
 def replayed(inputs: Sequence[Array], copies: int) -> Drive:
-    """Inputs as they were logged, whatever the machine does.
-
-    Args:
-        inputs: Of each stretch (n, nu).
-        copies: Machines of each stretch, one after another.
-    """
+    """Inputs as they were logged, whatever the machine does."""
     return open_loop(_stacked(inputs, copies))
 
 
@@ -59,11 +54,7 @@ def following(
 ) -> Drive:
     """Inputs that follow recorded stretches, between the smallest and largest that were logged.
 
-    Args:
-        system: The machine.
-        states, inputs: Of each stretch (n, nx), (n, nu and what is logged beside).
-        dt: Step [s].
-        copies: Machines of each stretch, one after another.
+    States (n, nx) and inputs (n, nu and what is logged beside) are of each stretch, which `copies` machines follow.
     """
     system, every, nu = copy.deepcopy(system).double(), np.concatenate(inputs), system.nu
     x_scale = np.concatenate(states).std(0).clip(_LEAST)
@@ -120,25 +111,16 @@ _NEAR = 1e-9
 
 @dataclass(frozen=True)
 class Rehearsal:
-    """A diagnosis that was made again of simulated logs.
+    """A diagnosis that was made again of simulated logs."""
 
-    Args:
-        truth: Parameters that were simulated, those with an interval: `effect.name` -> value.
-        names: Effects that were simulated.
-        followed: Whether inputs followed the log (feedback); else they were replayed.
-        again: `diagnosis.json` of each log of the machine that was found.
-        nothing: The same of a log of the declared physics alone; None where that is what `again` is, or cannot be made.
-        left_out: What was found and is not simulated, in words.
-        why_not: Why nothing was simulated; empty where it was.
-    """
-
-    truth: dict[str, float]
-    names: tuple[str, ...]
-    followed: bool
-    again: tuple[dict[str, Any], ...]
+    truth: dict[str, float]  # parameters that were simulated, those with an interval: `effect.name` -> value
+    names: tuple[str, ...]  # effects that were simulated
+    followed: bool  # whether inputs followed the log (feedback); else they were replayed
+    again: tuple[dict[str, Any], ...]  # `diagnosis.json` of each log of the machine that was found
     nothing: dict[str, Any] | None
-    left_out: tuple[str, ...] = ()
-    why_not: str = ""
+    """The same of a log of the declared physics alone; None where that is what `again` is, or cannot be made."""
+    left_out: tuple[str, ...] = ()  # what was found and is not simulated, in words
+    why_not: str = ""  # why nothing was simulated; empty where it was
 
     def content(self) -> dict[str, Any]:
         """The key `rehearsal` of `diagnosis.json`."""

@@ -40,12 +40,9 @@ class Separation:
         self._follow = _follow(truth, other)
 
     def nats(self, states: Array, inputs: Array, thetas: Array) -> Array:
-        """Expected evidence (S, C) of experiments in which the truth has some parameters.
+        """Expected evidence (S, C) of experiments in which the truth has parameters `thetas` (S, k).
 
-        Args:
-            states: True states (S, C, N + 1, nx).
-            inputs: Inputs (S, C, N, nu).
-            thetas: Parameters of the truth (S, k).
+        Of true states (S, C, N + 1, nx) and inputs (S, C, N, nu).
         """
         b = self.other
         dt = b.log.logged_dt

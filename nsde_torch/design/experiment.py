@@ -25,21 +25,13 @@ LEVELS = (90, 99)
 
 @dataclass(frozen=True)
 class PlannedRun:
-    """An experiment that was judged, with its rehearsals.
-
-    Args:
-        name: What it is called.
-        table: Its rows (N, m).
-        words: What a person reads of it.
-        worth: What it is worth without noise (see `proposals`).
-        rehearsed: With each member true; none yet where it was only judged.
-    """
+    """An experiment that was judged, with its rehearsals."""
 
     name: str
-    table: Array
-    words: tuple[str, ...]
-    worth: float
-    rehearsed: tuple[Rehearsed, ...] = ()
+    table: Array  # its rows (N, m)
+    words: tuple[str, ...]  # what a person reads of it
+    worth: float  # what it is worth without noise (see `proposals`)
+    rehearsed: tuple[Rehearsed, ...] = ()  # with each member true; none yet where it was only judged
 
     @property
     def count(self) -> int:

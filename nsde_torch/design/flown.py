@@ -33,21 +33,13 @@ FAR = 8.0
 
 @dataclass(frozen=True)
 class KnownBetter:
-    """A parameter that an experiment was to show.
+    """A parameter that an experiment was to show."""
 
-    Args:
-        value: With the experiment.
-        before: Standard error before it.
-        after: Standard error with it.
-        expected: What was expected of that; None where nothing was.
-        unit: Of all.
-    """
-
-    value: float
-    before: float
-    after: float
-    expected: float | None
-    unit: str
+    value: float  # with the experiment
+    before: float  # standard error before it
+    after: float  # standard error with it
+    expected: float | None  # what was expected of that; None where nothing was
+    unit: str  # of all
 
     @property
     def nats(self) -> float:
@@ -190,14 +182,11 @@ def obtained(
     """What an experiment told.
 
     Args:
-        system: Declared system.
-        runs: The runs there were before.
-        flown: The experiment.
-        question: What it was asked.
         clock: Physical seconds per logged second.
         values: First values of effects.
         expected: What was expected (`design.json`).
-        trusted: Whether the log is known to be of this machine: what no member explains is told (`doubt`), not refused.
+        trusted: Whether the log is known to be of this machine: what no member explains is told (`doubt`), not
+            refused.
 
     Raises:
         DataError: no member explains the log: it is not of this machine, or what may be true was not among them.
@@ -241,16 +230,6 @@ def evidence(
 
     What gentle flights say of parameters is no quadratic: a wind is known as its product with a drag. So members
     that fly are fitted to all runs together, once before and once with the experiments.
-
-    Args:
-        system: Declared system.
-        members: Members, fitted to the runs before.
-        each: Their fits of each experiment.
-        runs: The runs before.
-        flown: The experiments.
-        question: What was asked.
-        values: First values of effects.
-        clock: Physical seconds per logged second.
     """
     if system.quaternion is None or len(members) == 1:
         return np.sum([f.brought for f in each], axis=0)

@@ -20,32 +20,19 @@ MARGIN = 0.05
 
 @dataclass(frozen=True)
 class ExperimentLimits:
-    """Lowest and highest values.
+    """Lowest and highest values."""
 
-    Args:
-        inputs: Names of the inputs.
-        low, high: Of the inputs (nu,).
-        states: Names of the states.
-        floor, ceiling: Of the states (nx,), infinite where there are none.
-        given: Names that the user gave limits of.
-        open_loop: Whether the experiment gives the inputs, and not a controller.
-    """
-
-    inputs: tuple[str, ...]
-    low: Array
+    inputs: tuple[str, ...]  # names of the inputs
+    low: Array  # of the inputs (nu,)
     high: Array
-    states: tuple[str, ...]
-    floor: Array
+    states: tuple[str, ...]  # names of the states
+    floor: Array  # of the states (nx,), infinite where there are none
     ceiling: Array
-    given: tuple[str, ...] = ()
-    open_loop: bool = True
+    given: tuple[str, ...] = ()  # names that the user gave limits of
+    open_loop: bool = True  # whether the experiment gives the inputs, and not a controller
 
     def use(self, states: Array) -> Array:
-        """Share of each state's range that runs take (..., nx): 1 at a limit, above beyond it; nan where not finite.
-
-        Args:
-            states: States (..., N, nx).
-        """
+        """Share of each state's range that runs take (..., nx): 1 at a limit, above beyond it; nan where not finite."""
         with np.errstate(invalid="ignore"):
             middle, half = 0.5 * (self.floor + self.ceiling), 0.5 * (self.ceiling - self.floor)
             share = np.abs(states - middle) / np.maximum(half, 1e-12)

@@ -55,31 +55,19 @@ _FOLLOWED = 0.7  # width over what a friction changes of a speed in a step: narr
 
 @dataclass(frozen=True)
 class Member:
-    """Physics that may be true.
+    """Physics that may be true."""
 
-    Args:
-        name: Its effects, as messages call them.
-        effects: Names of its effects beyond the declared physics.
-        system: Physics with the fitted values.
-        theta: Fitted parameters (k,).
-        information: Of the runs about them (k, k).
-        nats: Log-likelihood of the runs [nats].
-        posteriors: By the likelihood of further runs.
-        noise: Noise of largest likelihood.
-        log: The runs there are.
-        branches: The member at the widths that the runs leave open, the likeliest first; itself where they leave none.
-    """
-
-    name: str
-    effects: tuple[str, ...]
-    system: System
-    theta: Array
-    information: Array
-    nats: float
-    posteriors: Posteriors
-    noise: ModelNoise
+    name: str  # its effects, as messages call them
+    effects: tuple[str, ...]  # names of its effects beyond the declared physics
+    system: System  # physics with the fitted values
+    theta: Array  # fitted parameters (k,)
+    information: Array  # of the runs about them (k, k)
+    nats: float  # log-likelihood of the runs [nats]
+    posteriors: Posteriors  # by the likelihood of further runs
+    noise: ModelNoise  # noise of largest likelihood
     log: LogOfRuns
     branches: tuple[Branch, ...]
+    """The member at the widths that the runs leave open, the likeliest first; itself where they leave none."""
 
     @property
     def vector(self) -> ParameterVector:
@@ -95,11 +83,6 @@ class Member:
     def covariance(self) -> Array:
         """Of the fitted parameters (k, k)."""
         return np.asarray(np.linalg.inv(self.known), dtype=np.float64)
-
-    @property
-    def labels(self) -> list[str]:
-        """Names of the parameters."""
-        return self.vector.labels
 
     def draws(self, count: int, rng: np.random.Generator) -> Array:
         """Parameters as the runs leave them open (count, k), the fitted ones first.
@@ -144,11 +127,7 @@ def fitted_members(
     """Fit what may be true to the runs there are.
 
     Args:
-        declared: Declared physics.
-        runs: The runs.
         named: Physics of each member with first values.
-        names: What they are called.
-        clock: Physical seconds per logged second.
         noise: Noise of them all; None: that of the likeliest.
 
     Raises:
@@ -254,10 +233,6 @@ def _score(fit: Regression) -> float:
     return float(laws - 0.5 * np.square(fit.white).sum() + fit.held.sum())
 
 
-def _added(declared: System, fit: Regression) -> tuple[str, ...]:
-    return tuple(n for n in fit.vector.system.effect_names if n not in declared.effect_names)
-
-
 def _noise(systems: Sequence[System], log: LogOfRuns) -> ModelNoise:
     """Noise of the likeliest of several systems: levels beside a worse one would take for noise what it lacks."""
     of = LogLikelihood(systems[0], log.runs, log.clock, run_in=log.run_in, states=True)
@@ -272,7 +247,7 @@ def _member(declared: System, name: str, fit: Regression, log: LogOfRuns, noise:
     system, dt = fitted_system(fit), fit.physics.steps.dt
     own = Posteriors(system, noise.levels, clock=log.clock)
     prior = prior_information(own.vector)
-    given = prior + _of_held(fit)
+    given = prior + np.diag(fit.held / np.square(_SURE_OF_HELD * fit.vector.scale))
     fine_dt = Rollouts(system, dt=dt).fine_dt
     own.vector.low = lower_bounds(fit.vector, fit.theta, dt=dt, fine_dt=fine_dt)
     own.vector.high = fit.vector.high
@@ -282,13 +257,8 @@ def _member(declared: System, name: str, fit: Regression, log: LogOfRuns, noise:
     each = branches(own, log, Branch(found.theta, found.information, found.nats), given)
     theta = each[0].theta
     own.vector.write(system, theta)
-    added = _added(declared, fit)
+    added = tuple(n for n in fit.vector.system.effect_names if n not in declared.effect_names)
     return Member(name, added, system, theta, each[0].known - prior, each[0].nats, own, noise, log, each)
-
-
-def _of_held(fit: Regression) -> Array:
-    """What is known of parameters that a fit held at nothing (k, k)."""
-    return np.diag(fit.held / np.square(_SURE_OF_HELD * fit.vector.scale))
 
 
 def prior_information(vector: ParameterVector) -> Array:
@@ -298,32 +268,20 @@ def prior_information(vector: ParameterVector) -> Array:
 
 @dataclass(frozen=True)
 class Branch:
-    """A member near one width.
+    """A member near one width."""
 
-    Args:
-        theta: Parameters (k,).
-        known: Information about them there, that without data included (k, k).
-        nats: Log-likelihood of the runs [nats].
-    """
-
-    theta: Array
-    known: Array
-    nats: float
+    theta: Array  # parameters (k,)
+    known: Array  # information about them there, that without data included (k, k)
+    nats: float  # log-likelihood of the runs [nats]
 
 
 @dataclass(frozen=True)
 class LogOfRuns:
-    """The runs there are.
-
-    Args:
-        runs: The runs.
-        clock: Physical seconds per logged second.
-        run_in: Whether any member remembers, so that the first rows of all only bring up memory.
-    """
+    """The runs there are."""
 
     runs: tuple[Run, ...]
-    clock: float
-    run_in: bool
+    clock: float  # physical seconds per logged second
+    run_in: bool  # whether any member remembers, so that the first rows of all only bring up memory
 
     @property
     def logged_dt(self) -> float:
@@ -345,11 +303,7 @@ def width_columns(vector: ParameterVector) -> list[int]:
 def lower_bounds(fit: ParameterVector, theta: Array, *, dt: float, fine_dt: float) -> Array:
     """Lower bounds (k,) of a filter: widths below what the search looked for, and delays that its steps follow.
 
-    Args:
-        fit: Parameters with the bounds of the search.
-        theta: Their values (k,).
-        dt: Step of the log [s].
-        fine_dt: Step of the filter's integration [s].
+    `dt` is the step of the log, `fine_dt` that of the filter's integration [s].
     """
     sizes = {str(e.name): e.amplitudes for e in fit.system.effects if isinstance(e, Law)}
     low = fit.low.copy()
@@ -363,12 +317,7 @@ def lower_bounds(fit: ParameterVector, theta: Array, *, dt: float, fine_dt: floa
 
 
 def followed_delays(vector: ParameterVector, fine_dt: float) -> Array:
-    """The shortest delays (k,) that steps of the integration follow, -inf of other parameters.
-
-    Args:
-        vector: Parameters.
-        fine_dt: Step of the integration [s].
-    """
+    """The shortest delays (k,) that steps of the integration follow, -inf of other parameters."""
     low = np.full(len(vector), -np.inf)
     late = {str(e.name): e.relative for e in vector.system.effects if isinstance(e, Effect) and e.n_memory}
     for i, label in enumerate(vector.labels):
@@ -378,14 +327,7 @@ def followed_delays(vector: ParameterVector, fine_dt: float) -> Array:
 
 
 def branches(own: Posteriors, log: LogOfRuns, best: Branch, prior: Array) -> tuple[Branch, ...]:
-    """A member at the widths that its runs leave open, the likeliest first.
-
-    Args:
-        own: Posterior densities of the member.
-        log: The runs there are.
-        best: Where its fit ended.
-        prior: What is known without data (k, k).
-    """
+    """A member at the widths that its runs leave open, the likeliest first; `prior` is known without data (k, k)."""
     v, theta = own.vector, best.theta
     error = np.sqrt(np.diag(np.linalg.inv(best.known)))
     columns = [i for i in width_columns(v) if error[i] > _KNOWN * theta[i]]

@@ -51,17 +51,10 @@ def point_times(duration: float) -> Array:
 
 @dataclass(frozen=True)
 class Paths:
-    """Flights of one length within limits.
+    """Flights of one length within limits."""
 
-    Args:
-        limits: Limits, of which positions make the room.
-        dt: Step of the log [s].
-        steps: Number of steps.
-        start: First state (nx,).
-    """
-
-    limits: ExperimentLimits
-    dt: float
+    limits: ExperimentLimits  # limits, of which positions make the room
+    dt: float  # step of the log [s]
     steps: int
     start: Array
 
@@ -174,9 +167,7 @@ class Paths:
     ) -> dict[str, tuple[Array, tuple[str, ...]]]:
         """Usual flights (sizes, steps, 11), with words.
 
-        Args:
-            rng: Source of the multisine's phases.
-            before: Positions (n, 3) of a run there is, flown again.
+        `before` are positions (n, 3) of a run there is, flown again.
         """
         t, (middle, half) = self.times, self._box
         eight = []

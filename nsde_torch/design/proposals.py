@@ -44,25 +44,17 @@ Family = Signals | Paths
 
 @dataclass(frozen=True)
 class Judged:
-    """What a batch of experiments is worth.
+    """What a batch of experiments is worth."""
 
-    Args:
-        worth: Of each (C,); -inf beyond the limits.
-        told: The same, whatever the limits; far below 0 where it was not judged.
-        use: Largest share of each state's range (C, nx), nan where a state is not finite.
-    """
-
-    worth: Array
-    told: Array
-    use: Array
+    worth: Array  # of each (C,); -inf beyond the limits
+    told: Array  # the same, whatever the limits; far below 0 where it was not judged
+    use: Array  # largest share of each state's range (C, nx), nan where a state is not finite
 
 
 class Judging(Protocol):
     """What judges experiments within limits."""
 
-    @property
-    def limits(self) -> ExperimentLimits:
-        """Limits."""
+    limits: ExperimentLimits
 
     def judge(self, tables: Array) -> Judged:
         """Judge experiments (C, N, m)."""
@@ -90,7 +82,7 @@ class Judge:
         draws: Sequence[Array],
         drive: Callable[[Array], Drive],
     ) -> None:
-        self.members, self.precision, self._limits = members, precision, limits
+        self.members, self.precision, self.limits = members, precision, limits
         self._start, self._draws, self._drive = start, draws, drive
         dt = members[0].log.dt
         self._rollouts = [Rollouts(m.system, dt=dt) for m in members]
@@ -100,11 +92,6 @@ class Judge:
             for j, b in enumerate(members)
             if i != j and precision is None
         }
-
-    @property
-    def limits(self) -> ExperimentLimits:
-        """See `Judging.limits`."""
-        return self._limits
 
     def within(self, limits: ExperimentLimits) -> Judge:
         """The same judge within other limits."""
@@ -127,7 +114,7 @@ class Judge:
         uses, each = [], []
         for i in range(len(self.members)):
             states, inputs = self.flown(i, tables)
-            uses.append(self._limits.use(states).max(0))
+            uses.append(self.limits.use(states).max(0))
             fine = np.isfinite(states).all((0, 2, 3)) & (uses[-1] < 3.0).all(1)
             each += self._told(i, states[:, fine], inputs[:, fine], fine)
         use, table = np.stack(uses).max(0), np.stack(each)
@@ -158,17 +145,11 @@ class Judge:
 
 @dataclass(frozen=True)
 class Searched:
-    """What a search found.
+    """What a search found."""
 
-    Args:
-        finalists: The best experiments, the best first.
-        most: The most that any experiment told that was tried, within the limits or beyond.
-        use: Largest share of each state's range that this one takes (nx,).
-    """
-
-    finalists: list[PlannedRun]
-    most: float
-    use: Array
+    finalists: list[PlannedRun]  # the best experiments, the best first
+    most: float  # the most that any experiment told that was tried, within the limits or beyond
+    use: Array  # largest share of each state's range that this one takes (nx,)
 
 
 def best_of_each(judge: Judging, made: Mapping[str, tuple[Array, tuple[str, ...]]]) -> list[PlannedRun]:
@@ -199,12 +180,9 @@ def search(
     """The best experiments.
 
     Args:
-        judge: Judges them.
-        family: Makes them of genes (`Signals`, `Paths`).
         proposals: Number judged together.
         generations: Rounds of changes.
         keep: Number returned.
-        rng: Source of everything random.
         say: Told stage, number done and number in all.
 
     Raises:
@@ -237,7 +215,10 @@ def search(
         raise ConfigError(_in_the_way(judge.limits, *nearest))
     kept: list[PlannedRun] = []
     for _, g, p in found:
-        if len(kept) < keep and all(_differ(p.table, other.table) for other in kept):
+        # rehearsing nearly the same twice says nothing new
+        before = [other.table for other in kept]
+        new = all(np.linalg.norm(p.table - t) > _ALIKE * np.linalg.norm(t) for t in before)
+        if len(kept) < keep and new:
             kept.append(replace(p, words=tuple(family.words(g))))
     return Searched(kept, most, widest)
 
@@ -255,11 +236,6 @@ def _within(
     left = np.flatnonzero((use > 1.0 - MARGIN) & (use < 3.0) & (judged.told > worth))
     chosen = left[np.argsort(-judged.told[left])][:most]
     return family.shrunk(genes[chosen], (1.0 - 2.0 * MARGIN) / use[chosen])
-
-
-def _differ(one: Array, other: Array) -> bool:
-    """Whether two experiments are more than nearly the same: rehearsing one twice says nothing new."""
-    return float(np.linalg.norm(one - other)) > _ALIKE * float(np.linalg.norm(other))
 
 
 def _in_the_way(limits: ExperimentLimits, share: float, state: int) -> str:

@@ -74,11 +74,6 @@ class Question:
 def question_of(content: Mapping[str, Any], system: System, options: DesignOptions) -> Question:
     """What is asked: what the options say, or the first tie of a diagnosis, or what it does not show.
 
-    Args:
-        content: Content of `diagnosis.json`; empty without a diagnosis.
-        system: Declared system.
-        options: Settings.
-
     Raises:
         ConfigError: nothing is tied and everything is shown, or a name that the system does not know.
     """
@@ -304,10 +299,6 @@ def open_questions(content: Mapping[str, Any], system: System) -> list[Question]
     """What experiments are to be asked, the most urgent first: each tie, what is not well known, what is suspected.
 
     Lateness comes last: controllers that look ahead need to know it least.
-
-    Args:
-        content: Content of `diagnosis.json`.
-        system: Declared system.
     """
     now = standing_of(content)
     out = of_ties(content)

@@ -32,21 +32,13 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Fits:
-    """All members fitted to the runs there are and an experiment.
+    """All members fitted to the runs there are and an experiment."""
 
-    Args:
-        brought: Logarithm of the density of the experiment under each member (M,) [nats].
-        thetas: Parameters of each member.
-        errors: Their standard errors.
-        excess: Mean square of what the best member leaves, in units of the noise.
-        moved: How far its parameters are from what the runs say [standard errors of these].
-    """
-
-    brought: Array
-    thetas: tuple[Array, ...]
-    errors: tuple[Array, ...]
-    excess: float
-    moved: float
+    brought: Array  # logarithm of the density of the experiment under each member (M,) [nats]
+    thetas: tuple[Array, ...]  # parameters of each member
+    errors: tuple[Array, ...]  # their standard errors
+    excess: float  # mean square of what the best member leaves, in units of the noise
+    moved: float  # how far its parameters are from what the runs say [standard errors of these]
 
     def against(self, truth: int) -> float:
         """Evidence for a member against the best of the others [nats]."""
@@ -55,30 +47,17 @@ class Fits:
 
 @dataclass(frozen=True)
 class Rehearsed:
-    """One plan rehearsed with one member true.
+    """One plan rehearsed with one member true."""
 
-    Args:
-        evidence: For that member against the best of the others (R,) [nats]; empty with one member.
-        errors: Of the fitted parameters (R, k).
-        use: Largest share of each state's range (R, nx).
-        states: True states (R, N + 1, nx).
-        inputs: Inputs (R, N, nu).
-    """
-
-    evidence: Array
-    errors: Array
-    use: Array
-    states: Array
-    inputs: Array
+    evidence: Array  # for that member against the best of the others (R,) [nats]; empty with one member
+    errors: Array  # of the fitted parameters (R, k)
+    use: Array  # largest share of each state's range (R, nx)
+    states: Array  # true states (R, N + 1, nx)
+    inputs: Array  # (R, N, nu)
 
 
 def fit_all(members: Sequence[Member], each: Sequence[Run]) -> list[Fits]:
-    """Fit all members to the runs there are and to one of several experiments beside them.
-
-    Args:
-        members: Members, fitted to the runs there are.
-        each: The experiments.
-    """
+    """Fit all members to the runs there are and to one of several experiments beside them."""
     out = []
     for fits in zip(*(_fits(m, each) for m in members), strict=True):
         best = max(fits, key=lambda f: f[0])[1]
@@ -131,15 +110,10 @@ def rehearse(
     """Rehearse plans with one member true.
 
     Args:
-        members: What may be true.
         tables: Plans (P, N, m).
-        truth: Number of the member that is true.
         count: Rehearsals of each plan; the parameters are drawn for each.
-        start: First state (nx,).
-        limits: Limits.
         drive: Makes the inputs of a batch of tables.
         draw: Draws the parameters, the fitted ones first.
-        rng: Source of everything random.
     """
     member, plans = members[truth], len(tables)
     whole, thetas = np.repeat(tables, count, 0), draw(member, count + 1, rng)[1:]

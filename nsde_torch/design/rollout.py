@@ -32,34 +32,20 @@ _SUBSTEPS = 8
 
 @dataclass(frozen=True)
 class Disturbances:
-    """What acts on experiments beside the inputs.
+    """What acts on experiments beside the inputs."""
 
-    Args:
-        forces: Disturbances held over each step (B, N, nd).
-        ports: Columns of the ports that these act on.
-        errors: Errors of the sensors (B, N + 1, ne).
-    """
-
-    forces: Array
-    ports: tuple[tuple[Port, int], ...]
-    errors: Array
+    forces: Array  # disturbances held over each step (B, N, nd)
+    ports: tuple[tuple[Port, int], ...]  # columns of the ports that these act on
+    errors: Array  # errors of the sensors (B, N + 1, ne)
 
 
 @dataclass(frozen=True)
 class ModelNoise:
-    """Noise of largest likelihood.
-
-    Args:
-        levels: Its levels.
-        disturbances: Ports that act, and their columns.
-        observed: Numbers of the measured error channels.
-        ne: Number of the error channels.
-        h: Step [s].
-    """
+    """Noise of largest likelihood."""
 
     levels: Levels
-    disturbances: tuple[tuple[Port, int], ...]
-    observed: tuple[int, ...]
+    disturbances: tuple[tuple[Port, int], ...]  # ports that act, and their columns
+    observed: tuple[int, ...]  # numbers of the measured error channels
     ne: int
     h: float
 
@@ -95,8 +81,7 @@ class Rollouts:
         self.vector, self.dt = ParameterVector(system), dt
         self.system = self.vector.system
         self._fine = self._substeps()
-        self._h = dt / self._fine
-        self.fine_dt = self._h
+        self.fine_dt = dt / self._fine
         """Step of the integration [s]."""
         self._ports: tuple[tuple[Port, int], ...] = ()
         self._rk4 = torch.func.vmap(self._one)
@@ -112,70 +97,33 @@ class Rollouts:
         noise: Disturbances | None = None,
         times: Array | None = None,
     ) -> tuple[Array, Array, Array]:
-        """Fly experiments.
-
-        Args:
-            thetas: Parameters of each (B, k).
-            start: First states (B, nx).
-            drive: Inputs.
-            steps: Number of steps.
-            noise: What else acts; None: nothing.
-            times: When each begins (B,) [s]; None: at 0.
+        """Fly experiments from states (B, nx) with parameters (B, k), beginning at `times` (B,) [s] or 0.
 
         Returns:
             True states (B, N + 1, nx), measured states (B, N + 1, nx) and inputs (B, N, nu).
         """
-        theta, x = torch.as_tensor(thetas), torch.as_tensor(start)
-        nx = self.system.nx
+        theta, x, system = torch.as_tensor(thetas), torch.as_tensor(start), self.system
+        nx, nothing = system.nx, torch.zeros(len(x), steps, 0, dtype=torch.float64)
         errors = None if noise is None else torch.as_tensor(noise.errors)
-        forces = None if noise is None else torch.as_tensor(noise.forces)
+        forces = nothing if noise is None else torch.as_tensor(noise.forces)
         self._ports = () if noise is None else noise.ports
-        seen = x if errors is None else self.system.project(moved(self.system, x, errors[:, 0]))
-        u = drive(0, seen)
-        z = self.begin(theta, x, u)
         begun = torch.zeros(len(x), dtype=torch.float64) if times is None else torch.as_tensor(times)
-        true, measured, inputs = [x], [seen], []
+
+        def measured_at(k: int, x: Tensor) -> Tensor:
+            return x if errors is None else system.project(moved(system, x, errors[:, k]))
+
+        true, measured = [x], [measured_at(0, x)]
+        inputs = [drive(0, measured[0])]
+        z = self._augmented(theta, x, inputs[0])
         for k in range(steps):
             if k:
-                u = drive(k, seen)
-            inputs.append(u)
-            d = None if forces is None else forces[:, k]
-            z = self.later(theta, k, z, u, begun, d)
-            x = z[:, :nx]
-            seen = x if errors is None else self.system.project(moved(self.system, x, errors[:, k + 1]))
-            true.append(x)
-            measured.append(seen)
+                inputs.append(drive(k, measured[k]))
+            for i in range(self._fine):
+                t = begun + (k * self.dt + i * self.fine_dt)
+                z = system.project(z + self._rk4(theta, t, z, inputs[k], forces[:, k]))
+            true.append(z[:, :nx])
+            measured.append(measured_at(k + 1, true[-1]))
         return torch.stack(true, 1).numpy(), torch.stack(measured, 1).numpy(), torch.stack(inputs, 1).numpy()
-
-    def later(
-        self,
-        theta: Tensor,
-        k: int,
-        z: Tensor,
-        u: Tensor,
-        begun: Tensor | None = None,
-        forces: Tensor | None = None,
-    ) -> Tensor:
-        """States and memory (B, nz) after step k.
-
-        Args:
-            theta: Parameters (B, k).
-            k: Number of the step.
-            z: States and memory before it (B, nz).
-            u: Inputs (B, nu).
-            begun: Times of the start (B,); None: 0.
-            forces: Of the disturbances of the run (B, nd); None: none.
-        """
-        start = torch.zeros(len(z), dtype=torch.float64) if begun is None else begun
-        d = torch.zeros(len(z), 0, dtype=torch.float64) if forces is None else forces
-        for i in range(self._fine):
-            z = self.system.project(z + self._rk4(theta, start + (k * self.dt + i * self._h), z, u, d))
-        return z
-
-    def begin(self, theta: Tensor, x: Tensor, u: Tensor) -> Tensor:
-        """States with the memory that a lasting input leaves (B, nz), of parameters (B, k), states and inputs."""
-        begun: Tensor = self._augmented(theta, x, u)
-        return begun
 
     def _first(self, theta: Tensor, x: Tensor, u: Tensor) -> Tensor:
         """One state of them; what lags behind another effect of the inputs begins where its parameters say."""
@@ -185,7 +133,7 @@ class Rollouts:
     def _one(self, theta: Tensor, t: Tensor, z: Tensor, u: Tensor, d: Tensor) -> Tensor:
         """Change of one state over a fine step."""
         self.vector.use(theta)
-        h, forces = self._h, forces_on(self.system, self._ports[: len(d)], d[None])
+        h, forces = self.fine_dt, forces_on(self.system, self._ports[: len(d)], d[None])
 
         def f(share: float, at: Tensor) -> Tensor:
             return self.system.drift((t + share * h)[None], at[None], u[None], forces)[0]
@@ -216,7 +164,7 @@ def open_loop(tables: Array) -> Drive:
     return lambda k, measured: u[:, k]
 
 
-def as_run(states: Array, inputs: Array, dt: float, name: str = "experiment") -> Run:
+def as_run(states: Array, inputs: Array, dt: float) -> Run:
     """An experiment as a run: the last input is held."""
     u = np.concatenate((inputs, inputs[-1:]))
-    return Run(name, dt * np.arange(len(u), dtype=np.float64), states, u)
+    return Run("experiment", dt * np.arange(len(u), dtype=np.float64), states, u)

@@ -31,19 +31,12 @@ _SMALLEST = 0.1
 
 @dataclass(frozen=True)
 class Signals:
-    """Inputs of one length within limits.
-
-    Args:
-        limits: Limits.
-        dt: Step [s].
-        steps: Number of steps.
-        hertz: Lowest and highest frequency [Hz].
-    """
+    """Inputs of one length within limits."""
 
     limits: ExperimentLimits
     dt: float
     steps: int
-    hertz: tuple[float, float]
+    hertz: tuple[float, float]  # lowest and highest frequency [Hz]
 
     @property
     def shape(self) -> tuple[int, int, int]:
@@ -121,12 +114,7 @@ class Signals:
     def baselines(
         self, rng: np.random.Generator, before: Array | None = None
     ) -> dict[str, tuple[Array, tuple[str, ...]]]:
-        """Usual inputs (scales, steps, nu), each at several sizes, with words.
-
-        Args:
-            rng: Source of the multisine's phases.
-            before: Inputs (n, nu) of a run there is, flown again.
-        """
+        """Usual inputs (scales, steps, nu), with words; `before` are inputs (n, nu) of a run there is, given again."""
         t = self.dt * np.arange(self.steps, dtype=np.float64)
         n = len(self.limits.low)
         low, high = self.hertz

@@ -19,8 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import chi2
 
-from nsde_torch.sysid.between_rows import leaning
-from nsde_torch.sysid.loop_test import LoopTest
+from nsde_torch.sysid.loop_test import LoopTest, leaning
 from nsde_torch.sysid.regression import Regression
 from nsde_torch.sysid.result import Identification
 from nsde_torch.systems import System
@@ -70,7 +69,7 @@ def lengths_of_parameters(test: LoopTest, regression: Regression) -> dict[str, A
 
     What they know of a step, and what they do between rows, is as in a loop that is linear within a row: a linear
     function of states and of the inputs of neighbouring rows. It bends a parameter as far as its estimate leans along
-    these (`sysid.between_rows`).
+    these (`sysid.loop_test`).
 
     Args:
         test: What the data say of the loop.

@@ -74,7 +74,7 @@ from nsde_torch.recording.chain import Recorded
 from nsde_torch.sysid.by_likelihood import by_likelihood
 from nsde_torch.sysid.guard import Guarded
 from nsde_torch.sysid.identify import identification
-from nsde_torch.sysid.in_loop import adopted
+from nsde_torch.sysid.instruments import adopted
 from nsde_torch.sysid.result import Identification
 from nsde_torch.systems import System
 from nsde_torch.time_limit import TimeUpError

@@ -71,14 +71,7 @@ class Recording:
         return sum(fault.rows_before(value, dt) for fault, value in self._acting())
 
     def apply(self, run: RawRun, system: SystemInfo, *, dt: float, rng: np.random.Generator) -> RawRun:
-        """A run as the chain logs it.
-
-        Args:
-            run: As the plant made it, `rows_late` rows longer than what is wanted.
-            system: The machine.
-            dt: Step of the log [s].
-            rng: Source of the missing rows.
-        """
+        """A run as the chain logs it."""
         made = RawRun(run.name, run.t, run.x, run.u, extra=run.extra, source=run.source)
         for fault, value in self._acting():
             if fault.mixes_times:
@@ -104,16 +97,10 @@ class Recording:
 
 @dataclass(frozen=True)
 class Recorded:
-    """Runs with the recording chain undone.
-
-    Args:
-        runs: The runs.
-        clock: Physical seconds per logged second.
-        faults: What was found.
-    """
+    """Runs with the recording chain undone."""
 
     runs: tuple[Run, ...]
-    clock: float
+    clock: float  # physical seconds per logged second
     faults: tuple[Detected, ...]
 
     @property
@@ -179,10 +166,7 @@ def instead_of_effects(
     """The log with a further fault undone that explains what effects do not; None where there is none.
 
     Args:
-        found: The recording chain, undone as far as it is known.
-        system: The machine.
         misfits: Negative log likelihood per row [nats] of the declared physics in runs, by channel.
-        rows: Number of rows.
         other: The misfit of physics with effects, all channels together.
     """
     for fault in in_order():

@@ -28,6 +28,7 @@ from nsde_torch.data.kinematics import (
     pool,
     rates_of,
 )
+from nsde_torch.data.raw import RawRun
 from nsde_torch.data.run import Run
 from nsde_torch.data.system_info import SystemInfo
 from nsde_torch.errors import ConfigError, DataError
@@ -89,10 +90,8 @@ def decide(slopes: Sequence[Slope], *, policy: str, report: Report) -> float:
     disagrees, its velocity is at fault, not the clock; that is reported and nothing is scaled.
 
     Args:
-        slopes: Slopes of all axes of all runs.
         policy: `rescale` returns the measured scale where it differs from 1; `trust` returns 1 and reports;
             `refuse` raises.
-        report: Takes the findings.
 
     Raises:
         DataError: the clock is wrong and the policy is `refuse`.
@@ -144,11 +143,6 @@ def decide(slopes: Sequence[Slope], *, policy: str, report: Report) -> float:
 
 def of_runs(slopes: Sequence[Slope], runs: Sequence[str], *, measured: float) -> float:
     """Clock scale as some runs alone show it: what a model may know that is to be tested on the others.
-
-    Args:
-        slopes: Slopes of all axes of all runs of a data set.
-        runs: Names of the runs that may be looked at.
-        measured: Scale of the whole data set; 1 says that nothing is to be scaled.
 
     Returns:
         Physical seconds for each logged second; `measured` where slopes were taken over several short runs
@@ -250,14 +244,14 @@ def of_run(values: Mapping[str, Any], run: str) -> dict[str, Any]:
     return out
 
 
-def without_biases(x: Array, system: SystemInfo, values: Mapping[str, Any]) -> Array:
-    """States (n, nx) less what their sensors read too much.
+def without_biases(run: Run | RawRun, system: SystemInfo, values: Mapping[str, Any]) -> Array:
+    """States (n, nx) of a run less what their sensors read too much.
 
     Raises:
         ConfigError: no such state, or no such size.
     """
-    x = x.copy()
-    for name, value in values.items():
+    x = run.x.copy()
+    for name, value in of_run(values, run.name).items():
         if name not in system.state_names:
             raise ConfigError(
                 f"`sensor_bias` names {name!r}, which is no state; states: {', '.join(system.state_names)}."

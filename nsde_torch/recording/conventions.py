@@ -48,10 +48,6 @@ _QUATERNIONS: dict[str, Callable[[Array], Array]] = {
 def check(system: SystemInfo, runs: Sequence[Run]) -> None:
     """Refuses columns that another convention explains.
 
-    Args:
-        system: Names, and which columns are derivatives of which.
-        runs: Runs of one step.
-
     Raises:
         DataError: a quaternion or a velocity follows another convention; the message says how to write it.
     """
@@ -72,10 +68,6 @@ def check(system: SystemInfo, runs: Sequence[Run]) -> None:
 
 def check_runs(system: SystemInfo, runs: Sequence[Run]) -> None:
     """Refuses a run whose position and rate do not belong together, where those of the other runs do.
-
-    Args:
-        system: Names, and which columns are derivatives of which.
-        runs: Runs of one step.
 
     Raises:
         DataError: a column that is of another run or another time.

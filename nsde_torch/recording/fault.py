@@ -42,7 +42,6 @@ def level(stage: str, alpha: float, found: Collection[str] = ()) -> float:
     """Significance level of a stage, which p values corrected within the stage are compared with.
 
     Args:
-        stage: One of `STAGES`.
         alpha: Chance that any stage finds something where nothing is there.
         found: Earlier stages that found something.
     """
@@ -55,29 +54,19 @@ def level(stage: str, alpha: float, found: Collection[str] = ()) -> float:
 
 @dataclass(frozen=True)
 class Detected:
-    """Something that the recording chain did.
+    """Something that the recording chain did."""
 
-    Args:
-        name: Name of the fault (a key of `FAULTS`).
-        values: By parameter: value, low, high (90 %; None where there is no interval), unit.
-        p: Chance of it in a sound log; None where it is not a test of chance.
-        sentence: What it means.
-        short: Whether it is shorter than a step, or was undone by the reader, and so not called a finding.
-        ties: Other faults that no data of the log tell from it.
-        experiment: What would tell.
-        clock: Physical seconds for each logged second, which is undone by counting with it.
-        reason: Why it is not called a finding, where `short` has another one than its length.
-    """
-
-    name: str
+    name: str  # of the fault (a key of `FAULTS`)
     values: Mapping[str, tuple[float, float | None, float | None, str]]
-    p: float | None
+    """By parameter: value, low, high (90 %; None where there is no interval), unit."""
+    p: float | None  # chance of it in a sound log; None where it is not a test of chance
     sentence: str
     short: bool = False
-    ties: tuple[str, ...] = ()
-    experiment: str = ""
-    clock: float = 1.0
-    reason: str = ""
+    """Whether it is shorter than a step, or was undone by the reader, and so not called a finding."""
+    ties: tuple[str, ...] = ()  # other faults that no data of the log tell from it
+    experiment: str = ""  # what would tell
+    clock: float = 1.0  # physical seconds for each logged second, which is undone by counting with it
+    reason: str = ""  # why it is not called a finding, where `short` has another one than its length
 
     @property
     def plain(self) -> dict[str, float]:
@@ -87,19 +76,13 @@ class Detected:
 
 @dataclass(frozen=True)
 class Suspect:
-    """A fault that a log may hold, if the declared physics is better for it.
+    """A fault that a log may hold, if the declared physics is better for it."""
 
-    Args:
-        fault: What it is of.
-        order: Suspects are asked for by this number.
-        found: What is found if physics says so.
-        against: Values that would do as well if it were nothing, those of the other direction.
-    """
-
-    fault: Fault
-    order: int
-    found: Detected
+    fault: Fault  # what it is of
+    order: int  # suspects are asked for by this number
+    found: Detected  # what is found if physics says so
     against: Mapping[str, float]
+    """Values that would do as well if it were nothing, those of the other direction."""
 
 
 class LoggedRuns:
@@ -215,18 +198,11 @@ class Fault(ABC):
         Args:
             run: As the chain before this fault left it; its arrays are replaced, not written into.
             value: The size.
-            system: Names of the states.
             dt: Step of the log [s].
-            rng: Source of randomness.
         """
 
     def describe(self, value: Any, *, dt: float) -> dict[str, Any]:
-        """The fault as it was applied, for the truth of a simulation, with units in the keys.
-
-        Args:
-            value: The size, more than none.
-            dt: Step of the log [s].
-        """
+        """The fault as it was applied, for the truth of a simulation, with units in the keys."""
         return {self.name: value}
 
     # in a log
@@ -252,10 +228,7 @@ class Fault(ABC):
         """The fault where it explains what effects do not, and the runs without it; None where it does not.
 
         Args:
-            runs: The log, with the recording chain undone as far as it is known.
-            system: Names of the states.
             misfits: Negative log likelihood per row [nats] of the declared physics in runs, by channel.
-            rows: Number of rows.
             other: The misfit of physics with effects, all channels together.
             undone: What of this fault is undone in the runs, by the names that `undo` takes.
         """
@@ -265,8 +238,6 @@ class Fault(ABC):
         """A run without the fault; the run itself where nothing can be done.
 
         Args:
-            run: The run as it was logged.
-            system: Names of the states.
             values: Sizes by name, as `detect` finds them or a user gives them.
 
         Raises:

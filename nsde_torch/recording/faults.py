@@ -1,7 +1,7 @@
 """The faults of a recording chain, by name. A new one is a class here, and its object in the list of `FAULTS`.
 
 Each says what it is called and how it is simulated; how a log shows it, and how it is taken out, is in the file that it
-imports. Numpy and what needs it is imported inside functions (see `fault`).
+imports. Numpy and what needs it is imported on first use (see `fault`).
 """
 
 from __future__ import annotations
@@ -12,15 +12,24 @@ from math import ceil, isfinite, pi
 from typing import TYPE_CHECKING, Any, ClassVar, final
 
 from nsde_torch.errors import ConfigError
+from nsde_torch.lazy import LazyModule
 from nsde_torch.options import documented, key
 from nsde_torch.recording.fault import Detected, Fault, LoggedRuns, Misfits, Suspect
 
 if TYPE_CHECKING:
+    import numpy as np
     from numpy.random import Generator
 
     from nsde_torch.data.raw import RawRun
     from nsde_torch.data.run import Run
     from nsde_torch.data.system_info import SystemInfo
+    from nsde_torch.recording import clock_and_biases, latency, noise, smoothing
+else:
+    np = LazyModule("numpy")
+    clock_and_biases, latency, noise, smoothing = (
+        LazyModule(f"nsde_torch.recording.{name}")
+        for name in ("clock_and_biases", "latency", "noise", "smoothing")
+    )
 
 
 @final
@@ -39,9 +48,7 @@ class ClockScale(Fault):
         """The plant is sampled at steps that are `value` times as long (see `clock`); nothing is left to do."""
 
     def detect(self, log: LoggedRuns) -> Detected | None:
-        from nsde_torch.recording.clock_and_biases import wrong_clock
-
-        return wrong_clock(self, log)
+        return clock_and_biases.wrong_clock(self, log)
 
 
 class _Latency(Fault):
@@ -53,22 +60,16 @@ class _Latency(Fault):
     filtered: ClassVar[bool]
 
     def check(self, value: Any, system: SystemInfo) -> None:
-        from nsde_torch.recording.latency import check_times
-
-        check_times(self.name, value, system)
+        latency.check_times(self.name, value, system)
 
     def describe(self, value: Any, *, dt: float) -> dict[str, Any]:
         return {f"{self.name}_s": {k: v for k, v in value.items() if v}}
 
     def detect(self, log: LoggedRuns) -> Detected | None:
-        from nsde_torch.recording.latency import found_latency
-
-        return found_latency(self, log, filtered=self.filtered)
+        return latency.found_latency(self, log, filtered=self.filtered)
 
     def suspects(self, log: LoggedRuns) -> list[Suspect]:
-        from nsde_torch.recording.latency import suspected_latency
-
-        return suspected_latency(self, log, filtered=self.filtered)
+        return latency.suspected_latency(self, log, filtered=self.filtered)
 
 
 @final
@@ -84,14 +85,10 @@ class SensorLag(_Latency):
     filtered = True
 
     def simulate(self, run: RawRun, value: Any, system: SystemInfo, *, dt: float, rng: Generator) -> None:
-        from nsde_torch.recording.latency import changed, filtered
-
-        run.x = changed(run.x, system, value, lambda x, lag: filtered(x, lag / dt))
+        run.x = latency.changed(run.x, system, value, lambda x, lag: latency.filtered(x, lag / dt))
 
     def undo(self, run: Run, system: SystemInfo, values: Mapping[str, float]) -> Run:
-        from nsde_torch.recording.latency import on_time
-
-        return on_time(run, system, {}, values)
+        return latency.on_time(run, system, {}, values)
 
 
 @final
@@ -116,21 +113,15 @@ class SensorDelay(_Latency):
         return ceil(max(value.values(), default=0.0) / dt - 1e-9)
 
     def simulate(self, run: RawRun, value: Any, system: SystemInfo, *, dt: float, rng: Generator) -> None:
-        from nsde_torch.recording.latency import changed, moved
-
-        run.x = changed(run.x, system, value, lambda x, delay: moved(x, -delay / dt))
+        run.x = latency.changed(run.x, system, value, lambda x, delay: latency.moved(x, -delay / dt))
 
     def instead_of_effects(
         self, runs: Sequence[Run], system: SystemInfo, misfits: Misfits, **known: Any
     ) -> tuple[Detected, tuple[Run, ...]] | None:
-        from nsde_torch.recording.latency import whole_sensor_late
-
-        return whole_sensor_late(runs, system, misfits, **known)
+        return latency.whole_sensor_late(runs, system, misfits, **known)
 
     def undo(self, run: Run, system: SystemInfo, values: Mapping[str, float]) -> Run:
-        from nsde_torch.recording.latency import on_time
-
-        return on_time(run, system, values)
+        return latency.on_time(run, system, values)
 
 
 @final
@@ -151,8 +142,6 @@ class LateStates(Fault):
         return round(value / dt)
 
     def simulate(self, run: RawRun, value: Any, system: SystemInfo, *, dt: float, rng: Generator) -> None:
-        import numpy as np
-
         rows = round(value / dt)
         if rows:
             run.x = np.concatenate([np.repeat(run.x[:1], rows, axis=0), run.x[:-rows]])
@@ -196,19 +185,13 @@ class SensorBias(Fault):
         return {self.name: {k: v for k, v in value.items() if v}}
 
     def detect(self, log: LoggedRuns) -> Detected | None:
-        from nsde_torch.recording.clock_and_biases import found_biases
-
-        return found_biases(self, log)
+        return clock_and_biases.found_biases(self, log)
 
     def undo(self, run: Run, system: SystemInfo, values: Mapping[str, float]) -> Run:
-        from nsde_torch.recording.clock_and_biases import of_run, without_biases
-
-        return replace(run, x=without_biases(run.x, system, of_run(values, run.name)))
+        return replace(run, x=clock_and_biases.without_biases(run, system, values))
 
     def undo_raw(self, run: RawRun, system: SystemInfo, values: Mapping[str, float]) -> None:
-        from nsde_torch.recording.clock_and_biases import of_run, without_biases
-
-        run.x = without_biases(run.x, system, of_run(values, run.name))
+        run.x = clock_and_biases.without_biases(run, system, values)
 
 
 @final
@@ -240,7 +223,6 @@ class DerivedRate(Fault):
             )
 
     def simulate(self, run: RawRun, value: Any, system: SystemInfo, *, dt: float, rng: Generator) -> None:
-        import numpy as np
         from scipy.signal import savgol_filter
 
         run.x, names = run.x.copy(), list(system.state_names)
@@ -279,9 +261,7 @@ class InputSmoothing(Fault):
     mixes_times = True
 
     def simulate(self, run: RawRun, value: Any, system: SystemInfo, *, dt: float, rng: Generator) -> None:
-        from nsde_torch.recording.smoothing import averaged
-
-        run.u = averaged(run.u, round(value / dt))
+        run.u = smoothing.averaged(run.u, round(value / dt))
 
     def describe(self, value: Any, *, dt: float) -> dict[str, Any]:
         steps = round(value / dt)
@@ -292,10 +272,8 @@ class InputSmoothing(Fault):
 
         So the declared physics has to fit better with inputs that are restored.
         """
-        from nsde_torch.recording.smoothing import smoothing_width
-
         inputs = len(log.system.input_names)
-        width = smoothing_width(log.runs, inputs) if inputs else 0.0
+        width = smoothing.smoothing_width(log.runs, inputs) if inputs else 0.0
         if not width > 0:
             return None
         half = 0.5 * log.runs[0].dt
@@ -304,10 +282,8 @@ class InputSmoothing(Fault):
         return found if log.misfit_with(self, found.plain) < log.misfit_with(self, {}) else None
 
     def undo(self, run: Run, system: SystemInfo, values: Mapping[str, float]) -> Run:
-        from nsde_torch.recording.smoothing import restored
-
         for width in values.values():
-            run = restored(run, len(system.input_names), width)
+            run = smoothing.restored(run, len(system.input_names), width)
         return run
 
 
@@ -335,7 +311,6 @@ class TurnedFrame(Fault):
             )
 
     def simulate(self, run: RawRun, value: Any, system: SystemInfo, *, dt: float, rng: Generator) -> None:
-        import numpy as np
         import torch
 
         from nsde_torch.data.system_info import rate_columns
@@ -387,8 +362,6 @@ class RotorSpeed(Fault):
     remedy_first = True
 
     def simulate(self, run: RawRun, value: Any, system: SystemInfo, *, dt: float, rng: Generator) -> None:
-        import numpy as np
-
         run.u = float(value) * np.sqrt(np.clip(run.u, 0.0, None))
 
     def describe(self, value: Any, *, dt: float) -> dict[str, Any]:
@@ -397,7 +370,6 @@ class RotorSpeed(Fault):
     def undo_raw(self, run: RawRun, system: SystemInfo, values: Mapping[str, float]) -> None:
         """Values by name of an input, or by the common name of several."""
         from nsde_torch.data.findings import Finding
-        from nsde_torch.recording.noise import shares
 
         names = list(system.input_names)
         u = run.u.copy()
@@ -411,7 +383,7 @@ class RotorSpeed(Fault):
             if not (number and isfinite(most) and most > 0):
                 raise ConfigError(f"`rotor_speed.{channel}` must be a speed above 0; got {most!r}.")
             for k in columns:
-                u[:, k], rows = shares(run.u[:, k], float(most), name=names[k], where=run.label)
+                u[:, k], rows = noise.shares(run.u[:, k], float(most), name=names[k], where=run.label)
                 if rows:
                     text = f"{len(rows)} rows of rotor speed {names[k]!r} that no rotor can have had"
                     found = {"column": names[k], "rows": rows}

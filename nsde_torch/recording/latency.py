@@ -63,17 +63,11 @@ _SENSOR_S, _SENSOR_NATS, _Z90 = 0.2, 20.0, 1.645
 
 @dataclass(frozen=True)
 class Latency(Uncertain):
-    """How late one channel is against another [s of the log]; negative where it is early.
+    """How late one channel is against another [s of the log]; negative where it is early."""
 
-    Args:
-        channel: A state, or the common name of several (`p` of `p_x p_y p_z`).
-        other: What it is late against.
-        filtered: Whether a filter of first order does better than a delay; then it is its time constant.
-    """
-
-    channel: str
-    other: str
-    filtered: bool
+    channel: str  # a state, or the common name of several (`p` of `p_x p_y p_z`)
+    other: str  # what it is late against
+    filtered: bool  # whether a filter of first order does better than a delay; then it is its time constant
 
     @property
     def seconds(self) -> float:
@@ -85,13 +79,7 @@ class Latency(Uncertain):
 
 
 def latencies(system: SystemInfo, runs: Sequence[Run], *, clock: float = 1.0) -> list[Latency]:
-    """How late positions are logged against their rates, of each sensor that can show it; early ones are negative.
-
-    Args:
-        system: Names of the states.
-        runs: The runs.
-        clock: Physical seconds per logged second.
-    """
+    """How late positions are logged against their rates, of each sensor that can show it; early ones are negative."""
     dt, out = runs[0].dt * clock, []
     parts: dict[str, list[_Piece]] = {}
     share = min(1.0, _MOST_ROWS / sum(len(run) for run in runs))
@@ -261,8 +249,6 @@ def on_time(
     What a filter of first order made late is undone first, x = x_log + T x_log'.
 
     Args:
-        run: The run.
-        system: Names of the states.
         late: By state, or by the common name of several: by how much it is late [s of the log]; early, if negative.
         filters: By state or common name: time constant of a filter [s of the log].
 

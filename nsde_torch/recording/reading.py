@@ -45,18 +45,7 @@ SHORT_S = 2.0 * kinematics.MIN_INTERVALS * kinematics.INTERVAL_S
 """Runs shorter than this are measured together against the clock [s]; each alone has too few intervals."""
 
 
-def read(
-    kind: Kind,
-    system: SystemInfo,
-    *,
-    path: str,
-    dt: float | None = None,
-    gap: float | None = None,
-    clock: str = "rescale",
-    derived_rates: str = "infer",
-    own_rate: bool = False,
-    **options: Any,
-) -> DataSet:
+def read(kind: Kind, system: SystemInfo, *, path: str, dt: float | None = None, **options: Any) -> DataSet:
     """Reads and checks a data set.
 
     Args:
@@ -64,12 +53,8 @@ def read(
         system: The system that the data belong to.
         path: File or folder, as the kind says.
         dt: Step [s]; default: the data's own (the nominal step of a published file, else the median).
-        gap: Time between rows that counts as a gap [s]; default: 2.5 steps.
-        clock: `rescale`, `trust` or `refuse` a clock that disagrees with the kinematics.
-        derived_rates: `infer` or `keep` rates that were made of positions.
-        own_rate: Whether the step stays that of the log where `dt` is longer (see `assemble`).
-        options: What the recording did, to take out (`sensor_bias={"q": 0.1}`, see `RemedyOptions`), and further
-            options of the kind.
+        options: Those of `assemble`: `gap`, `clock`, `derived_rates`, `own_rate`, and what the recording did, to take
+            out (`sensor_bias={"q": 0.1}`, see `RemedyOptions`); and further options of the kind.
 
     Returns:
         The data set with its summary.
@@ -79,6 +64,7 @@ def read(
         DataError: data that cannot be used; the message says where and what to do.
     """
     make, name = reader(kind), name_of(kind)
+    how = {own: options.pop(own) for own in ("gap", "clock", "derived_rates", "own_rate") if own in options}
     asked = {fault: options.pop(fault) for fault in remedies() if fault in options}
     if dt is not None and name in READERS and READERS[name].takes_step:
         options["dt"] = dt
@@ -88,24 +74,14 @@ def read(
     for fault in [fault for fault in asked if remedies()[fault].remedy_first]:
         values = asked.pop(fault) or {}
         named = {run.name for run in raw}
-        strange = sorted(k for k, v in (values or {}).items() if isinstance(v, Mapping) and k not in named)
+        strange = sorted(k for k, v in values.items() if isinstance(v, Mapping) and k not in named)
         if strange:
             raise ConfigError(
                 f"`{fault}` names {strange[0]!r}, which is no run; runs are {', '.join(sorted(named))}."
             )
         for run in raw if values else ():
             remedies()[fault].undo_raw(run, system, values)
-    return assemble(
-        raw,
-        system,
-        kind=name,
-        dt=dt,
-        gap=gap,
-        clock=clock,
-        derived_rates=derived_rates,
-        own_rate=own_rate,
-        **asked,
-    )
+    return assemble(raw, system, kind=name, dt=dt, **how, **asked)
 
 
 def _called(make: Callable[..., Any], name: str, system: SystemInfo, **given: Any) -> Sequence[RawRun]:
@@ -122,13 +98,6 @@ def _called(make: Callable[..., Any], name: str, system: SystemInfo, **given: An
             f"data of kind {name!r}: a reader returns a list of `nsde_torch.data.RawRun`; got {type(raw).__name__}."
         )
     return raw
-
-
-def _own_step(runs: Sequence[RawRun]) -> float:
-    """The step of a data set [s]: the median, or where times were rounded to it, what their sum says."""
-    # times are decimal: 0.01 comes back from differences as 0.00999...
-    median = round(float(np.median([np.median(np.diff(run.t)) for run in runs])), 12)
-    return median if all(times.follows(run.t, median) for run in runs) else times.mean_step(runs, median)
 
 
 def _split_at_jumps(
@@ -240,7 +209,10 @@ def assemble(
     interventions.check(raw)
     whole, rates = system, unmeasured_rates.to_infer(system, raw, policy=derived_rates, report=report)
     system = unmeasured_rates.measured_part(system, rates)
-    own_step = _own_step(raw)
+    # times are decimal: 0.01 comes back from differences as 0.00999...
+    own_step = round(float(np.median([np.median(np.diff(run.t)) for run in raw])), 12)
+    if not all(times.follows(run.t, own_step) for run in raw):
+        own_step = times.mean_step(raw, own_step)  # of times that were rounded to it
     wanted = own_step if dt is None else float(dt)
     limit = times.GAP_STEPS * max(wanted, own_step) if gap is None else float(gap)
     if limit <= wanted:

@@ -57,50 +57,42 @@ _NEAR, _NEAR_SHARE = 0.1, 0.5
 """Deviance by which another smoother may be worse and still be likely: at least, and of what the best lacks."""
 _TYPICAL = 0.3  # deviance where the form is right
 _AGREE = 0.1  # of the gain
+_SLOW = 1e-3  # of the rate of the log, at which a delay is read off the phase
 _SAME = 0.03  # deviance by which smoothers are alike
 _WIDEST = 75  # rows of the widest moving average or Savitzky-Golay filter
 
 
 @dataclass(frozen=True)
 class Family:
-    """Smoothers of one kind.
-
-    Args:
-        name: In words.
-        response: S (F,) at frequencies [Hz], of a size (cut-off at half amplitude [Hz], or rows), an order and a step.
-        orders: Those that are tried.
-        of_rows: Whether the size is a number of rows.
-        delays: Whether it is causal.
-        differentiates: Whether it makes rates of positions; nothing but a rate can be behind it.
-    """
+    """Smoothers of one kind."""
 
     name: str
     response: Callable[[Array, float, int, float], Complex]
+    """S (F,) at frequencies [Hz], of a size (cut-off at half amplitude [Hz], or rows), an order and a step."""
     orders: tuple[int, ...]
-    of_rows: bool = False
-    delays: bool = False
-    differentiates: bool = False
+    of_rows: bool = False  # whether the size is a number of rows
+    delays: bool = False  # whether it is causal
+    differentiates: bool = False  # whether it makes rates of positions; nothing but a rate can be behind it
 
 
 @dataclass(frozen=True)
 class Smoother:
-    """One smoother.
-
-    Args:
-        family: Its kind.
-        order: Its order.
-        size: Cut-off [Hz], or rows.
-        dt: Step of the log [s].
-    """
+    """One smoother."""
 
     family: Family
     order: int
-    size: float
-    dt: float
+    size: float  # cut-off [Hz], or rows
+    dt: float  # step of the log [s]
 
     def response(self, f: NDArray[Any]) -> Complex:
         """S (F,) at frequencies [Hz]."""
         return self.family.response(np.asarray(f, dtype=np.float64), self.size, self.order, self.dt)
+
+    @property
+    def delay(self) -> float:
+        """How late it makes slow motions [s]; 0 for one that is not causal."""
+        f = _SLOW / self.dt
+        return float(-np.angle(self.response(np.array([f])))[0] / (2.0 * pi * f))
 
     def falls_to(self, level: float) -> float:
         """The lowest frequency at which |S| is below a level [Hz]; half the rate where it never is."""
@@ -116,40 +108,24 @@ class Smoother:
 
 @dataclass(frozen=True)
 class Spectra:
-    """Periodograms of some channels.
+    """Periodograms of some channels."""
 
-    Args:
-        f: Frequencies (F,) [Hz].
-        power: Mean periodograms (C, F) [unit^2 / Hz].
-        windows: Number of independent windows.
-        dt: Step [s].
-        fine: Frequencies (G,) that a bin sees more than one of [Hz].
-        lobe: What the window lets each bin see of them (G, F); of a constant, that constant.
-    """
-
-    f: Array
-    power: Array
-    windows: float
+    f: Array  # frequencies (F,) [Hz]
+    power: Array  # mean periodograms (C, F) [unit^2 / Hz]
+    windows: float  # number of independent windows
     dt: float
-    fine: Array
-    lobe: Array
+    fine: Array  # frequencies (G,) that a bin sees more than one of [Hz]
+    lobe: Array  # what the window lets each bin see of them (G, F); of a constant, that constant
 
 
 @dataclass(frozen=True)
 class SpectrumFit:
-    """The spectrum of a log behind a smoother.
+    """The spectrum of a log behind a smoother."""
 
-    Args:
-        deviance: Per bin; about 0.5 where the form is right.
-        motion: Spectra before the smoother without the sensor's noise (C, F) [unit^2 / Hz].
-        noise: The sensor's noise before the smoother (C, F) [unit^2 / Hz].
-        rounding: What rounding adds behind it (C,) [unit^2 / Hz].
-    """
-
-    deviance: float
-    motion: Array
-    noise: Array
-    rounding: Array
+    deviance: float  # per bin; about 0.5 where the form is right
+    motion: Array  # spectra before the smoother without the sensor's noise (C, F) [unit^2 / Hz]
+    noise: Array  # the sensor's noise before the smoother (C, F) [unit^2 / Hz]
+    rounding: Array  # what rounding adds behind it (C,) [unit^2 / Hz]
 
     @property
     def before(self) -> Array:

@@ -55,25 +55,18 @@ def smoothing_width(runs: Sequence[Run], n_inputs: int) -> float:
         if len(nulls) < 2 or nulls[0] < 4 * (frequency[1] - frequency[0]):
             continue
         half = 0.5 / (n * dt)
-        lowest = _lowest(frequency, log_power, nulls, 0.1 * half)
+        room = max(0.1 * half, frequency[1] - frequency[0])
+        lowest = [log_power[np.abs(frequency - f) <= room].min() for f in nulls]
         scores[n] = score = float(np.min(np.interp(nulls + half, frequency, log_power) - lowest))
         if score > _DEPTH and score > 1.15 * best:
             best, width = score, n * dt
         elif score > 0.8 * best and score > _DEPTH and n * dt > 1.8 * width:
-            best, width = (
-                max(score, best),
-                n * dt,
-            )  # a wider average has the nulls of a narrower one, and more
+            # a wider average has the nulls of a narrower one, and more
+            best, width = max(score, best), n * dt
     # neighbours share the first nulls: the deepest is meant, one sample more or less ruins what is restored
     near = round(width / dt)
     found = max(range(near - _NEAR, near + _NEAR + 1), key=lambda n: scores.get(n, -np.inf)) if width else 0
     return found * dt
-
-
-def _lowest(frequency: Array, values: Array, at: Array, tolerance: float) -> Array:
-    """Smallest value within a tolerance of each place."""
-    step = frequency[1] - frequency[0]
-    return np.array([values[np.abs(frequency - f) <= max(tolerance, step)].min() for f in at])
 
 
 def _power(runs: Sequence[Run], n_inputs: int, dt: float) -> tuple[Array, Array] | None:

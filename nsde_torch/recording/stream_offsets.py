@@ -46,38 +46,23 @@ _LARGEST_S = 0.25  # standard error of an offset that says nothing
 
 @dataclass(frozen=True)
 class Offset:
-    """By how much a stream is late in one run.
-
-    Args:
-        run: Name of the run.
-        seconds: How late [s of the log]; negative where it is early.
-        error: Standard error [s].
-        degrees: Degrees of freedom of the error.
-    """
+    """By how much a stream is late in one run."""
 
     run: str
-    seconds: float
+    seconds: float  # how late [s of the log]; negative where it is early
     error: float
-    degrees: float
+    degrees: float  # degrees of freedom of the error
 
 
 @dataclass(frozen=True)
 class Offsets:
-    """Offsets of one stream against another that differ between runs.
+    """Offsets of one stream against another that differ between runs."""
 
-    Args:
-        channel: What is moved: the common name of states.
-        other: What it is late against.
-        offsets: As measured, of each run that can show it.
-        taken: What is taken out, by name of the run [s of the log].
-        p: Chance of such differences between runs that share one offset.
-    """
-
-    channel: str
-    other: str
-    offsets: tuple[Offset, ...]
-    taken: Mapping[str, float]
-    p: float
+    channel: str  # what is moved: the common name of states
+    other: str  # what it is late against
+    offsets: tuple[Offset, ...]  # as measured, of each run that can show it
+    taken: Mapping[str, float]  # what is taken out, by name of the run [s of the log]
+    p: float  # chance of such differences between runs that share one offset
 
     def finding(self) -> Finding:
         """What the data summary says."""
@@ -126,11 +111,6 @@ def _between(d: Array, s: Array) -> float:
 
 def on_one_clock(data: DataSet, system: SystemInfo, *, policy: str = "undo") -> DataSet:
     """A data set whose streams are on one clock in every run; the data set itself where they are.
-
-    Args:
-        data: The data set.
-        system: Names of the states.
-        policy: "undo", or "keep" for the data set itself.
 
     Returns:
         The data set, with a finding `stream_offset` in its summary for each stream that was moved.

@@ -30,10 +30,6 @@ def by_likelihood(
     """An identification, its values and intervals by the likelihood.
 
     Args:
-        found: By the weak form.
-        system: The machine; it is not changed.
-        runs: Recordings, all on one step.
-        clock: Physical seconds per logged second.
         near: The same machine where a fit of it has ended, and the optimum there.
 
     Returns:
@@ -41,7 +37,8 @@ def by_likelihood(
         unless something speaks against them.
     """
     objected = found.guard is not None and found.guard.objections
-    if objected or any(run.band for run in runs) or _entries(system, runs) > MOST:
+    entries = sum(len(run) for run in runs) * len(system.error_names) ** 2
+    if objected or any(run.band for run in runs) or entries > MOST:
         return found
     machine = copy.deepcopy(system)
     found.vector.write(machine, found.values)
@@ -54,10 +51,6 @@ def by_likelihood(
         return found
     found = replace(found, likelihood=best, optimum=at)
     return found if best.objections else _with(found, best)
-
-
-def _entries(system: System, runs: Sequence[Run]) -> int:
-    return sum(len(run) for run in runs) * len(system.error_names) ** 2
 
 
 def _with(found: Identification, best: MaximumLikelihood) -> Identification:

@@ -6,16 +6,44 @@ Over single steps sensor noise hides everything; over a quarter of a second it m
 """
 
 from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from nsde_torch.sysid.noise import Noise
 from nsde_torch.sysid.physics import Physics
-from nsde_torch.sysid.result import Channel
 
 Array = NDArray[np.float64]
 
 BUMP_S, FEWEST = 0.25, 8
+
+
+@dataclass(frozen=True)
+class Channel:
+    """How well one channel is explained, in means over test functions (bumps) of `width_s`."""
+
+    name: str
+    unit: str
+    measured: float  # standard deviation of the measured rate
+    residual: float  # root mean square of what the physics leaves of it
+    sensor: float  # what white sensor noise alone leaves
+    r2: float  # share of the variance that is explained
+    noise: Noise | None  # law of the noise over single steps; None where the method has none
+
+    def as_dict(self) -> dict[str, Any]:
+        """Plain containers, for JSON."""
+        out: dict[str, Any] = {
+            "unit": self.unit,
+            "measured_std": self.measured,
+            "residual_rms": self.residual,
+            "sensor_rms": self.sensor,
+            "r2": self.r2,
+        }
+        if self.noise is not None:
+            out["noise"] = {"carry": self.noise.carry, "order": len(self.noise.reflection)}
+        return out
 
 
 def bump(dt: float) -> Array:
@@ -36,14 +64,7 @@ def smooth_rate(change: Array, segments: Sequence[tuple[int, int]], window: Arra
 
 
 def explained(physics: Physics, residual: Array, rows: NDArray[np.int64], window: Array) -> list[Channel]:
-    """Figures of channels.
-
-    Args:
-        physics: The data.
-        residual: Residual changes of these channels over steps (N, len(rows)).
-        rows: Numbers of the channels.
-        window: The test function.
-    """
+    """Figures of the channels `rows`, of their residual changes over steps (N, len(rows)), in means over a window."""
     s = physics.steps
     measured = smooth_rate(physics.measured[:, rows], s.segments, window, s.dt)
     left = smooth_rate(residual, s.segments, window, s.dt)

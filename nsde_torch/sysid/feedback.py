@@ -33,10 +33,7 @@ _FEWEST_ROWS_OF_ALL = 5  # per column: without it, short data in a closed loop a
 def past(residuals: Array, series: Series, *, channels: bool = False) -> Array:
     """Orthonormal columns (N + stretches, p) that span what is known before each whitened row; none for short data.
 
-    Args:
-        residuals: Kinematic residuals (N, m), with `channels` those of all channels.
-        series: Their stretches.
-        channels: Whether the channels themselves are among them.
+    Residuals (N, m) are kinematic ones, with `channels` those of all channels.
     """
     out = faded(residuals, series, channels=channels)
     if len(out) < _fewest(channels) * out.shape[1]:
@@ -64,11 +61,7 @@ def faded(residuals: Array, series: Series, *, channels: bool = False) -> Array:
 def foretelling(residuals: Array, series: Series, white: Array, *, channels: bool = False) -> Array:
     """Coefficients b (p, channels) of `faded` for other data of the same machine; none (0, channels) for short data.
 
-    Args:
-        residuals: See `past`.
-        series: Their stretches.
-        white: Whitened residuals with what is foretold in them (channels, N + stretches).
-        channels: See `past`.
+    `white` are whitened residuals with what is foretold in them (channels, N + stretches); for the others see `past`.
     """
     columns = faded(residuals, series, channels=channels)
     size = np.linalg.norm(columns, axis=0)

@@ -24,7 +24,7 @@ another machine (`run_differences`): where the log is at fault, fits part for th
 """
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from math import log
 from typing import Any
 
@@ -36,7 +36,7 @@ from nsde_torch.data import Run
 from nsde_torch.sysid.explained import per_second
 from nsde_torch.sysid.readings import better_readings
 from nsde_torch.sysid.regression import Regression
-from nsde_torch.sysid.rough import Left, left_at, rough_fit
+from nsde_torch.sysid.rough import Left, Objection, left_at, rough_fit
 from nsde_torch.sysid.run_differences import odd_run, unexplained_runs
 from nsde_torch.sysid.timing import shifted_stream
 from nsde_torch.systems import System
@@ -68,29 +68,6 @@ POOR = 0.8
 """Share of what was measured that least squares leave of half of the channels, where physics explains nothing."""
 
 
-@dataclass(frozen=True)
-class Objection:
-    """What speaks against a fit.
-
-    Args:
-        kind: `reading`, `shifted_stream`, `odd_run`, `unexplained_run`, `least_squares`, `first_values`, `gone`,
-            `worse` or `poor`.
-        sentence: What was found.
-        remedy: What to do.
-    """
-
-    kind: str
-    sentence: str
-    remedy: str
-
-    def __str__(self) -> str:
-        return f"{self.sentence}; {self.remedy}"
-
-    def as_dict(self) -> dict[str, str]:
-        """Plain containers, for JSON."""
-        return {"kind": self.kind, "sentence": self.sentence, "remedy": self.remedy}
-
-
 def doubts_the_fit(kinds: Iterable[str]) -> bool:
     """Whether objections of these kinds speak against the fit.
 
@@ -101,61 +78,36 @@ def doubts_the_fit(kinds: Iterable[str]) -> bool:
 
 @dataclass(frozen=True)
 class Compared:
-    """One channel, and what each fit leaves of it in means over 0.15 s.
-
-    Args:
-        name: Of the channel.
-        unit: Of its rate.
-        measured: Root mean square of the measured rate about the mean of each run.
-        fit: What the fit leaves.
-        least_squares: What least squares leave.
-        first_values: What the first values leave.
-        less: Whether what least squares foretell of it is surely smaller (`LESS`) than what the fit foretells.
-    """
+    """One channel, and what each fit leaves of it in means over 0.15 s."""
 
     name: str
     unit: str
-    measured: float
-    fit: float
-    least_squares: float
-    first_values: float
+    measured: float  # root mean square of the measured rate about the mean of each run
+    fit: float  # what the fit leaves
+    least_squares: float  # what least squares leave
+    first_values: float  # what the first values leave
     less: bool = False
+    """Whether what least squares foretell of it is surely smaller (`LESS`) than what the fit foretells."""
 
     def as_dict(self) -> dict[str, Any]:
         """Plain containers, for JSON."""
-        return {
-            "unit": self.unit,
-            "measured": self.measured,
-            "fit": self.fit,
-            "least_squares": self.least_squares,
-            "first_values": self.first_values,
-        }
+        return {k: v for k, v in asdict(self).items() if k not in ("name", "less")}
 
 
 @dataclass(frozen=True)
 class Guarded:
-    """What speaks against a fit, and how it stands beside simple ones.
+    """What speaks against a fit, and how it stands beside simple ones."""
 
-    Args:
-        objections: What speaks against it; nothing where it is believed.
-        channels: What each fit leaves of each channel.
-        labels: Parameters.
-        least_squares: Their values by least squares (k,).
-        half_90: Half-widths of the 90 % intervals of these (k,), nan where the data do not show one; empty where they
-            are not to be used.
-        units: Units of the parameters, likewise.
-        chance: Chance of so large a difference between the fit and least squares.
-        notes: What is worth knowing and speaks not against the fit.
-    """
-
-    objections: tuple[Objection, ...] = ()
-    channels: tuple[Compared, ...] = ()
+    objections: tuple[Objection, ...] = ()  # what speaks against it; nothing where it is believed
+    channels: tuple[Compared, ...] = ()  # what each fit leaves of each channel
     labels: tuple[str, ...] = ()
-    least_squares: tuple[float, ...] = ()
-    chance: float = 1.0
-    notes: tuple[str, ...] = ()
+    least_squares: tuple[float, ...] = ()  # their values by least squares (k,)
+    chance: float = 1.0  # chance of so large a difference between the fit and least squares
+    notes: tuple[str, ...] = ()  # what is worth knowing and speaks not against the fit
     half_90: tuple[float, ...] = ()
-    units: tuple[str, ...] = ()
+    """Half-widths of the 90 % intervals of these (k,), nan where the data do not show one; empty where they are not to
+    be used."""
+    units: tuple[str, ...] = ()  # units of the parameters, likewise
 
     @property
     def to_use(self) -> dict[str, dict[str, Any]]:
@@ -193,9 +145,6 @@ def guarded(
     """Hold a fit against simple ones, and look for faults of the log that explain where they part.
 
     Args:
-        regression: The fit at its optimum.
-        runs: What it was fitted to.
-        clock: Physical seconds per logged second.
         theta: Other values that are printed (k,); None takes those of the regression.
         covariance: Of these values (k, k); None for none.
     """
@@ -261,16 +210,14 @@ def _faults(
     """Faults of the log, the first kind that is found: the columns, times, a run, another machine."""
     better = better_readings(system, runs, clock, rough)
     if better is not None:
-        return [Objection("reading", better.sentence, better.remedy)], []
+        return [better], []
     moved = shifted_stream(system, runs, clock, rough)
     if moved is not None and not moved.of_actuators:
         return [Objection("shifted_stream", moved.sentence, moved.remedy)], []
     notes = [] if moved is None else [f"{moved.sentence}; {moved.remedy}"]
-    apart = [Objection("unexplained_run", o.sentence, o.remedy) for o in unexplained_runs(rough, runs)]
+    apart = unexplained_runs(rough, runs)
     odd = None if apart else odd_run(regression, rough, runs)
-    if odd is not None:
-        apart = [Objection("odd_run", odd.sentence, odd.remedy)]
-    return apart, notes
+    return apart or [o for o in (odd,) if o], notes
 
 
 def _disagreements(channels: Sequence[Compared], chance: float) -> list[Objection]:

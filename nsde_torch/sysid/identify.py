@@ -4,23 +4,15 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from nsde_torch.data import Run
-from nsde_torch.errors import ConfigError, DataError, NonFiniteError
-from nsde_torch.inference.steps import steps_of
-from nsde_torch.models.identified import METHODS
+from nsde_torch.errors import DataError, NonFiniteError
 from nsde_torch.sysid.explained import bump, explained
 from nsde_torch.sysid.narrow_shapes import narrower
-from nsde_torch.sysid.physics import Physics
-from nsde_torch.sysid.regression import ITERATIONS, Regression
+from nsde_torch.sysid.regression import ITERATIONS, Regression, regression_of
 from nsde_torch.sysid.result import Identification
 from nsde_torch.sysid.standing import SHARE, moving, slowest
 from nsde_torch.systems import System
-from nsde_torch.systems.parameters import ParameterVector
-
-Array = NDArray[np.float64]
-_BOX_S = 0.01  # data on a shorter step are summed to about this
 
 
 def identify(
@@ -120,33 +112,3 @@ def identification(regression: Regression, method: str, *, standing: float = 0.0
         blocks=int(blocks.max()) + 1,
         standing=standing,
     )
-
-
-def regression_of(
-    system: System,
-    runs: Sequence[Run],
-    *,
-    clock: float = 1.0,
-    method: str = "weak",
-    width: float | None = None,
-    start: Array | None = None,
-) -> Regression:
-    """The regression of some runs, before its first step; `start` is its first theta, else as for `identify`."""
-    if method not in METHODS:
-        raise ConfigError(f"`method` must be {' or '.join(METHODS)}; got {method!r}.")
-    weak = method == "weak"
-    vector = ParameterVector(system)
-    box = _box(width, runs[0].dt * clock) if runs else 1
-    steps = steps_of(system, runs, clock=clock, smooth=not weak, shortest=box, differences=box if weak else 0)
-    physics = Physics(vector, steps, curved=weak and system.sensor_noise, foresee=weak)
-    return Regression(physics, box=box, start=start, plain=not weak, feedback=weak)
-
-
-def _box(width: float | None, dt: float) -> int:
-    if width is None:
-        return max(1, int(_BOX_S / dt + 1e-6))
-    if round(width / dt) < 1:
-        raise ConfigError(
-            f"`model.width` must be a step of the data ({dt:.4g} s) or longer; got {width:g} s."
-        )
-    return round(width / dt)

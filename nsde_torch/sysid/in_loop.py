@@ -26,8 +26,9 @@ it cannot decide widens the interval.
 """
 
 import copy
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,13 +37,12 @@ from nsde_torch.data import Run
 from nsde_torch.errors import ConfigError, DataError, NonFiniteError
 from nsde_torch.sysid.by_likelihood import by_likelihood
 from nsde_torch.sysid.guard import guarded
-from nsde_torch.sysid.identify import identification, regression_of, settled
+from nsde_torch.sysid.identify import identification, settled
 from nsde_torch.sysid.inferred_rates import in_turn
-from nsde_torch.sysid.instrumented import MISSING, Instrumented
-from nsde_torch.sysid.instruments import between, instrumental, with_columns
-from nsde_torch.sysid.longer_boxes import LENGTHS_S, in_longer_boxes
+from nsde_torch.sysid.instruments import Instrumented, adopted, between, instrumental, with_columns
+from nsde_torch.sysid.longer_boxes import LENGTHS_S, LONGER, asks_for_longer_boxes
 from nsde_torch.sysid.loop_test import LoopTest, tested
-from nsde_torch.sysid.regression import ITERATIONS, Regression
+from nsde_torch.sysid.regression import ITERATIONS, Regression, regression_of
 from nsde_torch.sysid.restored_states import narrowed
 from nsde_torch.sysid.result import Identification
 from nsde_torch.sysid.signals import row_weights
@@ -59,7 +59,6 @@ def identify_in_loop(
     *,
     clock: float = 1.0,
     method: str = "weak",
-    width: float | None = None,
     iterations: int = ITERATIONS,
     instruments: Sequence[str] = (),
     likelihood: bool = True,
@@ -71,7 +70,6 @@ def identify_in_loop(
         runs: Recordings, all on one step.
         clock: Physical seconds per logged second.
         method: See `identify`.
-        width: See `identify`; None also takes longer boxes where the guard believes these alone (`longer_boxes`).
         iterations: Largest number of steps.
         instruments: Names of logged columns (`Run.extra`) that nothing inside the loop moves: sticks, setpoints.
         likelihood: Whether values are those of largest likelihood, where that can be relied on.
@@ -91,29 +89,17 @@ def identify_in_loop(
             )
         system, runs = with_columns(system, runs, instruments)
 
-    def over(width: float | None) -> Identification:
-        return in_turn(
-            system,
-            runs,
-            clock,
-            lambda machine, some: _over_boxes(
-                machine,
-                some,
-                clock=clock,
-                method=method,
-                width=width,
-                iterations=iterations,
-                instruments=instruments,
-            ),
-        )
+    fit = partial(_over_boxes, clock=clock, method=method, iterations=iterations, instruments=instruments)
 
-    found = over(width)
+    def over(width: float | None) -> Identification:
+        return in_turn(system, runs, clock, partial(fit, width=width))
+
+    found = over(None)
     if method != "weak":
         return found
-    found = in_longer_boxes(found, over) if width is None else found
-    if found.instrumented is not None and found.loop is not None and adopted(found.instrumented, found.loop):
-        return found
-    if not likelihood:
+    found = in_longer_boxes(found, over)
+    by, loop = found.instrumented, found.loop
+    if not likelihood or (by is not None and loop is not None and adopted(by, loop)):
         return found
     return by_likelihood(found, system, runs, clock)
 
@@ -137,30 +123,22 @@ def _over_boxes(
         why = "finite differences of smoothed states have no innovations"
         return replace(found, loop=LoopTest(why_not=why), guard=guarded(regression, runs, clock=clock))
     loop = tested(regression, runs)
-    instrumented, apart = None, np.zeros(len(regression.vector))
+    doubt, by = hidden_bias(regression, loop), None
     if instruments:
-        instrumented, apart = _by_instruments(
-            regression, runs, instruments, bool(loop.hidden), clock, width, iterations
-        )
-    if instrumented is not None and adopted(instrumented, loop):
-        found = replace(
-            found,
-            values=instrumented.values,
-            covariance=instrumented.covariance,
-            degrees=instrumented.degrees,
-            converged=True,  # instruments are solved for at once; the others need what had settled
-        )
-        bias = hidden_bias(regression, loop) + (0.0 if regression.converged else np.nan)
-        ordinary = np.where(instrumented.moved, 0.0, bias)
-        leans = np.abs(instrumented.leans)
-        leaning = (leans * np.where(leans > 0, ordinary, 0.0)).sum(1)
-        moving = largest_bias(regression, loop.moving)
-        doubt = np.where(instrumented.moved, np.maximum(apart, moving) + leaning, bias)
-    else:
-        doubt = hidden_bias(regression, loop)
-    hangs = hangs_on_band(regression, runs, clock=clock, width=width, iterations=iterations)
+        by, apart = _by_instruments(regression, runs, instruments, bool(loop.hidden), clock, width)
+        if adopted(by, loop):
+            # instruments are solved for at once; the others need what had settled
+            found = replace(
+                found, values=by.values, covariance=by.covariance, degrees=by.degrees, converged=True
+            )
+            bias = doubt + (0.0 if regression.converged else np.nan)
+            leans, ordinary = np.abs(by.leans), np.where(by.moved, 0.0, bias)
+            leaning = (leans * np.where(leans > 0, ordinary, 0.0)).sum(1)
+            moving = largest_bias(regression, loop.moving)
+            doubt = np.where(by.moved, np.maximum(apart, moving) + leaning, bias)
+    doubt = np.maximum(doubt, hangs_on_band(regression, runs, clock=clock, width=width))
     guard = guarded(regression, runs, clock=clock, theta=found.values, covariance=found.covariance)
-    return replace(found, loop=loop, instrumented=instrumented, doubt=np.maximum(doubt, hangs), guard=guard)
+    return replace(found, loop=loop, instrumented=by, doubt=doubt, guard=guard)
 
 
 def _by_instruments(
@@ -170,7 +148,6 @@ def _by_instruments(
     hidden: bool,
     clock: float,
     width: float | None,
-    iterations: int,
 ) -> tuple[Instrumented, Array]:
     """Estimates by instruments, and by how much (k,) they hang on what inputs do between rows of the log."""
     held = instrumental(regression, names)
@@ -179,7 +156,7 @@ def _by_instruments(
         return held, sure
     system = regression.physics.vector.system
     moving = regression_of(system, between(runs, system.nu), clock=clock, width=width)
-    moving.run(iterations)
+    moving.run(ITERATIONS)
     other = replace(instrumental(moving, names, ordinary=regression), between_rows=True)
     if not other.moved.any() or len(other.refused) > len(held.refused):
         return held, sure
@@ -190,10 +167,20 @@ def _by_instruments(
     return (held if better >= 0 else other), apart
 
 
-def adopted(instrumented: Instrumented, loop: LoopTest) -> bool:
-    """Whether estimates by instruments are those to print."""
-    wanted = instrumented.differs or bool(loop.hidden) or bool(loop.functions_of_state)
-    return bool(instrumented.moved.any()) and wanted and instrumented.unexplained >= MISSING
+def in_longer_boxes(found: Identification, again: Callable[[float], Identification]) -> Identification:
+    """An identification in longer boxes where its guard asks for it and believes that one; else as it is."""
+    first, second = LENGTHS_S
+    if not asks_for_longer_boxes(found.guard) or first < LONGER * found.box_s:
+        return found
+    try:
+        longer, longest = again(first), again(second)
+    except (DataError, NonFiniteError):  # runs that are too short for them
+        return found
+    if not (longer.believed and longest.believed):
+        return found
+    moved = np.abs(longer.values - longest.values)
+    doubt = moved if longer.doubt is None else longer.doubt + moved
+    return replace(longer, doubt=doubt, finer=found)
 
 
 def hidden_bias(regression: Regression, loop: LoopTest) -> Array:
@@ -212,66 +199,37 @@ def hidden_bias(regression: Regression, loop: LoopTest) -> Array:
 
 
 def hangs_on_band(
-    regression: Regression,
-    runs: Sequence[Run],
-    *,
-    clock: float = 1.0,
-    width: float | None = None,
-    iterations: int = ITERATIONS,
+    regression: Regression, runs: Sequence[Run], *, clock: float = 1.0, width: float | None = None
 ) -> Array:
     """How far parameters (k,) hang on the band up to which smoothed states were restored; zero where none were.
 
     It is twice what they change by with half of the band: a bias that halves when the band doubles is as large as that
     change. nan where nothing settles in half of the band.
-
-    Args:
-        regression: At its optimum.
-        runs: The runs that it is of.
-        clock: Physical seconds per logged second.
-        width: See `identify`.
-        iterations: Largest number of steps.
     """
-    system = regression.physics.vector.system
-    half = narrowed(runs, system, clock)
+    half = narrowed(runs, regression.physics.vector.system, clock)
     if half is None:
         return np.zeros(len(regression.vector))
-    return 2.0 * _changed(regression, half, clock, width, iterations)
+    return 2.0 * _changed(regression, half, clock, width)
 
 
-def hangs_on_boxes(
-    regression: Regression, runs: Sequence[Run], *, clock: float = 1.0, iterations: int = ITERATIONS
-) -> Array:
-    """What parameters (k,) change by with the longest boxes (`longer_boxes`); nan where nothing settles there.
-
-    Args:
-        regression: Over longer boxes than the usual ones, at its optimum.
-        runs: The runs that it is of.
-        clock: Physical seconds per logged second.
-        iterations: Largest number of steps.
-    """
-    return _changed(regression, runs, clock, LENGTHS_S[1], iterations)
+def hangs_on_boxes(regression: Regression, runs: Sequence[Run], *, clock: float = 1.0) -> Array:
+    """What parameters (k,) change by with the longest boxes (`longer_boxes`); nan where nothing settles there."""
+    return _changed(regression, runs, clock, LENGTHS_S[1])
 
 
-def _changed(
-    regression: Regression, runs: Sequence[Run], clock: float, width: float | None, iterations: int
-) -> Array:
+def _changed(regression: Regression, runs: Sequence[Run], clock: float, width: float | None) -> Array:
     """What parameters (k,) change by in other runs or boxes; nan where nothing settles there."""
     system = copy.deepcopy(regression.physics.vector.system)
     try:
         other = regression_of(system, runs, clock=clock, width=width)
-        other.run(iterations)
+        other.run(ITERATIONS)
     except (DataError, NonFiniteError):
         return np.full(len(regression.vector), np.nan)
     return np.asarray(np.abs(regression.theta - other.theta))
 
 
 def largest_bias(regression: Regression, hidden: Mapping[str, float | Array]) -> Array:
-    """The largest bias (k,) of each parameter that a hidden part of such lengths may cause.
-
-    Args:
-        regression: At its optimum.
-        hidden: Length of the part by channel (`LoopTest.hidden`), one number or one per parameter (k,).
-    """
+    """The largest bias (k,) of each parameter that `LoopTest.hidden` parts of such lengths, by channel, may cause."""
     out = np.zeros(len(regression.vector))
     if not hidden:
         return out

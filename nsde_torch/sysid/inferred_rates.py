@@ -36,11 +36,6 @@ def with_rates(system: System, runs: Sequence[Run], clock: float = 1.0) -> list[
 
     Rows too few for a filter keep their rates.
 
-    Args:
-        system: The machine with its values; it is not changed.
-        runs: Recordings, all on one step.
-        clock: Physical seconds per logged second.
-
     Raises:
         DataError: the physics diverges between rows.
     """
@@ -79,14 +74,7 @@ def in_turn(
     clock: float,
     identified: Callable[[System, Sequence[Run]], Identification],
 ) -> Identification:
-    """What an identification finds at rates that its own physics predicts.
-
-    Args:
-        system: The machine; its values are where the iteration starts. It is not changed.
-        runs: Recordings, all on one step.
-        clock: Physical seconds per logged second.
-        identified: Identifies a system from runs.
-    """
+    """What an identification finds at rates that its own physics predicts."""
     if not (runs and runs[0].inferred):
         return identified(system, runs)
     machine = copy.deepcopy(system)

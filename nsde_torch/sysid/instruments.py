@@ -18,11 +18,13 @@ and Krueger, Journal of Applied Econometrics 14 (1999)). Three things are tested
 """
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import lfilter
+from scipy.special import stdtrit
 from scipy.stats import chi2
 from scipy.stats import t as student
 
@@ -30,15 +32,16 @@ from nsde_torch.data import Run
 from nsde_torch.errors import DataError
 from nsde_torch.inference.spread import Spread
 from nsde_torch.sysid import signals
-from nsde_torch.sysid.instrumented import Instrumented
-from nsde_torch.sysid.loop_statistics import ALPHA, own_innovations
+from nsde_torch.sysid.loop_test import ALPHA, LoopTest, own_innovations
 from nsde_torch.sysid.noise import extended
 from nsde_torch.sysid.regression import Regression
-from nsde_torch.sysid.series import Series
 from nsde_torch.systems import System
 
 Array = NDArray[np.float64]
 
+MISSING = 1e-3
+"""Chance below which instruments show that an effect is missing."""
+_SURE = 0.05  # chance below which two estimates differ
 _WEAK = 10.0
 _ROWS = (-1, 0, 1, 2)  # rows before that the first stage knows: sticks move between rows too
 _LAGS_S = (0.03, 0.1, 0.3, 1.0)  # time constants of what it knows of the past
@@ -48,6 +51,115 @@ _BINS = (1, 2, 3, 4, 6, 9, 14, 21, 31, 46)  # rows after a disturbance between w
 _FOREKNOWN = (
     1e-8  # share of its variance that is new: below, a signal is known beforehand and answers nothing
 )
+
+
+@dataclass(frozen=True)
+class Instrumented:
+    """What instruments say of the parameters."""
+
+    names: tuple[str, ...]
+    refused: dict[str, str]  # those that were not, name -> why
+    labels: tuple[str, ...]
+    values: Array  # estimates (k,): by instruments where they are strong, else ordinary ones
+    covariance: Array  # of `values` (k, k)
+    degrees: Array  # degrees of freedom (k,)
+    strength: Array  # F of each parameter's first stage (k,); nan where the data do not show it
+    moved: NDArray[np.bool_]  # whether the instruments show a parameter (k,)
+    ordinary: Array  # ordinary estimates (k,)
+    difference: Array
+    """Chance of so large a difference from the ordinary estimate (k,), adjusted (Holm); 1 where not moved."""
+    unexplained: float  # chance that declared physics explains all that the instruments do (Sargan)
+    misfit: float = 0.0
+    between_rows: bool = False
+    """Whether inputs were taken to move between rows of the log, and not to be held."""
+    leans: Array = field(default_factory=lambda: np.zeros((0, 0)))
+    """Change of each estimate by instruments per error of each ordinary one beside it (k, k)."""
+
+    @property
+    def differs(self) -> bool:
+        """Whether any estimate surely differs from the ordinary one."""
+        return bool((self.difference < _SURE).any())
+
+    def half_widths(self, level: float) -> Array:
+        """Half-widths of intervals of this level (k,)."""
+        wide = np.sqrt(np.diag(self.covariance).clip(0.0))
+        return np.asarray(stdtrit(self.degrees.clip(1.0), 0.5 * (1 + level)) * wide)
+
+    def findings(self, adopted: bool) -> list[str]:
+        """What instruments say, in words; `adopted` says whether their estimates are those that are printed."""
+        out = [f"instrument {name} is not used: {why}" for name, why in self.refused.items()]
+        if not self.names:
+            return out
+        names = ", ".join(self.names)
+        if self.between_rows:
+            out.append(
+                "what the instruments do is explained with inputs that move between the rows of the log, not held"
+            )
+        moved = [n for n, m in zip(self.labels, self.moved, strict=True) if m]
+        if not moved:
+            return [
+                *out,
+                f"the instruments ({names}) are too weak to show any parameter; ordinary estimates are printed",
+            ]
+        apart = [
+            f"{label} {self.ordinary[i]:.4g} becomes {self.values[i]:.4g}"
+            for i, label in enumerate(self.labels)
+            if self.difference[i] < 0.05
+        ]
+        if apart:
+            out.append(
+                f"by the instruments ({names}) estimates surely differ from ordinary ones: {', '.join(apart)}"
+            )
+        else:
+            out.append(f"by the instruments ({names}) no estimate surely differs from the ordinary one")
+        if adopted and self.unexplained >= MISSING and apart:
+            out.append(
+                "the declared physics explains all that the instruments do: what bends ordinary estimates is a "
+                "controller that saw more than the log"
+            )
+        if self.unexplained < MISSING:
+            out.append(
+                "the declared physics does not explain all that the instruments do "
+                f"(p = {self.unexplained:.1g}): an effect is missing (a lag, a delay), or an instrument is not "
+                "exogenous; neither estimate is right before it is declared"
+            )
+        out.append(
+            f"printed by the instruments: {', '.join(moved)}" if adopted else "printed: ordinary estimates"
+        )
+        weak = [n for n, m, f in zip(self.labels, self.moved, self.strength, strict=True) if not m and f == f]
+        if weak:
+            out.append(f"not shown by the instruments, ordinary estimates: {', '.join(weak)}")
+        return out
+
+    def as_dict(self) -> dict[str, Any]:
+        """Plain containers, for JSON."""
+        half = self.half_widths(0.9)
+        return {
+            "used": list(self.names),
+            "refused": dict(self.refused),
+            "inputs_move_between_rows": self.between_rows,
+            "explains_all_that_they_do_chance": self.unexplained,
+            "estimates": {
+                label: {
+                    "ordinary": float(self.ordinary[i]),
+                    "by_instruments": float(self.values[i]),
+                    "half_width_90": float(half[i]),
+                    "first_stage_f": float(self.strength[i]),
+                    "difference_chance": float(self.difference[i]),
+                }
+                for i, label in enumerate(self.labels)
+                if self.moved[i]
+            },
+            "not_shown_by_the_instruments": [
+                n for n, m in zip(self.labels, self.moved, strict=True) if not m
+            ],
+        }
+
+
+def adopted(instrumented: Instrumented, loop: LoopTest) -> bool:
+    """Whether estimates by instruments are those to print."""
+    wanted = instrumented.differs or bool(loop.hidden) or bool(loop.functions_of_state)
+    return bool(instrumented.moved.any()) and wanted and instrumented.unexplained >= MISSING
 
 
 def with_columns(system: System, runs: Sequence[Run], names: Sequence[str]) -> tuple[System, list[Run]]:
@@ -80,14 +192,9 @@ def with_columns(system: System, runs: Sequence[Run], names: Sequence[str]) -> t
 
 
 def exogenous(regression: Regression, names: Sequence[str]) -> dict[str, str]:
-    """Instruments that answer what the physics does not explain, name -> in words how.
-
-    Args:
-        regression: Fitted, of a system that reads the columns.
-        names: Instruments.
-    """
+    """Instruments that answer what the physics does not explain, name -> in words how."""
     series = extended(regression.series)
-    z = _columns(regression, names)
+    z = signals.spread_out(regression, _boxes(regression, names))
     new = own_innovations(z, z, series)
     live = signals.late(series, _BINS[-1])
     nothing = np.ones((int(live.sum()), 1)) / np.sqrt(max(int(live.sum()), 1))
@@ -96,7 +203,7 @@ def exogenous(regression: Regression, names: Sequence[str]) -> dict[str, str]:
         if signals.foreknown(new[live, j], z[live, j], _FOREKNOWN):
             continue
         for i, channel in enumerate(regression.rows):
-            late = signals.lagged(regression.white[i][:, None], series, range(1, _BINS[-1]))
+            late = series.lagged(regression.white[i][:, None], range(1, _BINS[-1]))
             chance, share = signals.score_test(new[live, j], signals.binned(late[live], _BINS), nothing)
             found.append((name, regression.physics.names[channel], chance, share))
     out: dict[str, str] = {}
@@ -125,8 +232,6 @@ def instrumental(
     """Estimate by instruments.
 
     Args:
-        regression: A regression that has settled, of a system that reads the columns (`with_columns`).
-        names: Instruments.
         ordinary: The regression whose estimates are the ordinary ones; None takes the same.
     """
     usual = regression if ordinary is None else ordinary
@@ -150,7 +255,7 @@ def instrumental(
         if turn < 2:  # then the choice stands, so that theta can settle
             chosen, strength = stage.choose()
         if not chosen:
-            return replace(plain, strength=_placed(strength, known, len(labels)))
+            return replace(plain, strength=_placed(strength, known, plain.strength))
         step = stage.step(chosen)
         theta = here.theta.copy()
         theta[known] += step
@@ -161,32 +266,24 @@ def instrumental(
             break
     stage = _Stage(here, features, known)
     spread = stage.spread(chosen)
-    covariance = np.zeros((len(labels), len(labels)))
-    covariance[np.ix_(known, known)] = spread.covariance
-    moved_by = np.zeros(len(labels), dtype=bool)
-    moved_by[known[chosen]] = True
-    degrees = np.ones(len(labels))
-    degrees[known] = spread.degrees(np.eye(len(known)))
+    degrees = spread.degrees(np.eye(len(known)))
     apart = spread.parts - (sure.parts @ basis.T)[:, known]
     error = np.sqrt(np.square(apart).sum(0))
     ratio = np.abs(here.theta - start)[known] / np.maximum(error, 1e-300)
-    chances = 2.0 * student.sf(ratio, spread.degrees(np.eye(len(known))).clip(1.0))
-    difference = np.ones(len(labels))
-    difference[known[chosen]] = signals.holm(chances[chosen].tolist())
+    chances = 2.0 * student.sf(ratio, degrees.clip(1.0))
     unexplained, misfit = stage.sargan(chosen)
-    leans = np.zeros_like(covariance)
-    leans[np.ix_(known, known)] = stage.leans(chosen)
+    k, shown = len(labels), known[chosen]
     return replace(
         plain,
         values=here.theta,
-        covariance=covariance,
-        degrees=degrees,
-        strength=_placed(strength, known, len(labels)),
-        moved=moved_by,
-        difference=difference,
+        covariance=_placed(spread.covariance, known, np.zeros((k, k))),
+        degrees=_placed(degrees, known, np.ones(k)),
+        strength=_placed(strength, known, np.full(k, np.nan)),
+        moved=np.isin(np.arange(k), shown),
+        difference=_placed(np.array(signals.holm(chances[chosen].tolist())), shown, np.ones(k)),
         unexplained=unexplained,
         misfit=misfit,
-        leans=leans,
+        leans=_placed(stage.leans(chosen), known, np.zeros((k, k))),
     )
 
 
@@ -309,12 +406,8 @@ class _Stage:
         return float(chi2.sf(statistic, free)), statistic
 
 
-def _columns(regression: Regression, names: Sequence[str]) -> Array:
-    """Instruments on the rows of whitened residuals (N, n)."""
-    return signals.spread_out(regression, _boxes(regression, names))
-
-
 def _boxes(regression: Regression, names: Sequence[str]) -> Array:
+    """Means of instruments over boxes (M, n)."""
     system = regression.physics.vector.system
     at = [system.nu + system.exogenous.index(n) for n in names]
     return signals.box_means(regression, np.asarray(regression.physics.steps.u[:, at]))
@@ -324,7 +417,7 @@ def _features(regression: Regression, names: Sequence[str]) -> Array:
     """What the first stage knows (boxes, n): a constant, instruments of now and, fading, of before."""
     z = _boxes(regression, names)
     z = (z - z.mean(0)) / np.maximum(z.std(0), 1e-300)
-    parts = [np.ones((len(z), 1)), *(_moved(z, regression.series, rows) for rows in _ROWS)]
+    parts = [np.ones((len(z), 1)), *(regression.series.shifted(z, -rows) for rows in _ROWS)]
     for lag in _LAGS_S:
         fade = float(np.exp(-regression.dt / lag))
         held = np.zeros_like(z)
@@ -334,15 +427,8 @@ def _features(regression: Regression, names: Sequence[str]) -> Array:
     return np.concatenate(parts, 1)
 
 
-def _moved(values: Array, series: Series, rows: int) -> Array:
-    """Columns of so many rows before; at the ends of stretches the first or last row stands."""
-    out = np.empty_like(values)
-    for a, b in series.edges:
-        out[a:b] = values[np.clip(np.arange(a, b) - rows, a, b - 1)]
-    return out
-
-
-def _placed(values: Array, known: NDArray[np.int64], k: int) -> Array:
-    out = np.full(k, np.nan)
-    out[known] = values
+def _placed(values: Array, at: NDArray[np.int64], among: Array) -> Array:
+    """Values at these places of every axis, among others."""
+    out = among.copy()
+    out[np.ix_(*[at] * out.ndim)] = values
     return out

@@ -9,14 +9,7 @@ one of them (feedback), and what is lost of fast physics. So intervals widen by 
 the other, which is no less than a bias that grows as the root of the length or faster.
 """
 
-from collections.abc import Callable
-from dataclasses import replace
-
-import numpy as np
-
-from nsde_torch.errors import DataError, NonFiniteError
 from nsde_torch.sysid.guard import Guarded
-from nsde_torch.sysid.result import Identification
 
 LENGTHS_S = (0.05, 0.2)
 """Length of the boxes, and of those that they are held against [s]: a bias as the root of the length doubles."""
@@ -30,34 +23,8 @@ def asks_for_longer_boxes(guard: Guarded | None) -> bool:
     return guard is not None and bool(guard.objections) and {o.kind for o in guard.objections} <= kinds
 
 
-def in_longer_boxes(found: Identification, again: Callable[[float], Identification]) -> Identification:
-    """An identification in longer boxes where its guard asks for it and believes that one; else as it is.
-
-    Args:
-        found: Over the usual boxes.
-        again: The same over boxes of some length [s].
-    """
-    first, second = LENGTHS_S
-    if not asks_for_longer_boxes(found.guard) or first < LONGER * found.box_s:
-        return found
-    try:
-        longer, longest = again(first), again(second)
-    except (DataError, NonFiniteError):  # runs that are too short for them
-        return found
-    if not (longer.believed and longest.believed):
-        return found
-    moved = np.abs(longer.values - longest.values)
-    doubt = moved if longer.doubt is None else longer.doubt + moved
-    return replace(longer, doubt=doubt, finer=found)
-
-
 def in_words(box_s: float, guard: Guarded) -> dict[str, str]:
-    """What was done, and the remedy, for a person.
-
-    Args:
-        box_s: Length of the boxes [s].
-        guard: What spoke against the fit over shorter ones.
-    """
+    """What was done, and the remedy, for a person."""
     why = "; ".join(o.sentence for o in guard.objections)
     return {
         "sentence": f"means over {box_s:.3g} s are fitted: nothing speaks against these; over shorter ones, {why}",

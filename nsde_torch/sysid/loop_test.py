@@ -20,6 +20,11 @@ noise and the past do not foretell), and v_k those of the inputs (against their 
   loop, gains rest on what was assumed of the noise (Soderstrom, Gustavsson and Ljung, International Journal of Control
   21 (1975)): with a share of 8 % a simulated gain of 100 came out as 34.
 
+- between: a controller with sensors and a clock of its own may move its inputs between rows of the log, by half of what
+  they move from row to row, always to the same side of what was logged. Within a row a loop is as good as linear: what
+  it does is a linear function of the states and of the inputs of neighbouring rows, and acts through the machine's own
+  equations. An estimate is bent as far as it leans along these: a gain or a damping does, a product of two states not.
+
 Assumed, not checked: logged inputs are those that were commanded; the step of the log is the step of the inputs.
 """
 
@@ -28,60 +33,82 @@ from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
 import numpy as np
+import torch
+from numpy.typing import NDArray
+from scipy.stats import chi2
 
 from nsde_torch.data import Run
 from nsde_torch.errors import ConfigError, DataError, NonFiniteError
 from nsde_torch.recording.smoothing import smoothing_width
-from nsde_torch.sysid import between_rows, signals
-from nsde_torch.sysid.identify import regression_of
-from nsde_torch.sysid.loop_statistics import (
-    ALPHA,
-    Answer,
-    answers_of,
-    knowledge_of,
-    made_from_states,
-    new_shares,
-)
-from nsde_torch.sysid.loop_words import FACTOR, NO_INPUT, sentences
+from nsde_torch.sysid import signals
 from nsde_torch.sysid.noise import extended
-from nsde_torch.sysid.regression import ITERATIONS, Regression
+from nsde_torch.sysid.regression import ITERATIONS, Regression, regression_of
+from nsde_torch.sysid.series import Series
+from nsde_torch.sysid.signals import Direction
 from nsde_torch.systems import System
 
+Array = NDArray[np.float64]
+
+ALPHA = 0.01
+"""Chance of a finding where there is none, for each of the tests."""
+_ANSWER_S, _ANSWERS = 0.2, 20  # how long after a disturbance an answer is looked for [s], [rows]
+_BINS = (1, 2, 3, 5, 9, 14, 21)  # rows between which it is summed up: an answer to what lasts is smooth
+_KNOWN_S, _KNOWN = 0.08, 8  # how long before a disturbance an input may have known of it
+_OWN = 10  # order of the inputs' own past
+_STATES_BEFORE = (1, 2, 3, 5)  # rows whose states a controller may have made an input from
+_MADE = 0.02  # share of what is new in an input that past states foretell, from which it was made from states
+_FOREKNOWN = 1e-6  # share of an input that is new: below, it is known beforehand and answers nothing
+_UPPER = 1.645  # standard deviations of the upper limit of a share
+_MOST_OF_IT = 0.8  # share of an answer by whose time it is told
 _PLAYED = 0.75  # share of an input that is no function of the logged state, above which no controller made it
 _OWN_ANSWER = 0.02  # share of what is new in an input, below which it hardly answers a channel
 _NEW = 0.1  # share of an input's variance below which it is nearly a function of the state
 _FEWEST = 400  # rows
+_NEIGHBOURS = (-2, -1, 0, 1, 2)  # rows of the log whose inputs may have acted
+FACTOR = 3.0
+"""How much more inputs may know of their own step than they are seen to know of later ones (see `in_loop`)."""
+
+NO_INPUT = "no input moves"
+_EITHER = (
+    "either the controller saw more than was logged (a faster rate, other sensors) or the inputs act in a way that is "
+    "not declared (a lag, a delay). Gains are biased in both cases. Declare the lag (system.effects=[...]; `nsde "
+    "diagnose` names what is missing) and see whether this remains; signals from outside the loop "
+    "(data.instruments=[...]) tell the two apart"
+)
+_SAW = "the controller saw noise that the log no longer holds"
+_SHOWN = 3  # answers that a sentence names
+
+
+@dataclass(frozen=True)
+class Answer:
+    """How inputs of one direction answer, or foretell, one channel."""
+
+    input: str  # name of the direction
+    channel: str
+    share: float  # of the variance of what is new in the input (an answer) or in the channel (knowledge)
+    chance: float  # p value, adjusted for the number of tests (Holm)
+    within_s: float = 0.0  # time by which most of it has come [s]; 0 where that means nothing
+    upper: float = 0.0  # upper 95 % limit of `share`
 
 
 @dataclass(frozen=True)
 class LoopTest:
-    """What data say of the loop that they were recorded in.
+    """What data say of the loop that they were recorded in."""
 
-    Args:
-        answers: Inputs on what the physics left unexplained before.
-        knowledge: Innovations on the inputs at and before their step.
-        new: Share of the inputs that is no function of the logged state, by direction.
-        driven: Channels that each direction drives.
-        together: Chance of all answers of inputs to the channels that they drive, if there is none.
-        rows: Number of innovations of each channel.
-        between: By channel: standard errors by which inputs that move between rows may bend an estimate.
-        still: Names of inputs that never move.
-        why_not: Why nothing was tested; empty where it was.
-        smoothed: Channels whose states were smoothed before they were logged, and restored.
-        made: Directions that past states foretell beyond the past of the inputs.
-    """
-
-    answers: tuple[Answer, ...] = ()
-    knowledge: tuple[Answer, ...] = ()
+    answers: tuple[Answer, ...] = ()  # inputs on what the physics left unexplained before
+    knowledge: tuple[Answer, ...] = ()  # innovations on the inputs at and before their step
     new: dict[str, float] = field(default_factory=dict)
-    driven: dict[str, tuple[str, ...]] = field(default_factory=dict)
-    together: float = 1.0
-    rows: int = 0
+    """Share of the inputs that is no function of the logged state, by direction."""
+    driven: dict[str, tuple[str, ...]] = field(default_factory=dict)  # channels that each direction drives
+    together: float = 1.0  # chance of all answers of inputs to the channels that they drive, if there is none
+    rows: int = 0  # number of innovations of each channel
     between: dict[str, float] = field(default_factory=dict)
-    still: tuple[str, ...] = ()
-    why_not: str = ""
+    """By channel: standard errors by which inputs that move between rows may bend an estimate."""
+    still: tuple[str, ...] = ()  # names of inputs that never move
+    why_not: str = ""  # why nothing was tested; empty where it was
     smoothed: tuple[str, ...] = ()
-    made: tuple[str, ...] = ()
+    """Channels whose states were smoothed before they were logged, and restored."""
+    made: tuple[str, ...] = ()  # directions that past states foretell beyond the past of the inputs
 
     @property
     def closed(self) -> bool:
@@ -170,8 +197,64 @@ class LoopTest:
 
     @property
     def findings(self) -> list[str]:
-        """What was found, and what follows from it, in words."""
-        return sentences(self)
+        """What was found, and what follows from it, in words; the first says whether the loop is closed."""
+        if self.why_not == NO_INPUT:
+            return [f"{NO_INPUT}, so that there is no loop to test"]
+        out = [f"input {name} never moves: the data say nothing of what it does" for name in self.still]
+        if self.why_not:
+            return [*out, f"feedback was not tested: {self.why_not}"]
+        answers = _surely(self.answers)
+        if answers:
+            told = "; ".join(
+                f"{a.input} answers what the physics leaves unexplained of {a.channel} within "
+                f"{1e3 * a.within_s:.0f} ms ({_percent(a.share)} of what is new in it)"
+                for a in answers[:_SHOWN]
+            )
+            rest = f"; {len(answers) - _SHOWN} further pairs" if len(answers) > _SHOWN else ""
+            out.append(
+                f"the loop is closed: {told}{rest}; errors of predictions over many steps under these inputs do not "
+                "tell what an input does"
+            )
+        elif self.closed:
+            out.append(
+                "the loop is closed: inputs together answer what the physics leaves unexplained of what they drive; "
+                "errors of predictions over many steps under these inputs do not tell what an input does"
+            )
+        elif self.open:
+            out.append(
+                "the loop is open as far as the data show: no input answers what the physics leaves unexplained"
+            )
+        else:
+            out.append("no input answers what the physics leaves unexplained, yet the loop may be closed")
+        foretold = _surely(self.knowledge)
+        if foretold:
+            told = "; ".join(
+                f"{a.input} foretells {a.share:.1%} of what is new in {a.channel}" for a in foretold[:_SHOWN]
+            )
+            lost = [c for c in self.smoothed if c in {a.channel for a in foretold}]
+            why = (
+                f"the states of {' and '.join(lost)} were smoothed before they were logged, and {_SAW}; or "
+                if lost
+                else ""
+            )
+            out.append(f"inputs know what the log does not: {told}; {why}{_EITHER}")
+        elif self.other_sensors:
+            out.append(
+                f"the inputs that move {' and '.join(self.other_sensors)} hardly answer the noise of the logged "
+                "measurement: the controller had other sensors or another rate there, and may know what the log does "
+                "not. Gains may be biased; signals from outside the loop (data.instruments=[...]) take most of that out"
+            )
+        elif self.closed and not self.functions_of_state:
+            out.append(
+                "inputs know nothing that the log does not: one-step estimates are right under this feedback"
+            )
+        for name in self.functions_of_state:
+            out.append(
+                f"{name} is nearly a function of the logged state ({1 - self.new[name]:.0%} of it): what it does "
+                f"cannot be told from what {' and '.join(self.driven[name])} would do anyhow, and its gain is not "
+                "identifiable; move the sticks more, or add a test signal"
+            )
+        return out
 
     def as_dict(self) -> dict[str, Any]:
         """Plain containers, for JSON."""
@@ -190,13 +273,16 @@ class LoopTest:
         }
 
 
+def _percent(share: float) -> str:
+    return f"{share:.0%}" if share >= 0.01 else f"{share:.1%}"
+
+
+def _surely(answers: Sequence[Answer]) -> list[Answer]:
+    return sorted((a for a in answers if a.chance < ALPHA), key=lambda a: -a.share)
+
+
 def feedback_summary(system: System, runs: Sequence[Run], clock: float = 1.0) -> LoopTest:
     """Test recordings for feedback, against the declared physics fitted to them.
-
-    Args:
-        system: The machine; it is not changed.
-        runs: Recordings, all on one step.
-        clock: Physical seconds per logged second.
 
     Returns:
         What was found; `why_not` says where nothing could be tested.
@@ -240,12 +326,7 @@ def _smoothed(runs: Sequence[Run], nu: int) -> str:
 
 
 def loop_test(regression: Regression, *, still: Sequence[str] = ()) -> LoopTest:
-    """Test the loop by a fitted regression in weak form.
-
-    Args:
-        regression: Where its iteration has settled.
-        still: Names of inputs that never move.
-    """
+    """Test the loop by a fitted regression in weak form."""
     if len(still) == regression.physics.vector.system.nu:
         return LoopTest(still=tuple(still), why_not=NO_INPUT)
     ways = signals.directions(regression)
@@ -256,18 +337,191 @@ def loop_test(regression: Regression, *, still: Sequence[str] = ()) -> LoopTest:
         return LoopTest(
             still=tuple(still), why_not=f"the runs are too short ({len(series)} steps of at least {_FEWEST})"
         )
-    u = signals.inputs_of(regression)
+    u = np.asarray(regression.physics.steps.u[:, : regression.physics.vector.system.nu])
+    u = signals.spread_out(regression, signals.box_means(regression, u))
     driven = u @ np.stack([way.weights for way in ways], 1)
     known, among = [*regression.rows], signals.principal(u)
-    answers, together = answers_of(regression, ways, driven, among, series)
+    answers, together = _answers_of(regression, ways, driven, among, series)
     return LoopTest(
         answers=answers,
         together=together,
-        knowledge=knowledge_of(regression, ways, driven, known, series),
-        new=new_shares(regression, ways, driven, series),
+        knowledge=_knowledge_of(regression, ways, driven, known, series),
+        new=_new_shares(regression, ways, driven, series),
         driven={way.name: tuple(regression.physics.names[c] for c in way.channels) for way in ways},
         rows=len(regression.series),
-        between=between_rows.lengths(regression, ways),
-        made=made_from_states(regression, ways, driven, among, series),
+        between=lengths(regression, ways),
+        made=_made_from_states(regression, ways, driven, among, series),
         still=tuple(still),
     )
+
+
+# ---- statistics -------------------------------------------------------------------------------------------
+
+
+def own_innovations(values: Array, among: Array, series: Series) -> Array:
+    """What columns (N, n) hold that the past of `among` (N, m) does not foretell, zero near starts."""
+    live, past = signals.late(series, _OWN), _past(among, series)
+    out = np.zeros_like(values)
+    out[live] = signals.without(values[live], past)
+    return out
+
+
+def _past(among: Array, series: Series) -> Array:
+    """Orthonormal columns of the past of `among` (N, m) and a constant, of the rows that have one."""
+    past = series.lagged(among, range(1, _OWN + 1))
+    return signals.basis_of(np.column_stack((past, np.ones(len(past))))[signals.late(series, _OWN)])
+
+
+def _states(regression: Regression) -> Array:
+    """Logged states in whitened rows (N, nx), each of variance one."""
+    box = regression.box
+    first = [a + np.arange((b - a) // box) * box for a, b in regression.single.edges]
+    x = np.asarray(regression.physics.steps.seen0)[np.concatenate(first)]
+    return signals.spread_out(regression, (x - x.mean(0)) / np.maximum(x.std(0), 1e-12))
+
+
+def _answers_of(
+    regression: Regression, ways: Sequence[Direction], driven: Array, among: Array, series: Series
+) -> tuple[tuple[Answer, ...], float]:
+    """Every answer, and the chance of all own ones together."""
+    new = own_innovations(driven, among, series)
+    rows = max(1, min(_ANSWERS, round(_ANSWER_S / regression.dt)))
+    live = signals.late(series, max(rows, _OWN))
+    nothing = np.zeros((int(live.sum()), 0))
+    found, own = [], []
+    for j, way in enumerate(ways):
+        known = signals.foreknown(new[live, j], driven[live, j], _FOREKNOWN)
+        for i, channel in enumerate(regression.rows):
+            columns = series.lagged(regression.white[i][:, None], range(1, rows + 1))[live]
+            score = signals.score_test(new[live, j], signals.binned(columns, _BINS), nothing)
+            chance, share = (1.0, 0.0) if known else score
+            within = regression.dt * _within(new[live, j], columns)
+            found.append(Answer(way.name, regression.physics.names[channel], share, chance, within))
+            own += [chance] if channel in way.channels else []
+    statistic = -2.0 * float(np.log(np.maximum(own, 1e-300)).sum())
+    return _adjusted(found), float(chi2.sf(statistic, 2 * len(own))) if own else 1.0
+
+
+def _made_from_states(
+    regression: Regression, ways: Sequence[Direction], driven: Array, among: Array, series: Series
+) -> tuple[str, ...]:
+    """Names of directions that past states foretell beyond the past of the inputs (Granger, Econometrica 37 (1969))."""
+    live, past = signals.late(series, _OWN), _past(among, series)
+    new = signals.without(driven[live], past)
+    columns = series.lagged(_states(regression), _STATES_BEFORE)[live]
+    found = []
+    for j in range(len(ways)):
+        known = signals.foreknown(new[:, j], driven[live, j], _FOREKNOWN)
+        found.append((1.0, 0.0) if known else signals.score_test(new[:, j], columns, past))
+    chances = signals.holm([chance for chance, _ in found])
+    return tuple(
+        way.name
+        for way, chance, (_, share) in zip(ways, chances, found, strict=True)
+        if chance < ALPHA and share >= _MADE
+    )
+
+
+def _within(new: Array, columns: Array) -> int:
+    """Rows by which most of an answer has come."""
+    size = np.square(columns.T @ new) / np.maximum(np.square(columns).sum(0), 1e-300)
+    return int(np.searchsorted(np.cumsum(size), _MOST_OF_IT * size.sum())) + 1
+
+
+def _knowledge_of(
+    regression: Regression, ways: Sequence[Direction], driven: Array, known: Sequence[int], series: Series
+) -> tuple[Answer, ...]:
+    """What inputs at and before a step foretell of the innovations of each channel that they drive."""
+    rows = max(2, min(_KNOWN, round(_KNOWN_S / regression.dt)))
+    live = signals.late(series, rows + 1)
+    found = []
+    for j, way in enumerate(ways):
+        columns = series.lagged(driven[:, [j]], range(rows + 1))[live]
+        for channel in way.channels:
+            i = known.index(channel)
+            fitted = signals.basis_of(regression.fitted_columns(i)[live])
+            chance, share = signals.score_test(regression.white[i][live], columns, fitted)
+            found.append(Answer(way.name, regression.physics.names[channel], share, chance))
+    n, count = max(int(live.sum()), 1), rows + 1
+    return tuple(
+        replace(a, upper=min(1.0, a.share + _UPPER * float(np.sqrt(2 * count + 4 * n * a.share)) / n))
+        for a in _adjusted(found)
+    )
+
+
+def _new_shares(
+    regression: Regression, ways: Sequence[Direction], driven: Array, series: Series
+) -> dict[str, float]:
+    """Share of each direction's variance that a quadratic function of the logged state does not give."""
+    system = regression.physics.vector.system
+    x, live = _states(regression), signals.late(series, 1)
+    columns = [np.ones((len(series), 1)), x]
+    pairs = system.nx * (system.nx + 1) // 2
+    if 20 * pairs < len(series):
+        columns.append(np.stack([x[:, i] * x[:, k] for i in range(system.nx) for k in range(i + 1)], 1))
+    basis = signals.basis_of(np.concatenate(columns, 1)[live])
+    values = driven[live] - driven[live].mean(0)
+    left = np.square(signals.without(values, basis)).sum(0)
+    return {
+        way.name: float(a / b) if b > 0 else 0.0
+        for way, a, b in zip(ways, left, np.square(values).sum(0), strict=True)
+    }
+
+
+def _adjusted(found: Sequence[Answer]) -> tuple[Answer, ...]:
+    chances = signals.holm([a.chance for a in found])
+    return tuple(replace(a, chance=chance) for a, chance in zip(found, chances, strict=True))
+
+
+# ---- between rows -----------------------------------------------------------------------------------------
+
+
+def lengths(regression: Regression, ways: Sequence[Direction]) -> dict[str, float]:
+    """What inputs do in whitened rows, times half of what they move from row to row over what they move at all."""
+    physics, known = regression.physics, [*regression.rows]
+    u = np.asarray(physics.steps.u[:, : physics.vector.system.nu])
+    later = np.ones(len(u), dtype=bool)
+    later[[b - 1 for _, b in regression.single.edges]] = False
+    at = np.flatnonzero(later)
+    out: dict[str, float] = {}
+    for way in ways:
+        v = u @ way.weights
+        share = 0.5 * float((v[at + 1] - v[at]).std() / max(float(v.std()), 1e-300))
+        for channel, slope in zip(way.channels, way.slopes, strict=True):
+            acts = (
+                slope * regression.single.summed((v - v.mean())[:, None], regression.box) * physics.steps.dt
+            )
+            white = regression.whitened(regression.noises[known.index(channel)], acts)
+            name = physics.names[channel]
+            out[name] = float(np.hypot(out.get(name, 0.0), share * np.linalg.norm(white)))
+    return out
+
+
+def leaning(regression: Regression) -> Array:
+    """How far the estimate of each parameter leans along what inputs may do between rows, 0 to 1 (channels, k).
+
+    The share, as a length, of what weighs the rows of a channel in the estimate that lies along what inputs do that are
+    linear functions of the states and of the inputs of neighbouring rows.
+    """
+    acts = _neighbours(regression)
+    out = np.zeros((len(regression.rows), len(regression.vector)))
+    for i, weighs in enumerate(signals.row_weights(regression)):
+        size = np.linalg.norm(weighs, axis=0)
+        along = signals.basis_of(regression.whitened(regression.noises[i], acts[:, i]))
+        out[i] = np.linalg.norm(along.T @ weighs, axis=0) / np.where(size > 0, size, np.inf)
+    return out
+
+
+def _neighbours(regression: Regression) -> Array:
+    """What inputs change in each box that are those of neighbouring rows, or a state (M, channels, columns)."""
+    system, s = regression.physics.vector.system, regression.physics.steps
+    x, u = s.x0[:, : system.nx].numpy(), s.u[:, : system.nu].numpy()
+    size = 1e-3 * max(float(np.abs(u).max()), 1e-3)
+    columns = []
+    for way in signals.directions(regression):
+        slope = signals.input_slopes(regression, way.weights, size, torch.arange(len(s)))
+        v = u @ way.weights
+        v = v - v.mean()
+        columns += [slope * regression.single.shifted(v, by)[:, None] for by in _NEIGHBOURS]
+        columns += [slope * own[:, None] for own in (x - x.mean(0)).T]
+    summed = [regression.single.summed(column, regression.box) * s.dt for column in columns]
+    return np.stack(summed, 2) if summed else np.zeros((len(regression.series), len(regression.rows), 0))

@@ -33,19 +33,12 @@ _SURE, _LEAST = 3.0, 10.0  # standard errors and nats by which an order is surel
 
 @dataclass(frozen=True)
 class MotorOrder:
-    """An order of the motors and a direction of the propellers.
+    """An order of the motors and a direction of the propellers."""
 
-    Args:
-        places: Places of the motors in the inputs, in the order of the machine's mixing.
-        yaw: 1: propellers turn as declared; -1: the other way.
-        blocks: Log likelihood by block of half a second (B,), beyond that of no moments at all [nats].
-        left: Root mean square of what is left of roll, pitch and yaw (3,) [rad/s2].
-    """
-
-    places: Places
-    yaw: int
-    blocks: Array
-    left: Array
+    places: Places  # places of the motors in the inputs, in the order of the machine's mixing
+    yaw: int  # 1: propellers turn as declared; -1: the other way
+    blocks: Array  # log likelihood by block of half a second (B,), beyond that of no moments at all [nats]
+    left: Array  # root mean square of what is left of roll, pitch and yaw (3,) [rad/s2]
 
     @property
     def nats(self) -> float:
@@ -62,14 +55,7 @@ class MotorOrder:
 def motor_orders(
     system: Multirotor, runs: Sequence[Run], clock: float, orders: Sequence[Places]
 ) -> list[MotorOrder]:
-    """Orders of the motors with propellers either way, the likeliest first; none where there is too little to tell.
-
-    Args:
-        system: The machine.
-        runs: Recordings, all on one step.
-        clock: Physical seconds per logged second.
-        orders: Those that are looked at.
-    """
+    """Orders of the motors with propellers either way, the likeliest first; none where there is too little to tell."""
     dt = runs[0].dt * clock
     some = [_in_a_band(system, runs, dt, band, orders) for band in BANDS_S]
     found = [

@@ -21,12 +21,7 @@ _AT_BOUND = 1e-3  # of a parameter's scale
 
 
 def narrower(regression: Regression, iterations: int) -> Regression:
-    """The regression, or one that went on beyond lower bounds of shapes that only the search has.
-
-    Args:
-        regression: At its optimum within the bounds of the search.
-        iterations: Largest number of steps at a time.
-    """
+    """The regression, or one that went on beyond lower bounds of shapes that only the search has."""
     v = regression.vector
     for _ in range(_TIMES):
         ends = np.flatnonzero(v.raised & (regression.theta <= v.low + _AT_BOUND * v.scale))

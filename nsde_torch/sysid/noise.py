@@ -43,19 +43,12 @@ _ROUNDING = 1e-10  # SI units a step: what double precision leaves of states of 
 
 @dataclass(frozen=True)
 class Noise:
-    """Law of the noise of one channel.
+    """Law of the noise of one channel."""
 
-    Args:
-        carry: c, in [0, 1).
-        reflection: Reflection coefficients of the autoregression (p,).
-        std: Standard deviation of e [unit of the residual].
-        times: How many times 1 - c B is there: 2 for second differences.
-    """
-
-    carry: float
-    reflection: Array
-    std: float
-    times: int = 1
+    carry: float  # c, in [0, 1)
+    reflection: Array  # reflection coefficients of the autoregression (p,)
+    std: float  # standard deviation of e [unit of the residual]
+    times: int = 1  # how many times 1 - c B is there: 2 for second differences
 
     @property
     def parameters(self) -> int:
@@ -77,14 +70,10 @@ class Noise:
         return _filtered(self.reflection, summed, extended(series)) / self.std
 
     def log_density(self, white: Array, series: Series) -> Array:
-        """Log density of each row of `whiten` (N + stretches,) [nat], less the constant log(2 pi) / 2.
+        """Log density of each row of a column of `whiten` (N + stretches,) [nat], less the constant log(2 pi) / 2.
 
         The row before each stretch has no density of its own: what it holds is what the unknown error before the first
         row costs, -log det / 2 of the moving average; rows near a start are as uncertain as their lower order leaves.
-
-        Args:
-            white: One whitened column (N + stretches,).
-            series: Stretches of the rows (N).
         """
         longer = extended(series)
         kept = np.cumsum(np.append(0.0, np.log1p(-np.square(self.reflection))))
@@ -100,7 +89,7 @@ class Noise:
         """Slopes of the whitened residual (N,) in a and c, (N + stretches, p + 1), up to factors."""
         longer = extended(series)
         summed = _carry(self.carry, residual[:, None], series, self.times)
-        columns = [longer.lagged(summed[:, 0], len(self.reflection))]
+        columns = [longer.lagged(summed, range(1, len(self.reflection) + 1))]
         if self.carry > 0:
             white = _filtered(self.reflection, summed, longer)[:, 0]
             of_carry = np.zeros(len(longer))
@@ -140,28 +129,20 @@ def estimate(
     """Law of the noise of residuals (N,).
 
     Args:
-        residual: Residuals.
-        series: Their stretches.
         limit: Largest c.
         orders: Largest order of the autoregression.
         memory: Rows after which noise forgets (m).
         among: Values of c to choose from; None tries all.
         times: How many times 1 - c B is there.
     """
-    if among is not None:
-        scores = {c: _score(residual, series, c, orders, times) for c in among}
-        carry = min(scores, key=lambda c: scores[c][0])
-        return _law(residual, series, carry, scores[carry][1], memory, times)
-    grid = np.append(_GRID[limit > _GRID], limit)
-    score, carry = min((_score(residual, series, c, orders, times)[0], c) for c in grid)
-    at = int(np.abs(grid - carry).argmin())
-    between = np.linspace(grid[max(at - 1, 0)], grid[min(at + 1, len(grid) - 1)], 7)[1:-1]
-    score, carry = min(
-        [(score, carry), *((_score(residual, series, c, orders, times)[0], c) for c in between)]
-    )
-    return _law(
-        residual, series, float(carry), _score(residual, series, carry, orders, times)[1], memory, times
-    )
+    grid = np.append(_GRID[limit > _GRID], limit) if among is None else np.array(among)
+    scores = {c: _score(residual, series, c, orders, times) for c in grid.tolist()}
+    if among is None:
+        at = int(np.abs(grid - min(scores, key=lambda c: scores[c][0])).argmin())
+        for c in np.linspace(grid[max(at - 1, 0)], grid[min(at + 1, len(grid) - 1)], 7)[1:-1].tolist():
+            scores[c] = _score(residual, series, c, orders, times)
+    carry = min(scores, key=lambda c: (scores[c][0], c))
+    return _law(residual, series, carry, scores[carry][1], memory, times)
 
 
 def again(noise: Noise, residual: Array, series: Series, *, memory: float = inf) -> Noise:
@@ -197,13 +178,9 @@ def forgetting(reflection: Array, memory: float) -> Array:
 def carry_limit(own: float, known: float, std: float, dt: float) -> float:
     """The largest c: that of a sensor of standard deviation `std` and the noise that it brings into f.
 
-    r_k = e_{k+1} - e_k - h s (e_{k+1} + e_k) / 2 + w_k has autocovariances whose ratio gives c.
-
-    Args:
-        own: Mean slope s of the channel's rate in the channel itself [1/s].
-        known: Standard deviation of what the noise of the other channels adds to a step (w) [unit of the channel].
-        std: Standard deviation of the channel's sensor.
-        dt: Step h [s].
+    r_k = e_{k+1} - e_k - h s (e_{k+1} + e_k) / 2 + w_k has autocovariances whose ratio gives c, with `own` the mean
+    slope s of the channel's rate in the channel itself [1/s], `known` the standard deviation of w, which the noise of
+    the other channels adds to a step [unit of the channel], and `dt` the step h [s].
     """
     if not std > 0:
         return 0.0

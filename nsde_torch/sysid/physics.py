@@ -84,7 +84,9 @@ class Physics:
             for i in range(self.turned.start, self.turned.stop):
                 self.names[i] += " (body)"
         self._starts = steps.starts
-        self.tied = _tied(system, steps)
+        inferred = {j for j, _ in steps.inferred}
+        self.tied = tuple(i for i, j in rate_pairs(system) if j in inferred)
+        """Columns of positions whose rates were inferred from them: their residuals say nothing."""
         self.sensor_std: Array = np.zeros(system.nx)
         self._remembered: tuple[Tensor, tuple[Tensor, ...]] | None = None
         self._foreseen: tuple[Tensor, Tensor] | None = None
@@ -109,7 +111,11 @@ class Physics:
     @cached_property
     def attitude(self) -> Tensor:
         """Attitude in the middle of each step (N, 4); of a system that has none (N, 0)."""
-        return self._middle_attitude()
+        q = self.vector.system.quaternion
+        if q is None:
+            return torch.zeros(len(self.steps), 0)
+        both = self.steps.x0[:, q] + self.steps.x1[:, q]
+        return both / both.norm(dim=1, keepdim=True)
 
     @cached_property
     def measured(self) -> Array:
@@ -136,12 +142,7 @@ class Physics:
 
     @torch.no_grad()
     def slopes(self, theta: Array, which: Sequence[int] | None = None) -> Array:
-        """Derivative of the predicted change in each parameter (N, nx, k), from what was known before the step.
-
-        Args:
-            theta: Where (k,).
-            which: Numbers of the parameters to take; None takes all.
-        """
+        """Slopes of the predicted change in each parameter, or in `which` (N, nx, k), from what was known before it."""
         at = torch.as_tensor(theta)
         middle = self._middle(at)
         before = self._forecast(at, middle)
@@ -365,13 +366,6 @@ class Physics:
         rate = self._drift(t + 0.5 * share * s.logged_dt, middle, u)
         return system.project(x + h * rate[:, : system.nx])
 
-    def _middle_attitude(self) -> Tensor:
-        q = self.vector.system.quaternion
-        if q is None:
-            return torch.zeros(len(self.steps), 0)
-        both = self.steps.x0[:, q] + self.steps.x1[:, q]
-        return both / both.norm(dim=1, keepdim=True)
-
     def turn(self, change: Tensor, attitude: Tensor) -> Tensor:
         """Changes (N, nx) with a velocity in the world turned into the body."""
         if self.turned is None:
@@ -379,12 +373,6 @@ class Physics:
         a, b = self.turned.start, self.turned.stop
         before, v, after = split_columns(change, a, b - a, change.shape[1] - b)
         return join_columns((before, rotate_back(attitude, v), after))
-
-
-def _tied(system: System, steps: Steps) -> tuple[int, ...]:
-    """Columns of positions whose rates were inferred from them: their residuals say nothing."""
-    inferred = {j for j, _ in steps.inferred}
-    return tuple(i for i, j in rate_pairs(system) if j in inferred)
 
 
 def _world_velocity(system: System) -> slice | None:

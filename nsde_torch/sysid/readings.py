@@ -11,7 +11,7 @@ told only where it leaves `LESS` times less: in a sound log nothing is better th
 turn the other way are found by the moments of the motors (`motors`).
 """
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import combinations
@@ -25,7 +25,7 @@ from nsde_torch.data.quaternion import multiply
 from nsde_torch.data.system_info import derivative_columns, rate_columns
 from nsde_torch.sysid.motors import motor_orders
 from nsde_torch.sysid.regression import Regression
-from nsde_torch.sysid.rough import beginnings, left_at, rough_fit, share_left
+from nsde_torch.sysid.rough import Objection, beginnings, left_at, rough_fit, share_left
 from nsde_torch.systems import System
 from nsde_torch.systems.multirotor import Multirotor
 
@@ -51,59 +51,28 @@ _METRES = {
 
 @dataclass(frozen=True)
 class Reading:
-    """A way to read the columns.
+    """A way to read the columns."""
 
-    Args:
-        words: What would be so.
-        remedy: How to write the columns.
-        read: The runs, read like that.
-        kind: Readings of one kind are looked at together.
-    """
-
-    words: str
-    remedy: str
-    read: Callable[[Run], Run]
-    kind: str
+    words: str  # what would be so
+    remedy: str  # how to write the columns
+    read: Callable[[Run], Run]  # the runs, read like that
 
 
-@dataclass(frozen=True)
-class Better:
-    """Readings in which the declared physics leaves much less.
-
-    Args:
-        readings: The best, and those that do as well.
-        channels: What is left of each channel as the columns are, and by the best reading: name, unit, before, after.
-    """
-
-    readings: tuple[Reading, ...]
-    channels: tuple[tuple[str, str, float, float], ...]
-
-    @property
-    def sentence(self) -> str:
-        """What was found."""
-        told = ", ".join(f"{n} {a:.3g} to {b:.3g} {unit}" for n, unit, a, b in self.channels)
-        words = " or ".join(one.words for one in self.readings)
-        return f"With {words} the declared physics leaves much less of the rates ({told})"
-
-    @property
-    def remedy(self) -> str:
-        """What to do."""
-        return " or ".join(dict.fromkeys(one.remedy for one in self.readings))
+def _better(
+    words: Sequence[str], remedies: Sequence[str], channels: Iterable[tuple[str, str, float, float]]
+) -> Objection:
+    """What is told of readings: of each channel name, unit, and what is left as the columns are and by the first."""
+    told = ", ".join(f"{n} {a:.3g} to {b:.3g} {unit}" for n, unit, a, b in channels)
+    sentence = f"With {' or '.join(words)} the declared physics leaves much less of the rates ({told})"
+    return Objection("reading", sentence, " or ".join(dict.fromkeys(remedies)))
 
 
-def better_readings(system: System, runs: Sequence[Run], clock: float, rough: Regression) -> Better | None:
-    """The reading of the columns in which the declared physics leaves least, if much less than in theirs.
-
-    Args:
-        system: The declared physics.
-        runs: The runs.
-        clock: Physical seconds per logged second.
-        rough: The declared physics in the runs as they are (`rough_fit`).
-    """
+def better_readings(system: System, runs: Sequence[Run], clock: float, rough: Regression) -> Objection | None:
+    """The reading of the columns in which the declared physics leaves least, if much less than in theirs."""
     return _much_better(system, runs, clock, rough) or _propellers(system, runs, clock)
 
 
-def _much_better(system: System, runs: Sequence[Run], clock: float, rough: Regression) -> Better | None:
+def _much_better(system: System, runs: Sequence[Run], clock: float, rough: Regression) -> Objection | None:
     """Another sign, order, unit or frame that leaves `LESS` times less of all channels together."""
     now = left_at(rough, rough.theta)
     if not float(np.mean([c.left / max(c.measured, 1e-300) for c in now])) > MUCH:
@@ -121,18 +90,16 @@ def _much_better(system: System, runs: Sequence[Run], clock: float, rough: Regre
     if not tried or not min(value for value, _ in tried) < before - log(LESS):
         return None
     best = min(value for value, _ in tried)
-    alike = [one for value, one in sorted(tried, key=lambda t: t[0]) if value < best + AS_GOOD]
+    alike = [one for value, one in sorted(tried, key=lambda t: t[0]) if value < best + AS_GOOD][:3]
     after = rough_fit(system, [alike[0].read(run) for run in runs], clock)
     if after is None or not share_left(after) < share_left(rough) - log(LESS):
         return None
-    left = left_at(after, after.theta)
-    return Better(
-        tuple(alike[:3]),
-        tuple((a.name, a.unit, a.left, b.left) for a, b in zip(now, left, strict=False)),
-    )
+    left = zip(now, left_at(after, after.theta), strict=False)
+    told = [(a.name, a.unit, a.left, b.left) for a, b in left]
+    return _better([one.words for one in alike], [one.remedy for one in alike], told)
 
 
-def _propellers(system: System, runs: Sequence[Run], clock: float) -> Better | None:
+def _propellers(system: System, runs: Sequence[Run], clock: float) -> Objection | None:
     """Propellers that turn the other way, as the moments of the motors say.
 
     Yaw is weak and one channel of six: read the other way, it never leaves `LESS` times less of all channels together;
@@ -143,19 +110,9 @@ def _propellers(system: System, runs: Sequence[Run], clock: float) -> Better | N
     found = motor_orders(system, runs, clock, [tuple(range(system.nu))])
     if not found or found[0].yaw > 0 or not found[0].surely_better(found[1]):
         return None
-    yaw = np.array(system.mixing[-1])
-
-    def mirrored(u: Array) -> Array:
-        u[:, : len(yaw)] -= np.outer(u[:, : len(yaw)] @ yaw, 2.0 * yaw / (yaw @ yaw))
-        return u
-
-    reading = Reading(
-        "propellers that turn the other way",
-        f"write system.options.yaw_direction={-system.yaw_direction}",
-        _inputs(mirrored),
-        "propellers",
-    )
-    return Better((reading,), (("w_z", "rad/s2", float(found[1].left[2]), float(found[0].left[2])),))
+    remedy = f"write system.options.yaw_direction={-system.yaw_direction}"
+    left = ("w_z", "rad/s2", found[1].left[2], found[0].left[2])
+    return _better(["propellers that turn the other way"], [remedy], [left])
 
 
 # ---- readings ------------------------------------------------------------------------------------------
@@ -165,16 +122,9 @@ def _readings(system: System, runs: Sequence[Run]) -> Iterator[Reading]:
     for k, name in enumerate(system.input_names):
         u = np.concatenate([run.u[:, k] for run in runs])
         if min((u > 0).mean(), (u < 0).mean()) > _BOTH_SIGNS:
-            yield Reading(
-                f"the opposite sign of {name!r}",
-                f"change the sign of {name!r}",
-                _inputs(partial(_times, columns=[k], factor=-1.0)),
-                "sign",
-            )
-    if system.quaternion is not None:
-        yield from _frames(system)
-    else:
-        yield from _axes(system)
+            read = _inputs(partial(_times, columns=[k], factor=-1.0))
+            yield Reading(f"the opposite sign of {name!r}", f"change the sign of {name!r}", read)
+    yield from _axes(system) if system.quaternion is None else _frames(system, system.quaternion)
 
 
 def _axes(system: System) -> Iterator[Reading]:
@@ -182,103 +132,71 @@ def _axes(system: System) -> Iterator[Reading]:
     units = dict(zip(system.state_names, system.state_units, strict=True))
     for position, rate, _ in system.position_derivatives:
         i, j = (system.state_names.index(n) for n in (position, rate))
+        both = f"{position!r} and {rate!r}"
         if len(system.position_derivatives) > 1:  # of one alone, it is the sign of the inputs
-            yield Reading(
-                f"the opposite sign of {position!r} and {rate!r}",
-                f"change the signs of {position!r} and {rate!r}",
-                _states(partial(_times, columns=[i, j], factor=-1.0)),
-                "sign",
-            )
+            read = _states(partial(_times, columns=[i, j], factor=-1.0))
+            yield Reading(f"the opposite sign of {both}", f"change the signs of {both}", read)
         if units[position] == "rad":
-            yield Reading(
-                f"{position!r} counted from the other side (pi more)",
-                f"add pi to {position!r}",
-                _states(partial(_plus, column=i, shift=np.pi)),
-                "origin",
-            )
-            yield Reading(
-                f"{position!r} and {rate!r} in degrees",
-                f"multiply {position!r} and {rate!r} by pi / 180",
-                _states(partial(_times, columns=[i, j], factor=np.pi / 180.0)),
-                "unit",
-            )
+            read = _states(partial(_plus, column=i, shift=np.pi))
+            words = f"{position!r} counted from the other side (pi more)"
+            yield Reading(words, f"add pi to {position!r}", read)
+            read = _states(partial(_times, columns=[i, j], factor=np.pi / 180.0))
+            yield Reading(f"{both} in degrees", f"multiply {both} by pi / 180", read)
 
 
-def _frames(system: System) -> Iterator[Reading]:
+def _frames(system: System, q: slice) -> Iterator[Reading]:
     """Axes and units of positions and velocities in the world, and of everything."""
-    q, rates = system.quaternion, rate_columns(system)
+    rates = rate_columns(system)
     groups = [pair for name, pair in derivative_columns(system).items() if "(world" in name]
-    if q is None or len(groups) != 1 or len(groups[0][0]) != 3:
+    if len(groups) != 1 or len(groups[0][0]) != 3:
         return
-    moved = [*groups[0]]
+    moved = groups[0]
     names = ", ".join(system.state_names[c] for pair in moved for c in pair)
 
-    def world(turn: Array) -> Callable[[Run], Run]:
-        def read(x: Array) -> Array:
-            for columns in moved:
-                x[:, columns] = x[:, columns] @ turn.T
-            return x
-
-        return _states(read)
-
-    east = "write east, north, up (ENU), or an attitude in the same axes"
-    for angle, turn in ((90, [[0, -1, 0], [1, 0, 0], [0, 0, 1]]), (-90, [[0, 1, 0], [-1, 0, 0], [0, 0, 1]])):
-        yield Reading(
-            f"the axes of {names} turned by {angle} deg about the vertical against the attitude's",
-            east,
-            world(np.array(turn, dtype=float)),
-            "frame",
-        )
-    yield Reading(
-        f"the axes of {names} turned by 180 deg about the vertical against the attitude's",
-        east,
-        world(np.diag([-1.0, -1.0, 1.0])),
-        "frame",
-    )
-    ned = np.array([[0.0, 1, 0], [1, 0, 0], [0, 0, -1]])
-    yield Reading(
-        f"{names} in NED and the attitude in ENU", "write east, north, up (ENU)", world(ned), "frame"
-    )
-    for axis, name in enumerate("xyz"):
-        flip = np.eye(3)
-        flip[axis, axis] = -1.0
-        pair = " and ".join(repr(system.state_names[columns[axis]]) for columns in moved)
-        yield Reading(
-            f"the opposite sign of {pair}" + (" (counted downwards)" if name == "z" else ""),
-            f"change the signs of {pair}: axes are ENU",
-            world(flip),
-            "frame",
-        )
-    for unit, size in _METRES.items():
-        yield Reading(
-            f"{names} in {unit}", f"multiply {names} by {size:g}: metres, SI", world(size * np.eye(3)), "unit"
-        )
-    half = np.sqrt(0.5)
-
-    def whole(x: Array) -> Array:
+    def of_world(x: Array, turn: Array) -> Array:
         for columns in moved:
-            x[:, columns] = x[:, columns] @ ned.T
-        turned = multiply(np.tile([0.0, half, half, 0.0], (len(x), 1)), x[:, q])
-        x[:, q] = multiply(turned, np.tile([0.0, 1.0, 0.0, 0.0], (len(x), 1)))
-        if rates is not None:
-            x[:, rates] *= [1.0, -1.0, -1.0]
+            x[:, columns] = x[:, columns] @ turn.T
         return x
 
-    def attitude(x: Array) -> Array:
+    def of_body(x: Array) -> Array:
         x[:, q] = multiply(x[:, q], np.tile([0.0, 1.0, 0.0, 0.0], (len(x), 1)))
         if rates is not None:
             x[:, rates] *= [1.0, -1.0, -1.0]
         return x
 
-    yield Reading(
-        "all states in NED and FRD", "write ENU and FLU (`nsde_torch.data.frames`)", _states(whole), "frame"
-    )
-    yield Reading(
-        "the attitude and the rates of a body in FRD",
-        "write the attitude and the rates of FLU axes",
-        _states(attitude),
-        "frame",
-    )
+    def whole(x: Array) -> Array:
+        x = of_world(x, ned)
+        half = np.sqrt(0.5)
+        x[:, q] = multiply(np.tile([0.0, half, half, 0.0], (len(x), 1)), x[:, q])
+        return of_body(x)
+
+    def world(turn: Sequence[Sequence[float]] | Array) -> Callable[[Run], Run]:
+        return _states(partial(of_world, turn=np.array(turn, dtype=float)))
+
+    east = "write east, north, up (ENU), or an attitude in the same axes"
+    for angle, turn in (
+        (90, [[0, -1, 0], [1, 0, 0], [0, 0, 1]]),
+        (-90, [[0, 1, 0], [-1, 0, 0], [0, 0, 1]]),
+        (180, [[-1, 0, 0], [0, -1, 0], [0, 0, 1]]),
+    ):
+        words = f"the axes of {names} turned by {angle} deg about the vertical against the attitude's"
+        yield Reading(words, east, world(turn))
+    ned = np.array([[0.0, 1, 0], [1, 0, 0], [0, 0, -1]])
+    yield Reading(f"{names} in NED and the attitude in ENU", "write east, north, up (ENU)", world(ned))
+    for axis, name in enumerate("xyz"):
+        flip = np.eye(3)
+        flip[axis, axis] = -1.0
+        pair = " and ".join(repr(system.state_names[columns[axis]]) for columns in moved)
+        words = f"the opposite sign of {pair}" + (" (counted downwards)" if name == "z" else "")
+        yield Reading(words, f"change the signs of {pair}: axes are ENU", world(flip))
+    for unit, size in _METRES.items():
+        yield Reading(
+            f"{names} in {unit}", f"multiply {names} by {size:g}: metres, SI", world(size * np.eye(3))
+        )
+    remedy = "write ENU and FLU (`nsde_torch.data.frames`)"
+    yield Reading("all states in NED and FRD", remedy, _states(whole))
+    remedy = "write the attitude and the rates of FLU axes"
+    yield Reading("the attitude and the rates of a body in FRD", remedy, _states(of_body))
 
 
 def _orders(
@@ -315,12 +233,8 @@ def _in_order(system: System, order: tuple[int, ...]) -> Reading:
         words = f"{names[moved[0]]} and {names[moved[1]]} exchanged"
     else:
         words = f"the inputs in the order {' '.join(names[j] for j in order)}"
-    return Reading(
-        words,
-        f"check the order of the inputs: {system.name!r} counts its motors as PX4 does",
-        _ordered(order),
-        "order",
-    )
+    remedy = f"check the order of the inputs: {system.name!r} counts its motors as PX4 does"
+    return Reading(words, remedy, _ordered(order))
 
 
 def _swapped(order: tuple[int, ...], pair: tuple[int, int]) -> tuple[int, ...]:

@@ -24,8 +24,11 @@ from typing import final
 import numpy as np
 from numpy.typing import NDArray
 
+from nsde_torch.data import Run
 from nsde_torch.errors import ConfigError, DataError, NonFiniteError
 from nsde_torch.inference.spread import Spread, spread
+from nsde_torch.inference.steps import steps_of
+from nsde_torch.models.identified import METHODS
 from nsde_torch.sysid.feedback import past
 from nsde_torch.sysid.noise import (
     Noise,
@@ -38,14 +41,15 @@ from nsde_torch.sysid.noise import (
 )
 from nsde_torch.sysid.physics import Physics
 from nsde_torch.sysid.series import Series
-from nsde_torch.sysid.shown import Shown, shown
-from nsde_torch.sysid.solve import bounded_step
+from nsde_torch.sysid.shown import Shown, bounded_step, shown
 from nsde_torch.systems import System
+from nsde_torch.systems.parameters import ParameterVector
 from nsde_torch.time_limit import check_time
 
 Array = NDArray[np.float64]
 
 ITERATIONS = 20
+_BOX_S = 0.01  # data on a shorter step are summed to about this
 _ORDERS_S, _ORDERS = 0.4, 40  # longest autoregression [s], [steps]
 _SETTLED = 0.02  # standard errors
 _ROUGH = 8  # steps with the law of sensor noise alone, at most
@@ -183,33 +187,24 @@ class Regression:
             r = self.residual[:, channel]
             if self._plain:
                 noises.append(white_noise(r, self.series))
-                continue
-            if self._kept:
+            elif self._kept or self._refined > 3:
+                # the same kind of law from here on, so that theta can settle
                 noises.append(again(self.noises[i], r, self.series, memory=self.memory))
-                continue
-            limit = float(self.limits[channel])
-            if self._rough:
+            elif self._rough:
+                limit = float(self.limits[channel])
                 noises.append(first_guess(r, self.series, limit, times=self.times(channel)))
-                continue
-            if self._refined > 3:  # the same kind of law from here on, so that theta can settle
-                noises.append(again(self.noises[i], r, self.series, memory=self.memory))
-                continue
-            orders = self.orders if self._refined > 1 else 1  # theta first: an order would learn its errors
-            noises.append(self.law(channel, r, limit, orders))
+            else:
+                # theta first: an order would learn its errors
+                orders = self.orders if self._refined > 1 else 1
+                noises.append(self.law(channel, r, float(self.limits[channel]), orders))
         self.noises = noises
-        pairs = list(zip(noises, self.rows, strict=True))
         if self._feedback and self._refined < 3:
             known = self.known_before(self.physics, self.physics.residual(self.theta))
             self._past = past(self.single.summed(known, self.box), self.series, channels=self._channels)
         self._in_noise_units()
-        finite = [
-            bool(np.isfinite(s).all() and np.isfinite(w).all())
-            for s, w in zip(self.slopes, self.white, strict=True)
-        ]
-        if not all(finite):
-            names = ", ".join(
-                self.physics.names[c] for (_, c), good in zip(pairs, finite, strict=True) if not good
-            )
+        finite = np.isfinite(self.slopes).all((1, 2)) & np.isfinite(self.white).all(1)
+        if not finite.all():
+            names = ", ".join(self.physics.names[c] for c in self.rows[~finite])
             raise NonFiniteError(
                 f"what the declared physics leaves of {names} can be foretold to the last digit: the log is smoother "
                 "than a sensor and the physics allow. Let smoothed states be restored (data.state_smoothing=restore), "
@@ -327,8 +322,7 @@ class Regression:
     def concluded(self, *, past: bool = False) -> "Regression":
         """What was found: theta, noise models and what the data show of theta, without anything as long as the data.
 
-        Args:
-            past: Keep the columns of the past, without which it cannot be `restored`.
+        With `past` it keeps the columns of the past, without which it cannot be `restored`.
         """
         out = copy.copy(self)
         out.physics = self.physics.bare()
@@ -370,12 +364,7 @@ class Regression:
         return estimate(left, self.series, limit=limit, orders=orders, memory=memory, times=times)
 
     def under(self, row: int, law: Noise) -> "Regression":
-        """The same with another noise model of one channel; theta stays.
-
-        Args:
-            row: Number of the channel among `rows`.
-            law: Its law.
-        """
+        """The same with another noise model of channel number `row` of `rows`; theta stays."""
         out = copy.copy(self)
         out.noises, out.white, out.slopes = list(self.noises), self.white.copy(), self.slopes.copy()
         out.noises[row], channel = law, self.rows[row]
@@ -394,9 +383,7 @@ class Regression:
     def shift(self, parts: Array, blocks: NDArray[np.int64]) -> Array:
         """Change of the residuals over steps (N, channels) when each block is predicted from the others alone.
 
-        Args:
-            parts: Contribution of each block to theta (C, k).
-            blocks: Block of each row of `series`.
+        `parts` is what each block contributes to theta (C, k), `blocks` the block of each row of `series`.
         """
         of_step = np.empty(len(self.single), dtype=np.int64)
         for (a, b), (c, d) in zip(self.single.edges, self.series.edges, strict=True):
@@ -417,3 +404,33 @@ def carry_limits(physics: Physics, theta: Array, box: int) -> Array:
     known = physics.steps.dt * np.sqrt(box * others)
     dt = physics.steps.dt * box
     return np.array([carry_limit(o, k, s, dt) for o, k, s in zip(own, known, std, strict=True)])
+
+
+def regression_of(
+    system: System,
+    runs: Sequence[Run],
+    *,
+    clock: float = 1.0,
+    method: str = "weak",
+    width: float | None = None,
+    start: Array | None = None,
+) -> Regression:
+    """The regression of some runs, before its first step; `start` is its first theta, else as for `identify`."""
+    if method not in METHODS:
+        raise ConfigError(f"`method` must be {' or '.join(METHODS)}; got {method!r}.")
+    weak = method == "weak"
+    vector = ParameterVector(system)
+    box = _box(width, runs[0].dt * clock) if runs else 1
+    steps = steps_of(system, runs, clock=clock, smooth=not weak, shortest=box, differences=box if weak else 0)
+    physics = Physics(vector, steps, curved=weak and system.sensor_noise, foresee=weak)
+    return Regression(physics, box=box, start=start, plain=not weak, feedback=weak)
+
+
+def _box(width: float | None, dt: float) -> int:
+    if width is None:
+        return max(1, int(_BOX_S / dt + 1e-6))
+    if round(width / dt) < 1:
+        raise ConfigError(
+            f"`model.width` must be a step of the data ({dt:.4g} s) or longer; got {width:g} s."
+        )
+    return round(width / dt)

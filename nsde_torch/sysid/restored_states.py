@@ -10,6 +10,10 @@ restored; white noise is added from where S begins to fall. Noise is drawn from 
 Ends of stretches are left out, where nobody knows how the smoother began and ended. In a closed loop the restored log
 still lacks what the controller saw above f_r; the test of the loop says so, and intervals widen by it. They widen too
 by how far estimates hang on f_r (`narrowed`).
+
+A step of 20 ms hides what a log at 1 kHz shows: a rate that is 3 ms late, a filter at 100 Hz. So streams, sensors and
+smoothers are looked for in the rows as they were logged (`undone_at_own_rate`). States are restored on the longer step,
+where the noise that stands in for what a smoother took has no place above half its rate.
 """
 
 from __future__ import annotations
@@ -23,9 +27,18 @@ from numpy.typing import NDArray
 
 from nsde_torch.data import DataSet, Run, SystemInfo
 from nsde_torch.recording.faults import remedies
+from nsde_torch.recording.latency import late_channels, surely_late
 from nsde_torch.recording.smoothers import Smoother
-from nsde_torch.sysid.late_smoothers import on_time
-from nsde_torch.sysid.smoothed_states import Smoothed, group_spectra, sensors_of, smoothed_states
+from nsde_torch.recording.stream_offsets import on_one_clock
+from nsde_torch.recording.times import is_longer, on_longer_step
+from nsde_torch.recording.unmeasured_rates import measured_part
+from nsde_torch.sysid.smoothed_states import (
+    Smoothed,
+    SmoothedSensor,
+    group_spectra,
+    sensors_of,
+    smoothed_states,
+)
 from nsde_torch.systems import System
 
 Array = NDArray[np.float64]
@@ -38,66 +51,67 @@ _ENDS = 1.5  # left out at the ends of stretches, over the frequency at which |S
 _FEWEST = 50  # rows that must be left of a stretch
 
 
-def restore_states(
+def undone_at_own_rate(
     data: DataSet,
     system: SystemInfo,
     *,
-    policy: str = "restore",
+    dt: float | None,
+    stream_offsets: str,
+    state_smoothing: str,
     taken_out: Iterable[str] = (),
-    seed: int = 0,
 ) -> DataSet:
-    """A data set with the smoothing of its states undone; the data set itself where there is none.
+    """A data set on the step that was asked for, without what the recording did to its states.
 
     Args:
-        data: The data set.
-        system: The machine, with the declared physics; it is not changed. Columns without physics restore nothing.
-        policy: "restore", or "keep" for the data set itself.
-        taken_out: Names of the faults that the reader took out; behind one that smooths no smoother can be told.
-        seed: Seed of the noise that stands in for what is gone.
-
-    Returns:
-        The data set, with a finding `state_smoothing` in its summary for each smoother. One that has such a finding is
-        returned as it is.
+        dt: The step that was asked for [s]; None: that of the data.
+        stream_offsets: "undo", or "keep" streams, and sensors that a longer step would hide, where they are.
+        state_smoothing: "restore", or "keep" states as they are.
+        taken_out: Names of the faults that the reader took out.
     """
-    return restored(data, smoothers(data, system, policy=policy, taken_out=taken_out), seed=seed)
+    data = on_one_clock(data, system, policy=stream_offsets)
+    found = [] if state_smoothing == "keep" else smoothers(data, system, taken_out)
+    if dt is None or not is_longer(dt, data.dt):
+        return restored(data, found)
+    seen = measured_part(system, {name for run in data.runs for name in run.inferred})
+    rows = restored(data, found).runs
+    late = [] if stream_offsets == "keep" else late_channels(seen, rows, clock=data.clock_scale)
+    late = surely_late(late, rows[0].dt) if late else []
+    return restored(on_longer_step(data, system, dt, late=late), found)
 
 
-def smoothers(
-    data: DataSet, system: SystemInfo, *, policy: str = "restore", taken_out: Iterable[str] = ()
-) -> list[Smoothed]:
-    """What smoothed the states of a data set, for `restored`; arguments as of `restore_states`."""
+def smoothers(data: DataSet, system: SystemInfo, taken_out: Iterable[str] = ()) -> list[Smoothed]:
+    """What smoothed the states of a data set, for `restored`; nothing of columns without physics, or once it is undone.
+
+    Behind a fault that the reader took out (`taken_out`) and that smooths no smoother can be told.
+    """
     known = remedies()
     smooths = any(known[name].remedy_smooths for name in taken_out if name in known)
     done = any(finding.kind == "state_smoothing" for finding in data.summary.findings)
-    if policy == "keep" or smooths or done or not isinstance(system, System):
+    if smooths or done or not isinstance(system, System):
         return []
-    clock = data.clock_scale
-    return on_time(smoothed_states(data.runs, system, clock), data.runs, system, clock)
+    return smoothed_states(data.runs, system, data.clock_scale)
 
 
-def restored(data: DataSet, found: Sequence[Smoothed], *, seed: int = 0) -> DataSet:
-    """A data set as it was before smoothers that were found in it, on its step or a shorter one."""
+def restored(data: DataSet, found: Sequence[Smoothed]) -> DataSet:
+    """A data set as it was before smoothers that were found in it, on its step or a shorter one.
+
+    Its summary has a finding `state_smoothing` for each smoother.
+    """
     if not found:
         return data
-    runs = _restored(data.runs, found, data.dt * data.clock_scale, seed)
+    runs = _restored(data.runs, found, data.dt * data.clock_scale)
     return data.changed(runs, [*data.summary.findings, *(one.finding() for one in found)])
 
 
-def narrowed(runs: Sequence[Run], system: System, clock: float = 1.0, *, seed: int = 1) -> list[Run] | None:
+def narrowed(runs: Sequence[Run], system: System, clock: float = 1.0) -> list[Run] | None:
     """Runs that hold half of the band up to which states were restored; None where none were.
 
     Estimates that hang on how far was restored rest on the smoother being right, or on what inputs know of the rest.
-
-    Args:
-        runs: Restored recordings, all on one step.
-        system: The machine.
-        clock: Physical seconds per logged second.
-        seed: Seed of the noise above.
     """
     band = {name: hz for run in runs for name, hz in run.band.items()}
     if not band:
         return None
-    dt, rng = runs[0].dt * clock, np.random.default_rng(seed)
+    dt, rng = runs[0].dt * clock, np.random.default_rng(1)
     states = [np.array(run.x) for run in runs]
     for sensor in sensors_of(system):
         reach = 0.5 * min((band[name] for name in sensor.names if name in band), default=0.0)
@@ -113,37 +127,39 @@ def narrowed(runs: Sequence[Run], system: System, clock: float = 1.0, *, seed: i
     return [replace(run, x=x) for run, x in zip(runs, states, strict=True)]
 
 
-def _restored(runs: Sequence[Run], found: Sequence[Smoothed], dt: float, seed: int) -> list[Run]:
-    rng = np.random.default_rng(seed)
-    ends = [_ENDS / one.smoother.falls_to(0.7) for one in found if any(one.restored)]
+def _restored(runs: Sequence[Run], found: Sequence[Smoothed], dt: float) -> list[Run]:
+    rng = np.random.default_rng(0)
+    pairs = [(one.smoother, k) for one in found for k in one.behind]
+    ends = [_ENDS / smoother.falls_to(0.7) for smoother, k in pairs if k.restored]
     out_of_use = int(np.ceil(max(ends, default=0.0) / dt))
-    pairs = [pair for one in found for pair in zip(one.sensors, one.reach, strict=True)]
-    band = {name: reach for sensor, reach in pairs if reach < 0.5 / dt for name in sensor.names}
+    band = {name: k.reach for _, k in pairs if k.reach < 0.5 / dt for name in k.sensor.names}
     out = []
     for run in runs:
         x = np.array(run.x)
         for a, b in run.segments:
-            for one in found:
-                _restore_stretch(x[a:b], one, dt, rng)
+            for smoother, k in pairs:
+                if k.restored or k.reach < 0.5 / dt:  # else these rows hold nothing of where it falls
+                    _restore_stretch(x[a:b], smoother, k, dt, rng)
         inner = [(a + out_of_use, b - out_of_use) for a, b in run.segments]
         kept = tuple((a, b) for a, b in inner if b - a >= _FEWEST)
         out.append(replace(run, x=x, segments=kept or run.segments, band=band))
     return out
 
 
-def _restore_stretch(x: Array, one: Smoothed, dt: float, rng: np.random.Generator) -> None:
-    for sensor, reach, restored, how, seen in zip(
-        one.sensors, one.reach, one.restored, one.fits, one.seen, strict=True
-    ):
-        if not restored and reach >= 0.5 / dt:  # these rows hold nothing of where it falls
-            continue
-        at = int(np.argmin(np.abs(seen.f - reach)))
-        values = sensor.values(x, dt)
-        # what moves above is gone: it must not weigh beside the noise that stands in for it
-        level = how.noise[:, at] + ABOVE * how.motion[:, at] if restored else ADDED * seen.power[:, at]
-        noise = rng.standard_normal(values.shape) * np.sqrt(level / (2.0 * dt))
-        new = _unsmoothed(values, one.smoother, reach, noise, dt) if restored else values + noise
-        sensor.with_values(x, new, dt)
+def _restore_stretch(
+    x: Array, smoother: Smoother, one: SmoothedSensor, dt: float, rng: np.random.Generator
+) -> None:
+    at = int(np.argmin(np.abs(one.seen.f - one.reach)))
+    values = one.sensor.values(x, dt)
+    # what moves above is gone: it must not weigh beside the noise that stands in for it
+    level = (
+        one.fit.noise[:, at] + ABOVE * one.fit.motion[:, at]
+        if one.restored
+        else ADDED * one.seen.power[:, at]
+    )
+    noise = rng.standard_normal(values.shape) * np.sqrt(level / (2.0 * dt))
+    new = _unsmoothed(values, smoother, one.reach, noise, dt) if one.restored else values + noise
+    one.sensor.with_values(x, new, dt)
 
 
 def _unsmoothed(values: Array, smoother: Smoother | None, reach: float, noise: Array, dt: float) -> Array:
@@ -158,11 +174,6 @@ def _unsmoothed(values: Array, smoother: Smoother | None, reach: float, noise: A
     response = np.ones_like(f) if smoother is None else np.where(keep > 0, smoother.response(f), 1.0)
     gain = np.where(keep > 0, keep / response, 0.0)
     before = irfft(rfft(longer - line, axis=0) * gain[:, None], len(longer), axis=0) + line
-    above = irfft(rfft(noise, axis=0) * np.sqrt(1.0 - np.square(_resampled(keep, n)))[:, None], n, axis=0)
+    there = np.interp(np.linspace(0.0, 1.0, n // 2 + 1), np.linspace(0.0, 1.0, len(keep)), keep)
+    above = irfft(rfft(noise, axis=0) * np.sqrt(1.0 - np.square(there))[:, None], n, axis=0)
     return np.asarray(before[around : around + n] + above)
-
-
-def _resampled(values: Array, rows: int) -> Array:
-    """Values on the frequencies of a real transform of `rows`."""
-    bins = rows // 2 + 1
-    return np.asarray(np.interp(np.linspace(0.0, 1.0, bins), np.linspace(0.0, 1.0, len(values)), values))

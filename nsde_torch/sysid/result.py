@@ -1,60 +1,23 @@
 """What an identification found."""
 
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import stdtrit
 
 from nsde_torch.inference import MaximumLikelihood, Optimum
-from nsde_torch.sysid.noise import Noise
+from nsde_torch.sysid.explained import Channel
+from nsde_torch.sysid.guard import Guarded
+from nsde_torch.sysid.instruments import Instrumented, adopted
+from nsde_torch.sysid.longer_boxes import in_words as of_longer_boxes
+from nsde_torch.sysid.loop_test import FACTOR, LoopTest
 from nsde_torch.sysid.shown import Shown, sentences
 from nsde_torch.sysid.standing import in_words
 from nsde_torch.systems.parameters import ParameterVector
 
-if TYPE_CHECKING:
-    from nsde_torch.sysid.guard import Guarded
-    from nsde_torch.sysid.instrumented import Instrumented
-    from nsde_torch.sysid.loop_test import LoopTest
-
 Array = NDArray[np.float64]
-
-
-@dataclass(frozen=True)
-class Channel:
-    """How well one channel is explained, in means over test functions (bumps) of `width_s`.
-
-    Args:
-        name: Of the channel.
-        unit: Of its rate.
-        measured: Standard deviation of the measured rate.
-        residual: Root mean square of what the physics leaves of it.
-        sensor: What white sensor noise alone leaves.
-        r2: Share of the variance that is explained.
-        noise: Law of the noise over single steps; None where the method has none.
-    """
-
-    name: str
-    unit: str
-    measured: float
-    residual: float
-    sensor: float
-    r2: float
-    noise: Noise | None
-
-    def as_dict(self) -> dict[str, Any]:
-        """Plain containers, for JSON."""
-        out: dict[str, Any] = {
-            "unit": self.unit,
-            "measured_std": self.measured,
-            "residual_rms": self.residual,
-            "sensor_rms": self.sensor,
-            "r2": self.r2,
-        }
-        if self.noise is not None:
-            out["noise"] = {"carry": self.noise.carry, "order": len(self.noise.reflection)}
-        return out
 
 
 @dataclass(frozen=True)
@@ -104,10 +67,10 @@ class Identification:
     converged: bool
     linear: bool
     blocks: int
-    loop: "LoopTest | None" = None
-    instrumented: "Instrumented | None" = None
+    loop: LoopTest | None = None
+    instrumented: Instrumented | None = None
     doubt: Array | None = None
-    guard: "Guarded | None" = None
+    guard: Guarded | None = None
     finer: "Identification | None" = None
     standing: float = 0.0
     likelihood: MaximumLikelihood | None = None
@@ -137,18 +100,37 @@ class Identification:
     @property
     def of_the_loop(self) -> list[str]:
         """What was found of feedback and by instruments, in words."""
-        from nsde_torch.sysid.in_loop import adopted
-        from nsde_torch.sysid.loop_words import of_instruments, widened
-
         out = [] if self.loop is None else self.loop.findings
         moved = None
         if self.instrumented is not None and self.loop is not None:
             printed = adopted(self.instrumented, self.loop)
             moved = self.instrumented.moved if printed else None
-            out += of_instruments(self.instrumented, printed)
+            out += self.instrumented.findings(printed)
         if self.finer is not None:  # widened by what changes with the boxes too, which a warning tells
             return out
-        return [*out, *widened(self.vector.labels, self.doubt, self.standard_errors, moved)]
+        return [*out, *self._widened(moved)]
+
+    def _widened(self, moved: NDArray[np.bool_] | None) -> list[str]:
+        """Which intervals are widened by what the data cannot tell, and why; `moved` are those by instruments."""
+        labels, doubt, errors = self.vector.labels, self.doubt, self.standard_errors
+        if doubt is None:
+            return []
+        wide = [i for i in range(len(labels)) if errors[i] == errors[i] and doubt[i] > 0.5 * errors[i]]
+        by = [labels[i] for i in wide if moved is not None and moved[i]]
+        rest = [labels[i] for i in wide if moved is None or not moved[i]]
+        out = []
+        if by:
+            out.append(
+                f"intervals of {', '.join(by)} are widened: the data do not tell how inputs move between rows of the "
+                "log; log faster"
+            )
+        if rest:
+            out.append(
+                f"intervals of {', '.join(rest)} are widened by what feedback may hide: inputs may know {FACTOR:g} "
+                "times as much of a step as they can be seen to know of later ones; without signals from outside the "
+                "loop no data can say more"
+            )
+        return out
 
     @property
     def findings(self) -> list[str]:
@@ -171,9 +153,7 @@ class Identification:
         """What speaks against the fit, in words, with what the guard noted beside it."""
         notes = [] if self.guard is None else list(self.guard.notes)
         if self.finer is not None and self.finer.guard is not None:
-            from nsde_torch.sysid import longer_boxes
-
-            return ["; ".join(longer_boxes.in_words(self.box_s, self.finer.guard).values()), *notes]
+            return ["; ".join(of_longer_boxes(self.box_s, self.finer.guard).values()), *notes]
         if self.guard is None or not self.guard.objections:
             return []
         told = [str(objection) for objection in self.guard.objections]

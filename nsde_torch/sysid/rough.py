@@ -9,7 +9,7 @@ feedback that answers what the physics lacks, pull it towards gains that are too
 
 import copy
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from math import log
 
 import numpy as np
@@ -42,10 +42,6 @@ def rough_fit(
     """The declared physics fitted to means over `MEANS_S`; None where that cannot be done.
 
     Args:
-        system: The machine, whose values are where the fit starts; it is not changed.
-        runs: Recordings, all on one step.
-        clock: Physical seconds per logged second.
-        iterations: Largest number of steps.
         levels: Whether steady pushes are left out, the mean of each channel over each run.
         start: First theta (k,); None takes the system's values.
     """
@@ -63,30 +59,38 @@ def rough_fit(
 
 
 @dataclass(frozen=True)
-class Left:
-    """What is left of one channel in means over `MEANS_S`, without the mean over each run.
+class Objection:
+    """What speaks against a fit, or for a fault of the log that it is of."""
 
-    Args:
-        name: Of the channel.
-        unit: Of its rate.
-        measured: Standard deviation of the measured rate.
-        left: Root mean square of what physics leaves of it.
-        foretold: Root mean square of what physics says of it.
-    """
+    kind: str
+    """`reading`, `shifted_stream`, `odd_run`, `unexplained_run`, `least_squares`, `first_values`, `gone`, `worse` or
+    `poor`."""
+    sentence: str
+    remedy: str
+
+    def __str__(self) -> str:
+        return f"{self.sentence}; {self.remedy}"
+
+    def as_dict(self) -> dict[str, str]:
+        """Plain containers, for JSON."""
+        return asdict(self)
+
+
+@dataclass(frozen=True)
+class Left:
+    """What is left of one channel in means over `MEANS_S`, without the mean over each run."""
 
     name: str
     unit: str
-    measured: float
-    left: float
-    foretold: float
+    measured: float  # standard deviation of the measured rate
+    left: float  # root mean square of what physics leaves of it
+    foretold: float  # root mean square of what physics says of it
 
 
 def left_at(rough: Regression, theta: Array, *, damped: bool = False) -> list[Left]:
     """What the physics leaves at some parameters, channel by channel.
 
     Args:
-        rough: What `rough_fit` returned.
-        theta: Parameters (k,).
         damped: Whether what goes with a channel's own state is taken out, as a damping would that nobody declared.
     """
     physics = rough.physics
@@ -115,10 +119,9 @@ def left_at(rough: Regression, theta: Array, *, damped: bool = False) -> list[Le
 
 
 def share_left(rough: Regression) -> float:
-    """Sum over channels of log(left / measured) at the optimum, without unit: how much the physics leaves of the log.
+    """Sum over channels of log(left / measured) at the optimum, without unit.
 
-    Args:
-        rough: What `rough_fit` returned.
+    How much the physics leaves of the log.
     """
     return sum(log(max(c.left, 1e-12) / max(c.measured, 1e-12)) for c in left_at(rough, rough.theta))
 
@@ -127,8 +130,6 @@ def beginnings(runs: Sequence[Run], clock: float, *, seconds: float, fewest: int
     """Runs of which the beginning of the longest stretch is left, for fits that are compared with each other.
 
     Args:
-        runs: Recordings.
-        clock: Physical seconds per logged second.
         seconds: How long all together last [s].
         fewest: Rows that are left of each at least.
     """

@@ -25,6 +25,7 @@ from nsde_torch.errors import NsdeError
 from nsde_torch.inference.spread import spread
 from nsde_torch.sysid.explained import per_second
 from nsde_torch.sysid.regression import Regression
+from nsde_torch.sysid.rough import Objection
 
 Array = NDArray[np.float64]
 
@@ -37,52 +38,8 @@ WHOLE, TIMES = 0.6, 2.5
 """Share of what was measured that is left of a run that is not explained; and times as much as of each other run."""
 
 
-@dataclass(frozen=True)
-class RunDifference:
-    """A parameter that one run shows otherwise than the others.
-
-    Args:
-        run: Name of the run.
-        parameter: Label of the parameter.
-        unit: Its unit.
-        own: Its value in the run alone.
-        others: Its value in the other runs.
-        chance: Chance of so large a difference.
-    """
-
-    run: str
-    parameter: str
-    unit: str
-    own: float
-    others: float
-    chance: float
-
-    @property
-    def sentence(self) -> str:
-        """What was found."""
-        unit = "" if self.unit == "1" else f" {self.unit}"
-        return (
-            f"{self.run!r} differs from the other runs: {self.parameter} is {self.own:.3g}{unit} in it and "
-            f"{self.others:.3g}{unit} in the others"
-        )
-
-    @property
-    def remedy(self) -> str:
-        """What to do."""
-        return (
-            "if it is of another machine, or after a repair, leave it out (one machine to a data set); otherwise look "
-            "whether one of its columns is of another run"
-        )
-
-
-def odd_run(regression: Regression, rough: Regression, runs: Sequence[Run]) -> RunDifference | None:
-    """The surest difference of one run from the others; None where there is none, or a single run.
-
-    Args:
-        regression: The declared physics at its optimum, with the laws of its noise.
-        rough: The same by plain least squares (`rough_fit`).
-        runs: The runs of both.
-    """
+def odd_run(regression: Regression, rough: Regression, runs: Sequence[Run]) -> Objection | None:
+    """The surest difference of one run from the others; None where there is none, or a single run."""
     answered = _answered(rough)
     sure, beside = _differences(regression, answered), _differences(rough, answered)
     found = [
@@ -92,9 +49,16 @@ def odd_run(regression: Regression, rough: Regression, runs: Sequence[Run]) -> R
     ]
     if not found:
         return None
-    chance, r, j, own, others = min(found)
-    v = regression.vector
-    return RunDifference(runs[r].name, v.labels[j], v.units[j], own, others, chance)
+    _, r, j, own, others = min(found)
+    label, unit = regression.vector.labels[j], regression.vector.units[j]
+    unit = "" if unit == "1" else f" {unit}"
+    return Objection(
+        "odd_run",
+        f"{runs[r].name!r} differs from the other runs: {label} is {own:.3g}{unit} in it and {others:.3g}{unit} in the "
+        "others",
+        "if it is of another machine, or after a repair, leave it out (one machine to a data set); otherwise look "
+        "whether one of its columns is of another run",
+    )
 
 
 def _joint(chance: float, other: tuple[float, float, float] | None, larger: bool) -> float:
@@ -121,12 +85,7 @@ def _answered(rough: Regression) -> dict[int, Array]:
 def _differences(
     regression: Regression, answered: Mapping[int, Array]
 ) -> dict[tuple[int, int], tuple[float, float, float]]:
-    """By run and parameter: chance of its difference beyond what runs differ by, its value in it and in the others.
-
-    Args:
-        regression: At its optimum.
-        answered: Relative bias of each parameter that feedback may make, by run.
-    """
+    """By run and parameter: chance of its difference beyond what runs differ by, its value in it and in the others."""
     owner, blocks = regression.whitened_rows(regression.owners), regression.whitened_rows(regression.blocks)
     numbers = [int(r) for r in np.unique(owner)]
     alone = {r: _alone(regression, owner == r, blocks[owner == r]) for r in numbers}
@@ -166,68 +125,33 @@ _DEGREES = 15
 """Degrees of freedom of errors from blocks of time, for Student's t."""
 
 
-@dataclass(frozen=True)
-class UnexplainedRun:
-    """A run that the declared physics does not explain, whatever its parameters, where it explains the others.
-
-    Args:
-        run: Name of the run.
-        channels: Names of the channels.
-        unit: Of the rate of the first of them.
-        own: What is left of it in the run, with parameters of its own.
-        others: What is left of it in the other runs, with parameters of their own.
-    """
-
-    run: str
-    channels: tuple[str, ...]
-    unit: str
-    own: float
-    others: float
-
-    @property
-    def sentence(self) -> str:
-        """What was found."""
-        return (
-            f"{self.run!r} is not explained by the declared physics, whatever its parameters, and the other runs "
-            f"are ({', '.join(self.channels)}): of {self.channels[0]} it leaves {self.own:.3g} {self.unit} in it "
-            f"and {self.others:.3g} in the others"
-        )
-
-    @property
-    def remedy(self) -> str:
-        """What to do."""
-        return "look whether one of its columns, an input first, is of another run or another time; or leave it out"
-
-
-def unexplained_runs(rough: Regression, runs: Sequence[Run]) -> list[UnexplainedRun]:
-    """Runs of which the declared physics leaves most, at parameters of their own, and much more than of the others.
-
-    Args:
-        rough: The declared physics by plain least squares (`rough_fit`).
-        runs: Its runs.
-    """
+def unexplained_runs(rough: Regression, runs: Sequence[Run]) -> list[Objection]:
+    """Runs of which the declared physics leaves most, whatever its parameters, and much more than of the others."""
     owner = rough.whitened_rows(rough.owners)
     numbers = [int(r) for r in np.unique(owner)]
     if len(numbers) < 2:
         return []
-    std = np.array([noise.std for noise in rough.noises])[:, None] / rough.dt
-    own = {}
-    measured = rough.single.summed(rough.physics.measured, rough.box) / rough.dt
-    for r in numbers:
-        left = _left_alone(rough, owner == r)
-        moves = measured[rough.owners == r][:, rough.rows].std(0)
-        own[r] = np.sqrt(np.square(left).mean(1)) * std[:, 0], moves
+    std = np.array([noise.std for noise in rough.noises]) / rough.dt
+    measured = rough.single.summed(rough.physics.measured, rough.box)[:, rough.rows] / rough.dt
+    left = np.array([np.sqrt(np.square(_left_alone(rough, owner == r)).mean(1)) * std for r in numbers])
+    moves = np.array([measured[rough.owners == r].std(0) for r in numbers])
     out = []
-    for r, (left, moves) in own.items():
-        rest = np.max([own[s][0] for s in own if s != r], axis=0)
-        share = np.max([own[s][0] / np.maximum(own[s][1], 1e-300) for s in own if s != r], axis=0)
-        odd = (left > WHOLE * moves) & (left > TIMES * rest) & (share < WHOLE)
+    for k, r in enumerate(numbers):
+        rest = np.delete(left, k, 0).max(0)
+        share = np.delete(left / np.maximum(moves, 1e-300), k, 0).max(0)
+        odd = (left[k] > WHOLE * moves[k]) & (left[k] > TIMES * rest) & (share < WHOLE)
         if odd.any():
-            i = int(np.argmax(np.where(odd, left / np.maximum(rest, 1e-300), 0.0)))
-            order = [i, *(k for k in np.flatnonzero(odd).tolist() if k != i)]
-            names = tuple(rough.physics.names[rough.rows[k]] for k in order)
+            i = int(np.argmax(np.where(odd, left[k] / np.maximum(rest, 1e-300), 0.0)))
+            order = [i, *(c for c in np.flatnonzero(odd).tolist() if c != i)]
+            names = [rough.physics.names[rough.rows[c]] for c in order]
             unit = per_second(rough.physics.units[rough.rows[i]])
-            out.append(UnexplainedRun(runs[r].name, names, unit, float(left[i]), float(rest[i])))
+            said = (
+                f"{runs[r].name!r} is not explained by the declared physics, whatever its parameters, and the other "
+                f"runs are ({', '.join(names)}): of {names[0]} it leaves {left[k, i]:.3g} {unit} in it and "
+                f"{rest[i]:.3g} in the others"
+            )
+            what = "look whether one of its columns, an input first, is of another run or another time; or leave it out"
+            out.append(Objection("unexplained_run", said, what))
     return out
 
 

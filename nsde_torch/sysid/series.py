@@ -1,5 +1,6 @@
 """Rows of several stretches one after another: what must not reach across a gap."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,13 +11,9 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Series:
-    """Stretches of rows.
+    """Stretches of rows."""
 
-    Args:
-        edges: Ranges (first, last + 1), adjacent and in order.
-    """
-
-    edges: tuple[tuple[int, int], ...]
+    edges: tuple[tuple[int, int], ...]  # ranges (first, last + 1), adjacent and in order
 
     def __len__(self) -> int:
         return self.edges[-1][1]
@@ -26,13 +23,14 @@ class Series:
         """Row number inside its stretch (N,)."""
         return np.concatenate([np.arange(b - a) for a, b in self.edges])
 
-    def lagged(self, values: Array, lags: int) -> Array:
-        """Values (N,) of 1 ... `lags` rows earlier (N, lags), zero where a stretch had not begun."""
-        out = np.zeros((len(values), lags))
-        place = self.place
-        for j in range(1, lags + 1):
-            out[j:, j - 1] = np.where(place[j:] >= j, values[:-j], 0.0)
-        return out
+    def lagged(self, values: Array, lags: Sequence[int]) -> Array:
+        """Columns (N, n) of so many rows before, side by side (N, n len(lags)); zero where a stretch had not begun."""
+        place, parts = self.place[:, None], [values[:, :0]]
+        for lag in lags:
+            moved = np.zeros_like(values)
+            moved[lag:] = values[: len(values) - lag] if lag else values
+            parts.append(np.where(place >= lag, moved, 0.0))
+        return np.concatenate(parts, 1)
 
     def shifted(self, values: Array, by: int) -> Array:
         """Values (N, ...) of so many rows later, of the first or last row where a stretch has none."""

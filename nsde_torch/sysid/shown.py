@@ -1,4 +1,4 @@
-"""What a regression can show: directions of theta that move the whitened residuals, and those that do not.
+"""What a regression can show: directions of theta that move the whitened residuals, others that do not, and a step.
 
 With X the whitened slopes, a direction d is lost where |X d| is nothing: beside rounding (a singular value of the
 columns scaled to equal length below 1e-5 of the largest, since inputs are often logged in single precision), or
@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import lsq_linear
 
 Array = NDArray[np.float64]
 
@@ -20,19 +21,12 @@ _PART = 0.05  # of the largest part of a direction: below that a parameter is le
 
 @dataclass(frozen=True)
 class Shown:
-    """What the data show of theta.
+    """What the data show of theta."""
 
-    Args:
-        basis: Directions that are shown (k, r), in the units of theta.
-        lost: Directions that are not (k, k - r), each with a largest part of one typical size.
-        known: Whether each parameter alone is shown (k,).
-        condition: Largest over smallest singular value of the scaled slopes among the directions shown.
-    """
-
-    basis: Array
-    lost: Array
-    known: NDArray[np.bool_]
-    condition: float
+    basis: Array  # directions that are shown (k, r), in the units of theta
+    lost: Array  # directions that are not (k, k - r), each with a largest part of one typical size
+    known: NDArray[np.bool_]  # whether each parameter alone is shown (k,)
+    condition: float  # largest over smallest singular value of the scaled slopes among the directions shown
 
     @property
     def rank(self) -> int:
@@ -41,12 +35,7 @@ class Shown:
 
 
 def shown(slopes: Array, scale: Array) -> Shown:
-    """Directions that whitened slopes show.
-
-    Args:
-        slopes: Whitened slopes (N, k).
-        scale: Typical size of each parameter (k,).
-    """
+    """Directions that whitened slopes (N, k) show of parameters of typical sizes `scale` (k,)."""
     k = slopes.shape[1]
     length = np.linalg.norm(slopes, axis=0)
     dead = length * scale * _UNSEEN < 1.0
@@ -99,3 +88,23 @@ def sentences(found: Shown, labels: Sequence[str], units: Sequence[str], scale: 
         names = " and ".join(labels[i] for i in sorted(parts))
         out.append(f"{names}: only together; the data look the same with {moves}")
     return out
+
+
+def bounded_step(
+    slopes: Array, residual: Array, found: Shown, low: Array, high: Array, scale: Array
+) -> Array:
+    """The step d (k,) that minimises |residual - slopes d| with low <= d <= high, none of it along what is lost.
+
+    Of whitened slopes (N, k) and residuals (N,), bounds (k,) that hold 0, and typical sizes `scale` (k,).
+    """
+    free = found.basis @ np.linalg.lstsq(slopes @ found.basis, residual, rcond=None)[0]
+    if ((free >= low) & (free <= high)).all():
+        return np.asarray(free)
+    k = slopes.shape[1]
+    triangle: Array = np.linalg.qr(np.column_stack((slopes, residual)), mode="r")  # type: ignore[assignment]
+    size = max(float(np.abs(triangle[:k, :k] * scale).max()), 1.0)
+    still = size * (found.lost / scale[:, None] ** 2).T  # rows that hold the step still along what is lost
+    rows = np.concatenate((triangle[:k, :k], still)) * scale
+    target = np.concatenate((triangle[:k, k], np.zeros(len(still))))
+    result = lsq_linear(rows, target, bounds=(low / scale, high / scale), method="bvls")
+    return np.asarray(np.clip(result.x * scale, low, high))

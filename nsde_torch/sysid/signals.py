@@ -18,7 +18,6 @@ import torch
 from numpy.typing import NDArray
 from scipy.stats import chi2
 
-from nsde_torch.inference.steps import Steps
 from nsde_torch.sysid.noise import extended
 from nsde_torch.sysid.regression import Regression
 from nsde_torch.sysid.series import Series
@@ -33,19 +32,12 @@ _RANK = 1e-9  # of the largest variance
 
 @dataclass(frozen=True)
 class Direction:
-    """A combination of the inputs that drives something.
+    """A combination of the inputs that drives something."""
 
-    Args:
-        name: What it is called in sentences.
-        weights: Its weights (nu,), of length one.
-        channels: Numbers of the channels that it drives.
-        slopes: Rate of each of these per unit of the combination.
-    """
-
-    name: str
-    weights: Array
-    channels: tuple[int, ...]
-    slopes: tuple[float, ...]
+    name: str  # what it is called in sentences
+    weights: Array  # its weights (nu,), of length one
+    channels: tuple[int, ...]  # numbers of the channels that it drives
+    slopes: tuple[float, ...]  # rate of each of these per unit of the combination
 
 
 def box_means(regression: Regression, values: Array) -> Array:
@@ -60,17 +52,6 @@ def spread_out(regression: Regression, values: Array) -> Array:
     for (a, b), (c, d) in zip(regression.series.edges, longer.edges, strict=True):
         out[c + 1 : d] = values[a:b]
     return out
-
-
-def lagged(values: Array, series: Series, lags: Sequence[int]) -> Array:
-    """Columns (N, n) of so many rows before, side by side (N, n len(lags)); zero where a stretch had not begun."""
-    place = series.place[:, None]
-    parts = []
-    for lag in lags:
-        moved = np.zeros_like(values)
-        moved[lag:] = values[: len(values) - lag] if lag else values
-        parts.append(np.where(place >= lag, moved, 0.0))
-    return np.concatenate(parts, 1)
 
 
 def binned(columns: Array, edges: Sequence[int]) -> Array:
@@ -108,10 +89,7 @@ def without(values: Array, basis: Array) -> Array:
 def score_test(innovation: Array, columns: Array, fitted: Array) -> tuple[float, float]:
     """Chance (p value) of a score as large as this if nothing foretells the innovation, and the share foretold.
 
-    Args:
-        innovation: e (N,).
-        columns: What may foretell it (N, n).
-        fitted: Orthonormal columns that e was fitted with (N, p), or that may foretell it.
+    Of an innovation (N,), of columns (N, n) that may foretell it, and orthonormal ones (N, p) that it was fitted with.
     """
     e = without(innovation[:, None], fitted)[:, 0]
     rest = without(columns, fitted)
@@ -150,13 +128,9 @@ def principal(values: Array) -> Array:
 
 @torch.no_grad()
 def input_slopes(regression: Regression, way: Array, size: float, some: torch.Tensor) -> Array:
-    """What a unit along a combination of inputs changes of the rates of channels, at some steps (n, channels).
+    """What a unit along a combination of inputs (nu,) changes of the rates of channels, at some steps (n, channels).
 
-    Args:
-        regression: Physics where it stands.
-        way: The combination (nu,).
-        size: Length of the central difference.
-        some: Numbers of the steps (n,).
+    By central differences of length `size`; `some` are the numbers of the steps (n,).
     """
     physics = regression.physics
     system, steps = physics.vector.system, physics.steps
@@ -208,10 +182,3 @@ def directions(regression: Regression) -> list[Direction]:
         name = system.input_names[0] if system.nu == 1 else f"the input of {physics.names[channel]}"
         out.append(Direction(name, weights, (int(channel),), (length,)))
     return out
-
-
-def inputs_of(regression: Regression) -> Array:
-    """Inputs on the rows of whitened residuals (N, nu), the mean of each box."""
-    steps: Steps = regression.physics.steps
-    u = np.asarray(steps.u[:, : regression.physics.vector.system.nu])
-    return spread_out(regression, box_means(regression, u))

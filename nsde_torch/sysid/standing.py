@@ -37,10 +37,6 @@ def slowest(
     """Speeds whose direction is not known, of coordinates with dry friction, by column of the state.
 
     Args:
-        system: The machine.
-        sensor_std: Standard deviation of the noise of each state (nx,).
-        runs: Recordings. Of rates that were inferred nothing is told: physics is averaged over what is not known of
-            them (`inferred_rates`).
         effects: Effects among which dry frictions are looked for; None takes those of the machine.
     """
     out: dict[int, float] = {}
@@ -54,12 +50,7 @@ def slowest(
 
 
 def moving(runs: Sequence[Run], slowest: Mapping[int, float]) -> tuple[tuple[Run, ...], float]:
-    """Runs without the rows in which a coordinate stands, and the share of the rows that were left out.
-
-    Args:
-        runs: Recordings.
-        slowest: Speeds whose direction is not known, by column of the state.
-    """
+    """Runs without the rows in which a coordinate stands, and the share of the rows that were left out."""
     out, all_rows, left = [], 0, 0
     for run in runs:
         segments: list[tuple[int, int]] = []

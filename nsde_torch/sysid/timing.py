@@ -44,23 +44,14 @@ _PART_S = 30.0
 
 @dataclass(frozen=True)
 class Shifted:
-    """A stream that belongs to another time.
+    """A stream that belongs to another time."""
 
-    Args:
-        stream: What is shifted, by the names of its columns.
-        seconds: By how much it is logged late; early, if negative [s].
-        gain: By how much L falls when it is moved back.
-        inputs: Whether it is the inputs: then early means that they act later than they were logged.
-        against: Channels of which the physics leaves more when the stream is moved.
-        smoothed: States that were smoothed before they were logged.
-    """
-
-    stream: str
-    seconds: float
-    gain: float
-    inputs: bool
-    against: tuple[str, ...] = ()
-    smoothed: tuple[str, ...] = ()
+    stream: str  # what is shifted, by the names of its columns
+    seconds: float  # by how much it is logged late; early, if negative [s]
+    gain: float  # by how much L falls when it is moved back
+    inputs: bool  # whether it is the inputs: then early means that they act later than they were logged
+    against: tuple[str, ...] = ()  # channels of which the physics leaves more when the stream is moved
+    smoothed: tuple[str, ...] = ()  # states that were smoothed before they were logged
 
     @property
     def of_actuators(self) -> bool:
@@ -70,16 +61,11 @@ class Shifted:
     @property
     def sentence(self) -> str:
         """What was found."""
-        if self.seconds > 0:
-            told = (
-                f"{self.stream} are logged about {1e3 * self.seconds:.0f} ms late against the other columns"
-            )
-        elif self.inputs:
-            told = f"{self.stream} act about {-1e3 * self.seconds:.0f} ms later than they are logged"
+        by = f"about {1e3 * abs(self.seconds):.0f} ms"
+        if self.inputs and self.seconds < 0:
+            told = f"{self.stream} act {by} later than they are logged"
         else:
-            told = (
-                f"{self.stream} are logged about {-1e3 * self.seconds:.0f} ms early against the other columns"
-            )
+            told = f"{self.stream} are logged {by} {'late' if self.seconds > 0 else 'early'} against the other columns"
         return f"{told}: moved, the declared physics leaves {np.exp(self.gain):.2g} times less of all rates together"
 
     @property
@@ -101,14 +87,7 @@ class Shifted:
 
 
 def shifted_stream(system: System, runs: Sequence[Run], clock: float, rough: Regression) -> Shifted | None:
-    """The stream that is most surely shifted against the others; None where none is.
-
-    Args:
-        system: The declared physics.
-        runs: The runs.
-        clock: Physical seconds per logged second.
-        rough: The declared physics in the runs as they are (`rough_fit`).
-    """
+    """The stream that is most surely shifted against the others; None where none is."""
     some = beginnings(runs, clock, seconds=_PART_S, fewest=100)
     found = [
         shift
@@ -198,24 +177,17 @@ def _mover(system: System, rows: float, states: list[int], inputs: bool) -> Call
     """Take out that a stream is so many rows late."""
 
     def read(run: Run) -> Run:
-        x, u = np.array(run.x), np.array(run.u)
+        x, u, q = np.array(run.x), np.array(run.u), system.quaternion
         lost = int(np.ceil(abs(rows)))
-        segments = []
-        for a, b in run.segments:
-            if b - a < 2 * lost + 4:
-                continue
-            if inputs:
-                at = np.clip(np.arange(b - a) + rows, 0, b - a - 1)
-                low = np.floor(at).astype(int)
-                share = (at - low)[:, None]
-                n = system.nu
-                own = run.u[a:b, :n]
-                u[a:b, :n] = (1 - share) * own[low] + share * own[np.minimum(low + 1, b - a - 1)]
+        long = [(a, b) for a, b in run.segments if b - a >= 2 * lost + 4]
+        for a, b in long:
+            k = np.arange(b - a)
+            for column in range(system.nu) if inputs else ():
+                u[a:b, column] = np.interp(k + rows, k, run.u[a:b, column])
             if states:
                 x[a:b, states] = moved(np.asarray(run.x[a:b, states]), rows)
-            segments.append((a + lost, b - lost))
-        if system.quaternion is not None and states:
-            x[:, system.quaternion] /= np.linalg.norm(x[:, system.quaternion], axis=1, keepdims=True)
-        return replace(run, x=x, u=u, segments=tuple(segments) or run.segments)
+        if q is not None and states:
+            x[:, q] /= np.linalg.norm(x[:, q], axis=1, keepdims=True)
+        return replace(run, x=x, u=u, segments=tuple((a + lost, b - lost) for a, b in long) or run.segments)
 
     return read

@@ -51,5 +51,5 @@ def test_standard_errors_fall_with_an_experiment_and_never_rise(tie: Tie) -> Non
     now = np.sqrt(np.diag(member.covariance))
     then = Precision(member, [0], member.theta[:1]).errors(*_flown(tie, 0, HOLD), member.theta)[0]
     assert (then <= 1.0001 * now).all()
-    steady = member.labels.index("constant_force.acceleration")
+    steady = member.vector.labels.index("constant_force.acceleration")
     assert then[steady] < 0.9 * now[steady]

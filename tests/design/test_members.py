@@ -64,7 +64,7 @@ def test_gains_of_a_gentle_flight_are_near_the_truth_for_what_is_said_of_them(
 ) -> None:
     system, runs = flights
     for member in members:
-        assert away(member.labels, member.theta, np.sqrt(np.diag(member.covariance))) < 3.0
+        assert away(member.vector.labels, member.theta, np.sqrt(np.diag(member.covariance))) < 3.0
     # with a law for each channel alone, which is what is left of a diagnosis' means for runs as short, one is wrong
     base = search_in(system, runs, 1.0, Options()).base(members[0].system, warm=True).regression
     flat = base.slopes.reshape(-1, len(base.vector))
@@ -76,22 +76,24 @@ def test_no_parameters_are_likelier_than_those_of_a_member(members: list[Member]
     """Neither the true ones nor those of the other member: the likelihood decides between members."""
     for member, other in (members, members[::-1]):
         true = {**GAINS, "thrust_offset": -0.8, "yaw_gain": 2.8, "inertia_x": 0.53, "inertia_y": 0.53}
-        theirs = dict(zip(other.labels, other.theta, strict=True))
+        theirs = dict(zip(other.vector.labels, other.theta, strict=True))
         none = np.zeros_like(member.known)
         for values in (true, theirs):
-            theta = np.array([values.get(k, own) for k, own in zip(member.labels, member.theta, strict=True)])
+            theta = np.array(
+                [values.get(k, own) for k, own in zip(member.vector.labels, member.theta, strict=True)]
+            )
             (there,) = member.posteriors.at_centres([LogWithPrior(member.log.runs, theta, none)])
             assert there.nats < member.nats + 0.5
 
 
 def test_one_weak_motor_is_found_and_not_spoken_against(members: list[Member]) -> None:
     weak, offset = members
-    loss = [weak.theta[weak.labels.index(f"motor_efficiency_loss.loss[{i}]")] for i in range(4)]
+    loss = [weak.theta[weak.vector.labels.index(f"motor_efficiency_loss.loss[{i}]")] for i in range(4)]
     np.testing.assert_allclose(loss, [0.0, 0.0, LOSS, 0.0], atol=0.02)
     assert weak.nats > offset.nats + 3.0  # regressions of steps could not tell
     # what is held at nothing is drawn there
     drawn = weak.draws(8, np.random.default_rng(0))
-    first = weak.labels.index("motor_efficiency_loss.loss[0]")
+    first = weak.vector.labels.index("motor_efficiency_loss.loss[0]")
     assert np.abs(drawn[:, first]).max() < 1e-3
 
 

@@ -31,7 +31,7 @@ def test_the_density_is_the_likelihood_averaged_over_what_is_known(tie: Tie) -> 
     member, run = tie.members[0], _flown(tie, 1)
     own, theta = member.posteriors, member.branches[0].theta
     assert own is not None
-    j = member.labels.index("constant_force.acceleration")
+    j = member.vector.labels.index("constant_force.acceleration")
     std = 0.05
     known = np.diag(1.0 / np.square(np.where(np.arange(len(theta)) == j, std, 1e-7 * member.vector.scale)))
     begun = replace(member, branches=(Branch(theta + 0.3 * std * (np.arange(len(theta)) == j), known, 0.0),))
@@ -52,7 +52,7 @@ def test_a_member_is_not_worth_more_for_knowing_less(tie: Tie) -> None:
     (only, *_) = member.branches
     sure = replace(member, branches=(only,))
     lost = np.zeros_like(only.known)
-    j = member.labels.index("constant_force.acceleration")
+    j = member.vector.labels.index("constant_force.acceleration")
     lost[j, j] = 0.99 / np.linalg.inv(only.known)[j, j]
     vague = replace(member, branches=(Branch(only.theta, only.known - lost, only.nats),))
     told = [f.against(0) for f in fit_all([sure, vague], [_flown(tie, s) for s in range(4)])]

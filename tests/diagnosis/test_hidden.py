@@ -7,10 +7,7 @@ import pytest
 from nsde_torch.diagnosis.hidden import Hidden, allowances, chance_beyond, lengths_of_parameters
 from nsde_torch.diagnosis.search import Search
 from nsde_torch.inference.steps import steps_of
-from nsde_torch.sysid.between_rows import leaning
-from nsde_torch.sysid.loop_statistics import Answer
-from nsde_torch.sysid.loop_test import LoopTest
-from nsde_torch.sysid.loop_words import FACTOR
+from nsde_torch.sysid.loop_test import FACTOR, Answer, LoopTest, leaning
 from nsde_torch.systems import make_system
 from tests.helpers.diagnosed import recorded
 

@@ -13,8 +13,7 @@ from scipy.signal import bilinear, lfilter
 from nsde_torch.data import Run
 from nsde_torch.recording.smoothers import FAMILIES, Smoother
 from nsde_torch.rotation import turned
-from nsde_torch.sysid.late_smoothers import delay, on_time
-from nsde_torch.sysid.smoothed_states import Smoothed, sensors_of
+from nsde_torch.sysid.smoothed_states import Smoothed, SmoothedSensor, on_time, sensors_of
 from nsde_torch.systems import make_system
 
 Array = NDArray[np.float64]
@@ -28,7 +27,7 @@ def _behind(smoother: Smoother | None, x: Array) -> Array:
     """What a filter of first order that is as late makes of rows."""
     if smoother is None:
         return x
-    b, a = bilinear([1.0], [delay(smoother), 1.0], fs=1 / DT)
+    b, a = bilinear([1.0], [smoother.delay, 1.0], fs=1 / DT)
     return np.asarray(lfilter(b, a, x, axis=0))
 
 
@@ -52,18 +51,18 @@ def _run(attitude: Smoother | None, rates: Smoother | None) -> Run:
 
 def _found(smoother: Smoother, name: str) -> Smoothed:
     sensor = next(s for s in sensors_of(QUADROTOR) if name in s.names)
-    nothing = cast(Any, (None,))
-    return Smoothed((sensor,), smoother, (100.0,), (True,), nothing, nothing)
+    nothing = cast(Any, None)
+    return Smoothed(smoother, (SmoothedSensor(sensor, 100.0, True, nothing, nothing),))
 
 
 def _kept(attitude: Smoother | None, rates: Smoother | None) -> list[str]:
     found = [_found(RATES, "w_x"), _found(ATTITUDE, "q_w")]
     kept = on_time(found, [_run(attitude, rates)], QUADROTOR, 1.0)
-    return [one.sensors[0].names[0] for one in kept]
+    return [one.behind[0].sensor.names[0] for one in kept]
 
 
 def test_a_filter_that_would_make_the_attitude_late_is_none_where_the_attitude_is_on_time() -> None:
-    assert delay(RATES) == pytest.approx(2**0.5 / (2.0 * np.pi * 39.8), rel=0.2)
+    assert RATES.delay == pytest.approx(2**0.5 / (2.0 * np.pi * 39.8), rel=0.2)
     assert _kept(None, RATES) == ["w_x"]
 
 

@@ -10,7 +10,8 @@ import pytest
 
 from nsde_torch.data import Run
 from nsde_torch.errors import DataError
-from nsde_torch.sysid.in_loop import adopted, identify_in_loop
+from nsde_torch.sysid.in_loop import identify_in_loop
+from nsde_torch.sysid.instruments import adopted
 from nsde_torch.sysid.loop_test import feedback_summary
 from nsde_torch.sysid.result import Identification
 from nsde_torch.sysid.signals import holm, score_test

@@ -9,9 +9,8 @@ from nsde_torch.data import DataSet
 from nsde_torch.data.raw import RawRun
 from nsde_torch.recording import assemble
 from nsde_torch.sysid import narrow_shapes
-from nsde_torch.sysid.identify import regression_of
 from nsde_torch.sysid.narrow_shapes import narrower
-from nsde_torch.sysid.regression import Regression
+from nsde_torch.sysid.regression import Regression, regression_of
 from nsde_torch.systems import System, make_system
 
 GAIN, SIZE, WIDTH = 1.0, 0.6, 0.004

@@ -24,7 +24,7 @@ def test_boxes_sum_inside_a_stretch_and_drop_what_is_left_over() -> None:
 
 
 def test_lags_do_not_reach_over_the_start_of_a_stretch() -> None:
-    lagged = TWO.lagged(np.arange(1.0, 13.0), 2)
+    lagged = TWO.lagged(np.arange(1.0, 13.0)[:, None], (1, 2))
     np.testing.assert_array_equal(lagged[:3], [[0, 0], [1, 0], [2, 1]])
     np.testing.assert_array_equal(lagged[7:10], [[0, 0], [8, 0], [9, 8]])
 

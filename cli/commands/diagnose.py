@@ -151,8 +151,8 @@ def run(config: DictConfig, job: Job) -> None:
 def _follow(config: DictConfig, job: Job, found: Diagnosis, content: dict[str, Any]) -> None:
     """Train and rehearse with what was found."""
     from nsde_torch.diagnosis.files import REPORT, write_content
-    from nsde_torch.diagnosis.rehearsal_text import rehearsal_lines
     from nsde_torch.diagnosis.report import write_report
+    from nsde_torch.diagnosis.text import rehearsal_lines
 
     if config.retrain and (found.effects or set(found.sensor_faults) & set(found.added)):
         print(f"\ntraining the model with {', '.join(found.added)}", flush=True)

@@ -9,9 +9,8 @@ What hangs on three variables at once or on what was not logged is in no functio
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from html import escape
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -35,10 +34,6 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
-CAPTION = (  # of the picture of the functions
-    "Fitted to all runs, beside everything that was found, as far as it depends on these variables alone. Grey: no "
-    "logged sample is near (eta above 0.5), so that nothing is known there."
-)
 _NAMED = 3  # variables that a sentence names
 _HALF = 1.645  # standard errors of a 90 % interval
 _GRID = {1: 200, 2: 60}  # points along each axis of the picture
@@ -143,49 +138,6 @@ def wanted(rows: Sequence[Mapping[str, Any]]) -> str:
     names = rows[0]["variables"][:_NAMED]
     every = names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"
     return f"{every} on {rows[0]['row']}"
-
-
-def ceiling_lines(content: Mapping[str, Any]) -> list[str]:
-    """Lines for the terminal."""
-    own = content["flexible"]
-    out = ["", f"ceiling: {own['sentence']}"]
-    if own["left"]:
-        out.append(f"  a lead, unverified: {own['remedy']}")
-    return out
-
-
-def ceiling_html(
-    content: Mapping[str, Any], figure: str, table: Callable[[Sequence[str], Sequence[Sequence[str]]], str]
-) -> str:
-    """The section of the page.
-
-    Args:
-        content: As `diagnosis.json` has it.
-        figure: The picture; empty without one.
-        table: Makes a table from its head and rows.
-    """
-    own = content["flexible"]
-    text = f"<h2>What functions could still explain</h2><p>{escape(own['sentence'])}</p>"
-    if own["left"]:
-        text += f'<p><span class="lead">a lead, unverified</span> {escape(own["remedy"])}</p>'
-    head, rows = ceiling_rows(content)
-    return f"{text}{table(head, rows) if rows else ''}{figure}"
-
-
-def ceiling_rows(content: Mapping[str, Any]) -> tuple[list[str], list[list[str]]]:
-    """Head and rows of the table of what is left; no rows where nothing is."""
-    head = ["functions on", "of", "rms", "unit", "log-likelihood [nat]", "+-"]
-    return head, [
-        [
-            r["row"],
-            ", ".join(r["variables"]),
-            number(r["rms"]),
-            r["unit"],
-            f"{r['nats']:+.1f}",
-            f"{r['standard_error']:.1f}",
-        ]
-        for r in content["flexible"]["rows"]
-    ]
 
 
 def ceiling_picture(outcome: Outcome, found: Ceiling) -> Figure | None:

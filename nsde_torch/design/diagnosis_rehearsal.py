@@ -28,6 +28,7 @@ from torch import Tensor
 from nsde_torch.data import Run
 from nsde_torch.data.raw import RawRun
 from nsde_torch.design.rollout import Disturbances, Drive, ModelNoise, Rollouts, open_loop
+from nsde_torch.diagnosis.content import Content
 from nsde_torch.diagnosis.fitted import effect_of, values_of
 from nsde_torch.diagnosis.pipeline import diagnose
 from nsde_torch.diagnosis.result import Diagnosis
@@ -135,8 +136,8 @@ class Rehearsal:
     truth: dict[str, float]
     names: tuple[str, ...]
     followed: bool
-    again: tuple[dict[str, Any], ...]
-    nothing: dict[str, Any] | None
+    again: tuple[Content, ...]
+    nothing: Content | None
     left_out: tuple[str, ...] = ()
     why_not: str = ""
 
@@ -212,7 +213,7 @@ def rehearse(
             alone = _simulated(found, outcome.declared_system, 1, rng)[0]
         except NsdeError:  # without a damping a machine may go anywhere
             left_out = (*left_out, "the declared physics alone, which leaves the range of the log")
-    again: list[dict[str, Any]] = []
+    again: list[Content] = []
     for log in [*made, *alone]:
         say("diagnosing a simulated log", len(again), logs + len(alone))
         try:
@@ -302,7 +303,7 @@ def _noise(found: Diagnosis, count: int, steps: int, rng: np.random.Generator) -
     return ModelNoise.of(space, levels).drawn(count, steps, rng)
 
 
-def _diagnosed(found: Diagnosis, log: list[RawRun]) -> dict[str, Any]:
+def _diagnosed(found: Diagnosis, log: list[RawRun]) -> Content:
     """What a diagnosis like the one that was made says of a simulated log."""
     data = assemble(log, found.system, kind="rehearsed", clock="trust")
     return diagnose(
@@ -319,11 +320,11 @@ def _left_out(found: Diagnosis) -> tuple[str, ...]:
     return tuple(faults)
 
 
-def _sure(content: dict[str, Any]) -> list[str]:
+def _sure(content: Content) -> list[str]:
     """Effects that a diagnosis names without a doubt."""
     return [f["name"] for f in content["findings"] if f["kind"] == "effect" and not f["lead"]]
 
 
-def _tied(content: dict[str, Any]) -> set[str]:
+def _tied(content: Content) -> set[str]:
     """What explains a log as well as an effect that was found."""
     return {name for tie in content["ties"] for one in tie["effects"] for name in one.split(AND)}

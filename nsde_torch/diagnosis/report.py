@@ -6,7 +6,7 @@ import base64
 import io
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from nsde_torch.diagnosis.pictures import pictures, save_pictures
 from nsde_torch.diagnosis.text import rendered
@@ -15,12 +15,13 @@ from nsde_torch.whole_files import write_whole
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+    from nsde_torch.diagnosis.content import Content
     from nsde_torch.diagnosis.result import Diagnosis
 
 _DPI = 100  # of the pictures
 
 
-def write_report(path: Path, found: Diagnosis, content: Mapping[str, Any]) -> None:
+def write_report(path: Path, found: Diagnosis, content: Content) -> None:
     """Write the page, and its pictures into `plots` beside it.
 
     Args:
@@ -33,7 +34,7 @@ def write_report(path: Path, found: Diagnosis, content: Mapping[str, Any]) -> No
     write_whole(path, page(content, figures, width=found.width))
 
 
-def page(content: Mapping[str, Any], figures: Mapping[str, Figure], *, width: float) -> str:
+def page(content: Content, figures: Mapping[str, Figure], *, width: float) -> str:
     """The page as HTML.
 
     Args:

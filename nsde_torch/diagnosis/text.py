@@ -1,18 +1,22 @@
 """A diagnosis in words, made of the content of `diagnosis.json`: for the terminal, and for the page (`templates`)."""
 
+from __future__ import annotations
+
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from jinja2 import Environment, FileSystemLoader, StrictUndefined, select_autoescape
 
 from nsde_torch.diagnosis.buys import BY_STEPS
 from nsde_torch.diagnosis.not_done import ERRORS, NO_TIME, NOT_YET, STOPPED
-from nsde_torch.diagnosis.summary import small
 from nsde_torch.evaluation import report
 from nsde_torch.evaluation.report import between_ends, number
 from nsde_torch.sysid.guard import doubts_the_fit
 from nsde_torch.sysid.standing import in_words
+
+if TYPE_CHECKING:
+    from nsde_torch.diagnosis.content import Content
 
 _UNFINISHED = (NO_TIME, NOT_YET, STOPPED)
 _VERDICTS = {
@@ -25,7 +29,7 @@ _VERDICTS = {
 _CELLS = "│"  # between the cells of a table in a template
 
 
-def lines(content: Mapping[str, Any], go_on: str = "resume=DIR") -> list[str]:
+def lines(content: Content, go_on: str = "resume=DIR") -> list[str]:
     """Lines of text from the content of `diagnosis.json`.
 
     Args:
@@ -35,7 +39,7 @@ def lines(content: Mapping[str, Any], go_on: str = "resume=DIR") -> list[str]:
     return rendered("long.txt", content, content=content, go_on=go_on).splitlines()
 
 
-def short_lines(content: Mapping[str, Any], go_on: str = "resume=DIR") -> list[str]:
+def short_lines(content: Content, go_on: str = "resume=DIR") -> list[str]:
     """What matters most of `lines`, in about fifteen: the verdict, findings with intervals, what the data cannot show.
 
     Args:
@@ -45,7 +49,7 @@ def short_lines(content: Mapping[str, Any], go_on: str = "resume=DIR") -> list[s
     return rendered("short.txt", content, content=content, go_on=go_on).splitlines()
 
 
-def rehearsal_lines(content: Mapping[str, Any]) -> list[str]:
+def rehearsal_lines(content: Content) -> list[str]:
     """What the same data would say of a machine that is known; no lines where nothing was rehearsed."""
     if "rehearsal" not in content:
         return []
@@ -74,18 +78,18 @@ def rehearsed(own: Mapping[str, Any]) -> list[tuple[str, ...]]:
     return [head, *rows] if rows else []
 
 
-def heading(content: Mapping[str, Any]) -> str:
+def heading(content: Content) -> str:
     """The verdict in a few words; that the fit is not believed comes before it."""
     doubted = doubts_the_fit(o["kind"] for o in content["guard"]["objections"])
     return _VERDICTS["doubted" if doubted else content["verdict"]]
 
 
-def own_parameters(finding: Mapping[str, Any], content: Mapping[str, Any]) -> dict[str, Mapping[str, Any]]:
+def own_parameters(finding: Mapping[str, Any], content: Content) -> dict[str, Mapping[str, Any]]:
     """The parameters of a finding."""
     return {k: p for k, p in content["parameters"].items() if k.startswith(f"{finding['name']}.")}
 
 
-def sizes(finding: Mapping[str, Any], content: Mapping[str, Any]) -> str:
+def sizes(finding: Mapping[str, Any], content: Content) -> str:
     """The parameters of a finding with 90 % intervals, the axes of one together."""
     own: dict[str, list[Mapping[str, Any]]] = {}
     for name, p in own_parameters(finding, content).items():
@@ -97,7 +101,7 @@ def sizes(finding: Mapping[str, Any], content: Mapping[str, Any]) -> str:
     return "; ".join(f"{name} {values}{with_space(own[name][0]['unit'])}" for name, values in each.items())
 
 
-def least_squares(content: Mapping[str, Any], name: str | None = None) -> list[str]:
+def least_squares(content: Content, name: str | None = None) -> list[str]:
     """Heads of the columns of least squares (no name), or the cells of a parameter; none where the fit stands.
 
     Args:
@@ -113,14 +117,14 @@ def least_squares(content: Mapping[str, Any], name: str | None = None) -> list[s
     return ["-", "-"] if one is None else [valued(one), interval(one["interval_90"])]
 
 
-def in_order(content: Mapping[str, Any]) -> list[Mapping[str, Any]]:
+def in_order(content: Content) -> list[Mapping[str, Any]]:
     """Findings that are told one by one: effects that matter, the most important first, then the recording."""
     by_name = {f["name"]: f for f in content["findings"] if f["kind"] != "recording"}
     recording = [f for f in content["findings"] if f["kind"] == "recording"]
     return [*(by_name[name] for name in content["told"]["few"]), *recording]
 
 
-def without_it(finding: Mapping[str, Any], content: Mapping[str, Any]) -> str:
+def without_it(finding: Mapping[str, Any], content: Content) -> str:
     """What returns on runs left out when an effect is left out; empty where nobody knows."""
     buys, where = finding["buys"], content["errors"]["measured_on"]
     if buys is None:
@@ -136,7 +140,7 @@ def without_it(finding: Mapping[str, Any], content: Mapping[str, Any]) -> str:
     return f"without it, on {where}: {', '.join(parts)}{share}"
 
 
-def small_ones(content: Mapping[str, Any]) -> str:
+def small_ones(content: Content) -> str:
     """The effects that matter little, in one line."""
     told = content["told"]
     each = ", ".join(f"{r['effect']} ({r['size']})" for r in told["rest"])
@@ -146,12 +150,19 @@ def small_ones(content: Mapping[str, Any]) -> str:
     )
 
 
-def interval_head(content: Mapping[str, Any]) -> str:
+def small(count: int) -> str:
+    """How many effects are small, in words."""
+    words = ("", "one", "two", "three", "four", "five", "six", "seven", "eight", "nine", "ten")
+    number = words[count] if count < len(words) else str(count)
+    return f"{number} small one{'s' if count > 1 else ''}"
+
+
+def interval_head(content: Content) -> str:
     """Head of a column of intervals."""
     return "90 % interval, provisional" if "so_far" in content else "90 % interval"
 
 
-def unfinished(content: Mapping[str, Any], go_on: str = "resume=DIR") -> list[str]:
+def unfinished(content: Content, go_on: str = "resume=DIR") -> list[str]:
     """That a diagnosis is not finished, and what is not done, in a line; none of one that is.
 
     Args:
@@ -169,17 +180,11 @@ def unfinished(content: Mapping[str, Any], go_on: str = "resume=DIR") -> list[st
     return [f"{how}: {left}"]
 
 
-def notices(content: Mapping[str, Any]) -> list[tuple[str, str]]:
+def notices(content: Content) -> list[tuple[str, str]]:
     """Title and text of what is to be read before the findings: warnings, and stages without a result."""
     odd = [("Warning", f"{w['sentence']}. {sentence_case(w['remedy'])}.") for w in content["warnings"]]
     failed = [n for n in content.get("not_done", ()) if n["why"] not in _UNFINISHED]
     return [*odd, *(("Not done", f"{n['stage']}: {n['why']}.") for n in failed)]
-
-
-def placed(dependence: Mapping[str, Any]) -> str:
-    """What is depended on, and where if not everywhere."""
-    where = dependence["where"]
-    return f"{dependence['variable']} ({where})" if where else str(dependence["variable"])
 
 
 def unseen(entries: Sequence[Mapping[str, Any]]) -> dict[str, str]:
@@ -192,7 +197,7 @@ def unseen(entries: Sequence[Mapping[str, Any]]) -> dict[str, str]:
     return {effect: ", ".join(parts) for effect, parts in by_effect.items()}
 
 
-def measured(content: Mapping[str, Any]) -> bool:
+def measured(content: Content) -> bool:
     """Whether errors on runs left out were asked for, and could be computed."""
     return ERRORS not in (n["stage"] for n in content.get("not_done", ()))
 
@@ -273,20 +278,6 @@ _TEMPLATES = Environment(
     trim_blocks=True,
     lstrip_blocks=True,
 )
-_FILTERS = (between, chance, changed, fmt, interval, number, sentence_case, signed, table, unit, valued)
-_TEMPLATES.filters.update({f.__name__: f for f in _FILTERS})
-_WORDS = (
-    heading,
-    in_order,
-    interval_head,
-    least_squares,
-    measured,
-    notices,
-    own_parameters,
-    placed,
-    rehearsed,
-)
-_TEMPLATES.globals.update(
-    {f.__name__: f for f in (*_WORDS, sentences, sizes, small_ones, unfinished, unseen, without_it)}
-)
-_TEMPLATES.globals |= {"standing": in_words, "OPEN_LOOP": "open-loop, inputs replayed from the log"}
+_WORDS = {name: f for name, f in vars().items() if callable(f) and not name.startswith("_")}
+_TEMPLATES.filters.update(_WORDS)
+_TEMPLATES.globals.update(_WORDS, standing=in_words, OPEN_LOOP="open-loop, inputs replayed from the log")

@@ -10,7 +10,8 @@ from typing import Any
 
 import pytest
 
-from nsde_torch.diagnosis.ceiling import Ceiling, ceiling_content
+from nsde_torch.diagnosis.ceiling import Ceiling
+from nsde_torch.diagnosis.content import ceiling_content, summary
 from nsde_torch.diagnosis.decision import judged_by_the_ceiling
 from nsde_torch.diagnosis.decisions import BUDGETS, DECISIONS
 from nsde_torch.diagnosis.evidence import nats_by_channel
@@ -20,7 +21,6 @@ from nsde_torch.diagnosis.outcome import Outcome
 from nsde_torch.diagnosis.pictures import pictures
 from nsde_torch.diagnosis.report import page
 from nsde_torch.diagnosis.result import Diagnosis
-from nsde_torch.diagnosis.summary import summary
 from nsde_torch.diagnosis.text import lines
 from tests.helpers.diagnosed import diagnosed
 

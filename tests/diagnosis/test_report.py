@@ -43,6 +43,19 @@ def found() -> tuple[Diagnosis, dict[str, Any]]:
     return diagnosed("mass_spring_damper", {"constant_force": {"acceleration": 0.2}})
 
 
+def _with_a_blind_spot(case: tuple[Diagnosis, dict[str, Any]]) -> tuple[Diagnosis, dict[str, Any]]:
+    """The same diagnosis of data that could not show one effect, as `diagnosis.json` has it."""
+    unseen = {
+        "effect": "input_delay",
+        "parameter": "input_delay.delay",
+        "smallest": 0.031,
+        "usual": 0.05,
+        "unit": "s",
+        "experiment": "inputs that change within some milliseconds",
+    }
+    return case[0], {**case[1], "not_shown": [unseen]}
+
+
 @pytest.fixture(scope="module")
 def nothing() -> tuple[Diagnosis, dict[str, Any]]:
     return diagnosed("mass_spring_damper")
@@ -77,7 +90,7 @@ def test_the_page_loads_nothing_and_fits_a_phone(
 def test_the_page_names_the_effect_its_values_its_tie_and_the_experiment(
     tmp_path: Path, found: tuple[Diagnosis, dict[str, Any]]
 ) -> None:
-    page, _ = written(tmp_path, found)
+    page, _ = written(tmp_path, _with_a_blind_spot(found))
     _, content = found
     text = re.sub(r"<[^>]+>", " ", re.sub(r"<style>.*?</style>", "", page))
     for word in (
@@ -99,6 +112,7 @@ def test_the_page_names_the_effect_its_values_its_tie_and_the_experiment(
     assert "beside everything else: log-likelihood" in text
     assert "All effects that were tried" in text
     assert "What these data cannot show" in text
+    assert "0.031 s" in text
 
 
 @pytest.mark.slow
@@ -112,13 +126,14 @@ def test_a_page_of_nothing_found_shows_the_residual_and_the_floor(
 
 
 def test_the_terminal_says_the_same(found: tuple[Diagnosis, dict[str, Any]]) -> None:
-    said = "\n".join(lines(found[1]))
+    said = "\n".join(lines(_with_a_blind_spot(found)[1]))
     assert said.startswith("verdict: effect_found")
     for word in (
         "constant_force.acceleration",
         "90 % interval",
         "cannot be told from sensor_bias",
         "cannot show",
+        "input_delay: delay below 0.031 s",
     ):
         assert word in said
 

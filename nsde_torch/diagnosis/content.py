@@ -35,43 +35,43 @@ _SHORT = "shorter than a step of the log: taken into account, and not named"
 TWINS = {"constant_force": ("sensor_bias",)}
 """Faults of the recording chain that no data of the log can tell from an effect."""
 
-Table = dict[str, Any]
+JsonObject = dict[str, Any]
 
 
 class Content(TypedDict, total=False):
     """What `diagnosis.json` holds."""
 
     schema: str
-    so_far: Table
+    so_far: JsonObject
     verdict: str
     added: list[str]
     summary: str
-    warnings: list[Table]
-    not_done: list[Table]
-    guard: Table
-    findings: list[Table]
-    told: Table
-    aside: list[Table]
-    ranking: list[Table]
-    ties: list[Table]
-    not_shown: list[Table]
-    parameters: dict[str, Table]
-    declared_parameters: dict[str, Table]
-    residual: dict[str, Table]
-    structure: Table
-    unexplained: list[Table]
-    between_runs: Table | None
-    in_run: Table | None
-    flexible: Table
-    errors: Table
-    feedback: Table
-    data: Table
+    warnings: list[JsonObject]
+    not_done: list[JsonObject]
+    guard: JsonObject
+    findings: list[JsonObject]
+    told: JsonObject
+    aside: list[JsonObject]
+    ranking: list[JsonObject]
+    ties: list[JsonObject]
+    not_shown: list[JsonObject]
+    parameters: dict[str, JsonObject]
+    declared_parameters: dict[str, JsonObject]
+    residual: dict[str, JsonObject]
+    structure: JsonObject
+    unexplained: list[JsonObject]
+    between_runs: JsonObject | None
+    in_run: JsonObject | None
+    flexible: JsonObject
+    errors: JsonObject
+    feedback: JsonObject
+    data: JsonObject
     alpha: float
     levels: dict[str, float]
     seed: int
     seconds: dict[str, float]
-    model: Table  # where training was asked for
-    rehearsal: Table  # where it was asked for
+    model: JsonObject  # where training was asked for
+    rehearsal: JsonObject  # where it was asked for
 
 
 def content(found: Diagnosis) -> Content:

@@ -278,6 +278,6 @@ _TEMPLATES = Environment(
     trim_blocks=True,
     lstrip_blocks=True,
 )
-_WORDS = {name: f for name, f in vars().items() if callable(f) and not name.startswith("_")}
-_TEMPLATES.filters.update(_WORDS)
-_TEMPLATES.globals.update(_WORDS, standing=in_words, OPEN_LOOP="open-loop, inputs replayed from the log")
+_FUNCTIONS = {name: f for name, f in vars().items() if callable(f) and not name.startswith("_")}
+_TEMPLATES.filters.update(_FUNCTIONS)
+_TEMPLATES.globals.update(_FUNCTIONS, standing=in_words, OPEN_LOOP="open-loop, inputs replayed from the log")

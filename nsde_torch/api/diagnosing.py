@@ -7,14 +7,17 @@ from pathlib import Path
 from typing import Any, Literal
 
 from nsde_torch.api.reading import Data, read, split_runs
+from nsde_torch.data import DataSet
 from nsde_torch.diagnosis.begun import read_begun
 from nsde_torch.diagnosis.candidates import check_candidates
+from nsde_torch.diagnosis.decisions import BUDGETS
 from nsde_torch.diagnosis.not_done import StoppedError
 from nsde_torch.diagnosis.options import Options
 from nsde_torch.diagnosis.pipeline import diagnose as diagnose_runs
 from nsde_torch.diagnosis.result import Diagnosis
 from nsde_torch.models.identified import SysidSpec
 from nsde_torch.progress import Say, Stages, silent
+from nsde_torch.recording.times import no_finer
 from nsde_torch.systems.base import System
 from nsde_torch.systems.options import Effects, SystemOptions, system_options
 from nsde_torch.threads import one_thread
@@ -104,10 +107,14 @@ def diagnose(
     machine_options = system_options(system, effects=effects, declared=declared, parameters=parameters)
     machine = machine_options.make()
     check_candidates(machine, options.candidates or ())
-    runs = read(data, system=machine)
+
+    def rows_of(source: Data) -> DataSet:
+        return no_finer(read(source, system=machine), machine, BUDGETS.finest_step)
+
+    runs = rows_of(data)
     looked_at = list(runs.runs)
     if test is not None or test_data is not None:
-        other = None if test_data is None else read(test_data, system=machine)
+        other = None if test_data is None else rows_of(test_data)
         looked_at = list(split_runs(runs, test, test_data=other).train)
     spec = SysidSpec(
         machine_options.name,

@@ -305,6 +305,17 @@ def on_longer_step(data: DataSet, system: SystemInfo, dt: float, *, late: Sequen
     return replace(data, runs=runs, dt=dt, summary=summary, fingerprint=mark)
 
 
+def no_finer(data: DataSet, system: SystemInfo, step: float) -> DataSet:
+    """The data set with as many rows of the log in one as fit into `step` [s], which is then one of its findings."""
+    every = int(step / (data.dt * data.clock_scale) + _ROUNDED)
+    if every < LONGER:
+        return data
+    text = f"rows {data.dt * 1e3:.4g} ms apart are closer than is needed: {every} of them are one"
+    finding = Finding("short_step", "", every, text, "resampled", {"step_s": data.dt, "rows": every})
+    told = replace(data.summary, findings=(*data.summary.findings, finding))
+    return on_longer_step(replace(data, summary=told), system, every * data.dt)
+
+
 def _resampled(run: Run, system: SystemInfo, dt: float) -> Run:
     nu = len(system.input_names)
     raw = RawRun(run.name, run.t, run.x, run.u[:, :nu], extra=dict(run.extra), source=run.source)

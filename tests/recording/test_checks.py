@@ -11,7 +11,7 @@ from nsde_torch.data import DataSet, RawRun
 from nsde_torch.data.quaternion import rotation_vector, slerp
 from nsde_torch.errors import DataError
 from nsde_torch.recording import assemble
-from nsde_torch.recording.times import resample
+from nsde_torch.recording.times import no_finer, resample
 from tests.helpers.data_systems import CARTPOLE, HEXACOPTER
 from tests.helpers.flights import flight
 
@@ -324,3 +324,12 @@ def test_a_velocity_of_another_run_is_refused_by_name() -> None:
     runs[1].x[:, 4] = np.roll(runs[0].x[:, 4], 700)
     with pytest.raises(DataError, match="run 'run_1': 'p_y' and 'v_y' do not belong together"):
         assemble(runs, HEXACOPTER, kind="test")
+
+
+@pytest.mark.parametrize(("dt", "rows"), [(0.001, 5), (0.002, 2), (0.004, 1), (0.01, 1)])
+def test_rows_that_are_closer_than_needed_become_one(dt: float, rows: int) -> None:
+    t, x, u = flight(8.0)
+    data = no_finer(one(t * dt / 0.01, x, u, clock="trust"), HEXACOPTER, 0.005)
+    assert data.dt == pytest.approx(rows * dt)
+    told = [f.values for f in data.summary.findings if f.kind == "short_step"]
+    assert told == ([] if rows == 1 else [{"step_s": pytest.approx(dt), "rows": rows}])

@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from omegaconf import DictConfig
 
     from nsde_torch.diagnosis import Diagnosis
+    from nsde_torch.diagnosis.content import Content
 
     from ..jobs import Job
 
@@ -148,11 +149,11 @@ def run(config: DictConfig, job: Job) -> None:
         print(f"{job.run_dir / REPORT} has all of it, and so does verbose=true")
 
 
-def _follow(config: DictConfig, job: Job, found: Diagnosis, content: dict[str, Any]) -> None:
+def _follow(config: DictConfig, job: Job, found: Diagnosis, content: Content) -> None:
     """Train and rehearse with what was found."""
     from nsde_torch.diagnosis.files import REPORT, write_content
-    from nsde_torch.diagnosis.rehearsal_text import rehearsal_lines
     from nsde_torch.diagnosis.report import write_report
+    from nsde_torch.diagnosis.text import rehearsal_lines
 
     if config.retrain and (found.effects or set(found.sensor_faults) & set(found.added)):
         print(f"\ntraining the model with {', '.join(found.added)}", flush=True)

@@ -10,7 +10,7 @@ import time
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 from .job import ServedJob
 from .limits import ServeLimits
@@ -19,6 +19,9 @@ from .refused import RefusedError
 from .shelf import Shelf
 from .summary import page_summary
 from .words import Machines, diagnose_words, inspect_words, shell
+
+if TYPE_CHECKING:
+    from nsde_torch.diagnosis.content import Content
 
 INSPECTION, SUMMARY, LOG, MAPPING, RESULT = (
     "inspection.json",
@@ -240,7 +243,7 @@ class JobRunner:
         return sentence.replace(str(logs), "the logs")
 
 
-def save_summary(folder: Path, content: dict[str, Any]) -> None:
+def save_summary(folder: Path, content: Content) -> None:
     """Write what the page shows of a diagnosis.
 
     Args:

@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping
-from typing import Any
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from nsde_torch.diagnosis.content import Content
 
 
-def page_summary(content: Mapping[str, Any], plots: Collection[str]) -> dict[str, Any]:
+def page_summary(content: Content, plots: Collection[str]) -> dict[str, Any]:
     """What stands above the report.
 
     Args:
@@ -40,9 +43,7 @@ def page_summary(content: Mapping[str, Any], plots: Collection[str]) -> dict[str
     }
 
 
-def _finding(
-    finding: Mapping[str, Any], content: Mapping[str, Any], plots: Collection[str]
-) -> dict[str, Any]:
+def _finding(finding: Mapping[str, Any], content: Content, plots: Collection[str]) -> dict[str, Any]:
     from nsde_torch.diagnosis.files import picture_file
     from nsde_torch.diagnosis.text import chance, interval, valued, without_it
 
@@ -75,7 +76,7 @@ def _finding(
     }
 
 
-def _residual(content: Mapping[str, Any]) -> list[dict[str, str]]:
+def _residual(content: Content) -> list[dict[str, str]]:
     """Residual of each channel on runs left out, before and after."""
     from nsde_torch.evaluation.report import number
 

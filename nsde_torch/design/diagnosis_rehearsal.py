@@ -28,6 +28,7 @@ from torch import Tensor
 from nsde_torch.data import Run
 from nsde_torch.data.raw import RawRun
 from nsde_torch.design.rollout import Disturbances, Drive, ModelNoise, Rollouts, open_loop
+from nsde_torch.diagnosis.content import Content
 from nsde_torch.diagnosis.fitted import effect_of, values_of
 from nsde_torch.diagnosis.pipeline import diagnose
 from nsde_torch.diagnosis.result import Diagnosis
@@ -116,8 +117,8 @@ class Rehearsal:
     truth: dict[str, float]  # parameters that were simulated, those with an interval: `effect.name` -> value
     names: tuple[str, ...]  # effects that were simulated
     followed: bool  # whether inputs followed the log (feedback); else they were replayed
-    again: tuple[dict[str, Any], ...]  # `diagnosis.json` of each log of the machine that was found
-    nothing: dict[str, Any] | None
+    again: tuple[Content, ...]  # `diagnosis.json` of each log of the machine that was found
+    nothing: Content | None
     """The same of a log of the declared physics alone; None where that is what `again` is, or cannot be made."""
     left_out: tuple[str, ...] = ()  # what was found and is not simulated, in words
     why_not: str = ""  # why nothing was simulated; empty where it was
@@ -194,7 +195,7 @@ def rehearse(
             alone = _simulated(found, outcome.declared_system, 1, rng)[0]
         except NsdeError:  # without a damping a machine may go anywhere
             left_out = (*left_out, "the declared physics alone, which leaves the range of the log")
-    again: list[dict[str, Any]] = []
+    again: list[Content] = []
     for log in [*made, *alone]:
         say("diagnosing a simulated log", len(again), logs + len(alone))
         try:
@@ -284,7 +285,7 @@ def _noise(found: Diagnosis, count: int, steps: int, rng: np.random.Generator) -
     return ModelNoise.of(space, levels).drawn(count, steps, rng)
 
 
-def _diagnosed(found: Diagnosis, log: list[RawRun]) -> dict[str, Any]:
+def _diagnosed(found: Diagnosis, log: list[RawRun]) -> Content:
     """What a diagnosis like the one that was made says of a simulated log."""
     data = assemble(log, found.system, kind="rehearsed", clock="trust")
     return diagnose(
@@ -301,11 +302,11 @@ def _left_out(found: Diagnosis) -> tuple[str, ...]:
     return tuple(faults)
 
 
-def _sure(content: dict[str, Any]) -> list[str]:
+def _sure(content: Content) -> list[str]:
     """Effects that a diagnosis names without a doubt."""
     return [f["name"] for f in content["findings"] if f["kind"] == "effect" and not f["lead"]]
 
 
-def _tied(content: dict[str, Any]) -> set[str]:
+def _tied(content: Content) -> set[str]:
     """What explains a log as well as an effect that was found."""
     return {name for tie in content["ties"] for one in tie["effects"] for name in one.split(AND)}

@@ -15,6 +15,7 @@ from __future__ import annotations
 import copy
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 import torch
@@ -72,6 +73,18 @@ class RunZeros:
         """The option of a reader that takes it out."""
         each = ",".join(f"{run}:{{{self.state}:{value:.4g}}}" for run, (value, _) in self.values.items())
         return f"data.sensor_bias={{{each}}}"
+
+    def as_dict(self) -> dict[str, Any]:
+        """Plain containers, for JSON."""
+        return {
+            "state": self.state,
+            "unit": self.unit,
+            "runs": {run: {"value": v, "standard_error": error} for run, (v, error) in self.values.items()},
+            "p": self.p,
+            "tie": self.tie,
+            "sentence": self.sentence,
+            "remedy": self.remedy,
+        }
 
 
 def between_runs(regression: Regression, names: Sequence[str], *, tie: float) -> RunZeros | None:

@@ -9,7 +9,7 @@ gives their sizes, by non-negative least squares over the upper three quarters o
 its own size. The floor is what these two leave of a mean rate over a test function (`sysid.explained`).
 """
 
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -49,6 +49,12 @@ class ChannelResidual:
         """Share of the residual above the floor, in variance, that the effects explain."""
         above = self.before**2 - self.floor**2
         return float(np.clip((self.before**2 - self.after**2) / above, 0.0, 1.0)) if above > 0 else 0.0
+
+    def as_dict(self) -> dict[str, str | float]:
+        """Plain containers, for JSON."""
+        out = asdict(self) | {"explained": self.explained}
+        del out["name"]
+        return out
 
 
 def channel_residuals(before: Regression, after: Regression) -> list[ChannelResidual]:

@@ -1,26 +1,26 @@
-"""The content of `diagnosis.json`; its keys are in docs/content/reference/diagnosis-json.md."""
+"""The content of `diagnosis.json`, of which all texts are made (keys: docs/content/reference/diagnosis-json.md)."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict
+from typing import TYPE_CHECKING, Any, TypedDict
 
 from nsde_torch.diagnosis.begun import declared_model
-from nsde_torch.diagnosis.buys import BY_RESIDUAL, BY_STEPS
-from nsde_torch.diagnosis.ceiling import ceiling_content, wanted
-from nsde_torch.diagnosis.decisions import Wording
+from nsde_torch.diagnosis.buys import BY_RESIDUAL, BY_STEPS, Told
+from nsde_torch.diagnosis.ceiling import Ceiling
 from nsde_torch.diagnosis.declared import declared
 from nsde_torch.diagnosis.dependence import Dependence
-from nsde_torch.diagnosis.detectability import not_shown
+from nsde_torch.diagnosis.detectability import NotShown, not_shown
 from nsde_torch.diagnosis.estimates import Estimate, estimates
 from nsde_torch.diagnosis.fitted import effect_of
-from nsde_torch.diagnosis.law_content import law
 from nsde_torch.diagnosis.multiplicity import bonferroni
-from nsde_torch.diagnosis.outcome import Outcome
+from nsde_torch.diagnosis.outcome import Found, Outcome
 from nsde_torch.diagnosis.shape import Shape, called, symmetry
-from nsde_torch.diagnosis.summary import summary
-from nsde_torch.effects import Effect
-from nsde_torch.effects.expression_grammar import is_law
+from nsde_torch.diagnosis.text import rendered, small
+from nsde_torch.effects.expression import Expression
+from nsde_torch.effects.expression_forms import latex, sympy_text, valued
+from nsde_torch.effects.expression_grammar import Call, Node, Power, Variable, Written, is_law, nodes
 from nsde_torch.effects.law import joined_name, split_name
 from nsde_torch.sysid.longer_boxes import in_words
 from nsde_torch.systems import System
@@ -35,81 +35,94 @@ _SHORT = "shorter than a step of the log: taken into account, and not named"
 TWINS = {"constant_force": ("sensor_bias",)}
 """Faults of the recording chain that no data of the log can tell from an effect."""
 
+JsonObject = dict[str, Any]
 
-def content(found: Diagnosis) -> dict[str, Any]:
-    """What `diagnosis.json` holds; its keys are in docs/content/reference/diagnosis-json.md."""
-    o, left = found.outcome, found.explanation
-    wording, flexible = o.decisions.wording, ceiling_content(left.ceiling, o)
-    return {
-        "schema": "nsde_torch.diagnosis/1",
-        **(
-            {}
-            if found.so_far is None
-            else {"so_far": found.so_far.as_dict() | {"declared": declared_model(found.spec)}}
-        ),
+
+class Content(TypedDict, total=False):
+    """What `diagnosis.json` holds."""
+
+    schema: str
+    so_far: JsonObject
+    verdict: str
+    added: list[str]
+    summary: str
+    warnings: list[JsonObject]
+    not_done: list[JsonObject]
+    guard: JsonObject
+    findings: list[JsonObject]
+    told: JsonObject
+    aside: list[JsonObject]
+    ranking: list[JsonObject]
+    ties: list[JsonObject]
+    not_shown: list[JsonObject]
+    parameters: dict[str, JsonObject]
+    declared_parameters: dict[str, JsonObject]
+    residual: dict[str, JsonObject]
+    structure: JsonObject
+    unexplained: list[JsonObject]
+    between_runs: JsonObject | None
+    in_run: JsonObject | None
+    flexible: JsonObject
+    errors: JsonObject
+    feedback: JsonObject
+    data: JsonObject
+    alpha: float
+    levels: dict[str, float]
+    seed: int
+    seconds: dict[str, float]
+    model: JsonObject  # where training was asked for
+    rehearsal: JsonObject  # where it was asked for
+
+
+def content(found: Diagnosis) -> Content:
+    """The content of `diagnosis.json`."""
+    o, left, told, errors = found.outcome, found.explanation, found.told, found.errors
+    functions, faults = ceiling_content(left.ceiling, o), [f.name for f in found.faults]
+    short = [(f.name, f.sentence, f.reason or _SHORT) for f in found.recorded.faults if f.short]
+    short += [(name, sentence(o, name), _SHORT) for name in o.aside]
+    hidden = [(h.name, f"{h.name} would explain something, and is not named.", h.reason) for h in o.hidden]
+    out: Content = {"schema": "nsde_torch.diagnosis/1"}
+    if found.so_far is not None:
+        out["so_far"] = {**found.so_far.as_dict(), "declared": declared_model(found.spec)}
+    out |= {
         "verdict": found.verdict,
         "added": found.added,
-        "summary": summary(
-            found.verdict,
-            [f.name for f in found.faults],
-            found.told,
-            o,
-            left.shapes,
-            wanted(flexible["rows"]),
-        ),
+        "summary": summary(found.verdict, faults, told, o, left.shapes, _functions_of(functions["rows"])),
         "warnings": _warnings(found),
-        "not_done": [one.as_dict() for one in found.not_done],
-        "guard": found.explanation.guard.as_dict(),
+        "not_done": [asdict(one) for one in found.not_done],
+        "guard": left.guard.as_dict(),
         "findings": _findings(found),
-        "told": _told(found),
-        "aside": [
-            *(
-                {"effect": f.name, "sentence": f.sentence, "reason": f.reason or _SHORT}
-                for f in found.recorded.faults
-                if f.short
-            ),
-            *({"effect": n, "sentence": sentence(o, n), "reason": _SHORT} for n in o.aside),
-            *(
-                {
-                    "effect": h.name,
-                    "sentence": f"{h.name} would explain something, and is not named.",
-                    "reason": h.reason,
-                }
-                for h in o.hidden
-            ),
-        ],
+        "told": {
+            "by": BY_STEPS if errors.inputs else BY_RESIDUAL,
+            "few": list(told.few),
+            "rest": [
+                {"effect": f.name, "size": _size(o, f)} for n in told.rest for f in o.found if f.name == n
+            ],
+            "rest_share": told.share,
+        },
+        "aside": [{"effect": name, "sentence": said, "reason": why} for name, said, why in [*short, *hidden]],
         "ranking": ranking(o),
         "ties": _ties(found),
-        "not_shown": _not_shown(found),
+        "not_shown": [asdict(n) for n in _not_shown(o)],
         "parameters": parameters(found),
         "declared_parameters": {
             name: {"value": e.value, **_interval(found, e), "unit": e.unit, "shown": e.low is not None}
             for name, e in declared(o).items()
         },
-        "residual": {
-            c.name: {
-                "unit": c.unit,
-                "measured": c.measured,
-                "before": c.before,
-                "after": c.after,
-                "floor": c.floor,
-                "explained": c.explained,
-            }
-            for c in left.channels
-        },
+        "residual": {c.name: c.as_dict() for c in left.channels},
         "structure": {
             "tests": {"before": len(o.before), "after": len(o.after)},
-            "before": [_dependence(d, len(o.before), found.runs, wording) for d in o.before[:_DEPENDENCES]],
-            "after": [_dependence(d, len(o.after), found.runs, wording) for d in o.after[:_DEPENDENCES]],
+            "before": _dependences(o.before, found),
+            "after": _dependences(o.after, found),
         },
-        "unexplained": [_shape(found, s) for s in left.shapes],
-        "between_runs": _between_runs(found),
+        "unexplained": [_shape(s, found.runs) for s in left.shapes],
+        "between_runs": None if left.between_runs is None else left.between_runs.as_dict(),
         "in_run": _in_run(found),
-        "flexible": flexible,
+        "flexible": functions,
         "errors": {
-            **found.errors.content,
-            "measured_on": "runs left out" if found.errors.whole_runs else "the last part of the only run",
-            "runs": list(found.errors.runs),
+            **errors.content,
+            "measured_on": "runs left out" if errors.whole_runs else "the last part of the only run",
+            "runs": list(errors.runs),
         },
         "feedback": _feedback(found),
         "data": {
@@ -119,7 +132,7 @@ def content(found: Diagnosis) -> dict[str, Any]:
             "duration_s": sum(run.duration for run in found.recorded.runs),
             "clock_scale": found.recorded.clock,
             "dt_s": found.data.dt,
-            "standing_share": found.explanation.standing,
+            "standing_share": left.standing,
             "fingerprint": found.data.fingerprint,
             "done": [str(f) for f in found.data.summary.findings],
         },
@@ -128,36 +141,73 @@ def content(found: Diagnosis) -> dict[str, Any]:
         "seed": found.options.seed,
         "seconds": found.seconds,
     }
+    return out
+
+
+def summary(
+    verdict: str,
+    faults: Sequence[str],
+    told: Told,
+    outcome: Outcome,
+    shapes: Sequence[Shape],
+    functions: str = "",
+) -> str:
+    """The verdict in one or two sentences.
+
+    Args:
+        verdict: `no_effect`, `effect_found`, `unexplained` or `undecided`.
+        faults: Names of the faults of the recording chain that were found.
+        told: The effects that matter, and the others.
+        outcome: What was concluded.
+        shapes: What the residual still depends on, in words.
+        functions: What functions that explain more are of, where no test of structure says what is missing.
+    """
+    added, provisional = [*faults, *told.few, *told.rest], {f.name for f in outcome.found if f.provisional}
+    moved, left = {name for f in outcome.found for name in f.moves}, outcome.structured
+    rest = f"{left[0].channel} on {left[0].variable}" if left else ""
+    if shapes:  # of those that say the same about equally surely, the one with the most to say
+        best = max(shapes[:2], key=lambda s: (s.channel == left[0].channel, bool(s.note)))
+        rest = ", ".join(filter(None, (f"{best.channel} on {best.variable}", best.note)))
+    values = {
+        "verdict": "doubted" if outcome.doubted else verdict,
+        "added": added,
+        "names": named([*faults, *told.few], told),
+        "hidden": outcome.test.hidden,
+        "blind": list(dict.fromkeys(n.effect for n in _not_shown(outcome) if n.smallest is None)),
+        "leads": [name for name in added if name in provisional],
+        "found": outcome.found,
+        "rest": rest,
+        "elsewhere": bool(left) and left[0].channel not in moved,
+        "functions": functions,
+    }
+    return rendered("summary.txt", values).strip()
+
+
+def named(first: Sequence[str], told: Told) -> str:
+    """Names of what was found, small effects by their number.
+
+    Args:
+        first: Names that are told.
+        told: The effects that matter, and the others.
+    """
+    return ", ".join(first) + (f" and {small(len(told.rest))}" if told.rest else "")
 
 
 def _warnings(found: Diagnosis) -> list[dict[str, Any]]:
-    odd: list[dict[str, Any]] = [
-        {"parameter": w.parameter, "kind": w.kind, "sentence": w.sentence, "remedy": w.remedy}
-        for w in found.explanation.warned
-    ]
-    guards = [{"parameter": None, **one.as_dict()} for one in found.explanation.guard.objections]
-    refused = found.explanation.refused
-    if refused is not None:
+    guards = [one.as_dict() for one in found.explanation.guard.objections]
+    if (refused := found.explanation.refused) is not None:
         box = found.outcome.final.regression.dt
-        guards.append({"parameter": None, "kind": "longer_boxes", **in_words(box, refused)})
-    return [*guards, *odd]
+        guards.append({"kind": "longer_boxes", **in_words(box, refused)})
+    return [*({"parameter": None, **one} for one in guards), *map(asdict, found.explanation.warned)]
 
 
 def _findings(found: Diagnosis) -> list[dict[str, Any]]:
+    own, buys = found.errors.own, found.buys
+    nothing = {"lead": False, "lead_reason": None, "held_out": None, "buys": None}
     faults = [
-        {
-            "name": f.name,
-            "kind": "recording",
-            "sentence": f.sentence,
-            "p": f.p,
-            "lead": False,
-            "lead_reason": None,
-            "held_out": None,
-            "buys": None,
-        }
+        {"name": f.name, "kind": "recording", "sentence": f.sentence, "p": f.p, **nothing}
         for f in found.faults
     ]
-    buys = found.buys
     effects = [
         {
             "name": f.name,
@@ -168,138 +218,72 @@ def _findings(found: Diagnosis) -> list[dict[str, Any]]:
             "lead": bool(f.provisional),
             "lead_reason": f.provisional or None,
             "moves": list(f.moves),
-            "held_out": found.errors.own[f.name].as_dict() if f.name in found.errors.own else None,
+            "held_out": own[f.name].as_dict() if f.name in own else None,
             "buys": buys[f.name].as_dict() if f.name in buys else None,
             "ties": list(f.ties),
-            "separate": _class(found, f.name).separate,
-            **law(found.outcome, f),
+            "separate": effect_of(found.outcome.system, f.name).separate,
+            **_law(found.outcome, f),
         }
         for f in found.outcome.found
     ]
     return [*faults, *effects]
 
 
-def _told(found: Diagnosis) -> dict[str, Any]:
-    """The few effects that matter, and the others with their sizes."""
-    told = found.told
-    return {
-        "by": BY_STEPS if found.errors.inputs else BY_RESIDUAL,
-        "few": list(told.few),
-        "rest": [{"effect": name, "size": _size(found, name)} for name in told.rest],
-        "rest_share": told.share,
-    }
-
-
-def _size(found: Diagnosis, name: str) -> str:
-    """How strong an effect is: what is nothing without it, with units."""
-    held = next(f.trial.held for f in found.outcome.found if f.name == name)
-    sizes = _class(found, name).null
-    return _joined([e for e in found.outcome.estimates(name) if own_name(e.name) in sizes], held)
-
-
-def _joined(parameters: Sequence[Estimate], held: Sequence[str]) -> str:
-    """Values with units, those of one unit together."""
+def _size(outcome: Outcome, f: Found) -> str:
+    """How strong an effect is: what is nothing without it, the values of one unit together."""
     by_unit: dict[str, list[str]] = {}
-    for e in parameters:
-        by_unit.setdefault(e.unit, []).append(f"{0.0 if e.name in held else e.value:.3g}")
+    for e in outcome.estimates(f.name):
+        if own_name(e.name) in effect_of(outcome.system, f.name).null:
+            by_unit.setdefault(e.unit, []).append(f"{0.0 if e.name in f.trial.held else e.value:.3g}")
     return "; ".join(", ".join(v) + ("" if unit == "1" else f" {unit}") for unit, v in by_unit.items())
 
 
 def _feedback(found: Diagnosis) -> dict[str, Any]:
-    if found.instrumented is None:
-        return found.feedback.as_dict()
-    told = found.instrumented.instrumented
-    return {
-        **found.feedback.as_dict(),
-        "findings": found.instrumented.of_the_loop,
-        "instruments": None if told is None else told.as_dict(),
-    }
-
-
-def _class(found: Diagnosis, name: str) -> type[Effect]:
-    return type(effect_of(found.outcome.system, name))
+    out = found.feedback.as_dict()
+    if found.instrumented is not None:
+        told = found.instrumented.instrumented
+        out |= {"findings": found.instrumented.of_the_loop, "instruments": told and told.as_dict()}
+    return out
 
 
 def _ties(found: Diagnosis) -> list[dict[str, Any]]:
     out = [{"effects": [f.name, *f.ties], "experiment": f.experiment} for f in found.faults if f.ties]
     for f in found.outcome.found:
         law, coordinate = split_name(f.name)
-        twins = [t for t in TWINS.get(law, ()) if t != "sensor_bias" or _springs(found, coordinate)]
+        # a bias of the position would show as a constant force beside a spring
+        spring = joined_name("linear_spring", coordinate) in found.system.effect_names
+        twins = [t for t in TWINS.get(law, ()) if t != "sensor_bias" or spring]
         if f.ties or twins:
-            out.append({"effects": [f.name, *f.ties, *twins], "experiment": _class(found, f.name).separate})
+            separate = effect_of(found.outcome.system, f.name).separate
+            out.append({"effects": [f.name, *f.ties, *twins], "experiment": separate})
     return out
 
 
-def _shape(found: Diagnosis, s: Shape) -> dict[str, Any]:
-    return {
-        "channel": s.channel,
-        "variable": s.variable,
-        "symmetry": s.symmetry or None,
-        "extent": s.extent or None,
-        "where": None if s.where is None else list(s.where),
-        "period": s.period,
-        "only_run": None if s.only_run is None else found.runs[s.only_run],
-        "sentence": s.sentence,
-    }
-
-
-def _between_runs(found: Diagnosis) -> dict[str, Any] | None:
-    zeros = found.explanation.between_runs
-    if zeros is None:
-        return None
-    return {
-        "state": zeros.state,
-        "unit": zeros.unit,
-        "runs": {
-            run: {"value": value, "standard_error": error} for run, (value, error) in zeros.values.items()
-        },
-        "p": zeros.p,
-        "tie": zeros.tie,
-        "sentence": zeros.sentence,
-        "remedy": zeros.remedy,
-    }
+def _shape(s: Shape, runs: Sequence[str]) -> dict[str, Any]:
+    out = asdict(s) | {"symmetry": s.symmetry or None, "extent": s.extent or None}
+    out |= {"where": s.where and list(s.where), "only_run": None if s.only_run is None else runs[s.only_run]}
+    del out["note"]
+    return out
 
 
 def _in_run(found: Diagnosis) -> dict[str, Any] | None:
     f = found.explanation.in_run
     if f is None:
         return None
-    name = found.runs[f.run]
+    means = meaning(found.outcome.declared_system, f.effect, f.estimates, f.held)
     return {
-        "run": name,
+        "run": found.runs[f.run],
         "effect": f.effect,
         "p": f.p,
         "parameters": {e.name: {"value": e.value, "unit": e.unit} for e in f.estimates},
-        "sentence": f"In {called(name)} alone, {f.effect} would explain it: "
-        + meaning(found.outcome.declared_system, f.effect, f.estimates, f.held),
+        "sentence": f"In {called(found.runs[f.run])} alone, {f.effect} would explain it: {means}",
         "verified": False,
     }
 
 
-def _not_shown(found: Diagnosis) -> list[dict[str, Any]]:
-    names = [f.name for f in found.outcome.found]
-    return [
-        {
-            "effect": n.effect,
-            "parameter": n.parameter,
-            "smallest": n.smallest,
-            "usual": n.usual,
-            "unit": n.unit,
-            "experiment": n.separate,
-        }
-        for n in not_shown(
-            found.outcome.rounds,
-            found=names,
-            alpha=found.outcome.levels["effects"],
-            decisions=found.outcome.decisions,
-            system=found.outcome.declared_system,
-        )
-    ]
-
-
-def _springs(found: Diagnosis, coordinate: str) -> bool:
-    """Whether a bias of the position would show as a constant force."""
-    return joined_name("linear_spring", coordinate) in found.system.effect_names
+def _not_shown(o: Outcome) -> list[NotShown]:
+    names, alpha = [f.name for f in o.found], o.levels["effects"]
+    return not_shown(o.rounds, found=names, alpha=alpha, decisions=o.decisions, system=o.declared_system)
 
 
 def parameters(found: Diagnosis) -> dict[str, Any]:
@@ -310,13 +294,11 @@ def parameters(found: Diagnosis) -> dict[str, Any]:
     out: dict[str, Any] = {}
     for fault in found.faults:
         for name, (value, low, high, unit) in fault.values.items():
-            interval = None if low is None else [low, high]
-            known = {"value": value, "interval_90": interval, "bound": None, "unit": unit}
-            out[f"{fault.name}.{name}"] = known
+            ends = None if low is None else [low, high]
+            out[f"{fault.name}.{name}"] = {"value": value, "interval_90": ends, "bound": None, "unit": unit}
     for f in found.outcome.found:
         for e in found.outcome.estimates(f.name):
-            held = e.name in f.trial.held
-            value = 0.0 if held else e.value
+            value = 0.0 if e.name in f.trial.held else e.value
             out[e.name] = {"value": value, **_interval(found, e), "unit": e.unit}
     return out
 
@@ -356,29 +338,43 @@ def meaning(system: System, effect: str, parameters: Sequence[Estimate], held: S
 
 def ranking(outcome: Outcome) -> list[dict[str, Any]]:
     """Every candidate of the first look, the likeliest first, and later looks where they added one."""
-    out = []
+    out: list[dict[str, Any]] = []
     for number, look in enumerate(outcome.rounds):
-        seen = set()
-        for t in look.trials:
-            seen.add(t.name)
-            out.append(
-                {
-                    "round": number,
-                    "effect": t.name,
-                    "evidence_nats": t.nats,
-                    "evidence_error": t.nats_error,
-                    "p": t.p_corrected,
-                    "parameters": {e.name: e.value for e in estimates(t.regression, t.spread, t.name)},
-                    "chosen": look.chosen is not None and t.name == look.chosen.name,
-                }
-            )
-        # `screening` is the likelihood ratio, twice the nats
-        rest = sorted((n for n in look.screened if n not in seen), key=lambda n: -look.screened[n])
         out += [
-            {"round": number, "effect": n, "screening": 2.0 * look.screened[n], "p": None, "chosen": False}
-            for n in rest
+            {
+                "round": number,
+                "effect": t.name,
+                "evidence_nats": t.nats,
+                "evidence_error": t.nats_error,
+                "p": t.p_corrected,
+                "parameters": {e.name: e.value for e in estimates(t.regression, t.spread, t.name)},
+                "chosen": look.chosen is not None and t.name == look.chosen.name,
+            }
+            for t in look.trials
+        ]
+        # `screening` is the likelihood ratio, twice the nats
+        seen = {t.name for t in look.trials}
+        out += [
+            {"round": number, "effect": n, "screening": 2.0 * nats, "p": None, "chosen": False}
+            for n, nats in sorted(look.screened.items(), key=lambda item: -item[1])
+            if n not in seen
         ]
     return out
+
+
+def _dependences(tests: Sequence[Dependence], found: Diagnosis) -> list[dict[str, Any]]:
+    wording = found.outcome.decisions.wording
+    return [
+        {
+            "channel": d.channel,
+            "variable": d.variable,
+            "where": _where(d, found.runs),
+            "p": bonferroni(d.p, len(tests)),
+            "share": d.share,
+            "kind": symmetry(d, wording) or "-",
+        }
+        for d in tests[:_DEPENDENCES]
+    ]
 
 
 def _where(d: Dependence, runs: Sequence[str]) -> str | None:
@@ -390,12 +386,102 @@ def _where(d: Dependence, runs: Sequence[str]) -> str | None:
     return f"{name} only" if d.moment is None else f"{name}, {d.moment:.1f} s"
 
 
-def _dependence(d: Dependence, tests: int, runs: Sequence[str], wording: Wording) -> dict[str, Any]:
-    return {
-        "channel": d.channel,
-        "variable": d.variable,
-        "where": _where(d, runs),
-        "p": bonferroni(d.p, tests),
-        "share": d.share,
-        "kind": symmetry(d, wording) or "-",
+def ceiling_content(found: Ceiling, outcome: Outcome) -> dict[str, Any]:
+    """The key `flexible` of `diagnosis.json`.
+
+    Args:
+        found: What functions explain.
+        outcome: What was concluded.
+    """
+    rows = [
+        {
+            "row": r.row,
+            "unit": r.unit,
+            "rms": r.size,
+            "nats": r.nats,
+            "standard_error": r.error,
+            "variables": list(r.variables),
+        }
+        for r in found.rows
+    ]
+    out: dict[str, Any] = {
+        "why_not": found.why_not or None,
+        "measured_on": "blocks of time left out",
+        "explained": found.explained,
+        "explained_90": found.explained_interval and list(found.explained_interval),
+        "effects_nats": found.effects,
+        "left_nats": found.left,
+        "left_90": found.interval and list(found.interval),
+        "left": bool(rows),
+        "rows": rows,
     }
+    said = rendered("ceiling.txt", out, found=bool(outcome.found), functions=_functions_of(rows)).splitlines()
+    return out | {"sentence": said[0], "remedy": said[1] if rows else None}
+
+
+def _functions_of(rows: Sequence[Mapping[str, Any]]) -> str:
+    """What the functions are of, in words: `q and q_dot on force`; the first three variables alone."""
+    if not rows:
+        return "all that was measured"
+    *names, last = rows[0]["variables"][:3]
+    return f"{', '.join(names)} and {last} on {rows[0]['row']}" if names else f"{last} on {rows[0]['row']}"
+
+
+def _law(outcome: Outcome, f: Found) -> dict[str, Any]:
+    """Keys of a finding that only a law beyond the catalogue has; nothing for an effect of the catalogue."""
+    effect = effect_of(outcome.system, f.name)
+    if not isinstance(effect, Expression):
+        return {}
+    values = {name: float(value) for name, (value, _) in effect.declared_parameters().items()}
+    return {
+        "verified": not f.provisional,
+        "law": valued(effect.law, values),
+        "unit": effect.unit,
+        "latex": latex(effect.law, values),
+        "sympy": sympy_text(effect.law, values),
+        "looks_like": looks_like(effect.law, values, outcome.declared_system),
+    }
+
+
+def looks_like(written: Written, values: dict[str, float], system: System) -> str | None:
+    """What a law of one term may be, by the kinds of its variables; None where nothing can be said.
+
+    Args:
+        written: The law.
+        values: Its coefficients.
+        system: The machine, which knows positions from velocities.
+    """
+    if len(written.right.parts) != 1:
+        return None
+    every = list(nodes(written.right))
+    names = {n.name for n in every if isinstance(n, Variable) and not n.logged}
+    positions = {p for p, _, _ in system.position_derivatives}
+    speeds = {v for _, v, _ in system.position_derivatives} | {
+        name
+        for name, unit in zip(system.feature_names, system.feature_units, strict=True)
+        if unit in ("m/s", "rad/s")
+    }
+    if names & set(system.input_names) and names & positions:
+        return "a gain of the input that depends on the place"
+    if names and names <= positions:
+        return _of_place(every, names, written.sizes, values)
+    if len(names) > 1 and names <= speeds:
+        return "a coupling of motions, as Coriolis and gyroscopic forces are, or drag across the motion"
+    if len(names & speeds) == 1 and names <= positions | speeds and names & positions:
+        raised = {n.base.name for n in every if isinstance(n, Power) and isinstance(n.base, Variable)}
+        return None if names & speeds & raised else "friction that depends on the place"
+    return None
+
+
+def _of_place(
+    every: list[Node], names: set[str], sizes: tuple[str, ...], values: dict[str, float]
+) -> str | None:
+    """What a force that depends on places alone may be."""
+    if len(names) > 1:
+        return "a spring between coordinates"
+    hinge = next((n for n in every if isinstance(n, Call) and n.function in ("max", "min")), None)
+    if hinge is None:
+        return None if any(isinstance(n, Call) for n in every) else "a spring that is not straight"
+    # of a bare hinge: max(q - k, 0) is positive, min(q - k, 0) negative, and a spring pushes against either
+    where = "above" if hinge.function == "max" else "below"
+    return f"a stop or a spring that is met {where} that place" if values[sizes[0]] < 0 else None

@@ -26,7 +26,7 @@ class NotShown:
         smallest: Smallest size that would be noticed; None where nothing in the data depends on it.
         usual: Size that it usually has.
         unit: Unit of both.
-        separate: The experiment that would show it.
+        experiment: The experiment that would show it.
     """
 
     effect: str
@@ -34,7 +34,7 @@ class NotShown:
     smallest: float | None
     usual: float
     unit: str
-    separate: str
+    experiment: str
 
 
 def not_shown(

@@ -1,19 +1,48 @@
-"""What is left, explained as far as it can be: in words, in one run, by a fault of the columns."""
+"""What is left, explained as far as it can be: in words, in one run, by a fault of the columns.
 
+Where one run alone has something, the physics with everything that was found is fitted to that run, and the catalogue
+is looked at once.
+"""
+
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 from nsde_torch.diagnosis.between_runs import RunZeros, between_runs
 from nsde_torch.diagnosis.ceiling import Ceiling
 from nsde_torch.diagnosis.channels import ChannelResidual, channel_residuals
 from nsde_torch.diagnosis.declared import Warned, warnings
-from nsde_torch.diagnosis.in_run import InRun, in_run, odd_run
+from nsde_torch.diagnosis.dependence import Dependence
+from nsde_torch.diagnosis.estimates import Estimate, estimates
 from nsde_torch.diagnosis.outcome import Outcome
 from nsde_torch.diagnosis.reading import Log
+from nsde_torch.diagnosis.rounds import look
 from nsde_torch.diagnosis.search import Search
+from nsde_torch.diagnosis.selection import choice
 from nsde_torch.diagnosis.shape import Shape, shape
 from nsde_torch.diagnosis.views import rates
+from nsde_torch.errors import DataError
 from nsde_torch.sysid.guard import Guarded
 from nsde_torch.sysid.standing import moving
+from nsde_torch.systems import System
+
+
+@dataclass(frozen=True)
+class InRun:
+    """An effect that one run seems to have.
+
+    Args:
+        run: Number of the run.
+        effect: Name of the effect.
+        estimates: Its parameters, fitted to that run.
+        held: Names of those that were held at nothing.
+        p: Chance of it in that run, corrected for the number of candidates.
+    """
+
+    run: int
+    effect: str
+    estimates: tuple[Estimate, ...]
+    held: tuple[str, ...]
+    p: float
 
 
 @dataclass(frozen=True)
@@ -87,3 +116,33 @@ def explained(
         standing=moving(log.runs, log.slowest)[1] if log.slowest else 0.0,
         ceiling=most,
     )
+
+
+def odd_run(left: Sequence[Dependence], shapes: Sequence[Shape]) -> int | None:
+    """Number of the run that what explains most of what is left is confined to, beside single moments.
+
+    Args:
+        left: What is left over, what explains most first.
+        shapes: The first of them in words.
+    """
+    pairs = zip(left, shapes, strict=False)
+    return next((s.only_run for d, s in pairs if d.moment is None), None)
+
+
+def in_run(search: Search, system: System, run: int) -> InRun | None:
+    """The effect that would explain a run, or None where none does.
+
+    Args:
+        search: In that run alone.
+        system: Physics with everything that was found.
+        run: Number of the run.
+    """
+    try:
+        trials = look(search, search.base(system)).trials
+    except DataError:  # it moves too little to be fitted by itself
+        return None
+    found = choice(search, trials, ())
+    if found is None:
+        return None
+    values = tuple(estimates(found.regression, found.spread, found.name))
+    return InRun(run, found.name, values, tuple(found.held), found.p_corrected)

@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Mapping
 from pathlib import Path
 from time import perf_counter
-from typing import TYPE_CHECKING, Any, final
+from typing import TYPE_CHECKING, final
 
 from nsde_torch.effects import files as effects_files
 from nsde_torch.whole_files import write_whole
 
 if TYPE_CHECKING:
+    from nsde_torch.diagnosis.content import Content
     from nsde_torch.diagnosis.result import Diagnosis
 
 _REPORTS = 0.05  # share of the time that reports so far may take
@@ -25,7 +25,7 @@ def picture_file(name: str) -> str:
     return re.sub(r"[^\w\[\].-]+", "_", name).strip("_") + ".png"
 
 
-def write_content(content: Mapping[str, Any], folder: Path) -> None:
+def write_content(content: Content, folder: Path) -> None:
     """Write `diagnosis.json`."""
     write_whole(folder / RESULT, json.dumps(content, indent=1, allow_nan=False))
 
@@ -67,7 +67,7 @@ class DiagnosisFiles:
         else:
             self._write(found)
 
-    def write(self, found: Diagnosis) -> dict[str, Any]:
+    def write(self, found: Diagnosis) -> Content:
         """Write everything; returns the content of `diagnosis.json`."""
         from nsde_torch.diagnosis.report import write_report
 
@@ -75,7 +75,7 @@ class DiagnosisFiles:
         write_report(self._folder / REPORT, found, content)
         return content
 
-    def _write(self, found: Diagnosis) -> dict[str, Any]:
+    def _write(self, found: Diagnosis) -> Content:
         content = found.content()
         write_content(content, self._folder)
         write_effects(found, self._folder, system=self._system, note=self._note)

@@ -4,7 +4,7 @@ A diagnosis that is not finished (`SoFar`) lists those that are still to come, o
 """
 
 from collections.abc import Callable
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, TypeVar, final
 
 import torch
@@ -42,10 +42,6 @@ class NotDone:
 
     stage: str
     why: str
-
-    def as_dict(self) -> dict[str, str]:
-        """Plain containers, for JSON."""
-        return asdict(self)
 
 
 @dataclass(frozen=True)

@@ -1,12 +1,28 @@
 """The pictures of a diagnosis: which channel against which variable, and the arrays to draw.
 
-A picture of a found effect shows the channel whose residual it reduced most against the variable on which the residual
-depended most surely before; without an effect, what the residual depends on.
+A picture of all effects that were found shows the channel whose residual they reduced most against the variable on
+which the residual depended most surely before; without an effect, what the residual depends on. A picture of one effect
+shows what is left over in one channel with it, and with its own term added back,
+
+    without = residual(theta) + (term of the effect at theta)        all other parameters as they were fitted
+
+(partial residuals; Larsen and McCleary, Technometrics 14, 1972), against the variable of which the term is most nearly
+a function. A term that is a function of no single one, as a lag's, is shown as a course of a few seconds in the run in
+which it is largest. A picture of functions shows how far they may be trusted by
+
+    eta(z) = sqrt(1 - k(z)^T (K + e I)^-1 k(z)),        k(z, z') = exp(-|z - z'|^2 / 2 l^2)
+
+the standard deviation of a Gaussian process at z given its values at the data, over that before (Rasmussen and
+Williams, Gaussian Processes for Machine Learning, 2006, equation 2.26), with variables scaled to [-1, 1] over the range
+of the data: 0 among the data and 1 far from them. It knows distance and nothing of the function, as the eta of a
+trained model does.
 """
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from itertools import zip_longest
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -14,15 +30,17 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from nsde_torch.diagnosis.ceiling import ceiling_picture
+from nsde_torch.diagnosis.buys import Bought, Told
+from nsde_torch.diagnosis.ceiling import Ceiling
 from nsde_torch.diagnosis.channels import ChannelResidual, spectrum, white_parts
 from nsde_torch.diagnosis.dependence import Dependence
-from nsde_torch.diagnosis.effect_pictures import effect_panels
 from nsde_torch.diagnosis.files import picture_file
+from nsde_torch.diagnosis.fitted import moved_channels
 from nsde_torch.diagnosis.outcome import Outcome
 from nsde_torch.diagnosis.regressors import Regressors
 from nsde_torch.diagnosis.shape import called, product_of
-from nsde_torch.diagnosis.views import Rates, bins, factors, is_plain, rates
+from nsde_torch.diagnosis.views import Rates, bins, factors, is_plain, rates, variable_units
+from nsde_torch.effects import effect_class
 from nsde_torch.plots.diagnosis import (
     Cloud,
     Panel,
@@ -32,27 +50,40 @@ from nsde_torch.plots.diagnosis import (
     residual_spectra,
     residual_views,
 )
+from nsde_torch.plots.flexible import Surface, flexible_surface
 from nsde_torch.sysid.explained import per_second
 from nsde_torch.sysid.regression import Regression
+from nsde_torch.systems.parameters import own_name
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+    from nsde_torch.diagnosis.content import Content
     from nsde_torch.diagnosis.result import Diagnosis
 
 Array = NDArray[np.float64]
 
 EFFECT = "effect_"
 """What the name of a picture of one effect begins with."""
+WITHOUT, WITH = "without it", "with it"
 
 _CHANNELS, _UNEXPLAINED = 2, 4  # panels
 _PLAIN, _PRODUCT = 0.05, 0.01  # chances between which a product is drawn and no plain variable
 _COURSE = 120  # points of a course in time
 _SURE = 1e-4  # chance below which a test is as sure as any
 _REDUCED = 0.9  # of the residual before: what is below that was reduced
+_FUNCTION = 0.5  # of a term's variance, which bins of a variable must hold to be its axis
+_CONSTANT = 1e-6  # of a term's squared mean: variance below which it is a constant
+_BINS = 20  # of a variable
+_COURSE_S = 3.0  # length of a course
+_GRID = {1: 200, 2: 60}  # points along each axis of the picture of functions
+_LENGTH = 0.2  # l, of the half range of the data
+_POINTS = 300  # of the data that are looked at
+_ERROR = 1e-2  # e
+_FAR = 0.5  # eta above which a place is far from the data
 
 
-def pictures(found: Diagnosis, content: Mapping[str, Any]) -> dict[str, Figure]:
+def pictures(found: Diagnosis, content: Content) -> dict[str, Figure]:
     """Figures by name, as far as there is any.
 
     `effect_NAME` of each effect that matters, `residual`, `unexplained`, `flexible`, `held_out`, `errors`, `spectrum`;
@@ -185,17 +216,152 @@ def unexplained_views(
                 called(runs[d.run]): _cloud(x[there], y[there], seen.block[there]),
                 "other runs": _cloud(x[~there], y[~there], seen.block[~there]),
             }
-        out.append(
-            Panel(
-                d.channel,
-                seen.units[number],
-                variable,
-                unit,
-                clouds,
-                note=note,
-            )
-        )
+        out.append(Panel(d.channel, seen.units[number], variable, unit, clouds, note=note))
     return out
+
+
+def effect_panels(
+    outcome: Outcome, told: Told, buys: Mapping[str, Bought], runs: tuple[str, ...]
+) -> dict[str, Panel]:
+    """By effect that matters: its picture; none of one that moves nothing that can be drawn.
+
+    Args:
+        outcome: What was concluded.
+        told: The effects that matter.
+        buys: What effects buy: in which channel most.
+        runs: Names of the runs.
+    """
+    regression = outcome.final.regression
+    seen = rates(regression, outcome.variables)
+    out: dict[str, Panel] = {}
+    for name in told.few:
+        channel = buys[name].channel if name in buys else ""
+        channel = channel or next(iter(moved_channels(regression, name)), "")
+        if channel not in seen.names or not len(seen.residual):
+            continue
+        number = seen.names.index(channel)
+        bare = rates(_without_term(regression, name), outcome.variables)
+        if not np.isfinite(bare.residual[:, number]).all():
+            continue
+        out[name] = _panel(seen, bare.residual[:, number], number, runs)
+    return out
+
+
+def _without_term(regression: Regression, effect: str) -> Regression:
+    """The same residuals with the term of an effect added back; nothing is fitted again."""
+    cls, theta = effect_class(effect), regression.theta.copy()
+    labels = regression.vector.labels
+    for j in regression.vector.of(effect):
+        theta[j] = cls.null.get(own_name(labels[j]), theta[j])
+    out = copy.copy(regression)
+    bare = regression.physics.residual(regression.vector.inside(theta))
+    out.residual = regression.single.summed(bare, regression.box)
+    regression.physics.residual(regression.theta)  # its values are those of the last use
+    return out
+
+
+def _panel(seen: Rates, without: Array, number: int, runs: tuple[str, ...]) -> Panel:
+    """The picture of one effect in one channel."""
+    left = seen.residual[:, number]
+    term = without - left
+    plain = {name: x for name, x in seen.values.items() if is_plain(name) and name != "time"}
+    held = {name: _held(x, term) for name, x in plain.items()}
+    variable = max(held, key=lambda n: held[n], default="")
+    parts = {WITHOUT: without, WITH: left}
+    if variable and held[variable] > _FUNCTION:
+        clouds = {key: _cloud(plain[variable], y, seen.block) for key, y in parts.items()}
+        unit, note = seen.value_units.get(variable, ""), ""
+    else:
+        run, rows = _largest(seen, term)
+        t = seen.values["time"][rows]
+        clouds = {key: Cloud(t, y[rows], t, y[rows], np.zeros(len(t))) for key, y in parts.items()}
+        variable, unit, note = "time", "s", called(runs[run])
+    return replace(Panel(seen.names[number], seen.units[number], variable, unit, clouds), note=note)
+
+
+def _held(x: Array, term: Array) -> float:
+    """Share of a term's variance that means in bins of a variable hold; a constant is a function of anything."""
+    whole = float(term.var())
+    if whole <= _CONSTANT * float(term.mean()) ** 2:
+        return 1.0
+    if not np.ptp(x) > 0:
+        return 0.0
+    edges = np.unique(np.quantile(x, np.linspace(0.0, 1.0, _BINS + 1)[1:-1]))
+    place = np.searchsorted(edges, x)
+    count = np.maximum(np.bincount(place), 1)
+    mean = np.bincount(place, weights=term) / count
+    return float(((mean - term.mean()) ** 2 * count).sum() / len(term)) / whole
+
+
+def _largest(seen: Rates, term: Array) -> tuple[int, NDArray[np.int64]]:
+    """Number of a run, and the rows of the few seconds of it in which a term is largest."""
+    power = {int(run): float(np.square(term[seen.run == run]).mean()) for run in np.unique(seen.run)}
+    run = max(power, key=lambda r: power[r])
+    rows = np.flatnonzero(seen.run == run)
+    t = seen.values["time"][rows]
+    places = np.floor((t - t[0]) / _COURSE_S).astype(np.int64)
+    of_place = np.bincount(places, weights=np.square(term[rows]))
+    rows = rows[places == int(of_place.argmax())]
+    return run, rows[np.argsort(seen.values["time"][rows])]
+
+
+def ceiling_picture(outcome: Outcome, found: Ceiling) -> Figure | None:
+    """What functions add to the row that they explain most of; None where nothing is left.
+
+    Args:
+        outcome: What was concluded.
+        found: What functions explain.
+    """
+    if found.gain is None or not found.rows:
+        return None
+    row, at = found.rows[0], outcome.variables.columns
+    names = tuple(name for name in row.variables if name in at)[:2]
+    if not names:
+        return None
+    columns = {name: at[name] for name in names}
+    axes = [np.linspace(float(v.min()), float(v.max()), _GRID[len(names)]) for v in columns.values()]
+    mesh = np.meshgrid(*axes)
+    places = {name: m.reshape(-1) for name, m in zip(names, mesh, strict=True)}
+    mean, spread = found.gain.functions.force(places, row.port)
+    data = np.stack(list(columns.values()), 1)
+    eta = distance_from_data(data, np.stack(list(places.values()), 1))
+    of, shape = variable_units(outcome.final.regression.vector.system), mesh[0].shape
+    surface = Surface(
+        row.row,
+        row.unit,
+        tuple((name, of.get(name, "")) for name in names),
+        tuple(axes),
+        mean.reshape(shape),
+        np.sqrt(spread).reshape(shape),
+        (eta > _FAR).reshape(shape),
+        data,
+    )
+    beside = "effects" if outcome.found else "the declared physics"
+    return flexible_surface(surface, title=f"What functions add to {row.row} beside {beside}")
+
+
+def distance_from_data(data: Array, places: Array) -> Array:
+    """eta of places.
+
+    Args:
+        data: Data (n, d).
+        places: Places (m, d).
+
+    Returns:
+        eta (m,), between 0 and 1.
+    """
+    low, high = data.min(0), data.max(0)
+    half = np.maximum(0.5 * (high - low), 1e-300)
+    some = data[np.linspace(0, len(data) - 1, min(len(data), _POINTS)).round().astype(int)]
+    first, second = ((part - 0.5 * (low + high)) / half / _LENGTH for part in (some, places))
+    among = np.exp(-0.5 * _squares(first, first)) + _ERROR * np.eye(len(first))
+    towards = np.exp(-0.5 * _squares(first, second))
+    known = np.einsum("nm,nm->m", towards, np.linalg.solve(among, towards))
+    return np.asarray(np.sqrt(np.clip(1.0 - known, 0.0, 1.0)))
+
+
+def _squares(one: Array, other: Array) -> Array:
+    return np.asarray(np.square(one[:, None, :] - other[None, :, :]).sum(2))
 
 
 def _most_reduced(channels: Sequence[ChannelResidual]) -> list[ChannelResidual]:
@@ -229,12 +395,7 @@ def _axis(
 ) -> tuple[str, str, Array] | None:
     """Name, unit and values of a variable for a horizontal axis."""
     if is_plain(d.variable):
-        name = d.variable
-        return (
-            name,
-            seen.value_units.get(name, ""),
-            seen.values[name],
-        )
+        return d.variable, seen.value_units.get(d.variable, ""), seen.values[d.variable]
     if factors(d.variable) is None:
         return "number of the run", "", seen.run.astype(np.float64)
     pair = product_of(regression, seen.names.index(d.channel), d.variable, variables)

@@ -164,7 +164,7 @@ class Diagnosis:
     def _repr_html_(self) -> str:
         return f"<pre>{escape(str(self))}</pre>"
 
-    def content(self) -> dict[str, Any]:
+    def content(self) -> contents.Content:
         """What `diagnosis.json` holds; its keys are in docs/content/reference/diagnosis-json.md."""
         return contents.content(self)
 

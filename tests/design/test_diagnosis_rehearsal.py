@@ -13,8 +13,9 @@ from nsde_torch.design.diagnosis_rehearsal import Rehearsal, _raw, following, re
 from nsde_torch.design.rollout import Rollouts
 from nsde_torch.diagnosis.options import Options
 from nsde_torch.diagnosis.pipeline import diagnose
-from nsde_torch.diagnosis.rehearsal_text import rehearsal_html, rehearsal_lines, sentences
+from nsde_torch.diagnosis.report import page
 from nsde_torch.diagnosis.result import Diagnosis
+from nsde_torch.diagnosis.text import rehearsal_lines, sentences
 from nsde_torch.errors import ConfigError
 from nsde_torch.models.identified import SysidSpec
 from nsde_torch.recording import assemble
@@ -52,18 +53,17 @@ def test_what_was_found_is_found_again_with_values_and_nothing_of_nothing(
 
 
 @pytest.mark.slow
-def test_it_is_told_in_the_terminal_and_on_the_page(rehearsal: Rehearsal) -> None:
-    content = {"rehearsal": rehearsal.content()}
+def test_it_is_told_in_the_terminal_and_on_the_page(found: Diagnosis, rehearsal: Rehearsal) -> None:
+    content = {**found.content(), "rehearsal": rehearsal.content()}
     told = "\n".join(rehearsal_lines(content))
     assert "2 logs were simulated of what was found (inputs as logged) and diagnosed again." in told
     assert "coulomb_friction: found again, surely, in 2 of 2." in told
     assert "Of the declared physics alone nothing is named." in told
     assert "coulomb_friction.size" in told
-    page = rehearsal_html(content, lambda head, rows: f"<table>{next(iter(rows))[0]}</table>")
-    assert page.startswith("<h2>Rehearsed</h2>")
-    assert "<table>coulomb_friction.size</table>" in page
+    section = page(content, {}, width=0.25).partition("<h2>Rehearsed</h2>")[2].partition("<details>")[0]
+    assert "<td>coulomb_friction.size</td>" in section
     assert rehearsal_lines({}) == []
-    assert rehearsal_html({}, lambda head, rows: "") == ""
+    assert "Rehearsed" not in page(found.content(), {}, width=0.25)
 
 
 @pytest.mark.slow

@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 
 from nsde_torch.diagnosis.buys import BY_STEPS, Bought, bought, told
+from nsde_torch.diagnosis.content import named
 from nsde_torch.diagnosis.decisions import Wording
-from nsde_torch.diagnosis.effect_pictures import WITH, WITHOUT, effect_panels
 from nsde_torch.diagnosis.innovations import Own, Scored, own
 from nsde_torch.diagnosis.options import Options
+from nsde_torch.diagnosis.pictures import WITH, WITHOUT, effect_panels
 from nsde_torch.diagnosis.report import page
 from nsde_torch.diagnosis.result import Diagnosis
-from nsde_torch.diagnosis.summary import named, small
-from nsde_torch.diagnosis.text import in_order, lines, without_it
+from nsde_torch.diagnosis.text import in_order, lines, small, without_it
 from tests.helpers.diagnosed import diagnosed
 
 WORDING = Wording()

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from html import unescape
+from itertools import takewhile
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from nsde_torch.diagnosis.ceiling import Ceiling, ceiling_content, ceiling_html, ceiling_rows
+from nsde_torch.diagnosis.ceiling import Ceiling
+from nsde_torch.diagnosis.content import ceiling_content, summary
 from nsde_torch.diagnosis.decision import judged_by_the_ceiling
 from nsde_torch.diagnosis.decisions import BUDGETS, DECISIONS
 from nsde_torch.diagnosis.evidence import nats_by_channel
@@ -16,8 +19,8 @@ from nsde_torch.diagnosis.learned_functions import RowGain
 from nsde_torch.diagnosis.options import Options
 from nsde_torch.diagnosis.outcome import Outcome
 from nsde_torch.diagnosis.pictures import pictures
+from nsde_torch.diagnosis.report import page
 from nsde_torch.diagnosis.result import Diagnosis
-from nsde_torch.diagnosis.summary import summary
 from nsde_torch.diagnosis.text import lines
 from tests.helpers.diagnosed import diagnosed
 
@@ -117,13 +120,14 @@ def test_what_no_candidate_names_is_explained_by_functions(
     low, high = own["left_90"]
     assert 0.0 < low < own["left_nats"] < high
     assert "q_dot" in own["sentence"]
-    told = "\n".join(lines(content))
-    assert own["sentence"] in told
-    assert own["remedy"] in told
-    head, rows = ceiling_rows(content)
-    assert [row[0] for row in rows] == ["force"]
-    assert len(head) == len(rows[0])
-    assert own["remedy"].replace("'", "&#x27;") in ceiling_html(content, "", lambda h, r: "")
+    told = lines(content)
+    assert f"ceiling: {own['sentence']}" in told
+    assert f"  a lead, unverified: {own['remedy']}" in told
+    table = told[next(i for i, line in enumerate(told) if line.startswith("functions on")) + 2 :]
+    assert [line.split()[0] for line in takewhile(bool, table)] == ["force"]
+    html = page(content, {}, width=0.25)
+    assert own["remedy"] in unescape(html)
+    assert "<td>force</td>" in html
 
 
 def test_it_is_drawn_with_where_it_may_be_trusted(

@@ -54,7 +54,7 @@ def test_a_force_that_was_logged_the_wrong_way_round_is_named_on_page_and_termin
     html = page(content, figures, width=found.width)
     for figure in figures.values():
         plt.close(figure)
-    assert "<b>Warning.</b> With the opposite sign of &#x27;force&#x27;" in html
+    assert "<b>Warning.</b> With the opposite sign of &#39;force&#39;" in html
 
 
 @pytest.mark.parametrize(

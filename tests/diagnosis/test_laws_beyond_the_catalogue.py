@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+from nsde_torch.diagnosis.content import looks_like
 from nsde_torch.diagnosis.decisions import Budgets
 from nsde_torch.diagnosis.law_columns import with_places
-from nsde_torch.diagnosis.law_content import looks_like
 from nsde_torch.diagnosis.law_terms import terms_of
 from nsde_torch.diagnosis.options import Options
 from nsde_torch.effects.expression_grammar import parse

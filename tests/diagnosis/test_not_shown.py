@@ -43,7 +43,7 @@ def test_an_effect_is_listed_when_four_standard_errors_exceed_a_quarter_of_its_u
     assert not_shown(_looks(0.006), found=(), alpha=0.01) == []
     (listed,) = not_shown(_looks(0.007), found=(), alpha=0.01)
     assert (listed.effect, listed.smallest, listed.usual) == ("constant_force", pytest.approx(0.028), 0.1)
-    assert listed.separate
+    assert listed.experiment
     assert not_shown(_looks(np.inf), found=(), alpha=0.01)[0].smallest is None
 
 

@@ -20,10 +20,8 @@ from typing import Any
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor
 
-from nsde_torch.columns import few_operations
 from nsde_torch.data import Run, Windows
 from nsde_torch.diagnosis.decisions import DECISIONS, INTERVAL_LEVEL, Decisions
 from nsde_torch.diagnosis.evidence import free_basis
@@ -34,17 +32,14 @@ from nsde_torch.diagnosis.reading import Log
 from nsde_torch.diagnosis.search import Search
 from nsde_torch.effects import Effect, key_of
 from nsde_torch.errors import DataError
-from nsde_torch.evaluation.before import inputs_before
 from nsde_torch.evaluation.bootstrap import make_blocks, paired_bootstrap
 from nsde_torch.evaluation.metrics import horizons_of, start_grid, thinned
-from nsde_torch.evaluation.scores import group_squares
+from nsde_torch.evaluation.open_loop import squares_by_fold
 from nsde_torch.inference import nearly_maximised
 from nsde_torch.inference.left_out import Folds, LeftOut, left_out
 from nsde_torch.models.identified import IdentifiedModel, SysidSpec
-from nsde_torch.sde import make_step
 from nsde_torch.sysid.regression import Regression
 from nsde_torch.systems import System
-from nsde_torch.systems.parameters import ParameterVector
 
 REPLAYED = "replayed"
 """Where the inputs of open-loop predictions come from (`errors.inputs` of `diagnosis.json`)."""
@@ -116,8 +111,8 @@ def by_likelihood(outcome: Outcome) -> Fitted:
         known = {id(outcome.declared_system): declared} | known
 
     def fitted(system: System, folds: Folds) -> LeftOut:
-        there = known.get(id(system))
-        return left_out(there or nearly_maximised(at.of.of(system), at)[1], folds)
+        there = known.get(id(system)) or nearly_maximised(at.of.of(system), at)[1]
+        return left_out(there, folds, still=nonlinear(there.of.vector, smooth=False))
 
     return fitted
 
@@ -203,6 +198,8 @@ def cross_validated(
         spec: What models of the system are made of.
         closed_loop: Whether inputs answer the state; None: not known.
     """
+    printed = outcome.printed
+    likely = outcome.joint is not None and printed is not None and printed.likelihood_used
     found = held_out(
         (outcome.declared_system, outcome.system),
         spec,
@@ -210,7 +207,7 @@ def cross_validated(
         search=search,
         clock=log.recorded.clock,
         seed=log.options.seed,
-        fitted=None if outcome.joint is None or outcome.optimum is None else by_likelihood(outcome),
+        fitted=by_likelihood(outcome) if likely else None,
         without={f.name: outcome.without(f.name) for f in outcome.found},
         moved={f.name: f.moves for f in outcome.found},
         decisions=log.decisions,
@@ -243,11 +240,22 @@ def _replayed(
     starts = thinned(start_grid(windows))
     if not horizons or not len(starts):
         return {}
-    owner, t = _places(windows.rows(starts), runs)
-    physics = [full] if rest is full else [rest, full]
-    fold = folds.number[owner]
-    squares = torch.stack([_squares(p, spec, clock, windows, starts, fold, counts) for p in physics])
-    squares = squares.double().expand(2, *squares.shape[1:])
+    row, lengths = windows.rows(starts), [len(run) for run in runs]
+    owner, t = np.repeat(np.arange(len(runs)), lengths)[row], np.concatenate([run.t for run in runs])[row]
+    squares = torch.stack(
+        [
+            squares_by_fold(
+                as_model(spec, left.vector.at_first(), clock),
+                windows,
+                starts,
+                counts,
+                values=left.theta,
+                fold=folds.number[owner],
+            )
+            for left in ([full] if rest is full else [rest, full])
+        ]
+    )
+    squares = squares.expand(2, *squares.shape[1:])
     finished = squares.isfinite().all(3)
     # horizons at which nearly all predictions are still numbers
     far = int((finished.all(0).double().mean(0) >= decisions.replay_finite_share).sum())
@@ -283,76 +291,6 @@ def _replayed(
             "high_90": table(found.high),
         },
     }
-
-
-@torch.no_grad()
-def _squares(
-    left: LeftOut,
-    spec: SysidSpec,
-    clock: float,
-    windows: Windows,
-    starts: Tensor,
-    fold: NDArray[np.int64],
-    steps: Sequence[int],
-) -> Tensor:
-    """As `rollout_squares`, each prediction by the physics fitted without its fold, all folds at once."""
-    model = as_model(spec, left.vector.at_first(), clock)
-    vector = ParameterVector(model.system)
-    model.system, thetas, begun = vector.system, torch.from_numpy(left.theta), []
-    rows = [np.flatnonzero(fold == f) for f in range(len(thetas))]
-    for mine, theta in zip(rows, thetas, strict=True):
-        vector.use(theta)
-        begun.append(_begun(model, windows, starts[np.resize(mine, max(map(len, rows)))]))
-    parts = [torch.stack(part) for part in zip(*begun, strict=True)]
-
-    def one(theta: Tensor, *parts: Tensor) -> Tensor:
-        vector.use(theta)
-        return _advanced(model, windows.dt_model, steps, *parts)
-
-    try:
-        with few_operations():
-            squares = torch.func.vmap(one)(thetas, *parts)
-    except RuntimeError:  # an effect of the user's own that branches on its values
-        squares = torch.stack([one(*part) for part in zip(thetas, *parts, strict=True)])
-    out = squares.new_empty(len(starts), *squares.shape[2:])
-    for mine, part in zip(rows, squares, strict=True):
-        out[mine] = part[: len(mine)]
-    return out
-
-
-@torch.no_grad()
-def rollout_squares(model: IdentifiedModel, windows: Windows, starts: Tensor, steps: Sequence[int]) -> Tensor:
-    """Squared errors (S, horizons, groups) of predictions by Runge and Kutta; not finite where one diverged.
-
-    A prediction that leaves the finite numbers does so alone, and does not stop the others.
-    """
-    return _advanced(model, windows.dt_model, steps, *_begun(model, windows, starts))
-
-
-def _begun(model: IdentifiedModel, windows: Windows, starts: Tensor) -> tuple[Tensor, ...]:
-    """States with their memory, measured states, inputs and times of the starts of predictions."""
-    x, u, t0 = windows.batch(starts)
-    before, dt = inputs_before(model.system, windows, starts), windows.dt_model
-    model.set_step(dt)
-    return model.remembered(x[:, 0], u[:, 0], before, dt=dt), x, u, t0
-
-
-def _advanced(
-    model: IdentifiedModel, dt: float, steps: Sequence[int], z: Tensor, x: Tensor, u: Tensor, t0: Tensor
-) -> Tensor:
-    system, solver, out = model.system, make_step("rk4"), {}
-    for k in range(max(steps)):
-        z = system.project(solver.advance(model, t0[:, None] + k * dt, z, u[:, k], dt, None))
-        if k + 1 in steps:
-            out[k + 1] = group_squares(system, system.error(z[:, : system.nx], x[:, k + 1]))
-    return torch.stack([out[k] for k in steps], 1)
-
-
-def _places(rows: NDArray[np.int64], runs: Sequence[Run]) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-    """Run and time [s] of rows that are counted through all runs."""
-    first = np.cumsum([0, *(len(run) for run in runs)])
-    run = np.searchsorted(first, rows, side="right") - 1
-    return run.astype(np.int64), np.concatenate([r.t for r in runs])[rows]
 
 
 def as_model(spec: SysidSpec, system: System, clock: float) -> IdentifiedModel:

@@ -75,12 +75,13 @@ class LeftOut:
 
 
 @torch.no_grad()
-def left_out(optimum: Optimum, folds: Folds) -> LeftOut:
+def left_out(optimum: Optimum, folds: Folds, still: NDArray[np.bool_] | None = None) -> LeftOut:
     """What the filter predicts of each fold by the other ones.
 
     Args:
         optimum: Of all rows.
         folds: What is left out together.
+        still: Parameters that all folds take from all rows (k,): shapes, in which steps are far from linear.
     """
     space, about = optimum.of.space, optimum.about
     steps, chunks, vector = space.steps, space.chunks, space.vector
@@ -91,9 +92,11 @@ def left_out(optimum: Optimum, folds: Folds) -> LeftOut:
     ends = steps.t[[b - 1 for _, b in steps.segments]].numpy()
     of_chunk = folds.of(np.array(steps.runs), ends)[chunks.stretch.numpy()]
     known = np.diag(np.concatenate(([0.0], _KNOWN * np.diag(held.total)[1:])))
+    moves = np.ones(len(known)) if still is None else np.concatenate(([1.0], ~still))
     start, missed, theta = np.asarray(space.theta.numpy()), about.missed.clone(), []
     for f in range(folds.count):
-        rest = Grams(np.stack([held.blocks[of_block != f].sum(0), known]), held.rows, held.parameters)
+        blocks = np.stack([held.blocks[of_block != f].sum(0), known]) * moves * moves[:, None]
+        rest = Grams(blocks, held.rows, held.parameters)
         theta.append(start + bounded_change(vector, rest, start))
         some = torch.from_numpy(np.flatnonzero(of_chunk == f))
         if len(some):

@@ -23,13 +23,14 @@ import numpy as np
 import torch
 
 from nsde_torch.data import Run, Windows
-from nsde_torch.diagnosis.cross_validation import as_model, rollout_squares
+from nsde_torch.diagnosis.cross_validation import as_model
 from nsde_torch.diagnosis.fitted import fitted_system
 from nsde_torch.diagnosis.options import Options
 from nsde_torch.diagnosis.pipeline import diagnose
 from nsde_torch.diagnosis.result import Diagnosis
 from nsde_torch.diagnosis.search import search_in
 from nsde_torch.evaluation.metrics import start_grid, thinned
+from nsde_torch.evaluation.open_loop import rollout_squares
 from nsde_torch.models.identified import SysidSpec
 from nsde_torch.recording import read
 from nsde_torch.sysid.explained import bump, smooth_rate

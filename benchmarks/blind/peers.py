@@ -32,12 +32,13 @@ from torch import Tensor
 
 import nsde_torch
 from nsde_torch.data import DataSet, Run, Windows
-from nsde_torch.diagnosis.cross_validation import as_model, rollout_squares
+from nsde_torch.diagnosis.cross_validation import as_model
 from nsde_torch.diagnosis.fitted import fitted_system
 from nsde_torch.diagnosis.options import Options
 from nsde_torch.diagnosis.pipeline import diagnose
 from nsde_torch.diagnosis.search import search_in
 from nsde_torch.evaluation.metrics import horizons_of, start_grid, thinned
+from nsde_torch.evaluation.open_loop import rollout_squares
 from nsde_torch.evaluation.scores import group_squares
 from nsde_torch.models.identified import SysidSpec
 from nsde_torch.systems import System, make_system

@@ -72,7 +72,7 @@ def diagnose_case(folder: Path, name: str) -> dict[str, Any]:
             (found.outcome.declared_system, told),
             spec,
             runs,
-            make=lambda some: search_in(system, some, found.recorded.clock, Options()),
+            search=search_in(system, runs, found.recorded.clock, Options()),
             clock=found.recorded.clock,
             seed=0,
         )

@@ -29,7 +29,7 @@ from numpy.typing import NDArray
 from nsde_torch.diagnosis.decision import of_one_variable
 from nsde_torch.diagnosis.fitted import bent_shape, effect_of, values_of
 from nsde_torch.diagnosis.gram_table import GramTable, folds_of
-from nsde_torch.diagnosis.joint_selection import JointSearch, JointSelection, Place, coordinate_of
+from nsde_torch.diagnosis.joint_selection import FittedPhysics, JointSearch, JointSelection, coordinate_of
 from nsde_torch.diagnosis.law_columns import Term, tables, terms_on, with_places
 from nsde_torch.diagnosis.law_names import same_effect
 from nsde_torch.diagnosis.learned_functions import functions_beside
@@ -121,7 +121,7 @@ class _LawSearch:
         self._search = search
         self._functions: dict[frozenset[str], Functions | None] = {}
 
-    def functions(self, place: Place) -> Functions | None:
+    def functions(self, place: FittedPhysics) -> Functions | None:
         """Functions beside some physics; None where they would say nothing."""
         names = frozenset(place.system.effect_names)
         if names not in self._functions:
@@ -159,7 +159,7 @@ class _LawSearch:
             found = search.concluded(search.without(search.of(found), unstable))
         return self._named_by_the_catalogue(found)
 
-    def _with_a_law(self, place: Place, effects: Sequence[Law]) -> Place | None:
+    def _with_a_law(self, place: FittedPhysics, effects: Sequence[Law]) -> FittedPhysics | None:
         """Physics with the law that explains most beside it; None where none is needed."""
         search, functions = self._search, self.functions(place)
         wanted: dict[int, list[str]] = {}
@@ -180,7 +180,7 @@ class _LawSearch:
             t for port, names in wanted.items() for t in terms_on(place.system, place.at, port, names)
         )
         library = tuple(t for t in library if t.law not in place.system.effect_names)
-        best: Place | None = None
+        best: FittedPhysics | None = None
         fitted: list[Term] = []
         chosen: Term | None = None
         for term, size in self._promising(place, library, levels):
@@ -195,7 +195,7 @@ class _LawSearch:
         return best
 
     def _promising(
-        self, place: Place, library: Sequence[Term], levels: Levels | None
+        self, place: FittedPhysics, library: Sequence[Term], levels: Levels | None
     ) -> list[tuple[Term, float]]:
         """Terms that explain most of folds left out, each law once, with their sizes after one linearised step."""
         search, space = self._search.search, place.at.of.space
@@ -269,6 +269,6 @@ class _LawSearch:
         return found
 
 
-def _value(place: Place) -> float:
+def _value(place: FittedPhysics) -> float:
     """Log likelihood of fitted physics less the price of its parameters (Schwarz) [nats]."""
     return place.best.likelihood - 0.5 * len(place.best.free) * float(np.log(len(place.at.blocks)))

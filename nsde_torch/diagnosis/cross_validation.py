@@ -1,8 +1,9 @@
 """The declared physics, with and without effects, on runs that it was not fitted to.
 
 Every run is left out in turn (at most five groups of runs); all parameters, those of the effects too, are fitted to the
-others by the same regression as in the search. On what was left out three things are measured, with intervals from
-resampling blocks of time (evaluation.bootstrap):
+others: a step of Gauss and Newton from the optimum of all runs, that of the likelihood (`inference.left_out`) where it
+selected one effect or none, else that of the regression. On what was left out three things are measured, with intervals
+from resampling blocks of time (evaluation.bootstrap):
 
 - the log-likelihood of each step given the past, and the residual force and moment in the band where they act
   (`innovations`): they mean the same whether inputs answer disturbances or not, and they judge. Each effect is left
@@ -14,36 +15,41 @@ resampling blocks of time (evaluation.bootstrap):
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor
 
 from nsde_torch.data import Run, Windows
 from nsde_torch.diagnosis.decisions import DECISIONS, INTERVAL_LEVEL, Decisions
-from nsde_torch.diagnosis.fitted import fitted_system
-from nsde_torch.diagnosis.innovations import Own, Scored, band, finite, joined, one_step, own, scored
+from nsde_torch.diagnosis.evidence import free_basis
+from nsde_torch.diagnosis.fitted import nonlinear
+from nsde_torch.diagnosis.innovations import Own, band, finite, one_step, own, scored
 from nsde_torch.diagnosis.outcome import Outcome
 from nsde_torch.diagnosis.reading import Log
 from nsde_torch.diagnosis.search import Search
 from nsde_torch.effects import Effect, key_of
 from nsde_torch.errors import DataError
-from nsde_torch.evaluation.before import inputs_before
 from nsde_torch.evaluation.bootstrap import make_blocks, paired_bootstrap
 from nsde_torch.evaluation.metrics import horizons_of, start_grid, thinned
-from nsde_torch.evaluation.scores import group_squares
-from nsde_torch.inference.steps import Steps
+from nsde_torch.evaluation.open_loop import squares_by_fold
+from nsde_torch.inference.left_out import Folds, LeftOut, left_out
 from nsde_torch.models.identified import IdentifiedModel, SysidSpec
-from nsde_torch.sde import make_step
 from nsde_torch.sysid.regression import Regression
 from nsde_torch.systems import System
 
 REPLAYED = "replayed"
 """Where the inputs of open-loop predictions come from (`errors.inputs` of `diagnosis.json`)."""
 
-_NO_PREDICTIONS: dict[str, Any] = {"horizons_s": [], "before": {}, "after": {}, "ratio": {}}
+_NOTHING: dict[str, Any] = {
+    **{"horizons_s": [], "before": {}, "after": {}, "ratio": {}},
+    **{"inputs": REPLAYED, "closed_loop": None, "one_step": None, "residual": {}},
+}
+
+Fitted = Callable[[System, Folds], LeftOut]
+"""Physics, its values near the optimum, fitted without each fold and scored on it."""
 
 
 @dataclass(frozen=True)
@@ -74,21 +80,66 @@ class HeldOut:
         return mine.against if self.inputs else mine.against_by_residual
 
 
-def split(runs: Sequence[Run], decisions: Decisions = DECISIONS) -> list[tuple[list[Run], list[Run]]]:
-    """Training and test runs of each fold."""
-    if len(runs) > 1:
-        number = [i * min(len(runs), decisions.refit_folds) // len(runs) for i in range(len(runs))]
-        folds = []
-        for f in range(max(number) + 1):
-            test = [r for r, k in zip(runs, number, strict=True) if k == f]
-            folds.append(([r for r, k in zip(runs, number, strict=True) if k != f], test))
-        return folds
-    run = runs[0]
-    cut = round(len(run) * (1 - decisions.refit_tail))
+def split(runs: Sequence[Run], decisions: Decisions = DECISIONS) -> tuple[Folds, list[Run]]:
+    """What is left out in turn, and the runs that this makes: all of them, or the last part of the only one."""
+    count, first = len(runs), runs[0]
+    number = np.arange(count) * min(count, decisions.refit_folds) // count
+    if count > 1:
+        return Folds(number, np.full(count, -np.inf)), list(runs)
+    cut = round(len(first) * (1 - decisions.refit_tail))
     try:
-        return [([run.slice(0, cut)], [run.slice(cut, len(run))])]
+        return Folds(number, first.t[cut : cut + 1]), [first.slice(cut, len(first))]
     except DataError:
-        return []
+        return Folds(number, first.t[-1:]), []
+
+
+def by_regression(search: Search, whole: System) -> Fitted:
+    """Physics as regressions of a search leave it, with noise models of the kinds of those of `whole`."""
+    first = search.quick(whole, warm=True)
+    return lambda system, folds: _left_out(
+        first if system is whole else search.beside(system, first), system, folds
+    )
+
+
+def by_likelihood(outcome: Outcome) -> Fitted | None:
+    """Physics where the likelihood that selected it is largest; None where that does not count, or is not known.
+
+    Beside further effects each one would be fitted anew without it, for 2 s on a spring and 6 s on a flight, where the
+    regression takes a quarter of a second.
+    """
+    at, declared, printed = outcome.optimum, outcome.declared_optimum, outcome.printed
+    counts = outcome.joint is not None and printed is not None and printed.likelihood_used
+    if not counts or at is None or len(outcome.found) > 1:
+        return None
+    if outcome.found and (declared is None or declared.of.space.chunks is not at.of.space.chunks):
+        return None
+
+    def fitted(system: System, folds: Folds) -> LeftOut:
+        there = at if system is outcome.system or declared is None else declared
+        return left_out(there, folds, still=nonlinear(there.of.vector, smooth=False))
+
+    return fitted
+
+
+def _left_out(regression: Regression, system: System, folds: Folds) -> LeftOut:
+    """As `inference.left_out`, of a regression at its optimum; its shapes and noise models are those of all runs."""
+    r, single = regression, regression.single
+    place = r.whitened_rows(np.arange(len(r.series)))
+    run, t = r.owners[place], single.summed(r.physics.steps.t.numpy()[:, None], r.box)[place, 0] / r.box
+    fold, basis = folds.of(run, t), free_basis(r, nonlinear(r.vector, smooth=False))
+    slopes, size = r.slopes @ basis, np.sqrt(np.square(r.white).mean(1))
+    theta, density = [], np.zeros((len(t), len(r.rows)))
+    for f in range(folds.count):
+        rest, tested = fold != f, fold == f
+        x = slopes[:, rest].reshape(-1, basis.shape[1])
+        step = np.linalg.lstsq(x, r.white[:, rest].reshape(-1), rcond=1e-5)[0]
+        theta.append(r.vector.inside(r.theta + basis @ step))
+        boxed = single.summed(r.physics.residual(theta[-1]), r.box)
+        for i, (c, noise, s) in enumerate(zip(r.rows, r.noises, size, strict=True)):
+            white = r.whitened(noise, boxed[:, [c]])[:, 0] / s
+            density[tested, i] = noise.log_density(white, r.series)[tested] - np.log(s)
+    names, live = tuple(system.state_names[c] for c in r.rows), fold >= 0
+    return LeftOut(r.vector, np.array(theta), names, density[live], run[live], t[live])
 
 
 def held_out(
@@ -96,13 +147,12 @@ def held_out(
     spec: SysidSpec,
     runs: Sequence[Run],
     *,
-    make: Callable[[Sequence[Run]], Search],
+    search: Search,
     clock: float,
     seed: int,
+    fitted: Fitted | None = None,
     without: Mapping[str, System] | None = None,
     moved: Mapping[str, Sequence[str]] | None = None,
-    closed_loop: bool | None = None,
-    inputs: bool = True,
     decisions: Decisions = DECISIONS,
 ) -> HeldOut:
     """Measure two physics on runs left out.
@@ -111,66 +161,33 @@ def held_out(
         systems: Without and with the effects, their values near the optimum.
         spec: What models of the system are made of.
         runs: All runs.
-        make: Makes the search of some runs, with the settings of the diagnosis.
+        search: The search in them.
         clock: Physical seconds per logged second.
         seed: Seed of the resamples.
+        fitted: How physics is fitted to the others; None: by the regression of the search.
         without: By effect: the physics with all others.
         moved: By effect: names of the channels that it moves.
-        closed_loop: Whether inputs answer the state; None: not known.
-        inputs: Whether the inputs are what acted, and not restored from an average.
         decisions: Folds, and blocks of time.
     """
     before, after = systems
-    every = {"before": before, "after": after, **{f"- {k}": s for k, s in (without or {}).items()}}
-    steps_of_all: dict[str, list[Scored]] = {key: [] for key in every}
-    squares: list[list[Tensor]] = [[], []]
-    owner: list[NDArray[np.int64]] = []
-    times: list[NDArray[np.float64]] = []
-    names: list[str] = []
-    folds = split(runs, decisions)
-    horizons = min((horizons_of(test, spec.dt) for _, test in folds), key=len, default=())
-    counts = [max(1, round(h / spec.dt)) for h in horizons]
-    for train, test in folds:
-        search = make(train)
-        whole = search.quick(after, warm=True)
-        fitted: dict[int, Regression] = {id(after): whole}  # of systems that are the same, once
-        for system in every.values():
-            if id(system) not in fitted:
-                fitted[id(system)] = search.beside(system, whole)
-        left = _steps(make, test)
-        if left is not None:
-            scores = {
-                k: scored(r, left, feedback=search.feedback, first=len(names)) for k, r in fitted.items()
-            }
-            for key, system in every.items():
-                steps_of_all[key].append(scores[id(system)])
-        if horizons:
-            windows = Windows(test, spec.dt, counts[-1], dtype=torch.float64)
-            starts = thinned(start_grid(windows))
-            if len(starts):
-                models = [as_model(spec, fitted_system(fitted[id(s)]), clock) for s in systems]
-                one = rollout_squares(models[0], windows, starts, counts)
-                squares[0].append(one)
-                squares[1].append(
-                    one if before is after else rollout_squares(models[1], windows, starts, counts)
-                )
-                run, t = _places(windows.rows(starts), test)
-                owner.append(len(names) + run)
-                times.append(t)
-        names += [r.name for r in test]
-    content = _replayed(squares, owner, times, horizons, before, seed, decisions) | _of_steps(closed_loop)
-    brought: dict[str, Own] = {}
-    if steps_of_all["before"]:
-        of = {key: joined(parts) for key, parts in steps_of_all.items()}
-        content["one_step"] = one_step(of["before"], of["after"], before, seed=seed, decisions=decisions)
-        content["residual"] = band(of["before"], of["after"], seed=seed, decisions=decisions)
-        for effect in without or {}:
-            mine = own(
-                of[f"- {effect}"], of["after"], (moved or {}).get(effect, ()), seed=seed, decisions=decisions
-            )
-            if mine is not None:
-                brought[effect] = mine
-    return HeldOut(content, len(runs) > 1, tuple(names), brought, inputs)
+    folds, tests = split(runs, decisions)
+    content, brought = dict(_NOTHING), dict[str, Own]()
+    if not tests:
+        return HeldOut(content, False, (), brought)
+    fitted = fitted or by_regression(search, after)
+    full = fitted(after, folds)
+    rest = full if before is after else fitted(before, folds)
+    content |= _replayed(rest, full, spec, tests, folds, clock, seed, decisions)
+    if len(full.density):
+        score = partial(scored, steps=search.steps, folds=folds)
+        one, other = score(rest), score(full)
+        content["one_step"] = one_step(one, other, before, seed=seed, decisions=decisions)
+        content["residual"] = band(one, other, seed=seed, decisions=decisions)
+        for effect, system in (without or {}).items():
+            others = one if system is before else score(fitted(system, folds))
+            mine = own(others, other, (moved or {}).get(effect, ()), seed=seed, decisions=decisions)
+            brought |= {} if mine is None else {effect: mine}
+    return HeldOut(content, len(runs) > 1, tuple(run.name for run in tests), brought)
 
 
 def cross_validated(
@@ -185,136 +202,97 @@ def cross_validated(
         spec: What models of the system are made of.
         closed_loop: Whether inputs answer the state; None: not known.
     """
-    return held_out(
+    found = held_out(
         (outcome.declared_system, outcome.system),
         spec,
         log.runs,
-        make=lambda some: log.again(search, some),
+        search=search,
         clock=log.recorded.clock,
         seed=log.options.seed,
+        fitted=by_likelihood(outcome),
         without={f.name: outcome.without(f.name) for f in outcome.found},
         moved={f.name: f.moves for f in outcome.found},
-        closed_loop=closed_loop,
-        inputs=not log.recorded.inputs_restored,
         decisions=log.decisions,
     )
+    content = found.content | {"closed_loop": closed_loop}
+    return replace(found, content=content, inputs=not log.recorded.inputs_restored)
 
 
 def none_held_out(log: Log, closed_loop: bool | None) -> HeldOut:
     """What is known where nothing was measured on runs left out."""
-    content = _NO_PREDICTIONS | _of_steps(closed_loop)
-    inputs = not log.recorded.inputs_restored
+    content, inputs = _NOTHING | {"closed_loop": closed_loop}, not log.recorded.inputs_restored
     return HeldOut(content, len(log.runs) > 1, (), {}, inputs)
 
 
-def _of_steps(closed_loop: bool | None) -> dict[str, Any]:
-    """Content of what is measured step by step, before it is."""
-    return {"inputs": REPLAYED, "closed_loop": closed_loop, "one_step": None, "residual": {}}
-
-
-def _steps(make: Callable[[Sequence[Run]], Search], runs: Sequence[Run]) -> Steps | None:
-    """Steps of runs left out; None where no stretch is long enough."""
-    try:
-        return make(runs).steps
-    except DataError:
-        return None
-
-
 def _replayed(
-    squares: Sequence[Sequence[Tensor]],
-    owner: Sequence[NDArray[np.int64]],
-    times: Sequence[NDArray[np.float64]],
-    horizons: Sequence[float],
-    system: System,
+    rest: LeftOut,
+    full: LeftOut,
+    spec: SysidSpec,
+    runs: Sequence[Run],
+    folds: Folds,
+    clock: float,
     seed: int,
     decisions: Decisions,
 ) -> dict[str, Any]:
-    """Errors of open-loop predictions by quantity and horizon, as `diagnosis.json` has them.
-
-    Args:
-        squares: Squared errors of both physics by fold (S, horizons, groups).
-        owner, times: Run and time of the starts of each fold (S,).
-        horizons: Horizons [s].
-        system: The machine.
-        seed: Seed of the resamples.
-        decisions: Blocks of time, and which horizons are told.
-    """
-    if not owner:
-        return _NO_PREDICTIONS
-    first, second = (torch.cat(list(s)) for s in squares)
-    finished = [torch.isfinite(s).all(2) for s in (first, second)]
-    both = finished[0] & finished[1]
-    far = int(
-        (both.float().mean(0) >= decisions.replay_finite_share).sum()
-    )  # horizons at which nearly all predictions are still numbers
-    if far == 0:
-        return _NO_PREDICTIONS
-    horizons = horizons[:far]
-    rows = both[:, far - 1]
-    diverged = [int((~f[:, far - 1]).sum()) for f in finished]
-    first, second = first[rows, :far], second[rows, :far]
-    places, clocks = np.concatenate(owner)[rows.numpy()], np.concatenate(times)[rows.numpy()]
-    blocks = make_blocks(places, clocks, length=decisions.replay_block)
-    generator = torch.Generator().manual_seed(seed)
-    factor = torch.tensor([g.factor for g in system.error_groups], dtype=torch.float64)
-    one, other = (s.double() * factor**2 for s in (first, second))
-    count = len(horizons) * len(system.error_groups)
-    difference = paired_bootstrap(
-        one.reshape(-1, count), other.reshape(-1, count), blocks, generator=generator, level=INTERVAL_LEVEL
+    """Errors of open-loop predictions of runs left out by quantity and horizon, as `diagnosis.json` has them."""
+    of_fold = [[r for r, k in zip(runs, folds.number, strict=True) if k == f] for f in range(folds.count)]
+    horizons = min((horizons_of(part, spec.dt) for part in of_fold), key=len)
+    counts = [max(1, round(h / spec.dt)) for h in horizons]
+    windows = Windows(runs, spec.dt, max(counts, default=1), dtype=torch.float64)
+    starts = thinned(start_grid(windows))
+    if not horizons or not len(starts):
+        return {}
+    row, lengths = windows.rows(starts), [len(run) for run in runs]
+    owner, t = np.repeat(np.arange(len(runs)), lengths)[row], np.concatenate([run.t for run in runs])[row]
+    squares = torch.stack(
+        [
+            squares_by_fold(
+                as_model(spec, left.vector.at_first(), clock),
+                windows,
+                starts,
+                counts,
+                values=left.theta,
+                fold=folds.number[owner],
+            )
+            for left in ([full] if rest is full else [rest, full])
+        ]
     )
-    before, after = (s.mean(0).sqrt() for s in (one, other))
-    shape = (len(horizons), len(system.error_groups))
+    squares = squares.expand(2, *squares.shape[1:])
+    finished = squares.isfinite().all(3)
+    # horizons at which nearly all predictions are still numbers
+    far = int((finished.all(0).double().mean(0) >= decisions.replay_finite_share).sum())
+    if far == 0:
+        return {}
+    rows = finished[:, :, far - 1].all(0)
+    groups = full.vector.system.error_groups
+    factor = torch.tensor([g.factor for g in groups], dtype=torch.float64)
+    scaled = squares[:, rows, :far] * factor**2
+    first, second = scaled.flatten(2)
+    blocks = make_blocks(owner[rows.numpy()], t[rows.numpy()], length=decisions.replay_block)
+    generator = torch.Generator().manual_seed(seed)
+    found = paired_bootstrap(first, second, blocks, generator=generator, level=INTERVAL_LEVEL)
+    before, after = scaled.mean(1).sqrt()
 
     def table(values: Tensor) -> dict[str, dict[str, float | None]]:
-        v = values.reshape(shape)
+        by = zip(groups, values.reshape(far, -1).T, strict=True)
         return {
-            g.name: {f"{h:g}": finite(v[i, j]) for i, h in enumerate(horizons)}
-            for j, g in enumerate(system.error_groups)
+            g.name: {f"{h:g}": finite(v) for h, v in zip(horizons, column, strict=False)} for g, column in by
         }
 
     return {
-        "horizons_s": list(horizons),
-        "units": {g.name: g.unit for g in system.error_groups},
+        "horizons_s": list(horizons[:far]),
+        "units": {g.name: g.unit for g in groups},
         "starts": len(first),
-        "diverged": {"before": diverged[0], "after": diverged[1]},
+        "diverged": dict(zip(("before", "after"), (~finished[:, :, far - 1]).sum(1).tolist(), strict=True)),
         "before": table(before),
         "after": table(after),
         "ratio": table(after / before.clamp_min(1e-12)),
         "difference": {
-            "value": table(difference.value),
-            "low_90": table(difference.low),
-            "high_90": table(difference.high),
+            "value": table(found.value),
+            "low_90": table(found.low),
+            "high_90": table(found.high),
         },
     }
-
-
-@torch.no_grad()
-def rollout_squares(model: IdentifiedModel, windows: Windows, starts: Tensor, steps: Sequence[int]) -> Tensor:
-    """Squared errors (S, horizons, groups) of predictions by Runge and Kutta; not finite where one diverged.
-
-    A prediction that leaves the finite numbers does so alone, and does not stop the others.
-    """
-    system = model.system
-    x, u, t0 = windows.batch(starts)
-    dt = windows.dt_model
-    z = model.remembered(x[:, 0], u[:, 0], inputs_before(system, windows, starts), dt=dt)
-    solver = make_step("rk4")
-    model.set_step(dt)
-    out = []
-    for k in range(max(steps)):
-        z = system.project(solver.advance(model, t0[:, None] + k * dt, z, u[:, k], dt, None))
-        if k + 1 in steps:
-            error = system.error(z[:, : system.nx], x[:, k + 1])
-            out.append(group_squares(system, error))
-    return torch.stack([out[sorted(set(steps)).index(k)] for k in steps], 1)
-
-
-def _places(rows: NDArray[np.int64], runs: Sequence[Run]) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-    """Run and time [s] of rows that are counted through all runs."""
-    first = np.cumsum([0, *(len(run) for run in runs)])
-    run = np.searchsorted(first, rows, side="right") - 1
-    t = np.array([runs[r].t[row - first[r]] for r, row in zip(run, rows, strict=True)])
-    return run.astype(np.int64), t
 
 
 def as_model(spec: SysidSpec, system: System, clock: float) -> IdentifiedModel:

@@ -1,15 +1,15 @@
-"""How well fitted physics foretells each step of runs that it was not fitted to, and what it leaves of the forces.
+"""How well physics predicts each step of runs that it was not fitted to, and what it leaves of the forces.
 
-    log p = sum over steps k of  -e_k^2 / 2 - log s,      e_k = (whitened residual of step k) / s
+    log p = sum over steps k of  log p(y_k | y_1, ..., y_{k-1}, u_1, ..., u_{k-1})
 
-With theta, the ARMA noise model and its size s from other runs, e_k is the innovation of channel i: what was measured
-over a step less what was foretold of it from the states and inputs before (Ljung, System Identification, 1999, section
-3.2). Input k is known when step k begins, so that the density of a step given the past means the same whether the
-input answers the past or not: where errors of long predictions under logged inputs reward physics that has learned
-what a controller does about a gust, this does not. It is still bent where the controller saw more than the log holds.
+Densities are those of the innovations of the filter (`inference.left_out`), or of the whitened residuals of a
+regression under its ARMA noise models, e_k^2 / 2 + log s (Ljung, System Identification, 1999, section 3.2). Input k is
+known when step k begins, so that the density of a step given the past means the same whether the input answers the
+past or not: where errors of long predictions under logged inputs reward physics that has learned what a controller
+does about a gust, this does not. It is still biased where the controller saw more than the log holds.
 
-What is left of forces and moments is told in the band where they act: root mean square of mean residual rates over a
-quarter of a second (`sysid.explained`). Differences have intervals from resampling blocks of time.
+What is left of forces and moments is reported in the band where they act: root mean square of mean residual rates over
+a quarter of a second (`sysid.explained`). Differences have intervals from resampling blocks of time.
 """
 
 from collections.abc import Sequence
@@ -22,13 +22,12 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from nsde_torch.diagnosis.decisions import DECISIONS, INTERVAL_LEVEL, Decisions
+from nsde_torch.diagnosis.fitted import dynamic_rows
 from nsde_torch.evaluation.bootstrap import Blocks, Difference, make_blocks, mean_bootstrap, paired_bootstrap
+from nsde_torch.inference.left_out import Folds, LeftOut
 from nsde_torch.inference.steps import Steps
 from nsde_torch.sysid.explained import bump, per_second, smooth_rate
-from nsde_torch.sysid.feedback import faded, foretelling
 from nsde_torch.sysid.physics import Physics
-from nsde_torch.sysid.regression import Regression
-from nsde_torch.sysid.series import Series
 from nsde_torch.systems import System
 from nsde_torch.systems.parameters import ParameterVector
 
@@ -58,69 +57,32 @@ class Scored:
     band_t: Array
 
 
-def scored(trained: Regression, steps: Steps, *, feedback: bool, first: int = 0) -> Scored:
-    """Score physics and noise of a regression on other runs, as they are.
+def scored(left: LeftOut, steps: Steps, folds: Folds) -> Scored:
+    """Physics on what it was not fitted to, with its mean residual rates there.
 
     Args:
-        trained: At its optimum, on the runs that it was fitted to.
-        steps: Of the other runs.
-        feedback: Whether what kinematic residuals foretell is taken out (`identify.feedback`).
-        first: Number of the first of these runs.
+        left: Its values without each fold, and the densities there.
+        steps: Of all runs.
+        folds: What is left out together.
     """
-    source = trained.origin
-    assert isinstance(source, System)
-    physics, rows = Physics(ParameterVector(source), steps), trained.rows
-    residual = physics.residual(trained.theta)
-    single = Series(steps.segments)
-    series, boxed = single.boxes(trained.box), single.summed(residual, trained.box)
-    white = _whitened(trained, boxed, series)
-    size = np.ones(len(rows))
-    if feedback:
-        here = trained.single.summed(
-            trained.physics.kinematic(trained.physics.residual(trained.theta), rows), trained.box
-        )
-        own = _whitened(trained, trained.residual, trained.series)
-        b = foretelling(here, trained.series, own)
-        if len(b):
-            size = np.sqrt(np.square(own - (faded(here, trained.series) @ b).T).mean(1))
-            there = single.summed(physics.kinematic(residual, rows), trained.box)
-            white = white - (faded(there, series) @ b).T
-    density = np.stack(
-        [
-            noise.log_density(e / s, series) - np.log(s)
-            for noise, e, s in zip(trained.noises, white, size, strict=True)
-        ],
-        1,
-    )
-    owner = first + np.array(steps.runs, dtype=np.int64)
-    t = steps.t.numpy()
-    counts = [b - a for a, b in series.edges]
-    starts = single.summed(t[:, None], trained.box)[:, 0] / trained.box
-    window = bump(steps.dt)
-    fits = [(a, b) for a, b in steps.segments if b - a >= len(window)]
-    middle = [t[a + len(window) // 2 : b - (len(window) - 1 - len(window) // 2)] for a, b in fits]
-    fitting = [o for o, (a, b) in zip(owner, steps.segments, strict=True) if b - a >= len(window)]
+    system, window = left.vector.at_first(), bump(steps.dt)
+    rows, physics = dynamic_rows(system), Physics(ParameterVector(system), steps)
+    run, t = np.repeat(np.array(steps.runs), [b - a for a, b in steps.segments]), steps.t.numpy()
+    fold, change = folds.of(run, t), np.zeros((len(steps), len(rows)))
+    for f, theta in enumerate(left.theta):
+        change[fold == f] = physics.residual(theta)[fold == f][:, rows]
+    tested = [(a + int((fold[a:b] < 0).sum()), b) for a, b in steps.segments]
+    begun = [np.arange(a, b - len(window) + 1) for a, b in tested]
+    middle = np.concatenate(begun) + len(window) // 2
     return Scored(
-        names=tuple(physics.names[c] for c in rows),
-        units=tuple(per_second(physics.units[c]) for c in rows),
-        density=density,
-        run=np.repeat(owner, [n + 1 for n in counts]),
-        t=np.concatenate([np.append(starts[a], starts[a:b]) for a, b in series.edges]),
-        squares=np.square(smooth_rate(residual[:, rows], steps.segments, window, steps.dt)),
-        band_run=np.repeat(np.array(fitting, dtype=np.int64), [len(m) for m in middle]),
-        band_t=np.concatenate(middle) if middle else np.zeros(0),
-    )
-
-
-def joined(parts: Sequence[Scored]) -> Scored:
-    """The same of several groups of runs."""
-    return Scored(
-        parts[0].names,
-        parts[0].units,
-        *(
-            np.concatenate([getattr(p, key) for p in parts])
-            for key in ("density", "run", "t", "squares", "band_run", "band_t")
-        ),
+        tuple(physics.names[c] for c in rows),
+        tuple(per_second(physics.units[c]) for c in rows),
+        left.density[:, [left.names.index(system.state_names[c]) for c in rows]],
+        left.run,
+        left.t,
+        np.square(smooth_rate(change, tested, window, steps.dt)),
+        run[middle],
+        t[middle],
     )
 
 
@@ -139,19 +101,20 @@ def one_step(
         `unit`, `steps`, `blocks`, and `nats`, `low_90`, `high_90`: of all channels, by channel (`channels`), and by
         quantity (`quantities`).
     """
-    gain = after.density - before.density
-    members = quantities(system, before.names)
+    gain, names = after.density - before.density, before.names
+    plain = [name.removesuffix(" (body)") for name in names]
+    of_group = {g.name: {system.error_names[c] for c in g.channels} for g in system.error_groups}
+    members = {key: [n in own for n in plain] for key, own in of_group.items() if own & {*plain}}
+    blocks = _blocks(before.run, before.t, decisions)
     sums = [gain.sum(1), *gain.T, *(gain[:, at].sum(1) for at in members.values())]
-    blocks = blocks_of_steps(before.run, before.t, decisions)
-    cells = _totals(np.stack(sums, 1), blocks, seed)
-    k = 1 + len(before.names)
+    whole, *cells = _totals(np.stack(sums, 1), blocks, seed)
     return {
         "unit": "nat",
         "steps": len(gain),
         "blocks": blocks.count,
-        **cells[0],
-        "channels": dict(zip(before.names, cells[1:k], strict=True)),
-        "quantities": dict(zip(members, cells[k:], strict=True)),
+        **whole,
+        "channels": dict(zip(names, cells[: len(names)], strict=True)),
+        "quantities": dict(zip(members, cells[len(names) :], strict=True)),
     }
 
 
@@ -168,15 +131,14 @@ def band(before: Scored, after: Scored, *, seed: int, decisions: Decisions = DEC
     """
     if not len(before.squares):
         return {}
-    blocks = blocks_of_steps(before.band_run, before.band_t, decisions)
-    found = _difference(before.squares, after.squares, blocks, seed)
-    first, second = (np.sqrt(s.squares.mean(0)) for s in (before, after))
+    found = _difference(before, before.squares, after.squares, seed, decisions)
+    first, second = (np.sqrt(s.squares.mean(0)).tolist() for s in (before, after))
     return {
         name: {
             "unit": before.units[i],
-            "before": float(first[i]),
-            "after": float(second[i]),
-            "ratio": float(second[i] / first[i]) if first[i] > 0 else 1.0,
+            "before": first[i],
+            "after": second[i],
+            "ratio": second[i] / first[i] if first[i] > 0 else 1.0,
             "difference": float(found.value[i]),
             "low_90": finite(found.low[i]),
             "high_90": finite(found.high[i]),
@@ -226,9 +188,8 @@ class Own:
 
     @property
     def _where(self) -> str:
-        return " and ".join(
-            [", ".join([*self.channels][:-1]), [*self.channels][-1]][len(self.channels) < 2 :]
-        )
+        *others, last = self.channels
+        return f"{', '.join(others)} and {last}" if others else last
 
     def as_dict(self) -> dict[str, Any]:
         """Plain containers, for JSON."""
@@ -256,54 +217,34 @@ def own(
     at = [i for i, name in enumerate(full.names) if name in moved]
     if not at:
         return None
-    gain = full.density[:, at] - without.density[:, at]
-    cells = _totals(np.column_stack((gain.sum(1), gain)), blocks_of_steps(full.run, full.t, decisions), seed)
-    first, second = without.squares[:, at], full.squares[:, at]
-    names = [full.names[i] for i in at]
-    ratio, larger, left = np.ones(len(at)), False, dict[str, tuple[str, float, float]]()
-    if len(first):
-        rms = [np.sqrt(s.mean(0)).tolist() for s in (first, second)]
-        left = {n: (full.units[i], a, b) for n, i, a, b in zip(names, at, *rms, strict=True)}
-        power = np.maximum(first.mean(0), 1e-300)
-        ratio = np.sqrt(second.mean(0) / power)
-        pooled = [(s / power).mean(1, keepdims=True) for s in (first, second)]
-        blocks = blocks_of_steps(full.band_run, full.band_t, decisions)
-        larger = bool(_difference(pooled[0], pooled[1], blocks, seed).low[0] > 0)
+    names, gain = [full.names[i] for i in at], (full.density - without.density)[:, at]
+    blocks = _blocks(full.run, full.t, decisions)
+    whole, *cells = _totals(np.column_stack((gain.sum(1), gain)), blocks, seed)
+    left, larger = band(without, full, seed=seed, decisions=decisions), False
+    if left:
+        power = without.squares[:, at].mean(0).clip(1e-300)
+        pooled = [(s.squares[:, at] / power).mean(1, keepdims=True) for s in (without, full)]
+        larger = bool(_difference(full, pooled[0], pooled[1], seed, decisions).low[0] > 0)
     return Own(
-        nats=float(cells[0]["nats"] or 0.0),
-        low=cells[0]["low_90"],
-        high=cells[0]["high_90"],
-        channels=dict(zip(names, cells[1:], strict=True)),
-        residual_ratio=dict(zip(names, ratio.tolist(), strict=True)),
+        nats=float(whole["nats"] or 0.0),
+        low=whole["low_90"],
+        high=whole["high_90"],
+        channels=dict(zip(names, cells, strict=True)),
+        residual_ratio={n: left[n]["ratio"] if left else 1.0 for n in names},
         larger=larger,
-        residual=left,
+        residual={n: (left[n]["unit"], left[n]["before"], left[n]["after"]) for n in names if left},
     )
-
-
-def quantities(system: System, names: Sequence[str]) -> dict[str, list[int]]:
-    """Numbers of the channels of each quantity that errors are told in, of those that have any."""
-    plain = [name.removesuffix(" (body)") for name in names]
-    of_group = {g.name: {system.error_names[c] for c in g.channels} for g in system.error_groups}
-    found = {key: [i for i, n in enumerate(plain) if n in own] for key, own in of_group.items()}
-    return {key: at for key, at in found.items() if at}
 
 
 def finite(value: Tensor | float) -> float | None:
     """A number for JSON; None for what is none."""
-    v = float(value)
-    return v if np.isfinite(v) else None
+    return float(value) if np.isfinite(float(value)) else None
 
 
 # ---- pieces -------------------------------------------------------------------------------------------
 
 
-def _whitened(trained: Regression, residual: Array, series: Series) -> Array:
-    """Whitened residuals (channels, N + stretches) under noise models of a regression, nothing foretold taken out."""
-    pairs = zip(trained.noises, trained.rows, strict=True)
-    return np.stack([noise.whiten(residual[:, [c]], series)[:, 0] for noise, c in pairs])
-
-
-def blocks_of_steps(run: Labels, t: Array, decisions: Decisions) -> Blocks:
+def _blocks(run: Labels, t: Array, decisions: Decisions) -> Blocks:
     """Blocks of time: innovations are nearly white, so that short data can be cut finer than predictions."""
     total = sum(float(np.ptp(t[run == r])) for r in np.unique(run))
     ends = decisions.step_block_shortest, decisions.step_block_longest
@@ -322,11 +263,8 @@ def _totals(gain: Array, blocks: Blocks, seed: int) -> list[dict[str, float | No
     ]
 
 
-def _difference(first: Array, other: Array, blocks: Blocks, seed: int) -> Difference:
-    return paired_bootstrap(
-        torch.from_numpy(first),
-        torch.from_numpy(other),
-        blocks,
-        generator=torch.Generator().manual_seed(seed),
-        level=INTERVAL_LEVEL,
-    )
+def _difference(of: Scored, first: Array, other: Array, seed: int, decisions: Decisions) -> Difference:
+    """Difference of root mean squares of what the bands of two physics have (M, K)."""
+    pair, generator = (torch.from_numpy(first), torch.from_numpy(other)), torch.Generator().manual_seed(seed)
+    blocks = _blocks(of.band_run, of.band_t, decisions)
+    return paired_bootstrap(*pair, blocks, generator=generator, level=INTERVAL_LEVEL)

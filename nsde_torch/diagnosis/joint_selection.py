@@ -170,7 +170,7 @@ class JointSelection:
 
 
 @dataclass(frozen=True)
-class Place:
+class FittedPhysics:
     """Physics at its optimum.
 
     Args:
@@ -204,7 +204,7 @@ class JointSearch:
     ) -> None:
         self.search, self._problem, self._frequencies = search, problem, frequencies
         self._declared = set(system.effect_names)
-        self._places: dict[frozenset[str], Place] = {}
+        self._places: dict[frozenset[str], FittedPhysics] = {}
         self._looks: dict[frozenset[str], Look] = {}
         self.libraries: dict[str, tuple[Term, ...]] = {}
         self._instead: dict[str, tuple[Term, ...]] = {}
@@ -244,7 +244,7 @@ class JointSearch:
             so_far(place.system, brought)
         return self.concluded(place)
 
-    def concluded(self, place: Place) -> JointSelection:
+    def concluded(self, place: FittedPhysics) -> JointSelection:
         """The effects of some physics, each looked at again beside the others."""
         place, selected = self.looked_at_again(place)
         first = self.look(self._first).proposals
@@ -256,9 +256,9 @@ class JointSearch:
             own |= {label: min(error, own.get(label, error)) for label, error in p.errors.items()}
         return JointSelection(place.best, place.system, place.at, selected, screened, errors)
 
-    def of(self, selection: JointSelection) -> Place:
+    def of(self, selection: JointSelection) -> FittedPhysics:
         """The physics of a selection at its optimum."""
-        return Place(selection.system, selection.best, selection.at)
+        return FittedPhysics(selection.system, selection.best, selection.at)
 
     def chosen(self, law: str, fitted: Sequence[Term], library: Sequence[Term]) -> None:
         """A law was chosen: it is held against the other terms that were fitted when it is looked at again.
@@ -271,7 +271,7 @@ class JointSearch:
         self._instead[law] = tuple(fitted)
         self.libraries |= dict.fromkeys((t.law for t in fitted), tuple(library))
 
-    def without(self, place: Place, name: str) -> Place:
+    def without(self, place: FittedPhysics, name: str) -> FittedPhysics:
         """The physics without an effect, fitted; a declared one that it stood in for is back."""
         rest = without_effect(place.system, self._first.system, name)
         return self._places.get(frozenset(rest.effect_names)) or self.fitted(rest, place)
@@ -279,18 +279,18 @@ class JointSearch:
     def added(self, system: System) -> frozenset[str]:
         return frozenset(system.effect_names) - self._declared
 
-    def fitted(self, system: System, like: Place | None) -> Place:
+    def fitted(self, system: System, like: FittedPhysics | None) -> FittedPhysics:
         """Physics fitted from its present values, with noise levels near those of other physics; the best so far."""
         best, at = nearly_maximised(self._problem.of(system), None if like is None else like.at)
         out = system.with_effects()
         best.vector.write(out, best.theta)
-        made, added = Place(out, best, at), frozenset(out.effect_names)
+        made, added = FittedPhysics(out, best, at), frozenset(out.effect_names)
         known = self._places.get(added)
         if known is None or made.best.likelihood > known.best.likelihood:
             self._places[added] = made
         return self._places[added]
 
-    def look(self, place: Place) -> Look:
+    def look(self, place: FittedPhysics) -> Look:
         """What the catalogue would explain beside some physics."""
         names = frozenset(place.system.effect_names)
         if names not in self._looks:
@@ -300,7 +300,7 @@ class JointSearch:
             self._looks[names] = Look(tuple(proposals), accepted, _best_pair(table, accepted[:_PAIRED]))
         return self._looks[names]
 
-    def _next(self, place: Place) -> Place | None:
+    def _next(self, place: FittedPhysics) -> FittedPhysics | None:
         """The physics with the best candidate that holds what it promises once it is fitted."""
         look = self.look(place)
         best, risen = None, 0.0
@@ -319,7 +319,7 @@ class JointSearch:
             place, [p for p in look.proposals if p.nats > 0 and not _accepted(self.search, p)]
         )
 
-    def _learned_by_noise(self, place: Place, proposals: Sequence[Explained]) -> Place | None:
+    def _learned_by_noise(self, place: FittedPhysics, proposals: Sequence[Explained]) -> FittedPhysics | None:
         """The physics with a candidate that explains much more once noise levels are found beside it.
 
         Gusts that last have learned a steady push: what a step gains at their level is no measure of what a fit gains
@@ -330,12 +330,12 @@ class JointSearch:
         added = self.added(best.system) - self.added(place.system)
         return best if any(self.needed(name, best, place) for name in added) else None
 
-    def _holds(self, proposal: Explained, there: Place, place: Place) -> bool:
+    def _holds(self, proposal: Explained, there: FittedPhysics, place: FittedPhysics) -> bool:
         """Whether the likelihood rose as a linearised step promised."""
         risen = there.best.likelihood - place.best.likelihood
         return risen > max(self.search.decisions.least_nats, _RISES * proposal.nats)
 
-    def _fitted_as_promised(self, proposal: Explained, place: Place) -> Place:
+    def _fitted_as_promised(self, proposal: Explained, place: FittedPhysics) -> FittedPhysics:
         """A candidate fitted from where its linearised step ends, or else from where that begins."""
         there = self.fitted(proposal.system, place)
         if self._holds(proposal, there, place):
@@ -344,7 +344,7 @@ class JointSearch:
         # (test_a_delay_is_selected_whose_lack_hides_the_gain_of_the_input)
         return self.fitted(proposal.begun, place)
 
-    def looked_at_again(self, place: Place) -> tuple[Place, dict[str, Selected]]:
+    def looked_at_again(self, place: FittedPhysics) -> tuple[FittedPhysics, dict[str, Selected]]:
         """Each effect again beside the others: what is likelier replaces it, what is as likely is a tie."""
         out: dict[str, Selected] = {}
         exchanged = 0
@@ -367,7 +367,7 @@ class JointSearch:
             out[name] = Selected(without.best.likelihood, without.at.blocks, tuple(alike), law, tried)
         return place, out
 
-    def needed(self, name: str, place: Place, without: Place) -> bool:
+    def needed(self, name: str, place: FittedPhysics, without: FittedPhysics) -> bool:
         """Whether an effect brings more likelihood than chance, of all candidates of the look that found it."""
         labels = [label for label in place.best.vector.labels if label.startswith(f"{name}.")]
         proposals = self.look(self._first).proposals
@@ -376,7 +376,9 @@ class JointSearch:
         ratio = 2.0 * max(place.best.likelihood - without.best.likelihood, 0.0)
         return bonferroni(float(chdtrc(len(labels), ratio)), among) < self.search.level("effects")
 
-    def _rivals(self, name: str, place: Place, without: Place) -> tuple[list[str], Place | None]:
+    def _rivals(
+        self, name: str, place: FittedPhysics, without: FittedPhysics
+    ) -> tuple[list[str], FittedPhysics | None]:
         """Effects as likely as one that was selected, and the physics with a better one in its place."""
         look = self.look(without)
         own = next((p for p in look.proposals if p.name == name), None)
@@ -388,7 +390,7 @@ class JointSearch:
             and (own is None or not _far_above(own, p))
         ]
         alike: list[str] = []
-        best: tuple[float, Place] | None = None
+        best: tuple[float, FittedPhysics] | None = None
         there_too = {name, *without.system.effect_names}
         laws = [t for t in self._instead.get(name, ()) if t.law not in there_too]
         for rival, system in (
@@ -403,7 +405,9 @@ class JointSearch:
                 alike.append(rival)
         return alike, None if best is None else best[1]
 
-    def _nearer_law(self, name: str, place: Place, without: Place) -> tuple[str, Place | None]:
+    def _nearer_law(
+        self, name: str, place: FittedPhysics, without: FittedPhysics
+    ) -> tuple[str, FittedPhysics | None]:
         """A law of one term that is likelier than an effect of a coordinate in its place, empty if there is none.
 
         And the physics with it where it is surely likelier, and laws may be tried.
@@ -512,7 +516,7 @@ class _Entry:
 
 @torch.no_grad()
 def _catalogue(
-    search: Search, place: Place, frequencies: Sequence[float]
+    search: Search, place: FittedPhysics, frequencies: Sequence[float]
 ) -> tuple[list[Explained], GramTable]:
     """What every candidate would explain, each from the best of its starts, the best first; and the table of these."""
     space = place.at.of.space
@@ -557,7 +561,7 @@ def _side_by_side(tables: list[torch.Tensor]) -> torch.Tensor:
     return out
 
 
-def _columns(place: Place, name: str, system: System, at: int) -> tuple[_Entry, torch.Tensor]:
+def _columns(place: FittedPhysics, name: str, system: System, at: int) -> tuple[_Entry, torch.Tensor]:
     """What a candidate does to the steps: by its start, and by each of its parameters."""
     own = place.at.of.of(system)
     space, vector, about = own.space, own.vector, place.at.about
@@ -652,7 +656,7 @@ def _far_above(better: Explained, worse: Explained) -> bool:
     return float(difference.sum()) > _FAR * sum_error(difference)
 
 
-def _compared(search: Search, name: str, rival: str, place: Place, there: Place) -> float:
+def _compared(search: Search, name: str, rival: str, place: FittedPhysics, there: FittedPhysics) -> float:
     """By how many nats a rival in the place of an effect is surely better; 0: indistinguishable; else -1.
 
     A rival that the effect contains replaces it unless it is surely worse; one that contains it is never its tie.

@@ -79,13 +79,9 @@ class Log:
 
     def again(self, search: Search, runs: Sequence[Run]) -> Search:
         """A search in some of the runs, with what another one holds at nothing."""
-        made = self.plain_search(runs)
+        made = self._search(runs, inputs=True, moved=False)
         made.held = set(search.held)
         return made
-
-    def plain_search(self, runs: Sequence[Run]) -> Search:
-        """A search in runs whose inputs acted, and whose channels were in time."""
-        return self._search(runs, inputs=True, moved=False)
 
     def _search(self, runs: Sequence[Run], *, inputs: bool, moved: bool) -> Search:
         return search_in(

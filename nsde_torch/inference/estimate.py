@@ -404,7 +404,7 @@ def _step(
     away = 0.0
     for damping in _DAMPINGS:
         check_time()
-        change = _change(vector, held, theta, damping)
+        change = bounded_change(vector, held, theta, damping)
         if not damping:
             count = max(int((change != 0).sum()), 1)
             away = float(np.sqrt(max(float(change @ gram @ change), 0.0) / count))
@@ -418,7 +418,7 @@ def _step(
     return theta, *problem.settled(levels, about, at, 1), away if away > _STUCK else 0.0
 
 
-def _change(vector: ParameterVector, held: Grams, theta: Array, damping: float) -> Array:
+def bounded_change(vector: ParameterVector, held: Grams, theta: Array, damping: float = 0.0) -> Array:
     """A damped step (k,) inside the bounds; parameters that it presses against one stay."""
     free, change = _free(vector, theta, held), np.zeros(len(theta))
     while len(free):

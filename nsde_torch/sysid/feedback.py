@@ -58,18 +58,5 @@ def faded(residuals: Array, series: Series, *, channels: bool = False) -> Array:
     return out
 
 
-def foretelling(residuals: Array, series: Series, white: Array, *, channels: bool = False) -> Array:
-    """Coefficients b (p, channels) of `faded` for other data of the same machine; none (0, channels) for short data.
-
-    `white` are whitened residuals with what is foretold in them (channels, N + stretches); for the others see `past`.
-    """
-    columns = faded(residuals, series, channels=channels)
-    size = np.linalg.norm(columns, axis=0)
-    if len(columns) < _fewest(channels) * columns.shape[1] or not size.any():
-        return np.zeros((0, len(white)))
-    size = np.maximum(size, 1e-12 * size.max())
-    return np.asarray(np.linalg.lstsq(columns / size, white.T, rcond=1e-6)[0] / size[:, None])
-
-
 def _fewest(channels: bool) -> int:
     return _FEWEST_ROWS_OF_ALL if channels else _FEWEST_ROWS

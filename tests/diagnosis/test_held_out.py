@@ -9,7 +9,6 @@ from typing import Any, cast
 import numpy as np
 import pytest
 
-from nsde_torch.data import Run
 from nsde_torch.diagnosis.cross_validation import HeldOut, held_out
 from nsde_torch.diagnosis.decision import provisional_reason
 from nsde_torch.diagnosis.dependence import Dependence
@@ -18,7 +17,7 @@ from nsde_torch.diagnosis.innovations import Own, Scored, band, one_step, own
 from nsde_torch.diagnosis.options import Options
 from nsde_torch.diagnosis.outcome import Found
 from nsde_torch.diagnosis.pipeline import diagnose
-from nsde_torch.diagnosis.search import Search, search_in
+from nsde_torch.diagnosis.search import search_in
 from nsde_torch.diagnosis.text import lines
 from nsde_torch.diagnosis.trials import Trial
 from nsde_torch.models.identified import SysidSpec
@@ -37,14 +36,11 @@ def effect_on_runs_left_out(name: str, *, seed: int, values: Mapping[str, float]
     spec = SysidSpec(SPRING, dt=made.dt, horizon=system.defaults.horizon)
     effect = system.make_effect(name)
 
-    def make(some: Sequence[Run]) -> Search:
-        return search_in(system, some, 1.0, Options())
-
     return held_out(
         (system, system.with_effects(effect)),
         spec,
         made.runs,
-        make=make,
+        search=search_in(system, made.runs, 1.0, Options()),
         clock=1.0,
         seed=0,
         without={name: system},

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from nsde_torch.sysid.feedback import faded, foretelling, past
+from nsde_torch.sysid.feedback import faded, past
 from nsde_torch.sysid.series import Series
 
 TWO = Series(((0, 500), (500, 3000)))
@@ -40,19 +40,3 @@ def test_with_all_channels_short_data_bear_what_they_need_and_it_is_past() -> No
     before, after = (faded(v, one, channels=True) for v in (s, changed))
     np.testing.assert_array_equal(before[:502], after[:502])
     assert np.abs(before[502] - after[502]).max() > 1.0
-
-
-def test_what_the_past_foretells_of_one_data_set_is_taken_out_of_another() -> None:
-    rng = np.random.default_rng(1)
-    coefficients = 0.3 * rng.normal(size=(10, 1))
-    left = []
-    for _ in range(2):
-        s = rng.normal(size=(3000, 2))
-        columns = faded(s, TWO)
-        new = rng.normal(size=(3002, 1))
-        left.append((s, columns, columns @ coefficients + new, new))
-    b = foretelling(left[0][0], TWO, left[0][2].T)
-    _, columns, white, new = left[1]
-    np.testing.assert_allclose((white - columns @ b).std(), new.std(), rtol=0.02)
-    assert white.std() > 1.2 * new.std()
-    assert foretelling(left[0][0][:900], Series(((0, 900),)), np.zeros((1, 901))).shape == (0, 1)
